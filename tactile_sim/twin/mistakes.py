@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from itertools import permutations
 
 import numpy as np
+import scipy
 
 from tactile_sim.sensor_models import GELSIGHT_MINI, SensorModel
 from tactile_sim.twin import gel_kernels
@@ -175,12 +176,10 @@ def _changed_gel(recordings: Recordings, images: Float64, rest: Float64) -> Iter
 
 def _markers(recordings: Recordings) -> Iterator[Mistake]:
     """Find small dark dots in the gel at rest."""
-    from scipy import ndimage  # takes a tenth of a second to import
-
     plain = recordings.backgrounds if recordings.backgrounds.size else recordings.images
     grey = np.median(plain.mean(axis=3), axis=0)
     scale = plain.shape[2] / 320
-    fine, wide = (ndimage.gaussian_filter(grey, each * scale) for each in (1.0, _MARKER_PX))
+    fine, wide = (scipy.ndimage.gaussian_filter(grey, each * scale) for each in (1.0, _MARKER_PX))
     share = float((fine - wide < -_MARKER_LEVELS).mean())
     if share > _MOST_MARKERS:
         yield Mistake(
@@ -288,9 +287,7 @@ class _Comparison:
 
 
 def _blurred(images: Float64, sigma_px: float) -> Float64:
-    from scipy import ndimage  # takes a tenth of a second to import
-
-    found: Float64 = ndimage.gaussian_filter(images, (0, sigma_px, sigma_px))
+    found: Float64 = scipy.ndimage.gaussian_filter(images, (0, sigma_px, sigma_px))
     return found
 
 

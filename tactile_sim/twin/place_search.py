@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
+import scipy
 
 from tactile_sim.twin import gel
 from tactile_sim.twin.fitting import Fit, shrunk
@@ -162,24 +163,18 @@ class _Windows:
     """Sums over all windows (h, w) of maps (R, C)."""
 
     def __init__(self, shape: tuple[int, ...], size: tuple[int, int]) -> None:
-        from scipy import fft  # takes a tenth of a second to import
-
-        self._sides = [fft.next_fast_len(side, real=True) for side in shape]
+        self._sides = [scipy.fft.next_fast_len(side, real=True) for side in shape]
         self._size = size
         self._count = tuple(side - less + 1 for side, less in zip(shape, size, strict=True))
 
     def spectrum(self, maps: Float64 | Float32) -> np.ndarray:
         """Return the transform of maps (..., R, C)."""
-        from scipy import fft  # takes a tenth of a second to import
-
-        return np.asarray(fft.rfft2(maps.astype(np.float32), self._sides))
+        return np.asarray(scipy.fft.rfft2(maps.astype(np.float32), self._sides))
 
     def products(self, spectrum: np.ndarray) -> Float32:
         """Return sums of products, whose transform is given, (..., r, c)."""
-        from scipy import fft  # takes a tenth of a second to import
-
         rows, columns = self._count
-        return np.asarray(fft.irfft2(spectrum, self._sides)[..., :rows, :columns])
+        return np.asarray(scipy.fft.irfft2(spectrum, self._sides)[..., :rows, :columns])
 
     def sums(self, values: Float64) -> Float64:
         """Return the sums over windows, (r, c)."""
@@ -208,8 +203,6 @@ def _map_shape(fit: Fit, key: int) -> tuple[int, int]:
 
 def _turns(fit: Fit, key: int, press_m: float) -> Iterator[_Turned]:
     """Press all of a solid into the gel, everywhere as deep as usual, in all turns."""
-    from scipy import ndimage  # takes a tenth of a second to import
-
     relief, pitch_m = fit.reliefs[key], fit.pitch_m(fit.shape)
     small = shrunk(relief.heights_m, max(1, round(float(pitch_m.mean() / relief.corner[2])))).astype(
         np.float64
@@ -225,12 +218,12 @@ def _turns(fit: Fit, key: int, press_m: float) -> Iterator[_Turned]:
         cosine, sine = np.cos(turn), np.sin(turn)
         x_m, y_m = cosine * right - sine * down, -sine * right - cosine * down
         at = [y_m * per_m[1] + (small.shape[0] - 1) / 2, x_m * per_m[0] + (small.shape[1] - 1) / 2]
-        heights = ndimage.map_coordinates(small, at, order=1)
-        top = ndimage.maximum_filter(heights, fit.size)
+        heights = scipy.ndimage.map_coordinates(small, at, order=1)
+        top = scipy.ndimage.maximum_filter(heights, fit.size)
         pressed_m = np.maximum(heights - (top - press_m), 0)
         surface = gel.gel_surface(pressed_m, pitch_m, shape)
         x_m, y_m = (_middles(each, fit.size) for each in (x_m, y_m))
-        deepest_m = _inner(ndimage.maximum_filter(pressed_m, fit.size), x_m.shape)
+        deepest_m = _inner(scipy.ndimage.maximum_filter(pressed_m, fit.size), x_m.shape)
         yield _Turned(surface, middle_m[0] + x_m, middle_m[1] + y_m, deepest_m, float(turn))
 
 
@@ -248,9 +241,7 @@ def _middles(values: Float64, size: tuple[int, int]) -> Float64:
 
 
 def _smooth(image: Float32 | Float64) -> Float64:
-    from scipy import ndimage  # takes a tenth of a second to import
-
-    return np.asarray(ndimage.gaussian_filter(image.astype(np.float64), (_SMOOTH_PX, _SMOOTH_PX, 0)))
+    return np.asarray(scipy.ndimage.gaussian_filter(image.astype(np.float64), (_SMOOTH_PX, _SMOOTH_PX, 0)))
 
 
 def _square(change: Float32) -> float:
@@ -259,9 +250,7 @@ def _square(change: Float32) -> float:
 
 def _peaks(alike: Float64) -> list[tuple[int, int]]:
     """Return the rows and columns of the highest peaks."""
-    from scipy import ndimage  # takes a tenth of a second to import
-
-    flat = np.flatnonzero(alike == ndimage.maximum_filter(alike, _PEAK_PX))
+    flat = np.flatnonzero(alike == scipy.ndimage.maximum_filter(alike, _PEAK_PX))
     best = flat[np.argsort(-alike.ravel()[flat])[:_PEAKS]]
     return [divmod(int(each), alike.shape[1]) for each in best]
 
