@@ -27,7 +27,7 @@ _THICKNESS_MM = {True: 4.0, False: 8.0}
 
 
 @dataclass(frozen=True, slots=True)
-class Shape:
+class PrintShape:
     """Options for the shape of the solids."""
 
     thickness_mm: float | None = real(
@@ -70,7 +70,7 @@ class Shape:
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class PictureReading:
     """Options for what is ink in a picture."""
 
     threshold: str = choice(
@@ -99,8 +99,8 @@ def solidify(
         help="Format of the files in a folder.",
     ),
     size: SolidSize,
-    shape: Shape,
-    reading: Reading,
+    shape: PrintShape,
+    reading: PictureReading,
     nozzle_mm: float = real(0.4, above=0, help="Nozzle of the printer: walls need two lines of it."),
     preview: bool = switch(False, help="Write a picture of each solid beside its file: NAME-preview.png."),
     job: Job,

@@ -16,7 +16,7 @@ from scipy import ndimage
 from tactile_sim.kind import KIND
 from tactile_sim.optics import scaled
 from tactile_sim.sensor_models import SensorModel
-from tactile_sim.twin.sources import image_files, read_image, spaced
+from tactile_sim.twin.sources import image_paths, read_image, spaced
 from tactile_toolkit import places, store
 from tactile_toolkit.array_types import Bool, Float32, Float64, UInt8
 from tactile_toolkit.errors import InputError
@@ -146,7 +146,7 @@ def images_of(source: str | PathLike[str], most: int = MOST_IMAGES) -> list[UInt
     Of clips, the frame at the end of the contact. InputError for a place that holds neither.
     """
     root = store.expanded(fspath(source))
-    files = image_files(root)
+    files = image_paths(root)
     if files:
         return [read_image(files[number]) for number in spaced(len(files), most)]
     place = places.open_place(source)

@@ -122,7 +122,7 @@ def each_of(
     return found, dict(sorted(problems.items()))
 
 
-def positions(fields: Fields, columns: import_columns.ImportColumns) -> Float64:
+def stated_positions(fields: Fields, columns: import_columns.ImportColumns) -> Float64:
     """Return intended positions, x and y in metres, cell frame, shape (n, 2).
 
     Raises ItemError for anything else; InputError for a frame that makes them depend on a height.

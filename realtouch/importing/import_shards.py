@@ -88,7 +88,7 @@ class ImportTouches:
         contents = _noted(self._contents(touches), digest)
         for rows in _pieces(touches):
             stored, problems = self._stored(touches, rows, said, contents)
-            tables.append(imported_rows.table_of(stored, self.columns, self.schema))
+            tables.append(imported_rows.table_of_touches(stored, self.columns, self.schema))
             notes.update(note for clip in stored.clips for note in clip.notes)
             others.update(extra_columns.not_kept(stored.touches, self.columns, extras))
             for number, name, error in touches.take(rows).with_problems(problems).problems():
@@ -119,7 +119,7 @@ class ImportTouches:
         problems = no_objects | no_labels
         for read, columns, out in (
             (fields.poses, self.columns.pose or (), turns),
-            (fields.positions, self.columns.position or (), places),
+            (fields.stated_positions, self.columns.position or (), places),
         ):
             if columns and len(rows) and not touches.has_clips:
                 values = {name: touches.value(name) for name in columns}

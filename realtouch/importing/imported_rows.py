@@ -68,7 +68,9 @@ def extras_in(schema: pa.Schema) -> dict[str, pa.DataType]:
     return {name: schema.field(name).type.value_type for name in extra_columns(schema.names).values()}
 
 
-def table_of(stored: StoredTouches, columns: import_columns.ImportColumns, schema: pa.Schema) -> pa.Table:
+def table_of_touches(
+    stored: StoredTouches, columns: import_columns.ImportColumns, schema: pa.Schema
+) -> pa.Table:
     """Return touches of whole rounds, one round after the other, as rows."""
     rounds = found_touches.one_chunk(stored.touches.where["round"])
     codes = rounds.dictionary_encode().indices.to_numpy()

@@ -108,7 +108,7 @@ def _first_fit(recordings: Recordings, start: SensorModel) -> Fit:
     found, likely = matching.matched_places(recordings, start, places)
     fit = rounds_of_fit.start_fit(recordings, found[:, :3], None, start)
     for touch, at in enumerate(found):
-        matching.place(fit, touch, at)
+        matching.place_touch(fit, touch, at)
     fit.likely = likely
     return fit
 

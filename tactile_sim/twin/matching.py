@@ -201,7 +201,7 @@ def _common_colours(places: list[Places]) -> Float64:
     return np.asarray(max(finalists, key=total))
 
 
-def place(fit: Fit, touch: int, at: Float64) -> None:
+def place_touch(fit: Fit, touch: int, at: Float64) -> None:
     """Put a touch at a place with its press depth."""
     fit.poses[touch] = *at[:3], 0.0
     # Nothing lies below this level, so heights come back as they are.
@@ -214,7 +214,7 @@ def _learn(fit: Fit, at: Float64, likely: Bool) -> None:
     """Fit colours and geometry to the touches whose place is likely."""
     _look(fit, _FIT_PX)
     for touch in range(len(at)):
-        place(fit, touch, at[touch])
+        place_touch(fit, touch, at[touch])
     fit.pose_guess = fit.poses.copy()
     fit.used = likely.copy()
     fit.step()
@@ -249,7 +249,7 @@ def _refined(fit: Fit, touch: int, places: Float64, good: int, steps: int) -> _F
     change: Float64 = np.asarray((image - fit.behind)[dull], np.float64)
     tried = []
     for at in places:
-        place(fit, touch, at)
+        place_touch(fit, touch, at)
         pose, level_m = fit.poses[touch].copy(), float(fit.level_m[touch])
         tried.append((*_stepped(fit, touch, pose, change, dull, 2), level_m))
     tried = _different(tried)

@@ -85,7 +85,7 @@ def read_recordings(
         A data set is damaged, or cannot be fetched.
     """
     root = store.expanded(fspath(source))
-    images = image_files(root)
+    images = image_paths(root)
     if images or table is not None:
         touches = _of_folder(root, images, table)
     else:
@@ -110,7 +110,7 @@ def read_recordings(
     )
 
 
-def image_files(root: Path) -> list[Path]:
+def image_paths(root: Path) -> list[Path]:
     """Return the image files of a folder that is no data set, in natural order."""
     if not root.is_dir() or (root / store.MANIFEST_FILE).exists() or next(root.glob("**/*.parquet"), None):
         return []
@@ -293,7 +293,7 @@ def _read_backgrounds(sources: Sequence[str | PathLike[str]], like: UInt8) -> UI
     files: list[Path] = []
     for each in sources:
         path = store.expanded(fspath(each))
-        files += image_files(path) if path.is_dir() else [path]
+        files += image_paths(path) if path.is_dir() else [path]
     if not files:
         return np.empty((0, *like.shape), np.uint8)
     images = [read_image(file) for file in files]

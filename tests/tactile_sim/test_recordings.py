@@ -11,7 +11,7 @@ import pytest
 
 import tactile_sim
 from tactile_sim.twin.recordings import Recordings
-from tactile_sim.twin.sources import image_files
+from tactile_sim.twin.sources import image_paths
 from tactile_toolkit.errors import InputError, ToolkitError
 from tests.command_line import call
 from tests.tactile_sim.hidden_sensors import MISTAKES, Family, Recording, digits, draw_sensor
@@ -134,9 +134,9 @@ def test_tables_that_cannot_be_meant_are_refused(folder: Path, change: str, mess
 
 
 def test_a_folder_of_a_data_set_holds_no_image_files(folder: Path) -> None:
-    assert len(image_files(folder / "images")) == 8
+    assert len(image_paths(folder / "images")) == 8
     (folder / "images" / "manifest.json").write_text("{}")
-    assert image_files(folder / "images") == []
+    assert image_paths(folder / "images") == []
 
 
 @pytest.mark.parametrize("has_backgrounds", [True, False])
