@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from realtouch import avi, contact_picture, stored_images
 from realtouch.importing import found_touches, import_columns
-from realtouch.importing.fields import Fields, each_of, poses, positions, times_s
+from realtouch.importing.fields import Fields, each_of, poses, stated_positions, times_s
 from tactile_toolkit.array_types import Float64, Int64, UInt8
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.touch import decode_image, is_jpeg
@@ -117,7 +117,7 @@ def clip_position(
     touches: found_touches.FoundTouches, row: int, columns: import_columns.ImportColumns
 ) -> Float64:
     """Return the intended position, shape (2,); ItemError unless it is the same for all pictures."""
-    place = _each_picture(positions, touches, row, columns, columns.position or ())
+    place = _each_picture(stated_positions, touches, row, columns, columns.position or ())
     if np.ptp(place, axis=0).max() > _SAME_M:
         raise ItemError(
             "position",

@@ -132,13 +132,15 @@ def test_a_frame_leads_to_the_cell(form: str, tmp_path: Path) -> None:
     with pytest.raises(ItemError, match="--frame another frame"):
         poses({"pose": np.hstack([base_places + 1, base_turns.as_quat()])}, columns)
     with pytest.raises(InputError, match="the frame tilts"):
-        fields.positions(found.columns({"p": PLACES[:, :2]}), replace(columns, position=("p",)))
+        fields.stated_positions(found.columns({"p": PLACES[:, :2]}), replace(columns, position=("p",)))
     upright = transform()
     upright[:3, :3] = Rotation.from_rotvec([0, 0, 1.0]).as_matrix()
     away = np.linalg.inv(upright)
     xy = (PLACES @ away[:3, :3].T + away[:3, 3])[:, :2]
     turned = realtouch.ImportColumns(position=("p",), frame=upright)  # type: ignore[arg-type]
-    np.testing.assert_allclose(fields.positions(found.columns({"p": xy}), turned), PLACES[:, :2], atol=1e-12)
+    np.testing.assert_allclose(
+        fields.stated_positions(found.columns({"p": xy}), turned), PLACES[:, :2], atol=1e-12
+    )
 
 
 @pytest.mark.parametrize(
