@@ -11,7 +11,7 @@ import numpy as np
 from tactile_sim.sensor_models import GELSIGHT_MINI, SensorModel
 from tactile_sim.twin import matching, rounds_of_fit
 from tactile_sim.twin.fitting import Fit
-from tactile_sim.twin.gel import Shape
+from tactile_sim.twin.gel import Fitted
 from tactile_sim.twin.mistakes import LEAST_TOUCHES, find_mistakes
 from tactile_sim.twin.reader import read_depth, train_reader
 from tactile_sim.twin.recordings import Recordings
@@ -82,7 +82,7 @@ def calibrate(
     report = {**rounds_of_fit.found(fit), "mistakes": [asdict(each) for each in mistakes]}
     shape = fit.shape.copy()
     half_m = fit.half_m(shape)
-    shape[: Shape.LENS] = 0.0
+    shape[: Fitted.LENS] = 0.0
     twin = Twin(shape, half_m, fit.coefficients.astype(np.float32), fit.background, {}, report)
     twin = replace(twin, reader=train_reader(twin, fit))
     report["residual_levels"] = _residual_levels(twin, fit)
@@ -93,7 +93,7 @@ def model_of(twin: Twin, name: str) -> SensorModel:
     """Return a sensor with its twin."""
     width_mm, height_mm = (2e3 * twin.half_m).tolist()
     width, height = twin.size_px
-    gel_mm = 1e3 * float(twin.shape[Shape.GEL])
+    gel_mm = 1e3 * float(twin.shape[Fitted.GEL])
     return SensorModel(name, width_mm, height_mm, width, height, gel_mm, "tactile-sim calibrate", twin)
 
 

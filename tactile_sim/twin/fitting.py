@@ -13,9 +13,10 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 
 from tactile_sim.twin import gel, gel_kernels
-from tactile_sim.twin.gel import Shape
+from tactile_sim.twin.gel import Fitted
 
 if TYPE_CHECKING:
     from tactile_sim.twin.recordings import Recordings
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from tactile_toolkit.array_types import Bool, Float32, Float64
 
 COEFFICIENTS = gel_kernels.ENTRIES * gel_kernels.PLACES
-_SHARED, _OWN = len(Shape), 4
+_SHARED, _OWN = len(Fitted), 4
 # Steps of the differences by which derivatives are taken, and how far from the guess values are expected.
 _SHAPE_STEP = np.array([0.004, 0.004, 0.01, 3e-5, 5e-5, 1.5e-5, 0.03, 2e-5])
 _SHAPE_SPREAD = np.array([0.15, 0.15, 0.05, 2e-3, 4e-4, 4e-5, 0.15, 5e-5])
@@ -108,7 +109,7 @@ class Fit:
 
     def half_m(self, shape: Float64) -> Float64:
         """Return half of width and height of the image, metres."""
-        return np.asarray(self.guess_m * np.exp(shape[: Shape.LENS]))
+        return np.asarray(self.guess_m * np.exp(shape[: Fitted.LENS]))
 
     def pitch_m(self, shape: Float64) -> Float64:
         """Return the size of a pixel in the present size, metres."""
@@ -126,9 +127,15 @@ class Fit:
         )
         out = np.empty(tuple(side + 2 * margin for side in self.size))
         span = np.array(out.shape[::-1]) / self.size[::-1]
-        level_m = self.level_m[touch] - shape[Shape.GEL] - pose[3]
+        level_m = self.level_m[touch] - shape[Fitted.GEL] - pose[3]
         gel_kernels.sample_relief(
-            out, relief.heights_m, relief.corner, affine, span, 0.0 if margin else shape[Shape.LENS], level_m
+            out,
+            relief.heights_m,
+            relief.corner,
+            affine,
+            span,
+            0.0 if margin else shape[Fitted.LENS],
+            level_m,
         )
         return out
 
@@ -141,7 +148,7 @@ class Fit:
 
     def rendered(self, touch: int, pose: Float64, shape: Float64, seen: gel.Seen | None = None) -> Float64:
         """Return how the image of a touch differs from the background, levels."""
-        blur_px = shape[Shape.BLUR] / self.pitch_m(shape)
+        blur_px = shape[Fitted.BLUR] / self.pitch_m(shape)
         seen = seen or self.seen(touch, pose, shape)
         return gel.response(seen, self.size, self.coefficients, blur_px, np.ones(2))
 
@@ -157,7 +164,7 @@ class Fit:
         self.typical[touch] = 1.4826 * float(np.median(np.abs(left)))
         return base, left, weights
 
-    def step(self, moving: tuple[Shape, ...] = ()) -> float:
+    def step(self, moving: tuple[Fitted, ...] = ()) -> float:
         """Take a step and return how far the geometry moved; poses move if any of the geometry does."""
         sums = _Sums(len(self.poses))
         for touch in np.flatnonzero(self.used):
@@ -169,12 +176,12 @@ class Fit:
         self.poses = self.poses + moved[_SHARED:].reshape(-1, _OWN)
         # A press that is deeper in all touches is a thicker gel.
         common_m = float(self.poses[self.used, 3].mean())
-        if Shape.GEL in moving:
-            self.shape[Shape.GEL] += common_m
+        if Fitted.GEL in moving:
+            self.shape[Fitted.GEL] += common_m
         self.poses[:, 3] -= common_m
         return float(shift)
 
-    def _add(self, sums: _Sums, touch: int, moving: tuple[Shape, ...]) -> None:
+    def _add(self, sums: _Sums, touch: int, moving: tuple[Fitted, ...]) -> None:
         """Add a touch to the sums of a step."""
         seen = self.seen(touch, self.poses[touch], self.shape)
         base, left, weights = self.residual(touch, seen)
@@ -190,7 +197,7 @@ class Fit:
                 pose[own] += _POSE_STEP[own]
                 columns.append((self.rendered(touch, pose, self.shape) - base) / _POSE_STEP[own])
                 places.append(_SHARED + _OWN * touch + own)
-        blur_px = self.shape[Shape.BLUR] / self.pitch_m(self.shape)
+        blur_px = self.shape[Fitted.BLUR] / self.pitch_m(self.shape)
         sums.add(seen, weights, np.stack(columns, axis=2).astype(np.float32), places, blur_px)
 
     def refresh_background(self) -> None:
@@ -217,8 +224,6 @@ class Fit:
 
     def choose_ridge(self) -> None:
         """Choose the ridge that serves every fifth touch best when it is fitted to the others."""
-        from scipy import linalg  # takes a quarter of a second to import
-
         parts = [_Sums(len(self.poses)), _Sums(len(self.poses))]
         for number, touch in enumerate(np.flatnonzero(self.used)):
             self._add(parts[number % 5 == 4], int(touch), ())
@@ -229,8 +234,8 @@ class Fit:
         errors = []
         for ridge in RIDGES:
             cost = ridge * train.scale * self.penalty
-            factor = linalg.cho_factor(train.full() + cost, lower=True, check_finite=False)
-            change = linalg.cho_solve(factor, train.products[:, 0] - cost @ before, check_finite=False)
+            factor = scipy.linalg.cho_factor(train.full() + cost, lower=True, check_finite=False)
+            change = scipy.linalg.cho_solve(factor, train.products[:, 0] - cost @ before, check_finite=False)
             errors.append(np.sum(change * (held.full() @ change)) - 2 * np.sum(change * held.products[:, 0]))
         self.ridge = RIDGES[int(np.argmin(errors))]
 
@@ -275,16 +280,14 @@ class _Sums:
             self.moves[np.ix_(places, places)] += square[1:, 1:]
             self.slope[places] += square[1:, 0]
 
-    def solve(self, fit: Fit, moving: tuple[Shape, ...]) -> Float64:
+    def solve(self, fit: Fit, moving: tuple[Fitted, ...]) -> Float64:
         """Change the response of a fit, and return how its geometry and poses move."""
-        from scipy import linalg  # takes a quarter of a second to import
-
         penalty = fit.ridge * self.scale * fit.penalty
         before = fit.coefficients.reshape(COEFFICIENTS, 3)
-        factor = linalg.cho_factor(self.full() + penalty, lower=True, check_finite=False)
+        factor = scipy.linalg.cho_factor(self.full() + penalty, lower=True, check_finite=False)
         right = self.products
         right[:, 0] -= penalty @ before
-        solved = linalg.cho_solve(factor, right.reshape(COEFFICIENTS, -1), check_finite=False).reshape(
+        solved = scipy.linalg.cho_solve(factor, right.reshape(COEFFICIENTS, -1), check_finite=False).reshape(
             right.shape
         )
         moved = np.zeros(len(self.slope))
@@ -300,7 +303,7 @@ class _Sums:
         fit.coefficients = (before + change).reshape(fit.coefficients.shape)
         return moved
 
-    def _moved(self, fit: Fit, matrix: Float64, slope: Float64, moving: tuple[Shape, ...]) -> Float64:
+    def _moved(self, fit: Fit, matrix: Float64, slope: Float64, moving: tuple[Fitted, ...]) -> Float64:
         # What is left is alike over patches: slopes that the table does not hold, shadows, blocks of JPEG.
         variance = ALIKE_PX * fit.noise**2
         own = [
@@ -314,7 +317,7 @@ class _Sums:
         matrix = matrix + np.diag(variance / expected**2)
         slope = slope - variance / expected**2 * away
         square = np.zeros(len(slope))
-        square[[Shape.WIDE, Shape.HIGH]] = 1.0, -1.0
+        square[[Fitted.WIDE, Fitted.HIGH]] = 1.0, -1.0
         matrix += variance / _SQUARE**2 * np.outer(square, square)
         slope -= variance / _SQUARE**2 * (square @ away) * square
         active = np.array([*map(int, moving), *own])

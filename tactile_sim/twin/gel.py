@@ -27,7 +27,7 @@ _MARGIN = 0.12  # of the width of an image
 _EDGE = 0.7  # press depth in which the contact begins, in pixels: slopes there are about 1
 
 
-class Shape(IntEnum):
+class Fitted(IntEnum):
     """Places of the geometry of a twin in a vector.
 
     Logarithms of the sides of the image over those of the first guess; the radial term of the lens; thickness
@@ -86,13 +86,13 @@ def gel_surface(
         indentation_m = np.minimum(indentation_m, inner.max())
     held, contact = np.empty(indentation_m.shape), np.empty(indentation_m.shape)
     edge_m = _EDGE * float(pitch_m[0])
-    gel_kernels.touching(contact, held, indentation_m, shape[Shape.CONTACT], edge_m)
+    gel_kernels.touching(contact, held, indentation_m, shape[Fitted.CONTACT], edge_m)
     soft = held.copy()
     for level in range(_WIDTHS):
-        blur_gel(soft, shape[Shape.WIDTH] * 0.5**level / pitch_m)
+        blur_gel(soft, shape[Fitted.WIDTH] * 0.5**level / pitch_m)
         gel_kernels.hold(soft, held, contact)
-    blur_gel(soft, shape[Shape.LAST] / pitch_m)
-    return seen_through(soft, pitch_m, float(shape[Shape.LENS]), margin, span)
+    blur_gel(soft, shape[Fitted.LAST] / pitch_m)
+    return seen_through(soft, pitch_m, float(shape[Fitted.LENS]), margin, span)
 
 
 def own_surface(
@@ -104,8 +104,8 @@ def own_surface(
     is of the skin of the gel, is added.
     """
     soft = np.ascontiguousarray(-pressed_m)
-    blur_gel(soft, shape[Shape.LAST] / pitch_m)
-    return seen_through(soft, pitch_m, float(shape[Shape.LENS]), margin, span)
+    blur_gel(soft, shape[Fitted.LAST] / pitch_m)
+    return seen_through(soft, pitch_m, float(shape[Fitted.LENS]), margin, span)
 
 
 def seen_through(
@@ -145,14 +145,14 @@ def blur_gel(soft: Float64, sigma_px: Float64) -> None:
 
 def rim_m(soft: Float64, shape: Float64) -> float:
     """Return the depth of the gel at which the contact begins, metres, of a surface as it is seen."""
-    return max(-float(shape[Shape.CONTACT] * soft.min()), _LEAST_RIM_M)
+    return max(-float(shape[Fitted.CONTACT] * soft.min()), _LEAST_RIM_M)
 
 
 def seen_features(soft: Float64, pitch_m: Float64, shape: Float64) -> Seen:
     """Return which entries of the response each pixel of a surface takes part in."""
     entries = np.empty((soft.size, gel_kernels.ACTIVE), np.int64)
     shares = np.empty(entries.shape, np.float32)
-    gel_kernels.features(soft, pitch_m, shape[Shape.LENS], rim_m(soft, shape), entries, shares)
+    gel_kernels.features(soft, pitch_m, shape[Fitted.LENS], rim_m(soft, shape), entries, shares)
     return entries, shares
 
 
@@ -161,7 +161,7 @@ def response(
 ) -> Float64:
     """Return the change of the image, levels, shape (H, W, 3); ``size`` is (H, W)."""
     out = np.empty((*size, 3))
-    gel_kernels.respond(out, *seen, coefficients, span)
+    gel_kernels.write_response(out, *seen, coefficients, span)
     blur_colours(out, sigma_px)
     return out
 

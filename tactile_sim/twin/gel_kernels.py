@@ -189,7 +189,9 @@ def _terms(terms: Float64, at: int, rows: int, columns: int, span: Float64) -> N
 
 
 @compiled
-def respond(out: Float64, entries: Int64, shares: Float32, coefficients: Float64, span: Float64) -> None:
+def write_response(
+    out: Float64, entries: Int64, shares: Float32, coefficients: Float64, span: Float64
+) -> None:
     """Write the response (H, W, 3), levels; ``coefficients`` have the shape (ENTRIES, PLACES, 3)."""
     rows, columns = out.shape[:2]
     terms = np.empty(PLACES)
@@ -258,7 +260,7 @@ def render_response(
     across: float,
     rim: float,
 ) -> None:
-    """Write the response (H, W, 3) of a surface, as :func:`features` and :func:`respond` do together.
+    """Write the response (H, W, 3) of a surface, as :func:`features` and :func:`write_response` do together.
 
     The terms of a row are summed once for the whole row, and pixels where the gel is at rest are passed over.
     ``coefficients`` have the shape (ENTRIES, PLACES, 4), the last colour 0: vectors have four lanes.

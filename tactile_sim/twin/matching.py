@@ -17,7 +17,7 @@ import numpy as np
 from tactile_sim.sensor_models import SensorModel
 from tactile_sim.twin import gel
 from tactile_sim.twin.fitting import Fit
-from tactile_sim.twin.gel import Shape
+from tactile_sim.twin.gel import Fitted
 from tactile_sim.twin.place_search import (
     Paint,
     Places,
@@ -38,7 +38,13 @@ _PRESSES = ((0.75,), (0.75, 1.4), (0.5, 0.9, 1.8))  # tried in each round, in pa
 _SEEDS = 5
 _OFF = 0.4  # share of the change of images that is left: 0.15 to 0.3 with poses off by 0.5 mm, 0.5 by 1 mm
 _LEARNING = 4
-_GEOMETRY = (Shape.WIDE, Shape.HIGH, Shape.LENS, Shape.WIDTH, Shape.CONTACT)
+_GEOMETRY = (
+    Fitted.WIDE,
+    Fitted.HIGH,
+    Fitted.LENS,
+    Fitted.WIDTH,
+    Fitted.CONTACT,
+)
 _USUAL = 0.9  # part of the press depth that is tried first
 _RIDGES = (0.1, 0.03, 0.01)  # of each round; what few touches do not show follows from what they show
 _TRIED, _GOOD = 16, 5  # places of a touch that are refined by two steps, and further
@@ -205,9 +211,9 @@ def place_touch(fit: Fit, touch: int, at: Float64) -> None:
     """Put a touch at a place with its press depth."""
     fit.poses[touch] = *at[:3], 0.0
     # Nothing lies below this level, so heights come back as they are.
-    fit.level_m[touch] = fit.shape[Shape.GEL]
+    fit.level_m[touch] = fit.shape[Fitted.GEL]
     highest_m = fit.indentation(touch, fit.poses[touch], fit.shape).max()
-    fit.level_m[touch] = highest_m - at[3] + fit.shape[Shape.GEL]
+    fit.level_m[touch] = highest_m - at[3] + fit.shape[Fitted.GEL]
 
 
 def _learn(fit: Fit, at: Float64, likely: Bool) -> None:
@@ -233,12 +239,12 @@ def _paint_of(fit: Fit) -> Paint:
     """Return how the fit colours a surface, the same everywhere."""
     coefficients = fit.coefficients.copy()
     coefficients[:, 1:] = 0.0
-    shape = np.where(np.arange(len(fit.shape)) == Shape.LENS, 0.0, fit.shape)
+    shape = np.where(np.arange(len(fit.shape)) == Fitted.LENS, 0.0, fit.shape)
 
     def paint(surface: Float64, pitch_m: Float64) -> Float64:
         seen = gel.seen_features(surface, pitch_m, shape)
         size = (surface.shape[0], surface.shape[1])
-        return gel.response(seen, size, coefficients, fit.shape[Shape.BLUR] / pitch_m, gel.WHOLE)
+        return gel.response(seen, size, coefficients, fit.shape[Fitted.BLUR] / pitch_m, gel.WHOLE)
 
     return paint
 

@@ -16,7 +16,7 @@ _DECAYS = (0.9, 0.999)  # Adam (Kingma and Ba 2015), whose numbers these are
 _BLOCK = 1 << 14  # rows that stay in the processor's cache
 
 
-def evaluate(weights: Mapping[str, Float32], name: str, inputs: Float32) -> Float32:
+def network_output(weights: Mapping[str, Float32], name: str, inputs: Float32) -> Float32:
     """Return the outputs (n, k) of a network for inputs (n, m)."""
     layers = sum(key.startswith(f"{name}_w") for key in weights)
     blocks = []
@@ -31,7 +31,7 @@ def evaluate(weights: Mapping[str, Float32], name: str, inputs: Float32) -> Floa
     return np.concatenate(blocks)
 
 
-def train(
+def trained(
     name: str,
     inputs: Float32,
     targets: Float32,

@@ -11,12 +11,13 @@ from collections.abc import Mapping
 from itertools import pairwise
 
 import numpy as np
+import scipy
 
 from tactile_sim.sensor_parts import DepthReading
 from tactile_sim.taxim_kernels import blur
 from tactile_sim.twin import gel, network
 from tactile_sim.twin.fitting import Fit, shrunk
-from tactile_sim.twin.gel import Shape
+from tactile_sim.twin.gel import Fitted
 from tactile_sim.twin.gel_kernels import sample_relief
 from tactile_sim.twin.relief import Relief
 from tactile_sim.twin.twin import Twin, TwinOptics, in_size_of, resized_depth
@@ -76,8 +77,8 @@ def _shrink(twin: Twin, mode: str) -> int:
 def _read(reader: Mapping[str, Float32], mode: str, change: Float32) -> tuple[Float32, Float32]:
     rows, columns, _ = change.shape
     colours = _colours(change)
-    slopes = network.evaluate(reader, f"{mode}_slope", colours).reshape(rows, columns, 2)
-    found = network.evaluate(reader, f"{mode}_depth", _surroundings(colours, slopes))
+    slopes = network.network_output(reader, f"{mode}_slope", colours).reshape(rows, columns, 2)
+    found = network.network_output(reader, f"{mode}_depth", _surroundings(colours, slopes))
     depth_mm = found[:, 0].reshape(rows, columns)
     error_mm = np.exp(np.clip(found[:, 1], -8, 2)).reshape(rows, columns)
     return np.where(depth_mm > _DULL_MM, depth_mm, 0), error_mm
@@ -120,8 +121,6 @@ def integrated(slopes: Float32) -> Float32:
 
     Poisson's equation with free edges, by the cosine transform (Agrawal, Raskar and Chellappa, ECCV 2006).
     """
-    from scipy import fft  # takes a tenth of a second to import
-
     rows, columns, _ = slopes.shape
     along_x, along_y = slopes[..., 0], -slopes[..., 1]
     middle_x = (along_x[:, 1:] + along_x[:, :-1]) / 2
@@ -136,9 +135,9 @@ def integrated(slopes: Float32) -> Float32:
     )
     waves = (waves - 4).astype(np.float32)
     waves[0, 0] = 1
-    turned = fft.dctn(bend, norm="ortho") / waves
+    turned = scipy.fft.dctn(bend, norm="ortho") / waves
     turned[0, 0] = 0
-    return np.asarray(fft.idctn(turned, norm="ortho"), np.float32)
+    return np.asarray(scipy.fft.idctn(turned, norm="ortho"), np.float32)
 
 
 def train_reader(twin: Twin, fit: Fit, seed: int = 0) -> dict[str, Float32]:
@@ -169,18 +168,18 @@ def _trained(
     inputs = np.concatenate([_colours(each[0])[rows] for each, rows in zip(held, chosen, strict=True)])
     targets = np.concatenate([each[1].reshape(-1, 2)[rows] for each, rows in zip(held, chosen, strict=True)])
     name = f"{mode}_slope"
-    reader = network.train(name, inputs, targets, _SLOPE_HIDDEN, 2, _plain_slope, rng, _SLOPE_STEPS)
+    reader = network.trained(name, inputs, targets, _SLOPE_HIDDEN, 2, _plain_slope, rng, _SLOPE_STEPS)
     first, targets = 0, np.concatenate([each[2][rows] for each, rows in zip(held, chosen, strict=True)])
     for (change, slopes, _, _), rows in zip(held, chosen, strict=True):
         colours = _colours(change)
-        read = network.evaluate(reader, name, colours).reshape(slopes.shape)
+        read = network.network_output(reader, name, colours).reshape(slopes.shape)
         part = _surroundings(colours, read)[rows]
         if not first:  # in place: parts and the whole would take twice the memory
             inputs = np.empty((len(targets), part.shape[1]), np.float32)
         inputs[first : first + len(rows)] = part
         first += len(rows)
     name = f"{mode}_depth"
-    return reader | network.train(name, inputs, targets, _DEPTH_HIDDEN, 2, _depth_slope, rng, _DEPTH_STEPS)
+    return reader | network.trained(name, inputs, targets, _DEPTH_HIDDEN, 2, _depth_slope, rng, _DEPTH_STEPS)
 
 
 def _plain_slope(found: Float32, targets: Float32) -> Float32:
@@ -201,7 +200,7 @@ def _true_slopes(depth_mm: Float32, twin: Twin, shrink: int) -> Float32:
     rows, columns = depth_mm.shape
     pitch_m = 2 * twin.half_m / [columns, rows]
     shape = twin.shape.copy()
-    shape[Shape.LENS] = 0.0  # depth is as it is seen
+    shape[Fitted.LENS] = 0.0  # depth is as it is seen
     soft = 1e3 * gel.gel_surface(depth_mm.astype(np.float64) / 1e3, pitch_m, shape)
     down, across = np.gradient(soft)
     return np.stack([across, -down], axis=-1).astype(np.float32)
@@ -227,7 +226,7 @@ def _samples(twin: Twin, fit: Fit, rng: np.random.Generator) -> list[tuple[UInt8
         margin = gel.margin_px(twin.size_px[0])
         reach_m = _pressed(twin, relief, rng, presses, margin)
         clean = twin.background + optics.response(reach_m, margin=margin)
-        reach_m = gel.seen_through(reach_m, twin.pitch_m, float(twin.shape[Shape.LENS]), margin)
+        reach_m = gel.seen_through(reach_m, twin.pitch_m, float(twin.shape[Fitted.LENS]), margin)
         # What the fit leaves of real images: their noise, and what the twin does not render.
         noise = left[number % len(left)]
         image = np.clip(np.rint(clean + noise[:: rng.choice([1, -1]), :: rng.choice([1, -1])]), 0, 255)

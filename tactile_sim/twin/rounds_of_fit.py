@@ -9,7 +9,7 @@ import numpy as np
 
 from tactile_sim.sensor_models import SensorModel
 from tactile_sim.twin.fitting import Fit
-from tactile_sim.twin.gel import Shape
+from tactile_sim.twin.gel import Fitted
 from tactile_sim.twin.recordings import Recordings
 from tactile_sim.twin.relief import Relief
 from tactile_toolkit.array_types import Float32, Float64, Int64
@@ -20,10 +20,17 @@ _WIDTH_M, _LAST_M, _CONTACT, _BLUR_M = 9e-4, 6e-5, 0.6, 6e-5
 _SPREAD = np.array([2e-4, 2e-4, 0.015, 1e-4])
 _UNKNOWN_PRESS_M = 5e-4
 _MATCHED_SPREAD = np.array([1e-3, 1e-3, 0.08])
-_COARSE = (Shape.WIDE, Shape.HIGH, Shape.LENS, Shape.GEL, Shape.WIDTH, Shape.CONTACT)
+_COARSE = (
+    Fitted.WIDE,
+    Fitted.HIGH,
+    Fitted.LENS,
+    Fitted.GEL,
+    Fitted.WIDTH,
+    Fitted.CONTACT,
+)
 # How deep the gel is pressed in is not told apart from its shadows: it is found without them.
-_SHALLOW = tuple(each for each in Shape if each not in (Shape.GEL, Shape.CONTACT))
-_ROUNDS = ((80, 10, _COARSE, 0.1), (160, 8, tuple(Shape), 3e-4), (160, 6, _SHALLOW, 1e-3))
+_SHALLOW = tuple(each for each in Fitted if each not in (Fitted.GEL, Fitted.CONTACT))
+_ROUNDS = ((80, 10, _COARSE, 0.1), (160, 8, tuple(Fitted), 3e-4), (160, 6, _SHALLOW, 1e-3))
 """Widths of the images, steps, what moves, and ridges: a stiff response leaves more to the geometry."""
 
 _SETTLED = 0.01
@@ -55,9 +62,9 @@ def set_levels(fit: Fit, touches: Int64, start: SensorModel) -> None:
     """Set the heights of the sensor at some touches so that half of the gel is pressed in."""
     for touch in touches:
         # Nothing lies below this level, so heights come back as they are.
-        fit.level_m[touch] = fit.shape[Shape.GEL] + fit.poses[touch, 3]
+        fit.level_m[touch] = fit.shape[Fitted.GEL] + fit.poses[touch, 3]
         highest_m = fit.indentation(int(touch), fit.poses[touch], fit.shape).max()
-        fit.level_m[touch] = highest_m - (start.gel_mm / 1e3 - start.press_m) + fit.shape[Shape.GEL]
+        fit.level_m[touch] = highest_m - (start.gel_mm / 1e3 - start.press_m) + fit.shape[Fitted.GEL]
 
 
 def first_background(recordings: Recordings) -> Float32:
@@ -111,7 +118,7 @@ def found(fit: Fit) -> dict[str, Any]:
     half_m = fit.half_m(fit.shape)
     width, height = fit.recordings.size_px
     pitch_mm = 2e3 * half_m / [width, height]
-    shape = {each.name.lower(): float(fit.shape[each]) for each in Shape}
+    shape = {each.name.lower(): float(fit.shape[each]) for each in Fitted}
     return {
         "mm_per_px": float(np.sqrt(pitch_mm[0] * pitch_mm[1])),
         "mm_per_px_x": float(pitch_mm[0]),
@@ -120,7 +127,7 @@ def found(fit: Fit) -> dict[str, Any]:
         "gel_mm": 1e3 * shape["gel"],
         "gel_blur_mm": 1e3 * shape["width"],
         "contact": shape["contact"],
-        "camera_blur_px": float(fit.shape[Shape.BLUR] / np.sqrt(pitch_mm[0] * pitch_mm[1] / 1e6)),
+        "camera_blur_px": float(fit.shape[Fitted.BLUR] / np.sqrt(pitch_mm[0] * pitch_mm[1] / 1e6)),
         "ridge": fit.ridge,
         "noise_levels": fit.noise,
         "image_error_levels": float(np.median(fit.rms[fit.used])),

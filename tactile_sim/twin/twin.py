@@ -14,7 +14,7 @@ from tactile_sim.array_files import npz_bytes
 from tactile_sim.optics import Optics, scaled
 from tactile_sim.sensor import Sensor
 from tactile_sim.twin import gel, gel_kernels
-from tactile_sim.twin.gel import Shape
+from tactile_sim.twin.gel import Fitted
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, UInt8
 from tactile_toolkit.errors import InputError
 
@@ -28,7 +28,7 @@ class Twin:
     Attributes
     ----------
     shape : ndarray of float64, shape (8,)
-        Geometry, by :class:`~tactile_sim.twin.gel.Shape`; its first two values are 0.
+        Geometry, by :class:`~tactile_sim.twin.gel.Fitted`; its first two values are 0.
     half_m : ndarray of float64, shape (2,)
         Half of width and height of the image on the gel, metres.
     coefficients : ndarray of float32, shape (entries, 6, 3)
@@ -129,7 +129,7 @@ class TwinOptics(Optics):
         pitch_m = 2 * twin.half_m * span / [columns, rows]
         shape = twin.shape.copy()
         if not self._lens:
-            shape[Shape.LENS] = 0.0
+            shape[Fitted.LENS] = 0.0
         if not (margin or is_surface):
             # Mirrored at the edge, as kernels would have it, the gel is six times as far off there.
             margin = gel.margin_px(columns)
@@ -139,10 +139,10 @@ class TwinOptics(Optics):
         surface = gel.own_surface if is_surface else gel.gel_surface
         soft = surface(reach_m, pitch_m, shape, margin, span)
         across = gel.across_of(pitch_m, soft.shape, span)
-        lens = float(twin.shape[Shape.LENS])
+        lens = float(twin.shape[Fitted.LENS])
         rim_m = gel.rim_m(soft, shape)
         gel_kernels.render_response(out, soft, pitch_m, self._coefficients, span, lens, across, rim_m)
-        gel.blur_colours(out, shape[Shape.BLUR] / pitch_m)
+        gel.blur_colours(out, shape[Fitted.BLUR] / pitch_m)
         return out
 
     def reached(self, reach_m: Float32, sensor: Sensor) -> UInt8:

@@ -82,7 +82,7 @@ def _twin_of(arrays: Mapping[str, AnyArray], report: Mapping[str, Any]) -> Twin:
         problem = f"background has the shape {background.shape}"
         raise ValueError(problem)
     expected: dict[str, tuple[Any, tuple[int, ...]]] = {
-        "shape": (np.float64, (len(gel.Shape),)),
+        "shape": (np.float64, (len(gel.Fitted),)),
         "half_m": (np.float64, (2,)),
         "coefficients": (np.float32, (gel_kernels.ENTRIES, gel_kernels.PLACES, 3)),
         "background": (np.float32, (*background.shape[:2], 3)),

@@ -16,7 +16,7 @@ import tactile_sim
 from tactile_sim.twin import gel, gel_kernels, network, reader
 from tactile_sim.twin.calibration import model_of
 from tactile_sim.twin.fitting import COEFFICIENTS, Fit
-from tactile_sim.twin.gel import Shape
+from tactile_sim.twin.gel import Fitted
 from tactile_sim.twin.matching import are_off, matched_places
 from tactile_sim.twin.rounds_of_fit import start_fit
 from tactile_sim.twin.twin import TwinOptics
@@ -53,12 +53,12 @@ def test_one_pass_renders_what_two_do():
     twin = made_up_twin()
     padded = np.zeros((*twin.coefficients.shape[:2], 4), np.float32)
     padded[..., :3] = twin.coefficients
-    out, lens = np.empty((48, 64, 3)), float(SHAPE[Shape.LENS])
+    out, lens = np.empty((48, 64, 3)), float(SHAPE[Fitted.LENS])
     across = gel.across_of(pitch_m, soft.shape)
     gel_kernels.render_response(out, soft, pitch_m, padded, np.ones(2), lens, across, gel.rim_m(soft, SHAPE))
     plain = np.empty((48, 64, 3))
     seen = gel.seen_features(soft, pitch_m, SHAPE)
-    gel_kernels.respond(plain, *seen, twin.coefficients.astype(float), np.ones(2))
+    gel_kernels.write_response(plain, *seen, twin.coefficients.astype(float), np.ones(2))
     assert np.abs(plain).max() > 10
     assert out == pytest.approx(plain, abs=1e-3)
 
@@ -69,7 +69,7 @@ def test_slopes_seen_through_a_lens_are_those_of_the_gel():
     y, x = np.mgrid[36 + margin : -36 - margin : -1, -48 - margin : 48 + margin].astype(float) * 3e-4
     seen = gel.seen_through(0.3 * x - 0.2 * y, pitch_m, lens, margin)
     flat, bent = SHAPE.copy(), SHAPE.copy()
-    flat[Shape.LENS], bent[Shape.LENS] = 0.0, lens
+    flat[Fitted.LENS], bent[Fitted.LENS] = 0.0, lens
     steepness = slice(0, 8, 4)  # first entries of both directions
     plane = np.ascontiguousarray((0.3 * x - 0.2 * y)[12:-12, 12:-12])
     entries, straight = gel.seen_features(plane, pitch_m, flat)
@@ -90,7 +90,7 @@ def test_entries_of_a_slope_follow_its_direction_and_steepness():
     for angle in np.linspace(0.05, 2 * np.pi, 17):
         steep = 0.1 + 0.05 * angle
         soft = steep * (np.cos(angle) * x + np.sin(angle) * y) - 0.01
-        entries, shares = gel.seen_features(soft, pitch_m, np.where(np.arange(8) == Shape.LENS, 0.0, SHAPE))
+        entries, shares = gel.seen_features(soft, pitch_m, np.where(np.arange(8) == Fitted.LENS, 0.0, SHAPE))
         middle = entries[9 * 19 + 9], shares[9 * 19 + 9].astype(float)
         assert middle[1].sum() == pytest.approx(2, abs=1e-5)  # one for each table
         turn = np.array([middle[1][:4].sum(), middle[1][4:].sum()]) / 2
@@ -131,7 +131,7 @@ def test_normal_equations_are_those_of_the_dense_matrix():
             single = np.zeros((gel_kernels.ENTRIES, gel_kernels.PLACES, 3))
             single[entry, place, 0] = 1
             image = np.empty((48, 64, 3))
-            gel_kernels.respond(image, *seen, single, np.ones(2))
+            gel_kernels.write_response(image, *seen, single, np.ones(2))
             dense.append(image[..., 0].ravel())
     matrix = np.array(dense).T
     weights = rng.uniform(0, 1, (48, 64)).astype(np.float32)
@@ -159,8 +159,8 @@ def test_a_network_learns_a_corner():
     rng = np.random.default_rng(0)
     inputs = rng.uniform(-1, 1, (2000, 2)).astype(np.float32)
     targets = np.abs(inputs[:, :1])
-    weights = network.train("n", inputs, targets, (16,), 1, lambda found, want: found - want, rng, 300)
-    assert np.abs(network.evaluate(weights, "n", inputs) - targets).mean() < 0.03
+    weights = network.trained("n", inputs, targets, (16,), 1, lambda found, want: found - want, rng, 300)
+    assert np.abs(network.network_output(weights, "n", inputs) - targets).mean() < 0.03
 
 
 def small_fit(touches: int = 6) -> tuple[Fit, object]:
@@ -181,7 +181,7 @@ def test_a_fit_explains_its_images_and_finds_the_gel():
     before = np.nanmedian(fit.rms)
     assert before < change
     for _ in range(3):
-        fit.step((Shape.WIDE, Shape.HIGH, Shape.GEL, Shape.WIDTH))
+        fit.step((Fitted.WIDE, Fitted.HIGH, Fitted.GEL, Fitted.WIDTH))
     fit.step()
     assert np.nanmedian(fit.rms) < 0.95 * before
     assert abs(fit.poses[:, 3].mean()) < 1e-12  # a press that all share is the gel's thickness
@@ -238,7 +238,7 @@ def test_the_lens_is_in_depth_that_was_read():
     twin = made_up_twin()
     reached = hills().astype(np.float32)[None]
     model = model_of(twin, "mine")
-    plain = model_of(dataclasses.replace(twin, shape=np.where(np.arange(8) == Shape.LENS, 0, SHAPE)), "mine")
+    plain = model_of(dataclasses.replace(twin, shape=np.where(np.arange(8) == Fitted.LENS, 0, SHAPE)), "mine")
     depth_m = plain.sensor.gel_m - reached.astype(np.float64)
     through = plain.optics.render(depth_m, plain.sensor, (64, 48)).astype(int)
     assert np.abs(through - plain.render_read(reached)).max() <= 1
@@ -416,7 +416,7 @@ def test_a_solid_goes_on_beyond_the_image():
     out = np.empty(whole.shape)
     gel_kernels.extend(out, part, margin)
     assert (out[margin:-margin, margin:-margin] == part).all()
-    shape = np.where(np.arange(8) == Shape.LENS, 0, SHAPE)
+    shape = np.where(np.arange(8) == Fitted.LENS, 0, SHAPE)
     true = gel.gel_surface(whole, pitch_m, shape, margin)
     extended, mirrored = gel.gel_surface(out, pitch_m, shape, margin), gel.gel_surface(part, pitch_m, shape)
     assert np.abs(extended - true).mean() < 0.3 * np.abs(mirrored - true).mean()
