@@ -163,7 +163,7 @@ class Place:
         found = self.kind if shard is None or self.is_kind_stated else _kind_of(shard)
         if found is not None:
             require_kind(found, kind, self.name, command)
-        elif self.manifest is not None:
+        elif self.manifest is not None and self.manifest.kind != kind.name:
             raise InputError(
                 f"{self.name!r} holds a data set of kind {self.manifest.kind!r}; expected {kind.content}",
                 next="install the package that made it",

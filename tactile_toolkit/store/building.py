@@ -99,9 +99,7 @@ def build(
         if options.part is not None:
             return _finish_partial_run(job, records)
         with folder.locked(is_patient=True):
-            if write_card is not None and job.folder is not folder and isinstance(folder, LocalFolder):
-                replacing.keep_card(folder)
-            manifest = _finish(job, records, write_card)
+            manifest = _finish(job, records, write_card, folder)
             if job.folder is not folder and isinstance(folder, LocalFolder):
                 hold.close()
                 replacing.promote(folder)
@@ -178,7 +176,12 @@ def _finish_partial_run(job: BuildJob, records: Sequence[ShardRecord]) -> Manife
     return replace(job.manifest.with_shards(records), complete=False)
 
 
-def _finish(job: BuildJob, records: Sequence[ShardRecord], write_card: WriteCard | None) -> Manifest:
+def _finish(
+    job: BuildJob,
+    records: Sequence[ShardRecord],
+    write_card: WriteCard | None,
+    replaced: data_folder.DataFolder,
+) -> Manifest:
     """Write what follows from all shards, and the manifest last; the caller holds the lock."""
     folder, plan = job.folder, job.plan
     current = require_same_job(folder, job.manifest.identity)
@@ -198,6 +201,8 @@ def _finish(job: BuildJob, records: Sequence[ShardRecord], write_card: WriteCard
     files |= plan.write_files(folder, manifest)
     finished = replace(manifest, files=files, complete=True, planned={})
     if write_card is not None:
+        if folder is not replaced and isinstance(replaced, LocalFolder):
+            replacing.keep_card(replaced)
         write_card(folder, finished)
     # A run that had nothing to do leaves the file unchanged.
     if current != finished:

@@ -98,7 +98,7 @@ def test_recordings_with_a_mistake_are_refused_and_nothing_is_written(
     recording.take(slice(3)).write(tmp_path)
     options = ("--solids", tmp_path / "solids", "--out", tmp_path / "mine")
     assert call("tactile-sim", "calibrate", tmp_path / "images", *options) == 2
-    assert "there are 3 touches" in capsys.readouterr().err
+    assert "too-few: 3 touches" in capsys.readouterr().err
     assert not (tmp_path / "mine").exists()
 
 

@@ -15,15 +15,9 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import inspect, read_mesh
 from tests.processes import PATIENCE_S
 from tests.real_input import SHARED
-from tests.tactile_toolkit.mesh.test_foreign_files import (
-    ITEM,
-    TEXTS,
-    TWO,
-    cube,
-    mesh_xml,
-    package,
-    volume_type,
-)
+from tests.tactile_toolkit.mesh.solid_files import cube
+from tests.tactile_toolkit.mesh.test_foreign_files import TEXTS
+from tests.tactile_toolkit.mesh.test_threemf import ITEM, TWO, mesh_xml, package, volume_type
 
 OPC = {
     "[Content_Types].xml": '<Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types">'
