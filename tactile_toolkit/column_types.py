@@ -50,7 +50,7 @@ _NUMBERS = (pa.int64(), pa.float64())
 
 
 def without_blanks(texts: pa.Array) -> pa.Array:
-    """Return texts as they are; null for those of nothing but spaces."""
+    """Return texts as they are; null for texts of spaces only."""
     return pc.if_else(pc.equal(pc.utf8_trim_whitespace(texts), ""), pa.scalar(None, pa.string()), texts)
 
 
@@ -293,7 +293,7 @@ def texts_of(column: pa.Array) -> pa.Array:
         found = (None if isinstance(value, (dict, list)) else value for value in values_of(column))
         return without_blanks(pa.array([_name(value) for value in found], pa.string()))
     encoded = column.dictionary_encode()
-    if isinstance(encoded, pa.Array) and not isinstance(encoded, pa.DictionaryArray):  # of nothing but null
+    if isinstance(encoded, pa.Array) and not isinstance(encoded, pa.DictionaryArray):  # all null
         return pa.nulls(len(column), pa.string())
     names = pa.array(list(map(_name, encoded.dictionary.to_pylist())), pa.string())
     return names.take(encoded.indices)

@@ -272,7 +272,7 @@ def _refined(fit: Fit, touch: int, places: Float64, good: int, steps: int) -> _F
 
 
 def _different(tried: list[_Tried]) -> list[_Tried]:
-    """Return places in the order of their errors, of those that are close together the best one."""
+    """Return places in the order of their errors; the best one of several that are close together."""
     kept: list[_Tried] = []
     for each in sorted(tried, key=lambda each: each[0]):
         others = np.array([other[1] for other in kept]).reshape(-1, 4)

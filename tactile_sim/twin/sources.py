@@ -119,7 +119,7 @@ def image_paths(root: Path) -> list[Path]:
 
 
 def read_image(file: Path, root: Path | None = None) -> UInt8:
-    """Decode an image file; InputError if it is none."""
+    """Decode an image file; InputError if it is not an image."""
     try:
         with store.open_regular(file, root) as stream:
             return touch.decode_image(stream.read(touch.MAX_IMAGE_BYTES + 1))

@@ -53,7 +53,7 @@ def read_author(words: str) -> str:
 
 
 def read_citation(words: str) -> str:
-    """Return a citation: text, BibTeX, or the content of a file ``.bib``; InputError if it is none."""
+    """Return a citation: text, BibTeX, or the content of a file ``.bib``; InputError for another file."""
     if words.endswith(".bib"):
         try:
             with store.open_regular(store.expanded(words)) as stream:

@@ -40,7 +40,7 @@ _PASSING = re.compile(
     rf"{_BUSY}|\b(?:ConnectionResetError|BrokenPipeError|ConnectionAbortedError|RequestError|Timeout"
     r"|ChunkedEncodingError|CutShort)\b"
 )
-# The client has waited in vain, and has nothing in its cache; the cause of this error tells more.
+# The client has waited in vain, and has nothing in its cache; the cause of this error says why.
 _GIVEN_UP = "LocalEntryNotFoundError"
 # No wait would help: a missing network is missing for longer than anyone wants to wait.
 _LASTING = re.compile(

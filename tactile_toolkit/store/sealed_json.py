@@ -25,7 +25,7 @@ def _decoder(kind: object) -> msgspec.json.Decoder[Any]:
 
 
 def decode(content: str | bytes, kind: type[T], where: str) -> T:
-    """Return a JSON document as a value of a type; IntegrityError, which names ``where``, if it is none."""
+    """Return a JSON document as a value of a type; IntegrityError, with ``where``, for another text."""
     try:
         decoded: T = _decoder(cast(Any, kind)).decode(content)
     except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
