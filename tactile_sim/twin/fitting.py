@@ -35,7 +35,7 @@ _FIRST_NOISE, _LEAST_NOISE = 10.0, 0.3  # levels
 _DARK, _BRIGHT = 1, 254  # levels from which a pixel counts as saturated
 # Curvature of the table, and how much its terms of the place are held back.
 _PLACE_COST = np.array([1.0, 3.0, 3.0, 6.0, 6.0, 6.0])
-_ENTRY_COST, _DEPTH_COST, _NO_SHADOWS_COST = 1e-3, 0.1, 1e3
+_ENTRY_COST, _DEPTH_COST, _NO_SHADOWS_COST = 1e-4, 0.1, 1e3
 ALIKE_PX = 200.0
 """Pixels whose residuals are alike, so that they count as one."""
 
@@ -43,12 +43,20 @@ RIDGES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
 
 
 def _penalty(depth_cost: float) -> Float64:
-    """Return the matrix that holds back curvature of the tables, and entries of the depth."""
+    """Return the matrix that holds back what a response linear in the slopes does not need.
+
+    Such a response is a sine of the direction, and grows with the square of the step from 0 at rest: a dull
+    gel is lit so. Geometry that is fitted under a high ridge then fits most gels.
+    """
     turns, steps = gel_kernels.TURNS, gel_kernels.STEPS
-    around = np.roll(np.eye(turns), 1, axis=0) + np.roll(np.eye(turns), -1, axis=0) - 2 * np.eye(turns)
-    along = np.kron(np.eye(2), np.diff(np.eye(steps), 2, axis=0))
+    directions = np.eye(turns)
+    around = np.roll(directions, 1, axis=0) + np.roll(directions, -1, axis=0)
+    around -= 2 * np.cos(2 * np.pi / turns) * directions
+    steep = np.vstack([np.diff(np.eye(steps), 3, axis=0), np.eye(steps)[:1]])
+    deep = np.diff(np.eye(steps), 2, axis=0)
+    along = scipy.linalg.block_diag(steep.T @ steep, deep.T @ deep)
     cost = np.kron(around.T @ around, np.eye(2 * steps))
-    cost += np.kron(np.eye(turns), along.T @ along + np.diag(np.repeat([_ENTRY_COST, depth_cost], steps)))
+    cost += np.kron(directions, along + np.diag(np.repeat([_ENTRY_COST, depth_cost], steps)))
     return np.asarray(np.kron(cost, np.diag(_PLACE_COST)))
 
 

@@ -63,7 +63,7 @@ _Tried: TypeAlias = tuple[float, Float64, float]
 """The error of a pose, levels, the pose, and the level of the sensor that it is stated with."""
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, frozen=True)
 class _Found:
     """Places of a touch (n, 4: x, y, turn, press depth), the best one first, and errors, levels.
 
