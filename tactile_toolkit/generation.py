@@ -72,7 +72,7 @@ class RowGenerator(ABC):
     kind: DatasetKind
     spec: Any  # has `to_dict`
     kernels: ClassVar[tuple[str, ...]] = ()
-    """Modules with planned kernels (:func:`tactile_toolkit.compiled.planned`) that all rows need."""
+    """Modules with planned kernels (``tactile_toolkit.compiled.planned``) that all rows need."""
 
     def manifest(self) -> JsonObject:
         """Return JSON values that identify the rows; two equal values give equal Parquet."""

@@ -166,7 +166,10 @@ def spread_of(fit: Fit, touch: int) -> dict[str, Any]:
     """Return the standard deviations of a pose, and the direction in which it is not determined."""
     noise = (fit.rms[touch] / fit.noise) ** 2
     floor = np.diag(1e-6 / np.square(_SPREAD))
-    covariance = noise * np.linalg.inv(fit.information[touch] + floor * noise)
+    values, vectors = np.linalg.eigh(fit.information[touch] + floor * noise)
+    # Where the images are far from linear, no more is known than before.
+    values = np.maximum(values, noise * floor.diagonal().min())
+    covariance = noise * (vectors / values) @ vectors.T
     along, directions = np.linalg.eigh(covariance[:2, :2])
     deviation = np.sqrt(np.diag(covariance))
     undetermined = []

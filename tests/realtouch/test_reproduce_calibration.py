@@ -110,5 +110,5 @@ def test_the_twin_of_a_published_set_explains_its_images(made, folder) -> None:
     out = reproduce(folder)
     report = json.loads((out / "figures.json").read_text())["report"]
     plain = np.sqrt(np.mean((made.images - made.backgrounds.mean(axis=0)) ** 2))
-    assert report["image_error_levels"] < 0.4 * plain
+    assert report["image_error_levels"] < 0.6 * plain
     assert tactile_sim.SensorModel.load(out / "sensor").report["touches"]
