@@ -92,12 +92,7 @@ def solidify(
         read=lambda words: str(local_place(words)),
         help="File to write, such as drawing.stl or drawing.3mf, or a folder for several pictures.",
     ),
-    file_format: str = choice(
-        "stl",
-        _FORMATS,
-        name="--format",
-        help="Format of the files in a folder.",
-    ),
+    file_format: str = choice("stl", _FORMATS, name="--format", help="Format of the files in a folder."),
     size: SolidSize,
     shape: PrintShape,
     reading: PictureReading,
@@ -136,8 +131,8 @@ def solidify(
     failed = [{"picture": each.name, "problem": each.problem, "detail": each.detail} for each in made.failed]
     sink.document({"out": out, "files": files, "failed": failed})
     _print_files(sink, made.files, spec)
-    size_text = bytes_text(sum(file.bytes for file in made.files))
     if made.files:
+        size_text = bytes_text(sum(file.bytes for file in made.files))
         counted = with_count(len(made.files), "files")
         sink.line(f"{_DONE[job.dry_run]} {counted} ({size_text}), each checked to be a solid")
     for each in made.failed:

@@ -188,24 +188,7 @@ def paper_numbers(splits: Mapping[str, touch_dataset.AnyDataset]) -> list[PaperN
     IntegrityError
         What is read is damaged.
     """
-    # Ids begin with the time of recording, so that their order is that of the gels.
-    rounds = sorted(
-        (
-            (
-                str(record.id),
-                record.touch_count,
-                dict(record.info).get("gel_id"),
-                float(np.abs(record.pos_in_cell_m).max(initial=0.0)),
-            )
-            for data in splits.values()
-            for _, record in data.rounds_without_media()
-        ),
-        key=itemgetter(0),
-    )
-    if not rounds:
-        raise errors.InputError(
-            "the set holds no rounds", next="name one that does, such as real-single-64x64"
-        )
+    rounds = _rounds_in_order(splits)
     _, counts, gels, reaches_m = zip(*rounds, strict=True)
     objects = [set(data.int_column("object_id").tolist()) for data in splits.values()]
     different = len(set().union(*objects))
@@ -230,6 +213,30 @@ def paper_numbers(splits: Mapping[str, touch_dataset.AnyDataset]) -> list[PaperN
         PaperNumber("gel replaced after", once, replaced, ends == [_TOUCHES_OF_A_GEL]),
         PaperNumber("picture", _PICTURES, f"{size[0]} x {size[1]} pixels", size in _SIZES),
     ]
+
+
+def _rounds_in_order(
+    splits: Mapping[str, touch_dataset.AnyDataset],
+) -> list[tuple[str, int, object, float]]:
+    """Return id, touches, gel and greatest distance from the middle, metres, of each round.
+
+    Ids begin with the time of recording, so that their order is that of the gels. InputError without rounds.
+    """
+    rounds = [
+        (
+            str(record.id),
+            record.touch_count,
+            dict(record.info).get("gel_id"),
+            float(np.abs(record.pos_in_cell_m).max(initial=0.0)),
+        )
+        for data in splits.values()
+        for _, record in data.rounds_without_media()
+    ]
+    if not rounds:
+        raise errors.InputError(
+            "the set holds no rounds", next="name one that does, such as real-single-64x64"
+        )
+    return sorted(rounds, key=itemgetter(0))
 
 
 def _class_text(labels: Sequence[int]) -> str:

@@ -10,8 +10,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
+from tactile_sim import elastic_press
 from tactile_sim.elastic import Contact, Gel
-from tactile_sim.elastic_press import STILL, STRAIGHT, Load, WholeGel, loads_of
 from tactile_sim.optics import depth_image
 from tactile_sim.poses import PoseLike, as_matrices, inverse_times
 from tactile_sim.pressable import Pressable
@@ -73,8 +73,8 @@ def render_touch(
     gel: Gel | None = None,
     force_n: ArrayLike | None = None,
     depth_m: ArrayLike | None = None,
-    slide_m: ArrayLike = STILL,
-    twist_rad: ArrayLike = STRAIGHT,
+    slide_m: ArrayLike = elastic_press.STILL,
+    twist_rad: ArrayLike = elastic_press.STRAIGHT,
 ) -> Pressed:
     """Press the gel onto a solid that lies on the plate.
 
@@ -113,7 +113,7 @@ def render_touch(
     if isinstance(sensor, SensorModel):
         sensor = sensor.sensor
     seen = _Seen.of(solid, object_pose, sensor_pose, cell_m)
-    loads = loads_of(gel, seen.count, sensor, force_n, depth_m, slide_m, twist_rad)
+    loads = elastic_press.loads_of(gel, seen.count, sensor, force_n, depth_m, slide_m, twist_rad)
     made = _cut(seen, sensor) if loads is None else _given_way(seen, loads, sensor)
     sensor_z_m = seen.targets[:, 2, 3] + seen.targets[:, 2, 2] * made.sensor_z_m
     if seen.is_single:
@@ -159,9 +159,9 @@ def _cut(seen: _Seen, sensor: Sensor) -> Pressed:
     return Pressed(depths_m, image, highest_m + sensor.press_m)
 
 
-def _given_way(seen: _Seen, loads: Sequence[Load], sensor: Sensor) -> Pressed:
+def _given_way(seen: _Seen, loads: Sequence[elastic_press.Load], sensor: Sensor) -> Pressed:
     """Press an elastic gel; heights are counted from the targets."""
-    whole = WholeGel.of(sensor)
+    whole = elastic_press.WholeGel.of(sensor)
     scene = _Scene.of(seen, whole.sensor)
     depths_m, stops_m = np.empty((len(loads), *sensor.size_px[::-1])), np.empty(len(loads))
     contacts = []

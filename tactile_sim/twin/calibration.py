@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 
@@ -12,10 +12,11 @@ from tactile_sim.sensor_models import GELSIGHT_MINI, SensorModel
 from tactile_sim.twin import matching, rounds_of_fit
 from tactile_sim.twin.fitting import Fit
 from tactile_sim.twin.gel import Fitted
-from tactile_sim.twin.mistakes import LEAST_TOUCHES, find_mistakes
+from tactile_sim.twin.mistakes import LEAST_TOUCHES, Mistake, find_mistakes
 from tactile_sim.twin.reader import read_depth, train_reader
 from tactile_sim.twin.recordings import Recordings
 from tactile_sim.twin.twin import Twin, TwinOptics
+from tactile_toolkit.array_types import Bool
 from tactile_toolkit.errors import InputError
 
 Progress = Callable[[int, int], None]
@@ -63,12 +64,6 @@ def calibrate(
         raise InputError(
             f"the recordings cannot be fitted ({fatal[0].kind}): {fatal[0].detail}", next="correct them"
         )
-    kept = np.arange(len(recordings))
-    for each in mistakes:
-        if each.kind == "gel-changed":  # of two gels, that with more touches
-            second = np.array(each.touches)
-            first = np.setdiff1d(kept, second)
-            kept = max(first, second, key=len)
     fit = _first_fit(recordings, start)
     likely = fit.likely
     if likely.sum() < LEAST_TOUCHES:
@@ -77,7 +72,7 @@ def calibrate(
             f"expected at least {LEAST_TOUCHES}",
             next="give approximate poses, or touch ends and corners of solids, not the middle of strokes",
         )
-    fit.used = likely & np.isin(np.arange(len(recordings)), kept)
+    fit.used = likely & _of_one_gel(len(recordings), mistakes)
     rounds_of_fit.run_fit(fit, on_progress)
     report = {**rounds_of_fit.found(fit), "mistakes": [asdict(each) for each in mistakes]}
     shape = fit.shape.copy()
@@ -87,6 +82,16 @@ def calibrate(
     twin = replace(twin, reader=train_reader(twin, fit))
     report["residual_levels"] = _residual_levels(twin, fit)
     return model_of(twin, name)
+
+
+def _of_one_gel(count: int, mistakes: Sequence[Mistake]) -> Bool:
+    """Return which touches are those of one gel: of two, that with more touches."""
+    chosen = np.ones(count, bool)
+    for each in mistakes:
+        if each.kind == "gel-changed":
+            second = np.isin(np.arange(count), each.touches)
+            chosen = max(~second, second, key=np.count_nonzero)
+    return chosen
 
 
 def model_of(twin: Twin, name: str) -> SensorModel:

@@ -95,19 +95,24 @@ def read_recordings(
     touches = [touches[place] for place in spaced(len(touches), MOST_TOUCHES)]
     meshes = _solids(solids, {each.object_id for each in touches}, unit, opened)
     ids = [_solid_of(each, meshes) for each in touches]
-    shapes = {each.image.shape for each in touches}
-    if len(shapes) > 1:
-        raise InputError(f"images have the sizes {sorted(shapes)[:4]}; expected one", next="scale them first")
-    poses = _columns(touches, _OBJECT)
     return Recordings(
-        np.stack([each.image for each in touches]),
+        _one_array([each.image for each in touches]),
         np.array(ids, np.int64),
         meshes,
         _read_backgrounds(backgrounds, touches[0].image),
         sensor_m=_columns(touches, _SENSOR, required=_SENSOR[:2]),
-        object_poses=poses,
+        object_poses=_columns(touches, _OBJECT),
         names=tuple(each.name for each in touches),
     )
+
+
+def _one_array(images: Sequence[UInt8]) -> UInt8:
+    """Return images in one array; InputError if their sizes differ."""
+    shapes = {each.shape for each in images}
+    if len(shapes) > 1:
+        sizes = ", ".join(f"{width} x {height}" for height, width, *_ in sorted(shapes)[:4])
+        raise InputError(f"images have the sizes {sizes}; expected one", next="scale them first")
+    return np.stack(images)
 
 
 def image_paths(root: Path) -> list[Path]:
@@ -123,8 +128,13 @@ def read_image(file: Path, root: Path | None = None) -> UInt8:
     try:
         with store.open_regular(file, root) as stream:
             return touch.decode_image(stream.read(touch.MAX_IMAGE_BYTES + 1))
+    except FileNotFoundError as error:
+        raise InputError(f"there is no image {str(file)!r}", next="check its name in the table") from error
     except (OSError, ValueError) as error:
-        raise InputError(f"{str(file)!r} cannot be read as an image ({error})") from error
+        raise InputError(
+            f"{str(file)!r} cannot be read as an image ({error})",
+            next="replace it by an intact copy, or leave it out",
+        ) from error
 
 
 def _of_folder(root: Path, images: list[Path], table: str | PathLike[str] | None) -> list[_Touched]:

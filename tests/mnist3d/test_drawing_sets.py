@@ -42,10 +42,10 @@ def test_folders_are_classes_and_divide_into_train_and_test(words: Path, tmp_pat
     out = tmp_path / "set"
     options = ("--source", "folder", "--images", words, "--split", "all", "--vertices", 500, "--out", out)
     assert call("mnist3d", "generate", *options) == 0
-    told = capsys.readouterr().out
-    assert "10: 4, house: 4, li: 5" in told
-    assert "separate-bodies: 13" in told
-    assert "(--base-mm 2 of `mnist3d export` and `solidify`)" in told
+    printed = capsys.readouterr().out
+    assert "10: 4, house: 4, li: 5" in printed
+    assert "separate-bodies: 13" in printed
+    assert "(--base-mm 2 of `mnist3d export` and `solidify`)" in printed
     assert mnist3d.load(out, "train").label_names == ("10", "house", "li")
     rows = [row for split in ("train", "test") for row in mnist3d.load(out, split)]
     assert [len(mnist3d.load(out, split)) for split in ("train", "test")] == [13, 3]
@@ -103,8 +103,8 @@ def test_pictures_that_are_added_need_another_command_which_works(
     word(30).save(old / "li" / "b.png")
     capsys.readouterr()
     assert make(old) == 2
-    assert "next: to add pictures" in (told := capsys.readouterr().err)
-    assert "mnist3d merge OLD NEW --renumber --out BOTH" in told
+    assert "next: to add pictures" in (printed := capsys.readouterr().err)
+    assert "mnist3d merge OLD NEW --renumber --out BOTH" in printed
     sets = (tmp_path / "old-set", tmp_path / "new-set")
     both = tmp_path / "both"
     assert call("mnist3d", "merge", *sets, "--renumber", "--out", both) == 0
