@@ -38,8 +38,9 @@ class Camera:
     """
 
     def __init__(self, config: Config, weights: str | Path | None = None) -> None:
-        self._optics = config.sensor_model.optics
-        if config.optics_name != "twin" or weights is not None:
+        if config.optics_name == "twin" and weights is None:
+            self._optics = config.sensor_model.optics
+        else:
             self._optics = make_optics(config.optics_name, weights, **config.optics_options)
         self.sees_depth = config.sensor_type != "depth"
         self.channels = 1 + 2 * self.sees_depth

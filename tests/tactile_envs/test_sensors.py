@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ ap_gym = pytest.importorskip("ap_gym", reason="ap-gym (extra `envs`) is not inst
 
 import tactile_sim  # noqa: E402
 from tactile_envs.entry_points import make_vector  # noqa: E402
-from tactile_toolkit.errors import InputError  # noqa: E402
+from tactile_toolkit.errors import InputError, MissingExtraError  # noqa: E402
 from tests.tactile_sim.made_up_twin import made_up_sensor  # noqa: E402
 
 pytestmark = [pytest.mark.envs, pytest.mark.filterwarnings("ignore")]
@@ -49,3 +51,12 @@ def test_presets_have_their_depth_and_no_images_of_others(assets) -> None:
         make_vector(TAXIM, num_envs=1, assets=assets, config=config)
     with pytest.raises(InputError, match="no sensor 'absent'"):
         make_vector(DEPTH, num_envs=1, assets=assets, config={**config, "sensor_model": "absent"})
+
+
+def test_environments_of_depth_need_no_package_of_other_optics(assets, monkeypatch) -> None:
+    """`ap-gym` suffices for them; the default sensor also has optics that need the package `taxim`."""
+    monkeypatch.setitem(sys.modules, "taxim", None)
+    env = make_vector(DEPTH, num_envs=1, assets=assets)
+    env.close()
+    with pytest.raises(MissingExtraError, match="'taxim'"):
+        make_vector(TAXIM, num_envs=1, assets=assets)
