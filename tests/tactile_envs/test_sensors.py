@@ -11,6 +11,7 @@ ap_gym = pytest.importorskip("ap_gym", reason="ap-gym (extra `envs`) is not inst
 
 import tactile_sim  # noqa: E402
 from tactile_envs.entry_points import make_vector  # noqa: E402
+from tactile_sim.taxim import taxim_package  # noqa: E402
 from tactile_toolkit.errors import InputError, MissingExtraError  # noqa: E402
 from tests.tactile_sim.made_up_twin import made_up_sensor  # noqa: E402
 
@@ -56,6 +57,7 @@ def test_presets_have_their_depth_and_no_images_of_others(assets) -> None:
 def test_environments_of_depth_need_no_package_of_other_optics(assets, monkeypatch) -> None:
     """`ap-gym` suffices for them; the default sensor also has optics that need the package `taxim`."""
     monkeypatch.setitem(sys.modules, "taxim", None)
+    taxim_package.cache_clear()  # another test of the process may have read the package
     env = make_vector(DEPTH, num_envs=1, assets=assets)
     env.close()
     with pytest.raises(MissingExtraError, match="'taxim'"):
