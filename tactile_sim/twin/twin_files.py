@@ -91,7 +91,7 @@ def _twin_of(arrays: Mapping[str, AnyArray], report: Mapping[str, Any]) -> Twin:
     for name in [*expected, *arrays]:
         array, (kind, sides) = arrays.get(name), expected.get(name, (None, ()))
         if array is None or array.dtype != kind or array.shape != sides or not np.isfinite(array).all():
-            problem = f"{name} is not of finite numbers, {kind} of the shape {sides}"
+            problem = f"{name} does not hold finite numbers, {np.dtype(kind)} of the shape {sides}"
             raise ValueError(problem)
     shape, half_m = arrays["shape"], arrays["half_m"]
     if (shape < gel.LEAST).any() or (shape > gel.MOST).any() or not ((half_m > 1e-4) & (half_m < 0.1)).all():
