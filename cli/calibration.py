@@ -21,7 +21,9 @@ def calibrate(
     *,
     source: str = argument("SOURCE", "Touches of printed solids: a data set, or a folder of images."),
     opening: Opening,
-    solids: str = text(MISSING, metavar="SET", help="The solids: mesh files, or a data set of meshes."),
+    solids: str = text(
+        MISSING, metavar="SET", help="The printed solids: mesh files, or a data set of meshes."
+    ),
     table: Path | None = text(
         metavar="FILE",
         read=local_place,
@@ -31,7 +33,7 @@ def calibrate(
     background: list[str] | None = text(
         metavar="IMAGE",
         several=True,
-        help="Image that touches nothing, or a folder of them; may be repeated.",
+        help="Image of the gel without contact, or a folder of them; may be repeated.",
     ),
     unit: str | None = mesh.UNIT,
     sensor: str = text(
@@ -40,10 +42,10 @@ def calibrate(
     out: Path = local_out_folder("my-sensor"),
     sink: Sink,
 ) -> None:
-    """Make the twin of a sensor: a renderer of its images, and a reader of depth.
+    """Make the twin of a sensor, a model that renders its images and reads depth from them.
 
-    What is wrong with the recordings is named first. Poses may be off by a millimetre and some degrees.
-    Without any, touches are found by matching; those that look the same in several places are left out.
+    The recordings are checked first. Poses may have errors of a millimetre and some degrees. Without poses,
+    touches are found by matching; a touch that looks the same in several places is left out.
 
     Example: tactile-sim calibrate recordings --solids plate --out my-sensor
     """

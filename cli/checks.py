@@ -61,7 +61,7 @@ class Objects:
     """Options of ``verify`` for kinds whose objects can be checked."""
 
     geometry: bool = switch(
-        False, help="Check the objects too, as `validate` does; exit code 1 if one is invalid."
+        False, help="Also check the objects, as `validate` does; exit code 1 if one is invalid."
     )
     split: str | None = catalog.SPLIT
     limit: int | None = catalog.LIMIT

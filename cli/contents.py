@@ -11,7 +11,7 @@ from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import DatasetKind, is_copy
 from tactile_toolkit.wording import with_count
 
-ROW = checked_fields.integer(0, help="Row of the split, counted from 0.")
+ROW = checked_fields.integer(0, help="Number of the row in its split, from 0.")
 _STATES = {True: "finished", False: "unfinished"}
 
 

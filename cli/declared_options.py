@@ -66,7 +66,7 @@ Version = Annotated[
 ]
 
 
-_TOKEN = text(metavar="TOKEN", read=_use_token, help="Token of the Hugging Face Hub, in place of HF_TOKEN.")
+_TOKEN = text(metavar="TOKEN", read=_use_token, help="Token of the Hugging Face Hub, instead of HF_TOKEN.")
 
 
 def with_options(

@@ -67,7 +67,7 @@ def list_environments(
     ),
     sink: output.Sink,
 ) -> None:
-    """List the ids of environments, and what each of them is.
+    """List the ids of environments with task, sensor, spaces, episode length, assets and split.
 
     Example: env-assets list Minecraft
     """

@@ -49,22 +49,22 @@ def train(
     config: Path | None = checked_fields.text(
         metavar="FILE",
         read=options.local_place,
-        help="TOML file with values of fields of `TrainConfig`, such as crop = 1.0; options override it.",
+        help="TOML file with fields of `TrainConfig`, such as crop = 1.0; options override it.",
     ),
     given: Annotated[declared_options.Given, declared_options.OptionsOf(TrainConfig)],
     device: str = checked_fields.choice("auto", ("auto", "cpu", "cuda"), help="Where to compute."),
     deterministic: bool = checked_fields.switch(
-        False, help="Make every run give the same weights, on the CPU."
+        False, help="Compute on the CPU so that every run gives the same weights."
     ),
     resume: bool = checked_fields.switch(
         False, help="Continue the training in the folder; an error if there is none."
     ),
     compiled: bool = checked_fields.switch(
-        False, name="--compile", help="Compile the generators first; for GPUs."
+        False, name="--compile", help="Compile the generators first, for GPUs."
     ),
     sink: output.Sink,
 ) -> None:
-    """Train a CycleGAN: one generator of touches from depth, one of depth from touches.
+    """Train a CycleGAN: a generator from depth to touches, and one from touches to depth.
 
     Example: tactile-sim train pairs --steps 7000 --config train.toml --out weights
 
@@ -101,7 +101,7 @@ def evaluate(
     ),
     pairs: str = checked_fields.text(MISSING, metavar="PAIRS", help="Pairs that the training did not use."),
     out: Path = options.local_out_folder("evaluation"),
-    count: int = checked_fields.integer(2000, 1, help="Maximum number of images."),
+    count: int = checked_fields.integer(2000, 1, help="Maximum number of images of each kind."),
     taxim: bool = checked_fields.switch(True, help="Compare with Taxim (extra sim)."),
     sensor_noise: str = checked_fields.text(
         "none",

@@ -34,9 +34,7 @@ def merge(
     kind: DatasetKind,
     names: list[str] = argument("DIR...", "Data sets of one kind.", several=True),
     opening: Opening,
-    renumber: bool = checked_fields.switch(
-        False, help="Give rows with a repeated id a new one; the first row with an id keeps it."
-    ),
+    renumber: bool = checked_fields.switch(False, help="Give a new id to each row whose id occurred before."),
     source_column: str | None = checked_fields.text(
         metavar="NAME", read=str, help="Add a column with the name of the data set that each row is from."
     ),

@@ -24,7 +24,7 @@ def generate(
         None,
         (*published_splits.SPLITS, "all"),
         shown="all",
-        help="Split to make. Without this option, the images of a folder are all in train.",
+        help="Split to make. By default, all images of a folder are in train.",
     ),
     out: str = options.out_folder("mnist3d-data"),
     source: str = checked_fields.choice(

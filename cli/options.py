@@ -112,7 +112,9 @@ class Work:
     finish: bool = switch(
         False, panel=JOB, help="Complete the data set that all parts have made, or name the missing shards."
     )
-    check: bool = switch(False, panel=JOB, help="Read finished shards again, and make damaged ones again.")
+    check: bool = switch(
+        False, panel=JOB, help="Check the content of finished shards, and make damaged ones again."
+    )
     overwrite: bool = OVERWRITE
 
     def run_keywords(self) -> store.RunKeywords:

@@ -35,13 +35,13 @@ class PrintShape:
         above=0,
         optional=True,
         shown="8, 4 above a plate",
-        help="Thickness of the solid, or above its plate.",
+        help="Thickness of the solid, without its base plate.",
     )
     base_mm: float | None = real(
         None,
         above=0,
         optional=True,
-        help="Put the solid on a plate of this thickness, which joins its parts.",
+        help="Put the solid on a base plate of this thickness, which joins its parts.",
     )
     bridge_mm: float | None = real(
         None,
@@ -79,7 +79,7 @@ class PictureReading:
         help="Even out the light and find the page (local), or apply one threshold (global); auto takes "
         "local for pictures without clean paper.",
     )
-    invert: bool = switch(False, help="The ink is lighter than the paper; otherwise this is found out.")
+    invert: bool = switch(False, help="The ink is lighter than the paper; by default, this is detected.")
 
 
 def solidify(
@@ -96,7 +96,7 @@ def solidify(
     size: SolidSize,
     shape: PrintShape,
     reading: PictureReading,
-    nozzle_mm: float = real(0.4, above=0, help="Nozzle of the printer: walls need two lines of it."),
+    nozzle_mm: float = real(0.4, above=0, help="Diameter of the nozzle; walls need two lines."),
     preview: bool = switch(False, help="Write a picture of each solid beside its file: NAME-preview.png."),
     job: Job,
     sink: Sink,

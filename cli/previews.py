@@ -22,7 +22,7 @@ class Pictures:
         metavar="DIR|FILE.png",
         read=options.local_place,
         shown="previews",
-        help="Folder to write, or the file of a single picture; pictures of the same name are replaced.",
+        help="Folder to write, or file of a single picture; existing pictures are replaced.",
     )
     dry_run: bool = options.DRY_RUN
 

@@ -46,7 +46,7 @@ def load(
     name: str = options.TOUCH_SET,
     split: str | None = catalog.ONE_SPLIT,
     opening: options.Opening,
-    check: bool = checked_fields.switch(True, help="Check every round and the headers of its images."),
+    check: bool = checked_fields.switch(True, help="Also check every round and the headers of its images."),
     sink: output.Sink,
 ) -> None:
     """Download missing files, check the data set, and print a summary.
@@ -77,7 +77,7 @@ def info(
     opening: options.Opening,
     sink: output.Sink,
 ) -> None:
-    """Show what each split of a data set holds and, if this toolkit made it, how.
+    """Show what each split of a data set holds and, if this toolkit made it, how it was made.
 
     Example: realtouch info touches-64x64
     """
@@ -155,12 +155,12 @@ def reproduce(
     calibrate: Path | None = checked_fields.text(
         metavar="DIR",
         read=options.local_place,
-        help="Make the twin of the sensor instead, from touches of printed digits; write it and its figures.",
+        help="Instead, calibrate a twin with touches of printed digits; folder for the twin and its figures.",
     ),
     solids: str = checked_fields.text("mnist3d", metavar="SET", help="The printed digits, for --calibrate."),
     sink: output.Sink,
 ) -> None:
-    """Measure what the Tactile MNIST paper states about the real touches.
+    """Compare the published touches with what the Tactile MNIST paper states about them.
 
     Exit code 1 if a number differs.
 

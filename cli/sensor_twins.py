@@ -40,7 +40,7 @@ def show_sensor(
     opening: Opening,
     sink: Sink,
 ) -> None:
-    """Show a row of a data set, or what is known of a sensor.
+    """Show a row of a data set, or the properties of a sensor.
 
     Examples: show DIR --row 3 --split test;  show my-sensor;  show digit
     """
@@ -87,8 +87,8 @@ def check(
 ) -> None:
     """Find out whether a sensor has changed since it was calibrated.
 
-    What was touched does not matter; the places on the gel should differ. Exit code 1 if a figure is beyond
-    its limit.
+    The touched objects do not matter; touch with different parts of the gel. Exit code 1 if a figure is
+    beyond its limit.
 
     Example: tactile-sim check my-sensor recordings-of-today
     """
@@ -119,7 +119,7 @@ def upload_sensor(
     """Verify a data set folder, or a sensor, and upload it to the Hugging Face Hub.
 
     Only missing files are sent. After an interruption, the same command continues; after success, it sends
-    nothing. The card of a sensor is written from what its calibration found.
+    nothing. The card of a sensor is written from the results of its calibration.
     """
     if not is_sensor(folder):
         given: dict[str, Any] = {"kind": kind, "options": options, "workers": workers, "sink": sink}

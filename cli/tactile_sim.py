@@ -54,7 +54,8 @@ def generate(
 
     Example: tactile-sim generate digits --gel elastic --force-n 1:10 --slide-mm 0:0.5 --markers 7x9
 
-    In a folder of mesh files, each sub-folder is a class, or each file; train and test are splits.
+    In a folder of mesh files, each sub-folder is a class, or each file if there are no sub-folders. The
+    sub-folders train and test are splits.
 
     After an interruption, the same command continues; finished shards are kept.
     """

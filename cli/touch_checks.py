@@ -32,7 +32,7 @@ def check(
         name="--pictures",
         metavar="DIR",
         read=options.local_place,
-        help="Write a picture of each finding there.",
+        help="Folder for a picture of each finding.",
     ),
     layout: str | None = choice(
         None,
@@ -47,7 +47,7 @@ def check(
 ) -> None:
     """Find frozen frames, exchanged channels, duplicates and other faults of recordings.
 
-    The files of a data set are compared by `verify`; import recordings first, with `import`. Exit code 1 if
+    `verify` checks the files of a data set. Import other recordings first, with `import`. Exit code 1 if
     something is found.
 
     Examples: realtouch check touches --pictures found;  realtouch check --format oxt task.zarr.zip

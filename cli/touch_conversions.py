@@ -60,9 +60,9 @@ class Resize(_Options):
 
 @dataclass(frozen=True, slots=True)
 class Depth(_Options):
-    """Write the same data set with depth maps in metres, as a calibrated sensor reads them.
+    """Write the same data set with depth maps in metres, as the twin of the sensor reads them.
 
-    Each pixel has an estimate of its error.
+    Each pixel has an expected error.
 
     Example: realtouch depth recordings --sensor my-sensor --out depths
     """
@@ -70,7 +70,9 @@ class Depth(_Options):
     sensor: str = checked_fields.text(
         MISSING, metavar="MODEL", help="Folder that `tactile-sim calibrate` wrote."
     )
-    fast: bool = checked_fields.switch(False, help="Read ten times as fast, with about twice the error.")
+    fast: bool = checked_fields.switch(
+        False, help="Use a faster method, with about twice the error and a tenth of the time."
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +112,7 @@ class Select(_Options):
     recalibrate_z: bool = checked_fields.switch(
         True,
         name="--recalibrate/--as-recorded",
-        help="Take the deepest touch of each round as the height of the plate, if that is not known.",
+        help="If the height of the plate is unknown, use the deepest touch of each round.",
     )
     ids: catalog.IdChoice | None = catalog.IDS
     labels: tuple[str, ...] | None = catalog.LABELS

@@ -21,8 +21,8 @@ _MAPPED = text(
     name="--map",
     metavar="NAME=COLUMN",
     several=True,
-    help="Column of the image, label, round, object, position, pose, split or time; or a new name for "
-    "another column, which is kept. @FILE reads such lines from a file.",
+    help="Column of the image, label, round, object, position, pose, split or time; any other NAME renames "
+    "a column. @FILE reads such lines from a file.",
 )
 _STREAMS = text(
     name="--stream",
@@ -52,7 +52,7 @@ def import_touches(
     alignment: touch_options.Alignment,
     cut: str | None = text(
         metavar="frames|whole|contact|FILE",
-        help="How a recording becomes touches: each picture, the whole, by contact, or as a table says.",
+        help="How a recording is divided into touches: by picture, not at all, by contact, or by a table.",
     ),
     classes: list[str] | None = text(
         metavar="A,B", read=comma_separated, help="Names of the classes, in order; by default those found."
@@ -60,14 +60,15 @@ def import_touches(
     split_name: str | None = text(
         name="--split",
         metavar="NAME",
-        help="Name of the split, if no column has it; by default that of tars (SPLIT-000000.tar), or train.",
+        help="Name of the split, if no column has it; by default from the names of tars (SPLIT-000000.tar), "
+        "or train.",
     ),
     making: Making,
     sink: output.Sink,
 ) -> None:
-    """Make a data set of touches from recordings; pictures are not changed where that is possible.
+    """Make a data set of touches from recordings; pictures are stored unchanged if possible.
 
-    What cannot be used is left out and listed with the reason. Columns with the names that `realtouch frames`
+    Unusable recordings are left out and listed with the reason. Columns with the names that `realtouch frames`
     and `realtouch export` write need no option; all others are kept.
 
     Example: realtouch import takes --map label=object --map pose=x_mm,y_mm,z_mm,qx,qy,qz,qw --out touches

@@ -64,7 +64,7 @@ def render(
         metavar="X,Y|object",
         shown="0,0",
         read=_place_m,
-        help="Centre of the gel, relative to the origin of the mesh; object: the mesh, wherever it is.",
+        help="Centre of the gel, relative to the origin of the mesh; object: a place on the mesh.",
     ),
     turn_deg: float = checked_fields.real(0.0, help="Rotation of the object about z."),
     unit: str | None = mesh.UNIT,

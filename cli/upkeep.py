@@ -18,7 +18,7 @@ def card(
     """Write the data card (README.md) of a folder again, with the picture that it shows, and check it.
 
     Numbers are computed from the data; examples name FOLDER until the folder is uploaded. Licence, authors,
-    title and citation that were given once are kept.
+    title and citation that were given before are kept.
 
     Examples: card FOLDER;  card FOLDER --license cc-by-4.0 --author "Ada Lovelace" --title "My digits"
     """
@@ -51,7 +51,7 @@ def cache(
     ),
     sink: output.Sink,
 ) -> None:
-    """List or remove cached files; they are made again when they are needed.
+    """List or remove cached files, which are made again when needed.
 
     Files from the Hub are in the Hub's own cache: see `hf cache`.
 

@@ -26,11 +26,11 @@ class SourceOptions:
     writer_column: int | None = checked_fields.integer(
         None, help="Column of WriterInfo.npy that holds the writer."
     )
-    download: bool = checked_fields.switch(False, help="Fetch MNIST into --images first (extra `torch`).")
+    download: bool = checked_fields.switch(False, help="Download MNIST into --images first (extra `torch`).")
     foreground: str = checked_fields.choice(
         "auto",
         ("auto", "dark", "light"),
-        help="Strokes of the images in a folder: darker than the paper, or lighter.",
+        help="Whether the strokes in images of a folder are darker or lighter than the paper.",
     )
     threshold: str = checked_fields.choice(
         "auto",

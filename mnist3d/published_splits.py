@@ -62,8 +62,8 @@ class SplitSpec:
         optional=True,
         name="--split-by",
         shown="digit",
-        help="What the splits divide: digits, all digits of a writer together, or nothing (all are in "
-        "train).",
+        help="Divide by digit, by writer (all digits of a writer are in one split), or not at all (all "
+        "digits are in train).",
     )
     sizes: tuple[tuple[str, int], ...] | None = text(
         name="--split-sizes",

@@ -78,8 +78,8 @@ class CheckLimits:
     Attributes
     ----------
     frozen : int
-        So many equal pictures in a row are frozen. A camera that is asked a little too often repeats a
-        picture once; three are a stall.
+        Number of equal pictures in a row that count as frozen. A camera that is read a little too often
+        repeats a picture once; three equal pictures are a stall.
     gap : float
         A time step of so many times the median step of its clip is a gap. A lost frame makes it 2; less
         than 1.75 is jitter.
@@ -95,18 +95,20 @@ class CheckLimits:
         touches that are ten times as far from all others.
     """
 
-    frozen: int = checked_fields.integer(3, 2, help="So many equal pictures in a row are frozen.")
-    gap: float = checked_fields.real(1.75, above=1.0, help="A time step of so many median steps is a gap.")
+    frozen: int = checked_fields.integer(3, 2, help="Equal pictures in a row that count as frozen.")
+    gap: float = checked_fields.real(1.75, above=1.0, help="Time step that counts as a gap, in median steps.")
     exposure: float = checked_fields.real(
-        12.0, 1, 255, help="Step of the brightness of a picture, grey levels."
+        12.0, 1, 255, help="Change of the brightness that counts as a jump, grey levels."
     )
     drift: float = checked_fields.real(
-        10.0, 1, 255, help="Change of the bare gel over the session, grey levels."
+        10.0, 1, 255, help="Change of the bare gel over the session that counts as drift, grey levels."
     )
     motion_mm: float = checked_fields.real(
-        0.5, above=0, help="Motion of the gel while its picture is frozen."
+        0.5, above=0, help="Motion of the gel that counts as an error while its picture is frozen."
     )
-    jump_mm: float = checked_fields.real(10.0, above=0, help="Step of the position from frame to frame.")
+    jump_mm: float = checked_fields.real(
+        10.0, above=0, help="Step of the position between frames that counts as a jump."
+    )
 
     def __post_init__(self) -> None:
         checked_fields.check_fields(self, "the limits")
@@ -141,16 +143,20 @@ class Alignment:
         "nearest",
         ALIGN_METHODS,
         name="--align",
-        help="Value of a picture from a stream of another rate: the nearest sample, or between two.",
+        help="Value of a picture from a stream with another rate: nearest sample, or linear interpolation.",
     )
     max_gap_ms: float = checked_fields.real(
         100.0,
         above=0,
         metavar="MS",
-        help="Longest gap of a stream in which pictures get values.",
+        help="Maximum gap between the samples around a picture; in a longer gap it has no value.",
     )
     time_offset_s: float = checked_fields.real(
-        0.0, -1e12, 1e12, metavar="S", help="Added to the times of streams, where their clock is another one."
+        0.0,
+        -1e12,
+        1e12,
+        metavar="S",
+        help="Seconds to add to the times of streams, if they have another clock.",
     )
 
     def __post_init__(self) -> None:

@@ -120,7 +120,7 @@ class SceneOptions:
 class ScenePreviewSpec(catalog.PreviewSpec):
     """Which pictures of scenes to draw."""
 
-    per_class: int = checked_fields.integer(8, 1, help="Objects of each class on a sheet.")
+    per_class: int = checked_fields.integer(8, 1, help="Number of objects of each class on a sheet.")
     kinds: tuple[str, ...] = checked_fields.choice(
         (),
         ("sheet", "all"),

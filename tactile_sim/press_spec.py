@@ -115,8 +115,8 @@ class ElasticPress:
         metavar=_GELS,
         read=gel_named,
         shown="none",
-        help="none: presses of one depth, as published; elastic: a gel that gives way, with forces; or its "
-        "properties from a JSON file.",
+        help="none: presses of one depth, as published; elastic: an elastic gel, with forces; or a JSON file "
+        "with its properties.",
     )
     force_n: Span | None = text(
         name="--force-n",
@@ -129,7 +129,7 @@ class ElasticPress:
         name="--press-mm",
         metavar="A[:B]",
         read=_span_of("--press-mm", 1e-3),
-        help="Depth of a press of an elastic gel, in place of a force.",
+        help="Depth of a press of an elastic gel, instead of a force.",
     )
     slide_m: Span | None = text(
         name="--slide-mm",

@@ -107,7 +107,7 @@ class TouchPlan:
     positions: str = choice(
         "cell",
         POSITIONS,
-        help="Where the gel goes: at random in the cell, on a grid, at random on the object, or as given "
+        help="Positions of the gel: at random in the cell, on a grid, at random on the object, or given "
         "by --touches-from.",
     )
     given: TouchTable | None = text(
@@ -226,7 +226,7 @@ class GenerateSpec:
         metavar="MM",
         shown="0, smooth",
         read=_layer_m,
-        help="Height of the layers of a 3D print, whose surface is rendered.",
+        help="Render a printed surface with layers of this height.",
     )
     noise: SensorNoise | None = text(
         name="--sensor-noise",
@@ -241,8 +241,8 @@ class GenerateSpec:
         metavar=f"{'|'.join(SENSORS)}|FILE|DIR",
         shown=GELSIGHT_MINI.name,
         read=SensorModel.named,
-        help="The sensor: a known one, as in a JSON file, or as `tactile-sim calibrate` wrote it. Others "
-        "than the Mini have images if they were calibrated, else --optics depth.",
+        help="Name of a sensor, a JSON file, or a folder that `tactile-sim calibrate` wrote. Sensors other "
+        "than the Mini need --optics depth unless they were calibrated.",
     )
     press: ElasticPress | None = None
     ids: IdChoice | None = None

@@ -48,7 +48,7 @@ class WrenchSpec:
     second_opening_mm: float = real(
         10.0, _SMALLEST_MM, _LARGEST_MM, help="Width across flats of the nut of the second jaw."
     )
-    clearance_mm: float = real(0.2, 0, 0.5, help="Difference between the width of a jaw and of its nut.")
+    clearance_mm: float = real(0.2, 0, 0.5, help="Difference between the widths of a jaw and its nut.")
 
     def __post_init__(self) -> None:
         check_fields(self, "the wrench")

@@ -38,7 +38,7 @@ class UploadOptions:
     create_pr: bool = switch(False, help="Open a pull request instead of writing to main.")
     message: str | None = text(metavar="TEXT", help="First line of the commit.")
     tag: str | None = text(metavar="NAME", help="Tag of this version, such as v1.")
-    delete: bool = switch(False, help="Remove files from the repository that the folder does not have.")
+    delete: bool = switch(False, help="Remove files from the repository that are not in the folder.")
     viewer: bool = switch(False, help="Also send each mesh as a file that the Hub shows in 3D.")
 
     @property

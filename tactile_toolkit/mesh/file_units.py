@@ -15,7 +15,7 @@ UNIT = choice(
     UNITS,
     optional=True,
     name="--unit",
-    help="Unit of STL, PLY and OBJ files, mm by default; 3MF and GLB state theirs.",
+    help="Unit of STL, PLY and OBJ files, mm by default; 3MF and GLB files state their unit.",
 )
 """Option of commands that take mesh files."""
 

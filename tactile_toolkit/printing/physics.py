@@ -19,7 +19,7 @@ class Physics:
     """
 
     density_kg_m3: float = real(
-        1240.0, above=0, most=1e5, help="Density of bodies for simulators; that of PLA."
+        1240.0, above=0, most=1e5, help="Density of bodies for simulators; PLA by default."
     )
     friction: float = real(0.5, above=0, most=100, help="Sliding friction of bodies for simulators.")
 

@@ -38,7 +38,7 @@ class PlateSpec:
     depth_mm: float = real(256.0, 1, 10_000)
     gap_mm: float = real(3.0, 0, 1_000, help="Distance between objects on a plate.")
     # Room for the default skirt of PrusaSlicer: one loop, under 1 mm wide, 6 mm around objects.
-    margin_mm: float = real(7.0, 0, help="Room at the edges of a plate, for a skirt.")
+    margin_mm: float = real(7.0, 0, help="Margin at the edges of a plate, for a skirt.")
     # The front left corner, which some printers cannot use; the margin applies to it too.
     corner_mm: tuple[float, float] = real((0.0, 0.0), 0, many=2)
 
