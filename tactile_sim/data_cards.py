@@ -183,7 +183,7 @@ def _write_pairs_card(folder: store.DataFolder, manifest: store.Manifest) -> Non
     counts = manifest.statistics()
     cards.Card(
         template="touch_pairs.md",
-        title="Depth and touch, not paired",
+        title="Unpaired depth images and touches",
         columns=meanings(PairRow),
         picture=(
             "pairs.png",
