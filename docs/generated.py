@@ -277,7 +277,7 @@ def _notebook_page(notebook: Path) -> str:
                 parts.append("```{raw} html\n" + "".join(data["text/html"]) + "\n```")
             elif "image/png" in data:
                 parts.append(
-                    f'<img alt="what the cell shows" src="data:image/png;base64,{data["image/png"]}">'
+                    f'<img alt="output of the cell" src="data:image/png;base64,{data["image/png"]}">'
                 )
             else:
                 parts.append("```text\n" + "".join(data["text/plain"]).rstrip() + "\n```")
@@ -328,7 +328,7 @@ def _environments_table() -> str:
                 len(members),
             )
         )
-    names = ("family", "what is predicted", "sensors", "assets", "steps", "also observed, acted", "ids")
+    names = ("family", "prediction", "sensors", "assets", "steps", "further observation, action", "ids")
     return markdown_table(names, rows)
 
 
@@ -359,7 +359,7 @@ def _settings_table() -> str:
             meaning = " ".join(attribute.desc).replace("``", "`")
             meaning = re.sub(r":\w+:`~?([^`]*)`", r"`\1`", meaning)
             rows.append((", ".join(f"`{name}`" for name in names), defaults, where, meaning))
-    return markdown_table(("setting", "default", "of", "meaning"), rows)
+    return markdown_table(("setting", "default", "ids", "meaning"), rows)
 
 
 def _shown_default(kind: Any, name: str) -> str:
@@ -384,7 +384,7 @@ def _command_pages() -> dict[str, str]:
     listed = "\n".join(sorted(names))
     pages["cli/index.md"] = (
         "# Command lines\n\n"
-        "Every option of every command, as `--help` shows it. `tactile` leads to all. Exit codes: 0 success, "
+        "Every option of every command, as `--help` shows it. `tactile` runs all of them. Exit codes: 0 success, "
         "1 validation failed, 2 wrong input, 3 damaged or missing data, 4 the Hub, a store or the network, "
         "130 interrupted.\n\n"
         f"```{{toctree}}\n:maxdepth: 2\n\n{listed}\n```\n"
@@ -447,17 +447,17 @@ def _formats_page() -> str:
         for column, (_, _, words) in KNOWN_COLUMNS.items()
     ]
     parts = [
-        "# Columns\n\nThe columns of every kind of data set, from the schemas that the toolkit uses. Names "
-        "with a dot are flat columns, as in the published sets. See also [the data set folder]"
+        "# Columns\n\nThis page lists the columns of every kind of data set. Names "
+        "with a dot are flat columns, as in the published data sets. See also [the data set folder]"
         "(../concepts/folder.md) and [frames and units](../concepts/frames.md).",
         "## Digits (`mnist3d`)\n\n" + table(digit_schema(), DigitRow),
         "## Scenes (`starstruck`)\n\n" + table(scene_schema(), SceneRow),
         "## Real touches (`realtouch`)\n\nA row is a round: T touches of one object; N is the number of "
-        "frames of the longest clip. Sets hold clips (`sensor_video`) or images (`sensor_image`). Other "
-        "columns stay as they are.\n\n"
+        "frames of the longest clip. A data set holds clips (`sensor_video`) or images (`sensor_image`). Other "
+        "columns are kept unchanged.\n\n"
         + markdown_table(("column", "type", "shape, unit, frame", "meaning"), rows),
-        "## Synthetic touches (`tactile-sim`)\n\nThe columns after those of the touched object are of gels "
-        "of another thickness and of elastic ones, with 7 x 9 markers in images of 64 x 64 pixels.\n\n"
+        "## Synthetic touches (`tactile-sim`)\n\nThe columns after those of the touched object exist only for "
+        "gels of another thickness and for elastic gels, here with 7 x 9 markers and 64 x 64 pixels.\n\n"
         + table(synthetic_schema(tuple(map(str, range(10))), further), SyntheticRound),
         "## The wrench (`env-assets`)\n\n" + table(wrench_schema(), WrenchRow),
     ]
