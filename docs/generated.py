@@ -384,8 +384,8 @@ def _command_pages() -> dict[str, str]:
     listed = "\n".join(sorted(names))
     pages["cli/index.md"] = (
         "# Command lines\n\n"
-        "Every option of every command, as `--help` shows it. `tactile` runs all of them. Exit codes: 0 success, "
-        "1 validation failed, 2 wrong input, 3 damaged or missing data, 4 the Hub, a store or the network, "
+        "Every option of every command, as `--help` shows it. `tactile` runs all of them. Exit codes: "
+        "0 success, 1 validation failed, 2 wrong input, 3 damaged or missing data, 4 the Hub, a store or the network, "
         "130 interrupted.\n\n"
         f"```{{toctree}}\n:maxdepth: 2\n\n{listed}\n```\n"
     )
@@ -453,11 +453,11 @@ def _formats_page() -> str:
         "## Digits (`mnist3d`)\n\n" + table(digit_schema(), DigitRow),
         "## Scenes (`starstruck`)\n\n" + table(scene_schema(), SceneRow),
         "## Real touches (`realtouch`)\n\nA row is a round: T touches of one object; N is the number of "
-        "frames of the longest clip. A data set holds clips (`sensor_video`) or images (`sensor_image`). Other "
-        "columns are kept unchanged.\n\n"
+        "frames of the longest clip. A data set holds clips (`sensor_video`) or images (`sensor_image`). "
+        "Other columns are kept unchanged.\n\n"
         + markdown_table(("column", "type", "shape, unit, frame", "meaning"), rows),
-        "## Synthetic touches (`tactile-sim`)\n\nThe columns after those of the touched object exist only for "
-        "gels of another thickness and for elastic gels, here with 7 x 9 markers and 64 x 64 pixels.\n\n"
+        "## Synthetic touches (`tactile-sim`)\n\nThe columns after those of the touched object exist only "
+        "for gels of another thickness and for elastic gels, here with 7 x 9 markers and 64 x 64 pixels.\n\n"
         + table(synthetic_schema(tuple(map(str, range(10))), further), SyntheticRound),
         "## The wrench (`env-assets`)\n\n" + table(wrench_schema(), WrenchRow),
     ]
