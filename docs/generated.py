@@ -385,8 +385,8 @@ def _command_pages() -> dict[str, str]:
     pages["cli/index.md"] = (
         "# Command lines\n\n"
         "Every option of every command, as `--help` shows it. `tactile` runs all of them. Exit codes: "
-        "0 success, 1 validation failed, 2 wrong input, 3 damaged or missing data, 4 the Hub, a store or the network, "
-        "130 interrupted.\n\n"
+        "0 success, 1 validation failed, 2 wrong input, 3 damaged or missing data, 4 the Hub, a store or "
+        "the network, 130 interrupted.\n\n"
         f"```{{toctree}}\n:maxdepth: 2\n\n{listed}\n```\n"
     )
     return pages
