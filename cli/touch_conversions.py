@@ -147,9 +147,9 @@ class Export(_Options):
         MISSING,
         ("flat", "webdataset", "lerobot", "oxt", "replay", "fota", "sparsh", "anytouch"),
         name="--format",
-        help="flat: Parquet, a row for each touch; webdataset: tars; lerobot: LeRobotDataset v3.0 of one "
-        "split; oxt: Zarr of FTP-1, likewise; replay: Zarr of Diffusion Policy, likewise; fota: tars of T3; "
-        "sparsh: pickled images; anytouch: list files.",
+        help="flat: Parquet, a row for each touch; webdataset: tars; lerobot: LeRobotDataset v3.0; oxt: Zarr "
+        "of FTP-1; replay: Zarr of Diffusion Policy; fota: tars of T3; sparsh: pickled images; anytouch: "
+        "list files. lerobot, oxt and replay hold one split.",
     )
     frame: str = _FRAME
 
