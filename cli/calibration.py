@@ -44,8 +44,8 @@ def calibrate(
 ) -> None:
     """Make the twin of a sensor, a model that renders its images and reads depth from them.
 
-    The recordings are checked first. Poses may have errors of a millimetre and some degrees. Without poses,
-    touches are found by matching; a touch that looks the same in several places is left out.
+    Problems of the recordings are listed first. Poses may be off by a millimetre and some degrees.
+    Without any, touches are found by matching; those that look the same in several places are left out.
 
     Example: tactile-sim calibrate recordings --solids plate --out my-sensor
     """

@@ -67,7 +67,7 @@ def list_environments(
     ),
     sink: output.Sink,
 ) -> None:
-    """List the ids of environments with task, sensor, spaces, episode length, assets and split.
+    """List the ids of environments, with a description of each.
 
     Example: env-assets list Minecraft
     """

@@ -40,7 +40,7 @@ def show_sensor(
     opening: Opening,
     sink: Sink,
 ) -> None:
-    """Show a row of a data set, or the properties of a sensor.
+    """Show a row of a data set, or the facts of a sensor.
 
     Examples: show DIR --row 3 --split test;  show my-sensor;  show digit
     """
@@ -87,8 +87,8 @@ def check(
 ) -> None:
     """Find out whether a sensor has changed since it was calibrated.
 
-    The touched objects do not matter; touch with different parts of the gel. Exit code 1 if a figure is
-    beyond its limit.
+    The touched objects do not matter; the places on the gel should differ. Exit code 1 if a figure is beyond
+    its limit.
 
     Example: tactile-sim check my-sensor recordings-of-today
     """

@@ -68,8 +68,8 @@ def import_touches(
 ) -> None:
     """Make a data set of touches from recordings; pictures are stored unchanged if possible.
 
-    Unusable recordings are left out and listed with the reason. Columns with the names that
-    `realtouch frames` and `realtouch export` write need no option; all others are kept.
+    Items that cannot be used are left out and listed with the reason. Columns with the names that `realtouch
+    frames` and `realtouch export` write need no option; all others are kept.
 
     Example: realtouch import takes --map label=object --map pose=x_mm,y_mm,z_mm,qx,qy,qz,qw --out touches
     """

@@ -78,11 +78,11 @@ class CheckLimits:
     Attributes
     ----------
     frozen : int
-        Number of equal pictures in a row that count as frozen. A camera that is read a little too often
-        repeats a picture once; three equal pictures are a stall.
+        Number of equal pictures in a row that counts as frozen. A camera that is read slightly too often
+        repeats a picture once; three equal ones are a stall.
     gap : float
-        A time step of so many times the median step of its clip is a gap. A lost frame makes it 2; less
-        than 1.75 is jitter.
+        A time step is a gap if it is at least this many times the median step of its clip. One lost frame
+        gives 2; less than 1.75 is jitter.
     exposure : float
         Step of the brightness of nine tenths of a picture, grey levels of 255. A wide contact brightens a
         GelSight Mini by up to 11.
@@ -95,8 +95,10 @@ class CheckLimits:
         touches that are ten times as far from all others.
     """
 
-    frozen: int = checked_fields.integer(3, 2, help="Equal pictures in a row that count as frozen.")
-    gap: float = checked_fields.real(1.75, above=1.0, help="Time step that counts as a gap, in median steps.")
+    frozen: int = checked_fields.integer(3, 2, help="Number of equal pictures in a row that are frozen.")
+    gap: float = checked_fields.real(
+        1.75, above=1.0, help="Least time step that counts as a gap, in median steps of the clip."
+    )
     exposure: float = checked_fields.real(
         12.0, 1, 255, help="Change of the brightness that counts as a jump, grey levels."
     )

@@ -115,8 +115,8 @@ class ElasticPress:
         metavar=_GELS,
         read=gel_named,
         shown="none",
-        help="none: presses of one depth, as published; elastic: an elastic gel, with forces; or a JSON file "
-        "with its properties.",
+        help="none: presses of one depth, as published; elastic: a gel that deforms, with forces; or its "
+        "properties from a JSON file.",
     )
     force_n: Span | None = text(
         name="--force-n",
