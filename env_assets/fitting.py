@@ -10,7 +10,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh import MM_PER_M
 
-# Distance by which a scene may stand out of its cell: less than the sensor's gel gives way.
+# Distance by which a scene may protrude from its cell: less than the gel of the sensor is pressed in.
 _SLACK_MM = 1.0
 
 

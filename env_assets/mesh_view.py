@@ -157,7 +157,7 @@ def _volume_m3(record: MeshRecord) -> float:
 def flat_turn(mesh: trimesh.Trimesh) -> Float64:
     """Return the rotation, shape (3, 3), that turns the shortest side of the box around a mesh upright.
 
-    Of the other two sides, the one that lies more along x becomes x; the upper side stays up. The package
+    The other side that lies more along x becomes x; the upper side stays up. The package
     does so itself with ``smallest_dimension_up``, but fails with scipy 1.17, whose rotations refuse the
     read-only corners of trimesh's boxes.
     """

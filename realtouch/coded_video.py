@@ -1,7 +1,6 @@
-"""Videos that FFmpeg decodes (PyAV, extra ``video``): the times of their pictures, and any of these.
+"""Videos that FFmpeg decodes (PyAV, extra ``video``): the times of their pictures, and random access to them.
 
-Each picture is decoded from the key picture before it, so that its bytes do not depend on which others are
-read.
+Each picture is decoded from the keyframe before it, so that its bytes do not depend on which others are read.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ _LOSSY = (
 )  # fmt: skip
 JPEG_QUALITY = 95
 _COVER = 0x400  # a flag of FFmpeg: a still image, such as the cover of a film
-# Nothing beside the file is opened, and an index of an AVI that leads to others is not followed.
+# Only the file itself is opened; an index of an AVI that refers to other files is not followed.
 _OPTIONS = {
     "max_pixels": str(MAX_IMAGE_PIXELS),
     "max_streams": "32",
@@ -45,26 +44,26 @@ _OPTIONS = {
 }
 _DECODER_OPTIONS = {"max_pixels": str(MAX_IMAGE_PIXELS), "err_detect": "explode"}
 _BUFFER_BYTES = 1 << 16
-_PICTURES_TRIED = 100  # to decode the first
-_PICTURES_PASSED = 32  # at most, rather than to seek
-_MOST_READ = 4  # times the size of a file that its packets may take
+_PICTURES_TRIED = 100  # until one can be decoded
+_PICTURES_PASSED = 32  # a picture this many further on is reached by decoding, one beyond by seeking
+_MOST_READ = 4  # the packets of a file may take this many times its size
 _SPARE_BYTES = 1 << 20
 _MOST_PIXELS = 1 << 40  # of all pictures: an hour of 4096 x 2160 at 30 Hz
 _MOST_BITS = 12
-_BYTES_PER_PIXEL: dict[ImageFormat, float] = {"jpeg": 0.35, "png": 1.5}  # of pictures of cameras, about
+_BYTES_PER_PIXEL: dict[ImageFormat, float] = {"jpeg": 0.35, "png": 1.5}  # typical of camera pictures
 # Bilinear, accurately rounded, bit-exact: the same pixels on every processor.
 _SCALING = 0x2 | 0x40000 | 0x80000
 _LOST = "a picture that cannot be decoded: it, or another that it depends on, is damaged or missing"
 _UPRIGHT = np.array([1 << 16, 0, 0, 0, 1 << 16, 0, 0, 0, 1 << 30], np.int32)
-_TURN = np.array([0, 1, 3, 4])  # of those; the others move the picture
+_TURN = np.array([0, 1, 3, 4])  # entries that turn, mirror or scale the picture; the others move it
 
 
 def coded_video(stream: IO[bytes], demuxer: str, is_cut: bool) -> Video:
-    """Find the pictures of a video by a demuxer; ``is_cut`` where it is known to end in the middle."""
+    """Find the pictures of a video by a demuxer; ``is_cut`` states that the file is known to be truncated."""
     file_bytes = stream.seek(0, 2)
     reader = _Reader(stream, demuxer)
     packets, ends_early = reader.read_packets(file_bytes)
-    words = reader.look_at_first(packets)
+    words = reader.check_first(packets)
     if is_cut or ends_early:
         words.append(CUT_SHORT)
     count, pixels = len(packets.shown), reader.video.height * reader.video.width
@@ -88,10 +87,20 @@ def coded_video(stream: IO[bytes], demuxer: str, is_cut: bool) -> Video:
 
 @dataclass(frozen=True, eq=False)
 class _Packets:
-    """What is known of the packets of a stream of pictures, which are numbered in the order of the file.
+    """The packets of a video stream, numbered in the order of the file.
 
-    ``shown`` are those whose pictures are shown, in the order of these, at the times ``shown_pts``; ``keys``
-    those from which decoding can begin, at ``key_pts``.
+    Attributes
+    ----------
+    pts : ndarray of int64, shape (n,)
+        Presentation time of each packet, in ticks of ``tick_s`` seconds.
+    shown, shown_pts : ndarray of int64, shape (m,)
+        Packets whose pictures are shown, in the order of presentation, and their times.
+    keys, key_pts : ndarray of int64, shape (k,)
+        Packets of keyframes, from which decoding can begin, and their times.
+    tick_s : Fraction
+        Time base of the stream, seconds.
+    total_bytes : int
+        Size of all packets.
     """
 
     pts: Int64
@@ -103,12 +112,12 @@ class _Packets:
     total_bytes: int
 
     def key_of(self, number: int) -> int:
-        """Return in whose group a picture is: of the last key that is not shown after it."""
+        """Return the group of a picture: the index of the last keyframe that is not shown after it."""
         return max(0, int(np.searchsorted(self.key_pts, self.shown_pts[number], "right")) - 1)
 
 
 class _Reader:
-    """The only stream of pictures of a video, and its decoder."""
+    """The video stream of a file, which must have exactly one, and its decoder."""
 
     def __init__(self, stream: IO[bytes], demuxer: str) -> None:
         self._stream, self._demuxer = stream, demuxer
@@ -121,7 +130,7 @@ class _Reader:
         self.kind: ImageFormat = "png" if self.codec in _LOSSLESS else "jpeg"
 
     def open(self) -> None:
-        """Begin with the first packet."""
+        """Open the file at its first packet."""
         self._stream.seek(0)
         self._container = av.open(
             self._stream,
@@ -146,7 +155,7 @@ class _Reader:
         context.options = _DECODER_OPTIONS
 
     def _packets(self) -> Iterator[Packet[VideoStream]]:
-        """Yield the packets from where the container is; each has a time."""
+        """Yield the packets from the current position on; each has a time."""
         for packet in self._container.demux(self.video):
             if not packet.size:  # a picture that was dropped, or the end
                 continue
@@ -157,7 +166,7 @@ class _Reader:
             yield packet
 
     def read_packets(self, file_bytes: int) -> tuple[_Packets, bool]:
-        """Read all packets, and whether the file ends early; none is decoded."""
+        """Read all packets without decoding them; return them, and whether the file ends early."""
         pts, shown, keys = array("q"), array("q"), array("q")
         total_bytes, is_cut = 0, False
         try:
@@ -184,15 +193,15 @@ class _Reader:
         same = int(np.count_nonzero(np.diff(times[order]) == 0))
         if same:
             raise ItemError(
-                "time", f"{same:,} pictures are shown at the same time as another; expected rising times"
+                "time", f"{same:,} pictures are shown at the same time as another; expected increasing times"
             )
         tick_s = Fraction(cast(Fraction, self.video.time_base))
         return _Packets(times, order, times[order], starts, times[starts], tick_s, total_bytes), is_cut
 
-    def look_at_first(self, packets: _Packets) -> list[str]:
-        """Decode the first picture; return what is done to pictures beyond decoding them.
+    def check_first(self, packets: _Packets) -> list[str]:
+        """Decode the first picture; return the changes that are made to pictures, as text.
 
-        ItemError where none can be decoded, or 8 bits would lose most of it, or where it is to be turned.
+        Raises ItemError if none can be decoded, if 8 bits would lose most of it, or if it must be turned.
         """
         run = _Run(self, packets, 0, _PICTURES_TRIED, is_kept=False)
         if run.frame is None:
@@ -209,9 +218,9 @@ class _Reader:
         return words
 
     def packets_from(self, packets: _Packets, key: int) -> Iterator[Packet[VideoStream]]:
-        """Yield the packets from a key on."""
+        """Yield the packets from a keyframe on; ``key`` is its index in ``packets.keys``."""
         place, at = int(packets.keys[key]), int(packets.key_pts[key])
-        if key > 1:  # demuxers that seek by another time find the key before
+        if key > 1:  # seek one keyframe early: some demuxers seek by decoding time
             with suppress(av.FFmpegError):
                 self._container.seek(int(packets.key_pts[key - 1]), stream=self.video)
                 rest = self._packets()
@@ -222,7 +231,7 @@ class _Reader:
         return islice(self._packets(), place, None)
 
     def pictures(self, packets: _Packets, numbers: Iterable[int]) -> Iterator[bytes | ItemError]:
-        """Yield some pictures, encoded; as long as their numbers rise, they are read in one go."""
+        """Yield the pictures of these numbers, encoded; increasing numbers are decoded without seeking."""
         run = None
         for number in numbers:
             key = packets.key_of(number)
@@ -243,11 +252,11 @@ class _Reader:
 
 
 class _Run:
-    """Pictures that are decoded in one go, or packets that are kept, from the key before a group on.
+    """Pictures decoded in sequence, or packets kept as they are, from the keyframe before a group on.
 
-    With intra refresh, pictures after a key are not whole if decoding begins there, and with open groups,
-    decoders miss what these refer to. ``damaged`` are the packets of this and later groups that could not be
-    decoded.
+    Decoding begins one keyframe earlier because pictures after the first one may be incomplete: with intra
+    refresh they build up gradually, and with open groups they refer to pictures before the keyframe.
+    ``damaged`` are the packets of this and later groups that could not be decoded.
     """
 
     def __init__(
@@ -288,23 +297,21 @@ class _Run:
             yield from decoder.decode(None)
 
     def reaches(self, number: int, key: int) -> bool:
-        """Return whether a picture of the group of a key comes out as if decoding began before that group."""
+        """Return whether going on gives the same picture as decoding from the keyframe before its group."""
         if number <= self._last or (self.damaged and key != self._key):
             return False
         return key <= self._key + 1 or number - self._last <= _PICTURES_PASSED
 
     def picture(self, number: int, key: int) -> VideoFrame | Packet[VideoStream] | None:
-        """Return a picture; None for one that is damaged or depends on one that is."""
+        """Return a picture; None for one that is damaged, or depends on a damaged one."""
         packets = self._packets
-        wanted, place, start = (
-            int(packets.shown_pts[number]),
-            int(packets.shown[number]),
-            int(packets.keys[key]),
-        )
+        wanted = int(packets.shown_pts[number])
+        place = int(packets.shown[number])
+        start = int(packets.keys[key])
         self._last, self._key = number, key
         while self.frame is not None and cast(int, self.frame.pts) < wanted:
             self.frame = next(self.frames, None)
-        # Pictures that are shown before a key refer to what is before it, and none to them.
+        # Pictures shown before a keyframe refer to packets before it, and later ones do not refer to them.
         is_lost = any(start <= at <= place and packets.pts[at] >= packets.pts[start] for at in self.damaged)
         if is_lost or self.frame is None or cast(int, self.frame.pts) > wanted or self.frame.is_corrupt:
             return None
@@ -320,7 +327,7 @@ def _untimed() -> ItemError:
 
 
 def _require_upright(frame: VideoFrame) -> None:
-    """Raise ItemError where a picture is to be turned or mirrored when it is shown."""
+    """Raise ItemError if players must turn or mirror the picture."""
     matrix = frame.side_data.get("DISPLAYMATRIX")
     if matrix is None:
         return
@@ -333,7 +340,7 @@ def _require_upright(frame: VideoFrame) -> None:
 
 
 def _words_of(frame: VideoFrame) -> list[str]:
-    """Return what is done to pictures like this one; ItemError where 8 bits would lose most of it."""
+    """Return the changes to pictures of this format, as text; ItemError if 8 bits would lose most of them."""
     parts = frame.format.components
     bits = max(each.bits for each in parts)
     colours = [each for each in parts if not each.is_alpha]

@@ -246,8 +246,8 @@ def best_of(
 ) -> tuple[int, ContactScore]:
     """Return the frame of a clip, shape (N, H, W, 3), with the greatest total change, and its score.
 
-    Of equal frames, it is the earliest. The background ``base`` is by default the median of the clip. Raises
-    InputError if there is no frame.
+    If several frames have the same change, the earliest is returned. The background ``base`` is by default
+    the median of the clip. Raises InputError if there is no frame.
     """
     rule = rule or ContactRule()
     if not len(frames):

@@ -125,7 +125,7 @@ def best_frame(
     pieces = list(islice(_batches(clip), 2))
     if len(pieces) < 2:
         return contact_picture.best_of(pieces[0] if pieces else clip.frames(), rule, base)
-    # Of a clip that does not fit in memory, a few frames at a time.
+    # A clip that does not fit in memory is processed a few frames at a time.
     if base is None:
         base = background(clip)
     start, best = 0, (0, contact_picture.ContactScore(0, 0.0))
@@ -173,7 +173,7 @@ class Contacts:
         Parameters
         ----------
         no_contact_fraction : float
-            Fraction of touches without contact in the result, 0 to below 1, as far as there are enough.
+            Fraction of touches without contact in the result, 0 to below 1; less if there are too few.
         seed : int
             Decides which.
 

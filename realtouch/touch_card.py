@@ -25,15 +25,15 @@ WORDS = "touch_words.toml"
 T = TypeVar("T")
 _TILES = 16
 _TILE_WIDTH = 96
-# Each costs unpacking a block; a card does not try all blocks of a damaged set.
+# Each round requires unpacking a block; a card does not try all blocks of a damaged set.
 _ROUNDS_SEEN = 4
-_COMMANDS = {"to-single": "clips-to-images"}  # as manifests name it
+_COMMANDS = {"to-single": "clips-to-images"}  # command of an operation that manifests name differently
 _TASKS = {
     "task_categories": ["robotics", "image-classification"],
     "task_ids": ["multi-class-image-classification"],
 }
 _CAPTIONS = {True: "Some touches, each at the end of contact", False: "Some touches"}
-_LISTS = re.compile(r"(?:\.list\.(?:element|item))+\Z")
+_LIST_SUFFIX = re.compile(r"(?:\.list\.(?:element|item))+\Z")
 _WINDOW = "18.88 x 14.16 mm of gel"
 
 
@@ -58,10 +58,14 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
     """
     words = cards.card_words(WORDS)
     facts = cards.folder_summary(folder, manifest)
-    operation, made, spec = None, list[tuple[str, str]](), None
+    operation: object = None
+    made: list[tuple[str, str]] = []
+    spec = None
     unknown = {"made": words["made"]["unknown"]}
     if manifest is not None:
-        operation, made, spec = manifest.spec.get("operation"), _made(manifest), manifest.spec["options"]
+        operation = manifest.spec.get("operation")
+        made = _made(manifest)
+        spec = manifest.spec["options"]
         unknown = {}
     origin = schema.origin_of(facts.schema, manifest)
     of_origin = words["origins"][origin]
@@ -117,7 +121,7 @@ def _plain_content(
     manifest: store.Manifest | None,
     words: JsonDict,
 ) -> _Content:
-    """Return what a card says of pictures in files, or of rows in a foreign format."""
+    """Return the content of a card about picture files, or about rows in a foreign format."""
     layout = "frames" if manifest is None else manifest.spec["options"].get("layout", "frames")
     of_layout = words["layouts"][layout]
     placeholders = ("layout_text", "content_text", "size_note", "loading")
@@ -149,7 +153,7 @@ def _stored_content(
     manifest: store.Manifest | None,
     words: JsonDict,
 ) -> _Content:
-    """Return what a card says of rounds; reads small columns and a few rounds."""
+    """Return the content of a card about rounds; reads small columns and a few rounds."""
     datasets = [touch_dataset.dataset_of(split.shards) if split.rows else None for split in facts.splits]
 
     def of_each(count: Callable[[touch_dataset.AnyDataset], Any], empty: Any = None) -> list[Any]:
@@ -157,7 +161,7 @@ def _stored_content(
 
     touches = of_each(lambda dataset: int(dataset.touch_counts.sum()), 0)
     shares: list[float | None] = [None] * len(datasets)
-    if schema.has_poses(read.column_types(facts.schema)):  # else all pictures would be decoded
+    if schema.has_poses(read.column_types(facts.schema)):  # without poses, all pictures would be decoded
         shares = of_each(lambda dataset: float(dataset.touches().in_contact().mean()))
     sizes = (_or_none(record.picture_size, 0) for record in _first_rounds(facts, kind))
     size = next(filter(None, sizes), None)
@@ -193,7 +197,7 @@ def _extra_words(facts: cards.FolderSummary) -> dict[str, cards.ColumnWords]:
     ends: dict[str, list[Any]] = {}
     for shard in (shard for split in facts.splits for shard in split.shards):
         for chunk in shard.column_chunks():
-            name, found = _LISTS.sub("", chunk.path_in_schema), chunk.statistics
+            name, found = _LIST_SUFFIX.sub("", chunk.path_in_schema), chunk.statistics
             if found is not None and found.has_min_max:
                 ends.setdefault(name, []).extend([found.min, found.max])
             elif found is None or found.null_count < chunk.num_values:
@@ -214,7 +218,7 @@ def _text(form: str, figure: float | None) -> str:
 
 
 def _stored_pictures(facts: cards.FolderSummary, kind: touch.Kind) -> list[UInt8 | None]:
-    """Decode pictures of the first round of which one can be read; of clips, the end of contact."""
+    """Decode pictures of the first round that has a readable one; clips show the end of contact."""
     for record in _first_rounds(facts, kind):
         count = _or_none(attrgetter("touch_count"), record) or 0
         images = [
@@ -234,11 +238,13 @@ def _sheet(pictures: Iterable[UInt8 | None]) -> bytes | None:
 def _first_rounds(
     facts: cards.FolderSummary, kind: touch.Kind
 ) -> Iterator[rounds.TouchSeqRound | rounds.TouchSingleRound]:
-    """Yield the first rounds, decoding the blocks they lie in and keeping none in the cache."""
+    """Yield the first round of each of the first blocks; the blocks are not kept in the cache."""
     record = rounds.TouchSingleRound if kind == "single" else rounds.TouchSeqRound
     shard = next((shard for split in facts.splits for shard in split.shards if len(shard)), None)
-    for group in islice(shard.blocks(0) if shard is not None else (), _ROUNDS_SEEN):
-        # One of each block, so that a damaged block does not use up all tries.
+    if shard is None:
+        return
+    for group in islice(shard.blocks(0), _ROUNDS_SEEN):
+        # One round of each block, so that a damaged block does not use up all tries.
         yield record(stored_round.StoredRound(group, 0))
 
 
@@ -251,7 +257,10 @@ def _or_none(ask: Callable[..., T], *parts: object) -> T | None:
 
 
 def _missed(touches: list[int | None], shares: list[float | None], rule: contact.ContactHeight) -> list[str]:
-    """State how many touches met no object, if that is known, from the counts and shares of all splits."""
+    """State how many touches met no object, if this is known.
+
+    ``touches`` and ``shares`` have one entry for each split: its touches, and the share that met an object.
+    """
     found = [(count, share) for count, share in zip(touches, shares, strict=True) if count]
     if any(share is None for _, share in found):
         return []

@@ -27,10 +27,10 @@ _QUALITY = 80
 DEFAULT_TOUCHES = 64
 """Touches shown of a round: of 256 every fourth, about 4 MB of clips."""
 
-# Of a round: how many touches to show at most, the height of each, and that from which a touch counts.
+# For a round: greatest number of touches to show, height of each touch, least height that counts as contact.
 _Known = tuple[int, Float64 | None, float]
 
-_MOST_TEXTS, _LONGEST_NOTE = 8, 200  # of a further column
+_MOST_TEXTS, _LONGEST_NOTE = 8, 200  # texts shown of a further column, and characters of each
 
 _SHARES = ("all touches", "more than half", "half or fewer", "none", "unknown")
 _SHOWN = (

@@ -89,10 +89,10 @@ class CheckLimits:
     drift : float
         Change of the bare gel over the session, grey levels of 255, in any channel.
     motion_mm : float
-        The gel moves by this while its picture is frozen, millimetres.
+        Least motion of the gel while its picture is frozen, millimetres.
     jump_mm : float
-        Step of the position between frames, millimetres; a robot at 0.25 m/s moves 10 mm in a frame. So do
-        touches that are ten times as far from all others.
+        Step of the position between frames that counts as a jump, millimetres; a robot at 0.25 m/s moves
+        10 mm in a frame. A touch jumps if it is ten times this far from all others.
     """
 
     frozen: int = checked_fields.integer(3, 2, help="Number of equal pictures in a row that are frozen.")

@@ -58,15 +58,15 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
     Parameters
     ----------
     dataset : TouchDataset, TouchStream or Touches
-        What to give; of a data set or stream, all its touches.
+        The touches to give: all touches of a data set or stream.
     transform : callable, optional
         Applied to each image or clip, such as a pipeline of ``torchvision.transforms.v2``.
     target : str, callable or None
         One of :data:`TARGETS`; ``"extra.NAME"``, the numbers of a further column, float32, NaN where they are
-        missing; or a function of a :class:`realtouch.Touch`. Of a column with an entry per frame, next to
-        whole clips all are given, else that of the frame.
+        missing; or a function of a :class:`realtouch.Touch`. A column with an entry per frame gives all
+        entries with a whole clip, and the entry of the frame with an image.
     frames : str or None
-        Of clips, give one contact frame as an image, chosen by this method (see
+        For clips: give one contact frame as an image, chosen by this method (see
         :meth:`realtouch.TouchClip.contact_index`), instead of the whole clip. A function as ``target`` is
         given the touch, whose pose is that of the last frame of contact.
     channels_last : bool

@@ -195,7 +195,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
     def with_contact(self, min_height_m: float | None = None, recalibrate_z: bool = True) -> Touches[R]:
         """Return the touches in which the gel stopped on an object; see :meth:`in_contact`.
 
-        Of a set without poses, those whose pictures show contact.
+        In a set without poses, these are the touches whose pictures show contact.
         """
         return self[self.in_contact(min_height_m, recalibrate_z)]
 
@@ -268,7 +268,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         seed : int
             From 0.
         no_contact_fraction : float, optional
-            Fraction of touches without contact in the result, 0 to below 1, as far as there are enough. Which
+            Fraction of touches without contact in the result, 0 to below 1; less if there are too few. Which
             ones follows from the seed, the id of the round and the touch's number alone, whatever else is
             selected and in whatever order. They stay where they are among the others.
         contact : ndarray of bool, shape (len,), optional

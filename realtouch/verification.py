@@ -128,7 +128,7 @@ def verify(
 ) -> TouchVerification:
     """Check every file, round, touch and frame of a data set, and list all damage.
 
-    Of an unfinished set, all finished shards are checked.
+    In an unfinished set, only the finished shards are checked.
 
     Parameters
     ----------

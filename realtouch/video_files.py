@@ -19,7 +19,7 @@ MAX_PICTURES = 2_000_000
 """Longest video that is read: nine hours at 60 Hz."""
 
 CUT_SHORT = "cut short; read up to the last whole picture"
-"""What is said of a file that ends in the middle."""
+"""Note on a file that is truncated."""
 
 VIDEO_ENDINGS = (
     ".avi",

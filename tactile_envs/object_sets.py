@@ -34,7 +34,7 @@ PUBLISHED = "published"
 
 Objects = MeshView | asset_kinds.MeshSet
 
-# Of more meshes, packing takes seconds.
+# Packing more meshes than this takes seconds.
 _MANY = 1000
 
 # Sets whose making this process, or the one it was forked from, has announced.

@@ -18,7 +18,7 @@ LANES = 8
 """Neighbouring pixels of a row that are drawn at once."""
 
 ROWS = 4
-"""Rows that are drawn at once; most triangles lie in so many."""
+"""Rows that are drawn at once; most triangles lie within this many."""
 
 _FLOAT, _INDEX = ir.FloatType(), ir.IntType(32)
 

@@ -15,7 +15,7 @@ from tactile_toolkit.array_types import Float32, Float64, Int64
 class TouchDraws(NamedTuple):
     """What is drawn for a touch of n sensors.
 
-    ``lifts_m`` (n,) is how much higher than it is a sensor is observed, metres; ``bases`` (n,) the number of
+    ``lifts_m`` (n,) is added to the observed heights, metres; ``bases`` (n,) the number of
     the depth map behind its own; ``rng`` draws the noise, None where nothing is random.
     """
 

@@ -105,7 +105,7 @@ def _object_pose(given: object) -> Float64:
 
 def _sensor_start(given: object) -> SensorStart:
     """Return where a sensor is sent: (x, y), a position, or a pose."""
-    # Of scipy's transforms, and of those of the published environments.
+    # Transforms of scipy have `as_matrix`, those of the published environments `matrix`.
     as_matrix = getattr(given, "as_matrix", lambda: getattr(given, "matrix", given))
     numbers = _numbers(as_matrix())
     if numbers is not None and numbers.shape in ((2,), (3,)):

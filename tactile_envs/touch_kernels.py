@@ -25,8 +25,8 @@ ObjectPlace = tuple[float, float, float, float, float]
 """Place of an object: cosine and sine of its turn, column and row of its origin, pixels per metre."""
 
 Room = tuple[Float32, Float64, Int32, Float64]
-"""Of a batch of triangles corners, metres, weights and heights of corners, and first and last columns and
-rows; and edges of the window."""
+"""Arrays for a batch of triangles: corners, metres; weights and heights of corners; first and last columns
+and rows; edges of the window."""
 
 View = tuple[tuple[float, float, float, float], ...]
 """How a mesh is seen: column, row and height, metres, of its points x, y, z, 1."""
@@ -35,7 +35,7 @@ EDGE_PX = 1e-6
 """Distance beyond the outermost pixels that still counts as in the window."""
 
 _MOST_EDGES = 12  # of a box
-# Distance outside of an edge at which a pixel still counts as on it, as a share of the change of its weight
+# Distance outside an edge at which a pixel still counts as on it, as a share of the change of its weight
 # from one pixel to the next: single precision must leave no hole between neighbours.
 _SLACK = 2e-6
 _LEVEL_M = 1e-12  # an edge of the window that rises by less is level
@@ -287,12 +287,12 @@ def touch(
     ``window`` (6,) is pixels a metre, column and row of the middle, counted from the bottom, press depth and
     thickness of the gel, and the least height of sensors, metres; ``motion`` is as for :func:`aim`; ``drift``
     (3,) how objects slip afterwards, in their own frame, metres and radians; ``chosen`` which mesh of the
-    pool each object is; ``lifts`` (n,) how much higher sensors are observed than they are, metres;
+    pool each object is; ``lifts`` (n,) what is added to the observed heights, metres;
     ``heights`` (H, W + PADDING) room to work in. Of ``sensors`` (n, 3), metres, the observed height is
     written; ``objects`` (n, 3), position, metres, and turn, radians, slip in place. Written are depth images
     (n, H, W); ``depths``, likewise or (0, 0, 0) where not wanted, distances from the gel's camera, metres;
-    ``positions`` (n, 3), what sensors observe of theirs, -1 to 1; ``is_bare`` (n,), whether the plate alone
-    was met.
+    ``positions`` (n, 3), what sensors observe of theirs, -1 to 1; ``is_bare`` (n,), whether only the
+    plate was met.
     """
     greatest, room = np.empty(images.shape[2], np.float32), batch_room()
     heights[:, :] = 0.0

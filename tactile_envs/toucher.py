@@ -22,7 +22,7 @@ class SensorReadings(NamedTuple):
 
     ``images`` (n, H, W) are depth images; ``depths_m``, likewise or (0, 0, 0), distances from the camera of
     the gel, metres; ``positions`` (n, 3) what sensors observe of theirs, -1 to 1; ``is_bare`` (n,) whether
-    the gel touched the plate alone.
+    the gel touched only the plate.
     """
 
     images: Float32
@@ -32,7 +32,7 @@ class SensorReadings(NamedTuple):
 
 
 Press = Callable[[int, int, Float32, SensorReadings], None]
-"""Brings down some sensors, from the first number on to before the second; the rest is room and results."""
+"""Presses the sensors from the first number to before the second; further arguments: work array, results."""
 
 
 class Toucher:
@@ -41,18 +41,18 @@ class Toucher:
     Parameters
     ----------
     sensor : Sensor
-        What is brought down; its image is the depth image.
+        The sensor; its image is the depth image.
     least_m : float
         Least height of sensors, metres.
     num_envs : int
-        How many environments.
+        Number of environments.
     threads : int
-        How many threads share a touch.
+        Number of threads that share a touch.
 
     Attributes
     ----------
     window : ndarray of float64, shape (6,)
-        Of the gel, as kernels take it.
+        Window of the gel, as :func:`tactile_envs.touch_kernels.touch` takes it.
     """
 
     def __init__(self, sensor: Sensor, least_m: float, num_envs: int, threads: int) -> None:

@@ -176,7 +176,7 @@ class Load(NamedTuple):
         return x_m - self.twist_rad * off_y_m, y_m + self.twist_rad * off_x_m
 
 
-# Of sets and environments with one force, most touches are of the plate alone.
+# With a single force, most touches of a set or environment meet only the plate, and share this contact.
 @lru_cache(maxsize=4)
 def _plate_contact(load: Load, whole: WholeGel) -> Contact:
     return load.contact(np.zeros(whole.sensor.size_px[::-1]), whole)

@@ -89,8 +89,8 @@ class ElasticPress:
     gel : Gel
         Material and friction of the gel.
     force_n : tuple of float, optional
-        Normal force at which the sensor stops, newtons; 5 unless ``press_m`` is given. It stops
-        at half the thickness of the gel at the latest.
+        Normal force at which the sensor stops, newtons; 5 unless ``press_m`` is given. The
+        sensor presses at most to half the thickness of the gel.
     press_m : tuple of float, optional
         How far the highest point under the gel is pressed in, metres; in place of a force.
     slide_m : tuple of float

@@ -43,8 +43,9 @@ class Pressed:
     sensor_z_m : float, or ndarray of float64, shape (n,)
         Height of the sensor where it stops, metres, cell frame.
     contacts : tuple of Contact
-        Of an elastic gel the contact of each touch: maps of the window of the image, forces of the whole gel.
-        ``depth_m`` is then the surface of the gel, greater than its thickness where it bulges.
+        Contact of each touch of an elastic gel: maps of the window of the image, forces of the whole gel.
+        ``depth_m`` is then the surface of the gel, greater than its thickness where it bulges. Empty for a gel
+        that is not elastic.
     """
 
     depth_m: Float64
@@ -58,7 +59,7 @@ class Pressed:
         if len(self.contacts) != 1:
             raise InputError(
                 f"there are {len(self.contacts)} contacts; expected one, of one touch of an elastic gel",
-                next="press with gel=tactile_sim.Gel() and force_n=5.0, or look into contacts",
+                next="press with gel=tactile_sim.Gel() and force_n=5.0, or use the items of `contacts`",
             )
         return self.contacts[0]
 
@@ -80,8 +81,9 @@ def render_touch(
 
     The sensor comes down along its own axis. Without ``gel``, it stops where the highest point under its
     pixels is pressed into the gel by the press depth, as the published environments define it, and the depth
-    map is the solid, cut there; there is no force. An elastic gel gives way: the whole gel is solved, the
-    sensor stops at a force or a depth, and the depth map is the surface of the gel.
+    map is the solid, cut off at the surface of the gel; there is no force. An elastic gel deforms: the
+    contact is solved for the whole gel, the sensor stops at a force or a depth, and the depth map is the
+    surface of the gel.
 
     Parameters
     ----------
@@ -96,8 +98,8 @@ def render_touch(
     gel : Gel, optional
         Elastic properties of the gel. The rest is for an elastic gel only.
     force_n, depth_m : float or array_like, shape (n,), optional
-        Normal force at which the sensor stops, newtons, but at half the thickness of the gel at the latest,
-        where linear theory ends; or how far the highest point under the whole gel is pressed in, metres.
+        Normal force at which the sensor stops, newtons; it presses at most to half the thickness of the gel,
+        the limit of linear theory. Or how far the highest point under the whole gel is pressed in, metres.
     slide_m : array_like, shape (2,) or (n, 2)
         How far the solid then slides along x and y of the gel's frame, metres.
     twist_rad : float or array_like, shape (n,)

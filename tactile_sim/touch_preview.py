@@ -33,12 +33,13 @@ class TouchPreview:
     sensor_z_m : float
         Height of the sensor, metres.
     contact : float
-        Share of the image in which the gel touches the object; 0 if it touches the plate alone.
+        Share of the image in which the gel touches the object; 0 if it touches only the plate.
     bounds_m : ndarray of float64, shape (2, 2)
-        Least, then greatest x and y of the object as it stands, metres, cell frame.
+        Least, then greatest x and y of the object in its pose, metres, cell frame.
     forces : dict
-        Of an elastic gel ``force_n``, ``torque_nm``, ``press_depth_m``, ``slide_m``, ``twist_rad``, and of
-        markers ``marker_flow_px``, as lists and numbers; see :class:`tactile_sim.SyntheticRound`.
+        ``force_n``, ``torque_nm``, ``press_depth_m``, ``slide_m`` and ``twist_rad`` of an elastic gel, and
+        ``marker_flow_px`` if it has markers, as lists and numbers; empty for other gels. See
+        :class:`tactile_sim.SyntheticRound`.
     """
 
     picture: UInt8

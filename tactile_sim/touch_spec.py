@@ -40,7 +40,7 @@ SENSOR_NOISE = "none|calibrated|STD|FILE"
 # A round is held in memory: at 320 x 240 pixels these are 0.9 GB of images and 2.5 GB of depth.
 _MOST_TOUCHES = 4096
 _MOST_PIXELS = _MOST_TOUCHES * 320 * 240
-# Of an elastic gel, 2 GB of pressure, traction and displacement.
+# For an elastic gel, these are 2 GB of pressure, traction and displacement.
 _MOST_ELASTIC_PIXELS = _MOST_PIXELS // 8
 _MOST_ROUNDS = 1_000_000
 

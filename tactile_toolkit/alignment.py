@@ -25,7 +25,7 @@ class Neighbours:
         Number of the nearest sample, the earlier of two equally near.
     before, after : ndarray of int64, shape (n,)
         The last sample at or before a time and the first at or after it; before the first sample and after
-        the last one, both are that sample. Of samples of one time, it is the first.
+        the last one, both are that sample. If samples have the same time, it is the first of them.
     share : ndarray of float64, shape (n,)
         Where a time lies from ``before`` (0) to ``after`` (1).
     missing : ndarray of bool, shape (n,)
@@ -89,8 +89,8 @@ class Neighbours:
     def turned(self, quaternions: Floating) -> Float64:
         """Return quaternions, shape (m, 4), on the shorter turn from one to the next, shape (n, 4).
 
-        The speed of the turn is constant (slerp); the real part may come first or last. Of quaternions of
-        another length than one, the length is interpolated, so that a check of lengths still fails.
+        The angular velocity is constant (slerp); the real part may come first or last. Lengths other than one
+        are interpolated, so that a check of lengths still fails.
         """
         lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
         lengths[lengths == 0] = np.nan  # which is no turn

@@ -31,10 +31,10 @@ _planned: dict[str, list[tuple[Any, str]]] = {}  # kernels and their types, by m
 
 
 def compiled(function: F) -> F:
-    """Compile on first use; kept next to the file or in the user's cache folder, where one can be written.
+    """Compile on first use; cache the code next to the file or in the user's cache folder, if writable.
 
-    Of several processes, one compiles a function, and the others take what it has kept. A debugger sees plain
-    Python where ``NUMBA_DISABLE_JIT`` is set.
+    If several processes need a function, one compiles it and the others load the result. A debugger sees
+    plain Python if ``NUMBA_DISABLE_JIT`` is set.
     """
     jit: Any = numba.njit
     try:

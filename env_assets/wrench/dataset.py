@@ -85,11 +85,11 @@ def write_wrench(
     Parameters
     ----------
     spec : WrenchSpec
-        Its nuts.
+        Sizes of its nuts.
     out : str
         Folder to write; a folder that holds the same wrench stays as it is.
     mesh_file : path, optional
-        Write the mesh alone too, for a printer: a file with one of the endings of
+        Also write only the mesh, for a printer: a file with one of the endings of
         :data:`tactile_toolkit.mesh.FORMATS`.
     overwrite : bool
         Replace another data set of this toolkit in the folder.
@@ -158,7 +158,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         values={
             **{name: f"{value:g}" for name, value in spec.lengths().items()},
             "openings": f"{spec.opening_mm:g} mm and {spec.second_opening_mm:g} mm",
-            # Of the solid: jaws cut away the outermost points between which the specified length is measured.
+            # Measured on the solid: jaws cut away the outermost points, to which the specified length refers.
             "length_mm": f"{report.size_mm[0]:.1f}",
             "size_mm": " x ".join(f"{side:.1f}" for side in report.size_mm),
             "volume_mm3": f"{report.volume_mm3:,.0f}",

@@ -9,7 +9,7 @@ from tactile_toolkit import mesh, pictures, places
 class WrenchRecord(mesh.SolidRecord):
     """One wrench.
 
-    Frame of the mesh: origin on the axis of the handle, half way along the length, x along the handle towards
+    Frame of the mesh: origin on the axis of the handle, halfway along the length, x along the handle towards
     the first jaw, z up, lowest point at z = 0; metres.
     """
 

@@ -15,7 +15,7 @@ from tactile_toolkit.mesh import MM_PER_M, Mesh
 
 # Sides of a full circle: 0.03 mm from round at 60 mm across, less than a printer can show.
 _SEGMENTS = 96
-# Corners that matter less than this are dropped.
+# Corners that deviate less than this from a straight line are dropped.
 _TIDY_MM = 1e-3
 
 
@@ -25,12 +25,12 @@ def wrench_mesh(spec: WrenchSpec) -> Mesh:
     Parameters
     ----------
     spec : WrenchSpec
-        Its nuts.
+        Sizes of its nuts.
 
     Returns
     -------
     Mesh
-        Float32 metres. Frame: origin on the axis of the handle, half way along the length; x along the handle
+        Float32 metres. Frame: origin on the axis of the handle, halfway along the length; x along the handle
         towards the first jaw, z up, the wrench lying on z = 0. A published environment that estimates poses
         takes origin and x axis of this frame as the pose.
     """
@@ -45,7 +45,7 @@ def _outline(spec: WrenchSpec) -> list[Float64]:
     body = CrossSection.square((first_mm - second_mm, handle_mm)).translate((second_mm, -handle_mm / 2))
     for place_mm, diameter_mm in ((first_mm, lengths["head_mm"]), (second_mm, lengths["second_head_mm"])):
         body += CrossSection.circle(diameter_mm / 2, _SEGMENTS).translate((place_mm, 0.0))
-    # Grown and shrunk again: inner corners are filled with the radius.
+    # Growing and shrinking it again rounds inner corners with the radius.
     body = _grown(_grown(body, lengths["fillet_mm"]), -lengths["fillet_mm"])
     jaws = ((first_mm, spec.opening_mm, 0.0), (second_mm, spec.second_opening_mm, 180.0))
     for place_mm, opening_mm, turned_deg in jaws:
@@ -57,7 +57,7 @@ def _outline(spec: WrenchSpec) -> list[Float64]:
 
 
 def _jaw(opening_mm: float, clearance_mm: float, length_mm: float) -> CrossSection:
-    """Return the space that a nut needs: its hexagon, and the way out along x."""
+    """Return the space that a nut needs: its hexagon, and the opening of the jaw along x."""
     width_mm = opening_mm + clearance_mm
     # Not by numpy's cosine, which processors round differently: the bytes are the same on all.
     corners = width_mm / math.sqrt(3) * np.array([cosine_sine(math.tau * side / 6) for side in range(6)])
@@ -89,7 +89,7 @@ def _chamfered_plate(outline: Sequence[Float64], thickness_mm: float) -> Mesh:
     vertices_mm = np.concatenate(
         [np.insert(np.concatenate(lines), 2, z_mm, axis=1) for lines, z_mm in levels]
     )
-    # Bottom and top, and what lies between.
+    # Bottom, top and sides.
     top = np.asarray(triangulate(inner), np.int64)
     above = (len(levels) - 1) * sum(map(len, inner))
     faces = [top[:, ::-1], top + above, *_sides(outline, len(levels))]

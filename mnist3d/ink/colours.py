@@ -23,8 +23,8 @@ _SQUARE = np.ones((3, 3), bool)
 _EVEN = 16
 # Pixels that an edge is wide; ink is compared with the darkest ink so near.
 _EDGE_PX = 3
-# Of a graphic: largest difference of paper from its level, least level of paper, least share of the margin
-# that is paper, and of the picture that is paper or ink.
+# Limits for a graphic: largest difference of paper from its level, least level of paper, least share of the
+# margin that is paper, and of the picture that is paper or ink.
 _SAME, _LIGHT, _EVEN_MARGIN, _PLAIN = 8, 200, 0.95, 0.97
 # Least share of the picture that grey levels lose before colours are compared.
 _LOST = 2e-4

@@ -107,7 +107,7 @@ def solid_of_ink(sized: picture_ink.SizedInk, base_mm: float | None = None, meth
 def solid_of_sheet(pixels: UInt8, spec: SolidSpec, *, is_drawing: bool = False) -> Mesh:
     """Build the solid of a digit that a source has drawn on its sheet, dark ink on light paper.
 
-    Of a drawing, parts that are as thin as its strokes are kept, such as the dot of an i.
+    For a drawing, parts as thin as its strokes are kept, such as the dot of an i.
     """
     if is_drawing:
         spec = picture_ink.for_strokes(binarisation.ink_of_levels(pixels, spec.threshold), spec)

@@ -28,7 +28,7 @@ Pack = Callable[[store.ShardName, pa.Table, Sequence[store.Skipped]], Made]
 WriteFiles = Callable[[store.DataFolder, store.Manifest], Mapping[str, str]]
 """Writes the files that follow from all rows, and returns their checksums by path."""
 
-# Of the columns ``file`` and ``sha256`` of an index, which name up to two files for each row.
+# Prefixes of the columns ``file`` and ``sha256`` of an index, which names up to two files for each row.
 _PREFIXES = ("", "meta_")
 
 

@@ -141,7 +141,7 @@ class WritePictures:
         shown = list(touch_pictures.shown_touches(row, self.method))
         base = None
         if self.difference is not None and row.has("sensor_image") and shown:
-            # Of a round of images, once; a clip has a background of its own.
+            # A round of images shares one background; each clip has its own.
             base = contacts.background(rounds.TouchSingleRound(row))
         folder, suffix = f"{IMAGE_FOLDER}/{split}/{name}", touch.IMAGE_SUFFIX[self.kind]
         files = {f"{folder}/{each.touch:03d}.{suffix}": self._encoded(each, base) for each in shown}

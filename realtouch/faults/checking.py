@@ -23,11 +23,11 @@ from realtouch.faults.sections import PlacedRow, Section, look_at
 from tactile_toolkit import catalog, errors, places, read, run
 
 MOST_PICTURES = 1_000_000
-"""About how many pictures of a set are decoded, at an eighth of their size: a minute or two. Of an image all
-are; the frames of each clip are then chosen evenly, eight at least."""
+"""About how many pictures of a set are decoded, at an eighth of their size, which takes a minute or two. All
+single images are decoded; of each clip, at least eight evenly spaced frames."""
 
 _FEWEST_FRAMES = 8
-_FEWEST_TOUCHES = 4  # shorter rounds are looked at together with those after them
+_FEWEST_TOUCHES = 4  # shorter rounds are checked together with the ones after them
 
 
 def check(
@@ -98,7 +98,7 @@ def _sections_of(
     damaged: list[rules.Fault],
     workers: int,
 ) -> tuple[int, Iterator[Section]]:
-    """Return the number of touches, and look at all of them; rows that cannot be read are damaged."""
+    """Check all touches and return their number; rows that cannot be read count as damaged."""
     shards = [shard for each in files.values() for shard in each]
     touches = sum(int(stored_round.stored_touch_counts(shard).sum()) for shard in shards)
     frames = max(_FEWEST_FRAMES, MOST_PICTURES // max(touches, 1))
@@ -144,7 +144,7 @@ def _in_sections(rows: Iterable[PlacedRow]) -> Iterator[list[PlacedRow]]:
             yield gathered
             gathered, touches = [], 0
         gathered.append(row)
-        with suppress(errors.IntegrityError):  # a clip alone has frames enough
+        with suppress(errors.IntegrityError):  # a single clip has enough frames
             touches += _FEWEST_TOUCHES if row.stored.kind == "seq" else row.stored.touch_total()
     if gathered:
         yield gathered

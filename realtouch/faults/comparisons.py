@@ -1,4 +1,4 @@
-"""What is found by comparing sections and splits with one another."""
+"""Faults that are found by comparing sections and splits with each other."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from realtouch.faults.sections import Section
 from realtouch.touch_options import CheckLimits
 from tactile_toolkit.array_types import Float32, Float64, Int64
 
-# Names of rounds that begin with their time sort by it, as those of the published sets.
+# Rounds whose names begin with date and time, as in the published sets, are sorted by name.
 _DATED = re.compile(r"\d{4}-\d\d-\d\d[_T ]\d\d[-:]\d\d[-:]\d\d")
 
 GELSIGHT_MINI = (
@@ -30,7 +30,7 @@ contact, correlate with it by 0.82 to 0.96, and with red and blue exchanged by 0
 
 
 def all_comparisons(sections: Sequence[Section], limits: CheckLimits) -> Iterator[rules.Fault]:
-    """Yield what is wrong between sections and splits."""
+    """Yield the faults between sections, and between splits."""
     yield from _equal_pictures(sections)
     yield from _shared_objects(sections)
     yield from _swapped_channels(sections)
@@ -67,7 +67,7 @@ def _shared_objects(sections: Sequence[Section]) -> Iterator[rules.Fault]:
 def _swapped_channels(sections: Sequence[Section]) -> Iterator[rules.Fault]:
     """Yield the touches whose red and blue are exchanged.
 
-    The colours of a GelSight Mini are known; those of another sensor are compared with most of the set.
+    The colours of a GelSight Mini are known; those of another sensor are compared with the most common ones.
     """
     touches = [touch for section in sections for touch in section.touches]
     if not touches:
@@ -82,7 +82,7 @@ def _swapped_channels(sections: Sequence[Section]) -> Iterator[rules.Fault]:
     numbers = range(len(touches))
     for _, group in groupby(numbers, key=lambda number: touches[number].spot[:2]):
         of_round = np.array(list(group))
-        # Contact hides the colours of a few touches, whose round decides.
+        # Contact hides the colours of a few touches; the majority of their round decides.
         is_swapped = order[of_round] == -1
         if 2 * is_swapped.sum() > len(of_round):
             is_swapped[:] = True
@@ -93,9 +93,9 @@ def _swapped_channels(sections: Sequence[Section]) -> Iterator[rules.Fault]:
 def _gain(
     patterns: Float32, reference: Float32, least: float = rules.MIN_RESEMBLANCE
 ) -> tuple[Float64, Int64]:
-    """Return how much better patterns fit with red and blue exchanged, and how they fit.
+    """Return how much better patterns fit with red and blue exchanged, and which order of channels fits.
 
-    1 stands for as they are, -1 for exchanged, 0 for neither.
+    The order is 1 as stored, -1 with red and blue exchanged, and 0 if neither fits.
     """
     as_is = (patterns @ reference / len(reference)).astype(np.float64)
     swapped = (seen.with_red_as_blue(patterns) @ reference / len(reference)).astype(np.float64)
@@ -140,7 +140,7 @@ def _changes_of_gel(session: Sequence[Section], limits: CheckLimits) -> Iterator
     gels = np.stack([section.gel for section in session if section.gel is not None])
     rounds = [section.rounds[0].spot for section in session]
     for index, step in seen.outlying_steps(gels, limits.exposure):
-        # A step inside of a round changes its gel as well, and is named by its touch.
+        # A step inside a round also changes the average of its gel; it is reported for its touch.
         around = (fault.rule for each in session[index - 1 : index + 1] for fault in each.faults)
         if "exposure-jumps" not in around:
             yield rules.Fault("exposure-jumps", rounds[index], step)
@@ -154,7 +154,7 @@ def _changes_of_gel(session: Sequence[Section], limits: CheckLimits) -> Iterator
     if size < limits.drift:
         return
     trend = abs(float(stats.spearmanr(np.arange(len(levels)), levels[:, channel]).statistic))
-    # What changes at once is a step, not drift.
+    # A change in one step is not drift.
     largest = float(np.abs(np.diff(levels[:, channel])).max())
     if trend >= rules.TREND and largest < size / 2:
         yield from (rules.Fault("gel-drift", spot, size) for spot in rounds[-third:])

@@ -1,4 +1,4 @@
-"""The rules of a check: their thresholds, with reasons, and what they say; arrays are looked at elsewhere."""
+"""The rules of a check: thresholds with their reasons, and messages; :mod:`realtouch.faults` applies them."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ MIN_BRIGHTEST = 8.0
 """A picture whose brightest cell is darker is black, levels of 255: above the noise of a covered camera."""
 
 NOISE_FACTOR = 6.0
-"""A step counts if it is so many times the median step: a normal distribution exceeds 6 deviations once in
-500 million."""
+"""A step counts if it is at least this many times the median step: a normal distribution exceeds 6 standard
+deviations once in 500 million."""
 
 MIN_RESEMBLANCE, MIN_GAIN = 0.75, 0.4
 """Colours resemble the reference with red and blue exchanged by this correlation, and this much better than
@@ -30,19 +30,20 @@ MIN_KNOWN = 0.85
 sample without a wide contact has 0.96, and other sensors are lit from other sides."""
 
 MIN_DOTS, MOST_SPECKS, MAX_UNEVENNESS = 20, 9, 0.3
-"""A gel has markers if it shows so many dark dots (a GelSight Mini has 63), and the distances to the nearest
-ones deviate by at most this share of their mean; with at most so many dots it has none."""
+"""A gel has markers if it shows at least ``MIN_DOTS`` dark dots (a GelSight Mini has 63) and the standard
+deviation of the distances to their nearest neighbours is at most ``MAX_UNEVENNESS`` times their mean. It has
+no markers if there are at most ``MOST_SPECKS`` dots."""
 
 TREND, MIN_ROUNDS = 0.7, 5
-"""Drift is a rank correlation of brightness and order of at least this, over at least so many rounds."""
+"""Least rank correlation of brightness and order that counts as drift, and least number of rounds."""
 
 MIN_STILL, MIN_CHANGE = 5, 20.0
-"""A pose stands still over so many touches or frames, while a part of the picture changes by so many levels:
-pictures of a gel without contact change by 1 to 3."""
+"""A pose is frozen if it stays the same over at least ``MIN_STILL`` touches or frames, while a part of the
+picture changes by at least ``MIN_CHANGE`` levels: pictures of a gel without contact change by 1 to 3."""
 
 JUMP_FACTOR, MIN_TURN_DEG = 8.0, 20.0
-"""A pose jumps if the step is beyond the option, and so many times the 90th percentile of the steps; a turn
-if it is beyond this angle, and the same multiple."""
+"""A position jumps if its step exceeds the option, and ``JUMP_FACTOR`` times the 90th percentile of the
+steps; a rotation jumps if it exceeds ``MIN_TURN_DEG``, and the same multiple of its percentile."""
 
 
 class Spot(NamedTuple):
@@ -87,7 +88,7 @@ RULES: dict[str, FaultRule] = {
         "Empty arrays, and pictures without content",
         "no pictures, black ones, or {value:.0%} of the pixels with one value",
         f"at most {MAX_ONE_VALUE:.0%} of pixels with one value, and some above {MIN_BRIGHTEST:g} levels",
-        "look at the camera and its cable, and leave these touches out",
+        "check the camera and its cable, and leave these touches out",
     ),
     "frozen-frames": FaultRule(
         "Frozen frames",
@@ -159,7 +160,7 @@ RULES: dict[str, FaultRule] = {
         "Poses that jump",
         "a step of {value:.3g} times the limit",
         f"at most {{jump_mm:g}} mm and {MIN_TURN_DEG:g} degrees, or {JUMP_FACTOR:g} times most other steps",
-        "look at units, at the order of the quaternion and at lost packets of the robot",
+        "check the units, the order of the quaternion and the robot for lost packets",
     ),
     "times-run-back": FaultRule(
         "Times that are missing or run back",

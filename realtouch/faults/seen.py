@@ -1,4 +1,4 @@
-"""What pictures show at a glance: averages over cells, steps of brightness, markers, equal pictures."""
+"""Measures of pictures: averages over cells, steps of brightness, markers, runs of equal pictures."""
 
 from __future__ import annotations
 
@@ -21,14 +21,16 @@ from tactile_toolkit.touch import decode_image, decode_small
 ROWS, COLUMNS = 12, 16
 """Cells of a picture whose averages are compared: 16 x 16 mm of a GelSight Mini in cells of 1.2 mm."""
 
-_UNEVEN = 3.0  # levels; by up to 2 the cells of a constant JPEG differ
-_BLOCK_PX = 16  # of JPEG
-_PATCHES = 4  # a side of the coarse pattern that colours are recognised by
-_SAME_WAY = 10  # percent of the cells that may change the other way
-# A dot is darker than what is around it by levels, by a share of its brightness, and by deviations.
+_UNEVEN = 3.0  # levels; the cells of a constant JPEG differ by up to 2
+_BLOCK_PX = 16  # side of a block of JPEG with subsampled colours
+_PATCHES = 4  # per side of the coarse pattern by which colours are recognised
+_OTHER_WAY = 10  # percent of the cells that may change in the other direction
+# Least contrast of a dot: levels, share of the brightness around it, standard deviations of noise.
 _DOT_CONTRAST, _DOT_SHARE, _DOT_NOISE = 6.0, 0.06, 4.0
-# Dots of GelSight, DIGIT and their likes lie 1/14 to 1/8 of the width of the picture apart.
-_AROUND, _APART = 1 / 8, 1 / 24
+# Dots of GelSight, DIGIT and similar sensors are 1/14 to 1/8 of the width of the picture apart. As shares of
+# this width: the side of the surroundings of a dot, the least distance of two dots, the blur.
+_SURROUNDINGS, _APART, _BLUR = 1 / 8, 1 / 24, 1 / 320
+_DEVIATION_PER_MAD = 1.4826  # of a normal distribution: standard deviation over median absolute deviation
 
 
 def cells_of(encoded: bytes | memoryview) -> Float32:
@@ -38,10 +40,11 @@ def cells_of(encoded: bytes | memoryview) -> Float32:
 
 
 def share_of_one_value(encoded: bytes | memoryview, cells: Float32) -> float:
-    """Return which share of the pixels has one value, in the channel with least; 1 if the picture is black.
+    """Return the share of pixels that have the median value, in the channel where it is least.
 
-    Pictures whose cells differ are not looked at: their share is 0. A gel without any pattern of light has
-    noise. JPEG makes the lower and the right edge of a constant picture uneven, so that they do not count.
+    A black picture has the share 1. A picture whose cells differ has the share 0, and is not decoded in full.
+    Even a gel that is lit evenly has noise. JPEG makes the lower and the right edge of a constant picture
+    uneven, so these edges are left out.
     """
     if float(cells.max()) < MIN_BRIGHTEST:
         return 1.0
@@ -55,25 +58,30 @@ def share_of_one_value(encoded: bytes | memoryview, cells: Float32) -> float:
 
 
 def brightness_steps(cells: Float32) -> Float64:
-    """Return by how much nine tenths of each picture, or more, changed the same way, shape (n - 1,), levels.
+    """Return the least change, in levels, of nine tenths of the cells in one direction, shape (n - 1,).
 
-    ``cells`` have the shape (n, 12, 16, 3). A contact changes a part of the picture, or makes one side
+    ``cells`` have the shape (n, 12, 16, 3). A contact changes only a part of the picture, or makes one side
     brighter and the other darker; then the step is 0.
     """
     change = np.diff(cells.mean(axis=3).reshape(len(cells), -1), axis=0)
     if not len(change):
         return np.zeros(0)
-    low, high = np.percentile(change, (_SAME_WAY, 100 - _SAME_WAY), axis=1)
+    low, high = np.percentile(change, (_OTHER_WAY, 100 - _OTHER_WAY), axis=1)
     steps: Float64 = np.maximum(np.maximum(low, -high), 0.0)
     return steps
 
 
 def outlying_steps(cells: Float32, least: float) -> list[tuple[int, float]]:
-    """Return the pictures that differ from the one before, and the step; the way back is not listed."""
+    """Return the index of each picture at which the brightness jumps, and the jump in levels.
+
+    A jump of fewer than ``least`` levels does not count. A jump back to the brightness before is not listed.
+    """
     steps = brightness_steps(cells)
     if not len(steps):
         return []
-    usual_step = np.median(np.sort(steps)[:-1]) if len(steps) > 1 else 0.0  # without the one to judge
+    usual_step = 0.0
+    if len(steps) > 1:
+        usual_step = np.median(np.sort(steps)[:-1])  # without the largest, which is the one in question
     limit = max(least, NOISE_FACTOR * float(usual_step))
     found: list[tuple[int, float]] = []
     usual = 0  # the last picture before the first step
@@ -89,13 +97,13 @@ def outlying_steps(cells: Float32, least: float) -> list[tuple[int, float]]:
 
 
 def colour_pattern(cells: Float32) -> Float32:
-    """Return where which colour falls in, shape (48,), normalised."""
+    """Return the mean colours of 4 x 4 patches of a picture, normalised, shape (48,)."""
     shape = (_PATCHES, ROWS // _PATCHES, _PATCHES, COLUMNS // _PATCHES, 3)
     return normalised(cells.reshape(shape).mean(axis=(1, 3)).ravel())
 
 
 def normalised(pattern: Floating) -> Float32:
-    """Return a pattern less its mean, over its standard deviation; zeros if that is 0."""
+    """Subtract the mean of a pattern and divide by its standard deviation; zeros for a constant pattern."""
     deviation = float(pattern.std()) or 1.0
     found: Float32 = ((pattern - pattern.mean()) / deviation).astype(np.float32)
     return found
@@ -109,15 +117,17 @@ def with_red_as_blue(patterns: Float32) -> Float32:
 def count_markers(background: UInt8) -> int | None:
     """Return the number of dots of a marker gel, 0 if it has none, None if that is uncertain.
 
-    Dots are local minima of brightness, clearly darker than what is around them, at even distances.
+    Dots are local minima of brightness, clearly darker than their surroundings, at even distances.
     """
     grey = background.mean(axis=2, dtype=np.float64)
-    around = ndimage.uniform_filter(grey, max(3, round(grey.shape[1] * _AROUND)))
-    # The centre of a dot of several equal pixels is one pixel after a little blur.
-    darkness = ndimage.gaussian_filter(around - grey, grey.shape[1] / 320)
-    noise = 1.4826 * np.median(np.abs(darkness - np.median(darkness)))  # dots cover less than half
+    width_px = grey.shape[1]
+    around = ndimage.uniform_filter(grey, max(3, round(width_px * _SURROUNDINGS)))
+    # Blur gives a dot of several equal pixels a single darkest pixel.
+    darkness = ndimage.gaussian_filter(around - grey, width_px * _BLUR)
+    # The median ignores dots, which cover less than half of the picture.
+    noise = _DEVIATION_PER_MAD * np.median(np.abs(darkness - np.median(darkness)))
     least = np.maximum(np.maximum(_DOT_CONTRAST, _DOT_NOISE * noise), _DOT_SHARE * around)
-    peaks = darkness == ndimage.maximum_filter(darkness, max(3, round(grey.shape[1] * _APART)))
+    peaks = darkness == ndimage.maximum_filter(darkness, max(3, round(width_px * _APART)))
     dots = np.argwhere(peaks & (darkness > least))
     if len(dots) <= MOST_SPECKS:
         return 0
@@ -130,7 +140,7 @@ def count_markers(background: UInt8) -> int | None:
 
 
 def spans_of(same: Sequence[bool] | Bool, least: int) -> list[tuple[int, int]]:
-    """Return start and length of each run of at least ``least`` entries that equal their predecessor.
+    """Return start and length of each run of at least ``least`` equal entries.
 
     ``same``, shape (n - 1,), states whether entry i + 1 equals entry i.
     """

@@ -212,7 +212,7 @@ def _convolve(
 
 
 def _multiplication(matrix: Tensor, rows: int) -> _Multiply:
-    """Return a function that multiplies rows, usually so many, by a matrix (out, in), in its precision."""
+    """Return a function that multiplies rows, usually this many, by a matrix (out, in), in its precision."""
     operations, dtype = torch.ops.mkldnn, matrix.dtype
     if torch.backends.mkldnn.is_available() and hasattr(operations, "_linear_pointwise"):
         # PyTorch's compiler uses these. On AMD processors they are twice as fast as torch.mm.

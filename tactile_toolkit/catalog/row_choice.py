@@ -70,10 +70,9 @@ def choose_rows(
     """Choose rows of splits, each with its name; return those with their positions, in order.
 
     The object of a row must have one of these ``ids`` and one of these classes. A pair of ids means all
-    numbers from its first to its last; a text is also the id of a row, such as a round of touches. Of these
-    rows, the first ``per_class`` of each class are taken, and
-    then the first ``limit`` of each split. Raises InputError if an id, a range or a class matches no row, or
-    no row is left.
+    numbers from its first to its last; a text is also the id of a row, such as a round of touches. Among
+    these rows, the first ``per_class`` of each class are taken, then the first ``limit`` of each split.
+    Raises InputError if an id, a range or a class matches no row, or no row is left.
     """
     asked = list(ids or ())
     seen, found = np.zeros(len(asked), bool), []
@@ -104,7 +103,7 @@ def choose_rows(
             what = f"an id from {absent[0][0]} to {absent[0][1]}"
         raise InputError(
             f"no object with {what} in what was chosen",
-            next="look at the ids of the split, or name another --split",
+            next="check the ids of the split, or name another --split",
         )
     if not any(len(chosen) for _, _, chosen in found):
         raise InputError(

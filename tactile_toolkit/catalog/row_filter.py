@@ -47,7 +47,7 @@ class PreviewSpec(RowFilter):
 
     Without ``kinds`` a sheet is drawn; without ``split`` all splits; without ``ids`` the first ``per_class``
     rows of each class on a sheet, or the first row in a single picture. With ``labels`` only rows of these
-    classes are taken. Of all these, the first ``limit`` of each split.
+    classes are taken. Finally, the first ``limit`` of each split are taken.
     """
 
     per_class: int = integer(10, 1, help="Objects of each class on a sheet.")

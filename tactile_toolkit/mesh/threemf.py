@@ -104,7 +104,7 @@ class _Package:
         self._units: dict[str, str] = {}
         self._namespaces: dict[str | None, str] = {}
         self._target = ""
-        # Of objects of the root model: the kind of a component, by its id, or of a range of triangles.
+        # For objects of the root model: the kind of a component by its id, and of ranges of triangles.
         self._parts: dict[tuple[str, str], str] = {}
         self._ranges: dict[str, list[tuple[int, int, str]]] = {}
         entries = {_plain(each.filename): each for each in archive.infolist()}

@@ -146,8 +146,8 @@ class DataFolder(Protocol):
     def create_bytes(self, path: str, content: bytes) -> None:
         """Write a file in one step unless there is one of that name; raises as :meth:`write`.
 
-        Of several writers at once, on any machines, one wins (in stores, where they know conditional writes;
-        S3 and gs do).
+        If several writers create it at once, on any machines, one wins; in a store, this requires conditional
+        writes, as S3 and gs have them.
         """
 
     @abstractmethod

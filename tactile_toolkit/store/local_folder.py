@@ -37,9 +37,9 @@ T = TypeVar("T")
 _COPY_BYTES = 1 << 20
 # Characters of the longest usual path in a data set folder, such as that of a report of a shard in `.next`.
 _LONGEST_INSIDE = 100
-# Windows says of a path beyond MAX_PATH (260 characters) that its folder does not exist, or that it is long.
+# For a path longer than MAX_PATH (260 characters), Windows reports a missing folder or a long name.
 _TOO_LONG = (3, 206)
-# Of a path that is not known to exist: all other errors mean that there is no such file.
+# Errors that are reported when a file is looked up; all others mean that there is no such file.
 _REFUSALS = (errno.EACCES, errno.EPERM, errno.ENAMETOOLONG)
 
 
@@ -155,7 +155,7 @@ class LocalFolder(DataFolder):
         self.write(path, lambda stream: stream.write(content))
 
     def create_bytes(self, path: str, content: bytes) -> None:
-        """Write a file in one step unless there is one of that name; of several writers, one wins."""
+        """Write a file in one step unless there is one of that name; if several try, one of them wins."""
 
         def link(temporary: Path, target: Path) -> None:
             try:

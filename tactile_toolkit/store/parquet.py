@@ -118,7 +118,7 @@ def _write(
         column_encoding=encodings or None,
         write_statistics=others,
         data_page_size=_PAGE_BYTES if style.values_per_page is None else _SMALL_PAGE_BYTES,
-        write_batch_size=style.values_per_page,  # after so many values Arrow looks whether the page is full
+        write_batch_size=style.values_per_page,  # Arrow checks after these whether the page is full
         use_content_defined_chunking=style.chunks_by_content and _CONTENT_CHUNKS,
         write_page_index=style.page_index,
         write_page_checksum=True,

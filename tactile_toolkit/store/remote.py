@@ -36,9 +36,9 @@ LEAST_BYTES_PER_S = 10_000
 
 _READ_AHEAD_BYTES = 1 << 20
 _WAITS_S = (0.5, 1.0, 2.0, 4.0, 8.0)
-# Longest time after which a store is asked again: it may fail to answer twice.
+# No request is repeated after this time, which allows two requests without an answer.
 _PATIENCE_S = 45.0
-# Of the client of S3: retries are made here, within one time limit.
+# Limits of the S3 client, without retries: they are made here, within one time limit.
 _LIMITS = {"connect_timeout": 5, "read_timeout": 20, "retries": {"total_max_attempts": 1}}
 # The client of each kind of store with buckets.
 _PACKAGES = {"s3": "s3fs", "gs": "gcsfs", "abfs": "adlfs", "az": "adlfs"}

@@ -75,7 +75,7 @@ class ShardName(msgspec.Struct, frozen=True, order=True):
 
 
 def rows_per_shard(rows: int, usual: int) -> int:
-    """Return the size of the shards of a split with so many rows.
+    """Return the size of the shards of a split with this many rows.
 
     It is ``usual`` up to 8,192 shards. Larger splits have larger shards, twice the size for every factor of
     four, because each shard costs a request and a record.
