@@ -1,4 +1,4 @@
-"""``mnist3d``: make, check and look into data sets of printable 3D digits."""
+"""``mnist3d``: make, check and inspect data sets of printable 3D digits."""
 
 from __future__ import annotations
 

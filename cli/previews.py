@@ -60,7 +60,7 @@ def preview_touches(
     pictures: Pictures,
     sink: output.Sink,
 ) -> None:
-    """Write pictures of touches as PNG, without a screen; a grid alone goes to touches.png.
+    """Write pictures of touches as PNG, without a screen; a single grid is written to touches.png.
 
     Examples: realtouch preview real-single-64x64 --round 3 --out round.png;
     realtouch preview real-seq --kind all

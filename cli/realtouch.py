@@ -1,4 +1,4 @@
-"""``realtouch``: look into, check and convert data sets of real touches."""
+"""``realtouch``: inspect, check and convert data sets of real touches."""
 
 from __future__ import annotations
 

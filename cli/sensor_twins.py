@@ -82,7 +82,7 @@ def _facts(model: SensorModel) -> dict[str, str]:
 def check(
     *,
     sensor: Path = argument("MODEL", "Folder that `tactile-sim calibrate` wrote.", read=local_place),
-    source: str = argument("SET", "Touches of today: a data set, or a folder of images."),
+    source: str = argument("SET", "Recent touches: a data set, or a folder of images."),
     sink: Sink,
 ) -> None:
     """Find out whether a sensor has changed since it was calibrated.

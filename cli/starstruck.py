@@ -1,4 +1,4 @@
-"""``starstruck``: make, check and look into data sets of scenes of stars among other objects."""
+"""``starstruck``: make, check and inspect data sets of scenes of stars among other objects."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Clips: AVIs of JPEG frames, found through the index, so that one frame costs one JPEG.
 
 Of AVIs only what the clips of touches use is read: RIFF with a video stream of MJPEG frames and an ``idx1``
-index. Each frame stands alone. The layout is that of Microsoft's AVI RIFF file reference.
+index. Each frame is independent. The layout is that of Microsoft's AVI RIFF file reference.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _ENTRY_BYTES = 16  # name of the chunk, flags, offset, size
 
 
 class Avi:
-    """An AVI of MJPEG frames, opened by its index; each frame is found alone.
+    """An AVI of MJPEG frames, opened by its index; frames are found one by one.
 
     Opening raises ValueError for another container or codec; where the file is cut short, exceeds
     :data:`MAX_CLIP_FRAMES`, or has no index; and where that leads out of it or does not follow the stream.
@@ -57,7 +57,7 @@ class Avi:
                 )
             if name == b"LIST" and size >= 4:
                 name, start, size = bytes(data[start : start + 4]), start + 4, size - 4
-                if name in (b"hdrl", b"strl"):  # what is in these is looked at next
+                if name in (b"hdrl", b"strl"):  # continue with their content
                     position, number = start, number + (name == b"strl")
             elif name == b"strh" and stream is None and size >= STREAM_HEADER.size:
                 kind, codec, scale, rate = STREAM_HEADER.unpack_from(data, start)
@@ -132,7 +132,7 @@ def write_avi(frames: Sequence[bytes], width: int, height: int, fps: float) -> b
     # So that 30000/1001, the rate of NTSC, comes back exactly.
     rate = Fraction(fps).limit_denominator(1001)
     largest = max(map(len, frames), default=0)
-    # 0x10 says in the header that there is an index, and in the index that a frame stands alone.
+    # 0x10 says in the header that there is an index, and in the index that a frame is independent.
     main = struct.pack(
         "<14I", round(1e6 / fps), 0, 0, 0x10, len(frames), 0, 1, largest, width, height, 0, 0, 0, 0
     )

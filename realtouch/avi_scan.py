@@ -1,6 +1,6 @@
 """The JPEGs of any AVI, found by the headers of its chunks.
 
-No index is used: recorders leave it out, and it may be wrong. The layout is that of Microsoft's AVI RIFF file
+The index is not used: some recorders leave it out, and it may be wrong. Layout: Microsoft's AVI RIFF file
 reference and of the OpenDML AVI file format extensions, by which files over 1 GB have several RIFF parts.
 """
 
@@ -20,36 +20,36 @@ _CHUNK = struct.Struct("<4sI")
 _CHUNK_BYTES = 8
 _OPENED_LISTS = (b"AVI ", b"AVIX", b"hdrl", b"strl", b"movi", b"rec ")
 _JPEG_CODECS = (b"MJPG", b"JPEG")
-_CODEC_OF_PICTURES = slice(16, 20)  # in the header that follows
+_FORMAT_CODEC = slice(16, 20)  # biCompression in the stream format `strf`, a BITMAPINFOHEADER
 
 
 class AviPictures:
-    """Where the JPEGs of an AVI lie.
+    """Positions and sizes of the JPEGs of an AVI.
 
-    Reads headers alone. The lists of a file that was not closed state no size, or reach beyond its end: then
-    the whole pictures before its end are taken.
+    Only headers are read. If a file was not closed, the sizes of its lists are 0, or reach beyond its end;
+    then all complete pictures are taken.
 
     Parameters
     ----------
     read : callable
-        Takes a position and a number of bytes; returns these, or those before the end of the file.
+        Function of a position and a number of bytes; returns these bytes, fewer at the end of the file.
     end : int
-        Bytes of the file.
+        Size of the file, bytes.
     most : int
-        Most pictures.
+        Greatest number of pictures.
 
     Attributes
     ----------
     starts, sizes : ndarray of int64, shape (n,)
-        Position in the file and bytes of each JPEG.
+        Position in the file and size of each JPEG, bytes.
     slots : ndarray of int64, shape (n,)
         Time of each, in periods; a picture that was dropped or repeated takes a period, but no bytes.
     period_s : Fraction
-        Seconds; 0 if the file states none.
+        Time between pictures, seconds; 0 if the file does not state it.
     is_jpeg : bool
-        Whether its pictures are JPEGs; if not, none are found.
+        Whether the pictures are JPEGs; if not, the arrays are empty.
     is_cut : bool
-        Whether the file ends in the middle, as that of a recorder that was killed.
+        Whether the file is truncated, for example because the recorder was killed.
 
     Raises
     ------
@@ -58,9 +58,13 @@ class AviPictures:
     """
 
     def __init__(self, read: Callable[[int, int], bytes | memoryview], end: int, most: int) -> None:
-        self._read, self._streams, self._names = read, 0, (b"", b"")
-        self.period_s, self.is_jpeg, self.is_cut = Fraction(0), False, False
-        places, position, riff_end, slot = array("q"), 0, end, 0
+        self._read = read
+        self._streams = 0
+        self._names = (b"", b"")
+        self.period_s = Fraction(0)
+        self.is_jpeg = self.is_cut = False
+        places = array("q")
+        position, riff_end, slot = 0, end, 0
         while position + _CHUNK_BYTES <= end:
             name, size = _CHUNK.unpack(read(position, _CHUNK_BYTES))
             start = position + _CHUNK_BYTES
@@ -75,17 +79,19 @@ class AviPictures:
                     break
                 raise ValueError(
                     f"an AVI that is damaged at byte {start - _CHUNK_BYTES:,}, after {slot:,} pictures; "
-                    "expected a chunk inside of the file"
+                    "expected a chunk inside the file"
                 )
             elif name in self._names:
                 if size:
                     places.extend((start, size, slot))
                 slot += 1
                 if slot > most:
-                    raise ValueError(f"an AVI of more than {most:,} pictures; the limit is that")
+                    raise ValueError(f"an AVI of more than {most:,} pictures, which is the limit")
             elif name in (b"strh", b"strf"):
                 self._read_header(name, bytes(read(start, min(size, STREAM_HEADER.size))))
-        found = np.frombuffer(places, np.int64).reshape(-1, 3)[: len(places) * self.is_jpeg]
+        found = np.frombuffer(places, np.int64).reshape(-1, 3)
+        if not self.is_jpeg:
+            found = found[:0]
         self.starts: Int64 = found[:, 0].copy()
         self.sizes: Int64 = found[:, 1].copy()
         self.slots: Int64 = found[:, 2].copy()
@@ -94,12 +100,16 @@ class AviPictures:
         return len(self.sizes)
 
     def _read_header(self, name: bytes, header: bytes) -> None:
-        """Read what is stated of a stream; its chunks are named by its number, compressed or plain."""
-        number = self._streams - (name == b"strf")
+        """Read the header (``strh``) or the format (``strf``) of a stream.
+
+        Chunks are named by the number of their stream and ``dc`` (compressed) or ``db`` (plain pictures).
+        """
+        if name == b"strh":
+            self._streams += 1
+        number = self._streams - 1
         names = (b"%02ddc" % number, b"%02ddb" % number)
-        self._streams += name == b"strh"
         if name == b"strf" and names == self._names:
-            self.is_jpeg |= header[_CODEC_OF_PICTURES].upper() in _JPEG_CODECS
+            self.is_jpeg |= header[_FORMAT_CODEC].upper() in _JPEG_CODECS
         elif name == b"strh" and header[:4] == b"vids" and len(header) == STREAM_HEADER.size:
             if self._names[0]:
                 raise ValueError("an AVI of several streams of pictures; expected one")

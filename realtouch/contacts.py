@@ -19,7 +19,7 @@ _BATCH_BYTES = 64 << 20
 BY_IMAGE = "the picture differs from the background (`contacts_by_image`); there are no poses"
 """The rule by which touches of sets without poses count as contact; part of a sentence."""
 
-_MOST_SHARED = 256  # images; their median is the background of images that are alone in their rounds
+_MOST_SHARED = 256  # images; their median is the background of images that are the only ones of their rounds
 
 
 def background(pictures: object) -> UInt8:

@@ -232,9 +232,9 @@ class TouchSeqRound(TouchRound):
         method : str
             See :meth:`realtouch.TouchClip.contact_index`.
         threads : int, optional
-            How many clips to look into at a time; as many as there are processor cores, up to 4, by default.
+            Number of clips that are decoded at a time; by default the number of processor cores, at most 4.
         out : ndarray, shape (T, H, W, 3), uint8, optional
-            Where to put them.
+            Array to write them to.
 
         Returns
         -------

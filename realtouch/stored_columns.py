@@ -25,7 +25,7 @@ _NEXT = "run `realtouch verify` to list everything that is wrong, then download 
 
 _FIELD = re.compile(r"field '([^']+)': (.*)")
 
-# The first of these that is there says how many touches a round has; poses only where they were read alone.
+# The first of these that exists gives the number of touches; poses only if no other column was read.
 _COUNTED = (
     "pos_in_cell",
     "sensor_image",
@@ -149,7 +149,7 @@ class StoredColumns(Row):
             raise self.missing_column(name) from error
 
     def touch_total(self) -> int:
-        """Return T: the number of intended positions, or else of images or clips, or of poses read alone."""
+        """Return T: the number of intended positions, else of images or clips, else of poses."""
         # Cached for a block of rows, as it is used for each touch.
         name = next(filter(self.has, _COUNTED), _COUNTED[0])
         starts = self.group.once("starts of touches", lambda: self.column_of(name).levels[0])
@@ -187,13 +187,13 @@ class StoredColumns(Row):
             raise self.damaged(name, problem.format(*(each[wrong] for each in found)), (touch or 0) + wrong)
 
     def per_touch(self, name: str, touch: int | None = None) -> AnyArray:
-        """Return one value per touch, shape (T,), or one alone, (1,); IntegrityError unless there are T."""
+        """Return one value per touch, (T,), or that of ``touch``, (1,); IntegrityError unless there are T."""
         column, start, stop = self.entries_of(name, touch)
         values: AnyArray = column.values[start:stop]
         return values
 
     def vectors(self, name: str, width: int, touch: int | None = None) -> Floating:
-        """Return one vector per touch, shape (T, width), or that of one alone, (1, width), a view.
+        """Return one vector per touch, shape (T, width), or that of ``touch``, (1, width), a view.
 
         Raises IntegrityError for other numbers of values.
         """
@@ -241,7 +241,7 @@ class StoredColumns(Row):
         return int(frames)
 
     def cut(self, name: str, width: int, touch: int | None = None) -> tuple[AnyArray, ...]:
-        """Return a sequence per touch, or of one alone, cut to the length of its clip: shapes (N_i, width).
+        """Return a sequence per touch, or that of ``touch``, cut to the length of its clip, (N_i, width).
 
         A width of 0 means scalars, and shapes (N_i,). Raises IntegrityError when there are not T sequences,
         one is too short, or entries are not ``width`` values each.

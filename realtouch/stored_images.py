@@ -52,7 +52,7 @@ def image_column(images: Sequence[bytes | memoryview], names: Sequence[str]) -> 
 
 
 def as_jpeg(image: bytes | memoryview) -> bytes:
-    """Return an image for readers that know JPEG alone: as it is, or encoded again."""
+    """Return an image for readers that only know JPEG: unchanged, or encoded again."""
     return bytes(image) if is_jpeg(image) else encode_image(decode_image(image))
 
 

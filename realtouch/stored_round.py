@@ -52,7 +52,7 @@ class StoredRound(stored_columns.StoredColumns):
         return tuple(_as_timedelta(times) for times in self.cut("time_stamp_rel_seq", 0))
 
     def stamps_s(self, touch: int | None = None) -> list[Float64] | None:
-        """Return the time stamps of each touch, or of one alone: shapes (N_i,), float64, seconds.
+        """Return the time stamps of each touch, or of ``touch``: shapes (N_i,), float64, seconds.
 
         None if the data set stores none. Raises IntegrityError for stamps that are missing or run backwards.
         """
@@ -78,7 +78,7 @@ class StoredRound(stored_columns.StoredColumns):
         return times
 
     def times_of_touches(self, touch: int | None = None) -> tuple[Float64, Float64]:
-        """Return the times of first and last contact of all touches, (T,), or of one alone, (1,), seconds.
+        """Return the times of first and last contact of all touches, (T,), or of ``touch``, (1,), seconds.
 
         Raises IntegrityError when a time is missing, or the end lies before the start.
         """
@@ -100,7 +100,7 @@ class StoredRound(stored_columns.StoredColumns):
         return blob
 
     def poses(self, touch: int | None = None) -> Poses:
-        """Return the pose of the gel in each touch of a ``single`` round, T poses, or that of one alone.
+        """Return the pose of the gel in each touch of a ``single`` round, T poses, or that of ``touch``.
 
         Raises IntegrityError, which names the touch, for a position or quaternion that is missing, not finite
         or of length zero.
@@ -128,7 +128,7 @@ class StoredRound(stored_columns.StoredColumns):
         return PoseSequences(positions, quaternions)
 
     def contact_z_m(self, kind: Kind, touch: int | None = None) -> Float64:
-        """Return the height of the gel at the deepest press of each touch, shape (T,), or of one alone, (1,).
+        """Return the height of the gel at the deepest press of each touch, shape (T,), or of ``touch``, (1,).
 
         Metres, cell frame; of a ``single`` round, that is the height of its one pose per touch. Raises
         IntegrityError, which names the touch, for a height that is missing or not finite.

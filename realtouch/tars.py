@@ -29,7 +29,7 @@ class _Header(tarfile.TarInfo):
 
 
 def files_of_tar(stream: IO[bytes], size: int) -> Iterator[tarfile.TarInfo]:
-    """Yield the header of each file in a tar of ``size`` bytes; its content lies inside of the tar.
+    """Yield the header of each file in a tar of ``size`` bytes; its content is inside the tar.
 
     Raises tarfile.ReadError, which names the member, for a damaged or inconsistent header and for a
     truncated tar.

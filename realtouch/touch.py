@@ -136,7 +136,7 @@ class Touch:
         return self.round.sensor_video[self._index_in_row]
 
     def _alone(self) -> Touch:
-        """Return the touch with a copy of its own bytes alone."""
+        """Return the touch with a copy of its own bytes only."""
         return Touch(self.round.with_touches([self._index_in_row]), self.touch_index, 0)
 
     def __eq__(self, other: object) -> bool:
@@ -154,7 +154,7 @@ class Touch:
         return hash((self.touch_index, self.round))
 
     def __reduce__(self) -> tuple[object, ...]:
-        # A round of clips has some 50 MB; between processes a touch takes its own bytes alone.
+        # A round of clips takes about 50 MB; a touch is pickled with its own bytes only.
         alone = self._alone()
         return (Touch, (alone.round, alone.touch_index, 0))
 

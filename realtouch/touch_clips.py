@@ -304,7 +304,7 @@ class SensorClips(Sequence[TouchClip]):
 
 
 def contact_windows(row: stored_round.StoredRound, touch: int | None = None) -> list[slice]:
-    """Return the frames of contact of every clip of a round, or of one alone: see :func:`contact_window`.
+    """Return the frames of contact of every clip of a round, or of ``touch``: see :func:`contact_window`.
 
     Opens clips only where the times of frames are not stored. Raises IntegrityError when times are missing or
     impossible.

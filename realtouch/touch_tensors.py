@@ -53,7 +53,7 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
     """A map-style data set of touches.
 
     Item i is ``(image, target)``: a ``tv_tensors.Image`` (3, H, W) uint8, or a ``tv_tensors.Video``
-    (N, 3, H, W) uint8 of a ``seq`` set; without a target it is the image alone.
+    (N, 3, H, W) uint8 of a ``seq`` set; without a target it is only the image.
 
     Parameters
     ----------

@@ -127,7 +127,7 @@ def check_boxes(stream: IO[bytes]) -> bool:
                 f"the limit is {limit:,}",
                 next="leave its sound out, or cut it into shorter ones",
             )
-    raise errors.ItemError("length", f"a video of more than {_MOST_BOXES:,} boxes; the limit is that")
+    raise errors.ItemError("length", f"a video of more than {_MOST_BOXES:,} boxes, which is the limit")
 
 
 ReadPictures = Callable[[IO[bytes], Iterable[int]], Iterator[bytes | errors.ItemError]]

@@ -10,21 +10,20 @@ from tactile_toolkit import catalog, checked_fields, parsed_text
 from tactile_toolkit.errors import InputError
 
 _BETWEEN_SHAPES = re.compile(r",(?![^(]*\))")  # a comma within brackets belongs to a shape
-# Between 3 tips, notches at half the radius, as published, lie on straight sides.
+# With 3 tips, the published inner ratio of 0.5 gives straight sides: a triangle, not a star.
 _FEWEST_POINTS, _RATIO_OF_FEWEST = 3, 0.25
 
 
 def _counts(option: str, words: str) -> tuple[int, ...]:
     """Read a range such as ``1-3``, or numbers such as ``1,2,5``."""
     least, _, most = (part.strip() for part in words.partition("-"))
-    # Bounded before a tuple of the range is made; `SceneSpec` checks the rest.
+    # The range is bounded before it becomes a tuple; `SceneSpec` checks the rest.
     if parsed_text.is_count(least) and parsed_text.is_count(most) and int(least) <= int(most) < 10_000:
         return tuple(range(int(least), int(most) + 1))
-    if not all(
-        map(parsed_text.is_count, parsed_text.comma_separated(words))
-    ) or not parsed_text.comma_separated(words):
+    numbers = parsed_text.comma_separated(words)
+    if not numbers or not all(map(parsed_text.is_count, numbers)):
         raise InputError(f"{option} is {words!r}; expected a range such as 1-3, or numbers such as 1,2,5")
-    return tuple(map(int, parsed_text.comma_separated(words)))
+    return tuple(map(int, numbers))
 
 
 def _lengths_m(option: str, words: str, most: int) -> tuple[float, ...]:

@@ -71,7 +71,7 @@ class Camera:
             return images[..., None]
         width, height = self._size
         found = np.empty((len(bases), height, width, self.channels), np.float32)
-        # All touches of the plate alone with one map behind share an image.
+        # Touches that meet only the plate share an image for each map behind them.
         for base in np.unique(bases[touches.is_bare]).tolist():
             found[touches.is_bare & (bases == base)] = self._bare_picture(base)
         touched = np.flatnonzero(~touches.is_bare)
@@ -80,7 +80,7 @@ class Camera:
         return found
 
     def _bare_picture(self, base: int) -> Float32:
-        """Return the image of the plate alone, in front of a map."""
+        """Return the image of a touch that meets only the plate, in front of a map."""
         if base not in self._bare:
             width, height = self.sensor.size_px
             # The plate is pressed in evenly.

@@ -36,9 +36,10 @@ GELSIGHT_M = (0.032, 0.028)
 C = TypeVar("C", bound="EpisodeConfig")
 
 _MOST_ENVS, _MOST_THREADS = 1 << 20, 1024
-# Colours and depth of a pixel, float32.
+# Three colours and depth of a pixel, float32.
 _PIXEL_BYTES = 16
 _MOST_IMAGE_BYTES = 32 << 30
+# tactile-mnist 0.13.0, CELL_PADDING: a gap, half the sensor, half the border between cells.
 _PADDING_M = (0.003 + GELSIGHT_M[0] / 2 + 0.0025, 0.003 + GELSIGHT_M[1] / 2 + 0.0025)
 
 
@@ -62,7 +63,7 @@ class EpisodeConfig:
     sensor_output_size : tuple of int
         Width and height of the images, pixels.
     network_device : "cpu", "cuda" or "auto"
-        Where networks compute images.
+        Device on which networks compute images.
     network_bfloat16 : bool
         Whether networks multiply in bfloat16: faster, and a level may differ.
     randomize_initial_sensor_pose : bool
@@ -116,7 +117,10 @@ class EpisodeConfig:
         return {"device": self.network_device, "bfloat16": self.network_bfloat16}
 
     def longest_way(self, velocity: float, acceleration: float) -> float:
-        """Return the greatest distance from one touch to the next; in the units of the velocity."""
+        """Return the greatest distance between touches, in the unit of the velocity.
+
+        The speed has a trapezoidal profile: constant acceleration, constant velocity, constant braking.
+        """
         half_s = self.transfer_timedelta_s / 2
         ramp_s = min(velocity / acceleration, half_s)
         return (half_s - ramp_s) * velocity + 0.5 * acceleration * ramp_s**2
@@ -148,18 +152,18 @@ class Config(EpisodeConfig):
         ``press_m`` of :class:`tactile_sim.Sensor`, those of ``sensor_model`` by default. The published
         environments have no such settings.
     elastic_gel : tactile_sim.Gel, str, path or mapping, optional
-        A gel that gives way: also ``"elastic"``, a JSON file, or a mapping with values of attributes of
-        :class:`tactile_sim.Gel`. Images then show its surface, and ``force`` is observed: that of the object
-        on the gel, newtons, x, y, z in the frame of the sensor, z as it is pressed in. Each touch is solved,
-        which takes far longer than the rest of a step.
+        An elastic gel: a :class:`tactile_sim.Gel`, ``"elastic"``, a JSON file, or a mapping with its
+        attributes. Images then show its surface, and observations have ``force``: the force of the object on
+        the gel, newtons, x, y, z in the frame of the sensor, z in the direction in which it is pressed in.
+        Solving the contact takes far longer than the rest of a step.
     press_force : float, optional
-        Normal force at which the sensor stops on an elastic gel, newtons, but at half of its thickness at
-        the latest; without it, it stops where the highest point is ``gel_thickness`` less
-        ``penetration_depth`` deep.
+        Normal force at which the sensor stops on an elastic gel, newtons; it presses at most to half
+        of the thickness. Without a force, it stops where the highest point is pressed in by ``gel_thickness``
+        less ``penetration_depth``.
     penetration_depth_reduction_std : float
-        Standard deviation of how much higher than it is the sensor is observed, metres.
+        Standard deviation of the normal number whose magnitude is added to the observed height, metres.
     max_platform_penetration : float, optional
-        How deep the plate presses into the gel at most, metres.
+        Greatest depth to which the plate presses into the gel, metres.
     sensor_noise : tactile_sim.SensorNoise, str, path or mapping, optional
         Noise of a real sensor on the images; also ``"calibrated"``, ``"none"``, a JSON file, or a mapping
         with a value for each attribute of :class:`tactile_sim.SensorNoise`.
@@ -171,7 +175,7 @@ class Config(EpisodeConfig):
         estimated once, which takes about a second, and kept in the cache folder. The published environments
         choose another one of the whole data set for each touch.
     snap_touch_positions : int, optional
-        Number of random places, of which the sensor goes to the nearest instead of its target.
+        Number of random positions; the sensor goes to the one nearest to its target.
     depth_in_info : bool
         Whether to give ``info["depth"]``, metres, float32, which takes as much memory as an image. The
         published environments have no such setting, and always give it.
@@ -215,7 +219,7 @@ class Config(EpisodeConfig):
             )
 
     def _take_sensor(self) -> None:
-        """Resolve the sensor, and take its gel where none was given; InputError if it lacks the images."""
+        """Resolve the sensor, and take its gel if no gel was given; InputError if it lacks the optics."""
         model = checked_sensor(self.sensor_model)
         object.__setattr__(self, "sensor_model", model)
         if model == GELSIGHT_MINI:
@@ -290,9 +294,9 @@ class RecordedConfig(EpisodeConfig):
     Attributes
     ----------
     recalibrate_sensor_z : bool
-        Whether heights of a round count from its lowest touch, which met the plate.
+        Whether heights of a round are relative to its lowest touch, which met the plate.
     approx_truncation_probability : float
-        About how probable it is that an episode ends before its last step, because no touch is left.
+        Approximate probability that an episode ends before its last step because no touch is left.
     """
 
     sensor_type: str = checked_fields.choice(DIRECT, (*SENSORS, DIRECT))
@@ -330,7 +334,7 @@ def configured(config: C, changes: Options | EpisodeConfig | None) -> C:
 def checked_counts(config: EpisodeConfig, num_envs: object, threads: object) -> tuple[int, int]:
     """Return the number of environments and of threads as integers.
 
-    InputError for anything else, for too many, and for images that no memory holds.
+    InputError for other types, for numbers that are too large, and for images of more than 32 GiB.
     """
     count = checked_fields.checked_integer(num_envs, "num_envs", 1, _MOST_ENVS)
     width, height = config.sensor_output_size

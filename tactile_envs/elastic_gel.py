@@ -58,6 +58,6 @@ class ElasticGel:
             depth_image(depths_m, self._shown),
             depths_m.astype(np.float32),
             np.clip(share, -1.0, 1.0).astype(np.float32),
-            np.zeros(count, np.bool_),  # the plate alone has no image of its own
+            np.zeros(count, np.bool_),  # an elastic gel is solved for touches of the plate, too
         )
         return readings, forces_n

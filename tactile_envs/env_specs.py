@@ -34,7 +34,7 @@ class EnvSpec:
     """The environment of an id.
 
     ``frame`` is what a pose refers to: the model's own axes (position and direction) or its centre of mass
-    (position alone). ``sparse``: the prediction counts at the end of an episode only.
+    (position only). ``sparse``: the prediction counts at the end of an episode only.
     """
 
     task: Task

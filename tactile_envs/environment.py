@@ -42,7 +42,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
     autoreset_mode : gymnasium.vector.AutoresetMode
         When the next episode of an environment begins: in the step after the last touch, whatever its action
         (``NEXT_STEP``); in the step of the last touch (``SAME_STEP``), whose info then holds the observations
-        and infos of all environments before that as ``final_obs`` and ``final_info``; or by a reset alone
+        and infos of all environments before that as ``final_obs`` and ``final_info``; or only by a reset
         (``DISABLED``).
 
     Attributes
@@ -214,7 +214,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         if np.isnan(score.loss).any():
             raise InputError(
                 "predictions hold NaN, or infinite values that have no loss: nothing was done",
-                next="look at the learning rate, and at what the network is given",
+                next="check the learning rate and the input of the network",
             )
         costs = self._advance(moves, score)
         self._predicted = predictions, targets

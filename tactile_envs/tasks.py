@@ -127,7 +127,7 @@ class Volume(_Regression):
 class ObjectPose(_Regression):
     """Position of an object, in halves of the cell, and direction of its x axis.
 
-    With ``of_mass``, the position of its centre of mass alone.
+    With ``of_mass``, only the position of its centre of mass.
     """
 
     def __init__(self, pool: mesh_pool.MeshPool, config: Config, *, of_mass: bool) -> None:

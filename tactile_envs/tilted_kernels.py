@@ -105,8 +105,8 @@ def _look(view: Float64, window: Float64, axes: Float64, sensor: Float64, lying:
 def raise_mesh(heights: Float32, pool: Pool, number: int, view: Float64, room: Room) -> None:
     """Raise pixels to the nearest triangle of mesh ``number`` at each of them.
 
-    ``heights``, shape (H, W + PADDING), metres towards the sensor, has its first row at the bottom; pixels
-    look at integers. ``view`` (3, 4) gives column, row and height of a point x, y, z, 1 of the mesh.
+    ``heights``, shape (H, W + PADDING), metres towards the sensor, has its first row at the bottom; samples
+    of pixels are at integers. ``view`` (3, 4) gives column, row and height of a point x, y, z, 1 of the mesh.
     """
     seen_by = (
         (view[0, 0], view[0, 1], view[0, 2], view[0, 3]),

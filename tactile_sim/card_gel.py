@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from tactile_toolkit.json_types import JsonObject
 
 _RIGID_LIMIT = (
-    "No force, dynamics or tilt: the gel stops by geometry alone, and nothing moves while it is touched."
+    "No force, dynamics or tilt: the gel stops by geometry only, and nothing moves while it is touched."
 )
 _ELASTIC_LIMITS = (
     "No tilt. The gel is a linear elastic layer without side faces: no viscosity, no adhesion, no large "

@@ -6,7 +6,7 @@ one, are transformed as one complex field: along y at first, LANES columns at on
 numbers at once. Transforms are done in place: frequencies come out in the order of their reversed digits, and
 go in so.
 
-Numba's cache on disk does not look at this file when it loads ``elastic_kernels.py``: when this one changes,
+Numba's cache on disk does not check this file when it loads ``elastic_kernels.py``: when this one changes,
 change that one, too.
 """
 

@@ -88,7 +88,7 @@ def elastic_values(
     contacts = pressed.contacts
     force_n = np.array([each.force_n for each in contacts])
     torque_nm = np.array([each.torque_nm for each in contacts])
-    # Where the force of the press acts: the moments of it alone about x and y.
+    # Where the force of the press acts, from its moments about x and y.
     point_m = np.column_stack([-torque_nm[:, 1], torque_nm[:, 0]]) / force_n[:, 2:]
     values: dict[str, AnyArray] = {
         "force_n": force_n,

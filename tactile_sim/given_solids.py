@@ -182,6 +182,6 @@ def _require_within_cell(found: mesh.Mesh) -> None:
         raise ItemError(
             "too-large",
             f"it is {width_mm:.4g} x {depth_mm:.4g} mm as seen from above; expected at most "
-            f"{1e3 * touch.CELL_M[0]:g} x {1e3 * touch.CELL_M[1]:g} mm, the cell; next: look at its unit, or "
+            f"{1e3 * touch.CELL_M[0]:g} x {1e3 * touch.CELL_M[1]:g} mm, the cell; next: check its unit, or "
             "scale it",
         )

@@ -1,6 +1,6 @@
 """Kernels of pressing, in numba: the highest triangle over each pixel, and from heights to depth.
 
-All of them lie in this one file, because numba's cache on disk looks at the file of a kernel only.
+All of them lie in this one file, because numba's cache on disk checks only the file of a kernel.
 """
 
 from __future__ import annotations

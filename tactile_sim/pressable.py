@@ -184,7 +184,7 @@ def _require_closed(mesh: Mesh) -> None:
     if verdict.problem not in _HARMLESS:
         repair = "repair it, `mnist3d validate FILE` names the problem"
         if verdict.problem == "no-volume":
-            repair = "look at its unit: metres in Python, millimetres in files but GLB; or repair it"
+            repair = "check its unit: metres in Python, millimetres in files but GLB; or repair it"
         raise InputError(
             f"the mesh bounds no solid ({verdict.problem}: {verdict.detail}); expected a closed mesh",
             next=repair,

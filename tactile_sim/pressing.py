@@ -44,8 +44,8 @@ class Pressed:
         Height of the sensor where it stops, metres, cell frame.
     contacts : tuple of Contact
         Contact of each touch of an elastic gel: maps of the window of the image, forces of the whole gel.
-        ``depth_m`` is then the surface of the gel, greater than its thickness where it bulges. Empty for a gel
-        that is not elastic.
+        ``depth_m`` is then the surface of the gel, greater than its thickness where it bulges. Empty for
+        other gels.
     """
 
     depth_m: Float64
@@ -240,6 +240,6 @@ def _to_pixels(seen: Float64, sensor: Sensor) -> Float64:
     affine = seen[:, :3].copy()
     for axis in range(2):
         affine[:, axis] *= sensor.size_px[axis] / sensor.window_m[axis]
-        # Pixel 0 looks at its sample point: half a pixel, and the sample's own place, from the edge.
+        # Pixel 0 samples a point that is half a pixel, plus the offset of the sample, from the edge.
         affine[:, axis, 3] += sensor.size_px[axis] / 2 - 0.5 - sensor.sample_px[axis]
     return affine

@@ -1,7 +1,7 @@
-"""Has a sensor changed since it was calibrated? Its twin is compared with touches of today.
+"""Check whether a sensor has changed since its calibration: its twin is compared with recent touches.
 
-Nothing of what was touched needs to be known: the twin reads depth from each image, renders an image of that
-depth, and both are compared. A gel that has changed shows no image that its twin could make.
+The touched objects need not be known: the twin reads depth from each image and renders an image of that
+depth, and both images are compared. The twin cannot reproduce the images of a gel that has changed.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from tactile_toolkit.wording import with_count
 
 LEAST_IMAGES = 5
 MOST_IMAGES = 64
-"""Images that are compared at most; of more, some that are evenly spaced."""
+"""Greatest number of images that are compared; if there are more, evenly spaced ones are taken."""
 
-# Name, greatest value of a healthy sensor, and meaning of each figure. Noise stays away from the limits:
-# twelve images with 3 levels of it stay below half of each in the tests.
+# Name, greatest value of a healthy sensor, and meaning of each figure. In the tests, twelve images with noise
+# of 3 levels stay below half of each limit.
 _FIGURES = (
     (
         "background drift",
@@ -39,7 +39,7 @@ _FIGURES = (
     (
         "residual",
         1.5,
-        "what the twin cannot explain of the touches, in parts of what the calibration left; above: the gel "
+        "difference of the touches from their twin, relative to that of the calibration; above: the gel "
         "is worn, or another one",
     ),
     (
@@ -52,7 +52,7 @@ _FIGURES = (
 _MARKER_PX, _MARKER_LEVELS = 7.0, 12.0  # a marker is smaller than this, and darker
 _SMOOTH_PX = 2.0
 _NO_CONTACT_M = 2e-5
-_LEAST_KNOWN = 0.2  # of the gel
+_LEAST_KNOWN = 0.2  # share of the gel that must be seen without contact
 _FULL = 254
 _BATCH = 4
 
@@ -74,7 +74,7 @@ class HealthFigure:
 
 @dataclass(frozen=True, slots=True)
 class SensorHealth:
-    """The figures of a check, and how many images they are from."""
+    """The figures of a check, and the number of images."""
 
     images: int
     figures: tuple[HealthFigure, ...]
@@ -91,7 +91,7 @@ class SensorHealth:
 
 
 def check_sensor(model: SensorModel, images: Iterable[UInt8]) -> SensorHealth:
-    """Compare the twin of a sensor with images of today.
+    """Compare the twin of a sensor with recent images of it.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def check_sensor(model: SensorModel, images: Iterable[UInt8]) -> SensorHealth:
     Returns
     -------
     SensorHealth
-        Drift of the background, gain of the colours, what the twin cannot explain, markers, saturation.
+        Drift of the background, gain of the colours, residual, markers, saturation.
 
     Raises
     ------
@@ -124,7 +124,7 @@ def check_sensor(model: SensorModel, images: Iterable[UInt8]) -> SensorHealth:
     difference = np.where(known[..., None], today - plain, 0.0)
     drift = _smoothed(difference, _SMOOTH_PX)[known]
     gains = (today[known] * plain[known]).sum(axis=0) / (plain[known] ** 2).sum(axis=0)
-    # What the calibration left of its own touches, levels.
+    # Residual of the touches of the calibration itself, levels.
     expected = max(float(model.report.get("residual_levels", 0.0)), float(model.report["noise_levels"]))
     values = (
         np.sqrt((drift**2).mean()),
@@ -143,7 +143,7 @@ def check_sensor(model: SensorModel, images: Iterable[UInt8]) -> SensorHealth:
 def images_of(source: str | PathLike[str], most: int = MOST_IMAGES) -> list[UInt8]:
     """Return images of a data set of touches, or of a folder of image files, evenly spaced.
 
-    Of clips, the frame at the end of the contact. InputError for a place that holds neither.
+    Clips give the frame at the end of the contact. InputError for a place that holds neither.
     """
     root = store.expanded(fspath(source))
     files = image_paths(root)
@@ -151,8 +151,9 @@ def images_of(source: str | PathLike[str], most: int = MOST_IMAGES) -> list[UInt
         return [read_image(files[number]) for number in spaced(len(files), most)]
     place = places.open_place(source)
     touches = [KIND.load(place, split).touches() for split in place.splits]
-    flat = [(each, number) for each in touches for number in range(len(each))]
-    return [flat[number][0][flat[number][1]].image for number in spaced(len(flat), most)]
+    numbered = [(split, number) for split in touches for number in range(len(split))]
+    chosen = [numbered[index] for index in spaced(len(numbered), most)]
+    return [split[number].image for split, number in chosen]
 
 
 def _depth_of(model: SensorModel, images: UInt8) -> Float32:
@@ -161,7 +162,7 @@ def _depth_of(model: SensorModel, images: UInt8) -> Float32:
 
 
 def _residuals(model: SensorModel, images: UInt8, depth_m: Float32) -> Float64:
-    """Return what the twin cannot explain of each image: root mean square, levels, shape (n,)."""
+    """Return the difference of each image from its twin: root mean square, levels, shape (n,)."""
     found = []
     for start in range(0, len(images), _BATCH):
         part = slice(start, start + _BATCH)
@@ -171,14 +172,14 @@ def _residuals(model: SensorModel, images: UInt8, depth_m: Float32) -> Float64:
 
 
 def _background(images: UInt8, depth_m: Float32) -> tuple[Float64, Bool]:
-    """Return the image without contact, (H, W, 3), and where it is known: where enough images show it."""
+    """Return the image without contact, (H, W, 3), and a mask of where enough images show it, (H, W)."""
     free = depth_m < _NO_CONTACT_M
-    # The gel is pulled down around a contact, too: those pixels are left out, half a millimetre at least.
+    # The gel is also pulled down around a contact: pixels within at least half a millimetre are left out.
     reach = max(images.shape[2] // 40, 1)
     free = ~_dilated(~free, reach)
     known = free.sum(axis=0) >= 2
     if known.mean() < _LEAST_KNOWN:
-        # In another light, a reader sees contact everywhere: then what most images show is compared.
+        # In different light, the depth shows contact everywhere: the median of all images is compared.
         return np.asarray(np.median(images, axis=0), np.float64), np.ones_like(known)
     shown = np.where(free[:, known, None], images[:, known], np.float32(np.nan))
     today = np.zeros(images.shape[1:])
@@ -197,7 +198,7 @@ def _smoothed(image: Float64, sigma_px: float) -> Float64:
 
 
 def _marker_share(difference: Float64, known: Bool) -> float:
-    """Return the share of the known pixels that are darker than their surroundings, of today alone."""
+    """Return the share of the known pixels that are darker than their surroundings, unlike in the twin."""
     grey = difference.mean(axis=2, keepdims=True)
     fine = _smoothed(grey, _SMOOTH_PX / 2) - _smoothed(grey, _MARKER_PX)
     return float((fine[..., 0] < -_MARKER_LEVELS)[known].mean())

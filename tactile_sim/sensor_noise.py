@@ -71,7 +71,7 @@ class SensorNoise:
 
     @classmethod
     def white(cls, deviation: float) -> SensorNoise:
-        """Return Gaussian noise of each pixel and colour alone, by its standard deviation."""
+        """Return Gaussian noise, independent for each pixel and colour, with this standard deviation."""
         return cls(deviation, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
     @classmethod

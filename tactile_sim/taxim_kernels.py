@@ -2,7 +2,7 @@
 
 Sums of a pixel stay in a vector register while LLVM's vector instructions add to them, which numba does not
 do by itself: a picture takes two fifths of the time. The order of operations is that of plain loops. All
-kernels lie in this one file, because numba's cache on disk looks at the file of a kernel only.
+kernels lie in this one file, because numba's cache on disk checks only the file of a kernel.
 """
 
 from __future__ import annotations
@@ -366,7 +366,7 @@ def _slopes(soft: Float64, per_row: float, per_column: float, flat_slope: float)
 def _shades(slope: Float64, direction: Float64, tables: Calibration) -> Float64:
     """Return the colours (H, 3 W + 1) of the calibration for slopes in their place.
 
-    Directions are rounded up as in single precision: the last bin of the package holds those of pi alone, and
+    Directions are rounded up as in single precision: the last bin of the package holds only those of pi, and
     that of a flat pixel is the middle of the table exactly.
     """
     rows, columns = slope.shape

@@ -1,7 +1,7 @@
 """Sines, exponentials and small matrix products that are equal to the last bit on every processor.
 
 The C library, numpy and BLAS choose code by the instructions of the processor, and their results differ in
-the last bit. These functions use additions and products alone, which all processors round alike.
+the last bit. These functions use only additions and products, which all processors round alike.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Tables of any length, read a few rows at a time: text, JSON lines, Parquet. No whole table is in memory."""
+"""Tables of any length, read a few rows at a time: text, JSON lines, Parquet; no table is held in memory."""
 
 from __future__ import annotations
 
@@ -23,26 +23,26 @@ MOST_ROWS = 1 << 25
 
 _MOST_COLUMNS = 1000
 _HEADER_BYTES = 1 << 16
-_BLOCK_BYTES = 1 << 20  # a line that is longer is an error of Arrow
+_BLOCK_BYTES = 1 << 20  # Arrow refuses a longer line
 _ROWS_AT_ONCE = 1 << 15
-_LONGEST_SHOWN = 200
+_LONGEST_SHOWN = 200  # characters of a message of Arrow
 _NO_ROWS = pa.table({})
 
 
 class ColumnTable:
-    """A table that is read in passes.
+    """A table that is read several times, a few rows at a time.
 
     Parameters
     ----------
     path : str
-        What messages call it; the format follows from its ending.
+        Name of the table in messages; its ending gives the format.
     open_file : callable
-        Opens it.
+        Opens the table as a binary stream.
 
     Attributes
     ----------
     names : list of str
-        Columns, in order; one without a name is called after its place, such as ``column_1``.
+        Names of the columns, in order; a column without a name is called ``column_1`` by its position.
 
     Raises
     ------
@@ -51,10 +51,12 @@ class ColumnTable:
     """
 
     def __init__(self, path: str, open_file: Callable[[], IO[bytes]]) -> None:
-        self.path, self._open = path, open_file
+        self.path = path
+        self._open = open_file
         self._types: dict[str, pa.DataType] = {}
         self._read = _READERS.get(path[path.rfind(".") :].lower(), self._text_batches)
-        self._is_text, self._separator = self._read == self._text_batches, ""
+        self._is_text = self._read == self._text_batches
+        self._separator = ""
         self.names: list[str] = next(self._batches(), _NO_ROWS).column_names
 
     def _batches(self) -> Iterator[pa.Table]:
@@ -76,6 +78,7 @@ class ColumnTable:
         whole = head.decode(encoding, errors="ignore").removeprefix("\ufeff")
         text, self._separator = text_tables.table_text(whole.encode(), path)
         header = text.lstrip().partition("\n")[0]
+        # Refuses a header of too many columns before Arrow parses it.
         _checked_names([str(number) for number in range(header.count(self._separator) + 1)], path)
         reading = pa.csv.ReadOptions(use_threads=False, block_size=_BLOCK_BYTES, encoding=encoding)
         reading.skip_rows = int(text != whole)  # the line that states the separator
@@ -94,11 +97,11 @@ class ColumnTable:
             raise InputError(f"{self.path!r} cannot be read as a table: {found}") from error
 
     def first_row(self) -> JsonDict:
-        """Return the first row as it stands; nothing for a table without rows."""
+        """Return the first row, as it is stored; empty for a table without rows."""
         return next(iter(next(self._batches(), _NO_ROWS).slice(0, 1).to_pylist()), {})
 
     def scan(self, column: str = "") -> tuple[int, pa.Array]:
-        """Read all rows once, so that types are known: return their number, and the values of a column."""
+        """Read all rows to find the types of columns; return the number of rows, and values of a column."""
         rows, kept = 0, []
         with self._named_errors():
             for batch in self._batches():
@@ -113,7 +116,7 @@ class ColumnTable:
             return rows, column_types.joined([each.column(0).combine_chunks() for each in kept])
 
     def rows(self, numbers: Int64) -> pa.Table:
-        """Return some rows by their rising numbers, at least one, after :meth:`scan`."""
+        """Return rows by their numbers, int64, shape (n,), n > 0, increasing; needs :meth:`scan` before."""
         parts, start = [], 0
         for batch in self._batches():
             first, last = np.searchsorted(numbers, [start, start + len(batch)])
@@ -124,9 +127,9 @@ class ColumnTable:
             return self._typed(pa.concat_tables(parts, promote_options="permissive"))
 
     def _common(self, name: str, values: pa.ChunkedArray, is_exact: bool) -> pa.DataType:
-        """Return the type of a column, given some of its rows, and what is known from earlier ones.
+        """Return the common type of some values of a column and of its earlier values.
 
-        With ``is_exact``, text that a number would not give back stays text.
+        With ``is_exact``, numbers stay text if formatting them would not give the same text.
         """
         known = self._types.get(name, pa.null())
         if self._is_text:
@@ -138,7 +141,7 @@ class ColumnTable:
         return column_types.words_of(found, decimal_commas=self._separator != ",")
 
     def _typed(self, table: pa.Table) -> pa.Table:
-        """Return some rows with the types that columns have in all of them."""
+        """Convert the columns of some rows to the types that hold all values of the table."""
         columns = {}
         for name, values in zip(table.column_names, table.columns, strict=True):
             kind = self._types[name]
@@ -150,7 +153,7 @@ class ColumnTable:
 
 
 def _checked_names(names: Sequence[str], path: str) -> list[str]:
-    """Return the names of columns, each once; InputError for too many, or two of one name."""
+    """Return the names of columns; InputError for too many columns, or for duplicate names."""
     found = [name.strip() or f"column_{number}" for number, name in enumerate(names, 1)]
     if len(found) > _MOST_COLUMNS:
         raise InputError(f"{path!r} has {len(found):,} columns; expected at most {_MOST_COLUMNS:,}")
@@ -171,7 +174,7 @@ def _parquet_batches(stream: IO[bytes], path: str) -> Iterator[pa.RecordBatch]:
     size = stream.seek(0, io.SEEK_END)
     is_text = (pa.types.is_string, pa.types.is_large_string, pa.types.is_string_view)
     texts = [each.name for each in pq.read_schema(stream) if any(is_kind(each.type) for is_kind in is_text)]
-    # Texts that repeat are stored once, and could take any space if each was unpacked.
+    # As dictionaries: repeated texts are stored once, and could take any space if they were expanded.
     file = pq.ParquetFile(stream, read_dictionary=texts, pre_buffer=False, page_checksum_verification=True)
     for number in range(file.metadata.num_row_groups):
         bounds.require_unpackable(file.metadata.row_group(number).total_byte_size, path, size)
@@ -183,3 +186,4 @@ TYPED_ENDINGS = tuple(_READERS)
 """Endings of the names of tables whose values have types, in lower case."""
 
 COLUMN_TABLE_ENDINGS = (*text_tables.TABLE_ENDINGS, *TYPED_ENDINGS)
+"""Endings of the names of all tables that are read, in lower case."""

@@ -1,7 +1,7 @@
-"""The types of columns of others, decided here alone: of text tables, JSON, Parquet and numpy.
+"""The types of foreign columns, decided only here: of text tables, JSON, Parquet and numpy.
 
 A column is an Arrow array of bool, int64, float64, text or points in time, or of lists of these; matrices are
-lists, row by row. What is missing is null, so are empty texts. Values without a common type, such as objects,
+lists, row by row. Missing values and empty texts are null. Values without a common type, such as objects,
 are kept as JSON (:data:`UNTYPED`).
 """
 
@@ -71,8 +71,8 @@ def words_of(texts: pa.Array, *, decimal_commas: bool = False) -> pa.Array:
 def text_type(words: pa.Array, known: pa.DataType = _NOTHING, *, is_exact: bool = True) -> pa.DataType:
     """Return the type of words, given that of earlier rows: a number, true or false, or text.
 
-    With ``is_exact``, text that a number would not give back stays text: codes such as 007, and integers that
-    float64 rounds.
+    With ``is_exact``, words stay text if formatting the number would not give the same text: codes such as
+    007, and integers that float64 rounds.
     """
     if words.null_count == len(words):
         return known
@@ -86,7 +86,7 @@ def text_type(words: pa.Array, known: pa.DataType = _NOTHING, *, is_exact: bool 
 
 
 def _is_changed(words: pa.Array, data_type: pa.DataType) -> bool:
-    """Return whether values of a type would not give words back."""
+    """Return whether formatting values of a type would not give the same words."""
     if pa.types.is_boolean(data_type):
         return bool(pc.any(pc.is_in(words, _SWITCHED)).as_py())
     odd = words.filter(pc.match_substring_regex(words, _ODD))
@@ -239,7 +239,7 @@ def repeated(value: object, count: int) -> pa.Array:
 
 
 def lengths_of(column: pa.Array) -> list[int]:
-    """Return the different lengths of lists, sorted; none of other values."""
+    """Return the distinct lengths of lists, sorted; empty for other values."""
     if not pa.types.is_list(column.type):
         return []
     found: list[int] = pc.list_value_length(column).unique().drop_null().sort().to_pylist()

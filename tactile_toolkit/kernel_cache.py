@@ -1,7 +1,7 @@
 """Where numba keeps compiled kernels, and when it compiles them again.
 
-By itself numba looks at the file of a kernel only, and misses a change of a kernel in another file that was
-compiled into it. The locators here look at the files of both.
+By itself numba checks only the file of a kernel, and misses a change of a kernel in another file that was
+compiled into it. The locators here check the files of both.
 """
 
 from __future__ import annotations

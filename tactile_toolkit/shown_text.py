@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import re
 
-_MARKS = re.compile(r"([\\`*\[\]<>~&]|(?<![^\W_])_|_(?![^\W_]))")  # a _ inside of a word marks nothing
+_MARKS = re.compile(r"([\\`*\[\]<>~&]|(?<![^\W_])_|_(?![^\W_]))")  # a _ inside a word is not markup
 
 
 def printable(text: str, keep: str = "") -> str:

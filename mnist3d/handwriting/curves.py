@@ -26,7 +26,7 @@ Ring = tuple[Point, Point]
 """Centre and half axes."""
 
 CLEAR = 0.06
-"""Half width of the paper inside of a ring, as a share of the height: thick pens write larger rings."""
+"""Half width of the paper inside a ring, as a share of the height: thick pens write larger rings."""
 
 # Samples of the curve between two points.
 _STEPS = 8
@@ -41,7 +41,7 @@ def lean(run: Run, slant: float, axis_y: float) -> Run:
 def arc(
     centre: Point, radii: Point, start_deg: float, stop_deg: float, number: int, egg: float = 0.0
 ) -> list[Point]:
-    """Return `number` points on an ellipse, with both ends.
+    """Return `number` points on an elliptic arc, including both ends.
 
     0 degrees is right, 90 below, 180 left, 270 or -90 above; falling angles run anticlockwise on paper. `egg`
     widens the lower half by this share and narrows the upper half by as much.

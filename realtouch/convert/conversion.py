@@ -125,7 +125,7 @@ def _media_bytes(column: str, shard: read.Shard) -> tuple[int, int]:
 class RowChoice(NamedTuple):
     """A row that a conversion takes: its number in the split, and which touches (None: all).
 
-    ``is_repeated``: its id stands in a row before it, so that files of both would have one name.
+    ``is_repeated``: an earlier row has the same id, so that files of both would have the same name.
     """
 
     row: int

@@ -50,7 +50,7 @@ def clips_to_images(
         ``"contact_end"``, ``"contact_start"``, ``"peak"`` or ``"best"``; see
         :meth:`~realtouch.TouchClip.contact_index`.
     split : str, optional
-        Only this split, of which alone files are fetched; all by default.
+        Only this split; files of others are not fetched. All by default.
     limit : int, optional
         Only the first ``limit`` rounds of each split.
     workers : int or Runner

@@ -50,8 +50,8 @@ class _ConvertRows:
                 if choice.is_repeated:
                     raise row.damaged(
                         "id",
-                        f"{row.value('id')!r} stands in an earlier round of split {shard.split!r} "
-                        "too; expected ids that differ",
+                        f"{row.value('id')!r} is also the id of an earlier round of split {shard.split!r}; "
+                        "expected unique ids",
                     )
                 # Checked for all steps: those that copy a column do not read it.
                 row.require_touches()

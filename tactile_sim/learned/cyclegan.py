@@ -124,7 +124,7 @@ class CycleGan:
         with torch.autocast("cuda", torch.bfloat16, enabled=self.device.startswith("cuda")):
             for name in ("touch", "depth"):
                 shown = self._add_sensor_noise(name, self.pools[name].exchange(made[name], rng), rng)
-                # Each image is normalised alone, so that both kinds can be passed together.
+                # Each image is normalised by itself, so that both kinds can be passed together.
                 both = self._add_white_noise(name, torch.cat([real[name], shown]), deviation)
                 verdicts = self._run[f"{name}_discriminator"](both)
                 # Least squares (Mao et al. 2017), here and above.

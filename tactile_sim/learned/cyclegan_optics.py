@@ -18,9 +18,9 @@ from tactile_toolkit.array_types import Float32, Float64
 class CycleganOptics(Optics):
     """Renders touches with a generator that was trained on real ones.
 
-    On the CPU, each image is computed alone, so that it does not depend on its batch. Equal depth gives equal
-    bytes on one machine with one version of PyTorch; another may differ by a level. On a GPU, levels may also
-    differ with the batch.
+    On the CPU, each image is computed by itself, so that it does not depend on its batch. Equal depth gives
+    equal bytes on one machine with one version of PyTorch; another may differ by a level. On a GPU, levels
+    may also differ with the batch.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Measures of a training against real touches that it did not see; uses no downloaded weights."""
+"""Measure trained weights against real touches that were not used for training; nothing is downloaded."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ class Evaluation:
 
     def to_dict(self) -> JsonDict:
         """Return JSON values; a measure that does not apply is null."""
-        rows = [
-            {name: None if value != value else value for name, value in asdict(row).items()}
-            for row in self.measures
-        ]
-        return {"touches": self.touches, "noise": self.noise and self.noise.to_dict(), "measured": rows}
+        rows = [{name: _or_null(value) for name, value in asdict(row).items()} for row in self.measures]
+        noise = None
+        if self.noise is not None:
+            noise = self.noise.to_dict()
+        return {"touches": self.touches, "noise": noise, "measured": rows}
 
     def to_markdown(self) -> str:
         """Return the table in Markdown."""
@@ -70,6 +70,12 @@ class Evaluation:
         folder.write_bytes("evaluation.png", self.sheet)
 
 
+def _or_null(value: str | float) -> str | float | None:
+    if isinstance(value, float) and math.isnan(value):
+        return None
+    return value
+
+
 def _cell(value: float, text: str) -> str:
     if math.isnan(value):
         return "-"
@@ -87,7 +93,7 @@ def evaluate(
     device: str = "auto",
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Evaluation:
-    """Measure the weights of a training on a set of pairs that it did not see.
+    """Measure the weights of a training on pairs that it did not use.
 
     Parameters
     ----------
@@ -107,7 +113,7 @@ def evaluate(
         Device of the generators: ``"cpu"``, ``"cuda"``, or ``"auto"`` for a GPU if there is one; classifiers
         learn on the CPU. Measures are the same on each device, up to rounding.
     on_progress : callable
-        Called with the number of measured methods, the real touches included, and of all.
+        Called with the number of measured methods and of all methods; the real touches count as one.
 
     Returns
     -------

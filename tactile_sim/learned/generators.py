@@ -104,8 +104,8 @@ class FastGenerator:
     part of its transforms; biases before a norm have no effect and are left out. In single precision, images
     are within 0.001 levels of 255 of those of the layers.
 
-    Each image is computed alone, with as many threads as PyTorch has. Layers of PyTorch are computed on one
-    thread each, so that values do not depend on their number.
+    Each image is computed by itself, with as many threads as PyTorch has. Each layer of PyTorch is
+    computed on one thread, so that values do not depend on the number of threads.
     """
 
     def __init__(self, weights: GeneratorWeights, bfloat16: bool = False) -> None:

@@ -1,8 +1,8 @@
 """Weights of generators as files.
 
 A file has the published format: an ``.npz`` of float32 arrays by layer. The size that the network was trained
-at, for which that format has no room, stands in the comment of the archive, which readers of the published
-format do not look at.
+at, for which that format has no room, is stored in the comment of the archive, which readers of the published
+format ignore.
 """
 
 from __future__ import annotations
@@ -141,7 +141,7 @@ def _require_generator(arrays: Mapping[str, AnyArray]) -> None:
     blocks, expected = GeneratorWeights(arrays).blocks, {}
     first = arrays.get("model.1.weight")
     if first is not None and first.ndim and 0 < len(first) <= _MOST_FILTERS and blocks <= _MOST_BLOCKS:
-        with torch.device("meta"):  # shapes alone
+        with torch.device("meta"):  # only shapes, no memory
             state = GeneratorNetwork(len(first), blocks).state_dict()
         expected = {name: tuple(each.shape) for name, each in state.items()}
     for name in [*expected, *arrays] or ["model.1.weight"]:

@@ -153,7 +153,7 @@ def divide(
 ) -> list[dict[str, Int64]]:
     """Divide the rows of a data set; return for each part their positions by split, in order.
 
-    Either at random by ``fractions`` of each split, which follows from the seed and the number of rows alone;
+    Either at random by ``fractions`` of each split, which depends only on the seed and the number of rows;
     or, without fractions, into the rows that :func:`~tactile_toolkit.catalog.choose_rows` takes for
     ``chosen``, and all others.
     """

@@ -1,7 +1,7 @@
 """Whether a closed surface crosses itself: edges against triangles, over a tree of boxes.
 
 Where two sheets of a closed surface cross, some space is enclosed twice, or inside out, and the volume counts
-it so. Sheets that only touch enclose nothing twice and are left alone.
+it so. Sheets that only touch do not enclose space twice and are accepted.
 
 Sheets cross where an edge passes through a triangle with which it shares no corner, and neighbours where one
 is folded back onto the other. An edge that meets a triangle only within :func:`tolerance_mm` of its ends, or
@@ -19,9 +19,9 @@ from tactile_toolkit.mesh.nearness import connected, near_pairs
 from tactile_toolkit.mesh.surface_kernels import halves, passages
 
 _TOLERANCE = 2.0**-21
-# Each takes a pass over all faces.
+# Greatest number of faces that do not look up; each takes a pass over all faces.
 _MOST_ODD = 64
-# Each takes 26 winding numbers over all faces.
+# Doubtful places that are tested; each takes 26 winding numbers over all faces.
 _DOUBTS_TRIED = 32
 # Distance, in tolerances, from a doubtful place to the points at which winding numbers are computed. None of
 # the directions lies in a plane in which faces of hand-made objects usually lie.
@@ -37,7 +37,7 @@ def tolerance_mm(vertices_mm: Float64) -> float:
 
 
 def self_crossing(vertices_mm: Float64, faces: Int64, bodies: int = 1) -> Float64 | None:
-    """Return a place, shape (3,), where a body of a closed manifold mesh crosses itself; None if none does.
+    """Return a point, shape (3,), mm, where a body of a closed manifold mesh crosses itself, or None.
 
     ``bodies`` is the number of connected surfaces of the mesh; crossings of different ones are ignored.
     """
@@ -47,8 +47,8 @@ def self_crossing(vertices_mm: Float64, faces: Int64, bodies: int = 1) -> Float6
     if bodies == 1:
         return _crossing_among(vertices_mm, faces, suspects)
     body = connected(faces.ravel(), np.roll(faces, -1, axis=1).ravel(), len(vertices_mm))[faces[:, 0]]
-    for one in np.unique(body[suspects]):
-        own = np.flatnonzero(body == one)
+    for number in np.unique(body[suspects]):
+        own = np.flatnonzero(body == number)
         place = _crossing_among(vertices_mm, faces[own], np.flatnonzero(np.isin(own, suspects)))
         if place is not None:
             return place
@@ -115,7 +115,7 @@ def _turn(a: Float64, b: Float64, c: Float64) -> Float64:
 
 
 def _crossing_among(vertices_mm: Float64, faces: Int64, suspects: Int64) -> Float64 | None:
-    """Return where faces among the suspects cross each other, if they do."""
+    """Return a point, shape (3,), mm, where two of the suspected faces cross, or None."""
     tolerance = tolerance_mm(vertices_mm)
     a, b, c = (vertices_mm[faces[suspects, corner]] for corner in range(3))
     normal = np.cross(b - a, c - a)

@@ -89,7 +89,7 @@ class _Document:
         if "scene" not in self._tree and len(scenes) != 1:
             raise InputError(
                 f"the file has {len(scenes):,} scenes and names none as its default; expected one",
-                next="export one scene alone",
+                next="export a single scene",
             )
         roots = self._item("scenes", self._tree.get("scene", 0)).get("nodes", [])
         waiting, seen = [(root, np.eye(4)) for root in reversed(roots)], set()

@@ -99,7 +99,7 @@ def _classes_of(root: Path, besides: tuple[str, ...] = ()) -> dict[Path, str]:
         raise InputError(
             f"{str(root)!r} holds mesh files ({loose[0].name}) next to folders of them "
             f"({next(iter(in_folders.values()))})",
-            next="put each file into the folder of its class, or give a folder of files alone",
+            next="put each file into the folder of its class, or give a folder with only files",
         )
     return in_folders or {file: file.stem for file in loose}
 
@@ -110,8 +110,9 @@ def _files_in(folder: Path) -> list[Path]:
     # A drawing may lie next to the mesh that was made from it.
     known = {file.stem for file in found}
     others = [each for each in _sorted_by_name(folder, _OTHER_FORMATS) if each.stem not in known]
-    for file in others if found else ():
-        _LOG.warning("%s: left out; expected one of %s", file, ", ".join(FORMATS))
+    if found:
+        for file in others:
+            _LOG.warning("%s: left out; expected one of %s", file, ", ".join(FORMATS))
     return found
 
 

@@ -403,7 +403,7 @@ def _between(
 def _from_corners(
     points: Float64, faces: Int64, inward: Float64, at_corner: Float64, one: int, other: int, best: float
 ) -> float:
-    """Return the least perpendicular distance from a corner of a triangle to the inside of the other."""
+    """Return the least perpendicular distance from a corner of a triangle to the interior of the other."""
     own, into, base = row_of(inward, one), row_of(inward, other), corner_of(points, faces, other, 0)
     opposed = -dot(own, into)
     for k in range(3):

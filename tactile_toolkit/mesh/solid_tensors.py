@@ -165,7 +165,7 @@ class MeshBatch(NamedTuple):
 class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
     """A map-style data set of solids.
 
-    Item i is ``(tensor, target)``, or the tensor alone without a target. The tensor is, by
+    Item i is ``(tensor, target)``, or only the tensor without a target. The tensor is, by
     ``representation``,
 
     - ``"points"``: points on the surface, shape (``points``, 3), float32, metres, drawn evenly over its area:

@@ -194,7 +194,7 @@ class Place:
                     f"{self.name!r} holds rows of no kind of this toolkit (columns {shown}); "
                     f"`{command_or_load(kind, command)}` is for {kind.content}, with a column "
                     f"{' or '.join(map(repr, kind.needs))}",
-                    next=f"look at a row with `{kind.command} show {shlex.quote(self.name)}`",
+                    next=f"show a row with `{kind.command} show {shlex.quote(self.name)}`",
                 )
 
     def require_config(self, config: str | None) -> Place:

@@ -73,7 +73,7 @@ in mm from the middle of the plate, x to the right and y away from you; z counts
 3. Press by different depths, 1 to 2 mm, never more than half of the gel.
 4. Turn the plate between the touches if you can, and write down by how much. A ball looks the same from
    everywhere, and a straight stroke is the same along itself: the two solids tell what these leave open.
-5. The flat base alone shows nothing; a touch that sees only it is left out.
+5. A touch of the flat base shows nothing; one that sees only it is left out.
 
 | touch | on | x | y | press |
 | --- | --- | --- | --- | --- |

@@ -31,7 +31,7 @@ class Row:
         """Return a field of shape (n, width) as a read-only view of the stored values."""
         try:
             return self.group.ragged(name)[self.index]
-        except IntegrityError:  # possibly of another row: this row is read alone
+        except IntegrityError:  # possibly of another row: read this row by itself
             alone = self.group.table.slice(self.index, 1)
             return RowGroup(alone, self.path, self.number).ragged(name)[0]
 
@@ -87,7 +87,7 @@ class Row:
         return bool(one.equals(another)) or repr(one.to_pydict()) == repr(another.to_pydict())
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Pickle as a table of this row alone, not of its row group."""
+        """Pickle as a table of this row only, not of its row group."""
         content = table_bytes(self.group.table.slice(self.index, 1)).to_pybytes()
         return _row_from_ipc, (content, self.path, self.number)
 
@@ -126,7 +126,7 @@ class Record:
         return self.row.equals(other.row)
 
     def __hash__(self) -> int:
-        # From this row alone, so that a damaged neighbour does not make a record differ from its pickled
+        # From this row only, so that a damaged neighbour does not make a record differ from its pickled
         # copy.
         try:
             number = self.row.group.arrow("id")[self.row.index].as_py()

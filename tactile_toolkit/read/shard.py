@@ -109,7 +109,7 @@ class Shard:
 
     @cached_property
     def block_rows(self) -> array[int]:
-        """Number of rows in a block of each row group; depends on the file alone."""
+        """Number of rows in a block of each row group; depends only on the file."""
         metadata = self.metadata
         groups = [metadata.row_group(index) for index in range(metadata.num_row_groups)]
         fitting = [_BLOCK_BYTES * group.num_rows // max(group.total_byte_size, 1) for group in groups]

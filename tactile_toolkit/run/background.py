@@ -16,7 +16,7 @@ from typing import Any
 from tactile_toolkit.errors import ToolkitError
 
 _NICENESS = 10
-# A fresh interpreter that imports from where the caller does. Ctrl-C is for the caller alone.
+# A fresh interpreter that imports from where the caller does. Only the caller handles Ctrl-C.
 _BOOT = """
 import pickle, signal, sys
 signal.signal(signal.SIGINT, signal.SIG_IGN)

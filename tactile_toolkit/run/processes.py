@@ -201,7 +201,7 @@ def _without_main_module() -> Iterator[None]:
 
 def _work(pipe: Connection, function: bytes) -> None:
     """Run tasks until the parent ends this process."""
-    # Ctrl-C reaches the whole process group; the parent alone decides what happens to the work.
+    # Ctrl-C reaches the whole process group; only the parent decides what happens to the work.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     inbox: SimpleQueue[bytes] = SimpleQueue()
     threading.Thread(target=_listen, args=(pipe, inbox), daemon=True).start()

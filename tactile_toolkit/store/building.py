@@ -145,7 +145,7 @@ def _begun(
 
 
 def _needs_no_lock(job: BuildJob, options: run_options.RunOptions) -> bool:
-    """Return whether a set in a store is finished, by names and sizes alone; manifests are written last."""
+    """Return whether a set in a store is finished, by names and sizes only; manifests are written last."""
     if job.folder.is_local or options.check or job.remaining:
         return False
     return job.manifest.complete and not job.folder.names(data_folder.PENDING_FOLDER)

@@ -26,7 +26,7 @@ TEMPORARY = "tmp-[0-9a-f]{32}(?s:/.*)?"
 """Names of unfinished files in :data:`PENDING_FOLDER`, and of sub-folders of them, as a pattern."""
 
 VERSION_KEYS = ("size", "ETag", "etag", "blob_id", "mtime", "created", "LastModified", "inode")
-"""What is known of a file, under which name each, that changes whenever it is replaced."""
+"""Names of the facts about a file that change whenever it is replaced."""
 
 # Small files that are read at a time: a network file system or store answers many requests as fast as one.
 _READ_AT_ONCE = 16
@@ -39,7 +39,7 @@ class DataFolder(Protocol):
 
     :func:`tactile_toolkit.store.open_folder` returns the one for an address. Paths are relative to the
     folder, with slashes; nothing is written or removed through symbolic links in it. A file appears under its
-    name complete or not at all. Pickles as its address alone, so tasks carry it to other processes and
+    name complete or not at all. Pickles as its address only, so tasks carry it to other processes and
     machines. Methods raise StorageError where a file system refuses, RemoteError where a store refuses or
     does not answer, and InputError if the package of a store is not installed.
     """

@@ -204,12 +204,13 @@ def open_checked(source: str | IO[bytes], metadata: pq.FileMetaData | None = Non
 
 
 def require_sound_columns(source: str | IO[bytes], metadata: pq.FileMetaData, groups: Iterable[int]) -> None:
-    """Raise OSError where a footer states of a column what contradicts its type.
+    """Raise OSError if a footer contradicts the type of a column.
 
-    Arrow ends the process when such a column is looked at in the footer, but not when it is read; so that no
-    row of it is read here. (Found in pyarrow 26.0.1, by changing bytes of files.)
+    Arrow aborts the process when the statistics of such a column are read from the footer, but not when the
+    column itself is read. So the column is read here, but no row of it. (Found in pyarrow 26.0.1, by changing
+    bytes of files.)
     """
-    # With a buffer, as without one Arrow reads whole columns at once, even of no row.
+    # A buffer is needed: without one, Arrow reads whole columns at once, even if no row is asked for.
     with pq.ParquetFile(source, metadata=metadata, buffer_size=_BUFFER_BYTES, pre_buffer=False) as file:
         for group in groups:
             next(file.reader.iter_batches(0, [group], column_indices=None, use_threads=False), None)

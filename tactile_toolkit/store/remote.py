@@ -1,7 +1,7 @@
 """Calls of servers (object stores, the Hub): retries, and one sentence for each failure.
 
 A failure becomes one error that states the next step, without keys and signatures, which clients may quote.
-The clients' own exceptions are known by name alone, so none of their packages has to be installed; several
+The clients' own exceptions are recognised by name, so none of their packages has to be installed; several
 clients wrap the cause in a builtin exception without naming it.
 """
 

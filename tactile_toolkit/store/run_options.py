@@ -40,7 +40,7 @@ class RunOptions:
     workers : int or Runner
         Number of local processes, or another runner.
     part : Part or None
-        Make the shards of this part alone, and finish nothing.
+        Make only the shards of this part; do not finish the data set.
     finish : bool
         Make no shard: complete the data set that parts have made, or name the missing shards.
     check : bool

@@ -91,7 +91,7 @@ def shard_ranges(
 ) -> list[tuple[ShardName, range]]:
     """Divide the rows of a split into about ``wanted`` shards of ``smallest`` to ``largest`` rows.
 
-    The sizes follow from the split alone, so any number of workers agrees on them. A shard is what a worker
+    The sizes follow from the split only, so any number of workers agrees on them. A shard is what a worker
     holds in memory and what is lost if it is killed; even a small run has several for each worker. Shards end
     after a multiple of ``together`` rows, if the largest size allows it.
     """

@@ -102,7 +102,7 @@ def _recorded_files(folder: data_folder.DataFolder, manifest: Manifest) -> dict[
         each.file: download_record.HubFile(each.file, each.bytes, each.sha256) for each in manifest.shards
     }
     for path, sha256 in manifest.files.items():
-        # Files for the Hub's page may be left out, as in a cache of the rows alone; others may still arrive.
+        # Files for the Hub's page may be left out, as in a cache with only the rows; others may still arrive.
         is_required = manifest.complete and not path.startswith(f"{VIEWER_FOLDER}/")
         if is_required or folder.exists(path):
             files[path] = download_record.HubFile(path, 0, sha256)

@@ -175,7 +175,7 @@ def test_ids_that_come_again_are_left_out(single_rows: list[dict], tmp_path: Pat
     manifest = realtouch.frames(source, tmp_path / "out", "jpeg", workers=2)
     (skipped,) = manifest.shards[0].skipped
     assert skipped.id == 2
-    assert "'same' stands in an earlier round of split 'train'" in skipped.message
+    assert "'same' is also the id of an earlier round of split 'train'" in skipped.message
     record = realtouch.load(source)[0]
     first = tmp_path / "out" / "images" / "train" / "same" / "000.jpg"
     assert first.read_bytes() == bytes(record.sensor_image.encoded(0))
