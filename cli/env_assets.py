@@ -45,7 +45,10 @@ def wrench(
     report = mesh.inspect(env_assets.wrench_mesh(spec))
     if not dry_run:
         env_assets.write_wrench(spec, str(out), mesh_file=stl, overwrite=overwrite)
-    places = {"folder": str(out), "mesh_file": stl and str(stl), "written": not dry_run}
+    mesh_file = None
+    if stl is not None:
+        mesh_file = str(stl)
+    places = {"folder": str(out), "mesh_file": mesh_file, "written": not dry_run}
     sink.document({**places, **env_assets.wrench_facts(spec, report)})
     openings = f"{spec.opening_mm:g} and {spec.second_opening_mm:g}"
     sides = " x ".join(f"{side:.1f}" for side in report.size_mm)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -104,11 +104,13 @@ def export(
         _export_flat(sink, kind, place, catalog.choose_rows(datasets, **filters), filters, str(out), job)
         return
     bodies = printing.Physics(**material)
-    spec = form.plate and printing.PlateSpec.parse(form.plate, **distances)
+    spec = None
+    if form.plate is not None:
+        spec = printing.PlateSpec.parse(form.plate, **distances)
     objects = printing.on_plates(printing.choose(datasets, **filters), form.base_mm)
     if form.calibration_plate:
         _export_calibration_plate(sink, objects, form.file_format or "3mf", str(out), job)
-    elif spec:
+    elif spec is not None:
         # Plates in MJCF are bodies that lie on a floor; 3MF has neither density nor friction.
         on_floor = {"mjcf": bodies}.get(form.file_format or "")
         _export_plates(sink, objects, spec, form.scale, on_floor, str(out), job)
@@ -161,7 +163,9 @@ def _export_files(
 ) -> None:
     with sink.progress(_DOING[job.dry_run], "files") as update:
         made = printing.export_files(
-            *(objects, out, ending),
+            objects,
+            out,
+            ending,
             scale=scale,
             physics=physics,
             overwrite=job.overwrite,
@@ -249,7 +253,7 @@ def _export_plates(
     _report_failures(sink, made.failed)
 
 
-def _report_failures(sink: output.Sink, failures: Iterable[printing.FailedExport]) -> None:
+def _report_failures(sink: output.Sink, failures: Sequence[printing.FailedExport]) -> None:
     """Name the objects that could not be written; if there are any, exit as after a failed validation."""
     for failure in failures:
         sink.warn(f"failed: {failure.name}: {failure.detail}")

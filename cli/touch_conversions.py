@@ -124,9 +124,12 @@ class Select(_Options):
             raise InputError("--min-height-mm and --as-recorded need --contact", next="add --contact")
         # Ids of objects are numbers.
         objects = [each if isinstance(each, int) else catalog.id_range(each) for each in self.ids or ()]
+        min_height_m = None
+        if self.min_height_mm is not None:
+            min_height_m = self.min_height_mm / 1000
         return {
             "contact": self.contact,
-            "min_height_m": self.min_height_mm and self.min_height_mm / 1000,
+            "min_height_m": min_height_m,
             "recalibrate_z": self.recalibrate_z,
             "objects": objects,
             "labels": self.labels or (),

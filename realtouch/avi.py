@@ -57,8 +57,10 @@ class Avi:
                 )
             if name == b"LIST" and size >= 4:
                 name, start, size = bytes(data[start : start + 4]), start + 4, size - 4
-                if name in (b"hdrl", b"strl"):  # continue with their content
-                    position, number = start, number + (name == b"strl")
+                if name in (b"hdrl", b"strl"):
+                    position = start  # continue with their content
+                if name == b"strl":
+                    number += 1
             elif name == b"strh" and stream is None and size >= STREAM_HEADER.size:
                 kind, codec, scale, rate = STREAM_HEADER.unpack_from(data, start)
                 if kind == b"vids" and codec.upper() == b"MJPG" and scale and rate:

@@ -64,8 +64,10 @@ class Damage:
     problem: str
 
     def __str__(self) -> str:
-        named = {"row": self.row, "touch": self.touch, "field": self.field and repr(self.field)}
-        parts = [f"{name} {value}" for name, value in named.items() if value not in (None, "")]
+        named: dict[str, object] = {"row": self.row, "touch": self.touch}
+        if self.field:
+            named["field"] = repr(self.field)
+        parts = [f"{name} {value}" for name, value in named.items() if value is not None]
         return f"{', '.join([repr(self.file), *parts])}: {self.problem}"
 
 

@@ -88,13 +88,16 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
         limits = [*of_origin["limits"], *content.words.get("limits", ()), *content.limits]
     cell = words["frames"]["cell"].replace("$window", of_origin.get("window", _WINDOW))
     is_clips = template == "seq"
+    tags = [*of_origin["tags"]]
+    if is_clips:
+        tags.append("video")
     cards.Card(
         template=KIND.card_template.format(template),
         title=f"{of_origin['title']} {content.words['title']}",
         columns=content.columns,
         picture=("touches.png", lambda _facts: _sheet(content.pictures), _CAPTIONS[is_clips]),
         licence=of_origin["licence"],
-        tags=of_origin["tags"] + ["video"] * is_clips,
+        tags=tags,
         nouns=content.nouns,
         tasks=_TASKS,
         figures=content.figures,

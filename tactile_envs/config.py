@@ -148,8 +148,8 @@ class Config(EpisodeConfig):
         The sensor, as ``--sensor`` takes it: a known name, a JSON file, or the folder of a calibrated sensor,
         whose images are then shown in place of Taxim's. By default the GelSight Mini.
     gel_thickness, penetration_depth : float
-        Thickness of the gel, and how far the highest point under it is pressed in, metres; ``gel_m`` and
-        ``press_m`` of :class:`tactile_sim.Sensor`, those of ``sensor_model`` by default. The published
+        Thickness of the gel, and distance from the sensor to the highest point under it, metres: ``gel_m``
+        and ``press_m`` of :class:`tactile_sim.Sensor`, those of ``sensor_model`` by default. The published
         environments have no such settings.
     elastic_gel : tactile_sim.Gel, str, path or mapping, optional
         An elastic gel: a :class:`tactile_sim.Gel`, ``"elastic"``, a JSON file, or a mapping with its

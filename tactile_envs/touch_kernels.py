@@ -284,10 +284,10 @@ def touch(
 ) -> None:
     """Bring sensors down where they are, and let the objects slip: for environments begin to end.
 
-    ``window`` (6,) is pixels a metre, column and row of the middle, counted from the bottom, press depth and
-    thickness of the gel, and the least height of sensors, metres; ``motion`` is as for :func:`aim`; ``drift``
-    (3,) how objects slip afterwards, in their own frame, metres and radians; ``chosen`` which mesh of the
-    pool each object is; ``lifts`` (n,) what is added to the observed heights, metres;
+    ``window`` (6,) is pixels a metre, column and row of the middle, counted from the bottom, ``press_m`` and
+    ``gel_m`` of the sensor, and the least height of sensors, metres; ``motion`` is as for :func:`aim`;
+    ``drift`` (3,) how objects slip afterwards, in their own frame, metres and radians; ``chosen`` which mesh
+    of the pool each object is; ``lifts`` (n,) what is added to the observed heights, metres;
     ``heights`` (H, W + PADDING) room to work in. Of ``sensors`` (n, 3), metres, the observed height is
     written; ``objects`` (n, 3), position, metres, and turn, radians, slip in place. Written are depth images
     (n, H, W); ``depths``, likewise or (0, 0, 0) where not wanted, distances from the gel's camera, metres;

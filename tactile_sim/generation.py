@@ -159,13 +159,14 @@ class TouchGenerator(generation.RowGenerator):
             touched = [number for number in numbers if plan.touches_of(record.id, number)]
             if not touched:
                 continue
-            # What concerns an object is stated once, in the shard of its first round.
+            # Notes and problems of an object are stated once, in the shard of its first round.
             is_first = not any(plan.touches_of(record.id, number) for number in range(touched[0]))
             name = touch_sources.title(record)
             try:
                 held = touch_sources.mesh_of(record)
-                for note in held.notes * is_first:
-                    _LOG.warning("%s: %s", name, note)
+                if is_first:
+                    for note in held.notes:
+                        _LOG.warning("%s: %s", name, note)
                 solid = Pressable.of(held, layer_m=self.spec.layer_m)
             except InputError as error:
                 if is_first:

@@ -78,11 +78,17 @@ def _markers_of(words: str) -> tuple[int, int]:
     return int(columns), int(rows)
 
 
+def _list_or_none(values: tuple[float, ...] | None) -> list[float] | None:
+    if values is None:
+        return None
+    return list(values)
+
+
 @dataclass(frozen=True)
 class ElasticPress:
     """How an elastic gel is pressed, what moves then, and what is stored of it.
 
-    A span is a number, or the least and the greatest of what each touch draws, evenly.
+    A span is the least and the greatest value, between which each touch draws uniformly.
 
     Attributes
     ----------
@@ -210,11 +216,11 @@ class ElasticPress:
             "youngs_modulus_pa": self.gel.youngs_modulus_pa,
             "poisson_ratio": self.gel.poisson_ratio,
             "friction": self.gel.friction,
-            "force_n": self.force_n and list(self.force_n),
-            "press_m": self.press_m and list(self.press_m),
+            "force_n": _list_or_none(self.force_n),
+            "press_m": _list_or_none(self.press_m),
             "slide_m": list(self.slide_m or (0.0, 0.0)),
             "twist_rad": list(self.twist_rad or (0.0, 0.0)),
-            "markers": self.markers and list(self.markers),
+            "markers": _list_or_none(self.markers),
             "draw_markers": self.draw_markers,
             "contact_maps": self.contact_maps,
         }

@@ -37,7 +37,8 @@ class Pressed:
     depth_m : ndarray of float64, shape (H, W) or (n, H, W)
         Distance from the sensor, along its axis, of the surface under each pixel, metres: ``info["depth"]``
         of the published environments, except for single pixels beyond the reach of the gel. The least value
-        is the press depth. The first row is the greatest y of the gel's frame, the first column the least x.
+        is ``press_m`` of the sensor. The first row is the greatest y of the gel's frame, the first column the
+        least x.
     image : ndarray of float32, shape (H, W) or (n, H, W)
         The depth image of the environments: 0 deepest in the gel, 1 no contact.
     sensor_z_m : float, or ndarray of float64, shape (n,)
@@ -80,7 +81,7 @@ def render_touch(
     """Press the gel onto a solid that lies on the plate.
 
     The sensor comes down along its own axis. Without ``gel``, it stops where the highest point under its
-    pixels is pressed into the gel by the press depth, as the published environments define it, and the depth
+    pixels is ``press_m`` of the sensor away from it, as in the published environments, and the depth
     map is the solid, cut off at the surface of the gel; there is no force. An elastic gel deforms: the
     contact is solved for the whole gel, the sensor stops at a force or a depth, and the depth map is the
     surface of the gel.

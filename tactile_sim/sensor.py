@@ -32,7 +32,9 @@ class Sensor:
     gel_m : float
         Thickness of the gel, metres: what lies deeper does not touch it.
     press_m : float
-        How far the highest point under the gel is pressed into it, metres; less than the thickness.
+        Distance from the sensor to the highest point under the gel where the sensor stops, metres; less than
+        the thickness. The point is then pressed into the gel by ``gel_m - press_m``; in `tactile-mnist`
+        0.13.0, both lengths are half of the thickness.
     sample_px : tuple of float
         Where in a pixel the surface is sampled, pixels from its centre, x right and y up.
     surface_m : tuple of float

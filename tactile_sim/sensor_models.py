@@ -202,7 +202,7 @@ class SensorModel:
 
     @property
     def press_m(self) -> float:
-        """Press depth, metres: the height of the sensor where it stops on the bare plate."""
+        """Distance from the sensor to the highest point under the gel when it stops, metres."""
         return self.gel_mm / 2 / 1e3
 
     def to_dict(self) -> dict[str, Any]:

@@ -30,7 +30,7 @@ class SensorTwin(Protocol):
 
 
 class FlatGel(Protocol):
-    """Geometry of a sensor: sensing area and thickness of the gel, mm, and press depth, metres."""
+    """Geometry of a sensor: sensing area and thickness of the gel, mm, and ``press_m``, metres."""
 
     @property
     def width_mm(self) -> float:

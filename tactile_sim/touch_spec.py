@@ -32,7 +32,7 @@ POSITIONS = ("cell", "grid", "object", "given")
 """Ways of choosing where the gel goes."""
 
 TURNS = {"digits": math.pi / 8, "any": math.pi, "none": 0.0}
-"""Greatest rotation of an object, radians: of the environments that classify, of all others, and none."""
+"""Greatest rotation of an object, radians: in the environments that classify, in all others, and none."""
 
 SENSOR_NOISE = "none|calibrated|STD|FILE"
 """Values of the options for the noise of a sensor."""
@@ -91,7 +91,7 @@ class TouchPlan:
         Where the gel goes with ``positions="given"``, and how the object lies, if the table has such columns.
         Then ``touches`` is the longest round of the table, and ``rounds`` their number, if it numbers them.
     turn_rad : float
-        Objects are rotated about z by at most this angle either way, radians; 0 leaves them as they are.
+        Greatest random rotation of objects about z in either direction, radians.
     object_placement : str
         ``"random"``: anywhere in the cell, a centimetre from its edge, as in the environments; ``"middle"``:
         the origin of the mesh in the middle of the cell.
@@ -99,7 +99,7 @@ class TouchPlan:
         Move the object after each touch as the environments do: N(0, 1 mm) along x and y of its own frame,
         and N(0, 0.05 rad) about z.
     seed : int
-        Seed of everything that is drawn.
+        Seed of all random numbers.
     """
 
     rounds: int = integer(16, 1, _MOST_ROUNDS, help="Number of rounds of each object.")
@@ -133,10 +133,11 @@ class TouchPlan:
 
     def __post_init__(self) -> None:
         given = self.given
+        # Not by `isinstance`: importing TouchTable is heavy, and commands import this module.
         if (self.positions == "given") != hasattr(given, "longest"):
-            held = type(given).__name__.replace("NoneType", "none")
+            found = type(given).__name__.replace("NoneType", "none")
             raise InputError(
-                f"the plan of touches has positions {self.positions!r}, and its given touches are {held}; "
+                f"the plan of touches has positions {self.positions!r}, and its given touches are {found}; "
                 "expected positions 'given' and a TouchTable, or neither",
                 next="give --positions given --touches-from FILE",
             )
@@ -195,7 +196,7 @@ class GenerateSpec:
         the largest part of their sensing area with square pixels, and ``"full"`` all of it, rendered in their
         own pixels and scaled.
     press : ElasticPress or None
-        Presses of an elastic gel; None for a gel that is pressed to one depth and shows the solid, cut there.
+        Presses of an elastic gel; None for a gel that is pressed to one depth and shows the undeformed solid.
     ids, labels, per_class : optional
         Only objects with these ids (a pair stands for all from its first to its last), of these classes, and
         of these the first ``per_class`` of each class of a split; then ``limit``.
@@ -312,6 +313,9 @@ class GenerateSpec:
         network: JsonDict = {"weights_sha256": None}
         if self.optics == "cyclegan":
             network = _weights_facts(self.weights)
+        noise = None
+        if self.noise is not None:
+            noise = self.noise.to_dict()
         sensor: JsonDict = {}
         if self.has_other_sensor:
             sensor = {"sensor": self.sensor.to_dict()}
@@ -327,7 +331,7 @@ class GenerateSpec:
             **network,
             "limit": self.limit,
             "layer_m": self.layer_m,
-            "noise": self.noise and self.noise.to_dict(),
+            "noise": noise,
             **sensor,
             **self.chosen,
         }

@@ -141,7 +141,9 @@ def text(default: object = None, **option: Unpack[OptionText]) -> Declared:
 
 
 def _or_none(optional: bool) -> str:
-    return "None or " * optional
+    if optional:
+        return "None or "
+    return ""
 
 
 def rule_of(declared: Field[object]) -> Rule | None:
@@ -153,8 +155,10 @@ def rule_of(declared: Field[object]) -> Rule | None:
 def option_name(declared: Field[object]) -> str:
     """Return the option of a field: ``--size`` of ``size_px``."""
     rule = rule_of(declared)
-    stated = rule and rule.option.get("name")
-    return (stated or f"--{declared.name.replace('_', '-')}").split()[0]
+    name = f"--{declared.name.replace('_', '-')}"
+    if rule is not None:
+        name = rule.option.get("name") or name
+    return name.split()[0]
 
 
 def metavar_of(name: str, rule: Rule) -> str:

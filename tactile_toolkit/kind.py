@@ -217,10 +217,12 @@ class DatasetKind:
 
     def command_of(self, manifest: Specified | None) -> str:
         """Return the command that made a data set: that of the kind, or of a copy or conversion."""
-        operation = manifest and manifest.spec.get("operation")
-        if operation:
-            return f"{self.command} {operation}"
-        return self.made_by
+        operation = None
+        if manifest is not None:
+            operation = manifest.spec.get("operation")
+        if not operation:
+            return self.made_by
+        return f"{self.command} {operation}"
 
     def command_like(self, command: str) -> str:
         """Return a command of this kind by its name, or ``show`` if it has none of that name."""

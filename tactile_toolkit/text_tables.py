@@ -86,7 +86,8 @@ def read_text_table(content: bytes, path: str) -> TextTable:
     try:
         for row in lines:
             read = lines.line_num
-            rows += [row] * bool(row)
+            if row:
+                rows.append(row)
     except csv.Error as error:  # an unclosed quote extends to the end
         raise InputError(
             f"{path!r}, line {read + 1}: {error}; expected a table with commas, semicolons or tabs"

@@ -19,7 +19,7 @@ from realtouch import (
     touch_options,
 )
 from realtouch.faults import check_results, comparisons, rules
-from realtouch.faults.sections import PlacedRow, Section, look_at
+from realtouch.faults.sections import PlacedRow, Section, check_section
 from tactile_toolkit import catalog, errors, places, read, run
 
 MOST_PICTURES = 1_000_000
@@ -103,8 +103,8 @@ def _sections_of(
     touches = sum(int(stored_round.stored_touch_counts(shard).sum()) for shard in shards)
     frames = max(_FEWEST_FRAMES, MOST_PICTURES // max(touches, 1))
     is_rendered = schema.origin_of(shards[0].schema, catalog.manifest_beside(shards[0])) == "synthetic"
-    look = partial(look_at, limits=limits, frames=frames, is_rendered=is_rendered)
-    return touches, run.in_threads(look, _in_sections(_placed_rows(files, damaged)), workers)
+    check = partial(check_section, limits=limits, frames=frames, is_rendered=is_rendered)
+    return touches, run.in_threads(check, _in_sections(_placed_rows(files, damaged)), workers)
 
 
 def _counted(

@@ -1,7 +1,7 @@
-"""Sections of a session: one round, or several short ones in a row, looked at once.
+"""Sections of a session: one round, or several short ones in a row, each checked in one pass.
 
-Everything that several sections are compared by is kept: a digest and a colour pattern of each touch, and the
-bare gel. Pictures are not.
+A section keeps what it is compared by with others: a digest and a colour pattern of each touch, and the bare
+gel. It keeps no pictures.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.touch import MEDIA_COLUMN, decode_image
 
 GEL_PICTURES = 32
-"""Pictures of a section whose median is its bare gel; less than half of them have contact at a place."""
+"""Pictures of a section whose median shows its bare gel; at each pixel, fewer than half have contact."""
 
 _FIRST_FRAMES = 8  # of a clip, before the contact
-_LEAST_BARE = 5  # pictures whose median shows the gel, and not what is touched
+_LEAST_BARE = 5  # pictures whose median shows the gel and not a touched object
 _TIMES = "time_stamp_rel_seq"
 
 
 class PlacedRow(NamedTuple):
-    """A stored round, its split and its number in it."""
+    """A stored round, its split and its row number in the split."""
 
     split: str
     number: int
@@ -46,7 +46,7 @@ class PlacedRow(NamedTuple):
 
 
 class RoundSeen(NamedTuple):
-    """What is known of a round: its place, name, object and gel, and the number of its touches."""
+    """Facts about a round: its place, name, object and gel, and the number of its touches."""
 
     spot: rules.Spot
     name: str
@@ -65,7 +65,7 @@ class TouchSeen(NamedTuple):
 
 @dataclass(eq=False)
 class Section:
-    """What was seen of some rounds; ``gel``, shape (12, 16, 3), are the averages of the bare gel."""
+    """Results of checking some rounds; ``gel``, shape (12, 16, 3), are averages of the bare gel, levels."""
 
     rounds: list[RoundSeen] = field(default_factory=list)
     faults: list[rules.Fault] = field(default_factory=list)
@@ -75,13 +75,13 @@ class Section:
     decoded: int = 0
 
 
-def look_at(
+def check_section(
     rows: Sequence[PlacedRow], limits: touch_options.CheckLimits, frames: int, *, is_rendered: bool
 ) -> Section:
-    """Look at rounds of which at most ``frames`` pictures of each clip are decoded, evenly spaced.
+    """Check rounds; of each clip, at most ``frames`` evenly spaced pictures are decoded.
 
-    Pictures that are rendered may be equal or without content, as those of the bare plate: they are
-    duplicates only if the gel is at the same place, too.
+    Rendered pictures may be equal or without content, as those of the bare plate: they are duplicates only if
+    the gel is also at the same place.
     """
     section = Section()
     pictures: list[strips.Picture] = []
@@ -100,28 +100,35 @@ def look_at(
                 section.faults += rule(strip, limits)
             section.touches += _touches(strip)
             pictures += strip.seen.values()
-    if pictures and not is_rendered:  # nothing lights them
+    if pictures and not is_rendered:  # no light that could change
         steps = seen.outlying_steps(np.stack([each.cells for each in pictures]), limits.exposure)
         section.faults += [rules.Fault("exposure-jumps", pictures[index].spot, step) for index, step in steps]
-        _look_at_gel(section, pictures)
+        _add_bare_gel(section, pictures)
     return section
 
 
 def _describe(stored: stored_round.StoredRound, at: rules.Spot) -> RoundSeen:
-    gel = stored.stored_value("info.gel_id") if "info.gel_id" in stored.group.names else None
-    object_id = stored.integer("object_id") if stored.has("object_id") else None
-    name = stored.name() if stored.has("id") else str(at.row)
+    gel: object = None
+    object_id, name = None, str(at.row)
+    if "info.gel_id" in stored.group.names:
+        gel = stored.stored_value("info.gel_id")
+    if stored.has("object_id"):
+        object_id = stored.integer("object_id")
+    if stored.has("id"):
+        name = stored.name()
     return RoundSeen(at, name, stored.touch_total(), object_id, gel)
 
 
 def _with_bytes(stored: stored_round.StoredRound, at: rules.Spot, section: Section) -> list[rules.Spot]:
-    """Return the touches of a round with stored pictures; those without are faults."""
+    """Return the touches of a round with stored pictures; the others are added to the faults."""
     column = stored.group.nested(MEDIA_COLUMN[stored.kind])
     start, stop = column.inside(0, stored.index, stored.index + 1)
     stored_bytes = [column.values[index] for index in range(start, stop)]
     spots = [at._replace(touch=touch) for touch in range(stored.touch_total())]
     present = [spot for spot, content in zip(spots, stored_bytes, strict=False) if len(content or b"")]
-    empty = sorted({*spots}.difference(present)) or [at] * (not spots)
+    empty = sorted({*spots}.difference(present))
+    if not spots:
+        empty = [at]
     section.faults += [rules.Fault("empty-pictures", spot, 1.0) for spot in empty]
     return present
 
@@ -134,7 +141,7 @@ def _strip(
     *,
     is_rendered: bool,
 ) -> strips.Strip:
-    """Read the images of a round, or the frames of the only touch named; what cannot be read is a fault."""
+    """Read the images of a round, or the frames of one touch; add unreadable ones to the faults."""
     encoded: list[memoryview] = []
     poses, time_s, spots, at = None, np.zeros(0), touches, touches[0]
     try:
@@ -149,7 +156,7 @@ def _strip(
     except IntegrityError:
         section.faults.append(rules.Fault("unreadable-touches", at, 0.0))
     digests = list(map(xxhash.xxh3_128_digest, encoded))
-    looked: dict[int, strips.Picture] = {}
+    pictures: dict[int, strips.Picture] = {}
     empty: dict[int, rules.Fault] = {}
     for number in picture_views.evenly_spaced(len(encoded), frames):
         spot, picture = spots[number], encoded[number]
@@ -164,11 +171,11 @@ def _strip(
             empty[spot.touch] = rules.Fault("empty-pictures", spot, share)
             digests = [b"" if each == digests[number] else each for each in digests]
         else:
-            looked[number] = strips.Picture(spot, cells, picture)
+            pictures[number] = strips.Picture(spot, cells, picture)
     section.faults += empty.values()
     if is_rendered and poses is not None:  # the bare plate looks the same everywhere
         digests = [digest + poses.position_m[number].tobytes() for number, digest in enumerate(digests)]
-    return strips.Strip(at, spots, digests, looked, poses, time_s)
+    return strips.Strip(at, spots, digests, pictures, poses, time_s)
 
 
 def _motion(stored: stored_round.StoredRound, touches: Sequence[rules.Spot]) -> tuple[Poses | None, Float64]:
@@ -195,7 +202,7 @@ def _touches(strip: strips.Strip) -> Iterator[TouchSeen]:
             yield TouchSeen(spot, digest, seen.colour_pattern(np.median(cells, axis=0)))
 
 
-def _look_at_gel(section: Section, pictures: Sequence[strips.Picture]) -> None:
+def _add_bare_gel(section: Section, pictures: Sequence[strips.Picture]) -> None:
     """Add the bare gel: the median of the images, or of the first frames of the clips."""
     by_touch = [list(group) for _, group in groupby(pictures, key=lambda each: each.spot[:3])]
     section.gel = np.median([touch[0].cells for touch in by_touch], axis=0).astype(np.float32)

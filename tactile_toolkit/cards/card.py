@@ -144,7 +144,9 @@ def _shortened(values: JsonValue) -> JsonValue:
         return values
     shown = [_shortened(each) for each in values[:_MOST_ENTRIES]]
     further = len(values) - len(shown)
-    return shown + [f"{further:,} more in manifest.json"] * bool(further)
+    if further:
+        shown.append(f"{further:,} more in manifest.json")
+    return shown
 
 
 def tiles_png(tiles: Sequence[pictures.Tile], columns: int) -> bytes | None:

@@ -102,11 +102,12 @@ def _cited(citation: str) -> str:
 
 
 def _with_section(body: str, heading: str, words: str, *, is_first: bool = False) -> str:
-    """Replace the text of a section, or put words before it."""
+    """Replace the text of a section by ``words``; with ``is_first``, put them before it."""
 
     def changed(found: re.Match[str]) -> str:
         start = f"## {heading}\n\n"
-        rest = found[0].removeprefix(start) * is_first
-        return f"{start}{words}\n\n{rest}"
+        if not is_first:
+            return f"{start}{words}\n\n"
+        return f"{start}{words}\n\n{found[0].removeprefix(start)}"
 
     return re.sub(_SECTION.format(heading), changed, body, count=1)

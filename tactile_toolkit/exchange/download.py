@@ -294,16 +294,18 @@ def _fitted_card(plan: DownloadPlan, folder: store.DataFolder, is_part: bool, ca
 
     Shards and manifest must be in place.
     """
-    # ``datasets.load_dataset(folder)`` fails over a split of the head that is not in the folder.
+    # ``datasets.load_dataset(folder)`` fails if the head names a split that is not in the folder.
     held = {split: plan.held[split] for split in plan.splits}
     here = cards.card_head(cards.folder_summary(folder, place=places.Place(folder.address(), folder, held)))
-    note = (
-        f"\n> This folder holds {', '.join(f'`{split}`' for split in plan.splits)} of "
-        f"`{plan.repository.repo_id}` (commit `{plan.record.commit[:12]}`); the text below describes "
-        "the whole data set.\n\n"
-    )
+    note = ""
+    if is_part:
+        note = (
+            f"\n> This folder holds {', '.join(f'`{split}`' for split in plan.splits)} of "
+            f"`{plan.repository.repo_id}` (commit `{plan.record.commit[:12]}`); the text below describes "
+            "the whole data set.\n\n"
+        )
 
     def fit(head: JsonDict) -> None:
         head.update({name: here[name] for name in here if name in head or name == "configs"})
 
-    return cards.with_head(card, fit, note * is_part)
+    return cards.with_head(card, fit, note)

@@ -211,7 +211,8 @@ def _former_folders(path: Path, *, overwrite: bool) -> list[Path]:
         is_ours = entry.name == store.LOCK_FILE or re.match(store.DRAFT, entry.name) is not None
         if entry.name.startswith(_FOLDER_PREFIX) and entry.is_dir() and not entry.is_symlink():
             is_ours = entry.name == _name_of(entry)
-            former += [entry] * is_ours
+            if is_ours:
+                former.append(entry)
         elif entry.name == PAGE_FILE and entry.is_file() and not entry.is_symlink():
             # Sorted after the folders, one of which holds its template.
             is_ours = entry.read_bytes() in map(_page_of, former)

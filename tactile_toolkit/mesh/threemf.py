@@ -259,8 +259,10 @@ class _Package:
         self._built_bytes += sum(each.nbytes for each in thing.surface or ())
         if depth > _DEEPEST or self._placed_parts > _MOST_PARTS:
             raise InputError(f"object {named[1]!r} holds itself, or more than {_MOST_PARTS:,} parts")
-        bounds.require_unpackable(_PER_BYTE * self._built_bytes, "3MF file: what it builds", self._file_bytes)
-        own = thing.surface and self._without_volumes(named, thing.surface)
+        bounds.require_unpackable(_PER_BYTE * self._built_bytes, "3MF file: its objects", self._file_bytes)
+        own = None
+        if thing.surface is not None:
+            own = self._without_volumes(named, thing.surface)
         parts = [part for part in thing.parts if self._is_body(self._parts.get((named[1], part[0][1])))]
         below = (surface for part in parts for surface in self._placed(*part, depth + 1))
         for surface in below if own is None else [own]:

@@ -103,10 +103,11 @@ def _split_of(path: str) -> tuple[str, str]:
     """Return the split that a path states, and the folder that states it or holds the file."""
     *folders, name = path.split("/")
     stem, parent = name.removesuffix(PARQUET), "/".join(folders)
-    for depth, folder in enumerate(folders if folders != [store.DATA_FOLDER] else ()):
-        stated = _split_in(folder)
-        if stated:
-            return stated, "/".join(folders[: depth + 1])
+    if folders != [store.DATA_FOLDER]:
+        for depth, folder in enumerate(folders):
+            stated = _split_in(folder)
+            if stated:
+                return stated, "/".join(folders[: depth + 1])
     is_numbered = stem.isdigit()
     if is_numbered and parent not in ("", store.DATA_FOLDER):
         return folders[-1], parent  # as in the branch refs/convert/parquet of the Hub

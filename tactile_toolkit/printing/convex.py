@@ -68,7 +68,10 @@ def _best_cut(outline: CrossSection) -> tuple[Float64, float]:
     depths_mm = _depths_mm(outline, corners)
     deepest = corners[int(depths_mm.argmax())]
     cuts = []
-    for number, normal in enumerate(_DIRECTIONS if depths_mm.max() > _OUTLINE_MM else ()):
+    directions = _DIRECTIONS
+    if depths_mm.max() <= _OUTLINE_MM:  # no bay
+        directions = directions[:0]
+    for number, normal in enumerate(directions):
         far, along = normal * _FAR_MM, np.array([-normal[1], normal[0]]) * _FAR_MM
         start = normal * float(normal @ deepest)
         corner = start - along, start - along + far, start + along + far, start + along

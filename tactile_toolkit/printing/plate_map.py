@@ -115,7 +115,8 @@ def _draw_words(chart: _Chart, plate: Sequence[PlacedObject], ids: Counter[int])
         lines = [item.name]
         if item.label:
             lines = [item.label, str(item.id)]
-            lines += [item.split] * bool(item.split and ids[item.id] > 1)
+            if item.split and ids[item.id] > 1:
+                lines.append(item.split)
         width_mm, depth_mm = placed.outline.size_mm
         middle: Float64 = np.array(chart.at([(placed.x_mm + width_mm / 2, placed.y_mm + depth_mm / 2)])[0])
         sides_px = max(pictures.text_size(line, _WORD_PX)[0] for line in lines), len(lines) * _LINE_PX

@@ -87,7 +87,9 @@ def pack_mjcf(
     """
     # An infinite plane, with 5 cm between grid lines.
     light = _tag("light", pos="0 0 1", dir="0 0 -1", directional="true")
-    ground = [light, _tag("geom", name="floor", type="plane", size="0 0 0.05")] * floor
+    ground = []
+    if floor:
+        ground = [light, _tag("geom", name="floor", type="plane", size="0 0 0.05")]
     assets, elements = [], []
     for body, (x_m, y_m) in bodies:
         parts = {f"{body.name}-{number:02d}": part for number, part in enumerate(body.parts)}

@@ -28,10 +28,7 @@ _MESHES = ("visual", "part-[0-9][0-9]", "part-[0-9][0-9][0-9]")
 
 @dataclass(frozen=True, slots=True)
 class WrittenFile:
-    """A file that holds the solid: object, file name, and sizes in mm.
-
-    ``state`` is as in :class:`Made`.
-    """
+    """A file with the solid of an object, and its sizes; ``state`` is as in :class:`Made`."""
 
     name: str
     file: str
@@ -52,21 +49,36 @@ class WrittenFile:
 
 
 def _made(item: PrintObject, ending: str, scale: float, physics: Physics) -> Made[WrittenFile]:
+    """Make the file of an object; a model for simulators has meshes beside it."""
+    is_mesh_file = ending in FORMATS
     mesh = place_on_plate(item.load(), scale)
     verdict = require_solid(mesh)
-    if ending in FORMATS:
+    if is_mesh_file:
         files = {f"{item.name}{ending}": pack_mesh(mesh, ending, item.name)}
     else:
         files = model_files(item.name, mesh, ending, physics)
-    named = (item.name, list(files)[-1], item.split, item.label, item.id)
     sides_mm = (np.ptp(mesh.bounds_m, axis=0) * MM_PER_M).tolist()
     width_mm, depth_mm, height_mm = (round(side_mm, 3) for side_mm in sides_mm)
-    sizes = (width_mm, depth_mm, height_mm, round(verdict.volume_mm3, 3), sum(map(len, files.values())))
-    record = partial(WrittenFile, *named, *sizes)
+
+    def record(state: str) -> WrittenFile:
+        return WrittenFile(
+            name=item.name,
+            file=list(files)[-1],  # the model follows its meshes
+            split=item.split,
+            label=item.label,
+            id=item.id,
+            width_mm=width_mm,
+            depth_mm=depth_mm,
+            height_mm=height_mm,
+            volume_mm3=round(verdict.volume_mm3, 3),
+            bytes=sum(map(len, files.values())),
+            state=state,
+        )
 
     def check() -> None:
-        for content in files.values() if ending in FORMATS else ():
-            require_same_solid(unpack_mesh(content, ending), mesh, verdict)
+        if is_mesh_file:
+            for content in files.values():
+                require_same_solid(unpack_mesh(content, ending), mesh, verdict)
 
     return Made(files, record, check)
 
@@ -85,29 +97,55 @@ def export_files(
 ) -> FileExport[WrittenFile]:
     """Write one file for each object, without rotation, with its lowest point at z = 0.
 
-    Each file must hold the same solid, and read back from disk as it was written, before it gets its name.
-    Existing files with the same bytes are kept, so an interrupted export continues.
+    A file gets its name when it holds the same solid and reads back as it was written. Existing files with
+    the same bytes are kept, so an interrupted export continues. Objects that are not solids are listed in the
+    result.
 
-    Objects that are not solids are listed in the result and do not stop the others. ``kind`` is ``"stl"``,
-    ``"3mf"``, ``"ply"``, ``"obj"`` (millimetres), ``"glb"``, or ``"mjcf"``, ``"urdf"`` or ``"usd"`` for
-    simulators (metres), whose masses follow from ``physics``; ``scale`` multiplies all lengths. With
-    ``overwrite``, files of the same name with other content are replaced, and those of objects that fail are
-    removed. A ``dry_run`` makes and checks the files without writing.
+    Parameters
+    ----------
+    objects : sequence of PrintObject
+        What to write.
+    out : str
+        Folder of the files.
+    kind : str
+        Format: ``"stl"``, ``"3mf"``, ``"ply"`` or ``"obj"`` (millimetres), ``"glb"`` (metres), or for
+        simulators ``"mjcf"``, ``"urdf"`` or ``"usd"`` (metres).
+    scale : float
+        Factor for all lengths.
+    physics : Physics, optional
+        Density and friction of models for simulators.
+    overwrite : bool
+        Replace files with other content, and remove those of objects that fail.
+    dry_run : bool
+        Make and check the files without writing them.
+    workers : int
+        Number of processes.
+    on_progress : callable
+        Called with the numbers of finished and of all objects.
 
-    Raises InputError, before anything is written, for an unknown format, a scale that is not positive, or
-    files in the way, and StorageError where the folder cannot be written; finished files are kept.
+    Returns
+    -------
+    FileExport
+        Written, kept and failed files.
+
+    Raises
+    ------
+    InputError
+        The format is unknown, the scale is not positive, or files are in the way; nothing was written.
+    StorageError
+        The folder cannot be written; finished files are kept.
     """
     name = kind.lower().removeprefix(".")
     ending = MODELS.get(name, f".{name}")
     if ending not in FORMATS and name not in MODELS:
-        names = ", ".join([*(known[1:] for known in FORMATS), *MODELS])
-        raise InputError(f"--format is {kind!r}; expected one of {names}")
+        formats = ", ".join([*(known[1:] for known in FORMATS), *MODELS])
+        raise InputError(f"--format is {kind!r}; expected one of {formats}")
     require_scale(scale)
     how = (ending, scale, physics or Physics())
     products = [
         Product(
             item.name,
-            (f"{item.name}{ending}", *(f"{item.name}/{name}.obj" for name in _MESHES)),
+            (f"{item.name}{ending}", *(f"{item.name}/{part}.obj" for part in _MESHES)),
             partial(_made, item, *how),
         )
         for item in objects

@@ -1,4 +1,4 @@
-"""Rows that are in memory together, and their columns as numpy views."""
+"""A group of rows in memory, and its columns as numpy views."""
 
 from __future__ import annotations
 
@@ -119,10 +119,12 @@ def null_fields(table: pa.Table, names: Sequence[str]) -> dict[int, str]:
     found: dict[int, str] = {}
     for name in filter(group.names.__contains__, names):
         array = group.arrow(name)
-        for row in range(len(array)) if _first_null(array, name) else ():
-            part = _first_null(array.slice(row, 1), name)
-            if part:
-                found.setdefault(row, part)
+        if not _first_null(array, name):
+            continue
+        for row in range(len(array)):
+            field = _first_null(array.slice(row, 1), name)
+            if field:
+                found.setdefault(row, field)
     return found
 
 

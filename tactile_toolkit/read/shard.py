@@ -123,8 +123,9 @@ class Shard:
         """Decode row groups, with all columns or those named (fields of structs by dotted name)."""
         parquet, (metadata, _) = self._open()
         wanted = range(metadata.num_row_groups) if groups is None else groups
-        for index in wanted if columns is None else ():  # a column is not larger than its rows
-            self._require_bounded(index)
+        if columns is None:  # columns are not larger than their rows
+            for index in wanted:
+                self._require_bounded(index)
         with self._named_damage():
             # No threads of Arrow, because shards are already read in parallel.
             return supported_types.supported_table(
@@ -176,8 +177,9 @@ class Shard:
 
         One process of the machine unpacks it, others wait.
         """
-        is_there = self._unpacked(index)
-        return max(1, int(self.metadata.row_group(index).total_byte_size)) * is_there
+        if not self._unpacked(index):
+            return 0
+        return max(1, int(self.metadata.row_group(index).total_byte_size))
 
     def _unpacked(self, index: int) -> bool:
         rows = self.group_starts[index + 1] - self.group_starts[index]

@@ -17,7 +17,9 @@ S = TypeVar("S", bound=RowSource)
 def loader_worker() -> Any:
     """Return the torch worker information of this process; None if it is not a worker of a loader."""
     torch_data = sys.modules.get("torch.utils.data")
-    return torch_data and torch_data.get_worker_info()
+    if torch_data is None:
+        return None
+    return torch_data.get_worker_info()
 
 
 class RowStream(Generic[S]):

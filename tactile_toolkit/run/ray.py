@@ -125,7 +125,8 @@ class RayRunner:
                 for force in (False, True):
                     for reference in left:
                         ray.cancel(reference, force=force)
-                    left = left and ray.wait(left, num_returns=len(left), timeout=_CANCEL_S)[1]
+                    if left:
+                        _, left = ray.wait(left, num_returns=len(left), timeout=_CANCEL_S)
 
 
 def _travelling(names: Iterable[str]) -> Callable[..., Any]:

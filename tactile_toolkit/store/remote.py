@@ -268,7 +268,10 @@ def _store_failure(error: Exception, doing: str, address: str) -> CallFailure | 
         isinstance(link, (ConnectionError, TimeoutError)) or _CONNECTION.search(type(link).__name__)
         for link in chain
     )
-    causes = " ".join([status or "", *(type(link).__name__ for link in chain), _NO_ANSWER * is_silent])
+    words = [status or "", *(type(link).__name__ for link in chain)]
+    if is_silent:
+        words.append(_NO_ANSWER)
+    causes = " ".join(words)
     of_client = [link for link in chain if _is_of_client(link)]
     answer = (redact(str([error, *of_client][-1])).strip().splitlines() or [""])[0][:300]
     values = {

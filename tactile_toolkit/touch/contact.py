@@ -11,8 +11,9 @@ CELL_M = (0.12, 0.12)
 """Size of the cell in which objects are touched, along x and y, metres (package tactile-mnist 0.13.0)."""
 
 PRESS_DEPTH_M = 0.002125
-"""Depth to which the highest point under the gel is pressed into it in rendered touches, metres (package
-tactile-mnist 0.13.0); the height of a sensor that stops on the bare plate."""
+"""Distance from the sensor to the highest point under the gel in rendered touches, metres: half of the
+thickness (package tactile-mnist 0.13.0, GEL_PENETRATION_DEPTH_MM). It is the height of a sensor that stops on
+the bare plate."""
 
 RENDERED_CONTACT_M = 1e-6
 """Contact height of rendered touches, metres: any height above the plate, with a micrometre for rounding."""
