@@ -161,5 +161,7 @@ def _terms(words: Mapping[str, str]) -> dict[str, str]:
         "Algorithm and splits: Schneider et al. 2025. The published MNIST 3D was made from the "
         f"handwriting of HWD+ (Beaulac and Rosenthal 2022){words['citation_end']}."
     )
-    cited = ("tactile_mnist", *(["mnist"] if words["name"] == "mnist" else []), "hwd_plus")
+    cited = ["tactile_mnist", "hwd_plus"]
+    if words["name"] == "mnist":
+        cited.insert(1, "mnist")
     return {"licence_text": words["licence_text"], "citation_text": citation, "bibtex": cards.bibtex(*cited)}

@@ -20,7 +20,7 @@ from tactile_toolkit.checked_fields import check_fields, integer
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.json_types import JsonDict
 
-# Time for a digit and its report on one core (AMD EPYC).
+# Time for a digit and its report on one core, seconds (AMD EPYC).
 _ROW_S = 0.016
 
 _ADD_PICTURES = (
@@ -92,20 +92,20 @@ class DigitMaking(generation.RowGenerator):
     @classmethod
     def of(cls, spec: DigitSetSpec, splits: Sequence[str] | None) -> DigitMaking:
         """Return a generator; a folder of pictures is divided only if ``spec`` or ``splits`` ask for it."""
-        is_asked_for = splits is not None or spec.split.by is not None or spec.split.sizes is not None
-        if is_asked_for or not isinstance(spec.source, picture_folder.FolderSource):
+        is_divided = splits is not None or spec.split.by is not None or spec.split.sizes is not None
+        if is_divided or not isinstance(spec.source, picture_folder.FolderSource):
             return cls(spec)
         return cls(replace(spec, split=replace(spec.split, by="none")))
 
     def items(self) -> Mapping[str, Int64]:
         """Return the ids of each split; reads the catalog of the source only."""
-        usual: Mapping[str, int] = published_splits.PUBLISHED_SIZES
+        sizes: Mapping[str, int] = published_splits.PUBLISHED_SIZES
         splits: tuple[str, ...] = published_splits.SPLITS
         if isinstance(self.spec.source, picture_folder.FolderSource):
-            usual = published_splits.OWN_SIZES
-            named = dict(self.spec.split.sizes or usual)
+            sizes = published_splits.OWN_SIZES
+            named = dict(self.spec.split.sizes or sizes)
             splits = tuple(split for split in published_splits.SPLITS if split in named)
-        plan = plan_splits(self.spec.source.catalog(), self.spec.split, usual)
+        plan = plan_splits(self.spec.source.catalog(), self.spec.split, sizes)
         return {split: plan.rows(split, self.spec.per_class, self.spec.limit) for split in splits}
 
     def layout(self) -> generation.StorageLayout:
@@ -140,7 +140,7 @@ class DigitMaking(generation.RowGenerator):
         return digit_rows.report_table(shard, rows)
 
     def next_if_other(self) -> str:
-        """Return how pictures are added to a data set."""
+        """Return the advice on adding pictures to a data set of a folder; empty for other sources."""
         if not isinstance(self.spec.source, picture_folder.FolderSource):
             return ""
         return _ADD_PICTURES

@@ -1,4 +1,4 @@
-"""Further columns of touches, such as forces and temperatures: only their types are known."""
+"""Further columns of touches, such as forces and temperatures, of which only the types are known."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _MOST_EXACT = 1 << 53  # below which float64 holds every integer
 
 
 class UnknownExtraError(errors.InputError, KeyError):
-    """A further column that a data set does not have; a KeyError, as of every mapping."""
+    """A further column that a data set does not have; also a KeyError, as mappings raise."""
 
     def __init__(self, name: object, path: str, known: Collection[str]) -> None:
         found = ", ".join(map(repr, known)) or "none"
@@ -29,11 +29,11 @@ class UnknownExtraError(errors.InputError, KeyError):
 
 
 class Extras(Mapping[str, Any]):
-    """The further columns of a round or touch, by their own names; each is read when it is asked for.
+    """The further columns of a round or touch, by their own names; each is read on first use.
 
-    Numbers are arrays of their stored type. If a value of the round is missing, integers are float64 as in
-    pandas, and NaN stands in its place. Texts, booleans of which one is missing, and integers of which one is
-    missing and one is 2**53 or more, are arrays of objects with None in its place. Arrays are read-only.
+    Numbers are arrays of their stored type. If a value of the round is missing, integers become float64
+    and the value NaN, as in pandas. Texts, booleans with a missing value, and integers with a missing value
+    and one of 2**53 or more, are arrays of objects, in which a missing value is None. Arrays are read-only.
     """
 
     __slots__ = ("_names", "_read")
@@ -43,7 +43,7 @@ class Extras(Mapping[str, Any]):
         self._read = read
 
     def __getitem__(self, name: str) -> Any:
-        """Read a column. Raises KeyError, an InputError too, for an unknown name."""
+        """Read a column; UnknownExtraError for an unknown name."""
         return self._read(name)
 
     def __contains__(self, name: object) -> bool:

@@ -231,7 +231,7 @@ def _image_size(
 
 
 def _clip_size(row: stored_round.StoredRound, touch: int, size_of: _SizeOf, noted: _Noted) -> tuple[int, ...]:
-    """Return height and width of all frames of a clip; nothing of a clip without frames."""
+    """Return height and width of all frames of a clip; empty for a clip without frames."""
     clip = touch_clips.TouchClip(row, touch)
     with noted():
         if row.has("touch_start_time_rel") and row.has("touch_end_time_rel"):

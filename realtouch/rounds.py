@@ -62,8 +62,8 @@ class TouchRound(read.Record):
         """Further columns by their own names, such as ``extra["force_n"]``; each is read on first use.
 
         A column with an entry per touch is an array of shape (T,), or (T, k) of vectors; one with an entry
-        per frame is a tuple of T arrays, shapes (N_i,) or (N_i, k). What is missing is NaN, of texts and
-        booleans None; integers with gaps are floats.
+        per frame is a tuple of T arrays, shapes (N_i,) or (N_i, k). Missing values are NaN, or None for texts
+        and booleans; integers with missing values are floats.
         """
         return extras.Extras(tuple(schema.extra_columns(self.row.group.names)), self._extra)
 
@@ -93,7 +93,7 @@ class TouchRound(read.Record):
         return type(self)(stored_round.StoredRound(read.RowGroup(chosen, row.path, row.number), 0))
 
     def describe_field(self, name: str, in_words: Callable[[Any], str] = repr) -> str | None:
-        """Return a field as text for people; None without such a column, or if the class is not known."""
+        """Return a field as text; None if the column does not exist or the class is not known."""
         try:
             value = getattr(self, name)
             return None if name == "label" and value == -1 else in_words(value)
@@ -109,7 +109,7 @@ class TouchRound(read.Record):
         return f"{type(self).__name__}({', '.join(words)})"
 
     def _repr_html_(self) -> str:
-        """Show touches in a notebook; what is not stored and pictures that are damaged are left out."""
+        """Show touches in a notebook; missing columns and damaged pictures are left out."""
         words = self.label_words()
         words += filter(None, [self.describe_field("object_id", "object {}".format)])
         touches = picture_views.evenly_spaced(self.touch_count, picture_views.MOST_TILES)
@@ -125,7 +125,7 @@ class TouchRound(read.Record):
         return picture_views.touch_html(self.contact_image(self.touch_count // 2), ", ".join(words))
 
     def label_words(self) -> list[str]:
-        """Return the label for people; nothing of a data set without labels."""
+        """Return the label as text; empty for a data set without labels."""
         label = self.describe_field("label", "label {}".format)
         return list(filter(None, [label]))
 
@@ -160,7 +160,7 @@ class TouchSingleRound(TouchRound):
 
     @property
     def depth_m(self) -> depth_maps.DepthMaps:
-        """Maps of how far the gel is pressed in, T of them, metres; of sets that `realtouch depth` wrote."""
+        """Maps of how far the gel is pressed in, T of them, metres, in sets that `realtouch depth` wrote."""
         return self._once(depth_maps.DEPTH, lambda: depth_maps.DepthMaps(self.row, depth_maps.DEPTH))
 
     @property
@@ -263,9 +263,9 @@ class TouchSeqRound(TouchRound):
         Parameters
         ----------
         touches : slice, sequence of int, or boolean mask
-            Which touches; all by default, which at 320x240 takes 1.6 MB for each of them.
+            Touches to decode; all by default. At 320 x 240 pixels, a touch takes 1.6 MB.
         threads : int, optional
-            How many frames to decode at a time; as many as there are processor cores, up to 4, by default.
+            Number of frames that are decoded at a time; by default the number of processor cores, at most 4.
 
         Returns
         -------

@@ -106,7 +106,7 @@ def upright_size(picture: bytes | ItemError, expected: tuple[int, int] | None) -
 def _is_turned(image: bytes) -> bool:
     """Return whether Exif or XMP data ask readers to turn the image."""
     if is_jpeg(image) and _APP1 not in image:
-        return False  # both stand in such a segment of a JPEG, and to open an image takes a while
+        return False  # JPEGs have both in such a segment, and opening an image takes a while
     try:
         with Image.open(io.BytesIO(image), formats=["JPEG", "PNG", "WEBP"]) as opened:
             return opened.getexif().get(_ORIENTATION) in _TURNED

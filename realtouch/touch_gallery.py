@@ -114,8 +114,10 @@ def _item(
         cover = max(touches, key=lambda touch: heights[touch.touch_index])
     info = record.info if record.row.has_info() else {}
     gel = info.get("gel_id")
-    touched = f"{record.object_id}" if record.row.has("object_id") else ""
-    title += [f"object {touched}"] if touched else []
+    touched = ""
+    if record.row.has("object_id"):
+        touched = f"{record.object_id}"
+        title.append(f"object {touched}")
     notes = [("Touches shown", f"{len(touches)} of {record.touch_count}")]
     if info.get("notes"):
         notes.append(("Notes", str(info["notes"])))

@@ -244,7 +244,7 @@ def _repeated_id(row: stored_round.StoredRound, seen: dict[str, str]) -> list[st
         return []
     return [
         stored_columns.Damage(
-            row.path, row.number, None, "id", f"{name!r} is not unique, it also stands in {first}"
+            row.path, row.number, None, "id", f"{name!r} is not unique, it is also the id in {first}"
         )
     ]
 

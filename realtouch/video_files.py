@@ -38,7 +38,7 @@ VIDEO_ENDINGS = (
 _START_BYTES = 1024
 _IMAGE_BRANDS = (b"avif", b"avis", b"heic", b"heix", b"hevc", b"hevx", b"mif1", b"msf1")
 _TOP_BOXES = (b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide", b"pnot", b"uuid", b"styp")
-_TS_PACKETS = ((188, 0), (192, 4))  # bytes of a packet, and where its mark stands in it
+_TS_PACKETS = ((188, 0), (192, 4))  # bytes of a packet, and position of the sync byte in it
 _TS_SEEN = 4
 # Boxes of ISO/IEC 14496-12 that hold others; those that state a count, at which byte, and the largest one.
 _HOLDERS = (b"moov", b"trak", b"mdia", b"minf", b"stbl", b"edts", b"moof", b"traf")

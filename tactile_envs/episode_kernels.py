@@ -21,11 +21,11 @@ def aim(
     targets: Float64,
     costs: Float32,
 ) -> None:
-    """Turn actions (n, 3) into targets (n, 3), metres, and what they cost, (n,).
+    """Turn actions (n, 3) into targets (n, 3), metres, and costs, (n,).
 
-    Actions are parts of the longest way, in a ball of radius 1; ``motion``, shape (8,), the lowest and the
-    highest position, metres (6), the longest way, metres, and the price of an action. In the precisions of
-    the published environment.
+    An action is a fraction of the greatest distance, and shortened to length 1 if it is longer. ``motion``,
+    shape (8,), has the lowest and the highest position, metres (6), the greatest distance, metres, and the
+    cost factor. The precision of each step is that of the published environment.
     """
     one, price = np.float32(1.0), np.float32(motion[7])
     for i in range(len(actions)):
@@ -40,12 +40,12 @@ def aim(
 
 @compiled
 def turn(ways: Float32, limits: Float64, price: float, axes: Float64, costs: Float32) -> None:
-    """Turn sensors by actions (n, 3), and add what that costs to ``costs``, (n,).
+    """Turn sensors by actions (n, 3), and add the costs to ``costs``, (n,).
 
-    Actions are rotation vectors in the cell's frame, as parts of the widest turn, in a ball of radius 1;
+    Actions are rotation vectors in the cell's frame, as fractions of the widest turn, shortened to length 1;
     ``limits`` (2,) is that turn and the greatest tilt, radians. ``axes`` (n, 3, 3), in columns, are written.
-    A z axis that is tilted too far is brought back towards upright, and the y axis follows; a sensor stays as
-    it was where that leaves y no direction.
+    A z axis that is tilted too far is brought back towards upright, and the y axis follows; the sensor is not
+    turned if that leaves no direction for y.
     """
     one, price_of = np.float32(1.0), np.float32(price)
     for i in range(len(ways)):

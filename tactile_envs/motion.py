@@ -1,4 +1,4 @@
-"""Where sensors may go, and what an action costs."""
+"""Limits of the motion of sensors, and costs of actions."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tactile_envs.gym_types import Action
 from tactile_toolkit.array_types import Float32, Float64
 from tactile_toolkit.errors import InputError
 
-# The square of this, times any `action_regularization`, is finite in single precision.
+# The square of this times the largest `action_regularization` is finite in single precision.
 _MOST_MOVE = 1e12
 _TOP_M = 0.02  # tactile-mnist 0.13.0: range of the observed height of the sensor
 
@@ -27,7 +27,7 @@ class Motion:
     low_m, high_m : ndarray of float64, shape (3,)
         Lowest and highest position, metres, cell frame.
     numbers : ndarray of float64, shape (8,)
-        Both, the longest way of an action, metres, and the price of an action, as kernels take them.
+        Both positions, greatest distance of an action, metres, and cost factor, as kernels take them.
     """
 
     low_m: Float64
@@ -47,24 +47,27 @@ class Motion:
         """Draw positions, shape (*shape, 2), metres."""
         return rng.uniform(self.low_m[:2], self.high_m[:2], (*shape, 2))
 
-    def aim(self, ways: Float32, sensors: Float64, targets: Float64) -> Float32:
-        """Write targets (n, 3) of actions (n, 3) of sensors (n, 3); return the costs of the actions, (n,)."""
-        costs = np.zeros(len(ways), np.float32)
-        aim(ways, self.numbers, sensors, targets, costs)
+    def aim(self, moves: Float32, sensors: Float64, targets: Float64) -> Float32:
+        """Write the targets of actions, and return the costs, shape (n,).
+
+        ``moves`` are actions; ``sensors`` and ``targets`` are positions, metres. All have the shape (n, 3).
+        """
+        costs = np.zeros(len(moves), np.float32)
+        aim(moves, self.numbers, sensors, targets, costs)
         return costs
 
 
 def require_move(action: Action, name: str, num_envs: int) -> Float32:
     """Return a part of an action, shape (num_envs, 3).
 
-    InputError for another shape, and for numbers whose squares are not finite, as neither are the costs of
-    such an action; ValueError if they are not finite themselves, as in the published environment.
+    InputError for another shape, and for numbers so large that the cost, a square, is not finite; ValueError
+    for NaN and infinite numbers, as in the published environment.
     """
     moves = np.ascontiguousarray(action[name], np.float32)
     if moves.shape != (num_envs, 3):
         raise InputError(f"{name} has shape {moves.shape}; expected {(num_envs, 3)}")
     sizes = np.abs(moves)
-    if sizes.max() <= _MOST_MOVE:  # not so with NaN
+    if sizes.max() <= _MOST_MOVE:  # false for NaN
         return moves
     if not np.isfinite(moves).all():  # infinite moves lead to NaN
         raise ValueError(f"NaN values detected in {name}.")
@@ -72,5 +75,5 @@ def require_move(action: Action, name: str, num_envs: int) -> Float32:
     raise InputError(
         f"{name} of environment {row} is {moves[row].tolist()}; expected numbers up to {_MOST_MOVE:.0e}: "
         "the cost of such an action is not finite",
-        next="see why the policy gives it; movements are limited to a ball of radius 1",
+        next="check the policy; longer movements than 1 are shortened to 1",
     )

@@ -1,4 +1,4 @@
-"""Recorded touches: instead of being simulated, each touch is chosen among those of a round."""
+"""Recorded touches: each touch is chosen among those of a round instead of being simulated."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ class RecordedScene(scene.TouchScene):
 
     @property
     def is_exhausted(self) -> Bool | None:
-        """In which cells too few touches are left to choose from, shape (num_envs,)."""
+        """Whether too few touches are left to choose from, for each cell, shape (num_envs,)."""
         is_over: Bool = self._chosen + 1 + len(self._window) > self._count
         return is_over
 
@@ -153,21 +153,21 @@ class RecordedScene(scene.TouchScene):
         pool, which = None, 0
         if self._objects is not None:
             pool, which = self._objects.pool, int(self._objects.which[number])
-        felt = self._images.of(self.numbers[[row]], self._chosen[[row]])[0].astype(np.float32) / 255
+        image = self._images.of(self.numbers[[row]], self._chosen[[row]])[0].astype(np.float32) / 255
         return drawing.EnvDrawing(
             pool,
             which,
             _ON_THE_PLATE,
             self._touches.poses[number, touch, :3, 3],
             self._targets[row],
-            felt,
+            image,
             self.config.cell_size,
             tactile_sim.full_view().window_m,
         )
 
 
 class RecordedImages:
-    """Images of observations of recorded touches; they are made when they are first asked for.
+    """Images of observations of recorded touches; each is made on first use.
 
     Parameters
     ----------
@@ -243,10 +243,10 @@ class RecordedImages:
 
 
 def window_size(touches: int, steps: int, probability: float) -> int:
-    """Return the number of the next touches of a round among which each one is chosen.
+    """Return the number of next touches of a round among which each touch is chosen.
 
-    The largest number for which an episode ends early with at most a probability, if each of the touches to
-    choose from is equally likely. ``touches`` of a round are two more than ``steps`` at least.
+    It is the largest number for which an episode ends early with at most ``probability``, if all touches to
+    choose from are equally likely. ``touches``, the length of a round, must be at least ``steps`` + 2.
     """
     enough = 1 - probability
     widths = range(1, touches)
@@ -254,7 +254,7 @@ def window_size(touches: int, steps: int, probability: float) -> int:
 
 
 def _completes(width: int, touches: int, steps: int) -> float:
-    """Return how probable it is that a window of some width is left after the last step."""
+    """Return the probability that a window of this width is left after the last step."""
     at = np.zeros(touches)  # probability of each touch to be the last one that was taken
     at[0] = 1.0
     for _ in range(steps):

@@ -21,7 +21,7 @@ LOGIT_LIMIT = 5.0
 class FlatAction(gym.Wrapper, RecordConstructorArgs):
     """Environment with one flat action, and observations and rewards as libraries expect them.
 
-    Parts of an action stand one after another, the prediction last. Nothing is scaled. Single numbers of
+    Parts of an action follow each other, the prediction last. Nothing is scaled. Single numbers of
     observations become arrays of shape (1,).
 
     Parameters

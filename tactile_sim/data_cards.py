@@ -151,14 +151,14 @@ def _objects_in_words(source: Mapping[str, Sequence[JsonObject]]) -> list[tuple[
 
 
 def _limits(spec: JsonObject, touches: int, on_object: int) -> list[str]:
-    lacking = [
-        "the wear of gels",
-        *([] if spec.get("layer_m") else ["the texture of prints"]),
-        *([] if spec.get("noise") else ["the noise of a camera"]),
-    ]
+    lacking = ["the wear of gels"]
+    if not spec.get("layer_m"):
+        lacking.append("the texture of prints")
+    if not spec.get("noise"):
+        lacking.append("the noise of a camera")
     shown = f"Rendered images lack {' and '.join(lacking)}."
     if spec["optics"] == "cyclegan":
-        shown = "Images show of prints, gels and noise what the generator learned."
+        shown = "Images show prints, gels and noise as the generator learned them."
     return [
         *CardGel.of(spec).limits,
         shown,

@@ -1,8 +1,8 @@
-"""Steps of Fourier transforms on vectors of numbers, in LLVM's instructions, which numba does not use.
+"""Steps of Fourier transforms on vectors of numbers, as vector instructions of LLVM, which numba lacks.
 
-Each operation is an IEEE one, in the order in which it is written. Arrays are flat; a vector lies at any
-place of them. Numba's cache on disk does not look at this file: when it changes, change
-``elastic_response.py`` and ``elastic_kernels.py``, too.
+Each operation is an IEEE one, in the order in which it is written. Arrays are flat; a vector may start at any
+index. Numba's cache on disk does not check this file: when it changes, change ``elastic_response.py`` and
+``elastic_kernels.py``, too.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ _SINE_60 = math.sqrt(0.75)
 Vector: TypeAlias = ir.Value
 Complex: TypeAlias = tuple[Vector, Vector]
 Typed: TypeAlias = tuple[Signature, Build]
-"""Signature of an intrinsic, and what writes its instructions."""
+"""Signature of an intrinsic, and the function that writes its instructions."""
 
 Intrinsic: TypeAlias = Callable[..., None]
 
 
 class _Lanes:
-    """Vectors of an array, and sums and products of complex ones, while code is built."""
+    """Builds code that loads and stores vectors of arrays, and adds and multiplies complex ones."""
 
     def __init__(
         self,
@@ -102,19 +102,19 @@ def _small_transform(lanes: _Lanes, x: list[Complex], sign: int) -> list[Complex
         side = lanes.turn(lanes.scale(lanes.subtract(x[1], x[2]), lanes.constant(_SINE_60)), sign)
         return [lanes.add(x[0], both), lanes.add(middle, side), lanes.subtract(middle, side)]
     even, odd = lanes.add(x[0], x[2]), lanes.add(x[1], x[3])
-    less, side = lanes.subtract(x[0], x[2]), lanes.turn(lanes.subtract(x[1], x[3]), sign)
+    difference, side = lanes.subtract(x[0], x[2]), lanes.turn(lanes.subtract(x[1], x[3]), sign)
     return [
         lanes.add(even, odd),
-        lanes.add(less, side),
+        lanes.add(difference, side),
         lanes.subtract(even, odd),
-        lanes.subtract(less, side),
+        lanes.subtract(difference, side),
     ]
 
 
 def _butterfly(radix: int, sign: int) -> Intrinsic:
-    """Return a step of a transform: ``radix`` vectors, ``step`` apart from ``at`` on, in place.
+    """Return a step of a transform of ``radix`` vectors in place: from ``at`` on, ``step`` apart.
 
-    Forward (sign -1) the results are multiplied by twiddle factors, backward the numbers before.
+    A forward step (sign -1) multiplies its results by twiddle factors, a backward step its input.
     """
 
     def typed(
@@ -164,7 +164,7 @@ backward_2, backward_3, backward_4 = (_butterfly(radix, 1) for radix in (2, 3, 4
 
 
 def _copy(_typing: Context, source: Type, target: Type, at: Type, to: Type) -> Typed:
-    """Copy LANES numbers from ``at`` on, to ``to``."""
+    """Copy LANES numbers from index ``at`` of ``source`` to index ``to`` of ``target``."""
 
     def build(
         context: Context, builder: ir.IRBuilder, signature: Signature, given: Sequence[ir.Value]
@@ -180,7 +180,7 @@ copy_vector: Intrinsic = intrinsic(_copy)
 
 
 def _transpose(_typing: Context, source: Type, target: Type, at: Type, to: Type) -> Typed:
-    """Transpose LANES x LANES numbers, contiguous from ``at`` on, to ``to``."""
+    """Transpose LANES x LANES contiguous numbers from index ``at`` of ``source`` to ``to`` of ``target``."""
 
     def build(
         context: Context, builder: ir.IRBuilder, signature: Signature, given: Sequence[ir.Value]
@@ -192,7 +192,7 @@ def _transpose(_typing: Context, source: Type, target: Type, at: Type, to: Type)
             return builder.add(start, ir.Constant(kind, number * LANES))
 
         rows = [lanes.load(0, row(given[2], number)) for number in range(LANES)]
-        # Rows that lie half of their number apart are merged, four times over: a perfect shuffle each time.
+        # Merging rows that are half their number apart is a perfect shuffle; log2(LANES) of them transpose.
         low, high = (
             ir.Constant(
                 ir.VectorType(ir.IntType(32), LANES),
@@ -227,17 +227,17 @@ def _split(
     first: Type,
     second: Type,
 ) -> Typed:
-    """Write twice the spectra of the two real fields of a complex one: at k, from k and -k."""
+    """Write twice the spectra of the two real fields of a complex one at k, from its values at k and -k."""
 
     def build(
         context: Context, builder: ir.IRBuilder, signature: Signature, given: Sequence[ir.Value]
     ) -> ir.Value:
         lanes = _Lanes(context, builder, signature.args[:4], given[:4])
         here, there = ((lanes.load(0, place), lanes.load(1, place)) for place in given[4:6])
-        both, less = lanes.add(here, there), lanes.subtract(here, there)
-        lanes.store(both[0], 2, given[6])
-        lanes.store(less[1], 3, given[6])
-        lanes.store(both[1], 2, given[7])
+        total, difference = lanes.add(here, there), lanes.subtract(here, there)
+        lanes.store(total[0], 2, given[6])
+        lanes.store(difference[1], 3, given[6])
+        lanes.store(total[1], 2, given[7])
         lanes.store(builder.fsub(there[0], here[0]), 3, given[7])
         return context.get_dummy_value()
 
@@ -259,7 +259,7 @@ def _join(
     first: Type,
     second: Type,
 ) -> Typed:
-    """Write the spectrum of a complex field at k and -k, of the spectra of its two real ones at k."""
+    """Write the spectrum of a complex field at k and -k, from the spectra of its two real fields at k."""
 
     def build(
         context: Context, builder: ir.IRBuilder, signature: Signature, given: Sequence[ir.Value]
@@ -280,7 +280,7 @@ join_fields: Intrinsic = intrinsic(_join)
 
 
 def _keep_apart(_typing: Context) -> Typed:
-    """Keep LLVM from copying the function that calls this into others, which then compile much longer."""
+    """Keep LLVM from inlining the calling function, which would make compilation much longer."""
 
     def build(
         context: Context, builder: ir.IRBuilder, _signature: Signature, _given: Sequence[ir.Value]

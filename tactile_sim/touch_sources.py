@@ -27,9 +27,9 @@ Opener: TypeAlias = Callable[[places.Name], places.Place]
 
 
 def solids_of(
-    source: places.Name | places.Place | Meshes, unit: str | None, opened: Opener
+    source: places.Name | places.Place | Meshes, unit: str | None, open_place: Opener
 ) -> tuple[str, Mapping[str, Solids], str]:
-    """Return name and splits of a data set, mesh files or meshes in memory; and what of it is unfinished."""
+    """Return name and splits of a data set, mesh files or meshes, and a note if it is unfinished."""
     if isinstance(source, places.Place):
         place = source
     else:
@@ -37,7 +37,7 @@ def solids_of(
         if given is not None:
             return "the source", given, ""
         assert not isinstance(source, Mapping), "meshes in memory are given solids"
-        place = opened(source)
+        place = open_place(source)
     mesh.refuse_unit(unit, place.name)
     place.require_meshes("tactile-sim generate").require_complete()
     return place.name, {split: open_split(place, split) for split in place.splits}, place.unfinished
@@ -65,7 +65,7 @@ def fingerprints(solids: Solids) -> list[JsonDict]:
 
 
 def title(solid: mesh.SolidRecord | GivenSolid) -> str:
-    """Return what messages call a solid."""
+    """Return the name of a solid in messages."""
     if isinstance(solid, GivenSolid):
         return f"object {solid.id} ({solid.name})"
     return f"object {solid.id}"

@@ -251,6 +251,9 @@ def forecast(
         options.workers if isinstance(options.workers, int) else getattr(options.workers, "workers", 1)
     )
     processes = processes or system.usable_cores()
+    seconds = 0.0
+    if left:
+        seconds = round(left.total() * item_s / processes + _START_S, 1)
     return Forecast(
         [
             {"split": each, "rows": rows[each], "shards": shards[each], "finished": rows[each] - left[each]}
@@ -258,7 +261,7 @@ def forecast(
         ],
         left.total(),
         round(left.total() * item_bytes),
-        round(left.total() * item_s / processes + _START_S * bool(left), 1),
+        seconds,
         sampled,
         _existing_rows(folder) if options.overwrite else None,
     )

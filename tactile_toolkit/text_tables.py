@@ -1,4 +1,4 @@
-"""Tables in text files: separated by commas, semicolons or tabs, in UTF-8, or UTF-16 with a mark."""
+"""Tables in text files: separated by commas, semicolons or tabs, in UTF-8, or UTF-16 with a BOM."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ _SEPARATORS = (",", ";", "\t")
 # A line before the header, by which spreadsheets state the separator.
 _SEPARATOR_LINE = re.compile(r"sep=([,;\t])\r?\n")
 UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
+"""Byte order marks of UTF-16."""
 
 
 def table_text(content: bytes, path: str) -> tuple[str, str]:
@@ -44,16 +45,16 @@ def table_text(content: bytes, path: str) -> tuple[str, str]:
 
 @dataclass(frozen=True, slots=True)
 class TextTable:
-    """A table of text, as it stands.
+    """A table of text, as it was read.
 
     Attributes
     ----------
     names : list of str
-        Columns, in order; there may be two of one name.
+        Names of the columns, in order; they may have duplicates.
     rows : list of list of str
-        Values of each row that is not empty; there may be more or fewer than columns.
+        Values of each row that is not empty; a row may have more or fewer values than there are columns.
     separator : str
-        What stands between values.
+        Character between values.
     """
 
     names: list[str]

@@ -25,7 +25,7 @@ PER_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """A quantity whose unit a column states: what messages call it, the option, and units in that of SI."""
+    """A quantity: its name in messages, its option, and how many of each unit make one SI unit."""
 
     name: str
     option: str

@@ -175,7 +175,7 @@ def read_idx(path: Path, magic: int) -> UInt8:
 
     The first number of the file must be ``magic``, whose last byte is the number of dimensions. Raises
     InputError when the file cannot be read, is damaged, cut off or too long, or is of another kind. The size
-    in the header is bounded (:mod:`tactile_toolkit.bounds`), and no more is unpacked.
+    in the header is bounded (:mod:`tactile_toolkit.bounds`), and nothing beyond it is unpacked.
     """
     start = 4 + 4 * (magic & 0xFF)
     try:

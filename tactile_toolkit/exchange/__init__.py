@@ -1,4 +1,4 @@
-"""Data sets on their way: to the Hub, from it, and into other formats."""
+"""Upload, download and export of data sets."""
 
 from lazy_loader import attach_stub
 

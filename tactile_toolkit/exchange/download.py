@@ -193,11 +193,13 @@ def _accompanying_files(
     ``metadata`` are card and manifest if they are downloaded unchanged.
     """
     manifest = repository.manifest
-    # Rows of data sets of plain pictures name files, which are needed, too.
+    # Rows of data sets of plain pictures refer to files, which are also needed.
     pictures = [f"{_PICTURE_FOLDER}/{split}/" for split in splits if manifest is not None]
     folders = (*_EXTRA_FOLDERS, *pictures)
-    listed = {*_EXTRA_FILES, *(manifest.files if manifest else ())} - {*_METADATA_FILES, *_shown(manifest)}
-    wanted = {*listed, *metadata}
+    listed = {*_EXTRA_FILES}
+    if manifest is not None:
+        listed.update(manifest.files)
+    wanted = (listed - {*_METADATA_FILES, *_shown(manifest)}) | {*metadata}
     return [path for path in repository.files() if path in wanted or path.startswith(folders)]
 
 

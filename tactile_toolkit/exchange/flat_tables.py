@@ -1,4 +1,4 @@
-"""Tables with a mesh file in each row: for other libraries, and for the page of the Hub."""
+"""Tables with a mesh file in each row: for other libraries, and for the viewer of the Hub."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def plan_tables(
 ) -> store.BuildPlan:
     """Plan Parquet files of chosen rows of splits, which other libraries read.
 
-    ``chosen`` is what :func:`~tactile_toolkit.catalog.choose_rows` chose them by. Raises as all makers
-    of folders do.
+    ``chosen`` are the arguments by which :func:`~tactile_toolkit.catalog.choose_rows` chose the rows. Raises
+    InputError if ``out`` is in the source or holds something else.
     """
     tasks, shards = [], {}
     for split, rows, places in choices:
@@ -50,9 +50,10 @@ def plan_tables(
         "ids": ",".join(map(catalog.id_text, chosen["ids"] or ())) or None,
         "labels": ",".join(chosen["labels"] or ()) or None,
         "limit": chosen["limit"],
-        **({} if chosen["per_class"] is None else {"per_class": chosen["per_class"]}),
-        **unfinished_counts([place]),
     }
+    if chosen["per_class"] is not None:
+        options["per_class"] = chosen["per_class"]
+    options |= unfinished_counts([place])
     every = [shard for found in shards.values() for shard in found]
     catalog.refuse_source(store.open_folder(out), place.name, every)
     return copy_plan(kind, EXPORT, options, shards, place.made_by or None, tasks, _STYLE, "trimesh")

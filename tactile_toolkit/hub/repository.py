@@ -173,7 +173,9 @@ class HubRepository:
 
     def files(self) -> list[str]:
         """List the paths of all files; if the cache answered, those in the cache and in its manifest."""
-        return sorted({*self.remote, *(self._listed if self.is_cache else ())})
+        if self.is_cache:
+            return sorted({*self.remote, *self._listed})
+        return sorted(self.remote)
 
     def file(self, path: str) -> store.HubFile:
         """Return the expected size and digest of a file, as the manifest states them, or else the Hub.

@@ -32,7 +32,7 @@ _APPEARANCE = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "KHR_xmp", "EXT_
 _Y_UP = (1, 0, 0, 0, 0, 0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1)
 _Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 _PER_BYTE = 4
-# What places a node, in place of a matrix.
+# Parts of the transform of a node, instead of a matrix.
 _PARTS = {"translation", "rotation", "scale"}
 _LENGTH_TOLERANCE = 1e-3
 
@@ -188,7 +188,7 @@ def _matrix(node: JsonValue) -> Float64:
     if "matrix" in node:
         found = np.array(node["matrix"], np.float64).reshape(4, 4).T
         if _PARTS & node.keys() or (found[3] != (0, 0, 0, 1)).any():
-            raise InputError("a node has a matrix that distorts, or that stands next to parts of one")
+            raise InputError("a node has a matrix that distorts, or both a matrix and parts of one")
         return found
     if "rotation" in node:
         length = math.hypot(*node["rotation"])

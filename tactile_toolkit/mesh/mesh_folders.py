@@ -1,4 +1,4 @@
-"""Mesh files by the name of one, or of a folder: which there are, their splits and their classes."""
+"""Mesh files of a path: a single file, or a folder with splits and classes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _OTHER_FORMATS = (
 
 @dataclass(frozen=True, slots=True)
 class MeshFiles:
-    """Mesh files in the order of their numbers, which is that of their names (2 before 10).
+    """Mesh files, numbered in the natural order of their names (2 before 10).
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class MeshFiles:
     class_names : tuple of str
         All classes, in order; those of several splits are numbered together.
     root : Path or None
-        Folder that links must not leave; None for a single file.
+        Folder in which the targets of links must be; None for a single file.
     """
 
     splits: dict[str, tuple[Path, ...]]
@@ -52,8 +52,9 @@ class MeshFiles:
 def find_mesh_files(place: str | PathLike[str]) -> MeshFiles | None:
     """List a mesh file, or a folder of them; None for a data set, or if there are none.
 
-    Sub-folders called ``train`` and ``test`` are splits. Other sub-folders are classes; files outside of them
-    are a class each, called by their names. InputError: files lie next to classes, or either next to splits.
+    Sub-folders called ``train`` and ``test`` are splits. Other sub-folders are classes; a file outside
+    them is a class of its own, called by its name. InputError if there are files next to classes, or files or
+    classes next to splits.
     """
     root = store.expanded(fspath(place))
     with store.readable(str(root)):

@@ -116,7 +116,11 @@ class _Package:
         bounds.require_unpackable(_PER_BYTE * size, f"3MF file: XML of {size:,} bytes", file_bytes)
         for path in known:
             self._read(archive, entries[path], self._begin_other)
-        self._root = self._target or (MODEL_PATH.lower() if MODEL_PATH.lower() in models else models[0])
+        self._root = self._target
+        if not self._root:
+            self._root = MODEL_PATH.lower()
+            if self._root not in models:
+                self._root = models[0]
         if self._root not in models:
             raise InputError(f"the archive holds no model /{self._root}, which it names as its root")
         for self._path in models:
@@ -177,7 +181,8 @@ class _Package:
             case "build":
                 self._last = self._objects[self._path, ""]
             case "item" if given.get("printable") in ("0", "false"):
-                self._left_out["objects", "not to be printed"] += self._path == self._root
+                if self._path == self._root:
+                    self._left_out["objects", "not to be printed"] += 1
             case "component" | "item":
                 numbers = numbers_of(given.get("transform", _UNMOVED).split(), float)
                 # Each model has its own unit.

@@ -71,7 +71,9 @@ def _object(item: BuildItem, number: int) -> str:
     corners = "".join(f'<vertex x="{x:.9g}" y="{y:.9g}" z="{z:.9g}"/>' for x, y, z in places)
     faces = item.mesh.faces.tolist()
     triangles = "".join(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in faces)
-    name = f" name={quoteattr(item.name)}" * bool(item.name)
+    name = ""
+    if item.name:
+        name = f" name={quoteattr(item.name)}"
     return (
         f'<object id="{number}" type="model"{name}><mesh><vertices>{corners}</vertices>'
         f"<triangles>{triangles}</triangles></mesh></object>"

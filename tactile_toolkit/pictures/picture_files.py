@@ -103,7 +103,9 @@ def png_bytes(pixels: UInt8) -> bytes:
 def figure_html(pixels: UInt8, caption: str, style: str = "") -> str:
     """Return HTML for notebooks of a picture and its caption, which is plain text."""
     source = base64.b64encode(png_bytes(pixels)).decode("ascii")
-    styled = f' style="{style}"' * bool(style)
+    styled = ""
+    if style:
+        styled = f' style="{style}"'
     return (
         f'<figure{styled}><img src="data:image/png;base64,{source}">'
         f"<figcaption>{html.escape(caption)}</figcaption></figure>"

@@ -56,18 +56,29 @@ def sheet(
     columns = min(columns, max(len(tiles), 1))
     rows = -(-len(tiles) // columns)
     shown = [tile for tile in tiles if tile is not None]
-    frame_px = 2 * _FRAME_PX * any(tile.frame for tile in shown)
+    frame_px = 0
+    if any(tile.frame for tile in shown):
+        frame_px = 2 * _FRAME_PX
     cell_height = max((tile.pixels.shape[0] for tile in shown), default=1) + frame_px
     cell_width = max((tile.pixels.shape[1] for tile in shown), default=1) + frame_px
-    captioned = any(tile.caption for tile in shown)
-    row_step = cell_height + gap_px + _line_px(CAPTION_PX) * captioned
+    row_step = cell_height + gap_px
+    if any(tile.caption for tile in shown):
+        row_step += _line_px(CAPTION_PX)
     label_px = max((round(text_size(label, TEXT_PX)[0]) for label in row_labels), default=0)
-    head_px = _line_px(TITLE_PX) * bool(title) + _line_px(TEXT_PX) * len(lines)
-    left_px = margin_px + (label_px + gap_px + 4) * bool(label_px)
-    top_px = margin_px + (head_px + gap_px) * bool(head_px)
+    head_px = _line_px(TEXT_PX) * len(lines)
+    if title:
+        head_px += _line_px(TITLE_PX)
+    left_px = top_px = margin_px
+    if label_px:
+        left_px += label_px + gap_px + 4
+    if head_px:
+        top_px += head_px + gap_px
     words_px = max([text_size(line, TEXT_PX)[0] for line in lines] + [text_size(title, TITLE_PX)[0]])
     width = max(left_px + columns * (cell_width + gap_px) - gap_px, round(words_px) + margin_px) + margin_px
-    height = top_px + rows * row_step + (_line_px(TEXT_PX) if bar_room else -gap_px) + margin_px
+    below_px = -gap_px
+    if bar_room:
+        below_px = _line_px(TEXT_PX)
+    height = top_px + rows * row_step + below_px + margin_px
 
     picture = Image.new("RGB", (width, height), PAPER)
     pen = ImageDraw.Draw(picture)

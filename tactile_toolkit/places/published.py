@@ -59,7 +59,8 @@ def hub_states(
 ) -> Iterator[tuple[hub.HubRepository | None, hub.HubRepository | None]]:
     """Ask the Hub for all sets at once; yield the repository and the cached files of each.
 
-    None if the Hub does not answer, or if nothing of the last resolved commit is in the cache.
+    The first is None if the Hub does not answer, the second if the cache has no file of the last resolved
+    commit.
     """
 
     def state(entry: PublishedSet) -> tuple[hub.HubRepository | None, hub.HubRepository | None]:

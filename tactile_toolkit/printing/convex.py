@@ -48,7 +48,7 @@ def convex_parts(
         for half in part.split_by_plane((*normal.tolist(), 0.0), offset_mm):
             parts += _parts(half)
     smooth = [(hull, hull.simplify(tolerance_mm).hull()) for *_, hull in parts]
-    # Smoothing leaves nothing of a chip thinner than the tolerance.
+    # Smoothing removes chips that are thinner than the tolerance.
     return [Mesh.from_manifold(exact if simple.is_empty() else simple) for exact, simple in smooth]
 
 

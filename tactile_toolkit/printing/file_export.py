@@ -140,11 +140,12 @@ def _exported(
             _write(path, content)
     except ItemError as error:
         detail = str(error)
-        # Files left under these names, of an earlier export too, would pass for this product.
+        # Files under these names, even of an earlier export, would be mistaken for this product.
         if not dry_run:
             _remove(_before(folder, product))
-            names = ", ".join(sorted(path.name for path in before))
-            detail += f"; {names} of an earlier export was removed" * bool(before)
+            if before:
+                names = ", ".join(sorted(path.name for path in before))
+                detail += f"; {names} of an earlier export was removed"
         return product.name, "failed", FailedExport(product.name, error.reason, detail)
     return product.name, "written", made.record("written")
 

@@ -136,8 +136,10 @@ class _Plate:
         return x_mm, row.y_mm
 
     def _start_mm(self, y_mm: float) -> float:
-        is_beside = y_mm < self._spec.corner_mm[1] + self._spec.margin_mm
-        return self._spec.margin_mm + is_beside * self._spec.corner_mm[0]
+        """Return where a row starts along x: beside the unusable corner, or at the margin."""
+        if y_mm < self._spec.corner_mm[1] + self._spec.margin_mm:
+            return self._spec.margin_mm + self._spec.corner_mm[0]
+        return self._spec.margin_mm
 
 
 def arrange(
@@ -171,14 +173,17 @@ def _measured(item: PrintObject, spec: PlateSpec, scale: float) -> PlacedObject:
     outline = Outline.of(verdict.manifold)
     width_mm, depth_mm = outline.size_mm
     if _Plate(spec).place(width_mm, depth_mm) is None:
-        margins = f" less {spec.margin_mm:g} mm at each edge" * bool(spec.margin_mm)
+        margins, remedy = "", "--scale"
+        if spec.margin_mm:
+            margins = f" less {spec.margin_mm:g} mm at each edge"
+            remedy = "--margin-mm or --scale"
         if any(spec.corner_mm):
+            remedy = "--margin-mm or --scale"
             margins += f" and {spec.corner_mm[0]:g} x {spec.corner_mm[1]:g} mm in a corner"
         raise InputError(
             f"{item.name} does not fit on the plate: it needs {width_mm:.1f} x {depth_mm:.1f} mm, the plate "
             f"has {spec.width_mm:g} x {spec.depth_mm:g} mm{margins}; nothing was written",
-            next=f"give a larger --plate, a smaller {'--margin-mm or ' * bool(margins)}--scale or other "
-            "--ids",
+            next=f"give a larger --plate, a smaller {remedy} or other --ids",
         )
     box = verdict.manifold.bounding_box()
     return PlacedObject(item, outline, float(box[5] - box[2]), verdict.volume_mm3)

@@ -181,7 +181,9 @@ def _pack_usd(body: RigidBody) -> bytes:
 def _prim(kind: str, name: str, schemas: Sequence[str], *content: str) -> str:
     """Write a prim of USD: its schemas, attributes and children."""
     listed = ", ".join(f'"{schema}"' for schema in schemas)
-    applied = f" (\n{_USD_INDENT}prepend apiSchemas = [{listed}]\n)" * bool(schemas)
+    applied = ""
+    if schemas:
+        applied = f" (\n{_USD_INDENT}prepend apiSchemas = [{listed}]\n)"
     inside = indent("\n".join(content), _USD_INDENT)
     return f'\ndef {kind} "{name}"{applied}\n{{\n{inside}\n}}'
 

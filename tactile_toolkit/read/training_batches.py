@@ -257,7 +257,9 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
                 "no state of TrainingBatches was given; expected state_dict() of the loader that gave them"
             )
         worker = torch.utils.data.get_worker_info()
-        expected = {**self._identity, **({} if worker is None else self._division(worker))}
+        expected = {**self._identity}
+        if worker is not None:
+            expected.update(self._division(worker))
         for state in states:
             for name, value in expected.items():
                 if state[name] != value:

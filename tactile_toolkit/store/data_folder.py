@@ -1,4 +1,4 @@
-"""What the kernel needs of a data set folder, wherever it lies."""
+"""The interface of data set folders, on a local file system or in an object store."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PENDING_FOLDER = ".pending"
 """Holds the records and report rows of finished shards until the manifest has them."""
 
 NEXT_FOLDER = ".next"
-"""Holds the data set that is to take the place of the one around it."""
+"""Holds the data set that will replace the one in the folder."""
 
 TEMPORARY = "tmp-[0-9a-f]{32}(?s:/.*)?"
 """Names of unfinished files in :data:`PENDING_FOLDER`, and of sub-folders of them, as a pattern."""
@@ -68,7 +68,7 @@ class DataFolder(Protocol):
         """Return why the folder cannot hold files, or ``""`` if it can."""
 
     def missing_message(self, what: str) -> str:
-        """State what is wrong with a folder in which something was not found: it, or what was looked for."""
+        """Return the message for a missing file: the problem of the folder, or else ``no what in folder``."""
         return self.problem() or f"no {what} in {self.root!r}"
 
     @abstractmethod
@@ -95,7 +95,7 @@ class DataFolder(Protocol):
 
     @abstractmethod
     def entries(self, folder: str = "") -> dict[str, int | None]:
-        """List names directly in a sub-folder, sorted, with sizes in bytes, None for what is not a file.
+        """List names directly in a sub-folder, sorted, with sizes in bytes, None for anything but a file.
 
         An absent sub-folder is empty.
         """
@@ -114,7 +114,7 @@ class DataFolder(Protocol):
 
     @abstractmethod
     def open(self, path: str) -> IO[bytes]:
-        """Open a file for reading; IntegrityError for what is not a file, such as a pipe or a device."""
+        """Open a file for reading; IntegrityError for anything else, such as a pipe or a device."""
 
     @abstractmethod
     def read_bytes(self, path: str) -> bytes:
@@ -164,7 +164,7 @@ class DataFolder(Protocol):
 
     @abstractmethod
     def remove_empty(self, folder: str) -> None:
-        """Remove a sub-folder when nothing is left in it; in a store it has gone with its last file."""
+        """Remove a sub-folder if it is empty; in a store, it vanished with its last file."""
 
     @abstractmethod
     def remove_temporaries(self) -> None:
@@ -174,7 +174,7 @@ class DataFolder(Protocol):
     def require_folder(self) -> None:
         """Create the folder, and prove that it can be written to; a bucket must exist.
 
-        Raises InputError when a file stands in its place or the bucket does not exist.
+        Raises InputError if there is a file of that name, or if the bucket does not exist.
         """
 
     @abstractmethod

@@ -164,7 +164,7 @@ class FsspecFolder(DataFolder):
         """Do nothing: an unfinished file is not in the store."""
 
     def require_folder(self) -> None:
-        """Raise InputError if a file stands in its place or the bucket does not exist."""
+        """Raise InputError if there is a file of that name, or if the bucket does not exist."""
         self._require_writable("")
         found = self.info("")
         if found is not None and found["type"] == "file":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 
 import msgspec
@@ -24,7 +25,7 @@ PROMOTION_FILE = f"{NEXT_FOLDER}/.promotion.json"
 
 
 def require_replaceable(folder: DataFolder, plan: BuildPlan | None = None) -> list[str]:
-    """Return the files of the data set that a run may replace; empty if there is none; changes nothing.
+    """Return the files of the data set that a run may replace; empty if there is none. Changes nothing.
 
     Files of a data set are known by their names; other hidden files stay. An interrupted run of the plan is
     continued, not replaced. Raises InputError for any other file or symbolic link, and for a set in an object
@@ -35,24 +36,26 @@ def require_replaceable(folder: DataFolder, plan: BuildPlan | None = None) -> li
         return []
     if not isinstance(folder, LocalFolder):
         raise InputError(
-            f"{folder.address()!r} holds a data set, and --overwrite replaces none in an object store, where "
-            "it could not be put back if the new run fails; nothing was changed",
+            f"{folder.address()!r} holds a data set, and --overwrite does not work in an object store: the "
+            "data set could not be restored if the new run fails; nothing was changed",
             next="choose another folder (--out or OUT), or remove that one with the store's own tools",
         )
     manifest = _manifest(folder)
-    # The manifest may come from the Hub, from anyone: what it names counts only if a kind declares it.
-    named = (manifest and manifest.trees) or ()
+    # Anyone may have written the manifest: folders that it names count only if a kind declares them.
+    named: Collection[str] = ()
+    if manifest is not None:
+        named = manifest.trees or ()
     further = [pattern for pattern in extra_files() if pattern.partition("/")[0] in named]
     names = set(folder.names())
     shown = {name for name in names if name in (PENDING_FOLDER, RECORD_FILE) or not is_hidden(name)}
     found = [path for path in folder.walk() if path.partition("/")[0] in shown]
-    strange = [path for path in found if folder.local_path(path) and not is_ours(path, further)]
-    # A damaged manifest of a data set has shards next to it; other programs use that file name, too.
+    unknown = [path for path in found if folder.local_path(path) and not is_ours(path, further)]
+    # Other programs use that file name, too: a damaged manifest of a data set has shards next to it.
     if manifest is None and not {DATA_FOLDER, PENDING_FOLDER} & names:
-        strange = [MANIFEST_FILE]
-    if strange:
+        unknown = [MANIFEST_FILE]
+    if unknown:
         raise InputError(
-            f"{folder.address()!r} holds more than a data set of this toolkit (found {strange[0]!r}); "
+            f"{folder.address()!r} holds more than a data set of this toolkit (found {unknown[0]!r}); "
             "nothing was changed",
             next="move that file away, or choose an empty or new folder (--out or OUT)",
         )
@@ -88,7 +91,7 @@ def prepare_next(folder: LocalFolder, plan: BuildPlan) -> LocalFolder:
 
 
 def keep_card(folder: LocalFolder) -> None:
-    """Copy the card to the next data set, whose card takes from it what the owner stated."""
+    """Copy the card to the next data set, whose card keeps the statements of the owner."""
     after = _next(folder)
     if folder.exists(CARD_FILE) and not after.exists(CARD_FILE):
         after.write_bytes(CARD_FILE, folder.read_bytes(CARD_FILE))
@@ -107,11 +110,9 @@ def promote(folder: LocalFolder) -> None:
 
     Raises InputError if the folder holds more than a data set by now; then nothing was changed.
     """
-    leave = require_replaceable(folder)
-    former = sorted({*leave}.difference(_arriving(folder)))
-    folder.write_bytes(
-        PROMOTION_FILE, msgspec.json.encode(former)
-    )  # from here on the replacement can only be completed
+    former = sorted({*require_replaceable(folder)}.difference(_arriving(folder)))
+    # From here on, the replacement can only be completed.
+    folder.write_bytes(PROMOTION_FILE, msgspec.json.encode(former))
     _move_files(folder)
 
 
@@ -121,14 +122,14 @@ def _arriving(folder: LocalFolder) -> list[str]:
 
 
 def _move_files(folder: LocalFolder) -> None:
-    leave = decode(folder.read_bytes(PROMOTION_FILE), list[str], folder.address(PROMOTION_FILE))
+    former = decode(folder.read_bytes(PROMOTION_FILE), list[str], folder.address(PROMOTION_FILE))
     manifest = read_manifest(_next(folder))
     if manifest is not None:  # it is the last file to move
         write_manifest(folder, replace(manifest, complete=False))
-        # The list may come from anyone: the folder may be a copy of another user's.
-        every = extra_files()
-        for path in leave:
-            if is_ours(path, every):
+        # Anyone may have written the list: the folder may be a copy of another user's.
+        further = extra_files()
+        for path in former:
+            if is_ours(path, further):
                 folder.remove(path)
         for path in _arriving(folder):
             if path != MANIFEST_FILE:
@@ -138,12 +139,12 @@ def _move_files(folder: LocalFolder) -> None:
         if missing:
             remove_next(folder)  # the same run makes them again in their place
             raise IntegrityError(
-                f"{folder.address(missing[0])!r} is missing or of another size, though it was made to take "
-                "the place of a former file",
+                f"{folder.address(missing[0])!r} is missing or has another size, though it was made to "
+                "replace a former file",
                 next="run the same command again without --overwrite",
             )
         folder.move(f"{NEXT_FOLDER}/{MANIFEST_FILE}", MANIFEST_FILE)
-    for path in leave:
+    for path in former:
         while path := path.rpartition("/")[0]:
             folder.remove_empty(path)
     remove_next(folder)
@@ -152,8 +153,8 @@ def _move_files(folder: LocalFolder) -> None:
 def remove_next(folder: LocalFolder) -> None:
     """Remove the data set in ``.next``."""
     if folder.exists(NEXT_FOLDER):
-        every = extra_files()
+        further = extra_files()
         folder.remove_tree(
             NEXT_FOLDER,
-            lambda path: path == PROMOTION_FILE or is_ours(path.removeprefix(f"{NEXT_FOLDER}/"), every),
+            lambda path: path == PROMOTION_FILE or is_ours(path.removeprefix(f"{NEXT_FOLDER}/"), further),
         )

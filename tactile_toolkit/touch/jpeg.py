@@ -123,9 +123,9 @@ def decode_image(data: memoryview | bytes, out: UInt8 | None = None) -> UInt8:
 
 
 def decode_small(data: memoryview | bytes, least_px: int) -> UInt8:
-    """Decode a JPEG at 1/2, 1/4 or 1/8 of its size, as far as both sides keep ``least_px`` pixels.
+    """Decode a JPEG at 1/2, 1/4 or 1/8 of its size, the smallest with sides of at least ``least_px`` pixels.
 
-    Shape (h, w, 3), uint8: each pixel is the mean of those it stands for. Takes half the time of
+    Shape (h, w, 3), uint8: each pixel is the mean of those it replaces. Takes half the time of
     :func:`decode_image`, which decodes PNG and WebP here, at their size. Raises ValueError as that does.
     """
     if not is_jpeg(data):

@@ -413,7 +413,7 @@ def test_a_killed_run_is_resumed_by_two_workers_to_the_same_bytes(folder, s3, bu
 def test_a_set_in_a_store_is_never_replaced_and_stays_readable(folder, s3, bucket):
     build(folder, toy_plan())
     before = s3.objects(bucket)
-    with pytest.raises(InputError, match="--overwrite replaces none in an object store"):
+    with pytest.raises(InputError, match="--overwrite does not work in an object store"):
         build(folder, toy_plan(spec={"seed": 2}), overwrite=True)
     assert s3.objects(bucket) == before
     assert verify(folder, SCHEMA).ok

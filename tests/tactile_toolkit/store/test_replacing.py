@@ -210,7 +210,7 @@ def test_a_data_set_in_a_store_is_not_replaced():
     folder = open_folder("memory://bucket/started-again")
     finished = build(folder, toy_plan(), overwrite=True)
     with pytest.raises(
-        InputError, match=r"--overwrite replaces none in an object store.*next: choose another"
+        InputError, match=r"--overwrite does not work in an object store.*next: choose another"
     ):
         build(folder, other_plan(), overwrite=True)
     with pytest.raises(
