@@ -85,19 +85,7 @@ def export(
     Exit code 1 if an object or plate could not be written as a solid.
     """
     filters = chosen.given()
-    # Options that would have no effect are refused before any work.
-    if form.file_format == "flat":
-        given = [*distances, *material]
-        given += [name for name in ("scale", "base_mm") if getattr(form, name) != _UNCHANGED[name]]
-        _refuse(given, "applies to mesh files, not to flat tables of the stored meshes", "leave it out")
-    elif form.file_format not in printing.MODELS:
-        _refuse(material, "applies to bodies for simulators only", "add --format mjcf, urdf or usd")
-    if form.plate is None:
-        _refuse(distances, "applies to build plates only", "add --plate 256x256")
-    elif form.file_format not in (None, "3mf", "mjcf"):
-        _refuse(["plate"], "applies to 3mf and mjcf only, which hold named objects", "add --format 3mf")
-    if form.calibration_plate:
-        _refuse_for_plate(form)
+    _refuse_without_effect(form, distances, material)
     place = opening.open(sink, name).require(kind, "export")
     datasets = catalog.open_splits(place, filters.pop("split"), kind.load, kind.nouns).items()
     if form.file_format == "flat":
@@ -118,8 +106,24 @@ def export(
         _export_files(sink, objects, form.file_format or "stl", form.scale, bodies, str(out), job)
 
 
+def _refuse_without_effect(form: ExportOptions, distances: Iterable[str], material: Iterable[str]) -> None:
+    """Refuse options that would have no effect, before any work."""
+    if form.file_format == "flat":
+        given = [*distances, *material]
+        given += [name for name in ("scale", "base_mm") if getattr(form, name) != _UNCHANGED[name]]
+        _refuse(given, "applies to mesh files, not to flat tables of the stored meshes", "leave it out")
+    elif form.file_format not in printing.MODELS:
+        _refuse(material, "applies to bodies for simulators only", "add --format mjcf, urdf or usd")
+    if form.plate is None:
+        _refuse(distances, "applies to build plates only", "add --plate 256x256")
+    elif form.file_format not in (None, "3mf", "mjcf"):
+        _refuse(["plate"], "applies to 3mf and mjcf only, which hold named objects", "add --format 3mf")
+    if form.calibration_plate:
+        _refuse_for_plate(form)
+
+
 def _refuse(given: Iterable[str], why: str, instead: str) -> None:
-    """Refuse options that would have no effect."""
+    """Raise InputError for the first of the options, if there is one."""
     for name in given:
         raise InputError(f"--{name.replace('_', '-')} {why}", next=instead)
 

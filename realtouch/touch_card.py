@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from operator import attrgetter
@@ -83,10 +83,6 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
         content.columns.update(_extra_words(facts))
         if schema.has_poses(read.column_types(facts.schema)):
             heights.append(words["plates"][rule.plate])
-    limits = [*of_origin["limits"], *content.limits]
-    if origin == "real":
-        limits = [*of_origin["limits"], *content.words.get("limits", ()), *content.limits]
-    cell = words["frames"]["cell"].replace("$window", of_origin.get("window", _WINDOW))
     is_clips = template == "seq"
     tags = [*of_origin["tags"]]
     if is_clips:
@@ -102,20 +98,38 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
         tasks=_TASKS,
         figures=content.figures,
         made=made,
-        limits=limits,
+        limits=_limits(origin, of_origin["limits"], content),
         spec=spec,
         values={
             **content.values,
             **unknown,
             "rounds": f"{facts.rows:,}",
             "contact_rule": contacts.contact_rule_text(read.column_types(facts.schema)),
-            "frames": of_origin.get("frames", " ".join(filter(None, [cell, *heights]))),
-            "printability": of_origin["printability"],
+            **_values_of_origin(of_origin, words["frames"]["cell"], heights),
             "licence_text": licence_text,
-            "citation_text": of_origin["citation_text"],
-            "bibtex": cards.bibtex(*of_origin["cited"]) if of_origin["cited"] else "",
         },
     ).write(folder, manifest, KIND, facts)
+
+
+def _limits(origin: str, of_origin: Sequence[str], content: _Content) -> list[str]:
+    """Return the known limits of the data; those of a kind of rounds apply to real touches only."""
+    if origin == "real":
+        return [*of_origin, *content.words.get("limits", ()), *content.limits]
+    return [*of_origin, *content.limits]
+
+
+def _values_of_origin(of_origin: JsonDict, cell: str, heights: list[str | None]) -> dict[str, str]:
+    """Return the texts of a card that depend on where the touches are from."""
+    cell = cell.replace("$window", of_origin.get("window", _WINDOW))
+    bibtex = ""
+    if of_origin["cited"]:
+        bibtex = cards.bibtex(*of_origin["cited"])
+    return {
+        "frames": of_origin.get("frames", " ".join(filter(None, [cell, *heights]))),
+        "printability": of_origin["printability"],
+        "citation_text": of_origin["citation_text"],
+        "bibtex": bibtex,
+    }
 
 
 def _plain_content(

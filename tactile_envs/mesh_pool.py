@@ -39,12 +39,12 @@ _POOLS = cache.DiskCache(
 )
 _FORMAT = 3
 _CHUNK = 128
-# Fewer chunks are packed before workers have started.
+# So few chunks are packed before workers would have started.
 _FEW_CHUNKS = 8
-# Work that takes less shows no progress, seconds.
+# Shorter work shows no progress, seconds.
 _QUIET_S = 2.0
 _LOOK_AGAIN_S = 5.0
-# Where a row of `grids` has its first vertex, face, start and corner of the hull.
+# Columns of `grids` with the first vertex, face, start and corner of the hull.
 _FIRSTS = [0, 1, 3, 10]
 _CHECKSUM_BYTES = 16
 _LOG = logging.getLogger(__name__)
@@ -63,13 +63,14 @@ class MeshPool:
     faces : ndarray of uint16 or int32, shape (F, 3)
         Triangles, by corners within their mesh: first the large ones, then the others by cell.
     starts : ndarray of int32, shape (S,)
-        For each mesh, at which of its small triangles each cell begins, row by row, and where the last ends.
+        For each mesh, the first small triangle of each cell, row by row, and the end of the last.
     hulls : ndarray of float32, shape (H, 2)
         Corners of the convex hulls seen from above.
     grids : ndarray of float64, shape (n, 13)
-        For each mesh: first vertex, first face, number of large faces, first of its starts; cells across and
-        up; left and lower edge of the grid, side of a cell, and how far a small triangle reaches from the
-        middle that is in a cell, metres; first corner of the hull and the one after its last; height, metres.
+        For each mesh, by column: 0 first vertex, 1 first face, 2 number of large faces, 3 first start;
+        4, 5 number of cells along x and y; 6, 7 least x and y of the grid, metres; 8 side of a cell, metres;
+        9 greatest half side of the box around a small triangle, whose middle decides its cell, metres;
+        10 first corner of the hull, 11 the one after its last; 12 height, metres.
     measures : ndarray of float64, shape (n, 7)
         For each mesh what :data:`MEASURES` names.
     """
@@ -132,7 +133,7 @@ class MeshPool:
         return cls(*_concat(_joined([_packed_records(records, tilt_rad)])))
 
     def require(self, numbers: Int64) -> None:
-        """Make sure that the arrays hold the meshes of these numbers, as those of a complete pool do."""
+        """Make sure that the arrays hold the meshes of these numbers; a complete pool holds all."""
 
     def __len__(self) -> int:
         return len(self.grids)
@@ -155,15 +156,15 @@ class MeshPool:
 class GrowingPool(MeshPool):
     """Meshes of a data set that is not made yet: each is packed when an episode first needs it.
 
-    When the data set is finished and packed on disk, by whichever process, its arrays take the place of
-    these. Both have the same meshes under the same numbers.
+    When any process has finished the data set and packed it on disk, its arrays replace these. Both have the
+    same meshes under the same numbers.
     """
 
     def __init__(self, planned: mesh_view.PlannedView) -> None:
-        self._planned, self._look_s = planned, 0.0
+        self._planned, self._next_look_s = planned, 0.0
         self._is_packed = np.zeros(len(planned), np.bool_)
-        # Larger than what is in them, so that few meshes are copied when one is added.
-        self._rooms: Parts = [
+        # With spare room, so that adding a mesh seldom copies the others.
+        self._buffers: Parts = [
             np.empty((0, 3), np.float32),
             np.empty((0, 3), np.uint16),
             np.empty(0, np.int32),
@@ -172,7 +173,7 @@ class GrowingPool(MeshPool):
         self._used = np.zeros(4, np.int64)
         self._grids, self._measures = np.zeros((len(planned), 13)), np.zeros((len(planned), len(MEASURES)))
         self._measures[:, 0], self._measures[:, 1] = planned.column("label"), planned.column("id")
-        super().__init__(*map(_read_only, [*self._rooms, self._grids, self._measures]))
+        super().__init__(*map(_read_only, [*self._buffers, self._grids, self._measures]))
 
     def require(self, numbers: Int64) -> None:
         """Pack the meshes of these numbers, unless they are packed."""
@@ -184,37 +185,37 @@ class GrowingPool(MeshPool):
         for column, array in enumerate(arrays):
             self._extend(column, array)
         self.vertices, self.faces, self.starts, self.hulls = (
-            _read_only(room[:end]) for room, end in zip(self._rooms, self._used, strict=True)
+            _read_only(buffer[:end]) for buffer, end in zip(self._buffers, self._used, strict=True)
         )
         self._is_packed[missing] = True
 
     def _extend(self, column: int, array: AnyArray) -> None:
-        room, begin = self._rooms[column], int(self._used[column])
+        buffer, begin = self._buffers[column], int(self._used[column])
         end = begin + len(array)
-        dtype = room.dtype
+        dtype = buffer.dtype
         if dtype == np.uint16 and not _is_small(array):
             dtype = array.dtype
-        if end > len(room) or dtype != room.dtype:
-            larger = np.empty((max(2 * end, len(room)), *room.shape[1:]), dtype)
-            larger[:begin] = room[:begin]
-            self._rooms[column] = room = larger
-        room[begin:end] = array
+        if end > len(buffer) or dtype != buffer.dtype:
+            larger = np.empty((max(2 * end, len(buffer)), *buffer.shape[1:]), dtype)
+            larger[:begin] = buffer[:begin]
+            self._buffers[column] = buffer = larger
+        buffer[begin:end] = array
         self._used[column] = end
 
     def _is_replaced(self) -> bool:
         """Take the arrays of the finished data set, if it is there."""
-        if time.monotonic() < self._look_s:
+        if time.monotonic() < self._next_look_s:
             return False
         records = self._planned.finished()
         pool = None
         if records is not None:
             pool = MeshPool.kept(records)
-        self._look_s = time.monotonic() + _LOOK_AGAIN_S
+        self._next_look_s = time.monotonic() + _LOOK_AGAIN_S
         if pool is None or not np.array_equal(pool.measures[:, :2], self.measures[:, :2]):
             return False
         for each in fields(MeshPool):
             setattr(self, each.name, getattr(pool, each.name))
-        self._rooms.clear()
+        self._buffers.clear()
         self._is_packed[:] = True
         return True
 
@@ -226,7 +227,7 @@ def _name_of(records: Sequence[mesh_view.MeshRecord], tilt_rad: float = 0.0) -> 
         records = records.records
     if not isinstance(records, read.RecordDataset):
         return None
-    # The identity is of the rows as they were when they were loaded.
+    # The identity is that of the rows when they were loaded.
     content = (_FORMAT, CELL_M, tilt_rad, is_flat, records.identity)
     digest = hashlib.sha256(repr(content).encode() + records.row_numbers.tobytes())
     return f"meshes-{digest.hexdigest()[:32]}"
@@ -294,7 +295,7 @@ def _joined(chunks: Iterable[Parts]) -> list[Parts]:
 
 
 def _is_small(faces: AnyArray) -> bool:
-    """Return whether 16 bits hold the number of each corner."""
+    """Return whether the number of each corner fits into 16 bits."""
     return int(faces.max(initial=0)) < 1 << 16
 
 
@@ -315,9 +316,9 @@ def _packed(vertices_m: Float32, faces: AnyArray, tilt_rad: float) -> Parts:
     order = np.argsort(cell, kind="stable")
     large = int(is_large.sum())
     starts = np.searchsorted(cell[order][large:], np.arange(across * up + 1)).astype(np.int32)
-    # A nanometre more: a quotient is rounded, too.
+    # A nanometre more, for the rounding of quotients.
     reach_m = extent[~is_large].max(initial=0.0) / 2 + 1e-9
-    # In the order in which triangles name them, so that corners of one window lie together in memory.
+    # Vertices in the order in which triangles use them: those of one window are close together in memory.
     named = faces[visible][order].reshape(-1)
     used, first, number = np.unique(named, return_index=True, return_inverse=True)
     by_use = np.argsort(first)
@@ -345,7 +346,7 @@ def _read_only(array: AnyArray) -> AnyArray:
 def _write(stream: IO[bytes], parts: list[Parts]) -> None:
     """Write the arrays one after the other, each as numpy would; none is joined in memory.
 
-    A checksum ends the file, because kernels do not check the places in memory that they read from it.
+    The file ends with a checksum, because kernels do not check indices that they read from it.
     """
     digest = xxhash.xxh3_128()
 
@@ -377,7 +378,7 @@ def _found(path: Path) -> Parts | None:
             for _ in fields(MeshPool):
                 np.lib.format.read_magic(stream)
                 shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
-                # A plain array over the map: numba knows no memmap, and numpy is slower with one.
+                # A plain array over the map: numba does not support memmap, and numpy is slower with it.
                 offset = stream.tell()
                 arrays.append(np.asarray(np.memmap(stream, dtype, "r", offset, shape)))
                 stream.seek(offset + int(np.prod(shape)) * dtype.itemsize)

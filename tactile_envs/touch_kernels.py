@@ -1,7 +1,7 @@
 """Kernels of touches, in numba: triangles become heights, a block of pixels at a time.
 
-Triangles are prepared in batches, which LLVM does several at a time: a touch of an object takes a third of
-the time of plain loops. Functions of :mod:`tactile_envs.pixel_blocks` are compiled into these, and numba's
+Triangles are prepared in batches, which LLVM vectorises: a touch of an object takes a third of the time of
+plain loops. Functions of :mod:`tactile_envs.pixel_blocks` are compiled into these, and numba's
 cache on disk does not notice when they change.
 """
 
@@ -16,7 +16,7 @@ from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int32,
 from tactile_toolkit.compiled import compiled
 
 PADDING = LANES
-"""Spare pixels of a row of heights, so that eight at once can begin at its last; none is ever shown."""
+"""Spare pixels of a row of heights, so that a block of eight can begin at its last pixel; never shown."""
 
 Pool = tuple[Float32, AnyArray, Int32, Float64]
 """Vertices, faces, starts and grids of a :class:`tactile_envs.mesh_pool.MeshPool`."""
@@ -46,8 +46,8 @@ _BATCH = 64  # triangles that are prepared at once
 def raise_object(heights: Float32, pool: Pool, number: int, placed: ObjectPlace) -> None:
     """Raise pixels to the highest triangle of mesh ``number`` over each of them.
 
-    ``heights``, shape (H, W + PADDING), metres above the plate, has its first row at the bottom; pixels look
-    at integers.
+    ``heights``, shape (H, W + PADDING), metres above the plate, has its first row at the bottom; samples of
+    pixels are at integers.
     """
     _raise_near(heights, pool, number, placed, batch_room())
 
@@ -122,9 +122,10 @@ def _lay_edges(edges: Float64, heights: Float32, grid: Float64, placed: ObjectPl
 
 @compiled
 def lay_edge(edges: Float64, edge: int, end_x: float, end_y: float) -> None:
-    """Write how far an edge goes from where it begins.
+    """Write the direction of an edge, given its start in ``edges`` and its end.
 
-    ``edges``, shape (5, n): x and y where each begins, how far it goes along both, and one over the latter.
+    ``edges``, shape (5, n): x and y of the start, differences of the end along x and y, and the inverse of
+    the difference along y.
     """
     edges[2, edge] = end_x - edges[0, edge]
     edges[3, edge] = end_y - edges[1, edge]
@@ -133,7 +134,7 @@ def lay_edge(edges: Float64, edge: int, end_x: float, end_y: float) -> None:
 
 @compiled
 def _extent_between(edges: Float64, count: int, from_y: float, to_y: float) -> tuple[float, float]:
-    """Return least and greatest x of the part of an area between two y."""
+    """Return the least and greatest x of an area in the range between two y."""
     least, most = np.inf, -np.inf
     for edge in range(count):
         x, y, along_x = edges[0, edge], edges[1, edge], edges[2, edge]
@@ -151,21 +152,21 @@ def _extent_between(edges: Float64, count: int, from_y: float, to_y: float) -> t
 
 @compiled
 def _raise_runs(heights: Float32, pool: Pool, number: int, runs: Int64, view: View, room: Room) -> bool:
-    """Raise pixels to those of some triangles that face the sensor; return whether there are any.
+    """Raise pixels to the triangles of runs that face the sensor; return whether there are any triangles.
 
-    ``runs`` (n, 2) are the first of some triangles and the one after the last; the last run is empty.
+    ``runs`` (n, 2) are the first triangle of each run and the one after its last; the last run is empty.
     """
     vertices, faces, _, grids = pool
     first_vertex, corners = np.uint64(grids[number, 0]), room[0]
     waiting, is_any = 0, False
     for run in range(len(runs)):
         first, last = runs[run, 0], runs[run, 1]
-        # A batch is full, or, at the end, all there is.
+        # Only the last batch may be incomplete.
         least = _BATCH if run < len(runs) - 1 else 1
         while True:
             end = min(last, first + _BATCH - waiting)
             for face in range(first, end):
-                # Unsigned: numba need not ask whether they count from the end.
+                # Unsigned, so that numba does not check for negative indices.
                 begin, at = np.uint64(face), np.uint64(waiting + face - first)
                 for corner in range(3):
                     vertex = first_vertex + np.uint64(faces[begin, np.uint64(corner)])
@@ -184,7 +185,7 @@ def _raise_runs(heights: Float32, pool: Pool, number: int, runs: Int64, view: Vi
 def _prepare(heights: Float32, room: Room, view: View) -> None:
     """Write which pixels each triangle of a batch may cover, and the weights of its corners there.
 
-    LLVM does several at once, because all have one number, and each result its own place in an array.
+    LLVM vectorises the loop, because it has a fixed length and each result its own place in an array.
     """
     corners, weights, boxes, _ = room
     columns, rows = heights.shape[1] - PADDING - 1.0, heights.shape[0] - 1.0
@@ -282,17 +283,19 @@ def touch(
     positions: Float32,
     is_bare: Bool,
 ) -> None:
-    """Bring sensors down where they are, and let the objects slip: for environments begin to end.
+    """Press the sensors of environments ``begin`` to before ``end``, then let the objects slip.
 
-    ``window`` (6,) is pixels a metre, column and row of the middle, counted from the bottom, ``press_m`` and
-    ``gel_m`` of the sensor, and the least height of sensors, metres; ``motion`` is as for :func:`aim`;
-    ``drift`` (3,) how objects slip afterwards, in their own frame, metres and radians; ``chosen`` which mesh
-    of the pool each object is; ``lifts`` (n,) what is added to the observed heights, metres;
-    ``heights`` (H, W + PADDING) room to work in. Of ``sensors`` (n, 3), metres, the observed height is
-    written; ``objects`` (n, 3), position, metres, and turn, radians, slip in place. Written are depth images
-    (n, H, W); ``depths``, likewise or (0, 0, 0) where not wanted, distances from the gel's camera, metres;
-    ``positions`` (n, 3), what sensors observe of theirs, -1 to 1; ``is_bare`` (n,), whether only the
-    plate was met.
+    Input: ``window`` (6,), pixels per metre, column and row of the middle, from the bottom, ``press_m`` and
+    ``gel_m`` of the sensor, least height of sensors, metres; ``motion``, as for :func:`aim`; ``drift`` (3,),
+    how objects slip in their own frame, metres and radians; ``chosen`` (n,), the number of the mesh of each
+    object in the pool; ``lifts`` (n,), what is added to the observed heights, metres.
+
+    Changed in place: ``sensors`` (n, 3), metres, get the observed height; ``objects`` (n, 3), position,
+    metres, and rotation, radians, slip; ``heights`` (H, W + PADDING) is a work array.
+
+    Output: ``images`` (n, H, W), depth images; ``depths``, distances from the gel's camera, metres, of the
+    same shape, or (0, 0, 0) to skip them; ``positions`` (n, 3), observed positions from -1 to 1; ``is_bare``
+    (n,), whether only the plate was met.
     """
     greatest, room = np.empty(images.shape[2], np.float32), batch_room()
     heights[:, :] = 0.0
@@ -323,7 +326,7 @@ def draw_touch(
     window: Float64,
     least_m: float,
 ) -> None:
-    """Draw what sensor ``i`` sees, whose height along its axis is not below ``least_m``."""
+    """Draw the images of sensor ``i``, whose height along its axis is at least ``least_m``."""
     press_m, gel_m = window[3], window[4]
     # The plate may hold the sensor up before the object is pressed in fully.
     pressed = max(highest, np.float32(least_m - press_m))
@@ -343,7 +346,7 @@ def leave(
     objects: Float64,
     positions: Float32,
 ) -> None:
-    """Write the observed position of sensor ``i``, and let its object, whose rotation is given, slip."""
+    """Write the observed position of sensor ``i``, and let its object slip, whose rotation is given."""
     for axis in range(3):
         low, high = motion[axis], motion[axis + 3]
         share = (sensors[i, axis] - low) / (high - low) * 2.0 - 1.0
@@ -355,7 +358,7 @@ def leave(
 
 @compiled
 def highest_of(heights: Float32, greatest: Float32) -> np.float32:
-    """Return the greatest height of the first columns, as many as ``greatest`` has room for."""
+    """Return the greatest height in the first columns; ``greatest`` is a work array with their number."""
     # One greatest value for each column, and comparisons as selections: LLVM does several pixels at once.
     for column in range(len(greatest)):
         greatest[column] = heights[0, column]

@@ -17,12 +17,12 @@ from tactile_toolkit.array_types import Bool, Float32, Float64, Int64
 from tactile_toolkit.compiled import compiled
 
 _MOST_PASSES = 5  # of pressure and shear, each with the displacement that the other one makes
-_FIRST_PASS = 10.0  # times the tolerance: the first pass is only a start for the others
-_COUPLED = 0.3  # times the tolerance: change of the coupled displacement that ends the passes
+_FIRST_PASS = 10.0  # factor of the tolerance in the first pass, which only starts the others
+_COUPLED = 0.3  # passes end when the coupled displacement changes by less, in tolerances
 _MOST_STEPS = 300
 _MOST_CHANGED = 40  # pixels that join or leave the contact; for more of them a convolution is cheaper
-_OFF_BOUNDS = 0.01  # share of the tractions that may be off their limits
-_PROJECTED = 6  # steps after which tractions are put back to their limits
+_OFF_BOUNDS = 0.01  # share of the tractions that may be off their limits before all are projected
+_PROJECTED = 6  # steps after which tractions are projected onto their limits again
 _STICKS = 1.0 - 1e-5  # share of the largest traction below which a pixel is not at its limit; float32
 _FAR_M = 1e6
 
@@ -43,8 +43,9 @@ def press(
 ) -> tuple[float, float, int]:
     """Solve for pressure, from ``p`` on: Polonsky and Keer, Wear 231, 1999, section 3.
 
-    ``target`` is the sum of the pressure, or the depth; ``below`` how far the body lies below its highest
-    point. ``u`` gets the displacement. Returned are depth, largest error of the gap relative to it, steps.
+    ``target`` is the sum of the pressure if ``is_force``, else the depth; ``below`` is how far the body is
+    below its highest point. The displacement is written to ``u``. Returns the depth, the largest error of the
+    gap relative to the depth, and the number of steps.
     """
     keep_apart()
     t, r, gap = np.zeros_like(p), np.empty_like(p), np.empty_like(p)
@@ -78,7 +79,7 @@ def press(
 def _gaps(
     p: Float32, u: Float32, below: Float32, gap: Float32, target: float, is_force: bool
 ) -> tuple[float, float, float, float]:
-    """Write the gaps; return the depth, their sum of squares and largest in the contact, lowest outside."""
+    """Write the gaps; return the depth, sum of squares and largest gap in contact, least gap outside."""
     depth = target
     if is_force:
         total, count = 0.0, 0
@@ -130,15 +131,15 @@ def _take_step(
     near: Float32,
     width: int,
 ) -> tuple[float, bool]:
-    """Change pressure and displacement.
+    """Update pressure and displacement by a step.
 
-    Returned are 1 if no pixel joined the contact, 0 otherwise, and whether the displacement is stale: as
-    too many pixels joined or left.
+    Returns 1 if no pixel joined the contact, else 0, and whether the displacement is stale because too many
+    pixels joined or left the contact.
     """
     keep_apart()
     changed, added = np.empty(_MOST_CHANGED, np.int64), np.empty(_MOST_CHANGED, np.float32)
     count, keep, tau = 0, 1.0, np.float32(length)
-    # The first step of a contact of one pixel has no length: what overlaps joins with that of its own.
+    # The first step of a contact of one pixel has length 0: pixels that overlap use their own compliance.
     joins = tau if tau > 0.0 else np.float32(1.0) / near[len(near) // 2]
     for place in range(len(p)):
         u[place] -= tau * r[place]
@@ -167,32 +168,27 @@ def _take_step(
 
 
 class _Shear(NamedTuple):
-    """State of the pixels in contact, by their number.
+    """State of the n pixels in contact; vectors have the shape (2, n), along x and y."""
 
-    Places in the field, greatest traction, wanted displacement; traction, what is left to move, its free
-    part, that of the step before, direction; curvature and inverse stiffness; of those that slip, where the
-    traction points.
-    """
-
-    places: Int64
-    bound: Float32
-    wanted: Float32
-    q: Float32
-    rest: Float32
-    free: Float32
-    last: Float32
-    steps: Float32
-    curved: Float32
-    inverse: Float32
-    out: Float32
-    slips: Bool
+    places: Int64  # (n,): indices in the field
+    bound: Float32  # (n,): greatest traction
+    wanted: Float32  # (2, n): wanted displacement
+    q: Float32  # (2, n): traction
+    rest: Float32  # (2, n): displacement that is still missing
+    free: Float32  # (2, n): part of the rest that tractions can still produce
+    last: Float32  # (2, n): free part in the step before
+    steps: Float32  # (2, n): direction of the search
+    curved: Float32  # (n,): curvature of the circle |q| = bound, as stiffness
+    inverse: Float32  # (n,): inverse stiffness, by which the search is preconditioned
+    out: Float32  # (2, n): direction of the traction of pixels that slip
+    slips: Bool  # (n,)
 
 
 @compiled
 def _in_contact(bound: Float32) -> tuple[Int64, Float32]:
-    """Return the places where there is a bound, and the bounds.
+    """Return the indices of pixels with a bound above 0, and the bounds.
 
-    Element by element, as all else here: numba takes seconds to compile what works on whole arrays.
+    Element by element, as everywhere in this file: numba takes seconds to compile operations on whole arrays.
     """
     count = 0
     for limit in bound:
@@ -216,12 +212,12 @@ def shear(
     width: int,
     tolerance: float,
 ) -> int:
-    """Solve for the tractions ``q``, from those given on: least energy with |q| <= ``bound``.
+    """Solve for the tractions ``q`` of least energy with |q| <= ``bound``, beginning with those given.
 
-    Projected conjugate gradients. A pixel at its limit that would slide on has only the direction along the
+    Projected conjugate gradients. A pixel at its limit that would slide further can only move along the
     circle |q| = bound, which is curved: multiplier / bound is added to the stiffness (Nocedal and Wright,
-    Numerical Optimization, 2006, section 12.5). Returned is the number of steps; ``slips`` gets the pixels
-    at their limit.
+    Numerical Optimization, 2006, section 12.5). Returns the number of steps; the mask of pixels at their
+    limit is written to ``slips``.
     """
     keep_apart()
     places, bounds = _in_contact(bound)
@@ -287,7 +283,7 @@ def _put(values: Float32, field: Float32, places: Int64) -> None:
 
 @compiled
 def _project(q: Float32, bound: Float32, number: int, is_limit: bool) -> None:
-    """Shorten a traction to its bound, or give it that length."""
+    """Shorten a traction to its bound; with ``is_limit``, also lengthen it to the bound."""
     size = np.float32(math.sqrt(q[0, number] * q[0, number] + q[1, number] * q[1, number]))
     if size > bound[number] or (is_limit and size > 0.0):
         q[0, number] *= bound[number] / size
@@ -296,7 +292,7 @@ def _project(q: Float32, bound: Float32, number: int, is_limit: bool) -> None:
 
 @compiled
 def _rest(state: _Shear, bend: Float32) -> None:
-    """Write how far the pixels in contact still have to move."""
+    """Write the displacement that pixels in contact still lack."""
     for number in range(len(state.places)):
         for axis in range(2):
             state.rest[axis, number] = state.wanted[axis, number] - bend[axis, state.places[number]]
@@ -304,9 +300,9 @@ def _rest(state: _Shear, bend: Float32) -> None:
 
 @compiled
 def _free_part(state: _Shear, own: float) -> float:
-    """Write the part of what is left that tractions may still follow, and which pixels slip.
+    """Write the free part of the missing displacement, and which pixels slip.
 
-    ``own`` is the stiffness of a pixel. Returned is the root mean square of what is left.
+    ``own`` is the stiffness of a pixel. Returns the root mean square of the free part.
     """
     keep_apart()
     left, inverse = 0.0, np.float32(1.0 / own)
@@ -353,7 +349,7 @@ def _direction(state: _Shear, old: float) -> float:
 
 @compiled
 def _move(state: _Shear, bend: Float32) -> float:
-    """Go along the direction to the least energy; return the share of tractions that is off the bounds."""
+    """Step to the least energy along the direction; return the share of tractions off their bounds."""
     keep_apart()
     along, bent = 0.0, 0.0
     for number in range(len(state.places)):
@@ -389,11 +385,11 @@ def solve(
     start: float,
     tolerance: tuple[float, float],
 ) -> tuple[Float64, Bool, Bool, float, float, int]:
-    """Press, then move along x and y and turn; see :func:`tactile_sim.solve_contact`.
+    """Press the body in, then move it along x and y and turn it; see :func:`tactile_sim.solve_contact`.
 
-    ``below_m`` (R, C) is how far the body lies below its highest point, row 0 at the greatest y; rows of
-    fields are counted from the least y. ``start`` is the pressure per depth of the first guess. Returned are
-    pressure, traction and displacement (6, R, C), the masks of contact and stick, depth, error and steps.
+    ``below_m`` (R, C) is how far the body is below its highest point, row 0 at the greatest y; rows of
+    fields are counted from the least y. ``start`` is the pressure per depth of the first guess, Pa / m.
+    Returns pressure, traction and displacement (6, R, C), masks of contact and stick, depth, error and steps.
     """
     rows, columns = below_m.shape
     size, kind = rows * width, np.float32
@@ -453,11 +449,11 @@ def solve(
 
 @compiled
 def _first_guess(p: Float32, below: Float32, target: float, is_force: bool, start: float) -> None:
-    """Write the pressure of a bed of springs, ``start`` Pa per metre."""
+    """Write the pressure of a bed of springs with the stiffness ``start``, Pa / m."""
     keep_apart()
     depth = target
     if is_force:
-        # The depth lies between those of one pixel and of all.
+        # Bisection of the depth, from 0 to 1 m.
         low, high = 0.0, 1.0
         for _ in range(24):
             depth, total = (low + high) / 2, 0.0

@@ -75,18 +75,12 @@ def sheet(
         top_px += head_px + gap_px
     words_px = max([text_size(line, TEXT_PX)[0] for line in lines] + [text_size(title, TITLE_PX)[0]])
     width = max(left_px + columns * (cell_width + gap_px) - gap_px, round(words_px) + margin_px) + margin_px
-    below_px = -gap_px
+    height = top_px + rows * row_step - gap_px + margin_px
     if bar_room:
-        below_px = _line_px(TEXT_PX)
-    height = top_px + rows * row_step + below_px + margin_px
-
+        height += gap_px + _line_px(TEXT_PX)
     picture = Image.new("RGB", (width, height), PAPER)
     pen = ImageDraw.Draw(picture)
-    if title:
-        draw_text(pen, (margin_px, margin_px), title, TITLE_PX)
-    for number, line in enumerate(lines):
-        y = margin_px + head_px - _line_px(TEXT_PX) * (len(lines) - number)
-        draw_text(pen, (margin_px, y), line, TEXT_PX, MUTED)
+    _draw_heading(pen, title, lines, margin_px)
     for row, label in enumerate(row_labels):
         middle = (left_px - gap_px - 4, top_px + row * row_step + cell_height // 2)
         draw_text(pen, middle, label, TEXT_PX, anchor="rm")
@@ -95,14 +89,30 @@ def sheet(
             continue
         row, column = divmod(index, columns)
         cell_x, cell_y = left_px + column * (cell_width + gap_px), top_px + row * row_step
-        image = Image.fromarray(tile.pixels).convert("RGB")
-        if tile.frame is not None:
-            image = ImageOps.expand(image, _FRAME_PX, tile.frame)
+        image = _framed(tile)
         x, y = cell_x + (cell_width - image.width) // 2, cell_y + (cell_height - image.height) // 2
         picture.paste(image, (x, y))
         below = (cell_x + cell_width / 2, cell_y + cell_height + _LINE_GAP_PX)
         draw_text(pen, below, tile.caption, CAPTION_PX, MUTED, anchor="ma")
     return np.asarray(picture)
+
+
+def _draw_heading(pen: ImageDraw.ImageDraw, title: str, lines: Sequence[str], margin_px: int) -> None:
+    y_px = margin_px
+    if title:
+        draw_text(pen, (margin_px, y_px), title, TITLE_PX)
+        y_px += _line_px(TITLE_PX)
+    for line in lines:
+        draw_text(pen, (margin_px, y_px), line, TEXT_PX, MUTED)
+        y_px += _line_px(TEXT_PX)
+
+
+def _framed(tile: Tile) -> Image.Image:
+    """Return the picture of a tile with its frame."""
+    image = Image.fromarray(tile.pixels).convert("RGB")
+    if tile.frame is not None:
+        image = ImageOps.expand(image, _FRAME_PX, tile.frame)
+    return image
 
 
 def _line_px(size_px: int) -> int:

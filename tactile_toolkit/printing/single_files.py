@@ -83,6 +83,21 @@ def _made(item: PrintObject, ending: str, scale: float, physics: Physics) -> Mad
     return Made(files, record, check)
 
 
+def _product(item: PrintObject, ending: str, scale: float, physics: Physics) -> Product[WrittenFile]:
+    paths = (f"{item.name}{ending}", *(f"{item.name}/{part}.obj" for part in _MESHES))
+    return Product(item.name, paths, partial(_made, item, ending, scale, physics))
+
+
+def _ending_of(kind: str) -> str:
+    """Return the ending of files of a format; InputError for an unknown one."""
+    name = kind.lower().removeprefix(".")
+    ending = MODELS.get(name, f".{name}")
+    if ending not in FORMATS and name not in MODELS:
+        formats = ", ".join([*(known[1:] for known in FORMATS), *MODELS])
+        raise InputError(f"--format is {kind!r}; expected one of {formats}")
+    return ending
+
+
 def export_files(
     objects: Sequence[PrintObject],
     out: str,
@@ -135,21 +150,9 @@ def export_files(
     StorageError
         The folder cannot be written; finished files are kept.
     """
-    name = kind.lower().removeprefix(".")
-    ending = MODELS.get(name, f".{name}")
-    if ending not in FORMATS and name not in MODELS:
-        formats = ", ".join([*(known[1:] for known in FORMATS), *MODELS])
-        raise InputError(f"--format is {kind!r}; expected one of {formats}")
+    ending = _ending_of(kind)
     require_scale(scale)
-    how = (ending, scale, physics or Physics())
-    products = [
-        Product(
-            item.name,
-            (f"{item.name}{ending}", *(f"{item.name}/{part}.obj" for part in _MESHES)),
-            partial(_made, item, *how),
-        )
-        for item in objects
-    ]
+    products = [_product(item, ending, scale, physics or Physics()) for item in objects]
     return write_products(
         products, out, overwrite=overwrite, dry_run=dry_run, workers=workers, on_progress=on_progress
     )

@@ -148,7 +148,7 @@ def test_strips_fans_and_sparse_values_are_read() -> None:
         ({"nodes": [{"children": [0]}]}, "in a circle"),
         ({"nodes": [{"mesh": 0, "rotation": [0, 0, 0, 2]}]}, "a quaternion of length 2; expected length one"),
         ({"nodes": [{"mesh": 0, "matrix": [*[1, 0, 0, 1] * 3, 0, 0, 0, 1]}]}, "that distorts"),
-        ({"nodes": [{"mesh": 0, "matrix": [*[1, 0, 0, 0, 0] * 3, 1], "scale": [2, 2, 2]}]}, "next to parts"),
+        ({"nodes": [{"mesh": 0, "matrix": [*[1, 0, 0, 0, 0] * 3, 1], "scale": [2, 2, 2]}]}, "both a matrix"),
         ({"asset": {"version": "2.0", "minVersion": "2.1"}}, r"needs glTF 2\.1"),
         ({"asset": {"version": "3.0"}}, r"needs glTF 3\.0"),
         ({"nodes": [{"mesh": 7}]}, "names meshes 7; there are 1"),
