@@ -1,4 +1,4 @@
-"""How all command lines are built: applications, commands, messages for errors, and exit codes."""
+"""Basics of all command lines: applications, commands, messages for errors, and exit codes."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ from tactile_toolkit.wording import with_count
 
 
 class Checked(Protocol):
-    """What was found in a data set or a file."""
+    """Findings in a data set or a file."""
 
     @property
     def checked(self) -> int:
@@ -41,12 +41,12 @@ class Checked(Protocol):
         """Return header, rows and title of a table."""
 
     def advice(self) -> Sequence[str]:
-        """Return what to do about warnings, a line each."""
+        """Return advice on warnings, a line each."""
 
 
 @dataclass(frozen=True, slots=True)
 class Geometry:
-    """How the objects of a kind are checked.
+    """Check of the objects of a kind.
 
     ``check`` takes names, a split or None, a limit or None and a number of processes, and the keywords
     ``opened``, a function that opens a name, and ``on_progress``.

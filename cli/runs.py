@@ -1,4 +1,4 @@
-"""How all command lines make a data set folder: progress during the run, then a summary."""
+"""Runs that make a data set folder, for all command lines: progress during the run, then a summary."""
 
 from __future__ import annotations
 

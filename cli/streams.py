@@ -23,7 +23,7 @@ _IN_ASCII = str.maketrans(
 
 
 def _in_ascii(error: UnicodeError) -> tuple[str | bytes, int]:
-    """Return what is written for characters that a stream cannot encode, and where to continue."""
+    """Return the replacement for characters that a stream cannot encode, and the index at which to go on."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     text = error.object[error.start : error.end].translate(_IN_ASCII)

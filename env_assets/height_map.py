@@ -56,7 +56,7 @@ class HeightMap:
 
     @property
     def covered(self) -> Bool:
-        """Which pixel centres lie under the mesh, shape (rows, columns)."""
+        """Mask of the pixel centres under the mesh, shape (rows, columns)."""
         return ~np.isnan(self.heights_m)
 
     def filled(self, outside_m: float = 0.0) -> Float32:

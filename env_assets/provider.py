@@ -222,7 +222,7 @@ class AssetProvider:
         return view.volumes_m3
 
     def _once(self, what: tuple[str, str, str], make: Callable[[], T]) -> T:
-        """Return what was made before; if two threads make it at once, the first one wins."""
+        """Return the stored value, or make it; if two threads make it at once, the first one wins."""
         if what not in self._opened:
             self._opened.setdefault(what, make())
         kept: T = self._opened[what]

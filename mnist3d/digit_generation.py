@@ -1,4 +1,4 @@
-"""From a source of digit images to a finished data set folder."""
+"""Generation of a data set folder from a source of digit images."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class DigitSetSpec:
 
 @dataclass(frozen=True)
 class DigitMaking(generation.RowGenerator):
-    """How digits are made: the source is divided into splits, and each image becomes a checked solid."""
+    """Generator of digits: divides the source into splits and makes a checked solid of each image."""
 
     spec: DigitSetSpec
     kind = KIND
@@ -109,7 +109,7 @@ class DigitMaking(generation.RowGenerator):
         return {split: plan.rows(split, self.spec.per_class, self.spec.limit) for split in splits}
 
     def layout(self) -> generation.StorageLayout:
-        """Return how rows are stored."""
+        """Return the storage layout of rows."""
         return generation.StorageLayout(
             digit_rows.PARQUET_STYLE,
             libraries=("manifold3d", "numpy", "pillow", "pyarrow", "scikit-image", "scipy"),
@@ -229,7 +229,7 @@ def generate(
 
 
 def digit_recipe(seed: int, per_class: int | None) -> generation.Recipe:
-    """Return how digits are made without any input: from the embedded synthetic source."""
+    """Return the recipe that makes digits without input, from the embedded synthetic source."""
     spec = DigitSetSpec(
         source_choice.chosen_source("synthetic", {}, seed),
         split=published_splits.SplitSpec(seed=seed),

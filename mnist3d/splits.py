@@ -94,7 +94,7 @@ def _by_digit(catalog: DigitCatalog, spec: SplitSpec, usual: Mapping[str, int]) 
 
 
 def _sizes_of(name: str, available: int, spec: SplitSpec, usual: Mapping[str, int]) -> dict[str, int]:
-    """Return how many digits of a class go into each split."""
+    """Return the number of digits of a class in each split."""
     if spec.sizes is None or not available:  # a class that the source lacks is in no split
         return _usual_sizes(available, usual)
     sizes = {split: dict(spec.sizes).get(split, 0) for split in SPLITS}

@@ -68,7 +68,7 @@ def contact_window(time_s: Float64, start_s: float, end_s: float) -> slice:
 
 
 def contact_heights_m(z_m: Floating, recalibrate_z: bool = True, plate_z_m: float = math.nan) -> Float64:
-    """Return how high above the plate the gel stopped in each touch of one round, shape (T,), metres.
+    """Return the height above the plate at which the gel stopped, for each touch of a round, (T,), metres.
 
     ``z_m`` is the height of the gel at the deepest press of each touch, cell frame; NaN where it is not
     known, and so is the result then. The zero of z drifts by up to 3 mm between rounds: ``recalibrate_z``

@@ -1,4 +1,4 @@
-"""What a check of recordings reports."""
+"""A finding of a check of recordings."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ from tactile_toolkit.array_types import AnyArray, Float64, UInt8
 from tactile_toolkit.touch import resized
 
 ARROWS = 5
-"""How many times longer arrows are than the motion of markers, which is a few pixels at most."""
+"""Length of arrows relative to the motion of markers, which is a few pixels at most."""
 
 _LEAST_PX, _BRIGHTEST = 160, 98
 _PAPER, _INK = (250, 250, 248), (30, 60, 110)

@@ -17,7 +17,7 @@ POSE_COLUMN: dict[Kind, str] = {"seq": "gel_pose_cell_frame_seq", "single": "gel
 """The columns ``.position`` and ``.quaternion`` below it hold the pose of the gel, of each frame or touch."""
 
 Origin = Literal["real", "synthetic", "imported"]
-"""Where touches are from; manifests of conversions state it as the option ``touches``."""
+"""Origins of touches; manifests of conversions state them as the option ``touches``."""
 
 _FLOAT = (pa.types.is_floating,)
 _WHOLE = (pa.types.is_integer, *_FLOAT)  # of floats, each value must be one
@@ -46,7 +46,7 @@ KNOWN_COLUMNS: dict[str, read.Expected] = {
 """Depth, types and description of the columns of a set of touches."""
 
 EXTRA_PREFIX: dict[Literal["touch", "frame"], str] = {"touch": "extra.", "frame": "extra_seq."}
-"""How the names of further columns begin: with an entry for each touch, or for each frame of each touch."""
+"""Prefixes of further columns with an entry for each touch, or for each frame of each touch."""
 
 _EXTRA_LEAVES = (pa.types.is_boolean, pa.types.is_integer, *_FLOAT, pa.types.is_string)
 _EXTRA_ENTRIES = {1: "one per touch", 2: "one per frame of each touch"}  # by the least depth of the lists
@@ -131,7 +131,7 @@ def _is_rendered(schema: pa.Schema) -> bool:
 
 
 def origin_of(schema: pa.Schema, manifest: store.Manifest | None) -> Origin:
-    """Return where touches are from: rendered ones by their columns, others by the manifest."""
+    """Return the origin of touches: rendered ones have certain columns, for others the manifest states it."""
     if manifest is not None:
         options = manifest.spec.get("options")
         stated = isinstance(options, dict) and options.get("touches")

@@ -100,7 +100,7 @@ def unreadable_rows(shard: read.Shard, index: int, error: errors.IntegrityError)
 
 
 def _cause(path: str, error: errors.ToolkitError) -> str:
-    """Return what an error says, without the file and the next step, which a list names once for all."""
+    """Return the message of an error without file and next step, which a list states once."""
     words = " ".join(error.what.split())
     return words.removeprefix(repr(path)).lstrip(",: ")
 
@@ -212,7 +212,7 @@ class StoredColumns(Row):
         return values.reshape(touches, width)
 
     def readable(self, read: Callable[[int | None], AnyArray], shape: tuple[int, ...] = ()) -> Float64:
-        """Return what is read of all touches, shape (T, ...), float64; NaN where a touch is damaged."""
+        """Read a value of all touches, shape (T, ...), float64; NaN for damaged touches."""
         try:
             return read(None).astype(np.float64)
         except errors.IntegrityError:

@@ -1,4 +1,4 @@
-"""What a data set of touches holds, in numbers, also next to those of the Tactile MNIST paper."""
+"""Summary of a data set of touches in numbers, also compared with those of the Tactile MNIST paper."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ class PaperNumber:
     Attributes
     ----------
     what : str
-        What is counted or measured.
+        Name of the quantity.
     paper, found : str
         As the paper states it, and as it is in the data.
     agrees : bool

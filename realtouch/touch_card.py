@@ -266,7 +266,7 @@ def _first_rounds(
 
 
 def _or_none(ask: Callable[..., T], *parts: object) -> T | None:
-    """Return what can be read; None if it is missing or damaged."""
+    """Return the result of reading something; None if it is missing or damaged."""
     try:
         return ask(*parts)
     except (errors.ToolkitError, KeyError, ValueError):

@@ -219,7 +219,7 @@ class TouchStream(read.RowStream[read.Shard]):
     shards : tuple of Shard
         Shards to read in turn.
     kind : "seq" or "single"
-        What they hold.
+        Media of the rounds.
     """
 
     def __init__(self, shards: tuple[read.Shard, ...], kind: touch.Kind) -> None:

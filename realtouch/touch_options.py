@@ -58,7 +58,7 @@ ALIGN_METHODS = ("nearest", "linear")
 
 @dataclass(frozen=True, slots=True)
 class TouchPreviewSpec:
-    """Which pictures of touches to draw; the grid where no kind is asked for."""
+    """Options of previews of touches; by default the grid is drawn."""
 
     kinds: tuple[str, ...] = checked_fields.choice(
         (),

@@ -207,7 +207,7 @@ def overlay(touches: Sequence[PlacedTouch], cell: CellMap) -> UInt8:
 
 
 def _weight(pixels: UInt8, rest: Float64) -> Float32:
-    """Return how much each pixel counts: what differs from the gel at rest, fading towards the edges."""
+    """Return the weight of each pixel: its difference from the gel at rest, fading towards the edges."""
     height, width = pixels.shape[:2]
     change = np.abs(pixels - rest).mean(axis=2) / 255.0
     edge = [

@@ -173,7 +173,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         return self.int_column("object_id")
 
     def heights_m(self, recalibrate_z: bool = True) -> Float64:
-        """Return how high above the plate the gel stopped in each touch, shape (len,), metres.
+        """Return the height above the plate at which the gel stopped in each touch, shape (len,), metres.
 
         Reads the poses only; see :func:`realtouch.contact.contact_heights_m`. All touches of a round take
         part in finding its plate, whatever was selected here. Where `realtouch select` took touches out of
@@ -381,7 +381,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         return self.dataset.row_groups(np.unique(self.round_positions[chosen]))
 
     def description(self) -> list[str]:
-        """Return what the data set holds, and where it is from, in words."""
+        """Return a description of the data set and its origin."""
         of_rounds, *further = self.dataset.description()
         return [f"{wording.with_count(len(self), self.things)} of {of_rounds}", *further]
 

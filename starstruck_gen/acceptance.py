@@ -1,4 +1,4 @@
-"""How hard it was to place the objects of scenes."""
+"""Acceptance rate of the rejection sampling of scenes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From a specification to a finished data set folder of scenes."""
+"""Generation of a data set folder of scenes from a specification."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ class SceneSetSpec:
             raise InputError(f"scene of the data set's specification is {self.scene!r}; expected a SceneSpec")
 
     def rows(self, split: str) -> int:
-        """Return how many rows a split has."""
+        """Return the number of rows of a split."""
         count = dict(self.scenes).get(split, 0)
         return count if self.limit is None else min(count, self.limit)
 
@@ -98,7 +98,7 @@ class SceneSetSpec:
 
 @dataclass(frozen=True)
 class SceneMaking(generation.RowGenerator):
-    """How scenes are made: by rejection sampling, then as solids."""
+    """Generator of scenes: samples layouts by rejection and makes their solids."""
 
     spec: SceneSetSpec
     kind = KIND
@@ -108,7 +108,7 @@ class SceneMaking(generation.RowGenerator):
         return {split: range(self.spec.rows(split)) for split in scene_seeds.SPLITS}
 
     def layout(self) -> generation.StorageLayout:
-        """Return how rows are stored."""
+        """Return the storage layout of rows."""
         return generation.StorageLayout(
             scene_rows.PARQUET_STYLE,
             libraries=("manifold3d", "numpy", "pillow", "pyarrow"),
@@ -177,7 +177,7 @@ def generate(
 
 
 def scene_recipe(seed: int, per_class: int | None) -> generation.Recipe:
-    """Return how scenes are made without any input: as published, or with fewer scenes."""
+    """Return the recipe that makes scenes without input: as published, or fewer."""
     scenes, sizes = dict(PUBLISHED_SIZES), None
     if per_class is not None:
         most = per_class * len(KIND.class_names)

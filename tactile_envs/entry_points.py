@@ -1,4 +1,4 @@
-"""From an id to an environment: what gymnasium calls."""
+"""Entry points that gymnasium calls to make environments by their ids."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def _shows_options(*left_out: str) -> Callable[[F], F]:
 
 @_shows_options(*_OF_VECTORS)
 def make_one(name: str, **options: Any) -> single_environment.TactileEnv:
-    """Make a single environment; options as :func:`make_vector`, but for those of vectors."""
+    """Make a single environment; options as for :func:`make_vector`, except those of vectors."""
     _require_known(options, [each for each in _NAMES if each not in _OF_VECTORS])
     return single_environment.TactileEnv(make_vector(name, **options))
 

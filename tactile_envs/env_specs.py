@@ -54,7 +54,7 @@ class EnvId:
     id : str
         Such as ``"TactileMNIST-Depth-train-v0"``.
     task : "classification", "volume" or "pose"
-        What is predicted of an object: its class, its volume, or its position and, in Toolbox and
+        Property of an object to predict: its class, its volume, or its position and, in Toolbox and
         MinecraftPose, its direction.
     sensor : "taxim", "depth", "cycle_gan" or "direct"
         How the images are made; "direct" shows recorded images as they are.

@@ -32,9 +32,9 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
     Parameters
     ----------
     scene : TouchScene
-        What is touched, in how many environments.
+        Scene with the objects of all environments.
     task : Task
-        What is predicted.
+        Task, with the values to predict.
     sparse : bool
         Whether predictions count at the end of an episode only.
     render_mode : "rgb_array", optional

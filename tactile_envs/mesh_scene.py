@@ -85,7 +85,7 @@ class MeshScene(scene.TouchScene):
 
     @property
     def _most_tilt_rad(self) -> float:
-        """How far sensors are tilted at most, radians."""
+        """Greatest tilt of sensors, radians."""
         return 0.0
 
     @property
@@ -251,11 +251,11 @@ class MeshScene(scene.TouchScene):
 
     @property
     def target_poses(self) -> Poses:
-        """Where the sensors were sent, metres, cell frame."""
+        """Targets of the sensors, metres, cell frame."""
         return Poses(self._targets.copy(), spatial.Rotation.from_matrix(self._axes).as_quat())
 
     def drawing(self, row: int) -> EnvDrawing:
-        """Return what a picture of one cell shows: the object where the next touch finds it."""
+        """Return the content of a picture of one cell: the object in its pose for the next touch."""
         return EnvDrawing(
             self._pool,
             int(self.numbers[row]),

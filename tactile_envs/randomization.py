@@ -1,4 +1,4 @@
-"""What differs from touch to touch and from episode to episode: observed heights, noise, and maps behind."""
+"""Randomisation of touches and episodes: observed heights, noise, and depth maps in the background."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tactile_toolkit.array_types import Float32, Float64, Int64
 
 
 class TouchDraws(NamedTuple):
-    """What is drawn for a touch of n sensors.
+    """Random numbers for a touch of n sensors.
 
     ``lifts_m`` (n,) is added to the observed heights, metres; ``bases`` (n,) the number of
     the depth map behind its own; ``rng`` draws the noise, None where nothing is random.

@@ -140,7 +140,7 @@ class RecordedScene(scene.TouchScene):
 
     @property
     def target_poses(self) -> realtouch.Poses:
-        """Where the sensors were sent, metres, cell frame."""
+        """Targets of the sensors, metres, cell frame."""
         return realtouch.Poses(self._targets.copy(), self._upright)
 
     @property
@@ -148,7 +148,7 @@ class RecordedScene(scene.TouchScene):
         return np.tile([0.0, 0.0, 0.0, 1.0], (self.num_envs, 1))
 
     def drawing(self, row: int) -> drawing.EnvDrawing:
-        """Return what a picture of one cell shows: the object, if its mesh is known, in the middle."""
+        """Return the content of a picture of one cell: the object in the middle, if its mesh is known."""
         number, touch = int(self.numbers[row]), int(self._chosen[row])
         pool, which = None, 0
         if self._objects is not None:

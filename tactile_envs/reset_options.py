@@ -29,7 +29,7 @@ _ORTHONORMAL = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class SensorStart:
-    """Where a sensor is sent first: position (3,), metres, and axes in columns (3, 3), cell frame."""
+    """First target of a sensor: position (3,), metres, and axes in columns (3, 3), cell frame."""
 
     position_m: Float64
     axes: Float64
@@ -104,7 +104,7 @@ def _object_pose(given: object) -> Float64:
 
 
 def _sensor_start(given: object) -> SensorStart:
-    """Return where a sensor is sent: (x, y), a position, or a pose."""
+    """Return the target of a sensor, given as (x, y), a position, or a pose."""
     # Transforms of scipy have `as_matrix`, those of the published environments `matrix`.
     as_matrix = getattr(given, "as_matrix", lambda: getattr(given, "matrix", given))
     numbers = _numbers(as_matrix())

@@ -1,4 +1,4 @@
-"""What sensors touch, and how they get there: the part of an environment that is simulated or recorded."""
+"""The part of an environment that is simulated or recorded: objects, touches and motion of sensors."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class TouchScene(ABC):
     @property
     @abstractmethod
     def _positions_m(self) -> Float64:
-        """Where the sensors are, shape (num_envs, 3), metres, cell frame."""
+        """Positions of the sensors, shape (num_envs, 3), metres, cell frame."""
 
     def aim(self, action: gym_types.Action, rows: reset_options.Rows) -> Float32:
         """Send the sensors of some cells to where an action says; return what actions cost, (num_envs,)."""
@@ -111,7 +111,7 @@ class TouchScene(ABC):
     @property
     @abstractmethod
     def target_poses(self) -> Poses:
-        """Where the sensors were sent, metres, cell frame."""
+        """Targets of the sensors, metres, cell frame."""
 
     @property
     def position_limits_m(self) -> tuple[Float64, Float64]:
@@ -120,7 +120,7 @@ class TouchScene(ABC):
 
     @abstractmethod
     def drawing(self, row: int) -> EnvDrawing:
-        """Return what a picture of one cell shows."""
+        """Return the content of a picture of one cell."""
 
     def close(self) -> None:  # noqa: B027
         """Release threads."""

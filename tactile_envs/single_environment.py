@@ -109,7 +109,7 @@ def _batched(action: gym_types.Nested) -> gym_types.Nested:
 
 
 def _first(values: gym_types.Nested) -> gym_types.Nested:
-    """Return what the first environment of a vector gives: arrays without their first axis."""
+    """Return the results of the first environment of a vector: arrays without their first axis."""
     if isinstance(values, dict):
         return {name: _first(part) for name, part in values.items()}
     return np.asarray(values[0])

@@ -29,7 +29,7 @@ Room = tuple[Float32, Float64, Int32, Float64]
 and rows; edges of the window."""
 
 View = tuple[tuple[float, float, float, float], ...]
-"""How a mesh is seen: column, row and height, metres, of its points x, y, z, 1."""
+"""Affine map of a mesh to the image: column, row and height, metres, of its points x, y, z, 1."""
 
 EDGE_PX = 1e-6
 """Distance beyond the outermost pixels that still counts as in the window."""

@@ -1,4 +1,4 @@
-"""What the card of a data set of touches says of its gel: cut to one depth, or elastic."""
+"""Text about the gel in the card of a data set of touches: pressed to one depth, or elastic."""
 
 from __future__ import annotations
 

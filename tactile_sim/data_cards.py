@@ -103,7 +103,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
 
 @dataclass(frozen=True)
 class _CardSensor:
-    """What a card says of the sensor; ``lines`` are those of the table of how the set was made."""
+    """Texts about the sensor in a card; ``lines`` belong to the table of how the set was made."""
 
     model: SensorModel
     name: str

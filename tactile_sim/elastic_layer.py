@@ -1,4 +1,4 @@
-"""How the surface of an elastic layer answers a load: influence of one loaded pixel on all others.
+"""Response of the surface of an elastic layer to a load: influence of one loaded pixel on all others.
 
 The kernel of a pixel is that of the half-space in closed form (Love 1929; Cerruti; Johnson, Contact
 Mechanics, sections 3.2 and 3.6) and a smooth correction for the layer of thickness h, bonded to a rigid base.
@@ -205,7 +205,7 @@ def _logarithm(values: Float64) -> Float64:
 
 
 def _arctangent(values: Float64) -> Float64:
-    """Return the arctangent; three times halved, its series is short."""
+    """Return the arctangent: the angle is halved three times, so that its series is short."""
     size = np.abs(values)
     part = np.minimum(size, 1.0 / size)
     for _ in range(3):

@@ -100,7 +100,7 @@ def read_gel(path: str) -> Gel:
 
 
 class Load(NamedTuple):
-    """How an elastic gel is pressed in a touch, by a force or to a depth, and what moves then."""
+    """Load of an elastic gel in a touch: a force or a depth, and the motion that follows."""
 
     gel: Gel
     force_n: float | None
@@ -189,7 +189,7 @@ def plate_z_m(sensor: Sensor, load: Load) -> float:
 
 
 def _off_axis_m(sensor: Sensor) -> tuple[float, float]:
-    """Return where the middle of a map is from the sensor's axis: pixels are not sampled at their centres."""
+    """Return the offset of the middle of a map from the sensor's axis, as pixels are sampled off-centre."""
     return sensor.sample_px[0] * sensor.pixel_m[0], sensor.sample_px[1] * sensor.pixel_m[1]
 
 

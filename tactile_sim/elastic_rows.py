@@ -1,4 +1,4 @@
-"""What a set stores of an elastic gel: the loads that are drawn for each touch, and the columns."""
+"""Data of an elastic gel in a data set: random loads of each touch, and columns."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _NONE: Span = (0.0, 0.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnLoads:
-    """What T touches draw: forces, newtons, or depths, metres, (T,), slides (T, 2), metres, and twists."""
+    """Random loads of T touches: forces, newtons, or depths, metres, (T,), slides (T, 2), metres, twists."""
 
     force_n: Float64 | None
     depth_m: Float64 | None
@@ -115,7 +115,7 @@ def elastic_values(
 def markers_px(
     markers: tuple[int, int], pressed: Pressed, sensor: Sensor, size_px: tuple[int, int]
 ) -> Float64:
-    """Return where the markers of T touches are, shape (T, rows, columns, 2), pixels."""
+    """Return the positions of the markers of T touches, shape (T, rows, columns, 2), pixels."""
     moved = [
         marker_positions_px(each.displacement_m, sensor.window_m, markers, size_px)
         for each in pressed.contacts

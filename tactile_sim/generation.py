@@ -103,7 +103,7 @@ class TouchGenerator(generation.RowGenerator):
         return {split: range(self.spec.plan.rounds * len(each)) for split, each in self.rows.items()}
 
     def layout(self) -> generation.StorageLayout:
-        """Return how rows are stored: images and random numbers without a dictionary."""
+        """Return the storage layout of rows: images and random numbers without a dictionary."""
         vectors = (
             name
             for name, each in round_press.further_types(self.spec).items()
@@ -238,7 +238,7 @@ def generate(
         data set of digits, scenes or other meshes: a folder, a Parquet file, a repository of the Hub or a
         short name, as ``mnist3d.load`` takes it.
     spec : GenerateSpec
-        What to make of it.
+        Specification of the touches.
     out : str or path-like
         Folder to write.
     splits : sequence of str, optional

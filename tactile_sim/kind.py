@@ -1,4 +1,4 @@
-"""What the rest of the toolkit must know of synthetic touches: they are read as all touches are."""
+"""The kind of synthetic touches, which are read as all touches are."""
 
 from __future__ import annotations
 

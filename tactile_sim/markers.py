@@ -13,7 +13,7 @@ _DARK = 0.15  # what a marker leaves of the light
 
 
 def marker_grid_px(markers: tuple[int, int], size_px: tuple[int, int]) -> Float64:
-    """Return where the markers of a gel at rest are in the image.
+    """Return the positions of the markers of a gel at rest in the image.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def marker_positions_px(
     markers: tuple[int, int],
     size_px: tuple[int, int],
 ) -> Float64:
-    """Return where markers are that move with the surface of the gel.
+    """Return the positions of markers that have moved with the surface of the gel.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""From depth to the picture that the camera behind the gel takes: grey depth, Taxim, or a trained network."""
+"""Images of the camera behind the gel, from depth: grey depth, Taxim, or a trained network."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ class PairsGenerator(generation.RowGenerator):
         }
 
     def layout(self) -> generation.StorageLayout:
-        """Return how rows are stored: images, which do not compress further, without a dictionary."""
+        """Return the storage layout of rows: images, which do not compress further, without a dictionary."""
         return generation.StorageLayout(
             store.ParquetStyle(100, compression_level=3, encodings=(("sensor_image.bytes", "PLAIN"),)),
             libraries=("numpy", "pillow", "pyarrow"),
@@ -178,7 +178,7 @@ def make_pairs(
     split : str
         Split of both data sets.
     spec : PairsSpec
-        What to make of them.
+        Specification of the pairs.
     out : str or path-like
         Folder to write: splits ``depth`` and ``real``.
     **run

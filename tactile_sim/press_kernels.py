@@ -121,7 +121,7 @@ def _raise_rows(
 
 @compiled
 def _run(a: Float64, b: Float64, c: Float64, layers: Float64) -> float:
-    """Return how far a triangle runs outwards for each unit down."""
+    """Return the slope of a triangle: horizontal distance per unit of height."""
     abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     acx, acy, acz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     x, y, z = aby * acz - abz * acy, abz * acx - abx * acz, abx * acy - aby * acx

@@ -56,7 +56,7 @@ def gel_named(word: str) -> Gel | None:
 
 
 def _span_of(option: str, per_unit: float) -> Callable[[str], Span]:
-    """Return what reads a span, ``A`` or ``A:B``, in a unit that is ``per_unit`` times ours."""
+    """Return a function that reads a span, ``A`` or ``A:B``; ``per_unit`` converts it to the SI unit."""
 
     def read(words: str) -> Span:
         ends = words.split(":")
@@ -86,7 +86,7 @@ def _list_or_none(values: tuple[float, ...] | None) -> list[float] | None:
 
 @dataclass(frozen=True)
 class ElasticPress:
-    """How an elastic gel is pressed, what moves then, and what is stored of it.
+    """Press of an elastic gel, the motion after it, and the data that are stored.
 
     A span is the least and the greatest value, between which each touch draws uniformly.
 

@@ -23,7 +23,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import CELL_M
 
 Solid: TypeAlias = "mesh.MeshLike | Pressable"
-"""What the gel can be pressed onto."""
+"""Solids that the gel can be pressed onto."""
 
 _PLATE_FACES: Int32 = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
 

@@ -156,7 +156,7 @@ class SensorModel:
 
     @property
     def report(self) -> Mapping[str, Any]:
-        """What the calibration found, JSON values; empty without one."""
+        """Results of the calibration, JSON values; empty without one."""
         return {} if self.twin is None else self.twin.report
 
     def read_depth_m(self, images: UInt8, *, fast: bool = False) -> Float32:

@@ -1,4 +1,4 @@
-"""What other modules need to know of optics, twins and depth that was read, without what makes them."""
+"""Interfaces of optics, twins and readers of depth, without their implementations."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ OPTICS = ("depth", "taxim", "cyclegan", "twin")
 
 
 class SensorTwin(Protocol):
-    """What a calibration found of a sensor."""
+    """Result of the calibration of a sensor."""
 
     @property
     def background(self) -> Float32:
@@ -22,7 +22,7 @@ class SensorTwin(Protocol):
 
     @property
     def report(self) -> Mapping[str, Any]:
-        """What the fit found, JSON values."""
+        """Results of the fit, JSON values."""
 
     @property
     def sha256(self) -> str:

@@ -12,7 +12,7 @@ from tactile_toolkit import read, rows, touch
 from tactile_toolkit.array_types import Float16, Float32, Float64
 
 EXTRA = "extra."
-"""How the names of columns begin that only some sets have: ``touch.extra["force_n"]`` reads them."""
+"""Prefix of columns that only some sets have: ``touch.extra["force_n"]`` reads them."""
 
 _CELL = "m, cell frame"
 _XY = read.vectors_type(pa.float64(), 2)

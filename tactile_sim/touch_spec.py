@@ -147,7 +147,7 @@ class TouchPlan:
         check_fields(self, "the plan of touches")
 
     def touches_of(self, object_id: int, number: int) -> int:
-        """Return how many touches a round of an object has; 0 where a given plan does not name it."""
+        """Return the number of touches in a round of an object; 0 if a given plan does not contain it."""
         if self.given is None:
             return self.touches
         return len(self.given.of(object_id, number)[0])
@@ -298,7 +298,7 @@ class GenerateSpec:
 
     @property
     def has_other_sensor(self) -> bool:
-        """Whether the sensor is another one than the GelSight Mini."""
+        """Whether the sensor is not the GelSight Mini."""
         return self.sensor != GELSIGHT_MINI
 
     @property

@@ -1,4 +1,4 @@
-"""What a data set is, whatever is in it; which part may import which is drawn in ``docs/architecture.md``.
+"""The parts of data sets that do not depend on their content; ``docs/architecture.md`` lists their layers.
 
 Each package imports its public names on first use, by ``lazy_loader`` from the stub next to its
 ``__init__.py``. So importing a package costs nothing, and no import closes a circle.

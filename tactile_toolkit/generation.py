@@ -1,4 +1,4 @@
-"""From a specification to a finished data set folder, for every kind of data set."""
+"""Generation of a data set folder from a specification, for every kind of data set."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _START_S = 1.5
 
 @dataclass(frozen=True)
 class StorageLayout:
-    """How the rows of a kind of data set are stored.
+    """Storage layout of the rows of a kind of data set.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ AnyRows: TypeAlias = Sequence[Any]
 
 
 class RowGenerator(ABC):
-    """How a kind makes its rows, for :func:`generate`.
+    """Generator of the rows of a kind, for :func:`generate`.
 
     A small picklable value, usually a frozen dataclass of a specification: each task carries it to the
     process that makes the rows.
@@ -85,7 +85,7 @@ class RowGenerator(ABC):
 
     @abstractmethod
     def layout(self) -> StorageLayout:
-        """Return how rows are stored."""
+        """Return the storage layout of rows."""
 
     @abstractmethod
     def schema(self, split: str) -> pa.Schema:
@@ -182,7 +182,7 @@ def generate(
     Parameters
     ----------
     generator : RowGenerator
-        What makes the rows.
+        Generator of the rows.
     out : str or path-like
         Folder to write.
     splits : sequence of str, optional
@@ -204,7 +204,7 @@ def generate(
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
-    """What a run would do.
+    """Forecast of a run.
 
     ``splits`` states for each split the number of ``rows``, ``shards`` and ``finished`` rows. ``bytes`` of
     Parquet and ``seconds`` are estimated from ``sampled`` rows. ``replaced`` is the number of rows of each
@@ -311,7 +311,7 @@ class PlannedMeshes:
 
 @dataclass(frozen=True)
 class Recipe:
-    """How a data set is made that needs no input.
+    """Recipe of a data set that needs no input.
 
     ``options`` are those of the equivalent command, by name; None if it takes no ``--split``. ``planned``
     takes a split, if a mesh can be made by itself, and all of them take long.
@@ -338,6 +338,6 @@ class Recipe:
         generate(self.generator, out, (split,), **run)
 
     def rows_left(self, out: str, split: str) -> int:
-        """Return how many rows :meth:`make` would make in a folder; raises as it would."""
+        """Return the number of rows that :meth:`make` would make in a folder; raises as it would."""
         plan = plan_build(self.generator, (split,))
         return sum(task.size for task in store.inspect_job(store.open_folder(out), plan).remaining)

@@ -1,4 +1,4 @@
-"""Where numba keeps compiled kernels, and when it compiles them again.
+"""Cache of numba for compiled kernels: its folders, and when kernels are compiled again.
 
 By itself numba checks only the file of a kernel, and misses a change of a kernel in another file that was
 compiled into it. The locators here check the files of both.

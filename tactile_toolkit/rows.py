@@ -37,7 +37,7 @@ class Column:
     unit : str
         Shape, unit and frame.
     meaning : str
-        What it holds, in a phrase.
+        Meaning of its values, a phrase.
     name : str
         Name of the stored column; that of the attribute by default.
     role : str

@@ -54,7 +54,7 @@ class WrenchGenerator(generation.RowGenerator):
         return {"train": range(1)}
 
     def layout(self) -> generation.StorageLayout:
-        """Return how the row is stored."""
+        """Return the storage layout of the row."""
         style = store.ParquetStyle(rows_per_group=32, compression="zstd", compression_level=9)
         return generation.StorageLayout(style, libraries=("manifold3d", "numpy", "pillow", "pyarrow"))
 
@@ -118,7 +118,7 @@ def write_wrench(
 
 
 def wrench_recipe(seed: int, per_class: int | None) -> generation.Recipe:
-    """Return how the default wrench is made, which has neither a seed nor classes."""
+    """Return the recipe of the default wrench, which has neither a seed nor classes."""
     return generation.Recipe(WrenchGenerator(wrench_spec.WrenchSpec()))
 
 

@@ -1,4 +1,4 @@
-"""From the shape of a digit to pen paths on the page: bent, scaled and placed as its writer would."""
+"""Pen paths of a digit on the page: its shape, bent, scaled and placed as its writer would."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From the image of a digit to its ink: the first step of Algorithm 1."""
+"""Ink of a digit image: the first step of Algorithm 1."""
 
 from __future__ import annotations
 

@@ -90,7 +90,7 @@ def _beside(mask: Bool) -> Bool:
 
 
 def coloured_ink(reflectances: Float32) -> Bool:
-    """Return where a photograph has coloured ink: one channel is darker than another. Shadows have no colour.
+    """Return the mask of coloured ink in a photograph: one channel is darker than another, unlike in shadows.
 
     Parameters
     ----------

@@ -24,7 +24,7 @@ _DARK = 4
 
 
 def find_page(darkest: UInt8) -> Bool:
-    """Return where the page is, in coarse pixels; the whole picture if no outline is found.
+    """Return the page, in coarse pixels; the whole picture if no outline is found.
 
     The page is the convex bright part whose outline is a sharp step almost everywhere. Shadows are soft.
 

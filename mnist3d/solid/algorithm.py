@@ -1,4 +1,4 @@
-"""From a digit image to a printable solid: Algorithm 1 of the Tactile MNIST paper.
+"""Algorithm 1 of the Tactile MNIST paper: a printable solid from a digit image.
 
 Most users need :func:`solidify` only. After :func:`~mnist3d.ink.binarisation.binarise`, :func:`solid_steps`
 takes the steps of the algorithm, one function each: :func:`~mnist3d.solid.erosion_and_stacking.erode`,

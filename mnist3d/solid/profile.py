@@ -22,7 +22,7 @@ def erosion_radius_px(z_px: Floating, spec: SolidSpec) -> Floating:
 
 
 def disc_offset_px(spec: SolidSpec) -> np.float32:
-    """Return by how much an erosion falls short of its radius: a disc of pixels keeps those it touches."""
+    """Return by how much an erosion is less than its radius: a disc keeps the pixels that it touches."""
     return np.float32(_DISC_OFFSETS_PX[spec.erosion])
 
 

@@ -1,4 +1,4 @@
-"""What all conversions share: source, rows, what becomes of a row, and tables that index files."""
+"""Basics of all conversions: source, rows, the step for a row, and tables that index files."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ Choices = Mapping[str, Sequence[RowChoice]]
 
 
 class Step(Protocol):
-    """What a conversion does to one row; small and picklable."""
+    """Step of a conversion for one row; small and picklable."""
 
     def schema(self, source: pa.Schema) -> pa.Schema:
         """Return the flat schema of the result, given that of the source."""

@@ -33,7 +33,7 @@ class DepthAndError(Protocol):
 
 
 class DepthReader(Protocol):
-    """What reads depth from images (N, H, W, 3), uint8, such as :class:`tactile_sim.SensorModel`."""
+    """Reader of depth from images (N, H, W, 3), uint8, such as :class:`tactile_sim.SensorModel`."""
 
     def read_depth(self, images: UInt8, *, fast: bool = False) -> DepthAndError:
         """Return how far each point of the gel is pressed in."""
@@ -109,7 +109,7 @@ class AddDepth:
     fast: bool
 
     def schema(self, source: pa.Schema) -> pa.Schema:
-        """Return the schema of the source, with the columns of depth in place of others of their names."""
+        """Return the schema of the source with columns of depth, which replace others of the same name."""
         count = getattr(column_type(source, "sensor_image"), "list_size", -1)
         added = {
             depth_maps.DEPTH: touch.MEDIA_TYPE,

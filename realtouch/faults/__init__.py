@@ -1,1 +1,1 @@
-"""What is wrong with recordings: rules over pictures, poses and times, and what they found."""
+"""Faults of recordings: rules for pictures, poses and times, and their findings."""

@@ -1,4 +1,4 @@
-"""What a check reports: findings, and a picture of each."""
+"""Results of a check: findings, and a picture of each."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tactile_toolkit.array_types import UInt8
 
 _MOST_DRAWN = 8
 _TILE_PX = 240
-_LETTERS = 20  # of the name of a round, from its end: as much as fits below a picture
+_LETTERS = 20  # characters of the name of a round, from its end, that fit below a picture
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class CheckResult:
     decoded : int
         How many pictures were decoded; the stored bytes of all were compared.
     findings : tuple of RecordingFinding
-        What is wrong, in the order of the rules.
+        Findings, in the order of the rules.
     """
 
     rounds: int
@@ -70,7 +70,7 @@ def finding_of(
     rounds: Mapping[rules.Spot, RoundSeen],
     limits: touch_options.CheckLimits,
 ) -> RecordingFinding:
-    """Return what a rule found, over all splits."""
+    """Return the findings of a rule in all splits."""
     splits = list(dict.fromkeys(fault.at.split for fault in faults))
     names: list[str] = []
     total = 0

@@ -65,7 +65,7 @@ class Fault(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class FaultRule:
-    """What a finding says; ``{value}`` is the greatest found, the other names are options and constants."""
+    """Message of a finding; ``{value}`` is the greatest value, other names are options and constants."""
 
     title: str
     found: str
@@ -169,4 +169,4 @@ RULES: dict[str, FaultRule] = {
         "sort frames by time, or write times of one clock that is never set",
     ),
 }
-"""What is checked, in the order of the report."""
+"""All rules, in the order of the report."""

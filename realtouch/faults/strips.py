@@ -120,4 +120,4 @@ STRIP_RULES: tuple[Callable[[Strip, touch_options.CheckLimits], Iterator[rules.F
     wrong_times,
     jumps,
 )
-"""What is wrong within a strip."""
+"""Rules for a single strip."""

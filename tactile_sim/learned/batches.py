@@ -1,4 +1,4 @@
-"""Batches of a training: images and crops follow from seed, step and process alone."""
+"""Batches of a training; images and crops depend only on seed, step and process."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Renderer: TypeAlias = Callable[[Float32], UInt8]
 
 
 class Batch(NamedTuple):
-    """Input of a step: ``n`` images of each kind, which do not belong together, from -1 to 1."""
+    """Input of a step: ``n`` unpaired images of each kind, values from -1 to 1."""
 
     depth: Tensor
     """Row, column and depth, (n, 3, h, w)."""
@@ -38,13 +38,13 @@ class Batch(NamedTuple):
     """Row and column of the touches, (n, 2, h, w)."""
 
     level: Tensor | None
-    """Background of the sensor where the depth images lie, (n, 3, h, w); None if not known."""
+    """Background of the sensor in the crop of each depth image, (n, 3, h, w); None if not known."""
 
     contact: Tensor
     """Whether each touch has contact, (n, 1, 1, 1)."""
 
     simulated: Tensor | None
-    """Touches that Taxim renders of the depth, (n, 3, h, w); None after the first steps."""
+    """Touches that Taxim renders from the depth, (n, 3, h, w); None after the first steps."""
 
 
 def by_taxim(pairs: Pairs) -> Renderer:
@@ -72,8 +72,8 @@ class Batches:
 
     def since(self, first: int) -> Iterator[Batch]:
         """Yield the batches of the steps from ``first`` on."""
-        # One batch ahead is enough, as decoding is much faster than a step; a thread, as decoders and torch
-        # leave the interpreter's lock.
+        # One batch ahead is enough, as decoding is much faster than a step. A thread is enough, as decoders
+        # and torch release the interpreter's lock.
         with ThreadPoolExecutor(1) as pool:
             made = (pool.submit(self._make, step) for step in range(first, self._config.steps))
             ahead = next(made, None)
@@ -102,12 +102,12 @@ class Batches:
             parts["level"] = self._level.expand(len(images), -1, -1, -1)
         if self._taxim is not None and step < self._config.pretrain_steps:
             parts["simulated"] = self._simulated(images, self._taxim)
-        # Cropped together, so that they show one place.
+        # Cropped together, so that they show the same place.
         cropped = self._cropped(torch.cat(list(parts.values()), dim=1), rng)
         known = dict(zip(parts, cropped.split(3, dim=1), strict=True))
         numbers = rng.integers(len(real), size=self._config.batch)
         pictures = picture_channels(real.images(numbers))
-        # A touch has no depth to go with its row and column: only those two are kept.
+        # A touch has no depth: only the channels of row and column are kept.
         where = depth_channels(np.ones((1, height, width), np.float32))[:, :2]
         touch = self._cropped(torch.cat([pictures, where.expand(len(pictures), -1, -1, -1)], dim=1), rng)
         contact = torch.from_numpy(real.contact[numbers])[:, None, None, None]
@@ -116,7 +116,7 @@ class Batches:
         )
 
     def _simulated(self, images: Float32, taxim: Renderer) -> Tensor:
-        """Return the relief that Taxim renders of depth, on the background of the real touches."""
+        """Return the shading that Taxim renders from depth, on the background of the real touches."""
         shown = picture_channels(taxim(np.concatenate([images, np.ones_like(images[:1])])))
         level = self._level
         if level is None:

@@ -75,7 +75,7 @@ def depth_from(generator: Generator, pictures: UInt8) -> Float32:
 
 
 def generated(generator: Generator, channels: Callable[[AnyArray], Tensor], images: AnyArray) -> Tensor:
-    """Return what a generator makes (n, 3, H, W) of images, for some at a time.
+    """Return the output (n, 3, H, W) of a generator for images, a few at a time.
 
     ``channels`` makes its input from images.
     """

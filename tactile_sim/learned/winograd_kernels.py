@@ -37,7 +37,7 @@ def transformed_weights(weights: Float32) -> Float32:
 
 
 def tiles_across(pixels: int) -> int:
-    """Return how many tiles cover a side."""
+    """Return the number of tiles that cover a side."""
     return -(-pixels // TILE)
 
 

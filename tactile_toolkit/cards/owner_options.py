@@ -20,7 +20,7 @@ LICENCES = (
 )
 """Identifiers of the Hub for licences that are given to data."""
 
-_MOST_WORDS, _MOST_CITATION = 200, 10_000
+_MOST_LINE, _MOST_CITATION = 200, 10_000  # characters
 _BIBTEX = re.compile(r"\s*@\w+\s*\{")
 
 
@@ -37,8 +37,8 @@ def read_licence(word: str) -> str:
 
 def _read_line(option: str, words: str) -> str:
     line = words.strip()
-    if not line or len(line) > _MOST_WORDS or shown_text.printable(line) != line:
-        raise InputError(f"{option} is {words[:80]!r}; expected one line of 1 to {_MOST_WORDS} characters")
+    if not line or len(line) > _MOST_LINE or shown_text.printable(line) != line:
+        raise InputError(f"{option} is {words[:80]!r}; expected one line of 1 to {_MOST_LINE} characters")
     return line
 
 
@@ -78,7 +78,7 @@ def read_citation(words: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class OwnerWords:
-    """What the owner of a data set states for its card."""
+    """Statements of the owner of a data set for its card."""
 
     license: str | None = text(
         metavar="ID",

@@ -1,4 +1,4 @@
-"""What the owner of a data set states about it: licence, authors, title and citation.
+"""Statements of the owner of a data set about it: licence, authors, title and citation.
 
 These words are kept in the head of the card, below ``owner``. So a card that is written again keeps them, and
 so does a copy of the folder.
@@ -29,7 +29,7 @@ _SECTION = r"(?m)^## {}\n\n(?:.|\n)*?(?=^## |\Z)"
 
 
 def read_owner(folder: store.DataFolder) -> OwnerWords:
-    """Return what the card of a folder states of its owner; InputError if it is not valid.
+    """Return the statements of the owner in the card of a folder; InputError if they are not valid.
 
     A card that is missing, or whose head cannot be read, states nothing.
     """

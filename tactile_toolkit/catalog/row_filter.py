@@ -1,4 +1,4 @@
-"""Which rows of a data set are taken, as options of commands; imports nothing heavy."""
+"""Options of commands that choose rows of a data set; imports nothing heavy."""
 
 from __future__ import annotations
 

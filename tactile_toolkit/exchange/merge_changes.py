@@ -1,4 +1,4 @@
-"""What merging changes in rows, on request: ids that occur twice, and a column with the name of a source."""
+"""Optional changes of rows by a merge: new ids for duplicates, and a column with the name of the source."""
 
 from __future__ import annotations
 

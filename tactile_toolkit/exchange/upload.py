@@ -68,7 +68,7 @@ class UploadPlan:
 
     @property
     def is_done(self) -> bool:
-        """Whether the branch holds the folder already, and nothing is to be removed."""
+        """Whether the branch already holds the folder and no file is to be removed."""
         return not (self.to_send or self.removed)
 
 
@@ -84,7 +84,7 @@ def compare(
 def _other_files(
     paths: Iterable[str], held: hub.HubRepository | None, delete: bool
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return which other files of a commit stay, and which are removed.
+    """Return the other files of a commit that stay, and those that are removed.
 
     Files that former uploads made for the Hub's page are removed, and with ``delete`` all others, too.
     """
@@ -145,7 +145,7 @@ class PreparedUpload:
 
     @property
     def is_private(self) -> bool:
-        """Whether the repository is to be private where it does not exist yet."""
+        """Whether a repository that does not exist yet is to be private."""
         return self.options.private
 
 

@@ -41,14 +41,15 @@ class GalleryItem:
 
 
 ItemMaker: TypeAlias = Callable[[Any, str, tuple[str, ...], Any], GalleryItem]
-"""Takes a record, the split, the class names, and what is known of the row."""
+"""Function of a record, the split, the class names, and further information about the row."""
 
 
 @dataclass(frozen=True)
 class RowsTask:
     """Makes the items of some rows of a split.
 
-    ``item`` takes a record, the split, the class names, and the entry of ``known`` for the row.
+    ``item`` takes a record, the split, the class names, and the entry of ``known`` for the row: further
+    information, such as its report.
     """
 
     dataset: read.AnyRecords

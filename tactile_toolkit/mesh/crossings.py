@@ -1,4 +1,4 @@
-"""Whether a closed surface crosses itself: edges against triangles, over a tree of boxes.
+"""Self-crossings of closed surfaces: edges against triangles, over a tree of boxes.
 
 Where two sheets of a closed surface cross, some space is enclosed twice, or inside out, and the volume counts
 it so. Sheets that only touch do not enclose space twice and are accepted.
@@ -32,7 +32,7 @@ _DIRECTIONS = _GRID / np.linalg.norm(_GRID, axis=1, keepdims=True)
 
 
 def tolerance_mm(vertices_mm: Float64) -> float:
-    """Return how deep sheets may overlap, mm: a few times the rounding of single precision."""
+    """Return the depth to which sheets may overlap, mm: a few times the rounding of single precision."""
     return _TOLERANCE * float(np.abs(vertices_mm).max())
 
 

@@ -1,4 +1,4 @@
-"""What the print warnings mean, in a sentence each, and what to do."""
+"""Meanings of the print warnings, and advice on each."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether triangles bound a solid: the status of manifold3d, and what it does not check.
+"""Check whether triangles bound a solid: the status of manifold3d, and conditions beyond it.
 
 manifold3d checks how triangles are joined. It accepts meshes that are inside out, that cross themselves or
 whose bodies overlap; these are refused here.
@@ -90,7 +90,7 @@ def require_solid(mesh: Mesh) -> ManifoldCheck:
 
 
 def array_problem(mesh: Mesh) -> tuple[str, str] | None:
-    """Return what is wrong with the arrays of a mesh, if anything: a word of PROBLEMS, and a sentence."""
+    """Return the problem of the arrays of a mesh, or None: a word of PROBLEMS, and a sentence."""
     vertices, faces = mesh.vertices_m, mesh.faces
     if vertices.ndim != 2 or faces.ndim != 2 or vertices.shape[1] != 3 or faces.shape[1] != 3:
         shapes = f"vertices {vertices.shape}, faces {faces.shape}"

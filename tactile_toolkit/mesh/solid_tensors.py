@@ -98,7 +98,7 @@ def heights_in(grid: VoxelGrid, vertices_m: Floating, faces: Integers) -> Float3
 
 
 def voxels_in(grid: VoxelGrid, vertices_m: Floating, faces: Integers) -> UInt8:
-    """Return which voxel centres lie inside a solid: shape (layers, rows, columns) of z, y, x, uint8."""
+    """Return the voxels whose centres are inside a solid, shape (layers, rows, columns) of z, y, x, uint8."""
     layers, rows, columns = grid.shape
     points = grid.grid_points(vertices_m)
     points[:2] += np.array(_ASIDE_PX)[:, None]

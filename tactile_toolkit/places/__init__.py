@@ -1,4 +1,4 @@
-"""What a name stands for: where the data set lies, its kind, and the files of its splits."""
+"""Resolves names of data sets: location, kind, and files of the splits."""
 
 from lazy_loader import attach_stub
 

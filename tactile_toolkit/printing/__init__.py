@@ -1,4 +1,4 @@
-"""From meshes to files that print: one for each object, or build plates of several objects.
+"""Files for printers, from meshes: one for each object, or build plates of several objects.
 
 ::
 

@@ -101,7 +101,7 @@ class PlateFeature:
 
 @dataclass(frozen=True)
 class CalibrationPlate:
-    """The solid, metres, what it was checked to be, and what stands on it."""
+    """The solid, metres, the result of its check, and the shapes on it."""
 
     mesh: Mesh
     verdict: ManifoldCheck
@@ -267,7 +267,7 @@ def _picture(plate: CalibrationPlate) -> bytes:
 
 
 def _touches(plate: CalibrationPlate) -> list[tuple[PlateFeature, tuple[float, float]]]:
-    """Return what is touched and where on the plate, mm, in the order of the sheet."""
+    """Return the features to touch and their positions on the plate, mm, in the order of the sheet."""
     places = []
     for feature in plate.features:
         x_mm, y_mm = feature.middle_mm

@@ -306,7 +306,7 @@ class RecordDataset(RowColumns, Sequence[T], Generic[T]):
         return joined
 
     def description(self) -> list[str]:
-        """Return what the data set holds, and where it is from, in words."""
+        """Return a description of the data set and its origin."""
         return self.table.described(wording.with_count(len(self), self.things))
 
     def each_record(self) -> Iterator[tuple[int, T]]:

@@ -28,7 +28,7 @@ def whole_number(value: object) -> int | None:
 
 
 def whole_numbers(values: AnyArray) -> Bool:
-    """Return which values are integers, as in :func:`whole_number`."""
+    """Return the mask of values that are integers, as in :func:`whole_number`."""
     if values.dtype.kind in "bi":
         return np.ones(values.shape, bool)
     if values.dtype.kind == "u":

@@ -1,4 +1,4 @@
-"""Where tasks run: the calling process, local processes, a Ray cluster."""
+"""Runners of tasks: the calling process, local processes, a Ray cluster."""
 
 from lazy_loader import attach_stub
 

@@ -151,7 +151,7 @@ def runner_for(workers: int | Runner) -> Runner:
 
 
 def free_workers() -> int:
-    """Return how many processes to start for work if nobody has chosen their number: one for each core.
+    """Return the default number of worker processes: one for each core.
 
     In a worker of another program, which may start none, the number is 1: this process.
     """
@@ -161,7 +161,7 @@ def free_workers() -> int:
 
 
 def _most_workers(wanted: int) -> int:
-    """Return how many of the workers the system can wait for at a time."""
+    """Return the number of workers that the system can wait for at a time."""
     return min(wanted, _MOST_WAITED_FOR.get(sys.platform, wanted))
 
 
@@ -242,7 +242,7 @@ def _prepare_worker() -> None:
 
 
 def unpack_result(packed: bytes, *notes: str) -> Any:
-    """Return what the function returned, or raise what it raised, with notes."""
+    """Return the result of the function, or raise its exception, with notes."""
     value, error = pickle.loads(packed)
     if error is None:
         return value

@@ -1,4 +1,4 @@
-"""What the toolkit takes from ``scipy.spatial``."""
+"""Names of ``scipy.spatial`` that the toolkit uses."""
 
 from __future__ import annotations
 

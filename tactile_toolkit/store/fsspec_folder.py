@@ -45,7 +45,7 @@ class FsspecFolder(DataFolder):
         return ask_store(action, doing, self.address(path), size_bytes)
 
     def _key(self, path: str = "") -> str:
-        """Return how the client calls a file."""
+        """Return the key of a file, as the client names it."""
         return str(self._client._strip_protocol(self.address(path))).rstrip("/")
 
     def problem(self) -> str:

@@ -24,9 +24,9 @@ from tactile_toolkit.redaction import redact
 from tactile_toolkit.store.files import open_regular
 
 LOCK_FILE = ".lock"
-"""Is locked in place of its folder, or marks it as held, where the system has no locks of folders."""
+"""File that is locked, or marks its folder as held, where the system cannot lock folders."""
 PATIENCE_S = 60.0
-"""How long to wait for a lock, seconds; a stopped process (Ctrl-Z) never releases the one it holds."""
+"""Time limit for a lock, seconds; a stopped process (Ctrl-Z) never releases the one it holds."""
 
 _LOOK_AGAIN_S = 0.02
 _STOPPED, _AT_WORK = ("T", "t"), ("R", "S", "D")  # process states of Linux
@@ -211,7 +211,7 @@ def _lock_file(path: Path) -> Iterator[None]:
 
 
 def _note() -> str:
-    """Return how a lock file names its holder."""
+    """Return the text by which a lock file names its holder."""
     return f"{os.getpid()} {socket.gethostname()}\n"
 
 

@@ -1,4 +1,4 @@
-"""Which files of a data set folder belong to the toolkit: no other file is ever removed or replaced."""
+"""Files of a data set folder that belong to the toolkit; no other file is ever removed or replaced."""
 
 from __future__ import annotations
 

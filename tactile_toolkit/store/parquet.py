@@ -37,7 +37,7 @@ _BUFFER_BYTES = 1 << 20
 
 @dataclass(frozen=True, slots=True)
 class ParquetStyle:
-    """How a kind of data set is laid out in Parquet.
+    """Parquet layout of a kind of data set.
 
     Row groups stay well under 100 MB, so that reading one row is cheap. Columns with an entry in
     ``encodings`` (path, encoding) get neither a dictionary nor statistics.

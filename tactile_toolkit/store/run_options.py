@@ -1,4 +1,4 @@
-"""How a data set folder is made, whatever it holds: by whom, all of it or a part, and what is reported."""
+"""Options of a run that makes a data set folder: workers, part, and progress."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class RunKeywords(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class RunOptions:
-    """How a data set is made; none of these options changes a row.
+    """Options of a run; none of them changes a row.
 
     Attributes
     ----------
@@ -77,5 +77,5 @@ class RunOptions:
 
     @property
     def is_whole(self) -> bool:
-        """Whether the run makes all shards by itself."""
+        """Whether this run makes all shards."""
         return self.part is None and not self.finish

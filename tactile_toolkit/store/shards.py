@@ -35,7 +35,7 @@ _SHARD_PATTERN = re.compile(rf"(\w+)-{_NUMBER}-of-{_NUMBER}\.parquet")
 
 
 class ShardName(msgspec.Struct, frozen=True, order=True):
-    """Which shard, from 0, of how many of which split: ``train-00000-of-00024``."""
+    """Name of a shard: split, index from 0, and number of shards, as in ``train-00000-of-00024``."""
 
     split: str
     index: int
@@ -116,7 +116,7 @@ class Skipped(msgspec.Struct, frozen=True):
 
 
 class ShardRecord(msgspec.Struct, frozen=True, dict=True):
-    """What was written for one shard, in the form in which manifests and pending records hold it.
+    """Facts about a finished shard, as manifests and pending records store them.
 
     ``report_sha256`` is the checksum of its report rows, where there are any. ``statistics`` are counts over
     its rows that add up over shards, see :func:`add_up`. ``unpacked_bytes`` is the size of its rows in
@@ -142,7 +142,7 @@ class ShardRecord(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def shard(self) -> ShardName:
-        """Which shard the record is of; ValueError if the name of the file is not that of a shard."""
+        """Shard of the record; ValueError if the file does not have the name of a shard."""
         folder, _, name = self.file.rpartition("/")
         shard = ShardName.parse(name)
         if shard is None or folder != DATA_FOLDER or shard.index >= shard.count or shard.split != self.split:

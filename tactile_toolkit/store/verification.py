@@ -22,7 +22,7 @@ from tactile_toolkit.store.shards import DATA_FOLDER, VIEWER_FOLDER, Finding, Sh
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """What was checked, and all findings; ``reference`` is the manifest or the commit of the Hub."""
+    """Result of a verification; ``reference`` is the manifest or the commit of the Hub."""
 
     files: int
     rows: int
