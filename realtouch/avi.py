@@ -28,8 +28,9 @@ _ENTRY_BYTES = 16  # name of the chunk, flags, offset, size
 class Avi:
     """An AVI of MJPEG frames, opened by its index; frames are found one by one.
 
-    Opening raises ValueError for another container or codec; where the file is cut short, exceeds
-    :data:`MAX_CLIP_FRAMES`, or has no index; and where that leads out of it or does not follow the stream.
+    Opening raises ValueError for another container or codec; for a file that is truncated, longer than
+    :data:`MAX_CLIP_FRAMES`, or without an index; and for an index that points outside the file, or is not in
+    the order of the stream.
     """
 
     def __init__(self, data: memoryview) -> None:

@@ -28,20 +28,20 @@ def background(pictures: object) -> UInt8:
     Parameters
     ----------
     pictures : TouchClip, TouchRound, Touches, TouchDataset, or array of shape (N, H, W, 3), uint8
-        A clip, all frames of it; a round or touches, all of their images, or all frames of their clips. The
-        background of one gel is that of its rounds: ``background(rounds.filter(lambda r: r.info["gel_id"] ==
+        All frames of a clip, or all images or frames of a round or of touches. For the background of one gel,
+        choose its rounds: ``background(rounds.filter(lambda r: r.info["gel_id"] ==
         "3"))``.
 
     Returns
     -------
     ndarray, shape (H, W, 3), uint8
-        Exact median of each pixel and channel; of an even number of pictures the mean of the two in the
-        middle, rounded down. What does not fit in memory is read twice, a few pictures at a time.
+        Exact median of each pixel and channel; for an even number of pictures, the mean of the two middle
+        values, rounded down. Pictures that do not fit in memory are read twice, a few at a time.
 
     Raises
     ------
     InputError
-        There is no picture, or clips or sets are of several sizes.
+        There is no picture, or the sizes of pictures differ.
     IntegrityError
         A picture is damaged, or of another size than those of its set.
     """

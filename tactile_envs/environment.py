@@ -199,7 +199,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         ValueError
             An action is not finite.
         gymnasium.error.ResetNeeded, gymnasium.error.ClosedEnvironmentError
-            The environment was not reset yet, or since the end of an episode (``DISABLED``); or was closed.
+            The environment was never reset, not reset after an episode (``DISABLED``), or closed.
         """
         self._require_open()
         self._require_reset()

@@ -124,7 +124,7 @@ def solve_contact(
 ) -> Contact:
     """Press a rigid body into a gel, then slide and twist it.
 
-    Press, slide and twist are made at once: the result is that of one step, not of a history. Maps refer to
+    Press, slide and twist are applied in one step, so the result does not depend on a history. Maps refer to
     points of the gel at rest, and to the body before the slide. No pixel outside of the window is loaded:
     give the heights under the whole gel, and cut out what an image shows.
 
@@ -303,8 +303,8 @@ def _checked_block(block_px: int, heights: Float64, pixel_m: tuple[float, float]
         f"block_px is {block_px!r}; expected an integer of which {heights.shape[0]} rows and "
         f"{heights.shape[1]} columns are multiples",
     )
-    # The correction for the layer takes the load of a pixel to act at its centre: where pixels are as wide as
-    # the gel is thick, forces are 3 % off, and where they are wider, results are useless.
+    # The correction for the layer assumes that the load of a pixel acts at its centre. For pixels as wide as
+    # the gel is thick, forces have an error of 3 %; for wider ones, results are useless.
     _require(
         max(pixel_m) * block <= thickness_m,
         f"pixels, or blocks of them, are {1e3 * max(pixel_m) * block:.3g} mm wide; expected no more than the "

@@ -251,8 +251,8 @@ def generate(
     Returns
     -------
     Manifest
-        What the folder holds now. Objects that bound no solid are left out and listed in it, and so are mesh
-        files that cannot be read, and meshes larger than the cell.
+        Manifest of the folder. It lists what was left out: objects that bound no solid, mesh files that
+        cannot be read, and meshes larger than the cell.
 
     Raises
     ------

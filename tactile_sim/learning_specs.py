@@ -137,13 +137,13 @@ class TrainConfig:
         where depth shows no contact, a touch looks like them; ours. It keeps depth and relief in one place.
     sensor_noise : SensorNoise, optional
         Noise of the sensor that made the real touches, added to generated ones wherever networks see them;
-        ours. A generator cannot make noise; ``generate --sensor-noise`` adds it to generated images.
+        not in the paper. A generator cannot make noise; ``generate --sensor-noise`` adds it to its images.
     noise : float
-        Greatest standard deviation of the white noise over all touches that the way back sees, of values from
-        -1 to 1; ours. It keeps generators from hiding depth in invisible marks.
+        Greatest standard deviation of white noise on all touches from which depth is generated, for values
+        from -1 to 1; not in the paper. It keeps generators from hiding depth in invisible patterns.
     discriminator_noise : float
-        White noise over all touches that discriminators see at first; it falls linearly to 0 until the
-        learning rate begins to fall. Ours: they see coarse structure first, and fine structure in the end.
+        Initial standard deviation of white noise on all touches that discriminators see; it falls linearly to
+        0 until the learning rate begins to fall. Not in the paper: coarse structure is learned first.
     pool : int
         Number of earlier generated images that discriminators see again (Zhu et al. 2017).
     seed : int

@@ -107,7 +107,7 @@ def make_optics(
     Raises
     ------
     InputError
-        The optics are unknown, weights are missing or do not fit, or the device is not there.
+        The optics are unknown, weights are missing or do not fit, or the device does not exist.
     MissingExtraError
         A package that the optics need is not installed.
     """

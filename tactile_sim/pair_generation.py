@@ -187,7 +187,7 @@ def make_pairs(
     Returns
     -------
     Manifest
-        What the folder holds now.
+        Manifest of the folder.
 
     Raises
     ------

@@ -346,7 +346,7 @@ def _slopes(soft: Float64, per_row: float, per_column: float, flat_slope: float)
         for column in range(1, columns - 1):
             down = (soft[row - 1, column] - soft[row + 1, column]) * per_row
             right = (soft[row, column - 1] - soft[row, column + 1]) * per_column
-            # Level in one direction means exactly level: rounding must not choose the end of the circle.
+            # A slope that is 0 up to rounding is set to 0: its sign would choose the end of the circle.
             down = 0.0 if abs(down) < 1e-9 else down
             tangent = math.sqrt(down * down + right * right)
             if tangent < flat_slope:
@@ -372,7 +372,7 @@ def _shades(slope: Float64, direction: Float64, tables: Calibration) -> Float64:
     rows, columns = slope.shape
     bins = tables.bins
     per_slope, per_direction = (bins - 1) / (0.5 * math.pi), (bins - 1) / (2.0 * math.pi)
-    # One value more: colours are written by four.
+    # One spare value: colours are written four values at a time.
     shade = np.empty(rows * columns * 3 + 1)
     chosen = np.empty(columns, np.int64)
     for row in range(rows):
@@ -433,7 +433,7 @@ def _follow(
         far = np.float32(step + 1)
         x_px, y_px = begin_x + along_x * far * cosine, begin_y + along_y * far * sine
         is_outside = x_px <= -1.0 or y_px <= -1.0 or x_px >= columns or y_px >= rows
-        # Towards 0, like the package's cast: less than a pixel outside the picture still counts.
+        # Rounded towards 0, like the cast of the package: up to a pixel outside the picture counts as inside.
         place = np.int32(y_px) * columns + np.int32(x_px)
         met[step] = -1 if is_outside else place
 

@@ -47,7 +47,7 @@ class Neighbours:
         time_s : ndarray of float64, shape (n,)
             Times, seconds.
         sample_s : ndarray of float64, shape (m,), m >= 1
-            Times of the samples, seconds of the same clock; none is earlier than the one before.
+            Times of the samples, seconds of the same clock, not decreasing.
         max_gap_s : float
             A time has no value if its nearest sample is farther away than this, or if it lies between two
             samples that are farther apart, seconds.

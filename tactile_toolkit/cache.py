@@ -79,12 +79,12 @@ def cache_folder() -> Path:
 @cache
 def _temporary_cache() -> Path:
     """Return a private cache folder in the system's temporary folder, and warn once."""
-    # Windows has no numbers of users; its folder for temporary files belongs to one.
+    # Windows has no numeric user ids; its temporary folder belongs to one user.
     user = getattr(os, "getuid", lambda: 0)()
     path = Path(tempfile.gettempdir()) / f"tactile-toolkit-{user}"
     path.mkdir(mode=0o700, exist_ok=True)
     found = path.lstat()
-    # Files of another user would be read as data; a link leads anywhere.
+    # Files of another user would be read as data, and a link may point anywhere.
     is_open_to_others = os.name != "nt" and bool(found.st_mode & 0o077)
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != user or is_open_to_others:
         path = Path(tempfile.mkdtemp(prefix="tactile-toolkit-"))

@@ -195,7 +195,7 @@ def generate(
     Returns
     -------
     Manifest
-        What the folder holds now.
+        Manifest of the folder.
     """
     plan = plan_build(generator, splits)
     require()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-# Touches, meshes, classes and boxes; in anything else the e belongs to the word.
+# Touches, meshes, classes and boxes; in all other plurals, the e is part of the singular.
 _LONG_PLURALS = ("ches", "shes", "sses", "xes")
 _IRREGULAR = {"vertices": "vertex", "entries": "entry", "bodies": "body", "copies": "copy"}
 

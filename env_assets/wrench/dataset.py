@@ -97,7 +97,7 @@ def write_wrench(
     Returns
     -------
     Manifest
-        What the folder holds now.
+        Manifest of the folder.
 
     Raises
     ------

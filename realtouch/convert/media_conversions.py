@@ -63,7 +63,7 @@ def clips_to_images(
     Returns
     -------
     Manifest
-        What the folder holds now; rounds that are damaged are left out and listed in it.
+        Manifest of the folder; it lists damaged rounds, which are left out.
 
     Raises
     ------

@@ -163,7 +163,7 @@ class CycleGan:
         return pictures + deviation * noise.to(pictures.dtype)
 
     def _add_cycle_noise(self, name: str, pictures: Tensor, rng: np.random.Generator) -> Tensor:
-        """Return touches, real or generated, with the noise that the way back sees."""
+        """Return touches, real or generated, with the noise for generating depth from them."""
         return self._add_white_noise(name, pictures, self.config.noise * rng.random())
 
     def _generator_losses(
@@ -200,10 +200,10 @@ class CycleGan:
         }
 
     def background_losses(self, made: dict[str, Tensor], depth: Tensor, batch: Batch) -> dict[str, Tensor]:
-        """Compare generated images with what is known without pairs: the background, and its depth.
+        """Compare generated images with the background and its depth, which are known without pairs.
 
-        Where the gel is not pressed, a little away from where it is, it looks like the background. Unlike the
-        cycle, this ties a relief in the image to the place of its depth.
+        At some distance from the contact, the gel looks like the background. Unlike the cycle, this ties a
+        relief in the image to the position of its depth.
         """
         reach = max(1, round(min(depth.shape[-2:]) / _SHADOW))
         pressed = torch.nn.functional.max_pool2d((depth < 1).float(), 2 * reach + 1, 1, reach)

@@ -125,8 +125,8 @@ class FastGenerator:
         ]
         last = found[f"model.{17 + blocks}.weight"]
         colours, channels, side, _ = last.shape
-        # With three outputs, most lanes of a processor would be idle. So the columns of the kernels are
-        # outputs of a convolution of their own, and another one adds them up.
+        # With three outputs, most lanes of a processor would be idle. So a convolution gives an output for
+        # each column of the kernels, and another one adds them up.
         columns = last.permute(0, 3, 1, 2).reshape(colours * side, channels, side, 1)
         adding = torch.eye(colours * side).reshape(colours, side, colours * side).transpose(1, 2)
         self._columns, self._adding = _channels_last(columns), _channels_last(adding[:, :, None])

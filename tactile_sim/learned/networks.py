@@ -75,7 +75,7 @@ def discriminator(filters: int = 64) -> nn.Module:
 def initialise(network: nn.Module, seed: int) -> None:
     """Draw all weights again: normal, standard deviation 0.02 (Zhu et al. 2017); biases are 0.
 
-    Layers that double the size begin as linear interpolation; drawn at random, they make a chequered grain.
+    Layers that double the size begin as linear interpolation; random weights give checkerboard artefacts.
     """
     rng = torch.Generator().manual_seed(seed)
     # By name, so that the order of modules does not decide which numbers a layer gets.

@@ -32,7 +32,7 @@ _WRITTEN_BY_HUB = frozenset({".gitattributes"})
 _PICTURE_FOLDER = "images"
 _THREADS = 8
 
-# Asks the Hub for something, again while it is busy, and returns the answer.
+# Calls the Hub, again while it is busy, and returns the answer.
 _Ask: TypeAlias = Callable[..., Any]
 _State: TypeAlias = tuple[hub.HubRepository | None, dict[str, str], bool]
 

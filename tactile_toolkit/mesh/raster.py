@@ -30,7 +30,7 @@ _DEPTH_STEPS = 1 << 30
 def highest_values(points: Float64, faces: Integers, shape: tuple[int, int]) -> Float32:
     """Return the height of the highest triangle over the centre of each pixel, -inf where there is none.
 
-    Parameters as of :func:`covered_pixels`; triangles that face downwards are ignored.
+    Parameters are as for :func:`covered_pixels`; triangles that face downwards are ignored.
     """
     highest = np.full(shape[0] * shape[1], -np.inf, np.float32)
     for _, _, pixel, height in covered_pixels(points, faces, shape):
@@ -43,7 +43,7 @@ def highest_faces(
 ) -> Int64:
     """Return the highest triangle over the centre of each pixel, -1 where there is none.
 
-    Parameters as of :func:`covered_pixels`; of equally high triangles the last one wins.
+    Parameters are as for :func:`covered_pixels`; among equally high triangles, the last one wins.
     """
     if not len(faces):
         return np.full(shape, -1, np.int64)
@@ -84,7 +84,7 @@ def _prepared(
 ) -> tuple[Int64, Int64, Int64, Float64, Float64]:
     """Return the triangles that may cover a pixel centre, counter-clockwise as seen from above.
 
-    Returned are their numbers; the first row of pixel centres of each, and the number of rows; their reach,
+    Returns their numbers; the first row of pixel centres of each, and the number of rows; their extent,
     shape (14, n): least and greatest column, and for each edge ``l, l', r, r'``, which limits row y to
     columns from ``l + l' y`` to ``r + r' y``; and their plane, shape (7, n): column, row and height of the
     first corner, slope along a row and from row to row, least and greatest height.

@@ -150,7 +150,7 @@ def _travelling(names: Iterable[str]) -> Callable[..., Any]:
         import ray
 
         known.update(known or versions())
-        node = ray.get_runtime_context().get_node_id()[:8]  # containers may have all else in common
+        node = ray.get_runtime_context().get_node_id()[:8]  # containers may share host name and address
         machine = f"{socket.gethostname()} ({ray.util.get_node_ip_address()}, {node})"
         if known != wanted:
             return (

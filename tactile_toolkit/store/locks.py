@@ -104,7 +104,7 @@ def _holders_of(path: Path) -> list[_Holder]:
         if sys.platform == "linux":
             found = path.stat()
             name = f"{os.major(found.st_dev):02x}:{os.minor(found.st_dev):02x}:{found.st_ino}"
-            # A line is "1: FLOCK  ADVISORY  WRITE 4711 fe:00:2146526 0 EOF"; of who waits, "1: -> FLOCK ...".
+            # A line is "1: FLOCK  ADVISORY  WRITE 4711 fe:00:2146526 0 EOF"; if it waits, "1: -> FLOCK ...".
             lines = [line.split() for line in Path("/proc/locks").read_text(encoding="ascii").splitlines()]
             return [_Holder(line[4], socket.gethostname()) for line in lines if line[1::4] == ["FLOCK", name]]
     return []

@@ -302,7 +302,7 @@ def _code_of(link: BaseException) -> str | None:
 
 
 def _is_of_client(link: BaseException) -> bool:
-    # The parser of aiohttp gives what it cannot read (an answer that ends too early) the number of a status.
+    # For an answer that ends too early, the parser of aiohttp raises an error with a status code of its own.
     if type(link).__module__ == "aiohttp.http_exceptions":
         return False
     return any(kind.__module__.partition(".")[0] in _CLIENTS for kind in type(link).__mro__)
