@@ -27,16 +27,16 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-# Work that takes less shows no progress, seconds.
+# Shorter work shows no progress, seconds.
 _QUIET_S = 2.0
 
 
 class AssetProvider:
     """Provides assets to environments.
 
-    A name is looked for in this order: in ``places``; as a folder in ``root``; as the path of a folder or
-    Parquet file, or a repository of the Hub (``USER/NAME``). The names ``"mnist3d"``, ``"starstruck"`` and
-    ``"wrench"`` are only ever looked for in the first two.
+    A name is looked up in ``places``; then as a folder in ``root``; then as the path of a folder or Parquet
+    file, or as a repository of the Hub (``USER/NAME``). The names ``"mnist3d"``, ``"starstruck"`` and
+    ``"wrench"`` are looked up only in the first two.
 
     Parameters
     ----------
@@ -51,11 +51,11 @@ class AssetProvider:
     generate : bool
         Make digits, scenes and the wrench in ``root`` where they are missing, from the embedded sources.
     seed : int
-        Seed of what is made.
+        Seed of generated assets.
     per_class : int, optional
         Make only this many of each class of a split, instead of the published numbers.
     workers : int
-        Number of processes that make it. Long work shows its progress on stderr.
+        Number of processes that make assets. Long work shows its progress on stderr.
 
     Notes
     -----
@@ -117,7 +117,7 @@ class AssetProvider:
         Returns
         -------
         mnist3d.DigitDataset, starstruck_gen.SceneMeshDataset, WrenchDataset or SolidDataset
-            By what the data set holds.
+            Depending on the content of the data set.
 
         Raises
         ------
@@ -134,7 +134,7 @@ class AssetProvider:
         )
 
     def finished(self, name: str, split: str = "train") -> asset_kinds.MeshSet | None:
-        """Return the meshes of a split, or None if they are missing or unfinished; makes nothing."""
+        """Return the meshes of a split, or None if they are missing or unfinished; does not make them."""
         place = self._place(name)
         try:
             shards = open_place(place, revision=self._commit_of(place)).shards(split)
@@ -143,9 +143,9 @@ class AssetProvider:
         return asset_kinds.open_meshes(shards, name)
 
     def planned(self, name: str, split: str = "train") -> mesh_view.PlannedView | None:
-        """Return the meshes that :meth:`meshes` would make, each of which is made when it is asked for.
+        """Return the meshes that :meth:`meshes` would make, each of which is made on first use.
 
-        None if single meshes of this kind are not made. InputError: the folder holds another data set.
+        None if meshes of this kind cannot be made one by one. InputError: the folder holds another data set.
         """
         recipe = self._recipe(name)
         if recipe.planned is None:
@@ -265,10 +265,8 @@ class AssetProvider:
         try:
             found = open_place(place, revision=self._commit_of(place))
             return found.require_meshes("AssetProvider.meshes").shards(split)
-        except (
-            errors.InputError,
-            errors.IntegrityError,
-        ) as error:  # the latter also after interrupted runs
+        # IntegrityError also means an interrupted run.
+        except (errors.InputError, errors.IntegrityError) as error:
             if name not in asset_kinds.KINDS or name in self._places:
                 raise
             recipe = self._recipe(name)

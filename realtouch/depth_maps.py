@@ -1,7 +1,7 @@
 """Maps of depth, stored as images of 16 bits in whole micrometres.
 
 A map states how far each point of the gel is pressed in: 0 where nothing touches it, 65,535 um at most. A
-second one of this kind states the expected error of each pixel.
+second map states the expected error of each pixel.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ _MODES = ("I;16", "I;16B")
 
 
 def encode_map(depth_m: Floating) -> bytes:
-    """Encode a map of depth, (H, W), metres, as PNG; less than 0 is 0.
+    """Encode a map of depth, (H, W), metres, as PNG; negative values become 0.
 
-    Raises InputError for values that are not finite, or of more than 65.535 mm.
+    Raises InputError for values that are not finite, or exceed 65.535 mm.
     """
     if not np.isfinite(depth_m).all() or depth_m.max(initial=0) * _PER_M > _MOST:
         raise errors.InputError(
@@ -39,7 +39,7 @@ def encode_map(depth_m: Floating) -> bytes:
         )
     counts = np.rint(np.maximum(depth_m, 0) * _PER_M).astype(np.uint16)
     stream = io.BytesIO()
-    # As images are written: the level states no default of a release.
+    # A fixed level, as for images: the default may change with a release.
     Image.fromarray(counts).save(stream, "PNG", compress_level=6)
     return stream.getvalue()
 
@@ -61,7 +61,7 @@ def decode_map(data: memoryview | bytes) -> Float32:
 
 
 class DepthMaps(Sequence[Float32]):
-    """The maps of one round; each is decoded when it is asked for, none is kept.
+    """The maps of one round; each is decoded on every access and not kept.
 
     ``maps[i]`` gives (H, W), float32, metres; a slice, list or array of ints, or boolean mask (n, H, W).
     """
@@ -78,7 +78,7 @@ class DepthMaps(Sequence[Float32]):
         return self._count
 
     def __getitem__(self, index: Any) -> Float32:  # type: ignore[override]
-        """Decode one map, or some of one size; IntegrityError where one is damaged."""
+        """Decode one map, or several of the same size; IntegrityError if one is damaged."""
         if read.picks_several(index):
             return np.stack([self._decode(touch) for touch in read.positions(index, self._count).tolist()])
         return self._decode(read.checked_index(operator.index(index), self._count, "touch", "touches"))

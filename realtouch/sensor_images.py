@@ -60,7 +60,7 @@ def room_for(count: int, size: tuple[int, int], out: UInt8 | None = None) -> UIn
 
 
 class SensorImages(Sequence[UInt8]):
-    """The images of one round; each is decoded when it is asked for, none is kept.
+    """The images of one round; each is decoded on every access and not kept.
 
     ``images[i]`` gives (H, W, 3) uint8; a slice, list or array of ints, or boolean mask gives (n, H, W, 3).
     Safe to share between threads and to pickle.

@@ -23,7 +23,7 @@ ROWS = 4
 _FLOAT, _INDEX = ir.FloatType(), ir.IntType(32)
 
 Context: TypeAlias = Any
-"""A numba context, which has no types."""
+"""A context of numba, which is not typed."""
 
 Build: TypeAlias = Callable[[Context, ir.IRBuilder, Signature, Sequence[ir.Value]], ir.Value]
 """Writes the instructions of a function for LLVM."""
@@ -47,9 +47,9 @@ def _raise_block(
 ) -> tuple[Signature, Build]:
     """Raise :data:`ROWS` rows of :data:`LANES` neighbouring pixels to a triangle, where it covers them.
 
-    ``heights`` is contiguous, float32; ``places`` say where in it each row begins. The weights of the second
-    and third corner there, and their growth from row to row, are float64. The rest, float32: their growth
-    from pixel to pixel, how far below 0 they may be, and the heights of the corners. In plain numba::
+    ``heights`` is contiguous, float32; ``places`` are the indices at which rows begin. ``b`` and ``c``, the
+    weights of the second and third corner there, and their steps per row are float64. Float32 are their steps
+    per pixel, tolerances below 0, and the heights of the corners. In plain numba::
 
         for row in range(ROWS):
             for lane in range(LANES):

@@ -41,7 +41,7 @@ class TouchScene(ABC):
     Attributes
     ----------
     action_parts, observation_parts : dict of str to gymnasium.Space
-        Spaces of a single action, and of what a single sensor observes.
+        Spaces of a single action, and of the observation of a single sensor.
     numbers : ndarray of int64, shape (num_envs,)
         Number of the object in each cell; -1 before the first episode.
     places : ndarray of float64, shape (num_envs, 3)
@@ -69,7 +69,7 @@ class TouchScene(ABC):
         """Begin an episode in some cells: choose objects and the places of the first touches."""
 
     def discard_upcoming(self, rows: reset_options.Rows) -> None:  # noqa: B027
-        """Forget which objects come next in some cells, as a reset does."""
+        """Discard the objects that were chosen for the next episodes of some cells, as a reset does."""
 
     def checked_action(self, action: gym_types.Action) -> gym_types.Action:
         """Return the arrays of an action of all cells; InputError or ValueError if it cannot be used."""
@@ -81,7 +81,7 @@ class TouchScene(ABC):
         """Positions of the sensors, shape (num_envs, 3), metres, cell frame."""
 
     def aim(self, action: gym_types.Action, rows: reset_options.Rows) -> Float32:
-        """Send the sensors of some cells to where an action says; return what actions cost, (num_envs,)."""
+        """Set the targets of sensors in some cells from an action; return the costs, (num_envs,)."""
         if rows is reset_options.EVERY:
             return self._motion.aim(action[_MOVE], self._positions_m, self._targets)
         targets = self._targets.copy()
@@ -95,7 +95,7 @@ class TouchScene(ABC):
 
     @property
     def is_exhausted(self) -> Bool | None:
-        """In which cells no further touch is possible, shape (num_envs,); None if there always is one."""
+        """Whether no further touch is possible, for each cell, (num_envs,); None if there always is one."""
         return None
 
     @property
@@ -115,7 +115,7 @@ class TouchScene(ABC):
 
     @property
     def position_limits_m(self) -> tuple[Float64, Float64]:
-        """Lowest and highest position of sensors, shape (3,) each, metres; the range of what they observe."""
+        """Lowest and highest position of sensors, shape (3,) each, metres; the range of observations."""
         return self._motion.low_m, self._motion.high_m
 
     @abstractmethod
@@ -127,6 +127,6 @@ class TouchScene(ABC):
 
 
 def require_number(number: int, count: int) -> None:
-    """Refuse the number of an object, an option of a reset, that a set of ``count`` does not have."""
+    """Raise InputError for the number of an object, an option of a reset, beyond a set of ``count``."""
     if not 0 <= number < count:
         raise InputError(f"datapoint_idx is {number}; expected 0 to {count - 1}")

@@ -14,13 +14,13 @@ _RIGID_LIMIT = (
 _ELASTIC_LIMITS = (
     "No tilt. The gel is a linear elastic layer without side faces: no viscosity, no adhesion, no large "
     "strain; a press of half the thickness, where one by force stops, is indicative only.",
-    "A slide and a twist are made in one step after the press; a real one is a history.",
+    "A slide and a twist are applied in one step after the press; real contact depends on its history.",
 )
 
 
 @dataclass(frozen=True)
 class CardGel:
-    """Words of a card: where a sensor stops, what optics show, further columns, lines of a table, limits."""
+    """Texts of a card: stop of the sensor, surface that images show, further columns, table, limits."""
 
     stops: str
     shown: str

@@ -1,7 +1,7 @@
-"""Sensors: their geometry, of presets or from a file, and the twins of those that were calibrated.
+"""Sensors: geometry from presets or a file, and twins of calibrated sensors.
 
-The optics `taxim` and `cyclegan` are calibrated for the GelSight Mini; of other sensors there are depth
-images until ``tactile-sim calibrate`` made a twin. Commands import this module for their options, so it
+The optics `taxim` and `cyclegan` are calibrated for the GelSight Mini; other sensors have only depth images
+until ``tactile-sim calibrate`` makes a twin. Commands import this module for their options, so it
 imports nothing heavy.
 """
 
@@ -48,11 +48,11 @@ class SensorModel:
     width_px, height_px : int
         Size of the whole image, pixels.
     gel_mm : float
-        Thickness of the gel, mm. The press depth is half of it, as in `tactile-mnist` for the GelSight Mini.
+        Thickness of the gel, mm; it is pressed in by half, as in `tactile-mnist` for the GelSight Mini.
     source : str
-        Where the numbers are from.
+        Source of the numbers.
     twin : Twin, optional
-        What ``tactile-sim calibrate`` found: images of this sensor and depth from its images.
+        Result of ``tactile-sim calibrate``: renders images of this sensor and reads depth from its images.
 
     Raises
     ------
@@ -124,14 +124,14 @@ class SensorModel:
 
     @property
     def optics_name(self) -> str:
-        """Name of the optics that make images of this sensor; depth where it is not calibrated."""
+        """Name of the optics that make images of this sensor; depth if it is not calibrated."""
         if self.twin is not None:
             return "twin"
         return "taxim" if self == GELSIGHT_MINI else "depth"
 
     @property
     def optics(self) -> Optics:
-        """Optics that make images of this sensor; depth images where it is not calibrated."""
+        """Optics that make images of this sensor; depth images if it is not calibrated."""
         found: Optics = _make_optics(self.optics_name) if self.twin is None else _twin_optics(self.twin)
         return found
 
@@ -160,7 +160,7 @@ class SensorModel:
         return {} if self.twin is None else self.twin.report
 
     def read_depth_m(self, images: UInt8, *, fast: bool = False) -> Float32:
-        """Read how far the gel is pressed in.
+        """Read the depth to which the gel is pressed in.
 
         Parameters
         ----------
@@ -172,7 +172,7 @@ class SensorModel:
         Returns
         -------
         ndarray of float32, shape (N, H, W)
-            How far the solid reaches into the gel at rest, metres; 0 where nothing touches.
+            Depth of the solid in the gel at rest, metres; 0 where nothing touches.
 
         Raises
         ------
@@ -187,7 +187,7 @@ class SensorModel:
         return found
 
     def render_read(self, depth_m: Float32) -> UInt8:
-        """Return images of depth (N, H, W) as :meth:`read_depth_m` gives it: the lens is in it already."""
+        """Return images of depth (N, H, W) from :meth:`read_depth_m`, as distorted by the lens."""
         optics: Any = _twin_optics(self._require_twin(), lens=False)
         found: UInt8 = optics.reached(depth_m, self.sensor)
         return found

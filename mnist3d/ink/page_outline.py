@@ -63,7 +63,7 @@ def find_page(darkest: UInt8) -> Bool:
 def _step_at_outline(tone_px: Float32, part: Bool) -> tuple[float, float]:
     """Return the step that four fifths of an outline reach, and the share of it within a few pixels.
 
-    Ink that crosses the outline, and things on the desk, affect a small part of it only.
+    Ink that crosses the outline, and objects on the desk, affect only a small part of it.
     """
     soft = ndimage.gaussian_filter(part.astype(np.float32), 1.5)
     lines = find_contours(part.astype(np.float32), 0.5)  # type: ignore[no-untyped-call]

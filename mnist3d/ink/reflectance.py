@@ -17,8 +17,11 @@ _BOARD = 140
 _CONTRAST, _DEVIATIONS = 0.15, 6
 """Least difference of ink from paper: as a share, and in standard deviations of the paper."""
 
+# Standard deviation over median absolute deviation, for a normal distribution.
+_DEVIATION_PER_MAD = 1.4826
+
 _MIDDLE, _SHADOW_PX = 0.35, 3 / 700
-"""Where shadows begin between ink (0) and paper (1), and their least width as a share of the longer side."""
+"""Least lightness of shadows, from ink (0) to paper (1), and least width as a share of the longer side."""
 
 
 class Ink(NamedTuple):
@@ -31,7 +34,7 @@ class Ink(NamedTuple):
 
 
 def ink_is_light(coarse: UInt8, page: Bool) -> bool:
-    """Return whether the few pixels that differ from the page around them are lighter than it."""
+    """Return whether the few pixels that differ from the page around them are lighter than the page."""
     if np.median(coarse[page]) > _BOARD:
         return False
     # The surroundings of the page are filled with its nearest pixels.
@@ -49,7 +52,7 @@ def ink_is_light(coarse: UInt8, page: Bool) -> bool:
 
 def _deviation(values: Float32) -> float:
     """Return a robust standard deviation, from the median distance from the median."""
-    return float(1.4826 * np.median(np.abs(values - np.median(values))))
+    return float(_DEVIATION_PER_MAD * np.median(np.abs(values - np.median(values))))
 
 
 def reflectance(views: UInt8, page: Bool, widest: float) -> Float32:

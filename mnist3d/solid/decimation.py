@@ -12,10 +12,10 @@ from mnist3d.solid.surface import bodies_and_holes
 from tactile_toolkit.mesh import Mesh, self_crossing
 
 FIRST_TOLERANCE_MM = 0.01
-# One pass with a wide tolerance leaves more vertices, and worse placed ones.
+# Several passes of growing tolerance leave fewer and better placed vertices than one with a wide tolerance.
 TOLERANCE_GROWTH = 1.25
-# One pass is tried for up to this many times as many vertices as allowed.
-FEW_TOO_MANY = 2.0
+# A single pass is tried for meshes of up to this many times the allowed vertices.
+MOST_FOR_ONE_PASS = 2.0
 
 E_FOLD_MM = 0.1
 """Tolerance at which one pass leaves about 1/e of the vertices."""
@@ -39,7 +39,7 @@ def decimate(mesh: Mesh, target_vertices: int) -> Mesh:
     most = BUDGET_SLACK * target_vertices
     passes, tolerance_mm = [mesh.to_manifold()], FIRST_TOLERANCE_MM
     over = len(mesh.vertices_m) / most
-    if 1 < over <= FEW_TOO_MANY:
+    if 1 < over <= MOST_FOR_ONE_PASS:
         solid = passes[0].simplify(tolerance_mm + E_FOLD_MM * math.log(over))
         simpler = _mesh_of(solid)
         fits = len(simpler.vertices_m) <= most

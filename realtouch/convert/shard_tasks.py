@@ -1,4 +1,4 @@
-"""Conversions carried out: planned from footers, each shard made from its own rows, block by block.
+"""Running conversions: planned from footers, each shard made from its own rows, block by block.
 
 An interrupted one continues where it stopped; the same source and options give byte-identical Parquet,
 whatever the number of workers; see ``tactile_toolkit.store``.
@@ -20,19 +20,19 @@ from realtouch.convert.conversion import Conversion, Pack, RowChoice, Source, St
 from realtouch.schema import flat_schema, origin_of
 from tactile_toolkit import catalog, errors, places, read, store, touch
 
-# What a worker may hold, unpacked.
+# Unpacked rows that a worker may hold.
 _SHARD_BYTES = 256 << 20
 # A touch read at random unpacks its whole row group.
 _GROUP_BYTES = 32 << 20
-_PAGE_BYTES = 256 << 10  # of the images of a round, which do not compress any better together
+_PAGE_BYTES = 256 << 10  # images of a round do not compress better in larger pages
 _MOST_ROWS_PER_SHARD = 64
 
 
 @dataclass(frozen=True, eq=False)
 class _ConvertRows:
-    """Picklable: makes shards of a conversion.
+    """Makes shards of a conversion; picklable.
 
-    ``shards`` are the files of the source that hold the rows, ``start`` is the number of their first row.
+    ``shards`` are the files of the source with the rows, ``start`` is the number of their first row.
     """
 
     shards: Sequence[read.Shard]
@@ -74,7 +74,7 @@ class _ConvertRows:
 
     def _rows(self, choices: Sequence[RowChoice]) -> Iterator[tuple[RowChoice, stored_round.StoredRound]]:
         """Read the blocks that hold chosen rows, one at a time, in order."""
-        # StoredRound groups without a chosen row are not read at all.
+        # Row groups without a chosen row are not read at all.
         wanted = {choice.row: choice for choice in choices}
         first, last = min(wanted), max(wanted)
         start = self.start
@@ -103,7 +103,7 @@ def plan_conversion(conversion: Conversion) -> store.BuildPlan:
         shards = source.shards[split]
         starts = [0, *accumulate(map(len, shards))]
         size = per_shard
-        if conversion.rows_per_shard is None:  # of many rows, as many as a worker can hold
+        if conversion.rows_per_shard is None:  # a large split gets shards as large as a worker can hold
             most = max(per_shard, _SHARD_BYTES // row_bytes)
             size = min(store.rows_per_shard(len(choices), per_shard), most)
         chunks = [choices[start : start + size] for start in range(0, len(choices), size)]
@@ -161,7 +161,7 @@ def write_conversion(
 ) -> store.Manifest:
     """Write a conversion as a data set folder with a card; an interrupted one continues where it stopped.
 
-    ``plan`` takes the source and the number of rounds of each split to take at most.
+    ``plan`` is a function of the source and the greatest number of rounds of each split.
     """
     opened, folder = Source.open(source, split=split), store.open_folder(fspath(out))
     conversion = plan(opened, require_limit(limit))

@@ -98,7 +98,7 @@ def _sections_of(
     damaged: list[rules.Fault],
     workers: int,
 ) -> tuple[int, Iterator[Section]]:
-    """Check all touches and return their number; rows that cannot be read count as damaged."""
+    """Return the number of touches, and their sections as they are checked; adds unreadable rows."""
     shards = [shard for each in files.values() for shard in each]
     touches = sum(int(stored_round.stored_touch_counts(shard).sum()) for shard in shards)
     frames = max(_FEWEST_FRAMES, MOST_PICTURES // max(touches, 1))

@@ -111,7 +111,9 @@ def _plan(
 ) -> DownloadPlan:
     """Compare the files of a repository (``held`` by split) with those of the target."""
     earlier = None if folder is None else _earlier_record(folder, repository)
-    recorded = (earlier and earlier.files) or {}
+    recorded: Mapping[str, store.HubFile] = {}
+    if earlier is not None:
+        recorded = earlier.files
     manifest, place = repository.manifest, places.Place(repository.repo_id, repository, held)
     # Other tools write files of that name, too.
     metadata = tuple(
@@ -248,13 +250,15 @@ def _execute(plan: DownloadPlan, folder: store.DataFolder, on_progress: Callable
     """Bring a folder to the commit of the plan; meanwhile readers see that it is not finished."""
     repository, record, leftover = plan.repository, plan.record, plan.leftover
     manifest = repository.manifest
-    if isinstance(folder, store.LocalFolder):  # a link leads to what is not of this folder: refused first
+    if isinstance(folder, store.LocalFolder):  # links, which lead out of the folder, are refused first
         for path in (store.PENDING_FOLDER, store.MANIFEST_FILE, *leftover, *record.files):
             folder.local_path(path)
     folder.remove_temporaries()
     # The record is written first, so that an interrupted download is recognised.
-    earlier = (plan.earlier and plan.earlier.files) or {}
-    begun = msgspec.structs.replace(record, files={**earlier, **record.files}, finished=False)
+    files = {**record.files}
+    if plan.earlier is not None:
+        files = {**plan.earlier.files, **files}
+    begun = msgspec.structs.replace(record, files=files, finished=False)
     store.write_download_record(folder, begun)
     if manifest is not None and (plan.missing or leftover):
         store.write_manifest(folder, replace(manifest, shards=(), complete=False))

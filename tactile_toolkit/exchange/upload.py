@@ -76,9 +76,15 @@ def compare(
     files: Iterable[LocalFile], held: hub.HubRepository | None, *, delete: bool = False
 ) -> UploadPlan:
     """Compare the files for a repository with those of a commit, by path and checksum."""
-    local, remote = {file.path: file for file in files}, (held and held.remote) or {}
+    local, remote = {file.path: file for file in files}, _remote_files(held)
     missing = tuple(local[path] for path in sorted(local) if not local[path].has_content_of(remote.get(path)))
     return UploadPlan(missing, *_other_files(local, held, delete))
+
+
+def _remote_files(held: hub.HubRepository | None) -> Mapping[str, store.HubFile]:
+    if held is None:
+        return {}
+    return held.remote
 
 
 def _other_files(
@@ -86,9 +92,9 @@ def _other_files(
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the other files of a commit that stay, and those that are removed.
 
-    Files that former uploads made for the Hub's page are removed, and with ``delete`` all others, too.
+    Files that former uploads made for the viewer of the Hub are removed, and with ``delete`` all others, too.
     """
-    remote = (held and held.remote) or {}
+    remote = _remote_files(held)
     others = sorted(remote.keys() - set(paths) - _WRITTEN_BY_HUB)
     removed = tuple(path for path in others if delete or _is_for_page(path))
     return tuple(path for path in others if path not in removed), removed
@@ -121,8 +127,8 @@ class PreparedUpload:
     ``held`` is the head of the branch, or of ``main``, where a new branch starts; None without a repository.
     ``has_branch`` states whether the branch exists, ``plan`` is the difference. ``left_out`` are files of the
     folder that do not belong to the data set. ``scratch`` holds files that were made for the upload, as long
-    as this object lives. ``ask`` calls a function that asks the Hub, with retries. ``unasked`` states why a
-    dry run does not know what the Hub holds.
+    as this object lives. ``ask`` calls a function that uses the Hub, with retries. ``unasked`` states why a
+    dry run could not reach the Hub.
     """
 
     repo_id: str
@@ -184,7 +190,7 @@ def prepare_upload(
     """Verify a folder, render its card, and compare it with the repository; changes nothing.
 
     ``check`` lists the problems of the folder; checksums and card by default. A dry run needs neither an
-    account nor a network: if the Hub cannot be asked, it plans to send all files. Raises InputError (not a
+    account nor a network: if the Hub cannot be reached, it plans to send all files. Raises InputError (not a
     finished data set, an unusable option), IntegrityError (damage, a card that does not match the data) or
     HubError.
     """
@@ -235,7 +241,7 @@ def prepare_files(
 
 
 def _asking(repo_id: str, on_wait: Callable[[str], None]) -> _Ask:
-    """Return what calls a function that asks the Hub for a repository; InputError for another name."""
+    """Return a function that calls others for a repository, with retries; InputError for a wrong name."""
     if hub.hub_name(repo_id) != hub.HubName(repo_id, None, ""):
         raise InputError(f"{repo_id!r} is not a name of a repository", next="give USER/NAME")
     return partial(hub.call_with_retry, repo_id=repo_id, doing="uploading to", on_wait=on_wait)
@@ -276,7 +282,7 @@ def _refuse_public(repo_id: str, options: UploadOptions, held: hub.HubRepository
 
 
 def _asked_state(ask: _Ask, repo_id: str, branch: str, *, dry_run: bool) -> tuple[_State, str]:
-    """Return :func:`_state`; of a dry run, if the Hub cannot be asked, that of a new repository and why."""
+    """Return :func:`_state`; if a dry run cannot reach the Hub, the state of a new repository, and why."""
     state = partial(_state, repo_id, branch)
     if not dry_run:
         ask(huggingface_hub.HfApi().whoami)
@@ -292,7 +298,7 @@ def _state(repo_id: str, branch: str) -> _State:
 
     A missing repository is not an error.
     """
-    # Not among the names that the client loads when they are asked for.
+    # The client does not load this module on first use.
     from huggingface_hub import errors
 
     try:
@@ -417,7 +423,7 @@ def _send(prepared: PreparedUpload) -> tuple[str, str | None]:
         return held.commit, None
     message = f"Upload {prepared.what}"
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # those of the client, that users cannot act on
+        warnings.simplefilter("ignore")  # warnings of the client, on which users cannot act
         made = huggingface_hub.HfApi().create_commit(
             repo_id=prepared.repo_id,
             operations=[

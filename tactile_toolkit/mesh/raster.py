@@ -82,9 +82,9 @@ def covered_pixels(
 def _prepared(
     points: Float64, faces: Integers, shape: tuple[int, int], both_sides: bool
 ) -> tuple[Int64, Int64, Int64, Float64, Float64]:
-    """Return the triangles that may cover a pixel centre, counter-clockwise as seen from above.
+    """Return facts about the triangles that may cover a pixel centre, counter-clockwise as seen from above.
 
-    Returns their numbers; the first row of pixel centres of each, and the number of rows; their extent,
+    These are their numbers; the first row of pixel centres of each, and the number of rows; their extent,
     shape (14, n): least and greatest column, and for each edge ``l, l', r, r'``, which limits row y to
     columns from ``l + l' y`` to ``r + r' y``; and their plane, shape (7, n): column, row and height of the
     first corner, slope along a row and from row to row, least and greatest height.

@@ -42,7 +42,10 @@ def repository_named(name: str, revision: str | None = None) -> hub.HubName:
 def named_on_hub(name: str, revision: str | None) -> hub.HubName:
     """Resolve a name or short name to a repository, or a path in one; InputError for other names."""
     known = published_set(name)
-    named = hub.hub_name((known and known.repo_id) or name, revision)
+    repo_id = name
+    if known is not None:
+        repo_id = known.repo_id
+    named = hub.hub_name(repo_id, revision)
     if named is None:
         published = {entry.name: kind.command for kind in kinds() for entry in kind.published}
         lists = ", ".join(f"`{command} list`" for command in dict.fromkeys(published.values()))

@@ -23,7 +23,7 @@ T = TypeVar("T")
 
 _TRIES = 10
 _BUFFER_BYTES = 1 << 13
-# How a file is opened to be flushed: Windows flushes only what may be written.
+# Flags to open a file for flushing: Windows flushes only files that are open for writing.
 _FLUSHABLE = {"nt": os.O_RDWR}.get(os.name, os.O_RDONLY)
 _OF_THE_PROCESS = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EINTR)
 
@@ -69,9 +69,9 @@ def readable(address: str) -> Iterator[None]:
 
 
 def path_exists(path: Path) -> bool:
-    """Return whether a file or folder exists; PermissionError if this user may not know.
+    """Return whether a file or folder exists; PermissionError if this user may not look it up.
 
-    From Python 3.14 on, `Path.exists` returns False then.
+    In that case, `Path.exists` returns False from Python 3.14 on.
     """
     try:
         path.stat()
@@ -85,9 +85,8 @@ def path_exists(path: Path) -> bool:
 def expanded(place: str | Path, what: str = "path") -> Path:
     """Return a local path in which a leading ``~`` is expanded; InputError if no home folder is known.
 
-    An address that may hold a key is an InputError, too. For a folder that is called ``~``, given as ``./~``,
-    the absolute path is returned: pathlib drops the ``./``, and a second expansion would give the home
-    folder.
+    An address that may contain a key is an InputError, too. For ``./~``, a folder that is called ``~``, the
+    absolute path is returned: pathlib drops the ``./``, and a second expansion would give the home folder.
     """
     require_public(str(place))
     path = Path(place)
@@ -106,15 +105,17 @@ def expanded(place: str | Path, what: str = "path") -> Path:
 def open_regular(path: str | Path, below: Path | None = None) -> IO[bytes]:
     """Open a regular local file for reading; IntegrityError for any other, or a link out of ``below``.
 
-    Reading a pipe would wait, and a device may have no end. ``below`` is a folder with files of anyone: a
-    link in it may lead to a file that only the reader can read.
+    Reading a pipe would wait, and a device may have no end. ``below`` is a folder with untrusted files: a
+    link in it may lead to a file that only this user can read.
     """
     # Not `Path.resolve`, which fails for circular links.
     if below is not None and not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(below)):
         raise IntegrityError(f"{str(path)!r} is a link out of {str(below)!r}; nothing was read from it")
-    unwaiting = getattr(os, "O_NONBLOCK", 0)
-    # Without a size of its buffer, Python asks whether the file is a terminal.
-    stream = open(path, "rb", _BUFFER_BYTES, opener=lambda name, flags: os.open(name, flags | unwaiting))  # noqa: SIM115
+    non_blocking = getattr(os, "O_NONBLOCK", 0)
+    # Without a buffer size, Python checks whether the file is a terminal.
+    stream = open(  # noqa: SIM115
+        path, "rb", _BUFFER_BYTES, opener=lambda name, flags: os.open(name, flags | non_blocking)
+    )
     if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
         stream.close()
         raise IntegrityError(
@@ -133,8 +134,8 @@ def sync_file(path: Path) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Flush the names in a folder to the disk, so that a rename survives a power cut."""
-    if os.name == "nt":  # Windows opens no folders
+    """Flush the entries of a folder to the disk, so that a rename survives a power cut."""
+    if os.name == "nt":  # Windows cannot open folders
         return
     handle = os.open(folder, os.O_RDONLY)
     try:

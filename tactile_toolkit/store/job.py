@@ -241,7 +241,9 @@ def refuse_unknown_files(folder: DataFolder, plan: BuildPlan | None = None) -> N
 def _refuse_difference(folder: DataFolder, found: object, wanted: object, next_step: str = "") -> None:
     lines = _differences(found, wanted)
     if lines:
-        more = [f"and {len(lines) - _DIFFERENCES_SHOWN:,} more"] * (len(lines) > _DIFFERENCES_SHOWN)
+        more = []
+        if len(lines) > _DIFFERENCES_SHOWN:
+            more = [f"and {len(lines) - _DIFFERENCES_SHOWN:,} more"]
         differing = "; ".join(lines[:_DIFFERENCES_SHOWN] + more)
         raise SpecMismatchError(
             f"{differing}: {folder.address()!r} holds a data set of another "

@@ -21,14 +21,15 @@ RENDERED_CONTACT_M = 1e-6
 
 def height_text(min_height_m: float) -> str:
     """Describe a contact height, metres: "the gel stopped 6 mm or more above the plate"."""
-    height = f"{1e3 * min_height_m:.4g} mm or more " * (min_height_m > RENDERED_CONTACT_M)
-    return f"the gel stopped {height}above the plate"
+    if min_height_m <= RENDERED_CONTACT_M:
+        return "the gel stopped above the plate"
+    return f"the gel stopped {1e3 * min_height_m:.4g} mm or more above the plate"
 
 
 def missed_text(missed: int | None, touches: int, *, is_estimated: bool = False) -> list[str]:
-    """Return lines for a card on touches without an object; empty if all met one.
+    """Return lines for a card on touches without an object; empty if all touches met one.
 
-    Their number is an estimate if the height of the plate is one.
+    With ``is_estimated``, the height of the plate, and so their number, is an estimate.
     """
     if missed is None:
         return [
