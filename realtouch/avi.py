@@ -22,7 +22,7 @@ _CHUNK = struct.Struct("<4sI")
 _CHUNK_BYTES = 8
 # Kind, codec, scale and rate, whose quotient are the frames per second.
 STREAM_HEADER = struct.Struct("<4s4s12xII")
-_ENTRY_BYTES = 16  # name of the chunk, flags, offset, size
+_ENTRY_BYTES = 16  # entry of the index: name of the chunk, flags, offset, size
 
 
 class Avi:
@@ -81,7 +81,7 @@ class Avi:
 
     def _read_index(self, index: tuple[int, int], movie: tuple[int, int]) -> None:
         stored = np.frombuffer(self.data, "<u4", 4 * (index[1] // _ENTRY_BYTES), index[0])
-        # Opening a clip is dominated by calls of numpy; there are as few as possible.
+        # The time to open a clip is mostly that of calls of numpy, so there are few of them.
         offsets, sizes = stored[2::4].astype(np.int64), stored[3::4].astype(np.int64)
         names = stored[0::4]
         if names.tobytes() != self._names[0] * len(names):
@@ -116,7 +116,7 @@ class Avi:
         return np.flatnonzero(self._all_sizes)
 
     def frame(self, number: int) -> memoryview:
-        """Return the JPEG of one frame; ValueError if the stream has no such frame there."""
+        """Return the JPEG of one frame; ValueError if the stream has no frame at that offset."""
         start, size = int(self.starts[number]), int(self.sizes[number])
         name, stated = _CHUNK.unpack_from(self.data, start - _CHUNK.size)
         if name not in self._names or stated != size:
@@ -132,7 +132,7 @@ def write_avi(frames: Sequence[bytes], width: int, height: int, fps: float) -> b
 
     ``width`` and ``height`` are in pixels, ``fps`` in frames per second.
     """
-    # So that 30000/1001, the rate of NTSC, comes back exactly.
+    # A fraction, so that 30000/1001, the rate of NTSC, is stored exactly.
     rate = Fraction(fps).limit_denominator(1001)
     largest = max(map(len, frames), default=0)
     # 0x10 says in the header that there is an index, and in the index that a frame is independent.

@@ -2,8 +2,8 @@
 
 Which frames of a clip show contact follows from the registered times (:func:`contact_window`), as in the
 paper. Whether a touch met an object follows from the height at which the gel stopped
-(:func:`contact_heights_m`), the rule of the paper's authors. On a tie the earlier frame wins. The results are
-exact, the same on every machine.
+(:func:`contact_heights_m`), the rule of the paper's authors. If frames are equal, the earlier one is chosen.
+The results are exact, the same on every machine.
 """
 
 from __future__ import annotations
@@ -54,10 +54,10 @@ def require_method(method: str) -> ContactMethod:
 def contact_window(time_s: Float64, start_s: float, end_s: float) -> slice:
     """Return the frames between the first and the last registered contact, both included.
 
-    ``time_s``, shape (N,), rises. ``start`` is the first frame at or after ``start_s``, ``stop`` one more
-    than the last at or before ``end_s``; times within :data:`CLOCK_TOLERANCE_S` count as equal. Where no
+    ``time_s``, shape (N,), does not decrease. ``start`` is the first frame at or after ``start_s``, ``stop``
+    one more than the last at or before ``end_s``; times within :data:`CLOCK_TOLERANCE_S` count as equal. Where no
     frame lies between them, the one frame nearest to ``end_s`` (the earlier of two equally near) is returned,
-    so that a window always holds a frame of a clip that has any.
+    so that a window is empty only for a clip without frames.
     """
     start = int(time_s.searchsorted(start_s - CLOCK_TOLERANCE_S, side="left"))
     stop = int(time_s.searchsorted(end_s + CLOCK_TOLERANCE_S, side="right"))

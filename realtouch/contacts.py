@@ -50,7 +50,7 @@ def background(pictures: object) -> UInt8:
 
 
 def _with_median(pictures: object) -> tuple[UInt8, Iterable[UInt8]]:
-    """Return the median of pictures, and these again, a few at a time; InputError without any."""
+    """Return the median of pictures, and an iterator over batches of them; InputError if there are none."""
     first = list(islice(_batches(pictures), 2))
     if not first:
         raise InputError(
@@ -257,7 +257,7 @@ def _measure_clips(
 def _measure_images(
     touches: AnyTouches, rule: contact_picture.ContactRule, threads: int, score: contact_picture.ContactScore
 ) -> None:
-    """Fill in the score of each image; images of a round have their background in common."""
+    """Fill in the score of each image; images of a round share their background."""
     places = touches.round_positions
     _, sizes = np.unique(places, return_counts=True)
     by_round = np.split(np.argsort(places, kind="stable"), np.cumsum(sizes)[:-1])

@@ -10,7 +10,7 @@ MOST_NAMED = 20
 
 @dataclass(frozen=True)
 class RecordingFinding:
-    """One thing that is wrong with a recording.
+    """One fault of a recording.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Pictures of what a gel felt: pressure as colours, and the motion of markers as arrows."""
+"""Pictures of contact: pressure as colours, and the motion of markers as arrows."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def force_views(touch: Touch) -> list[UInt8]:
 def pressure_picture(pressure: AnyArray) -> UInt8:
     """Return a map of pressure (H, W), of any unit, as colours (H, W, 3).
 
-    It is brightest from where 98 % of what is pressed has less: single pixels at edges have far more.
+    It is brightest from the 98th percentile of the contact on: single pixels at edges have far more pressure.
     """
     known = np.nan_to_num(np.asarray(pressure, np.float64))
     most = 1.0

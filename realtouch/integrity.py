@@ -1,4 +1,4 @@
-"""Checks of files, which must hold the same, and of rounds: all that is wrong is found and listed."""
+"""Checks of files, which must have the same columns, and of rounds; all faults are listed."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def _require_agreement(shard: read.Shard, files: Sequence[read.Shard]) -> None:
 
 
 def stated_class_names(shards: Iterable[read.RowSource]) -> tuple[str, ...] | None:
-    """Return the names of the classes as the first file that states any does; None if none does."""
+    """Return the names of the classes of the first file that states any, or None."""
     return next((shard.class_names for shard in shards if shard.class_names is not None), None)
 
 
@@ -97,9 +97,9 @@ def checked_rows(
     decode: bool = True,
     workers: int = 1,
 ) -> Iterator[tuple[stored_round.StoredRound | None, list[stored_columns.Damage]]]:
-    """Yield all rows of row groups with what is wrong with each; None for unreadable rows.
+    """Yield all rows of row groups with the faults of each; None for unreadable rows.
 
-    Arguments as of :func:`check_round`; what is found does not depend on the number of threads.
+    Arguments are as for :func:`check_round`; the result does not depend on the number of threads.
     """
 
     def checked(
@@ -133,7 +133,7 @@ def check_round(
     """List the damage of one round: one entry per field of it, and one per field of each touch.
 
     ``expected_touches`` is the T that it must have, where that is known; the label must be one of
-    ``class_names``, where those are stated. Without ``decode``, headers of images and frames are read only.
+    ``class_names``, where those are stated. Without ``decode``, only headers of images and frames are read.
     """
     found: list[stored_columns.Damage] = []
     noted = partial(_noted, found, row)

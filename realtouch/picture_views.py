@@ -1,4 +1,4 @@
-"""Sheets of pictures, and what notebooks show of touches."""
+"""Sheets of pictures, and views of touches in notebooks."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def fitted(image: UInt8, width: int) -> UInt8:
 
 
 def contact_sheet(images: Sequence[UInt8], columns: int = 8, tile_width: int = _TILE_WIDTH) -> UInt8:
-    """Lay RGB images, (H, W, 3), out in rows of ``columns``, each ``tile_width`` pixels wide.
+    """Arrange RGB images, (H, W, 3), in rows of ``columns``, each ``tile_width`` pixels wide.
 
     All get the proportions of the first.
     """
@@ -53,5 +53,5 @@ def round_html(title: str, words: Sequence[str], pictures: Sequence[tuple[str, C
 
 
 def touch_html(picture: UInt8, caption: str) -> str:
-    """Return a notebook's view of a touch: its picture and what it is."""
+    """Return a notebook's view of a touch: its picture and a caption."""
     return figure_html(fitted(picture, _TILE_WIDTH), caption, TILE_STYLE)

@@ -1,4 +1,4 @@
-"""The images of a round, decoded when they are asked for; arrays and threads for many pictures."""
+"""The images of a round, decoded on access; arrays and threads for many pictures."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MAX_BATCH_PIXELS = 1 << 31
 
 
 def in_parallel(work: Callable[[int], object], count: int, threads: int) -> None:
-    """Do ``count`` pieces of work, numbered from 0, in some threads; the first error ends all of them.
+    """Process items 0 to ``count`` - 1 in threads; the first error ends all of them.
 
     Each takes a run of pieces at a time: neighbours share pages of the array that they are written to.
     """

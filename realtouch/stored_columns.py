@@ -180,9 +180,9 @@ class StoredColumns(Row):
             self.entries_of(name)
 
     def require_each(self, name: str, good: Bool, touch: int | None, problem: str, *found: AnyArray) -> None:
-        """Refuse entries of touches that are not all good; IntegrityError for the first that is not.
+        """Raise IntegrityError for the first entry of touches that is not good.
 
-        ``touch`` is the number of the first entry; what was ``found`` in its place is put into ``problem``.
+        ``touch`` is the number of the first entry; the value ``found`` there is put into ``problem``.
         """
         if not good.all():
             wrong = int(np.argmin(good))
@@ -325,7 +325,7 @@ class StoredColumns(Row):
         return value
 
     def stored_value(self, name: str) -> JsonValue:
-        """Return a field of any type as Python's objects, looking at no other row.
+        """Return a field of any type as Python's objects, without reading other rows.
 
         Raises IntegrityError for text that is not Unicode.
         """

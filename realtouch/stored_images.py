@@ -24,7 +24,7 @@ _APP1 = b"\xff\xe1"  # within coded pixels, no such bytes stand together
 
 
 def require_intact(data: bytes | memoryview) -> tuple[int, int]:
-    """Return height and width of an image that begins and ends as an intact one does.
+    """Return height and width of an image, after a check of its beginning and end.
 
     The pixels of a JPEG are not decoded, which would take longer than all other work, unless bytes follow the
     mark of its end: cameras send whole buffers, and encoders of clips fill up to even lengths. Raises
@@ -111,4 +111,4 @@ def _is_turned(image: bytes) -> bool:
         with Image.open(io.BytesIO(image), formats=["JPEG", "PNG", "WEBP"]) as opened:
             return opened.getexif().get(_ORIENTATION) in _TURNED
     except (OSError, SyntaxError, ValueError, TypeError, struct.error):
-        return False  # such data turn nothing
+        return False  # such data do not turn the image

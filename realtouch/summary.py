@@ -146,7 +146,7 @@ def _clip_frames(touches: AnyTouches) -> tuple[int, int, int]:
 
 @dataclass(frozen=True, slots=True)
 class PaperNumber:
-    """One statement of the paper, and what the data say.
+    """One statement of the paper, and the value in the data.
 
     Attributes
     ----------

@@ -265,7 +265,7 @@ class TouchClip(Sequence[UInt8]):
 
 
 class SensorClips(Sequence[TouchClip]):
-    """The clips of one round; each is opened when it is asked for."""
+    """The clips of one round; each is opened on access."""
 
     __slots__ = ("_count", "row")
 
@@ -345,7 +345,7 @@ def decode_frames(
     Raises IntegrityError when a frame is damaged or of another size; it names file, row and touch.
     """
     opened = {touch: clips[touch] for touch in dict.fromkeys(touches)}
-    # All frames are found before the first is decoded; alternating costs a tenth of the time, as each
+    # All frames are located before the first is decoded; alternating takes a tenth longer, as each
     # evicts the other from the caches of the processor.
     encoded = [opened[touch].encoded(frame) for touch, frame in zip(touches, frames, strict=True)]
 

@@ -50,7 +50,7 @@ def plan_gallery(
     *,
     touches: int = DEFAULT_TOUCHES,
 ) -> gallery.Gallery:
-    """State what a gallery of rounds shows; reads labels and poses, no image and no clip.
+    """Plan a gallery of rounds; reads labels and poses, no image and no clip.
 
     At most ``touches`` of each round, evenly spaced.
 
@@ -141,7 +141,7 @@ def _item(
 
 
 def _extra_text(values: AnyArray | tuple[AnyArray, ...]) -> str:
-    """Return the range of the numbers of a further column, or how many different texts it has."""
+    """Return the range of the numbers of a further column, or the number of distinct texts."""
     parts = values if isinstance(values, tuple) else (values,)
     flat = np.concatenate([np.ravel(part) for part in parts] or [np.zeros(0)])
     if flat.dtype.kind in "iuf":
@@ -152,7 +152,7 @@ def _extra_text(values: AnyArray | tuple[AnyArray, ...]) -> str:
 
 
 def _millimetres(height_m: float) -> float | None:
-    """Return a height for the page; None if it is not known, as of a touch with a damaged pose."""
+    """Return a height for the page; None if it is unknown, for example because a pose is damaged."""
     return None if math.isnan(height_m) else height_m * mesh.MM_PER_M
 
 
@@ -188,7 +188,7 @@ def film_of(clip: touch_clips.TouchClip, name: str) -> tuple[bytes, JsonDict]:
     These say for the page which frames and times (seconds) are shown, and the first and last tile in contact.
     """
     window = clip.contact_window
-    # Both ends of the contact are always among them: they are what one looks for.
+    # Both ends of the contact are always included, because they are of most interest.
     numbers = np.unique(
         [*picture_views.evenly_spaced(len(clip), FRAMES_PER_FILM), window.start, window.stop - 1]
     )

@@ -179,8 +179,8 @@ def cell_map(
 def overlay(touches: Sequence[PlacedTouch], cell: CellMap) -> UInt8:
     """Paste touches, pictures of one size, into one picture of the cell, (H, W, 3); white where no touch was.
 
-    Where touches lie on top of one another, each counts the more the more it differs from the gel at rest
-    (the median of all touches), so that what was felt stays visible beneath touches of bare plate.
+    Where touches overlap, the weight of each grows with its difference from the gel at rest (the median of
+    all touches), so that objects stay visible under touches of the bare plate.
     InputError: the pictures differ in size.
     """
     sizes = sorted({touch.pixels.shape[1::-1] for touch in touches})

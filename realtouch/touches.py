@@ -391,7 +391,7 @@ AnyTouches = Touches[Any]
 
 
 def with_no_contact(touches: AnyTouches, contact: Bool, fraction: float, seed: int) -> Int64:
-    """Return the places of all touches with contact, and of a share without.
+    """Return the positions of all touches with contact, and of a share of those without.
 
     Raises InputError for an invalid fraction, seed or mask.
     """

@@ -43,7 +43,7 @@ def check_index(
                 # In a LeRobotDataset of single images a row is a round, and a frame is a touch.
                 touches += sum(table["frames"].to_pylist()) - len(table)
             files: dict[str, str | None] = {**convert.files_of(folder, record)}
-            # The manifest lists these, so that they were compared already.
+            # The manifest lists these, so they have been compared already.
             compared = dict.fromkeys(manifest.files.keys() & files.keys())
             for path, sha256 in ({**files, **compared} or {record.shard.data_path: None}).items():
                 if path not in named:
@@ -114,7 +114,7 @@ class TouchVerification:
 
     @property
     def ok(self) -> bool:
-        """Whether nothing is wrong."""
+        """Whether there are no findings."""
         return not self.findings
 
 

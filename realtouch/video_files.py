@@ -1,4 +1,4 @@
-"""Files of videos: what they are by their first bytes, and limits that hold before anything decodes them."""
+"""Files of videos: format by their first bytes, and limits that are checked before decoding."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _COUNTS = {
     b"stsz": (8, _MOST_SAMPLES),
     b"stz2": (8, _MOST_SAMPLES),
     b"trun": (4, _MOST_SAMPLES),
-    b"elst": (4, 32),  # each is followed through all samples
+    b"elst": (4, 32),  # each takes a pass over all samples
 }
 _RUNS = (b"stts", b"ctts")  # run lengths
 _MOST_RUN_BYTES = 1 << 26
@@ -80,7 +80,7 @@ def read_start(stream: IO[bytes]) -> bytes:
 
 
 def is_video(folder: store.DataFolder, path: str) -> bool:
-    """Return whether a file begins as a video, or is called one, so that its problem is listed."""
+    """Return whether a file begins as a video or has the ending of one, so that its problem is listed."""
     if path.lower().endswith(VIDEO_ENDINGS):
         return True
     try:
@@ -174,7 +174,7 @@ def seconds_of(ticks: Int64, tick_s: Fraction) -> Float64:
 
 @contextmanager
 def named_problems() -> Iterator[None]:
-    """Turn what FFmpeg and PyAV raise into ItemError."""
+    """Turn exceptions of FFmpeg and PyAV into ItemError."""
     try:
         yield
     except errors.ToolkitError:

@@ -22,7 +22,7 @@ from tactile_toolkit.pictures import Tile, in_rows, png_bytes, sheet
 from tactile_toolkit.rows import meanings
 from tactile_toolkit.wording import with_count
 
-# Width of images in sheets, about.
+# Approximate width of images in sheets.
 _TILE_PX = 96
 _COLUMNS_SHOWN = 8
 _ROUNDS_SHOWN = 4
@@ -213,7 +213,7 @@ def _pairs_sheet(facts: cards.FolderSummary) -> bytes:
 
 
 def sheet_png(rows: Sequence[tuple[str, Sequence[AnyArray] | AnyArray]]) -> bytes:
-    """Draw rows of images, each with a word: uint8 colours (H, W, 3), or depth from 0 to 1 (H, W).
+    """Draw rows of images, each with a caption: uint8 colours (H, W, 3), or depth from 0 to 1 (H, W).
 
     Shows every n-th pixel, or each pixel n times; nothing is smoothed.
     """

@@ -1,4 +1,4 @@
-"""A gel that is elastic: pressure, shear and displacement where a rigid body is pressed into it.
+"""Elastic gels: pressure, shear and displacement where a rigid body is pressed in.
 
 The gel is a linear elastic layer without side faces, bonded to a rigid plate. Contact is that of Signorini
 (pressure and gap are not negative, and one of them is zero), friction that of Coulomb.
@@ -19,7 +19,7 @@ from tactile_toolkit.errors import InputError
 
 _TOLERANCE = 1e-3  # error of the gap in the contact, relative to the depth
 _SHEAR_TOLERANCE = 1e-4  # root mean square of the error along the surface, relative to the largest motion
-# Single precision and the tables of the layer hold what lies between these.
+# Range for which single precision and the tables of the layer suffice.
 _LEAST_DEPTH_M, _MOST_DEPTH_M = 1e-9, 1.0
 _LEAST_FORCE_N, _MOST_FORCE_N = 1e-9, 1e6
 _LEAST_PIXEL_M, _MOST_PIXEL_M, _MOST_ASPECT = 1e-6, 0.1, 100.0

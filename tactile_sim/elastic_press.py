@@ -26,7 +26,7 @@ STRAIGHT: ArrayLike = 0.0
 
 # Pixels of 64 x 64 images have 0.22 mm. At 80 x 60 blocks of 320 x 240 pixels the depth is off by 2 um.
 _SOLVED_M = 0.00024
-_SAME = 1 + 1e-9  # sides that are no more than rounding apart
+_SAME = 1 + 1e-9  # sides that differ only by rounding
 _BLEND_M = 0.003  # beside a contact that slips, by a third of it at most
 _MAPS = ("pressure_pa", "traction_pa", "displacement_m", "is_contact", "is_stick")
 
@@ -146,10 +146,10 @@ class Load(NamedTuple):
         )
 
     def _seen_to_move(self, contact: Contact, sensor: Sensor) -> Float64:
-        """Return how far what is seen moves along x and y, metres, (H, W, 2).
+        """Return the motion along x and y of the visible surface, metres, (H, W, 2).
 
-        In the contact that is the body, whose shape the surface has, also where it slips over the gel; far
-        from it, the gel itself; and in between, one goes over into the other.
+        In the contact, the shape of the body is visible and moves, even where it slips over the gel; far from
+        it, the gel itself; in between, the motion is interpolated.
         """
         from scipy.ndimage import distance_transform_edt  # takes a tenth of a second to import
 
@@ -162,7 +162,7 @@ class Load(NamedTuple):
         body_m[..., 0] = slide_x_m - self.twist_rad * y_m[:, None]
         body_m[..., 1] = slide_y_m + self.twist_rad * x_m
         gel_m = contact.displacement_m[..., :2]
-        # Beside the contact, the slip of the nearest point of it, less and less.
+        # Beside the contact, the slip of its nearest point, decreasing with the distance.
         away_m, nearest = distance_transform_edt(
             ~contact.is_contact, sampling=(height_m, width_m), return_indices=True
         )
@@ -194,7 +194,7 @@ def _off_axis_m(sensor: Sensor) -> tuple[float, float]:
 
 
 def _about_axis(contact: Contact, sensor: Sensor) -> tuple[float, float, float]:
-    """Return the torque about the sensor's axis, N m, of one about the middle of a map."""
+    """Convert a torque about the middle of a map to one about the sensor's axis, N m."""
     (x, y, z), (off_x_m, off_y_m) = contact.torque_nm, _off_axis_m(sensor)
     force_x, force_y, force_z = contact.force_n
     return x + off_y_m * force_z, y - off_x_m * force_z, z + off_x_m * force_y - off_y_m * force_x
@@ -216,7 +216,7 @@ def loads_of(
     given: dict[str, ArrayLike | None] = {"force_n": force_n, "depth_m": depth_m}
     stops = {name: value for name, value in given.items() if value is not None}
     if gel is None and not stops and slide_m is STILL and twist_rad is STRAIGHT:
-        return None  # at once: most touches are of a rigid gel
+        return None  # returned early: most gels are not elastic
     slides, twists = _numbers("slide_m", slide_m, (count, 2)), _numbers("twist_rad", twist_rad, (count,))
     if gel is None:
         moved = [name for name, each in (("slide_m", slides), ("twist_rad", twists)) if each.any()]

@@ -60,7 +60,7 @@ class Layer(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """Arrays of a convolution, real and imaginary: field, spectrum along y, along both, and of the answer."""
+    """Work arrays of a convolution, real and imaginary: field, spectrum along y, both axes, result."""
 
     field: Float32
     down: Float32
@@ -172,7 +172,7 @@ def _spectra(load: Float32, layer: Layer, work: Workspace, width: int) -> None:
 
 @compiled
 def _fields(out: Float32, layer: Layer, work: Workspace, width: int) -> None:
-    """Transform the spectra of the answer back to one real field or two."""
+    """Transform the spectra of the result back to one real field or two."""
     keep_apart()
     down, across, size = layer.down, layer.across, len(layer.zz)
     kept, fields, rows = size // across.length, len(out), out.shape[1] // width
@@ -229,7 +229,7 @@ def _weighted(out: Float32, a: Float32, one: Float32, b: Float32, two: Float32, 
 
 @compiled
 def respond(load: Float32, out: Float32, layer: Layer, work: Workspace, width: int) -> None:
-    """Write displacements (metres) by loads (Pa): one field is along z, two are along x and y."""
+    """Write the displacements (metres) for loads (Pa): one field is along z, two are along x and y."""
     keep_apart()
     _spectra(load, layer, work, width)
     size = len(layer.zz)

@@ -35,7 +35,7 @@ class DrawnLoads:
 
     @classmethod
     def of(cls, press: ElasticPress, touches: int, *key: str | int) -> DrawnLoads:
-        """Draw the loads of a round, which depend on its key alone."""
+        """Draw the loads of a round, which depend only on its key."""
         shares = keyed_rng(*key, "press").random((touches, 4))
         far_m = _within(press.slide_m or _NONE, shares[:, 1])
         towards = np.array([arithmetic.cosine_sine(2 * np.pi * share) for share in shares[:, 2].tolist()])

@@ -43,7 +43,7 @@ def bring_up(fields: Float64, block_px: int) -> Float64:
 
 @compiled
 def _places(count: int, block_px: int) -> tuple[Int64, Float64]:
-    """Return the block before each pixel, and how far the pixel lies on the way to the next one."""
+    """Return the block before each pixel, and the fraction of the distance to the next block."""
     first, part = np.empty(count * block_px, np.int64), np.empty(count * block_px)
     for number in range(count * block_px):
         place = min(max((number + 0.5) / block_px - 0.5, 0.0), count - 1.0)
@@ -54,7 +54,7 @@ def _places(count: int, block_px: int) -> tuple[Int64, Float64]:
 
 @compiled
 def follow_body(surface_m: Float64, is_contact: Bool, body_m: Float64) -> None:
-    """Put the surface on the body, (H, W), where they touch, and nowhere into it."""
+    """Set the surface to the body, (H, W), in the contact, and keep it out of the body elsewhere."""
     rows, columns = body_m.shape
     for row in range(rows):
         for column in range(columns):

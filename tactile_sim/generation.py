@@ -85,7 +85,7 @@ class TouchGenerator(generation.RowGenerator):
         return any(isinstance(each, given_solids.GivenSolids) for each in self.source.values())
 
     def refuse_sources(self, source: places.Name | given_solids.Meshes, out: places.Name) -> None:
-        """Refuse to write into the source, which messages call ``source`` (InputError)."""
+        """Refuse to write into the source, named ``source`` in messages (InputError)."""
         files = [file for each in self.source.values() for file in each.files]
         if not isinstance(source, Mapping):
             catalog.refuse_source(store.open_folder(os.fspath(out)), os.fspath(source), files)

@@ -19,12 +19,12 @@ from tactile_toolkit.json_types import JsonDict, JsonObject
 Meshes: TypeAlias = "Mapping[str, mesh.MeshLike | Sequence[mesh.MeshLike]]"
 """Meshes in memory by the name of their class: one each, or several."""
 
-_TRAIN = "train"  # the split of solids that state none
+_TRAIN = "train"  # split of solids without a stated split
 
 
 @dataclass(frozen=True)
 class _MeshFile:
-    """A mesh file, by the content that it had when it was listed."""
+    """A mesh file, identified by its content when it was listed."""
 
     path: str
     root: Path | None
@@ -43,7 +43,7 @@ class _MeshFile:
 
 @dataclass(frozen=True)
 class GivenSolid:
-    """One solid, read when it is asked for.
+    """One solid, read on access.
 
     ``name`` is the file inside its folder, or class and number; ``facts`` are JSON values for the manifest.
     """
@@ -62,7 +62,7 @@ class GivenSolid:
                 found = found.read()
             except InputError as error:
                 raise ItemError(mesh.UNREADABLE, str(error)) from error
-        if mesh.array_problem(found) is None:  # others have no size, and bound no solid
+        if mesh.array_problem(found) is None:  # meshes without faces have no size, and bound no solid
             _require_within_cell(found)
         return found
 

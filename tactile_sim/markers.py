@@ -1,4 +1,4 @@
-"""Markers on a gel: where they are in the image, how far they move with its surface, and how they look."""
+"""Markers on a gel: their positions in the image, motion with the surface, and drawing."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from tactile_toolkit.array_types import AnyArray, Float64, UInt8
 
 _RADIUS = 0.18  # of the distance of two markers: about that of the dots of a GelSight Mini
-_DARK = 0.15  # what a marker leaves of the light
+_DARK = 0.15  # share of the light that a marker reflects
 
 
 def marker_grid_px(markers: tuple[int, int], size_px: tuple[int, int]) -> Float64:
@@ -66,7 +66,7 @@ def marker_positions_px(
 
 
 def _between(values: AnyArray, places: Float64) -> Float64:
-    """Read a map (H, W, k) linearly at columns and rows (..., 2); at the edge as there."""
+    """Interpolate a map (H, W, k) linearly at columns and rows (..., 2), clamped to the edge."""
     most = np.array(values.shape[1::-1]) - 1
     inside = np.clip(places, 0, most)
     first = np.minimum(inside.astype(np.int64), np.maximum(most - 1, 0))

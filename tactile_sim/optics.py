@@ -57,7 +57,7 @@ class Optics(ABC):
         """Return shades from 0 to 1, float32, (n, H, W, 3), of depth maps (n, h, w), metres.
 
         They have the requested size if the optics scale shades themselves, otherwise the size of the maps.
-        With ``is_surface``, the maps are the surface of an elastic gel, which is not smoothed any more.
+        With ``is_surface``, the maps are the surface of an elastic gel, which is not smoothed again.
         """
 
     def render(
@@ -65,7 +65,7 @@ class Optics(ABC):
     ) -> UInt8:
         """Return pictures (n, H, W, 3), uint8, in the size asked for, of depth maps (n, h, w), metres.
 
-        ``is_surface`` is as of :meth:`shades`.
+        ``is_surface`` is as for :meth:`shades`.
         """
         shades = self.shades(depth_m, sensor, size_px, is_surface=is_surface)
         levels = np.rint(shades * np.float32(255))

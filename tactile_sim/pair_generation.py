@@ -1,4 +1,4 @@
-"""Making training sets of learned rendering: splits `depth` and `real`, as many images of each, not paired.
+"""Generation of training sets of learned rendering: splits `depth` and `real`, of equal size, not paired.
 
 The paper (appendix, CycleGAN-based Tactile Rendering) takes 20,000 synthetic depth images and 20,000 real
 touches, with a reduced share of touches without contact; it does not state which. A row is one image.
@@ -64,7 +64,7 @@ class PairsGenerator(generation.RowGenerator):
         return cls(spec, solids, real, split, touches.touches(), unfinished)
 
     def refuse_sources(self, objects: str, out: str | os.PathLike[str]) -> None:
-        """Refuse to write into a source; messages call that of the depth ``objects`` (InputError)."""
+        """Refuse to write into a source; ``objects`` names that of the depth in messages (InputError)."""
         folder = store.open_folder(os.fspath(out))
         catalog.refuse_source(folder, objects, self.objects.files)
         catalog.refuse_source(folder, self.real, self.touches.files)

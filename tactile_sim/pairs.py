@@ -1,4 +1,4 @@
-"""Training sets of learned rendering: splits `depth` and `real`, as many images of each, not paired."""
+"""Training sets of learned rendering: splits `depth` and `real`, of equal size, not paired."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def decode_depth(data: bytes) -> Float32:
 
 @dataclass(frozen=True, eq=False)
 class Domain:
-    """One split: depth images or real touches, decoded when they are asked for."""
+    """One split: depth images or real touches, decoded on access."""
 
     table: read.ShardedTable
     is_depth: bool

@@ -34,7 +34,7 @@ def turn_quaternion(angle_rad: float) -> tuple[float, float, float, float]:
 
 
 def pose(x_m: float = 0.0, y_m: float = 0.0, z_m: float = 0.0, *, turn_rad: float = 0.0) -> Float64:
-    """Return the pose of something that stands upright.
+    """Return an upright pose: a position, and a rotation about z.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def as_matrices(value: PoseLike, name: str) -> Float64:
 
 
 def pose_product(one: Float64, other: Float64) -> Float64:
-    """Return ``one @ other`` of matrices (n, 4, 4) in a stated order of sums, which `@` does not have."""
+    """Return ``one @ other`` of matrices (n, 4, 4) with a fixed order of sums, unlike `@`."""
     parts = [one[:, :, k, None] * other[:, None, k, :] for k in range(4)]
     return ((parts[0] + parts[1]) + parts[2]) + parts[3]
 

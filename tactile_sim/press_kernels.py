@@ -48,7 +48,7 @@ def rasterise(
             one, two, three = faces[face, 0], faces[face, 1], faces[face, 2]
             a, b = _mapped(affine, vertices, one), _mapped(affine, vertices, two)
             c = _mapped(affine, vertices, three)
-            # Faces that look down or stand upright; so written, NaN is left out as well.
+            # Faces that look down or are vertical; written so that NaN is left out as well.
             if not (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) > 0.0:
                 continue
             if max(a[0], b[0], c[0]) + _EDGE_PX < 0.0 or min(a[0], b[0], c[0]) - _EDGE_PX > columns - 1:
@@ -108,7 +108,7 @@ def _raise_rows(
         level = az + along_column * (row - ay)
         start = min(max(level + along_row * (first - ax), low_z), high_z)
         end = min(max(level + along_row * (last - ax), low_z), high_z)
-        # Both ends are bounded by the corners: a steep sliver cannot shoot beyond its own heights.
+        # Both ends are bounded by the corners, so that a steep sliver stays within its own heights.
         rise = (end - start) / max(last - first, 1)
         line = out[rows - 1 - row]
         for step in range(last - first + 1):
@@ -130,7 +130,7 @@ def _run(a: Float64, b: Float64, c: Float64, layers: Float64) -> float:
 
 @compiled
 def _layer_rise(height: float, run: float, layers: Float64) -> float:
-    """Return how far above a point of the solid its layer ends; -inf where there is no layer.
+    """Return the distance from a point of the solid up to the end of its layer; -inf if there is no layer.
 
     In the section across the contour lines, ``across`` and ``down`` lead from the middle of the round end of
     a layer to the point.
@@ -227,7 +227,7 @@ def _cell(x: float, y: float, rows: int, columns: int) -> tuple[int, int, float,
 
 @compiled
 def _mixed(values: Float64, left: int, top: int, across: float, down: float) -> float:
-    """Read a map linearly between four pixels; one of a single row or column has no others."""
+    """Interpolate a map linearly between four pixels; a map may have a single row or column."""
     right, bottom = min(left + 1, values.shape[1] - 1), min(top + 1, values.shape[0] - 1)
     upper = values[top, left] * (1.0 - across) + values[top, right] * across
     lower = values[bottom, left] * (1.0 - across) + values[bottom, right] * across

@@ -23,7 +23,7 @@ from tactile_toolkit.array_types import AnyArray, Float64, Int32
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh, MeshLike, as_mesh, check_manifold, merge_equal_vertices
 
-# Printers lay 0.05 to 0.6 mm; a wrong unit is off by a thousand.
+# Layers of printers have 0.05 to 0.6 mm; a wrong unit gives a factor of 1,000.
 _LEAST_LAYER_M, _MOST_LAYER_M = 2e-5, 2e-3
 _SLACK = 0.005  # of a layer: rounding must not decide whether a top at the middle of a layer is printed
 _LEVEL = 1e-9  # least slope: the outline of a level face is far away, and still a finite number
@@ -51,7 +51,7 @@ def checked_layer_m(layer_m: object) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pressable:
-    """A solid that was checked once and can be pressed many times.
+    """A checked solid that can be pressed many times.
 
     Attributes
     ----------
@@ -143,7 +143,7 @@ def _face_blocks(vertices: Float64, faces: Int32) -> tuple[Int32, Float64]:
     middles = (first[:, :2] + second[:, :2] + third[:, :2]) / 3
     cells = np.floor((middles - vertices[:, :2].min(axis=0)) / _CELL_OF_FACES_M).astype(np.int64)
     one, other = second - first, third - first
-    # Faces that look down are never felt. Sorted apart, they leave smaller balls around the others.
+    # Faces that look down are never touched. Without them, the balls around the others are smaller.
     down = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0] <= 0
     order = np.lexsort((cells[:, 0], cells[:, 1], down))
     corners = [each[order] for each in (first, second, third)]

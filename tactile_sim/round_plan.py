@@ -1,4 +1,4 @@
-"""One round: where the gel goes and how the object lies, drawn for each object and round alone."""
+"""Plan of a round: positions of the gel and poses of the object, drawn independently for each round."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class RoundPlan:
 
 
 def plan_round(plan: TouchPlan, solid: Pressable, split: str, object_id: int, number: int) -> RoundPlan:
-    """Draw one round of at least one touch; it depends on plan, split, object and round number alone.
+    """Draw one round of at least one touch; it depends only on plan, split, object and round number.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def plan_round(plan: TouchPlan, solid: Pressable, split: str, object_id: int, nu
         drawn = rng.normal(size=(plan.touches_of(object_id, number), 3))
         lies = _shifted(drawn, x_m, y_m, angle_rad, perturb=plan.perturb)
     else:
-        lies = np.concatenate([lies, lies[-1:]])  # its place after the last touch is not known
+        lies = np.concatenate([lies, lies[-1:]])  # its pose after the last touch is not known
     z_m = 0.0 - solid.foot_m  # not -foot_m, which is -0.0 for a foot of 0: other bytes
     matrices = np.array([pose(x_m, y_m, z_m, turn_rad=turned_rad) for x_m, y_m, turned_rad in lies.tolist()])
     quaternions = [turn_quaternion(turned_rad) for turned_rad in lies[:, 2].tolist()]

@@ -1,4 +1,4 @@
-"""Pressing the touches of a round, by depth or by force: images, and the columns that not all sets have."""
+"""Presses of a round, by depth or by force: images, and the columns that only some sets have."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def _depth_sensor(spec: GenerateSpec, optics: Optics) -> sensor.Sensor:
 
 
 def _with_noise(spec: GenerateSpec, images: UInt8, key: tuple[str, int, int]) -> UInt8:
-    """Return the images of a round with the noise of the specification, drawn for this round alone."""
+    """Return the images of a round with the noise of the specification, drawn for each round."""
     if spec.noise is None:
         return images
     draw = partial(keyed_rng, spec.plan.seed, *key, "noise")
@@ -86,7 +86,7 @@ def _with_noise(spec: GenerateSpec, images: UInt8, key: tuple[str, int, int]) ->
 
 
 def further_types(spec: GenerateSpec) -> Mapping[str, pa.DataType]:
-    """Return the types of the columns that not all sets have: those of a GelSight Mini are as published."""
+    """Return the types of the columns that only some sets have; a GelSight Mini has the published ones."""
     types: dict[str, pa.DataType] = {}
     if spec.press is not None or spec.sensor.press_m != PRESS_DEPTH_M:
         types["plate_z_m"] = pa.float64()

@@ -125,7 +125,7 @@ def add_noise(
     for touch, picture in enumerate(pictures):
         field = _of_touch(noise, touch_rng(touch), picture.shape)
         shown = picture / 255
-        # Contrast changes about the mean of the image, as in the package; the brightness stays.
+        # Contrast changes relative to the mean of the image, as in the package; brightness does not change.
         mean = shown.mean()
         shown = (shown - mean) * gain + mean + (pattern + field + offset)
         noisy[touch] = np.rint(255 * shown.clip(0, 1))

@@ -46,7 +46,7 @@ class FlatGel(Protocol):
 
     @property
     def press_m(self) -> float:
-        """Height of the sensor where it stops on the bare plate."""
+        """Height of the sensor where it stops on the bare plate, metres."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

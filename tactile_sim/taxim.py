@@ -1,4 +1,4 @@
-"""Taxim: pictures from a calibration of colours by slope, with shadows, rendered by our own kernels.
+"""Taxim: pictures from a calibration of colours by slope, with shadows, rendered by kernels of the toolkit.
 
 The tables are those of the package `taxim` (GelSight Mini), whose steps are followed, with one exception.
 Where the gel is flat, the package looks a colour up by the direction of a slope that is rounding noise, so
@@ -79,7 +79,7 @@ def taxim_package() -> TaximPackage:
     gradients, stored = (
         np.load(folder / f"{name}.npz", allow_pickle=True) for name in ("polycalib", "shadowTable")
     )
-    # Blue and red change places in the file.
+    # Blue and red are exchanged in the file.
     colours = np.stack([gradients[f"grad_{colour}"] / 255 for colour in "bgr"], axis=3)
     directions = np.asarray(stored["shadowDirections"], np.float64)
     calibration = Calibration(

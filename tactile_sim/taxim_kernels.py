@@ -43,7 +43,7 @@ Pair: TypeAlias = tuple[Float64, Float64]
 
 
 class Calibration(NamedTuple):
-    """Tables of Taxim, whatever the size of the picture; lengths in mm.
+    """Tables of Taxim that do not depend on the size of the picture; lengths in mm.
 
     ``colours`` (bins * bins * 18 + 1,): six coefficients of three colours, by slope and direction, with one
     value more; ``fan`` (63, rays, 2) float32: cosine and sine of the rays of each direction; ``shadows``
@@ -194,7 +194,7 @@ def _colours_at(builder: ir.IRBuilder, values: ir.Value, place: ir.Value) -> ir.
 
 
 def spread(builder: ir.IRBuilder, value: ir.Value, lanes: ir.VectorType) -> ir.Value:
-    """Put one number into all lanes."""
+    """Broadcast a number to all lanes."""
     empty, first = ir.Constant(lanes, ir.Undefined), ir.Constant(ir.IntType(32), 0)
     single = builder.insert_element(empty, value, first)
     return builder.shuffle_vector(single, empty, ir.Constant(ir.VectorType(first.type, lanes.count), None))
@@ -339,7 +339,7 @@ def _add_bulges(soft: Float64, depth_m: Float64, gel_m: float) -> None:
 
 @compiled
 def _slopes(soft: Float64, per_row: float, per_column: float, flat_slope: float) -> tuple[Float64, Float64]:
-    """Return slope and direction at the inner pixels; those at the edge take those of their neighbours."""
+    """Return slope and direction at the inner pixels; pixels at the edge copy their neighbours."""
     rows, columns = soft.shape
     slope, direction = np.empty((rows, columns)), np.empty((rows, columns))
     for row in range(1, rows - 1):
@@ -425,7 +425,7 @@ def _cast_shadows(
 def _follow(
     met: Int32, row: int, column: int, steps_px: Float32, ray: Float32, shape: tuple[int, int]
 ) -> None:
-    """Write numbers of the pixels that the steps of a ray meet, -1 outside of the picture."""
+    """Write the numbers of the pixels at the steps of a ray; -1 outside the picture."""
     rows, columns = np.int32(shape[0]), np.int32(shape[1])
     begin_x, begin_y, along_x, along_y = np.float32(column), np.float32(row), steps_px[0], steps_px[1]
     cosine, sine = ray[0], ray[1]

@@ -1,4 +1,4 @@
-"""The columns of synthetic touches: those of the published sets, then ours, then those of some sets."""
+"""Columns of synthetic touches: published ones, those of the toolkit, and those of some sets."""
 
 from __future__ import annotations
 

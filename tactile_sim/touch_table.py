@@ -22,9 +22,9 @@ _NUMBERS = ("object_id", "round")
 _POSES = ("object_x_m", "object_y_m", "object_turn_rad")
 _COLUMNS = (*_POSITIONS, *_NUMBERS, *_POSES)
 _INDEX_NAMES = ("", "Unnamed: 0", "__index_level_0__")
-# Memory that reading takes for each row.
+# Memory for reading a row, bytes.
 _BYTES_PER_ROW = 512
-# More is a wrong unit or column.
+# Larger values mean a wrong unit or column.
 _MOST_TURNS_RAD = 1e4
 # An object may be larger than the cell, and its origin off it.
 _FARTHEST_M = {
@@ -214,7 +214,7 @@ def _read_columns(file: Path) -> dict[str, AnyArray]:
 
 
 def meaning_of(name: str, known: Collection[str]) -> tuple[str, float] | None:
-    """Return which known column a name in any unit stands for, such as ``x_mm``, and its divisor."""
+    """Return the known column for a name in any unit, such as ``x_mm``, and its divisor."""
     stem, unit = name.rpartition("_")[0], units.stated_unit(name)
     for ours, per in ((f"{stem}_m", units.PER_METRE), (f"{stem}_rad", units.PER_RADIAN)):
         if ours in known and unit in per:
@@ -225,7 +225,7 @@ def meaning_of(name: str, known: Collection[str]) -> tuple[str, float] | None:
 def _meanings(names: Sequence[str]) -> dict[str, tuple[str, float]]:
     """Return for each column of a table which of ours it is, and its divisor; InputError for other columns.
 
-    A name may end in another unit, such as `x_mm` and `object_turn_deg`. The index of pandas is passed over.
+    A name may end in another unit, such as `x_mm` and `object_turn_deg`. The index of pandas is ignored.
     """
     meant: dict[str, tuple[str, float]] = {}
     named = [name for name in names if name not in _INDEX_NAMES]

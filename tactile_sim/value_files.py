@@ -18,7 +18,7 @@ _MOST_BYTES = 1 << 16
 def read_values(path: str | Path, values: type[T], what: str) -> T:
     """Read a JSON file with a value for each field of a dataclass, texts and numbers.
 
-    InputError, which calls the file's content ``what``, for any other file.
+    InputError, in which ``what`` names the content of the file, for any other file.
     """
     try:
         with store.open_regular(store.expanded(path)) as stream:

@@ -233,7 +233,8 @@ def checksums(folder: store.DataFolder, manifest: store.Manifest) -> dict[str, s
 def schema_of(source: pa.Schema, wanted: Mapping[str, tuple[pa.DataType, Collection[str]]]) -> pa.Schema:
     """Return the wanted columns that a source can fill.
 
-    With the type of each stand columns of the source, of which one is needed; without any it is always there.
+    ``wanted`` maps each column to its type and to columns of the source, one of which is needed; without any,
+    the column is always kept.
     """
     known = read.column_types(source)
     return pa.schema(

@@ -13,7 +13,7 @@ from realtouch.poses import Poses
 from tactile_toolkit import read, wording
 from tactile_toolkit.array_types import AnyArray, Float64, Floating, UInt8
 
-# What exports and their readers know by other meanings.
+# Names that have another meaning in exports.
 _OTHER_COLUMNS = (
     *("id", "image", "file", "sha256", "meta_file", "meta_sha256", "split", "round_id", "touch", "frame"),
     *(
@@ -115,7 +115,7 @@ def plain_extras(source: pa.Schema) -> dict[str, pa.Field]:
 
 
 def shown_extra(row: stored_round.StoredRound, stored: str, shown: Sequence[TouchPicture]) -> pa.Array:
-    """Return an entry of a further column for each touch; of one with an entry per frame, that shown."""
+    """Return an entry of a further column for each touch; for a column per frame, that of the shown frame."""
     entries = row.extra_entries(stored)
     if not stored.startswith(schema.EXTRA_PREFIX["frame"]):
         return entries

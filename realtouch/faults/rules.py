@@ -73,7 +73,7 @@ class FaultRule:
     next: str
 
     def expected_text(self, limits: CheckLimits) -> str:
-        """Say what was expected."""
+        """Return the expectation, as text."""
         return self.expected.format(**asdict(limits))
 
 

@@ -1,4 +1,4 @@
-"""Strips: pictures one after another, with their poses and times, and what is wrong within one."""
+"""Strips: sequences of pictures with poses and times, and the faults within one."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tactile_toolkit.array_types import Float32, Float64
 
 _FEWEST_STEPS = 4  # fewer have no usual step
 _SAME_M, _SAME_QUATERNION = 1e-7, 1e-6  # a robot at rest measures noise beyond these
-_FAR = 10.0  # touches of a round lie further apart than frames, by about this factor
+_FAR = 10.0  # touches of a round are about this many times farther apart than frames
 
 
 class Picture(NamedTuple):
@@ -46,7 +46,7 @@ class Strip:
 
 
 def frozen(strip: Strip, limits: touch_options.CheckLimits) -> Iterator[rules.Fault]:
-    """Yield runs of equal pictures, and how far the gel moves meanwhile."""
+    """Yield runs of equal pictures, and the motion of the gel during them."""
     same = [one == other != b"" for one, other in pairwise(strip.digests)]
     for start, length in spans_of(same, limits.frozen):
         # A clip is named once, by the last of its frozen frames.
@@ -78,7 +78,7 @@ def still(strip: Strip, limits: touch_options.CheckLimits) -> Iterator[rules.Fau
 
 
 def wrong_times(strip: Strip, limits: touch_options.CheckLimits) -> Iterator[rules.Fault]:
-    """Yield times that are missing or run back, and else the longest gap between them."""
+    """Yield times that are missing or decrease, or otherwise the longest gap between them."""
     steps = np.diff(strip.time_s)
     if not np.isfinite(strip.time_s).all() or (steps < 0).any():
         known = np.where(np.isfinite(steps), steps, 0.0)

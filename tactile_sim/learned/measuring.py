@@ -111,7 +111,7 @@ class Bench:
         noise: SensorNoise | None,
         seed: int,
     ) -> Bench:
-        """Select images of both kinds; messages call the data ``name`` (InputError)."""
+        """Select images of both kinds; ``name`` is that of the data in messages (InputError)."""
         real, depth = Selected.of(data.real, count, name), Selected.of(data.depth, count, name)
         return cls(real, depth, inverse, 1e6 * (data.sensor.gel_m - data.sensor.press_m), noise, seed)
 

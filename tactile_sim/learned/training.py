@@ -147,7 +147,7 @@ class _Run:
     on_progress: Callable[[int, int], None]
 
     def to_the_end(self, first: int, log: list[list[float]]) -> Trained:
-        """Take the steps that are left, from ``first`` on."""
+        """Take the remaining steps, from ``first`` on."""
         config = self.config
         self.on_progress(first, config.steps)
         sums, losses = np.zeros(len(cyclegan.LOSSES)), dict.fromkeys(cyclegan.LOSSES, math.nan)

@@ -45,7 +45,7 @@ def tiles_across(pixels: int) -> int:
 def _mirrored(place: int, count: int) -> int:
     if place < 0:
         return -place
-    # Tiles may reach further than the border; what is computed of that is left out.
+    # Tiles may extend beyond the border; their values there are discarded.
     return place if place < count else max(2 * count - 2 - place, 0)
 
 
@@ -123,7 +123,7 @@ def split_tiles(
 
 @compiled
 def join_tiles(tiles: Float32, image: Float32, sums: Float64, first: int, last: int) -> None:
-    """Transform tiles (36, n, channels) to an image; sums as of :func:`add_image_sums`, by row of tiles."""
+    """Transform tiles (36, n, channels) to an image; sums by row of tiles, as :func:`add_image_sums`."""
     height, width, channels = image.shape
     across = (width + 3) // 4
     taken, between = np.empty(POINTS * _TOGETHER, np.float32), np.empty(24 * _TOGETHER, np.float32)
