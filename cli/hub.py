@@ -72,7 +72,7 @@ def finish_upload(
     dry_run: bool,
     yes: bool,
 ) -> None:
-    """Ask, send what was prepared, and print the result; ``lines`` are how a revision of it is opened."""
+    """Ask, send the prepared files, and print the result; ``lines`` show how a revision is opened."""
     _print_upload_plan(sink, prepared)
     result = None
     if not dry_run:

@@ -142,7 +142,7 @@ def solidify(
 
 
 def _print_files(sink: Sink, files: Iterable[mnist3d.PrintedPicture], spec: mnist3d.PrintSpec) -> None:
-    """Print size and volume of each file, and what will not print."""
+    """Print size and volume of each file, and parts that will not print."""
     rows = [
         (
             file.file,

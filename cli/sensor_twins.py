@@ -1,4 +1,4 @@
-"""Commands about sensors that were calibrated: what they are, whether they have changed, and the Hub."""
+"""Commands for calibrated sensors: facts, checks for changes, upload and download."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def check(
     source: str = argument("SET", "Recent touches: a data set, or a folder of images."),
     sink: Sink,
 ) -> None:
-    """Find out whether a sensor has changed since it was calibrated.
+    """Check whether a sensor has changed since it was calibrated.
 
     The touched objects do not matter; the places on the gel should differ. Exit code 1 if a figure is beyond
     its limit.

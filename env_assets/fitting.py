@@ -33,7 +33,7 @@ def require_fitting_meshes(
         )
     corners_mm, cell_mm = meshes.bounds_m * MM_PER_M, np.array(cell_m) * MM_PER_M
     size_mm = corners_mm[:, 1] - corners_mm[:, 0]
-    # Scenes are not moved: their size is twice what they need about their origin.
+    # Scenes are not moved: their size is twice their extent from the origin.
     if kind is not None and kind.name == "starstruck":
         size_mm = 2 * np.maximum(np.abs(corners_mm).max(axis=1) - _SLACK_MM, 0)
     # Turned onto the broadest side, the shortest one stands upright.
@@ -61,7 +61,7 @@ def require_fitting_meshes(
         ),
     )
     for fits, found, values, step in checks:
-        wrong = np.flatnonzero(~fits)  # NaN does not fit, as it compares false
+        wrong = np.flatnonzero(~fits)  # comparisons with NaN are false, so it does not fit
         if len(wrong):
             row = int(wrong[0])
             named = f"mesh {meshes.column('id')[row]}"

@@ -120,7 +120,7 @@ class MeshView(Sequence[MeshRecord]):
 
 @dataclass(frozen=True, eq=False)
 class PlannedView(MeshView):
-    """Meshes of a data set that is not made yet: each is made when it is asked for.
+    """Meshes of a data set that is not made yet: each is made on first use.
 
     ``finished`` returns the data set once it is made, otherwise None. ``left`` is the number of meshes that
     were not made when it was planned, which take about ``left_s`` seconds on one core.

@@ -1,4 +1,4 @@
-"""Options of commands for digits: where images come from, and which pictures to draw."""
+"""Options of commands for digits: source of images, and previews."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SOURCES = ("synthetic", "hwdplus", "mnist", "folder")
 
 @dataclass(frozen=True, slots=True)
 class SourceOptions:
-    """Where the images come from."""
+    """Options of the source of images."""
 
     images: str | None = checked_fields.text(
         metavar="PATH",
@@ -46,7 +46,7 @@ class SourceOptions:
 
 @dataclass(frozen=True, slots=True)
 class DigitPreviewSpec(catalog.PreviewSpec):
-    """Which pictures of digits to draw; the steps for a data set need the files of its source."""
+    """Options of previews of digits; the steps for a data set need the files of its source."""
 
     kinds: tuple[str, ...] = checked_fields.choice(
         (),

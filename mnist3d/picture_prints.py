@@ -25,7 +25,7 @@ _PREVIEW = "-preview.png"
 
 @dataclass(frozen=True)
 class PrintSpec:
-    """How pictures become solids to print.
+    """Options for making solids to print from pictures.
 
     Attributes
     ----------
@@ -188,7 +188,7 @@ def _file_names(found: Sequence[tuple[Path, int]], out: str, ending: str) -> tup
 
 
 def _counted(found: Sequence[tuple[Path, int]]) -> str:
-    """State how many pictures there are, or pages of one file."""
+    """Return the number of pictures, or of pages of one file, as text."""
     files = {path for path, _ in found}
     if len(files) > 1 or found[-1][1] == 0:
         return f"there are {len(found):,} pictures"

@@ -38,7 +38,7 @@ MOST_DIGITS = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class SplitSpec:
-    """How digits are divided.
+    """Division of digits into splits.
 
     Attributes
     ----------

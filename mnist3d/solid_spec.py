@@ -22,7 +22,7 @@ LARGEST_HALF_THICKNESS_PX = 100
 
 @dataclass(frozen=True, slots=True)
 class SolidSpec:
-    """How a digit image becomes a solid.
+    """Parameters by which a digit image becomes a solid.
 
     Attributes
     ----------

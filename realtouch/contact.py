@@ -55,8 +55,8 @@ def contact_window(time_s: Float64, start_s: float, end_s: float) -> slice:
     """Return the frames between the first and the last registered contact, both included.
 
     ``time_s``, shape (N,), does not decrease. ``start`` is the first frame at or after ``start_s``, ``stop``
-    one more than the last at or before ``end_s``; times within :data:`CLOCK_TOLERANCE_S` count as equal. Where no
-    frame lies between them, the one frame nearest to ``end_s`` (the earlier of two equally near) is returned,
+    one more than the last at or before ``end_s``; times within :data:`CLOCK_TOLERANCE_S` count as equal. If
+    no frame lies between them, the frame nearest to ``end_s`` (the earlier of two equally near) is returned,
     so that a window is empty only for a clip without frames.
     """
     start = int(time_s.searchsorted(start_s - CLOCK_TOLERANCE_S, side="left"))

@@ -27,7 +27,7 @@ class Acceptance:
 
     @property
     def accepted(self) -> float:
-        """Share of all drawn positions at which an object of a finished scene stands."""
+        """Share of all drawn positions that objects of finished scenes have."""
         return sum(self.objects) / max(1, sum(self.attempts))
 
 

@@ -117,7 +117,7 @@ class SceneOptions:
 
 @dataclass(frozen=True, slots=True)
 class ScenePreviewSpec(catalog.PreviewSpec):
-    """Which pictures of scenes to draw."""
+    """Options of previews of scenes."""
 
     per_class: int = checked_fields.integer(8, 1, help="Number of objects of each class on a sheet.")
     kinds: tuple[str, ...] = checked_fields.choice(

@@ -28,7 +28,7 @@ _MOST_OBJECTS = 1_000
 
 @dataclass(frozen=True)
 class SceneSpec:
-    """How scenes are made. The defaults are those of the published data set.
+    """Parameters of scenes. The defaults are those of the published data set.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Depth of real touches without contact, as a network estimates it from their images: never quite flat.
+"""Depth of real touches without contact, which a network estimates from their images; it is not flat.
 
 Environments of recorded touches show what the network makes of them. A simulated touch looks like them if
 such a depth map lies behind its own. Estimates take about a second each, and are kept in the cache folder.
@@ -75,7 +75,7 @@ def base_depths_m(given: Source, count: int, size_px: tuple[int, int]) -> Float3
             f"touches stopped within {1e3 * NO_CONTACT_M:g} mm of the plate",
             next=f"give another data set, or {_LEAVE_OUT}",
         )
-    # Those of a smaller number are among those of a greater one.
+    # A smaller number gives a subset of a larger one.
     chosen = np.random.default_rng(_SEED).permutation(empty)[:count].tolist()
     with _one_process():
         return _estimates_m(touches, chosen, size_px)
@@ -104,7 +104,7 @@ def _opened(given: Source) -> realtouch.TouchSingleDataset:
 
 @contextlib.contextmanager
 def _one_process() -> Iterator[None]:
-    """Let one process at a time make estimates if the cache folder can be written; others find them there."""
+    """Let one process at a time make estimates, if the cache folder is writable; others read them there."""
     path = _ESTIMATES.path("base-depth.lock")
     with contextlib.ExitStack() as stack:
         try:

@@ -52,7 +52,7 @@ class Camera:
         self._bare: dict[int, Float32] = {}
 
     def put_behind(self, bases_m: Float32) -> None:
-        """Show depth maps (k, h, w), metres, wherever a touch presses the gel in less than they do."""
+        """Set depth maps (k, h, w), metres, that show where a touch presses the gel in less than they do."""
         self._behind = bases_m
         if not self.sees_depth:
             self._behind = depth_image(bases_m.astype(np.float64), self.sensor)

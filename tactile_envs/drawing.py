@@ -32,7 +32,7 @@ _RIGHT, _WRONG = (0.13, 0.55, 0.30), (0.35, 0.45, 0.70)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PredictionView:
-    """Predictions as they are drawn.
+    """Predictions to draw.
 
     ``shares``, shape (n, k), are bars from 0 to 1 with ``names`` beside them; bar ``right``, shape (n,), has
     the colour of a right answer. ``places_m`` and ``directions``, shape (n, 2), are predicted positions and
@@ -54,7 +54,7 @@ class _Canvas:
     per_m: float
 
     def at(self, x_m: float, y_m: float) -> tuple[int, int]:
-        """Return row and column of a place, which may lie outside."""
+        """Return row and column of a position, which may be outside."""
         middle = (_SIDE_PX - 1) / 2
         return round(middle - y_m * self.per_m), round(middle + x_m * self.per_m)
 
@@ -71,13 +71,13 @@ class _Canvas:
                 self.fill(row, column, row + 1, column + 1, colour)
 
     def cross(self, x_m: float, y_m: float, colour: Colour) -> None:
-        """Mark a place."""
+        """Mark a position."""
         row, column = self.at(x_m, y_m)
         self.fill(row - 5, column - 1, row + 5, column, colour)
         self.fill(row - 1, column - 5, row, column + 5, colour)
 
     def line(self, x_m: float, y_m: float, along: AnyArray, colour: Colour) -> None:
-        """Draw a direction from a place."""
+        """Draw a direction from a position."""
         length = float(np.hypot(*along)) or 1.0
         for step in np.linspace(0, 0.02, 40):
             row, column = self.at(x_m + step * along[0] / length, y_m + step * along[1] / length)
@@ -86,7 +86,7 @@ class _Canvas:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EnvDrawing:
-    """One environment as it is drawn.
+    """One environment to draw.
 
     Mesh ``number`` of a pool, if there is one, lies at ``placement`` (x, y, turn) in a cell of size
     ``cell_m``; the ``sensor`` with its ``window_m`` was sent to ``target``; all metres and radians. ``felt``
@@ -115,7 +115,7 @@ def draw_environment(scene: EnvDrawing, view: PredictionView, index: int) -> UIn
         touch_kernels.raise_object(heights, scene.pool.arrays, scene.number, placed)
     surface = heights[::-1, :_SIDE_PX]
     down, right = np.gradient(surface * np.float32(per_m))
-    # Light from the upper left; what stands higher is brighter.
+    # Light from the upper left; higher surfaces are brighter.
     light = np.clip(0.55 + 0.12 * (down + right) + 12 * surface, 0.1, 0.95)[..., None]
     canvas = _Canvas(np.where(surface[..., None] > 0, light, np.array(_PLATE)).astype(np.float32), per_m)
     canvas.cross(scene.target[0], scene.target[1], _AIM)
@@ -137,7 +137,7 @@ def _panel(scene: EnvDrawing, view: PredictionView, index: int) -> Float32:
     picked = scene.felt[np.arange(rows) * height // rows][:, np.arange(_FELT_PX) * width // _FELT_PX]
     panel[_MARGIN_PX : _MARGIN_PX + rows, _MARGIN_PX : _MARGIN_PX + _FELT_PX] = picked
     words: list[_Word] = []
-    if not scene.felt.any():  # black, which looks as if nothing was drawn
+    if not scene.felt.any():  # black would look as if nothing was drawn
         is_plate = scene.sensor[2] <= center_view(1, 1).press_m + _EVEN_M
         text = ("flat", "plate")[int(is_plate)]
         words.append(_Word(_PANEL_PX // 2, _MARGIN_PX + rows // 2, text, "mm", _ON_BLACK))

@@ -1,4 +1,4 @@
-"""Touches of an elastic gel: what a rigid one met is solved, and forces are felt."""
+"""Touches of an elastic gel: the contact is solved for the surface that a rigid gel would meet."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tactile_toolkit.array_types import Float32, Float64
 
 
 class ElasticGel:
-    """Presses an elastic gel onto what the sensors of many environments met.
+    """Presses an elastic gel onto the surfaces that the sensors of many environments met.
 
     Parameters
     ----------

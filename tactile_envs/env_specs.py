@@ -1,4 +1,4 @@
-"""Ids of environments, and what they stand for."""
+"""Ids of environments, and their specifications."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class EnvSpec:
     """The environment of an id.
 
     ``frame`` is what a pose refers to: the model's own axes (position and direction) or its centre of mass
-    (position only). ``sparse``: the prediction counts at the end of an episode only.
+    (position only). ``sparse``: the prediction counts only at the end of an episode.
     """
 
     task: Task
@@ -82,7 +82,7 @@ class EnvId:
 
 
 class _Family(NamedTuple):
-    """Ids that differ in sensor, split, noise and sparseness; ``name`` is how they begin."""
+    """Ids that differ in sensor, split, noise and sparseness; ``name`` is their prefix."""
 
     name: str
     spec: EnvSpec

@@ -145,7 +145,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
 
     def _begin(self, rows: reset_options.Rows, options: reset_options.ResetOptions) -> None:
         self._scene.begin(rows, self.np_random, options)
-        self._is_over = self._is_over.copy()  # the last one is in an info
+        self._is_over = self._is_over.copy()  # the last observation is in an info
         self._steps[rows], self._is_over[rows] = 0, False
         self._any_over = bool(self._is_over.any())
         if rows is reset_options.EVERY:
@@ -166,7 +166,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         return seen, info
 
     def _spread(self, rows: reset_options.Rows, info: dict[str, AnyArray], others: Info) -> Info:
-        """Give all environments the infos of some; those of others are 0 and masked, as gymnasium does."""
+        """Extend the infos of some environments to all; those of others are 0 and masked, as in gymnasium."""
         found = dict(others)
         is_given = np.zeros(self.num_envs, np.bool_)
         is_given[rows] = True
@@ -236,7 +236,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         return observation, costs - loss, terminated, truncated, info
 
     def _advance(self, moves: Action, score: tasks.Score) -> Float32:
-        """Aim the sensors, or begin the next episode where one is over; return what the actions cost."""
+        """Aim the sensors, or begin the next episode where one is over; return the costs of the actions."""
         if not self._any_over:
             self._log.add(self._steps, reset_options.EVERY, score.metrics)
             self._steps += 1

@@ -75,7 +75,7 @@ class MeshScene(scene.TouchScene):
             self.observation_parts["force"] = gym.spaces.Box(-most, most)
 
     def __getstate__(self) -> dict[str, object]:
-        """Leave out the mapped meshes, which a copy maps again; it continues from the same state."""
+        """Leave out the mapped meshes, which a copy maps again; the copy has the same state."""
         return {**self.__dict__, "_pool": None}
 
     def __setstate__(self, state: dict[str, object]) -> None:
@@ -101,7 +101,7 @@ class MeshScene(scene.TouchScene):
     def begin(
         self, rows: reset_options.Rows, rng: np.random.Generator, options: reset_options.ResetOptions
     ) -> None:
-        """Put the next objects into some cells, and aim at the places of their first touches."""
+        """Put the next objects into some cells, and aim at the positions of their first touches."""
         chosen = np.arange(self.num_envs)[rows].tolist()
         for row in chosen:
             number = options.numbers[row]
@@ -119,7 +119,7 @@ class MeshScene(scene.TouchScene):
                 self._aim_as_given(row, start)
 
     def discard_upcoming(self, rows: reset_options.Rows) -> None:
-        """Forget which objects come next in some cells, as a reset does."""
+        """Discard the objects that were chosen for the next episodes of some cells, as a reset does."""
         self._upcoming[rows] = -1
 
     def _place_objects(
@@ -152,7 +152,7 @@ class MeshScene(scene.TouchScene):
                 self.places[row] = pose
 
     def _aim_at_start(self, rows: reset_options.Rows, rng: np.random.Generator) -> None:
-        """Send sensors to the places of their first touches."""
+        """Send sensors to the positions of their first touches."""
         self._targets[rows] = 0.0
         if self.config.randomize_initial_sensor_pose:
             # Drawn for all cells, and in single precision, as published.
@@ -160,7 +160,7 @@ class MeshScene(scene.TouchScene):
             self._targets[rows, :2] = np.asarray(places[rows], np.float32)
 
     def _aim_as_given(self, row: int, start: reset_options.SensorStart) -> None:
-        """Send one sensor to the place of its first touch; InputError if it cannot be there."""
+        """Send one sensor to the position of its first touch; InputError if the position is out of range."""
         if np.abs(start.axes - np.eye(3)).max() > _UPRIGHT_WITHIN:
             raise InputError(
                 f"option 'initial_sensor_target_pose' turns sensor {row}, which stays upright",
@@ -209,7 +209,7 @@ class MeshScene(scene.TouchScene):
         drift: Float64,
         has_depth: bool,
     ) -> toucher.SensorReadings:
-        """Bring sensors down on objects, which slip by ``drift``; both are moved."""
+        """Press sensors onto objects, which slip by ``drift``; both are moved."""
         numbers = self.numbers[rows]
         return self._toucher.touch(
             self._pool, numbers, lifts_m, sensors, places, self._motion, drift, with_depth=has_depth
@@ -224,7 +224,7 @@ class MeshScene(scene.TouchScene):
         self._felt[rows] = images
 
     def _move_to_targets(self, rows: reset_options.Rows, rng: np.random.Generator, steps: Int64) -> None:
-        """Move sensors to their targets, or to the nearest of some random places."""
+        """Move sensors to their targets, or to the nearest of some random positions."""
         self._sensors[rows] = self._targets[rows]
         if self.config.snap_touch_positions is None:
             return

@@ -44,7 +44,7 @@ _BEGUN: set[tuple[str, str, str]] = set()
 def open_objects(
     spec: env_specs.EnvSpec, config: Config, assets: str | PathLike[str] | None, unit: str | None
 ) -> Objects:
-    """Open the objects of an environment with its settings, turned onto their broadest sides if these say so.
+    """Open the objects of an environment, laid on their broadest sides if its settings say so.
 
     ``assets`` and ``unit`` are as :func:`tactile_envs.entry_points.make_vector` takes them. InputError if
     objects are missing, or do not fit.

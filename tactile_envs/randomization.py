@@ -51,7 +51,7 @@ class Randomization:
         self._is_random = bool(self._std_m or bases or self._noise is not None)
 
     def begin(self, rows: Rows, rng: np.random.Generator) -> None:
-        """Draw what stays the same during an episode of some sensors."""
+        """Draw the values that are constant during an episode of some sensors."""
         if not self._is_random:
             return
         own = rng.spawn(1)[0]
@@ -59,7 +59,7 @@ class Randomization:
             self._noise.begin(rows, own)
 
     def touch(self, count: int, rng: np.random.Generator) -> TouchDraws:
-        """Draw what differs from touch to touch, for ``count`` sensors."""
+        """Draw the values that differ from touch to touch, for ``count`` sensors."""
         if not self._is_random and count == len(self._nothing.bases):
             return self._nothing
         draws = TouchDraws(self._nothing.lifts_m[:count], self._nothing.bases[:count], None)

@@ -25,7 +25,7 @@ Place = str | PathLike[str]
 _DIGITS = "mnist3d"
 _REPOSITORY = env_specs.REAL_TOUCHES.rpartition("/")[2]
 _NAMES = [name for name, stored in realtouch.SHORT_NAMES.items() if stored == _REPOSITORY]
-# Names of the folder of touches in a folder of data sets; the shortest is the one that is suggested.
+# Names of the folder of touches in a folder of data sets; messages suggest the shortest.
 _FOLDERS = sorted([*_NAMES, _REPOSITORY], key=len)
 
 
@@ -114,7 +114,7 @@ class RecordedTouches:
             positions_m[number] = record.pos_in_cell_m
             poses[number] = record.gel_pose_cell_frame.matrix
         if config.recalibrate_sensor_z:
-            # The lowest touch met the plate, into which simulated sensors are pressed by this depth.
+            # The lowest touch met the plate, above which simulated sensors stop at this height.
             heights_m = poses[:, :, 2, 3]
             heights_m += PRESS_DEPTH_M - heights_m.min(axis=1, keepdims=True)
         return cls(rounds, positions_m, poses)
@@ -143,7 +143,7 @@ def _touch_count(rounds: realtouch.TouchSingleDataset, where: str, step_limit: i
             f"{where} has rounds of {least} to {most} touches; expected rounds of one length",
             next="give rounds of one recording",
         )
-    needed = step_limit + 2  # the first of an episode, and one that must be left after its last step
+    needed = step_limit + 2  # the first touch of an episode, and one that must be left after its last step
     if least < needed:
         raise InputError(
             f"{where} has rounds of {least} touches; an episode of {step_limit} steps needs {needed}",

@@ -41,15 +41,15 @@ def register() -> None:
 
 
 class _Beside(MetaPathFinder):
-    """Keeps our ids while `tactile-mnist` is imported.
+    """Keeps the ids of this package while `tactile-mnist` is imported.
 
-    Otherwise gymnasium warns of each id, and makes an environment of that package for ``tactile_envs:ID``.
+    Otherwise gymnasium warns about each id, and makes an environment of that package for ``tactile_envs:ID``.
     """
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Find the package as others do, and have its ids registered beside ours."""
+        """Find the package as other finders do, and register its ids beside those of this package."""
         if fullname != _PUBLISHED:
             return None
         sys.meta_path.remove(self)

@@ -1,4 +1,4 @@
-"""Options of a reset: which objects, where they lie, and where the first touches go."""
+"""Options of a reset: objects, their poses, and the targets of the first touches."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ def touch_tilted(
     positions: Float32,
     is_bare: Bool,
 ) -> None:
-    """Bring tilted sensors down along their axes, and let the objects slip: for environments begin to end.
+    """Press tilted sensors along their axes, and let the objects slip, for environments ``begin`` to ``end``.
 
     ``plate`` is a pool of one mesh, the plate under the objects with its upper side at height 0; what lies
     more than ``far`` below the target of a sensor, metres, is not seen. ``axes`` (n, 3, 3) has the x, y and z
@@ -71,7 +71,7 @@ def touch_tilted(
         raise_mesh(heights, pool, chosen[i], view, room)
         highest = highest_of(heights, greatest)
         is_bare[i] = False  # a tilted plate is seen, too
-        # The sensor may not go below a height: how far along its axis that is.
+        # Distance along its axis at which the sensor reaches its least height.
         least_m = (window[5] - sensors[i, 2]) / axes[i, 2, 2]
         draw_touch(i, images, depths, heights, highest, window, least_m)
         observed_m = max(highest + window[3] + lifts[i], least_m)
@@ -82,7 +82,7 @@ def touch_tilted(
 
 @compiled
 def _look(view: Float64, window: Float64, axes: Float64, sensor: Float64, lying: Float64) -> None:
-    """Write how a mesh is seen: columns, rows and heights, metres, of its points x, y, z, 1; shape (3, 4).
+    """Write the affine map of a mesh to columns, rows and heights, metres, shape (3, 4).
 
     ``axes`` (3, 3) and ``sensor`` (3,) are those of a sensor, and ``lying`` (3, 4) the pose of the mesh.
     """

@@ -1,4 +1,4 @@
-"""Simulated touches by sensors that turn: the actions and observations of them, and what they meet."""
+"""Simulated touches by sensors that turn: their actions, observations and contacts."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class TiltedScene(mesh_scene.MeshScene):
         return {**super().checked_action(action), _TURN: motion.require_move(action, _TURN, self.num_envs)}
 
     def aim(self, action: gym_types.Action, rows: reset_options.Rows) -> Float32:
-        """Send some sensors to where an action says; return the costs of actions, shape (n,)."""
+        """Set the targets of some sensors from an action; return the costs of actions, shape (n,)."""
         costs = super().aim(action, rows)
         axes = self._axes.copy()
         episode_kernels.turn(action[_TURN], self._limits, self.config.action_regularization, axes, costs)

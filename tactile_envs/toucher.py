@@ -36,7 +36,7 @@ Press = Callable[[int, int, Float32, SensorReadings], None]
 
 
 class Toucher:
-    """Brings sensors down.
+    """Presses sensors onto objects.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ class Toucher:
         *,
         with_depth: bool,
     ) -> SensorReadings:
-        """Bring sensors (n, 3) down on objects (n, 3) of the meshes ``numbers``, (n,).
+        """Press sensors (n, 3) onto objects (n, 3) of the meshes ``numbers``, (n,).
 
         The heights of the sensors are written, and the objects slip by ``drift``; ``lifts``, shape (n,), as
         of the kernel.
@@ -121,7 +121,7 @@ class Toucher:
             helpers = [self._threads.submit(run, room) for room in self._rooms[1:]]
         run(self._rooms[0])
         for helper in helpers:
-            if not helper.cancel():  # one that did not start has nothing left to do
+            if not helper.cancel():  # a thread that did not start has no work left
                 helper.result()
         return touches
 

@@ -1,4 +1,4 @@
-"""Samples of a stream at other times: the nearest, between two, or on the turn from one to the next."""
+"""Samples of a stream at other times: nearest, or interpolated between numbers, angles or rotations."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class Neighbours:
         """Return values, shape (m, ...), on a straight line between two samples, shape (n, ...)."""
         first, second = (values[each].astype(np.float64, copy=False) for each in (self.before, self.after))
         share = self.share.reshape(-1, *[1] * (values.ndim - 1))
-        with np.errstate(invalid="ignore", over="ignore"):  # infinite samples are the affair of the source
+        with np.errstate(invalid="ignore", over="ignore"):  # the source checks its samples
             return np.where(share == 0, first, first + (second - first) * share)
 
     def on_circle(self, angles: Floating, turn: float) -> Float64:
@@ -93,7 +93,7 @@ class Neighbours:
         are interpolated, so that a check of lengths still fails.
         """
         lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
-        lengths[lengths == 0] = np.nan  # which is no turn
+        lengths[lengths == 0] = np.nan  # no rotation
         turns = spatial.Rotation.from_quat(np.where(np.isfinite(lengths), quaternions, _NO_TURN))
         way = (turns[self.before].inv() * turns[self.after]).as_rotvec() * self.share[:, np.newaxis]
         found: Float64 = (turns[self.before] * spatial.Rotation.from_rotvec(way)).as_quat()

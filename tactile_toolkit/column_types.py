@@ -39,9 +39,9 @@ _OF_TEXT: dict[pa.DataType, tuple[pa.DataType, ...]] = {
     pa.float64(): (pa.float64(),),
     pa.bool_(): (pa.bool_(),),
 }
-_CODE = r"^[+-]?0[0-9xX]"  # 007 is a name, which a number would not give back
+_CODE = r"^[+-]?0[0-9xX]"  # 007 is a name, which a number would not reproduce
 _WHOLE = r"^[+-]?[0-9]+$"
-_ODD = rf"{_CODE}|[0-9]{{16,}}$|[eE]\+?[0-9]{{3,}}$"  # what a number may not give back
+_ODD = rf"{_CODE}|[0-9]{{16,}}$|[eE]\+?[0-9]{{3,}}$"  # texts that a number may not reproduce
 _SWITCHED = pa.array(["0", "1"])
 _DECIMAL_COMMA = r"^[+-]?[0-9]*,[0-9]+([eE][+-]?[0-9]+)?$"
 _POINT = r"[0-9]\.|\.[0-9]"
@@ -55,7 +55,7 @@ def without_blanks(texts: pa.Array) -> pa.Array:
 
 
 def words_of(texts: pa.Array, *, decimal_commas: bool = False) -> pa.Array:
-    """Return texts as numbers are read from them: null for what stands for no value.
+    """Return texts in the form in which numbers are read; null for words that mean a missing value.
 
     With ``decimal_commas``, as the separator of a table shows, commas become points, unless a number of the
     column has a point: then commas may stand between thousands.
@@ -140,7 +140,7 @@ def _from_lists(values: Sequence[object]) -> pa.Array:
 
 
 def _unless_missing(function: Callable[[Any], T], values: Iterable[Any]) -> list[T | None]:
-    """Return what a function makes of each value; None for None."""
+    """Apply a function to each value except None."""
     return [None if value is None else function(value) for value in values]
 
 

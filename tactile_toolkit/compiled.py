@@ -24,7 +24,7 @@ from tactile_toolkit.errors import BusyError, ToolkitError
 F = TypeVar("F", bound=Callable[..., Any])
 
 # nogil: threads may work side by side. numpy's error model: a division by 0 is an infinity, not an exception
-# that every loop has to look for. No wrapper for C, which nothing calls: it takes a tenth of the time.
+# that every loop has to check. No wrapper for C, which would be unused: it takes a tenth of the time.
 _SETTINGS = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
 _planned: dict[str, list[tuple[Any, str]]] = {}  # kernels and their types, by module
@@ -73,7 +73,7 @@ def planned(types: str) -> Callable[[F], F]:
 def prepare(*modules: str) -> None:
     """Compile or load the planned kernels of modules that another process is not compiling just now.
 
-    Workers that begin side by side so divide the kernels among them. Each later takes those of the others.
+    Workers that begin side by side so divide the kernels among them. Later, each loads those of the others.
     """
     parsed: Any = sigutils.normalize_signature
     for module in modules:
@@ -85,7 +85,7 @@ def prepare(*modules: str) -> None:
 
 
 class _CompileOnce:
-    """Takes the place of a kernel's own ``compile``: only one process compiles it, and not twice."""
+    """Replaces a kernel's own ``compile``: only one process compiles it, and only once."""
 
     def __init__(self, kernel: Any) -> None:
         self._kernel, self._compile_or_load = kernel, kernel.compile

@@ -30,7 +30,7 @@ else:
 
 T = TypeVar("T")
 
-# Its settings decide what is compiled; nothing that it imports does.
+# Settings of this package affect the compiled code, its imports do not.
 _COMPILER = "tactile_toolkit.compiled"
 
 

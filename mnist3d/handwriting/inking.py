@@ -1,4 +1,4 @@
-"""From pen paths to ink on the page, with the pen of a writer."""
+"""Ink on the page, drawn along pen paths with the pen of a writer."""
 
 from __future__ import annotations
 

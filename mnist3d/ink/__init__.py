@@ -1,4 +1,4 @@
-"""From images of digits to their ink: grey levels, photographs, binarising and cleaning."""
+"""The ink in images of digits: grey levels, photographs, binarisation and cleaning."""
 
 from lazy_loader import attach_stub
 

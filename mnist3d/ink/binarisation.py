@@ -23,7 +23,7 @@ from tactile_toolkit.array_types import AnyArray, Bool, UInt8
 from tactile_toolkit.errors import InputError
 
 INKS = ("auto", "dark", "light")
-"""Which part of a picture is ink; ``"auto"`` decides for each."""
+"""Polarity of ink in pictures; ``"auto"`` decides for each."""
 
 
 def binarise(pixels: AnyArray, spec: SolidSpec, *, ink: Literal["auto", "dark", "light"] = "auto") -> Bool:

@@ -53,7 +53,7 @@ NO_CHANGES: JsonObject = MappingProxyType({})
 
 
 class SizedInk(NamedTuple):
-    """Clean ink on a sheet, the specification for pixels of the sheet, and what was changed on the way."""
+    """Clean ink on a sheet, the specification for pixels of the sheet, and notes on changes."""
 
     mask: Bool
     spec: SolidSpec

@@ -10,7 +10,7 @@ from tactile_toolkit.errors import InputError
 
 @dataclass(frozen=True, slots=True)
 class SolidSize:
-    """How large the solid of a picture is; at most one of the lengths is given.
+    """Size of the solid of a picture; at most one of the lengths is given.
 
     Without a length, the longer side of the picture is 100 mm, as for the digits of a data set.
 

@@ -79,7 +79,7 @@ def plan_download(
     out: str | None = None,
     on_wait: Callable[[str], None] = lambda _: None,
 ) -> DownloadPlan:
-    """Find out what a download has to do; changes nothing in the target.
+    """Plan a download; changes nothing in the target.
 
     ``name`` is the short name of a published set, or ``USER/NAME``; ``out`` is a folder to fill instead of
     the Hub's cache; ``config`` is a configuration, if the card has several. Data of another ``kind`` are
@@ -206,7 +206,7 @@ def _accompanying_files(
 
 
 def _shown(manifest: store.Manifest | None) -> set[str]:
-    """Return the files that repeat the shards for the Hub's page."""
+    """Return the files that repeat the shards for the viewer of the Hub."""
     return {path for paths in cards.viewer_files(manifest).values() for path in paths}
 
 

@@ -1,4 +1,4 @@
-"""To the Hugging Face Hub and back: reading, downloads, uploads, and the published data sets by name."""
+"""The Hugging Face Hub: listings, files, and errors."""
 
 from lazy_loader import attach_stub
 

@@ -42,7 +42,7 @@ _PASSING = re.compile(
 )
 # The client has waited in vain, and has nothing in its cache; the cause of this error says why.
 _GIVEN_UP = "LocalEntryNotFoundError"
-# No wait would help: a missing network is missing for longer than anyone wants to wait.
+# Waiting does not help: a network that is down stays down for longer.
 _LASTING = re.compile(
     rf"\b(?:ConnectError|ConnectTimeout|LocalProtocolError|UnsupportedProtocol|ProxyError|{_GIVEN_UP})\b"
 )
@@ -114,7 +114,7 @@ def require_addresses() -> None:
 
 def public_endpoint() -> str:
     """Return the address of the Hub, without the user and password that HF_ENDPOINT may hold."""
-    # Not among the names that the client loads when they are asked for.
+    # The client does not load this module on first use.
     from huggingface_hub import constants
 
     return _USER_OF_ADDRESS.sub(r"\1", constants.ENDPOINT)

@@ -1,6 +1,6 @@
 """A data set repository of the Hub at one commit: its listing, and its files, checked before use.
 
-Files are kept in the cache of the Hub's own client, so that other programs find them, and this one theirs.
+Files are kept in the cache of the Hub's own client, which other programs share.
 """
 
 from __future__ import annotations
@@ -313,7 +313,7 @@ def open_repository(
     patient: bool = False,
     on_wait: Callable[[str], None] = lambda _: None,
 ) -> HubRepository:
-    """Look up the files of a revision, ``main`` by default: on the Hub, or in the cache if it is silent.
+    """Look up the files of a revision, ``main`` by default, on the Hub, or in the cache without an answer.
 
     After a transient failure the Hub is asked again if the cache has nothing, or with ``patient``. Raises
     HubError if the Hub refused, or cannot be reached and the revision is not in the cache.
@@ -333,7 +333,7 @@ def open_repository(
 
 def listing(repo_id: str, revision: str | None = None) -> HubRepository:
     """Ask the Hub for all files of a revision; raises exceptions of its client."""
-    # Not among the names that the client loads when they are asked for.
+    # The client does not load this module on first use.
     from huggingface_hub import constants
 
     timeout_s = constants.HF_HUB_ETAG_TIMEOUT

@@ -1,4 +1,4 @@
-"""Meshes in files: STL, 3MF, PLY, OBJ and GLB, checked as they come back from disk."""
+"""Meshes in files: STL, 3MF, PLY, OBJ and GLB, checked on reading."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _PLAIN: dict[str, Callable[[bytes], Surface]] = {
 _MOST_BYTES = 2 << 30  # an STL of 43 million triangles
 _USUAL_UNIT = "mm"  # slicers assume it, too
 
-# How files of some formats begin, and the ending that they should have; few others begin so.
+# First bytes of files of some formats, and the ending that they should have.
 _MARKS = {b"PK\3\4": ("a zip archive", ".3mf"), b"glTF": ("binary glTF", ".glb"), b"\x1f\x8b": ("gzip", "")}
 
 # Parser errors whose messages state where a file is damaged.

@@ -1,6 +1,6 @@
 """STL files, text and binary.
 
-trimesh is not used, because it ignores what it does not expect and may return another surface without a
+trimesh is not used, because it ignores unexpected content and may return another surface without a
 warning. Memory is bounded by the size of the file, not by numbers in it.
 """
 

@@ -1,4 +1,4 @@
-"""Vertices that are one: with equal coordinates, or separated by rounding."""
+"""Merging of vertices with equal coordinates, or with coordinates that differ by rounding."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def welded(vertices: Float64, faces: Int32) -> Mesh:
     if not len(corners) or not _is_closed(corners, len(vertices)):
         return Mesh(vertices, faces)
     used, corners_used = np.unique(corners, return_inverse=True)
-    # One corner far away makes others near: what closes then is another object.
+    # A single distant corner would make others count as near, and weld unrelated parts.
     if (np.abs(np.ptp(vertices[used], axis=0) - np.ptp(vertices, axis=0)) > 2 * reach_m).any():
         return Mesh(vertices, faces)
     count = int((moved != np.arange(len(vertices))).sum())

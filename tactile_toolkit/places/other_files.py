@@ -1,4 +1,4 @@
-"""Folders and files without a data set: what they are, and which command takes them."""
+"""Folders and files without a data set: their kinds, and the commands that accept them."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def _contents_in_words(folder: store.DataFolder) -> tuple[str, str]:
     if not counts:
         shown = ", ".join(map(repr, sorted(folder.names())[:_MOST_SHOWN]))
         return f"holds no Parquet files (found {shown})", "give the folder of a data set"
-    # Tables that lie beside pictures, videos or meshes say something of these.
+    # Tables beside pictures, videos or meshes describe them.
     said = _ENDINGS[_TABLES[0]][1:]
     ((kind, next_step), count), *_ = sorted(counts.most_common(), key=lambda each: each[0] == said)
     first = next(path for path in files if _ENDINGS.get(_ending(path), ("", "", ""))[1] == kind)

@@ -198,7 +198,7 @@ class Place:
                 )
 
     def require_config(self, config: str | None) -> Place:
-        """Return the place if a configuration that was asked for decided its files; else raise InputError."""
+        """Return the place if its files follow from the requested configuration; else raise InputError."""
         if self.config == config:
             return self
         raise InputError(

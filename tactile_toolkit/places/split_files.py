@@ -272,7 +272,7 @@ def _matching(folder: str, pattern: str, paths: Sequence[str]) -> list[str]:
 def _matches(pattern: tuple[str, ...], parts: tuple[str, ...]) -> bool:
     """Return whether a path matches a pattern, part by part; ``**`` matches any number of folders.
 
-    A pattern may come from anyone: unlike a regular expression, this takes no exponential time.
+    A pattern is untrusted: unlike a regular expression, this never takes exponential time.
     """
     reached = {0}
     for number, wanted in enumerate(pattern):

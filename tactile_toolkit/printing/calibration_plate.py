@@ -89,7 +89,7 @@ radians; zeros where the plate did not move. Then:
 
 @dataclass(frozen=True)
 class PlateFeature:
-    """Something on the plate: its name, its middle and top in mm, and what it is."""
+    """A feature of the plate: its name, its middle and top in mm, and a description."""
 
     name: str
     middle_mm: tuple[float, float]
@@ -110,7 +110,7 @@ class CalibrationPlate:
 
 @dataclass(frozen=True, slots=True)
 class WrittenPlate:
-    """A plate that was written: files, size in mm, volume, what is on it, and state as in :class:`Made`."""
+    """A plate that was written: files, size in mm, volume, features, and state as in :class:`Made`."""
 
     files: tuple[str, ...]
     size_mm: tuple[float, ...]

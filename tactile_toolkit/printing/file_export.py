@@ -46,7 +46,7 @@ class FailedExport:
 class Made(Generic[R]):
     """The files of a product by path below the folder; a file that refers to others is last.
 
-    ``check`` raises ItemError where the files do not hold what was meant. ``record`` takes the state of the
+    ``check`` raises ItemError if the files do not hold the intended solid. ``record`` takes the state of the
     product and returns its entry in the list of an export. The state is ``"written"``, ``"kept"`` where the
     same files existed, or ``"planned"`` in a dry run.
     """
@@ -78,7 +78,7 @@ class FileExport(Generic[R]):
 
 
 def require_same_solid(found: mesh.Mesh, meant: mesh.Mesh, verdict: mesh.ManifoldCheck) -> None:
-    """Raise ItemError where a mesh that was read back differs from the solid meant, of ``verdict``."""
+    """Raise ItemError if a mesh that was read back differs from the intended solid, of ``verdict``."""
     back = mesh.require_solid(found)
     moved_mm = float(np.abs(found.bounds_m - meant.bounds_m).max()) * mesh.MM_PER_M
     is_as_large = np.isclose(back.volume_mm3, verdict.volume_mm3, rtol=_VOLUME_TOLERANCE)

@@ -30,7 +30,7 @@ def start_background(function: Callable[..., object], *arguments: Any) -> None:
     """Call a picklable function in a process of its own, at low priority.
 
     It may start processes, even if this one may not. It shows no progress; an error of the toolkit is a line
-    on stderr. It ends when this process ends, whatever is done by then. Without an interpreter to start, as
+    on stderr. It ends when this process ends, finished or not. Without an interpreter to start, as
     in a program that embeds Python, nothing happens.
     """
     if not sys.executable:
@@ -55,7 +55,7 @@ def _end(process: subprocess.Popen[bytes], owner: int) -> None:
 
 
 def work() -> None:
-    """Do what the starting process has sent."""
+    """Run the function that the starting process has sent."""
     function, arguments = pickle.load(sys.stdin.buffer)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if hasattr(os, "nice"):  # not on Windows
