@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class LazyMesh:
-    """A record whose mesh is read when it is asked for; ``name`` is that of its file."""
+    """A record whose mesh is read on first use; ``name`` is that of its file."""
 
     id: int
     label: int

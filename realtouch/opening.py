@@ -70,7 +70,7 @@ def load(
 
     Returns
     -------
-    TouchSeqDataset, TouchSingleDataset or TouchStream; no row is read until it is asked for
+    TouchSeqDataset, TouchSingleDataset or TouchStream; rows are read on access
 
     Raises
     ------

@@ -143,7 +143,7 @@ def origin_of(schema: pa.Schema, manifest: store.Manifest | None) -> Origin:
 
 
 def require_types(shard: read.Shard) -> None:
-    """Check the type of every known column that is there, and that the class names can be read.
+    """Check the type of every known column that exists, and that the class names can be read.
 
     Raises IntegrityError, which names file and column, for a type that values cannot be read from.
     """

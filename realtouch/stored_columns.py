@@ -137,7 +137,7 @@ class StoredColumns(Row):
             raise self.damaged(field, f"{where}{error}", touch) from error
 
     def missing_column(self, field: str) -> errors.InputError:
-        """Return the error for a column that was asked for and that the data set does not have."""
+        """Return the error for a requested column that the data set does not have."""
         return errors.InputError(
             f"{self.path!r} has no column {field!r}",
             next="use a data set that has it, such as the `seq` or the `single` form of the same touches",

@@ -19,7 +19,7 @@ def touch_id(round_id: str, touch_index: int) -> str:
 
 
 class Touch:
-    """One touch of a round; frozen, fields are read when asked for.
+    """One touch of a round; frozen, fields are read on access.
 
     Attributes
     ----------

@@ -156,7 +156,7 @@ class TouchDataset(read.RecordDataset[R]):
         return [of_rows[row] for row in self.row_numbers.tolist()]
 
     def rounds_without_media(self) -> Iterator[tuple[int, R]]:
-        """Yield stored row number and round, row by row, without opening images or clips until asked for."""
+        """Yield stored row number and round, row by row, and open images or clips only on access."""
         number = 0
         # In stored order, so that each block is read once, whatever the order of the view.
         wanted = set(self.row_numbers.tolist())
@@ -234,7 +234,7 @@ class TouchStream(read.RowStream[read.Shard]):
     def touches(self) -> AnyTouches:
         """Return the flat view: every touch of every round, in order, with random access.
 
-        A row group is read from its address when one of its rows is first asked for, and kept in the cache.
+        A row group is read from its address when one of its rows is first accessed, and kept in the cache.
         """
         return dataset_of(self.shards).touches()
 

@@ -63,7 +63,7 @@ class Optics(ABC):
     def render(
         self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int], *, is_surface: bool = False
     ) -> UInt8:
-        """Return pictures (n, H, W, 3), uint8, in the size asked for, of depth maps (n, h, w), metres.
+        """Return pictures (n, H, W, 3), uint8, in the requested size, of depth maps (n, h, w), metres.
 
         ``is_surface`` is as for :meth:`shades`.
         """

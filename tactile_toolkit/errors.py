@@ -71,7 +71,7 @@ def require_public(place: str) -> None:
 
 
 class SpecMismatchError(InputError):
-    """A data set folder was made by another specification than the one asked for."""
+    """A data set folder was made by another specification than the requested one."""
 
 
 class MissingExtraError(InputError):
@@ -80,7 +80,7 @@ class MissingExtraError(InputError):
     Parameters
     ----------
     feature : str
-        What was asked for, in the user's words.
+        The requested feature, in the user's words.
     package : str
         The package that is missing.
     extra : str

@@ -42,7 +42,7 @@ def parts_of(place: places.Place, split: str | None) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Source:
-    """A data set to convert: its name as the user gave it, the shards of each split, and what it holds."""
+    """A data set to convert: its name as the user gave it, its kind, and the shards of each split."""
 
     name: str
     shards: Mapping[str, tuple[read.Shard, ...]]

@@ -55,7 +55,7 @@ class CycleganOptics(Optics):
     def shades(
         self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int], *, is_surface: bool = False
     ) -> Float32:
-        """Return shades of red, green and blue in the size asked for; equal depth is computed only once."""
+        """Return shades of red, green and blue in the requested size; equal depth is computed only once."""
         images = depth_image(depth_m, sensor)
         # Many depth maps are equal: four of five real touches have no contact. A digest takes far less time
         # than a network.

@@ -66,7 +66,7 @@ def joined_processes(device: str, *, deterministic: bool) -> Iterator[Process]:
 
 @contextmanager
 def _determinism(*, deterministic: bool) -> Iterator[None]:
-    """Make PyTorch deterministic on one thread if asked for, and restore its settings afterwards."""
+    """Make PyTorch deterministic on one thread if requested, and restore its settings afterwards."""
     before, threads = torch.are_deterministic_algorithms_enabled(), torch.get_num_threads()
     fills = torch.utils.deterministic.fill_uninitialized_memory
     torch.use_deterministic_algorithms(deterministic)

@@ -23,7 +23,7 @@ class _Settings(msgspec.Struct):
 
 
 def claim(folder: store.DataFolder, config: TrainConfig, pairs: str, *, resume: bool) -> None:
-    """Begin a training in a folder, or continue the one that is there, if it has the same settings."""
+    """Begin a training in a folder, or continue an existing one with the same settings."""
     folder.require_folder()
     settings = {"config": config.to_dict(), "pairs": pairs}
     if folder.exists(SETTINGS):

@@ -49,7 +49,7 @@ class WrittenPicture:
 def plan_kinds(
     asked: Sequence[str], plans: Mapping[str, Callable[[], Sequence[PlannedPicture]]]
 ) -> PicturePlan:
-    """Plan the pictures of each kind that was asked for, or of the first one.
+    """Plan the pictures of each requested kind, or of the first one.
 
     ``"all"`` stands for all kinds. Kinds that cannot be drawn are left out with the reason, unless they were
     named. Raises InputError for an unknown kind, for a named kind that cannot be drawn, and where no kind can

@@ -52,7 +52,7 @@ class Place:
     allow_incomplete : bool
         Whether :meth:`shards` gives the finished shards of an unfinished split.
     config : str or None
-        Configuration of the data card that was asked for.
+        Requested configuration of the data card.
     """
 
     name: str

@@ -3,7 +3,7 @@
 ::
 
     choose() -> PrintObject -> export_files(): one STL, 3MF, ... each    objects.py, single_files.py
-       -> arrange(): what lies where on plates                           packing.py
+       -> arrange(): positions on plates                                 packing.py
        -> write_plates(): 3MF, map, table                                plates.py, plate_map.py
 
 Each file is read back from disk and has to be the same solid before it gets its name (file_export.py).

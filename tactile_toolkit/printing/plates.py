@@ -1,4 +1,4 @@
-"""Build plates in a folder: a 3MF file and a map of each, and a table of which object lies where.
+"""Build plates in a folder: a 3MF file and a map of each, and a table of the positions of objects.
 
 A map is a picture by which printed objects are found.
 """

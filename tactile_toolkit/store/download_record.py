@@ -65,7 +65,7 @@ class HubFile(msgspec.Struct, frozen=True, omit_defaults=True):
 class DownloadRecord(msgspec.Struct, frozen=True, rename=_STORED_NAMES):
     """Origin of a downloaded folder.
 
-    ``revision`` is the branch or tag that was asked for; ``files`` are those of the folder; ``splits`` are
+    ``revision`` is the requested branch or tag; ``files`` are those of the folder; ``splits`` are
     all of the repository, downloaded or not; ``metadata_files`` states which of card and manifest the
     repository has. ``finished`` is False during the download or after it was interrupted.
     """

@@ -120,7 +120,7 @@ def problem_of_place(folder: DataFolder, path: str) -> str:
     """Return why a path is not a file of the folder itself; empty if it is.
 
     A link may lead to another file of the folder, or from a snapshot of the Hub's cache to its contents. No
-    other file is read, because the folder may come from anyone.
+    other file is read, because the folder is untrusted.
     """
     if not folder.exists(path):
         return "is missing"
