@@ -81,8 +81,8 @@ class SensorImages(Sequence[UInt8]):
     def __getitem__(self, index: Any) -> UInt8:  # type: ignore[override]
         """Decode one image, or some into one array.
 
-        Raises IntegrityError, which names file, row and touch, when an image is damaged, or differs in size from
-        the other requested ones.
+        Raises IntegrityError, which names file, row and touch, if an image is damaged, or differs in size
+        from the other requested ones.
         """
         if read.picks_several(index):
             return self.batch(index)
