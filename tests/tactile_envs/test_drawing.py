@@ -1,4 +1,4 @@
-"""Drawings of environments: words in them."""
+"""Drawings of environments: what they show, and words in them."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import pytest
 pytest.importorskip("ap_gym", reason="ap-gym (extra `envs`) is not installed")
 from types import SimpleNamespace
 
+import gymnasium as gym
+
 from tactile_envs.drawing import EnvDrawing, PredictionView, draw_environment
 from tactile_envs.mesh_pool import MeshPool
 from tactile_envs.tasks import Classification
@@ -15,7 +17,8 @@ from tactile_sim import center_view
 from tests.env_assets.shapes import box
 
 pytestmark = pytest.mark.envs
-GREEN, BLUE = (33, 140, 76), (89, 115, 178)
+DEPTH = "tactile_envs:TactileMNIST-Depth-train-v0"
+GREEN, BLUE, RED = (33, 140, 76), (89, 115, 178), (204, 41, 51)
 
 
 @pytest.fixture(scope="module")
@@ -93,3 +96,60 @@ def test_a_black_image_says_what_is_felt(pool, felt, height_m, is_word):
 def test_a_task_names_its_classes(pool):
     view = Classification(np.zeros(2, np.int64), ("nut", "bolt")).view(np.zeros((1, 2)), np.array([1]))
     assert view.names == ("nut", "bolt")
+
+
+def test_a_picture_shows_a_bar_for_the_probability_of_each_class(assets):
+    """Below what the sensor feels, beside the name of the class; the right class has its colour."""
+    env = gym.make_vec(DEPTH, num_envs=2, assets=str(assets), render_mode="rgb_array")
+    env.reset(seed=0)
+    action = env.action_space.sample()
+    shares = np.array([[0.5, 0.25, 0.125, 0.125, 0, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0, 0, 0, 0, 0, 1.0]])
+    with np.errstate(divide="ignore"):
+        action["prediction"] = np.maximum(np.log(shares), -100).astype(np.float32)
+    *_, info = env.step(action)
+    for picture, wanted, right in zip(env.render(), shares, info["prediction"]["target"], strict=True):
+        panel = picture[100:, 240:]
+        inked = (panel == GREEN).all(axis=2) | (panel == BLUE).all(axis=2)
+        left = int(inked.any(axis=0).argmax())
+        tops = np.flatnonzero(np.diff(inked.any(axis=1).astype(int), prepend=0) == 1)
+        assert inked[tops].sum(axis=1).tolist() == [1 + round(share * (92 - left)) for share in wanted]
+        colours = [tuple(colour) for colour in panel[tops, left].tolist()]
+        assert colours == [GREEN if number == right else BLUE for number in range(10)]
+        assert all((panel[top : top + 10, :left] < 100).any() for top in tops)
+    env.close()
+
+
+def test_a_picture_shows_where_an_object_is_thought_to_point(assets):
+    env = gym.make_vec(
+        "tactile_envs:Toolbox-Depth-v0", num_envs=2, assets=str(assets), render_mode="rgb_array"
+    )
+    env.reset(seed=0)
+    action = env.action_space.sample()
+    action["prediction"] = np.array([[0, 0, 1, 0], [0, 0, 0, 1]], np.float32)  # the middle; right, and up
+    env.step(action)
+    reaches = []
+    for picture in env.render():
+        rows, columns = np.nonzero(np.abs(picture[:, :240].astype(int) - BLUE).max(axis=2) <= 1)
+        reaches.append((columns.max() - 119.5, 119.5 - rows.min(), 119.5 - columns.min(), rows.max() - 119.5))
+    (right, over, left, under), (beside, up, other_side, down) = reaches
+    assert right > max(over, left, under) + 3
+    assert up > max(beside, other_side, down) + 3
+    env.close()
+
+
+def test_a_picture_shows_the_object_lit_and_the_sensor_framed(assets):
+    env = gym.make_vec(DEPTH, num_envs=2, assets=str(assets), render_mode="rgb_array")
+    env.reset(seed=0)
+    cell_m, (width_m, height_m) = 0.12, env.unwrapped._scene.drawing(0).window_m
+    for picture in env.render():
+        cell = picture[:, :240].astype(int)
+        grey = (cell.max(axis=2) == cell.min(axis=2)) & (cell[..., 0] < 250)
+        assert grey.sum() > 500  # of a digit of some centimetres, where a pixel is half a millimetre
+        rows, columns = np.nonzero(np.abs(cell - RED).max(axis=2) <= 1)
+        assert np.ptp(columns) == pytest.approx(240 * width_m / cell_m, abs=2)
+        assert np.ptp(rows) == pytest.approx(240 * height_m / cell_m, abs=2)
+        # Edges are two pixels wide: two whole rows above and below, two whole columns at each side.
+        for along, length in ((rows, columns), (columns, rows)):
+            whole = np.bincount(along - along.min()) == np.ptp(length) + 1
+            assert np.flatnonzero(whole).tolist() == [0, 1, np.ptp(along) - 1, np.ptp(along)]
+    env.close()

@@ -24,7 +24,7 @@ from tactile_sim import SensorNoise
 from tactile_toolkit.errors import InputError
 from tests.published_envs import make
 from tests.realtouch import factories
-from tests.tactile_envs.test_lockstep import HALF_MICROMETRE, _same_spaces, _same_step, _walk
+from tests.tactile_envs.lockstep import HALF_MICROMETRE, same_as_listed, same_spaces, same_step, walk
 
 pytestmark = [pytest.mark.envs, pytest.mark.filterwarnings("ignore")]
 
@@ -129,18 +129,19 @@ def test_same_episodes(env_id, assets, packages, envs, one_empty, estimator, mon
     if has_real_depth:
         config["real_base_depth_dataset"] = one_empty
     native = envs(env_id, objects=objects, **config)
-    _same_spaces(published, native)
+    same_spaces(published, native)
+    same_as_listed(env_id, published)
     off, pixels, heights, darkest = 0, 0, [], []
 
     def compare(theirs: Any, ours: Any) -> None:
         nonlocal off, pixels
-        _same_step(theirs, ours)
+        same_step(theirs, ours)
         far = np.abs(theirs[1]["sensor_img"] - ours[1]["sensor_img"]) > HALF_MICROMETRE
         off, pixels = off + int(far.sum()), pixels + far.size
         heights.append(ours[-1]["sensor_pose"][:, 2, 3])
         darkest.append(ours[1]["sensor_img"].max())
 
-    _walk((published, native), STEPS, compare)
+    walk(published, native, STEPS, compare)
     published.close()
     assert off <= 2e-5 * pixels
     if env_specs()[env_id].config.max_platform_penetration is not None:
@@ -166,7 +167,7 @@ def test_taxim_within_a_level(assets, packages, envs, monkeypatch):
         near, seen = near + int((off[pressed] <= 1).sum()), seen + int(pressed.sum())
         clean.append(ours[1]["sensor_img"][~pressed].std())
 
-    _walk((published, native), 20, compare)
+    walk(published, native, 20, compare)
     published.close()
     assert seen > 10_000
     assert near >= 0.99 * seen
@@ -184,10 +185,10 @@ def test_networks_of_both_packages_agree(assets, packages, envs, one_empty):
     native = envs(env_id, 2, real_base_depth_dataset=one_empty, depth_in_info=True)
 
     def compare(theirs: Any, ours: Any) -> None:
-        _same_step(theirs, ours)
+        same_step(theirs, ours)
         assert np.abs(theirs[1]["sensor_img"] - ours[1]["sensor_img"]).max() < 1e-3
 
-    _walk((published, native), 2, compare)
+    walk(published, native, 2, compare)
     published.close()
 
 

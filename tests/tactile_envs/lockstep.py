@@ -1,0 +1,116 @@
+"""Compares what published environments and ours give for the same actions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+import tactile_envs
+
+SPACES = (
+    "single_action_space",
+    "action_space",
+    "single_observation_space",
+    "observation_space",
+    "single_prediction_target_space",
+    "prediction_target_space",
+)
+HALF_MICROMETRE = 0.5e-6 / 2.125e-3
+"""Of depth, in units of an image."""
+
+
+def walk(published: Any, native: Any, steps: int, compare: Callable[[Any, Any], None]) -> None:
+    """Take the same random steps in both, and compare each."""
+    pair = (published, native)
+    compare(*((env, *env.reset(seed=3)) for env in pair))
+    native.action_space.seed(5)
+    for _ in range(steps):
+        action = native.action_space.sample()
+        compare(*((env, *env.step(action)) for env in pair))
+
+
+def same_spaces(published: Any, native: Any) -> None:
+    """Compare spaces."""
+    for name in SPACES:
+        assert getattr(published, name) == getattr(native, name), name
+        assert type(getattr(published, name)) is type(getattr(native, name)), name
+
+
+def same_as_listed(env_id: str, published: Any) -> None:
+    """Compare spaces with what the list of ids says of them."""
+    (each,) = (each for each in tactile_envs.ids() if each.id == env_id)
+    seen, action = published.single_observation_space, published.single_action_space["action"]
+    assert each.observation == {name: space.shape for name, space in seen.items()}, each
+    assert each.action == {name: space.shape for name, space in action.items()}, each
+
+
+def same_step(theirs: Any, ours: Any) -> None:
+    """Compare all that a reset or a step gives, but for the picture."""
+    (there, seen, *outcome), (here, found, *result) = theirs, ours
+    assert seen.keys() == found.keys()
+    assert all(found[name].dtype == seen[name].dtype or name == "sensor_img" for name in seen)
+    # The published environment leaves its space where a tilted sensor slides out of its limits.
+    assert np.abs(np.clip(seen["sensor_pos"], -1, 1) - found["sensor_pos"]).max() < 5e-5
+    assert (seen["time_step"] == found["time_step"]).all()
+    within_m = 0.5e-6 if "sensor_rot" in found else 1e-12
+    _same_state(there.unwrapped, here, within_m)
+    _same_sensor(outcome[-1], result[-1], within_m)
+    same_outcome(outcome, result)
+
+
+def same_outcome(theirs: Any, ours: Any) -> None:
+    """Compare rewards, ends and scores of a step; a reset has none of them."""
+    assert theirs[-1].keys() == ours[-1].keys()
+    if len(theirs) == 1:
+        return
+    np.testing.assert_allclose(ours[0], theirs[0], rtol=1e-5, atol=1e-6)
+    assert (theirs[1] == ours[1]).all()
+    assert (theirs[2] == ours[2]).all()
+    one, other = theirs[-1], ours[-1]
+    np.testing.assert_array_equal(other["base_reward"], one["base_reward"])
+    targets = [info["prediction"]["target"] for info in (one, other)]
+    if isinstance(targets[0], dict):
+        assert (targets[0]["weight"] == targets[1]["weight"]).all()
+        targets = [target["target"] for target in targets]
+    np.testing.assert_allclose(targets[1], targets[0], atol=3e-7, rtol=1e-6)
+    losses = [info["prediction"]["loss"] for info in (one, other)]
+    np.testing.assert_allclose(losses[1], losses[0], rtol=1e-5, atol=1e-6)
+    if "stats" in one:
+        _same_stats(one["stats"], other["stats"])
+
+
+def _same_state(there: Any, here: Any, within_m: float) -> None:
+    assert (there.current_data_point_indices == here.current_data_point_indices).all()
+    lying = [env.current_object_poses_platform_frame.matrix for env in (there, here)]
+    assert np.abs(lying[0] - lying[1]).max() < 1e-12
+    theirs, ours = (env.current_sensor_target_poses_platform_frame.matrix for env in (there, here))
+    assert np.abs(theirs - ours)[:, :2].max() < within_m
+    for one, other in zip(there.sensor_pos_limits, here.sensor_pos_limits, strict=True):
+        assert (one == other).all()
+
+
+def _same_sensor(theirs: dict[str, Any], ours: dict[str, Any], within_m: float) -> None:
+    one, other = theirs["sensor_pose"].matrix, ours["sensor_pose"]
+    assert np.abs(one - other)[:, :2].max() < within_m
+    assert np.abs(one - other).max() < 0.5e-6
+    reached = theirs["depth"] < 4.25e-3
+    off = np.abs(theirs["depth"] - ours["depth"])[reached] > 0.5e-6
+    assert off.sum() <= 1e-3 * off.size
+
+
+def _same_stats(theirs: dict[str, Any], ours: dict[str, Any]) -> None:
+    assert theirs.keys() == ours.keys()
+    for name in ("_scalar", "_vector"):
+        assert (theirs[name] == ours[name]).all()
+    assert theirs["scalar"].keys() == ours["scalar"].keys()
+    for name, values in theirs["scalar"].items():
+        # The package gives metrics of volumes as columns.
+        np.testing.assert_allclose(ours["scalar"][name], np.ravel(values), rtol=1e-4, atol=1e-6)
+    assert theirs["vector"].keys() == ours["vector"].keys()
+    for name, values in theirs["vector"].items():
+        for one, other in zip(values, ours["vector"][name], strict=True):
+            taken, rest = np.split(np.ravel(other), [np.size(one)])
+            np.testing.assert_allclose(taken, np.ravel(one), rtol=1e-4, atol=1e-6)
+            assert np.isnan(rest).all()  # of an episode that is shorter, or goes on
