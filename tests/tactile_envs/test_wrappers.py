@@ -1,8 +1,4 @@
-"""Training code drives environments: the wrappers of gymnasium, of ap-gym, and those of APPLE.
-
-APPLE (https://github.com/TimSchneider42/apple) is the training code of the paper. Its wrappers need JAX and
-modules of its own; what they ask of an environment is asked here in the same order (``__prepare_env``).
-"""
+"""Training code drives environments by the wrappers of gymnasium, of ap-gym, and of this package."""
 
 from __future__ import annotations
 
@@ -19,36 +15,14 @@ import pytest
 ap_gym = pytest.importorskip("ap_gym", reason="ap-gym (extra `envs`) is not installed")
 import gymnasium as gym  # noqa: E402
 from gymnasium.vector import AutoresetMode  # noqa: E402
-from gymnasium.vector.utils import batch_space  # noqa: E402
 from gymnasium.wrappers import vector as wrappers  # noqa: E402
 
 import tactile_envs  # noqa: E402, F401
 from tactile_envs.wrappers import FlatAction, FlatActionVector  # noqa: E402
 from tactile_toolkit.errors import InputError  # noqa: E402
+from tests.tactile_envs.driving import DEPTH, ENVS, drive, make  # noqa: E402
 
 pytestmark = [pytest.mark.envs, pytest.mark.filterwarnings("ignore")]
-
-DEPTH = "tactile_envs:TactileMNIST-Depth-train-v0"
-ENVS, STEPS = 3, 20
-
-
-def make(assets: Path, name: str = DEPTH, **options: Any) -> Any:
-    return gym.make_vec(name, num_envs=ENVS, assets=str(assets), **options)
-
-
-def drive(env: Any, steps: int = STEPS) -> list[Any]:
-    """Take random steps, more than an episode has; observations stay in their spaces."""
-    observation, info = env.reset(seed=1)
-    env.action_space.seed(1)
-    assert observation in env.observation_space
-    taken = []
-    for _ in range(steps):
-        observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
-        assert observation in env.observation_space
-        assert np.isfinite(reward).all()
-        taken.append((observation, reward, terminated | truncated, info))
-    assert any(np.all(done) for _, _, done, _ in taken)
-    return taken
 
 
 def tree_map(function: Callable[[Any], Any], value: Any) -> Any:
@@ -381,128 +355,6 @@ def test_a_vector_seen_as_one(assets):
         observation, _, terminated, _, _ = env.step(env.action_space.sample())
         assert bool(terminated) == (step == 4)
     assert observation["time_step"] == 1
-
-
-def _in_32_bits(space: Any) -> Any:
-    """Make a space again from its parts, with integers and numbers of 32 bits."""
-    seed = space._np_random
-    if isinstance(space, gym.spaces.Dict):
-        return type(space)({name: _in_32_bits(part) for name, part in space.spaces.items()})
-    if isinstance(space, gym.spaces.MultiDiscrete):
-        return gym.spaces.MultiDiscrete(space.nvec, dtype=np.int32, seed=seed, start=space.start)
-    if isinstance(space, gym.spaces.Discrete):
-        return gym.spaces.Discrete(space.n, seed=seed, start=space.start, dtype=np.int32)
-    options = {"dtype": np.float32, "seed": seed}
-    if isinstance(space, ap_gym.ImageSpace):
-        size = (space.width, space.height, space.channels)
-        options.update(low=space.low, high=space.high, dtype=space.dtype)
-        return ap_gym.ImageSpace(*size, batch_shape=space.batch_shape, **options)
-    kind = ap_gym.LogitSpace if isinstance(space, ap_gym.LogitSpace) else gym.spaces.Box
-    return kind(space.low, space.high, space.shape, **options)
-
-
-class _RandomActions(ap_gym.ActivePerceptionVectorWrapper):
-    """Takes predictions alone, and acts at random."""
-
-    def __init__(self, env: Any) -> None:
-        super().__init__(env)
-        self._actions = copy.deepcopy(env.inner_action_space)
-        self._single_action_space = ap_gym.ActivePerceptionActionSpace(
-            gym.spaces.Tuple(()), self.single_prediction_space
-        )
-        self._action_space = batch_space(self._single_action_space, env.num_envs)
-
-    def reset(self, *, seed: int | None = None, options: Any = None) -> Any:
-        self._actions.seed(seed)
-        return super().reset(seed=seed, options=options)
-
-    def step(self, action: Any) -> Any:
-        return super().step({"action": self._actions.sample(), "prediction": action["prediction"]})
-
-
-class _Checked(ap_gym.ActivePerceptionVectorWrapper):
-    """Spaces and values in single precision, and a limit of steps."""
-
-    def __init__(self, env: Any) -> None:
-        super().__init__(env)
-        self._observation_space = _in_32_bits(env.observation_space)
-        self._single_observation_space = _in_32_bits(env.single_observation_space)
-        self._prediction_target_space = _in_32_bits(env.prediction_target_space)
-        self._single_prediction_target_space = _in_32_bits(env.single_prediction_target_space)
-        self._steps = np.zeros(self.num_envs, np.int32)
-
-    def reset(self, *, seed: int | None = None, options: Any = None) -> Any:
-        self._steps[:] = 0
-        return super().reset(seed=seed, options=options)
-
-    def step(self, action: Any) -> Any:
-        self._steps += 1
-        assert (self._steps <= self.spec.max_episode_steps).all()
-        observation, reward, done, cut, info = super().step(action)
-        self._steps[done | cut] = -1
-        for name, values in observation.items():
-            assert values.dtype == self.observation_space[name].dtype
-        return observation, reward.astype(np.float32), done, cut, info
-
-
-class _BinaryReward(ap_gym.ActivePerceptionVectorWrapper):
-    """Rewards answers that are right."""
-
-    def step(self, action: Any) -> Any:
-        observation, _, done, cut, info = super().step(action)
-        assert "_base_reward" not in info
-        right = np.argmax(action["prediction"], axis=-1) == info["prediction"]["target"]
-        return observation, info["base_reward"] + right.astype(np.float32), done, cut, info
-
-
-class _Pictures(ap_gym.ActivePerceptionVectorWrapper):
-    """Observes what is rendered."""
-
-    def __init__(self, env: Any) -> None:
-        super().__init__(env)
-        env.reset(seed=0)
-        height, width, channels = env.render()[0].shape
-        pixels = ap_gym.ImageSpace(width, height, channels, dtype=np.uint8, low=0, high=255)
-        spaces = {**env.single_observation_space.spaces, "pixels": pixels}
-        self._single_observation_space = gym.spaces.Dict(spaces)
-        self._observation_space = batch_space(self._single_observation_space, self.num_envs)
-
-    def reset(self, **options: Any) -> Any:
-        observation, info = super().reset(**options)
-        return {**observation, "pixels": np.asarray(self.env.render())}, info
-
-    def step(self, action: Any) -> Any:
-        observation, *rest = super().step(action)
-        return {**observation, "pixels": np.asarray(self.env.render())}, *rest
-
-
-@pytest.mark.thorough
-@pytest.mark.one_at_a_desk
-@pytest.mark.parametrize("sparse", [False, True])
-def test_the_stack_of_apple(assets, sparse):
-    """From the image spaces that it looks for to the statistics and videos that it logs."""
-    name = DEPTH.replace("train", "train-sparse") if sparse else DEPTH
-    env = make(assets, name, render_mode="rgb_array")
-    assert isinstance(env.single_observation_space["sensor_img"], ap_gym.ImageSpace)
-    assert env.metadata["render_fps"] == 5
-    env = ap_gym.ensure_active_perception_vector_env(gym.vector.VectorWrapper(env))
-    env = env if sparse else _BinaryReward(env)
-    env = _Checked(_RandomActions(_Pictures(env)))
-    assert env.prediction_target_space.sample() is not None
-    for observation, reward, done, info in drive(env, 40):
-        assert observation["pixels"].dtype == np.uint8
-        assert reward.dtype == np.float32
-        target = info["prediction"]["target"]
-        assert (set(target) == {"target", "weight"}) if sparse else (target.shape == (ENVS,))
-        assert ("stats" in info) == done.any()
-        if done.any():
-            stats = info["stats"]
-            for kind in ("scalar", "vector"):
-                for key in (key for key in stats[kind] if key[0] != "_"):
-                    valid = stats[kind][f"_{key}"]
-                    assert np.asarray(stats[kind][key])[valid].shape[0] == valid.sum()
-            lengths = {len(curve) for curve in stats["vector"]["accuracy"]}
-            assert lengths == {env.spec.max_episode_steps}
 
 
 def test_a_single_one_through_the_wrappers_of_ap_gym(assets):
