@@ -11,7 +11,8 @@ import pytest
 
 import tactile_sim
 from tactile_toolkit.mesh import as_mesh, read_mesh
-from tests.tactile_sim.hidden_sensors import MISTAKES, HiddenSensor, Recording, digits, draw_sensor
+from tests.tactile_sim.hidden_recordings import Recording
+from tests.tactile_sim.hidden_sensors import MISTAKES, HiddenSensor, digits, draw_sensor
 from tests.tactile_sim.solids import block
 
 SIZE = (96, 72)

@@ -14,7 +14,8 @@ from tactile_sim.twin.recordings import Recordings
 from tactile_sim.twin.sources import image_paths
 from tactile_toolkit.errors import InputError, ToolkitError
 from tests.command_line import call
-from tests.tactile_sim.hidden_sensors import MISTAKES, Family, Recording, digits, draw_sensor
+from tests.tactile_sim.hidden_recordings import Recording
+from tests.tactile_sim.hidden_sensors import MISTAKES, Family, digits, draw_sensor
 
 SIZE = (160, 120)
 

@@ -10,7 +10,8 @@ import pytest
 
 from tactile_sim.sensor_health import SensorHealth, check_sensor, images_of
 from tactile_toolkit.errors import InputError
-from tests.tactile_sim.hidden_sensors import HiddenSensor, Recording, digits, draw_sensor
+from tests.tactile_sim.hidden_recordings import Recording
+from tests.tactile_sim.hidden_sensors import HiddenSensor, digits, draw_sensor
 
 SIZE = (120, 90)
 

@@ -12,7 +12,8 @@ import numpy as np
 
 import tactile_sim
 from tactile_sim.pressable import Pressable
-from tests.tactile_sim.hidden_sensors import Family, HiddenSensor, Recording, digits, draw_sensor
+from tests.tactile_sim.hidden_recordings import Recording
+from tests.tactile_sim.hidden_sensors import Family, HiddenSensor, digits, draw_sensor
 
 TRAIN_DIGITS, HELD_OUT_DIGITS = 5, 77
 """Seeds of the digits that a sensor is calibrated with, and of those that it is judged by."""
