@@ -138,11 +138,12 @@ def test_what_unpacks_to_more_than_a_machine_holds_is_refused(
 ) -> None:
     """A text that is stored once and stands in each of many rows; numbers that take next to no space."""
     monkeypatch.setenv("TACTILE_TOOLKIT_UNPACKED_MIB", "4")
-    count = 100_000
+    count = 10_000
     image = pa.DictionaryArray.from_arrays(pa.array([0] * count, pa.int32()), pa.array([JPEGS[0]])).cast(
         pa.binary()
     )
-    write(tmp_path, rows_per_group=count, image=image, force=np.zeros((count, 8)).tolist())
+    force = pa.FixedSizeListArray.from_arrays(pa.array(np.zeros(80 * count)), 80)
+    write(tmp_path, rows_per_group=count, image=image, force=force)
     with pytest.raises(InputError, match=r"unpacks to .* nothing was unpacked"):
         found(tmp_path)
     note = pa.DictionaryArray.from_arrays(pa.array([0] * count, pa.int32()), pa.array(["x" * 5000]))
