@@ -177,19 +177,19 @@ def test_an_export_of_this_toolkit_comes_back(
 
 @pytest.mark.thorough
 def test_whatever_a_file_holds_there_is_a_result_or_a_sentence(tmp_path: Path) -> None:
-    """2,000 files with bytes flipped, cut out or put in."""
+    """600 files with bytes flipped, cut out or put in."""
     force = np.random.default_rng(1).normal(size=(12, 3))
     path = write(tmp_path, image=images(), force=force.tolist(), label=["mug", None] * 6, count=[1, None] * 6)
     content, random = path.read_bytes(), np.random.default_rng(3)
     used = 0
-    for _ in range(2000):
+    for _ in range(600):
         path.write_bytes(spoiled(random, content))
         with suppress(ToolkitError):
             touches = found(tmp_path)
             contents = list(stored_pictures(touches))
             assert len(contents) == len(touches) < 100
             used += 1
-    assert used > 100
+    assert used > 30
 
 
 def with_wrong_histogram(content: bytes) -> list[bytes]:

@@ -407,12 +407,12 @@ def other_number(random: np.random.Generator, content: bytes) -> bytes:
 def test_whatever_a_file_holds_there_is_a_result_or_a_sentence(
     version: str, dtype: str, tmp_path: Path
 ) -> None:
-    """500 mutations of each kind of set: of a file of any kind, bytes; of metadata, also numbers."""
+    """200 mutations of each kind of set: of a file of any kind, bytes; of metadata, also numbers."""
     write_lerobot(tmp_path, version, dtype, Truth((3, 2)))
     files = {path: path.read_bytes() for path in sorted(tmp_path.rglob("*")) if path.is_file()}
     random = np.random.default_rng(11)
     used = 0
-    for _ in range(500):
+    for _ in range(200):
         path = list(files)[random.integers(len(files))]
         change = spoiled if path.suffix not in (".json", ".jsonl") or random.random() < 0.3 else other_number
         path.write_bytes(change(random, files[path]))
@@ -426,7 +426,7 @@ def test_whatever_a_file_holds_there_is_a_result_or_a_sentence(
                     assert all(isinstance(each, (bytes, ItemError)) for each in images)
                     used += 1
         path.write_bytes(files[path])
-    assert used > 100
+    assert used > 40
 
 
 def test_an_export_of_clips_becomes_the_same_set(seq_folder: Path, tmp_path: Path) -> None:

@@ -339,7 +339,7 @@ def test_a_table_beside_a_video_that_does_not_fit_is_its_problem(takes: Path, tm
 @pytest.mark.thorough
 @pytest.mark.parametrize("ending", ["csv", "jsonl", "parquet"])
 def test_damaged_tables_end_in_sentences(ending: str, tmp_path: Path) -> None:
-    """2,000 damaged copies of a table, as a stream and as a table of touches."""
+    """600 damaged copies of a table, as a stream and as a table of touches."""
     steps = np.arange(40) / 10
     columns = {"time_s": steps, "n": range(40), "note": [f"{n} N" for n in range(40)]}
     columns |= {"start_s": steps, "end_s": steps + 0.2}
@@ -348,7 +348,7 @@ def test_damaged_tables_end_in_sentences(ending: str, tmp_path: Path) -> None:
     home, path = store.open_folder(str(tmp_path)), tmp_path / f"table.{ending}"
     pictures = recording(np.arange(100) / 25)
     used = refused = 0
-    for seed in range(2000):
+    for seed in range(600):
         change = with_other_numbers if seed % 2 and ending != "parquet" else mutated
         path.write_bytes(change(whole, seed))
         how = Alignment(method=("nearest", "linear")[seed % 2])
@@ -358,7 +358,7 @@ def test_damaged_tables_end_in_sentences(ending: str, tmp_path: Path) -> None:
             used += 1
         except InputError:
             refused += 1
-    assert min(used, refused) > 20
+    assert min(used, refused) > 6
 
 
 @pytest.mark.parametrize("cut", ["whole", "frames"])

@@ -482,7 +482,7 @@ def test_mutations_end_in_pictures_or_sentences(name: str, tmp_path: Path) -> No
         write_video(tmp_path / name, codec, 12, pixel_format, **options)
         content = (tmp_path / name).read_bytes()
     usable = 0
-    for number in range(2000):
+    for number in range(400):
         path = tmp_path / f"{number}-{name}"
         path.write_bytes(mutated(content, number))
         (found,) = recordings(path)
@@ -494,4 +494,4 @@ def test_mutations_end_in_pictures_or_sentences(name: str, tmp_path: Path) -> No
             assert len(pictures) == found.frames, number
             assert all(isinstance(each, (bytes, ItemError)) for each in pictures)
         path.unlink()
-    assert usable > 100
+    assert usable > 20

@@ -118,13 +118,13 @@ def _same(there: Any, here: Any, theirs: Any, ours: Any) -> None:
 @pytest.mark.parametrize(
     ("env_id", "steps", "config"),
     [
-        (VOLUME, 500, {}),
-        (CENTRE, 500, {}),
-        ("TactileMNISTVolumeSnap-Depth-train-v0", 100, {"allow_sensor_rotation": True}),
-        (VOLUME, 100, {"allow_sensor_rotation": False}),
+        (VOLUME, 132, {}),
+        (CENTRE, 132, {}),
+        ("TactileMNISTVolumeSnap-Depth-train-v0", 40, {"allow_sensor_rotation": True}),
+        (VOLUME, 40, {"allow_sensor_rotation": False}),
         (
             VOLUME,
-            100,
+            40,
             {"max_tilt_angle": 0.2, "cell_padding": (0.0, 0.005), "randomize_initial_sensor_pose": False},
         ),
     ],
