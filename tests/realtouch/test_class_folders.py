@@ -1,19 +1,15 @@
-"""Folders of images without a table: of classes, of splits, or of images alone; and tables of any kind."""
+"""Folders of images without a table, which are classes or splits or neither; tables that cannot be read."""
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
-import pyarrow.csv as pa_csv
-import pyarrow.parquet as pq
 import pytest
 
 import realtouch
 from tactile_toolkit.errors import InputError
-from tests.realtouch.images_of_others import line, picture
+from tests.realtouch.images_of_others import picture
 
 
 def images(home: Path, *paths: str) -> Path:
@@ -63,25 +59,6 @@ def test_folders_are_classes_and_splits(
 ) -> None:
     """An image beside the folders of classes is left out and listed."""
     assert imported(images(tmp_path / "home", *paths), tmp_path) == found
-
-
-@pytest.mark.parametrize("ending", ["tsv", "jsonl", "parquet"])
-def test_a_table_has_any_ending(ending: str, home: Path, tmp_path: Path) -> None:
-    lines: list[dict[str, Any]] = [line(f"pictures/{number}.jpg", "cat") for number in range(3)]
-    for number, each in enumerate(lines):
-        each["force"] = number / 2
-    table = pa.Table.from_pylist(lines)
-    match ending:
-        case "tsv":
-            pa_csv.write_csv(table, home / "t.tsv", pa_csv.WriteOptions(delimiter="\t"))
-        case "jsonl":
-            (home / "t.jsonl").write_text("".join(json.dumps(each) + "\n" for each in lines))
-        case _:
-            pq.write_table(table, home / "t.parquet")
-    realtouch.import_touches(home, tmp_path / "out", "folder")
-    rounds = realtouch.load(tmp_path / "out", "train")
-    assert rounds.label_names == ("cat",)
-    assert [each.extra["force"].tolist() for each in rounds] == [[0.0], [0.5], [1.0]]
 
 
 @pytest.mark.parametrize(

@@ -63,13 +63,15 @@ def require_equal(touches: Any, session: Session) -> None:
         np.testing.assert_array_equal(touch.extra["force_n"], force_n)
 
 
-@pytest.fixture(params=MAKERS, ids=lambda make: make.__name__)
-def made(request: Any, tmp_path: Path) -> tuple[Session, Path]:
+@pytest.fixture(params=MAKERS, ids=lambda make: make.__name__, scope="module")
+def made(request: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[Session, Path]:
+    """A recording and what is made of it, which no test changes."""
     if request.param is own.zarr3_buffer:
         pytest.importorskip("zarr", reason="needs zarr, of the extra dev")
-    session = request.param(tmp_path / "source")
-    assert call("realtouch", "import", session.source, *session.words, "--out", tmp_path / "out") == 0
-    return session, tmp_path / "out"
+    folder = tmp_path_factory.mktemp(request.param.__name__)
+    session = request.param(folder / "source")
+    assert call("realtouch", "import", session.source, *session.words, "--out", folder / "out") == 0
+    return session, folder / "out"
 
 
 @pytest.mark.one_at_a_desk

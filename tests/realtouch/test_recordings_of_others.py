@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 import pytest
 from PIL import Image
@@ -57,14 +58,17 @@ def test_tables_of_spreadsheets_and_other_systems(
     assert bytes(found[1].sensor_image.encoded(0)) == (home / "pictures" / "1.jpg").read_bytes()
 
 
-@pytest.mark.parametrize("ending", ["jsonl", "parquet"])
-def test_tables_whose_values_have_types(ending: str, home: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("ending", ["tsv", "jsonl", "parquet"])
+def test_tables_have_any_ending(ending: str, home: Path, tmp_path: Path) -> None:
     lines = [
         {"file": f"pictures/{number}.jpg", "label": name, "force_n": force}
         for number, name, force in ((0, "a", 0.5), (1, "b", None))
     ]
+    table = pa.Table.from_pylist(lines)
     if ending == "parquet":
-        pq.write_table(pa.Table.from_pylist(lines), home / "index.parquet")
+        pq.write_table(table, home / "index.parquet")
+    elif ending == "tsv":
+        pa_csv.write_csv(table, home / "index.tsv", pa_csv.WriteOptions(delimiter="\t"))
     else:
         (home / "index.jsonl").write_text("".join(f"{json.dumps(line)}\n" for line in lines))
     realtouch.import_touches(home, tmp_path / "out")
