@@ -101,7 +101,7 @@ def test_cycle_gan(provider, assets, packages):
     """The same episodes, and pictures of the same network."""
     env_id = "TactileMNISTVolumeSnap-CycleGAN-v0"
     pytest.importorskip("torchvision", reason="torchvision (extra `torch`) is not installed")
-    config = {"step_limit": 2}
+    config = {"step_limit": 1}
     published = make(env_id, provider=provider, num_envs=2, config={**config, "sensor_backend": "torch"})
     native = make_vector(env_id, num_envs=2, assets=assets, config={**config, "depth_in_info": True})
     same_spaces(published, native)
@@ -112,7 +112,7 @@ def test_cycle_gan(provider, assets, packages):
         assert np.median(off) < 1e-4
         assert (off > 1 / 255).mean() < 0.01
 
-    walk(published, native, 3, compare)
+    walk(published, native, 2, compare)
     published.close()
 
 
@@ -164,7 +164,7 @@ def test_taxim_within_a_level(env_id, provider, assets, packages):
         shows = 255 * np.abs(other - native._scene._camera._bare_picture(0)).max(axis=3) > 1
         near, seen = near + int((off[shows] <= 1).sum()), seen + int(shows.sum())
 
-    walk(published, native, 20, compare)
+    walk(published, native, 8, compare)
     published.close()
     assert seen > 10_000
     assert near >= 0.99 * seen

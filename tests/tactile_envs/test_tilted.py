@@ -175,7 +175,7 @@ def test_taxim_within_a_level(solids, published):
         shows = 255 * np.abs(pictures - flat).max(axis=3) > 1
         near, seen = near + int((off[shows] <= 1).sum()), seen + int(shows.sum())
 
-    _walk(theirs, ours, 12, compare)
+    _walk(theirs, ours, 8, compare)
     theirs.close()
     assert seen > 10_000
     assert near >= 0.99 * seen
