@@ -52,8 +52,8 @@ def test_a_transparent_logo_keeps_light_colours() -> None:
 
 @pytest.mark.parametrize("mode", ["RGBA", "RGB", "L"])
 def test_a_logo_may_be_mostly_ink(mode: str, tmp_path: Path) -> None:
-    logo = Image.new("RGBA", (600, 600), (255, 255, 255, 0))
-    ImageDraw.Draw(logo).ellipse([20, 20, 580, 580], fill=(200, 0, 80, 255))
+    logo = Image.new("RGBA", (300, 300), (255, 255, 255, 0))
+    ImageDraw.Draw(logo).ellipse([10, 10, 290, 290], fill=(200, 0, 80, 255))
     white = Image.new("RGBA", logo.size, "white")
     picture = logo if mode == "RGBA" else Image.alpha_composite(white, logo).convert(mode)
     mesh = mnist3d.solidify(picture, mnist3d.SolidSpec(profile="flat"), height_mm=40)

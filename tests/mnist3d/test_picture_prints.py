@@ -19,12 +19,7 @@ from mnist3d.sources import SyntheticSource
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh import WARNINGS, Mesh, check_manifold, inspect, on_base_plate, print_advice
 from tests.command_line import call
-from tests.mnist3d.drawn_pictures import (
-    child,
-    pieces,
-    size_mm,
-    word,
-)
+from tests.mnist3d.drawn_pictures import child, pieces, size_mm, word
 from tests.pages import ROOT
 
 # --- its size -------------------------------------------------------------------------------------
@@ -41,14 +36,15 @@ def test_the_same_picture_has_the_same_size_however_it_is_given(tmp_path: Path) 
         "RGBA": np.asarray(word().convert("RGBA")),
         "grey": np.asarray(word().convert("L")),
     }
-    sizes = {name: size_mm(mnist3d.solidify(picture)) for name, picture in kinds.items()}
+    made = {name: mnist3d.solidify(picture) for name, picture in kinds.items()}
+    sizes = {name: size_mm(mesh) for name, mesh in made.items()}
     assert call("mnist3d", "solidify", tmp_path / "word.png", "--out", tmp_path / "word.stl") == 0
     sizes["command"] = size_mm(mnist3d.read_mesh(tmp_path / "word.stl"))
     # 800 px are 100 mm; the ink is 322 px wide and 241 px high.
     for name, found in sizes.items():
         assert found[:2] == pytest.approx((322 / 8, 241 / 8), abs=0.3), name
-    meshes = [mnist3d.solidify(kinds[name]) for name in ("path", "PIL", "RGB", "RGBA")]
-    assert all(np.array_equal(mesh.vertices_m, meshes[0].vertices_m) for mesh in meshes)
+    for name in ("PIL", "RGB", "RGBA"):
+        assert np.array_equal(made[name].vertices_m, made["path"].vertices_m), name
 
 
 @pytest.mark.parametrize(

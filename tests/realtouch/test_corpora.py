@@ -262,11 +262,10 @@ def test_an_image_damaged_in_its_middle_is_named(
         realtouch.export(tmp_path / "cut", tmp_path / "out", layout)
 
 
-@pytest.mark.one_at_a_desk
-def test_a_replay_buffer_comes_back(source: Path, tmp_path: Path) -> None:
+def test_a_replay_buffer_comes_back(single_folder: Path, tmp_path: Path) -> None:
     """Pixels, labels, objects, positions and poses of each frame; an episode is a round."""
     pytest.importorskip("zarr", reason="needs zarr, of the extra zarr")
-    realtouch.export(source, tmp_path / "there", "replay", split="train")
+    realtouch.export(single_folder, tmp_path / "there", "replay", split="train")
     place = tmp_path / "there" / "replay"
     words = ("import", place, "--format", "replay", "--cut", "frames", "--out", tmp_path / "back")
     assert call("realtouch", *words) == 0

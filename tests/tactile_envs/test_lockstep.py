@@ -102,8 +102,8 @@ def test_cycle_gan(provider, assets, packages):
     env_id = "TactileMNISTVolumeSnap-CycleGAN-v0"
     pytest.importorskip("torchvision", reason="torchvision (extra `torch`) is not installed")
     config = {"step_limit": 1}
-    published = make(env_id, provider=provider, num_envs=2, config={**config, "sensor_backend": "torch"})
-    native = make_vector(env_id, num_envs=2, assets=assets, config={**config, "depth_in_info": True})
+    published = make(env_id, provider=provider, num_envs=1, config={**config, "sensor_backend": "torch"})
+    native = make_vector(env_id, num_envs=1, assets=assets, config={**config, "depth_in_info": True})
     same_spaces(published, native)
 
     def compare(theirs: Any, ours: Any) -> None:

@@ -119,10 +119,12 @@ def test_rendered_from_estimated_depth(sensor, levels, share, published, assets)
     """Images within a level, but for what is known of Taxim: see `test_taxim_within_a_level`."""
     pytest.importorskip("torchvision", reason="torchvision (extra `torch`) is not installed")
     name, config = f"TactileMNISTRealSnap-{sensor}-train-v0", {"step_limit": 2}
-    native = make_vector(name, num_envs=2, assets=assets, config=config)
-    theirs = published(name, 2, **config, depth_estimator_backend="torch")
+    native = make_vector(name, num_envs=1, assets=assets, config=config)
+    theirs = published(name, 1, **config, depth_estimator_backend="torch")
     _same_beginnings(theirs, native)
-    walk(theirs, native, 1, lambda *steps: _same_step(*steps, levels, share))
+    # Networks that draw take seconds for an image.
+    steps = 0 if sensor == "CycleGAN" else 1
+    walk(theirs, native, steps, lambda *each: _same_step(*each, levels, share))
     assert np.std(native._observation["sensor_img"]) > 0.01
 
 
