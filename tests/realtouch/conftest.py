@@ -10,20 +10,20 @@ from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
 from tests.realtouch.images_of_others import picture
 
-SIZE = (96, 72)
+SIZE, FRAMES = (96, 72), (26, 40)
 TOUCHES = 5
 
 
 @pytest.fixture(scope="session")
 def truth() -> list[RoundTruth]:
     """Three rounds of five touches in small pictures; touch 2 of each round misses the digit."""
-    return [factories.make_round(index, TOUCHES, SIZE) for index in range(3)]
+    return [factories.make_round(index, TOUCHES, SIZE, FRAMES) for index in range(3)]
 
 
 @pytest.fixture(scope="session")
 def held_out() -> list[RoundTruth]:
     """Round of the test split."""
-    return [factories.make_round(3, TOUCHES, SIZE)]
+    return [factories.make_round(3, TOUCHES, SIZE, FRAMES)]
 
 
 @pytest.fixture(scope="session")
