@@ -23,7 +23,7 @@ def _depths(sensor):
     return tactile_sim.render_touch([ball(0.006), block(), block(), ball()], poses, targets, sensor).depth_m
 
 
-@pytest.mark.parametrize("size", [(64, 64), (320, 240), (50, 40)], ids=str)
+@pytest.mark.parametrize("size", [(320, 240), (50, 40)], ids=str)
 def test_taxim_is_the_package_on_slopes_and_no_further_off_where_it_is_flat(size):
     jax = pytest.importorskip("taxim.taxim_jax", reason="needs taxim with JAX, of the extra oracle")
     from taxim import CALIB_GELSIGHT_MINI
