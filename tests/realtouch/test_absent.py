@@ -110,11 +110,6 @@ def test_what_needs_an_absent_column_says_so(sets: Any, tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-def test_anytouch_has_no_place_for_touches_without_a_class(sets: Any, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"touches without a class; .* or another format"):
-        realtouch.export(sets("single", -1), tmp_path / "out", "anytouch", split="train")
-
-
 def test_contact_of_a_round_that_does_not_fit_in_memory(sets: Any, monkeypatch: Any) -> None:
     for kind in KINDS:
         touches = realtouch.load(sets(kind, -1), "train").touches()

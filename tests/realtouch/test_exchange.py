@@ -353,14 +353,3 @@ def test_lerobot_is_told_the_form_of_every_column(source: Path, tmp_path: Path) 
         assert features.pop("in_contact") == {"dtype": "bool", "shape": [1], "names": None}
     for name, feature in features.items():
         assert feature == {"dtype": "int64", "shape": [1], "names": None}, name
-
-
-def test_touches_without_labels_have_one_task(single_rows: list[dict], tmp_path: Path) -> None:
-    layout = Layout(leave_out=("label",))
-    factories.write_set(tmp_path / "source", {"train": single_rows}, "single", layout)
-    realtouch.export(tmp_path / "source", tmp_path / "robots", "lerobot")
-    home = tmp_path / "robots" / "lerobot"
-    tasks = pq.read_table(home / "meta" / "tasks.parquet").select(["task_index", "task"])
-    assert tasks.to_pylist() == [{"task_index": 0, "task": "touch an object"}]
-    assert json.loads((home / "meta" / "info.json").read_text())["total_tasks"] == 1
-    assert set(pq.read_table(home / "data")["task_index"].to_pylist()) == {0}

@@ -226,7 +226,9 @@ def test_a_recording_without_labels_is_a_set(home: Path, tmp_path: Path) -> None
     realtouch.export(tmp_path / "out", tmp_path / "lerobot", "lerobot")
     tasks = pq.read_table(tmp_path / "lerobot" / "lerobot" / "meta" / "tasks.parquet")["task"].to_pylist()
     frames = pq.read_table(tmp_path / "lerobot" / "lerobot" / "data")
-    assert (tasks, set(frames["task_index"].to_pylist())) == (["touch an object"], {0})
+    info = json.loads((tmp_path / "lerobot" / "lerobot" / "meta" / "info.json").read_text())
+    assert (tasks, info["total_tasks"]) == (["touch an object"], 1)
+    assert set(frames["task_index"].to_pylist()) == {0}
     flat = realtouch.export(tmp_path / "out", tmp_path / "flat", "flat")
     assert pq.read_table(tmp_path / "flat" / "data")["label_name"].null_count == 4
     assert flat.skipped_reasons() == {}
