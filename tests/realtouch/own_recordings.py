@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -11,8 +10,6 @@ from pathlib import Path
 
 import av
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
@@ -184,67 +181,6 @@ def long_video(home: Path) -> Session:
     home.mkdir()
     write_video(home / "session.avi", "mjpeg", np.concatenate(parts), **{"q:v": "2"})
     return Session(home / "session.avi", ("--cut", "contact"), contacts, False)
-
-
-def lerobot_v21(home: Path) -> Session:
-    """A LeRobotDataset of version 2.1 with videos."""
-    touches = truth().touches
-    (home / "meta").mkdir(parents=True)
-    tables, total = [], 0
-    for number, touch in enumerate(touches):
-        count = touch.frames
-        video = home / f"videos/chunk-000/observation.images.tactile/episode_{number:06d}.mp4"
-        video.parent.mkdir(parents=True, exist_ok=True)
-        write_video(video, "libx264", touch.pixels, crf="12")
-        state = np.hstack([touch.position_m, touch.quaternion])
-        tables.append(
-            pa.table(
-                {
-                    "observation.state": pa.array(state.tolist(), pa.list_(pa.float64(), 7)),
-                    "observation.force_n": force_of(touch),
-                    "timestamp": (np.arange(count) / FPS).astype(np.float32),
-                    "frame_index": np.arange(count),
-                    "episode_index": np.full(count, number),
-                    "index": total + np.arange(count),
-                    "task_index": np.zeros(count, np.int64),
-                }
-            )
-        )
-        data = home / f"data/chunk-000/episode_{number:06d}.parquet"
-        data.parent.mkdir(parents=True, exist_ok=True)
-        pq.write_table(tables[-1], data)
-        total += count
-    image = {"dtype": "video", "shape": [SIZE[1], SIZE[0], 3], "names": ["height", "width", "channels"]}
-    features: dict[str, object] = {"observation.images.tactile": image}
-    features["observation.state"] = {"dtype": "float64", "shape": [7], "names": None}
-    info = {
-        "codebase_version": "v2.1",
-        "fps": FPS,
-        "total_episodes": len(touches),
-        "total_frames": total,
-        "total_chunks": 1,
-        "chunks_size": 1000,
-        "splits": {"train": f"0:{len(touches)}"},
-        "data_path": "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet",
-        "video_path": "videos/chunk-{episode_chunk:03d}/{video_key}/episode_{episode_index:06d}.mp4",
-        "features": features,
-    }
-    (home / "meta/info.json").write_text(json.dumps(info))
-    lengths = [
-        {"episode_index": n, "tasks": ["touch"], "length": each.frames} for n, each in enumerate(touches)
-    ]
-    (home / "meta/episodes.jsonl").write_text("".join(json.dumps(each) + "\n" for each in lengths))
-    (home / "meta/tasks.jsonl").write_text(json.dumps({"task_index": 0, "task": "touch"}) + "\n")
-    return Session(
-        home,
-        ("--cut", "whole", "--map", "pose=observation.state", "--map", "force_n=observation.force_n"),
-        [touch.pixels for touch in touches],
-        False,
-        position_m=[touch.position_m for touch in touches],
-        quaternion=[touch.quaternion for touch in touches],
-        time_s=[touch.time_s for touch in touches],
-        force_n=[force_of(touch) for touch in touches],
-    )
 
 
 def zarr3_buffer(home: Path) -> Session:

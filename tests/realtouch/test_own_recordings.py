@@ -21,7 +21,6 @@ MAKERS = (
     own.png_and_euler,
     own.class_folders,
     own.long_video,
-    own.lerobot_v21,
     own.zarr3_buffer,
 )
 BY_EXPORT = ("lerobot", "oxt", "flat")

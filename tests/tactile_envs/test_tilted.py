@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +26,7 @@ from tactile_sim import center_view
 from tactile_sim.optics import make_optics
 from tactile_toolkit.errors import InputError
 from tests.published_envs import make
+from tests.tactile_envs.lockstep import walk
 
 pytestmark = [pytest.mark.envs, pytest.mark.filterwarnings("ignore")]
 
@@ -69,24 +69,9 @@ def solids(tmp_path_factory: pytest.TempPathFactory, assets: Path) -> Path:
     return folder
 
 
-@pytest.fixture
-def published(packages: Any) -> Callable[..., Any]:
-    """Make published environments on meshes."""
-    return make
-
-
-def _walk(theirs: Any, ours: Any, steps: int, compare: Callable[[Any, Any], None]) -> None:
-    """Take the same random steps in both, and compare what each gives."""
-    compare(theirs.reset(seed=3), ours.reset(seed=3))
-    ours.action_space.seed(5)
-    for _ in range(steps):
-        action = ours.action_space.sample()
-        compare(theirs.step(action), ours.step(action))
-
-
-def _same(there: Any, here: Any, theirs: Any, ours: Any) -> None:
+def _same(theirs: Any, ours: Any) -> None:
     """Compare all but images and heights: directions to 3e-7, places to 20 micrometres, scores too."""
-    (seen, *outcome), (found, *result) = theirs, ours
+    (there, seen, *outcome), (here, found, *result) = theirs, ours
     assert seen.keys() == found.keys()
     assert found[TURNED].dtype == seen[TURNED].dtype
     np.testing.assert_allclose(found[TURNED], seen[TURNED], atol=3e-7)
@@ -130,13 +115,13 @@ def _same(there: Any, here: Any, theirs: Any, ours: Any) -> None:
         ),
     ],
 )
-def test_same_episodes(env_id, steps, config, solids, published):
+def test_same_episodes(env_id, steps, config, solids, packages):
     """Poses and depth to half a micrometre.
 
     A pixel in 20,000 beside an edge lies on its other side, as the driver rounds corners to 1/256 of a pixel.
     In one of some hundred touches it is the nearest one, and the sensor stops some micrometres apart.
     """
-    theirs = published(env_id, assets=solids, num_envs=ENVS, config=config)
+    theirs = make(env_id, assets=solids, num_envs=ENVS, config=config)
     ours = make_vector(env_id, assets=solids, num_envs=ENVS, config={**config, "depth_in_info": True})
     for name in ("action_space", "observation_space", "prediction_target_space"):
         assert getattr(theirs, name) == getattr(ours, name), name
@@ -145,14 +130,14 @@ def test_same_episodes(env_id, steps, config, solids, published):
 
     def compare(one: Any, other: Any) -> None:
         if ours.config.allow_sensor_rotation:
-            _same(theirs, ours, one, other)
+            _same(one, other)
         info, native = one[-1], other[-1]
         apart_m.append(np.abs(info["sensor_pose"].matrix - native["sensor_pose"]).max(axis=(1, 2)))
         stopped_alike = apart_m[-1] < HALF_MICROMETRE_M
         far = np.abs(info["depth"] - native["depth"]) > HALF_MICROMETRE_M
         off.append((far & (info["depth"] < GEL_M))[stopped_alike])
 
-    _walk(theirs, ours, steps, compare)
+    walk(theirs, ours, steps, compare)
     theirs.close()
     assert np.max(apart_m) < 2e-5
     assert (np.array(apart_m) > HALF_MICROMETRE_M).mean() < 0.01
