@@ -358,7 +358,7 @@ def test_damaged_tables_end_in_sentences(ending: str, tmp_path: Path) -> None:
             used += 1
         except InputError:
             refused += 1
-    assert min(used, refused) > 6
+    assert min(used, refused) >= 6
 
 
 @pytest.mark.parametrize("cut", ["whole", "frames"])
