@@ -89,19 +89,8 @@ def test_pictures_of_any_lossless_type_become_the_same_pixels(
     images: Any, pixels: Any, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     source = write_zip(tmp_path / "b.zarr.zip", images)
-    words = (
-        "import",
-        source,
-        "--format",
-        "replay",
-        "--map",
-        "image=img",
-        "--out",
-        tmp_path / "out",
-        "-w",
-        1,
-    )
-    assert call("realtouch", *words, "--out", tmp_path / "out") == 0
+    words = ("--format", "replay", "--map", "image=img", "--out", tmp_path / "out", "-w", 1)
+    assert call("realtouch", "import", source, *words) == 0
     shown = capsys.readouterr().err
     assert ("pictures: " in shown, "without loss" in shown, said in shown) == (
         bool(said),
@@ -160,19 +149,8 @@ def test_what_an_array_means_does_not_follow_from_its_shape(
     poses = np.tile(np.float32([0.01, 0.02, 0.003, 0, 0, 0, 1]), (6, 1))
     label = np.arange(6).reshape(6, 1) // 4  # a number in each row, as a list of one
     home = write_zip(tmp_path / "b.zarr.zip", state=joints, action=poses[:, :2], gel=poses, label=label)
-    words = (
-        "import",
-        home,
-        "--format",
-        "replay",
-        "--map",
-        "image=img",
-        "--out",
-        tmp_path / "out",
-        "-w",
-        1,
-    )
-    assert call("realtouch", *words, "--out", tmp_path / "out") == 0
+    words = ("--format", "replay", "--map", "image=img", "--out", tmp_path / "out", "-w", 1)
+    assert call("realtouch", "import", home, *words) == 0
     assert "not imported" not in capsys.readouterr().err
     first, second = realtouch.load(tmp_path / "out", "train")
     for name, values in (("state", joints), ("action", poses[:, :2]), ("gel", poses)):
