@@ -32,6 +32,7 @@ from tests.realtouch.factories import Layout, RoundTruth
 SIZE, TOUCHES, FRAMES = (64, 48), 6, (20, 24)
 Rows = dict[str, list[dict[str, Any]]]
 Truth = list[RoundTruth]
+BOTH_KINDS = pytest.mark.parametrize("kind", ["single", pytest.param("seq", marks=pytest.mark.thorough)])
 
 
 def recorded(
@@ -87,7 +88,7 @@ def _rounds(folder: Path, split: str) -> list[tuple[int, Any]]:
     return list(enumerate(realtouch.load(folder, split)))
 
 
-@pytest.mark.parametrize("kind", ["single", "seq"])
+@BOTH_KINDS
 @pytest.mark.parametrize(("seed", "size"), [(0, (64, 64)), (3, (320, 240))])
 def test_clean_recordings(kind: str, seed: int, size: tuple[int, int], tmp_path: Path) -> None:
     rounds = 6 - 3 * (size[0] > 64)
@@ -97,7 +98,7 @@ def test_clean_recordings(kind: str, seed: int, size: tuple[int, int], tmp_path:
     assert result.decoded >= result.touches
 
 
-@pytest.mark.parametrize("kind", ["single", "seq"])
+@BOTH_KINDS
 def test_a_gel_of_one_colour_has_content_by_its_noise(kind: str, tmp_path: Path) -> None:
     random = np.random.default_rng(0)
     truth = recorded()
@@ -156,7 +157,7 @@ PICTURES: dict[str, tuple[Callable[[Truth], None], str, list[str]]] = {
 }
 
 
-@pytest.mark.parametrize("kind", ["single", "seq"])
+@BOTH_KINDS
 @pytest.mark.parametrize("plant", PICTURES)
 def test_faults_of_pictures(plant: str, kind: str, tmp_path: Path) -> None:
     change, rule, touches = PICTURES[plant]
@@ -238,7 +239,7 @@ def cut_short(rows: Rows) -> None:
     entry["bytes"] = entry["bytes"][:40]
 
 
-@pytest.mark.parametrize("kind", ["single", "seq"])
+@BOTH_KINDS
 @pytest.mark.parametrize(
     ("edit", "found"),
     [

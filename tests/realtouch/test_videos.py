@@ -106,6 +106,7 @@ def test_decoded_pictures_are_those_of_ffmpeg_at_their_times(name: str, tmp_path
     assert ("10 bits rounded to 8" in found.part) == name.startswith("10")
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("name", [*ENCODERS, *LOSSLESS])
 def test_pictures_do_not_depend_on_how_they_are_divided(name: str, tmp_path: Path) -> None:
     path = made(tmp_path, name)
