@@ -125,6 +125,7 @@ def test_select_writes_the_chosen_rows_only(tmp_path: Path, capsys: Any) -> None
     assert "expected filters such as --ids" in capsys.readouterr().err
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("setting", [("HF_HUB_OFFLINE", "1"), ("HF_ENDPOINT", "http://127.0.0.1:9")])
 def test_a_dry_upload_needs_no_network(setting: tuple[str, str], tmp_path: Path, capsys: Any) -> None:
     spec = DigitSetSpec(SyntheticSource(), mnist3d.SolidSpec(target_vertices=300), limit=1)

@@ -87,6 +87,7 @@ def test_small_parts_near_the_edge_of_a_photographed_page_are_kept() -> None:
     assert pieces(inked(photographed(desk), width_mm=100).mask) == 6
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("surroundings", [0, 200])
 def test_strokes_that_run_to_the_edge_of_a_photographed_page_are_kept(surroundings: int) -> None:
     page = word()
@@ -110,6 +111,7 @@ def test_a_finger_on_a_photographed_page_is_refused() -> None:
         inked(photographed(page))
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     "corners", [[(600, 0), (800, 0), (800, 120)], [(0, 0), (60, 0), (60, 400), (0, 400)]]
 )

@@ -66,6 +66,7 @@ def test_the_solid_is_as_large_as_was_asked(
         assert middle == pytest.approx((0, 0), abs=1e-3)
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("side_px", [70, 800])
 @pytest.mark.parametrize("spec", [None, mnist3d.SolidSpec(profile="flat")])
 def test_rough_pictures_and_sharp_corners_have_the_size_that_was_asked_for(

@@ -115,6 +115,7 @@ def test_touches_beside_the_first_and_last_picture_and_long_ones() -> None:
     assert "no touch" in str(cut([tiny.recording()], "contact", tiny)[0].problem)
 
 
+@pytest.mark.thorough
 def test_pictures_are_read_a_few_at_a_time_and_the_drawing_stays_small() -> None:
     pressed = [(start, start + 5) for start in range(5, 1490, 20)]
     made = MadeRecording(1500, pressed)

@@ -340,6 +340,7 @@ def test_single_precision_is_near_a_solution_in_double(friction, motion):
     assert np.abs(ours.traction_pa - exact.traction_pa[::-1]).mean() < 5e-3 * ours.pressure_pa.max()
 
 
+@pytest.mark.thorough
 def test_blocks_of_pixels_are_near_the_whole():
     pixel_m = (0.01888 / 160, 0.01416 / 120)
     y, x = np.mgrid[:120, :160]

@@ -19,12 +19,11 @@ from tactile_sim.round_plan import REACH_M
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.generation import plan_build
 from tests.command_line import call
-from tests.tactile_sim.oracle import GEL_M, PRESS_M, Oracle, require_package
+from tests.tactile_sim.oracle import require_package
 from tests.tactile_sim.solids import block
 
 pytestmark = pytest.mark.sim
 
-TABLE_COLUMNS = ("x_m", "y_m", "object_id", "object_x_m", "object_y_m", "object_turn_rad")
 PLAN = tactile_sim.TouchPlan(rounds=2, touches=5, seed=3)
 SPEC = tactile_sim.GenerateSpec((64, 48), "depth", plan=PLAN, image_format="png")
 
@@ -118,39 +117,6 @@ def test_published_is_the_whole_sensor_rendered_large_and_scaled(scenes, tmp_pat
         # Sensor heights are those of the large picture.
         assert np.abs(pressed.sensor_z_m - record.gel_pose_cell_frame.position_m[:, 2]).max() < 1e-9
     assert contacts
-
-
-@pytest.mark.oracle
-def test_touches_of_the_published_renderer_are_made_again_from_a_table(tmp_path):
-    """Where the sensor was, and how the object lay, as a table of given touches: the same images."""
-    require_package()
-    scenes = str(tmp_path / "scenes")
-    starstruck_gen.generate(starstruck_gen.SceneSetSpec(scenes=(("train", 3), ("test", 3))), scenes)
-    solids = starstruck_gen.load(scenes, "test")
-    oracle = Oracle(64, 64)
-    rng = np.random.default_rng(3)
-    table, images = {name: [] for name in TABLE_COLUMNS}, []
-    for solid in solids:
-        foot_m = tactile_sim.Pressable.of(solid).foot_m
-        for _ in range(4):
-            gel, lies = rng.uniform(-0.03, 0.03, 2), (*rng.uniform(-0.003, 0.003, 2), rng.uniform(-0.3, 0.3))
-            object_pose = tactile_sim.pose(lies[0], lies[1], 0.0 - foot_m, turn_rad=lies[2])
-            depth_m, _ = oracle.depth_m(solid.mesh, object_pose, tactile_sim.pose(*gel))
-            images.append((np.clip(depth_m, PRESS_M, GEL_M) - PRESS_M) / (GEL_M - PRESS_M))
-            for name, value in zip(TABLE_COLUMNS, (*gel, solid.id, *lies), strict=True):
-                table[name].append(value)
-    plan = tactile_sim.TouchPlan(1, positions="given", given=tactile_sim.TouchTable(**table))
-    tactile_sim.generate(
-        scenes,
-        tactile_sim.GenerateSpec(optics="depth", plan=plan, image_format="png"),
-        tmp_path / "made",
-        ["test"],
-    )
-    made = np.concatenate([r.sensor_image[:] for r in realtouch.load(tmp_path / "made", "test")])[..., 0]
-    assert made.shape == (12, 64, 64)
-    off = np.abs(made / 255 - np.array(images)) > 0.5 / 255 + 1e-3
-    assert off.mean() <= 1e-3
-    assert (made < 255).any()
 
 
 @pytest.mark.oracle
