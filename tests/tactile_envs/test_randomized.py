@@ -167,9 +167,9 @@ def test_taxim_within_a_level(assets, packages, envs, monkeypatch):
         near, seen = near + int((off[pressed] <= 1).sum()), seen + int(pressed.sum())
         clean.append(ours[1]["sensor_img"][~pressed].std())
 
-    walk(published, native, 8, compare)
+    walk(published, native, 10, compare)
     published.close()
-    assert seen > 10_000
+    assert seen > 3_000
     assert near >= 0.99 * seen
     assert min(clean) > 0
 
