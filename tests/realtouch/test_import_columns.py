@@ -181,6 +181,18 @@ SIX = ("x", "y", "z", "a", "b", "c")
         ({"pose": (*SIX[:3], "a_deg", "b", "c"), "rotvec": True, "angle_unit": "rad"}, "'a_deg' states deg"),
         ({"pose": (*SIX[:3], "a_mm", "b", "c"), "rotvec": True}, "'a_mm' states mm .*expected an angle"),
         ({"pose": ("x_ms", *SIX[1:]), "rotvec": True}, "'x_ms' states ms .*expected a length"),
+        ({"pose": ("x_mm", "y", "z", "qx", "qy", "qz", "qw"), "length_unit": "m"}, "'x_mm' states mm"),
+        ({"position": ("x_deg", "y")}, "'x_deg' states deg in its name; expected a length"),
+        (
+            {"pose": ("x", "y", "z", "qw", "qx", "qy", "qz")},
+            "are qw, qx, qy, qz; expected the order x, y, z, w",
+        ),
+        (
+            {"pose": ("x", "y", "z", "qx", "qy", "qz", "qw"), "quaternion_order": "wxyz"},
+            "expected the order w, x, y, z",
+        ),
+        ({"length_unit": "inch"}, "length_unit of the columns is 'inch'; expected None or one of mm, cm, m"),
+        ({"quaternion_order": "zyxw"}, "expected None or one of xyzw, wxyz"),
         ({"time_unit": "min"}, "time_unit of the columns is 'min'"),
         ({"extra": (("a\nb", "c"),)}, "that can be printed"),
         ({"extra": (("a" * 101, "c"),)}, "1 to 100 letters"),

@@ -26,8 +26,6 @@ from tests.realtouch import factories
 from tests.realtouch.images_of_others import line, picture, write_table, write_tar
 from tests.tactile_toolkit.toy import folder_bytes
 
-QUATERNION = ("qx", "qy", "qz", "qw")
-
 
 def imported(home: Path, out: Path, columns: realtouch.ImportColumns | None = None, **options: Any) -> Any:
     manifest = realtouch.import_touches(home, out, options.pop("layout", "folder"), columns, **options)
@@ -112,25 +110,6 @@ def test_decimal_commas_and_lists_in_a_unit(home: Path, tmp_path: Path) -> None:
     (only,) = imported(home, tmp_path / "list", columns)
     np.testing.assert_allclose(only.gel_pose_cell_frame.position_m, [[0.01, -0.02, 0.003]], rtol=1e-15)
     assert only.gel_pose_cell_frame.quaternion.tolist() == [[0, 0, 0, 1]]
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"pose": ("x_mm", "y", "z", *QUATERNION), "length_unit": "m"}, "'x_mm' states mm"),
-        ({"position": ("x_deg", "y")}, "'x_deg' states deg in its name; expected a length"),
-        (
-            {"pose": ("x", "y", "z", "qw", "qx", "qy", "qz")},
-            "are qw, qx, qy, qz; expected the order x, y, z, w",
-        ),
-        ({"pose": ("x", "y", "z", *QUATERNION), "quaternion_order": "wxyz"}, "expected the order w, x, y, z"),
-        ({"length_unit": "inch"}, "length_unit of the columns is 'inch'; expected None or one of mm, cm, m"),
-        ({"quaternion_order": "zyxw"}, "expected None or one of xyzw, wxyz"),
-    ],
-)
-def test_columns_that_contradict_what_is_said_of_them(options: dict[str, Any], words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        realtouch.ImportColumns(**options)
 
 
 @pytest.mark.parametrize(

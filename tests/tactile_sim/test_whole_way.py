@@ -73,9 +73,14 @@ def _mesh(folder: Path, kind: str) -> Path:
         ("block", ("--at-mm", "70,0"), "above the cell of 120 x 120 mm"),
         ("block", ("--at-mm", "1"), "expected x,y in millimetres"),
         ("block", ("--turn-deg", "inf"), "--turn-deg is inf"),
-        ("block", ("--size", "wide"), "expected WIDTHxHEIGHT in pixels"),
+        *(
+            ("block", ("--size", wrong), "expected WIDTHxHEIGHT in pixels")
+            for wrong in ("wide", "80", "axb", f"9x{'9' * 5_000}")
+        ),
+        ("block", ("--size", "0x10"), "expected width and height in whole pixels"),
         ("block", ("--size", "9999x9999"), "at most 16,777,216 pixels"),
         ("block", ("--layer-mm", "5"), "layers are 0.005 m high"),
+        ("block", ("--layer-mm", "thin"), "expected"),
         ("block", ("--sensor-noise", "calibrated"), "'depth' do not have the calibrated noise"),
         ("block", ("--weights", "none.npz"), "weights were given"),
         ("block", ("--out", "touch.tif"), "expected a name that ends with .png, .jpg, .jpeg"),
