@@ -66,13 +66,24 @@ def test_bodies_have_the_density_and_the_friction_asked_for(folder: Path, tmp_pa
         )
         (file,) = out.rglob(f"*.{suffix}")
         found[ending] = ElementTree.parse(file)
-    for each in ("inertial", "mass"):
-        (body,) = found["mjcf" if each == "inertial" else "urdf"].iter(each)
-        mass_kg = float(body.attrib["mass" if each == "inertial" else "value"])
-        assert mass_kg == pytest.approx(digit.mesh.volume * 500, rel=1e-3)
-    frictions = [geom.attrib["friction"] for geom in found["mjcf"].iter("geom") if "friction" in geom.attrib]
-    assert frictions
-    assert {float(friction.split()[0]) for friction in frictions} == {0.25}
+    exact = digit.mesh.copy()
+    exact.density = 500
+    (inertial,), (mass,), (turning,), (contact,) = (
+        found[ending].iter(tag)
+        for ending, tag in (
+            ("mjcf", "inertial"), ("urdf", "mass"), ("urdf", "inertia"), ("urdf", "lateral_friction"),
+        )
+    )  # fmt: skip
+    axes = {"ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2)}
+    for mass_kg, moments in (
+        (inertial.attrib["mass"], inertial.attrib["fullinertia"].split()),
+        (mass.attrib["value"], [turning.attrib[name] for name in axes]),
+    ):
+        assert float(mass_kg) == pytest.approx(exact.mass, rel=1e-3)
+        inertia = [exact.moment_inertia[place] for place in axes.values()]
+        assert list(map(float, moments)) == pytest.approx(inertia, rel=1e-3, abs=1e-4 * max(inertia))
+    frictions = {geom.get("friction", "none").split()[0] for geom in found["mjcf"].iter("geom")} - {"none"}
+    assert {contact.attrib["value"], *frictions} == {"0.25"}
 
 
 def test_all_splits_ids_and_json(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

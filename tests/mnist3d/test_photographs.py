@@ -8,10 +8,12 @@ from collections import Counter
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from mnist3d.ink.binarisation import binarise
 from mnist3d.ink.cleaning import count_bodies_and_holes
 from mnist3d.ink.photographs import even_out, is_clean
+from mnist3d.ink.printed_lines import without_lines
 from mnist3d.ink.sheet import fit
 from mnist3d.solid_spec import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
@@ -156,6 +158,33 @@ def test_what_is_no_digit_is_refused(pixels: NDArray[np.uint8], reason: str) -> 
     with pytest.raises(ItemError) as refused:
         binarise(pixels, SolidSpec())
     assert refused.value.reason == reason
+
+
+@pytest.mark.parametrize("thickness_px", [1, 3])
+def test_printed_lines_are_removed_and_strokes_stay(thickness_px: int) -> None:
+    """Lines of a page that lies aslant by 1.1 degrees."""
+    lines = np.zeros((240, 240), bool)
+    for first in (30, 100, 190):
+        for row in range(first, first + thickness_px):
+            lines[np.rint(row + 0.02 * np.arange(240)).astype(int), np.arange(240)] = True
+    left = without_lines(seven() | lines, np.ones((240, 240), bool))
+    assert (seven() & ~left).sum() < 0.01 * seven().sum()
+    assert not (left & ~ndimage.binary_dilation(seven(), iterations=6)).any()
+
+
+def test_edges_keep_their_order() -> None:
+    """Ink is black and paper white; between them, levels follow how much of a pixel is inked."""
+    inked = ndimage.gaussian_filter(seven().astype(float), 1.5)
+    levels = even_out(lit(np.rint(230 - 190 * inked).astype(np.uint8), 0.5 + 0.5 * ROWS))
+    assert (levels[inked > 0.99] == 0).all()
+    assert (levels[inked < 0.01] == 255).all()
+    edge = (levels > 8) & (levels < 247)
+    assert edge.sum() > 200
+    assert np.corrcoef(levels[edge], inked[edge])[0, 1] < -0.9
+    for row in levels[100:200:10]:
+        edges = np.split(row.astype(int), np.flatnonzero(row == 0)[[0, -1]])
+        assert (np.diff(edges[0]) <= 0).all()
+        assert (np.diff(edges[2]) >= 0).all()
 
 
 def test_clean_images_are_not_touched() -> None:

@@ -22,6 +22,7 @@ import tactile_sim
 from realtouch.faults.comparisons import GELSIGHT_MINI
 from realtouch.faults.rules import RULES
 from realtouch.faults.seen import count_markers
+from tactile_sim.taxim import taxim_package
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError
 from tests.command_line import call
@@ -391,6 +392,15 @@ def test_a_set_wholly_in_another_order_is_known_by_the_colours_of_the_sensor(
     result = realtouch.check(written(tmp_path, "single", truth))
     found = [(each.rule, each.count) for each in result.findings]
     assert found == [("swapped-channels", len(truth) * TOUCHES)] * (order == -1)
+
+
+@pytest.mark.sim
+def test_the_colours_of_the_sensor_are_those_of_its_calibration() -> None:
+    pytest.importorskip("taxim", reason="needs taxim, of the extra sim")
+    bare = 255 * taxim_package().background
+    rows, columns = (side // 4 for side in bare.shape[:2])
+    averages = bare.reshape(4, rows, 4, columns, 3).mean(axis=(1, 3)).reshape(16, 3)
+    assert (np.rint(averages) == GELSIGHT_MINI).all()
 
 
 @needs_shared

@@ -156,6 +156,10 @@ def test_an_avi_of_ours_reads_back_and_in_ffmpeg() -> None:
     pixels = decode_with_ffmpeg(memoryview(data))
     assert pixels.shape == (10, 16, 24, 3)
     assert np.abs(pixels.astype(int) - FRAMES).max() <= 6
+    short = bytearray(data)  # as short as the header of a stream may be, and what was the rest of it
+    at = short.index(b"strh") + 4
+    short[at : at + 4], short[at + 32 : at + 40] = b"\x1c\0\0\0", b"JUNK\x14\0\0\0"
+    assert Avi(memoryview(short)).fps == avi.fps == 25
 
 
 def test_repeated_frames_take_a_slot_without_bytes() -> None:

@@ -13,7 +13,9 @@ import pytest
 
 import realtouch
 from realtouch.avi import write_avi
+from realtouch.verification import list_findings
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.store import open_folder
 from tests.command_line import call
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
@@ -53,6 +55,18 @@ def test_it_takes_what_load_takes(
     assert "sha256 is" in realtouch.verify("~/chosen").findings[0].problem  # by the manifest, there too
     with pytest.raises(InputError, match="is not a name of a data set"):
         realtouch.verify(3)
+
+
+def test_before_an_upload_damage_is_listed_or_else_what_the_card_gets_wrong(
+    single_folder: Path, tmp_path: Path
+) -> None:
+    realtouch.select(str(single_folder), str(tmp_path), contact=True)
+    assert list_findings(open_folder(str(tmp_path))) == []
+    card, (shard,) = tmp_path / "README.md", (tmp_path / "data").glob("train-*")
+    card.write_text(card.read_text().replace("license", "licence"))
+    assert [each.file for each in list_findings(open_folder(str(tmp_path)))] == ["README.md"]
+    shard.write_bytes(shard.read_bytes()[:-1])
+    assert {Path(each.file).name for each in list_findings(open_folder(str(tmp_path)))} == {shard.name}
 
 
 def test_files_without_any_checksum_are_said_to_be_unprotected(single_folder: Path, tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import realtouch
+from realtouch.avi import Avi
 from realtouch.exchange.video_import import describe_conversion, encoded_frames, find_video
 from realtouch.importing.recordings import Recording, touches_of
 from realtouch.video import open_video, pictures_of_video
@@ -98,6 +99,8 @@ def test_decoded_pictures_are_those_of_ffmpeg_at_their_times(name: str, tmp_path
     pictures = pictures_of(path)
     decoded = decoded_by_ffmpeg(path)
     assert len(pictures) == len(decoded) == COUNT
+    # By which shards are divided.
+    assert 0.25 < found.frame_bytes / np.mean([*map(len, pictures)]) < 4
     for number, (each, wanted) in enumerate(zip(pictures, decoded, strict=True)):
         assert isinstance(each, bytes), each
         assert psnr_db(decode_image(each), wanted) > LEAST_PSNR_OF_JPEG_DB
@@ -198,6 +201,18 @@ def test_jpegs_are_found_by_the_chunks_of_an_avi(name: str, tmp_path: Path) -> N
     (found,) = recordings(tmp_path)
     np.testing.assert_allclose(found.time_s, np.array(slots) / FPS, rtol=0, atol=1e-9)
     assert found.part == ""
+
+
+def test_an_index_names_packed_and_plain_pictures_and_sound() -> None:
+    kinds = [(b"01dc" if number % 2 else b"01db", jpeg) for number, jpeg in enumerate(JPEGS)]
+    chunks = [each for kind in kinds for each in (kind, (b"00wb", bytes(801)))]
+    stored, index = b"movi", b""
+    for name, content in chunks:
+        index += name + struct.pack("<3I", 0x10, len(stored), len(content))
+        stored += chunk(name, content)
+    content = riff(avi_header(sound=True), chunk(b"LIST", stored), chunk(b"idx1", index))
+    avi = Avi(memoryview(content))
+    assert [bytes(avi.frame(number)) for number in range(len(avi))] == JPEGS
 
 
 @pytest.mark.parametrize("killed", ["sizes of zero", "sizes of -1", "in a picture", "in a header", "zeros"])

@@ -20,8 +20,10 @@ from hypothesis import (  # noqa: E402
     given,
     strategies as st,
 )
+from scipy import stats  # noqa: E402
 
 import tactile_sim  # noqa: E402
+from tactile_envs import tasks  # noqa: E402
 from tactile_envs.config import Config  # noqa: E402
 from tactile_envs.entry_points import make_vector  # noqa: E402
 from tactile_envs.env_specs import env_specs  # noqa: E402
@@ -64,6 +66,17 @@ def test_checkers_pass(env_id, assets):
 def test_meshes_do_not_travel_in_the_specification(assets):
     env = gym.make_vec(f"tactile_envs:{DEPTH}", num_envs=2, assets=str(assets))
     assert len(repr(env.spec.kwargs)) < 1000
+
+
+def test_volumes_are_standardised_over_all_objects_and_fill_their_space():
+    volumes_m3 = np.array([9.0, 1.0, 2.0, 4.0]) * 1e-6
+    for which, touched in ((None, volumes_m3), (np.array([3, 3, 1]), volumes_m3[[3, 3, 1]])):
+        task = tasks.Volume(volumes_m3, which)
+        targets = task.targets(np.arange(len(touched)), np.empty((0, 3)))[:, 0]
+        expected = stats.zmap(touched, volumes_m3)
+        np.testing.assert_allclose(targets, expected, rtol=1e-5)
+    ends = [task.target_space.low[0], task.target_space.high[0]]
+    np.testing.assert_allclose(ends, np.sort(stats.zscore(volumes_m3))[[0, -1]], rtol=1e-5)
 
 
 @pytest.fixture(scope="module")

@@ -263,15 +263,17 @@ def test_tilt_stays_in_its_limit_and_axes_orthonormal(solids, seed, most_rad, sp
 
 
 def test_turns_are_rotation_vectors_in_the_frame_of_the_cell(solids):
-    config = {"randomize_initial_sensor_pose": False}
-    env = make_vector(VOLUME, assets=solids, num_envs=3, config=config)
-    env.reset(seed=0)
+    """From any pose, not only from an upright one."""
+    start = np.eye(4)
+    start[:3, :3] = Rotation.from_euler("zyx", (0.3, 0.2, -0.4)).as_matrix()
+    env = make_vector(VOLUME, assets=solids, num_envs=3)
+    env.reset(seed=0, options={"initial_sensor_target_pose": [start] * 3})
     action = env.action_space.sample()
     action["action"][TURN] = np.array([(1, 0, 0), (0, 0.5, 0), (0, 0, 3)], np.float32)
     *_, info = env.step(action)
     longest_rad = 0.05 * np.pi / 2 + 0.5 * 10 * np.pi * 0.05**2  # full speed after 50 ms of 100 ms
     ways = longest_rad * np.array([(1, 0, 0), (0, 0.5, 0), (0, 0, 1)])
-    expected = Rotation.from_rotvec(ways).as_matrix()
+    expected = Rotation.from_rotvec(ways).as_matrix() @ start[:3, :3]
     np.testing.assert_allclose(info["sensor_pose"][:, :3, :3], expected, atol=1e-12)
     moves, turns = action["action"]["sensor_target_pos_rel"], action["action"][TURN]
     price = 1e-3 * ((moves**2).mean(axis=1) + (turns**2).mean(axis=1))

@@ -85,6 +85,10 @@ def test_lengths_and_turns_may_have_other_units(folder: Path, recording: Recordi
     assert found.sensor_m is not None
     assert np.isnan(found.sensor_m[:, 2]).all()
     assert not found.backgrounds.size
+    (folder / "some.csv").write_text("file,object,x_m,y_m,object_x_mm\n0000.png,0,0.001,0.002,3\n")
+    found = tactile_sim.read_recordings(folder / "images", folder / "solids", table=folder / "some.csv")
+    assert found.object_poses is not None
+    assert found.object_poses.tolist() == [[0.003, 0, 0]], "what is not stated of a pose is 0"
 
 
 def test_an_imported_data_set_is_read_like_the_folder(folder: Path, recording: Recording) -> None:

@@ -35,6 +35,23 @@ def hills() -> np.ndarray:
     return np.maximum(np.maximum(first, second), 0)
 
 
+def test_a_relief_is_seen_through_the_lens():
+    """A slanting plane, turned, off the middle: positions are farther out, by the lens at the corners."""
+    slope, level, lens, turn = np.array([0.3, -0.2]), 0.001, 0.06, 0.4
+    corner, half_m = np.array([-0.02, -0.03, 5e-4, 4e-4]), 0.6 * HALF_M
+    plane = np.array([[slope @ (corner[:2] + corner[2:] * (x, y)) for x in range(100)] for y in range(150)])
+    turned = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]) * half_m
+    affine, span = np.column_stack([turned, [0.002, -0.001]]), np.array([0.9, 0.8])
+    out = np.empty((12, 16))
+    gel_kernels.sample_relief(out, plane.astype(np.float32), corner, affine, span, lens, level)
+    y, x = np.mgrid[11:-12:-2, -15:16:2] / [[[12]], [[16]]] * span[::-1, None, None]
+    far = np.hypot(x * half_m[0], y * half_m[1]) / np.hypot(*half_m)
+    seen = np.stack([x, y]) * (1 + lens * far**2)
+    heights = np.einsum("k,kj,jrc->rc", slope, turned, seen) + slope @ affine[:, 2]
+    assert out == pytest.approx(np.maximum(heights - level, 0), abs=1e-8)
+    assert 0 < (out > 0).mean() < 1
+
+
 def test_kernels_of_the_gel_are_gaussian():
     """Half kernels sum to one over both sides, and blur as scipy does where they reach far enough."""
     half = gel.half_kernel(3.0, 100, reach=4.0)

@@ -13,7 +13,7 @@ import json
 import tempfile
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import fields, is_dataclass
+from dataclasses import MISSING, fields, is_dataclass
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
@@ -99,11 +99,11 @@ def defaults_and_limits(package: str) -> dict[str, str]:
     found = {}
     for name, kind in importable(package).items():
         for each in fields(kind) if isinstance(kind, type) and is_dataclass(kind) else ():
-            if _is_plain(each.default):
-                rule = each.metadata.get("rule")
-                found[f"{name}.{each.name}"] = repr(each.default) + (
-                    f"; {rule.expected}" if rule and rule.expected else ""
-                )
+            rule = each.metadata.get("rule")
+            limits = rule.expected if rule else ""
+            if _is_plain(each.default) or limits:
+                default = "required" if each.default is MISSING else repr(each.default)
+                found[f"{name}.{each.name}"] = "; ".join(filter(None, (default, limits)))
         for called, function in _functions(name, kind):
             for each in inspect.signature(function).parameters.values():
                 if each.default is not each.empty and _is_plain(each.default):

@@ -124,6 +124,8 @@ def test_every_wrench_is_a_printable_solid_with_whole_jaws(first, second, cleara
     report = mnist3d.inspect(mesh, mnist3d.PrintProfile(plate_mm=(900.0, 900.0)))
     assert (report.is_solid, report.bodies, report.genus, report.warnings) == (True, 1, 0, ())
     assert report.thinnest_wall_mm >= 1.2
+    rounded = {name: mm for name, mm in spec.lengths().items() if name not in spec.to_dict()}
+    assert rounded == {name: round(mm, 3) for name, mm in rounded.items()}, "to a micrometre"
     assert report.size_mm[2] == pytest.approx(spec.lengths()["thickness_mm"], abs=1e-4)
     section = section_of(mesh, spec.lengths()["thickness_mm"] / 2)
     for middle_mm, width_mm, turned in middles_mm(spec):

@@ -261,6 +261,9 @@ def test_as_long_as_the_hub_asks_for_is_waited(monkeypatch, asked, waited_s):
     assert call_with_retry(action, "someone/set", waits_s=(0.5, 30.0), on_wait=told.append) == "done"
     assert slept == waited_s
     assert [text.rpartition("; ")[2] for text in told] == [f"trying again in {each:g} s" for each in waited_s]
+    failures += [BusyError(None)] * 5
+    assert call_with_retry(action, "someone/set") == "done"
+    assert slept[2:] == [1, 2, 4, 8, 16], "each wait is twice the one before"
 
 
 OFFLINE = """

@@ -157,6 +157,13 @@ def test_tiles_lie_in_rows_of_one_height_whatever_is_written_around_them():
         height, width = tile.pixels.shape[:2]
         assert (np.ptp(rows) + 1, np.ptp(columns) + 1) == (height, width)
         assert len(rows) == height * width, "nothing is written over a tile"
+    top, left = np.argwhere((drawn == colours[0]).all(axis=2)).min(axis=0)
+    written = (drawn != drawn[0, 0]).any(axis=2)
+    assert np.diff(written[: top - 8].any(axis=1).astype(int)).tolist().count(1) == 2, "a title, a line"
+    labels = np.flatnonzero(written[top:, : left - 24].any(axis=1)) + top
+    labels = np.split(labels, np.flatnonzero(np.diff(labels) > 3) + 1)
+    middles = [np.argwhere((drawn == colours[n]).all(axis=2)).mean(axis=0)[0] for n in (0, 2, 3)]
+    assert [label.mean() for label in labels] == pytest.approx(middles, abs=8)
     rows, columns = np.nonzero((drawn == (1, 2, 3)).all(axis=2))
     assert (np.ptp(rows) + 1, np.ptp(columns) + 1) == (26, 36)
     assert len(rows) == 26 * 36 - 20 * 30

@@ -257,6 +257,10 @@ def test_another_source_is_told_in_few_words(tmp_path):
     ) as told:
         make(tmp_path / "set", toy_plan(spec={"source": {"train": files(48, "b" * 64)}}))
     assert len(str(told.value)) < 500
+    make(tmp_path / "other", toy_plan(spec={"source": "a" * 300}))
+    begins = r"'{0}{{50,200}}\.\.\. \(fingerprint"
+    with pytest.raises(SpecMismatchError, match=f"{begins.format('a')} .* there, {begins.format('b')}"):
+        make(tmp_path / "other", toy_plan(spec={"source": "b" * 300}))
 
 
 @pytest.mark.thorough
