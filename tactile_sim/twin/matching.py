@@ -240,11 +240,10 @@ def _paint_of(fit: Fit) -> Paint:
     coefficients = fit.coefficients.copy()
     coefficients[:, 1:] = 0.0
     shape = np.where(np.arange(len(fit.shape)) == Fitted.LENS, 0.0, fit.shape)
+    table = gel.table_of(coefficients)
 
-    def paint(surface: Float64, pitch_m: Float64) -> Float64:
-        seen = gel.seen_features(surface, pitch_m, shape)
-        size = (surface.shape[0], surface.shape[1])
-        return gel.response(seen, size, coefficients, fit.shape[Fitted.BLUR] / pitch_m, gel.WHOLE)
+    def paint(surface: Float32, pitch_m: Float64) -> Float32:
+        return gel.response(surface, pitch_m, shape, table)
 
     return paint
 

@@ -13,7 +13,7 @@ import numpy as np
 from tactile_sim.array_files import npz_bytes
 from tactile_sim.optics import Optics, scaled
 from tactile_sim.sensor import Sensor
-from tactile_sim.twin import gel, gel_kernels
+from tactile_sim.twin import gel, surface_kernels
 from tactile_sim.twin.gel import Fitted
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, UInt8
 from tactile_toolkit.errors import InputError
@@ -85,8 +85,7 @@ class TwinOptics(Optics):
     def __init__(self, twin: Twin, *, lens: bool = True) -> None:
         self._twin = twin
         self._lens = lens
-        self._coefficients = np.zeros((*twin.coefficients.shape[:2], 4), np.float32)
-        self._coefficients[..., :3] = twin.coefficients
+        self._table = gel.table_of(twin.coefficients)
 
     def shades(
         self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int], *, is_surface: bool = False
@@ -101,19 +100,16 @@ class TwinOptics(Optics):
                 next="take the window of `model.sensor`",
             )
         size = depth_m.shape[1:]
-        behind = _part_of(self._twin.background, span, size)
+        behind = _part_of(self._twin.background, span, size).astype(np.float32)
         out = np.empty((*depth_m.shape, 3), np.float32)
         for number, each in enumerate(depth_m):
-            reach_m = sensor.gel_m - each
-            if not is_surface:
-                # What of the solid lies deeper than the gel is thick does not touch it.
-                reach_m = np.maximum(reach_m, 0.0)
-            gel_kernels.lay_over(out[number], self.response(reach_m, span, is_surface=is_surface), behind)
+            change = self.response(sensor.gel_m - each, span, is_surface=is_surface)
+            surface_kernels.lay_over(out[number], change, behind)
         return out
 
     def response(
         self, reach_m: Float64, span: Float64 | None = None, margin: int = 0, *, is_surface: bool = False
-    ) -> Float64:
+    ) -> Float32:
         """Return the change of the image (H, W, 3), levels, by a solid that reaches so far into the gel.
 
         ``span`` is the share of the image that the map shows, along x and y; all of it by default. The map
@@ -123,27 +119,19 @@ class TwinOptics(Optics):
             span = gel.WHOLE
         twin = self._twin
         rows, columns = (side - 2 * margin for side in reach_m.shape)
-        out = np.zeros((rows, columns, 3))
-        if not reach_m.any():
-            return out
         pitch_m = 2 * twin.half_m * span / [columns, rows]
         shape = twin.shape.copy()
         if not self._lens:
             shape[Fitted.LENS] = 0.0
-        if not (margin or is_surface):
-            # Mirrored at the edge, as kernels would have it, the gel is six times as far off there.
-            margin = gel.margin_px(columns)
-            wide_m = np.empty((rows + 2 * margin, columns + 2 * margin))
-            gel_kernels.extend(wide_m, np.ascontiguousarray(reach_m), margin)
-            reach_m = wide_m
-        surface = gel.own_surface if is_surface else gel.gel_surface
-        soft = surface(reach_m, pitch_m, shape, margin, span)
-        across = gel.across_of(pitch_m, soft.shape, span)
-        lens = float(twin.shape[Fitted.LENS])
-        rim_m = gel.rim_m(soft, shape)
-        gel_kernels.render_response(out, soft, pitch_m, self._coefficients, span, lens, across, rim_m)
-        gel.blur_colours(out, shape[Fitted.BLUR] / pitch_m)
-        return out
+        if is_surface:
+            soft = gel.own_surface(reach_m, pitch_m, shape, margin, span)
+        else:
+            if not margin:
+                # Mirrored at the edge, as kernels would have it, the gel is six times as far off there.
+                margin = gel.margin_px(columns)
+                reach_m = surface_kernels.extend(np.ascontiguousarray(reach_m), margin)
+            soft = gel.gel_surface(reach_m, pitch_m, shape, margin, span)
+        return gel.response(soft, pitch_m, twin.shape, self._table, span)
 
     def reached(self, reach_m: Float32, sensor: Sensor) -> UInt8:
         """Return pictures (n, H, W, 3) of how far solids reach into the gel, (n, H, W), metres."""

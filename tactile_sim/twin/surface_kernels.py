@@ -1,0 +1,245 @@
+"""The surface of the gel of a twin, in numba: how it follows a solid and leaves it, and how it is seen.
+
+All in single precision, which is a ten-millionth of the depth, and a hundredth of the noise of a slope.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from tactile_sim.taxim_kernels import LANES, blur_across, blur_room, weigh_pixels
+from tactile_sim.twin.gel_vectors import hold_pixels
+from tactile_toolkit.array_types import Float32, Float64
+from tactile_toolkit.compiled import compiled
+
+_RUN = 3  # pixels over which the slope at an edge is taken
+
+
+class Blur(NamedTuple):
+    """How often a map is halved before it is blurred, and halves of the kernels across and down."""
+
+    halvings: int
+    across: Float32
+    down: Float32
+
+
+@compiled
+def extend(reached: Float64, margin: int) -> Float32:
+    """Return a map with ``margin`` pixels more on each side, where its slopes at the edge go on.
+
+    Values stay between 0 and the greatest of the map.
+    """
+    rows, columns = reached.shape
+    out = np.empty((rows + 2 * margin, columns + 2 * margin), np.float32)
+    zero, run = np.float32(0.0), np.float32(_RUN)
+    tops = np.zeros(columns, np.float32)
+    for row in range(rows):
+        line, wide = reached[row], out[row + margin]
+        middle = wide[margin:]
+        for column in range(columns):
+            value = np.float32(line[column])
+            value = value if value > zero else zero
+            middle[column] = value
+            tops[column] = value if value > tops[column] else tops[column]
+        first, last = (middle[_RUN] - middle[0]) / run, (middle[columns - 1] - middle[columns - 1 - _RUN]) / run
+        for far in range(1, margin + 1):
+            wide[margin - far] = middle[0] - np.float32(far) * first
+            middle[columns - 1 + far] = middle[columns - 1] + np.float32(far) * last
+    greatest = tops.max()
+    top, bottom, high = out[margin], out[margin + rows - 1], 2 * margin + rows - 1
+    inner_top, inner_bottom = out[margin + _RUN], out[margin + rows - 1 - _RUN]
+    for far in range(1, margin + 1):
+        above, below, distance = out[margin - far], out[margin + rows - 1 + far], np.float32(far)
+        for column in range(len(top)):
+            above[column] = top[column] - distance * ((inner_top[column] - top[column]) / run)
+            below[column] = bottom[column] + distance * ((bottom[column] - inner_bottom[column]) / run)
+    for row in range(high + 1):
+        line = out[row]
+        for column in range(len(line)):
+            value = line[column] if line[column] > zero else zero
+            line[column] = value if value < greatest else greatest
+    return out
+
+
+@compiled
+def press_gel(
+    indentation: Float32, margin: int, pyramid: tuple[Blur, ...], last: Blur, share: float, edge: float
+) -> Float32:
+    """Return the surface of the gel, metres, that a solid presses in so far (H, W), the margin included.
+
+    Contact begins at a share of the greatest indentation within the margin, over an edge in metres; no part
+    counts as higher than that.
+    """
+    soft = np.empty(indentation.shape, np.float32)
+    held, contact = np.empty_like(soft), np.empty_like(soft)
+    _touch(contact, held, soft, indentation, margin, share, edge)
+    for level in range(len(pyramid)):
+        soften(soft, pyramid[level], held, contact)
+    soften(soft, last, held[:0], contact[:0])
+    return soft
+
+
+@compiled
+def _touch(
+    contact: Float32,
+    held: Float32,
+    soft: Float32,
+    indentation: Float32,
+    margin: int,
+    share: float,
+    edge: float,
+) -> None:
+    """Write how much each pixel is in contact, 0 to 1, and the shape that the gel has where it is, twice."""
+    rows, columns = indentation.shape
+    zero, one = np.float32(0.0), np.float32(1.0)
+    tops = np.zeros(columns - 2 * margin, np.float32)
+    for row in range(margin, rows - margin):
+        into = indentation[row, margin:]
+        for column in range(len(tops)):
+            value = np.float32(into[column])
+            tops[column] = value if value > tops[column] else tops[column]
+    greatest = tops.max()
+    begin, per_edge = np.float32(share * greatest - 0.5 * edge), np.float32(1.0 / edge)
+    for row in range(rows):
+        line, target, free, into = contact[row], held[row], soft[row], indentation[row]
+        for column in range(columns):
+            value = np.float32(into[column])
+            value = value if value < greatest else greatest
+            target[column] = -value
+            free[column] = -value
+            value = (value - begin) * per_edge
+            value = value if value > zero else zero
+            line[column] = value if value < one else one
+
+
+@compiled
+def soften(soft: Float32, blur: Blur, held: Float32, contact: Float32) -> None:
+    """Blur a map in place, and give it the shape of the solid to a share, if there is one.
+
+    Wide blurs are done on a smaller map: binomials of width 4, down and up, are part of the Gaussian.
+    """
+    if blur.halvings == 0:
+        blur_plane(soft, blur.across, blur.down, 1, held, contact)
+        return
+    small = halved(soft)
+    for _ in range(blur.halvings - 1):
+        small = halved(small)
+    blur_plane(small, blur.across, blur.down, 1, held[:0], contact[:0])
+    for left in range(blur.halvings - 1, 0, -1):
+        half = 1 << left
+        larger = np.empty(((len(soft) + half - 1) // half, (soft.shape[1] + half - 1) // half), np.float32)
+        double(larger, small)
+        small = larger
+    double(soft, small)
+    if held.size:
+        flat, target, share = soft.reshape(soft.size), held.reshape(held.size), contact.reshape(held.size)
+        for at in range(len(flat)):
+            flat[at] += share[at] * (target[at] - flat[at])
+
+
+@compiled
+def blur_plane(
+    plane: Float32, across: Float32, down: Float32, step: int, held: Float32, contact: Float32
+) -> None:
+    """Blur a map in place as Taxim's blur does, and move it towards the shape that is held, if there is one."""
+    rows, width = plane.shape
+    margin, is_held = len(down) - 1, held.size > 0
+    high = (rows + 2 * margin) | 1
+    room = blur_room(rows + 2 * margin, width, plane)
+    blur_across(plane, room, across, margin, step)
+    pixels, target, share = plane.reshape(plane.size), held.reshape(held.size), contact.reshape(contact.size)
+    for strip in range((width + LANES - 1) // LANES):
+        begin = min(strip * LANES, width - LANES)
+        for row in range(rows):
+            at = row * width + begin
+            weigh_pixels(pixels, at, room, (strip * high + margin + row) * LANES, LANES, down, None, 0)
+            if is_held:
+                hold_pixels(pixels, target, share, at)
+
+
+@compiled
+def halved(wide: Float32) -> Float32:
+    """Return a map of half the size, weighed by 1, 3, 3, 1; it goes on with the values at its edge."""
+    rows, columns = wide.shape
+    high, across = (rows + 1) // 2, (columns + 1) // 2
+    out, line = np.empty((high, across), np.float32), np.empty(columns + 3, np.float32)
+    three, part = np.float32(3.0), np.float32(1.0 / 64.0)
+    middle = line[1:]
+    for row in range(high):
+        a, b = wide[max(2 * row - 1, 0)], wide[2 * row]
+        c, d = wide[min(2 * row + 1, rows - 1)], wide[min(2 * row + 2, rows - 1)]
+        for column in range(columns):
+            middle[column] = ((a[column] + d[column]) + three * (b[column] + c[column])) * part
+        line[0] = middle[0]
+        middle[columns], middle[columns + 1] = middle[columns - 1], middle[columns - 1]
+        target = out[row]
+        for column in range(across):
+            at = 2 * column
+            target[column] = (line[at] + line[at + 3]) + three * (line[at + 1] + line[at + 2])
+    return out
+
+
+@compiled
+def double(out: Float32, small: Float32) -> None:
+    """Write a map of twice the size, bilinear; an odd side has a pixel less."""
+    rows, columns = out.shape
+    high, wide = small.shape
+    three, part, line = np.float32(3.0), np.float32(1.0 / 16.0), np.empty(wide + 2, np.float32)
+    middle = line[1:]
+    for row in range(rows):
+        at = row // 2
+        near, far = small[at], small[min(at + 1, high - 1) if row % 2 else max(at - 1, 0)]
+        for column in range(wide):
+            middle[column] = (three * near[column] + far[column]) * part
+        line[0], middle[wide] = middle[0], middle[wide - 1]
+        target = out[row]
+        for column in range(columns // 2):
+            target[2 * column] = three * middle[column] + line[column]
+            target[2 * column + 1] = three * middle[column] + middle[column + 1]
+        if columns % 2:
+            target[columns - 1] = three * middle[wide - 1] + line[wide - 1]
+
+
+@compiled
+def bend_surface(
+    out: Float32, surface: Float32, span: Float64, margin: int, lens: float, across: float
+) -> None:
+    """Write a surface as it is seen through the lens, bilinear; it has ``margin`` pixels more on each side.
+
+    ``across`` is the share of the width in the square of the diagonal.
+    """
+    rows, columns = out.shape
+    high, wide = surface.shape
+    places, parts = np.empty(columns, np.int64), np.empty((2, columns), np.float32)
+    one = np.float32(1.0)
+    flat = surface.reshape(surface.size)
+    for row in range(rows):
+        v = span[1] * (1.0 - (2.0 * row + 1.0) / rows)
+        for column in range(columns):
+            u = span[0] * ((2.0 * column + 1.0) / columns - 1.0)
+            bend = lens * (across * u * u + (1.0 - across) * v * v)
+            x = column + margin + bend * (column + 0.5 - 0.5 * columns)
+            y = row + margin + bend * (row + 0.5 - 0.5 * rows)
+            x, y = min(max(x, 0.0), wide - 1.0), min(max(y, 0.0), high - 1.0)
+            i, j = min(int(x), wide - 2), min(int(y), high - 2)
+            places[column] = j * wide + i
+            parts[0, column], parts[1, column] = x - i, y - j
+        target = out[row]
+        for column in range(columns):
+            at, fx, fy = places[column], parts[0, column], parts[1, column]
+            target[column] = (one - fy) * ((one - fx) * flat[at] + fx * flat[at + 1]) + fy * (
+                (one - fx) * flat[at + wide] + fx * flat[at + wide + 1]
+            )
+
+
+@compiled
+def lay_over(out: Float32, response: Float32, behind: Float32) -> None:
+    """Write shades, 0 to 1, (H, W, 3), of a response over a background, levels."""
+    flat, change, below = out.reshape(out.size), response.reshape(out.size), behind.reshape(out.size)
+    zero, one, part = np.float32(0.0), np.float32(1.0), np.float32(1.0 / 255.0)
+    for at in range(len(flat)):
+        shade = (change[at] + below[at]) * part
+        shade = shade if shade > zero else zero
+        flat[at] = shade if shade < one else one
