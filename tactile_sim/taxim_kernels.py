@@ -219,19 +219,21 @@ def blur_room(rows: int, width: int, like: Float64) -> Float64:
 
 
 @compiled
-def blur_across(image: Float64, room: Float64, across: Float64, margin: int, step: int) -> None:
-    """Blur the rows of a map (H, W), whose neighbours are ``step`` values apart.
+def blur_across(
+    image: Float64, room: Float64, across: Float64, margin: int, step: int, inset: int
+) -> None:
+    """Blur the rows of a map (H, W), whose neighbours are ``step`` values apart, without an edge of ``inset``.
 
     ``room`` gets its columns in strips of :data:`LANES`, which stay in the processor's cache, each with
     ``margin`` mirrored rows above and below; an odd number of rows apart, so that neighbours do not push each
     other out of it. The last strip begins early enough to be full.
     """
-    rows, width = image.shape
+    rows, width = image.shape[0] - 2 * inset, image.shape[1] - 2 * inset * step
     high, reach = (rows + 2 * margin) | 1, (len(across) - 1) * step
     line = np.empty(width + 2 * reach, image.dtype)
     middle = line[reach:]
     for row in range(rows):
-        pixels = image[row]
+        pixels = image[row + inset, inset * step :]
         for place in range(width):
             middle[place] = pixels[place]
         for far in range(step, reach + step, step):
@@ -261,7 +263,7 @@ def blur(image: Float64, across: Float64, down: Float64, step: int, kept: Bool, 
     margin = len(down) - 1
     high = (rows + 2 * margin) | 1
     room = blur_room(rows + 2 * margin, width, image)
-    blur_across(image, room, across, margin, step)
+    blur_across(image, room, across, margin, step, 0)
     pixels, stays = out.reshape(out.size), kept.reshape(kept.size)
     for strip in range((width + LANES - 1) // LANES):
         begin = min(strip * LANES, width - LANES)

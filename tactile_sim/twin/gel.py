@@ -86,13 +86,17 @@ def gel_surface(
     where it counts as no higher than within the image; ``pitch_m`` the size of a pixel; ``span`` the share of
     the image that is shown. The lens is that of ``shape``.
     """
-    size = indentation_m.shape
-    sigmas_m = shape[Fitted.WIDTH] * 0.5 ** np.arange(_WIDTHS)
-    pyramid = tuple(gel_blur(sigma_m / pitch_m, size) for sigma_m in sigmas_m)
-    last, edge_m = gel_blur(shape[Fitted.LAST] / pitch_m, size), _EDGE * float(pitch_m[0])
-    soft = surface_kernels.press_gel(
-        indentation_m, margin, pyramid, last, float(shape[Fitted.CONTACT]), edge_m
-    )
+    sigmas_m = [*(shape[Fitted.WIDTH] * 0.5 ** np.arange(_WIDTHS)), shape[Fitted.LAST]]
+    blurs = tuple(gel_blur(sigma_m / pitch_m, indentation_m.shape) for sigma_m in sigmas_m)
+    # Without the lens, slopes need the pixels of the image alone.
+    bent = 0.0 if shape[Fitted.LENS] < 0 else shape[Fitted.LENS]
+    seen = 2 + int(bent * max(indentation_m.shape))
+    insets = []
+    for blur in reversed(blurs):
+        seen += max(len(blur.across), len(blur.down)) << blur.halvings
+        insets.append(max(margin - seen, 0))
+    share, edge_m = float(shape[Fitted.CONTACT]), _EDGE * float(pitch_m[0])
+    soft = surface_kernels.press_gel(indentation_m, margin, blurs, tuple(reversed(insets)), share, edge_m)
     return seen_through(soft, pitch_m, float(shape[Fitted.LENS]), margin, span)
 
 
@@ -149,7 +153,7 @@ def gel_blur(sigma_px: Float64, size: tuple[int, ...]) -> Blur:
 
 def soften(soft: Float32, blur: Blur) -> None:
     """Blur a map in place."""
-    surface_kernels.soften(soft, blur, _FREE, _FREE)
+    surface_kernels.soften(soft, soft, blur, 0, _FREE, np.float32(0), np.float32(0))
 
 
 def view_of(soft: Float32, pitch_m: Float64, shape: Float64, span: Float64 = WHOLE) -> View:
@@ -192,4 +196,4 @@ def blur_colours(image: Float32, sigma_px: Float64) -> None:
     rows, columns, many = image.shape
     blur = _blur(float(sigma_px[0]), float(sigma_px[1]), rows, columns, _CAMERA_REACH, np.inf)
     plane = image.reshape(rows, many * columns)
-    surface_kernels.blur_plane(plane, blur.across, blur.down, many, _FREE, _FREE)
+    surface_kernels.blur_plane(plane, plane, blur, many, 0, _FREE, np.float32(0), np.float32(0))

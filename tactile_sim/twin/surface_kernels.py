@@ -65,35 +65,34 @@ def extend(reached: Float64, margin: int) -> Float32:
 
 @compiled
 def press_gel(
-    indentation: Float32, margin: int, pyramid: tuple[Blur, ...], last: Blur, share: float, edge: float
+    indentation: Float32,
+    margin: int,
+    blurs: tuple[Blur, ...],
+    insets: tuple[int, ...],
+    share: float,
+    edge: float,
 ) -> Float32:
     """Return the surface of the gel, metres, that a solid presses in so far (H, W), the margin included.
 
     Contact begins at a share of the greatest indentation within the margin, over an edge in metres; no part
-    counts as higher than that.
+    counts as higher than that. After each of the ``blurs`` but the last one, the gel takes the shape of the
+    solid where it is in contact. Each leaves out an edge, of the width of its inset, that nothing shows.
     """
-    soft = np.empty(indentation.shape, np.float32)
-    held, contact = np.empty_like(soft), np.empty_like(soft)
-    _touch(contact, held, soft, indentation, margin, share, edge)
-    for level in range(len(pyramid)):
-        soften(soft, pyramid[level], held, contact)
-    soften(soft, last, held[:0], contact[:0])
+    held = np.empty(indentation.shape, np.float32)
+    greatest = _turn_over(held, indentation, margin)
+    begin, per_edge = np.float32(0.5 * edge - share * greatest), np.float32(1.0 / edge)
+    soft, last = np.empty_like(held), len(blurs) - 1
+    soften(soft, held, blurs[0], 0, held, begin, per_edge)
+    for level in range(1, last):
+        soften(soft, soft, blurs[level], insets[level], held, begin, per_edge)
+    soften(soft, soft, blurs[last], insets[last], held[:0], begin, per_edge)
     return soft
 
 
 @compiled
-def _touch(
-    contact: Float32,
-    held: Float32,
-    soft: Float32,
-    indentation: Float32,
-    margin: int,
-    share: float,
-    edge: float,
-) -> None:
-    """Write how much each pixel is in contact, 0 to 1, and the shape that the gel has where it is, twice."""
+def _turn_over(held: Float32, indentation: Float32, margin: int) -> float:
+    """Write the height of the gel where it has the shape of the solid; return the greatest indentation."""
     rows, columns = indentation.shape
-    zero, one = np.float32(0.0), np.float32(1.0)
     tops = np.zeros(columns - 2 * margin, np.float32)
     for row in range(margin, rows - margin):
         into = indentation[row, margin:]
@@ -101,62 +100,69 @@ def _touch(
             value = np.float32(into[column])
             tops[column] = value if value > tops[column] else tops[column]
     greatest = tops.max()
-    begin, per_edge = np.float32(share * greatest - 0.5 * edge), np.float32(1.0 / edge)
     for row in range(rows):
-        line, target, free, into = contact[row], held[row], soft[row], indentation[row]
+        target, into = held[row], indentation[row]
         for column in range(columns):
             value = np.float32(into[column])
-            value = value if value < greatest else greatest
-            target[column] = -value
-            free[column] = -value
-            value = (value - begin) * per_edge
-            value = value if value > zero else zero
-            line[column] = value if value < one else one
+            target[column] = -value if value < greatest else -greatest
+    return greatest
 
 
 @compiled
-def soften(soft: Float32, blur: Blur, held: Float32, contact: Float32) -> None:
-    """Blur a map in place, and give it the shape of the solid to a share, if there is one.
+def soften(
+    out: Float32, source: Float32, blur: Blur, inset: int, held: Float32, begin: float, per_edge: float
+) -> None:
+    """Write a blurred map, and give it the shape that is held, if there is one, where that is deep.
 
     Wide blurs are done on a smaller map: binomials of width 4, down and up, are part of the Gaussian.
     """
     if blur.halvings == 0:
-        blur_plane(soft, blur.across, blur.down, 1, held, contact)
+        blur_plane(out, source, blur, 1, inset, held, begin, per_edge)
         return
-    small = halved(soft)
+    small = halved(source)
     for _ in range(blur.halvings - 1):
         small = halved(small)
-    blur_plane(small, blur.across, blur.down, 1, held[:0], contact[:0])
+    blur_plane(small, small, blur, 1, 0, held[:0], begin, per_edge)
     for left in range(blur.halvings - 1, 0, -1):
-        half = 1 << left
-        larger = np.empty(((len(soft) + half - 1) // half, (soft.shape[1] + half - 1) // half), np.float32)
+        size = 1 << left
+        larger = np.empty(((len(out) + size - 1) // size, (out.shape[1] + size - 1) // size), np.float32)
         double(larger, small)
         small = larger
-    double(soft, small)
+    double(out, small)
     if held.size:
-        flat, target, share = soft.reshape(soft.size), held.reshape(held.size), contact.reshape(held.size)
-        for at in range(len(flat)):
-            flat[at] += share[at] * (target[at] - flat[at])
+        pixels, target, zero, one = out.reshape(out.size), held.reshape(held.size), np.float32(0.0), np.float32(1.0)
+        for at in range(len(pixels)):
+            share = (begin - target[at]) * per_edge
+            share = share if share > zero else zero
+            share = share if share < one else one
+            pixels[at] += share * (target[at] - pixels[at])
 
 
 @compiled
 def blur_plane(
-    plane: Float32, across: Float32, down: Float32, step: int, held: Float32, contact: Float32
+    out: Float32,
+    source: Float32,
+    blur: Blur,
+    step: int,
+    inset: int,
+    held: Float32,
+    begin: float,
+    per_edge: float,
 ) -> None:
-    """Blur a map in place as Taxim's blur does, and move it towards the shape that is held, if there is one."""
-    rows, width = plane.shape
-    margin, is_held = len(down) - 1, held.size > 0
+    """Write a map blurred as by Taxim's blur, moved to the shape that is held, if there is one."""
+    whole, is_held, margin = out.shape[1], held.size > 0, len(blur.down) - 1
+    rows, width = out.shape[0] - 2 * inset, whole - 2 * inset * step
     high = (rows + 2 * margin) | 1
-    room = blur_room(rows + 2 * margin, width, plane)
-    blur_across(plane, room, across, margin, step)
-    pixels, target, share = plane.reshape(plane.size), held.reshape(held.size), contact.reshape(contact.size)
+    room = blur_room(rows + 2 * margin, width, out)
+    blur_across(source, room, blur.across, margin, step, inset)
+    pixels, target = out.reshape(out.size), held.reshape(held.size)
     for strip in range((width + LANES - 1) // LANES):
-        begin = min(strip * LANES, width - LANES)
+        first = min(strip * LANES, width - LANES) + inset * step
         for row in range(rows):
-            at = row * width + begin
-            weigh_pixels(pixels, at, room, (strip * high + margin + row) * LANES, LANES, down, None, 0)
+            at, middle = (row + inset) * whole + first, (strip * high + margin + row) * LANES
+            weigh_pixels(pixels, at, room, middle, LANES, blur.down, None, 0)
             if is_held:
-                hold_pixels(pixels, target, share, at)
+                hold_pixels(pixels, target, at, begin, per_edge)
 
 
 @compiled

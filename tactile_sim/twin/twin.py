@@ -100,7 +100,7 @@ class TwinOptics(Optics):
                 next="take the window of `model.sensor`",
             )
         size = depth_m.shape[1:]
-        behind = _part_of(self._twin.background, span, size).astype(np.float32)
+        behind = _part_of(self._twin.background, span, size)
         out = np.empty((*depth_m.shape, 3), np.float32)
         for number, each in enumerate(depth_m):
             change = self.response(sensor.gel_m - each, span, is_surface=is_surface)
@@ -138,10 +138,10 @@ class TwinOptics(Optics):
         return self.render(sensor.gel_m - np.asarray(reach_m, np.float64), sensor, self._twin.size_px)
 
 
-def _part_of(image: Float32, span: Float64, size: tuple[int, ...]) -> Float64:
+def _part_of(image: Float32, span: Float64, size: tuple[int, ...]) -> Float32:
     """Return the middle of an image, a share ``span`` of its sides, in another size (H, W)."""
     if image.shape[:2] == size and (np.abs(span - 1) < 1e-6).all():
-        return image.astype(np.float64)
+        return image
     part = image.astype(np.float64)
     for axis, count, share in ((0, size[0], span[1]), (1, size[1], span[0])):
         sides = part.shape[axis]
@@ -150,7 +150,7 @@ def _part_of(image: Float32, span: Float64, size: tuple[int, ...]) -> Float64:
         first = np.minimum(at.astype(np.int64), sides - 2)
         weight = (at - first).reshape([-1 if each == axis else 1 for each in range(3)])
         part = part.take(first, axis) * (1 - weight) + part.take(first + 1, axis) * weight
-    return part
+    return part.astype(np.float32)
 
 
 def resized_depth(maps: Float32, size_px: tuple[int, int]) -> Float32:
@@ -158,8 +158,7 @@ def resized_depth(maps: Float32, size_px: tuple[int, int]) -> Float32:
     width, height = size_px
     if maps.shape[1:] == (height, width):
         return maps
-    parts = [_part_of(each[..., None], np.ones(2), (height, width))[..., 0] for each in maps]
-    return np.asarray(parts, np.float32)
+    return np.stack([_part_of(each[..., None], gel.WHOLE, (height, width))[..., 0] for each in maps])
 
 
 def in_size_of(twin: Twin, images: UInt8) -> UInt8:
