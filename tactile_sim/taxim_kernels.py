@@ -19,7 +19,7 @@ from numba.core import cgutils
 from numba.core.typing.templates import Signature
 from numba.extending import intrinsic
 
-from tactile_toolkit.array_types import Bool, Float32, Float64, Int32, Int64
+from tactile_toolkit.array_types import Bool, Float32, Float64, Floating, Int32, Int64
 from tactile_toolkit.compiled import compiled
 
 LANES = 16
@@ -209,7 +209,7 @@ def spread(builder: ir.IRBuilder, value: ir.Value, lanes: ir.VectorType) -> ir.V
 
 
 @compiled
-def blur_room(rows: int, width: int, like: Float64) -> Float64:
+def blur_room(rows: int, width: int, like: Floating) -> Floating:
     """Return room for a map of so many rows, margins included, in strips; of the type of another array.
 
     It begins with a line of the processor's cache.
@@ -220,9 +220,9 @@ def blur_room(rows: int, width: int, like: Float64) -> Float64:
 
 @compiled
 def blur_across(
-    image: Float64, room: Float64, across: Float64, margin: int, step: int, inset: int
+    image: Floating, room: Floating, across: Floating, margin: int, step: int, inset: int
 ) -> None:
-    """Blur the rows of a map (H, W), whose neighbours are ``step`` values apart, without an edge of ``inset``.
+    """Blur the rows of a map (H, W) without an edge of ``inset``; neighbours are ``step`` values apart.
 
     ``room`` gets its columns in strips of :data:`LANES`, which stay in the processor's cache, each with
     ``margin`` mirrored rows above and below; an odd number of rows apart, so that neighbours do not push each
@@ -252,7 +252,7 @@ def blur_across(
 
 
 @compiled
-def blur(image: Float64, across: Float64, down: Float64, step: int, kept: Bool, out: Float64) -> None:
+def blur(image: Floating, across: Floating, down: Floating, step: int, kept: Bool, out: Floating) -> None:
     """Blur a map (H, W) by halves of symmetric kernels; beyond its edge it is mirrored, without the edge.
 
     Neighbours in a row are ``step`` values apart. Pairs are added from the middle outwards, so the sums of a

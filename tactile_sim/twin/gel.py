@@ -17,9 +17,9 @@ import numpy as np
 from tactile_sim.taxim_kernels import LANES
 from tactile_sim.twin import gel_kernels, surface_kernels
 from tactile_sim.twin.gel_kernels import View
-from tactile_sim.twin.surface_kernels import Blur
+from tactile_sim.twin.surface_kernels import NO_HOLD, Blur
 from tactile_toolkit.arithmetic import exp_neg
-from tactile_toolkit.array_types import Float32, Float64, Int64
+from tactile_toolkit.array_types import Float32, Float64, Floating, Int64
 
 _WIDTHS = 6  # Taxim has as many, each about half of the one before it
 _REACH = 4.0  # standard deviations of the gel's kernels
@@ -55,8 +55,6 @@ MOST = np.array([1.0, 1.0, 0.3, 0.05, 5e-3, 5e-4, 0.95, 5e-4])
 WHOLE = np.ones(2)
 """Share of the image, along x and y, of a map that shows all of it."""
 
-_FREE = np.zeros((0, 0), np.float32)
-
 Seen: TypeAlias = tuple[Int64, Float32]
 """Entries of the response that each pixel takes part in, and their shares."""
 
@@ -78,7 +76,7 @@ def margin_px(width_px: int) -> int:
 
 
 def gel_surface(
-    indentation_m: Float32 | Float64, pitch_m: Float64, shape: Float64, margin: int = 0, span: Float64 = WHOLE
+    indentation_m: Floating, pitch_m: Float64, shape: Float64, margin: int = 0, span: Float64 = WHOLE
 ) -> Float32:
     """Return the surface of the gel as it is seen, (H, W), metres, 0 at rest, negative where pressed in.
 
@@ -90,7 +88,7 @@ def gel_surface(
     blurs = tuple(gel_blur(sigma_m / pitch_m, indentation_m.shape) for sigma_m in sigmas_m)
     # Without the lens, slopes need the pixels of the image alone.
     bent = 0.0 if shape[Fitted.LENS] < 0 else shape[Fitted.LENS]
-    seen = 2 + int(bent * max(indentation_m.shape))
+    seen = 2 + int(bent * max(indentation_m.shape) / 2)
     insets = []
     for blur in reversed(blurs):
         seen += max(len(blur.across), len(blur.down)) << blur.halvings
@@ -114,7 +112,7 @@ def own_surface(
 
 
 def seen_through(
-    surface: Float32, pitch_m: Float64, lens: float, margin: int = 0, span: Float64 = WHOLE
+    surface: Floating, pitch_m: Float64, lens: float, margin: int = 0, span: Float64 = WHOLE
 ) -> Float32:
     """Return a map with a margin as it is seen through the lens, without the margin."""
     if not lens:
@@ -147,20 +145,21 @@ def _blur(sigma_x: float, sigma_y: float, rows: int, columns: int, reach: float,
 
 
 def gel_blur(sigma_px: Float64, size: tuple[int, ...]) -> Blur:
-    """Return kernels of a blur of the gel, by standard deviations along x and y; wide ones on smaller maps."""
+    """Return kernels of a blur of the gel, by standard deviations along x and y."""
     return _blur(float(sigma_px[0]), float(sigma_px[1]), size[0], size[1], _REACH, _COARSE_PX)
 
 
 def soften(soft: Float32, blur: Blur) -> None:
     """Blur a map in place."""
-    surface_kernels.soften(soft, soft, blur, 0, _FREE, np.float32(0), np.float32(0))
+    surface_kernels.soften(soft, soft, blur, 0, NO_HOLD)
 
 
 def view_of(soft: Float32, pitch_m: Float64, shape: Float64, span: Float64 = WHOLE) -> View:
     """Return how a surface is seen, by a lens as that of ``shape``."""
     rim_m = max(-float(shape[Fitted.CONTACT] * soft.min()), _LEAST_RIM_M)
-    pitch, across = pitch_m.tolist(), _across_of(pitch_m, soft.shape, span)
-    return View(*pitch, *span.tolist(), float(shape[Fitted.LENS]), across, rim_m)
+    (pitch_x, pitch_y), (span_x, span_y) = pitch_m.tolist(), span.tolist()
+    across = _across_of(pitch_m, soft.shape, span)
+    return View(pitch_x, pitch_y, span_x, span_y, float(shape[Fitted.LENS]), across, rim_m)
 
 
 def seen_features(soft: Float32, pitch_m: Float64, shape: Float64) -> Seen:
@@ -171,7 +170,7 @@ def seen_features(soft: Float32, pitch_m: Float64, shape: Float64) -> Seen:
     return entries, shares
 
 
-def table_of(coefficients: Float32 | Float64) -> Float32:
+def table_of(coefficients: Floating) -> Float32:
     """Return coefficients (ENTRIES, PLACES, 3) as :func:`response` takes them."""
     table = np.zeros((3, len(coefficients), LANES), np.float32)
     # Terms are 1, x, y, x^2, x y, y^2: by the power of y first, then by that of x, then by colour.
@@ -196,4 +195,4 @@ def blur_colours(image: Float32, sigma_px: Float64) -> None:
     rows, columns, many = image.shape
     blur = _blur(float(sigma_px[0]), float(sigma_px[1]), rows, columns, _CAMERA_REACH, np.inf)
     plane = image.reshape(rows, many * columns)
-    surface_kernels.blur_plane(plane, plane, blur, many, 0, _FREE, np.float32(0), np.float32(0))
+    surface_kernels.blur_plane(plane, plane, blur, many, 0, NO_HOLD)

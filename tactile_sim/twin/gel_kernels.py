@@ -95,13 +95,13 @@ def sample_relief(
 
 
 @compiled
-def column_x(column: int, columns: int, view: View) -> float:
+def column_x(column: int, columns: int, view: View) -> np.float32:
     """Return how far a pixel lies to the right, -1 to 1 times the share of the image; single precision."""
     return np.float32(view.span_x * ((2.0 * column + 1.0) / columns - 1.0))
 
 
 @compiled
-def row_y(row: int, rows: int, view: View) -> float:
+def row_y(row: int, rows: int, view: View) -> np.float32:
     """Return how far a pixel lies above the middle, -1 to 1 times the share of the image."""
     return np.float32(view.span_y * (1.0 - (2.0 * row + 1.0) / rows))
 
@@ -114,7 +114,7 @@ def _row_places(places: Float32, soft: Float32, row: int, view: View) -> None:
     All in single precision, without branches: several pixels are computed at once.
     """
     rows, columns = soft.shape
-    zero, half, one, two = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
+    zero, one, two = np.float32(0.0), np.float32(1.0), np.float32(2.0)
     right_angle, per_turn = np.float32(0.5 * math.pi), np.float32(TURNS / (2.0 * math.pi))
     straight, whole, bow = np.float32(math.pi), np.float32(2.0 * math.pi), np.float32(_BOW)
     quarter, least, tiny = np.float32(0.25 * math.pi), np.float32(_LEVEL * _LEVEL), np.float32(1e-12)
@@ -217,7 +217,7 @@ def add_normal(normal: Float64, entries: Int64, shares: Float32, weights: Float3
 
 
 @compiled
-def add_products(out: Float64, entries: Int64, shares: Float32, given: Float64) -> None:
+def add_products(out: Float64, entries: Int64, shares: Float32, given: Float32) -> None:
     """Add the products of coefficients and given columns (H, W, m) to ``out`` (coefficients, m)."""
     rows, columns, many = given.shape
     terms, span = np.empty(PLACES), np.ones(2)
@@ -259,7 +259,11 @@ def render_response(out: Float32, soft: Float32, view: View, table: Float32) -> 
             lines[at] = plain[at] + y * (once[at] + y * twice[at])
         lines[size:] = lines[:turn]
         for column in range(columns):
-            first, i, j = np.int32(places[0, column]), np.int32(places[1, column]), np.int32(places[2, column])
+            first, i, j = (
+                np.int32(places[0, column]),
+                np.int32(places[1, column]),
+                np.int32(places[2, column]),
+            )
             parts[0, column] = places[0, column] - np.float32(first)
             parts[1, column] = places[1, column] - np.float32(i)
             parts[2, column] = places[2, column] - np.float32(j)

@@ -18,16 +18,19 @@ _PIXELS = ir.VectorType(ir.FloatType(), LANES)
 _COLOURS = ir.VectorType(ir.FloatType(), LANES // 4)
 
 
-def _at(
-    builder: ir.IRBuilder, values: ir.Value, place: ir.Value, kind: ir.VectorType = _PIXELS
-) -> ir.Value:
+def _at(builder: ir.IRBuilder, values: ir.Value, place: ir.Value, kind: ir.VectorType = _PIXELS) -> ir.Value:
     return builder.bitcast(builder.gep(values, [place]), kind.as_pointer())
 
 
 def _hold_pixels(
-    _typing: object, out: types.Type, held: types.Type, at: types.Type, begin: types.Type, per_edge: types.Type
+    _typing: object,
+    out: types.Type,
+    held: types.Type,
+    at: types.Type,
+    begin: types.Type,
+    per_edge: types.Type,
 ) -> tuple[Signature, Build]:
-    """Move :data:`LANES` values of ``out`` to those of ``held``, both float32 and flat, where they are deep.
+    """Move :data:`LANES` values of ``out`` to those of ``held``, where these are deep; float32 and flat.
 
     In plain numba::
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from tactile_sim.taxim_kernels import LANES, blur_across, blur_room, weigh_pixels
 from tactile_sim.twin.gel_vectors import hold_pixels
-from tactile_toolkit.array_types import Float32, Float64
+from tactile_toolkit.array_types import Float32, Float64, Floating
 from tactile_toolkit.compiled import compiled
 
 _RUN = 3  # pixels over which the slope at an edge is taken
@@ -23,6 +23,20 @@ class Blur(NamedTuple):
     halvings: int
     across: Float32
     down: Float32
+
+
+class Hold(NamedTuple):
+    """Heights that a solid gives to the gel, (H, W) or empty.
+
+    Contact begins at ``begin``, metres, and grows from 0 to 1 by ``per_edge`` for each metre deeper.
+    """
+
+    heights: Float32
+    begin: float
+    per_edge: float
+
+
+NO_HOLD = Hold(np.zeros((0, 0), np.float32), 0.0, 0.0)
 
 
 @compiled
@@ -43,7 +57,10 @@ def extend(reached: Float64, margin: int) -> Float32:
             value = value if value > zero else zero
             middle[column] = value
             tops[column] = value if value > tops[column] else tops[column]
-        first, last = (middle[_RUN] - middle[0]) / run, (middle[columns - 1] - middle[columns - 1 - _RUN]) / run
+        first, last = (
+            (middle[_RUN] - middle[0]) / run,
+            (middle[columns - 1] - middle[columns - 1 - _RUN]) / run,
+        )
         for far in range(1, margin + 1):
             wide[margin - far] = middle[0] - np.float32(far) * first
             middle[columns - 1 + far] = middle[columns - 1] + np.float32(far) * last
@@ -65,7 +82,7 @@ def extend(reached: Float64, margin: int) -> Float32:
 
 @compiled
 def press_gel(
-    indentation: Float32,
+    indentation: Floating,
     margin: int,
     blurs: tuple[Blur, ...],
     insets: tuple[int, ...],
@@ -80,17 +97,17 @@ def press_gel(
     """
     held = np.empty(indentation.shape, np.float32)
     greatest = _turn_over(held, indentation, margin)
-    begin, per_edge = np.float32(0.5 * edge - share * greatest), np.float32(1.0 / edge)
+    hold = Hold(held, 0.5 * edge - share * greatest, 1.0 / edge)
     soft, last = np.empty_like(held), len(blurs) - 1
-    soften(soft, held, blurs[0], 0, held, begin, per_edge)
+    soften(soft, held, blurs[0], 0, hold)
     for level in range(1, last):
-        soften(soft, soft, blurs[level], insets[level], held, begin, per_edge)
-    soften(soft, soft, blurs[last], insets[last], held[:0], begin, per_edge)
+        soften(soft, soft, blurs[level], insets[level], hold)
+    soften(soft, soft, blurs[last], insets[last], Hold(held[:0], 0.0, 0.0))
     return soft
 
 
 @compiled
-def _turn_over(held: Float32, indentation: Float32, margin: int) -> float:
+def _turn_over(held: Float32, indentation: Floating, margin: int) -> float:
     """Write the height of the gel where it has the shape of the solid; return the greatest indentation."""
     rows, columns = indentation.shape
     tops = np.zeros(columns - 2 * margin, np.float32)
@@ -99,30 +116,29 @@ def _turn_over(held: Float32, indentation: Float32, margin: int) -> float:
         for column in range(len(tops)):
             value = np.float32(into[column])
             tops[column] = value if value > tops[column] else tops[column]
-    greatest = tops.max()
+    greatest: np.float32 = tops.max()
     for row in range(rows):
         target, into = held[row], indentation[row]
         for column in range(columns):
             value = np.float32(into[column])
             target[column] = -value if value < greatest else -greatest
-    return greatest
+    return float(greatest)
 
 
 @compiled
-def soften(
-    out: Float32, source: Float32, blur: Blur, inset: int, held: Float32, begin: float, per_edge: float
-) -> None:
-    """Write a blurred map, and give it the shape that is held, if there is one, where that is deep.
+def soften(out: Float32, source: Float32, blur: Blur, inset: int, hold: Hold) -> None:
+    """Write a blurred map, and give it the shape that is held, where that is deep.
 
     Wide blurs are done on a smaller map: binomials of width 4, down and up, are part of the Gaussian.
     """
+    held = hold.heights
     if blur.halvings == 0:
-        blur_plane(out, source, blur, 1, inset, held, begin, per_edge)
+        blur_plane(out, source, blur, 1, inset, hold)
         return
     small = halved(source)
     for _ in range(blur.halvings - 1):
         small = halved(small)
-    blur_plane(small, small, blur, 1, 0, held[:0], begin, per_edge)
+    blur_plane(small, small, blur, 1, 0, Hold(held[:0], 0.0, 0.0))
     for left in range(blur.halvings - 1, 0, -1):
         size = 1 << left
         larger = np.empty(((len(out) + size - 1) // size, (out.shape[1] + size - 1) // size), np.float32)
@@ -130,7 +146,9 @@ def soften(
         small = larger
     double(out, small)
     if held.size:
-        pixels, target, zero, one = out.reshape(out.size), held.reshape(held.size), np.float32(0.0), np.float32(1.0)
+        pixels, target = out.reshape(out.size), held.reshape(held.size)
+        zero, one = np.float32(0.0), np.float32(1.0)
+        begin, per_edge = np.float32(hold.begin), np.float32(hold.per_edge)
         for at in range(len(pixels)):
             share = (begin - target[at]) * per_edge
             share = share if share > zero else zero
@@ -139,23 +157,15 @@ def soften(
 
 
 @compiled
-def blur_plane(
-    out: Float32,
-    source: Float32,
-    blur: Blur,
-    step: int,
-    inset: int,
-    held: Float32,
-    begin: float,
-    per_edge: float,
-) -> None:
-    """Write a map blurred as by Taxim's blur, moved to the shape that is held, if there is one."""
-    whole, is_held, margin = out.shape[1], held.size > 0, len(blur.down) - 1
+def blur_plane(out: Float32, source: Float32, blur: Blur, step: int, inset: int, hold: Hold) -> None:
+    """Write a map blurred as by Taxim's blur, with the shape that is held, where that is deep."""
+    whole, is_held, margin = out.shape[1], hold.heights.size > 0, len(blur.down) - 1
     rows, width = out.shape[0] - 2 * inset, whole - 2 * inset * step
     high = (rows + 2 * margin) | 1
     room = blur_room(rows + 2 * margin, width, out)
     blur_across(source, room, blur.across, margin, step, inset)
-    pixels, target = out.reshape(out.size), held.reshape(held.size)
+    pixels, target = out.reshape(out.size), hold.heights.reshape(hold.heights.size)
+    begin, per_edge = np.float32(hold.begin), np.float32(hold.per_edge)
     for strip in range((width + LANES - 1) // LANES):
         first = min(strip * LANES, width - LANES) + inset * step
         for row in range(rows):
@@ -210,7 +220,7 @@ def double(out: Float32, small: Float32) -> None:
 
 @compiled
 def bend_surface(
-    out: Float32, surface: Float32, span: Float64, margin: int, lens: float, across: float
+    out: Float32, surface: Floating, span: Float64, margin: int, lens: float, across: float
 ) -> None:
     """Write a surface as it is seen through the lens, bilinear; it has ``margin`` pixels more on each side.
 
@@ -218,19 +228,20 @@ def bend_surface(
     """
     rows, columns = out.shape
     high, wide = surface.shape
-    places, parts = np.empty(columns, np.int64), np.empty((2, columns), np.float32)
-    one = np.float32(1.0)
-    flat = surface.reshape(surface.size)
+    places, parts = np.empty(columns, np.int32), np.empty((2, columns), np.float32)
+    zero, one, down, flat = 0.0, np.float32(1.0), 1.0 - across, surface.reshape(surface.size)
+    most_x, most_y, right, below = wide - 1.0, high - 1.0, np.int32(wide - 2), np.int32(high - 2)
     for row in range(rows):
-        v = span[1] * (1.0 - (2.0 * row + 1.0) / rows)
+        v, from_middle = span[1] * (1.0 - (2.0 * row + 1.0) / rows), row + 0.5 - 0.5 * rows
         for column in range(columns):
             u = span[0] * ((2.0 * column + 1.0) / columns - 1.0)
-            bend = lens * (across * u * u + (1.0 - across) * v * v)
-            x = column + margin + bend * (column + 0.5 - 0.5 * columns)
-            y = row + margin + bend * (row + 0.5 - 0.5 * rows)
-            x, y = min(max(x, 0.0), wide - 1.0), min(max(y, 0.0), high - 1.0)
-            i, j = min(int(x), wide - 2), min(int(y), high - 2)
-            places[column] = j * wide + i
+            bend = lens * (across * u * u + down * v * v)
+            x, y = column + margin + bend * (column + 0.5 - 0.5 * columns), row + margin + bend * from_middle
+            x, y = (x if x > zero else zero), (y if y > zero else zero)
+            x, y = (x if x < most_x else most_x), (y if y < most_y else most_y)
+            i, j = np.int32(x), np.int32(y)
+            i, j = (i if i < right else right), (j if j < below else below)
+            places[column] = j * np.int32(wide) + i
             parts[0, column], parts[1, column] = x - i, y - j
         target = out[row]
         for column in range(columns):

@@ -15,7 +15,7 @@ from tactile_sim.optics import Optics, scaled
 from tactile_sim.sensor import Sensor
 from tactile_sim.twin import gel, surface_kernels
 from tactile_sim.twin.gel import Fitted
-from tactile_toolkit.array_types import AnyArray, Float32, Float64, UInt8
+from tactile_toolkit.array_types import AnyArray, Float32, Float64, Floating, UInt8
 from tactile_toolkit.errors import InputError
 
 LEAST_PX = 16
@@ -118,6 +118,7 @@ class TwinOptics(Optics):
         if span is None:
             span = gel.WHOLE
         twin = self._twin
+        indentation_m: Floating = reach_m
         rows, columns = (side - 2 * margin for side in reach_m.shape)
         pitch_m = 2 * twin.half_m * span / [columns, rows]
         shape = twin.shape.copy()
@@ -129,8 +130,8 @@ class TwinOptics(Optics):
             if not margin:
                 # Mirrored at the edge, as kernels would have it, the gel is six times as far off there.
                 margin = gel.margin_px(columns)
-                reach_m = surface_kernels.extend(np.ascontiguousarray(reach_m), margin)
-            soft = gel.gel_surface(reach_m, pitch_m, shape, margin, span)
+                indentation_m = surface_kernels.extend(np.ascontiguousarray(reach_m), margin)
+            soft = gel.gel_surface(indentation_m, pitch_m, shape, margin, span)
         return gel.response(soft, pitch_m, twin.shape, self._table, span)
 
     def reached(self, reach_m: Float32, sensor: Sensor) -> UInt8:
