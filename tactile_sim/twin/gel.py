@@ -99,7 +99,7 @@ def gel_surface(
 
 
 def own_surface(
-    pressed_m: Float64, pitch_m: Float64, shape: Float64, margin: int = 0, span: Float64 = WHOLE
+    pressed_m: Floating, pitch_m: Float64, shape: Float64, margin: int = 0, span: Float64 = WHOLE
 ) -> Float32:
     """Return the surface of an elastic gel as it is seen; arguments are as of :func:`gel_surface`.
 

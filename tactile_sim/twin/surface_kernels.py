@@ -40,20 +40,20 @@ NO_HOLD = Hold(np.zeros((0, 0), np.float32), 0.0, 0.0)
 
 
 @compiled
-def extend(reached: Float64, margin: int) -> Float32:
-    """Return a map with ``margin`` pixels more on each side, where its slopes at the edge go on.
+def extend(depth: Float64, level: float, margin: int) -> Float32:
+    """Return how far a solid rises above a level, with ``margin`` pixels more on each side.
 
-    Values stay between 0 and the greatest of the map.
+    There its slopes at the edge go on. Values stay between 0 and the greatest of the map.
     """
-    rows, columns = reached.shape
+    rows, columns = depth.shape
     out = np.empty((rows + 2 * margin, columns + 2 * margin), np.float32)
     zero, run = np.float32(0.0), np.float32(_RUN)
     tops = np.zeros(columns, np.float32)
     for row in range(rows):
-        line, wide = reached[row], out[row + margin]
+        line, wide = depth[row], out[row + margin]
         middle = wide[margin:]
         for column in range(columns):
-            value = np.float32(line[column])
+            value = np.float32(level - line[column])
             value = value if value > zero else zero
             middle[column] = value
             tops[column] = value if value > tops[column] else tops[column]

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from tactile_toolkit.array_types import AnyArray, Float32, Float64, Floating, UI
 from tactile_toolkit.errors import InputError
 
 LEAST_PX = 16
+
+Surface: TypeAlias = Callable[[Floating, Float64, Float64, int, Float64], Float32]
+"""Makes the surface of a gel that is seen, as :func:`tactile_sim.twin.gel.gel_surface` does."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,39 +103,34 @@ class TwinOptics(Optics):
                 next="take the window of `model.sensor`",
             )
         size = depth_m.shape[1:]
-        behind = _part_of(self._twin.background, span, size)
+        behind, margin = _part_of(self._twin.background, span, size), gel.margin_px(size[1])
         out = np.empty((*depth_m.shape, 3), np.float32)
         for number, each in enumerate(depth_m):
-            change = self.response(sensor.gel_m - each, span, is_surface=is_surface)
+            if is_surface:
+                change = self._response(gel.own_surface, sensor.gel_m - each, span, 0)
+            else:
+                # Mirrored at the edge, as kernels would have it, the gel is six times as far off there.
+                reach_m = surface_kernels.extend(np.ascontiguousarray(each), sensor.gel_m, margin)
+                change = self.response(reach_m, margin, span)
             surface_kernels.lay_over(out[number], change, behind)
         return out
 
-    def response(
-        self, reach_m: Float64, span: Float64 | None = None, margin: int = 0, *, is_surface: bool = False
-    ) -> Float32:
+    def response(self, reach_m: Floating, margin: int, span: Float64 = gel.WHOLE) -> Float32:
         """Return the change of the image (H, W, 3), levels, by a solid that reaches so far into the gel.
 
-        ``span`` is the share of the image that the map shows, along x and y; all of it by default. The map
-        has ``margin`` pixels more on each side. With ``is_surface``, it is that of an elastic gel itself.
+        The map has ``margin`` pixels more on each side; ``span`` is the share of the image that it shows,
+        along x and y, without them.
         """
-        if span is None:
-            span = gel.WHOLE
-        twin = self._twin
-        indentation_m: Floating = reach_m
-        rows, columns = (side - 2 * margin for side in reach_m.shape)
-        pitch_m = 2 * twin.half_m * span / [columns, rows]
-        shape = twin.shape.copy()
+        return self._response(gel.gel_surface, reach_m, span, margin)
+
+    def _response(self, surface: Surface, reach_m: Floating, span: Float64, margin: int) -> Float32:
+        shape = self._twin.shape.copy()
         if not self._lens:
             shape[Fitted.LENS] = 0.0
-        if is_surface:
-            soft = gel.own_surface(reach_m, pitch_m, shape, margin, span)
-        else:
-            if not margin:
-                # Mirrored at the edge, as kernels would have it, the gel is six times as far off there.
-                margin = gel.margin_px(columns)
-                indentation_m = surface_kernels.extend(np.ascontiguousarray(reach_m), margin)
-            soft = gel.gel_surface(indentation_m, pitch_m, shape, margin, span)
-        return gel.response(soft, pitch_m, twin.shape, self._table, span)
+        rows, columns = (side - 2 * margin for side in reach_m.shape)
+        pitch_m = 2 * self._twin.half_m * span / [columns, rows]
+        soft = surface(reach_m, pitch_m, shape, margin, span)
+        return gel.response(soft, pitch_m, self._twin.shape, self._table, span)
 
     def reached(self, reach_m: Float32, sensor: Sensor) -> UInt8:
         """Return pictures (n, H, W, 3) of how far solids reach into the gel, (n, H, W), metres."""

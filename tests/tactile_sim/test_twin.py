@@ -380,7 +380,8 @@ def test_rendering_leaves_pixels_at_rest_alone():
     optics = TwinOptics(dataclasses.replace(made_up_twin(), half_m=10 * HALF_M))
     small = np.zeros((48, 64))
     small[24, 8] = 1e-3
-    assert (optics.response(small)[:, 50:] == 0).all()
+    wide = surface_kernels.extend(-small, 0.0, 8)
+    assert (optics.response(wide, 8)[:, 50:] == 0).all()
 
 
 @pytest.mark.parametrize("lens", [-0.2, 0.0, 0.15])
@@ -463,7 +464,7 @@ def test_a_solid_goes_on_beyond_the_image():
     y, x = np.mgrid[24 + margin : -24 - margin : -1, -32 - margin : 32 + margin] * 3e-4
     whole = np.clip(0.001 - np.abs(0.2 * x - 0.1 * y), 0, None)
     part = np.ascontiguousarray(whole[margin:-margin, margin:-margin])
-    out = surface_kernels.extend(part, margin)
+    out = surface_kernels.extend(-part, 0.0, margin)
     assert (out[margin:-margin, margin:-margin] == part.astype(np.float32)).all()
     shape = without(SHAPE, Fitted.LENS)
     true = gel.gel_surface(whole, pitch_m, shape, margin)
