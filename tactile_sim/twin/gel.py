@@ -17,7 +17,7 @@ import numpy as np
 from tactile_sim.taxim_kernels import LANES
 from tactile_sim.twin import gel_kernels, surface_kernels
 from tactile_sim.twin.gel_kernels import View
-from tactile_sim.twin.surface_kernels import NO_HOLD, Blur
+from tactile_sim.twin.surface_kernels import Blur
 from tactile_toolkit.arithmetic import exp_neg
 from tactile_toolkit.array_types import Float32, Float64, Floating, Int64
 
@@ -151,7 +151,7 @@ def gel_blur(sigma_px: Float64, size: tuple[int, ...]) -> Blur:
 
 def soften(soft: Float32, blur: Blur) -> None:
     """Blur a map in place."""
-    surface_kernels.soften(soft, soft, blur, 0, NO_HOLD)
+    surface_kernels.soften(soft, soft, blur, 0)
 
 
 def view_of(soft: Float32, pitch_m: Float64, shape: Float64, span: Float64 = WHOLE) -> View:
@@ -195,4 +195,4 @@ def blur_colours(image: Float32, sigma_px: Float64) -> None:
     rows, columns, many = image.shape
     blur = _blur(float(sigma_px[0]), float(sigma_px[1]), rows, columns, _CAMERA_REACH, np.inf)
     plane = image.reshape(rows, many * columns)
-    surface_kernels.blur_plane(plane, plane, blur, many, 0, NO_HOLD)
+    surface_kernels.blur_plane(plane, plane, blur, many, 0)

@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 
 from tactile_sim.taxim_kernels import LANES, blur_across, blur_room, weigh_pixels
-from tactile_sim.twin.gel_vectors import hold_pixels
 from tactile_toolkit.array_types import Float32, Float64, Floating
 from tactile_toolkit.compiled import compiled
 
@@ -23,20 +22,6 @@ class Blur(NamedTuple):
     halvings: int
     across: Float32
     down: Float32
-
-
-class Hold(NamedTuple):
-    """Heights that a solid gives to the gel, (H, W) or empty.
-
-    Contact begins at ``begin``, metres, and grows from 0 to 1 by ``per_edge`` for each metre deeper.
-    """
-
-    heights: Float32
-    begin: float
-    per_edge: float
-
-
-NO_HOLD = Hold(np.zeros((0, 0), np.float32), 0.0, 0.0)
 
 
 @compiled
@@ -97,13 +82,31 @@ def press_gel(
     """
     held = np.empty(indentation.shape, np.float32)
     greatest = _turn_over(held, indentation, margin)
-    hold = Hold(held, 0.5 * edge - share * greatest, 1.0 / edge)
-    soft, last = np.empty_like(held), len(blurs) - 1
-    soften(soft, held, blurs[0], 0, hold)
+    begin, last = 0.5 * edge - share * greatest, len(blurs) - 1
+    soft = np.empty_like(held)
+    soften(soft, held, blurs[0], 0)
+    _hold(soft, held, 0, begin, 1.0 / edge)
     for level in range(1, last):
-        soften(soft, soft, blurs[level], insets[level], hold)
-    soften(soft, soft, blurs[last], insets[last], Hold(held[:0], 0.0, 0.0))
+        soften(soft, soft, blurs[level], insets[level])
+        _hold(soft, held, insets[level], begin, 1.0 / edge)
+    soften(soft, soft, blurs[last], insets[last])
     return soft
+
+
+@compiled
+def _hold(soft: Float32, held: Float32, inset: int, begin: float, per_edge: float) -> None:
+    """Give the gel the shape of the solid where it is in contact, but for an edge of ``inset``.
+
+    Contact begins at ``begin``, metres, and grows from 0 to 1 by ``per_edge`` for each metre deeper.
+    """
+    zero, one, level, growth = np.float32(0.0), np.float32(1.0), np.float32(begin), np.float32(per_edge)
+    for row in range(inset, len(soft) - inset):
+        line, target = soft[row, inset:], held[row, inset:]
+        for column in range(len(line) - inset):
+            share = (level - target[column]) * growth
+            share = share if share > zero else zero
+            share = share if share < one else one
+            line[column] += share * (target[column] - line[column])
 
 
 @compiled
@@ -126,53 +129,39 @@ def _turn_over(held: Float32, indentation: Floating, margin: int) -> float:
 
 
 @compiled
-def soften(out: Float32, source: Float32, blur: Blur, inset: int, hold: Hold) -> None:
-    """Write a blurred map, and give it the shape that is held, where that is deep.
+def soften(out: Float32, source: Float32, blur: Blur, inset: int) -> None:
+    """Write a blurred map, but for an edge of ``inset``.
 
     Wide blurs are done on a smaller map: binomials of width 4, down and up, are part of the Gaussian.
     """
-    held = hold.heights
     if blur.halvings == 0:
-        blur_plane(out, source, blur, 1, inset, hold)
+        blur_plane(out, source, blur, 1, inset)
         return
     small = halved(source)
     for _ in range(blur.halvings - 1):
         small = halved(small)
-    blur_plane(small, small, blur, 1, 0, Hold(held[:0], 0.0, 0.0))
+    blur_plane(small, small, blur, 1, 0)
     for left in range(blur.halvings - 1, 0, -1):
         size = 1 << left
         larger = np.empty(((len(out) + size - 1) // size, (out.shape[1] + size - 1) // size), np.float32)
         double(larger, small)
         small = larger
     double(out, small)
-    if held.size:
-        pixels, target = out.reshape(out.size), held.reshape(held.size)
-        zero, one = np.float32(0.0), np.float32(1.0)
-        begin, per_edge = np.float32(hold.begin), np.float32(hold.per_edge)
-        for at in range(len(pixels)):
-            share = (begin - target[at]) * per_edge
-            share = share if share > zero else zero
-            share = share if share < one else one
-            pixels[at] += share * (target[at] - pixels[at])
 
 
 @compiled
-def blur_plane(out: Float32, source: Float32, blur: Blur, step: int, inset: int, hold: Hold) -> None:
-    """Write a map blurred as by Taxim's blur, with the shape that is held, where that is deep."""
-    whole, is_held, margin = out.shape[1], hold.heights.size > 0, len(blur.down) - 1
+def blur_plane(out: Float32, source: Float32, blur: Blur, step: int, inset: int) -> None:
+    """Write a map blurred as by Taxim's blur, but for an edge of ``inset``."""
+    whole, margin = out.shape[1], len(blur.down) - 1
     rows, width = out.shape[0] - 2 * inset, whole - 2 * inset * step
-    high = (rows + 2 * margin) | 1
+    high, pixels = (rows + 2 * margin) | 1, out.reshape(out.size)
     room = blur_room(rows + 2 * margin, width, out)
     blur_across(source, room, blur.across, margin, step, inset)
-    pixels, target = out.reshape(out.size), hold.heights.reshape(hold.heights.size)
-    begin, per_edge = np.float32(hold.begin), np.float32(hold.per_edge)
     for strip in range((width + LANES - 1) // LANES):
         first = min(strip * LANES, width - LANES) + inset * step
         for row in range(rows):
             at, middle = (row + inset) * whole + first, (strip * high + margin + row) * LANES
             weigh_pixels(pixels, at, room, middle, LANES, blur.down, None, 0)
-            if is_held:
-                hold_pixels(pixels, target, at, begin, per_edge)
 
 
 @compiled
