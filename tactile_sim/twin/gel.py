@@ -23,7 +23,9 @@ from tactile_toolkit.array_types import Float32, Float64, Floating, Int64
 
 _WIDTHS = 6  # Taxim has as many, each about half of the one before it
 _REACH = 4.0  # standard deviations of the gel's kernels
-_COARSE_PX = 3.5  # standard deviation down to which a map is halved before it is blurred
+# Standard deviations from which a map is halved before it is blurred, and halved again: the edge at which a
+# smaller map is mirrored lies farther off.
+_HALVED_PX = (3.7, 7.0)
 _CAMERA_REACH = 3.0
 _LEAST_RIM_M = 1e-6
 _MARGIN = 0.12  # of the width of an image
@@ -131,22 +133,20 @@ def _across_of(pitch_m: Float64, size: tuple[int, ...], span: Float64) -> float:
 
 
 @lru_cache(maxsize=256)
-def _blur(sigma_x: float, sigma_y: float, rows: int, columns: int, reach: float, coarse: float) -> Blur:
-    halvings = 0
-    while min(sigma_x, sigma_y) >= 2 * coarse and columns >= 2 * LANES:
+def _blur(sigma_px: tuple[float, float], size: tuple[int, int], reach: float, halved_px: float) -> Blur:
+    (sigma_x, sigma_y), (rows, columns), halvings = sigma_px, size, 0
+    while min(sigma_x, sigma_y) >= halved_px and columns >= 2 * LANES:
         # Halving and doubling blur too, each by 3 / 4 of a square pixel.
         sigma_x, sigma_y = (np.sqrt(sigma * sigma - 1.5) / 2 for sigma in (sigma_x, sigma_y))
         rows, columns, halvings = (rows + 1) // 2, (columns + 1) // 2, halvings + 1
-    across, down = (
-        half_kernel(sigma, side, reach).astype(np.float32)
-        for sigma, side in ((sigma_x, columns), (sigma_y, rows))
-    )
-    return Blur(halvings, across, down)
+        halved_px = _HALVED_PX[1]
+    across, down = half_kernel(sigma_x, columns, reach), half_kernel(sigma_y, rows, reach)
+    return Blur(halvings, across.astype(np.float32), down.astype(np.float32))
 
 
 def gel_blur(sigma_px: Float64, size: tuple[int, ...]) -> Blur:
     """Return kernels of a blur of the gel, by standard deviations along x and y."""
-    return _blur(float(sigma_px[0]), float(sigma_px[1]), size[0], size[1], _REACH, _COARSE_PX)
+    return _blur((float(sigma_px[0]), float(sigma_px[1])), (size[0], size[1]), _REACH, _HALVED_PX[0])
 
 
 def soften(soft: Float32, blur: Blur) -> None:
@@ -193,6 +193,6 @@ def response(
 def blur_colours(image: Float32, sigma_px: Float64) -> None:
     """Blur an image (H, W, k) in place, by standard deviations along x and y."""
     rows, columns, many = image.shape
-    blur = _blur(float(sigma_px[0]), float(sigma_px[1]), rows, columns, _CAMERA_REACH, np.inf)
+    blur = _blur((float(sigma_px[0]), float(sigma_px[1])), (rows, columns), _CAMERA_REACH, np.inf)
     plane = image.reshape(rows, many * columns)
     surface_kernels.blur_plane(plane, plane, blur, many, 0)
