@@ -57,6 +57,7 @@ _DIGIT = (
     "mnist3d/digit_rows.py",
     "mnist3d/digit_generation.py",
 )
+_RENDERING = ("gel", "gel_kernels", "gel_vectors", "network", "reader", "surface_kernels", "twin")
 BENCHMARKS = {
     "pipeline": Benchmark(
         (
@@ -95,6 +96,12 @@ BENCHMARKS = {
     "native_environments": Benchmark(("tactile_envs",)),
     "learned_optics": Benchmark(("tactile_sim/learned",)),
     "touches": Benchmark(("tactile_sim",)),
+    "twin_speed": Benchmark(
+        (
+            *("benchmarks/twin_speed.py", "tactile_sim/optics.py", "tactile_sim/taxim_kernels.py"),
+            *(f"tactile_sim/twin/{name}.py" for name in _RENDERING),
+        )
+    ),
     "elastic": Benchmark(
         (
             "tactile_sim/elastic.py",
@@ -143,6 +150,7 @@ COMPARED = (
     ("exchange.import_320", "touch imported, `webdataset`", "by hand"),
     ("touches.depth_64", "synthetic touch, depth", ""),
     ("touches.taxim_64", "synthetic touch, Taxim", ""),
+    ("twin_speed.image", "image of a twin, 320x240", "Taxim"),
     ("elastic.press", "press of an elastic gel, 5 N", "plain, double precision"),
     ("learned_optics.float32_1", "image by CycleGAN, 1 at a time", ""),
     ("learned_optics.float32_16", "image by CycleGAN, 16 at a time", ""),

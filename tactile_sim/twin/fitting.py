@@ -156,7 +156,7 @@ class Fit:
     def rendered(self, touch: int, pose: Float64, shape: Float64) -> Float32:
         """Return how the image of a touch differs from the background, levels."""
         soft = self.surface(touch, pose, shape)
-        return gel.response(soft, self.pitch_m(shape), shape, gel.table_of(self.coefficients))
+        return gel.response(soft, self.pitch_m(shape), shape, gel.response_table(self.coefficients))
 
     def residual(self, touch: int) -> tuple[Float32, Float32, Float32]:
         """Return what is rendered, what is left of the image (H, W, 3), and the weights (H, W)."""

@@ -16,7 +16,7 @@ import numpy as np
 
 from tactile_sim.taxim_kernels import LANES
 from tactile_sim.twin import gel_kernels, surface_kernels
-from tactile_sim.twin.gel_kernels import View
+from tactile_sim.twin.gel_kernels import SurfaceView
 from tactile_sim.twin.surface_kernels import Blur
 from tactile_toolkit.arithmetic import exp_neg
 from tactile_toolkit.array_types import Float32, Float64, Floating, Int64
@@ -109,7 +109,7 @@ def own_surface(
     is of the skin of the gel, is added.
     """
     soft = np.asarray(-pressed_m, np.float32, order="C")
-    soften(soft, gel_blur(shape[Fitted.LAST] / pitch_m, soft.shape))
+    surface_kernels.soften(soft, soft, gel_blur(shape[Fitted.LAST] / pitch_m, soft.shape), 0)
     return seen_through(soft, pitch_m, float(shape[Fitted.LENS]), margin, span)
 
 
@@ -149,17 +149,12 @@ def gel_blur(sigma_px: Float64, size: tuple[int, ...]) -> Blur:
     return _blur((float(sigma_px[0]), float(sigma_px[1])), (size[0], size[1]), _REACH, _HALVED_PX[0])
 
 
-def soften(soft: Float32, blur: Blur) -> None:
-    """Blur a map in place."""
-    surface_kernels.soften(soft, soft, blur, 0)
-
-
-def view_of(soft: Float32, pitch_m: Float64, shape: Float64, span: Float64 = WHOLE) -> View:
+def view_of(soft: Float32, pitch_m: Float64, shape: Float64, span: Float64 = WHOLE) -> SurfaceView:
     """Return how a surface is seen, by a lens as that of ``shape``."""
     rim_m = max(-float(shape[Fitted.CONTACT] * soft.min()), _LEAST_RIM_M)
     (pitch_x, pitch_y), (span_x, span_y) = pitch_m.tolist(), span.tolist()
     across = _across_of(pitch_m, soft.shape, span)
-    return View(pitch_x, pitch_y, span_x, span_y, float(shape[Fitted.LENS]), across, rim_m)
+    return SurfaceView(pitch_x, pitch_y, span_x, span_y, float(shape[Fitted.LENS]), across, rim_m)
 
 
 def seen_features(soft: Float32, pitch_m: Float64, shape: Float64) -> Seen:
@@ -170,7 +165,7 @@ def seen_features(soft: Float32, pitch_m: Float64, shape: Float64) -> Seen:
     return entries, shares
 
 
-def table_of(coefficients: Floating) -> Float32:
+def response_table(coefficients: Floating) -> Float32:
     """Return coefficients (ENTRIES, PLACES, 3) as :func:`response` takes them."""
     table = np.zeros((3, len(coefficients), LANES), np.float32)
     # Terms are 1, x, y, x^2, x y, y^2: by the power of y first, then by that of x, then by colour.
@@ -182,7 +177,7 @@ def table_of(coefficients: Floating) -> Float32:
 def response(
     soft: Float32, pitch_m: Float64, shape: Float64, table: Float32, span: Float64 = WHOLE
 ) -> Float32:
-    """Return how a surface changes the image, levels, shape (H, W, 3); see :func:`table_of`."""
+    """Return how a surface changes the image, levels, shape (H, W, 3); see :func:`response_table`."""
     flat = np.empty(3 * soft.size + 1, np.float32)
     gel_kernels.render_response(flat, soft, view_of(soft, pitch_m, shape, span), table)
     out = flat[:-1].reshape(*soft.shape, 3)

@@ -43,7 +43,7 @@ ACTIVE = 8
 """Entries that a pixel takes part in."""
 
 
-class View(NamedTuple):
+class SurfaceView(NamedTuple):
     """How a surface is seen.
 
     Sizes of a pixel, metres; shares of the image that are shown, along x and y; the radial term of the lens;
@@ -95,19 +95,19 @@ def sample_relief(
 
 
 @compiled
-def column_x(column: int, columns: int, view: View) -> np.float32:
+def column_x(column: int, columns: int, view: SurfaceView) -> np.float32:
     """Return how far a pixel lies to the right, -1 to 1 times the share of the image; single precision."""
     return np.float32(view.span_x * ((2.0 * column + 1.0) / columns - 1.0))
 
 
 @compiled
-def row_y(row: int, rows: int, view: View) -> np.float32:
+def row_y(row: int, rows: int, view: SurfaceView) -> np.float32:
     """Return how far a pixel lies above the middle, -1 to 1 times the share of the image."""
     return np.float32(view.span_y * (1.0 - (2.0 * row + 1.0) / rows))
 
 
 @compiled
-def _row_places(places: Float32, soft: Float32, row: int, view: View) -> None:
+def _row_places(places: Float32, soft: Float32, row: int, view: SurfaceView) -> None:
     """Write where in the tables the pixels of a row lie, (3, W): direction, steepness, depth.
 
     Directions are -1 where the gel is at rest. Slopes are those on the gel, not those seen through the lens.
@@ -159,7 +159,7 @@ def _row_places(places: Float32, soft: Float32, row: int, view: View) -> None:
 
 
 @compiled
-def features(soft: Float32, view: View, entries: Int64, shares: Float32) -> None:
+def features(soft: Float32, view: SurfaceView, entries: Int64, shares: Float32) -> None:
     """Write the entries that each pixel takes part in, and their shares: 0 where the gel is at rest.
 
     ``soft``, shape (H, W), is the height of the gel, metres, 0 where it is at rest and negative where it is
@@ -234,7 +234,7 @@ def add_products(out: Float64, entries: Int64, shares: Float32, given: Float32) 
 
 
 @compiled
-def render_response(out: Float32, soft: Float32, view: View, table: Float32) -> None:
+def render_response(out: Float32, soft: Float32, view: SurfaceView, table: Float32) -> None:
     """Write the response of a surface (H, W), flat and with a value more, from coefficients and features.
 
     ``table`` (3, ENTRIES * LANES) has the terms of each entry without y, with y, and with y^2; see

@@ -241,7 +241,7 @@ def _paint_of(fit: Fit) -> Paint:
     coefficients = fit.coefficients.copy()
     coefficients[:, 1:] = 0.0
     shape = np.where(np.arange(len(fit.shape)) == Fitted.LENS, 0.0, fit.shape)
-    table = gel.table_of(coefficients)
+    table = gel.response_table(coefficients)
 
     def paint(surface: Float32, pitch_m: Float64) -> Float32:
         return gel.response(surface, pitch_m, shape, table)

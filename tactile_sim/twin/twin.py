@@ -18,8 +18,6 @@ from tactile_sim.twin.gel import Fitted
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Floating, UInt8
 from tactile_toolkit.errors import InputError
 
-LEAST_PX = 16
-
 Surface: TypeAlias = Callable[[Floating, Float64, Float64, int, Float64], Float32]
 """Makes the surface of a gel that is seen, as :func:`tactile_sim.twin.gel.gel_surface` does."""
 
@@ -83,12 +81,12 @@ class Twin:
 class TwinOptics(Optics):
     """Images of a sensor as its twin makes them."""
 
-    least_px = LEAST_PX
+    least_px = 16
 
     def __init__(self, twin: Twin, *, lens: bool = True) -> None:
         self._twin = twin
         self._lens = lens
-        self._table = gel.table_of(twin.coefficients)
+        self._table = gel.response_table(twin.coefficients)
 
     def shades(
         self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int], *, is_surface: bool = False

@@ -67,7 +67,7 @@ def test_the_optics_render_what_features_and_coefficients_give():
     twin = made_up_twin()
     plain = response_of(gel.seen_features(soft, pitch_m, SHAPE), twin.coefficients.astype(float), (48, 64))
     assert np.abs(plain).max() > 10
-    table = gel.table_of(twin.coefficients)
+    table = gel.response_table(twin.coefficients)
     sharp = gel.response(soft, pitch_m, without(SHAPE, Fitted.BLUR), table)
     assert sharp == pytest.approx(plain, abs=1e-3)
     shape = without(SHAPE, Fitted.BLUR) + 4e-4 * (np.arange(8) == Fitted.BLUR)
@@ -88,7 +88,7 @@ def test_slopes_exactly_along_an_axis_have_an_entry():
         for turned in (soft, np.ascontiguousarray(soft[::-1, ::-1])):
             plain = response_of(gel.seen_features(turned, pitch_m, SHAPE), coefficients, (rows, columns))
             sharp = without(SHAPE, Fitted.BLUR)
-            found = gel.response(turned, pitch_m, sharp, gel.table_of(coefficients))
+            found = gel.response(turned, pitch_m, sharp, gel.response_table(coefficients))
             assert found == pytest.approx(plain, abs=0.02)
 
 
@@ -138,13 +138,13 @@ def test_a_gel_at_rest_does_not_respond():
     assert not shares.any()
 
 
-@pytest.mark.parametrize("sigma_px", [3.0, 9.0, 20.0])
+@pytest.mark.parametrize("sigma_px", [3.0, 5.0, 9.0, 20.0])
 def test_wide_blurs_on_smaller_maps_are_gaussian(sigma_px: float):
     """A blur of the gel is scipy's to a thousandth, on a smaller map too."""
     gel_map = np.zeros((150, 211), np.float32)
     gel_map[60:100, 80:120] = -1.0
     expected = ndimage.gaussian_filter(gel_map, sigma_px, truncate=4, mode="mirror")
-    gel.soften(gel_map, gel.gel_blur(np.full(2, sigma_px), gel_map.shape))
+    surface_kernels.soften(gel_map, gel_map, gel.gel_blur(np.full(2, sigma_px), gel_map.shape), 0)
     assert np.abs(gel_map - expected).max() < 1e-3
 
 
