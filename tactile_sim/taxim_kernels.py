@@ -209,7 +209,7 @@ def spread(builder: ir.IRBuilder, value: ir.Value, lanes: ir.VectorType) -> ir.V
 
 
 @compiled
-def blur_room(rows: int, width: int, like: Floating) -> Floating:
+def _blur_room(rows: int, width: int, like: Floating) -> Floating:
     """Return room for a map of so many rows, margins included, in strips; of the type of another array.
 
     It begins with a line of the processor's cache.
@@ -219,7 +219,7 @@ def blur_room(rows: int, width: int, like: Floating) -> Floating:
 
 
 @compiled
-def blur_across(
+def _blur_across(
     image: Floating, room: Floating, across: Floating, margin: int, step: int, inset: int
 ) -> None:
     """Blur the rows of a map (H, W) without an edge of ``inset``; neighbours are ``step`` values apart.
@@ -252,24 +252,32 @@ def blur_across(
 
 
 @compiled
-def blur(image: Floating, across: Floating, down: Floating, step: int, kept: Bool, out: Floating) -> None:
+def blur(
+    image: Floating,
+    across: Floating,
+    down: Floating,
+    step: int,
+    kept: Bool | None,
+    out: Floating,
+    inset: int = 0,
+) -> None:
     """Blur a map (H, W) by halves of symmetric kernels; beyond its edge it is mirrored, without the edge.
 
     Neighbours in a row are ``step`` values apart. Pairs are added from the middle outwards, so the sums of a
     pixel have one order however many are done at once. Pixels of ``out``, which may be the map itself, stay
-    as they are where ``kept`` (H, W).
+    as they are where ``kept`` (H, W), and at an edge of ``inset``, without which the map is blurred. All
+    numbers are of one precision.
     """
-    rows, width = image.shape
-    margin = len(down) - 1
-    high = (rows + 2 * margin) | 1
-    room = blur_room(rows + 2 * margin, width, image)
-    blur_across(image, room, across, margin, step, 0)
-    pixels, stays = out.reshape(out.size), kept.reshape(kept.size)
+    whole, margin = image.shape[1], len(down) - 1
+    rows, width = image.shape[0] - 2 * inset, whole - 2 * inset * step
+    high, pixels = (rows + 2 * margin) | 1, out.reshape(out.size)
+    room = _blur_room(rows + 2 * margin, width, image)
+    _blur_across(image, room, across, margin, step, inset)
     for strip in range((width + LANES - 1) // LANES):
-        begin = min(strip * LANES, width - LANES)
+        begin = min(strip * LANES, width - LANES) + inset * step
         for row in range(rows):
-            at = row * width + begin
-            weigh_pixels(pixels, at, room, (strip * high + margin + row) * LANES, LANES, down, stays, at)
+            at, middle = (row + inset) * whole + begin, (strip * high + margin + row) * LANES
+            weigh_pixels(pixels, at, room, middle, LANES, down, kept, at)
 
 
 @compiled
@@ -473,8 +481,7 @@ def render_taxim(
     rows, columns = depths_m.shape[1:]
     per_row = rows / float(tables.height) / 2.0 / tables.pixel_mm
     per_column = columns / float(tables.width) / 2.0 / tables.pixel_mm
-    pyramid, none = picture.pyramid, np.zeros((rows, columns), np.bool_)
-    nothing = np.zeros((rows, 3 * columns), np.bool_)
+    pyramid = picture.pyramid
     for number in range(len(depths_m)):
         soft, contact = _pressed_gel(depths_m[number], gel_m, picture.gel_mm, tables.contact_scale)
         # Around the contact, which stays, the gel leaves the solid smoothly.
@@ -484,13 +491,13 @@ def render_taxim(
         else:
             for level in range(last):
                 blur(soft, pyramid[level][0], pyramid[level][1], 1, contact, soft)
-        blur(soft, pyramid[last][0], pyramid[last][1], 1, none, soft)
+        blur(soft, pyramid[last][0], pyramid[last][1], 1, None, soft)
         slope, direction = _slopes(soft, per_row, per_column, tables.flat_slope)
         shade = _shades(slope, direction, tables)
         _cast_shadows(shade, soft, direction, _rim(contact, picture.windows), tables, picture)
-        plane = shade[: nothing.size].reshape(nothing.shape)
+        plane = shade[: 3 * soft.size].reshape((rows, 3 * columns))
         for across, down in (picture.shadow_blur, pyramid[len(pyramid) - 1]):
-            blur(plane, across, down, 3, nothing, plane)
+            blur(plane, across, down, 3, None, plane)
         _lay_over(plane, picture.background, out[number])
 
 

@@ -14,7 +14,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from tactile_sim.taxim_kernels import LANES
+from tactile_sim import taxim_kernels
 from tactile_sim.twin import gel_kernels, surface_kernels
 from tactile_sim.twin.gel_kernels import SurfaceView
 from tactile_sim.twin.surface_kernels import Blur
@@ -135,7 +135,7 @@ def _across_of(pitch_m: Float64, size: tuple[int, ...], span: Float64) -> float:
 @lru_cache(maxsize=256)
 def _blur(sigma_px: tuple[float, float], size: tuple[int, int], reach: float, halved_px: float) -> Blur:
     (sigma_x, sigma_y), (rows, columns), halvings = sigma_px, size, 0
-    while min(sigma_x, sigma_y) >= halved_px and columns >= 2 * LANES:
+    while min(sigma_x, sigma_y) >= halved_px and columns >= 2 * taxim_kernels.LANES:
         # Halving and doubling blur too, each by 3 / 4 of a square pixel.
         sigma_x, sigma_y = (np.sqrt(sigma * sigma - 1.5) / 2 for sigma in (sigma_x, sigma_y))
         rows, columns, halvings = (rows + 1) // 2, (columns + 1) // 2, halvings + 1
@@ -167,7 +167,7 @@ def seen_features(soft: Float32, pitch_m: Float64, shape: Float64) -> Seen:
 
 def response_table(coefficients: Floating) -> Float32:
     """Return coefficients (ENTRIES, PLACES, 3) as :func:`response` takes them."""
-    table = np.zeros((3, len(coefficients), LANES), np.float32)
+    table = np.zeros((3, len(coefficients), taxim_kernels.LANES), np.float32)
     # Terms are 1, x, y, x^2, x y, y^2: by the power of y first, then by that of x, then by colour.
     for place, (power_y, power_x) in enumerate(((0, 0), (0, 1), (1, 0), (0, 2), (1, 1), (2, 0))):
         table[power_y, :, 4 * power_x : 4 * power_x + 3] = coefficients[:, place]
@@ -190,4 +190,4 @@ def blur_colours(image: Float32, sigma_px: Float64) -> None:
     rows, columns, many = image.shape
     blur = _blur((float(sigma_px[0]), float(sigma_px[1])), (rows, columns), _CAMERA_REACH, np.inf)
     plane = image.reshape(rows, many * columns)
-    surface_kernels.blur_plane(plane, plane, blur, many, 0)
+    taxim_kernels.blur(plane, blur.across, blur.down, many, None, plane)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tactile_sim.taxim_kernels import LANES, blur_across, blur_room, weigh_pixels
+from tactile_sim import taxim_kernels
 from tactile_toolkit.array_types import Float32, Float64, Floating
 from tactile_toolkit.compiled import compiled
 
@@ -135,33 +135,18 @@ def soften(out: Float32, source: Float32, blur: Blur, inset: int) -> None:
     Wide blurs are done on a smaller map: binomials of width 4, down and up, are part of the Gaussian.
     """
     if blur.halvings == 0:
-        blur_plane(out, source, blur, 1, inset)
+        taxim_kernels.blur(source, blur.across, blur.down, 1, None, out, inset)
         return
     small = halved(source)
     for _ in range(blur.halvings - 1):
         small = halved(small)
-    blur_plane(small, small, blur, 1, 0)
+    taxim_kernels.blur(small, blur.across, blur.down, 1, None, small)
     for left in range(blur.halvings - 1, 0, -1):
         size = 1 << left
         larger = np.empty(((len(out) + size - 1) // size, (out.shape[1] + size - 1) // size), np.float32)
         double(larger, small)
         small = larger
     double(out, small)
-
-
-@compiled
-def blur_plane(out: Float32, source: Float32, blur: Blur, step: int, inset: int) -> None:
-    """Write a map blurred as by Taxim's blur, but for an edge of ``inset``."""
-    whole, margin = out.shape[1], len(blur.down) - 1
-    rows, width = out.shape[0] - 2 * inset, whole - 2 * inset * step
-    high, pixels = (rows + 2 * margin) | 1, out.reshape(out.size)
-    room = blur_room(rows + 2 * margin, width, out)
-    blur_across(source, room, blur.across, margin, step, inset)
-    for strip in range((width + LANES - 1) // LANES):
-        first = min(strip * LANES, width - LANES) + inset * step
-        for row in range(rows):
-            at, middle = (row + inset) * whole + first, (strip * high + margin + row) * LANES
-            weigh_pixels(pixels, at, room, middle, LANES, blur.down, None, 0)
 
 
 @compiled
