@@ -57,7 +57,6 @@ _DIGIT = (
     "mnist3d/digit_rows.py",
     "mnist3d/digit_generation.py",
 )
-_RENDERING = ("gel", "gel_kernels", "gel_vectors", "network", "reader", "surface_kernels", "twin")
 BENCHMARKS = {
     "pipeline": Benchmark(
         (
@@ -98,8 +97,10 @@ BENCHMARKS = {
     "touches": Benchmark(("tactile_sim",)),
     "twin_speed": Benchmark(
         (
-            *("benchmarks/twin_speed.py", "tactile_sim/optics.py", "tactile_sim/taxim_kernels.py"),
-            *(f"tactile_sim/twin/{name}.py" for name in _RENDERING),
+            "benchmarks/twin_speed.py",
+            "tactile_sim/twin",
+            "tactile_sim/optics.py",
+            "tactile_sim/taxim_kernels.py",
         )
     ),
     "elastic": Benchmark(

@@ -1,6 +1,6 @@
 """The surface of the gel of a twin, in numba: how it follows a solid and leaves it, and how it is seen.
 
-All in single precision, which is a ten-millionth of the depth, and a hundredth of the noise of a slope.
+All in single precision: heights are right to about a ten-millionth of the press depth.
 """
 
 from __future__ import annotations
@@ -42,22 +42,20 @@ def extend(depth: Float64, level: float, margin: int) -> Float32:
             value = value if value > zero else zero
             middle[column] = value
             tops[column] = value if value > tops[column] else tops[column]
-        first, last = (
-            (middle[_RUN] - middle[0]) / run,
-            (middle[columns - 1] - middle[columns - 1 - _RUN]) / run,
-        )
+        first, end = (middle[_RUN] - middle[0]) / run, columns - 1
+        last = (middle[end] - middle[end - _RUN]) / run
         for far in range(1, margin + 1):
             wide[margin - far] = middle[0] - np.float32(far) * first
-            middle[columns - 1 + far] = middle[columns - 1] + np.float32(far) * last
+            middle[end + far] = middle[end] + np.float32(far) * last
     greatest = tops.max()
-    top, bottom, high = out[margin], out[margin + rows - 1], 2 * margin + rows - 1
+    top, bottom = out[margin], out[margin + rows - 1]
     inner_top, inner_bottom = out[margin + _RUN], out[margin + rows - 1 - _RUN]
     for far in range(1, margin + 1):
         above, below, distance = out[margin - far], out[margin + rows - 1 + far], np.float32(far)
         for column in range(len(top)):
             above[column] = top[column] - distance * ((inner_top[column] - top[column]) / run)
             below[column] = bottom[column] + distance * ((bottom[column] - inner_bottom[column]) / run)
-    for row in range(high + 1):
+    for row in range(len(out)):
         line = out[row]
         for column in range(len(line)):
             value = line[column] if line[column] > zero else zero
