@@ -3,8 +3,7 @@
 The response of a colour is a table over direction and steepness of the slope of the gel, whose entries are
 quadratic in the place in the image, and the same over direction and depth of the gel, which shows where the
 rim of a contact casts shadows. A pixel lies between four entries of each table, which share it bilinearly.
-Where the gel is level, nothing changes. All kernels lie in this one file, because numba's cache looks at the
-file of a kernel only.
+Where the gel is level, nothing changes.
 """
 
 from __future__ import annotations
