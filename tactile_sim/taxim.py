@@ -171,7 +171,7 @@ def _half_kernel(sigma_px: float) -> Float64:
 
 def _blurred(image: Float64, kernels: Pair) -> Float64:
     out = np.empty(image.shape)
-    blur(np.ascontiguousarray(image), *kernels, 1, np.zeros(image.shape, np.bool_), out)
+    blur(np.ascontiguousarray(image), *kernels, 1, None, out)
     return out
 
 

@@ -19,7 +19,7 @@ from numba.core import cgutils
 from numba.core.typing.templates import Signature
 from numba.extending import intrinsic
 
-from tactile_toolkit.array_types import Bool, Float32, Float64, Int32, Int64
+from tactile_toolkit.array_types import Bool, Float32, Float64, Floating, Int32, Int64
 from tactile_toolkit.compiled import compiled
 
 LANES = 16
@@ -28,7 +28,7 @@ LANES = 16
 _FOLDED = 0.41421356237309503  # tan(pi / 8)
 
 _BUILD: ModuleType = cgutils
-_PIXELS, _MASK = (ir.VectorType(kind, LANES) for kind in (ir.DoubleType(), ir.IntType(8)))
+_MASK = ir.VectorType(ir.IntType(8), LANES)
 
 _COLOURS = ir.VectorType(ir.DoubleType(), 4)
 
@@ -92,15 +92,15 @@ def _weigh_pixels(
 ) -> tuple[Signature, Build]:
     """Weigh :data:`LANES` neighbouring values of ``source`` and those on both sides of each.
 
-    ``out``, ``source`` and ``weights`` are contiguous, float64; ``kept``, bool, says which values of ``out``
-    stay as they are, from ``kept_at`` on. In plain numba::
+    ``out``, ``source`` and ``weights`` are contiguous, all of single or of double precision; ``kept``, bool,
+    says which values of ``out`` stay as they are, from ``kept_at`` on, or is None. In plain numba::
 
         for lane in range(LANES):
             total = weights[0] * source[middle + lane]
             for tap in range(1, len(weights)):
                 pair = source[middle + lane - tap * step] + source[middle + lane + tap * step]
                 total += weights[tap] * pair
-            if not kept[kept_at + lane]:
+            if kept is None or not kept[kept_at + lane]:
                 out[at + lane] = total
     """
     place = types.int64
@@ -109,31 +109,39 @@ def _weigh_pixels(
     def build(
         context: Context, builder: ir.IRBuilder, signature: Signature, given: Sequence[ir.Value]
     ) -> ir.Value:
-        arrays = [context.make_array(signature.args[n])(context, builder, given[n]) for n in (0, 2, 5, 6)]
-        written, read, weighed, mask = (array.data for array in arrays)
+        arrays = [context.make_array(signature.args[n])(context, builder, given[n]) for n in (0, 2, 5)]
+        written, read, weighed = (array.data for array in arrays)
         count = _BUILD.unpack_tuple(builder, arrays[2].shape, 1)[0]
-        one = ir.Constant(count.type, 1)
+        one, size = ir.Constant(count.type, 1), signature.args[0].dtype.bitwidth // 8
+        pixels = ir.VectorType(context.get_data_type(signature.args[0].dtype), LANES)
 
         def values(place: ir.Value) -> ir.Value:
-            return builder.load(builder.bitcast(builder.gep(read, [place]), _PIXELS.as_pointer()), align=8)
+            return builder.load(builder.bitcast(builder.gep(read, [place]), pixels.as_pointer()), align=size)
 
         def weight(tap: ir.Value) -> ir.Value:
-            return spread(builder, builder.load(builder.gep(weighed, [tap])), _PIXELS)
+            return spread(builder, builder.load(builder.gep(weighed, [tap])), pixels)
 
-        stays = builder.bitcast(builder.gep(mask, [given[7]]), _MASK.as_pointer())
-        stays = builder.icmp_unsigned("!=", builder.load(stays, align=1), ir.Constant(_MASK, [0] * LANES))
-        as_number = builder.bitcast(stays, ir.IntType(LANES))
-        with builder.if_then(builder.icmp_unsigned("!=", as_number, ir.Constant(ir.IntType(LANES), -1))):
-            total = _BUILD.alloca_once_value(
+        def total() -> ir.Value:
+            held = _BUILD.alloca_once_value(
                 builder, builder.fmul(weight(ir.Constant(count.type, 0)), values(given[3]))
             )
             with _BUILD.for_range_slice(builder, one, count, one) as (tap, _):
                 far = builder.mul(tap, given[4])
                 pair = builder.fadd(values(builder.sub(given[3], far)), values(builder.add(given[3], far)))
-                builder.store(builder.fadd(builder.load(total), builder.fmul(weight(tap), pair)), total)
-            target = builder.bitcast(builder.gep(written, [given[1]]), _PIXELS.as_pointer())
-            held = builder.load(target, align=8)
-            builder.store(builder.select(stays, held, builder.load(total)), target, align=8)
+                builder.store(builder.fadd(builder.load(held), builder.fmul(weight(tap), pair)), held)
+            return builder.load(held)
+
+        target = builder.bitcast(builder.gep(written, [given[1]]), pixels.as_pointer())
+        if isinstance(signature.args[6], types.NoneType):
+            builder.store(total(), target, align=size)
+            return context.get_dummy_value()
+        mask = context.make_array(signature.args[6])(context, builder, given[6]).data
+        stays = builder.bitcast(builder.gep(mask, [given[7]]), _MASK.as_pointer())
+        stays = builder.icmp_unsigned("!=", builder.load(stays, align=1), ir.Constant(_MASK, [0] * LANES))
+        as_number = builder.bitcast(stays, ir.IntType(LANES))
+        with builder.if_then(builder.icmp_unsigned("!=", as_number, ir.Constant(ir.IntType(LANES), -1))):
+            found = total()
+            builder.store(builder.select(stays, builder.load(target, align=size), found), target, align=size)
         return context.get_dummy_value()
 
     return signature, build
@@ -201,19 +209,31 @@ def spread(builder: ir.IRBuilder, value: ir.Value, lanes: ir.VectorType) -> ir.V
 
 
 @compiled
-def _blur_across(image: Float64, room: Float64, across: Float64, margin: int, step: int) -> None:
-    """Blur the rows of a map (H, W), whose neighbours are ``step`` values apart.
+def _blur_room(rows: int, width: int, like: Floating) -> Floating:
+    """Return room for a map of so many rows, margins included, in strips; of the type of another array.
+
+    It begins with a line of the processor's cache.
+    """
+    room = np.empty((width + LANES - 1) // LANES * (rows | 1) * LANES + 64 // like.itemsize, like.dtype)
+    return room[(-(room.ctypes.data // like.itemsize)) % (64 // like.itemsize) :]
+
+
+@compiled
+def _blur_across(
+    image: Floating, room: Floating, across: Floating, margin: int, step: int, inset: int
+) -> None:
+    """Blur the rows of a map (H, W) without an edge of ``inset``; neighbours are ``step`` values apart.
 
     ``room`` gets its columns in strips of :data:`LANES`, which stay in the processor's cache, each with
     ``margin`` mirrored rows above and below; an odd number of rows apart, so that neighbours do not push each
     other out of it. The last strip begins early enough to be full.
     """
-    rows, width = image.shape
-    high, reach, nothing = (rows + 2 * margin) | 1, (len(across) - 1) * step, np.zeros(LANES, np.bool_)
-    line = np.empty(width + 2 * reach)
+    rows, width = image.shape[0] - 2 * inset, image.shape[1] - 2 * inset * step
+    high, reach = (rows + 2 * margin) | 1, (len(across) - 1) * step
+    line = np.empty(width + 2 * reach, image.dtype)
     middle = line[reach:]
     for row in range(rows):
-        pixels = image[row]
+        pixels = image[row + inset, inset * step :]
         for place in range(width):
             middle[place] = pixels[place]
         for far in range(step, reach + step, step):
@@ -222,7 +242,7 @@ def _blur_across(image: Float64, room: Float64, across: Float64, margin: int, st
                 middle[width - step + far + place] = pixels[width - step - far + place]
         for begin in range(0, width, LANES):
             at = (begin // LANES * high + margin + row) * LANES
-            weigh_pixels(room, at, line, min(begin, width - LANES) + reach, step, across, nothing, 0)
+            weigh_pixels(room, at, line, min(begin, width - LANES) + reach, step, across, None, 0)
     for top in range(0, (width + LANES - 1) // LANES * high, high):
         for far in range(1, margin + 1):
             for place in range(LANES):
@@ -232,26 +252,32 @@ def _blur_across(image: Float64, room: Float64, across: Float64, margin: int, st
 
 
 @compiled
-def blur(image: Float64, across: Float64, down: Float64, step: int, kept: Bool, out: Float64) -> None:
+def blur(
+    image: Floating,
+    across: Floating,
+    down: Floating,
+    step: int,
+    kept: Bool | None,
+    out: Floating,
+    inset: int = 0,
+) -> None:
     """Blur a map (H, W) by halves of symmetric kernels; beyond its edge it is mirrored, without the edge.
 
     Neighbours in a row are ``step`` values apart. Pairs are added from the middle outwards, so the sums of a
     pixel have one order however many are done at once. Pixels of ``out``, which may be the map itself, stay
-    as they are where ``kept`` (H, W).
+    as they are where ``kept`` (H, W), and at an edge of ``inset``, without which the map is blurred. All
+    numbers are of one precision.
     """
-    rows, width = image.shape
-    margin, strips = len(down) - 1, (width + LANES - 1) // LANES
-    high = (rows + 2 * margin) | 1
-    # From a line of the processor's cache on.
-    room = np.empty(strips * high * LANES + 8)
-    room = room[8 - (room.ctypes.data // 8) % 8 :]
-    _blur_across(image, room, across, margin, step)
-    pixels, stays = out.reshape(out.size), kept.reshape(kept.size)
-    for strip in range(strips):
-        begin = min(strip * LANES, width - LANES)
+    whole, margin = image.shape[1], len(down) - 1
+    rows, width = image.shape[0] - 2 * inset, whole - 2 * inset * step
+    high, pixels = (rows + 2 * margin) | 1, out.reshape(out.size)
+    room = _blur_room(rows + 2 * margin, width, image)
+    _blur_across(image, room, across, margin, step, inset)
+    for strip in range((width + LANES - 1) // LANES):
+        begin = min(strip * LANES, width - LANES) + inset * step
         for row in range(rows):
-            at = row * width + begin
-            weigh_pixels(pixels, at, room, (strip * high + margin + row) * LANES, LANES, down, stays, at)
+            at, middle = (row + inset) * whole + begin, (strip * high + margin + row) * LANES
+            weigh_pixels(pixels, at, room, middle, LANES, down, kept, at)
 
 
 @compiled
@@ -455,8 +481,7 @@ def render_taxim(
     rows, columns = depths_m.shape[1:]
     per_row = rows / float(tables.height) / 2.0 / tables.pixel_mm
     per_column = columns / float(tables.width) / 2.0 / tables.pixel_mm
-    pyramid, none = picture.pyramid, np.zeros((rows, columns), np.bool_)
-    nothing = np.zeros((rows, 3 * columns), np.bool_)
+    pyramid = picture.pyramid
     for number in range(len(depths_m)):
         soft, contact = _pressed_gel(depths_m[number], gel_m, picture.gel_mm, tables.contact_scale)
         # Around the contact, which stays, the gel leaves the solid smoothly.
@@ -466,13 +491,13 @@ def render_taxim(
         else:
             for level in range(last):
                 blur(soft, pyramid[level][0], pyramid[level][1], 1, contact, soft)
-        blur(soft, pyramid[last][0], pyramid[last][1], 1, none, soft)
+        blur(soft, pyramid[last][0], pyramid[last][1], 1, None, soft)
         slope, direction = _slopes(soft, per_row, per_column, tables.flat_slope)
         shade = _shades(slope, direction, tables)
         _cast_shadows(shade, soft, direction, _rim(contact, picture.windows), tables, picture)
-        plane = shade[: nothing.size].reshape(nothing.shape)
+        plane = shade[: 3 * soft.size].reshape((rows, 3 * columns))
         for across, down in (picture.shadow_blur, pyramid[len(pyramid) - 1]):
-            blur(plane, across, down, 3, nothing, plane)
+            blur(plane, across, down, 3, None, plane)
         _lay_over(plane, picture.background, out[number])
 
 

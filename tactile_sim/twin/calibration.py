@@ -120,11 +120,11 @@ def _first_fit(recordings: Recordings, start: SensorModel) -> Fit:
 
 def _residual_levels(twin: Twin, fit: Fit) -> float:
     """Return what the depth that is read leaves of an image, levels: the median over touches."""
-    render = partial(TwinOptics(twin, lens=False).response)
+    optics, sensor = TwinOptics(twin, lens=False), model_of(twin, "twin").sensor
     left = []
     for touch in np.flatnonzero(fit.used):
         image = fit.recordings.images[touch]
-        depth_m = read_depth(twin, image[None]).depth_m[0]
-        shown = np.clip(twin.background + render(depth_m.astype(np.float64)), 0, 255)
+        depth_m = sensor.gel_m - read_depth(twin, image[None]).depth_m.astype(np.float64)
+        shown = 255 * optics.shades(depth_m, sensor, twin.size_px)[0]
         left.append(float(np.sqrt(np.mean((image - shown) ** 2))))
     return float(np.median(left))

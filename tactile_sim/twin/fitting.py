@@ -147,22 +147,20 @@ class Fit:
         )
         return out
 
-    def seen(self, touch: int, pose: Float64, shape: Float64) -> gel.Seen:
-        """Return which entries of the response each pixel of a touch takes part in."""
-        pitch_m = self.pitch_m(shape)
+    def surface(self, touch: int, pose: Float64, shape: Float64) -> Float32:
+        """Return the surface of the gel at a touch, (H, W), metres."""
         margin = gel.margin_px(self.size[1])
-        soft = gel.gel_surface(self.indentation(touch, pose, shape, margin), pitch_m, shape, margin)
-        return gel.seen_features(soft, pitch_m, shape)
+        indentation_m = self.indentation(touch, pose, shape, margin)
+        return gel.gel_surface(indentation_m, self.pitch_m(shape), shape, margin)
 
-    def rendered(self, touch: int, pose: Float64, shape: Float64, seen: gel.Seen | None = None) -> Float64:
+    def rendered(self, touch: int, pose: Float64, shape: Float64) -> Float32:
         """Return how the image of a touch differs from the background, levels."""
-        blur_px = shape[Fitted.BLUR] / self.pitch_m(shape)
-        seen = seen or self.seen(touch, pose, shape)
-        return gel.response(seen, self.size, self.coefficients, blur_px, np.ones(2))
+        soft = self.surface(touch, pose, shape)
+        return gel.response(soft, self.pitch_m(shape), shape, gel.response_table(self.coefficients))
 
-    def residual(self, touch: int, seen: gel.Seen | None = None) -> tuple[Float64, Float64, Float32]:
+    def residual(self, touch: int) -> tuple[Float32, Float32, Float32]:
         """Return what is rendered, what is left of the image (H, W, 3), and the weights (H, W)."""
-        base = self.rendered(touch, self.poses[touch], self.shape, seen)
+        base = self.rendered(touch, self.poses[touch], self.shape)
         image, dull = self.image(touch)
         left = image - self.behind - base
         largest = np.abs(left).max(axis=-1)
@@ -191,8 +189,7 @@ class Fit:
 
     def _add(self, sums: _Sums, touch: int, moving: tuple[Fitted, ...]) -> None:
         """Add a touch to the sums of a step."""
-        seen = self.seen(touch, self.poses[touch], self.shape)
-        base, left, weights = self.residual(touch, seen)
+        base, left, weights = self.residual(touch)
         columns, places = [left], []
         if moving:
             for each in moving:
@@ -205,8 +202,10 @@ class Fit:
                 pose[own] += _POSE_STEP[own]
                 columns.append((self.rendered(touch, pose, self.shape) - base) / _POSE_STEP[own])
                 places.append(_SHARED + _OWN * touch + own)
-        blur_px = self.shape[Fitted.BLUR] / self.pitch_m(self.shape)
-        sums.add(seen, weights, np.stack(columns, axis=2).astype(np.float32), places, blur_px)
+        pitch_m = self.pitch_m(self.shape)
+        seen = gel.seen_features(self.surface(touch, self.poses[touch], self.shape), pitch_m, self.shape)
+        blur_px = self.shape[Fitted.BLUR] / pitch_m
+        sums.add(seen, weights, np.stack(columns, axis=2, dtype=np.float32), places, blur_px)
 
     def refresh_background(self) -> None:
         """Average what touches show of the background, in full size, with the images without contact."""
@@ -276,7 +275,7 @@ class _Sums:
         gel_kernels.add_normal(self.normal, *seen, weights)
         found = np.zeros((COEFFICIENTS, many * 3))
         # The blur of the camera is its own transpose.
-        weighed = (columns.reshape(height, width, -1) * weights[..., None]).astype(np.float64)
+        weighed = columns.reshape(height, width, -1) * weights[..., None]
         gel.blur_colours(weighed, blur_px)
         gel_kernels.add_products(found, *seen, weighed)
         at = np.array([0, *(1 + place for place in places)])

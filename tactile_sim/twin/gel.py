@@ -9,18 +9,23 @@ fitted, and the edge of the contact is as wide as a pixel, so that images change
 from __future__ import annotations
 
 from enum import IntEnum
+from functools import lru_cache
 from typing import TypeAlias
 
 import numpy as np
 
-from tactile_sim.taxim_kernels import LANES, blur
-from tactile_sim.twin import gel_kernels
+from tactile_sim import taxim_kernels
+from tactile_sim.twin import gel_kernels, surface_kernels
+from tactile_sim.twin.gel_kernels import SurfaceView
+from tactile_sim.twin.surface_kernels import Blur
 from tactile_toolkit.arithmetic import exp_neg
-from tactile_toolkit.array_types import Float32, Float64, Int64
+from tactile_toolkit.array_types import Float32, Float64, Floating, Int64
 
 _WIDTHS = 6  # Taxim has as many, each about half of the one before it
 _REACH = 4.0  # standard deviations of the gel's kernels
-_COARSE_PX = 4.0  # standard deviation down to which a map is shrunk before it is blurred
+# Standard deviations from which a map is halved before it is blurred, and halved again: the edge at which a
+# smaller map is mirrored lies farther off.
+_HALVED_PX = (3.7, 7.0)
 _CAMERA_REACH = 3.0
 _LEAST_RIM_M = 1e-6
 _MARGIN = 0.12  # of the width of an image
@@ -73,102 +78,116 @@ def margin_px(width_px: int) -> int:
 
 
 def gel_surface(
-    indentation_m: Float64, pitch_m: Float64, shape: Float64, margin: int = 0, span: Float64 = WHOLE
-) -> Float64:
+    indentation_m: Floating, pitch_m: Float64, shape: Float64, margin: int = 0, span: Float64 = WHOLE
+) -> Float32:
     """Return the surface of the gel as it is seen, (H, W), metres, 0 at rest, negative where pressed in.
 
     ``indentation_m`` is how far the solid reaches into the gel at rest, with ``margin`` pixels on each side,
     where it counts as no higher than within the image; ``pitch_m`` the size of a pixel; ``span`` the share of
     the image that is shown. The lens is that of ``shape``.
     """
-    if margin:
-        inner = indentation_m[margin:-margin, margin:-margin]
-        indentation_m = np.minimum(indentation_m, inner.max())
-    held, contact = np.empty(indentation_m.shape), np.empty(indentation_m.shape)
-    edge_m = _EDGE * float(pitch_m[0])
-    gel_kernels.touching(contact, held, indentation_m, shape[Fitted.CONTACT], edge_m)
-    soft = held.copy()
-    for level in range(_WIDTHS):
-        blur_gel(soft, shape[Fitted.WIDTH] * 0.5**level / pitch_m)
-        gel_kernels.hold(soft, held, contact)
-    blur_gel(soft, shape[Fitted.LAST] / pitch_m)
+    sigmas_m = [*(shape[Fitted.WIDTH] * 0.5 ** np.arange(_WIDTHS)), shape[Fitted.LAST]]
+    blurs = tuple(gel_blur(sigma_m / pitch_m, indentation_m.shape) for sigma_m in sigmas_m)
+    # Without the lens, slopes need the pixels of the image alone.
+    bent = 0.0 if shape[Fitted.LENS] < 0 else shape[Fitted.LENS]
+    seen = 2 + int(bent * max(indentation_m.shape) / 2)
+    insets = []
+    for blur in reversed(blurs):
+        seen += max(len(blur.across), len(blur.down)) << blur.halvings
+        insets.append(max(margin - seen, 0))
+    share, edge_m = float(shape[Fitted.CONTACT]), _EDGE * float(pitch_m[0])
+    soft = surface_kernels.press_gel(indentation_m, margin, blurs, tuple(reversed(insets)), share, edge_m)
     return seen_through(soft, pitch_m, float(shape[Fitted.LENS]), margin, span)
 
 
 def own_surface(
-    pressed_m: Float64, pitch_m: Float64, shape: Float64, margin: int = 0, span: Float64 = WHOLE
-) -> Float64:
+    pressed_m: Floating, pitch_m: Float64, shape: Float64, margin: int = 0, span: Float64 = WHOLE
+) -> Float32:
     """Return the surface of an elastic gel as it is seen; arguments are as of :func:`gel_surface`.
 
     ``pressed_m`` is how far the gel itself is pressed in, negative where it rises; only the last blur, which
     is of the skin of the gel, is added.
     """
-    soft = np.ascontiguousarray(-pressed_m)
-    blur_gel(soft, shape[Fitted.LAST] / pitch_m)
+    soft = np.asarray(-pressed_m, np.float32, order="C")
+    surface_kernels.soften(soft, soft, gel_blur(shape[Fitted.LAST] / pitch_m, soft.shape), 0)
     return seen_through(soft, pitch_m, float(shape[Fitted.LENS]), margin, span)
 
 
 def seen_through(
-    surface: Float64, pitch_m: Float64, lens: float, margin: int = 0, span: Float64 = WHOLE
-) -> Float64:
+    surface: Floating, pitch_m: Float64, lens: float, margin: int = 0, span: Float64 = WHOLE
+) -> Float32:
     """Return a map with a margin as it is seen through the lens, without the margin."""
     if not lens:
         return np.ascontiguousarray(
             surface[margin : len(surface) - margin, margin : surface.shape[1] - margin]
         )
-    out = np.empty(tuple(side - 2 * margin for side in surface.shape))
-    gel_kernels.bend_surface(out, surface, span, margin, lens, across_of(pitch_m, out.shape, span))
+    out = np.empty(tuple(side - 2 * margin for side in surface.shape), np.float32)
+    surface_kernels.bend_surface(out, surface, span, margin, lens, _across_of(pitch_m, out.shape, span))
     return out
 
 
-def across_of(pitch_m: Float64, size: tuple[int, ...], span: Float64 = WHOLE) -> float:
+def _across_of(pitch_m: Float64, size: tuple[int, ...], span: Float64) -> float:
     """Return the share of the width in the square of the diagonal of the image, of a part of it (H, W)."""
     wide, high = size[1] * pitch_m[0] / span[0], size[0] * pitch_m[1] / span[1]
     return float(wide * wide / (wide * wide + high * high))
 
 
-def blur_gel(soft: Float64, sigma_px: Float64) -> None:
-    """Blur a map in place; wide blurs are done on a smaller map, whose pixels the next one smooths."""
-    factor = max(int(sigma_px.min() // _COARSE_PX), 1)
-    small = soft
-    if factor > 1:
-        small = np.empty(tuple(max(-(-side // factor), LANES) for side in soft.shape))
-        gel_kernels.shrink(small, soft, factor)
-        # Means of squares, and lines between them, blur too.
-        sigma_px = np.sqrt(np.square(sigma_px) - factor**2 / 4) / factor
-    rows, columns = small.shape
-    across, down = half_kernel(sigma_px[0], columns, _REACH), half_kernel(sigma_px[1], rows, _REACH)
-    blur(small, across, down, 1, np.zeros(small.shape, np.bool_), small)
-    if factor > 1:
-        gel_kernels.grow(soft, small, factor)
+@lru_cache(maxsize=256)
+def _blur(sigma_px: tuple[float, float], size: tuple[int, int], reach: float, halved_px: float) -> Blur:
+    (sigma_x, sigma_y), (rows, columns), halvings = sigma_px, size, 0
+    while min(sigma_x, sigma_y) >= halved_px and columns >= 2 * taxim_kernels.LANES:
+        # Halving and doubling blur too, each by 3 / 4 of a square pixel.
+        sigma_x, sigma_y = (np.sqrt(sigma * sigma - 1.5) / 2 for sigma in (sigma_x, sigma_y))
+        rows, columns, halvings = (rows + 1) // 2, (columns + 1) // 2, halvings + 1
+        halved_px = _HALVED_PX[1]
+    across, down = half_kernel(sigma_x, columns, reach), half_kernel(sigma_y, rows, reach)
+    return Blur(halvings, across.astype(np.float32), down.astype(np.float32))
 
 
-def rim_m(soft: Float64, shape: Float64) -> float:
-    """Return the depth of the gel at which the contact begins, metres, of a surface as it is seen."""
-    return max(-float(shape[Fitted.CONTACT] * soft.min()), _LEAST_RIM_M)
+def gel_blur(sigma_px: Float64, size: tuple[int, ...]) -> Blur:
+    """Return kernels of a blur of the gel, by standard deviations along x and y."""
+    return _blur((float(sigma_px[0]), float(sigma_px[1])), (size[0], size[1]), _REACH, _HALVED_PX[0])
 
 
-def seen_features(soft: Float64, pitch_m: Float64, shape: Float64) -> Seen:
+def view_of(soft: Float32, pitch_m: Float64, shape: Float64, span: Float64 = WHOLE) -> SurfaceView:
+    """Return how a surface is seen, by a lens as that of ``shape``."""
+    rim_m = max(-float(shape[Fitted.CONTACT] * soft.min()), _LEAST_RIM_M)
+    (pitch_x, pitch_y), (span_x, span_y) = pitch_m.tolist(), span.tolist()
+    across = _across_of(pitch_m, soft.shape, span)
+    return SurfaceView(pitch_x, pitch_y, span_x, span_y, float(shape[Fitted.LENS]), across, rim_m)
+
+
+def seen_features(soft: Float32, pitch_m: Float64, shape: Float64) -> Seen:
     """Return which entries of the response each pixel of a surface takes part in."""
     entries = np.empty((soft.size, gel_kernels.ACTIVE), np.int64)
     shares = np.empty(entries.shape, np.float32)
-    gel_kernels.features(soft, pitch_m, shape[Fitted.LENS], rim_m(soft, shape), entries, shares)
+    gel_kernels.features(soft, view_of(soft, pitch_m, shape), entries, shares)
     return entries, shares
 
 
+def response_table(coefficients: Floating) -> Float32:
+    """Return coefficients (ENTRIES, PLACES, 3) as :func:`response` takes them."""
+    table = np.zeros((3, len(coefficients), taxim_kernels.LANES), np.float32)
+    # Terms are 1, x, y, x^2, x y, y^2: by the power of y first, then by that of x, then by colour.
+    for place, (power_y, power_x) in enumerate(((0, 0), (0, 1), (1, 0), (0, 2), (1, 1), (2, 0))):
+        table[power_y, :, 4 * power_x : 4 * power_x + 3] = coefficients[:, place]
+    return table.reshape(3, -1)
+
+
 def response(
-    seen: Seen, size: tuple[int, int], coefficients: Float64, sigma_px: Float64, span: Float64
-) -> Float64:
-    """Return the change of the image, levels, shape (H, W, 3); ``size`` is (H, W)."""
-    out = np.empty((*size, 3))
-    gel_kernels.write_response(out, *seen, coefficients, span)
-    blur_colours(out, sigma_px)
+    soft: Float32, pitch_m: Float64, shape: Float64, table: Float32, span: Float64 = WHOLE
+) -> Float32:
+    """Return how a surface changes the image, levels, shape (H, W, 3); see :func:`response_table`."""
+    flat = np.empty(3 * soft.size + 1, np.float32)
+    gel_kernels.render_response(flat, soft, view_of(soft, pitch_m, shape, span), table)
+    out = flat[:-1].reshape(*soft.shape, 3)
+    blur_colours(out, shape[Fitted.BLUR] / pitch_m)
     return out
 
 
-def blur_colours(image: Float64, sigma_px: Float64) -> None:
+def blur_colours(image: Float32, sigma_px: Float64) -> None:
     """Blur an image (H, W, k) in place, by standard deviations along x and y."""
     rows, columns, many = image.shape
+    blur = _blur((float(sigma_px[0]), float(sigma_px[1])), (rows, columns), _CAMERA_REACH, np.inf)
     plane = image.reshape(rows, many * columns)
-    across, down = half_kernel(sigma_px[0], columns), half_kernel(sigma_px[1], rows)
-    blur(plane, across, down, many, np.zeros(plane.shape, np.bool_), plane)
+    taxim_kernels.blur(plane, blur.across, blur.down, many, None, plane)

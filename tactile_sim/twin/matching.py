@@ -28,7 +28,7 @@ from tactile_sim.twin.place_search import (
 )
 from tactile_sim.twin.recordings import Recordings
 from tactile_sim.twin.rounds_of_fit import start_fit
-from tactile_toolkit.array_types import Bool, Float64
+from tactile_toolkit.array_types import Bool, Float32, Float64
 
 _SEARCH_PX, _FIT_PX = 40, 80  # widths of the images that are searched, and fitted
 _HYPOTHESES, _FINALISTS = 25, 8  # colours that each touch proposes, and that are refined
@@ -121,8 +121,9 @@ def matched_places(
     changes = changes_of(fit, range(count))
     colours = _common_colours(list(free_places(fit, changes, press_m, near).values()))
 
-    def slopes(surface: Float64, pitch_m: Float64) -> Float64:
-        return np.asarray(np.stack([*np.gradient(surface, *pitch_m[::-1])], axis=2) @ colours)
+    def slopes(surface: Float32, pitch_m: Float64) -> Float32:
+        steep = np.stack([*np.gradient(surface, *pitch_m[::-1])], axis=2)
+        return np.asarray(steep @ colours, np.float32)
 
     places = matching_places(fit, changes, slopes, (_USUAL * press_m,), press_m, near)
     best = np.array([places[touch].at[0] for touch in range(count)])
@@ -240,11 +241,10 @@ def _paint_of(fit: Fit) -> Paint:
     coefficients = fit.coefficients.copy()
     coefficients[:, 1:] = 0.0
     shape = np.where(np.arange(len(fit.shape)) == Fitted.LENS, 0.0, fit.shape)
+    table = gel.response_table(coefficients)
 
-    def paint(surface: Float64, pitch_m: Float64) -> Float64:
-        seen = gel.seen_features(surface, pitch_m, shape)
-        size = (surface.shape[0], surface.shape[1])
-        return gel.response(seen, size, coefficients, fit.shape[Fitted.BLUR] / pitch_m, gel.WHOLE)
+    def paint(surface: Float32, pitch_m: Float64) -> Float32:
+        return gel.response(surface, pitch_m, shape, table)
 
     return paint
 

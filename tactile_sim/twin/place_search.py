@@ -33,7 +33,7 @@ _LEAST_GAIN, _MOST_GAIN = 0.6, 1.6  # of how strong an image is against one of t
 Changes: TypeAlias = Mapping[int, Float32]
 """How images of touches differ from the gel at rest, (3, h, w), by their numbers."""
 
-Paint: TypeAlias = Callable[[Float64, Float64], Float64]
+Paint: TypeAlias = Callable[[Float32, Float64], Float32]
 """Makes the change of an image (h, w, 3) of a gel's surface (h, w), metres, and the size of a pixel."""
 
 
@@ -61,7 +61,7 @@ class Places:
 class _Turned:
     """A turned solid: the surface of the gel (R, C), and middles and press depths of its windows (r, c)."""
 
-    surface: Float64
+    surface: Float32
     x_m: Float64
     y_m: Float64
     press_m: Float64
@@ -240,7 +240,7 @@ def _middles(values: Float64, size: tuple[int, int]) -> Float64:
     return np.asarray((values[:rows, :columns] + values[height - 1 :, width - 1 :]) / 2)
 
 
-def _smooth(image: Float32 | Float64) -> Float64:
+def _smooth(image: Float32) -> Float64:
     return np.asarray(scipy.ndimage.gaussian_filter(image.astype(np.float64), (_SMOOTH_PX, _SMOOTH_PX, 0)))
 
 

@@ -224,7 +224,7 @@ def _samples(twin: Twin, fit: Fit, rng: np.random.Generator) -> list[tuple[UInt8
         if rng.random() < _PRIMITIVE:
             relief = _primitive(rng)
         margin = gel.margin_px(twin.size_px[0])
-        reach_m = _pressed(twin, relief, rng, presses, margin)
+        reach_m: Float32 | Float64 = _pressed(twin, relief, rng, presses, margin)
         clean = twin.background + optics.response(reach_m, margin=margin)
         reach_m = gel.seen_through(reach_m, twin.pitch_m, float(twin.shape[Fitted.LENS]), margin)
         # What the fit leaves of real images: their noise, and what the twin does not render.

@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from tactile_sim.array_files import npz_bytes
 from tactile_sim.optics import Optics, scaled
 from tactile_sim.sensor import Sensor
-from tactile_sim.twin import gel, gel_kernels
+from tactile_sim.twin import gel, surface_kernels
 from tactile_sim.twin.gel import Fitted
-from tactile_toolkit.array_types import AnyArray, Float32, Float64, UInt8
+from tactile_toolkit.array_types import AnyArray, Float32, Float64, Floating, UInt8
 from tactile_toolkit.errors import InputError
 
-LEAST_PX = 16
+Surface: TypeAlias = Callable[[Floating, Float64, Float64, int, Float64], Float32]
+"""Makes the surface of a gel that is seen, as :func:`tactile_sim.twin.gel.gel_surface` does."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,13 +81,12 @@ class Twin:
 class TwinOptics(Optics):
     """Images of a sensor as its twin makes them."""
 
-    least_px = LEAST_PX
+    least_px = 16
 
     def __init__(self, twin: Twin, *, lens: bool = True) -> None:
         self._twin = twin
         self._lens = lens
-        self._coefficients = np.zeros((*twin.coefficients.shape[:2], 4), np.float32)
-        self._coefficients[..., :3] = twin.coefficients
+        self._table = gel.response_table(twin.coefficients)
 
     def shades(
         self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int], *, is_surface: bool = False
@@ -101,59 +101,44 @@ class TwinOptics(Optics):
                 next="take the window of `model.sensor`",
             )
         size = depth_m.shape[1:]
-        behind = _part_of(self._twin.background, span, size)
+        behind, margin = _part_of(self._twin.background, span, size), gel.margin_px(size[1])
         out = np.empty((*depth_m.shape, 3), np.float32)
         for number, each in enumerate(depth_m):
-            reach_m = sensor.gel_m - each
-            if not is_surface:
-                # What of the solid lies deeper than the gel is thick does not touch it.
-                reach_m = np.maximum(reach_m, 0.0)
-            gel_kernels.lay_over(out[number], self.response(reach_m, span, is_surface=is_surface), behind)
+            if is_surface:
+                change = self._response(gel.own_surface, sensor.gel_m - each, span, 0)
+            else:
+                # Mirrored at the edge, as kernels would have it, the gel is six times as far off there.
+                reach_m = surface_kernels.extend(np.ascontiguousarray(each), sensor.gel_m, margin)
+                change = self.response(reach_m, margin, span)
+            surface_kernels.lay_over(out[number], change, behind)
         return out
 
-    def response(
-        self, reach_m: Float64, span: Float64 | None = None, margin: int = 0, *, is_surface: bool = False
-    ) -> Float64:
+    def response(self, reach_m: Floating, margin: int, span: Float64 = gel.WHOLE) -> Float32:
         """Return the change of the image (H, W, 3), levels, by a solid that reaches so far into the gel.
 
-        ``span`` is the share of the image that the map shows, along x and y; all of it by default. The map
-        has ``margin`` pixels more on each side. With ``is_surface``, it is that of an elastic gel itself.
+        The map has ``margin`` pixels more on each side; ``span`` is the share of the image that it shows,
+        along x and y, without them.
         """
-        if span is None:
-            span = gel.WHOLE
-        twin = self._twin
-        rows, columns = (side - 2 * margin for side in reach_m.shape)
-        out = np.zeros((rows, columns, 3))
-        if not reach_m.any():
-            return out
-        pitch_m = 2 * twin.half_m * span / [columns, rows]
-        shape = twin.shape.copy()
+        return self._response(gel.gel_surface, reach_m, span, margin)
+
+    def _response(self, surface: Surface, reach_m: Floating, span: Float64, margin: int) -> Float32:
+        shape = self._twin.shape.copy()
         if not self._lens:
             shape[Fitted.LENS] = 0.0
-        if not (margin or is_surface):
-            # Mirrored at the edge, as kernels would have it, the gel is six times as far off there.
-            margin = gel.margin_px(columns)
-            wide_m = np.empty((rows + 2 * margin, columns + 2 * margin))
-            gel_kernels.extend(wide_m, np.ascontiguousarray(reach_m), margin)
-            reach_m = wide_m
-        surface = gel.own_surface if is_surface else gel.gel_surface
+        rows, columns = (side - 2 * margin for side in reach_m.shape)
+        pitch_m = 2 * self._twin.half_m * span / [columns, rows]
         soft = surface(reach_m, pitch_m, shape, margin, span)
-        across = gel.across_of(pitch_m, soft.shape, span)
-        lens = float(twin.shape[Fitted.LENS])
-        rim_m = gel.rim_m(soft, shape)
-        gel_kernels.render_response(out, soft, pitch_m, self._coefficients, span, lens, across, rim_m)
-        gel.blur_colours(out, shape[Fitted.BLUR] / pitch_m)
-        return out
+        return gel.response(soft, pitch_m, self._twin.shape, self._table, span)
 
     def reached(self, reach_m: Float32, sensor: Sensor) -> UInt8:
         """Return pictures (n, H, W, 3) of how far solids reach into the gel, (n, H, W), metres."""
         return self.render(sensor.gel_m - np.asarray(reach_m, np.float64), sensor, self._twin.size_px)
 
 
-def _part_of(image: Float32, span: Float64, size: tuple[int, ...]) -> Float64:
+def _part_of(image: Float32, span: Float64, size: tuple[int, ...]) -> Float32:
     """Return the middle of an image, a share ``span`` of its sides, in another size (H, W)."""
     if image.shape[:2] == size and (np.abs(span - 1) < 1e-6).all():
-        return image.astype(np.float64)
+        return image
     part = image.astype(np.float64)
     for axis, count, share in ((0, size[0], span[1]), (1, size[1], span[0])):
         sides = part.shape[axis]
@@ -162,7 +147,7 @@ def _part_of(image: Float32, span: Float64, size: tuple[int, ...]) -> Float64:
         first = np.minimum(at.astype(np.int64), sides - 2)
         weight = (at - first).reshape([-1 if each == axis else 1 for each in range(3)])
         part = part.take(first, axis) * (1 - weight) + part.take(first + 1, axis) * weight
-    return part
+    return part.astype(np.float32)
 
 
 def resized_depth(maps: Float32, size_px: tuple[int, int]) -> Float32:
@@ -170,8 +155,7 @@ def resized_depth(maps: Float32, size_px: tuple[int, int]) -> Float32:
     width, height = size_px
     if maps.shape[1:] == (height, width):
         return maps
-    parts = [_part_of(each[..., None], np.ones(2), (height, width))[..., 0] for each in maps]
-    return np.asarray(parts, np.float32)
+    return np.stack([_part_of(each[..., None], gel.WHOLE, (height, width))[..., 0] for each in maps])
 
 
 def in_size_of(twin: Twin, images: UInt8) -> UInt8:

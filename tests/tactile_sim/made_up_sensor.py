@@ -79,7 +79,8 @@ def plain_weigh_pixels(out, at, source, middle, step, weights, kept, kept_at):
     for tap in range(1, len(weights)):
         far = tap * step
         total += weights[tap] * (source[middle - far :][: len(total)] + source[middle + far :][: len(total)])
-    np.copyto(out[at : at + len(total)], total, where=~kept[kept_at : kept_at + len(total)])
+    stays = np.zeros(len(total), bool) if kept is None else kept.ravel()[kept_at : kept_at + len(total)]
+    np.copyto(out[at : at + len(total)], total, where=~stays)
 
 
 def plain_colour_pixel(out, at, tables, first, x, y):

@@ -13,7 +13,7 @@ from scipy import ndimage
 
 import realtouch
 import tactile_sim
-from tactile_sim.twin import gel, gel_kernels, network, reader
+from tactile_sim.twin import gel, gel_kernels, network, reader, surface_kernels
 from tactile_sim.twin.calibration import model_of
 from tactile_sim.twin.fitting import COEFFICIENTS, Fit
 from tactile_sim.twin.gel import Fitted
@@ -63,33 +63,62 @@ def test_kernels_of_the_gel_are_gaussian():
     assert len(gel.half_kernel(50.0, 12)) == 12  # never beyond the image
 
 
-def test_one_pass_renders_what_two_do():
-    """The kernel of the optics gives what features and coefficients give, lens included."""
+def response_of(seen: gel.Seen, coefficients: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """The response (H, W, 3) as the sum over the entries of each pixel, without blur, in plain numpy."""
+    y, x = ((np.arange(side) + 0.5) / side * 2 - 1 for side in size)
+    x, y = np.meshgrid(x, -y)
+    terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1).reshape(-1, 6)
+    entries, shares = seen
+    return np.einsum("pk,pkts,pt->ps", shares, coefficients[entries], terms).reshape(*size, 3)
+
+
+def without(shape: np.ndarray, *fitted: Fitted) -> np.ndarray:
+    """A geometry without a lens, or without blur."""
+    return np.where(np.isin(np.arange(len(shape)), fitted), 0.0, shape)
+
+
+def test_the_optics_render_what_features_and_coefficients_give():
+    """The kernel sums over all entries of a pixel, and blurs as scipy does, lens included."""
     pitch_m = 2 * HALF_M / [64, 48]
     soft = gel.gel_surface(hills(), pitch_m, SHAPE)
     twin = made_up_twin()
-    padded = np.zeros((*twin.coefficients.shape[:2], 4), np.float32)
-    padded[..., :3] = twin.coefficients
-    out, lens = np.empty((48, 64, 3)), float(SHAPE[Fitted.LENS])
-    across = gel.across_of(pitch_m, soft.shape)
-    gel_kernels.render_response(out, soft, pitch_m, padded, np.ones(2), lens, across, gel.rim_m(soft, SHAPE))
-    plain = np.empty((48, 64, 3))
-    seen = gel.seen_features(soft, pitch_m, SHAPE)
-    gel_kernels.write_response(plain, *seen, twin.coefficients.astype(float), np.ones(2))
+    plain = response_of(gel.seen_features(soft, pitch_m, SHAPE), twin.coefficients.astype(float), (48, 64))
     assert np.abs(plain).max() > 10
-    assert out == pytest.approx(plain, abs=1e-3)
+    table = gel.response_table(twin.coefficients)
+    sharp = gel.response(soft, pitch_m, without(SHAPE, Fitted.BLUR), table)
+    assert sharp == pytest.approx(plain, abs=1e-3)
+    shape = without(SHAPE, Fitted.BLUR) + 4e-4 * (np.arange(8) == Fitted.BLUR)
+    sigmas = [*(4e-4 / pitch_m[::-1]), 0]
+    blurred = ndimage.gaussian_filter(plain, sigmas, mode="mirror", truncate=3)
+    assert gel.response(soft, pitch_m, shape, table) == pytest.approx(
+        blurred, abs=5e-3 * np.abs(blurred).max()
+    )
+
+
+def test_slopes_exactly_along_an_axis_have_an_entry():
+    """The direction of a slope along x is the first one, not the one after the last."""
+    pitch_m, (rows, columns) = np.array([3e-4, 3e-4]), (20, 30)
+    coefficients = made_up_twin().coefficients
+    along = np.arange(columns) * 1e-4 - 0.004
+    for soft in (np.tile(along, (rows, 1)), np.tile(along[:rows, None], (1, columns))):
+        soft = soft.astype(np.float32)
+        for turned in (soft, np.ascontiguousarray(soft[::-1, ::-1])):
+            plain = response_of(gel.seen_features(turned, pitch_m, SHAPE), coefficients, (rows, columns))
+            sharp = without(SHAPE, Fitted.BLUR)
+            found = gel.response(turned, pitch_m, sharp, gel.response_table(coefficients))
+            assert found == pytest.approx(plain, abs=0.02)
 
 
 def test_slopes_seen_through_a_lens_are_those_of_the_gel():
     """A plane keeps its slope wherever the lens shows it."""
     pitch_m, margin, lens = np.array([3e-4, 3e-4]), 12, 0.06
     y, x = np.mgrid[36 + margin : -36 - margin : -1, -48 - margin : 48 + margin].astype(float) * 3e-4
-    seen = gel.seen_through(0.3 * x - 0.2 * y, pitch_m, lens, margin)
+    seen = gel.seen_through((0.3 * x - 0.2 * y).astype(np.float32), pitch_m, lens, margin)
     flat, bent = SHAPE.copy(), SHAPE.copy()
     flat[Fitted.LENS], bent[Fitted.LENS] = 0.0, lens
     steepness = slice(0, 8, 4)  # first entries of both directions
     plane = np.ascontiguousarray((0.3 * x - 0.2 * y)[12:-12, 12:-12])
-    entries, straight = gel.seen_features(plane, pitch_m, flat)
+    entries, straight = gel.seen_features(plane.astype(np.float32), pitch_m, flat)
     found, shares = gel.seen_features(seen, pitch_m, bent)
     inside = np.zeros(seen.shape, bool)
     inside[2:-2, 2:-2] = True
@@ -106,8 +135,8 @@ def test_entries_of_a_slope_follow_its_direction_and_steepness():
     y, x = np.mgrid[9:-9:-1, -9:10].astype(float) * 3e-4
     for angle in np.linspace(0.05, 2 * np.pi, 17):
         steep = 0.1 + 0.05 * angle
-        soft = steep * (np.cos(angle) * x + np.sin(angle) * y) - 0.01
-        entries, shares = gel.seen_features(soft, pitch_m, np.where(np.arange(8) == Fitted.LENS, 0.0, SHAPE))
+        soft = np.float32(steep * (np.cos(angle) * x + np.sin(angle) * y) - 0.01)
+        entries, shares = gel.seen_features(soft, pitch_m, without(SHAPE, Fitted.LENS))
         middle = entries[9 * 19 + 9], shares[9 * 19 + 9].astype(float)
         assert middle[1].sum() == pytest.approx(2, abs=1e-5)  # one for each table
         turn = np.array([middle[1][:4].sum(), middle[1][4:].sum()]) / 2
@@ -121,19 +150,19 @@ def test_entries_of_a_slope_follow_its_direction_and_steepness():
 
 def test_a_gel_at_rest_does_not_respond():
     """Where the gel is level, there are no shares, and the kernel of the optics writes zeros."""
-    entries, shares = gel.seen_features(np.zeros((20, 30)), np.array([1e-4, 1e-4]), SHAPE)
+    entries, shares = gel.seen_features(np.zeros((20, 30), np.float32), np.array([1e-4, 1e-4]), SHAPE)
     assert not entries.any()
     assert not shares.any()
 
 
-@pytest.mark.parametrize("sigma_px", [3.0, 9.0, 20.0])
+@pytest.mark.parametrize("sigma_px", [3.0, 5.0, 9.0, 20.0])
 def test_wide_blurs_on_smaller_maps_are_gaussian(sigma_px: float):
-    """A blur of the gel is scipy's to a hundredth, on a shrunk map too."""
-    gel_map = np.zeros((150, 211))
+    """A blur of the gel is scipy's to a thousandth, on a smaller map too."""
+    gel_map = np.zeros((150, 211), np.float32)
     gel_map[60:100, 80:120] = -1.0
     expected = ndimage.gaussian_filter(gel_map, sigma_px, truncate=4, mode="mirror")
-    gel.blur_gel(gel_map, np.full(2, sigma_px))
-    assert np.abs(gel_map - expected).max() < 0.01
+    surface_kernels.soften(gel_map, gel_map, gel.gel_blur(np.full(2, sigma_px), gel_map.shape), 0)
+    assert np.abs(gel_map - expected).max() < 1e-3
 
 
 def test_normal_equations_are_those_of_the_dense_matrix():
@@ -147,9 +176,7 @@ def test_normal_equations_are_those_of_the_dense_matrix():
         for place in range(gel_kernels.PLACES):
             single = np.zeros((gel_kernels.ENTRIES, gel_kernels.PLACES, 3))
             single[entry, place, 0] = 1
-            image = np.empty((48, 64, 3))
-            gel_kernels.write_response(image, *seen, single, np.ones(2))
-            dense.append(image[..., 0].ravel())
+            dense.append(response_of(seen, single, (48, 64))[..., 0].ravel())
     matrix = np.array(dense).T
     weights = rng.uniform(0, 1, (48, 64)).astype(np.float32)
     given = rng.normal(size=(48, 64, 2)).astype(np.float32)
@@ -370,7 +397,25 @@ def test_rendering_leaves_pixels_at_rest_alone():
     optics = TwinOptics(dataclasses.replace(made_up_twin(), half_m=10 * HALF_M))
     small = np.zeros((48, 64))
     small[24, 8] = 1e-3
-    assert (optics.response(small)[:, 50:] == 0).all()
+    wide = surface_kernels.extend(-small, 0.0, 8)
+    assert (optics.response(wide, 8)[:, 50:] == 0).all()
+
+
+@pytest.mark.parametrize("lens", [-0.2, 0.0, 0.15])
+@pytest.mark.parametrize("width_m", [2e-4, 9e-4, 4e-3])
+def test_what_blurs_leave_out_is_not_seen(lens: float, width_m: float, monkeypatch):
+    """The surface is the same to the bit when every blur covers all of the margin."""
+    shape = SHAPE.copy()
+    shape[Fitted.LENS], shape[Fitted.WIDTH] = lens, width_m
+    pitch_m, margin = np.array([1.2e-4, 1.2e-4]), 19
+    y, x = np.mgrid[-1:1:158j, -1:1:198j]
+    solid = np.clip(0.001 - 0.002 * np.abs(x - 0.3 * y) + 2e-4 * np.sin(40 * x), 0, None)
+    part = gel.gel_surface(solid, pitch_m, shape, margin)
+    press_gel = surface_kernels.press_gel
+    monkeypatch.setattr(
+        surface_kernels, "press_gel", lambda *given: press_gel(*given[:3], (0,) * len(given[3]), *given[4:])
+    )
+    assert (part == gel.gel_surface(solid, pitch_m, shape, margin)).all()
 
 
 def test_wrong_recordings_are_refused():
@@ -436,10 +481,9 @@ def test_a_solid_goes_on_beyond_the_image():
     y, x = np.mgrid[24 + margin : -24 - margin : -1, -32 - margin : 32 + margin] * 3e-4
     whole = np.clip(0.001 - np.abs(0.2 * x - 0.1 * y), 0, None)
     part = np.ascontiguousarray(whole[margin:-margin, margin:-margin])
-    out = np.empty(whole.shape)
-    gel_kernels.extend(out, part, margin)
-    assert (out[margin:-margin, margin:-margin] == part).all()
-    shape = np.where(np.arange(8) == Fitted.LENS, 0, SHAPE)
+    out = surface_kernels.extend(-part, 0.0, margin)
+    assert (out[margin:-margin, margin:-margin] == part.astype(np.float32)).all()
+    shape = without(SHAPE, Fitted.LENS)
     true = gel.gel_surface(whole, pitch_m, shape, margin)
     extended, mirrored = gel.gel_surface(out, pitch_m, shape, margin), gel.gel_surface(part, pitch_m, shape)
     assert np.abs(extended - true).mean() < 0.3 * np.abs(mirrored - true).mean()

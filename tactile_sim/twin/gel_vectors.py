@@ -1,0 +1,146 @@
+"""Steps of the gel on vectors of numbers, in LLVM's instructions, which numba does not use by itself.
+
+Each operation is an IEEE one, in the order in which it is written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from llvmlite import ir
+from numba import types
+from numba.core.typing.templates import Signature
+from numba.extending import intrinsic
+
+from tactile_sim.taxim_kernels import LANES, Build, Context, spread
+
+_PIXELS = ir.VectorType(ir.FloatType(), LANES)
+_COLOURS = ir.VectorType(ir.FloatType(), LANES // 4)
+
+
+def _at(builder: ir.IRBuilder, values: ir.Value, place: ir.Value, kind: ir.VectorType = _PIXELS) -> ir.Value:
+    return builder.bitcast(builder.gep(values, [place]), kind.as_pointer())
+
+
+def _hold_pixels(
+    _typing: object,
+    out: types.Type,
+    held: types.Type,
+    at: types.Type,
+    begin: types.Type,
+    per_edge: types.Type,
+) -> tuple[Signature, Build]:
+    """Move :data:`LANES` values of ``out`` to those of ``held``, where these are deep; float32 and flat.
+
+    In plain numba::
+
+        for here in range(at, at + LANES):
+            share = (begin - held[here]) * per_edge
+            share = share if share > 0 else 0
+            share = share if share < 1 else 1
+            out[here] += share * (held[here] - out[here])
+    """
+    signature = types.void(out, held, types.int64, types.float32, types.float32)
+
+    def build(
+        context: Context, builder: ir.IRBuilder, signature: Signature, given: Sequence[ir.Value]
+    ) -> ir.Value:
+        places = [
+            _at(builder, context.make_array(kind)(context, builder, array).data, given[2])
+            for kind, array in zip(signature.args[:2], given[:2], strict=True)
+        ]
+        value, target = (builder.load(place, align=4) for place in places)
+        begin, per_edge = (spread(builder, number, _PIXELS) for number in given[3:])
+        zero, one = (ir.Constant(_PIXELS, [number] * LANES) for number in (0.0, 1.0))
+        share = builder.fmul(builder.fsub(begin, target), per_edge)
+        share = builder.select(builder.fcmp_ordered(">", share, zero), share, zero)
+        share = builder.select(builder.fcmp_ordered("<", share, one), share, one)
+        change = builder.fmul(share, builder.fsub(target, value))
+        builder.store(builder.fadd(value, change), places[0], align=4)
+        return context.get_dummy_value()
+
+    return signature, build
+
+
+hold_pixels: Callable[..., None] = intrinsic(_hold_pixels)
+
+
+def _mix_entries(
+    _typing: object,
+    out: types.Type,
+    at: types.Type,
+    table: types.Type,
+    steep: types.Type,
+    deep: types.Type,
+    turn: types.Type,
+    shares: types.Type,
+    first: types.Type,
+    apart: types.Type,
+) -> tuple[Signature, Build]:
+    """Write four colours of a pixel, the last one 0, from eight entries of a table, all float32 and flat.
+
+    Entries have :data:`LANES` values: four colours without x, with x, with x^2, and four 0. Those of a
+    direction begin ``turn`` values before those of the next one. Shares of the next direction, of the next
+    steepness and of the next depth, and x, lie ``apart`` in ``shares`` from ``first`` on. In plain numba::
+
+        far, fi, fj, x = shares[first : first + 4 * apart : apart]
+        term = np.empty(LANES, np.float32)
+        for m in range(LANES):
+            a, b = steep + m, deep + m
+            here = ((1 - fi) * table[a] + fi * table[a + LANES]) + (
+                (1 - fj) * table[b] + fj * table[b + LANES]
+            )
+            a, b = a + turn, b + turn
+            there = ((1 - fi) * table[a] + fi * table[a + LANES]) + (
+                (1 - fj) * table[b] + fj * table[b + LANES]
+            )
+            term[m] = (1 - far) * here + far * there
+        for colour in range(4):
+            out[at + colour] = term[colour] + x * (term[4 + colour] + x * term[8 + colour])
+    """
+    place = types.int64
+    signature = types.void(out, place, table, place, place, place, shares, place, place)
+
+    def build(
+        context: Context, builder: ir.IRBuilder, signature: Signature, given: Sequence[ir.Value]
+    ) -> ir.Value:
+        written, read, parts = (
+            context.make_array(signature.args[n])(context, builder, given[n]).data for n in (0, 2, 6)
+        )
+
+        def number(place: int, kind: ir.VectorType) -> ir.Value:
+            at = builder.add(given[7], builder.mul(given[8], ir.Constant(given[8].type, place)))
+            return spread(builder, builder.load(builder.gep(parts, [at])), kind)
+
+        def mixed(first: ir.Value, second: ir.Value, share: tuple[ir.Value, ir.Value]) -> ir.Value:
+            return builder.fadd(builder.fmul(share[0], first), builder.fmul(share[1], second))
+
+        def pair(place: ir.Value, share: tuple[ir.Value, ir.Value]) -> ir.Value:
+            following = builder.add(place, ir.Constant(place.type, LANES))
+            entries = [builder.load(_at(builder, read, each), align=4) for each in (place, following)]
+            return mixed(entries[0], entries[1], share)
+
+        one = ir.Constant(_PIXELS, [1.0] * LANES)
+        far, steep, deep = (
+            (builder.fsub(one, share), share) for share in (number(place, _PIXELS) for place in range(3))
+        )
+        here = builder.fadd(pair(given[3], steep), pair(given[4], deep))
+        there = builder.fadd(
+            pair(builder.add(given[3], given[5]), steep), pair(builder.add(given[4], given[5]), deep)
+        )
+        term = mixed(here, there, far)
+        powers = []
+        for power in range(3):
+            lanes = [4 * power + colour for colour in range(4)]
+            kind = ir.VectorType(ir.IntType(32), 4)
+            powers.append(builder.shuffle_vector(term, term, ir.Constant(kind, lanes)))
+        x = number(3, _COLOURS)
+        total = builder.fadd(powers[1], builder.fmul(x, powers[2]))
+        total = builder.fadd(powers[0], builder.fmul(x, total))
+        builder.store(total, _at(builder, written, given[1], _COLOURS), align=4)
+        return context.get_dummy_value()
+
+    return signature, build
+
+
+mix_entries: Callable[..., None] = intrinsic(_mix_entries)

@@ -1,0 +1,234 @@
+"""The surface of the gel of a twin, in numba: how it follows a solid and leaves it, and how it is seen.
+
+All in single precision: heights are right to about a ten-millionth of the press depth.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from tactile_sim import taxim_kernels
+from tactile_toolkit.array_types import Float32, Float64, Floating
+from tactile_toolkit.compiled import compiled
+
+_RUN = 3  # pixels over which the slope at an edge is taken
+
+
+class Blur(NamedTuple):
+    """How often a map is halved before it is blurred, and halves of the kernels across and down."""
+
+    halvings: int
+    across: Float32
+    down: Float32
+
+
+@compiled
+def extend(depth: Float64, level: float, margin: int) -> Float32:
+    """Return how far a solid rises above a level, with ``margin`` pixels more on each side.
+
+    There its slopes at the edge go on. Values stay between 0 and the greatest of the map.
+    """
+    rows, columns = depth.shape
+    out = np.empty((rows + 2 * margin, columns + 2 * margin), np.float32)
+    zero, run = np.float32(0.0), np.float32(_RUN)
+    tops = np.zeros(columns, np.float32)
+    for row in range(rows):
+        line, wide = depth[row], out[row + margin]
+        middle = wide[margin:]
+        for column in range(columns):
+            value = np.float32(level - line[column])
+            value = value if value > zero else zero
+            middle[column] = value
+            tops[column] = value if value > tops[column] else tops[column]
+        first, end = (middle[_RUN] - middle[0]) / run, columns - 1
+        last = (middle[end] - middle[end - _RUN]) / run
+        for far in range(1, margin + 1):
+            wide[margin - far] = middle[0] - np.float32(far) * first
+            middle[end + far] = middle[end] + np.float32(far) * last
+    greatest = tops.max()
+    top, bottom = out[margin], out[margin + rows - 1]
+    inner_top, inner_bottom = out[margin + _RUN], out[margin + rows - 1 - _RUN]
+    for far in range(1, margin + 1):
+        above, below, distance = out[margin - far], out[margin + rows - 1 + far], np.float32(far)
+        for column in range(len(top)):
+            above[column] = top[column] - distance * ((inner_top[column] - top[column]) / run)
+            below[column] = bottom[column] + distance * ((bottom[column] - inner_bottom[column]) / run)
+    for row in range(len(out)):
+        line = out[row]
+        for column in range(len(line)):
+            value = line[column] if line[column] > zero else zero
+            line[column] = value if value < greatest else greatest
+    return out
+
+
+@compiled
+def press_gel(
+    indentation: Floating,
+    margin: int,
+    blurs: tuple[Blur, ...],
+    insets: tuple[int, ...],
+    share: float,
+    edge: float,
+) -> Float32:
+    """Return the surface of the gel, metres, that a solid presses in so far (H, W), the margin included.
+
+    Contact begins at a share of the greatest indentation within the margin, over an edge in metres; no part
+    counts as higher than that. After each of the ``blurs`` but the last one, the gel takes the shape of the
+    solid where it is in contact. Each leaves out an edge, of the width of its inset, that nothing shows.
+    """
+    held = np.empty(indentation.shape, np.float32)
+    greatest = _turn_over(held, indentation, margin)
+    begin, last = 0.5 * edge - share * greatest, len(blurs) - 1
+    soft = np.empty_like(held)
+    soften(soft, held, blurs[0], 0)
+    _hold(soft, held, 0, begin, 1.0 / edge)
+    for level in range(1, last):
+        soften(soft, soft, blurs[level], insets[level])
+        _hold(soft, held, insets[level], begin, 1.0 / edge)
+    soften(soft, soft, blurs[last], insets[last])
+    return soft
+
+
+@compiled
+def _hold(soft: Float32, held: Float32, inset: int, begin: float, per_edge: float) -> None:
+    """Give the gel the shape of the solid where it is in contact, but for an edge of ``inset``.
+
+    Contact begins at ``begin``, metres, and grows from 0 to 1 by ``per_edge`` for each metre deeper.
+    """
+    zero, one, level, growth = np.float32(0.0), np.float32(1.0), np.float32(begin), np.float32(per_edge)
+    for row in range(inset, len(soft) - inset):
+        line, target = soft[row, inset:], held[row, inset:]
+        for column in range(len(line) - inset):
+            share = (level - target[column]) * growth
+            share = share if share > zero else zero
+            share = share if share < one else one
+            line[column] += share * (target[column] - line[column])
+
+
+@compiled
+def _turn_over(held: Float32, indentation: Floating, margin: int) -> float:
+    """Write the height of the gel where it has the shape of the solid; return the greatest indentation."""
+    rows, columns = indentation.shape
+    tops = np.zeros(columns - 2 * margin, np.float32)
+    for row in range(margin, rows - margin):
+        into = indentation[row, margin:]
+        for column in range(len(tops)):
+            value = np.float32(into[column])
+            tops[column] = value if value > tops[column] else tops[column]
+    greatest: np.float32 = tops.max()
+    for row in range(rows):
+        target, into = held[row], indentation[row]
+        for column in range(columns):
+            value = np.float32(into[column])
+            target[column] = -value if value < greatest else -greatest
+    return float(greatest)
+
+
+@compiled
+def soften(out: Float32, source: Float32, blur: Blur, inset: int) -> None:
+    """Write a blurred map, but for an edge of ``inset``.
+
+    Wide blurs are done on a smaller map: binomials of width 4, down and up, are part of the Gaussian.
+    """
+    if blur.halvings == 0:
+        taxim_kernels.blur(source, blur.across, blur.down, 1, None, out, inset)
+        return
+    small = halved(source)
+    for _ in range(blur.halvings - 1):
+        small = halved(small)
+    taxim_kernels.blur(small, blur.across, blur.down, 1, None, small)
+    for left in range(blur.halvings - 1, 0, -1):
+        size = 1 << left
+        larger = np.empty(((len(out) + size - 1) // size, (out.shape[1] + size - 1) // size), np.float32)
+        double(larger, small)
+        small = larger
+    double(out, small)
+
+
+@compiled
+def halved(wide: Float32) -> Float32:
+    """Return a map of half the size, weighed by 1, 3, 3, 1; it goes on with the values at its edge."""
+    rows, columns = wide.shape
+    high, across = (rows + 1) // 2, (columns + 1) // 2
+    out, line = np.empty((high, across), np.float32), np.empty(columns + 3, np.float32)
+    three, part = np.float32(3.0), np.float32(1.0 / 64.0)
+    middle = line[1:]
+    for row in range(high):
+        a, b = wide[max(2 * row - 1, 0)], wide[2 * row]
+        c, d = wide[min(2 * row + 1, rows - 1)], wide[min(2 * row + 2, rows - 1)]
+        for column in range(columns):
+            middle[column] = ((a[column] + d[column]) + three * (b[column] + c[column])) * part
+        line[0] = middle[0]
+        middle[columns], middle[columns + 1] = middle[columns - 1], middle[columns - 1]
+        target = out[row]
+        for column in range(across):
+            at = 2 * column
+            target[column] = (line[at] + line[at + 3]) + three * (line[at + 1] + line[at + 2])
+    return out
+
+
+@compiled
+def double(out: Float32, small: Float32) -> None:
+    """Write a map of twice the size, bilinear; an odd side has a pixel less."""
+    rows, columns = out.shape
+    high, wide = small.shape
+    three, part, line = np.float32(3.0), np.float32(1.0 / 16.0), np.empty(wide + 2, np.float32)
+    middle = line[1:]
+    for row in range(rows):
+        at = row // 2
+        near, far = small[at], small[min(at + 1, high - 1) if row % 2 else max(at - 1, 0)]
+        for column in range(wide):
+            middle[column] = (three * near[column] + far[column]) * part
+        line[0], middle[wide] = middle[0], middle[wide - 1]
+        target = out[row]
+        for column in range(columns // 2):
+            target[2 * column] = three * middle[column] + line[column]
+            target[2 * column + 1] = three * middle[column] + middle[column + 1]
+        if columns % 2:
+            target[columns - 1] = three * middle[wide - 1] + line[wide - 1]
+
+
+@compiled
+def bend_surface(
+    out: Float32, surface: Floating, span: Float64, margin: int, lens: float, across: float
+) -> None:
+    """Write a surface as it is seen through the lens, bilinear; it has ``margin`` pixels more on each side.
+
+    ``across`` is the share of the width in the square of the diagonal.
+    """
+    rows, columns = out.shape
+    high, wide = surface.shape
+    places, parts = np.empty(columns, np.int32), np.empty((2, columns), np.float32)
+    zero, one, down, flat = 0.0, np.float32(1.0), 1.0 - across, surface.reshape(surface.size)
+    most_x, most_y, right, below = wide - 1.0, high - 1.0, np.int32(wide - 2), np.int32(high - 2)
+    for row in range(rows):
+        v, from_middle = span[1] * (1.0 - (2.0 * row + 1.0) / rows), row + 0.5 - 0.5 * rows
+        for column in range(columns):
+            u = span[0] * ((2.0 * column + 1.0) / columns - 1.0)
+            bend = lens * (across * u * u + down * v * v)
+            x, y = column + margin + bend * (column + 0.5 - 0.5 * columns), row + margin + bend * from_middle
+            x, y = (x if x > zero else zero), (y if y > zero else zero)
+            x, y = (x if x < most_x else most_x), (y if y < most_y else most_y)
+            i, j = np.int32(x), np.int32(y)
+            i, j = (i if i < right else right), (j if j < below else below)
+            places[column] = j * np.int32(wide) + i
+            parts[0, column], parts[1, column] = x - i, y - j
+        target = out[row]
+        for column in range(columns):
+            at, fx, fy = places[column], parts[0, column], parts[1, column]
+            target[column] = (one - fy) * ((one - fx) * flat[at] + fx * flat[at + 1]) + fy * (
+                (one - fx) * flat[at + wide] + fx * flat[at + wide + 1]
+            )
+
+
+@compiled
+def lay_over(out: Float32, response: Float32, behind: Float32) -> None:
+    """Write shades, 0 to 1, (H, W, 3), of a response over a background, levels."""
+    flat, change, below = out.reshape(out.size), response.reshape(out.size), behind.reshape(out.size)
+    zero, one, part = np.float32(0.0), np.float32(1.0), np.float32(1.0 / 255.0)
+    for at in range(len(flat)):
+        shade = (change[at] + below[at]) * part
+        shade = shade if shade > zero else zero
+        flat[at] = shade if shade < one else one
