@@ -7,8 +7,9 @@ The second one also states how far off it is likely to be.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -21,16 +22,17 @@ from tactile_sim.twin.gel import Fitted
 from tactile_sim.twin.gel_kernels import sample_relief
 from tactile_sim.twin.relief import Relief
 from tactile_sim.twin.twin import Twin, TwinOptics, in_size_of, resized_depth
-from tactile_toolkit.array_types import Float32, Float64, UInt8
+from tactile_toolkit.array_types import Float32, Float64, Int64, UInt8
 
 _WIDTHS = {"full": 160, "fast": 80}  # pixels of the images that are read
 _TOUCHES = 240
 _PER_TOUCH = 3000  # pixels that the networks see of each
-_SLOPE_STEPS, _DEPTH_STEPS = 500, 1500
-_SLOPE_HIDDEN, _DEPTH_HIDDEN = (24, 24), (48, 48)
+_NETWORKS = ((11, 24, 24, 4), (36, 48, 48, 4), (36, 48, 48, 4))
+"""Sizes of the layers: from colours, and twice from these and what was found around."""
+_STEPS = (500, 1500, 1500)
 _BLURS = (0.01, 0.03, 0.09)  # of the width
 _DULL_MM = 0.02  # less depth is taken for no contact
-_SMOOTH_MM = 0.01  # below this, the loss is round
+_SMOOTH = np.array([0.01, 0.01, 0.01], np.float32)  # mm per pixel, and mm; below this, the loss is round
 _REPEATED = 3  # how often the recordings are seen for each time of a rendered touch
 _PRIMITIVE = 0.35  # share of touches of balls, cones and ridges
 
@@ -38,15 +40,10 @@ _PRIMITIVE = 0.35  # share of touches of balls, cones and ridges
 def reader_shapes() -> dict[str, tuple[int, ...]]:
     """Return the shapes of the weights of a reader by name."""
     shapes: dict[str, tuple[int, ...]] = {}
-    colours = 11
     for mode in _WIDTHS:
-        nets = (
-            ("slope", colours, _SLOPE_HIDDEN),
-            ("depth", colours + 3 + 6 * len(_BLURS[1:]) + 3, _DEPTH_HIDDEN),
-        )
-        for kind, inputs, hidden in nets:
-            name, sizes = f"{mode}_{kind}", (inputs, *hidden, 2)
-            shapes |= {f"{name}_mean": (inputs,), f"{name}_scale": (inputs,)}
+        for stage, sizes in enumerate(_NETWORKS):
+            name = f"{mode}_{stage}"
+            shapes |= {f"{name}_mean": sizes[:1], f"{name}_scale": sizes[:1]}
             for layer, (wide, narrow) in enumerate(pairwise(sizes)):
                 shapes |= {f"{name}_w{layer}": (wide, narrow), f"{name}_b{layer}": (narrow,)}
     return shapes
@@ -75,13 +72,19 @@ def _shrink(twin: Twin, mode: str) -> int:
 
 
 def _read(reader: Mapping[str, Float32], mode: str, change: Float32) -> tuple[Float32, Float32]:
-    rows, columns, _ = change.shape
-    colours = _colours(change)
-    slopes = network.network_output(reader, f"{mode}_slope", colours).reshape(rows, columns, 2)
-    found = network.network_output(reader, f"{mode}_depth", _surroundings(colours, slopes))
-    depth_mm = found[:, 0].reshape(rows, columns)
-    error_mm = np.exp(np.clip(found[:, 1], -8, 2)).reshape(rows, columns)
-    return np.where(depth_mm > _DULL_MM, depth_mm, 0), error_mm
+    last = len(_NETWORKS) - 1
+    found = network.network_output(reader, f"{mode}_{last}", _given(reader, mode, change, last))
+    depth_mm, width = np.moveaxis(found.reshape(*change.shape[:2], -1)[..., 2:], 2, 0)
+    return np.where(depth_mm > _DULL_MM, depth_mm, 0), np.exp(np.clip(width, -8, 2))
+
+
+def _given(reader: Mapping[str, Float32], mode: str, change: Float32, stage: int) -> Float32:
+    """Return what the network of a stage is given, (H W, inputs)."""
+    colours = given = _colours(change)
+    for earlier in range(stage):
+        found = network.network_output(reader, f"{mode}_{earlier}", given)
+        given = _surroundings(colours, found.reshape(*change.shape[:2], -1))
+    return given
 
 
 def _colours(change: Float32) -> Float32:
@@ -93,19 +96,21 @@ def _colours(change: Float32) -> Float32:
     return np.concatenate([change, soft, place], axis=-1).reshape(-1, 11)
 
 
-def _surroundings(colours: Float32, slopes: Float32) -> Float32:
-    """Return what depth is read from: colours, slopes, the integrated surface, and both around a pixel."""
-    rows, columns, _ = slopes.shape
-    surface = integrated(slopes)
-    level = surface - np.float32(np.percentile(surface, 90))
+def _surroundings(colours: Float32, found: Float32) -> Float32:
+    """Return what is known of each pixel, of what surrounds it, and of the image, after a network.
+
+    Of a pixel: colours, and what was ``found``, (H, W, 4), slopes, depth and its width, and the surface that
+    slopes integrate to.
+    """
+    rows, columns, _ = found.shape
+    surface = integrated(found[..., :2])
+    level = (surface - np.float32(np.percentile(surface, 90)))[..., None]
     change = colours[:, 3:6].reshape(rows, columns, 3)
-    parts = [slopes, level[..., None]]
-    for share in _BLURS[1:]:
-        around = np.concatenate([change, slopes, level[..., None]], axis=-1)
-        parts.append(_blurred(around, share * columns))
-    whole = np.array([level.min(), level.mean(), np.abs(change).max()], np.float32)
-    parts.append(np.broadcast_to(whole, (rows, columns, 3)))
-    return np.concatenate([colours, np.concatenate(parts, axis=-1).reshape(rows * columns, -1)], axis=1)
+    known = np.concatenate([change, found, level], axis=-1)
+    whole = np.array([level.min(), level.mean(), found[..., 2].max(), np.abs(change).max()], np.float32)
+    parts = [known[..., 3:], np.broadcast_to(whole, (rows, columns, len(whole)))]
+    parts += [_blurred(known, share * columns) for share in _BLURS[1:]]
+    return np.concatenate([colours, np.concatenate(parts, axis=-1).reshape(len(colours), -1)], axis=1)
 
 
 def _blurred(image: Float32, sigma_px: float) -> Float32:
@@ -143,56 +148,51 @@ def integrated(slopes: Float32) -> Float32:
 def train_reader(twin: Twin, fit: Fit, seed: int = 0) -> dict[str, Float32]:
     """Return the weights of the networks of a twin."""
     rng = np.random.default_rng(seed)
-    samples = _samples(twin, fit, rng)
-    reader: dict[str, Float32] = {}
-    for mode in _WIDTHS:
-        shrink = _shrink(twin, mode)
-        background = shrunk(twin.background, shrink)
-        held = []
-        for image, depth_mm, repeated in samples:
-            change = shrunk(image.astype(np.float32), shrink) - background
+    held: dict[str, list[_Sample]] = {mode: [] for mode in _WIDTHS}
+    for image, depth_mm, repeated in _samples(twin, fit, rng):
+        for mode, kept in held.items():
+            shrink = _shrink(twin, mode)
             depth = shrunk(depth_mm, shrink)
-            held.append((change, _true_slopes(depth, twin, shrink), depth.reshape(-1, 1), repeated))
-        reader |= _trained(mode, held, rng)
+            pixels = rng.permutation(depth.size)[: _PER_TOUCH * repeated]
+            targets = np.concatenate([_true_slopes(depth, twin, shrink), depth[..., None]], axis=-1)
+            change = shrunk(image, shrink) - shrunk(twin.background, shrink)
+            kept.append(_Sample(change, pixels, targets.reshape(-1, 3)[pixels]))
+    reader: dict[str, Float32] = {}
+    for mode, kept in held.items():
+        for stage in range(len(_NETWORKS)):
+            reader |= _trained(reader, mode, stage, kept, rng)
     return reader
 
 
+class _Sample(NamedTuple):
+    """How an image differs from the background, and slopes and depth at some of its pixels."""
+
+    change: Float32
+    pixels: Int64
+    targets: Float32
+
+
 def _trained(
-    mode: str, held: list[tuple[Float32, Float32, Float32, int]], rng: np.random.Generator
+    reader: Mapping[str, Float32], mode: str, stage: int, held: list[_Sample], rng: np.random.Generator
 ) -> dict[str, Float32]:
-    """Train both networks of a mode: slopes first, then depth from what the first one finds."""
-    pixels = len(held[0][2])
-    per = min(_PER_TOUCH, pixels)
-    chosen = [rng.permutation(pixels)[: per * each[3]] for each in held]
-    # Colours of all pixels at once would take four times the memory of the images.
-    inputs = np.concatenate([_colours(each[0])[rows] for each, rows in zip(held, chosen, strict=True)])
-    targets = np.concatenate([each[1].reshape(-1, 2)[rows] for each, rows in zip(held, chosen, strict=True)])
-    name = f"{mode}_slope"
-    reader = network.trained(name, inputs, targets, _SLOPE_HIDDEN, 2, _plain_slope, rng, _SLOPE_STEPS)
-    first, targets = 0, np.concatenate([each[2][rows] for each, rows in zip(held, chosen, strict=True)])
-    for (change, slopes, _, _), rows in zip(held, chosen, strict=True):
-        colours = _colours(change)
-        read = network.network_output(reader, name, colours).reshape(slopes.shape)
-        part = _surroundings(colours, read)[rows]
-        if not first:  # in place: parts and the whole would take twice the memory
-            inputs = np.empty((len(targets), part.shape[1]), np.float32)
-        inputs[first : first + len(rows)] = part
-        first += len(rows)
-    name = f"{mode}_depth"
-    return reader | network.trained(name, inputs, targets, _DEPTH_HIDDEN, 2, _depth_slope, rng, _DEPTH_STEPS)
+    """Train the network of a stage with what those before it find."""
+    sizes = _NETWORKS[stage]
+    given = np.empty((sum(len(each.pixels) for each in held), sizes[0]), np.float32)
+    first = 0
+    for each in held:  # in place: parts and the whole would take twice the memory
+        given[first : first + len(each.pixels)] = _given(reader, mode, each.change, stage)[each.pixels]
+        first += len(each.pixels)
+    targets = np.concatenate([each.targets for each in held])
+    return network.trained(f"{mode}_{stage}", given, targets, sizes, _loss_slope, rng, _STEPS[stage])
 
 
-def _plain_slope(found: Float32, targets: Float32) -> Float32:
-    left = found - targets
-    return np.asarray(left / np.sqrt(left * left + np.float32(1e-4)))
-
-
-def _depth_slope(found: Float32, targets: Float32) -> Float32:
-    """Return derivatives of the absolute error, and of the likelihood of a Laplace distribution's width."""
-    left = found[:, :1] - targets
-    width = np.clip(found[:, 1:], -8, 2)
-    sharp = left / np.sqrt(left * left + np.float32(_SMOOTH_MM**2))
-    return np.concatenate([sharp, np.float32(0.1) * (1 - np.abs(left) * np.exp(-width))], axis=1)
+def _loss_slope(found: Float32, targets: Float32) -> Float32:
+    """Return derivatives of absolute errors, and of the likelihood of a Laplace distribution's width."""
+    left = found[:, :3] - targets
+    width = np.clip(found[:, 3:], -8, 2)
+    sharp = left / np.sqrt(left * left + _SMOOTH**2)
+    right = np.float32(0.1) * (1 - np.abs(left[:, 2:]) * np.exp(-width))
+    return np.concatenate([sharp, right], axis=1)
 
 
 def _true_slopes(depth_mm: Float32, twin: Twin, shrink: int) -> Float32:
@@ -206,18 +206,15 @@ def _true_slopes(depth_mm: Float32, twin: Twin, shrink: int) -> Float32:
     return np.stack([across, -down], axis=-1).astype(np.float32)
 
 
-def _samples(twin: Twin, fit: Fit, rng: np.random.Generator) -> list[tuple[UInt8, Float32, int]]:
-    """Return images, depth in mm, and how often each is seen, of recordings and of rendered touches."""
-    samples: list[tuple[UInt8, Float32, int]] = []
-    touches = np.flatnonzero(fit.used)
-    presses = []
-    left = []
-    for touch in touches:
-        depth_m = fit.indentation(int(touch), fit.poses[touch], fit.shape)
+def _samples(twin: Twin, fit: Fit, rng: np.random.Generator) -> Iterator[tuple[Float32, Float32, int]]:
+    """Yield images, depth in mm, and how often each is seen, of recordings and of rendered touches."""
+    presses, left = [], []
+    for touch in np.flatnonzero(fit.used).tolist():
+        depth_m = fit.indentation(touch, fit.poses[touch], fit.shape)
         presses.append(float(depth_m.max()))
         image = fit.recordings.images[touch].astype(np.float32)
-        samples.append((image, (1e3 * depth_m).astype(np.float32), _REPEATED))
-        left.append(image - fit.background - fit.rendered(int(touch), fit.poses[touch], fit.shape))
+        yield image, (1e3 * depth_m).astype(np.float32), _REPEATED
+        left.append(image - fit.background - fit.rendered(touch, fit.poses[touch], fit.shape))
     optics, reliefs = TwinOptics(twin), list(fit.reliefs.values())
     for number in range(_TOUCHES):
         relief = reliefs[rng.integers(len(reliefs))]
@@ -230,8 +227,7 @@ def _samples(twin: Twin, fit: Fit, rng: np.random.Generator) -> list[tuple[UInt8
         # What the fit leaves of real images: their noise, and what the twin does not render.
         noise = left[number % len(left)]
         image = np.clip(np.rint(clean + noise[:: rng.choice([1, -1]), :: rng.choice([1, -1])]), 0, 255)
-        samples.append((image.astype(np.float32), (1e3 * reach_m).astype(np.float32), 1))
-    return samples
+        yield image.astype(np.float32), (1e3 * reach_m).astype(np.float32), 1
 
 
 def _pressed(
@@ -257,24 +253,31 @@ def _pressed(
 
 
 def _primitive(rng: np.random.Generator) -> Relief:
-    """Return a ball, a cone, a ridge, or several of them, 7 mm high, on 16 x 16 mm."""
+    """Return balls, cones, ridges, blocks and stairs, one to three of them, 7 mm high, on 16 x 16 mm."""
     side, pitch = 320, 5e-5
     y, x = np.mgrid[-1:1:320j, -1:1:320j] * (side * pitch / 2)
     height = np.zeros((side, side))
     for _ in range(int(rng.integers(1, 4))):
-        at = rng.uniform(-4e-3, 4e-3, 2)
-        turn = rng.uniform(0, np.pi)
-        far = np.hypot(x - at[0], y - at[1])
-        across = np.abs(np.cos(turn) * (x - at[0]) + np.sin(turn) * (y - at[1]))
-        radius, slope = rng.uniform(1.5e-3, 8e-3), rng.uniform(0.15, 1.2)
+        at, turn = rng.uniform(-4e-3, 4e-3, 2), rng.uniform(0, np.pi)
+        along = np.cos(turn) * (x - at[0]) + np.sin(turn) * (y - at[1])
+        across = np.cos(turn) * (y - at[1]) - np.sin(turn) * (x - at[0])
         top = 7e-3 - rng.uniform(0, 6e-4)
-        kind = rng.integers(4)
-        place = (far, far, across, across)[kind]
-        if kind % 2:
-            flat = rng.uniform(0, 2e-3)
-            body = top - slope * np.maximum(place - flat, 0)
-        else:
-            body = top - radius + np.sqrt(np.maximum(radius**2 - place**2, 0))
-        height = np.maximum(height, body)
+        # How far from a point, a line, an edge, or a square.
+        far = (
+            np.hypot(along, across),
+            np.abs(along),
+            along,
+            np.maximum(np.abs(along), np.abs(across)),
+        )[rng.integers(4)]
+        far = np.maximum(far - rng.uniform(0, rng.choice([1e-3, 5e-3])), 0)
+        radius, slope = rng.uniform(1.5e-3, 8e-3), rng.uniform(0.15, 1.2)
+        rise, tread = 1e-4 * 50 ** rng.random(), rng.uniform(1e-3, 5e-3)
+        drop = (
+            radius - np.sqrt(np.maximum(radius**2 - far**2, 0)),
+            slope * far,
+            rise * np.ceil(far / tread),
+        )[rng.integers(3)]
+        tilt = rng.normal(0, 0.03, 2)
+        height = np.maximum(height, top - drop + tilt[0] * along + tilt[1] * across)
     corner = np.array([x[0, 0], y[0, 0], pitch, pitch])
-    return Relief(np.maximum(height, 0).astype(np.float32), corner)
+    return Relief(height.astype(np.float32), corner)
