@@ -35,18 +35,17 @@ def trained(
     name: str,
     inputs: Float32,
     targets: Float32,
-    sizes: tuple[int, ...],
+    hidden: tuple[int, ...],
+    outputs: int,
     slope: Callable[[Float32, Float32], Float32],
     rng: np.random.Generator,
     steps: int,
 ) -> dict[str, Float32]:
-    """Train a network, whose layers have ``sizes``, by Adam.
-
-    ``slope`` takes outputs and targets to the derivative of the loss.
-    """
+    """Train a network by Adam; ``slope`` takes outputs and targets to the derivative of the loss."""
     some = inputs[:: max(1, len(inputs) // _MOST_ROWS)]  # of all, differences would double the memory
     mean = some.mean(axis=0)
     scale = 1 / (some.std(axis=0) + np.float32(1e-6))
+    sizes = (inputs.shape[1], *hidden, outputs)
     found: dict[str, Float32] = {f"{name}_mean": mean, f"{name}_scale": scale}
     layers: list[Float32] = []
     for wide, narrow in pairwise(sizes):

@@ -1,8 +1,8 @@
 """Reads depth from images of a sensor: colours to slopes, Poisson integration, and a second regression.
 
 The networks are trained on touches that the twin itself renders, of the solids of its calibration in random
-places, sizes and depths and of balls, cones and ridges, with the noise of the sensor, and on the recordings.
-The second one also states how far off it is likely to be.
+places, sizes and depths and of simple shapes, such as stairs, with the noise of the sensor, and on the
+recordings. The second one also states how far off it is likely to be.
 """
 
 from __future__ import annotations
@@ -25,25 +25,29 @@ from tactile_sim.twin.twin import Twin, TwinOptics, in_size_of, resized_depth
 from tactile_toolkit.array_types import Float32, Float64, Int64, UInt8
 
 _WIDTHS = {"full": 160, "fast": 80}  # pixels of the images that are read
-_TOUCHES = 240
-_PER_TOUCH = 3000  # pixels that the networks see of each
-_NETWORKS = ((11, 24, 24, 4), (36, 48, 48, 4), (36, 48, 48, 4))
-"""Sizes of the layers: from colours, and twice from these and what was found around."""
-_STEPS = (500, 1500, 1500)
+_TOUCHES = 480
+_PER_TOUCH = 1500  # pixels that the networks see of each
+_SLOPE_STEPS, _DEPTH_STEPS = 1000, 2500
+_SLOPE_HIDDEN, _DEPTH_HIDDEN = (24, 24), (64, 64)
 _BLURS = (0.01, 0.03, 0.09)  # of the width
 _DULL_MM = 0.02  # less depth is taken for no contact
-_SMOOTH = np.array([0.01, 0.01, 0.01], np.float32)  # mm per pixel, and mm; below this, the loss is round
+_SMOOTH_MM = 0.01  # below this, the loss is round
 _REPEATED = 3  # how often the recordings are seen for each time of a rendered touch
-_PRIMITIVE = 0.35  # share of touches of balls, cones and ridges
+_PRIMITIVE = 0.4  # share of touches of simple shapes
 
 
 def reader_shapes() -> dict[str, tuple[int, ...]]:
     """Return the shapes of the weights of a reader by name."""
     shapes: dict[str, tuple[int, ...]] = {}
+    colours = 11
     for mode in _WIDTHS:
-        for stage, sizes in enumerate(_NETWORKS):
-            name = f"{mode}_{stage}"
-            shapes |= {f"{name}_mean": sizes[:1], f"{name}_scale": sizes[:1]}
+        nets = (
+            ("slope", colours, _SLOPE_HIDDEN),
+            ("depth", colours + 3 + 6 * len(_BLURS[1:]) + 3, _DEPTH_HIDDEN),
+        )
+        for kind, inputs, hidden in nets:
+            name, sizes = f"{mode}_{kind}", (inputs, *hidden, 2)
+            shapes |= {f"{name}_mean": (inputs,), f"{name}_scale": (inputs,)}
             for layer, (wide, narrow) in enumerate(pairwise(sizes)):
                 shapes |= {f"{name}_w{layer}": (wide, narrow), f"{name}_b{layer}": (narrow,)}
     return shapes
@@ -72,19 +76,13 @@ def _shrink(twin: Twin, mode: str) -> int:
 
 
 def _read(reader: Mapping[str, Float32], mode: str, change: Float32) -> tuple[Float32, Float32]:
-    last = len(_NETWORKS) - 1
-    found = network.network_output(reader, f"{mode}_{last}", _given(reader, mode, change, last))
-    depth_mm, width = np.moveaxis(found.reshape(*change.shape[:2], -1)[..., 2:], 2, 0)
-    return np.where(depth_mm > _DULL_MM, depth_mm, 0), np.exp(np.clip(width, -8, 2))
-
-
-def _given(reader: Mapping[str, Float32], mode: str, change: Float32, stage: int) -> Float32:
-    """Return what the network of a stage is given, (H W, inputs)."""
-    colours = given = _colours(change)
-    for earlier in range(stage):
-        found = network.network_output(reader, f"{mode}_{earlier}", given)
-        given = _surroundings(colours, found.reshape(*change.shape[:2], -1))
-    return given
+    rows, columns, _ = change.shape
+    colours = _colours(change)
+    slopes = network.network_output(reader, f"{mode}_slope", colours).reshape(rows, columns, 2)
+    found = network.network_output(reader, f"{mode}_depth", _surroundings(colours, slopes))
+    depth_mm = found[:, 0].reshape(rows, columns)
+    error_mm = np.exp(np.clip(found[:, 1], -8, 2)).reshape(rows, columns)
+    return np.where(depth_mm > _DULL_MM, depth_mm, 0), error_mm
 
 
 def _colours(change: Float32) -> Float32:
@@ -96,21 +94,19 @@ def _colours(change: Float32) -> Float32:
     return np.concatenate([change, soft, place], axis=-1).reshape(-1, 11)
 
 
-def _surroundings(colours: Float32, found: Float32) -> Float32:
-    """Return what is known of each pixel, of what surrounds it, and of the image, after a network.
-
-    Of a pixel: colours, and what was ``found``, (H, W, 4), slopes, depth and its width, and the surface that
-    slopes integrate to.
-    """
-    rows, columns, _ = found.shape
-    surface = integrated(found[..., :2])
-    level = (surface - np.float32(np.percentile(surface, 90)))[..., None]
+def _surroundings(colours: Float32, slopes: Float32) -> Float32:
+    """Return what depth is read from: colours, slopes, the integrated surface, and both around a pixel."""
+    rows, columns, _ = slopes.shape
+    surface = integrated(slopes)
+    level = surface - np.float32(np.percentile(surface, 90))
     change = colours[:, 3:6].reshape(rows, columns, 3)
-    known = np.concatenate([change, found, level], axis=-1)
-    whole = np.array([level.min(), level.mean(), found[..., 2].max(), np.abs(change).max()], np.float32)
-    parts = [known[..., 3:], np.broadcast_to(whole, (rows, columns, len(whole)))]
-    parts += [_blurred(known, share * columns) for share in _BLURS[1:]]
-    return np.concatenate([colours, np.concatenate(parts, axis=-1).reshape(len(colours), -1)], axis=1)
+    parts = [slopes, level[..., None]]
+    for share in _BLURS[1:]:
+        around = np.concatenate([change, slopes, level[..., None]], axis=-1)
+        parts.append(_blurred(around, share * columns))
+    whole = np.array([level.min(), level.mean(), np.abs(change).max()], np.float32)
+    parts.append(np.broadcast_to(whole, (rows, columns, 3)))
+    return np.concatenate([colours, np.concatenate(parts, axis=-1).reshape(rows * columns, -1)], axis=1)
 
 
 def _blurred(image: Float32, sigma_px: float) -> Float32:
@@ -154,14 +150,10 @@ def train_reader(twin: Twin, fit: Fit, seed: int = 0) -> dict[str, Float32]:
             shrink = _shrink(twin, mode)
             depth = shrunk(depth_mm, shrink)
             pixels = rng.permutation(depth.size)[: _PER_TOUCH * repeated]
-            targets = np.concatenate([_true_slopes(depth, twin, shrink), depth[..., None]], axis=-1)
             change = shrunk(image, shrink) - shrunk(twin.background, shrink)
-            kept.append(_Sample(change, pixels, targets.reshape(-1, 3)[pixels]))
-    reader: dict[str, Float32] = {}
-    for mode, kept in held.items():
-        for stage in range(len(_NETWORKS)):
-            reader |= _trained(reader, mode, stage, kept, rng)
-    return reader
+            slopes = _true_slopes(depth, twin, shrink).reshape(-1, 2)
+            kept.append(_Sample(change, pixels, slopes[pixels], depth.reshape(-1, 1)[pixels]))
+    return {name: each for mode, kept in held.items() for name, each in _trained(mode, kept, rng).items()}
 
 
 class _Sample(NamedTuple):
@@ -169,30 +161,41 @@ class _Sample(NamedTuple):
 
     change: Float32
     pixels: Int64
-    targets: Float32
+    slopes: Float32
+    depth_mm: Float32
 
 
-def _trained(
-    reader: Mapping[str, Float32], mode: str, stage: int, held: list[_Sample], rng: np.random.Generator
-) -> dict[str, Float32]:
-    """Train the network of a stage with what those before it find."""
-    sizes = _NETWORKS[stage]
-    given = np.empty((sum(len(each.pixels) for each in held), sizes[0]), np.float32)
-    first = 0
-    for each in held:  # in place: parts and the whole would take twice the memory
-        given[first : first + len(each.pixels)] = _given(reader, mode, each.change, stage)[each.pixels]
-        first += len(each.pixels)
-    targets = np.concatenate([each.targets for each in held])
-    return network.trained(f"{mode}_{stage}", given, targets, sizes, _loss_slope, rng, _STEPS[stage])
+def _trained(mode: str, held: list[_Sample], rng: np.random.Generator) -> dict[str, Float32]:
+    """Train both networks of a mode: slopes first, then depth from what the first one finds."""
+    # Colours of all pixels at once would take four times the memory of the images.
+    inputs = np.concatenate([_colours(each.change)[each.pixels] for each in held])
+    targets = np.concatenate([each.slopes for each in held])
+    name = f"{mode}_slope"
+    reader = network.trained(name, inputs, targets, _SLOPE_HIDDEN, 2, _plain_slope, rng, _SLOPE_STEPS)
+    first, targets = 0, np.concatenate([each.depth_mm for each in held])
+    for each in held:
+        colours = _colours(each.change)
+        slopes = network.network_output(reader, name, colours).reshape(*each.change.shape[:2], 2)
+        part = _surroundings(colours, slopes)[each.pixels]
+        if not first:  # in place: parts and the whole would take twice the memory
+            inputs = np.empty((len(targets), part.shape[1]), np.float32)
+        inputs[first : first + len(part)] = part
+        first += len(part)
+    name = f"{mode}_depth"
+    return reader | network.trained(name, inputs, targets, _DEPTH_HIDDEN, 2, _depth_slope, rng, _DEPTH_STEPS)
 
 
-def _loss_slope(found: Float32, targets: Float32) -> Float32:
-    """Return derivatives of absolute errors, and of the likelihood of a Laplace distribution's width."""
-    left = found[:, :3] - targets
-    width = np.clip(found[:, 3:], -8, 2)
-    sharp = left / np.sqrt(left * left + _SMOOTH**2)
-    right = np.float32(0.1) * (1 - np.abs(left[:, 2:]) * np.exp(-width))
-    return np.concatenate([sharp, right], axis=1)
+def _plain_slope(found: Float32, targets: Float32) -> Float32:
+    left = found - targets
+    return np.asarray(left / np.sqrt(left * left + np.float32(1e-4)))
+
+
+def _depth_slope(found: Float32, targets: Float32) -> Float32:
+    """Return derivatives of the absolute error, and of the likelihood of a Laplace distribution's width."""
+    left = found[:, :1] - targets
+    width = np.clip(found[:, 1:], -8, 2)
+    sharp = left / np.sqrt(left * left + np.float32(_SMOOTH_MM**2))
+    return np.concatenate([sharp, np.float32(0.1) * (1 - np.abs(left) * np.exp(-width))], axis=1)
 
 
 def _true_slopes(depth_mm: Float32, twin: Twin, shrink: int) -> Float32:
@@ -278,6 +281,9 @@ def _primitive(rng: np.random.Generator) -> Relief:
             rise * np.ceil(far / tread),
         )[rng.integers(3)]
         tilt = rng.normal(0, 0.03, 2)
-        height = np.maximum(height, top - drop + tilt[0] * along + tilt[1] * across)
+        body = top - drop + tilt[0] * along + tilt[1] * across
+        # Beside a face there is some of the gel at rest, as beside what is printed.
+        inside = np.maximum(np.abs(along), np.abs(across)) < rng.uniform(3e-3, 8e-3)
+        height = np.maximum(height, np.where(inside, body, 0))
     corner = np.array([x[0, 0], y[0, 0], pitch, pitch])
     return Relief(height.astype(np.float32), corner)

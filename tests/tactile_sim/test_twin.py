@@ -159,7 +159,7 @@ def test_a_network_learns_a_corner():
     rng = np.random.default_rng(0)
     inputs = rng.uniform(-1, 1, (2000, 2)).astype(np.float32)
     targets = np.abs(inputs[:, :1])
-    weights = network.trained("n", inputs, targets, (2, 16, 1), lambda found, want: found - want, rng, 300)
+    weights = network.trained("n", inputs, targets, (16,), 1, lambda found, want: found - want, rng, 300)
     assert np.abs(network.network_output(weights, "n", inputs) - targets).mean() < 0.03
 
 
@@ -289,7 +289,7 @@ def test_a_damaged_or_hostile_folder_is_refused(tmp_path, harm):
     if harm == "geometry":
         arrays["half_m"][0] = 1e9
     if harm == "missing":
-        del arrays["reader_full_1_w0"]
+        del arrays["reader_full_depth_w0"]
     if harm in ("changed", "geometry", "missing", "pickle"):
         np.savez(file, **arrays)
     if harm == "huge":
