@@ -32,8 +32,8 @@ _SLOPE_HIDDEN, _DEPTH_HIDDEN = (24, 24), (64, 64)
 _BLURS = (0.01, 0.03, 0.09)  # of the width
 _DULL_MM = 0.02  # less depth is taken for no contact
 _SMOOTH_MM = 0.01  # below this, the loss is round
-_REPEATED = 3  # how often the recordings are seen for each time of a rendered touch
-_PRIMITIVE = 0.4  # share of touches of simple shapes
+_REPEATED = 6  # how often the recordings are seen for each time of a rendered touch
+_SIMPLE = 0.4  # share of touches of simple shapes
 
 
 def reader_shapes() -> dict[str, tuple[int, ...]]:
@@ -221,8 +221,8 @@ def _samples(twin: Twin, fit: Fit, rng: np.random.Generator) -> Iterator[tuple[F
     optics, reliefs = TwinOptics(twin), list(fit.reliefs.values())
     for number in range(_TOUCHES):
         relief = reliefs[rng.integers(len(reliefs))]
-        if rng.random() < _PRIMITIVE:
-            relief = _primitive(rng)
+        if rng.random() < _SIMPLE:
+            relief = simple_shape(rng)
         margin = gel.margin_px(twin.size_px[0])
         reach_m = _pressed(twin, relief, rng, presses, margin)
         clean = twin.background + optics.response(reach_m, margin=margin)
@@ -255,7 +255,7 @@ def _pressed(
     return np.asarray(np.maximum(out - (out[margin:-margin, margin:-margin].max() - press_m), 0))
 
 
-def _primitive(rng: np.random.Generator) -> Relief:
+def simple_shape(rng: np.random.Generator) -> Relief:
     """Return balls, cones, ridges, blocks and stairs, one to three of them, 7 mm high, on 16 x 16 mm."""
     side, pitch = 320, 5e-5
     y, x = np.mgrid[-1:1:320j, -1:1:320j] * (side * pitch / 2)
