@@ -27,13 +27,13 @@ from tactile_toolkit.array_types import Float32, Float64, Int64, UInt8
 _WIDTHS = {"full": 160, "fast": 80}  # pixels of the images that are read
 _TOUCHES = 480
 _PER_TOUCH = 1500  # pixels that the networks see of each
-_SLOPE_STEPS, _DEPTH_STEPS = 1000, 2500
+_SLOPE_STEPS, _DEPTH_STEPS = 1000, 3000
 _SLOPE_HIDDEN, _DEPTH_HIDDEN = (24, 24), (64, 64)
 _BLURS = (0.01, 0.03, 0.09)  # of the width
 _DULL_MM = 0.02  # less depth is taken for no contact
 _SMOOTH_MM = 0.01  # below this, the loss is round
-_REPEATED = 6  # how often the recordings are seen for each time of a rendered touch
-_SIMPLE = 0.4  # share of touches of simple shapes
+_REPEATED = 3  # how often the recordings are seen for each time of a rendered touch
+_SIMPLE = 0.35  # share of touches of simple shapes
 
 
 def reader_shapes() -> dict[str, tuple[int, ...]]:
