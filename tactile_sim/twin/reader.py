@@ -33,7 +33,7 @@ _BLURS = (0.01, 0.03, 0.09)  # of the width
 _DULL_MM = 0.02  # less depth is taken for no contact
 _SMOOTH_MM = 0.01  # below this, the loss is round
 _REPEATED = 3  # how often the recordings are seen for each time of a rendered touch
-_SIMPLE = 0.35  # share of touches of simple shapes
+_SIMPLE = 0.2  # share of touches of simple shapes
 
 
 def reader_shapes() -> dict[str, tuple[int, ...]]:
