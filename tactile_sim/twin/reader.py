@@ -1,14 +1,15 @@
 """Reads depth from images of a sensor: colours to slopes, Poisson integration, and a second regression.
 
 The networks are trained on touches that the twin itself renders, of the solids of its calibration in random
-places, sizes and depths and of balls, cones and ridges, with the noise of the sensor, and on the recordings.
-The second one also states how far off it is likely to be.
+places, sizes and depths and of simple shapes, such as stairs, with the noise of the sensor, and on the
+recordings. The second one also states how far off it is likely to be.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -21,18 +22,18 @@ from tactile_sim.twin.gel import Fitted
 from tactile_sim.twin.gel_kernels import sample_relief
 from tactile_sim.twin.relief import Relief
 from tactile_sim.twin.twin import Twin, TwinOptics, in_size_of, resized_depth
-from tactile_toolkit.array_types import Float32, Float64, UInt8
+from tactile_toolkit.array_types import Float32, Float64, Int64, UInt8
 
 _WIDTHS = {"full": 160, "fast": 80}  # pixels of the images that are read
-_TOUCHES = 240
-_PER_TOUCH = 3000  # pixels that the networks see of each
-_SLOPE_STEPS, _DEPTH_STEPS = 500, 1500
-_SLOPE_HIDDEN, _DEPTH_HIDDEN = (24, 24), (48, 48)
+_TOUCHES = 480
+_PER_TOUCH = 1500  # pixels that the networks see of each
+_SLOPE_STEPS, _DEPTH_STEPS = 1000, 3000
+_SLOPE_HIDDEN, _DEPTH_HIDDEN = (24, 24), (64, 64)
 _BLURS = (0.01, 0.03, 0.09)  # of the width
 _DULL_MM = 0.02  # less depth is taken for no contact
 _SMOOTH_MM = 0.01  # below this, the loss is round
 _REPEATED = 3  # how often the recordings are seen for each time of a rendered touch
-_PRIMITIVE = 0.35  # share of touches of balls, cones and ridges
+_SIMPLE = 0.2  # share of touches of simple shapes
 
 
 def reader_shapes() -> dict[str, tuple[int, ...]]:
@@ -143,41 +144,43 @@ def integrated(slopes: Float32) -> Float32:
 def train_reader(twin: Twin, fit: Fit, seed: int = 0) -> dict[str, Float32]:
     """Return the weights of the networks of a twin."""
     rng = np.random.default_rng(seed)
-    samples = _samples(twin, fit, rng)
-    reader: dict[str, Float32] = {}
-    for mode in _WIDTHS:
-        shrink = _shrink(twin, mode)
-        background = shrunk(twin.background, shrink)
-        held = []
-        for image, depth_mm, repeated in samples:
-            change = shrunk(image.astype(np.float32), shrink) - background
+    held: dict[str, list[_Sample]] = {mode: [] for mode in _WIDTHS}
+    for image, depth_mm, repeated in _samples(twin, fit, rng):
+        for mode, kept in held.items():
+            shrink = _shrink(twin, mode)
             depth = shrunk(depth_mm, shrink)
-            held.append((change, _true_slopes(depth, twin, shrink), depth.reshape(-1, 1), repeated))
-        reader |= _trained(mode, held, rng)
-    return reader
+            pixels = rng.permutation(depth.size)[: _PER_TOUCH * repeated]
+            change = shrunk(image, shrink) - shrunk(twin.background, shrink)
+            slopes = _true_slopes(depth, twin, shrink).reshape(-1, 2)
+            kept.append(_Sample(change, pixels, slopes[pixels], depth.reshape(-1, 1)[pixels]))
+    return {name: each for mode, kept in held.items() for name, each in _trained(mode, kept, rng).items()}
 
 
-def _trained(
-    mode: str, held: list[tuple[Float32, Float32, Float32, int]], rng: np.random.Generator
-) -> dict[str, Float32]:
+class _Sample(NamedTuple):
+    """How an image differs from the background, and slopes and depth at some of its pixels."""
+
+    change: Float32
+    pixels: Int64
+    slopes: Float32
+    depth_mm: Float32
+
+
+def _trained(mode: str, held: list[_Sample], rng: np.random.Generator) -> dict[str, Float32]:
     """Train both networks of a mode: slopes first, then depth from what the first one finds."""
-    pixels = len(held[0][2])
-    per = min(_PER_TOUCH, pixels)
-    chosen = [rng.permutation(pixels)[: per * each[3]] for each in held]
     # Colours of all pixels at once would take four times the memory of the images.
-    inputs = np.concatenate([_colours(each[0])[rows] for each, rows in zip(held, chosen, strict=True)])
-    targets = np.concatenate([each[1].reshape(-1, 2)[rows] for each, rows in zip(held, chosen, strict=True)])
+    inputs = np.concatenate([_colours(each.change)[each.pixels] for each in held])
+    targets = np.concatenate([each.slopes for each in held])
     name = f"{mode}_slope"
     reader = network.trained(name, inputs, targets, _SLOPE_HIDDEN, 2, _plain_slope, rng, _SLOPE_STEPS)
-    first, targets = 0, np.concatenate([each[2][rows] for each, rows in zip(held, chosen, strict=True)])
-    for (change, slopes, _, _), rows in zip(held, chosen, strict=True):
-        colours = _colours(change)
-        read = network.network_output(reader, name, colours).reshape(slopes.shape)
-        part = _surroundings(colours, read)[rows]
+    first, targets = 0, np.concatenate([each.depth_mm for each in held])
+    for each in held:
+        colours = _colours(each.change)
+        slopes = network.network_output(reader, name, colours).reshape(*each.change.shape[:2], 2)
+        part = _surroundings(colours, slopes)[each.pixels]
         if not first:  # in place: parts and the whole would take twice the memory
             inputs = np.empty((len(targets), part.shape[1]), np.float32)
-        inputs[first : first + len(rows)] = part
-        first += len(rows)
+        inputs[first : first + len(part)] = part
+        first += len(part)
     name = f"{mode}_depth"
     return reader | network.trained(name, inputs, targets, _DEPTH_HIDDEN, 2, _depth_slope, rng, _DEPTH_STEPS)
 
@@ -206,23 +209,20 @@ def _true_slopes(depth_mm: Float32, twin: Twin, shrink: int) -> Float32:
     return np.stack([across, -down], axis=-1).astype(np.float32)
 
 
-def _samples(twin: Twin, fit: Fit, rng: np.random.Generator) -> list[tuple[UInt8, Float32, int]]:
-    """Return images, depth in mm, and how often each is seen, of recordings and of rendered touches."""
-    samples: list[tuple[UInt8, Float32, int]] = []
-    touches = np.flatnonzero(fit.used)
-    presses = []
-    left = []
-    for touch in touches:
-        depth_m = fit.indentation(int(touch), fit.poses[touch], fit.shape)
+def _samples(twin: Twin, fit: Fit, rng: np.random.Generator) -> Iterator[tuple[Float32, Float32, int]]:
+    """Yield images, depth in mm, and how often each is seen, of recordings and of rendered touches."""
+    presses, left = [], []
+    for touch in np.flatnonzero(fit.used).tolist():
+        depth_m = fit.indentation(touch, fit.poses[touch], fit.shape)
         presses.append(float(depth_m.max()))
         image = fit.recordings.images[touch].astype(np.float32)
-        samples.append((image, (1e3 * depth_m).astype(np.float32), _REPEATED))
-        left.append(image - fit.background - fit.rendered(int(touch), fit.poses[touch], fit.shape))
+        yield image, (1e3 * depth_m).astype(np.float32), _REPEATED
+        left.append(image - fit.background - fit.rendered(touch, fit.poses[touch], fit.shape))
     optics, reliefs = TwinOptics(twin), list(fit.reliefs.values())
     for number in range(_TOUCHES):
         relief = reliefs[rng.integers(len(reliefs))]
-        if rng.random() < _PRIMITIVE:
-            relief = _primitive(rng)
+        if rng.random() < _SIMPLE:
+            relief = simple_shape(rng)
         margin = gel.margin_px(twin.size_px[0])
         reach_m: Float32 | Float64 = _pressed(twin, relief, rng, presses, margin)
         clean = twin.background + optics.response(reach_m, margin=margin)
@@ -230,8 +230,7 @@ def _samples(twin: Twin, fit: Fit, rng: np.random.Generator) -> list[tuple[UInt8
         # What the fit leaves of real images: their noise, and what the twin does not render.
         noise = left[number % len(left)]
         image = np.clip(np.rint(clean + noise[:: rng.choice([1, -1]), :: rng.choice([1, -1])]), 0, 255)
-        samples.append((image.astype(np.float32), (1e3 * reach_m).astype(np.float32), 1))
-    return samples
+        yield image.astype(np.float32), (1e3 * reach_m).astype(np.float32), 1
 
 
 def _pressed(
@@ -256,25 +255,35 @@ def _pressed(
     return np.asarray(np.maximum(out - (out[margin:-margin, margin:-margin].max() - press_m), 0))
 
 
-def _primitive(rng: np.random.Generator) -> Relief:
-    """Return a ball, a cone, a ridge, or several of them, 7 mm high, on 16 x 16 mm."""
+def simple_shape(rng: np.random.Generator) -> Relief:
+    """Return balls, cones, ridges, blocks and stairs, one to three of them, 7 mm high, on 16 x 16 mm."""
     side, pitch = 320, 5e-5
     y, x = np.mgrid[-1:1:320j, -1:1:320j] * (side * pitch / 2)
     height = np.zeros((side, side))
     for _ in range(int(rng.integers(1, 4))):
-        at = rng.uniform(-4e-3, 4e-3, 2)
-        turn = rng.uniform(0, np.pi)
-        far = np.hypot(x - at[0], y - at[1])
-        across = np.abs(np.cos(turn) * (x - at[0]) + np.sin(turn) * (y - at[1]))
-        radius, slope = rng.uniform(1.5e-3, 8e-3), rng.uniform(0.15, 1.2)
+        at, turn = rng.uniform(-4e-3, 4e-3, 2), rng.uniform(0, np.pi)
+        along = np.cos(turn) * (x - at[0]) + np.sin(turn) * (y - at[1])
+        across = np.cos(turn) * (y - at[1]) - np.sin(turn) * (x - at[0])
         top = 7e-3 - rng.uniform(0, 6e-4)
-        kind = rng.integers(4)
-        place = (far, far, across, across)[kind]
-        if kind % 2:
-            flat = rng.uniform(0, 2e-3)
-            body = top - slope * np.maximum(place - flat, 0)
-        else:
-            body = top - radius + np.sqrt(np.maximum(radius**2 - place**2, 0))
-        height = np.maximum(height, body)
+        # How far from a point, a line, an edge, or a square.
+        far = (
+            np.hypot(along, across),
+            np.abs(along),
+            along,
+            np.maximum(np.abs(along), np.abs(across)),
+        )[rng.integers(4)]
+        far = np.maximum(far - rng.uniform(0, rng.choice([1e-3, 5e-3])), 0)
+        radius, slope = rng.uniform(1.5e-3, 8e-3), rng.uniform(0.15, 1.2)
+        rise, tread = 1e-4 * 50 ** rng.random(), rng.uniform(1e-3, 5e-3)
+        drop = (
+            radius - np.sqrt(np.maximum(radius**2 - far**2, 0)),
+            slope * far,
+            rise * np.ceil(far / tread),
+        )[rng.integers(3)]
+        tilt = rng.normal(0, 0.03, 2)
+        body = top - drop + tilt[0] * along + tilt[1] * across
+        # Beside a face there is some of the gel at rest, as beside what is printed.
+        inside = np.maximum(np.abs(along), np.abs(across)) < rng.uniform(3e-3, 8e-3)
+        height = np.maximum(height, np.where(inside, body, 0))
     corner = np.array([x[0, 0], y[0, 0], pitch, pitch])
-    return Relief(np.maximum(height, 0).astype(np.float32), corner)
+    return Relief(height.astype(np.float32), corner)

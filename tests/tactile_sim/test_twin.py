@@ -207,6 +207,20 @@ def test_a_network_learns_a_corner():
     assert np.abs(network.network_output(weights, "n", inputs) - targets).mean() < 0.03
 
 
+def test_simple_shapes_have_walls_of_less_than_a_press_and_fit_under_the_gel():
+    """A reader that never saw a wall between two faces that both touch takes every wall for a whole press."""
+    rng = np.random.default_rng(0)
+    walled = 0
+    for _ in range(60):
+        heights_mm = 1e3 * reader.simple_shape(rng).heights_m
+        assert 6.0 < heights_mm.max() < 8.5
+        assert heights_mm.min() >= 0
+        drop_mm = np.abs(np.diff(heights_mm, axis=1))
+        foot_mm = np.minimum(heights_mm[:, 1:], heights_mm[:, :-1])
+        walled += np.count_nonzero((drop_mm > 0.3) & (foot_mm > heights_mm.max() - 1.2)) > 20
+    assert walled >= 10
+
+
 def small_fit(touches: int = 6) -> tuple[Fit, object]:
     sensor = dataclasses.replace(draw_sensor(2, "phong", (64, 48)), noise=0.5, jpeg=0)
     recording = sensor.record(digits(2), touches)
