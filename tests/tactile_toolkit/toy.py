@@ -7,11 +7,21 @@ import signal
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
-from tactile_toolkit.store import BuildPlan, ParquetStyle, ShardContent, ShardName, Skipped
+from tactile_toolkit.store import (
+    BuildPlan,
+    Manifest,
+    ParquetStyle,
+    ShardContent,
+    ShardName,
+    Skipped,
+    build,
+    open_folder,
+)
 from tests.mesh_columns import list_array
 
 SPLITS = ("train", "test")
@@ -95,3 +105,8 @@ def toy_plan(splits: tuple[str, ...] = SPLITS, spec: dict | None = None, **task_
 def folder_bytes(folder: Path) -> dict[str, bytes]:
     """Everything in a folder, by relative path."""
     return {str(f.relative_to(folder)): f.read_bytes() for f in sorted(folder.rglob("*")) if f.is_file()}
+
+
+def make(path: Path | str, plan: BuildPlan | None = None, **options: Any) -> Manifest:
+    """Make a plan, by default the usual one, in a folder."""
+    return build(open_folder(str(path)), plan or toy_plan(), **options)

@@ -42,6 +42,7 @@ def test_one_form_of_each_place(given, place):
         ("s3://a/../b", "'s3://a/../b' is not the address of a data set"),
         ("s3://a/./b", "of names without '.', '..' and control characters"),
         ("s3://a/b\0", "is not the address of a data set"),
+        *((f"s3://a/b{mark}c", "and control characters") for mark in "\n\r\x1b"),
         ("s3://KEY:SECRET@bucket/set", "the address 's3://...' may hold a user, a key or a signature"),
         ("https://KEY:SECRET@host/set", "the address 'https://...' may hold"),
         ("s3:/bucket/set", "'s3:/bucket/set' is not the address of a data set"),
@@ -52,6 +53,7 @@ def test_what_is_no_address_of_data_is_refused_without_repeating_secrets(address
     with pytest.raises(InputError, match=rf"{re.escape(words)}") as told:
         open_folder(address)
     assert "; next: " in str(told.value)
+    assert str(told.value).isprintable()
     assert "SECRET" not in str(told.value)
     assert "KEY" not in str(told.value)
 

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import itertools
 import os
 import random
 import shutil
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,8 +24,8 @@ from hypothesis import settings
 
 from tactile_toolkit.errors import InputError, StorageError, ToolkitError
 from tactile_toolkit.run import Part
-from tactile_toolkit.store import LocalFolder, ShardName, build, locks, open_folder, read_manifest, verify
-from tests.tactile_toolkit.toy import SCHEMA, ToyTask, folder_bytes, toy_plan
+from tactile_toolkit.store import LocalFolder, ShardName, locks, open_folder, read_manifest, verify
+from tests.tactile_toolkit.toy import SCHEMA, ToyTask, folder_bytes, make, toy_plan
 
 SAMPLED = 20
 """Points of each command that the run at a desk draws; all of them are `thorough`."""
@@ -53,7 +55,7 @@ def card(folder, manifest):
 
 
 def run(place, a_plan=None, **options):
-    return build(open_folder(str(place)), a_plan or plan(), write_card=card, **options)
+    return make(place, a_plan or plan(), write_card=card, **options)
 
 
 @dataclass(frozen=True)
@@ -132,6 +134,7 @@ class Disturbed:
     def __init__(self, monkeypatch, point, moment, fault, other):
         self.point, self.moment, self.fault, self.other = point, moment, fault, other
         self.calls, self.done, self.ended = 0, False, False
+        self.names: list[str] = []
         for name in CHANGES:
             monkeypatch.setattr(LocalFolder, name, self._watched(name, getattr(LocalFolder, name)))
 
@@ -161,6 +164,7 @@ class Disturbed:
         if self.ended:
             raise Ended
         self.calls += 1
+        self.names.append(name)
         is_here = self.calls == self.point and not self.done
         if is_here and self.moment != "after":
             if self.moment == "in" and name == "write_bytes":
@@ -187,18 +191,18 @@ class Disturbed:
         self.calls = calls
 
 
-def points_of(command: Command, tmp_path: Path) -> int:
-    """Count the calls of an undisturbed run."""
+def points_of(command: Command, tmp_path: Path) -> list[str]:
+    """Return the calls of an undisturbed run."""
     with pytest.MonkeyPatch.context() as patch:
         command.before(tmp_path / "counted")
         counted = Disturbed(patch, 0, "before", "refused", None)
         command.run(tmp_path / "counted")
-    return counted.calls
+    return counted.names
 
 
-def cases(command: Command, points: int) -> Iterator[tuple[int, str, str, Any]]:
-    for point in range(1, points + 1):
-        for moment in MOMENTS:
+def cases(command: Command, points: list[str]) -> Iterator[tuple[int, str, str, Any]]:
+    for point, name in enumerate(points, start=1):
+        for moment in MOMENTS if name == "write_bytes" else ("before", "after"):
             for fault in FAULTS[:3]:
                 yield point, moment, fault, None
         for other in command.others:
@@ -249,3 +253,55 @@ def check(name: str, tmp_path: Path, drawn: int | None) -> None:
 def test_a_fault_at_any_point(name: str, tmp_path: Path) -> None:
     """At a desk at twenty points, always the same ones; with `-m ""` at all."""
     check(name, tmp_path, None if settings.default.max_examples > 50 else SAMPLED)
+
+
+# Whether what two runs make replaces what is there, after a set of another seed; the first may fail.
+RACES = {
+    "replaced": (False, (2, True), False),
+    "both replace": (True, (2, True), False),
+    "undone": (False, (2, True), True),
+    "both in an empty folder": (False, (2, False), False),
+    "undone and put back": (True, (2, True), True),
+    "undone next to the same": (False, (1, False), True),
+}
+
+
+def has_finished(place: Path, seed: int, overwrite: bool, error: Exception | None = None) -> bool:
+    """Return what a run says of itself."""
+    try:
+        run(place, plan(seed=seed, error=error), overwrite=overwrite)
+    except InputError:
+        return False
+    return True
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("race", RACES)
+def test_of_two_runs_the_one_that_says_so_has_finished(race: str, tmp_path: Path) -> None:
+    """The second begins and ends just before a change that the first makes; it waits for no lock."""
+    replaces, second, fails = RACES[race]
+    for seed in (1, 2, 3):
+        run(tmp_path / str(seed), plan(seed=seed))
+    whole = {seed: folder_bytes(tmp_path / str(seed)) for seed in (1, 2, 3)}
+    outcomes: Counter[tuple[bool, bool]] = Counter()
+    place, said = tmp_path / "set", []
+    for point in itertools.count(1):
+        if replaces:
+            shutil.copytree(tmp_path / "3", place)
+        with pytest.MonkeyPatch.context() as patch:
+            other = lambda: said.append(has_finished(place, *second))  # noqa: E731
+            disturbed = Disturbed(patch, point, "before", "another run", other)
+            first = has_finished(place, 1, replaces, InputError("stop") if fails else None)
+        if not disturbed.done:
+            break
+        outcomes[first, said[-1]] += 1
+        expected = {
+            (True, True): [whole[second[0]], whole[1]],  # one after the other
+            (False, True): [whole[second[0]]],
+            (True, False): [whole[1]],
+            (False, False): [whole[3] if replaces else {}] * fails,
+        }[first, said[-1]]
+        assert (folder_bytes(place) if place.exists() else {}) in expected, point
+        shutil.rmtree(place, ignore_errors=True)
+    assert outcomes[False, True] + outcomes[True, True] > 0
+    assert fails or outcomes[True, False] > 0

@@ -12,13 +12,9 @@ from tactile_toolkit.run import Part, ProcessRunner, parse_part
 from tactile_toolkit.store import LocalFolder, build, open_folder, read_manifest, verify
 from tactile_toolkit.store.job import MissingPartsError, array_text
 from tactile_toolkit.store.pending import manifest_so_far
-from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
+from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, make, toy_plan
 
 SHARDS = 6
-
-
-def make(path, plan=None, **options):
-    return build(open_folder(str(path)), plan or toy_plan(), **options)
 
 
 @pytest.fixture
@@ -28,7 +24,7 @@ def whole(tmp_path) -> dict[str, bytes]:
 
 
 @pytest.mark.one_at_a_desk
-@pytest.mark.parametrize("count", [1, 2, 4, SHARDS, 100])
+@pytest.mark.parametrize("count", [4, 1, 100])
 def test_parts_in_any_order_give_the_bytes_of_one_process(tmp_path, whole, count):
     folder = open_folder(str(tmp_path / "set"))
     for number in random.Random(count).sample(range(1, count + 1), count):  # from 1, as many arrays are
@@ -88,7 +84,7 @@ def test_where_no_part_made_anything_nothing_can_be_finished(tmp_path, place):
         make(folder, finish=True)
 
 
-@pytest.mark.parametrize("damage", ["file gone", "file cut", "record gone", "report cut"])
+@pytest.mark.parametrize("damage", ["file gone", "file cut", "record gone", "record cut", "report cut"])
 def test_a_record_counts_only_with_its_whole_file(tmp_path, whole, damage):
     for index in range(2):
         make(tmp_path / "set", part=Part(index, 2))
@@ -101,6 +97,8 @@ def test_a_record_counts_only_with_its_whole_file(tmp_path, whole, damage):
         file.unlink()
     with pytest.raises(MissingPartsError, match=r"1 of 6 shards .* those of part 3 of 6"):
         make(tmp_path / "set", finish=True)
+    so_far = manifest_so_far(open_folder(str(tmp_path / "set")))
+    assert len(so_far.shards) == SHARDS - 1
     made = []
     make(tmp_path / "set", part=Part(1, 2), on_progress=lambda told: made.append(told.record))
     assert [record.shard for record in made[1:]] == [shard]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import errno
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,13 +14,9 @@ from tactile_toolkit.errors import InputError, SpecMismatchError, StorageError, 
 from tactile_toolkit.places import open_place
 from tactile_toolkit.run import InlineRunner, Part, ProcessRunner
 from tactile_toolkit.store import LocalFolder, build, open_folder, read_manifest
-from tests.tactile_toolkit.toy import folder_bytes, toy_plan
+from tests.tactile_toolkit.toy import folder_bytes, make, toy_plan
 
 FAILURE = InputError("no place for the third object")
-
-
-def make(path, plan=None, **options):
-    return build(open_folder(str(path)), plan or toy_plan(), **options)
 
 
 def other_plan(**options):
@@ -37,11 +35,43 @@ def finished(tmp_path):
 
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("runner", [InlineRunner(), ProcessRunner(2)], ids=["inline", "processes"])
-def test_a_run_that_finishes_nothing_gives_the_former_set_back(finished, runner):
+def test_a_run_that_finishes_nothing_leaves_what_there_was(finished, tmp_path, runner):
+    """The former set, an empty folder, which takes another specification then, or no folder."""
     before = folder_bytes(finished)
-    with pytest.raises(InputError, match="third object"):
-        make(finished, other_plan(error=FAILURE), workers=runner, overwrite=True)
+    (tmp_path / "empty").mkdir()
+    for place, options in (
+        (finished, {"overwrite": True}),
+        (tmp_path / "empty", {}),
+        (tmp_path / "none", {}),
+    ):
+        with pytest.raises(InputError, match="third object"):
+            make(place, other_plan(error=FAILURE), workers=runner, **options)
     assert folder_bytes(finished) == before
+    assert list((tmp_path / "empty").iterdir()) == []
+    assert not (tmp_path / "none").exists()
+    assert make(tmp_path / "empty", toy_plan(spec={"seed": 9})).complete
+
+
+def test_what_ended_a_run_is_what_is_reported(tmp_path, monkeypatch):
+    """Not that the disk lets nothing be tidied up then."""
+    left = tmp_path / "set" / ".pending" / "tmp-0123456789abcdef0123456789abcdef"
+
+    def stop(progress):
+        left.parent.mkdir(exist_ok=True)
+        left.touch()
+
+        def refuse(*_, **__):
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+        for name in ("unlink", "rename", "replace", "iterdir", "glob"):
+            monkeypatch.setattr(Path, name, refuse)
+        raise FAILURE
+
+    for overwrite in (False, True):
+        with monkeypatch.context(), pytest.raises(InputError, match="third object"):
+            make(tmp_path / "set", toy_plan(), on_progress=stop, overwrite=overwrite)
+        monkeypatch.undo()
+        make(tmp_path / "set", toy_plan())
 
 
 def test_a_set_that_others_began_in_its_place_is_begun_again(finished, tmp_path):
@@ -182,28 +212,21 @@ def test_a_set_that_cannot_be_moved_now_is_moved_by_the_next_run(finished, tmp_p
     assert folder_bytes(finished) == folder_bytes(tmp_path / "fresh")
 
 
-@pytest.mark.thorough
-def test_a_run_that_leaves_everything_out_fails_and_leaves_nothing(finished, tmp_path):
+def test_a_run_that_leaves_everything_out_fails_and_leaves_what_there_was(finished, tmp_path):
+    """Also of a split beside a finished one."""
     plan = other_plan()
     empty = replace(plan, tasks=tuple(replace(task, ids=(109, 119)) for task in plan.tasks))
-    before = folder_bytes(finished)
-    with pytest.raises(InputError, match=r"no row is left: all 4 were left out.*nine: 109 ends with 9"):
-        make(finished, empty, overwrite=True)
-    assert folder_bytes(finished) == before
-    for runner in (InlineRunner(), ProcessRunner(2)):
-        with pytest.raises(InputError, match="no row is left"):
-            make(tmp_path / "fresh", empty, workers=runner)
-        assert not (tmp_path / "fresh").exists()
-
-
-def test_a_split_of_which_nothing_is_left_is_refused_beside_a_finished_one(tmp_path):
-    make(tmp_path / "set", toy_plan(("train",)))
-    before = folder_bytes(tmp_path / "set")
-    plan = toy_plan(("test",))
-    nothing = replace(plan, tasks=tuple(replace(task, ids=(109, 119)) for task in plan.tasks))
-    with pytest.raises(InputError, match="no row is left"):
-        make(tmp_path / "set", nothing)
-    assert folder_bytes(tmp_path / "set") == before
+    make(tmp_path / "train", toy_plan(("train",), spec={"seed": 2}))
+    before = folder_bytes(tmp_path)
+    for place, options in (
+        (finished, {"overwrite": True}),
+        (tmp_path / "none", {}),
+        (tmp_path / "train", {}),
+    ):
+        with pytest.raises(InputError, match=r"no row is left: all 4 were left out.*nine: 109 ends with 9"):
+            make(place, empty, **options)
+    assert folder_bytes(tmp_path) == before
+    assert not (tmp_path / "none").exists()
 
 
 def test_a_data_set_in_a_store_is_not_replaced():
@@ -214,8 +237,7 @@ def test_a_data_set_in_a_store_is_not_replaced():
     ):
         build(folder, other_plan(), overwrite=True)
     with pytest.raises(
-        SpecMismatchError,
-        match=r"choose another folder \(--out or OUT\), or start again there with --overwrite",
+        SpecMismatchError, match=r"choose another folder .* or start again there with --overw"
     ):
         build(folder, other_plan())
     assert build(folder, toy_plan(error=RuntimeError("all is there"))) == finished

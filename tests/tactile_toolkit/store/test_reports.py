@@ -46,14 +46,6 @@ def test_rows_come_from_the_run_before_and_from_this_one(tmp_path, whole, splits
     }
 
 
-def test_what_is_as_it_should_be_is_not_written_again(whole):
-    folder = open_folder(str(whole))
-    before = (whole / REPORT).stat()
-    build(folder, toy_plan())
-    after = (whole / REPORT).stat()
-    assert (after.st_ino, after.st_mtime_ns) == (before.st_ino, before.st_mtime_ns)
-
-
 def test_rows_that_are_nowhere_are_named_and_the_report_stays(whole):
     folder = open_folder(str(whole))
     manifest = build(folder, toy_plan())

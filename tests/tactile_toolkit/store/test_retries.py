@@ -115,7 +115,12 @@ def caused(error, cause):
         (RefusedError("SlowDown"), "reading 's3://b/a' failed: SlowDown: the store answers SlowDown", True),
         (caused(RefusedError("Odd"), ConnectionError("x")), "reading 's3://b/a' failed: Odd: ", False),
         (RefusedError("503"), "failed: 503: ", True),
-        (RefusedError("AccessDenied"), r"reading 's3://b/a' is refused \(AccessDenied: ", False),
+        *(
+            (RefusedError(code), rf"reading 's3://b/a' is refused \({code}: ", False)
+            for code in ("AccessDenied", "InvalidAccessKeyId", "ExpiredToken", "RequestTimeTooSkewed")
+        ),
+        (RefusedError("InternalError"), "failed: InternalError: ", True),
+        (RefusedError("IllegalLocationConstraint"), r"another region \(IllegalLocationConstraint\)", False),
         (caused(RefusedError("AccessDenied"), TimeoutError()), r"is refused \(AccessDenied: ", False),
         (NumberedError(503), "reading 's3://b/a' failed: 503: the store says no; ", True),
         (NumberedError(None), "reading 's3://b/a' failed: NumberedError: the store says no; ", False),
