@@ -18,8 +18,6 @@ class Request:
     range: str | None
     user: str | None
     """Whose token came with it; ``"?"`` for an unknown token."""
-    received: int = 0
-    """Bytes of the body that arrived."""
     status: int = 0
     """Status of the answer; 0 while there is none."""
     sent: int = 0
@@ -37,16 +35,9 @@ class Fault:
 
     pattern: str
     times: int = 1
-    method: str | None = None
-    skip: int = 0
-    """How many matching requests pass before the first one is hit."""
     status: int | None = None
     headers: dict[str, str] = field(default_factory=dict)
-    refuse_body_after: int | None = None
-    drop_after: int | None = None
-    reset: bool = False
     corrupt_at: int | None = None
-    truncate_at: int | None = None
     stall_after: int | None = None
     lose_reply: bool = False
     value: Any = None
@@ -58,8 +49,7 @@ class Fault:
     @property
     def touches_content(self) -> bool:
         """Whether it shows only where the bytes of a file are sent."""
-        spans = (self.drop_after, self.corrupt_at, self.truncate_at, self.stall_after)
-        return self.endless or any(span is not None for span in spans)
+        return self.endless or self.corrupt_at is not None or self.stall_after is not None
 
 
 class Faults:
@@ -87,17 +77,9 @@ class Faults:
         """Answer with an error, before anything is done."""
         self.add(Fault(pattern, times, status=status, **more))  # type: ignore[arg-type]
 
-    def drop(self, pattern: str, after: int, times: int = 1, *, reset: bool = False, skip: int = 0) -> None:
-        """Close the connection after some bytes of an answer, politely or with a reset."""
-        self.add(Fault(pattern, times, drop_after=after, reset=reset, skip=skip))
-
     def corrupt(self, pattern: str, at: int, times: int = 1) -> None:
         """Flip the bits of one byte of a file."""
         self.add(Fault(pattern, times, corrupt_at=at))
-
-    def truncate(self, pattern: str, at: int, times: int = 1) -> None:
-        """Send only the beginning of a file and call it all."""
-        self.add(Fault(pattern, times, truncate_at=at))
 
     def stall(self, pattern: str, after: int, times: int = 1) -> None:
         """Stand still after some bytes of a file, until ``released`` is set."""
@@ -115,24 +97,15 @@ class Faults:
         """Do what is asked and close the connection without an answer."""
         self.add(Fault(pattern, times, lose_reply=True))
 
-    def refuse_body(self, pattern: str, after: int, times: int = 1) -> None:
-        """Close the connection after some bytes of the request's body; nothing is done."""
-        self.add(Fault(pattern, times, refuse_body_after=after))
-
-    def take(self, method: str, path: str, *, content: bool) -> Fault | None:
+    def take(self, path: str, *, content: bool) -> Fault | None:
         """Return the first fault that hits this request and count it."""
         with self._lock:
             for fault in self._faults:
-                if fault.times and self._hits(fault, method, path, content):
-                    if fault.skip:
-                        fault.skip -= 1
-                        continue
+                if fault.times and self._hits(fault, path, content):
                     fault.times -= 1
                     return fault
         return None
 
     @staticmethod
-    def _hits(fault: Fault, method: str, path: str, content: bool) -> bool:
-        if fault.method not in (None, method) or not fnmatchcase(path, fault.pattern):
-            return False
-        return content or not fault.touches_content
+    def _hits(fault: Fault, path: str, content: bool) -> bool:
+        return fnmatchcase(path, fault.pattern) and (content or not fault.touches_content)

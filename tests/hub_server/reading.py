@@ -111,17 +111,7 @@ def tree(asked: Asked) -> Reply:
             entries[path] = _entry(path, blob)
     if prefix and not entries:
         raise Refusal(404, f"{prefix} does not exist", "EntryNotFound")
-    return _page(asked, list(entries.values()))
-
-
-def _page(asked: Asked, entries: list[Any]) -> Reply:
-    size, start = asked.hub.page_size, int(asked.query.get("cursor", "0"))
-    headers = {}
-    if start + size < len(entries):
-        query = "&".join(f"{name}={value}" for name, value in asked.query.items() if name != "cursor")
-        following = f"{asked.hub.endpoint}{asked.address.path}?{query}&cursor={start + size}"
-        headers["Link"] = f'<{following}>; rel="next"'
-    return Reply(200, entries[start : start + size], headers)
+    return Reply(200, list(entries.values()))
 
 
 def paths_info(asked: Asked) -> Reply:
@@ -153,49 +143,6 @@ def refs(asked: Asked) -> Reply:
             "pullRequests": listed(pulls, ""),
         },
     )
-
-
-def commits(asked: Asked) -> Reply:
-    repository = asked.repository()
-    log = repository.log(asked.commit(repository))
-    return _page(
-        asked,
-        [
-            {
-                "id": commit.sha,
-                "title": commit.title,
-                "message": commit.description,
-                "authors": [{"user": commit.author}],
-                "date": "2026-01-01T00:00:00.000Z",
-            }
-            for commit in log
-        ],
-    )
-
-
-def discussions(asked: Asked) -> Reply:
-    repository = asked.repository()
-    found = [
-        {
-            "num": number,
-            "title": repository.commits[sha].title,
-            "author": {"name": repository.commits[sha].author},
-            "createdAt": "2026-01-01T00:00:00.000Z",
-            "status": "open",
-            "repo": {"name": repository.id, "type": repository.kind.removesuffix("s")},
-            "isPullRequest": True,
-        }
-        for number, sha in repository.pulls.items()
-    ]
-    return Reply(200, {"discussions": found, "count": len(found), "start": 0})
-
-
-def auth_check(asked: Asked) -> Reply:
-    repository = asked.repository()
-    require_passed_gate(repository, asked.account)
-    if asked.address.path.endswith("/write"):
-        asked.writer(repository.namespace)
-    return Reply(200, {})
 
 
 def resolve(asked: Asked) -> Reply:

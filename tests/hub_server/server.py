@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import re
 import socket
-import struct
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -33,7 +31,6 @@ class HubServer:
         self.accounts: dict[str, Account] = {}
         self.requests: list[Request] = []
         self.faults = Faults()
-        self.page_size = 1000
         self._main, self._cdn = _Listener(self), _Listener(self)
 
     @property
@@ -52,9 +49,7 @@ class HubServer:
         sent = [
             request for request in self.requests if request.method == "GET" and request.status in (200, 206)
         ]
-        return [
-            re.sub(r".*/resolve/[^/]+/|/cdn/\w+/[^/]+/[^/]+/\w+/", "", r.path) for r in sent if r.is_content
-        ]
+        return [_PLACE.sub("", request.path) for request in sent if request.is_content]
 
     def content_requests(self, ending: str) -> list[Request]:
         """Return the GET requests for the content of a file, redirects left out."""
@@ -132,14 +127,6 @@ class _Listener(ThreadingHTTPServer):
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._is_stopping = False
 
-    def shutdown_request(self, request: socket.socket) -> None:  # type: ignore[override]
-        """Close a connection; one that is to be reset says no farewell first."""
-        (lingers, _) = struct.unpack("ii", request.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, 8))
-        if lingers:
-            self.close_request(request)
-        else:
-            super().shutdown_request(request)
-
     def start(self) -> None:
         self._thread.start()
 
@@ -184,8 +171,8 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _converse(self, asked: Asked, note: Request) -> None:
         hub = self.server.hub
-        early = hub.faults.take(self.command, note.path, content=False)
-        self._read_body(asked, note, early.refuse_body_after if early else None)
+        early = hub.faults.take(note.path, content=False)
+        asked.body = b"".join(self._body_pieces())
         if early is not None and early.status is not None:
             value = {"error": f"{early.status} as told"} if early.value is None else early.value
             reply = Reply(early.status, value, early.headers)
@@ -195,22 +182,11 @@ class _Handler(BaseHTTPRequestHandler):
             except Refusal as refusal:
                 reply = refusal.reply
         if early is not None and early.lose_reply:
-            self._close()
+            raise _LostError
         late = early if early is not None and early.drip_s is not None else None
         if reply.is_content and self.command == "GET":
-            late = hub.faults.take(self.command, note.path, content=True) or late
+            late = hub.faults.take(note.path, content=True) or late
         self._send(reply, note, late)
-
-    def _read_body(self, asked: Asked, note: Request, limit: int | None) -> None:
-        pieces = []
-        for piece in self._body_pieces():
-            pieces.append(piece)
-            note.received += len(piece)
-            if limit is not None and note.received >= limit:
-                self._close(reset=True)
-        if limit is not None:
-            self._close(reset=True)
-        asked.body = b"".join(pieces)
 
     def _body_pieces(self) -> Iterator[bytes]:
         if "chunked" in self.headers.get("Transfer-Encoding", ""):
@@ -232,8 +208,6 @@ class _Handler(BaseHTTPRequestHandler):
             first, last = int(span[1]), min(int(span[2] or last), last)
             if first > last:
                 content, reply = b"", Reply(416, {}, {"Content-Range": f"bytes */{len(content)}"})
-        if fault is not None and fault.truncate_at is not None:
-            last = min(last, fault.truncate_at - 1)
         note.status = 206 if span and reply.status == 200 else reply.status
         self.send_response(note.status)
         for name, value in reply.headers.items():
@@ -255,27 +229,23 @@ class _Handler(BaseHTTPRequestHandler):
             self._send_pieces(content, first, last + 1 if reply.is_content else len(content), note, fault)
 
     def _send_pieces(self, content: bytes, start: int, end: int, note: Request, fault: Fault | None) -> None:
-        stops = {"drop": fault.drop_after, "stall": fault.stall_after} if fault else {}
         if fault is not None and fault.corrupt_at is not None:
             place = fault.corrupt_at % len(content)
             content = content[:place] + bytes([content[place] ^ 0xFF]) + content[place + 1 :]
-        stop = next((after for after in stops.values() if after is not None), None)
-        cut = end if stop is None else min(end, start + stop)
-        self._write(content, start, cut, note)
-        if stops.get("drop") is not None:
-            assert fault is not None
-            self._close(reset=fault.reset)
-        if stops.get("stall") is not None:
+        if fault is not None and fault.stall_after is not None:
+            cut = min(end, start + fault.stall_after)
+            self._write(content, start, cut, note)
             self.server.hub.faults.stalled.set()
             self.server.hub.faults.released.wait(60)
-            self._write(content, cut, end, note)
+            start = cut
+        self._write(content, start, end, note)
 
     def _send_without_end(self) -> None:
         self.send_header("Transfer-Encoding", "chunked")
         self.end_headers()
         for _ in range(_ENDLESS_PIECES):
             self.wfile.write(b"%x\r\n%s\r\n" % (_PIECE, bytes(_PIECE)))
-        self._close()
+        raise _LostError
 
     def _drip(self, content: bytes, pause_s: float, note: Request) -> None:
         for place in range(len(content)):
@@ -283,30 +253,15 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(content[place : place + 1])
             self.wfile.flush()
             if self.server.hub.faults.released.wait(pause_s):
-                self._close()
+                raise _LostError
 
     def _write(self, content: bytes, start: int, end: int, note: Request) -> None:
         for place in range(start, end, _PIECE):
             piece = content[place : min(place + _PIECE, end)]
-            note.sent += len(
-                piece
-            )  # before the client can have it, so that a test that has it sees the count
+            # Before the client can have it, so that a test that has it sees the count.
+            note.sent += len(piece)
             self.wfile.write(piece)
         self.wfile.flush()
-
-    def _close(self, *, reset: bool = False) -> None:
-        if reset:
-            # Closing with no time to linger sends a reset instead of a farewell.
-            self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-        raise _LostError
-
-    def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
-        """Answer what is no HTTP of ours in JSON too."""
-        content = json.dumps({"error": message or explain or ""}).encode()
-        self.send_response(code)
-        self.send_header("Content-Length", str(len(content)))
-        self.end_headers()
-        self.wfile.write(content)
 
 
 @contextmanager

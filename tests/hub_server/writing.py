@@ -26,23 +26,10 @@ def create(asked: Asked) -> Reply:
     return Reply(200, {"url": url, "name": name})
 
 
-def delete(asked: Asked) -> Reply:
-    values = asked.json
-    kind, namespace = f"{values.get('type') or 'model'}s", values.get("organization")
-    account = asked.writer(namespace or (asked.account.name if asked.account else ""))
-    removed = asked.hub.repositories.pop((kind, f"{namespace or account.name}/{values['name']}"), None)
-    if removed is None:
-        raise Refusal(404, "Repository not found", "RepoNotFound")
-    return Reply(200, {})
-
-
 def branch(asked: Asked) -> Reply:
     repository = asked.repository()
     asked.writer(repository.namespace)
     name = asked.names["name"]
-    if asked.method == "DELETE":
-        repository.branches.pop(name, None)
-        return Reply(200, {})
     if name in repository.branches:
         raise Refusal(409, f"Reference already exists: refs/heads/{name}")
     start = repository.find(asked.json.get("startingPoint") or "main")
@@ -55,10 +42,6 @@ def branch(asked: Asked) -> Reply:
 def tag(asked: Asked) -> Reply:
     repository = asked.repository()
     asked.writer(repository.namespace)
-    if asked.method == "DELETE":
-        if repository.tags.pop(asked.names["revision"], None) is None:
-            raise Refusal(404, f"Invalid rev id: {asked.names['revision']}", "RevisionNotFound")
-        return Reply(200, {})
     name = asked.json["tag"]
     if name in repository.tags:
         raise Refusal(409, f"Tag reference exists already: refs/tags/{name}")
@@ -164,13 +147,4 @@ def lfs_verify(asked: Asked) -> Reply:
     content = asked.repository().objects.get(asked.json["oid"])
     if content is None or len(content) != asked.json["size"]:
         raise Refusal(404, "the large file did not arrive whole")
-    return Reply(200, {})
-
-
-def settings(asked: Asked) -> Reply:
-    repository = asked.repository()
-    asked.writer(repository.namespace)
-    if "visibility" in asked.json or "private" in asked.json:
-        repository.private = asked.json.get("private") or asked.json.get("visibility") == "private"
-    repository.gated = asked.json.get("gated", repository.gated)
     return Reply(200, {})
