@@ -18,6 +18,7 @@ from hypothesis import HealthCheck, settings
 
 from tests.real_input import NO_REAL_INPUT, SHARED
 from tests.s3_fixtures import bucket, new_clients, s3, s3_server  # noqa: F401  # one server for each worker
+from tests.small_sets import digits_set, scenes_set  # noqa: F401
 
 # A slow or busy machine must not fail a property. README's command draws few examples, for a quick answer;
 # `pytest -m ""` draws many. A server draws the same ones every time, so that a change fails for what it

@@ -232,7 +232,7 @@ def test_shells_complete_commands_options_and_choices(package, monkeypatch, caps
 
 
 @pytest.mark.one_at_a_desk
-@pytest.mark.parametrize("words", [["--help"], ["verify", "missing"], ["--version"], ["cache", "ls"]])
+@pytest.mark.parametrize("words", [["--help"], ["verify", "missing"], ["cache", "ls"]])
 def test_a_closed_pipe_ends_a_command_as_it_ends_other_tools(tmp_path, words):
     reader, writer = os.pipe()
     os.close(reader)
@@ -249,10 +249,13 @@ def test_a_closed_pipe_ends_a_command_as_it_ends_other_tools(tmp_path, words):
 
 
 @pytest.mark.one_at_a_desk
-@pytest.mark.parametrize("words", [["--version"], ["--help"], ["cache", "ls"]])
 @pytest.mark.parametrize(
-    ("redirected", "code", "why"),
-    [(">&-", 0, ""), (">/dev/full", 2, "No space left on device")],
+    ("words", "redirected", "code", "why"),
+    [
+        (["cache", "ls"], ">/dev/full", 2, "No space left on device"),
+        (["--help"], ">/dev/full", 2, "No space left on device"),
+        (["--version"], ">&-", 0, ""),
+    ],
 )
 def test_an_output_that_takes_nothing_is_named(tmp_path, words, redirected, code, why):
     done = _redirected(tmp_path, words, redirected)
@@ -261,7 +264,7 @@ def test_an_output_that_takes_nothing_is_named(tmp_path, words, redirected, code
 
 
 @pytest.mark.one_at_a_desk
-@pytest.mark.parametrize("redirected", ["2>&-", "2>/dev/full", ">&- 2>&-", "<&- 2>&-"])
+@pytest.mark.parametrize("redirected", ["<&- >&- 2>&-", "2>/dev/full"])
 def test_the_exit_code_needs_no_stream(tmp_path, redirected):
     assert _redirected(tmp_path, ["verify", "missing"], redirected).returncode == 2
 

@@ -6,18 +6,13 @@ import json
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
-from shutil import rmtree
+from shutil import copytree
 
 import pyarrow.parquet as pq
 import pytest
 
-import starstruck_gen as starstruck
-from mnist3d.digit_generation import DigitSetSpec, generate
-from mnist3d.solid_spec import SolidSpec
-from mnist3d.sources.synthetic import SyntheticSource
 from realtouch.kind import KIND as TOUCH_KIND
 from realtouch.opening import SHORT_NAMES
-from starstruck_gen.scene_generation import SceneSetSpec as StarstruckSpec
 from tactile_toolkit.kind import kinds
 from tactile_toolkit.places import published_set, repository_named
 from tests.hub_server import HubServer, hub
@@ -31,14 +26,11 @@ TOUCHES = "TimSchneider42/tactile-mnist-touch-real-single-t256-64x64"
 
 
 @pytest.fixture(scope="module")
-def root(tmp_path_factory) -> Path:
+def root(tmp_path_factory, digits_set, scenes_set) -> Path:
     place = tmp_path_factory.mktemp("hub")
-    spec = DigitSetSpec(SyntheticSource(), SolidSpec(target_vertices=2_000), per_class=1)
-    generate(spec, str(place / DIGITS), ("test", "holdout"))
-    starstruck.generate(StarstruckSpec(scenes=(("train", 6),)), str(place / "scenes"))
-    for name, ours in ((BARE, place / DIGITS), (SCENES, place / "scenes")):
+    copytree(digits_set, place / DIGITS)
+    for name, ours in ((BARE, digits_set), (SCENES, scenes_set)):
         _publish(ours, place / name)
-    rmtree(place / "scenes")
     rounds = [make_round(index, 4, (64, 64)) for index in range(3)]
     write_set(place / TOUCHES, {"train": single_rows(rounds[1:]), "test": single_rows(rounds[:1])}, "single")
     return place
@@ -257,16 +249,6 @@ def test_failures_are_told_in_a_line(server, tmp_path, arguments, code, words):
     (line,) = [line for line in said.err.splitlines() if line.startswith("error: ")]
     assert words in line
     assert "next: " in line or "choose" in line
-
-
-def test_offline_says_what_is_missing(server, tmp_path):
-    call(server, tmp_path, "mnist3d", "download", DIGITS, "--split", "test")
-    for more in ({}, {"HF_HUB_OFFLINE": "1"}):
-        said = call("http://127.0.0.1:9", tmp_path, "mnist3d", "download", DIGITS, "--split", "test", **more)
-        assert said.code == 0, said.err
-        said = call("http://127.0.0.1:9", tmp_path, "mnist3d", "download", DIGITS, **more)
-        assert said.code == 4
-        assert "'data/holdout-00000-of-00001.parquet' of Hub data set 'someone/digits' is not" in said.err
 
 
 def test_list(server, tmp_path):

@@ -6,13 +6,13 @@ import json
 import logging
 import os
 import re
+import shutil
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from starstruck_gen.scene_generation import SceneSetSpec, generate
 from tests.command_line import call, program
 from tests.hub_server import HubServer, hub
 from tests.processes import PATIENCE_S
@@ -37,12 +37,10 @@ def run(command: str, *arguments: object, environment: dict[str, str]) -> subpro
     )
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory) -> Path:
+@pytest.fixture
+def folder(scenes_set, tmp_path) -> Path:
     """Two splits of scenes."""
-    place = tmp_path_factory.mktemp("upload") / "stars"
-    generate(SceneSetSpec(scenes=(("train", 30), ("test", 9))), str(place))
-    return place
+    return Path(shutil.copytree(scenes_set, tmp_path / "stars"))
 
 
 @pytest.fixture
@@ -52,7 +50,7 @@ def server(monkeypatch) -> Iterator[HubServer]:
 
 
 THERE_AND_BACK = """
-import datasets, hashlib, {package}
+import datasets, hashlib, mnist3d
 datasets.disable_progress_bars()
 def digest(columns):
     return hashlib.sha256(b''.join(
@@ -63,26 +61,24 @@ def of_rows(rows):
         pair for row in rows
         for pair in ((row['mesh.vertices'], 'float32'), (row['mesh.faces'], 'int32'))
     ])
-held = datasets.load_dataset('{name}', split='{split}')
+held = datasets.load_dataset('{name}', split='test')
 print(len(held), of_rows(held))
-streamed = list(datasets.load_dataset('{name}', split='{split}', streaming=True))
+streamed = list(datasets.load_dataset('{name}', split='test', streaming=True))
 print(len(streamed), of_rows(streamed))
-ours = list({package}.load('{name}', split='{split}'))
+ours = list(mnist3d.load('{name}', split='test'))
 print(len(ours), digest([
     pair for record in ours for pair in ((record.vertices_m, 'float32'), (record.faces, 'int32'))
 ]))
-here = list({package}.load({folder!r}, split='{split}'))
+here = list(mnist3d.load({folder!r}, split='test'))
 print(len(here), digest([
     pair for record in here for pair in ((record.vertices_m, 'float32'), (record.faces, 'int32'))
 ]))
 """
 
 
-def there_and_back(
-    server: HubServer, home: Path, folder: Path, name: str, package: str, split: str, more: str = ""
-) -> list[str]:
+def there_and_back(server: HubServer, home: Path, folder: Path, name: str, more: str) -> list[str]:
     """Load a split from the Hub in three ways, and from the folder; return what each printed, and `more`."""
-    script = THERE_AND_BACK.format(name=name, package=package, split=split, folder=str(folder)) + more
+    script = THERE_AND_BACK.format(name=name, folder=str(folder)) + more
     environment = settings(server, home, next(iter(server.accounts)), PYTHONPATH=str(Path.cwd()))
     done = run_python(script, environment, home)
     assert done.returncode == 0, done.stderr
@@ -90,38 +86,24 @@ def there_and_back(
 
 
 @pytest.mark.thorough
-def test_the_whole_way_of_digits(tmp_path):
+def test_the_whole_way(digits_set, tmp_path):
     """Upload and load: real processes, nothing but HF_ENDPOINT set; the same meshes, byte for byte."""
-    folder = tmp_path / "digits"
     with hub() as server:
         token = server.account("someone")
         environment = settings(server, tmp_path, token)
-        small = ("--split", "test", "--per-class", "1", "--vertices", "2000", "--workers", "1", "--quiet")
-        assert call("mnist3d", "generate", *small, "--out", folder) == 0
-        sent = run("mnist3d", "upload", folder, "someone/digits", "--yes", environment=environment)
+        sent = run("mnist3d", "upload", digits_set, "someone/digits", "--yes", environment=environment)
         assert sent.returncode == 0, sent.stderr
         assert token not in sent.stdout + sent.stderr
         lines = [line.strip() for line in sent.stdout.splitlines()]
         assert f"{server.endpoint}/datasets/someone/digits" in lines
         assert lines[-2:] == ["import mnist3d", 'data = mnist3d.load("someone/digits", split="test")']
-        ways = there_and_back(server, tmp_path, folder, "someone/digits", "mnist3d", "test")
-        assert len(ways) == 4
-        assert len(set(ways)) == 1
-        assert ways[0].startswith("10 ")
-
-
-@pytest.mark.thorough
-def test_the_whole_way_of_scenes(server, folder, tmp_path):
-    logging.getLogger("huggingface_hub").setLevel(logging.INFO)
-    assert call("starstruck", "upload", folder, NAME, "--yes", "--quiet") == 0
-    assert not logging.getLogger("huggingface_hub").isEnabledFor(logging.WARNING), "the client is quiet, too"
-    card = server.repository(NAME).head.files["README.md"].content.decode()
-    with_datasets, with_toolkit, _ = re.findall(r"```python\n(.*?)```", card, flags=re.DOTALL)
-    lines = with_datasets + with_toolkit
-    *ways, first, second = there_and_back(server, tmp_path, folder, NAME, "starstruck_gen", "train", lines)
+        card = server.repository("someone/digits").head.files["README.md"].content.decode()
+        with_datasets, with_toolkit, *_ = re.findall(r"```python\n(.*?)```", card, flags=re.DOTALL)
+        code = with_datasets + with_toolkit
+        *ways, first, second = there_and_back(server, tmp_path, digits_set, "someone/digits", code)
     assert len(ways) == 4
     assert len(set(ways)) == 1
-    assert ways[0].startswith("30 ")
+    assert ways[0].startswith("10 ")
     assert first
     assert second
 
@@ -147,12 +129,13 @@ def test_it_shows_what_it_sends_and_sends_nothing_twice(server, folder, capsys):
     )
     assert call("starstruck", "upload", folder, NAME, "--revision", "next") == 2, "a branch is asked for too"
     assert "branch to create at the head of main: next" in capsys.readouterr().out
-    (folder / "notes.txt").unlink()
 
 
 def test_dry_run_sends_nothing_and_needs_no_login(server, folder, capsys, monkeypatch):
     monkeypatch.delenv("HF_TOKEN")
+    logging.getLogger("huggingface_hub").setLevel(logging.INFO)
     assert call("starstruck", "upload", folder, NAME, "--dry-run", "--private", "--revision", "next") == 0
+    assert not logging.getLogger("huggingface_hub").isEnabledFor(logging.WARNING), "the client is quiet, too"
     printed = capsys.readouterr().out
     assert "private repository to create: someone/stars (next)" in printed
     assert "5 of 5 files to send" in printed
@@ -229,8 +212,6 @@ def test_no_network_is_told(folder, tmp_path):
 
 
 def test_a_damaged_folder_is_not_sent(server, folder, tmp_path, capsys):
-    import shutil
-
     copy = Path(shutil.copytree(folder, tmp_path / "copy"))
     (copy / "data" / "test-00000-of-00001.parquet").unlink()
     assert call("starstruck", "upload", copy, NAME, "--yes") == 3

@@ -86,8 +86,10 @@ def commands() -> dict[str, str]:
 
 
 @pytest.mark.one_at_a_desk
-@pytest.mark.parametrize("module", ["typer", "cli.output", "pyarrow"])
-@pytest.mark.parametrize("command", commands())
+@pytest.mark.parametrize(
+    ("command", "module"),
+    [*((command, "cli.output") for command in commands()), ("mnist3d", "typer"), ("mnist3d", "pyarrow")],
+)
 def test_ctrl_c_while_a_command_starts_ends_it_without_a_traceback(command, module):
     words = ["verify", module]
     if command == "tactile":

@@ -17,13 +17,6 @@ SMALL = ("--split", "test", "--per-class", "1", "--vertices", "2000", "--workers
 call = partial(command_line.call, "mnist3d")
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory) -> Path:
-    path = tmp_path_factory.mktemp("cli") / "digits"
-    assert call("generate", *SMALL, "--out", path, "--quiet") == 0
-    return path
-
-
 def test_generate_ends_with_what_was_made_where_and_what_next(tmp_path, capsys):
     out = tmp_path / "digits"
     assert call("generate", *SMALL, "--out", out) == 0
@@ -47,34 +40,33 @@ def test_generate_json_is_one_document(tmp_path, capsys):
     assert document["spec"]["solid"]["target_vertices"] == 2000
 
 
-def test_info(folder, capsys):
-    assert call("info", folder) == 0
-    printed = capsys.readouterr().out
-    assert "solid.target_vertices = 2000" in printed
-    assert call("info", folder, "--json") == 0
+def test_info(digits_set, capsys):
+    assert call("info", digits_set) == 0
+    assert "solid.target_vertices = 2000" in capsys.readouterr().out
+    assert call("info", digits_set, "--json") == 0
     assert json.loads(capsys.readouterr().out)["splits"][0]["rows"] == 10
 
 
-def test_validate_a_folder(folder, capsys):
-    assert call("validate", folder) == 0
+def test_validate_a_folder(digits_set, capsys):
+    assert call("validate", digits_set, "--split", "test") == 0
     assert "10 of 10 meshes are valid" in capsys.readouterr().out
-    assert call("validate", folder, "--json", "--workers", "2") == 0
+    assert call("validate", digits_set, "--split", "test", "--limit", 3, "--json") == 0
     (document,) = json.loads(capsys.readouterr().out)
-    assert (document["checked"], document["failed"]) == (10, 0)
-    assert len(document["meshes"]) == 10
+    assert (document["checked"], document["failed"]) == (3, 0)
+    assert len(document["meshes"]) == 3
     assert document["meshes"][0]["status"] == "NoError"
 
 
-@pytest.mark.parametrize("kind", ["stl", "3mf", "ply", "obj", "glb"])
+@pytest.mark.parametrize("kind", ["stl", "glb"])
 def test_validate_files_of_anyone(tmp_path, capsys, kind):
     import trimesh
 
     good, bad = tmp_path / f"good.{kind}", tmp_path / f"open.{kind}"
     scale = 0.001 if kind == "glb" else 1.0  # glTF is in metres
     box = trimesh.creation.box((30 * scale, 20 * scale, 10 * scale))
-    write(box, good)
+    box.export(good)
     box.update_faces(np.arange(len(box.faces)) > 0)
-    write(box, bad)
+    box.export(bad)
     assert call("validate", good) == 0
     # glTF has y up (section 3.4): its 20 mm stand, and its 10 mm lie.
     size = "30.0 x 10.0 x 20.0" if kind == "glb" else "30.0 x 20.0 x 10.0"
@@ -87,16 +79,6 @@ def test_validate_files_of_anyone(tmp_path, capsys, kind):
     assert document["meshes"][0]["name"] == bad.name
     assert document["meshes"][0]["is_solid"] is False
     assert document["meshes"][0]["thinnest_wall_mm"] is None
-
-
-def write(mesh, path: Path) -> None:
-    ours = mnist3d.Mesh(
-        np.asarray(mesh.vertices) * (1.0 if path.suffix == ".glb" else 0.001), mesh.faces.astype(np.int32)
-    )
-    if path.suffix == ".3mf":
-        mnist3d.write_mesh(str(path), ours)
-    else:
-        mesh.export(path)
 
 
 @pytest.mark.parametrize(
@@ -202,7 +184,6 @@ def own_pictures(tmp_path_factory) -> Path:
     [
         ((), {"train": 11}),
         (("--per-class", 2), {"train": 4}),
-        (("--limit", 3), {"train": 3}),
         (("--split-by", "none", "--split", "train"), {"train": 11}),
         (("--split-sizes", "train=2,test=1"), {"train": 4, "test": 2}),
         (("--split", "all", "--limit", 1), {"train": 1, "test": 1}),
@@ -210,10 +191,10 @@ def own_pictures(tmp_path_factory) -> Path:
     ],
     ids=str,
 )
-def test_pictures_of_ones_own_are_divided_where_that_is_asked_for(own_pictures, tmp_path, asked, rows):
-    source = ("--source", "folder", "--images", own_pictures)
-    out = tmp_path / "set"
-    assert call("generate", *source, "--vertices", 2000, "--workers", 1, "--quiet", "--out", out, *asked) == 0
-    splits = json.loads((out / "manifest.json").read_text())["splits"]
-    assert {split: table["rows"] for split, table in splits.items()} == rows
-    assert call("verify", out, "--quiet") == 0
+def test_pictures_of_ones_own_are_divided_where_that_is_asked_for(
+    own_pictures, tmp_path, capsys, asked, rows
+):
+    source = ("--source", "folder", "--images", own_pictures, "--vertices", 2000, "--workers", 1)
+    assert call("generate", *source, "--dry-run", "--json", "--out", tmp_path / "set", *asked) == 0
+    splits = json.loads(capsys.readouterr().out)["splits"]
+    assert {each["split"]: each["rows"] for each in splits} == rows

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import os
-from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -67,18 +66,6 @@ def test_the_home_of_nobody_is_refused():
 def test_options_that_are_not_given_mean_the_defaults_of_the_library():
     assert SceneOptions().spec() == SceneSpec()
     assert TrainConfig.read(None, {}) == TrainConfig()
-
-
-def test_a_training_is_by_default_the_published_one_with_a_start_by_simulation():
-    """Zhu et al. 2017, with generators as large as the published ones; what is ours stands last."""
-    assert asdict(TrainConfig()) == {
-        **{"filters": 64, "blocks": 9, "discriminator_filters": 64, "batch": 1, "pool": 50},
-        **{"learning_rate": 2e-4, "first_moment": 0.5, "decay_from": 0.5},
-        **{"depth_cycle_weight": 10.0, "touch_cycle_weight": 10.0, "identity_weight": 5.0},
-        **{"steps": 200_000, "pretrain_steps": 2500, "crop": 0.875, "background_weight": 10.0},
-        **{"sensor_noise": None, "noise": 0.0, "discriminator_noise": 0.0},
-        **{"seed": 0, "checkpoint_every": 1000, "log_every": 50},
-    }
 
 
 @pytest.mark.parametrize(

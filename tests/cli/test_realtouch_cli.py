@@ -74,7 +74,7 @@ def test_load_checks_and_prints_what_there_is(clips, capsys):
     )
 
 
-@pytest.mark.parametrize("label", ["[/b0]", "[b]x", "\x1b[2J\x07", "\u202egnp"])
+@pytest.mark.parametrize("label", ["[/b0][b]x\x1b[2J\x07\u202egnp"])
 def test_names_of_classes_are_shown_and_not_obeyed(tmp_path, capsys, monkeypatch, label):
     """`[/b0]` ended `info` in a traceback; others reached the terminal."""
     monkeypatch.setattr(factories, "LABELS", [label, *factories.LABELS[1:]])

@@ -1,4 +1,4 @@
-"""A folder with a card, made once."""
+"""A folder with a card that tests may change."""
 
 from __future__ import annotations
 
@@ -7,21 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from mnist3d.digit_generation import DigitSetSpec, generate
-from mnist3d.solid_spec import SolidSpec
-from mnist3d.sources.synthetic import SyntheticSource
-
-
-@pytest.fixture(scope="package")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two splits of digits, not to be changed."""
-    folder = tmp_path_factory.mktemp("cards") / "digits"
-    spec = DigitSetSpec(SyntheticSource(), SolidSpec(target_vertices=2_000), per_class=1)
-    generate(spec, str(folder), ("test", "holdout"))
-    return folder
-
 
 @pytest.fixture
-def folder(made: Path, tmp_path: Path) -> Path:
-    """A copy of them."""
-    return Path(shutil.copytree(made, tmp_path / "digits"))
+def folder(digits_set: Path, tmp_path: Path) -> Path:
+    """A copy of digits."""
+    return Path(shutil.copytree(digits_set, tmp_path / "digits"))

@@ -39,31 +39,19 @@ def problems(folder: Path) -> list[str]:
     return [f"{finding.file}: {finding.problem}" for finding in check_card(open_folder(str(folder)))]
 
 
-def test_the_head_is_what_datasets_itself_writes(made):
-    loaded = datasets.load_dataset(str(made))
-    info = next(iter(loaded.values())).info
-    told = head_of(made)["dataset_info"]
-    assert told["features"] == info._to_yaml_dict()["features"]
-    assert [split["name"] for split in told["splits"]] == ["test", "holdout"]
-    for split in told["splits"]:
-        assert split["num_examples"] == len(loaded[split["name"]]) == 10
-    assert told["download_size"] == sum(file.stat().st_size for file in (made / "data").iterdir())
-    assert told["dataset_size"] == sum(split["num_bytes"] for split in told["splits"])
-
-
-def test_unpacked_bytes_are_those_that_datasets_counts(made, tmp_path):
+def test_unpacked_bytes_are_those_that_datasets_counts(digits_set, tmp_path):
     bare = tmp_path / "bare"  # without a card, `datasets` counts for itself
-    shutil.copytree(made / "data", bare / "data")
+    shutil.copytree(digits_set / "data", bare / "data")
     loaded = datasets.load_dataset(str(bare))
-    facts = folder_summary(open_folder(str(made)))
+    facts = folder_summary(open_folder(str(digits_set)))
     assert {split.split for split in facts.splits} == set(loaded)
     for split in facts.splits:
         counted = loaded[split.split].info.splits[split.split].num_bytes
         assert split.unpacked_bytes == pytest.approx(counted, rel=0.05)
 
 
-def test_the_hubs_own_classes_read_the_card(made):
-    card = DatasetCard((made / "README.md").read_text())
+def test_the_hubs_own_classes_read_the_card(digits_set):
+    card = DatasetCard((digits_set / "README.md").read_text())
     assert isinstance(card.data, DatasetCardData)
     head = card.data
     assert (head.license, head.pretty_name, head.size_categories) == ("mit", "MNIST 3D", ["n<1K"])
@@ -81,9 +69,9 @@ def test_the_hubs_own_classes_read_the_card(made):
     assert head.tags
 
 
-def test_a_true_card_has_no_findings(made):
-    assert problems(made) == []
-    assert verify(open_folder(str(made)), check_card=check_card).ok
+def test_a_true_card_has_no_findings(digits_set):
+    assert problems(digits_set) == []
+    assert verify(open_folder(str(digits_set)), check_card=check_card).ok
 
 
 def _drop_split(head: dict) -> None:
@@ -204,8 +192,8 @@ def test_a_gap_is_named(folder, gap):
     assert ["expected every gap filled" in problem for problem in problems(folder)] == [True]
 
 
-def test_the_card_takes_another_name(made):
-    card = (made / "README.md").read_text()
+def test_the_card_takes_another_name(digits_set):
+    card = (digits_set / "README.md").read_text()
     named = with_repo_name(card, "someone/digits")
     assert card.count('"FOLDER"') == named.count('"someone/digits"') == 3
     assert '"FOLDER"' not in named
@@ -263,13 +251,13 @@ def test_types_for_people(entry, text):
 
 
 @pytest.mark.thorough
-def test_the_same_rows_give_the_same_picture_and_card(made, tmp_path):
+def test_the_same_rows_give_the_same_picture_and_card(digits_set, tmp_path):
     again = tmp_path / "again"
     spec = DigitSetSpec(SyntheticSource(), SolidSpec(target_vertices=2_000), per_class=1)
     generate(spec, str(again), ("holdout",))
     generate(spec, str(again), ("test",))
     for path in ("README.md", "previews/digits.png"):
-        assert (again / path).read_bytes() == (made / path).read_bytes()
+        assert (again / path).read_bytes() == (digits_set / path).read_bytes()
 
 
 @pytest.mark.parametrize(
