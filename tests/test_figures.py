@@ -19,6 +19,7 @@ def results() -> dict[str, Any]:
     return found
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("document", figures.DOCUMENTS, ids=lambda path: path.parent.name)
 def test_tables_are_written_by_the_script(document: Path) -> None:
     """Figures are not edited by hand; ``benchmarks/run --write`` marks what is older than its code."""

@@ -130,23 +130,6 @@ def _imports(path: Path) -> set[str]:
     return set(re.findall(r"^\s*(?:import|from) (\w+)", path.read_text(encoding="utf-8"), re.MULTILINE))
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="asks how a system with the module does it")
-def test_a_lock_keeps_others_waiting(tmp_path: Path) -> None:
-    from tactile_toolkit.store import locked
-
-    code = f"""
-from pathlib import Path
-from tactile_toolkit.store.locks import locked
-with locked(Path({str(tmp_path / "lock")!r})):
-    print("got it", flush=True)
-"""
-    with locked(tmp_path / "lock"):
-        other = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, stdout=subprocess.PIPE, text=True)
-        with pytest.raises(subprocess.TimeoutExpired):
-            other.communicate(timeout=1)
-    assert other.communicate()[0] == "got it\n"
-
-
 def test_every_test_file_is_collected_on_every_system() -> None:
     """A test that needs a module of some systems asks with ``pytest.importorskip``, or in its process."""
     asked = {

@@ -69,7 +69,7 @@ ENCODED = SECRETS | SECRETS.map(lambda secret: quote(secret, safe=""))
 OTHER = "of-nobody"  # what is told of any secret is what is told of this one
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=2 * settings.default.max_examples, suppress_health_check=list(HealthCheck))
 @given(data=st.data(), secret=ENCODED, form=st.sampled_from(FORMS))
 def test_no_command_repeats_or_stores_it(data, secret, form, tmp_path_factory, monkeypatch, capfd):
     name, words = data.draw(st.sampled_from(PLACES))
@@ -115,7 +115,7 @@ FUNCTIONS: tuple[Callable[[str], object], ...] = (
 
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("function", FUNCTIONS)
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=settings.default.max_examples // 4)
 @given(secret=ENCODED, form=st.sampled_from(FORMS))
 def test_no_function_repeats_it(function, secret, form):
     told = []
@@ -127,7 +127,7 @@ def test_no_function_repeats_it(function, secret, form):
     assert OTHER not in "".join(told[0])
 
 
-@settings(max_examples=20, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=settings.default.max_examples // 5, suppress_health_check=list(HealthCheck))
 @given(
     secret=st.text("abcXYZ019/+=%~-_.", min_size=4),
     form=st.sampled_from([FORMS[index] for index in (0, 2, 3, 9, 10, 11)]),

@@ -7,7 +7,7 @@ import io
 import json
 import struct
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
 
@@ -157,10 +157,14 @@ def nested(levels: int, each: int, items: int = 1) -> bytes:
 
 TRIANGLE = b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"
 FACET = b"facet normal 0 0 0\nouter loop\n" + b"vertex 0 0 0\n" * 3 + b"endloop\nendfacet\n"
-UNKNOWN = model_of(0).replace(b"</resources>", b"<a/>" * 1_000_000 + b"</resources>")
-NAMED = model_of(0).replace(
-    b"</resources>", b"".join(b"<a%x/>" % n for n in range(400_000)) + b"</resources>"
-)
+
+
+def with_elements(names: Iterable[str]) -> bytes:
+    """Return a model with unknown elements of these names."""
+    text = "".join(f"<{name}/>" for name in names)
+    return model_of(0).replace(b"</resources>", text.encode() + b"</resources>")
+
+
 ENTITY = b'<!DOCTYPE m [<!ENTITY a "' + b"a" * 1_000_000 + b'">]><model b="' + b"&a;" * 90 + b'" '
 
 
@@ -225,13 +229,16 @@ BOMBS = {
     ),
     "materials.obj": (lambda: TRIANGLE + b"usemtl a\nf 1 2 3\n" * 5_000, "was read: 5000"),
     "solids.stl": (lambda: (b"solid a\n" + FACET + b"endsolid a\n") * 5_000, "was read: 5000"),
-    "elements.3mf": (lambda: zipped(UNKNOWN), "elements unpacks to"),
+    "elements.3mf": (lambda: zipped(with_elements(["a"] * 1_000_000)), "elements unpacks to"),
     "objects.3mf": (
         lambda: zipped(model_of(0).replace(b"<build>", b"<build>" + b'<item objectid="1"/>' * 50_000)),
         "holds itself, or more than 2,000 parts",
     ),
     "nested.3mf": (lambda: zipped(nested(2, 300)), "holds itself, or more than 2,000 parts"),
-    "names.3mf": (lambda: zipped(NAMED), "elements unpacks to"),
+    "names.3mf": (
+        lambda: zipped(with_elements(f"a{number:x}" for number in range(400_000))),
+        "elements unpacks to",
+    ),
     "packed.3mf": (lambda: packed_as(zipfile.ZIP_BZIP2), "is packed by method 12; expected Deflate"),
     "entity.3mf": (lambda: zipped(model_of(0).replace(b"<model ", ENTITY)), "the model has a document type"),
     "attribute.3mf": (

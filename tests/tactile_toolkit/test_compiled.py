@@ -42,6 +42,8 @@ def second(x):
     return x - 1
 """
 
+pytestmark = pytest.mark.thorough  # each interpreter compiles what it calls
+
 
 def write_kernels(folder: Path, added: int) -> None:
     package = folder / "made_up_kernels"
@@ -111,7 +113,6 @@ def test_a_planned_kernel_that_another_process_compiles_is_left_to_it(first_is_b
     assert time.monotonic() - begun_s < 60  # which is how long a lock is waited for
 
 
-@pytest.mark.thorough
 def test_planned_kernels_are_ready_and_are_those_of_the_first_call(tmp_path: Path) -> None:
     write_kernels(tmp_path, 1)
     code = """

@@ -138,7 +138,9 @@ def test_extensions_of_3mf(head: str, inside: str, words: str, tmp_path: Path) -
     [
         (TWO + TWO, ITEM, "has several objects '1'"),
         (TWO, "", "holds nothing to build$"),
+        (TWO, '<item objectid="9"/>', "holds no object '9'"),
         (TWO.replace('x="10', 'x="10,', 1), ITEM, "is not a number; expected one such as"),
+        (TWO.replace('x="10', 'x="ten', 1), ITEM, "is not a number"),
         (TWO.replace('x="10', 'x="1_0', 1), ITEM, "is not a number"),
         (TWO.replace('v1="1"', 'v1="1.5"', 1), ITEM, "'1.5' is not a number; expected an integer"),
     ],

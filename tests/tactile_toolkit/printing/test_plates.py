@@ -205,9 +205,10 @@ def test_a_file_that_leaves_the_plate_by_either_side_is_removed(
 
 def test_beds_have_names() -> None:
     assert PlateSpec.parse("Prusa-MK4") == PlateSpec(250, 210)
-    assert PlateSpec() == PlateSpec.parse("bambu-a1"), (
-        "unless it is said, the plate of the commonest printers"
-    )
+    assert PlateSpec() == PlateSpec.parse("bambu-a1"), "unless it is said, the commonest printers"
+    # `bed_exclude_area` of Bambu's X1 and P1 is 0x0, 18x0, 18x28, 0x28.
+    assert PlateSpec.parse("bambu-x1").corner_mm == PlateSpec.parse("bambu-p1").corner_mm == (18, 28)
+    assert PlateSpec.parse("bambu-a1").corner_mm == PlateSpec(256, 256).corner_mm == (0, 0)
     assert PlateSpec.parse("250x210", gap_mm=1, margin_mm=0) == PlateSpec(250, 210, 1, 0)
     # As the makers give them.
     sides = {"bambu-a1-mini": 180, "bambu-a1": 256, "bambu-p1": 256, "bambu-x1": 256, "ender-3": 220}
@@ -364,23 +365,6 @@ def test_bodies_that_lie_apart_stay_together() -> None:
     ((placed,),) = lay_out(named([mesh_of(pair)]), SMALL).plates
     assert placed.outline.size_mm == pytest.approx((25, 5))
     assert len(placed.outline.rings) == 2
-
-
-@pytest.mark.thorough
-def test_the_corner_that_a_printer_cannot_use_is_left_free(tmp_path: Path) -> None:
-    """`bed_exclude_area` of Bambu's X1 and P1 is 0x0, 18x0, 18x28, 0x28; the margin is kept to it, too."""
-    spec, corner = PlateSpec.parse("bambu-x1"), manifold3d.Manifold.cube((18, 28, 50))
-    assert PlateSpec.parse("bambu-p1").corner_mm == (18, 28)
-    assert PlateSpec.parse("bambu-a1").corner_mm == PlateSpec(256, 256).corner_mm == (0, 0)
-    # One plate that is full, one large object next to the corner, and one in the middle.
-    for sides in ([(30, 35)] * 44, [(215, 230), (10, 20)], [(20, 20)]):
-        layout = lay_out(named([box(*each) for each in sides]), spec)
-        for plate in layout.plates:
-            for solid in map(solid_of, plate):
-                assert solid.min_gap(corner, 10) >= 7 - 1e-6
-    assert write_plates(layout, str(tmp_path)).failed == ()
-    with pytest.raises(InputError, match="18 x 28 mm in a corner"):
-        lay_out(named([box(240, 240)]), spec)
 
 
 def test_no_label_becomes_a_formula(tmp_path: Path) -> None:

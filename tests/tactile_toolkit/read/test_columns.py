@@ -13,8 +13,7 @@ import pytest
 
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read import RecordDataset, Shard, ShardedTable, class_names
-from tactile_toolkit.read.arrow_views import nested_column, ragged_column
-from tests.mesh_columns import list_array
+from tactile_toolkit.read.arrow_views import nested_column
 
 LARGEST = 2**63 - 1
 
@@ -104,17 +103,6 @@ def test_a_description_that_is_none_is_named(text):
 @pytest.mark.parametrize("values", [{}, {"a": 1}, {"info": None}, {"info": {"features": {"label": {}}}}])
 def test_a_description_may_say_nothing_of_classes(values):
     assert class_names(described(json.dumps(values).encode()), None, "x.parquet") is None
-
-
-def test_lists_are_seen_as_numpy_without_a_copy_at_any_offset() -> None:
-    arrays = [np.random.default_rng(n).normal(size=(n % 4, 3)).astype(np.float32) for n in range(20)]
-    whole = list_array(arrays, pa.float32())
-    for first, count in ((0, 20), (3, 9), (5, 0), (20, 0)):
-        column = ragged_column(whole.slice(first, count))
-        assert len(column) == count
-        assert not column.values.flags.writeable
-        for row in range(count):
-            np.testing.assert_array_equal(column[row], arrays[first + row])
 
 
 @pytest.mark.parametrize(

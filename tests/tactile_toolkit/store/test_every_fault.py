@@ -193,8 +193,8 @@ class Disturbed:
 
 def points_of(command: Command, tmp_path: Path) -> list[str]:
     """Return the calls of an undisturbed run."""
+    shutil.copytree(tmp_path / "before", tmp_path / "counted")
     with pytest.MonkeyPatch.context() as patch:
-        command.before(tmp_path / "counted")
         counted = Disturbed(patch, 0, "before", "refused", None)
         command.run(tmp_path / "counted")
     return counted.names
@@ -213,7 +213,7 @@ def disturb(
     command: Command, place: Path, case: tuple[int, str, str, Any], expected: dict[str, bytes]
 ) -> None:
     point, moment, fault, other = case
-    command.before(place)
+    shutil.copytree(place.with_name("before"), place)
     with pytest.MonkeyPatch.context() as patch:
         disturbed = Disturbed(patch, point, moment, fault, lambda: other(place))
         with contextlib.suppress(ToolkitError, KeyboardInterrupt, Ended):
@@ -241,6 +241,7 @@ def check(name: str, tmp_path: Path, drawn: int | None) -> None:
     command = COMMANDS[name]
     (tmp_path / "expected").mkdir()
     command.after(tmp_path / "expected")
+    command.before(tmp_path / "before")
     expected = folder_bytes(tmp_path / "expected")
     every = list(cases(command, points_of(command, tmp_path)))
     assert len(every) > 60
