@@ -286,6 +286,7 @@ def test_scenes_keep_what_stands_where(tmp_path: Path) -> None:
     assert command_line.call("env-assets", "verify", tmp_path / "wrenches") == 0
 
 
+@pytest.mark.thorough
 def test_the_plate_for_calibration_is_one_solid_whose_shapes_have_their_stated_sizes(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

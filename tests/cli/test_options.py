@@ -22,6 +22,8 @@ def test_places_to_write_are_local_and_the_home_folder_is_known(tmp_path, monkey
     for address in ("s3://bucket/site", "memory://site", "file:///tmp/site"):
         with pytest.raises(InputError, match="is a remote address; expected a local path"):
             local_place(address)
+    with pytest.raises(InputError, match="no home folder is known"):
+        local_place("~nobody-of-that-name/x")
 
 
 def test_runners_have_names_and_that_of_ray_may_have_an_address():
@@ -56,11 +58,6 @@ def test_commands_leave_the_home_folder_alone(tmp_path, monkeypatch):
     assert call("env-assets", "wrench", "--out", "./~w", "--stl", "./~.stl", "--quiet") == 0
     assert not any(home.iterdir())
     assert {each.name for each in tmp_path.iterdir()} == {"home", "~", "~p", "~g", "~w", "~.stl"}
-
-
-def test_the_home_of_nobody_is_refused():
-    with pytest.raises(InputError, match="no home folder is known"):
-        local_place("~nobody-of-that-name/x")
 
 
 def test_options_that_are_not_given_mean_the_defaults_of_the_library():

@@ -24,7 +24,8 @@ ROWS = [
     ("test 12623", "yes", "4,595", "36.6 x 60.8 x 8.1", 1, "6.88", "none"),
     ("test 9082", "NO", "6,299", "39.0 x 60.2 x 8.1", 12, "6.68", "two of 12 bodies overlap by 0.3 mm³"),
 ]
-PRINTED = f"from cli.output import Sink\nSink().table({HEADER!r}, {ROWS!r}, 'checked [b]digits[/b]')"
+TITLE = "checked [b]digits[/b]"
+PRINTED = f"from cli.output import Sink\nSink().table({HEADER!r}, {ROWS!r}, {TITLE!r})"
 
 
 def in_terminal(columns: int, code: str) -> str:
@@ -55,9 +56,15 @@ def in_terminal(columns: int, code: str) -> str:
 
 
 @pytest.mark.parametrize("columns", [40, 60, 80, 100, 200])
-def test_no_cell_is_cut_in_any_terminal(columns):
-    text = in_terminal(columns, PRINTED)
-    assert "checked [b]digits[/b]" in text
+def test_no_cell_is_cut_in_any_terminal(columns, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", str(columns))
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    Sink().table(HEADER, ROWS, TITLE)
+    text = capsys.readouterr().out
+    if columns == 60:
+        assert in_terminal(columns, PRINTED) == text, "the width is that of the terminal"
+    text = re.sub(r"\x1b\[[0-9;]*m", "", text)
+    assert TITLE in text
     assert "…" not in text
     assert max(map(len, text.splitlines())) <= columns
     whole = " ".join(text.split())

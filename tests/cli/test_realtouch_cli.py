@@ -30,7 +30,7 @@ def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return factories.write_set(folder, {"train": rows[:2], "test": rows[2:]}, "single")
 
 
-def test_the_only_split_is_opened_and_another_kind_is_named(clips, tmp_path, capsys):
+def test_the_only_split_is_opened(clips, tmp_path, capsys):
     rows = factories.single_rows([factories.make_round(0, 3, (64, 48))])
     only = factories.write_set(tmp_path / "only", {"test": rows}, "single")
     assert call("load", only) == 0
@@ -40,14 +40,6 @@ def test_the_only_split_is_opened_and_another_kind_is_named(clips, tmp_path, cap
     assert call("load", clips) == 2
     assert "has the splits" in (said := capsys.readouterr().err)
     assert "--split" in said
-    scenes = tmp_path / "scenes"
-    made = ("generate", "--scenes", "test=2,train=0", "--split", "test", "-w", 1, "-q", "--out", scenes)
-    assert command_line.call("starstruck", *made) == 0
-    assert call("load", scenes) == 2
-    assert (
-        "holds scenes; `realtouch load` is for touches; next: run `starstruck show "
-        in capsys.readouterr().err
-    )
 
 
 def test_load_checks_and_prints_what_there_is(clips, capsys):

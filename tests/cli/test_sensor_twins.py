@@ -92,6 +92,7 @@ def test_check_compares_the_sensor_with_touches_of_today(
     assert "CHANGED" in capsys.readouterr().out
 
 
+@pytest.mark.thorough
 def test_recordings_with_a_mistake_are_refused_and_nothing_is_written(
     recording: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

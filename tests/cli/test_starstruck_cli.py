@@ -8,7 +8,6 @@ import pytest
 from typer.testing import CliRunner
 
 import starstruck_gen
-from cli.output import Sink
 from cli.starstruck import app
 from tests.command_line import alone
 
@@ -96,20 +95,6 @@ def test_validate_says_that_stars_are_declared_although_every_scene_fails(made, 
     assert result.exit_code == 1
     assert "0 solids, 0 of them stars" in result.stdout
     assert "0 of 6 scenes are valid" in result.stdout
-
-
-def test_trial_of_room_is_told_after_a_while(monkeypatch, capsys):
-    now_s = [0.0]
-    monkeypatch.setattr("tactile_toolkit.progress.time.monotonic", lambda: now_s[0])
-    with Sink().progress("trying the fullest scene", "failed layouts") as tell:
-        tell(1, 1_001)
-        assert capsys.readouterr().err == ""
-        now_s[0] = 60.0
-        tell(2, 1_001)
-        tell(3, 1_001)
-    told = capsys.readouterr().err
-    assert told.startswith("trying the fullest scene: 2 of 1,001, 2.0 failed layouts/min, ")
-    assert told.count("\n") == 1
 
 
 @pytest.mark.thorough

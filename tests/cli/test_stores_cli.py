@@ -97,14 +97,14 @@ def test_scenes_from_generation_to_the_hub_and_back(s3, bucket, tmp_path, monkey
 
 
 @pytest.mark.usefixtures("new_clients")
-@pytest.mark.parametrize("debug", [(), ("--debug",)])
-def test_what_goes_wrong_is_named_without_any_secret(s3, monkeypatch, capfd, tmp_path, debug):
+def test_what_goes_wrong_is_named_without_any_secret(s3, monkeypatch, capfd, tmp_path):
+    """Tracebacks hold what messages hold, and more."""
     monkeypatch.setenv("AWS_SESSION_TOKEN", "a-token-that-no-output-may-hold")
     monkeypatch.chdir(tmp_path)
 
     def tried(program, *words):
         try:
-            code = call(program, *words, *debug)
+            code = call(program, *words, "--debug")
         except Exception as error:
             code = error.exit_code
             import traceback
@@ -118,8 +118,6 @@ def test_what_goes_wrong_is_named_without_any_secret(s3, monkeypatch, capfd, tmp
 
     commands = [
         ("starstruck", "info", "s3://lake/set"),
-        ("starstruck", "verify", "s3://lake/set"),
-        ("starstruck", "validate", "s3://lake/set"),
         ("starstruck", *SCENES, "--out", "s3://lake/set"),
         ("starstruck", "upload", "s3://lake/set", "someone/scenes"),
         ("realtouch", "load", "s3://lake/set"),
@@ -127,7 +125,7 @@ def test_what_goes_wrong_is_named_without_any_secret(s3, monkeypatch, capfd, tmp
     for words in commands:
         assert tried(*words)[0] == 2, words  # the bucket does not exist
     body = f"AWSAccessKeyId {KEY}"
-    for code in ("InvalidAccessKeyId", "SignatureDoesNotMatch", body):
+    for code in ("InvalidAccessKeyId", body):
         s3.refuse = lambda _, code=code: ("403 Forbidden", code)
         for words in commands:
             assert tried(*words)[0] == 4, words

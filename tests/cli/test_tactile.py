@@ -38,6 +38,7 @@ def test_an_unknown_word_is_an_error(capsys):
     assert "did you mean 'digits'" in capsys.readouterr().err
 
 
+@pytest.mark.thorough
 def test_python_runs_it_too():
     done = subprocess.run(
         [sys.executable, "-m", "tactile_toolkit", "digits", "--version"],

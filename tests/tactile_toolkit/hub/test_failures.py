@@ -122,6 +122,7 @@ def test_an_endpoint_that_is_no_address_is_named(tmp_path, endpoint):
 PART = "pa55"
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     ("name", "value", "words"),
     [
@@ -130,10 +131,7 @@ PART = "pa55"
             f"https://user:{PART}/word@127.0.0.1:9",
             "the variable HF_ENDPOINT is not an address",
         ),
-        pytest.param(
-            *("HF_ENDPOINT", "http://[::1", "the variable HF_ENDPOINT is not an address"),
-            marks=pytest.mark.thorough,
-        ),
+        ("HF_ENDPOINT", "http://[::1", "the variable HF_ENDPOINT is not an address"),
         ("HTTPS_PROXY", f"http://user:{PART}/word@host:9", "the variable HTTPS_PROXY is not an address"),
         ("all_proxy", f"nothing://{PART}@host:9", "cannot be set up (ValueError); set are "),
     ],

@@ -124,14 +124,12 @@ def test_what_stood_under_the_name_of_a_failed_object_is_removed(tmp_path: Path)
     assert [path.name for path in tmp_path.iterdir()] == ["test-0-00000.stl"]
 
 
-@pytest.mark.one_at_a_desk
-@pytest.mark.parametrize("workers", [1, 2])
-def test_a_dry_run_returns_what_the_run_does_and_writes_nothing(tmp_path: Path, workers: int) -> None:
+def test_a_dry_run_returns_what_the_run_does_and_writes_nothing(tmp_path: Path) -> None:
     objects, out = named(SHAPES), tmp_path / "out"
-    view = export_files(objects, str(out), dry_run=True, workers=workers)
+    view = export_files(objects, str(out), dry_run=True)
     assert list(tmp_path.iterdir()) == []
     made = export_files(objects[:1], str(out))
-    again = export_files(objects, str(out), dry_run=True, workers=workers)
+    again = export_files(objects, str(out), dry_run=True)
     assert [file.state for file in again.files] == ["kept", "planned", "planned"]
     assert len(list(out.iterdir())) == 1
     assert [replace(file, state="written") for file in again.files[:1]] == list(made.files)

@@ -38,7 +38,8 @@ def note_and_wait(path: str) -> None:
     time.sleep(PATIENCE_S)
 
 
-@pytest.mark.parametrize("end", [None, signal.SIGKILL, signal.SIGINT])
+@pytest.mark.one_at_a_desk
+@pytest.mark.parametrize("end", [signal.SIGKILL, None, signal.SIGINT])
 def test_it_ends_with_the_process_that_started_it(end, tmp_path):
     note, wait_s = tmp_path / "note", 0 if end is None else PATIENCE_S
     starter = subprocess.Popen(

@@ -16,35 +16,22 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TypeVar
 
 import pytest
 
 import starstruck_gen
-from tactile_toolkit.errors import InputError, MissingExtraError
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.run import RayRunner
 from tactile_toolkit.store import BuildPlan, build, open_folder
 from tests.processes import alive, children, printed_by, records_so_far, wait_until_gone
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
-F = TypeVar("F", bound=Callable[..., None])
-
 REPOSITORY = Path(__file__).resolve().parents[3]
-needs_ray = [
+pytestmark = [
     pytest.mark.ray,
     pytest.mark.skipif(find_spec("ray") is None, reason="needs ray, of the extra ray"),
     pytest.mark.skipif(sys.platform != "linux", reason="processes are looked up in /proc"),
 ]
-
-
-def all_of(marks: list[pytest.MarkDecorator]) -> Callable[[F], F]:
-    def mark(test: F) -> F:
-        for each in marks:
-            test = each(test)
-        return test
-
-    return mark
-
 
 # A process of its own: Ray leaves open files and handlers behind that tests may not have.
 CLUSTER = """
@@ -188,7 +175,6 @@ def finish(driver: subprocess.Popen[str]) -> str:
     return said + complained
 
 
-@all_of(needs_ray)
 def test_the_command_line_makes_the_same_bytes_and_prints_its_document_only(
     cluster: Cluster, tmp_path: Path
 ) -> None:
@@ -206,7 +192,6 @@ def test_the_command_line_makes_the_same_bytes_and_prints_its_document_only(
     assert folder_bytes(tmp_path / "ray") == folder_bytes(tmp_path / "one")
 
 
-@all_of(needs_ray)
 def test_a_stopped_driver_leaves_nothing_at_work_and_a_killed_node_nothing_undone(
     cluster: Cluster, whole: dict[str, bytes], tmp_path: Path
 ) -> None:
@@ -304,7 +289,6 @@ Path(folder + "-found").write_text(json.dumps(found))
 """
 
 
-@all_of(needs_ray)
 def test_errors_are_raised_as_they_are_and_only_deaths_tried_again(cluster: Cluster, tmp_path: Path) -> None:
     cluster.require_two()
     finish(cluster.start(ERRORS, tmp_path / "set"))
@@ -324,7 +308,6 @@ def test_errors_are_raised_as_they_are_and_only_deaths_tried_again(cluster: Clus
     assert found["once"] == "made"
 
 
-@all_of(needs_ray)
 def test_other_versions_are_refused_by_name(cluster: Cluster, tmp_path: Path) -> None:
     information = tmp_path / "others" / "pyarrow-0.0.1.dist-info"
     information.mkdir(parents=True)
@@ -358,7 +341,6 @@ except InputError as error:
 """
 
 
-@all_of(needs_ray)
 @pytest.mark.parametrize("listens", [False, True])
 def test_where_no_cluster_answers_nothing_is_written(tmp_path: Path, listens: bool) -> None:
     """Nothing listens at the address, or something that is not Ray does, and says nothing."""
@@ -374,14 +356,7 @@ def test_where_no_cluster_answers_nothing_is_written(tmp_path: Path, listens: bo
     assert not (tmp_path / "set").exists()
 
 
-@all_of(needs_ray)
 @pytest.mark.parametrize("address", ["ray://head:10001", "head", "head:", ":6379", "head:six", "head:123456"])
 def test_addresses_are_refused_that_are_none(address: str) -> None:
     with pytest.raises(InputError, match=r"is not the address of a Ray cluster; expected HOST:PORT.*next: "):
         RayRunner(address)
-
-
-@pytest.mark.skipif(find_spec("ray") is not None, reason="Ray is installed")
-def test_without_ray_the_extra_is_named() -> None:
-    with pytest.raises(MissingExtraError, match=r"a Ray cluster needs the package 'ray'.*extra `ray`"):
-        RayRunner()

@@ -19,6 +19,7 @@ import pytest
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError, StorageError, ToolkitError
 from tactile_toolkit.run import Part, ProcessRunner
 from tactile_toolkit.store import build, open_folder, read_manifest, verify
+from tests.forked import run_forked
 from tests.processes import children, wait_until_gone
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, make, toy_plan
 
@@ -143,29 +144,22 @@ def test_task_that_always_kills_its_worker_ends_the_run(tmp_path):
 
 def test_full_disk_is_named_and_leaves_nothing_half_written(tmp_path):
     """A real limit on file size stands for a full disk: the kernel refuses the write half way."""
-    script = """
+    said = run_forked(
+        """
         import resource, signal, sys
-        from tactile_toolkit.store.building import build
-        from tactile_toolkit.run.processes import InlineRunner
-        from tactile_toolkit.store import open_folder
         from tactile_toolkit.errors import StorageError
-        from tests.tactile_toolkit.toy import toy_plan
+        from tests.tactile_toolkit.toy import make
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (1500, resource.RLIM_INFINITY))
         try:
-            build(open_folder(sys.argv[1]), toy_plan())
+            make(sys.argv[1])
         except StorageError as error:
             print(error)
-    """
-    done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(script), str(tmp_path / "set")],
-        capture_output=True,
-        text=True,
-        check=True,
-        cwd=Path(__file__).resolve().parents[3],
+        """,
+        tmp_path / "set",
     )
-    assert "cannot write" in done.stdout
-    assert "File too large" in done.stdout
+    assert "cannot write" in said
+    assert "File too large" in said
     assert not (tmp_path / "set").exists()
     make(tmp_path / "set")
     assert verify(open_folder(str(tmp_path / "set")), SCHEMA).ok
@@ -234,18 +228,14 @@ def test_another_source_is_told_in_few_words(tmp_path):
 
 @pytest.mark.thorough
 def test_workers_leave_with_a_killed_parent(tmp_path):
-    script = """
+    code = """
         import sys
-        from tactile_toolkit.store.building import build
         from tactile_toolkit.run.processes import ProcessRunner
-        from tactile_toolkit.store import open_folder
-        from tests.tactile_toolkit.toy import toy_plan
-        build(open_folder(sys.argv[1]), toy_plan(pause_s=2.0), workers=ProcessRunner(2))
-    """
-    process = subprocess.Popen(
-        [sys.executable, "-c", textwrap.dedent(script), str(tmp_path / "set")],
-        cwd=Path(__file__).resolve().parents[3],
-    )
+        from tests.tactile_toolkit.toy import make, toy_plan
+        make(sys.argv[1], toy_plan(pause_s=2.0), workers=ProcessRunner(2))
+        """
+    words = [sys.executable, "-c", textwrap.dedent(code), str(tmp_path / "set")]
+    process = subprocess.Popen(words, cwd=Path(__file__).resolve().parents[3])
     deadline_s = time.monotonic() + 120
     while len(children(process.pid)) < 3 and time.monotonic() < deadline_s:
         time.sleep(0.02)  # two workers and multiprocessing's resource tracker

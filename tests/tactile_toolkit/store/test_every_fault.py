@@ -204,7 +204,9 @@ def cases(command: Command, points: list[str]) -> Iterator[tuple[int, str, str, 
     for point, name in enumerate(points, start=1):
         for moment in MOMENTS if name == "write_bytes" else ("before", "after"):
             for fault in FAULTS[:3]:
-                yield point, moment, fault, None
+                # A process that ends after a call leaves what one leaves that ends before the next.
+                if (moment, fault) != ("after", "ended") or point == len(points):
+                    yield point, moment, fault, None
         for other in command.others:
             yield point, "before", FAULTS[3], other
 
