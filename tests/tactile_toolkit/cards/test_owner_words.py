@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
 
-import mnist3d
 import starstruck_gen
-from mnist3d.digit_generation import DigitSetSpec, generate
-from mnist3d.sources import SyntheticSource
 from tactile_toolkit.cards.owner_options import LICENCES, read_licence
 from tests.command_line import call
 
@@ -38,10 +36,8 @@ def section(body: str, heading: str) -> str:
 
 
 @pytest.fixture
-def digits(tmp_path: Path) -> Path:
-    spec = DigitSetSpec(SyntheticSource(), mnist3d.SolidSpec(target_vertices=300), limit=1)
-    generate(spec, str(tmp_path / "set"), ("test",))
-    return tmp_path / "set"
+def digits(digits_set: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(digits_set, tmp_path / "set"))
 
 
 def test_words_are_in_head_and_text_and_stay(digits: Path) -> None:
