@@ -75,21 +75,6 @@ def test_a_file_appears_whole_or_not_at_all(tmp_path):
     assert put(cache, "x", 10)
 
 
-def test_what_is_removed_while_it_is_written_is_written_again(tmp_path):
-    cache, calls = disk_cache(tmp_path, 1000), []
-
-    def fill(stream):
-        calls.append(stream.write(bytes(600)))
-        if len(calls) == 1:
-            for path in tmp_path.iterdir():
-                path.unlink()
-
-    assert cache.write("slow", 600, fill)
-    assert cache.path("slow").stat().st_size == 600
-    assert len(calls) == 2
-    assert names(tmp_path) == ["slow"]
-
-
 def test_making_room_while_another_thread_is_writing(tmp_path):
     cache, begun, full, written = disk_cache(tmp_path, 1000), threading.Event(), threading.Event(), []
 

@@ -42,6 +42,7 @@ def test_a_site_holds_what_it_says(tmp_path):
     assert entries(inside) == ["LICENSES.txt", "assets", "items", "items.js", "page.template", "thumbs"]
     index = index_of(tmp_path / "site")
     assert index["ids"] == [str(number) for number in range(20)]
+    assert index["titles"] == [f"toy {number % 10}" for number in range(20)]
     parity = index["facets"][1]
     assert [parity["values"][row[0]] for row in parity["rows"]] == ["even", "odd"] * 10
     assert index["measures"][0]["values"][:3] == [None, 3.7, 7.4]
@@ -184,7 +185,10 @@ def test_links_are_not_followed(tmp_path, link):
 
 
 @pytest.mark.parametrize("there", [False, True])
-@pytest.mark.parametrize("error", [InputError("no"), IntegrityError("damaged"), KeyboardInterrupt()])
+@pytest.mark.parametrize(
+    "error",
+    [InputError("no"), IntegrityError("damaged"), ItemError("odd", "odd"), KeyboardInterrupt()],
+)
 def test_a_failure_in_the_middle_leaves_things_as_they_were(tmp_path, there, error):
     out = tmp_path / "site"
     if there:
@@ -293,12 +297,6 @@ def test_hostile_words_are_harmless_in_every_file(tmp_path):
     assert index_of(tmp_path / "site")["ids"][0] == f"0{HOSTILE}"
 
 
-def test_item_errors_of_a_task_pass_through(tmp_path):
-    tasks = (ToyTask(0, 1, error=ItemError("odd", "an odd one")),)
-    with pytest.raises(ItemError, match="an odd one"):
-        build(tmp_path / "site", Gallery("toy", "Toys", ("toy", "toys"), (), tasks, {"train": 1}))
-
-
 def test_a_link_stays_a_link(tmp_path):
     (tmp_path / "link").symlink_to("real")
     assert build(tmp_path / "link").path == str(tmp_path / "real")
@@ -306,8 +304,3 @@ def test_a_link_stays_a_link(tmp_path):
     assert (tmp_path / "link").is_symlink()
     assert len(index_of(tmp_path / "real")["ids"]) == 4
     assert entries(tmp_path) == ["link", "real"]
-
-
-def test_items_are_listed_with_their_titles(tmp_path):
-    build(tmp_path / "site")
-    assert index_of(tmp_path / "site")["titles"] == [f"toy {number % 10}" for number in range(20)]

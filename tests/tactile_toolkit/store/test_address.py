@@ -9,7 +9,7 @@ import pytest
 
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.store import is_remote, normalize_uri, open_folder
-from tests.processes import printed_by
+from tests.forked import run_forked
 
 
 @pytest.mark.parametrize(
@@ -104,7 +104,7 @@ try:
 except InputError as error:
     print(error)
 """
-    said = printed_by(program)
+    said = run_forked(program)
     assert re.search(words, said), said
     assert not Path("s3:").exists()
 
