@@ -21,47 +21,39 @@ from tests.tactile_toolkit.toy import folder_bytes
 call = partial(command_line.call, "mnist3d")
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("export") / "digits"
-    for split in ("printed_test", "printed_train"):
-        options = ("--split", split, "--per-class", "1", "--vertices", "2000", "--workers", "1", "--quiet")
-        assert call("generate", *options, "--out", path) == 0
-    return path
-
-
-def test_one_file_per_object(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert call("export", folder, "--split", "printed_test", "--out", tmp_path / "out") == 0
+def test_one_file_per_object(digits_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call("export", digits_set, "--split", "test", "--out", tmp_path / "out") == 0
     printed = capsys.readouterr()
     assert f"10 files in {tmp_path / 'out'}" in printed.out
     assert "each read back as a solid" in printed.out
     assert "writing: 10 of 10" in printed.err
     files = sorted((tmp_path / "out").iterdir())
-    assert [path.name.split("-")[:2] for path in files] == [["printed_test", label] for label in "0123456789"]
+    assert [path.name.split("-")[:2] for path in files] == [["test", label] for label in "0123456789"]
     assert all(check_manifold(read_mesh(path)).problem is None for path in files)
 
 
-def test_other_formats_and_scales(folder: Path, tmp_path: Path) -> None:
+def test_other_formats_and_scales(digits_set: Path, tmp_path: Path) -> None:
     """That each format comes back is tested in ``printing/test_singles.py``."""
-    choice = ("--split", "printed_test", "--labels", "3", "--quiet")
-    assert call("export", folder, *choice, "--out", tmp_path / "one") == 0
+    choice = ("--split", "test", "--labels", "3", "--quiet")
+    assert call("export", digits_set, *choice, "--out", tmp_path / "one") == 0
     options = ("--format", "ply", "--scale", "1.5", "--out", tmp_path / "other")
-    assert call("export", folder, *choice, *options) == 0
+    assert call("export", digits_set, *choice, *options) == 0
     (one,), (other,) = (list((tmp_path / name).iterdir()) for name in ("one", "other"))
     assert other.suffix == ".ply"
     sizes = [np.ptp(read_mesh(path).bounds_m, axis=0) for path in (one, other)]
     assert sizes[1] == pytest.approx(sizes[0] * 1.5, rel=1e-4)
 
 
-def test_bodies_have_the_density_and_the_friction_asked_for(folder: Path, tmp_path: Path) -> None:
-    digits = mnist3d.load(folder, "printed_test")
+def test_bodies_have_the_density_and_the_friction_asked_for(digits_set: Path, tmp_path: Path) -> None:
+    digits = mnist3d.load(digits_set, "test")
     (digit,) = digits[digits.labels == 3]
     material = ("--density-kg-m3", 500, "--friction", 0.25)
     found = {}
     for ending, suffix in (("mjcf", "xml"), ("urdf", "urdf")):
         out = tmp_path / ending
         assert (
-            call("export", folder, "--ids", digit.id, *material, "-q", "--format", ending, "--out", out) == 0
+            call("export", digits_set, "--ids", digit.id, *material, "-q", "--format", ending, "--out", out)
+            == 0
         )
         (file,) = out.rglob(f"*.{suffix}")
         found[ending] = ElementTree.parse(file)
@@ -85,21 +77,23 @@ def test_bodies_have_the_density_and_the_friction_asked_for(folder: Path, tmp_pa
     assert {contact.attrib["value"], *frictions} == {"0.25"}
 
 
-def test_all_splits_ids_and_json(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert call("export", folder, "--out", tmp_path, "--json", "--quiet") == 0
+def test_all_splits_ids_and_json(
+    digits_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call("export", digits_set, "--out", tmp_path, "--json", "--quiet") == 0
     document = json.loads(capsys.readouterr().out)
-    assert {file["split"] for file in document["files"]} == {"printed_test", "printed_train"}
+    assert {file["split"] for file in document["files"]} == {"test", "holdout"}
     assert {file["file"] for file in document["files"]} == {path.name for path in tmp_path.iterdir()}
     assert document["failed"] == []
     some = document["files"][3]["id"]
-    assert call("export", folder, "--ids", some, "--out", tmp_path, "--json", "--quiet") == 0
+    assert call("export", digits_set, "--ids", some, "--out", tmp_path, "--json", "--quiet") == 0
     (file,) = json.loads(capsys.readouterr().out)["files"]
     assert (file["id"], file["state"]) == (some, "kept")
 
 
-def test_plates(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    options = ("--split", "printed_test", "--plate", "130x130", "--gap-mm", "2", "--out", tmp_path)
-    assert call("export", folder, *options) == 0
+def test_plates(digits_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ("--split", "test", "--plate", "130x130", "--gap-mm", "2", "--out", tmp_path)
+    assert call("export", digits_set, *options) == 0
     printed = capsys.readouterr()
     assert "wrote 10 objects on" in printed.out
     assert "plates.csv lists where each object lies" in printed.out
@@ -110,7 +104,7 @@ def test_plates(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert sorted(row["label"] for row in rows) == list("0123456789")
     assert {row["file"] for row in rows} == {path.name for path in tmp_path.glob("*.3mf")}
     before = folder_bytes(tmp_path)
-    assert call("export", folder, *options, "--json", "--quiet") == 0
+    assert call("export", digits_set, *options, "--json", "--quiet") == 0
     document = json.loads(capsys.readouterr().out)
     assert {plate["state"] for plate in document["plates"]} == {"kept"}
     assert [row["name"] for row in document["objects"]] == [row["name"] for row in rows]
@@ -120,10 +114,10 @@ def test_plates(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("plate", [(), ("--plate", "200x200")])
 def test_dry_run_writes_nothing(
-    plate: tuple[str, ...], folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    plate: tuple[str, ...], digits_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    assert call("export", folder, *plate, "--limit", "2", "--out", out, "--dry-run") == 0
+    assert call("export", digits_set, *plate, "--limit", "2", "--out", out, "--dry-run") == 0
     printed = capsys.readouterr().out
     assert "would write 4" in printed
     assert "nothing was written" in printed
@@ -140,7 +134,7 @@ def test_dry_run_writes_nothing(
         (("--labels", "11"), ("no class '11'",)),
         (("--scale", "0"), ("--scale is 0",)),
         (("--plate", "256"), ("--plate is '256'", "256x256")),
-        (("--plate", "20x20"), ("does not fit on the plate", "printed_", "20 x 20 mm")),
+        (("--plate", "20x20"), ("does not fit on the plate", "20 x 20 mm")),
         (("--plate", "256x256", "--gap-mm", "-1"), ("--gap-mm is -1",)),
         (("--plate", "256x256", "--format", "stl"), ("--plate applies to 3mf and mjcf only",)),
         (("--gap-mm", "3"), ("--gap-mm applies to build plates only",)),
@@ -149,11 +143,11 @@ def test_dry_run_writes_nothing(
 def test_bad_input_is_named_and_writes_nothing(
     arguments: tuple[str, ...],
     words: tuple[str, ...],
-    folder: Path,
+    digits_set: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert call("export", folder, *arguments, "--out", tmp_path / "out", "--quiet") == 2
+    assert call("export", digits_set, *arguments, "--out", tmp_path / "out", "--quiet") == 2
     printed = capsys.readouterr()
     assert printed.out == ""
     assert printed.err.startswith("error: ")
@@ -164,9 +158,9 @@ def test_bad_input_is_named_and_writes_nothing(
 
 
 def test_other_files_are_refused_unless_overwritten(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    digits_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    options = ("export", folder, "--limit", "1", "--out", tmp_path, "--quiet")
+    options = ("export", digits_set, "--limit", "1", "--out", tmp_path, "--quiet")
     assert call(*options) == 0
     before = folder_bytes(tmp_path)
     assert call(*options, "--scale", "2") == 2
@@ -178,13 +172,13 @@ def test_other_files_are_refused_unless_overwritten(
 
 @pytest.mark.thorough
 def test_what_is_no_solid_is_named_and_the_rest_is_written(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    digits_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A data set of other people's, one of whose meshes has a hole."""
     import pyarrow as pa
     from pyarrow import parquet
 
-    (source,) = (folder / "data").glob("printed_test-*.parquet")
+    (source,) = (digits_set / "data").glob("test-*.parquet")
     table = parquet.ParquetFile(source).read(use_threads=False)
     faces = table.column("mesh.faces").to_pylist()
     faces[4] = faces[4][3:]
@@ -202,7 +196,9 @@ def test_what_is_no_solid_is_named_and_the_rest_is_written(
         assert f"failed: {name}" in printed.err
 
 
-def test_tables_for_other_libraries(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_tables_for_other_libraries(
+    digits_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     import datasets
     import pandas as pd
     import polars
@@ -210,16 +206,16 @@ def test_tables_for_other_libraries(folder: Path, tmp_path: Path, capsys: pytest
     import mnist3d
 
     out = tmp_path / "flat"
-    assert call("export", folder, "--format", "flat", "--out", out, "--workers", "1", "--json", "-q") == 0
+    assert call("export", digits_set, "--format", "flat", "--out", out, "--workers", "1", "--json", "-q") == 0
     made = json.loads(capsys.readouterr().out)["splits"]
-    assert {split: each["rows"] for split, each in made.items()} == {"printed_test": 10, "printed_train": 10}
-    digits = mnist3d.load(folder, split="printed_test")
+    assert {split: each["rows"] for split, each in made.items()} == {"test": 10, "holdout": 10}
+    digits = mnist3d.load(digits_set, split="test")
     plain = ["id", "label", "label_name", "writer", "volume_m3", "source", "size_x_m", "size_y_m", "size_z_m"]
-    frame = pd.read_parquet(out / "data" / "printed_test-00000-of-00001.parquet")
+    frame = pd.read_parquet(out / "data" / "test-00000-of-00001.parquet")
     assert list(frame.columns) == [*plain, "mesh"]
-    table = polars.read_parquet(out / "data" / "printed_test-*.parquet")
+    table = polars.read_parquet(out / "data" / "test-*.parquet")
     assert table.drop("mesh").to_dicts() == frame.drop(columns="mesh").to_dict("records")
-    rows = datasets.load_dataset(str(out), split="printed_test")
+    rows = datasets.load_dataset(str(out), split="test")
     assert isinstance(rows.features["mesh"], datasets.Mesh)
     assert rows.features["label"].names == list(digits.label_names)
     assert frame.label_name.tolist() == [digits.label_names[label] for label in digits.labels]
@@ -236,10 +232,10 @@ def test_tables_for_other_libraries(folder: Path, tmp_path: Path, capsys: pytest
 
 @pytest.mark.thorough
 def test_tables_are_a_data_set_folder(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    digits_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "flat"
-    words = ("export", folder, "--format", "flat", "--out", out, "--workers", "1", "-q")
+    words = ("export", digits_set, "--format", "flat", "--out", out, "--workers", "1", "-q")
     assert call(*words) == 0
     before = folder_bytes(out)
     assert {"README.md", "manifest.json", "previews/tables.png"} <= set(before)
@@ -250,10 +246,10 @@ def test_tables_are_a_data_set_folder(
     card = before["README.md"].decode()
     assert "license: mit" in card, "as drawn digits are"
     assert "MIT, as the toolkit: the data set contains no one's handwriting." in card
-    table = out / "data" / "printed_train-00000-of-00001.parquet"
+    table = out / "data" / "holdout-00000-of-00001.parquet"
     table.write_bytes(table.read_bytes()[:-9])
     assert call("verify", out) == 3
-    assert "printed_train-00000-of-00001.parquet: sha256 is" in capsys.readouterr().err
+    assert "holdout-00000-of-00001.parquet: sha256 is" in capsys.readouterr().err
     assert call(*words) == 0
     assert folder_bytes(out) == before
     assert call("validate", out) == 2
@@ -288,10 +284,10 @@ def test_scenes_keep_what_stands_where(tmp_path: Path) -> None:
 
 @pytest.mark.thorough
 def test_the_plate_for_calibration_is_one_solid_whose_shapes_have_their_stated_sizes(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    digits_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    options = ("--split", "printed_test", "--calibration-plate", "--out", tmp_path / "plate")
-    assert call("export", folder, *options, "--format", "3mf", "--json") == 0
+    options = ("--split", "test", "--calibration-plate", "--out", tmp_path / "plate")
+    assert call("export", digits_set, *options, "--format", "3mf", "--json") == 0
     (made,) = json.loads(capsys.readouterr().out)["files"]
     names = {"calibration-plate.3mf", "calibration-plate.png", "press-here.md"}
     assert {path.name for path in (tmp_path / "plate").iterdir()} == names == set(made["files"])
@@ -318,4 +314,4 @@ def test_the_plate_for_calibration_is_one_solid_whose_shapes_have_their_stated_s
     assert sheet.count("\n| 20 | ") == 1
     # Options that it does not have are refused.
     for wrong in (("--format", "flat"), ("--plate", "256x256"), ("--scale", "2"), ("--limit", "1")):
-        assert call("export", folder, *options, *wrong) == 2
+        assert call("export", digits_set, *options, *wrong) == 2

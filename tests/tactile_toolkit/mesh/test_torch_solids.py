@@ -12,7 +12,6 @@ import trimesh
 
 import mnist3d
 import starstruck_gen
-from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import InputError
 from tests.processes import printed_by
 
@@ -26,12 +25,9 @@ def squared(record: Any) -> int:
     return int(record.label) ** 2
 
 
-@pytest.fixture(scope="module")
-def digits(tmp_path_factory: pytest.TempPathFactory) -> mnist3d.DigitDataset:
-    folder = tmp_path_factory.mktemp("digits") / "set"
-    spec = mnist3d.DigitSetSpec(SyntheticSource(), mnist3d.SolidSpec(target_vertices=2_000), per_class=1)
-    mnist3d.generate(spec, folder, splits=("test",))
-    return mnist3d.load(str(folder))
+@pytest.fixture
+def digits(digits_set: Path) -> mnist3d.DigitDataset:
+    return mnist3d.load(str(digits_set), "test")
 
 
 SCENES = starstruck_gen.SceneDataset(size=6, seed=1)
