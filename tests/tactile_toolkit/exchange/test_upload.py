@@ -76,14 +76,6 @@ def test_everything_arrives_once_and_then_nothing_is_sent(server, folder):
     assert len(server.repository(NAME).history) == 2, "the first commit and ours"
 
 
-def test_a_file_that_a_writer_elsewhere_never_finished_is_in_nobodys_way(server, folder):
-    left = folder / "data" / ".writing-otherhost-17.3-0123abcd-train-00000-of-00003.parquet"
-    left.write_bytes(b"half")
-    assert f"data/{left.name}" not in upload(folder).sent
-    left.unlink()
-    assert_holds(server, folder)
-
-
 def test_only_what_changed_is_sent(server, folder):
     upload(folder)
     (folder / "previews" / "scenes.png").unlink()

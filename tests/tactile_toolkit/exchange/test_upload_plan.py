@@ -66,6 +66,7 @@ def test_the_payload_is_the_data_set_and_nothing_else(folder):
     (folder / ".pending" / "train-00000-of-00001.json").write_text("{}")
     (folder / ".writing-host-1-abc-README.md").write_text("half")
     (folder / "previews" / ".writing-host-1-abc-x.png").write_text("half")
+    (folder / "data" / ".writing-otherhost-17.3-0123abcd-train-00000-of-00003.parquet").write_text("half")
     (folder / "notes.txt").write_text("mine")
     (folder / "secret").mkdir()
     (folder / "secret" / "token").write_text("hf_secret")
