@@ -28,7 +28,7 @@ def find_video(
     files names some. Then a video without a line is a problem, as a line without a video is. Without a table,
     the folders that hold all videos are their classes.
     """
-    folder, paths = _videos(home)
+    folder, paths = importing.files_of(home, "videos; expected AVI, MP4, MOV, MKV, WebM or MPEG-TS", _videos)
     stems, column = Counter(map(_stem, paths)), columns.image or _FILE
     lines = _lines(folder, columns, column, table, paths)
     said, unnamed = _classes(paths), None
@@ -72,17 +72,8 @@ def _stem(path: str) -> str:
     return path.removesuffix(PurePosixPath(path).suffix)
 
 
-def _videos(home: store.DataFolder) -> tuple[store.DataFolder, list[str]]:
-    """Return a folder and the paths of the videos in it, or where the file lies that was named."""
-    folder, name = importing.file_or_folder(home)
-    if name:
-        return folder, [name]
-    paths = [path for path in home.walk() if not store.is_hidden(path) and video_files.is_video(home, path)]
-    if not paths:
-        raise errors.InputError(
-            f"{home.address()!r} holds no videos; expected AVI, MP4, MOV, MKV, WebM or MPEG-TS"
-        )
-    return home, paths
+def _videos(home: store.DataFolder) -> list[str]:
+    return [path for path in home.walk() if not store.is_hidden(path) and video_files.is_video(home, path)]
 
 
 def _classes(paths: Sequence[str]) -> dict[str, dict[str, object]]:

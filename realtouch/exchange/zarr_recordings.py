@@ -56,17 +56,6 @@ def data_arrays(group: zarr_arrays.ZarrGroup) -> dict[str, object]:
     return names
 
 
-def chosen_pictures(group: zarr_arrays.ZarrGroup, named: str, known: Collection[str]) -> str:
-    """Return the pictures that were named, or the only ones; else InputError lists those that are known."""
-    if named in known or (not named and len(known) == 1):
-        return named or next(iter(known))
-    found = f"no array of pictures {named!r}" if named else "not one array of pictures alone"
-    raise errors.InputError(
-        f"{group.place!r} has {found}; found {', '.join(known) or 'none'}",
-        next="name it with --map image=NAME",
-    )
-
-
 def recordings_of(
     group: zarr_arrays.ZarrGroup,
     names: Iterable[str],

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import cache, partial
 from itertools import chain, groupby
@@ -45,12 +45,6 @@ def source_of(place: str) -> tuple[store.DataFolder, str]:
     return store.split_uri(place)
 
 
-def file_or_folder(home: store.DataFolder) -> tuple[store.DataFolder, str]:
-    """Return a folder and no name, or the folder of the file that was named instead, and its name."""
-    is_file = (home.info("") or {}).get("type") == "file"
-    return source_of(home.address()) if is_file else (home, "")
-
-
 def open_source(folder: store.DataFolder, name: str) -> IO[bytes]:
     """Open a table or archive of a source; InputError, which names it, if it cannot be read."""
     try:
@@ -62,6 +56,22 @@ def open_source(folder: store.DataFolder, name: str) -> IO[bytes]:
 def visible_files(home: store.DataFolder, endings: str | tuple[str, ...]) -> list[str]:
     """Return the names of visible files directly in a folder that end so; case does not matter."""
     return [name for name in home.sizes() if name.lower().endswith(endings) and not store.is_hidden(name)]
+
+
+def files_of(
+    home: store.DataFolder, expected: str, find: Callable[[store.DataFolder], list[str]]
+) -> tuple[store.DataFolder, list[str]]:
+    """Return a folder and the files of a format in it, as ``find`` lists them; or the file that was named.
+
+    InputError, which says what is ``expected``, if there is no such file.
+    """
+    if (home.info("") or {}).get("type") == "file":
+        home, name = source_of(home.address())
+        return home, [name]
+    names = find(home)
+    if not names:
+        raise errors.InputError(f"{home.address()!r} holds no {expected}", next="check the path")
+    return home, names
 
 
 def natural_order(path: str) -> list[tuple[int, str]]:
@@ -164,6 +174,23 @@ def require_columns(known: Sequence[str], wanted: Iterable[str], where: str) -> 
                 f"{where!r} has {found}; found {', '.join(known) or 'none'}",
                 next="name the column with --map, such as --map image=COLUMN for the pictures",
             )
+
+
+def chosen_pictures(
+    known: Collection[str], name: str, where: str, what: str, others: Iterable[str] = ()
+) -> str:
+    """Return which of the pictures of a source are imported: those that were named, or else the only ones.
+
+    InputError, which says ``what`` they are, for none or several; it lists the ``others`` if there are none.
+    """
+    chosen = [each for each in known if name in ("", each)]
+    if len(chosen) == 1:
+        return chosen[0]
+    found = ", ".join(known) or f"none among {', '.join(others)}"
+    expected = f"{name!r}{wording.did_you_mean(name, known)}" if name else "one"
+    raise errors.InputError(
+        f"{where!r} has the {what} {found}; expected {expected}", next="choose one with --map image=NAME"
+    )
 
 
 def image_files(

@@ -78,7 +78,7 @@ def test_one_of_several_cameras_is_chosen_and_the_others_are_named(
         InputError, match=rf"cameras {CAMERA}, observation.images.wrist; expected one; next: "
     ):
         found(tmp_path)
-    with pytest.raises(InputError, match=r"expected 'tactil' among them"):
+    with pytest.raises(InputError, match=r"expected 'tactil'"):
         found(tmp_path, image="tactil")
     recordings = found(tmp_path, image="observation.images.wrist")
     assert [len(pictures(each)) for each in recordings] == [3, 2]
@@ -90,7 +90,7 @@ def test_one_of_several_cameras_is_chosen_and_the_others_are_named(
     for name in (CAMERA, "observation.images.wrist"):
         info["features"][name]["dtype"] = "float32"
     write_json(tmp_path / "meta" / "info.json", info)
-    with pytest.raises(InputError, match=r"the cameras none; its features are .*, timestamp"):
+    with pytest.raises(InputError, match=r"the cameras none among .*, timestamp"):
         found(tmp_path)
 
 
