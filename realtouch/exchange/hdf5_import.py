@@ -122,5 +122,5 @@ def _open_pictures(home: str, path: str, part: str) -> picture_arrays.PictureArr
     return picture_arrays.PictureArray(array, float(divisor))
 
 
-encoded_frames = partial(picture_arrays.encoded_pictures, opened=_open_pictures)
+read_frames = partial(picture_arrays.read_pictures, opened=_open_pictures)
 describe_conversion = partial(picture_arrays.described_pictures, opened=_open_pictures)

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from itertools import chain, groupby, repeat
-from operator import attrgetter
 from pathlib import PurePosixPath
 
 import numpy as np
@@ -141,16 +139,6 @@ def describe_conversion(touches: importing.FoundTouches) -> str:
     return "; ".join(sorted({*touches.where["part"].unique().to_pylist()} - {""}))
 
 
-def encoded_frames(places: Iterable[importing.PicturePlace]) -> Iterator[bytes | errors.ItemError]:
-    """Yield the pictures of each place in order; those of one file are read in one go."""
-    for (home, path), group in groupby(places, key=attrgetter("file")):
-        ranges = [range(place.start, place.start + max(1, place.frames)) for place in group]
-        left = sum(map(len, ranges))
-        try:
-            for picture in video.pictures_of_video(
-                store.open_folder(home), path, chain.from_iterable(ranges)
-            ):
-                left -= 1
-                yield picture
-        except errors.ItemError as error:
-            yield from repeat(error, left)
+def read_frames(place: importing.PicturePlace, numbers: Sequence[int]) -> Iterator[bytes | errors.ItemError]:
+    """Yield some pictures of a video."""
+    return video.pictures_of_video(store.open_folder(place.home), place.path, numbers)

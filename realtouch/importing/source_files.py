@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import cache, partial
-from itertools import chain, groupby
+from itertools import chain, groupby, repeat
 from typing import IO, NamedTuple
 
 import numpy as np
@@ -225,6 +225,29 @@ def image_files(
 
 ReadContents = Callable[[Iterable[found_touches.PicturePlace]], Iterator[bytes | errors.ItemError]]
 """Yields the bytes of the pictures of each place, in order, or why one cannot be read."""
+
+
+ReadNumbers = Callable[[found_touches.PicturePlace, Sequence[int]], Iterator[bytes | errors.ItemError]]
+"""Yields the pictures of some numbers in the file, and the part of it, that a place names."""
+
+
+def pictures_by_file(
+    read: ReadNumbers, places: Iterable[found_touches.PicturePlace]
+) -> Iterator[bytes | errors.ItemError]:
+    """Yield the pictures of each place in order; those of one file are read in one go.
+
+    An ItemError that is raised stands for each picture that is left of the file.
+    """
+    for _, group in groupby(places, key=lambda place: (*place.file, place.part, bool(place.frames))):
+        of_file = list(group)
+        numbers = [place.start + each for place in of_file for each in range(max(1, place.frames))]
+        left = len(numbers)
+        try:
+            for picture in read(of_file[0], numbers):
+                left -= 1
+                yield picture
+        except errors.ItemError as error:
+            yield from repeat(error, left)
 
 
 def contents_of(places: Iterable[found_touches.PicturePlace]) -> Iterator[bytes | errors.ItemError]:
