@@ -191,6 +191,13 @@ def test_the_sensor_is_named_where_there_are_several(tmp_path: Path) -> None:
         recordings(write(tmp_path / "c.zarr", {"timestamps": np.arange(T)}))
 
 
+def test_what_is_said_of_episodes_stands_in_the_order_of_the_arrays(tmp_path: Path) -> None:
+    names = [f"note_{letter}" for letter in "abcdefghijklmnop"]
+    source = write(tmp_path / "a.zarr", arrays(**dict.fromkeys(names, np.full(T, "x"))))
+    for found in recordings(source, "right_tactile_data_gripper[0]"):
+        assert [name for name in found.values if name in names] == names
+
+
 def test_times_are_taken_where_they_are_seconds_that_rise(tmp_path: Path) -> None:
     for number, (times, is_known) in enumerate(
         (
