@@ -10,10 +10,11 @@ import numpy as np
 import pyarrow as pa
 from PIL import Image
 
+from realtouch import schema
 from realtouch.contact_picture import median_in_memory
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
-from tactile_toolkit.touch import MEDIA_TYPE, decode_image, encode_image, image_size, is_jpeg
+from tactile_toolkit.touch import decode_image, encode_image, image_size, is_jpeg
 
 _JPEG_END = b"\xff\xd9"
 _ENDINGS = {b"\xff\xd8": "jpg", b"\x89P": "png"}
@@ -47,8 +48,7 @@ def image_column(images: Sequence[bytes | memoryview], names: Sequence[str]) -> 
     """Return images as a column with file names, whose endings follow from their first bytes."""
     endings = (_ENDINGS.get(bytes(each[:2]), "webp") for each in images)
     paths = [f"{name}.{ending}" for name, ending in zip(names, endings, strict=True)]
-    parts = [pa.array(images, pa.binary()), pa.array(paths, pa.string())]
-    return pa.StructArray.from_arrays(parts, fields=list(MEDIA_TYPE))
+    return schema.media_array(images, paths)
 
 
 def as_jpeg(image: bytes | memoryview) -> bytes:

@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from realtouch.importing import found_touches, import_columns, imported_clips
 from realtouch.importing.extra_columns import extra_arrays, extra_types
-from realtouch.schema import POSE_COLUMN, extra_columns
+from realtouch.schema import POSE_COLUMN, extra_columns, media_array
 from tactile_toolkit.array_types import AnyArray, Float64, Int64
 from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE, Kind, with_features
 
@@ -98,8 +98,7 @@ def _media_and_poses(stored: StoredTouches, schema: pa.Schema) -> dict[str, pa.A
     if kind == "seq":
         paths = [f"{path}.avi" for path in paths]
         made |= _clip_times(stored.clips)
-    media = [pa.array(stored.media, pa.binary()), pa.array(paths, pa.string())]
-    made[MEDIA_COLUMN[kind]] = pa.StructArray.from_arrays(media, fields=list(MEDIA_TYPE))
+    made[MEDIA_COLUMN[kind]] = media_array(stored.media, paths)
     made["pos_in_cell"] = _vectors(stored.positions, 2)
     for part, width in _WIDTHS.items():
         name = f"{POSE_COLUMN[kind]}.{part}"
