@@ -29,20 +29,19 @@ def find_video(
     folder, paths = importing.files_of(home, "videos; expected AVI, MP4, MOV, MKV, WebM or MPEG-TS", _videos)
     stems, column = Counter(map(_stem, paths)), columns.image or _FILE
     lines = _lines(folder, columns, column, table, paths)
-    said, unnamed = _classes(paths), None
-    if lines is not None:
-        said, unnamed = {}, errors.ItemError("table", "no line of the table names this video; expected one")
-    seen = set[str]()
-    for row, path in enumerate(() if lines is None else map(importing.path_of, lines.texts(column))):
-        problem = None if lines is None else lines.problem(row)
-        if path in seen:
-            problem = errors.ItemError("duplicate", "the same file as in an earlier line of the table")
-        seen.add(path)
-        values = {} if lines is None else lines.values(row)
-        yield _recording(folder, path, values, problem, stems)
-    for path in paths:
-        if path not in seen:
-            yield _recording(folder, path, {column: path, **said.get(path, {})}, unnamed, stems)
+    if lines is None:
+        said = _classes(paths)
+        for path in paths:
+            yield _recording(folder, path, {column: path, **said.get(path, {})}, None, stems)
+        return
+    named = list(map(importing.path_of, lines.texts(column)))
+    problems = lines.problems | importing.repeated(named, importing.FILE_OF_TABLE)
+    for row, path in enumerate(named):
+        yield _recording(folder, path, lines.values(row), problems.get(row), stems)
+    unnamed = errors.ItemError("table", "no line of the table names this video; expected one")
+    seen = {*named}
+    for path in [path for path in paths if path not in seen]:
+        yield _recording(folder, path, {column: path}, unnamed, stems)
 
 
 def _recording(

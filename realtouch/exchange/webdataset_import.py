@@ -47,16 +47,8 @@ def find_webdataset(
 
 def _touches(folder: store.DataFolder, name: str, samples: Sequence[_Sample]) -> importing.FoundTouches:
     """Return the samples of a tar; of samples with the same key, the first one can be used."""
-    problems: dict[int, errors.ItemError] = {}
-    seen = set[str]()
-    for number, sample in enumerate(samples):
-        if sample.key in seen:
-            problems[number] = errors.ItemError(
-                "duplicate", f"the key {sample.key!r} stands in an earlier sample of this tar"
-            )
-        elif sample.problems:
-            problems[number] = sample.problems[0]
-        seen.add(sample.key)
+    problems = {number: sample.problems[0] for number, sample in enumerate(samples) if sample.problems}
+    problems |= importing.repeated([sample.key for sample in samples], "key as in sample {} of this tar")
     names = dict.fromkeys(field for sample in samples for field in sample.values)
     if len(names) > _MOST_FIELDS:
         raise errors.InputError(

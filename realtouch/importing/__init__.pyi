@@ -18,6 +18,7 @@ from .recordings import (
     TIME_S as TIME_S,
 )
 from .source_files import (
+    FILE_OF_TABLE as FILE_OF_TABLE,
     IMAGE_ENDINGS as IMAGE_ENDINGS,
     NUMBERED as NUMBERED,
     ReadContents as ReadContents,
@@ -30,6 +31,7 @@ from .source_files import (
     open_source as open_source,
     path_of as path_of,
     read_table as read_table,
+    repeated as repeated,
     require_columns as require_columns,
     source_of as source_of,
     visible_files as visible_files,

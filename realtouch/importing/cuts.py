@@ -112,7 +112,7 @@ class CutTable:
 
     def _interval(self, recording: recordings.Recording, number: int) -> tuple[int, int]:
         """Return the first picture of a touch, and the one after its last, or raise ItemError."""
-        problem = recording.problem or self._lines.problem(number)
+        problem = recording.problem or self._lines.problems.get(number)
         if problem is not None:
             raise problem
         times = recording.time_s

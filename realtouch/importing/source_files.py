@@ -21,6 +21,9 @@ from tactile_toolkit.json_types import JsonDict
 
 IMAGE_ENDINGS = ("jpg", "jpeg", "png", "webp")
 
+FILE_OF_TABLE = "file as in row {} of the table"
+"""Where a table names a file twice, for :func:`repeated`."""
+
 NUMBERED = "label"
 """The field of our own exports that numbers the classes."""
 
@@ -94,18 +97,12 @@ def column_table(folder: store.DataFolder, name: str) -> column_tables.ColumnTab
 
 
 class SourceTable(NamedTuple):
-    """A table of touches: a row for each, of which those in ``too_long`` have more values than columns."""
+    """A table of touches: a row for each, and what is wrong with some of them, by their numbers."""
 
     names: list[str]
     columns: Mapping[str, pa.Array]
     rows: int
-    too_long: frozenset[int] = frozenset()
-
-    def problem(self, row: int) -> errors.ItemError | None:
-        """Return what is wrong with a row."""
-        if row not in self.too_long:
-            return None
-        return errors.ItemError("columns", "the line has more values than the table has columns")
+    problems: dict[int, errors.ItemError]
 
     def texts(self, name: str) -> list[str]:
         """Return a column as text; empty where nothing is said."""
@@ -136,7 +133,7 @@ def read_table(
             raise errors.InputError(f"{table.path!r} has {rows:,} rows; expected at most {_MOST_LINES:,}")
         found = table.rows(np.arange(rows)) if rows else pa.table({})
         typed = {each: column_types.from_arrow(found[each]) for each in found.column_names}
-        return SourceTable(table.names, typed, rows)
+        return SourceTable(table.names, typed, rows, {})
     with open_source(folder, name) as stream:
         text = text_tables.read_text_table(stream.read(), folder.address(name))
     known, commas = columns.found_in(text.names), text.separator != ","
@@ -150,7 +147,8 @@ def read_table(
         if each in numbers and pa.types.is_string(column.type):  # a value is wrong, but others are not
             column = column_types.words_of(column, decimal_commas=commas)
         made[each] = column
-    return SourceTable(text.names, made, len(text.rows), frozenset(text.too_long()))
+    too_long = errors.ItemError("columns", "the line has more values than the table has columns")
+    return SourceTable(text.names, made, len(text.rows), dict.fromkeys(text.too_long(), too_long))
 
 
 def _vectors_in(column: pa.Array) -> pa.Array:
@@ -191,6 +189,16 @@ def chosen_pictures(
     raise errors.InputError(
         f"{where!r} has the {what} {found}; expected {expected}", next="choose one with --map image=NAME"
     )
+
+
+def repeated(names: Sequence[str], where: str) -> dict[int, errors.ItemError]:
+    """Return the problem of each name that stood before; the number of that is put into ``where``."""
+    first: dict[str, int] = {}
+    return {
+        number: errors.ItemError("duplicate", f"the same {where.format(first[name])}")
+        for number, name in enumerate(names)
+        if first.setdefault(name, number) != number
+    }
 
 
 def image_files(
