@@ -9,7 +9,7 @@ import pyarrow as pa
 
 from realtouch.contact import CONTACT_METHODS, PLATE_COLUMN, ContactMethod
 from tactile_toolkit import errors, read, store
-from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE, Kind
+from tactile_toolkit.touch import MEDIA_COLUMN, Kind
 
 POSE_COLUMN: dict[Kind, str] = {"seq": "gel_pose_cell_frame_seq", "single": "gel_pose_cell_frame"}
 """The columns ``.position`` and ``.quaternion`` below it hold the pose of the gel, of each frame or touch."""
@@ -203,17 +203,6 @@ def _without_structs(table: pa.Table) -> pa.Table:
     while any(pa.types.is_struct(field.type) for field in table.schema):
         table = table.flatten()
     return table
-
-
-def media_array(contents: Sequence[bytes | memoryview], names: Sequence[str]) -> pa.Array:
-    """Return encoded images or clips, and the names of their files, as they are stored."""
-    parts = [pa.array(contents, pa.binary()), pa.array(names, pa.string())]
-    return pa.StructArray.from_arrays(parts, fields=list(MEDIA_TYPE))
-
-
-def numbered_media(contents: Sequence[bytes | memoryview], suffix: str) -> pa.Array:
-    """Return the encoded images or clips of the touches of a round; their files are ``TOUCH.suffix``."""
-    return media_array(contents, [f"{touch:03d}.{suffix}" for touch in range(len(contents))])
 
 
 def row_with(flat: pa.Table, made: Mapping[str, pa.Array], schema: pa.Schema) -> pa.Table:

@@ -11,7 +11,16 @@ import numpy as np
 import pyarrow as pa
 from PIL import Image
 
-from realtouch import avi, contact, depth_maps, schema, sensor_images, stored_round, touch_clips
+from realtouch import (
+    avi,
+    contact,
+    depth_maps,
+    schema,
+    sensor_images,
+    stored_images,
+    stored_round,
+    touch_clips,
+)
 from realtouch.convert import conversion, shard_tasks, touch_pictures
 from tactile_toolkit import errors, places, read, store
 from tactile_toolkit.array_types import Float32, UInt8
@@ -133,7 +142,7 @@ class TakeContactFrames:
         for each in shown:
             _ = each.pixels  # what passes through must be intact
         pictures = [each.stored for each in shown]
-        made = {"sensor_image": schema.numbered_media(pictures, "jpg")}
+        made = {"sensor_image": stored_images.numbered_media(pictures, "jpg")}
         if row.has_poses:
             found = np.concatenate([np.empty((0, 7)), *(each.pose[None] for each in shown)])
             for (part, width), values in zip(_WIDTHS.items(), np.hsplit(found, [3]), strict=True):
@@ -234,10 +243,10 @@ class ResizeMedia:
         else:
             sizes = [clip.size for clip in touch_clips.SensorClips(row)]
             blobs = [self._clip(clip) for clip in touch_clips.SensorClips(row)]
-        made = {MEDIA_COLUMN[kind]: schema.numbered_media(blobs, _SUFFIX[kind])}
+        made = {MEDIA_COLUMN[kind]: stored_images.numbered_media(blobs, _SUFFIX[kind])}
         for name in filter(row.has, (depth_maps.DEPTH, depth_maps.DEPTH_ERROR)):
             maps = [depth_maps.encode_map(self._map(each)) for each in depth_maps.DepthMaps(row, name)]
-            made[name] = schema.numbered_media(maps, depth_maps.SUFFIX)
+            made[name] = stored_images.numbered_media(maps, depth_maps.SUFFIX)
         for name, stored in schema.extra_columns(flat.column_names).items():
             if name in _MIDDLE_OF_FIRST_PX:
                 entries = row.extra_entries(stored).to_pylist()

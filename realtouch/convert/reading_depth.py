@@ -10,7 +10,7 @@ from typing import Protocol, Unpack
 import numpy as np
 import pyarrow as pa
 
-from realtouch import depth_maps, schema, sensor_images, stored_round
+from realtouch import depth_maps, schema, sensor_images, stored_images, stored_round
 from realtouch.convert import conversion, shard_tasks
 from tactile_toolkit import errors, kind, places, store, touch
 from tactile_toolkit.array_types import Float32, UInt8
@@ -135,6 +135,6 @@ class AddDepth:
                 maps[depth_maps.DEPTH_ERROR].append(depth_maps.encode_map(error_m))
                 numbers[DEEPEST].append(float(depth_m.max()))
                 numbers[MEAN_ERROR].append(float(error_m.mean(dtype=np.float64)))
-        made = {name: schema.numbered_media(blobs, depth_maps.SUFFIX) for name, blobs in maps.items()}
+        made = {name: stored_images.numbered_media(blobs, depth_maps.SUFFIX) for name, blobs in maps.items()}
         made |= {name: pa.array(values, pa.float32()) for name, values in numbers.items()}
         return schema.row_with(flat, made, self.schema(flat.schema)), {}

@@ -168,7 +168,7 @@ class ImportTouches:
         """Read the pictures of touches of whole rounds; returns what is wrong with some, by place in rows."""
         piece = touches.take(rows)
         frames, numbers = piece.where["frames"].to_pylist(), rows.tolist()
-        made: dict[int, bytes | imported_clips.ImportedClip] = {}
+        made, clips = dict[int, bytes](), dict[int, imported_clips.ImportedClip]()
         problems: dict[int, errors.ItemError] = {}
         for place in np.flatnonzero(piece.is_usable).tolist():
             pictures = list(islice(contents, max(1, frames[place])))
@@ -176,22 +176,22 @@ class ImportTouches:
                 size = self._size(pictures, is_clip=frames[place] > 0)
                 if numbers[place] in said.problems:
                     raise said.problems[numbers[place]]
-                made[place] = cast(bytes, pictures[0])
+                media = cast(bytes, pictures[0])
                 if frames[place]:
-                    made[place] = imported_clips.clip_of(
+                    clips[place] = imported_clips.clip_of(
                         piece, place, cast(Sequence[bytes], pictures), size, self.columns
                     )
+                    media = clips[place].video
+                made[place] = media
             except errors.ItemError as error:
                 problems[place] = error
-                made.pop(place, None)
         problems |= _of_other_rounds(piece, said, rows, list(made))
         kept = np.array([place for place in made if place not in problems], np.int64)
-        media = [made[place] for place in kept.tolist()]
-        clips = [each for each in media if isinstance(each, imported_clips.ImportedClip)]
+        encoded = [made[place] for place in kept.tolist()]
+        kept_clips = [clips[place] for place in kept.tolist() if place in clips]
         places, turns = said.positions[rows[kept]], said.poses[np.isin(said.owners, rows[kept])]
-        encoded = [each.video if isinstance(each, imported_clips.ImportedClip) else each for each in media]
         about = said.labels[rows[kept]], said.objects[rows[kept]], places, turns
-        return imported_rows.StoredTouches(piece.take(kept), *about, encoded, clips), problems
+        return imported_rows.StoredTouches(piece.take(kept), *about, encoded, kept_clips), problems
 
     def _size(self, pictures: Sequence[bytes | errors.ItemError], *, is_clip: bool) -> tuple[int, int]:
         """Return the size of pictures; ItemError unless each is intact, upright and of the common size."""
