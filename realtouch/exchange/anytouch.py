@@ -66,7 +66,7 @@ def find_anytouch(
     """Yield the lines of each list, or of one list, as touches; a missing file is the touch's problem."""
     named = home if table is None else store.open_folder(table)
     find = partial(importing.visible_files, endings=LIST_END)
-    place, lists = importing.files_of(named, f"lists (*{LIST_END})", find)
+    place, lists = importing.files_to_read(named, f"lists (*{LIST_END})", find)
     for each in lists:
         split = each.removesuffix(LIST_END)
         with importing.open_source(place, each) as stream:

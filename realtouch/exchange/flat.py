@@ -27,7 +27,9 @@ def find_flat(
     home: store.DataFolder, columns: importing.ImportColumns, table: str | None
 ) -> Iterator[importing.FoundTouches]:
     """Yield a touch for each row of each file, in their order; the split is that of the file's name."""
-    home, paths = importing.files_of(home, "Parquet files; expected a row for each touch in them", _parquet)
+    home, paths = importing.files_to_read(
+        home, "Parquet files; expected a row for each touch in them", _parquet
+    )
     for path in paths:
         try:
             parquet = foreign_parquet.ForeignParquet(home, path)

@@ -41,7 +41,7 @@ def find_folder(
     wanted = [columns.image, *columns.found_in(lines.names).names()]
     importing.require_columns(lines.names, wanted, folder.address(found))
     paths = list(map(importing.path_of, lines.texts(columns.image)))
-    problems = lines.problems | importing.repeated(paths, importing.FILE_OF_TABLE)
+    problems = lines.problems | importing.duplicates_of(paths, importing.FILE_OF_TABLE)
     yield importing.image_files(home, paths, lines.columns, problems)
 
 

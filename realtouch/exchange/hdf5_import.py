@@ -33,7 +33,7 @@ def find_hdf5(
     They are in natural order: of ``data/demo_2`` before ``data/demo_10``.
     """
     expected = f"file of HDF5; expected {' or '.join(_ENDINGS)}"
-    home, names = importing.files_of(home, expected, partial(importing.visible_files, endings=_ENDINGS))
+    home, names = importing.files_to_read(home, expected, partial(importing.visible_files, endings=_ENDINGS))
     image = columns.image_name.strip("/")
     for name in names:
         place = home.address(name)

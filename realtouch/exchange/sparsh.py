@@ -64,7 +64,7 @@ def find_sparsh(
 ) -> Iterator[importing.FoundTouches]:
     """Yield the images of each pickle of one split as touches, with the fields of the table next to it."""
     split = home.address().rstrip("/").rpartition("/")[2]
-    home, names = importing.files_of(
+    home, names = importing.files_to_read(
         home, "pickles (*.pkl)", partial(importing.visible_files, endings=".pkl")
     )
     files = home.sizes()

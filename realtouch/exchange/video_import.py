@@ -26,7 +26,9 @@ def find_video(
     files names some. Then a video without a line is a problem, as a line without a video is. Without a table,
     the folders that hold all videos are their classes.
     """
-    folder, paths = importing.files_of(home, "videos; expected AVI, MP4, MOV, MKV, WebM or MPEG-TS", _videos)
+    folder, paths = importing.files_to_read(
+        home, "videos; expected AVI, MP4, MOV, MKV, WebM or MPEG-TS", _videos
+    )
     stems, column = Counter(map(_stem, paths)), columns.image or _FILE
     lines = _lines(folder, columns, column, table, paths)
     if lines is None:
@@ -35,7 +37,7 @@ def find_video(
             yield _recording(folder, path, {column: path, **said.get(path, {})}, None, stems)
         return
     named = list(map(importing.path_of, lines.texts(column)))
-    problems = lines.problems | importing.repeated(named, importing.FILE_OF_TABLE)
+    problems = lines.problems | importing.duplicates_of(named, importing.FILE_OF_TABLE)
     for row, path in enumerate(named):
         yield _recording(folder, path, lines.values(row), problems.get(row), stems)
     unnamed = errors.ItemError("table", "no line of the table names this video; expected one")

@@ -33,7 +33,9 @@ def find_webdataset(
             "--table applies to folders of images; a WebDataset has JSON files", next="leave out --table"
         )
     known = dict[str, None]()
-    folder, names = importing.files_of(home, "tars (*.tar)", partial(importing.visible_files, endings=".tar"))
+    folder, names = importing.files_to_read(
+        home, "tars (*.tar)", partial(importing.visible_files, endings=".tar")
+    )
     for name in names:
         with store.without_collecting():
             groups = groupby(_members(folder, name), key=attrgetter("key"))
@@ -48,7 +50,7 @@ def find_webdataset(
 def _touches(folder: store.DataFolder, name: str, samples: Sequence[_Sample]) -> importing.FoundTouches:
     """Return the samples of a tar; of samples with the same key, the first one can be used."""
     problems = {number: sample.problems[0] for number, sample in enumerate(samples) if sample.problems}
-    problems |= importing.repeated([sample.key for sample in samples], "key as in sample {} of this tar")
+    problems |= importing.duplicates_of([sample.key for sample in samples], "key as in sample {} of this tar")
     names = dict.fromkeys(field for sample in samples for field in sample.values)
     if len(names) > _MOST_FIELDS:
         raise errors.InputError(

@@ -22,7 +22,7 @@ from tactile_toolkit.json_types import JsonDict
 IMAGE_ENDINGS = ("jpg", "jpeg", "png", "webp")
 
 FILE_OF_TABLE = "file as in row {} of the table"
-"""Where a table names a file twice, for :func:`repeated`."""
+"""Where a table names a file twice, for :func:`duplicates_of`."""
 
 NUMBERED = "label"
 """The field of our own exports that numbers the classes."""
@@ -61,7 +61,7 @@ def visible_files(home: store.DataFolder, endings: str | tuple[str, ...]) -> lis
     return [name for name in home.sizes() if name.lower().endswith(endings) and not store.is_hidden(name)]
 
 
-def files_of(
+def files_to_read(
     home: store.DataFolder, expected: str, find: Callable[[store.DataFolder], list[str]]
 ) -> tuple[store.DataFolder, list[str]]:
     """Return a folder and the files of a format in it, as ``find`` lists them; or the file that was named.
@@ -191,7 +191,7 @@ def chosen_pictures(
     )
 
 
-def repeated(names: Sequence[str], where: str) -> dict[int, errors.ItemError]:
+def duplicates_of(names: Sequence[str], where: str) -> dict[int, errors.ItemError]:
     """Return the problem of each name that stood before; the number of that is put into ``where``."""
     first: dict[str, int] = {}
     return {
