@@ -18,8 +18,8 @@ MAX_CLIP_FRAMES = 10_000
 """Longest clip that is read; a touch has 58 to 90 frames."""
 
 _RIFF = struct.Struct("<4sI4s")
-_CHUNK = struct.Struct("<4sI")
-_CHUNK_BYTES = 8
+CHUNK = struct.Struct("<4sI")
+CHUNK_BYTES = CHUNK.size
 # Kind, codec, scale and rate, whose quotient are the frames per second.
 STREAM_HEADER = struct.Struct("<4s4s12xII")
 _ENTRY_BYTES = 16  # entry of the index: name of the chunk, flags, offset, size
@@ -40,17 +40,17 @@ class Avi:
                 f"{len(data):,} bytes that begin with {bytes(data[:8]).hex(' ')}; expected an AVI with MJPEG "
                 "frames"
             )
-        end = size + _CHUNK_BYTES
+        end = size + CHUNK_BYTES
         if end > len(data):
             raise ValueError(
                 f"an AVI cut short: {len(data):,} bytes are there; expected {end:,} by its header"
             )
         self.data, self.fps = data, 0.0
         parts: dict[bytes, tuple[int, int]] = {}
-        stream, number, position, chunk_at = None, -1, _RIFF.size, _CHUNK.unpack_from
-        while position + _CHUNK_BYTES <= end:
+        stream, number, position, chunk_at = None, -1, _RIFF.size, CHUNK.unpack_from
+        while position + CHUNK_BYTES <= end:
             name, size = chunk_at(data, position)
-            start = position + _CHUNK_BYTES
+            start = position + CHUNK_BYTES
             position = start + size + size % 2
             if start + size > end:
                 raise ValueError(
@@ -99,7 +99,7 @@ class Avi:
         bases = [base for base, at in places if self.data[at : at + 4].tobytes() in self._names]
         if not len(offsets) or not bases:
             raise ValueError("an AVI whose index does not lead to frames; expected one of MJPEG frames")
-        self.starts, self.sizes = offsets + (bases[0] + _CHUNK.size), sizes
+        self.starts, self.sizes = offsets + (bases[0] + CHUNK.size), sizes
         ends = self.starts + sizes
         # A small file with overlapping frames could decode to any number of pixels.
         is_early = self.starts[1:] < ends[:-1]
@@ -118,7 +118,7 @@ class Avi:
     def frame(self, number: int) -> memoryview:
         """Return the JPEG of one frame; ValueError if the stream has no frame at that offset."""
         start, size = int(self.starts[number]), int(self.sizes[number])
-        name, stated = _CHUNK.unpack_from(self.data, start - _CHUNK.size)
+        name, stated = CHUNK.unpack_from(self.data, start - CHUNK.size)
         if name not in self._names or stated != size:
             raise ValueError(
                 "an AVI whose index names "
@@ -148,9 +148,7 @@ def write_avi(frames: Sequence[bytes], width: int, height: int, fps: float) -> b
     header = _chunk(b"LIST", b"hdrl" + _chunk(b"avih", main) + streams)
     # All parts are joined once: a long clip should not be in memory several times.
     paddings = [b"\0" * (len(frame) % 2) for frame in frames]
-    chunk_bytes = [
-        _CHUNK_BYTES + len(frame) + len(rest) for frame, rest in zip(frames, paddings, strict=True)
-    ]
+    chunk_bytes = [CHUNK_BYTES + len(frame) + len(rest) for frame, rest in zip(frames, paddings, strict=True)]
     offsets = np.cumsum([4, *chunk_bytes])[:-1]  # from the name of the list, as FFmpeg counts them
     entries = [
         struct.pack("<4s3I", b"00dc", 0x10, offset, len(frame))
@@ -158,10 +156,10 @@ def write_avi(frames: Sequence[bytes], width: int, height: int, fps: float) -> b
     ]
     index = _chunk(b"idx1", b"".join(entries))
     movie_bytes = 4 + sum(chunk_bytes)
-    parts = [header, _CHUNK.pack(b"LIST", movie_bytes), b"movi"]
+    parts = [header, CHUNK.pack(b"LIST", movie_bytes), b"movi"]
     for frame, rest in zip(frames, paddings, strict=True):
-        parts += (_CHUNK.pack(b"00dc", len(frame)), frame, rest)
-    size = 4 + len(header) + _CHUNK_BYTES + movie_bytes + len(index)
+        parts += (CHUNK.pack(b"00dc", len(frame)), frame, rest)
+    size = 4 + len(header) + CHUNK_BYTES + movie_bytes + len(index)
     return b"".join([_RIFF.pack(b"RIFF", size, b"AVI "), *parts, index])
 
 

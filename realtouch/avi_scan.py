@@ -6,18 +6,15 @@ reference and of the OpenDML AVI file format extensions, by which files over 1 G
 
 from __future__ import annotations
 
-import struct
 from array import array
 from collections.abc import Callable
 from fractions import Fraction
 
 import numpy as np
 
-from realtouch.avi import STREAM_HEADER
+from realtouch.avi import CHUNK, CHUNK_BYTES, STREAM_HEADER
 from tactile_toolkit.array_types import Int64
 
-_CHUNK = struct.Struct("<4sI")
-_CHUNK_BYTES = 8
 _OPENED_LISTS = (b"AVI ", b"AVIX", b"hdrl", b"strl", b"movi", b"rec ")
 _JPEG_CODECS = (b"MJPG", b"JPEG")
 _FORMAT_CODEC = slice(16, 20)  # biCompression in the stream format `strf`, a BITMAPINFOHEADER
@@ -65,9 +62,9 @@ class AviPictures:
         self.is_jpeg = self.is_cut = False
         places = array("q")
         position, riff_end, slot = 0, end, 0
-        while position + _CHUNK_BYTES <= end:
-            name, size = _CHUNK.unpack(read(position, _CHUNK_BYTES))
-            start = position + _CHUNK_BYTES
+        while position + CHUNK_BYTES <= end:
+            name, size = CHUNK.unpack(read(position, CHUNK_BYTES))
+            start = position + CHUNK_BYTES
             position = start + size + size % 2
             if name in (b"RIFF", b"LIST") and bytes(read(start, 4)) in _OPENED_LISTS:
                 self.is_cut |= size == 0 or start + size > end
@@ -78,7 +75,7 @@ class AviPictures:
                 if self.is_cut or start > riff_end:  # what follows the file is padding
                     break
                 raise ValueError(
-                    f"an AVI that is damaged at byte {start - _CHUNK_BYTES:,}, after {slot:,} pictures; "
+                    f"an AVI that is damaged at byte {start - CHUNK_BYTES:,}, after {slot:,} pictures; "
                     "expected a chunk inside the file"
                 )
             elif name in self._names:

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Container, Iterable, Mapping, Sequence
 from typing import Literal
 
-import numpy as np
 import pyarrow as pa
 
 from realtouch.contact import CONTACT_METHODS, PLATE_COLUMN, ContactMethod
 from tactile_toolkit import errors, read, store
-from tactile_toolkit.array_types import AnyArray
-from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE, Kind
+from tactile_toolkit.touch import MEDIA_COLUMN, Kind
 
 POSE_COLUMN: dict[Kind, str] = {"seq": "gel_pose_cell_frame_seq", "single": "gel_pose_cell_frame"}
 """The columns ``.position`` and ``.quaternion`` below it hold the pose of the gel, of each frame or touch."""
@@ -207,24 +205,18 @@ def _without_structs(table: pa.Table) -> pa.Table:
     return table
 
 
-def number_lists(rows: Sequence[AnyArray], data_type: pa.DataType) -> pa.Array:
-    """Pack one array (T_i, width) or (T_i,) per row into an Arrow list column of the given type."""
-    flat = np.concatenate([row.reshape(-1) for row in rows])
-    depth, leaf = read.list_depth(data_type)
-    inner = pa.array(flat.astype(leaf.to_pandas_dtype(), copy=False), leaf)
-    if depth == 2:
-        inner = pa.FixedSizeListArray.from_arrays(inner, data_type.value_type.list_size)
-    return _outer_list(inner, [len(row) for row in rows], data_type)
+def row_with(flat: pa.Table, made: Mapping[str, pa.Array], schema: pa.Schema) -> pa.Table:
+    """Return the columns of a schema: those that were made, with an entry a touch, others of a flat row."""
+    columns = dict(zip(flat.column_names, flat.columns, strict=True))
+    columns |= {name: _as_list(entries, schema.field(name).type) for name, entries in made.items()}
+    return pa.table([columns[name] for name in schema.names], schema=schema)
 
 
-def bytes_lists(
-    rows: Sequence[Sequence[bytes | memoryview]], suffix: str, data_type: pa.DataType
-) -> pa.Array:
-    """Pack encoded images or clips into a list column of structs; their paths are ``TOUCH.suffix``."""
-    blobs = pa.array([bytes(blob) for row in rows for blob in row], pa.binary())
-    paths = pa.array([f"{touch:03d}.{suffix}" for row in rows for touch in range(len(row))], pa.string())
-    inner = pa.StructArray.from_arrays([blobs, paths], fields=list(MEDIA_TYPE))
-    return _outer_list(inner, [len(row) for row in rows], data_type)
+def _as_list(entries: pa.Array, data_type: pa.DataType) -> pa.Array:
+    entries = entries.cast(data_type.value_type)
+    if pa.types.is_fixed_size_list(data_type):
+        return pa.FixedSizeListArray.from_arrays(entries, type=data_type)
+    return pa.ListArray.from_arrays([0, len(entries)], entries, type=data_type)
 
 
 def take_touches(table: pa.Table, touches: Sequence[int], count: int) -> pa.Table:
@@ -236,13 +228,6 @@ def take_touches(table: pa.Table, touches: Sequence[int], count: int) -> pa.Tabl
         # A column of another length has no entry per touch and is kept as a whole.
         if is_per_touch(name, array.type) and len(array.flatten()) == count:
             values = array.flatten().take(chosen)
-            array = _outer_list(values, [len(touches)], pa.list_(array.type.value_type))
+            array = _as_list(values, pa.list_(array.type.value_type))
         columns.append(array)
     return pa.table(columns, names=table.column_names)
-
-
-def _outer_list(inner: pa.Array, lengths: Sequence[int], data_type: pa.DataType) -> pa.Array:
-    if pa.types.is_fixed_size_list(data_type):
-        return pa.FixedSizeListArray.from_arrays(inner, type=data_type)
-    offsets = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int32)
-    return pa.ListArray.from_arrays(pa.array(offsets), inner, type=data_type)

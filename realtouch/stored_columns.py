@@ -283,6 +283,19 @@ class StoredColumns(Row):
             raise self.damaged(name, "no values are stored")
         return entries
 
+    def extra_of_frames(self, name: str, entries: pa.Array, touch: int, count: int) -> pa.Array:
+        """Return what a further column, given its entries, has for the first frames of a clip.
+
+        Values that are missing for the whole clip are null. Raises IntegrityError for fewer than ``count``.
+        """
+        frames = entries[touch].values
+        if frames is None:
+            return pa.nulls(count, entries.type.value_type)
+        if len(frames) < count:
+            found = wording.with_count(len(frames), "frames")
+            raise self.damaged(name, f"{found}; expected at least {count}", touch)
+        return frames.slice(0, count)
+
     def extra_values(self, name: str) -> AnyArray | tuple[AnyArray, ...]:
         """Return a further column by its own name; see :class:`realtouch.extras.Extras`.
 
@@ -297,15 +310,9 @@ class StoredColumns(Row):
                 return extras.array_with_gaps(values)
         found = []
         for touch, length in enumerate(self.clip_lengths().tolist()):
-            frames = values[touch].values
-            if frames is None:
-                frames = pa.nulls(length, values.type.value_type)
-            if len(frames) < length:
-                raise self.damaged(
-                    stored, f"{wording.with_count(len(frames), 'frames')}; expected at least {length}", touch
-                )
+            frames = self.extra_of_frames(stored, values, touch, length)
             with self.naming(stored, touch):
-                found.append(extras.array_with_gaps(frames.slice(0, length)))
+                found.append(extras.array_with_gaps(frames))
         return tuple(found)
 
     def plain_value(self, name: str) -> JsonValue:

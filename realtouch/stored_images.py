@@ -43,12 +43,22 @@ def require_intact(data: bytes | memoryview) -> tuple[int, int]:
     return size
 
 
+def media_array(contents: Sequence[bytes | memoryview], names: Sequence[str]) -> pa.Array:
+    """Return encoded images or clips, and the names of their files, as they are stored."""
+    parts = [pa.array(contents, pa.binary()), pa.array(names, pa.string())]
+    return pa.StructArray.from_arrays(parts, fields=list(MEDIA_TYPE))
+
+
+def numbered_media(contents: Sequence[bytes | memoryview], suffix: str) -> pa.Array:
+    """Return the encoded images or clips of the touches of a round; their files are ``TOUCH.suffix``."""
+    return media_array(contents, [f"{touch:03d}.{suffix}" for touch in range(len(contents))])
+
+
 def image_column(images: Sequence[bytes | memoryview], names: Sequence[str]) -> pa.Array:
     """Return images as a column with file names, whose endings follow from their first bytes."""
     endings = (_ENDINGS.get(bytes(each[:2]), "webp") for each in images)
     paths = [f"{name}.{ending}" for name, ending in zip(names, endings, strict=True)]
-    parts = [pa.array(images, pa.binary()), pa.array(paths, pa.string())]
-    return pa.StructArray.from_arrays(parts, fields=list(MEDIA_TYPE))
+    return media_array(images, paths)
 
 
 def as_jpeg(image: bytes | memoryview) -> bytes:

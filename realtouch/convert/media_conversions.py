@@ -11,7 +11,16 @@ import numpy as np
 import pyarrow as pa
 from PIL import Image
 
-from realtouch import avi, contact, depth_maps, schema, sensor_images, stored_round, touch_clips
+from realtouch import (
+    avi,
+    contact,
+    depth_maps,
+    schema,
+    sensor_images,
+    stored_images,
+    stored_round,
+    touch_clips,
+)
 from realtouch.convert import conversion, shard_tasks, touch_pictures
 from tactile_toolkit import errors, places, read, store
 from tactile_toolkit.array_types import Float32, UInt8
@@ -133,20 +142,17 @@ class TakeContactFrames:
         for each in shown:
             _ = each.pixels  # what passes through must be intact
         pictures = [each.stored for each in shown]
-        made = {"sensor_image": schema.bytes_lists([pictures], "jpg", wanted.field("sensor_image").type)}
+        made = {"sensor_image": stored_images.numbered_media(pictures, "jpg")}
         if row.has_poses:
             found = np.concatenate([np.empty((0, 7)), *(each.pose[None] for each in shown)])
-            for part, values in zip(_WIDTHS, np.hsplit(found, [3]), strict=True):
-                name = f"{_POSE}.{part}"
-                made[name] = schema.number_lists([values], wanted.field(name).type)
+            for (part, width), values in zip(_WIDTHS.items(), np.hsplit(found, [3]), strict=True):
+                made[f"{_POSE}.{part}"] = pa.FixedSizeListArray.from_arrays(values.ravel(), width)
         for name in flat.column_names:
             if name.startswith(schema.EXTRA_PREFIX["frame"]):
-                entries = touch_pictures.shown_extra(row, name, shown)
-                made[_per_touch_name(name)] = pa.ListArray.from_arrays([0, len(entries)], entries)
+                made[_per_touch_name(name)] = touch_pictures.shown_extra(row, name, shown)
         if row.has("pos_in_cell"):
             row.vectors("pos_in_cell", 2)  # checked here, passed through below
-        columns = dict(zip(flat.column_names, flat.columns, strict=True)) | made
-        return pa.table([columns[name] for name in wanted.names], schema=wanted), {}
+        return schema.row_with(flat, made, wanted), {}
 
 
 def _per_touch_name(name: str) -> str:
@@ -237,14 +243,10 @@ class ResizeMedia:
         else:
             sizes = [clip.size for clip in touch_clips.SensorClips(row)]
             blobs = [self._clip(clip) for clip in touch_clips.SensorClips(row)]
-        made = {
-            MEDIA_COLUMN[kind]: schema.bytes_lists(
-                [blobs], _SUFFIX[kind], flat.schema.field(MEDIA_COLUMN[kind]).type
-            )
-        }
+        made = {MEDIA_COLUMN[kind]: stored_images.numbered_media(blobs, _SUFFIX[kind])}
         for name in filter(row.has, (depth_maps.DEPTH, depth_maps.DEPTH_ERROR)):
             maps = [depth_maps.encode_map(self._map(each)) for each in depth_maps.DepthMaps(row, name)]
-            made[name] = schema.bytes_lists([maps], depth_maps.SUFFIX, flat.schema.field(name).type)
+            made[name] = stored_images.numbered_media(maps, depth_maps.SUFFIX)
         for name, stored in schema.extra_columns(flat.column_names).items():
             if name in _MIDDLE_OF_FIRST_PX:
                 entries = row.extra_entries(stored).to_pylist()
@@ -252,9 +254,8 @@ class ResizeMedia:
                     moved = [
                         self._moved(name, each, size) for each, size in zip(entries, sizes, strict=False)
                     ]
-                made[stored] = pa.array([moved], flat.schema.field(stored).type)
-        columns = dict(zip(flat.column_names, flat.columns, strict=True)) | made
-        return pa.table(list(columns.values()), schema=flat.schema), {}
+                made[stored] = pa.array(moved, schema.extra_type(stored, flat.schema.field(stored).type))
+        return schema.row_with(flat, made, flat.schema), {}
 
     def _moved(self, name: str, values: object, size: tuple[int, int]) -> object:
         """Return columns and rows in pixels of a picture, (height, width), in that of the new size."""

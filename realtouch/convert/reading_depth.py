@@ -10,11 +10,10 @@ from typing import Protocol, Unpack
 import numpy as np
 import pyarrow as pa
 
-from realtouch import depth_maps, sensor_images, stored_round
+from realtouch import depth_maps, schema, sensor_images, stored_images, stored_round
 from realtouch.convert import conversion, shard_tasks
-from realtouch.schema import bytes_lists, column_type, flat_row, number_lists
 from tactile_toolkit import errors, kind, places, store, touch
-from tactile_toolkit.array_types import AnyArray, Float32, UInt8
+from tactile_toolkit.array_types import Float32, UInt8
 from tactile_toolkit.json_types import JsonDict
 
 DEEPEST, MEAN_ERROR = "extra.depth_max_m", "extra.depth_error_m"
@@ -110,7 +109,7 @@ class AddDepth:
 
     def schema(self, source: pa.Schema) -> pa.Schema:
         """Return the schema of the source with columns of depth, which replace others of the same name."""
-        count = getattr(column_type(source, "sensor_image"), "list_size", -1)
+        count = getattr(schema.column_type(source, "sensor_image"), "list_size", -1)
         added = {
             depth_maps.DEPTH: touch.MEDIA_TYPE,
             depth_maps.DEPTH_ERROR: touch.MEDIA_TYPE,
@@ -124,9 +123,7 @@ class AddDepth:
         self, row: stored_round.StoredRound, choice: conversion.RowChoice, split: str
     ) -> conversion.Made:
         """Read the depth of each image of a row; the images are copied."""
-        flat = flat_row(row)
-        schema = self.schema(flat.schema)
-        images = sensor_images.SensorImages(row)
+        flat, images = schema.flat_row(row), sensor_images.SensorImages(row)
         maps: dict[str, list[bytes]] = {depth_maps.DEPTH: [], depth_maps.DEPTH_ERROR: []}
         numbers: dict[str, list[float]] = {DEEPEST: [], MEAN_ERROR: []}
         for start in range(0, len(images), _BATCH):
@@ -138,10 +135,6 @@ class AddDepth:
                 maps[depth_maps.DEPTH_ERROR].append(depth_maps.encode_map(error_m))
                 numbers[DEEPEST].append(float(depth_m.max()))
                 numbers[MEAN_ERROR].append(float(error_m.mean(dtype=np.float64)))
-        columns: dict[str, pa.Array] = dict(zip(flat.column_names, flat.columns, strict=True))
-        for name, blobs in maps.items():
-            columns[name] = bytes_lists([blobs], depth_maps.SUFFIX, schema.field(name).type)
-        for name, values in numbers.items():
-            column: AnyArray = np.array(values, np.float32)
-            columns[name] = number_lists([column], schema.field(name).type)
-        return pa.table([columns[name] for name in schema.names], schema=schema), {}
+        made = {name: stored_images.numbered_media(blobs, depth_maps.SUFFIX) for name, blobs in maps.items()}
+        made |= {name: pa.array(values, pa.float32()) for name, values in numbers.items()}
+        return schema.row_with(flat, made, self.schema(flat.schema)), {}

@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from realtouch import contact, rounds, schema, sensor_images, stored_round, touch_clips, touch_options
 from realtouch.poses import Poses
-from tactile_toolkit import read, wording
+from tactile_toolkit import read
 from tactile_toolkit.array_types import AnyArray, Float64, Floating, UInt8
 
 # Names that have another meaning in exports.
@@ -121,14 +121,6 @@ def shown_extra(row: stored_round.StoredRound, stored: str, shown: Sequence[Touc
         return entries
     found = [pa.nulls(0, entries.type.value_type)]
     for each in shown:
-        frames = entries[each.touch].values
-        if frames is None:  # missing for the whole clip
-            frames = pa.nulls(each.frame + 1, entries.type.value_type)
-        if each.frame >= len(frames):
-            raise row.damaged(
-                stored,
-                f"{wording.with_count(len(frames), 'frames')}; expected at least {each.frame + 1}",
-                each.touch,
-            )
-        found.append(frames.slice(each.frame, 1))
+        frames = row.extra_of_frames(stored, entries, each.touch, each.frame + 1)
+        found.append(frames.slice(each.frame))
     return pa.concat_arrays(found)

@@ -7,6 +7,7 @@ Facts of the format: images lie in ``touch_and_go/FOLDER/gelsight_frame``, their
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from itertools import groupby
 from operator import itemgetter
 
@@ -63,12 +64,10 @@ def find_anytouch(
     home: store.DataFolder, columns: importing.ImportColumns, table: str | None
 ) -> Iterator[importing.FoundTouches]:
     """Yield the lines of each list, or of one list, as touches; a missing file is the touch's problem."""
-    lists = [(home, name) for name in importing.visible_files(home, LIST_END)]
-    if table is not None:
-        lists = [importing.source_of(table)]
-    if not lists:
-        raise errors.InputError(f"{home.address()!r} holds no lists (*{LIST_END})")
-    for place, each in lists:
+    named = home if table is None else store.open_folder(table)
+    find = partial(importing.visible_files, endings=LIST_END)
+    place, lists = importing.files_to_read(named, f"lists (*{LIST_END})", find)
+    for each in lists:
         split = each.removesuffix(LIST_END)
         with importing.open_source(place, each) as stream:
             lines = stream.read().decode(errors="replace").splitlines()

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
-from realtouch import extras, schema, stored_round
-from tactile_toolkit import read, wording
-from tactile_toolkit.array_types import AnyArray
+from realtouch import schema, stored_round
+from tactile_toolkit import read
 
 FEATURE = "observation."
 """How the names of these columns begin."""
@@ -54,39 +54,37 @@ class ExtraColumn:
         """
         values = row.extra_entries(self.stored)
         if touch is not None and self.is_per_frame:
-            frames = values[touch].values
-            values = pa.nulls(count, values.type.value_type) if frames is None else frames.slice(0, count)
+            values = row.extra_of_frames(self.stored, values, touch, count)
         elif touch is not None:
             values = values.take(pa.array([touch] * count))
-        if len(values) < count:
-            raise row.damaged(
-                self.stored, f"{wording.with_count(len(values), 'frames')}; expected at least {count}", touch
-            )
         with row.naming(self.stored, touch):
-            return self._packed(extras.array_with_gaps(values))
+            return self._packed(values)
 
-    def _packed(self, values: AnyArray) -> pa.Array:
-        """Return numbers, texts or vectors as Arrow stores them; ValueError for vectors of another length."""
+    def _packed(self, values: pa.Array) -> pa.Array:
+        """Return numbers, texts or vectors of the type; ValueError for vectors of another length."""
         width, leaf = getattr(self.data_type, "list_size", 1), self.data_type
         if width > 1:
             leaf = leaf.value_type
-        if 0 in values.shape[1:]:  # all of them are missing
-            values = np.full((len(values), width), None)
-        if values.ndim > 1 and values.shape[1] != width:
-            raise ValueError(f"vectors of {values.shape[1]} values; expected {width}, as in the first touch")
-        if pa.types.is_string(leaf):
-            values = np.array([text or "" for text in values.reshape(-1)], object)
-        if pa.types.is_floating(leaf):
-            numbers = values.astype(leaf.to_pandas_dtype())
-            if values.dtype == object and any(map(_is_rounded, values.reshape(-1), numbers.reshape(-1))):
-                raise ValueError("integers of 2**53 or more, some missing; expected all, or smaller ones")
-            values = numbers
-        flat = pa.array(values.reshape(-1), leaf)
+        if read.list_depth(values.type)[0]:
+            known = values.drop_null()
+            found = pc.list_value_length(known).unique().sort().to_pylist()
+            if found not in ([], [width]):
+                lengths = " and of ".join(map(str, found))
+                raise ValueError(f"vectors of {lengths} values; expected {width}, as in the first touch")
+            places = np.full((len(values), width), -1)
+            places[values.is_valid().to_numpy(zero_copy_only=False)] = np.arange(len(known) * width).reshape(
+                -1, width
+            )
+            values = known.flatten().take(pa.array(places.ravel(), mask=places.ravel() < 0))
+        try:
+            flat = values.cast(leaf)
+        except pa.ArrowInvalid as error:  # float64 does not hold them
+            raise ValueError(
+                "integers of 2**53 or more, some missing; expected all, or smaller ones"
+            ) from error
+        if flat.null_count:
+            flat = flat.fill_null("" if pa.types.is_string(leaf) else np.nan)
         return pa.FixedSizeListArray.from_arrays(flat, width) if width > 1 else flat
-
-
-def _is_rounded(value: int | None, number: float) -> bool:
-    return value is not None and int(number) != value
 
 
 def extra_columns_of(shards: Sequence[read.Shard]) -> tuple[ExtraColumn, ...]:

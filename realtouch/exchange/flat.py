@@ -11,7 +11,7 @@ import numpy as np
 
 from realtouch import importing
 from realtouch.exchange import foreign_parquet, touch_rows
-from tactile_toolkit import column_types, errors, store, touch, wording
+from tactile_toolkit import column_types, errors, store, touch
 
 plan_flat = touch_rows.TouchFormat().plan
 
@@ -27,7 +27,9 @@ def find_flat(
     home: store.DataFolder, columns: importing.ImportColumns, table: str | None
 ) -> Iterator[importing.FoundTouches]:
     """Yield a touch for each row of each file, in their order; the split is that of the file's name."""
-    home, paths = _files(home)
+    home, paths = importing.files_to_read(
+        home, "Parquet files; expected a row for each touch in them", _parquet
+    )
     for path in paths:
         try:
             parquet = foreign_parquet.ForeignParquet(home, path)
@@ -37,17 +39,8 @@ def find_flat(
         yield _touches(home, path, parquet, column)
 
 
-def _files(home: store.DataFolder) -> tuple[store.DataFolder, list[str]]:
-    """Return the folder and the paths of its Parquet files, or of one that is named itself."""
-    if home.address().endswith(_ENDING):
-        home, name = importing.source_of(home.address())
-        return home, [name]
-    paths = sorted(path for path in home.walk() if path.endswith(_ENDING) and not store.is_hidden(path))
-    if not paths:
-        raise errors.InputError(
-            f"{home.address()!r} holds no Parquet files; expected a row for each touch in them"
-        )
-    return home, paths
+def _parquet(home: store.DataFolder) -> list[str]:
+    return sorted(path for path in home.walk() if path.endswith(_ENDING) and not store.is_hidden(path))
 
 
 def _picture_column(parquet: foreign_parquet.ForeignParquet, name: str) -> str:
@@ -61,18 +54,8 @@ def _picture_column(parquet: foreign_parquet.ForeignParquet, name: str) -> str:
                 "which needs no import",
                 next="open the data set by its folder, as with `realtouch info`",
             )
-    known: list[str] = [
-        column for column, data_type in parquet.types.items() if foreign_parquet.is_picture(data_type)
-    ]
-    chosen = [column for column in known if name in ("", column)]
-    if len(chosen) == 1:
-        return chosen[0]
-    found = ", ".join(known) or f"none among {', '.join(parquet.types)}"
-    expected = f"{name!r}{wording.did_you_mean(name, known)}" if name else "one"
-    raise errors.InputError(
-        f"{parquet.place!r} has the columns of pictures {found}; expected {expected}",
-        next="choose one with --map image=NAME",
-    )
+    known = [column for column, data_type in parquet.types.items() if foreign_parquet.is_picture(data_type)]
+    return importing.chosen_pictures(known, name, parquet.place, "columns of pictures", parquet.types)
 
 
 def _touches(

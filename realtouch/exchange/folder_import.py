@@ -41,12 +41,7 @@ def find_folder(
     wanted = [columns.image, *columns.found_in(lines.names).names()]
     importing.require_columns(lines.names, wanted, folder.address(found))
     paths = list(map(importing.path_of, lines.texts(columns.image)))
-    problems = {row: error for row in lines.too_long if (error := lines.problem(row)) is not None}
-    seen: dict[str, int] = {}
-    for row, path in enumerate(paths):
-        first = seen.setdefault(path, row)
-        if first != row:
-            problems[row] = errors.ItemError("duplicate", f"the same file as in row {first} of the table")
+    problems = lines.problems | importing.duplicates_of(paths, importing.FILE_OF_TABLE)
     yield importing.image_files(home, paths, lines.columns, problems)
 
 

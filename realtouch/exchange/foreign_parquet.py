@@ -5,8 +5,6 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from itertools import groupby
-from operator import itemgetter
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -204,13 +202,6 @@ def _named_values(place: str) -> Iterator[None]:
         raise errors.IntegrityError.in_file(place, f" holds a value that cannot be read ({error})") from error
 
 
-def stored_pictures(places: Iterable[importing.PicturePlace]) -> Iterator[bytes | errors.ItemError]:
-    """Yield the pictures of each place, whose ``part`` is their column of a Parquet file."""
-    for (home, path, name), group in groupby(places, key=itemgetter(0, 1, 2)):
-        rows = (row for place in group for row in range(place.start, place.start + max(1, place.frames)))
-        try:
-            parquet = ForeignParquet(store.open_folder(home), path)
-        except errors.ItemError as error:
-            yield from (error for _ in rows)
-            continue
-        yield from parquet.pictures(name, rows)
+def read_rows(place: importing.PicturePlace, numbers: Sequence[int]) -> Iterator[bytes | errors.ItemError]:
+    """Yield the pictures in some rows; the part of the file is their column."""
+    return ForeignParquet(store.open_folder(place.home), place.path).pictures(place.part, numbers)

@@ -32,10 +32,8 @@ def find_hdf5(
 
     They are in natural order: of ``data/demo_2`` before ``data/demo_10``.
     """
-    home, named = importing.file_or_folder(home)
-    names = [named] if named else importing.visible_files(home, _ENDINGS)
-    if not names:
-        raise errors.InputError(f"{home.address()!r} holds no file of HDF5; expected {' or '.join(_ENDINGS)}")
+    expected = f"file of HDF5; expected {' or '.join(_ENDINGS)}"
+    home, names = importing.files_to_read(home, expected, partial(importing.visible_files, endings=_ENDINGS))
     image = columns.image_name.strip("/")
     for name in names:
         place = home.address(name)
@@ -124,5 +122,5 @@ def _open_pictures(home: str, path: str, part: str) -> picture_arrays.PictureArr
     return picture_arrays.PictureArray(array, float(divisor))
 
 
-encoded_frames = partial(picture_arrays.encoded_pictures, opened=_open_pictures)
+read_frames = partial(picture_arrays.read_pictures, opened=_open_pictures)
 describe_conversion = partial(picture_arrays.described_pictures, opened=_open_pictures)

@@ -7,9 +7,8 @@ Parquet: of one episode a file (v2), or of many (v3). Pictures are in these rows
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import groupby
 
 import numpy as np
 import pyarrow as pa
@@ -45,10 +44,10 @@ def describe_conversion(touches: importing.FoundTouches) -> str:
     return video.open_video(store.open_folder(usable.home), usable.path).conversion
 
 
-def encoded_frames(places: Iterable[importing.PicturePlace]) -> Iterator[bytes | errors.ItemError]:
-    """Yield the pictures of places in order, from rows or videos."""
-    for are_rows, group in groupby(places, key=lambda place: place.path.endswith(_ROWS)):
-        yield from (foreign_parquet.stored_pictures if are_rows else video_import.encoded_frames)(group)
+def read_frames(place: importing.PicturePlace, numbers: Sequence[int]) -> Iterator[bytes | errors.ItemError]:
+    """Yield some pictures of a file of rows, or of a video."""
+    read = foreign_parquet.read_rows if place.path.endswith(_ROWS) else video_import.read_frames
+    return read(place, numbers)
 
 
 class _Episodes:

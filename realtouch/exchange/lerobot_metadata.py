@@ -12,7 +12,7 @@ import msgspec
 
 from realtouch import importing
 from realtouch.exchange import foreign_parquet, lerobot_mark
-from tactile_toolkit import errors, store, wording
+from tactile_toolkit import errors, store
 from tactile_toolkit.json_types import JsonObject
 
 _INFO = "meta/info.json"
@@ -67,14 +67,7 @@ class Info(msgspec.Struct, frozen=True):
         Raises InputError for none or several.
         """
         cameras = [key for key in self.pictures if not self.features[key].is_depth]
-        chosen = [key for key in cameras if name in ("", key)]
-        if len(chosen) == 1:
-            return chosen[0]
-        found = ", ".join(cameras) or f"none; its features are {', '.join(self.features)}"
-        expected = f"{name!r} among them{wording.did_you_mean(name, cameras)}" if name else "one"
-        raise errors.InputError(
-            f"{where!r} has the cameras {found}; expected {expected}", next="choose one with --map image=NAME"
-        )
+        return importing.chosen_pictures(cameras, name, where, "cameras", self.features)
 
     def split_of(self, episode: int) -> dict[str, object]:
         """Return the split of an episode, as far as one is stated."""

@@ -13,6 +13,7 @@ import numpy as np
 import pyarrow as pa
 from PIL import Image
 
+from realtouch import extras
 from realtouch.exchange import lerobot_depth
 from realtouch.exchange.episodes import DEPTH
 from realtouch.stored_images import decoded
@@ -139,8 +140,5 @@ def _flat_rows(values: pa.Array | pa.ChunkedArray) -> Float64:
     """Return lists of equal length, of whatever depth, as an array of a row for each."""
     if isinstance(values, pa.ChunkedArray):
         values = values.combine_chunks()
-    count = len(values)
-    while pa.types.is_list(values.type) or pa.types.is_fixed_size_list(values.type):
-        values = values.flatten()
-    flat: Float64 = values.to_numpy(zero_copy_only=False).reshape(count, -1)
-    return flat.astype(np.float64, copy=False)
+    rows = extras.array_with_gaps(values)
+    return rows.reshape(len(rows), -1).astype(np.float64, copy=False)

@@ -86,6 +86,5 @@ def find_oxt(
             count = shape[1] if isinstance(shape[1], int) else 0
             several = {f"{name}[{sensor}]": (name, sensor) for sensor in range(min(count, _MOST_SENSORS))}
             sensors |= {name: (name, 0)} if count == 1 else several
-    return zarr_recordings.recordings_of(
-        group, arrays, sensors[zarr_recordings.chosen_pictures(group, columns.image_name, sensors)], columns
-    )
+    sensor = importing.chosen_pictures(sensors, columns.image_name, group.place, "arrays of pictures", arrays)
+    return zarr_recordings.recordings_of(group, arrays, sensors[sensor], columns)

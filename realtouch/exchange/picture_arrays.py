@@ -7,7 +7,7 @@ what 8 bits hold without loss is converted.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -159,17 +159,14 @@ OpenPictures = Callable[[str, str, str], PictureArray]
 """Opens the pictures that a touch is some of, given its ``home``, ``path`` and ``part``."""
 
 
-def encoded_pictures(places: Iterable[importing.PicturePlace], opened: OpenPictures) -> Iterator[bytes]:
-    """Yield each picture of some places in order, images as PNG, those of clips as JPEG.
-
-    A block of an array is read once.
-    """
-    open_part, pixels = lru_cache(1)(opened), lru_cache(1)(PictureArray.pixels)
-    for place in places:
-        pictures = open_part(place.home, place.path, place.part)
-        for number in range(place.start, place.start + max(1, place.frames)):
-            block, row = divmod(number, pictures.array.step)
-            yield touch.encode_image(pixels(pictures, block)[row], "jpeg" if place.frames else "png")
+def read_pictures(
+    place: importing.PicturePlace, numbers: Sequence[int], opened: OpenPictures
+) -> Iterator[bytes]:
+    """Yield some pictures of an array, images as PNG, those of clips as JPEG; a block is read once."""
+    pictures, pixels = opened(*place.file, place.part), lru_cache(1)(PictureArray.pixels)
+    for number in numbers:
+        block, row = divmod(number, pictures.array.step)
+        yield touch.encode_image(pixels(pictures, block)[row], "jpeg" if place.frames else "png")
 
 
 def described_pictures(touches: importing.FoundTouches, opened: OpenPictures) -> str:

@@ -27,5 +27,5 @@ def find_replay(
     """
     group = zarr_recordings.group_in(home)
     names = zarr_recordings.data_arrays(group)
-    name = zarr_recordings.chosen_pictures(group, columns.image_name or PIXELS, names)
+    name = importing.chosen_pictures(names, columns.image_name or PIXELS, group.place, "arrays")
     return zarr_recordings.recordings_of(group, names, (name, None), columns)

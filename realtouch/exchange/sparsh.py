@@ -11,6 +11,7 @@ import json
 import pickle
 import pickletools
 from collections.abc import Iterator
+from functools import partial
 from typing import IO
 
 import pyarrow as pa
@@ -63,10 +64,10 @@ def find_sparsh(
 ) -> Iterator[importing.FoundTouches]:
     """Yield the images of each pickle of one split as touches, with the fields of the table next to it."""
     split = home.address().rstrip("/").rpartition("/")[2]
+    home, names = importing.files_to_read(
+        home, "pickles (*.pkl)", partial(importing.visible_files, endings=".pkl")
+    )
     files = home.sizes()
-    names = importing.visible_files(home, ".pkl")
-    if not names:
-        raise errors.InputError(f"{home.address()!r} holds no pickles (*.pkl)")
     for name in names:
         stem = name.rpartition(".")[0]
         folder, beside = (home, f"{stem}.csv") if table is None else importing.source_of(table)

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from itertools import chain, groupby, repeat
-from operator import attrgetter
 from pathlib import PurePosixPath
 
 import numpy as np
@@ -28,23 +26,24 @@ def find_video(
     files names some. Then a video without a line is a problem, as a line without a video is. Without a table,
     the folders that hold all videos are their classes.
     """
-    folder, paths = _videos(home)
+    folder, paths = importing.files_to_read(
+        home, "videos; expected AVI, MP4, MOV, MKV, WebM or MPEG-TS", _videos
+    )
     stems, column = Counter(map(_stem, paths)), columns.image or _FILE
     lines = _lines(folder, columns, column, table, paths)
-    said, unnamed = _classes(paths), None
-    if lines is not None:
-        said, unnamed = {}, errors.ItemError("table", "no line of the table names this video; expected one")
-    seen = set[str]()
-    for row, path in enumerate(() if lines is None else map(importing.path_of, lines.texts(column))):
-        problem = None if lines is None else lines.problem(row)
-        if path in seen:
-            problem = errors.ItemError("duplicate", "the same file as in an earlier line of the table")
-        seen.add(path)
-        values = {} if lines is None else lines.values(row)
-        yield _recording(folder, path, values, problem, stems)
-    for path in paths:
-        if path not in seen:
-            yield _recording(folder, path, {column: path, **said.get(path, {})}, unnamed, stems)
+    if lines is None:
+        said = _classes(paths)
+        for path in paths:
+            yield _recording(folder, path, {column: path, **said.get(path, {})}, None, stems)
+        return
+    named = list(map(importing.path_of, lines.texts(column)))
+    problems = lines.problems | importing.duplicates_of(named, importing.FILE_OF_TABLE)
+    for row, path in enumerate(named):
+        yield _recording(folder, path, lines.values(row), problems.get(row), stems)
+    unnamed = errors.ItemError("table", "no line of the table names this video; expected one")
+    seen = {*named}
+    for path in [path for path in paths if path not in seen]:
+        yield _recording(folder, path, {column: path}, unnamed, stems)
 
 
 def _recording(
@@ -72,17 +71,8 @@ def _stem(path: str) -> str:
     return path.removesuffix(PurePosixPath(path).suffix)
 
 
-def _videos(home: store.DataFolder) -> tuple[store.DataFolder, list[str]]:
-    """Return a folder and the paths of the videos in it, or where the file lies that was named."""
-    folder, name = importing.file_or_folder(home)
-    if name:
-        return folder, [name]
-    paths = [path for path in home.walk() if not store.is_hidden(path) and video_files.is_video(home, path)]
-    if not paths:
-        raise errors.InputError(
-            f"{home.address()!r} holds no videos; expected AVI, MP4, MOV, MKV, WebM or MPEG-TS"
-        )
-    return home, paths
+def _videos(home: store.DataFolder) -> list[str]:
+    return [path for path in home.walk() if not store.is_hidden(path) and video_files.is_video(home, path)]
 
 
 def _classes(paths: Sequence[str]) -> dict[str, dict[str, object]]:
@@ -150,16 +140,6 @@ def describe_conversion(touches: importing.FoundTouches) -> str:
     return "; ".join(sorted({*touches.where["part"].unique().to_pylist()} - {""}))
 
 
-def encoded_frames(places: Iterable[importing.PicturePlace]) -> Iterator[bytes | errors.ItemError]:
-    """Yield the pictures of each place in order; those of one file are read in one go."""
-    for (home, path), group in groupby(places, key=attrgetter("file")):
-        ranges = [range(place.start, place.start + max(1, place.frames)) for place in group]
-        left = sum(map(len, ranges))
-        try:
-            for picture in video.pictures_of_video(
-                store.open_folder(home), path, chain.from_iterable(ranges)
-            ):
-                left -= 1
-                yield picture
-        except errors.ItemError as error:
-            yield from repeat(error, left)
+def read_frames(place: importing.PicturePlace, numbers: Sequence[int]) -> Iterator[bytes | errors.ItemError]:
+    """Yield some pictures of a video."""
+    return video.pictures_of_video(store.open_folder(place.home), place.path, numbers)

@@ -6,10 +6,9 @@ import json
 import tarfile
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import groupby
 from operator import attrgetter
-from pathlib import Path
 from typing import NamedTuple
 
 import msgspec
@@ -34,7 +33,10 @@ def find_webdataset(
             "--table applies to folders of images; a WebDataset has JSON files", next="leave out --table"
         )
     known = dict[str, None]()
-    for folder, name in _tars(home):
+    folder, names = importing.files_to_read(
+        home, "tars (*.tar)", partial(importing.visible_files, endings=".tar")
+    )
+    for name in names:
         with store.without_collecting():
             groups = groupby(_members(folder, name), key=attrgetter("key"))
             samples = [_sample(key, list(members), columns) for key, members in groups]
@@ -47,16 +49,8 @@ def find_webdataset(
 
 def _touches(folder: store.DataFolder, name: str, samples: Sequence[_Sample]) -> importing.FoundTouches:
     """Return the samples of a tar; of samples with the same key, the first one can be used."""
-    problems: dict[int, errors.ItemError] = {}
-    seen = set[str]()
-    for number, sample in enumerate(samples):
-        if sample.key in seen:
-            problems[number] = errors.ItemError(
-                "duplicate", f"the key {sample.key!r} stands in an earlier sample of this tar"
-            )
-        elif sample.problems:
-            problems[number] = sample.problems[0]
-        seen.add(sample.key)
+    problems = {number: sample.problems[0] for number, sample in enumerate(samples) if sample.problems}
+    problems |= importing.duplicates_of([sample.key for sample in samples], "key as in sample {} of this tar")
     names = dict.fromkeys(field for sample in samples for field in sample.values)
     if len(names) > _MOST_FIELDS:
         raise errors.InputError(
@@ -78,20 +72,6 @@ def _touches(folder: store.DataFolder, name: str, samples: Sequence[_Sample]) ->
         start=[sample.image.start for sample in samples],
         size=[sample.image.size for sample in samples],
     )
-
-
-def _tars(home: store.DataFolder) -> list[tuple[store.DataFolder, str]]:
-    """Return the tars of a folder, or the one that was named itself, each with its folder."""
-    names = importing.visible_files(home, ".tar")
-    place = home.address()
-    is_file = Path(place).is_file() if home.is_local else place.lower().endswith(".tar")
-    if is_file and not names:
-        return [importing.source_of(place)]
-    if not names:
-        raise errors.InputError(
-            f"{place!r} holds no tars (*.tar)", next="check the path; unpack compressed tars"
-        )
-    return [(home, name) for name in names]
 
 
 class _Member(NamedTuple):

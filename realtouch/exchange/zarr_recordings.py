@@ -56,17 +56,6 @@ def data_arrays(group: zarr_arrays.ZarrGroup) -> dict[str, object]:
     return names
 
 
-def chosen_pictures(group: zarr_arrays.ZarrGroup, named: str, known: Collection[str]) -> str:
-    """Return the pictures that were named, or the only ones; else InputError lists those that are known."""
-    if named in known or (not named and len(known) == 1):
-        return named or next(iter(known))
-    found = f"no array of pictures {named!r}" if named else "not one array of pictures alone"
-    raise errors.InputError(
-        f"{group.place!r} has {found}; found {', '.join(known) or 'none'}",
-        next="name it with --map image=NAME",
-    )
-
-
 def recordings_of(
     group: zarr_arrays.ZarrGroup,
     names: Iterable[str],
@@ -111,7 +100,7 @@ def _open_pictures(home: str, path: str, part: str) -> picture_arrays.PictureArr
     return picture_arrays.PictureArray(array, float(divisor), int(sensor) if sensor else None)
 
 
-encoded_frames = partial(picture_arrays.encoded_pictures, opened=_open_pictures)
+read_frames = partial(picture_arrays.read_pictures, opened=_open_pictures)
 describe_conversion = partial(picture_arrays.described_pictures, opened=_open_pictures)
 
 
@@ -150,7 +139,7 @@ def episodes_of(
     per_frame, lengths = dict(whole.per_frame), ends - starts
     firsts, of_rows = pa.array(starts), pa.array(np.repeat(np.arange(len(ends)), lengths))
     constant = {}
-    for name in per_frame.keys() & set(of_episode):
+    for name in [name for name in per_frame if name in of_episode]:  # in order, so that bytes are the same
         values = per_frame[name].take(firsts)
         if _is_same(per_frame[name], values.take(of_rows)):
             constant[name] = values

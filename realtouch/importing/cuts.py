@@ -112,7 +112,7 @@ class CutTable:
 
     def _interval(self, recording: recordings.Recording, number: int) -> tuple[int, int]:
         """Return the first picture of a touch, and the one after its last, or raise ItemError."""
-        problem = recording.problem or self._lines.problem(number)
+        problem = recording.problem or self._lines.problems.get(number)
         if problem is not None:
             raise problem
         times = recording.time_s
@@ -154,8 +154,6 @@ class Cutter:
     pictures : dict
         Pictures of the cuts found by contact, as PNG, by the name of the recording with ``-`` for ``/``;
         complete when all touches were taken.
-    too_short : int
-        Number of contacts that were too short to be a touch.
     done : str
         How the last recording was cut, "table" by a table; empty without one.
 
@@ -173,7 +171,7 @@ class Cutter:
         default: str = "frames",
     ) -> None:
         self.pictures: dict[str, bytes] = {}
-        self.too_short, self.done = 0, ""
+        self.done = ""
         self._cut, self._contents, self._default, self._rule = cut, contents, default, ContactRule()
         self._table = None
         if cut is not None and cut not in recordings.CUTS:
@@ -203,7 +201,6 @@ class Cutter:
         except errors.ItemError as error:
             yield recording.unusable(error)
             return
-        self.too_short += found.too_short
         if len(self.pictures) < MOST_PICTURES:
             name = recording.name.replace("/", "-")
             self.pictures[name] = contact_cuts.draw_cuts(recording, found, self._contents, self._rule)

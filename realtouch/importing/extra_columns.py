@@ -7,9 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 
-import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from realtouch.importing import found_touches, import_columns, recordings, source_files
 from realtouch.schema import EXTRA_PREFIX
@@ -79,7 +77,7 @@ def extra_types(
 
 def _type_of(touches: found_touches.FoundTouches, source: str, *, per_frame: bool) -> pa.DataType | None:
     """Return the type in which values of a column are stored; None if they are not."""
-    kind = _of_frames(touches, source).type.value_type if per_frame else touches.said[source].type
+    kind = touches.of_frames(source).type.value_type if per_frame else touches.said[source].type
     leaf = kind.value_type if pa.types.is_list(kind) else kind
     if leaf == column_types.UNTYPED or pa.types.is_null(leaf) or source not in touches.known:
         return None
@@ -99,29 +97,11 @@ def extra_arrays(
         name, is_frame = _name_of(column)
         source = sources.get(name, name)
         if is_frame:
-            yield _of_frames(touches, source).cast(data_type)
+            yield touches.of_frames(source).cast(data_type)
         else:
             values = touches.value(source)
             assert values is not None
             yield values.cast(data_type)
-
-
-def _of_frames(touches: found_touches.FoundTouches, source: str) -> pa.Array:
-    """Return the values of the pictures of each clip; what is said of a clip holds for all of them."""
-    values = found_touches.one_chunk(touches.per_frame[source])
-    if not values.null_count:
-        return values
-    whole = touches.value(source)
-    if whole is None:
-        whole = pa.nulls(len(touches))
-    frames = touches.where["frames"].to_numpy()
-    is_known = values.is_valid().to_numpy(zero_copy_only=False)
-    lengths = np.where(is_known, pc.list_value_length(values).fill_null(0).to_numpy(), frames)
-    entries = column_types.joined([values.flatten(), whole])
-    of_clips = np.repeat(np.arange(len(touches)), lengths)
-    rows = len(values.flatten()) + of_clips
-    rows[is_known[of_clips]] = np.arange(len(values.flatten()))
-    return column_types.lists_of(entries.take(pa.array(rows)), lengths)
 
 
 def _name_of(column: str) -> tuple[str, bool]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 from realtouch.importing import found_touches, import_columns, recordings, source_files
 from tactile_toolkit import kind, store
@@ -44,17 +45,19 @@ def _recordings(
     layout: str, module: str, reader: str, cut: str = "frames", *, rotvec: bool = False
 ) -> ImportFormat:
     """Return a format of recordings, each file of which has pictures of one size; ``reader`` is a module."""
-    frames, describe = (
-        kind.lazy(f"realtouch.exchange.{reader}:{name}") for name in ("encoded_frames", "describe_conversion")
-    )
     find = kind.lazy(f"realtouch.exchange.{module}:find_{layout}")
-    return ImportFormat(find, frames, cut, True, describe, rotvec)
+    describe = kind.lazy(f"realtouch.exchange.{reader}:describe_conversion")
+    return ImportFormat(find, _contents(f"{reader}:read_frames"), cut, True, describe, rotvec)
+
+
+def _contents(reader: str) -> source_files.ReadContents:
+    return partial(source_files.pictures_by_file, kind.lazy(f"realtouch.exchange.{reader}"))
 
 
 IMPORTS: dict[str, ImportFormat] = {
     "folder": _images("folder", "folder_import"),
     "video": _recordings("video", "video_import", "video_import", "whole"),
-    "flat": _images("flat", contents=kind.lazy("realtouch.exchange.foreign_parquet:stored_pictures")),
+    "flat": _images("flat", contents=_contents("foreign_parquet:read_rows")),
     "webdataset": _images("webdataset", "webdataset_import"),
     "lerobot": _recordings("lerobot", "lerobot_import", "lerobot_import"),
     "oxt": _recordings("oxt", "oxt", "zarr_recordings", rotvec=True),

@@ -176,6 +176,36 @@ class FoundTouches(Sequence[PicturePlace]):
         """Return a column of what is said of touches; None without such a column."""
         return one_chunk(self.said[name]) if name in self.said.column_names else None
 
+    @property
+    def picture_counts(self) -> Int64:
+        """Number of pictures of each touch, shape (n,): those of a clip, or one."""
+        frames: Int64 = self.where["frames"].to_numpy()
+        return frames if self.has_clips else np.ones_like(frames)
+
+    def of_frames(self, name: str) -> pa.Array:
+        """Return what is said of the pictures of each clip, as lists; what is said of it holds for each."""
+        values = one_chunk(self.per_frame[name])
+        if not values.null_count:
+            return values
+        whole, inside = self.value(name), values.flatten()
+        is_known = values.is_valid().to_numpy(zero_copy_only=False)
+        known = pc.list_value_length(values).fill_null(0).to_numpy()
+        lengths = np.where(is_known, known, self.where["frames"].to_numpy())
+        entries = column_types.joined([inside, pa.nulls(len(self)) if whole is None else whole])
+        of_clips = np.repeat(np.arange(len(self)), lengths)
+        rows = len(inside) + of_clips
+        rows[is_known[of_clips]] = np.arange(len(inside))
+        return column_types.lists_of(entries.take(pa.array(rows)), lengths)
+
+    def of_pictures(self, name: str) -> pa.Array:
+        """Return a column with an entry for each picture of all touches; null where nothing is said."""
+        if name in self.per_frame.column_names:
+            return self.of_frames(name).flatten()
+        whole = self.value(name)
+        if whole is None:
+            whole = pa.nulls(len(self))
+        return whole.take(pa.array(np.repeat(np.arange(len(self)), self.picture_counts)))
+
     def texts(self, name: str | None) -> list[str]:
         """Return what is said of each touch as text, as of names; empty where nothing is."""
         column = self.value(name) if name else None

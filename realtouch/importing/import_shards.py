@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter, deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any, NamedTuple, cast
@@ -32,6 +32,7 @@ NOT_IMPORTED = "not_imported"
 
 _MOST_FIELDS = 100
 _PIECE_BYTES = 32 << 20
+_SAME_M = 1e-9
 
 
 def _noted(contents: Iterable[bytes | errors.ItemError], digest: Any) -> Iterator[bytes | errors.ItemError]:
@@ -46,12 +47,16 @@ def _noted(contents: Iterable[bytes | errors.ItemError], digest: Any) -> Iterato
 
 
 class _Said(NamedTuple):
-    """What is said of the touches of a shard, an entry for each, and what is wrong with some of them."""
+    """What is said of the touches of a shard, an entry for each, and what is wrong with some of them.
+
+    ``poses`` have an entry for each picture; ``owners`` are the numbers of the touches of these.
+    """
 
     labels: Int64
     objects: Int64
-    poses: Float64
     positions: Float64
+    poses: Float64
+    owners: Int64
     problems: Mapping[int, errors.ItemError]
 
 
@@ -111,23 +116,47 @@ class ImportTouches:
         )
 
     def _said(self, touches: found_touches.FoundTouches) -> _Said:
-        """Read labels and objects of all touches that can be used; of images positions and poses, too."""
-        rows, count = np.flatnonzero(touches.is_usable), len(touches)
-        places, turns = np.full((count, 2), np.nan), np.full((count, 7), np.nan)
-        labels, no_labels = fields.labels_of(touches, self.columns.label, self.names)
-        objects, no_objects = fields.objects_of(touches, self.columns.object_id)
-        problems = no_objects | no_labels
-        for read, columns, out in (
-            (fields.poses, self.columns.pose or (), turns),
-            (fields.stated_positions, self.columns.position or (), places),
-        ):
-            if columns and len(rows) and not touches.has_clips:
-                values = {name: touches.value(name) for name in columns}
-                known = {name: pa.nulls(count) if each is None else each for name, each in values.items()}
-                found, wrong = fields.each_of(read, known, self.columns, rows)
-                problems |= wrong
-                out[:] = np.nan if found is None else found
-        return _Said(labels, objects, turns, places, problems)
+        """Read labels, objects, positions and poses of all touches that can be used."""
+        owners, columns = np.repeat(np.arange(len(touches)), touches.picture_counts), self.columns
+        labels, problems = fields.labels_of(touches, columns.label, self.names)
+        objects, no_objects = fields.objects_of(touches, columns.object_id)
+        poses, no_poses = self._of_pictures(touches, fields.poses, columns.pose or (), 7, owners)
+        places, no_places = self._of_pictures(
+            touches, fields.stated_positions, columns.position or (), 2, owners
+        )
+        of_touches, first = np.unique(owners, return_index=True)
+        positions = np.full((len(touches), 2), np.nan)
+        positions[of_touches] = places[first]
+        differs = (np.abs(places - positions[owners]) > _SAME_M).any(axis=1)
+        error = errors.ItemError(
+            "position",
+            "it differs between the pictures of the clip; expected one (--map position= leaves it out)",
+        )
+        problems = dict.fromkeys(owners[differs].tolist(), error) | no_objects | problems
+        return _Said(labels, objects, positions, poses, owners, problems | no_poses | no_places)
+
+    def _of_pictures(
+        self,
+        touches: found_touches.FoundTouches,
+        read: Callable[[fields.Fields, import_columns.ImportColumns], Float64],
+        names: tuple[str, ...],
+        width: int,
+        owners: Int64,
+    ) -> tuple[Float64, dict[int, errors.ItemError]]:
+        """Read columns for each picture, NaN where nothing is; return what is wrong with touches, too."""
+        out, problems = np.full((len(owners), width), np.nan), dict[int, errors.ItemError]()
+        rows = np.flatnonzero(touches.is_usable[owners])
+        if not names or not len(rows):
+            return out, problems
+        values = {name: touches.of_pictures(name) for name in names}
+        found, wrong = fields.each_of(read, values, self.columns, rows)
+        for row, error in wrong.items():
+            touch = int(owners[row])
+            if not {*names}.isdisjoint(touches.per_frame.column_names):
+                number = row - int(np.searchsorted(owners, touch))
+                error = errors.ItemError(error.reason, f"picture {number}: {error.message}")
+            problems.setdefault(touch, error)
+        return out if found is None else found, problems
 
     def _stored(
         self,
@@ -139,7 +168,7 @@ class ImportTouches:
         """Read the pictures of touches of whole rounds; returns what is wrong with some, by place in rows."""
         piece = touches.take(rows)
         frames, numbers = piece.where["frames"].to_pylist(), rows.tolist()
-        made: dict[int, bytes | imported_clips.ImportedClip] = {}
+        made, clips = dict[int, bytes](), dict[int, imported_clips.ImportedClip]()
         problems: dict[int, errors.ItemError] = {}
         for place in np.flatnonzero(piece.is_usable).tolist():
             pictures = list(islice(contents, max(1, frames[place])))
@@ -147,25 +176,22 @@ class ImportTouches:
                 size = self._size(pictures, is_clip=frames[place] > 0)
                 if numbers[place] in said.problems:
                     raise said.problems[numbers[place]]
-                made[place] = cast(bytes, pictures[0])
+                media = cast(bytes, pictures[0])
                 if frames[place]:
-                    made[place] = imported_clips.clip_of(
+                    clips[place] = imported_clips.clip_of(
                         piece, place, cast(Sequence[bytes], pictures), size, self.columns
                     )
+                    media = clips[place].video
+                made[place] = media
             except errors.ItemError as error:
                 problems[place] = error
-                made.pop(place, None)
         problems |= _of_other_rounds(piece, said, rows, list(made))
         kept = np.array([place for place in made if place not in problems], np.int64)
-        media = [made[place] for place in kept.tolist()]
-        clips = [each for each in media if isinstance(each, imported_clips.ImportedClip)]
-        places, turns = said.positions[rows[kept]], said.poses[rows[kept]]
-        if clips:
-            places = np.stack([clip.position for clip in clips])
-            turns = np.concatenate([clip.poses for clip in clips])
-        encoded = [each.video if isinstance(each, imported_clips.ImportedClip) else each for each in media]
+        encoded = [made[place] for place in kept.tolist()]
+        kept_clips = [clips[place] for place in kept.tolist() if place in clips]
+        places, turns = said.positions[rows[kept]], said.poses[np.isin(said.owners, rows[kept])]
         about = said.labels[rows[kept]], said.objects[rows[kept]], places, turns
-        return imported_rows.StoredTouches(piece.take(kept), *about, encoded, clips), problems
+        return imported_rows.StoredTouches(piece.take(kept), *about, encoded, kept_clips), problems
 
     def _size(self, pictures: Sequence[bytes | errors.ItemError], *, is_clip: bool) -> tuple[int, int]:
         """Return the size of pictures; ItemError unless each is intact, upright and of the common size."""

@@ -179,29 +179,26 @@ def said_of_whole(
     A clip has a problem if they differ between its pictures.
     """
     names = {columns.label, columns.round, columns.object_id, columns.split, source_files.NUMBERED}
+    owners = np.repeat(np.arange(len(touches)), touches.picture_counts)
+    of_touches, starts = np.unique(owners, return_index=True)
+    firsts = np.full(len(touches), -1)
+    firsts[of_touches] = starts
     for name in sorted(name for name in touches.per_frame.column_names if name in names):
-        lists = found_touches.one_chunk(touches.per_frame[name])
-        entries, lengths = lists.flatten(), pc.list_value_length(lists).fill_null(0).to_numpy()
-        starts = np.cumsum(lengths) - lengths
-        codes = column_types.texts_of(entries).fill_null("").dictionary_encode().indices.to_numpy()
-        firsts = starts[lengths > 0]
-        is_one = np.ones(len(touches), bool)
-        if len(codes):
-            is_one[lengths > 0] = np.maximum.reduceat(codes, firsts) == np.minimum.reduceat(codes, firsts)
-        stated, has_own = touches.value(name), np.zeros(len(touches), bool)
+        entries, stated = touches.of_pictures(name), touches.value(name)
+        values, has_own = entries.take(pa.array(firsts, mask=firsts < 0)), np.zeros(len(touches), bool)
         if stated is not None:
             has_own = stated.is_valid().to_numpy(zero_copy_only=False)
-        first = entries.take(pa.array(starts, mask=(lengths == 0) | has_own))
-        if stated is not None:
-            both = column_types.joined([stated, first])
-            first = both.take(pa.array(np.where(has_own, 0, len(first)) + np.arange(len(first))))
-        problems = {}
-        if name != source_files.NUMBERED:
-            error = errors.ItemError(
-                "frames",
-                f"{name!r} differs between the pictures of the clip; "
-                "expected one value (--cut frames has one each)",
-            )
-            problems = dict.fromkeys(np.flatnonzero(~is_one & ~has_own).tolist(), error)
-        touches = touches.with_said({name: first}).with_problems(problems)
+            both = column_types.joined([stated, values])
+            values = both.take(pa.array(np.where(has_own, 0, len(values)) + np.arange(len(values))))
+        touches = touches.with_said({name: values})
+        if name == source_files.NUMBERED:
+            continue
+        texts = column_types.texts_of(entries).fill_null("").dictionary_encode().indices.to_numpy()
+        differs = (texts != texts[firsts[owners]]) & ~has_own[owners]
+        error = errors.ItemError(
+            "frames",
+            f"{name!r} differs between the pictures of the clip; "
+            "expected one value (--cut frames has one each)",
+        )
+        touches = touches.with_problems(dict.fromkeys(owners[differs].tolist(), error))
     return touches

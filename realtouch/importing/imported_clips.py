@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pyarrow as pa
 
 from realtouch import avi, contact_picture, stored_images
 from realtouch.importing import found_touches, import_columns
-from realtouch.importing.fields import Fields, each_of, poses, stated_positions, times_s
 from tactile_toolkit.array_types import Float64, Int64, UInt8
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.touch import decode_image, is_jpeg
@@ -23,22 +21,18 @@ _LONGEST_S = 1e6
 _MOST_OF_MEDIAN = 64  # pictures
 _BATCH_BYTES = 64 << 20  # of large ones fewer
 _SCORED_AT_ONCE = 4  # more do not stay in the cache of a processor
-_SAME_M = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
 class ImportedClip:
-    """A clip as it is stored: times in microseconds from its first picture; NaN for what no column states.
+    """A clip as it is stored: times in microseconds from its first picture.
 
-    ``position`` has the shape (2,), ``poses`` (frames, 7). ``notes`` say how it was made, where that does not
-    follow from the source.
+    ``notes`` say how it was made, where that does not follow from the source.
     """
 
     video: bytes
     time_us: Int64
     contact: tuple[int, int]
-    position: Float64
-    poses: Float64
     notes: tuple[str, ...]
 
 
@@ -54,12 +48,7 @@ def clip_of(
     Contact lasts from the first to the last picture that shows it by :class:`ContactRule`, unless that is
     known; the background is the median of the clip. Raises ItemError.
     """
-    notes, position, turns = [], np.full(2, np.nan), np.full((len(pictures), 7), np.nan)
-    if columns.position:
-        position = clip_position(touches, row, columns)
-    if columns.pose:
-        turns = clip_poses(touches, row, columns)
-    time_s = clip_times_s(touches, row, columns)
+    notes, time_s = [], clip_times_s(touches, row, columns)
     if time_s is None:
         time_s = np.arange(len(pictures)) / FRAMES_PER_SECOND
         notes.append(f"times of {FRAMES_PER_SECOND:g} pictures a second, as none are known")
@@ -74,7 +63,7 @@ def clip_of(
     height, width = size
     video = avi.write_avi(jpegs, width, height, fps)
     time_us = np.round(time_s * 1e6).astype(np.int64)
-    return ImportedClip(video, time_us, (contact[0], contact[1]), position, turns, tuple(notes))
+    return ImportedClip(video, time_us, (contact[0], contact[1]), tuple(notes))
 
 
 def clip_times_s(
@@ -82,80 +71,20 @@ def clip_times_s(
 ) -> Float64 | None:
     """Return the time of each picture from the first one, seconds, shape (frames,); None if none are known.
 
-    Raises ItemError for times that run back, or last longer than any clip does.
+    The recording was checked: they are finite and rise. Raises ItemError if they last longer than any clip.
     """
-    stated, count = touches.where["time_s"][row].values, touches.where["frames"][row].as_py()
-    time_s = None if stated is None else stated.to_numpy()
-    if columns.time and (values := _of_frames(touches, row, columns.time)) is not None:
-        time_s = times_s(values, columns)
-    if time_s is None:
+    stated = touches.where["time_s"][row].values
+    if stated is None:
         if columns.time:
             raise ItemError("time", f"no {columns.time!r} for each picture; expected the time of each")
         return None
-    from_first: Float64 = time_s - time_s[:1]
-    steps = np.diff(from_first)
-    if not np.isfinite(from_first).all() or (steps < 0).any():
-        raise ItemError(
-            "time", f"time runs back at picture {int((steps < 0).argmax()) + 1}; expected times that rise"
-        )
-    if count and from_first[-1] > _LONGEST_S:
+    time_s: Float64 = stated.to_numpy()
+    from_first = time_s - time_s[:1]
+    if from_first.max(initial=0.0) > _LONGEST_S:
         raise ItemError(
             "time", f"a clip of {from_first[-1]:g} s; expected seconds (--time-unit states another unit)"
         )
     return from_first
-
-
-def clip_poses(
-    touches: found_touches.FoundTouches, row: int, columns: import_columns.ImportColumns
-) -> Float64:
-    """Return the pose at each picture, shape (frames, 7); ItemError, with the picture, for invalid ones."""
-    found = _each_picture(poses, touches, row, columns, columns.pose or ())
-    return np.repeat(found, touches.where["frames"][row].as_py() // len(found), axis=0)
-
-
-def clip_position(
-    touches: found_touches.FoundTouches, row: int, columns: import_columns.ImportColumns
-) -> Float64:
-    """Return the intended position, shape (2,); ItemError unless it is the same for all pictures."""
-    place = _each_picture(stated_positions, touches, row, columns, columns.position or ())
-    if np.ptp(place, axis=0).max() > _SAME_M:
-        raise ItemError(
-            "position",
-            "it differs between the pictures of the clip; expected one (--map position= leaves it out)",
-        )
-    first: Float64 = place[0]
-    return first
-
-
-def _of_frames(touches: found_touches.FoundTouches, row: int, name: str) -> pa.Array | None:
-    """Return what is said of each picture of a clip; None if it is not said of pictures."""
-    if name not in touches.per_frame.column_names:
-        return None
-    found: pa.Array | None = touches.per_frame[name][row].values
-    return found
-
-
-def _each_picture(
-    read: Callable[[Fields, import_columns.ImportColumns], Float64],
-    touches: found_touches.FoundTouches,
-    row: int,
-    columns: import_columns.ImportColumns,
-    names: Sequence[str],
-) -> Float64:
-    """Read columns with an entry for each picture, or for the clip if none has more; raises ItemError."""
-    fields = {name: _of_frames(touches, row, name) for name in names}
-    count = max([1, *(len(values) for values in fields.values() if values is not None)])
-    for name, values in fields.items():
-        if values is None:
-            whole = touches.value(name)
-            whole = pa.nulls(1) if whole is None else whole.slice(row, 1)
-            fields[name] = whole.take(pa.array(np.zeros(count, np.int64)))
-    found, problems = each_of(read, fields, columns, np.arange(count))
-    for number, error in problems.items():
-        where = f"picture {number}: " if count > 1 else ""
-        raise ItemError(error.reason, f"{where}{error.message}")
-    assert found is not None
-    return found
 
 
 def contact_by_pictures(

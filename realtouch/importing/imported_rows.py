@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +11,8 @@ import pyarrow as pa
 from realtouch.importing import found_touches, import_columns, imported_clips
 from realtouch.importing.extra_columns import extra_arrays, extra_types
 from realtouch.schema import POSE_COLUMN, extra_columns
+from realtouch.stored_images import media_array
+from tactile_toolkit import column_types
 from tactile_toolkit.array_types import AnyArray, Float64, Int64
 from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE, Kind, with_features
 
@@ -98,14 +100,13 @@ def _media_and_poses(stored: StoredTouches, schema: pa.Schema) -> dict[str, pa.A
     if kind == "seq":
         paths = [f"{path}.avi" for path in paths]
         made |= _clip_times(stored.clips)
-    media = [pa.array(stored.media, pa.binary()), pa.array(paths, pa.string())]
-    made[MEDIA_COLUMN[kind]] = pa.StructArray.from_arrays(media, fields=list(MEDIA_TYPE))
+    made[MEDIA_COLUMN[kind]] = media_array(stored.media, paths)
     made["pos_in_cell"] = _vectors(stored.positions, 2)
     for part, width in _WIDTHS.items():
         name = f"{POSE_COLUMN[kind]}.{part}"
         made[name] = _vectors(stored.poses[:, 3:] if part == "quaternion" else stored.poses[:, :3], width)
         if kind == "seq":
-            made[name] = _lists(made[name], (len(clip.time_us) for clip in stored.clips))
+            made[name] = column_types.lists_of(made[name], [len(clip.time_us) for clip in stored.clips])
     return made
 
 
@@ -116,7 +117,7 @@ def _clip_times(clips: Sequence[imported_clips.ImportedClip]) -> Mapping[str, pa
     moments = np.array([clip.time_us[list(clip.contact)] for clip in clips], np.int64).reshape(-1, 2)
     return {
         "video_length_frames": pa.array(lengths, pa.int64()),
-        "time_stamp_rel_seq": _lists(_times(time_us), lengths),
+        "time_stamp_rel_seq": column_types.lists_of(_times(time_us), lengths),
         "touch_start_time_rel": _times(moments[:, 0]),
         "touch_end_time_rel": _times(moments[:, 1]),
     }
@@ -128,7 +129,3 @@ def _times(time_us: AnyArray) -> pa.Array:
 
 def _vectors(rows: Float64, width: int) -> pa.Array:
     return pa.FixedSizeListArray.from_arrays(pa.array(rows.reshape(-1)), width)
-
-
-def _lists(values: pa.Array, lengths: Iterable[int]) -> pa.Array:
-    return pa.ListArray.from_arrays(pa.array(np.cumsum([0, *lengths]), pa.int32()), values)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import cache, partial
-from itertools import chain, groupby
+from itertools import chain, groupby, repeat
 from typing import IO, NamedTuple
 
 import numpy as np
@@ -20,6 +20,9 @@ from tactile_toolkit import column_tables, column_types, errors, run, store, tex
 from tactile_toolkit.json_types import JsonDict
 
 IMAGE_ENDINGS = ("jpg", "jpeg", "png", "webp")
+
+FILE_OF_TABLE = "file as in row {} of the table"
+"""Where a table names a file twice, for :func:`duplicates_of`."""
 
 NUMBERED = "label"
 """The field of our own exports that numbers the classes."""
@@ -45,12 +48,6 @@ def source_of(place: str) -> tuple[store.DataFolder, str]:
     return store.split_uri(place)
 
 
-def file_or_folder(home: store.DataFolder) -> tuple[store.DataFolder, str]:
-    """Return a folder and no name, or the folder of the file that was named instead, and its name."""
-    is_file = (home.info("") or {}).get("type") == "file"
-    return source_of(home.address()) if is_file else (home, "")
-
-
 def open_source(folder: store.DataFolder, name: str) -> IO[bytes]:
     """Open a table or archive of a source; InputError, which names it, if it cannot be read."""
     try:
@@ -62,6 +59,22 @@ def open_source(folder: store.DataFolder, name: str) -> IO[bytes]:
 def visible_files(home: store.DataFolder, endings: str | tuple[str, ...]) -> list[str]:
     """Return the names of visible files directly in a folder that end so; case does not matter."""
     return [name for name in home.sizes() if name.lower().endswith(endings) and not store.is_hidden(name)]
+
+
+def files_to_read(
+    home: store.DataFolder, expected: str, find: Callable[[store.DataFolder], list[str]]
+) -> tuple[store.DataFolder, list[str]]:
+    """Return a folder and the files of a format in it, as ``find`` lists them; or the file that was named.
+
+    InputError, which says what is ``expected``, if there is no such file.
+    """
+    if (home.info("") or {}).get("type") == "file":
+        home, name = source_of(home.address())
+        return home, [name]
+    names = find(home)
+    if not names:
+        raise errors.InputError(f"{home.address()!r} holds no {expected}", next="check the path")
+    return home, names
 
 
 def natural_order(path: str) -> list[tuple[int, str]]:
@@ -84,18 +97,12 @@ def column_table(folder: store.DataFolder, name: str) -> column_tables.ColumnTab
 
 
 class SourceTable(NamedTuple):
-    """A table of touches: a row for each, of which those in ``too_long`` have more values than columns."""
+    """A table of touches: a row for each, and what is wrong with some of them, by their numbers."""
 
     names: list[str]
     columns: Mapping[str, pa.Array]
     rows: int
-    too_long: frozenset[int] = frozenset()
-
-    def problem(self, row: int) -> errors.ItemError | None:
-        """Return what is wrong with a row."""
-        if row not in self.too_long:
-            return None
-        return errors.ItemError("columns", "the line has more values than the table has columns")
+    problems: dict[int, errors.ItemError]
 
     def texts(self, name: str) -> list[str]:
         """Return a column as text; empty where nothing is said."""
@@ -126,7 +133,7 @@ def read_table(
             raise errors.InputError(f"{table.path!r} has {rows:,} rows; expected at most {_MOST_LINES:,}")
         found = table.rows(np.arange(rows)) if rows else pa.table({})
         typed = {each: column_types.from_arrow(found[each]) for each in found.column_names}
-        return SourceTable(table.names, typed, rows)
+        return SourceTable(table.names, typed, rows, {})
     with open_source(folder, name) as stream:
         text = text_tables.read_text_table(stream.read(), folder.address(name))
     known, commas = columns.found_in(text.names), text.separator != ","
@@ -140,7 +147,8 @@ def read_table(
         if each in numbers and pa.types.is_string(column.type):  # a value is wrong, but others are not
             column = column_types.words_of(column, decimal_commas=commas)
         made[each] = column
-    return SourceTable(text.names, made, len(text.rows), frozenset(text.too_long()))
+    too_long = errors.ItemError("columns", "the line has more values than the table has columns")
+    return SourceTable(text.names, made, len(text.rows), dict.fromkeys(text.too_long(), too_long))
 
 
 def _vectors_in(column: pa.Array) -> pa.Array:
@@ -164,6 +172,33 @@ def require_columns(known: Sequence[str], wanted: Iterable[str], where: str) -> 
                 f"{where!r} has {found}; found {', '.join(known) or 'none'}",
                 next="name the column with --map, such as --map image=COLUMN for the pictures",
             )
+
+
+def chosen_pictures(
+    known: Collection[str], name: str, where: str, what: str, others: Iterable[str] = ()
+) -> str:
+    """Return which of the pictures of a source are imported: those that were named, or else the only ones.
+
+    InputError, which says ``what`` they are, for none or several; it lists the ``others`` if there are none.
+    """
+    chosen = [each for each in known if name in ("", each)]
+    if len(chosen) == 1:
+        return chosen[0]
+    found = ", ".join(known) or f"none among {', '.join(others)}"
+    expected = f"{name!r}{wording.did_you_mean(name, known)}" if name else "one"
+    raise errors.InputError(
+        f"{where!r} has the {what} {found}; expected {expected}", next="choose one with --map image=NAME"
+    )
+
+
+def duplicates_of(names: Sequence[str], where: str) -> dict[int, errors.ItemError]:
+    """Return the problem of each name that stood before; the number of that is put into ``where``."""
+    first: dict[str, int] = {}
+    return {
+        number: errors.ItemError("duplicate", f"the same {where.format(first[name])}")
+        for number, name in enumerate(names)
+        if first.setdefault(name, number) != number
+    }
 
 
 def image_files(
@@ -198,6 +233,29 @@ def image_files(
 
 ReadContents = Callable[[Iterable[found_touches.PicturePlace]], Iterator[bytes | errors.ItemError]]
 """Yields the bytes of the pictures of each place, in order, or why one cannot be read."""
+
+
+ReadNumbers = Callable[[found_touches.PicturePlace, Sequence[int]], Iterator[bytes | errors.ItemError]]
+"""Yields the pictures of some numbers in the file, and the part of it, that a place names."""
+
+
+def pictures_by_file(
+    read: ReadNumbers, places: Iterable[found_touches.PicturePlace]
+) -> Iterator[bytes | errors.ItemError]:
+    """Yield the pictures of each place in order; those of one file are read in one go.
+
+    An ItemError that is raised stands for each picture that is left of the file.
+    """
+    for _, group in groupby(places, key=lambda place: (*place.file, place.part, bool(place.frames))):
+        of_file = list(group)
+        numbers = [place.start + each for place in of_file for each in range(max(1, place.frames))]
+        left = len(numbers)
+        try:
+            for picture in read(of_file[0], numbers):
+                left -= 1
+                yield picture
+        except errors.ItemError as error:
+            yield from repeat(error, left)
 
 
 def contents_of(places: Iterable[found_touches.PicturePlace]) -> Iterator[bytes | errors.ItemError]:

@@ -18,8 +18,8 @@ from PIL import Image
 
 from realtouch import ImportColumns
 from realtouch.avi import MAX_CLIP_FRAMES
-from realtouch.contact_picture import best_of
-from realtouch.importing.contact_cuts import MIN_MARGIN
+from realtouch.contact_picture import ContactRule, best_of
+from realtouch.importing.contact_cuts import MIN_MARGIN, find_contacts
 from realtouch.importing.cuts import Cutter
 from realtouch.importing.recordings import Recording
 from tactile_toolkit.errors import InputError, ItemError
@@ -82,10 +82,9 @@ def test_flicker_is_joined_and_what_is_short_is_dropped_and_counted() -> None:
         (25.0, [(50, 80), (200, 220), (232, 240)]),
         (None, [(50, 80), (200, 220), (232, 240)]),
     ):
-        cutter = Cutter("contact", made.contents)
-        touches = cut_by(cutter, [made.recording(fps=fps)])
-        assert np.abs(np.subtract(contacts(touches), expected)).max() <= 1
-        assert cutter.too_short == 1
+        recording = made.recording(fps=fps)
+        assert np.abs(np.subtract(contacts(cut([recording], "contact", made)), expected)).max() <= 1
+        assert find_contacts(recording, made.contents, ContactRule()).too_short == 1
     # At more pictures a second, the same gap is shorter.
     assert len(contacts(cut([made.recording(fps=100.0)], "contact", made))) == 2
 

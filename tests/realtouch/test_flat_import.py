@@ -15,7 +15,7 @@ import pytest
 
 import realtouch
 from realtouch.exchange.flat import find_flat
-from realtouch.exchange.foreign_parquet import stored_pictures
+from realtouch.importing.formats import IMPORTS
 from realtouch.importing.found_touches import FoundTouches
 from tactile_toolkit import read, store
 from tactile_toolkit.errors import InputError, ToolkitError
@@ -65,9 +65,11 @@ def test_rows_of_others_are_touches(form: str, tmp_path: Path) -> None:
     stem = "data/train-00000-of-00001"
     expected = [f"{stem}_{row:06d}" if form != "struct" or row == 3 else f"{row}.jpg" for row in range(12)]
     assert touches.where["name"].to_pylist()[:12] == expected
-    assert list(stored_pictures(touches)) == JPEGS * 2
+    assert list(IMPORTS["flat"].contents(touches)) == JPEGS * 2
     order = np.random.default_rng(2).permutation(24).tolist()
-    assert list(stored_pictures(touches.take(np.array(order)))) == [JPEGS[each % 12] for each in order]
+    assert list(IMPORTS["flat"].contents(touches.take(np.array(order)))) == [
+        JPEGS[each % 12] for each in order
+    ]
     (tmp_path / "more" / "part.parquet").rename(tmp_path / "only.parquet")
     assert len(found(tmp_path / "only.parquet")) == 12
 
@@ -86,7 +88,7 @@ def test_one_of_several_columns_of_pictures_is_chosen(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="left, right; expected 'rigt'; did you mean 'right'"):
         found(tmp_path, image="rigt")
     touches = found(tmp_path, image="right")
-    assert list(stored_pictures(touches)) == JPEGS[::-1]
+    assert list(IMPORTS["flat"].contents(touches)) == JPEGS[::-1]
     assert each_of(touches)[0].values == {"label": "a", "split": "train"}
     write(tmp_path, label=["a"])
     with pytest.raises(InputError, match="the columns of pictures none among label; expected one"):
@@ -114,7 +116,7 @@ def test_what_is_no_picture_or_no_file_is_named(tmp_path: Path) -> None:
         {"bytes": JPEGS[0], "path": 3},
     ]
     write(home, image=pa.array([{**each, "path": str(each["path"])} if each else None for each in stored]))
-    contents = list(stored_pictures(found(home)))
+    contents = list(IMPORTS["flat"].contents(found(home)))
     problems = [f"row {row} of 'image' holds no bytes; expected a picture" for row in range(3)]
     assert [str(each) for each in contents[:3]] == problems
     assert contents[3] == JPEGS[0]
@@ -186,7 +188,7 @@ def test_whatever_a_file_holds_there_is_a_result_or_a_sentence(tmp_path: Path) -
         path.write_bytes(spoiled(random, content))
         with suppress(ToolkitError):
             touches = found(tmp_path)
-            contents = list(stored_pictures(touches))
+            contents = list(IMPORTS["flat"].contents(touches))
             assert len(contents) == len(touches) < 100
             used += 1
     assert used > 30

@@ -15,7 +15,8 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from realtouch.exchange.lerobot_import import describe_conversion, encoded_frames, find_lerobot
+from realtouch.exchange.lerobot_import import describe_conversion, find_lerobot
+from realtouch.importing.formats import IMPORTS
 from realtouch.importing.found_touches import FoundTouches
 from realtouch.importing.recordings import Recording, touches_of
 from tactile_toolkit import store
@@ -34,7 +35,7 @@ def found(home: Path, **columns: Any) -> list[Recording]:
 
 
 def pictures(recording: Recording, cut: str = "whole") -> list[Any]:
-    return list(encoded_frames(touches_of(recording, cut)))
+    return list(IMPORTS["lerobot"].contents(touches_of(recording, cut)))
 
 
 @pytest.mark.parametrize(("version", "dtype"), KINDS)
@@ -64,7 +65,7 @@ def test_episodes_of_others_are_recordings(version: str, dtype: str, tmp_path: P
         assert shown.shape == truth.pixels[number].shape
         assert np.abs(shown - truth.pixels[number]).mean() < 4  # the bar at another place makes 15 and more
     items = FoundTouches.joined([touches_of(recording, "frames") for recording in recordings])
-    backwards = list(encoded_frames(items[::-1]))
+    backwards = list(IMPORTS["lerobot"].contents(items[::-1]))
     assert backwards == [each for recording in recordings for each in pictures(recording)][::-1]
     assert bool(describe_conversion(items)) == (dtype == "video")
 
@@ -78,7 +79,7 @@ def test_one_of_several_cameras_is_chosen_and_the_others_are_named(
         InputError, match=rf"cameras {CAMERA}, observation.images.wrist; expected one; next: "
     ):
         found(tmp_path)
-    with pytest.raises(InputError, match=r"expected 'tactil' among them"):
+    with pytest.raises(InputError, match=r"expected 'tactil'"):
         found(tmp_path, image="tactil")
     recordings = found(tmp_path, image="observation.images.wrist")
     assert [len(pictures(each)) for each in recordings] == [3, 2]
@@ -90,7 +91,7 @@ def test_one_of_several_cameras_is_chosen_and_the_others_are_named(
     for name in (CAMERA, "observation.images.wrist"):
         info["features"][name]["dtype"] = "float32"
     write_json(tmp_path / "meta" / "info.json", info)
-    with pytest.raises(InputError, match=r"the cameras none; its features are .*, timestamp"):
+    with pytest.raises(InputError, match=r"the cameras none among .*, timestamp"):
         found(tmp_path)
 
 
@@ -302,7 +303,9 @@ def test_pictures_that_are_not_there_are_named(tmp_path: Path) -> None:
     ]
     assert all(isinstance(each, bytes) for each in images[3:])
     remove("episode_000001.parquet")(tmp_path)
-    gone = pictures(found(tmp_path)[0]) and list(encoded_frames(touches_of(found(tmp_path)[2], "whole")))
+    gone = pictures(found(tmp_path)[0]) and list(
+        IMPORTS["lerobot"].contents(touches_of(found(tmp_path)[2], "whole"))
+    )
     assert len(gone) == 4
 
 
@@ -374,7 +377,7 @@ def test_whatever_a_file_holds_there_is_a_result_or_a_sentence(
                 touches = list(touches_of(recording, "frames"))
                 assert len(touches) < 100
                 if recording.problem is None:
-                    images = list(encoded_frames(touches))
+                    images = list(IMPORTS["lerobot"].contents(touches))
                     assert len(images) == len(touches)
                     assert all(isinstance(each, (bytes, ItemError)) for each in images)
                     used += 1

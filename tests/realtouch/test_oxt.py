@@ -179,16 +179,23 @@ def test_a_set_of_others_becomes_recordings(name: str, tmp_path: Path) -> None:
 def test_the_sensor_is_named_where_there_are_several(tmp_path: Path) -> None:
     two = r"right_tactile_data_gripper\[0\], right_tactile_data_gripper\[1\]"
     source = write(tmp_path / "a.zarr", arrays())
-    with pytest.raises(InputError, match=f"not one array of pictures.*{two}.*--map image"):
+    with pytest.raises(InputError, match=f"arrays of pictures {two}; expected one; next: .*--map image"):
         recordings(source)
     for name in ("right_tactile_data_gripper", "right_tactile_data_gripper[2]", "camera_ego_rgb"):
-        with pytest.raises(InputError, match=f"no array of pictures .*{two}"):
+        with pytest.raises(InputError, match=f"arrays of pictures {two}; expected '"):
             recordings(source, name)
     only = {name: None for name in arrays() if "gripper" in name} | tactile("left", "tip", TIPS)
     (first, _) = recordings(write(tmp_path / "b.zarr", arrays(**only)))
     assert first.part.endswith("data/left_tactile_data_tip")
-    with pytest.raises(InputError, match="found none"):
+    with pytest.raises(InputError, match="pictures none among"):
         recordings(write(tmp_path / "c.zarr", {"timestamps": np.arange(T)}))
+
+
+def test_what_is_said_of_episodes_stands_in_the_order_of_the_arrays(tmp_path: Path) -> None:
+    names = [f"note_{letter}" for letter in "abcdefghijklmnop"]
+    source = write(tmp_path / "a.zarr", arrays(**dict.fromkeys(names, np.full(T, "x"))))
+    for found in recordings(source, "right_tactile_data_gripper[0]"):
+        assert [name for name in found.values if name in names] == names
 
 
 def test_times_are_taken_where_they_are_seconds_that_rise(tmp_path: Path) -> None:

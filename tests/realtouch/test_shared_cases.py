@@ -25,7 +25,7 @@ REFUSED = {
     "grey16": "16 bits",
     "exif_turned": "to turn it",
     "quaternion_not_unit": "a quaternion of length 2; expected length one",
-    "unsorted": "no image; expected one of|stands in an earlier sample",
+    "unsorted": "no image; expected one of|the same key as in sample",
 }
 COLUMNS: dict[str, dict[str, Any]] = {
     "no_labels": {"label": ""},

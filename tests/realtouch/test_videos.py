@@ -15,7 +15,8 @@ import pytest
 
 import realtouch
 from realtouch.avi import Avi
-from realtouch.exchange.video_import import describe_conversion, encoded_frames, find_video
+from realtouch.exchange.video_import import describe_conversion, find_video
+from realtouch.importing.formats import IMPORTS
 from realtouch.importing.recordings import Recording, touches_of
 from realtouch.video import open_video, pictures_of_video
 from tactile_toolkit.errors import InputError, ItemError, MissingExtraError
@@ -128,7 +129,7 @@ def test_lossless_pictures_stay_so(name: str, tmp_path: Path) -> None:
     path = made(tmp_path, name, 8)
     (found,) = recordings(path)
     assert "stored as PNG" in found.part
-    for number, each in enumerate(encoded_frames(touches_of(found, "frames"))):
+    for number, each in enumerate(IMPORTS["video"].contents(touches_of(found, "frames"))):
         np.testing.assert_array_equal(decode_image(each), picture(number))
 
 
@@ -399,7 +400,7 @@ def test_references_to_other_files_are_not_followed(tmp_path: Path) -> None:
     (tmp_path / "in" / "b.mp4").symlink_to(other)
     for name, found in zip(("a", "b"), recordings(tmp_path / "in"), strict=True):
         assert found.name == name
-        problem = found.problem or next(iter(encoded_frames(touches_of(found, "frames"))))
+        problem = found.problem or next(iter(IMPORTS["video"].contents(touches_of(found, "frames"))))
         assert isinstance(problem, bytes) == (name == "a")
 
 
@@ -485,8 +486,8 @@ def test_videos_of_a_store_are_those_of_a_folder(tmp_path: Path) -> None:
     for name, path in (("a.avi", None), ("b/h264.mp4", made(tmp_path, "h264.mp4"))):
         afar.write_bytes(name, path.read_bytes() if path else AVIS["no index"][0])
     first, second = find_video(afar, realtouch.ImportColumns(), None)
-    assert list(encoded_frames(touches_of(first, "whole"))) == JPEGS
-    assert list(encoded_frames(touches_of(second, "whole"))) == pictures_of(tmp_path / "h264.mp4")
+    assert list(IMPORTS["video"].contents(touches_of(first, "whole"))) == JPEGS
+    assert list(IMPORTS["video"].contents(touches_of(second, "whole"))) == pictures_of(tmp_path / "h264.mp4")
 
 
 @pytest.mark.thorough
@@ -506,7 +507,7 @@ def test_mutations_end_in_pictures_or_sentences(name: str, tmp_path: Path) -> No
             usable += 1
             assert found.frames == len(found.time_s) < 10_000
             assert np.all(np.diff(found.time_s) > 0)
-            pictures = list(encoded_frames(touches_of(found, "whole")))
+            pictures = list(IMPORTS["video"].contents(touches_of(found, "whole")))
             assert len(pictures) == found.frames, number
             assert all(isinstance(each, (bytes, ItemError)) for each in pictures)
         path.unlink()
