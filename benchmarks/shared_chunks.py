@@ -31,7 +31,7 @@ from tactile_toolkit.store import DataFolder, ParquetStyle, encode_parquet, open
 # Any 256 random numbers cut alike; these are not those of the Hub.
 GEAR = np.random.default_rng(0).integers(0, 1 << 64, 256, dtype=np.uint64)
 MASK = np.uint64(0xFFFF << 48)
-LEAST_BYTES, MOST_BYTES = 8 << 10, 128 << 10
+LEAST_BYTES, MAX_BYTES = 8 << 10, 128 << 10
 
 
 @numba.njit
@@ -41,7 +41,7 @@ def cuts(content: NDArray[np.uint8], gear: NDArray[np.uint64], mask: np.uint64) 
     for index in range(len(content)):
         rolling = (rolling << np.uint64(1)) + gear[content[index]]
         size = index + 1 - start
-        if size >= MOST_BYTES or (size >= LEAST_BYTES and rolling & mask == 0):
+        if size >= MAX_BYTES or (size >= LEAST_BYTES and rolling & mask == 0):
             start, rolling = index + 1, np.uint64(0)
             ends.append(start)
     if start < len(content):

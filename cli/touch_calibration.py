@@ -16,7 +16,7 @@ from tactile_toolkit.wording import with_count
 
 _ROUNDS = 20  # of one gel, which was replaced half-way
 _SHOWN = 6
-_MOST_SHADE = 255
+_MAX_SHADE = 255
 
 
 def calibrate_published(sink: Sink, place: places.Place, solids: str, out: Path) -> None:
@@ -51,6 +51,6 @@ def calibrate_published(sink: Sink, place: places.Place, solids: str, out: Path)
 def _sheet(model: tactile_sim.SensorModel, images: UInt8) -> UInt8:
     """Return images, those of the twin, and depth, one below the other."""
     depth_m = model.read_depth_m(images)
-    shades = np.clip(depth_m / model.sensor.press_m * _MOST_SHADE, 0, _MOST_SHADE).astype(np.uint8)
+    shades = np.clip(depth_m / model.sensor.press_m * _MAX_SHADE, 0, _MAX_SHADE).astype(np.uint8)
     rows = (images, model.render_read(depth_m), np.repeat(shades[..., None], 3, axis=3))
     return np.concatenate([np.concatenate(list(row), axis=1) for row in rows], axis=0)

@@ -94,7 +94,7 @@ def _report(
     for each in findings:
         sink.warn(f"{each.rule} in {each.where}: {each.found}; expected {each.expected}")
         named = ", ".join(each.touches)
-        if len(each.touches) == finding.MOST_NAMED:
+        if len(each.touches) == finding.MAX_NAMED:
             named = f"{named}, ..."
         if each.count:
             sink.warn(f"  {with_count(each.count, 'touches')}: {named}")

@@ -13,7 +13,7 @@ import numpy as np
 
 from tactile_toolkit.array_types import Bool, Float32, Float64
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import MOST_PIXELS, MeshLike, as_mesh, highest_values
+from tactile_toolkit.mesh import MAX_PIXELS, MeshLike, as_mesh, highest_values
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,10 +110,10 @@ def top_surface(mesh: MeshLike, pitch_m: float) -> HeightMap:
         # Counted from the origin and not from the mesh: two meshes of one frame share their pixels.
         first, stop = np.floor(low / float(pitch_m)), np.ceil(high / float(pitch_m))
         columns, rows = np.maximum(stop - first, 1).tolist()
-    if not columns * rows <= MOST_PIXELS:
+    if not columns * rows <= MAX_PIXELS:
         raise InputError(
             f"a height map of {columns:.7g} x {rows:.7g} pixels of {pitch_m:g} m was asked for, at most "
-            f"{MOST_PIXELS:,} are made",
+            f"{MAX_PIXELS:,} are made",
             next="choose a larger pitch",
         )
     first_column, first_row = map(int, first)

@@ -20,7 +20,7 @@ COLUMNS = meanings(DigitRow)
 _PITCH_M = 0.0004
 # Rows mix the classes: 200 of them lack a class with a chance of 1 in 10^8.
 _ROWS_SEEN = 200
-_MOST_DRAWN = 10
+_MAX_DRAWN = 10
 _USUAL_SIZES = {FolderSource.name: "four fifths in `train`, one fifth in `test`"}
 
 
@@ -95,7 +95,7 @@ def _sheet(facts: cards.FolderSummary) -> bytes | None:
     first: dict[int, read.Row] = {}
     for row in islice(cards.rows_to_draw(facts, ["label", mesh.VERTICES, mesh.FACES]), _ROWS_SEEN):
         first.setdefault(int(row.required("label")), row)
-        if len(first) == _MOST_DRAWN:
+        if len(first) == _MAX_DRAWN:
             break
     rows = [first[label] for label in sorted(first)]
     tiles = [

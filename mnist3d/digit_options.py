@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from mnist3d.published_splits import MOST_DIGITS
+from mnist3d.published_splits import MAX_DIGITS
 from tactile_toolkit import catalog, checked_fields, mesh
 
 SOURCES = ("synthetic", "hwdplus", "mnist", "folder")
@@ -40,7 +40,7 @@ class SourceOptions:
     )
     # As many as MNIST 3D has (Tactile MNIST paper).
     digits: int = checked_fields.integer(
-        13_580, 1, MOST_DIGITS, help="Number of digits in the synthetic source."
+        13_580, 1, MAX_DIGITS, help="Number of digits in the synthetic source."
     )
 
 

@@ -32,7 +32,7 @@ PUBLISHED_SIZES: dict[str, int] = {
 OWN_SIZES: dict[str, int] = {"train": 4, "test": 1}
 """Proportions of the splits of pictures in a folder, which have not been printed."""
 
-MOST_DIGITS = 1_000_000_000
+MAX_DIGITS = 1_000_000_000
 """Largest number of digits of a source or a split."""
 
 
@@ -81,7 +81,7 @@ class SplitSpec:
                 "split sizes are given for digits that are not divided; expected by='digit' or 'writer'",
                 next="leave out sizes (--split-sizes), or change by (--split-by)",
             )
-        sizes = split_counts(self.sizes, "sizes of the division into splits", SPLITS, MOST_DIGITS)
+        sizes = split_counts(self.sizes, "sizes of the division into splits", SPLITS, MAX_DIGITS)
         object.__setattr__(self, "sizes", sizes)
 
     def to_dict(self) -> JsonDict:

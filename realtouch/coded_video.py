@@ -46,10 +46,10 @@ _DECODER_OPTIONS = {"max_pixels": str(MAX_IMAGE_PIXELS), "err_detect": "explode"
 _BUFFER_BYTES = 1 << 16
 _PICTURES_TRIED = 100  # until one can be decoded
 _PICTURES_PASSED = 32  # a picture this many further on is reached by decoding, one beyond by seeking
-_MOST_READ = 4  # the packets of a file may take this many times its size
+_MAX_READ = 4  # the packets of a file may take this many times its size
 _SPARE_BYTES = 1 << 20
-_MOST_PIXELS = 1 << 40  # of all pictures: an hour of 4096 x 2160 at 30 Hz
-_MOST_BITS = 12
+_MAX_PIXELS = 1 << 40  # of all pictures: an hour of 4096 x 2160 at 30 Hz
+_MAX_BITS = 12
 _BYTES_PER_PIXEL: dict[ImageFormat, float] = {"jpeg": 0.35, "png": 1.5}  # typical of camera pictures
 # Bilinear, accurately rounded, bit-exact: the same pixels on every processor.
 _SCALING = 0x2 | 0x40000 | 0x80000
@@ -67,10 +67,10 @@ def coded_video(stream: IO[bytes], demuxer: str, is_cut: bool) -> Video:
     if is_cut or ends_early:
         words.append(CUT_SHORT)
     count, pixels = len(packets.shown), reader.video.height * reader.video.width
-    if count * pixels > _MOST_PIXELS:
+    if count * pixels > _MAX_PIXELS:
         raise ItemError(
             "length",
-            f"{wording.with_count(count, 'pictures')} of {pixels:,} pixels; the limit is {_MOST_PIXELS:,} "
+            f"{wording.with_count(count, 'pictures')} of {pixels:,} pixels; the limit is {_MAX_PIXELS:,} "
             "in all",
         )
     picture_bytes = packets.total_bytes // len(packets.pts)
@@ -172,7 +172,7 @@ class _Reader:
         try:
             for number, packet in enumerate(self._packets()):
                 total_bytes += packet.size
-                if number >= MAX_PICTURES or total_bytes > _MOST_READ * file_bytes + _SPARE_BYTES:
+                if number >= MAX_PICTURES or total_bytes > _MAX_READ * file_bytes + _SPARE_BYTES:
                     raise ItemError(
                         "length",
                         f"{number:,} pictures or more, which take {total_bytes:,} bytes; "
@@ -344,7 +344,7 @@ def _words_of(frame: VideoFrame) -> list[str]:
     parts = frame.format.components
     bits = max(each.bits for each in parts)
     colours = [each for each in parts if not each.is_alpha]
-    if bits > _MOST_BITS or (bits > 8 and len(colours) == 1):
+    if bits > _MAX_BITS or (bits > 8 and len(colours) == 1):
         raise ItemError(
             "image", f"pictures of {bits} bits ({frame.format.name}), most of which 8 would lose; expected 8"
         )

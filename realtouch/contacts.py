@@ -19,7 +19,7 @@ _BATCH_BYTES = 64 << 20
 BY_IMAGE = "the picture differs from the background (`contacts_by_image`); there are no poses"
 """The rule by which touches of sets without poses count as contact; part of a sentence."""
 
-_MOST_SHARED = 256  # images; their median is the background of images that are the only ones of their rounds
+_MAX_SHARED = 256  # images; their median is the background of images that are the only ones of their rounds
 
 
 def background(pictures: object) -> UInt8:
@@ -264,7 +264,7 @@ def _measure_images(
     alone = np.array([chosen[0] for chosen in by_round if len(chosen) == 1], np.int64)
     shared = np.zeros(0, np.uint8)
     if len(alone):
-        shared = background(touches[np.sort(alone)[:: len(alone) // _MOST_SHARED + 1]])
+        shared = background(touches[np.sort(alone)[:: len(alone) // _MAX_SHARED + 1]])
 
     def measure(index: int) -> None:
         chosen = by_round[index]

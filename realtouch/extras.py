@@ -12,7 +12,7 @@ import pyarrow.compute as pc
 from tactile_toolkit import errors, read, wording
 from tactile_toolkit.array_types import AnyArray
 
-_MOST_EXACT = 1 << 53  # below which float64 holds every integer
+_MAX_EXACT = 1 << 53  # below which float64 holds every integer
 
 
 class UnknownExtraError(errors.InputError, KeyError):
@@ -62,7 +62,7 @@ class Extras(Mapping[str, Any]):
 def _is_rounded(array: pa.Array) -> bool:
     """Return whether float64 does not hold all integers of an array."""
     ends = pc.min_max(array).as_py()
-    return ends["min"] is not None and max(-ends["min"], ends["max"]) >= _MOST_EXACT
+    return ends["min"] is not None and max(-ends["min"], ends["max"]) >= _MAX_EXACT
 
 
 def array_with_gaps(array: pa.Array) -> AnyArray:

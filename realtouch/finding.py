@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-MOST_NAMED = 20
+MAX_NAMED = 20
 """Touches that a finding names; it counts the others."""
 
 

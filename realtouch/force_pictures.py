@@ -12,7 +12,7 @@ from tactile_toolkit.touch import resized
 ARROWS = 5
 """Length of arrows relative to the motion of markers, which is a few pixels at most."""
 
-_LEAST_PX, _BRIGHTEST = 160, 98
+_MIN_PX, _BRIGHTEST = 160, 98
 _PAPER, _INK = (250, 250, 248), (30, 60, 110)
 # From no pressure to the greatest of the picture.
 _COLOURS = np.array(
@@ -36,7 +36,7 @@ def force_views(touch: Touch) -> list[UInt8]:
         views.append(flow_picture(positions - flow, flow, (width, height)))
     if not views:
         return [image]
-    scale = max(1, -(-_LEAST_PX // width))
+    scale = max(1, -(-_MIN_PX // width))
     shape = (width * scale, height * scale)
     return [resized(view, *shape) for view in (image, *views)]
 
@@ -62,7 +62,7 @@ def flow_picture(rest_px: AnyArray, flow_px: AnyArray, size_px: tuple[int, int])
 
     The picture (H, W, 3) shows an image of ``size_px``, width and height, and has at least 160 columns.
     """
-    scale = max(1, -(-_LEAST_PX // size_px[0]))
+    scale = max(1, -(-_MIN_PX // size_px[0]))
     canvas = Image.new("RGB", (size_px[0] * scale, size_px[1] * scale), _PAPER)
     draw = ImageDraw.Draw(canvas)
     for (x, y), (dx, dy) in zip(rest_px.tolist(), flow_px.tolist(), strict=True):

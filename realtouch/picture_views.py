@@ -12,7 +12,7 @@ from tactile_toolkit import errors, touch
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.pictures import TILE_STYLE, Tile, figure_html, sheet
 
-MOST_TILES = 32
+MAX_TILES = 32
 """Touches that a notebook shows of a round."""
 
 _TILE_WIDTH = 120

@@ -24,7 +24,7 @@ from tactile_toolkit import errors, read, system, wording
 from tactile_toolkit.array_types import Floating, Int64, UInt8
 from tactile_toolkit.json_types import JsonDict
 
-_MOST_THREADS = 4
+_MAX_THREADS = 4
 
 
 class TouchRound(read.Record):
@@ -112,7 +112,7 @@ class TouchRound(read.Record):
         """Show touches in a notebook; missing columns and damaged pictures are left out."""
         words = self.label_words()
         words += filter(None, [self.describe_field("object_id", "object {}".format)])
-        touches = picture_views.evenly_spaced(self.touch_count, picture_views.MOST_TILES)
+        touches = picture_views.evenly_spaced(self.touch_count, picture_views.MAX_TILES)
         pictures = [(f"{touch}", partial(self.contact_image, touch)) for touch in touches]
         title = self.describe_field("id", str) or "Round"
         return picture_views.round_html(
@@ -284,4 +284,4 @@ class TouchSeqRound(TouchRound):
 
 
 def _cores(threads: int | None) -> int:
-    return threads or min(system.usable_cores(), _MOST_THREADS)
+    return threads or min(system.usable_cores(), _MAX_THREADS)

@@ -30,7 +30,7 @@ DEFAULT_TOUCHES = 64
 # For a round: greatest number of touches to show, height of each touch, least height that counts as contact.
 _Known = tuple[int, Float64 | None, float]
 
-_MOST_TEXTS, _LONGEST_NOTE = 8, 200  # texts shown of a further column, and characters of each
+_MAX_TEXTS, _LONGEST_NOTE = 8, 200  # texts shown of a further column, and characters of each
 
 _SHARES = ("all touches", "more than half", "half or fewer", "none", "unknown")
 _SHOWN = (
@@ -148,7 +148,7 @@ def _extra_text(values: AnyArray | tuple[AnyArray, ...]) -> str:
         known = flat[~np.isnan(flat)]
         return f"{known.min():g} to {known.max():g}" if len(known) else "missing"
     texts = list(dict.fromkeys(str(value) for value in flat.tolist() if value is not None))
-    return wording.shortened(", ".join(texts[:_MOST_TEXTS]), _LONGEST_NOTE) or "missing"
+    return wording.shortened(", ".join(texts[:_MAX_TEXTS]), _LONGEST_NOTE) or "missing"
 
 
 def _millimetres(height_m: float) -> float | None:

@@ -29,7 +29,7 @@ _AFFINE = Image.Transform.AFFINE
 _FEATHER = 0.06
 # Touches of bare plate count a little, so that areas with no other touch show something.
 _PLAIN_WEIGHT = 0.02
-_MOST_THREADS = 4
+_MAX_THREADS = 4
 
 
 def plan_previews(
@@ -159,7 +159,7 @@ def placed_touches(record: rounds.TouchRound, touches: Sequence[int]) -> list[Pl
         centre_m = np.asarray(pose.translation[:2], np.float64)
         placed[number] = PlacedTouch(touch.image, centre_m, np.asarray(turned[:, :2]))
 
-    sensor_images.in_parallel(read, len(touches), _MOST_THREADS)
+    sensor_images.in_parallel(read, len(touches), _MAX_THREADS)
     return [placed[number] for number in range(len(touches))]
 
 

@@ -13,8 +13,8 @@ from typing import IO
 from realtouch import avi_scan, video_files
 from tactile_toolkit import errors, store, touch
 
-_MOST_HZ = 1_000_000
-_MOST_PERIOD_S = 86_400
+_MAX_HZ = 1_000_000
+_MAX_PERIOD_S = 86_400
 _KEPT_VIDEOS = 8
 
 
@@ -104,7 +104,7 @@ def _pictures_of(stream: IO[bytes]) -> avi_scan.AviPictures:
 def _video_of_jpegs(found: avi_scan.AviPictures) -> video_files.Video:
     if not len(found):
         raise errors.ItemError("length", "an AVI without pictures; expected one or more")
-    if not 1 / _MOST_HZ <= found.period_s <= _MOST_PERIOD_S:
+    if not 1 / _MAX_HZ <= found.period_s <= _MAX_PERIOD_S:
         raise errors.ItemError(
             "rate", f"an AVI with a picture each {float(found.period_s):g} s; expected a rate"
         )

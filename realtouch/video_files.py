@@ -42,16 +42,16 @@ _TS_PACKETS = ((188, 0), (192, 4))  # bytes of a packet, and position of the syn
 _TS_SEEN = 4
 # Boxes of ISO/IEC 14496-12 that hold others; those that state a count, at which byte, and the largest one.
 _HOLDERS = (b"moov", b"trak", b"mdia", b"minf", b"stbl", b"edts", b"moof", b"traf")
-_MOST_SAMPLES = 2 * MAX_PICTURES  # of sound, too
+_MAX_SAMPLES = 2 * MAX_PICTURES  # of sound, too
 _COUNTS = {
-    b"stsz": (8, _MOST_SAMPLES),
-    b"stz2": (8, _MOST_SAMPLES),
-    b"trun": (4, _MOST_SAMPLES),
+    b"stsz": (8, _MAX_SAMPLES),
+    b"stz2": (8, _MAX_SAMPLES),
+    b"trun": (4, _MAX_SAMPLES),
     b"elst": (4, 32),  # each takes a pass over all samples
 }
 _RUNS = (b"stts", b"ctts")  # run lengths
-_MOST_RUN_BYTES = 1 << 26
-_MOST_BOXES = 1 << 20
+_MAX_RUN_BYTES = 1 << 26
+_MAX_BOXES = 1 << 20
 _BOX = struct.Struct(">I4s")
 
 
@@ -99,7 +99,7 @@ def check_boxes(stream: IO[bytes]) -> bool:
     counts = Counter[bytes]()
     end = stream.seek(0, 2)
     position = 0
-    for _ in range(_MOST_BOXES):
+    for _ in range(_MAX_BOXES):
         stream.seek(min(position, end))  # a box may state more bytes than a file can have
         header = stream.read(16)
         if len(header) < _BOX.size:
@@ -110,13 +110,13 @@ def check_boxes(stream: IO[bytes]) -> bool:
             size, start = int.from_bytes(header[8:], "big"), position + 16
         position = max(start, position + size) if size else end
         stream.seek(start)
-        at, limit = _COUNTS.get(name, (0, _MOST_SAMPLES))
+        at, limit = _COUNTS.get(name, (0, _MAX_SAMPLES))
         if name == b"cmov":
             raise errors.ItemError("packed", "a MOV whose header is compressed; expected a plain one")
         if name in _COUNTS:
             counts[name] += int.from_bytes(stream.read(at + 4)[at:], "big")
         elif name in _RUNS:
-            found = stream.read(min(position - start, _MOST_RUN_BYTES))
+            found = stream.read(min(position - start, _MAX_RUN_BYTES))
             counts[name] += int(np.frombuffer(found, ">u4", len(found) // 4)[2::2].sum(dtype=np.uint64))
         elif name in _HOLDERS:
             position = start
@@ -127,7 +127,7 @@ def check_boxes(stream: IO[bytes]) -> bool:
                 f"the limit is {limit:,}",
                 next="leave its sound out, or cut it into shorter ones",
             )
-    raise errors.ItemError("length", f"a video of more than {_MOST_BOXES:,} boxes, which is the limit")
+    raise errors.ItemError("length", f"a video of more than {_MAX_BOXES:,} boxes, which is the limit")
 
 
 ReadPictures = Callable[[IO[bytes], Iterable[int]], Iterator[bytes | errors.ItemError]]

@@ -88,7 +88,7 @@ def _standing(placement: Placement) -> manifold3d.Manifold:
     return prism_solid(placement.shape, placement.radius_m).transform(matrix)
 
 
-@lru_cache(prisms.MOST_KEPT)
+@lru_cache(prisms.MAX_KEPT)
 def prism_solid(key: str, radius_m: float) -> manifold3d.Manifold:
     """Return the solid of a shape for manifold3d: millimetres, 1 mm high, centred, not turned."""
     made = prisms.prism(key)

@@ -17,7 +17,7 @@ from tactile_toolkit import mesh
 from tactile_toolkit.array_types import Float64, Int32, Int64
 from tactile_toolkit.errors import InputError
 
-MOST_KEPT = 1_024
+MAX_KEPT = 1_024
 """Largest number of solids of shapes in memory."""
 
 
@@ -42,7 +42,7 @@ class Prism:
         return standing
 
 
-@lru_cache(MOST_KEPT)
+@lru_cache(MAX_KEPT)
 def prism(key: str) -> Prism:
     """Return the solid of the shape that a key names, made and checked on first use.
 
@@ -95,7 +95,7 @@ class Prisms:
     faces: Int32  # (F, 3), numbered through all prisms
 
 
-@lru_cache(MOST_KEPT)
+@lru_cache(MAX_KEPT)
 def prisms(keys: tuple[str, ...]) -> Prisms:
     """Return the solids of the shapes that keys name, in their order.
 

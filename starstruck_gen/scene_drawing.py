@@ -19,7 +19,7 @@ _SUPERSAMPLING = 4
 _PLATE = (245, 243, 238)
 _EDGE = (40, 40, 40)
 # Largest enlarged drawing: 300 MB at three bytes for each pixel.
-_MOST_PIXELS = 100_000_000
+_MAX_PIXELS = 100_000_000
 
 
 def draw_scene(placements: Iterable[Placement], cell_m: tuple[float, float], px_per_mm: float) -> Image.Image:
@@ -28,7 +28,7 @@ def draw_scene(placements: Iterable[Placement], cell_m: tuple[float, float], px_
     Raises InputError if the picture would have no pixel, or too many.
     """
     sides = np.round(np.array(cell_m) * 1e3 * px_per_mm)
-    most = _MOST_PIXELS // _SUPERSAMPLING**2
+    most = _MAX_PIXELS // _SUPERSAMPLING**2
     if not (np.isfinite(sides).all() and sides.min() >= 1 and sides.prod() <= most):
         raise InputError(
             f"the picture would have {sides[0]:g} x {sides[1]:g} pixels; expected 1 to {most:,} pixels",

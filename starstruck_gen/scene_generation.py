@@ -75,7 +75,7 @@ class SceneSetSpec:
     def __post_init__(self) -> None:
         checked_fields.check_fields(self, "the data set's specification")
         scenes = checked_fields.split_counts(
-            self.scenes, "scenes of the data set's specification", scene_seeds.SPLITS, scene_seeds.MOST_SCENES
+            self.scenes, "scenes of the data set's specification", scene_seeds.SPLITS, scene_seeds.MAX_SCENES
         )
         object.__setattr__(self, "scenes", scenes)
         if not isinstance(self.scene, scene_spec.SceneSpec):

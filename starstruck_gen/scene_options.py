@@ -11,7 +11,7 @@ from tactile_toolkit.errors import InputError
 
 _BETWEEN_SHAPES = re.compile(r",(?![^(]*\))")  # a comma within brackets belongs to a shape
 # With 3 tips, the published inner ratio of 0.5 gives straight sides: a triangle, not a star.
-_FEWEST_POINTS, _RATIO_OF_FEWEST = 3, 0.25
+_MIN_POINTS, _RATIO_OF_FEWEST = 3, 0.25
 
 
 def _counts(option: str, words: str) -> tuple[int, ...]:
@@ -110,7 +110,7 @@ class SceneOptions:
             numbers["points"] = self.star_points
         if self.star_inner_mm is not None:
             numbers["inner_ratio"] = self.star_inner_mm / self.radius_mm
-        elif self.star_points == _FEWEST_POINTS:
+        elif self.star_points == _MIN_POINTS:
             numbers["inner_ratio"] = _RATIO_OF_FEWEST
         return starstruck_gen.Shape("star", plain.radius_m, starstruck_gen.Star.from_dict(numbers))
 

@@ -15,7 +15,7 @@ from tactile_toolkit.errors import InputError
 SPLITS = ("train", "test")
 """Splits of Starstruck (Tactile MNIST paper, section Starstruck)."""
 
-MOST_SCENES = 10**9
+MAX_SCENES = 10**9
 """Largest number of scenes in a split; ids of a split begin at its index in :data:`SPLITS` times this."""
 
 _BLOCK = 48  # numbers drawn at once, which is enough for nine of ten published scenes
@@ -53,7 +53,7 @@ def scene_seed(seed: int, split: str, index: int) -> int:
 
 def scene_id(split: str, index: int) -> int:
     """Return the id of a scene, unique over all splits: 0, 1, ... in train, 1,000,000,000, ... in test."""
-    return SPLITS.index(split) * MOST_SCENES + index
+    return SPLITS.index(split) * MAX_SCENES + index
 
 
 def scene_rng(seed: int) -> np.random.Generator:

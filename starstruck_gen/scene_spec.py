@@ -23,7 +23,7 @@ _PUBLISHED_DISTRACTORS = (Shape("box"), Shape("disc"))
 # Coordinates stay below 1 m, where float32 storage moves them by 0.03 um, a third of STORAGE_MARGIN_M.
 _LARGEST_CELL_M = 2.0
 # Each is compared with all others of its scene, so the work grows with the square.
-_MOST_OBJECTS = 1_000
+_MAX_OBJECTS = 1_000
 
 
 @dataclass(frozen=True)
@@ -100,8 +100,8 @@ class SceneSpec:
         fits = len(self.distractors) == 2 and builtin_values.is_integer(*self.distractors)
         fits = fits and 0 <= self.distractors[0] <= self.distractors[1]
         self._require("distractors", fits, "the minimum and the maximum, integers from 0")
-        fits = stars[0] + self.distractors[0] > 0 and self.most_objects <= _MOST_OBJECTS
-        self._require("stars", fits, f"1 to {_MOST_OBJECTS} objects in a scene, distractors included")
+        fits = stars[0] + self.distractors[0] > 0 and self.most_objects <= _MAX_OBJECTS
+        self._require("stars", fits, f"1 to {_MAX_OBJECTS} objects in a scene, distractors included")
         fits = isinstance(self.star, Shape) and self.star.name == shape_kinds.STAR
         self._require(
             "star",

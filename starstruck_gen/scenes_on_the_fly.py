@@ -190,7 +190,7 @@ class SceneDataset(scene_dataset.SceneMeshDataset):
         seed: int = 0,
     ) -> None:
         spec = spec or scene_spec.SceneSpec()
-        size = checked_fields.checked_integer(size, "size", 0, scene_seeds.MOST_SCENES)
+        size = checked_fields.checked_integer(size, "size", 0, scene_seeds.MAX_SCENES)
         seed = checked_fields.checked_integer(seed, "seed")
         scene_seeds.scene_seed(seed, split, 0)  # refuses an unknown split
         super().__init__(

@@ -22,8 +22,8 @@ from tactile_toolkit.json_types import JsonDict, JsonObject
 PUBLISHED_RADIUS_M = 0.010
 """Circumscribed radius of every published object (package tactile-mnist 0.13.0)."""
 
-_LEAST_RADIUS_M = 1e-4
-_MOST_RADIUS_M = 1.0
+_MIN_RADIUS_M = 1e-4
+_MAX_RADIUS_M = 1.0
 _KEY = re.compile(r"(?P<name>\w+)(\((?P<numbers>[^()]*)\))?")
 # Placeholder for the default proportions of the kind, which is known once its name is looked up.
 _OF_THE_KIND = Proportions()
@@ -73,10 +73,10 @@ class Shape:
                 f"proportions of shape {self.name!r} are {self.proportions!r}; expected {kind.__name__}(...)"
             )
         radius_m = to_builtin_number(self.radius_m, float)
-        if not isinstance(radius_m, float) or not _LEAST_RADIUS_M <= radius_m <= _MOST_RADIUS_M:
+        if not isinstance(radius_m, float) or not _MIN_RADIUS_M <= radius_m <= _MAX_RADIUS_M:
             raise InputError(
-                f"radius_m of shape {self.name!r} is {self.radius_m!r}; expected {_LEAST_RADIUS_M} to "
-                f"{_MOST_RADIUS_M:g} (metres)"
+                f"radius_m of shape {self.name!r} is {self.radius_m!r}; expected {_MIN_RADIUS_M} to "
+                f"{_MAX_RADIUS_M:g} (metres)"
             )
         object.__setattr__(self, "radius_m", radius_m)
         object.__setattr__(self, "key", shape_key(self.proportions))

@@ -35,10 +35,10 @@ GELSIGHT_M = (0.032, 0.028)
 
 C = TypeVar("C", bound="EpisodeConfig")
 
-_MOST_ENVS, _MOST_THREADS = 1 << 20, 1024
+_MAX_ENVS, _MAX_THREADS = 1 << 20, 1024
 # Three colours and depth of a pixel, float32.
 _PIXEL_BYTES = 16
-_MOST_IMAGE_BYTES = 32 << 30
+_MAX_IMAGE_BYTES = 32 << 30
 # tactile-mnist 0.13.0, CELL_PADDING: a gap, half the sensor, half the border between cells.
 _PADDING_M = (0.003 + GELSIGHT_M[0] / 2 + 0.0025, 0.003 + GELSIGHT_M[1] / 2 + 0.0025)
 
@@ -336,13 +336,13 @@ def checked_counts(config: EpisodeConfig, num_envs: object, threads: object) -> 
 
     InputError for other types, for numbers that are too large, and for images of more than 32 GiB.
     """
-    count = checked_fields.checked_integer(num_envs, "num_envs", 1, _MOST_ENVS)
+    count = checked_fields.checked_integer(num_envs, "num_envs", 1, _MAX_ENVS)
     width, height = config.sensor_output_size
     size_bytes = count * width * height * _PIXEL_BYTES
-    if size_bytes > _MOST_IMAGE_BYTES:
+    if size_bytes > _MAX_IMAGE_BYTES:
         raise InputError(
             f"num_envs is {count:,}: a step of images of {width} x {height} pixels takes "
-            f"{size_bytes / (1 << 30):,.0f} GiB; expected at most {_MOST_IMAGE_BYTES >> 30} GiB",
+            f"{size_bytes / (1 << 30):,.0f} GiB; expected at most {_MAX_IMAGE_BYTES >> 30} GiB",
             next="make fewer environments, or smaller images (`sensor_output_size`)",
         )
-    return count, checked_fields.checked_integer(threads, "threads", 1, _MOST_THREADS)
+    return count, checked_fields.checked_integer(threads, "threads", 1, _MAX_THREADS)

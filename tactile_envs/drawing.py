@@ -20,7 +20,7 @@ Colour: TypeAlias = tuple[float, float, float]
 _SIDE_PX = 240
 _PANEL_PX, _MARGIN_PX = 96, 4
 _FELT_PX = _PANEL_PX - 2 * _MARGIN_PX
-_NAME_PX, _MOST_NAME_PX, _MOST_BARS = 9, 44, 13
+_NAME_PX, _MAX_NAME_PX, _MAX_BARS = 9, 44, 13
 _ON_BLACK = (190, 196, 204)
 # The gel is as high as on the plate, metres.
 _EVEN_M = 1e-6
@@ -161,9 +161,9 @@ def _draw_bars(panel: Float32, shares: AnyArray, right: int, names: tuple[str, .
     bars = np.clip(np.nan_to_num(shares), 0, 1)
     first_px, words = _FELT_PX + 12, list[_Word]()
     shown = np.arange(len(bars))
-    if len(bars) > _MOST_BARS:
+    if len(bars) > _MAX_BARS:
         ranks = np.argsort(-bars, kind="stable")
-        shown = np.sort([right, *ranks[ranks != right][: _MOST_BARS - 1]])
+        shown = np.sort([right, *ranks[ranks != right][: _MAX_BARS - 1]])
     room = (_SIDE_PX - first_px - _MARGIN_PX) // max(len(shown), 1)
     texts = {int(bar): _shortened(names[bar]) for bar in shown if names}
     left = _MARGIN_PX + max((text_size(text, _NAME_PX)[0] + 3 for text in texts.values()), default=0)
@@ -180,10 +180,10 @@ def _draw_bars(panel: Float32, shares: AnyArray, right: int, names: tuple[str, .
 
 def _shortened(name: str) -> str:
     """Return a name, cut so that half of the panel is left to the bars."""
-    if text_size(name, _NAME_PX)[0] <= _MOST_NAME_PX:
+    if text_size(name, _NAME_PX)[0] <= _MAX_NAME_PX:
         return name
     kept = name
-    while kept and text_size(f"{kept}…", _NAME_PX)[0] > _MOST_NAME_PX:
+    while kept and text_size(f"{kept}…", _NAME_PX)[0] > _MAX_NAME_PX:
         kept = kept[:-1]
     return f"{kept}…"
 

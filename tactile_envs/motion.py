@@ -14,7 +14,7 @@ from tactile_toolkit.array_types import Float32, Float64
 from tactile_toolkit.errors import InputError
 
 # The square of this times the largest `action_regularization` is finite in single precision.
-_MOST_MOVE = 1e12
+_MAX_MOVE = 1e12
 _TOP_M = 0.02  # tactile-mnist 0.13.0: range of the observed height of the sensor
 
 
@@ -67,13 +67,13 @@ def require_move(action: Action, name: str, num_envs: int) -> Float32:
     if moves.shape != (num_envs, 3):
         raise InputError(f"{name} has shape {moves.shape}; expected {(num_envs, 3)}")
     sizes = np.abs(moves)
-    if sizes.max() <= _MOST_MOVE:  # false for NaN
+    if sizes.max() <= _MAX_MOVE:  # false for NaN
         return moves
     if not np.isfinite(moves).all():  # infinite moves lead to NaN
         raise ValueError(f"NaN values detected in {name}.")
     row = int(sizes.max(axis=1).argmax())
     raise InputError(
-        f"{name} of environment {row} is {moves[row].tolist()}; expected numbers up to {_MOST_MOVE:.0e}: "
+        f"{name} of environment {row} is {moves[row].tolist()}; expected numbers up to {_MAX_MOVE:.0e}: "
         "the cost of such an action is not finite",
         next="check the policy; longer movements than 1 are shortened to 1",
     )

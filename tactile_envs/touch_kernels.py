@@ -34,7 +34,7 @@ View = tuple[tuple[float, float, float, float], ...]
 EDGE_PX = 1e-6
 """Distance beyond the outermost pixels that still counts as in the window."""
 
-_MOST_EDGES = 12  # of a box
+_MAX_EDGES = 12  # of a box
 # Distance outside an edge at which a pixel still counts as on it, as a share of the change of its weight
 # from one pixel to the next: single precision must leave no hole between neighbours.
 _SLACK = 2e-6
@@ -56,7 +56,7 @@ def raise_object(heights: Float32, pool: Pool, number: int, placed: ObjectPlace)
 def batch_room() -> Room:
     """Return room for a batch of triangles."""
     corners, boxes = np.empty(9 * _BATCH, np.float32), np.empty(4 * _BATCH, np.int32)
-    return corners, np.empty(11 * _BATCH), boxes, np.empty((5, _MOST_EDGES))
+    return corners, np.empty(11 * _BATCH), boxes, np.empty((5, _MAX_EDGES))
 
 
 @compiled

@@ -20,13 +20,13 @@ from tactile_toolkit.errors import InputError
 _TOLERANCE = 1e-3  # error of the gap in the contact, relative to the depth
 _SHEAR_TOLERANCE = 1e-4  # root mean square of the error along the surface, relative to the largest motion
 # Range for which single precision and the tables of the layer suffice.
-_LEAST_DEPTH_M, _MOST_DEPTH_M = 1e-9, 1.0
-_LEAST_FORCE_N, _MOST_FORCE_N = 1e-9, 1e6
-_LEAST_PIXEL_M, _MOST_PIXEL_M, _MOST_ASPECT = 1e-6, 0.1, 100.0
-_MOST_RANGE_M, _MOST_SLIDE_M, _MOST_TWIST_RAD = 100.0, 1.0, math.pi
-_MOST_LAYERS = 60.0  # diagonal of the window, in thicknesses of the gel
+_MIN_DEPTH_M, _MAX_DEPTH_M = 1e-9, 1.0
+_MIN_FORCE_N, _MAX_FORCE_N = 1e-9, 1e6
+_MIN_PIXEL_M, _MAX_PIXEL_M, _MAX_ASPECT = 1e-6, 0.1, 100.0
+_MAX_RANGE_M, _MAX_SLIDE_M, _MAX_TWIST_RAD = 100.0, 1.0, math.pi
+_MAX_LAYERS = 60.0  # diagonal of the window, in thicknesses of the gel
 _HALF = 0.5
-_MOST_BLOCKS = 100
+_MAX_BLOCKS = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +165,7 @@ def solve_contact(
     _require(isinstance(gel, Gel), f"gel is {gel!r}; expected a Gel, such as tactile_sim.Gel()")
     target = _checked_target(depth_m, force_n)
     slide = _checked_motion(slide_m, twist_rad)
-    thinnest_m = math.hypot(heights.shape[1] * pixel[0], heights.shape[0] * pixel[1]) / _MOST_LAYERS
+    thinnest_m = math.hypot(heights.shape[1] * pixel[0], heights.shape[0] * pixel[1]) / _MAX_LAYERS
     thickness = _checked_number("thickness_m", thickness_m, thinnest_m, math.inf)
     block = _checked_block(block_px, heights, pixel, thickness)
     return _solve(heights, pixel, gel, thickness, *target, slide, block)
@@ -187,7 +187,7 @@ def block_px(height_px: int, width_px: int) -> int:
     common = math.gcd(height_px, width_px)
     fits = (size for size in range(1, common + 1) if common % size == 0)
     longer = max(height_px, width_px)
-    return next((size for size in fits if longer <= _MOST_BLOCKS * size), common)
+    return next((size for size in fits if longer <= _MAX_BLOCKS * size), common)
 
 
 def _solve(
@@ -217,7 +217,7 @@ def _solve(
     higher = highest - coarse.max()
     wanted = target / area_m2
     if not is_force:
-        wanted = max(target - higher, _LEAST_DEPTH_M)
+        wanted = max(target - higher, _MIN_DEPTH_M)
     fields, is_contact, is_stick, depth, error, steps = elastic_kernels.solve(
         coarse.max() - coarse,
         (width_m, height_m),
@@ -278,8 +278,8 @@ def _checked_heights(height_m: ArrayLike) -> Float64:
     )
     low, high = float(heights.min()), float(heights.max())
     _require(
-        math.isfinite(low) and math.isfinite(high) and high - low <= _MOST_RANGE_M,
-        f"height_m goes from {low:g} to {high:g}; expected finite numbers within {_MOST_RANGE_M:g} m",
+        math.isfinite(low) and math.isfinite(high) and high - low <= _MAX_RANGE_M,
+        f"height_m goes from {low:g} to {high:g}; expected finite numbers within {_MAX_RANGE_M:g} m",
     )
     return heights
 
@@ -288,10 +288,10 @@ def _checked_pixel(pixel_m: float | tuple[float, float]) -> tuple[float, float]:
     pixel = builtin_values.to_builtin(pixel_m, float)
     width, height = pixel if isinstance(pixel, tuple) and len(pixel) == 2 else (pixel, pixel)
     _require(
-        all(isinstance(each, float) and _LEAST_PIXEL_M <= each <= _MOST_PIXEL_M for each in (width, height))
-        and max(width, height) <= _MOST_ASPECT * min(width, height),
-        f"pixel_m is {pixel_m!r}; expected a number from {_LEAST_PIXEL_M:g} to {_MOST_PIXEL_M:g}, metres, or "
-        f"width and height, one at most {_MOST_ASPECT:g} times the other",
+        all(isinstance(each, float) and _MIN_PIXEL_M <= each <= _MAX_PIXEL_M for each in (width, height))
+        and max(width, height) <= _MAX_ASPECT * min(width, height),
+        f"pixel_m is {pixel_m!r}; expected a number from {_MIN_PIXEL_M:g} to {_MAX_PIXEL_M:g}, metres, or "
+        f"width and height, one at most {_MAX_ASPECT:g} times the other",
     )
     return width, height
 
@@ -317,8 +317,8 @@ def _checked_target(depth_m: float | None, force_n: float | None) -> tuple[float
     """Return the depth or the force, and whether it is the force."""
     _require((depth_m is None) != (force_n is None), "expected exactly one of depth_m and force_n")
     if force_n is not None:
-        return _checked_number("force_n", force_n, _LEAST_FORCE_N, _MOST_FORCE_N), True
-    return _checked_number("depth_m", depth_m, _LEAST_DEPTH_M, _MOST_DEPTH_M), False
+        return _checked_number("force_n", force_n, _MIN_FORCE_N, _MAX_FORCE_N), True
+    return _checked_number("depth_m", depth_m, _MIN_DEPTH_M, _MAX_DEPTH_M), False
 
 
 def _checked_motion(slide_m: tuple[float, float], twist_rad: float) -> tuple[float, float, float]:
@@ -326,5 +326,5 @@ def _checked_motion(slide_m: tuple[float, float], twist_rad: float) -> tuple[flo
     _require(
         isinstance(slide, tuple) and len(slide) == 2, f"slide_m is {slide_m!r}; expected two numbers, metres"
     )
-    along_x, along_y = (_checked_number("slide_m", each, -_MOST_SLIDE_M, _MOST_SLIDE_M) for each in slide)
-    return along_x, along_y, _checked_number("twist_rad", twist_rad, -_MOST_TWIST_RAD, _MOST_TWIST_RAD)
+    along_x, along_y = (_checked_number("slide_m", each, -_MAX_SLIDE_M, _MAX_SLIDE_M) for each in slide)
+    return along_x, along_y, _checked_number("twist_rad", twist_rad, -_MAX_TWIST_RAD, _MAX_TWIST_RAD)

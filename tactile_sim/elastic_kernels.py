@@ -16,11 +16,11 @@ from tactile_sim.elastic_response import Layer, Workspace, respond, work_of
 from tactile_toolkit.array_types import Bool, Float32, Float64, Int64
 from tactile_toolkit.compiled import compiled
 
-_MOST_PASSES = 5  # of pressure and shear, each with the displacement that the other one makes
+_MAX_PASSES = 5  # of pressure and shear, each with the displacement that the other one makes
 _FIRST_PASS = 10.0  # factor of the tolerance in the first pass, which only starts the others
 _COUPLED = 0.3  # passes end when the coupled displacement changes by less, in tolerances
-_MOST_STEPS = 300
-_MOST_CHANGED = 40  # pixels that join or leave the contact; for more of them a convolution is cheaper
+_MAX_STEPS = 300
+_MAX_CHANGED = 40  # pixels that join or leave the contact; for more of them a convolution is cheaper
 _OFF_BOUNDS = 0.01  # share of the tractions that may be off their limits before all are projected
 _PROJECTED = 6  # steps after which tractions are projected onto their limits again
 _STICKS = 1.0 - 1e-5  # share of the largest traction below which a pixel is not at its limit; float32
@@ -54,7 +54,7 @@ def press(
         if is_stale:
             respond(p, u, layer, work, width)
         depth, square, error, lowest = _gaps(p[0], u[0], below[0], gap[0], target, is_force)
-        if (error <= tolerance * depth and lowest >= -tolerance * depth) or step == _MOST_STEPS:
+        if (error <= tolerance * depth and lowest >= -tolerance * depth) or step == _MAX_STEPS:
             break
         step += 1
         factor = np.float32(keep * square / old)
@@ -137,7 +137,7 @@ def _take_step(
     pixels joined or left the contact.
     """
     keep_apart()
-    changed, added = np.empty(_MOST_CHANGED, np.int64), np.empty(_MOST_CHANGED, np.float32)
+    changed, added = np.empty(_MAX_CHANGED, np.int64), np.empty(_MAX_CHANGED, np.float32)
     count, keep, tau = 0, 1.0, np.float32(length)
     # The first step of a contact of one pixel has length 0: pixels that overlap use their own compliance.
     joins = tau if tau > 0.0 else np.float32(1.0) / near[len(near) // 2]
@@ -152,10 +152,10 @@ def _take_step(
             keep = 0.0
         p[place] = new
         if new != wanted:
-            if count < _MOST_CHANGED:
+            if count < _MAX_CHANGED:
                 changed[count], added[count] = place, new - wanted
             count += 1
-    if count > _MOST_CHANGED:
+    if count > _MAX_CHANGED:
         return keep, True
     rows = len(p) // width
     for number in range(count):
@@ -255,7 +255,7 @@ def shear(
             respond(q, bend, layer, work, width)
             _rest(state, bend)
             since = 0
-        is_done = _free_part(state, layer.own_shear) <= tolerance * math.sqrt(largest) or step == _MOST_STEPS
+        is_done = _free_part(state, layer.own_shear) <= tolerance * math.sqrt(largest) or step == _MAX_STEPS
         if is_done and since == 0:
             break
         off = 0.0
@@ -404,7 +404,7 @@ def solve(
     bound, slips, lowered = np.zeros(size, kind), np.zeros(size, np.bool_), np.empty(one, kind)
     _first_guess(p[0], below[0], target, is_force, start)
     steps, depth, error = 0, 0.0, 0.0
-    for number in range(_MOST_PASSES):
+    for number in range(_MAX_PASSES):
         looseness = _FIRST_PASS if number == 0 and friction > 0.0 else 1.0
         press_tolerance, shear_tolerance = looseness * tolerance[0], looseness * tolerance[1]
         for place in range(size):

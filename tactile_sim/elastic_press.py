@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tactile_sim.elastic import Contact, Gel, solve_contact
-from tactile_sim.press_spec import MOST_FORCE_N, MOST_SLIDE_M, MOST_TWIST_RAD
+from tactile_sim.press_spec import MAX_FORCE_N, MAX_SLIDE_M, MAX_TWIST_RAD
 from tactile_sim.sensor import Sensor
 from tactile_sim.value_files import read_values
 from tactile_toolkit.array_types import Bool, Float64
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS
 
-MOST_SHARE = 0.5
+MAX_SHARE = 0.5
 """Greatest press depth, as a share of the thickness of the gel: where linear theory is but indicative."""
 
 STILL: ArrayLike = (0.0, 0.0)
@@ -127,7 +127,7 @@ class Load(NamedTuple):
 
     def contact(self, heights_m: Float64, whole: WholeGel) -> Contact:
         """Press the whole gel to the depth, or to the force, but no deeper than linear theory goes."""
-        found, most_m = self._solved(heights_m, whole), MOST_SHARE * whole.sensor.gel_m
+        found, most_m = self._solved(heights_m, whole), MAX_SHARE * whole.sensor.gel_m
         if self.depth_m is None and found.depth_m > most_m:
             return self._replace(force_n=None, depth_m=most_m)._solved(heights_m, whole)
         return found
@@ -233,13 +233,11 @@ def loads_of(
             next="give force_n=5.0, for example",
         )
     ((name, value),) = stops.items()
-    most = {"force_n": MOST_FORCE_N, "depth_m": sensor.gel_m}[name]
+    most = {"force_n": MAX_FORCE_N, "depth_m": sensor.gel_m}[name]
     numbers = _numbers(name, value, (count,))
     _require(name, (numbers > 0) & (numbers < most), numbers, f"above 0 and below {most:g}")
-    _require("slide_m", np.abs(slides) <= MOST_SLIDE_M, slides, f"at most {MOST_SLIDE_M:g} along x and y")
-    _require(
-        "twist_rad", np.abs(twists) <= MOST_TWIST_RAD, twists, f"at most {MOST_TWIST_RAD:.4g} either way"
-    )
+    _require("slide_m", np.abs(slides) <= MAX_SLIDE_M, slides, f"at most {MAX_SLIDE_M:g} along x and y")
+    _require("twist_rad", np.abs(twists) <= MAX_TWIST_RAD, twists, f"at most {MAX_TWIST_RAD:.4g} either way")
     still = Load(gel, None, None)
     return [
         still._replace(**{name: number}, slide_m=(x, y), twist_rad=twist)

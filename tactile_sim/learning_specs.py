@@ -24,7 +24,7 @@ BASELINES = ("taxim", "untrained")
 _SIDES_PX = range(16, 2049, 4)
 
 # Five convolutions of 4 x 4, three of them halving, leave a patch of 2 x 2.
-_LEAST_CROP_PX = 32
+_MIN_CROP_PX = 32
 
 _checked_noise = lazy("tactile_sim.sensor_noise:checked_noise")
 _named_noise = lazy("tactile_sim.sensor_noise:SensorNoise.named")
@@ -214,10 +214,10 @@ class TrainConfig:
     def crop_px(self, size_px: tuple[int, int]) -> tuple[int, int]:
         """Return width and height of the crops, multiples of 4; InputError if they are too small."""
         width, height = (int(self.crop * side) // 4 * 4 for side in size_px)
-        if min(width, height) < _LEAST_CROP_PX:
+        if min(width, height) < _MIN_CROP_PX:
             raise InputError(
                 f"crops of {width} x {height} pixels (crop {self.crop:g} of {size_px[0]} x {size_px[1]}) are "
-                f"too small for the discriminators; expected at least {_LEAST_CROP_PX}",
+                f"too small for the discriminators; expected at least {_MIN_CROP_PX}",
                 next="larger images, or a larger crop",
             )
         return width, height

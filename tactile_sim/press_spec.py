@@ -25,12 +25,12 @@ FORCE_N = 5.0
 Span: TypeAlias = tuple[float, float]
 """Least and greatest value; each touch draws its own."""
 
-MOST_FORCE_N = 1000.0
-MOST_SLIDE_M, MOST_TWIST_RAD = 0.001, math.radians(10.0)
+MAX_FORCE_N = 1000.0
+MAX_SLIDE_M, MAX_TWIST_RAD = 0.001, math.radians(10.0)
 """Greatest slide, metres, and greatest turn, radians, either way: beyond them all contacts slip."""
 
-_MOST_PRESS_M = 0.05
-_MOST_MARKERS = 100  # along a side
+_MAX_PRESS_M = 0.05
+_MAX_MARKERS = 100  # along a side
 _GELS = "none|elastic|FILE"
 
 # Factor and unit with which messages show values in newtons, radians and metres.
@@ -168,11 +168,11 @@ class ElasticPress:
             )
         if self.press_m is None:
             force_n = FORCE_N if self.force_n is None else self.force_n
-            self._set_span("force_n", force_n, MOST_FORCE_N, above=0.0)
+            self._set_span("force_n", force_n, MAX_FORCE_N, above=0.0)
         else:
-            self._set_span("press_m", self.press_m, _MOST_PRESS_M, above=0.0)
-        self._set_span("slide_m", self.slide_m or 0.0, MOST_SLIDE_M)
-        self._set_span("twist_rad", self.twist_rad or 0.0, MOST_TWIST_RAD, least=-MOST_TWIST_RAD)
+            self._set_span("press_m", self.press_m, _MAX_PRESS_M, above=0.0)
+        self._set_span("slide_m", self.slide_m or 0.0, MAX_SLIDE_M)
+        self._set_span("twist_rad", self.twist_rad or 0.0, MAX_TWIST_RAD, least=-MAX_TWIST_RAD)
         if self.markers is None and self.draw_markers:
             raise InputError(
                 "markers are drawn, but there are none", next="give markers, such as --markers 7x9"
@@ -180,11 +180,11 @@ class ElasticPress:
         if self.markers is not None:
             grid = builtin_values.to_builtin(self.markers)
             if not (isinstance(grid, tuple) and len(grid) == 2 and builtin_values.is_integer(*grid)) or not (
-                1 <= min(grid) <= max(grid) <= _MOST_MARKERS
+                1 <= min(grid) <= max(grid) <= _MAX_MARKERS
             ):
                 raise InputError(
                     f"markers of the press are {self.markers!r}; expected columns and rows, 1 to "
-                    f"{_MOST_MARKERS}"
+                    f"{_MAX_MARKERS}"
                 )
             object.__setattr__(self, "markers", grid)
 

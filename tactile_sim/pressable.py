@@ -24,7 +24,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh, MeshLike, as_mesh, check_manifold, merge_equal_vertices
 
 # Layers of printers have 0.05 to 0.6 mm; a wrong unit gives a factor of 1,000.
-_LEAST_LAYER_M, _MOST_LAYER_M = 2e-5, 2e-3
+_MIN_LAYER_M, _MAX_LAYER_M = 2e-5, 2e-3
 _SLACK = 0.005  # of a layer: rounding must not decide whether a top at the middle of a layer is printed
 _LEVEL = 1e-9  # least slope: the outline of a level face is far away, and still a finite number
 
@@ -41,10 +41,10 @@ _CACHE_BYTES = 64 << 20
 def checked_layer_m(layer_m: object) -> float:
     """Return the height of layers as Python's own number, metres; 0 for none. InputError for any other."""
     found = builtin_values.to_builtin_number(layer_m, float)
-    if isinstance(found, float) and (found == 0 or _LEAST_LAYER_M <= found <= _MOST_LAYER_M):
+    if isinstance(found, float) and (found == 0 or _MIN_LAYER_M <= found <= _MAX_LAYER_M):
         return found
     raise InputError(
-        f"layers are {layer_m!r} m high; expected {_LEAST_LAYER_M} to {_MOST_LAYER_M} m, such as 0.0002, or "
+        f"layers are {layer_m!r} m high; expected {_MIN_LAYER_M} to {_MAX_LAYER_M} m, such as 0.0002, or "
         "0 for none"
     )
 

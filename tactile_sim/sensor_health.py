@@ -23,8 +23,8 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.wording import with_count
 
-LEAST_IMAGES = 5
-MOST_IMAGES = 64
+MIN_IMAGES = 5
+MAX_IMAGES = 64
 """Greatest number of images that are compared; if there are more, evenly spaced ones are taken."""
 
 # Name, greatest value of a healthy sensor, and meaning of each figure. In the tests, twelve images with noise
@@ -52,7 +52,7 @@ _FIGURES = (
 _MARKER_PX, _MARKER_LEVELS = 7.0, 12.0  # a marker is smaller than this, and darker
 _SMOOTH_PX = 2.0
 _NO_CONTACT_M = 2e-5
-_LEAST_KNOWN = 0.2  # share of the gel that must be seen without contact
+_MIN_KNOWN = 0.2  # share of the gel that must be seen without contact
 _FULL = 254
 _BATCH = 4
 
@@ -112,9 +112,9 @@ def check_sensor(model: SensorModel, images: Iterable[UInt8]) -> SensorHealth:
     """
     size_px = (model.width_px, model.height_px)
     seen = [scaled(np.asarray(each)[None], size_px)[0] for each in images]
-    if len(seen) < LEAST_IMAGES:
+    if len(seen) < MIN_IMAGES:
         raise InputError(
-            f"{with_count(len(seen), 'images')} to compare with the sensor; expected at least {LEAST_IMAGES}",
+            f"{with_count(len(seen), 'images')} to compare with the sensor; expected at least {MIN_IMAGES}",
             next="record more touches, at different places of the gel",
         )
     stack = np.stack(seen)
@@ -140,7 +140,7 @@ def check_sensor(model: SensorModel, images: Iterable[UInt8]) -> SensorHealth:
     return SensorHealth(len(stack), tuple(figures))
 
 
-def images_of(source: str | PathLike[str], most: int = MOST_IMAGES) -> list[UInt8]:
+def images_of(source: str | PathLike[str], most: int = MAX_IMAGES) -> list[UInt8]:
     """Return images of a data set of touches, or of a folder of image files, evenly spaced.
 
     Clips give the frame at the end of the contact. InputError for a place that holds neither.
@@ -178,7 +178,7 @@ def _background(images: UInt8, depth_m: Float32) -> tuple[Float64, Bool]:
     reach = max(images.shape[2] // 40, 1)
     free = ~_dilated(~free, reach)
     known = free.sum(axis=0) >= 2
-    if known.mean() < _LEAST_KNOWN:
+    if known.mean() < _MIN_KNOWN:
         # In different light, the depth shows contact everywhere: the median of all images is compared.
         return np.asarray(np.median(images, axis=0), np.float64), np.ones_like(known)
     shown = np.where(free[:, known, None], images[:, known], np.float32(np.nan))

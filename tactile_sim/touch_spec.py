@@ -38,11 +38,11 @@ SENSOR_NOISE = "none|calibrated|STD|FILE"
 """Values of the options for the noise of a sensor."""
 
 # A round is held in memory: at 320 x 240 pixels these are 0.9 GB of images and 2.5 GB of depth.
-_MOST_TOUCHES = 4096
-_MOST_PIXELS = _MOST_TOUCHES * 320 * 240
+_MAX_TOUCHES = 4096
+_MAX_PIXELS = _MAX_TOUCHES * 320 * 240
 # For an elastic gel, these are 2 GB of pressure, traction and displacement.
-_MOST_ELASTIC_PIXELS = _MOST_PIXELS // 8
-_MOST_ROUNDS = 1_000_000
+_MAX_ELASTIC_PIXELS = _MAX_PIXELS // 8
+_MAX_ROUNDS = 1_000_000
 
 _STORED_NAMES = {"positions": "place", "object_placement": "lie", "perturb": "shift"}  # in manifests
 
@@ -102,8 +102,8 @@ class TouchPlan:
         Seed of all random numbers.
     """
 
-    rounds: int = integer(16, 1, _MOST_ROUNDS, help="Number of rounds of each object.")
-    touches: int = integer(32, 1, _MOST_TOUCHES, help="Number of touches in a round.")
+    rounds: int = integer(16, 1, _MAX_ROUNDS, help="Number of rounds of each object.")
+    touches: int = integer(32, 1, _MAX_TOUCHES, help="Number of touches in a round.")
     positions: str = choice(
         "cell",
         POSITIONS,
@@ -265,7 +265,7 @@ class GenerateSpec:
         self._check_press()
         if not self.has_other_sensor:
             return
-        most = _MOST_PIXELS // (self.sensor.width_px * self.sensor.height_px)
+        most = _MAX_PIXELS // (self.sensor.width_px * self.sensor.height_px)
         if self.plan.touches > most:
             raise InputError(
                 f"the plan has {self.plan.touches:,} touches in a round; expected at most {most:,} in the "
@@ -288,7 +288,7 @@ class GenerateSpec:
         width, height = self.size_px
         if self.window == "full":
             width, height = self.sensor.width_px, self.sensor.height_px
-        most = _MOST_ELASTIC_PIXELS // (width * height)
+        most = _MAX_ELASTIC_PIXELS // (width * height)
         if self.plan.touches > most:
             raise InputError(
                 f"the plan has {self.plan.touches:,} touches in a round; expected at most {most:,} with an "

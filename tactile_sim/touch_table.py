@@ -25,7 +25,7 @@ _INDEX_NAMES = ("", "Unnamed: 0", "__index_level_0__")
 # Memory for reading a row, bytes.
 _BYTES_PER_ROW = 512
 # Larger values mean a wrong unit or column.
-_MOST_TURNS_RAD = 1e4
+_MAX_TURNS_RAD = 1e4
 # An object may be larger than the cell, and its origin off it.
 _FARTHEST_M = {
     "x_m": touch.CELL_M[0] / 2,
@@ -180,7 +180,7 @@ def _column(name: str, value: ArrayLike) -> AnyArray:
         most = _FARTHEST_M[name]
         fits, expected = np.abs(numbers) <= most, f"metres from {-most:g} to {most:g}"
     else:
-        fits, expected = np.abs(numbers) <= _MOST_TURNS_RAD, "radians"
+        fits, expected = np.abs(numbers) <= _MAX_TURNS_RAD, "radians"
     if not fits.all():
         row = int(np.argmin(fits))
         raise InputError(

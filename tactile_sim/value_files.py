@@ -12,7 +12,7 @@ from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, IntegrityError
 
 T = TypeVar("T")
-_MOST_BYTES = 1 << 16
+_MAX_BYTES = 1 << 16
 
 
 def read_values(path: str | Path, values: type[T], what: str) -> T:
@@ -22,7 +22,7 @@ def read_values(path: str | Path, values: type[T], what: str) -> T:
     """
     try:
         with store.open_regular(store.expanded(path)) as stream:
-            data = stream.read(_MOST_BYTES)
+            data = stream.read(_MAX_BYTES)
         found = msgspec.json.decode(data, type=dict[str, str | int | float])
         return values(**found)
     except InputError as error:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 _RULE = "rule"
-_MOST_INTEGER = (1 << 63) - 1
+_MAX_INTEGER = (1 << 63) - 1
 _UNITS = {"_mm": "MM", "_mm2": "MM2", "_deg": "DEG", "_px": "PX", "_m3": "KG/M3"}
 _PLACEHOLDERS: dict[type, str] = {float: "X"}
 
@@ -73,7 +73,7 @@ def integer(
 def _integer_rule(least: int, most: int | None, optional: bool, option: OptionText) -> Rule:
     # Larger integers fit into no array, file or random number generator.
     if most is None:
-        limit, span = _MOST_INTEGER, f"of at least {least:,}, below 2**63"
+        limit, span = _MAX_INTEGER, f"of at least {least:,}, below 2**63"
     else:
         limit, span = most, f"from {least:,} to {most:,}"
 

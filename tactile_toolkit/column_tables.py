@@ -18,10 +18,10 @@ from tactile_toolkit.array_types import Int64
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict
 
-MOST_ROWS = 1 << 25
+MAX_ROWS = 1 << 25
 """Longest table that is read: nine hours of 1,000 rows a second."""
 
-_MOST_COLUMNS = 1000
+_MAX_COLUMNS = 1000
 _HEADER_BYTES = 1 << 16
 _BLOCK_BYTES = 1 << 20  # Arrow refuses a longer line
 _ROWS_AT_ONCE = 1 << 15
@@ -65,8 +65,8 @@ class ColumnTable:
         with self._named_errors(), self._open() as stream:
             for batch in self._read(stream, self.path):
                 rows += len(batch)
-                if rows > MOST_ROWS:
-                    found = f"{self.path!r} has more than {MOST_ROWS:,} rows"
+                if rows > MAX_ROWS:
+                    found = f"{self.path!r} has more than {MAX_ROWS:,} rows"
                     raise InputError(found, next="divide it into several tables")
                 table = pa.Table.from_batches([batch])
                 yield table.rename_columns(_checked_names(table.column_names, self.path))
@@ -155,8 +155,8 @@ class ColumnTable:
 def _checked_names(names: Sequence[str], path: str) -> list[str]:
     """Return the names of columns; InputError for too many columns, or for duplicate names."""
     found = [name.strip() or f"column_{number}" for number, name in enumerate(names, 1)]
-    if len(found) > _MOST_COLUMNS:
-        raise InputError(f"{path!r} has {len(found):,} columns; expected at most {_MOST_COLUMNS:,}")
+    if len(found) > _MAX_COLUMNS:
+        raise InputError(f"{path!r} has {len(found):,} columns; expected at most {_MAX_COLUMNS:,}")
     twice = next((name for name in found if found.count(name) > 1), None)
     if twice is not None:
         raise InputError(f"{path!r} has two columns {twice!r}; expected different names")

@@ -29,8 +29,8 @@ UNTYPED = pa.binary()
 
 _NOTHING = pa.null()
 _LISTS = (list, tuple)
-_MOST_LEVELS = 4  # of lists in a list
-_MOST_EXACT = 1 << 53  # below which float64 holds every integer
+_MAX_LEVELS = 4  # of lists in a list
+_MAX_EXACT = 1 << 53  # below which float64 holds every integer
 _NO_VALUE = pa.array(["", "NA", "N/A", "#N/A", "nan", "NaN", "null", "NULL", "None"])
 # Types that text may have, given that of earlier rows; else it stays text.
 _OF_TEXT: dict[pa.DataType, tuple[pa.DataType, ...]] = {
@@ -96,7 +96,7 @@ def _is_changed(words: pa.Array, data_type: pa.DataType) -> bool:
         return False
     numbers = odd.cast(pa.float64()).to_numpy()
     is_whole = pc.match_substring_regex(odd, _WHOLE).to_numpy(zero_copy_only=False)
-    return bool((np.isinf(numbers) | (is_whole & (np.abs(numbers) >= _MOST_EXACT))).any())
+    return bool((np.isinf(numbers) | (is_whole & (np.abs(numbers) >= _MAX_EXACT))).any())
 
 
 def from_text(texts: pa.Array, *, decimal_commas: bool = False) -> pa.Array:
@@ -153,7 +153,7 @@ def _leaves(value: object) -> list[object] | None:
     if not isinstance(value, _LISTS):
         return None
     leaves = list(value)
-    for _ in range(_MOST_LEVELS):
+    for _ in range(_MAX_LEVELS):
         if not any(isinstance(each, _LISTS) for each in leaves):
             return leaves
         if len({len(each) if isinstance(each, _LISTS) else -1 for each in leaves}) > 1:

@@ -22,7 +22,7 @@ winding of its horizontals.
 """
 
 # Bound of both shifts: from 0.25 on, a digit would fold over itself.
-_MOST_SHIFT = 0.2
+_MAX_SHIFT = 0.2
 _WIDEST_PX = 380.0
 _MARGIN_PX = 15.0
 _OFF_CENTRE_PX = 16.0
@@ -65,7 +65,7 @@ def _bend(paths: Paths, style: writer_style.WriterStyle, vary: Vary) -> Paths:
     """Bend, stretch and slant the strokes like one sheet of rubber, so that joined strokes stay joined."""
     low, high = _bounds(paths)
     wide, tall = max(high[0] - low[0], 1e-6), high[1] - low[1]
-    waist, lopside = (min(max(vary(0.0, spread), -_MOST_SHIFT), _MOST_SHIFT) for spread in (_WAIST, _LOPSIDE))
+    waist, lopside = (min(max(vary(0.0, spread), -_MAX_SHIFT), _MAX_SHIFT) for spread in (_WAIST, _LOPSIDE))
     taper, sway, arch, sag = (vary(0.0, spread) for spread in (_TAPER, _SWAY, _ARCH, _SAG))
     bent = []
     for path in paths:

@@ -7,7 +7,7 @@ from typing import Literal
 from mnist3d.ink.bridges import join_bodies
 from mnist3d.ink.cleaning import clean
 from mnist3d.ink.grey_levels import (
-    MOST_INK,
+    MAX_INK,
     PAPER_SHARE,
     SMALL_PX,
     as_levels,
@@ -79,7 +79,7 @@ def require_large(levels: UInt8, spec: SolidSpec) -> None:
 
 
 def cleaned_ink(
-    levels: UInt8, spec: SolidSpec, threshold: float | None = None, most_ink: float = MOST_INK
+    levels: UInt8, spec: SolidSpec, threshold: float | None = None, most_ink: float = MAX_INK
 ) -> Bool:
     """Return clean ink of dark levels and, with ``spec.join_bodies``, join it.
 
@@ -93,7 +93,7 @@ def cleaned_ink(
     return mask
 
 
-def ink_of_levels(levels: UInt8, threshold: float | None = None, most_ink: float = MOST_INK) -> Bool:
+def ink_of_levels(levels: UInt8, threshold: float | None = None, most_ink: float = MAX_INK) -> Bool:
     """Separate ink (True) from paper in grey levels from 0 (ink) to 255 (paper).
 
     Pixels up to the threshold, by default Otsu's of the image, are ink. Raises ItemError ``no-ink``,

@@ -17,10 +17,10 @@ SMALL_PX = 64
 PAPER_SHARE = 0.75
 """Least share of the margin of an image that is paper; the margin is 1/50 of the shorter side wide."""
 
-MOST_INK, MOST_DRAWN = 0.5, 0.95
+MAX_INK, MAX_DRAWN = 0.5, 0.95
 """Ink that covers more of an image than this share surrounds its page, and is no digit, or no drawing."""
 
-MOST_BORDER = 0.05
+MAX_BORDER = 0.05
 """Ink that touches more of the border of an image than this share is cut off, or not ink at all."""
 
 _WHITE = 255
@@ -112,7 +112,7 @@ def otsu_threshold(levels: UInt8) -> int:
     return int(np.nanargmax(np.where(np.isfinite(spread), spread, -1.0)))
 
 
-def require_paper_around(mask: Bool, most_ink: float = MOST_INK) -> None:
+def require_paper_around(mask: Bool, most_ink: float = MAX_INK) -> None:
     """Refuse ink that covers more than a share of an image, or touches more than 1/20 of its border.
 
     Raises ItemError ``all-ink`` or ``cut-off``.
@@ -122,5 +122,5 @@ def require_paper_around(mask: Bool, most_ink: float = MOST_INK) -> None:
         refuse("all-ink", covered, most_ink, sentence="half-ink")
     border = np.concatenate([mask[0], mask[-1], mask[1:-1, 0], mask[1:-1, -1]])
     touched = float(border.mean())
-    if touched > MOST_BORDER:
-        refuse("cut-off", touched, MOST_BORDER, sentence="border")
+    if touched > MAX_BORDER:
+        refuse("cut-off", touched, MAX_BORDER, sentence="border")

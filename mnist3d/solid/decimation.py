@@ -15,7 +15,7 @@ FIRST_TOLERANCE_MM = 0.01
 # Several passes of growing tolerance leave fewer and better placed vertices than one with a wide tolerance.
 TOLERANCE_GROWTH = 1.25
 # A single pass is tried for meshes of up to this many times the allowed vertices.
-MOST_FOR_ONE_PASS = 2.0
+MAX_FOR_ONE_PASS = 2.0
 
 E_FOLD_MM = 0.1
 """Tolerance at which one pass leaves about 1/e of the vertices."""
@@ -39,7 +39,7 @@ def decimate(mesh: Mesh, target_vertices: int) -> Mesh:
     most = BUDGET_SLACK * target_vertices
     passes, tolerance_mm = [mesh.to_manifold()], FIRST_TOLERANCE_MM
     over = len(mesh.vertices_m) / most
-    if 1 < over <= MOST_FOR_ONE_PASS:
+    if 1 < over <= MAX_FOR_ONE_PASS:
         solid = passes[0].simplify(tolerance_mm + E_FOLD_MM * math.log(over))
         simpler = _mesh_of(solid)
         fits = len(simpler.vertices_m) <= most

@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from mnist3d import ink
 from mnist3d.ink.bridges import thinnest_stroke_px
-from mnist3d.ink.grey_levels import MOST_DRAWN
+from mnist3d.ink.grey_levels import MAX_DRAWN
 from mnist3d.solid.solid_size import SolidSize
 from mnist3d.solid_spec import LARGEST_HALF_THICKNESS_PX, SolidSpec
 from mnist3d.sources import picture_files, picture_levels
@@ -40,13 +40,13 @@ LARGEST_LATTICE_MM = 1.0
 _FINEST_SHEET_PX = 4000
 # Specks of drawings: at least what a nozzle of 0.4 mm prints in two lines, at most those of digits. The dot
 # of an i, as large as the stroke is wide, stays.
-_LEAST_SPECK_MM2, _SPECK_PER_STROKE = 0.64, 0.5
+_MIN_SPECK_MM2, _SPECK_PER_STROKE = 0.64, 0.5
 # Paper around the ink of a drawing that is cut out, as a share of its longer side.
 _AROUND = 0.05
 # Nodes of the lattice across a stroke, so that it is smooth.
 _NODES_PER_STROKE = 4.0
 # Most nodes of the lattice of a drawing; each takes some 20 bytes.
-_MOST_NODES = 3e7
+_MAX_NODES = 3e7
 
 NO_CHANGES: JsonObject = MappingProxyType({})
 """The parameters of a specification as they are."""
@@ -91,14 +91,14 @@ def sized_ink(
     fitted = replace(asked, pixel_pitch_mm=pitch_mm, vertex_quantum_mm=quantum_mm)
     ink.require_large(sheet, fitted)
     if spec is not None or _is_grey(picture):
-        return SizedInk(ink.cleaned_ink(sheet, fitted, level, MOST_DRAWN), fitted, tuple(notes), size=size)
-    before = ink.ink_of_levels(sheet, fitted.threshold, MOST_DRAWN)
+        return SizedInk(ink.cleaned_ink(sheet, fitted, level, MAX_DRAWN), fitted, tuple(notes), size=size)
+    before = ink.ink_of_levels(sheet, fitted.threshold, MAX_DRAWN)
     fitted = for_strokes(before, fitted)
-    mask = ink.cleaned_ink(sheet, fitted, most_ink=MOST_DRAWN)
+    mask = ink.cleaned_ink(sheet, fitted, most_ink=MAX_DRAWN)
     is_fine = "target_vertices" not in changes
     if is_fine:
         fitted = replace(fitted, lattice_pitch_mm=_lattice_pitch_mm(mask, fitted))
-    drawn = ink.ink_of_levels(levels, fitted.threshold, MOST_DRAWN)
+    drawn = ink.ink_of_levels(levels, fitted.threshold, MAX_DRAWN)
     count = _count(drawn) - len(np.unique(_labels(before)[mask & before]))
     if count > 0:
         notes.append(f"left out {with_count(count, 'specks')} of ink below {fitted.min_speck_mm2:.2g} mm²")
@@ -169,7 +169,7 @@ def _on_sheet(levels: UInt8, level: float | None, spec: SolidSpec, size: SolidSi
         return _fitted(levels, ink.SIDE_PX * spec.pixel_pitch_mm, spec)
     # The size is that of the ink, without paper.
     threshold = level if spec.threshold is None else spec.threshold
-    mask = _without_specks(ink.ink_of_levels(levels, threshold, MOST_DRAWN))
+    mask = _without_specks(ink.ink_of_levels(levels, threshold, MAX_DRAWN))
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     around = 1 + math.ceil(_AROUND * max(np.ptp(rows), np.ptp(columns)))
     spans = [slice(max(0, line[0] - around), line[-1] + 1 + around) for line in (rows, columns)]
@@ -212,15 +212,15 @@ def _without_specks(mask: Bool) -> Bool:
 def for_strokes(mask: Bool, spec: SolidSpec) -> SolidSpec:
     """Keep specks and pinholes that belong to thin strokes."""
     stroke_mm = spec.pixel_pitch_mm * thinnest_stroke_px(_without_specks(mask))
-    speck_mm2 = min(max((_SPECK_PER_STROKE * stroke_mm) ** 2, _LEAST_SPECK_MM2), spec.min_speck_mm2)
-    share = speck_mm2 / max(spec.min_speck_mm2, _LEAST_SPECK_MM2)
+    speck_mm2 = min(max((_SPECK_PER_STROKE * stroke_mm) ** 2, _MIN_SPECK_MM2), spec.min_speck_mm2)
+    share = speck_mm2 / max(spec.min_speck_mm2, _MIN_SPECK_MM2)
     return replace(spec, min_speck_mm2=speck_mm2, min_pinhole_mm2=share * spec.min_pinhole_mm2)
 
 
 def _lattice_pitch_mm(mask: Bool, spec: SolidSpec) -> float:
     """Return the distance of the nodes of a lattice that fits into memory and on which strokes are smooth."""
     rows, columns = (np.ptp(np.flatnonzero(mask.any(axis=axis))) + 1 for axis in (1, 0))
-    least_px = math.cbrt(rows * columns * spec.half_thickness_px / _MOST_NODES)
+    least_px = math.cbrt(rows * columns * spec.half_thickness_px / _MAX_NODES)
     wanted_px = max(thinnest_stroke_px(mask) / _NODES_PER_STROKE, least_px)
     return float(min(LARGEST_LATTICE_MM, spec.pixel_pitch_mm * wanted_px))
 

@@ -32,7 +32,7 @@ ENDINGS = tuple(ending for endings in _ENDINGS.values() for ending in endings)
 
 # Formats whose files can have pages. Further pictures of a JPEG (MPO) are other views, not pages.
 _PAGED = frozenset({"TIFF", "GIF", "WEBP", "PNG", "AVIF", "HEIF"})
-_MOST_PAGES = 1000
+_MAX_PAGES = 1000
 # TIFF tag for the kind of a picture, and the bits of smaller copies and masks, which are not pages.
 _SUBFILE, _COPY_OR_MASK = 254, 1 | 4
 # Memory for reading, by mode, as measured; 24 for transparency and for more than 8 bits.
@@ -55,8 +55,8 @@ def pages_of(path: Path) -> tuple[int, ...]:
     """
     with _opened(path) as picture:
         count = getattr(picture, "n_frames", 1) if picture.format in _PAGED else 1
-        if count > _MOST_PAGES:
-            raise InputError(f"it has {count:,} pages, expected {_MOST_PAGES:,} at most")
+        if count > _MAX_PAGES:
+            raise InputError(f"it has {count:,} pages, expected {_MAX_PAGES:,} at most")
         if picture.format != "TIFF" or count == 1:
             return tuple(range(count))
         return tuple(number for number in range(count) if _is_page(picture, number))

@@ -10,8 +10,8 @@ from PIL import Image
 import mnist3d.ink
 from mnist3d.ink.colours import ink_of_colours, is_graphic, loses_colours, unlike_paper
 from mnist3d.ink.grey_levels import (
-    MOST_DRAWN,
-    MOST_INK,
+    MAX_DRAWN,
+    MAX_INK,
     as_grey,
     margin,
     otsu_threshold,
@@ -103,7 +103,7 @@ def picture_levels(
     # Ink and paper of different colours may have the same grey.
     is_coloured = is_flat and np.ptp(colours, axis=(0, 1)).max() >= _CONTRAST
     is_clean = _is_cut_out(picture) or mnist3d.ink.is_clean(grey) or (whole and is_graphic(colours))
-    most_ink = MOST_DRAWN if whole else MOST_INK
+    most_ink = MAX_DRAWN if whole else MAX_INK
     if threshold == "local" or (threshold == "auto" and not is_clean):
         return mnist3d.ink.even_out(colours, ink, whole=whole)
     level = otsu_threshold(grey)

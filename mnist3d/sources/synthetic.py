@@ -17,7 +17,7 @@ from mnist3d.handwriting.writer_style import (
     style_for_digit,
     variation,
 )
-from mnist3d.published_splits import MOST_DIGITS
+from mnist3d.published_splits import MAX_DIGITS
 from mnist3d.sources.digit_source import DigitCatalog, DigitImage, require_known
 from tactile_toolkit.checked_fields import check_fields, integer
 
@@ -67,7 +67,7 @@ class SyntheticSource:
     """Word that selects this source on the command line."""
 
     seed: int = integer(0)
-    count: int = integer(HWD_PLUS_COUNT, 1, MOST_DIGITS)
+    count: int = integer(HWD_PLUS_COUNT, 1, MAX_DIGITS)
 
     def __post_init__(self) -> None:
         check_fields(self, "the synthetic source")

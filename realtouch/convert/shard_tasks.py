@@ -25,7 +25,7 @@ _SHARD_BYTES = 256 << 20
 # A touch read at random unpacks its whole row group.
 _GROUP_BYTES = 32 << 20
 _PAGE_BYTES = 256 << 10  # images of a round do not compress better in larger pages
-_MOST_ROWS_PER_SHARD = 64
+_MAX_ROWS_PER_SHARD = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +96,7 @@ def plan_conversion(conversion: Conversion) -> store.BuildPlan:
     names = source.class_names
     schema = touch.with_features(step.schema(flat_schema(source.schema)), names)
     row_bytes = source.row_bytes()
-    per_shard = conversion.rows_per_shard or max(1, min(_MOST_ROWS_PER_SHARD, _SHARD_BYTES // row_bytes))
+    per_shard = conversion.rows_per_shard or max(1, min(_MAX_ROWS_PER_SHARD, _SHARD_BYTES // row_bytes))
     per_group = conversion.rows_per_group or max(1, min(per_shard, _GROUP_BYTES // row_bytes))
     tasks = []
     for split, choices in conversion.choices.items():

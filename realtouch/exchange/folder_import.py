@@ -11,7 +11,7 @@ from tactile_toolkit import column_tables, errors, store
 
 _IMAGES = tuple(f".{ending}" for ending in importing.IMAGE_ENDINGS)
 _SPLITS = {"train", "val", "valid", "validation", "test"}
-_MOST_IMAGES = 1_000_000
+_MAX_IMAGES = 1_000_000
 
 
 def find_folder(
@@ -51,9 +51,9 @@ def _images(home: store.DataFolder) -> list[str]:
     for path in home.walk():
         if path.lower().endswith(_IMAGES) and not store.is_hidden(path):
             found.append(path)
-        if len(found) > _MOST_IMAGES:
+        if len(found) > _MAX_IMAGES:
             raise errors.InputError(
-                f"{home.address()!r} holds more than {_MOST_IMAGES:,} images; expected fewer"
+                f"{home.address()!r} holds more than {_MAX_IMAGES:,} images; expected fewer"
             )
     return sorted(found, key=importing.natural_order)
 

@@ -20,8 +20,8 @@ from realtouch.exchange import hdf5_arrays, picture_arrays, zarr_recordings
 from tactile_toolkit import column_types, errors, store
 
 _ENDINGS = (".h5", ".hdf5")
-_MOST_OBJECTS, _DEEPEST = 20_000, 16
-_MOST_NUMBERS, _MOST_LETTERS = 256, 1000  # of an attribute
+_MAX_OBJECTS, _DEEPEST = 20_000, 16
+_MAX_NUMBERS, _MAX_LETTERS = 256, 1000  # of an attribute
 _SHOWN, _PICTURE_AXES = 8, 4
 
 
@@ -39,9 +39,9 @@ def find_hdf5(
         place = home.address(name)
         with importing.open_source(home, name) as stream, hdf5_arrays.in_words(place):
             root = hdf5_arrays.open_file(stream)
-            kinds = dict(islice(_members(place, root, "", _DEEPEST), _MOST_OBJECTS + 1))
-            if len(kinds) > _MOST_OBJECTS:
-                raise errors.InputError(f"{place!r}: more than {_MOST_OBJECTS:,} datasets and groups")
+            kinds = dict(islice(_members(place, root, "", _DEEPEST), _MAX_OBJECTS + 1))
+            if len(kinds) > _MAX_OBJECTS:
+                raise errors.InputError(f"{place!r}: more than {_MAX_OBJECTS:,} datasets and groups")
             for group in sorted(_groups(place, root, kinds, image), key=importing.natural_order):
                 prefix = [name.rpartition(".")[0]] * (len(names) > 1 or not group)
                 title = "/".join([*prefix, *filter(None, [group.strip("/")])])
@@ -100,8 +100,8 @@ def _recording(
     for each in dict.fromkeys(("/", f"/{group}")):
         for name, value in root[each].attrs.items():
             stated = np.asarray(value)
-            is_text = isinstance(value, str) and len(value) <= _MOST_LETTERS
-            if is_text or (stated.dtype.kind in "biuf" and stated.size <= _MOST_NUMBERS and stated.ndim < 2):
+            is_text = isinstance(value, str) and len(value) <= _MAX_LETTERS
+            if is_text or (stated.dtype.kind in "biuf" and stated.size <= _MAX_NUMBERS and stated.ndim < 2):
                 values[name] = stated.tolist()
             else:
                 left_out.append(f"attribute {name}")

@@ -18,7 +18,7 @@ from tactile_toolkit.json_types import JsonObject
 _INFO = "meta/info.json"
 _PICTURES = ("image", "video")
 _DEPTH = ("is_depth_map", "video.is_depth_map")
-_MOST_BYTES = 256 << 20
+_MAX_BYTES = 256 << 20
 _VERSION = re.compile(r"v(2\.[01]|3\.0)")
 _FIELD = re.compile(r"\{(\w+)(?::0?([0-9])d)?\}")
 _RANGE = re.compile(r"(\d{1,15}):(\d{1,15})")
@@ -186,10 +186,10 @@ def _lines(home: store.DataFolder, path: str) -> Iterator[JsonObject]:
 
 def _content(home: store.DataFolder, path: str) -> bytes:
     with importing.open_source(home, path) as stream:
-        content = stream.read(_MOST_BYTES + 1)
-    if len(content) > _MOST_BYTES:
+        content = stream.read(_MAX_BYTES + 1)
+    if len(content) > _MAX_BYTES:
         raise errors.InputError(
-            f"{home.address(path)!r} is larger than {_MOST_BYTES:,} bytes, the most that is read"
+            f"{home.address(path)!r} is larger than {_MAX_BYTES:,} bytes, the most that is read"
         )
     return content
 

@@ -35,7 +35,7 @@ _DECIMALS = 12  # of rotation vectors, in whose last bits processors differ; the
 
 _SENSED = re.compile(r"[a-z]+_tactile_data_.+")
 _PICTURE_AXES = 5
-_MOST_SENSORS = 100
+_MAX_SENSORS = 100
 
 
 def _add_arrays(
@@ -84,7 +84,7 @@ def find_oxt(
     for name, shape in arrays.items():
         if _SENSED.fullmatch(name) and isinstance(shape, list) and len(shape) == _PICTURE_AXES:
             count = shape[1] if isinstance(shape[1], int) else 0
-            several = {f"{name}[{sensor}]": (name, sensor) for sensor in range(min(count, _MOST_SENSORS))}
+            several = {f"{name}[{sensor}]": (name, sensor) for sensor in range(min(count, _MAX_SENSORS))}
             sensors |= {name: (name, 0)} if count == 1 else several
     sensor = importing.chosen_pictures(sensors, columns.image_name, group.place, "arrays of pictures", arrays)
     return zarr_recordings.recordings_of(group, arrays, sensors[sensor], columns)

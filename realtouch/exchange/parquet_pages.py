@@ -10,10 +10,10 @@ from typing import IO
 
 _UNPACKED, _STORED = 2, 3  # fields of a header
 _HEADER_BYTES = (1 << 10, 1 << 24)  # read at first, and of a long header; Arrow reads no longer one
-_MOST_PAGES = 1 << 20
+_MAX_PAGES = 1 << 20
 _SPARE_BYTES = 100  # by which old writers understate the size of a column
 _BOOLEANS, _BYTE, _INTEGERS, _DOUBLE, _BINARY, _LISTS, _STRUCT = (1, 2), 3, (4, 5, 6), 7, 8, (9, 10), 12
-_MOST_BITS = 63
+_MAX_BITS = 63
 
 
 def require_bounded_pages(stream: IO[bytes], start: int, stored_bytes: int, most_bytes: int) -> None:
@@ -22,7 +22,7 @@ def require_bounded_pages(stream: IO[bytes], start: int, stored_bytes: int, most
     ``most_bytes`` is the limit for a page unpacked.
     """
     at, end = start, start + stored_bytes
-    for _ in range(_MOST_PAGES):
+    for _ in range(_MAX_PAGES):
         if at >= end:
             return
         sizes, length = _header(stream, at)
@@ -33,7 +33,7 @@ def require_bounded_pages(stream: IO[bytes], start: int, stored_bytes: int, most
                 f"a page of {unpacked:,} bytes, {stored:,} stored; "
                 f"expected at most {most_bytes:,} in {stored_bytes:,}"
             )
-    raise ValueError(f"more than {_MOST_PAGES:,} pages in {stored_bytes:,} bytes")
+    raise ValueError(f"more than {_MAX_PAGES:,} pages in {stored_bytes:,} bytes")
 
 
 def _header(stream: IO[bytes], at: int) -> tuple[dict[int, int], int]:
@@ -88,7 +88,7 @@ def _end_of_value(data: bytes, at: int, kind: int) -> int:
 
 def _varint(data: bytes, at: int) -> tuple[int, int]:
     value = 0
-    for shift in range(0, _MOST_BITS + 1, 7):
+    for shift in range(0, _MAX_BITS + 1, 7):
         value |= (data[at] & 127) << shift
         at += 1
         if data[at - 1] < 128:

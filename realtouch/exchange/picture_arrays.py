@@ -18,14 +18,14 @@ from tactile_toolkit import bounds, errors, touch, wording
 from tactile_toolkit.array_types import AnyArray, Floating, UInt8
 
 _CHANNELS = (1, 3)
-_MOST_LEVEL = 255
+_MAX_LEVEL = 255
 # What values may be multiples of, the first that fits: of floats 1/255 or 1, of integers 1, 257 or 256.
-_DIVISORS = {"f": (1 / _MOST_LEVEL, 1.0), "u": (1.0, 257.0, 256.0), "i": (1.0, 257.0, 256.0)}
+_DIVISORS = {"f": (1 / _MAX_LEVEL, 1.0), "u": (1.0, 257.0, 256.0), "i": (1.0, 257.0, 256.0)}
 _COMPRESSION = 8  # how much better than other files arrays of pictures may compress
-_MOST_UNSTORED = 20_000  # pictures that may be stored in next to nothing
-_LEAST_PICTURE_BYTES = 64
-_LEAST_TOLERANCE = 1e-3  # levels; what single precision rounds off
-_MOST_NUMBERS = 256  # that are said of a picture in one array
+_MAX_UNSTORED = 20_000  # pictures that may be stored in next to nothing
+_MIN_PICTURE_BYTES = 64
+_MIN_TOLERANCE = 1e-3  # levels; what single precision rounds off
+_MAX_NUMBERS = 256  # that are said of a picture in one array
 _LARGEST_LETTER = 0x10FFFF
 _SURROGATES = (0xD800, 0xDFFF)
 
@@ -86,7 +86,7 @@ class PictureArray:
             )
         if array.dtype.kind not in _DIVISORS:
             raise array.refused(f"pictures of type {array.dtype}; expected numbers from 0 to 255")
-        most = _MOST_UNSTORED + stored // _LEAST_PICTURE_BYTES
+        most = _MAX_UNSTORED + stored // _MIN_PICTURE_BYTES
         if len(pictures) > most:  # each takes time, though it need not take a byte
             raise array.refused(
                 f"{wording.with_count(len(pictures), 'pictures')} in {stored:,} bytes; expected at most "
@@ -125,15 +125,15 @@ class PictureArray:
         words = ["channels first"] * (axes == 4 and self.array.shape[-1] not in _CHANNELS)
         words += ["one channel"] * (self.shape[3] == 1)
         if self.array.dtype != np.uint8:
-            top = self.divisor * _MOST_LEVEL
-            words.append(f"{self.array.dtype} from 0 to {top:g}, taken as levels from 0 to {_MOST_LEVEL}")
+            top = self.divisor * _MAX_LEVEL
+            words.append(f"{self.array.dtype} from 0 to {top:g}, taken as levels from 0 to {_MAX_LEVEL}")
         return ", ".join([*words, "without loss"] if words else words)
 
     def _lossless(self) -> float:
         """Return what all values are multiples of; InputError if 8 bits would lose some."""
-        dtype, tolerance = self.array.dtype, _LEAST_TOLERANCE
+        dtype, tolerance = self.array.dtype, _MIN_TOLERANCE
         if dtype.kind == "f":
-            tolerance = max(tolerance, float(np.finfo(dtype.name).eps) * _MOST_LEVEL)
+            tolerance = max(tolerance, float(np.finfo(dtype.name).eps) * _MAX_LEVEL)
         fitting = list(_DIVISORS[dtype.kind])
         low, high = math.inf, -math.inf
         for values in map(self._upright, self.array.blocks()):
@@ -151,7 +151,7 @@ class PictureArray:
 def _fits(levels: Floating, tolerance: float) -> bool:
     """Return whether values are integers from 0 to 255, as far as rounding shows; False for NaN."""
     nearest = np.rint(levels)
-    inside = (nearest >= 0) & (nearest <= _MOST_LEVEL)
+    inside = (nearest >= 0) & (nearest <= _MAX_LEVEL)
     return bool((inside & (np.abs(levels - nearest) <= tolerance)).all())
 
 
@@ -196,7 +196,7 @@ def columns_of(
             others.append(f"{name} (cannot be read)")
             continue
         width = math.prod(array.shape[1:])
-        if array.shape[:1] == (frames,) and 0 < width <= _MOST_NUMBERS:
+        if array.shape[:1] == (frames,) and 0 < width <= _MAX_NUMBERS:
             size += frames * width * array.dtype.itemsize
             bounds.require_unpackable(size, f"{array.place}, with all arrays before it,")
             rows = _letters_checked(array).reshape(frames, width)

@@ -22,7 +22,7 @@ from realtouch.exchange.touch_rows import NamedImage, TouchFormat
 from tactile_toolkit import column_types, errors, store
 
 # No image is smaller; a million empty ones would take long to check.
-_LEAST_IMAGE_BYTES = 24
+_MIN_IMAGE_BYTES = 24
 # How many bytes of an opcode come before the content.
 _HEADER_BYTES = {"SHORT_BINBYTES": 2, "BINBYTES": 5, "BINBYTES8": 9}
 _OF_LISTS = frozenset(
@@ -33,7 +33,7 @@ _OF_LISTS = frozenset(
 _FOLDER = "sparsh"
 _BACKGROUND = "bgs/bg_gs.jpg"
 _PROTOCOL = 4
-_MOST_IN_MEDIAN = 256
+_MAX_IN_MEDIAN = 256
 
 
 def places_of_images(stream: IO[bytes], name: str) -> Iterator[tuple[int, int]]:
@@ -43,7 +43,7 @@ def places_of_images(stream: IO[bytes], name: str) -> Iterator[tuple[int, int]]:
         for opcode, content, position in pickletools.genops(stream):
             lists += opcode.name == "EMPTY_LIST"
             if opcode.name in _HEADER_BYTES and content is not None and position is not None:
-                if len(content) < _LEAST_IMAGE_BYTES:
+                if len(content) < _MIN_IMAGE_BYTES:
                     raise errors.InputError(
                         f"{name!r} holds {len(content)} bytes at {position:,}; expected an encoded image"
                     )
@@ -113,7 +113,7 @@ def _write_backgrounds(folder: store.DataFolder, manifest: store.Manifest) -> di
         of_split = f"{_FOLDER}/{split}/"
         first = next(path for path in files if path.startswith(of_split) and path.endswith(".pkl"))
         with folder.open(first) as stream:
-            places = list(places_of_images(stream, first))[:_MOST_IN_MEDIAN]
+            places = list(places_of_images(stream, first))[:_MAX_IN_MEDIAN]
             names = [f"{first}, image {number}" for number in range(len(places))]
             images = []
             for start, size in places:

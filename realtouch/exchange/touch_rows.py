@@ -20,7 +20,7 @@ from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE
 _IMAGE = "image"
 _WHERE = {"seq": "frame {}: ", "single": ""}
 _GROUP_BYTES = 32 << 20
-_MOST_ROWS_PER_GROUP = 1 << 14
+_MAX_ROWS_PER_GROUP = 1 << 14
 
 NamedImage = tuple[str, memoryview]
 """The name of the file of an image, and its bytes as they are stored."""
@@ -59,7 +59,7 @@ class TouchFormat:
             options,
             _Touches(method, source.class_names),
             convert.marked_repetitions(source, choices),
-            rows_per_group=max(1, min(_MOST_ROWS_PER_GROUP, _GROUP_BYTES // source.image_bytes())),
+            rows_per_group=max(1, min(_MAX_ROWS_PER_GROUP, _GROUP_BYTES // source.image_bytes())),
             extra_dirs=tuple(filter(None, [self.folder])),
             write_files=self.write_files,
             pack=self.pack and partial(self._pack_shard, self.pack),

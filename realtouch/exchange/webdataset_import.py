@@ -20,8 +20,8 @@ from tactile_toolkit.json_types import JsonDict, JsonObject
 
 # How files of gzip, bzip2, xz and Zstandard begin.
 _PACKED = (b"\x1f\x8b", b"BZh", b"\xfd7zX", b"\x28\xb5\x2f\xfd")
-_MOST_FIELDS = 1000
-_MOST_TEXT_BYTES = 1 << 20  # longer files with fields are not read
+_MAX_FIELDS = 1000
+_MAX_TEXT_BYTES = 1 << 20  # longer files with fields are not read
 
 
 def find_webdataset(
@@ -52,9 +52,9 @@ def _touches(folder: store.DataFolder, name: str, samples: Sequence[_Sample]) ->
     problems = {number: sample.problems[0] for number, sample in enumerate(samples) if sample.problems}
     problems |= importing.duplicates_of([sample.key for sample in samples], "key as in sample {} of this tar")
     names = dict.fromkeys(field for sample in samples for field in sample.values)
-    if len(names) > _MOST_FIELDS:
+    if len(names) > _MAX_FIELDS:
         raise errors.InputError(
-            f"{folder.address(name)!r} has {len(names):,} different fields; the limit is {_MOST_FIELDS:,}",
+            f"{folder.address(name)!r} has {len(names):,} different fields; the limit is {_MAX_FIELDS:,}",
             next="check that the names of fields are no values",
         )
     said = {}
@@ -102,7 +102,7 @@ def _members(folder: store.DataFolder, name: str) -> Iterator[_Member]:
                 directory, slash, base = path.rpartition("/")
                 stem, _, ending = base.partition(".")
                 content = b""
-                if not _is_image(ending) and member.size <= _MOST_TEXT_BYTES:
+                if not _is_image(ending) and member.size <= _MAX_TEXT_BYTES:
                     stream.seek(start)
                     content = stream.read(member.size)
                 yield _Member(f"{directory}{slash}{stem}", ending.lower(), start, member.size, content)

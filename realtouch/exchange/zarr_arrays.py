@@ -21,7 +21,7 @@ from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.json_types import JsonDict
 
 _METADATA = {2: ".zarray", 3: "zarr.json"}
-_MOST_METADATA_BYTES = 1 << 20
+_MAX_METADATA_BYTES = 1 << 20
 _SPARE_BYTES = 1 << 16  # that a chunk which does not compress may take beyond its values
 
 
@@ -54,7 +54,7 @@ class ZarrGroup:
     def _below(self, path: str) -> str:
         return f"{self.path}/{path}".strip("/")
 
-    def read(self, path: str, most: int = _MOST_METADATA_BYTES) -> bytes | None:
+    def read(self, path: str, most: int = _MAX_METADATA_BYTES) -> bytes | None:
         """Return a file of the group, of ``most`` bytes at most; None if it does not exist."""
         try:
             with self._open(path) as stream:

@@ -24,7 +24,7 @@ from tactile_toolkit.json_types import JsonObject, JsonValue
 _DIRECTIONS = {"C": 1, "F": -1}
 # Of Zarr 3: how the names of chunks begin, and what stands between their numbers by default.
 _CHUNK_KEYS = {"default": ("c{}", "/"), "v2": ("", ".")}
-_MOST_CHUNKS = 1 << 18
+_MAX_CHUNKS = 1 << 18
 _WITHOUT_CHANGE = ("bytes", "transpose")  # of Zarr 3: how values lie in a chunk
 # Errors of the standard library, Arrow and numcodecs; a damaged header causes MemoryError.
 UNREADABLE = (
@@ -99,8 +99,8 @@ class ZarrLayout:
             return f"{self.dtype} {self.shape} in chunks {self.chunks}; expected numbers and fitting chunks"
         count = math.prod(self.counts)
         return (
-            f"{wording.with_count(count, 'chunks')}; the limit is {_MOST_CHUNKS:,}"
-            if count > _MOST_CHUNKS
+            f"{wording.with_count(count, 'chunks')}; the limit is {_MAX_CHUNKS:,}"
+            if count > _MAX_CHUNKS
             else ""
         )
 

@@ -24,7 +24,7 @@ TIMES = ("time_s", "timestamps", "timestamp")
 
 _ENDINGS = (".zarr", ".zarr.zip")
 _ENDS_SHOWN = 8
-_MOST_ARRAYS = 500
+_MAX_ARRAYS = 500
 _OF_META = (zarr_groups.ROUND, zarr_groups.TOUCH)
 _OUR_VECTORS = {"gel_pose": touch_options.POSE_COLUMNS, "pos_in_cell": touch_options.POSITION_COLUMNS}
 _OUR_VALUES = ("label", "label_name", "object_id", *touch_options.POSITION_COLUMNS)
@@ -47,10 +47,10 @@ def group_in(home: store.DataFolder) -> zarr_arrays.ZarrGroup:
 def data_arrays(group: zarr_arrays.ZarrGroup) -> dict[str, object]:
     """Return the shapes of the arrays of ``data``, as stated; InputError without any, or for too many."""
     names = group.arrays(DATA)
-    if not 0 < len(names) <= _MOST_ARRAYS:
+    if not 0 < len(names) <= _MAX_ARRAYS:
         raise errors.InputError(
             f"{group.place!r} has {len(names) or 'no'} arrays in its group 'data'; "
-            f"expected a replay buffer or Open-X-Tactile, of {_MOST_ARRAYS} arrays at most",
+            f"expected a replay buffer or Open-X-Tactile, of {_MAX_ARRAYS} arrays at most",
             next="give the group itself; a zip holds what is inside of the group's folder",
         )
     return names

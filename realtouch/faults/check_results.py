@@ -14,12 +14,12 @@ from realtouch import (
 )
 from realtouch.faults import rules
 from realtouch.faults.sections import RoundSeen
-from realtouch.finding import MOST_NAMED, RecordingFinding
+from realtouch.finding import MAX_NAMED, RecordingFinding
 from realtouch.rounds import TouchSingleRound
 from tactile_toolkit import errors, pictures, read, wording
 from tactile_toolkit.array_types import UInt8
 
-_MOST_DRAWN = 8
+_MAX_DRAWN = 8
 _TILE_PX = 240
 _LETTERS = 20  # characters of the name of a round, from its end, that fit below a picture
 
@@ -87,7 +87,7 @@ def finding_of(
     found = said.found.format(value=max(fault.value for fault in faults))
     where = " and ".join(splits)
     return RecordingFinding(
-        rule, found, said.expected_text(limits), where, tuple(names[:MOST_NAMED]), total, said.next
+        rule, found, said.expected_text(limits), where, tuple(names[:MAX_NAMED]), total, said.next
     )
 
 
@@ -96,7 +96,7 @@ def _draw(
 ) -> UInt8:
     """Draw the first touches of a finding; those that cannot be read are left out."""
     tiles: list[pictures.Tile] = []
-    for spot in list({fault.at[:3]: fault.at for fault in faults}.values())[:_MOST_DRAWN]:
+    for spot in list({fault.at[:3]: fault.at for fault in faults}.values())[:_MAX_DRAWN]:
         with suppress(errors.IntegrityError, ValueError, IndexError):
             record, touch = datasets[spot.split][spot.row], max(spot.touch, 0)
             if isinstance(record, TouchSingleRound):

@@ -22,12 +22,12 @@ from realtouch.faults import check_results, comparisons, rules
 from realtouch.faults.sections import PlacedRow, Section, check_section
 from tactile_toolkit import catalog, errors, places, read, run
 
-MOST_PICTURES = 1_000_000
+MAX_PICTURES = 1_000_000
 """About how many pictures of a set are decoded, at an eighth of their size, which takes a minute or two. All
 single images are decoded; of each clip, at least eight evenly spaced frames."""
 
-_FEWEST_FRAMES = 8
-_FEWEST_TOUCHES = 4  # shorter rounds are checked together with the ones after them
+_MIN_FRAMES = 8
+_MIN_TOUCHES = 4  # shorter rounds are checked together with the ones after them
 
 
 def check(
@@ -101,7 +101,7 @@ def _sections_of(
     """Return the number of touches, and their sections as they are checked; adds unreadable rows."""
     shards = [shard for each in files.values() for shard in each]
     touches = sum(int(stored_round.stored_touch_counts(shard).sum()) for shard in shards)
-    frames = max(_FEWEST_FRAMES, MOST_PICTURES // max(touches, 1))
+    frames = max(_MIN_FRAMES, MAX_PICTURES // max(touches, 1))
     is_rendered = schema.origin_of(shards[0].schema, catalog.manifest_beside(shards[0])) == "synthetic"
     check = partial(check_section, limits=limits, frames=frames, is_rendered=is_rendered)
     return touches, run.in_threads(check, _in_sections(_placed_rows(files, damaged)), workers)
@@ -140,11 +140,11 @@ def _in_sections(rows: Iterable[PlacedRow]) -> Iterator[list[PlacedRow]]:
     gathered: list[PlacedRow] = []
     touches = 0
     for row in rows:
-        if gathered and (gathered[0].split != row.split or touches >= _FEWEST_TOUCHES):
+        if gathered and (gathered[0].split != row.split or touches >= _MIN_TOUCHES):
             yield gathered
             gathered, touches = [], 0
         gathered.append(row)
         with suppress(errors.IntegrityError):  # a single clip has enough frames
-            touches += _FEWEST_TOUCHES if row.stored.kind == "seq" else row.stored.touch_total()
+            touches += _MIN_TOUCHES if row.stored.kind == "seq" else row.stored.touch_total()
     if gathered:
         yield gathered

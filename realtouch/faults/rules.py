@@ -29,10 +29,10 @@ MIN_KNOWN = 0.85
 """Most of a set must resemble a GelSight Mini by this correlation to be judged by its colours; the published
 sample without a wide contact has 0.96, and other sensors are lit from other sides."""
 
-MIN_DOTS, MOST_SPECKS, MAX_UNEVENNESS = 20, 9, 0.3
+MIN_DOTS, MAX_SPECKS, MAX_UNEVENNESS = 20, 9, 0.3
 """A gel has markers if it shows at least ``MIN_DOTS`` dark dots (a GelSight Mini has 63) and the standard
 deviation of the distances to their nearest neighbours is at most ``MAX_UNEVENNESS`` times their mean. It has
-no markers if there are at most ``MOST_SPECKS`` dots."""
+no markers if there are at most ``MAX_SPECKS`` dots."""
 
 TREND, MIN_ROUNDS = 0.7, 5
 """Least rank correlation of brightness and order that counts as drift, and least number of rounds."""

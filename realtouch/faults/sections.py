@@ -33,7 +33,7 @@ GEL_PICTURES = 32
 """Pictures of a section whose median shows its bare gel; at each pixel, fewer than half have contact."""
 
 _FIRST_FRAMES = 8  # of a clip, before the contact
-_LEAST_BARE = 5  # pictures whose median shows the gel and not a touched object
+_MIN_BARE = 5  # pictures whose median shows the gel and not a touched object
 _TIMES = "time_stamp_rel_seq"
 
 
@@ -211,5 +211,5 @@ def _add_bare_gel(section: Section, pictures: Sequence[strips.Picture]) -> None:
     decoded = [decode_image(bare[index]) for index in picture_views.evenly_spaced(len(bare), GEL_PICTURES)]
     same = [each for each in decoded if each.shape == decoded[0].shape]
     section.decoded += len(decoded)
-    if len(same) >= _LEAST_BARE:
+    if len(same) >= _MIN_BARE:
         section.markers = seen.count_markers(contact_picture.median_in_memory(np.stack(same)))

@@ -9,10 +9,10 @@ from PIL import Image
 from scipy import ndimage
 
 from realtouch.faults.rules import (
+    MAX_SPECKS,
     MAX_UNEVENNESS,
     MIN_BRIGHTEST,
     MIN_DOTS,
-    MOST_SPECKS,
     NOISE_FACTOR,
 )
 from tactile_toolkit.array_types import Bool, Float32, Float64, Floating, UInt8
@@ -129,7 +129,7 @@ def count_markers(background: UInt8) -> int | None:
     least = np.maximum(np.maximum(_DOT_CONTRAST, _DOT_NOISE * noise), _DOT_SHARE * around)
     peaks = darkness == ndimage.maximum_filter(darkness, max(3, round(width_px * _APART)))
     dots = np.argwhere(peaks & (darkness > least))
-    if len(dots) <= MOST_SPECKS:
+    if len(dots) <= MAX_SPECKS:
         return 0
     squared = ((dots[:, None] - dots[None]) ** 2).sum(axis=2).astype(np.float64)
     np.fill_diagonal(squared, np.inf)

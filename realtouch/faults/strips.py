@@ -15,7 +15,7 @@ from realtouch.faults.seen import spans_of
 from realtouch.poses import Poses
 from tactile_toolkit.array_types import Float32, Float64
 
-_FEWEST_STEPS = 4  # fewer have no usual step
+_MIN_STEPS = 4  # fewer have no usual step
 _SAME_M, _SAME_QUATERNION = 1e-7, 1e-6  # a robot at rest measures noise beyond these
 _FAR = 10.0  # touches of a round are about this many times farther apart than frames
 
@@ -85,7 +85,7 @@ def wrong_times(strip: Strip, limits: touch_options.CheckLimits) -> Iterator[rul
         frame = int(known.argmin()) + 1 if len(steps) else 0
         yield rules.Fault("times-run-back", strip.at._replace(frame=frame), -float(known.min(initial=0.0)))
         return
-    usual = float(np.median(steps)) if len(steps) >= _FEWEST_STEPS else 0.0
+    usual = float(np.median(steps)) if len(steps) >= _MIN_STEPS else 0.0
     if usual > 0 and steps.max() >= limits.gap * usual:
         after = strip.at._replace(frame=int(steps.argmax()) + 1)
         yield rules.Fault("dropped-frames", after, float(steps.max()) / usual)
@@ -93,7 +93,7 @@ def wrong_times(strip: Strip, limits: touch_options.CheckLimits) -> Iterator[rul
 
 def jumps(strip: Strip, limits: touch_options.CheckLimits) -> Iterator[rules.Fault]:
     """Yield the worst step of the poses of a clip, or the images that are far away from all others."""
-    if strip.poses is None or len(strip.spots) <= _FEWEST_STEPS:
+    if strip.poses is None or len(strip.spots) <= _MIN_STEPS:
         return
     position_mm = 1e3 * strip.poses.position_m
     if strip.at.touch == rules.WHOLE_ROUND:

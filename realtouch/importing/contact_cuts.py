@@ -31,15 +31,15 @@ MIN_MARGIN = 12
 
 _SPREAD = 48
 _SPREAD_BYTES = 64 << 20
-_LEAST_SPREAD = 5
-_LEAST_AT_REST = 3
+_MIN_SPREAD = 5
+_MIN_AT_REST = 3
 _LEVELS_TOGETHER = 9  # of neighbours in time, whose median is the level of the light
 _DARK = 16  # levels of pixels whose ratio is mostly noise
 _PIXEL_STEP = 2
 _TILE_PX = 108
 _GAP_PX = 8
 _TILES_PER_ROW = 10
-_MOST_TILES = 60
+_MAX_TILES = 60
 _WIDTH_PX = _TILES_PER_ROW * (_TILE_PX + _GAP_PX) - _GAP_PX
 _STRIP_PX = 72
 _GREY, _CLIP, _CONTACT = (238, 240, 242), (198, 222, 240), pictures.ACCENTS[1]
@@ -115,7 +115,7 @@ class GelAtRest:
         for index, (number, picture) in enumerate(zip(spread, seen, strict=False)):
             if picture is not None and not self.shape:
                 self.shape, self.window = picture.shape, rule.window(*picture.shape[:2])
-                step = -(-_SPREAD // max(_LEAST_SPREAD, _SPREAD_BYTES // picture[self.window].nbytes))
+                step = -(-_SPREAD // max(_MIN_SPREAD, _SPREAD_BYTES // picture[self.window].nbytes))
             cropped = self.seen_of(picture)
             if cropped is not None and (index % step == 0 or not found):
                 found[number] = cropped.copy()
@@ -130,7 +130,7 @@ class GelAtRest:
             for each in zip(pictures, map(self.at, found), strict=True)
         )
         at_rest = ~np.array(list(map(rule.holds, scores)))
-        if at_rest.sum() >= _LEAST_AT_REST:
+        if at_rest.sum() >= _MIN_AT_REST:
             alike = np.rint(pictures[at_rest] / np.float32(self._levels[at_rest, np.newaxis, np.newaxis]))
             self._base = contact_picture.median_in_memory(np.minimum(alike, 255).astype(np.uint8))
             self._levels = self._levels_of(pictures)
@@ -222,7 +222,7 @@ def draw_cuts(
     rule: contact_picture.ContactRule,
 ) -> bytes:
     """Draw the cuts of a recording as PNG; of many touches, the first have a small picture."""
-    best = [run.best for run in found.runs[:_MOST_TILES]]
+    best = [run.best for run in found.runs[:_MAX_TILES]]
     seen = pictures_of(recording, [range(frame, frame + 1) for frame in best], contents)
     tiles = [
         pictures.Tile(_small(picture), f"{number:03d}: #{frame:,}")

@@ -15,7 +15,7 @@ RECORDING_COLUMNS = ("recording", "file")
 _FRAME = "start_frame"
 
 
-MOST_PICTURES = 64
+MAX_PICTURES = 64
 """Pictures of cuts that are drawn; of more recordings, those of the first ones."""
 
 
@@ -201,7 +201,7 @@ class Cutter:
         except errors.ItemError as error:
             yield recording.unusable(error)
             return
-        if len(self.pictures) < MOST_PICTURES:
+        if len(self.pictures) < MAX_PICTURES:
             name = recording.name.replace("/", "-")
             self.pictures[name] = contact_cuts.draw_cuts(recording, found, self._contents, self._rule)
         for number, run in enumerate(found.runs):

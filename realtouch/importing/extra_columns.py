@@ -18,7 +18,7 @@ BOOKKEEPING = frozenset(
 )
 """Columns by which exports of this toolkit find their files: no extra columns, unless they are named."""
 
-_MOST_COLUMNS = 1000
+_MAX_COLUMNS = 1000
 
 
 def used_names(columns: import_columns.ImportColumns) -> set[str | None]:
@@ -52,7 +52,7 @@ def extra_sources(
                 f"the columns {sources[name]!r} and {source!r} would both be kept as {name!r}",
                 next=f"name one of them: --map NEW={sources[name]}",
             )
-        if import_columns.is_extra_name(name) and len(sources) < _MOST_COLUMNS:
+        if import_columns.is_extra_name(name) and len(sources) < _MAX_COLUMNS:
             sources[name] = source
     return sources
 

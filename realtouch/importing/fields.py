@@ -25,7 +25,7 @@ _LONGEST_SHOWN = 80  # letters of a value that a message repeats
 _LONGEST_INTEGER = 18  # digits
 # The cell is 0.12 m wide. What lies farther from it than that, or three times as high, is in another unit.
 _FARTHEST_M = (0.18, 0.18, 0.36)
-_MOST_TURN = 4 * np.pi  # of a rotation vector; a longer one is in degrees
+_MAX_TURN = 4 * np.pi  # of a rotation vector; a longer one is in degrees
 _NO_TILT = 1e-6  # of a frame by which x and y alone can be transformed
 _INSTANTS = (pa.timestamp("ns", "UTC"), pa.timestamp("ns"))
 
@@ -213,7 +213,7 @@ def _turned(numbers: Float64, columns: import_columns.ImportColumns) -> tuple[Fl
     place, angles = numbers[:, :3], numbers[:, 3:]
     if columns.euler is not None:
         return place, spatial.Rotation.from_euler(columns.euler, angles).as_quat()
-    if columns.angle_unit is None and np.abs(angles).max(initial=0) > _MOST_TURN:
+    if columns.angle_unit is None and np.abs(angles).max(initial=0) > _MAX_TURN:
         raise errors.ItemError(
             "pose",
             f"the rotation vector {shown(angles[0])}, in radians, turns more than twice; expected radians "

@@ -30,7 +30,7 @@ NOT_IMPORTED = "not_imported"
 """Key of the statistics of an import: fields that were not imported, and of how many touches."""
 
 
-_MOST_FIELDS = 100
+_MAX_FIELDS = 100
 _PIECE_BYTES = 32 << 20
 _SAME_M = 1e-9
 
@@ -106,7 +106,7 @@ class ImportTouches:
                     "was replaced or changed while it was imported: images would be taken for others",
                     next="run the same command with --overwrite",
                 )
-        counted = {NOT_IMPORTED: dict(others.most_common(_MOST_FIELDS)), touch_options.CLIPS: notes}
+        counted = {NOT_IMPORTED: dict(others.most_common(_MAX_FIELDS)), touch_options.CLIPS: notes}
         statistics = {key: dict(sorted(counts.items())) for key, counts in counted.items() if counts}
         return store.ShardContent(
             pa.concat_tables(tables),

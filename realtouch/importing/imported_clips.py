@@ -18,7 +18,7 @@ FRAMES_PER_SECOND = 25.0
 
 _RATES = (1e-3, 1e4)  # what the header of an AVI can state
 _LONGEST_S = 1e6
-_MOST_OF_MEDIAN = 64  # pictures
+_MAX_OF_MEDIAN = 64  # pictures
 _BATCH_BYTES = 64 << 20  # of large ones fewer
 _SCORED_AT_ONCE = 4  # more do not stay in the cache of a processor
 
@@ -99,7 +99,7 @@ def contact_by_pictures(
     rows, columns = rule.window(*size)
     whole = replace(rule, crop=1.0)
     height, width = rows.stop - rows.start, columns.stop - columns.start
-    most = min(_MOST_OF_MEDIAN, max(1, _BATCH_BYTES // (3 * height * width)))
+    most = min(_MAX_OF_MEDIAN, max(1, _BATCH_BYTES // (3 * height * width)))
 
     def decoded(some: Sequence[bytes]) -> UInt8:
         made = np.empty((len(some), height, width, 3), np.uint8)

@@ -13,8 +13,8 @@ from realtouch import kind, video_files
 from realtouch.importing import formats, source_files
 from tactile_toolkit import column_tables, errors, places, store, text_tables
 
-_MOST_LOOKED_AT = 20_000
-_MOST_FOLDERS = 200
+_MAX_LOOKED_AT = 20_000
+_MAX_FOLDERS = 200
 _LEVELS = 3
 _SHOWN = 3
 _TAR_AT = 257
@@ -150,7 +150,7 @@ def _paths(home: store.DataFolder) -> Sequence[str]:
     paths, folders = list[str](), [""]
     for _ in range(_LEVELS):
         inner: list[str] = []
-        for folder in folders[:_MOST_FOLDERS]:
+        for folder in folders[:_MAX_FOLDERS]:
             for name, size in sorted(home.entries(folder).items()):
                 path = f"{folder}/{name}".strip("/")
                 if store.is_hidden(path) and name not in _ZARR_MARKS:
@@ -158,7 +158,7 @@ def _paths(home: store.DataFolder) -> Sequence[str]:
                 if size is None:
                     inner.append(path)
                 paths.append(path)
-            if len(paths) > _MOST_LOOKED_AT:
+            if len(paths) > _MAX_LOOKED_AT:
                 return paths
         folders = inner
     return paths

@@ -30,7 +30,7 @@ NUMBERED = "label"
 # Images that are requested from a store at a time; latency dominates, as images are small.
 _FAR_READERS = 16
 _HERE = re.compile(r"^(?:\./+)+")
-_MOST_LINES = 1 << 21  # of a table of touches
+_MAX_LINES = 1 << 21  # of a table of touches
 _VECTOR = r"^\[[-+.,0-9eE \[\]nulNa]*\]$"  # of numbers, NaN or null, in JSON
 _DIGITS = re.compile(r"([0-9]{1,18})")
 
@@ -129,8 +129,8 @@ def read_table(
     if name.lower().endswith(column_tables.TYPED_ENDINGS):
         table = column_table(folder, name)
         rows, _ = table.scan()
-        if rows > _MOST_LINES:
-            raise errors.InputError(f"{table.path!r} has {rows:,} rows; expected at most {_MOST_LINES:,}")
+        if rows > _MAX_LINES:
+            raise errors.InputError(f"{table.path!r} has {rows:,} rows; expected at most {_MAX_LINES:,}")
         found = table.rows(np.arange(rows)) if rows else pa.table({})
         typed = {each: column_types.from_arrow(found[each]) for each in found.column_names}
         return SourceTable(table.names, typed, rows, {})

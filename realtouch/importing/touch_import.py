@@ -26,8 +26,8 @@ from tactile_toolkit.read import Shard
 CONVERSION = "images_were"
 """Key of the options of an import: how images were converted."""
 
-_MOST_LEFT_OUT = 100
-_MOST_STREAMS = 200  # that are listed
+_MAX_LEFT_OUT = 100
+_MAX_STREAMS = 200  # that are listed
 _TOUCHES_PER_GROUP = 1024
 _GROUP_BYTES = 32 << 20
 _PAGE_BYTES = 256 << 10  # of the images of a round, which do not compress any better together
@@ -122,9 +122,9 @@ def plan_of(touches: arranging.Arranged, found: import_sources.FoundSource) -> s
     if found.cut:
         spec["options"]["cut"] = found.cut
     if found.streams:
-        spec[touch_options.STREAMS] = list(found.streams[:_MOST_STREAMS])
+        spec[touch_options.STREAMS] = list(found.streams[:_MAX_STREAMS])
     if found.left_out:
-        spec[touch_options.LEFT_OUT] = list(map(shown_text.printable, found.left_out[:_MOST_LEFT_OUT]))
+        spec[touch_options.LEFT_OUT] = list(map(shown_text.printable, found.left_out[:_MAX_LEFT_OUT]))
     conversion = formats.IMPORTS[found.layout].describe(every)
     if conversion:
         spec["options"][CONVERSION] = conversion

@@ -38,7 +38,7 @@ Generator: TypeAlias = Callable[[Tensor], Tensor]
 # Half a million pixels take about half a gigabyte in a generator of 64 filters on a GPU.
 _PIXELS_TOGETHER = 1 << 19
 # Values of the image inside a residual block; for fewer, layers of PyTorch are faster.
-_LEAST_VALUES = 1 << 15
+_MIN_VALUES = 1 << 15
 _EPSILON = 1e-5  # of nn.InstanceNorm2d
 _BORDER = 3  # of the last convolution
 _ZERO, _NO_FLOOR = np.float32(0), np.float32(-np.inf)
@@ -84,7 +84,7 @@ def make_generator(weights: GeneratorWeights, device: str = "cpu", *, bfloat16: 
             next="leave it out",
         )
     values = weights.filters * weights.size_px[0] * weights.size_px[1] // 4
-    if values > _LEAST_VALUES:
+    if values > _MIN_VALUES:
         return FastGenerator(weights, bfloat16)
     return partial(_by_layers, generator_of(weights).eval(), 1, bfloat16)
 

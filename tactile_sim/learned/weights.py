@@ -36,7 +36,7 @@ _PUBLISHED = {
     "depth": "cycle_gan_inverse_tactile_mnist_v0.npz",
 }
 # A file must not decide how much is built before its shapes were compared.
-_MOST_BLOCKS, _MOST_FILTERS = 64, 1024
+_MAX_BLOCKS, _MAX_FILTERS = 64, 1024
 _SIDES_PX = range(16, 2049, 4)
 _MISSING: AnyArray = np.empty(0)
 
@@ -140,7 +140,7 @@ def _require_generator(arrays: Mapping[str, AnyArray]) -> None:
     """Raise ValueError, which names the first layer that differs, for arrays of no generator."""
     blocks, expected = GeneratorWeights(arrays).blocks, {}
     first = arrays.get("model.1.weight")
-    if first is not None and first.ndim and 0 < len(first) <= _MOST_FILTERS and blocks <= _MOST_BLOCKS:
+    if first is not None and first.ndim and 0 < len(first) <= _MAX_FILTERS and blocks <= _MAX_BLOCKS:
         with torch.device("meta"):  # only shapes, no memory
             state = GeneratorNetwork(len(first), blocks).state_dict()
         expected = {name: tuple(each.shape) for name, each in state.items()}

@@ -12,7 +12,7 @@ from tactile_sim.sensor_models import GELSIGHT_MINI, SensorModel
 from tactile_sim.twin import matching, rounds_of_fit
 from tactile_sim.twin.fitting import Fit
 from tactile_sim.twin.gel import Fitted
-from tactile_sim.twin.mistakes import LEAST_TOUCHES, Mistake, find_mistakes
+from tactile_sim.twin.mistakes import MIN_TOUCHES, Mistake, find_mistakes
 from tactile_sim.twin.reader import read_depth, train_reader
 from tactile_sim.twin.recordings import Recordings
 from tactile_sim.twin.twin import Twin, TwinOptics
@@ -66,10 +66,10 @@ def calibrate(
         )
     fit = _first_fit(recordings, start)
     likely = fit.likely
-    if likely.sum() < LEAST_TOUCHES:
+    if likely.sum() < MIN_TOUCHES:
         raise InputError(
             f"{int(likely.sum())} of {len(recordings)} touches without poses have a place that stands out; "
-            f"expected at least {LEAST_TOUCHES}",
+            f"expected at least {MIN_TOUCHES}",
             next="give approximate poses, or touch ends and corners of solids, not the middle of strokes",
         )
     fit.used = likely & _of_one_gel(len(recordings), mistakes)

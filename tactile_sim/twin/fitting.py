@@ -31,7 +31,7 @@ _SHAPE_SPREAD = np.array([0.15, 0.15, 0.05, 2e-3, 4e-4, 4e-5, 0.15, 5e-5])
 _POSE_STEP = np.array([6e-5, 6e-5, 0.008, 3e-5])
 _SQUARE = 0.001  # how much the shape of a pixel is expected to differ from that of the guess
 _HUBER = 3.0  # residuals beyond so many noise levels weigh less: dust, layer lines, shadows
-_FIRST_NOISE, _LEAST_NOISE = 10.0, 0.3  # levels
+_FIRST_NOISE, _MIN_NOISE = 10.0, 0.3  # levels
 _DARK, _BRIGHT = 1, 254  # levels from which a pixel counts as saturated
 # Curvature of the table, and how much its terms of the place are held back.
 _PLACE_COST = np.array([1.0, 3.0, 3.0, 6.0, 6.0, 6.0])
@@ -175,7 +175,7 @@ class Fit:
         sums = _Sums(len(self.poses))
         for touch in np.flatnonzero(self.used):
             self._add(sums, int(touch), moving)
-        self.noise = max(float(np.median(self.typical[self.used])), _LEAST_NOISE)
+        self.noise = max(float(np.median(self.typical[self.used])), _MIN_NOISE)
         moved = sums.solve(self, moving)
         shift = np.abs(moved[:_SHARED] / _SHAPE_SPREAD).max()
         self.shape = np.clip(self.shape + moved[:_SHARED], gel.LEAST, gel.MOST)

@@ -27,7 +27,7 @@ _REACH = 4.0  # standard deviations of the gel's kernels
 # smaller map is mirrored lies farther off.
 _HALVED_PX = (3.7, 7.0)
 _CAMERA_REACH = 3.0
-_LEAST_RIM_M = 1e-6
+_MIN_RIM_M = 1e-6
 _MARGIN = 0.12  # of the width of an image
 _EDGE = 0.7  # press depth in which the contact begins, in pixels: slopes there are about 1
 
@@ -151,7 +151,7 @@ def gel_blur(sigma_px: Float64, size: tuple[int, ...]) -> Blur:
 
 def view_of(soft: Float32, pitch_m: Float64, shape: Float64, span: Float64 = WHOLE) -> SurfaceView:
     """Return how a surface is seen, by a lens as that of ``shape``."""
-    rim_m = max(-float(shape[Fitted.CONTACT] * soft.min()), _LEAST_RIM_M)
+    rim_m = max(-float(shape[Fitted.CONTACT] * soft.min()), _MIN_RIM_M)
     (pitch_x, pitch_y), (span_x, span_y) = pitch_m.tolist(), span.tolist()
     across = _across_of(pitch_m, soft.shape, span)
     return SurfaceView(pitch_x, pitch_y, span_x, span_y, float(shape[Fitted.LENS]), across, rim_m)

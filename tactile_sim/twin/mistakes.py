@@ -21,15 +21,15 @@ from tactile_sim.twin.relief import Relief
 from tactile_toolkit.array_types import Bool, Float64, Int64, UInt8
 from tactile_toolkit.wording import with_count
 
-LEAST_TOUCHES = 5
+MIN_TOUCHES = 5
 """Touches that a fit needs at least; 20 are enough."""
 
 _WIDTH_PX = 80  # of the images that are compared
 _SMOOTH_MM = 0.5
-_FULL, _MOST_FULL = 254, 0.02
-_CHANGED, _LEAST_CHANGED = 12.0, 0.01  # levels; share of an image that a contact changes
-_MARKER_PX, _MARKER_LEVELS, _MOST_MARKERS = 7.0, 8.0, 0.01
-_MOST_DRIFT = 4.0  # levels between parts of a recording; of hidden sensors that did not change, up to 2.8
+_FULL, _MAX_FULL = 254, 0.02
+_CHANGED, _MIN_CHANGED = 12.0, 0.01  # levels; share of an image that a contact changes
+_MARKER_PX, _MARKER_LEVELS, _MAX_MARKERS = 7.0, 8.0, 0.01
+_MAX_DRIFT = 4.0  # levels between parts of a recording; of hidden sensors that did not change, up to 2.8
 _FARTHEST_M = 1.0  # a sensor that is further away from its object is not on a desk
 # Correlation of slopes with the change of an image: of right poses 0.5 to 0.9, of wrong ones about 0.
 _LOW, _GAIN = 0.35, 0.15
@@ -85,8 +85,8 @@ def find_mistakes(recordings: Recordings, start: SensorModel = GELSIGHT_MINI) ->
     """
     found: list[Mistake] = []
     count = len(recordings)
-    if count < LEAST_TOUCHES:
-        detail = f"{with_count(count, 'touches')}; expected at least {LEAST_TOUCHES}, better 20"
+    if count < MIN_TOUCHES:
+        detail = f"{with_count(count, 'touches')}; expected at least {MIN_TOUCHES}, better 20"
         found.append(Mistake("too-few", detail, float(count)))
     images = _small(recordings.images)
     rest = _rest(recordings, images)
@@ -95,7 +95,7 @@ def find_mistakes(recordings: Recordings, start: SensorModel = GELSIGHT_MINI) ->
     found += _markers(recordings)
     change = np.abs(images - rest).max(axis=3)
     shares = (change > _CHANGED).mean(axis=(1, 2))
-    touching = shares >= _LEAST_CHANGED
+    touching = shares >= _MIN_CHANGED
     if not touching.any():
         detail = f"no image shows a contact: at most {shares.max():.1%} of one differs from the gel at rest"
         return [*found, Mistake("flat", detail, float(shares.max()))]
@@ -123,13 +123,13 @@ def _rest(recordings: Recordings, images: Float64) -> Float64:
 
 def _saturated(recordings: Recordings, images: Float64, rest: Float64) -> Iterator[Mistake]:
     shares = np.array([(each >= _FULL).mean() for each in recordings.images])
-    if np.median(shares) > _MOST_FULL:
+    if np.median(shares) > _MAX_FULL:
         yield Mistake(
             "saturated",
             f"{np.median(shares):.1%} of the levels of an image are at the end of their range; expected at "
-            f"most {_MOST_FULL:.0%}: shorten the exposure",
+            f"most {_MAX_FULL:.0%}: shorten the exposure",
             float(np.median(shares)),
-            tuple(np.flatnonzero(shares > _MOST_FULL).tolist()),
+            tuple(np.flatnonzero(shares > _MAX_FULL).tolist()),
         )
 
 
@@ -145,7 +145,7 @@ def _channels(recordings: Recordings, images: Float64, rest: Float64) -> Iterato
     errors = {order: float(np.abs(shown[..., order] - rest).mean()) for order in permutations(range(3))}
     best = min(errors, key=lambda order: errors[order])
     stated = errors[0, 1, 2]
-    if best != (0, 1, 2) and errors[best] < 0.5 * stated and stated > _MOST_DRIFT:
+    if best != (0, 1, 2) and errors[best] < 0.5 * stated and stated > _MAX_DRIFT:
         names = "".join("RGB"[place] for place in best)
         yield Mistake(
             "channels",
@@ -158,17 +158,17 @@ def _channels(recordings: Recordings, images: Float64, rest: Float64) -> Iterato
 def _changed_gel(recordings: Recordings, images: Float64, rest: Float64) -> Iterator[Mistake]:
     """Find where the gel at rest changes in the order of the touches."""
     # Parts of fewer touches would show their contacts, which move from touch to touch.
-    least = max(LEAST_TOUCHES, len(images) // 3)
+    least = max(MIN_TOUCHES, len(images) // 3)
     drifts = {0: 0.0}
     for cut in range(least, len(images) - least + 1):
         before, after = np.median(images[:cut], axis=0), np.median(images[cut:], axis=0)
         drifts[cut] = float(np.median(np.abs(before - after).mean(axis=2)))
     cut = max(drifts, key=lambda place: drifts[place])
-    if drifts[cut] > _MOST_DRIFT:
+    if drifts[cut] > _MAX_DRIFT:
         yield Mistake(
             "gel-changed",
             f"gel or light changed at touch {cut}: most of the gel at rest differs by {drifts[cut]:.1f} "
-            f"levels before and after; expected at most {_MOST_DRIFT:g}",
+            f"levels before and after; expected at most {_MAX_DRIFT:g}",
             drifts[cut],
             tuple(range(cut, len(images))),
         )
@@ -181,7 +181,7 @@ def _markers(recordings: Recordings) -> Iterator[Mistake]:
     scale = plain.shape[2] / 320
     fine, wide = (scipy.ndimage.gaussian_filter(grey, each * scale) for each in (1.0, _MARKER_PX))
     share = float((fine - wide < -_MARKER_LEVELS).mean())
-    if share > _MOST_MARKERS:
+    if share > _MAX_MARKERS:
         yield Mistake(
             "markers",
             f"the gel has markers: {share:.1%} of it are small dark dots, expected none; a twin has none",

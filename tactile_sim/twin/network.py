@@ -11,7 +11,7 @@ from tactile_toolkit.array_types import Float32
 
 _LEAK = np.float32(0.1)
 _RATE, _BATCH = 5e-3, 4096
-_MOST_ROWS = 100_000  # from which mean and spread of inputs are taken
+_MAX_ROWS = 100_000  # from which mean and spread of inputs are taken
 _DECAYS = (0.9, 0.999)  # Adam (Kingma and Ba 2015), whose numbers these are
 _BLOCK = 1 << 14  # rows that stay in the processor's cache
 
@@ -42,7 +42,7 @@ def trained(
     steps: int,
 ) -> dict[str, Float32]:
     """Train a network by Adam; ``slope`` takes outputs and targets to the derivative of the loss."""
-    some = inputs[:: max(1, len(inputs) // _MOST_ROWS)]  # of all, differences would double the memory
+    some = inputs[:: max(1, len(inputs) // _MAX_ROWS)]  # of all, differences would double the memory
     mean = some.mean(axis=0)
     scale = 1 / (some.std(axis=0) + np.float32(1e-6))
     sizes = (inputs.shape[1], *hidden, outputs)

@@ -24,11 +24,11 @@ TURNS = 72
 _SMOOTH_PX = 1.0
 _PEAK_PX = 5
 _PEAKS = 4  # of one turn
-_MOST_PLACES = 120
+_MAX_PLACES = 120
 _APART_M, _APART_RAD = 8e-4, 0.15  # places that are closer than this are one
 _NEAR_M, _NEAR_RAD = 5e-3, 0.3  # from stated poses that are off
 _FAINT = 0.03  # of the strongest window: less of the solid cannot explain an image
-_LEAST_GAIN, _MOST_GAIN = 0.6, 1.6  # of how strong an image is against one of the usual press depth
+_MIN_GAIN, _MAX_GAIN = 0.6, 1.6  # of how strong an image is against one of the usual press depth
 
 Changes: TypeAlias = Mapping[int, Float32]
 """How images of touches differ from the gel at rest, (3, h, w), by their numbers."""
@@ -149,7 +149,7 @@ def matching_places(
                     if not np.any(is_near):
                         continue
                     product = windows.products((spectrum * image).sum(axis=0))
-                    gain = np.clip(product / energy, _LEAST_GAIN, _MOST_GAIN)
+                    gain = np.clip(product / energy, _MIN_GAIN, _MAX_GAIN)
                     alike = (2 * gain * product - gain * gain * energy) / _square(changes[touch])
                     alike = np.where(allowed & is_near, alike, -1.0)
                     for row, column in _peaks(alike):
@@ -259,7 +259,7 @@ def _sorted(rows: list[tuple[float, ...]], square: float) -> Places:
     values = np.array(sorted(rows, key=lambda each: -each[0]))
     kept: list[int] = []
     left = np.ones(len(values), bool)
-    while left.any() and len(kept) < _MOST_PLACES:
+    while left.any() and len(kept) < _MAX_PLACES:
         best = int(left.argmax())
         kept.append(best)
         left &= ~alike_places(values[:, 1:4], values[best, 1:4])

@@ -13,8 +13,8 @@ from tactile_toolkit.mesh import Mesh, MeshLike, as_mesh
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS
 from tactile_toolkit.wording import with_count
 
-_LEAST_PX = 32  # kernels of the gel need some room
-_MOST_BYTES = 1 << 30
+_MIN_PX = 32  # kernels of the gel need some room
+_MAX_BYTES = 1 << 30
 _NO_BACKGROUND: UInt8 = np.empty((0, 0, 0, 3), np.uint8)
 
 
@@ -119,10 +119,10 @@ def _require_images(images: AnyArray, name: str) -> None:
         raise InputError(
             f"{name} are {images.dtype} of the shape {shape}; expected uint8 (n, height, width, 3)"
         )
-    if min(shape[1:3]) < _LEAST_PX or shape[1] * shape[2] > MAX_IMAGE_PIXELS or images.nbytes > _MOST_BYTES:
+    if min(shape[1:3]) < _MIN_PX or shape[1] * shape[2] > MAX_IMAGE_PIXELS or images.nbytes > _MAX_BYTES:
         raise InputError(
-            f"{name} are {shape[0]} of {shape[2]} x {shape[1]} pixels; expected at least {_LEAST_PX} pixels "
-            f"a side and at most {_MOST_BYTES >> 20} MiB in all",
+            f"{name} are {shape[0]} of {shape[2]} x {shape[1]} pixels; expected at least {_MIN_PX} pixels "
+            f"a side and at most {_MAX_BYTES >> 20} MiB in all",
             next="scale the images, or take fewer",
         )
 

@@ -13,7 +13,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import MeshLike
 
 _PITCH_M = 5e-5  # the pixel of a GelSight Mini has 59 micrometres
-_MOST_POINTS = 1 << 24
+_MAX_POINTS = 1 << 24
 _MARGIN_M = 2e-4  # of plate around the solid
 
 
@@ -31,7 +31,7 @@ class Relief:
         low = prepared.vertices_m[:, :2].min(axis=0) - _MARGIN_M
         sides = np.ptp(prepared.vertices_m[:, :2], axis=0) + 2 * _MARGIN_M
         columns, rows = np.ceil(sides / _PITCH_M).astype(np.int64) + 1
-        if columns * rows > _MOST_POINTS:
+        if columns * rows > _MAX_POINTS:
             raise InputError(
                 f"a solid of {1e3 * sides[0]:.4g} x {1e3 * sides[1]:.4g} mm is too large to be touched; "
                 "expected metres",

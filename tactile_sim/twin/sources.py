@@ -24,7 +24,7 @@ from tactile_toolkit.parsed_text import natural_key
 from tactile_toolkit.text_tables import TABLE_ENDINGS, read_text_table
 from tactile_toolkit.units import stated_unit
 
-MOST_TOUCHES = 60
+MAX_TOUCHES = 60
 """Touches that are taken at most, evenly spaced; 20 are enough, and time grows with their number."""
 
 _SENSOR = ("x_m", "y_m", "z_m")
@@ -92,7 +92,7 @@ def read_recordings(
         touches = _of_data_set(opened(source))
     if not touches:
         raise InputError(f"{str(source)!r} holds no touches", next="give images, or another data set")
-    touches = [touches[place] for place in spaced(len(touches), MOST_TOUCHES)]
+    touches = [touches[place] for place in spaced(len(touches), MAX_TOUCHES)]
     meshes = _solids(solids, {each.object_id for each in touches}, unit, opened)
     ids = [_solid_of(each, meshes) for each in touches]
     return Recordings(
@@ -211,7 +211,7 @@ def _of_data_set(place: places.Place) -> list[_Touched]:
     place.require(KIND, "calibrate")
     parts = [KIND.load(place, split).touches() for split in place.splits]
     flat = [(each, number) for each in parts for number in range(len(each))]
-    return [_of_touch(flat[place][0][flat[place][1]]) for place in spaced(len(flat), MOST_TOUCHES)]
+    return [_of_touch(flat[place][0][flat[place][1]]) for place in spaced(len(flat), MAX_TOUCHES)]
 
 
 def _of_touch(each: Any) -> _Touched:

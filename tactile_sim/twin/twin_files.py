@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 SENSOR_FILE, ARRAYS_FILE = "sensor.json", "arrays.npz"
 _FORMAT, _VERSION = "tactile-sim sensor", 1
-_MOST_BYTES = 1 << 22
-_MOST_PIXELS = 1280 * 1280
+_MAX_BYTES = 1 << 22
+_MAX_PIXELS = 1280 * 1280
 
 
 def write_sensor(folder: str, model: SensorModel, twin: Twin) -> None:
@@ -58,7 +58,7 @@ def read_sensor(folder: str | Path) -> tuple[dict[str, Any], Twin]:
         )
     try:
         with store.open_regular(file, place) as stream:
-            document = json.loads(stream.read(_MOST_BYTES))
+            document = json.loads(stream.read(_MAX_BYTES))
         if (document["format"], document["version"]) != (_FORMAT, _VERSION):
             problem = f"its format is not {_FORMAT!r} {_VERSION}"
             raise ValueError(problem)
@@ -78,7 +78,7 @@ def read_sensor(folder: str | Path) -> tuple[dict[str, Any], Twin]:
 def _twin_of(arrays: Mapping[str, AnyArray], report: Mapping[str, Any]) -> Twin:
     """Return a twin; ValueError, which names the array, for arrays of another kind."""
     background = arrays["background"]
-    if background.ndim != 3 or not background.size <= 3 * _MOST_PIXELS or min(background.shape[:2]) < 16:
+    if background.ndim != 3 or not background.size <= 3 * _MAX_PIXELS or min(background.shape[:2]) < 16:
         problem = f"background has the shape {background.shape}"
         raise ValueError(problem)
     expected: dict[str, tuple[Any, tuple[int, ...]]] = {

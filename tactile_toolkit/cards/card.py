@@ -22,7 +22,7 @@ MESH_TASKS = {
 }
 """Tasks of meshes, in terms of the Hub."""
 
-_MOST_ENTRIES = 100  # of a list of the specification
+_MAX_ENTRIES = 100  # of a list of the specification
 
 # Templates have "FOLDER" there, because others cannot load a folder by name.
 _LOADED_NAME = re.compile(r'datasets\.load_dataset\("(?P<name>[^"]+)"')
@@ -142,7 +142,7 @@ def _shortened(values: JsonValue) -> JsonValue:
         return {name: _shortened(each) for name, each in values.items()}
     if not isinstance(values, list):
         return values
-    shown = [_shortened(each) for each in values[:_MOST_ENTRIES]]
+    shown = [_shortened(each) for each in values[:_MAX_ENTRIES]]
     further = len(values) - len(shown)
     if further:
         shown.append(f"{further:,} more in manifest.json")

@@ -20,7 +20,7 @@ from tactile_toolkit.json_types import JsonObject, JsonValue
 
 _GAPS = re.compile(r"more information needed|\[optional\]|\bTODO\b", re.IGNORECASE)
 _PICTURE = re.compile(r"!\[[^\]]*\]\((?P<path>[^)\s]+)\)")
-_MOST_SHOWN = 300
+_MAX_SHOWN = 300
 # Errors of invalid YAML content, whose values may have any type.
 _UNREADABLE = (ValueError, TypeError, KeyError, AttributeError, RecursionError)
 _REQUIRED = ("license", "pretty_name", "task_categories", "tags")
@@ -94,8 +94,8 @@ def _abridged(value: object) -> str:
     """Return the beginning of a value's repr."""
     # Aliases in a short head may expand to any size.
     short = reprlib.Repr()
-    short.maxstring = short.maxother = _MOST_SHOWN
-    return short.repr(value)[:_MOST_SHOWN]
+    short.maxstring = short.maxother = _MAX_SHOWN
+    return short.repr(value)[:_MAX_SHOWN]
 
 
 def pictures_in(text: str) -> list[str]:

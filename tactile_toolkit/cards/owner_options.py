@@ -20,7 +20,7 @@ LICENCES = (
 )
 """Identifiers of the Hub for licences that are given to data."""
 
-_MOST_LINE, _MOST_CITATION = 200, 10_000  # characters
+_MAX_LINE, _MAX_CITATION = 200, 10_000  # characters
 _BIBTEX = re.compile(r"\s*@\w+\s*\{")
 
 
@@ -37,8 +37,8 @@ def read_licence(word: str) -> str:
 
 def _read_line(option: str, words: str) -> str:
     line = words.strip()
-    if not line or len(line) > _MOST_LINE or shown_text.printable(line) != line:
-        raise InputError(f"{option} is {words[:80]!r}; expected one line of 1 to {_MOST_LINE} characters")
+    if not line or len(line) > _MAX_LINE or shown_text.printable(line) != line:
+        raise InputError(f"{option} is {words[:80]!r}; expected one line of 1 to {_MAX_LINE} characters")
     return line
 
 
@@ -57,17 +57,15 @@ def read_citation(words: str) -> str:
     if words.endswith(".bib"):
         try:
             with store.open_regular(store.expanded(words)) as stream:
-                words = stream.read(4 * _MOST_CITATION).decode()
+                words = stream.read(4 * _MAX_CITATION).decode()
         except (OSError, UnicodeDecodeError) as error:
             problem = getattr(error, "strerror", None) or "it is not UTF-8 text"
             raise InputError(
                 f"--citation {words!r} cannot be read ({problem})", next="check the file"
             ) from error
     found = words.strip()
-    if not found or len(found) > _MOST_CITATION or shown_text.printable(found, keep="\n") != found:
-        raise InputError(
-            f"--citation has {len(found):,} characters; expected 1 to {_MOST_CITATION:,} of text"
-        )
+    if not found or len(found) > _MAX_CITATION or shown_text.printable(found, keep="\n") != found:
+        raise InputError(f"--citation has {len(found):,} characters; expected 1 to {_MAX_CITATION:,} of text")
     if found.startswith("@") and not (_BIBTEX.match(found) and found.count("{") == found.count("}")):
         raise InputError(
             "--citation begins as BibTeX, but its braces do not match",

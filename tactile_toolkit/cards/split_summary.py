@@ -13,7 +13,7 @@ from tactile_toolkit import parsed_text, store
 from tactile_toolkit.rows import Column
 from tactile_toolkit.wording import with_count
 
-_MOST_LISTED = 12
+_MAX_LISTED = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ class SplitSummary:
         is_even = len(counts) > 1 and len(set(counts.values())) == 1
         if is_even and not pa.types.is_list(column.data_type):
             return f"{next(iter(counts.values())):,} of each of {len(counts):,}"
-        if len(counts) > _MOST_LISTED:
+        if len(counts) > _MAX_LISTED:
             return with_count(len(counts), "values")
         return ", ".join(f"{value}: {count:,}" for value, count in counts.items()) or "none"
 

@@ -23,7 +23,7 @@ _STYLE = store.ParquetStyle(100, compression_level=3, encodings=((f"{mesh.MESH}.
 # Made once and read by many users; at level 9 the meshes of digits are a fifth larger.
 _VIEWER_STYLE = replace(_STYLE, compression_level=19)
 # Shards in memory at a time; compression at level 19 takes about 100 MB more for each.
-_MOST_AT_ONCE = 8
+_MAX_AT_ONCE = 8
 
 
 def _flat_rows(_shard: store.ShardName, rows: Any) -> store.ShardContent:
@@ -84,4 +84,4 @@ def viewer_tables(folder: store.DataFolder, manifest: store.Manifest, out: Path)
         (out / path).write_bytes(content)
         return path, store.sha256_hex(content)
 
-    return dict(run.in_threads(make, manifest.shards, min(system.usable_cores(), _MOST_AT_ONCE)))
+    return dict(run.in_threads(make, manifest.shards, min(system.usable_cores(), _MAX_AT_ONCE)))

@@ -25,10 +25,10 @@ from tactile_toolkit.gallery.page import ASSETS, FOLDER_MARK, THREE, asset, inde
 
 PAGE_FILE = "index.html"
 
-MOST_ITEMS = 20_000
+MAX_ITEMS = 20_000
 """Largest number of items: the page keeps its index in memory."""
 
-MOST_BYTES = 2_000_000_000
+MAX_BYTES = 2_000_000_000
 """Largest site; larger ones are impractical to copy."""
 
 # The page in its folder of files, before the name of that folder is known.
@@ -121,9 +121,9 @@ def _write_items(
                 files.write(f"items/{number:06d}.js", content)
                 for ending, medium in item.media.items():
                     files.write(f"media/{number:06d}-{ending}", medium)
-            if files.bytes > MOST_BYTES:
+            if files.bytes > MAX_BYTES:
                 raise InputError(
-                    f"the gallery would take more than {MOST_BYTES / 1e9:.0f} GB with {len(shown):,} of "
+                    f"the gallery would take more than {MAX_BYTES / 1e9:.0f} GB with {len(shown):,} of "
                     f"{gallery.size:,} {gallery.nouns[1]}; what was written is removed",
                     next="choose fewer with --limit, --split or --per-class",
                 )
@@ -192,9 +192,9 @@ def site_folder(gallery: Gallery, out: str, *, overwrite: bool = False) -> Path:
         raise InputError(
             f"there is no {one} to show", next="choose another --split, or a data set that holds some"
         )
-    if gallery.size > MOST_ITEMS:
+    if gallery.size > MAX_ITEMS:
         raise InputError(
-            f"the gallery would show {gallery.size:,} {many}; expected at most {MOST_ITEMS:,}; nothing was "
+            f"the gallery would show {gallery.size:,} {many}; expected at most {MAX_ITEMS:,}; nothing was "
             "written",
             next="choose fewer with --limit, --split or --per-class",
         )

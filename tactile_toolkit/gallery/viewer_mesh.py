@@ -20,9 +20,9 @@ STEP_MM = 0.01
 """Grid to which vertices are rounded, a twentieth of a printed layer; coarser for meshes above 655 mm, finer
 for those below 10 mm."""
 
-_FEWEST_STEPS = 1_000
-_LEAST_STEP_MM = 1e-6
-_MOST_STEPS = np.iinfo(np.uint16).max
+_MIN_STEPS = 1_000
+_MIN_STEP_MM = 1e-6
+_MAX_STEPS = np.iinfo(np.uint16).max
 
 
 def packed_mesh(
@@ -42,7 +42,7 @@ def packed_mesh(
     vertices_mm = np.asarray(vertices_m, np.float64) * mesh.MM_PER_M
     low_mm = vertices_mm.min(axis=0)
     extent_mm = float((vertices_mm.max(axis=0) - low_mm).max())
-    step_mm = max(min(STEP_MM, max(extent_mm / _FEWEST_STEPS, _LEAST_STEP_MM)), extent_mm / _MOST_STEPS)
+    step_mm = max(min(STEP_MM, max(extent_mm / _MIN_STEPS, _MIN_STEP_MM)), extent_mm / _MAX_STEPS)
     steps = np.round((vertices_mm - low_mm) / step_mm).astype(np.int64)
     return {
         "vertices": _packed(steps.T.reshape(-1)),

@@ -53,7 +53,7 @@ _FILE_NAME = re.compile(r'(?:W/)?"?\w[\w.-]*"?', re.ASCII)
 _FILE_NAMES = ("etag", "x-linked-etag", "x-repo-commit")
 _PROXIES = ("HTTPS_PROXY", "HTTP_PROXY", "ALL_PROXY")
 _ADDRESSES = ("HF_ENDPOINT", *_PROXIES, *map(str.lower, _PROXIES))
-_MOST_S = 1e9  # numbers may have thousands of digits
+_MAX_S = 1e9  # numbers may have thousands of digits
 
 # The address of a mirror may hold a password.
 _USER_OF_ADDRESS = re.compile(r"(https?://)[^\s'\"<>/@]+@")
@@ -147,7 +147,7 @@ def _requested_wait_s(headers: Mapping[str, str]) -> float:
     spent = re.search(r"\br=0\s*;\s*t=(\d+)", str(headers.get("RateLimit", "")))
     text = spent[1] if spent else str(headers.get("Retry-After", "")).strip()
     if re.fullmatch("[0-9]+", text):
-        return min(float(text), _MOST_S)
+        return min(float(text), _MAX_S)
     return 0.0
 
 
@@ -281,7 +281,7 @@ def _timed(pieces: Callable[..., Iterator[bytes]], *arguments: object) -> Iterat
         if piece is None:
             return
         waited_s, arrived = waited_s + time.monotonic() - begun_s, arrived + len(piece)
-        if waited_s > store.remote.ANSWER_S + arrived / store.remote.LEAST_BYTES_PER_S:
+        if waited_s > store.remote.ANSWER_S + arrived / store.remote.MIN_BYTES_PER_S:
             raise store.remote.TooSlowError(f"{arrived:,} bytes came within {waited_s:.0f} s")
         yield piece
 

@@ -45,7 +45,7 @@ from .printability import (
     inspect as inspect,
 )
 from .raster import (
-    MOST_PIXELS as MOST_PIXELS,
+    MAX_PIXELS as MAX_PIXELS,
     highest_faces as highest_faces,
     highest_values as highest_values,
     positions_in_runs as positions_in_runs,

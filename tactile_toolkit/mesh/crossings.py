@@ -20,7 +20,7 @@ from tactile_toolkit.mesh.surface_kernels import halves, passages
 
 _TOLERANCE = 2.0**-21
 # Greatest number of faces that do not look up; each takes a pass over all faces.
-_MOST_ODD = 64
+_MAX_ODD = 64
 # Doubtful places that are tested; each takes 26 winding numbers over all faces.
 _DOUBTS_TRIED = 32
 # Distance, in tolerances, from a doubtful place to the points at which winding numbers are computed. None of
@@ -64,7 +64,7 @@ def faces_not_proven_free(vertices_mm: Float64, faces: Int64) -> Int64:
     """
     x, y, z = vertices_mm.T
     is_split, odd, edges = halves(vertices_mm, faces, (z.max() + z.min()) / 2)
-    if not is_split or len(odd) > _MOST_ODD or not _rim_is_simple(vertices_mm, edges):
+    if not is_split or len(odd) > _MAX_ODD or not _rim_is_simple(vertices_mm, edges):
         return np.arange(len(faces))
     if not len(odd):
         return odd

@@ -19,7 +19,7 @@ UNIT = choice(
 )
 """Option of commands that take mesh files."""
 
-_LEAST_MM, _MOST_MM, _USUAL_MM = 1.0, 1000.0, 50.0
+_MIN_MM, _MAX_MM, _USUAL_MM = 1.0, 1000.0, 50.0
 
 
 def require_unit(unit: str | None) -> None:
@@ -52,14 +52,12 @@ def require_likely_size(size_mm: float, unit: str | None, stated: str | None) ->
         The message names the unit in which the object would be nearest to 50 mm.
     """
     is_meant = unit is not None and stated in (None, unit)
-    if is_meant or _LEAST_MM <= size_mm <= _MOST_MM or not size_mm or not math.isfinite(size_mm):
+    if is_meant or _MIN_MM <= size_mm <= _MAX_MM or not size_mm or not math.isfinite(size_mm):
         return
     read_as = stated or "mm"
     number = size_mm / MM_PER_UNIT[read_as]
     likely = min(UNITS, key=lambda name: abs(math.log(number * MM_PER_UNIT[name] / _USUAL_MM)))
-    found = (
-        f"the object, read in {read_as}, is {size_mm:.3g} mm long; expected {_LEAST_MM:g} to {_MOST_MM:g} mm"
-    )
+    found = f"the object, read in {read_as}, is {size_mm:.3g} mm long; expected {_MIN_MM:g} to {_MAX_MM:g} mm"
     meant = f"--unit {read_as} if it is meant to be so"
     if likely == read_as:
         raise InputError(found, next=f"scale it, or give {meant}")

@@ -27,7 +27,7 @@ _PLAIN: dict[str, Callable[[bytes], Surface]] = {
     ".obj": obj.read_obj,
 }
 
-_MOST_BYTES = 2 << 30  # an STL of 43 million triangles
+_MAX_BYTES = 2 << 30  # an STL of 43 million triangles
 _USUAL_UNIT = "mm"  # slicers assume it, too
 
 # First bytes of files of some formats, and the ending that they should have.
@@ -103,10 +103,10 @@ def file_content(path: Path, below: Path | None = None) -> bytes:
 
 def _bounded(stream: IO[bytes]) -> bytes:
     size = stream.seek(0, os.SEEK_END)
-    if size > _MOST_BYTES:
+    if size > _MAX_BYTES:
         raise InputError(
             f"the file has {quantities.bytes_text(size)}; expected at most "
-            f"{quantities.bytes_text(_MOST_BYTES)}",
+            f"{quantities.bytes_text(_MAX_BYTES)}",
             next="reduce the number of its triangles",
         )
     stream.seek(0)

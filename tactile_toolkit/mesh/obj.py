@@ -18,7 +18,7 @@ from tactile_toolkit.mesh.text import numbers_of, plain_text
 _VERTEX_LINE = re.compile(r"^[ \t]*v(?!\S)([^\n]*)", re.MULTILINE)
 _FACE_LINE = re.compile(r"^[ \t]*f(?!\S)([^\n]*)", re.MULTILINE)
 _FREE_FORM = re.compile(r"^[ \t]*(curv2?|surf)\b", re.MULTILINE)
-_MOST_VERTICES = 2**31 - 1
+_MAX_VERTICES = 2**31 - 1
 _COMMENT, _TEXTURE_AND_NORMAL = re.compile(r"#[^\n]*"), re.compile(r"/\S*")
 
 
@@ -37,7 +37,7 @@ def read_obj(data: bytes) -> Surface:
     faces = [_TEXTURE_AND_NORMAL.sub("", line) if "/" in line else line for line in _FACE_LINE.findall(text)]
     sizes = np.array([len(line.split()) for line in faces], np.int64)
     numbers = numbers_of(" ".join(faces).split(), int)
-    if numbers and not -_MOST_VERTICES <= min(numbers) <= max(numbers) <= _MOST_VERTICES:
+    if numbers and not -_MAX_VERTICES <= min(numbers) <= max(numbers) <= _MAX_VERTICES:
         raise InputError(f"faces name vertices {min(numbers)} to {max(numbers)} of {len(vertices):,}")
     corners = np.array(numbers, np.int64)
     if (corners < 1).any():

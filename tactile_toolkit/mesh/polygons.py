@@ -11,7 +11,7 @@ from tactile_toolkit.array_types import AnyArray, Float64, Int32, Int64
 from tactile_toolkit.errors import InputError
 
 # The time for a polygon that crosses itself grows with the square of its number of corners.
-_MOST_CORNERS = 10_000
+_MAX_CORNERS = 10_000
 
 
 def cut_polygons(vertices: Float64, sizes: Int64, corners: Int64) -> Int32:
@@ -41,9 +41,9 @@ def cut_polygons(vertices: Float64, sizes: Int64, corners: Int64) -> Int32:
         raise InputError(f"a face names vertex {beyond[0]}, counted from 0; there are {len(vertices):,}")
     if not len(sizes) or (sizes == 3).all():
         return corners.reshape(-1, 3).astype(np.int32)
-    wrong = sizes[(sizes < 3) | (sizes > _MOST_CORNERS)]
+    wrong = sizes[(sizes < 3) | (sizes > _MAX_CORNERS)]
     if len(wrong):
-        raise InputError(f"a face has {wrong[0]:,} corners; expected 3 to {_MOST_CORNERS:,}")
+        raise InputError(f"a face has {wrong[0]:,} corners; expected 3 to {_MAX_CORNERS:,}")
     starts = np.cumsum(sizes) - sizes
     found = []
     for size in np.unique(sizes).tolist():

@@ -13,7 +13,7 @@ import numpy as np
 
 from tactile_toolkit.array_types import Float32, Float64, Int64, Integers
 
-MOST_PIXELS = 1 << 27
+MAX_PIXELS = 1 << 27
 """Largest grid, 512 MiB; a finer pitch is refused."""
 
 # A pixel centre this close outside an edge counts as on it, so that rounding leaves no gaps.

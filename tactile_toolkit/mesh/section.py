@@ -20,7 +20,7 @@ SPACING_MM = 0.4
 NORMAL_SPAN = 2
 """Number of neighbours on each side that define the direction of the outline at a point."""
 
-LEAST_CONTACT_SINE = 0.9
+MIN_CONTACT_SINE = 0.9
 """Sine of half the angle between two contacts, seen from the centre of the disc: 128 degrees."""
 
 MAX_POINTS = 6000
@@ -42,7 +42,7 @@ def thinnest_width_mm(outlines_mm: Sequence[Float64]) -> float:
         return 0.0
     begun.sort(key=lambda line: (*line[0].tolist(), len(line)))
     radii, contacts = largest_discs(*_outline_points(begun))
-    facing = contacts >= 2 * LEAST_CONTACT_SINE * radii
+    facing = contacts >= 2 * MIN_CONTACT_SINE * radii
     return float(2 * (radii[facing].min() if facing.any() else radii.max()))
 
 

@@ -9,7 +9,7 @@ from tactile_toolkit.compiled import part, planned
 
 _BLOCK = 16
 # A point, at distance 0 from itself, must not limit its own disc.
-_LEAST_SQUARED_MM2 = np.float32(1e-3)
+_MIN_SQUARED_MM2 = np.float32(1e-3)
 # More than the rounding of single precision.
 _NEARLY = np.float32(1 - 1e-5)
 _FLATTEST = np.float32(1e-9)
@@ -70,6 +70,6 @@ def _apart(points: Float32, point: int, blocks: Float32, block: int) -> np.float
 def _bend(points: Float32, inward: Float32, here: int, there: int) -> tuple[np.float32, np.float32]:
     away_x, away_y = points[there, 0] - points[here, 0], points[there, 1] - points[here, 1]
     squared = away_x * away_x + away_y * away_y
-    if squared < _LEAST_SQUARED_MM2:
-        squared = _LEAST_SQUARED_MM2
+    if squared < _MIN_SQUARED_MM2:
+        squared = _MIN_SQUARED_MM2
     return (inward[here, 0] * away_x + inward[here, 1] * away_y) / squared, squared

@@ -12,7 +12,7 @@ from tactile_toolkit import read
 from tactile_toolkit.array_types import Float32, Float64, Floating, Integers, UInt8
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError, needs_extra
-from tactile_toolkit.mesh.raster import MOST_PIXELS, covered_pixels, highest_values
+from tactile_toolkit.mesh.raster import MAX_PIXELS, covered_pixels, highest_values
 from tactile_toolkit.mesh.records import SolidRecord
 
 if TYPE_CHECKING:
@@ -50,10 +50,10 @@ class VoxelGrid:
     def __post_init__(self) -> None:
         lengths = np.array([*self.extent_m, self.pitch_m], np.float64)
         possible = lengths.shape == (4,) and bool((lengths > 0).all()) and bool(np.isfinite(lengths).all())
-        if not possible or not np.prod(np.maximum(1.0, lengths[:3] / lengths[3])) <= MOST_PIXELS:
+        if not possible or not np.prod(np.maximum(1.0, lengths[:3] / lengths[3])) <= MAX_PIXELS:
             raise InputError(
                 f"a grid of {self.extent_m!r} m in steps of {self.pitch_m!r} m was asked for; expected three "
-                f"positive lengths and a step such as 0.001, at most {MOST_PIXELS:,} voxels"
+                f"positive lengths and a step such as 0.001, at most {MAX_PIXELS:,} voxels"
             )
 
     @property

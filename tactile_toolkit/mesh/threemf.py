@@ -55,7 +55,7 @@ _NEGATIVE_VOLUMES = ("negativevolume", "negative_part")
 
 # A file of a few bytes can contain itself, or unpack to any size.
 _DEEPEST = 32
-_MOST_PARTS = 20_000
+_MAX_PARTS = 20_000
 # Upper bounds of the memory for each byte of XML and of the result, and for each element.
 _PER_BYTE, _PER_ELEMENT = 4, 160
 _PIECE_BYTES = 1 << 20
@@ -262,8 +262,8 @@ class _Package:
         # A few bytes can refer to the same object any number of times.
         self._placed_parts += 1
         self._built_bytes += sum(each.nbytes for each in thing.surface or ())
-        if depth > _DEEPEST or self._placed_parts > _MOST_PARTS:
-            raise InputError(f"object {named[1]!r} holds itself, or more than {_MOST_PARTS:,} parts")
+        if depth > _DEEPEST or self._placed_parts > _MAX_PARTS:
+            raise InputError(f"object {named[1]!r} holds itself, or more than {_MAX_PARTS:,} parts")
         bounds.require_unpackable(_PER_BYTE * self._built_bytes, "3MF file: its objects", self._file_bytes)
         own = None
         if thing.surface is not None:

@@ -12,7 +12,7 @@ from tactile_toolkit.pictures.vectors import face_normals, unit_vectors
 
 _PITCH_M = 0.0002
 _TILE_PX = 96
-_MOST_PX = 4096  # largest side of a relief
+_MAX_PX = 4096  # largest side of a relief
 
 # Direction of the light of reliefs: right, up and out of the picture.
 _LIGHT = np.array([-0.45, 0.55, 0.70])
@@ -41,7 +41,7 @@ def relief(vertices_m: Floating, faces: Integers, pitch_m: float = _PITCH_M) -> 
     vertices, faces = np.asarray(vertices_m, np.float64), np.asarray(faces)
     low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
     # A mesh in millimetres that is read in metres would have 10^10 pixels.
-    pitch_m = max(pitch_m, float((high - low).max()) / _MOST_PX)
+    pitch_m = max(pitch_m, float((high - low).max()) / _MAX_PX)
     # Four pixels of margin on each side, and one for the pixel of the last corner.
     width, height = (np.ceil((high - low) / pitch_m).astype(int) + 9).tolist()
     columns, rows = ((vertices[:, :2] - low) / pitch_m + 4).T

@@ -27,7 +27,7 @@ from tactile_toolkit.places.split_files import (
 
 # Depth of folders in which files are searched, and their largest number.
 _DEPTH = 4
-_MOST_FOLDERS = 1000
+_MAX_FOLDERS = 1000
 
 Name: TypeAlias = "str | os.PathLike[str]"
 """A folder, a Parquet file, a repository of the Hub or the short name of a published set."""
@@ -190,9 +190,9 @@ def _walked(folder: store.DataFolder) -> list[str]:
     files: list[str] = []
     waiting = [("", 0)]
     for count, (inside, depth) in enumerate(waiting):
-        if count > _MOST_FOLDERS:
+        if count > _MAX_FOLDERS:
             raise InputError(
-                f"{folder.address()!r} holds more than {_MOST_FOLDERS:,} folders; expected a data set",
+                f"{folder.address()!r} holds more than {_MAX_FOLDERS:,} folders; expected a data set",
                 next="give the folder of one data set",
             )
         entries = folder.entries(inside)

@@ -42,8 +42,8 @@ _MARKS = {
     ),
     (".zgroup", ".zarray", ".zattrs", "zarr.json"): ("is a Zarr array or group", _IMPORT_STEP),
 }
-_MOST_SHOWN = 3
-_MOST_LOOKED_AT = 10_000
+_MAX_SHOWN = 3
+_MAX_LOOKED_AT = 10_000
 
 
 def is_parquet_file(folder: store.DataFolder, path: str) -> bool:
@@ -87,7 +87,7 @@ def _folder_in_words(folder: store.DataFolder) -> tuple[str, str]:
     folders = [name for name, size in entries.items() if size is None and not name.startswith(".")]
     sets = [name for name in folders if folder.exists(f"{name}/{store.MANIFEST_FILE}")]
     if sets:
-        shown = ", ".join(sets[:_MOST_SHOWN])
+        shown = ", ".join(sets[:_MAX_SHOWN])
         return (
             f"holds {with_count(len(sets), 'data sets')} ({shown})",
             f"give one of them, such as {sets[0]!r}",
@@ -103,14 +103,14 @@ def _contents_in_words(folder: store.DataFolder) -> tuple[str, str]:
             files.append(name)
         elif not name.startswith("."):
             files += [f"{name}/{each}" for each in folder.names(name)]
-        if len(files) > _MOST_LOOKED_AT:
+        if len(files) > _MAX_LOOKED_AT:
             break
     zarr = next((path for path in files if path.endswith((".zgroup", "zarr.json"))), None)
     if zarr is not None:
         return "holds Zarr arrays", _IMPORT_STEP
     counts = Counter(_ENDINGS[_ending(path)][1:] for path in files if _ending(path) in _ENDINGS)
     if not counts:
-        shown = ", ".join(map(repr, sorted(folder.names())[:_MOST_SHOWN]))
+        shown = ", ".join(map(repr, sorted(folder.names())[:_MAX_SHOWN]))
         return f"holds no Parquet files (found {shown})", "give the folder of a data set"
     # Tables beside pictures, videos or meshes describe them.
     said = _ENDINGS[_TABLES[0]][1:]

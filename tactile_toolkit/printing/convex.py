@@ -24,7 +24,7 @@ _DIRECTIONS = [
 _OUTLINE_MM = 0.02  # finer details of an outline are ignored
 # Larger than any plate, and small enough for half planes in double precision.
 _FAR_MM = 1e5
-_LEAST_MM3 = 1e-6  # smaller remainders of a cut are not parts
+_MIN_MM3 = 1e-6  # smaller remainders of a cut are not parts
 
 
 def convex_parts(
@@ -54,7 +54,7 @@ def convex_parts(
 
 def _parts(found: Manifold) -> list[tuple[float, Manifold, Manifold]]:
     """Return the bodies of a solid: the volume that the hull of each adds, the body, and its hull."""
-    bodies = [(part, part.hull()) for part in found.decompose() if part.volume() > _LEAST_MM3]
+    bodies = [(part, part.hull()) for part in found.decompose() if part.volume() > _MIN_MM3]
     return [(hull.volume() - part.volume(), part, hull) for part, hull in bodies]
 
 

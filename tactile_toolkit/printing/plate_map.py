@@ -24,7 +24,7 @@ _FILLS = (
 )
 # Lengths of the map before it is reduced by _FINER, which smooths the lines of Pillow.
 _FINER = 2
-_LONGER_SIDE_PX, _LONGEST_SIDE_PX, _LEAST_PX_PER_MM = 2_400, 8_000, 8.0
+_LONGER_SIDE_PX, _LONGEST_SIDE_PX, _MIN_PX_PER_MM = 2_400, 8_000, 8.0
 _EDGE_PX, _TITLE_PX, _NUMBER_PX, _WORD_PX, _LINE_PX = 120, 40, 30, 24, 30
 _LINES_TO_A_BAR = 3  # grid lines along the length of a scale bar
 
@@ -40,7 +40,7 @@ def draw_map(layout: PlateLayout, number: int) -> bytes:
     every = [placed.item for other in layout.plates for placed in other]
     labels, ids = sorted({item.label for item in every}), Counter(item.id for item in every)
     # More pixels for a larger plate, so that there is room for labels.
-    longer_px = min(max(_LONGER_SIDE_PX, _LEAST_PX_PER_MM * max(spec.sides_mm)), _LONGEST_SIDE_PX)
+    longer_px = min(max(_LONGER_SIDE_PX, _MIN_PX_PER_MM * max(spec.sides_mm)), _LONGEST_SIDE_PX)
     scale = longer_px / max(spec.sides_mm)
     width_px, depth_px = (round(side * scale) for side in spec.sides_mm)
     sheet_px = max(width_px, round(pictures.text_size(title, _TITLE_PX)[0])) + 2 * _EDGE_PX

@@ -23,7 +23,7 @@ from tactile_toolkit.printing.physics import Physics
 TOO_LIGHT = "too-light"
 """Problem of a body; the others are :data:`tactile_toolkit.mesh.PROBLEMS`."""
 # MuJoCo refuses bodies with a smaller moment of inertia.
-_LEAST_MOMENT_KG_M2 = 1e-14
+_MIN_MOMENT_KG_M2 = 1e-14
 
 _USD_INDENT = " " * 4
 
@@ -59,11 +59,11 @@ def body_of(name: str, mesh: Mesh, physics: Physics) -> RigidBody:
     center_m = np.asarray(properties.center_mass, np.float64)
     inertia_kg_m2 = np.asarray(properties.inertia, np.float64)
     least = float(np.linalg.eigvalsh(inertia_kg_m2)[0])
-    if least < _LEAST_MOMENT_KG_M2:
+    if least < _MIN_MOMENT_KG_M2:
         raise ItemError(
             TOO_LIGHT,
             f"its least moment of inertia is {least:.2g} kg m²; MuJoCo takes bodies from "
-            f"{_LEAST_MOMENT_KG_M2:g} kg m² on; next: a larger --scale or --density-kg-m3",
+            f"{_MIN_MOMENT_KG_M2:g} kg m² on; next: a larger --scale or --density-kg-m3",
         )
     return RigidBody(name, mesh, parts, float(properties.mass), center_m, inertia_kg_m2, physics.friction)
 

@@ -23,12 +23,12 @@ Key = tuple[str, int, int]
 """Digest of the identity of a file, number of the row group, and number of the block in it."""
 
 _HELD_BYTES = 4 << 30
-_LEAST_BYTES = 1 << 20
+_MIN_BYTES = 1 << 20
 IN_MEMORY = 8
 
 
 BLOCKS: MemoryCache[Key, RowGroup] = MemoryCache(
-    _HELD_BYTES, lambda group: max(_LEAST_BYTES, group.mapped_bytes or IN_MEMORY * int(group.table.nbytes))
+    _HELD_BYTES, lambda group: max(_MIN_BYTES, group.mapped_bytes or IN_MEMORY * int(group.table.nbytes))
 )
 """Open blocks of this process: at most 4 GiB of maps, which the system evicts from memory when needed, and
 4,096 of them, because a process may have 65,530 maps; 512 MiB where the cache cannot be written."""

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 _SHOWN_PICTURES = 8
-_MOST_NAMES = 10
+_MAX_NAMES = 10
 _SHOWN_IDS = 4
 
 
@@ -338,8 +338,8 @@ class RecordDataset(RowColumns, Sequence[T], Generic[T]):
             return "classes unreadable"
         if not names:
             return "no classes"
-        further = len(names) - _MOST_NAMES
-        shown = names if further <= 0 else [*names[:_MOST_NAMES], f"{further:,} more"]
+        further = len(names) - _MAX_NAMES
+        shown = names if further <= 0 else [*names[:_MAX_NAMES], f"{further:,} more"]
         return f"{'class' if len(names) == 1 else 'classes'} {', '.join(shown)}"
 
 

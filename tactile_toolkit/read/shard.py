@@ -37,7 +37,7 @@ _BLOCK_BYTES = 64 << 20
 # Unpacked sizes of physical types of Parquet; others take at least four bytes, a number or an offset.
 _VALUE_BYTES = {"BOOLEAN": 1, "INT64": 8, "DOUBLE": 8, "INT96": 12}
 # A row group that expands by more than this might be a single row; padding of clips expands about 20 times.
-_MOST_EXPANSION = 500
+_MAX_EXPANSION = 500
 
 Footer: TypeAlias = "tuple[parquet.FileMetaData, pa.Schema]"
 
@@ -256,7 +256,7 @@ class Shard:
             for column in columns
         )
         stored = sum(column.total_compressed_size for column in columns)
-        if size_bytes <= _MOST_EXPANSION * stored:
+        if size_bytes <= _MAX_EXPANSION * stored:
             size_bytes //= max(group.num_rows, 1)
         bounds.require_unpackable(size_bytes, f"{self.path!r}, rows from {self.group_starts[index]}:")
 

@@ -31,7 +31,7 @@ _SINCE = "_steps_since_snapshot"
 # State of a pass in one process: epoch, first item, and number of batches since.
 _POSITION = ("epoch", "start", "batches")
 # The table that workers share is created before their number is known.
-_MOST_WORKERS = 255
+_MAX_WORKERS = 255
 
 
 def shared_zeros(*shape: int) -> torch.Tensor:
@@ -146,7 +146,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         # The next pass of this process and of each worker: epoch, start, number of batches already returned,
         # and the number of workers when it last began a pass plus 1 (0 if it has not). Shared, so that
         # persistent workers see changes, and new workers see what earlier ones began.
-        self._next = shared_zeros(1 + _MOST_WORKERS, 4)
+        self._next = shared_zeros(1 + _MAX_WORKERS, 4)
 
     @property
     def epoch(self) -> int:
@@ -180,8 +180,8 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
             self._next[:] = torch.tensor([epoch + 1, 0, 0, 0])
             self._current = {"epoch": epoch, "start": start, "batches": 0}
             return self._batches(self._current, 0, 1)
-        if worker.num_workers > _MOST_WORKERS:
-            raise InputError(f"{worker.num_workers} workers; expected at most {_MOST_WORKERS}")
+        if worker.num_workers > _MAX_WORKERS:
+            raise InputError(f"{worker.num_workers} workers; expected at most {_MAX_WORKERS}")
         began = self._next[1:, 3]
         if ((began != 0) & (began != worker.num_workers + 1)).any():
             raise InputError(

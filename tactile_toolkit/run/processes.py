@@ -29,9 +29,9 @@ from tactile_toolkit.run.threads import prepare_batch_process
 from tactile_toolkit.system import usable_cores, working_folder
 
 # Each takes about 300 MB of memory.
-_MOST_FREE_WORKERS = 16
+_MAX_FREE_WORKERS = 16
 # Windows waits for at most 63 handles at a time, of which Python needs some.
-_MOST_WAITED_FOR = {"win32": 61}
+_MAX_WAITED_FOR = {"win32": 61}
 
 if sys.platform == "win32":
     from multiprocessing.connection import PipeConnection as Connection
@@ -157,12 +157,12 @@ def free_workers() -> int:
     """
     if multiprocessing.current_process().daemon:
         return 1
-    return min(usable_cores(), _MOST_FREE_WORKERS)
+    return min(usable_cores(), _MAX_FREE_WORKERS)
 
 
 def _most_workers(wanted: int) -> int:
     """Return the number of workers that the system can wait for at a time."""
-    return min(wanted, _MOST_WAITED_FOR.get(sys.platform, wanted))
+    return min(wanted, _MAX_WAITED_FOR.get(sys.platform, wanted))
 
 
 def _start_worker(function: bytes, is_main_needless: bool) -> tuple[Connection, BaseProcess]:

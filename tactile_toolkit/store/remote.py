@@ -31,7 +31,7 @@ ASKED_WAIT_S = 120.0
 
 ANSWER_S = 60.0
 """Time that every answer may take, seconds; a server that sends a byte now and then would never end."""
-LEAST_BYTES_PER_S = 10_000
+MIN_BYTES_PER_S = 10_000
 """Further time is allowed by the size of an answer; slower transfers are given up."""
 
 _READ_AHEAD_BYTES = 1 << 20
@@ -148,7 +148,7 @@ def in_time(action: Callable[[], T], size_bytes: int = 0) -> T:
         except BaseException as error:
             done.set_exception(error)
 
-    limit_s = ANSWER_S + size_bytes / LEAST_BYTES_PER_S
+    limit_s = ANSWER_S + size_bytes / MIN_BYTES_PER_S
     Thread(target=run, daemon=True).start()
     if not wait([done], limit_s).done:
         done.add_done_callback(lambda late: late.exception() or getattr(late.result(), "close", int)())

@@ -24,7 +24,7 @@ _CAUSES_SHOWN = 3
 DATA_FOLDER = "data"
 VIEWER_FOLDER = "viewer"
 """Repeats the rows for the Hub's page (`tactile_toolkit.exchange.flat_tables`); copies may leave it out."""
-MOST_ROWS = 1 << 40
+MAX_ROWS = 1 << 40
 """Largest number of rows that a shard may state, more than any disk holds."""
 
 _MANY_SHARDS = 8192
@@ -126,7 +126,7 @@ class ShardRecord(msgspec.Struct, frozen=True, dict=True):
 
     file: str
     split: str
-    rows: Annotated[int, msgspec.Meta(ge=0, le=MOST_ROWS)]
+    rows: Annotated[int, msgspec.Meta(ge=0, le=MAX_ROWS)]
     bytes: Count
     sha256: Sha256
     report_sha256: Sha256 | None = None

@@ -9,7 +9,7 @@ from hypothesis import given, strategies as st
 import tactile_toolkit.mesh.raster
 from env_assets.height_map import top_surface
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import MOST_PIXELS, Mesh
+from tactile_toolkit.mesh import MAX_PIXELS, Mesh
 from tests.env_assets.shapes import box, cylinder, joined, surfaces
 
 
@@ -171,7 +171,7 @@ def test_a_pitch_that_is_no_length_is_refused(pitch):
 
 
 def test_a_grid_that_would_fill_the_memory_is_refused():
-    with pytest.raises(InputError, match=f"at most {MOST_PIXELS:,} are made; next: choose a larger pitch"):
+    with pytest.raises(InputError, match=f"at most {MAX_PIXELS:,} are made; next: choose a larger pitch"):
         top_surface(box((0, 0, 0), (1, 1, 1)), 1e-5)
 
 

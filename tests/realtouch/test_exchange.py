@@ -36,7 +36,7 @@ def source(request: pytest.FixtureRequest) -> Path:
 @pytest.fixture
 def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have a file for each round, so that there are several."""
-    monkeypatch.setattr(shard_tasks, "_MOST_ROWS_PER_SHARD", 1)
+    monkeypatch.setattr(shard_tasks, "_MAX_ROWS_PER_SHARD", 1)
     monkeypatch.setattr(lerobot_info, "FILE_BYTES", 1 << 10)
 
 

@@ -441,7 +441,7 @@ def test_a_format_may_state_rotation_vectors() -> None:
 
 
 def test_contact_of_a_long_clip_is_found_by_some_of_its_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(imported_clips, "_MOST_OF_MEDIAN", 7)
+    monkeypatch.setattr(imported_clips, "_MAX_OF_MEDIAN", 7)
     pictures = frames_of(30, range(11, 15))
     assert imported_clips.contact_by_pictures(pictures, (24, 32)) == ((11, 14), True)
     (first, last), is_found = imported_clips.contact_by_pictures(frames_of(30, range(0)), (24, 32))

@@ -264,7 +264,7 @@ def test_meshes_that_state_more_than_they_hold_are_refused_before_it_is_made(tmp
     # A tenth of the usual limit of parts, for an answer sooner.
     code = """
     from tactile_toolkit.mesh import threemf
-    threemf._MOST_PARTS //= 10
+    threemf._MAX_PARTS //= 10
     resource.setrlimit(resource.RLIMIT_AS, (4 << 30, 4 << 30))
     for file in sys.argv[1:]:
         try:

@@ -127,7 +127,7 @@ def test_what_is_no_table_is_refused(content: bytes | str, ending: str, words: s
 
 
 def test_limits(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(column_tables, "MOST_ROWS", 3)
+    monkeypatch.setattr(column_tables, "MAX_ROWS", 3)
     with pytest.raises(InputError, match="more than 3 rows"):
         table("a\n" + "1\n" * 4).scan()
     monkeypatch.setattr(column_tables, "_BLOCK_BYTES", 16)

@@ -16,7 +16,7 @@ from tactile_toolkit.errors import (
 )
 from tactile_toolkit.gallery import PAGE_FILE, Gallery, build_site, site as site_module
 from tactile_toolkit.gallery.page import ASSETS, THREE, asset
-from tactile_toolkit.gallery.site import MOST_ITEMS
+from tactile_toolkit.gallery.site import MAX_ITEMS
 from tactile_toolkit.run import InlineRunner, ProcessRunner
 from tests.forked import run_forked, start_forked
 from tests.gallery_files import files_of, index_of
@@ -265,8 +265,8 @@ def test_nothing_and_too_much_are_refused(tmp_path, monkeypatch):
     with pytest.raises(
         InputError, match=r"would show 20,001 toys; expected at most 20,000; nothing was written"
     ):
-        build(tmp_path / "site", toy_gallery(MOST_ITEMS + 1, portion=MOST_ITEMS + 1))
-    monkeypatch.setattr(site_module, "MOST_BYTES", len(asset(THREE)) + 3_100_000)
+        build(tmp_path / "site", toy_gallery(MAX_ITEMS + 1, portion=MAX_ITEMS + 1))
+    monkeypatch.setattr(site_module, "MAX_BYTES", len(asset(THREE)) + 3_100_000)
     made: list[int] = []
     with pytest.raises(
         InputError,
