@@ -264,7 +264,9 @@ class _Package:
         self._built_bytes += sum(each.nbytes for each in thing.surface or ())
         if depth > _DEEPEST or self._placed_parts > _MAX_PARTS:
             raise InputError(f"object {named[1]!r} holds itself, or more than {_MAX_PARTS:,} parts")
-        bounds.require_unpackable(_PER_BYTE * self._built_bytes, "3MF file: its objects", self._file_bytes)
+        bounds.require_unpackable(
+            _PER_BYTE * self._built_bytes, "3MF file: the content of its objects", self._file_bytes
+        )
         own = None
         if thing.surface is not None:
             own = self._without_volumes(named, thing.surface)
