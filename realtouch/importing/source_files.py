@@ -68,10 +68,11 @@ def files_to_read(
 
     InputError, which says what is ``expected``, if there is no such file.
     """
-    if (home.info("") or {}).get("type") == "file":
+    names = find(home)
+    # Asked last: where a folder is in a store, this is another listing of it.
+    if not names and (home.info("") or {}).get("type") == "file":
         home, name = source_of(home.address())
         return home, [name]
-    names = find(home)
     if not names:
         raise errors.InputError(f"{home.address()!r} holds no {expected}", next="check the path")
     return home, names
