@@ -36,6 +36,8 @@ _DARK, _BRIGHT = 1, 254  # levels from which a pixel counts as saturated
 # Curvature of the table, and how much its terms of the place are held back.
 _PLACE_COST = np.array([1.0, 3.0, 3.0, 6.0, 6.0, 6.0])
 _ENTRY_COST, _DEPTH_COST, _NO_SHADOWS_COST = 1e-4, 0.1, 1e3
+_SHARES = (1.0, 0.5, 0.25, 0.125)  # of a step, the first of which makes the images no worse
+_NO_WORSE = 1.001
 ALIKE_PX = 200.0
 """Pixels whose residuals are alike, so that they count as one."""
 
@@ -173,13 +175,20 @@ class Fit:
     def step(self, moving: tuple[Fitted, ...] = ()) -> float:
         """Take a step and return how far the geometry moved; poses move if any of the geometry does."""
         sums = _Sums(len(self.poses))
-        for touch in np.flatnonzero(self.used):
-            self._add(sums, int(touch), moving)
-        self.noise = max(float(np.median(self.typical[self.used])), _MIN_NOISE)
+        cost = sum(self._add(sums, touch, moving) for touch in np.flatnonzero(self.used).tolist())
+        before = self.shape, self.poses, self.coefficients
         moved = sums.solve(self, moving)
         shift = np.abs(moved[:_SHARED] / _SHAPE_SPREAD).max()
         self.shape = np.clip(self.shape + moved[:_SHARED], gel.LEAST, gel.MOST)
         self.poses = self.poses + moved[_SHARED:].reshape(-1, _OWN)
+        after = self.shape, self.poses, self.coefficients
+        for share in _SHARES:
+            self.shape, self.poses, self.coefficients = (
+                old + share * (new - old) for old, new in zip(before, after, strict=True)
+            )
+            if self._cost() <= _NO_WORSE * cost:
+                break
+        self.noise = max(float(np.median(self.typical[self.used])), _MIN_NOISE)
         # A press that is deeper in all touches is a thicker gel.
         common_m = float(self.poses[self.used, 3].mean())
         if Fitted.GEL in moving:
@@ -187,8 +196,16 @@ class Fit:
         self.poses[:, 3] -= common_m
         return float(shift)
 
-    def _add(self, sums: _Sums, touch: int, moving: tuple[Fitted, ...]) -> None:
-        """Add a touch to the sums of a step."""
+    def _cost(self) -> float:
+        """Return the weighted squares of what is left of the images."""
+        total = 0.0
+        for touch in np.flatnonzero(self.used).tolist():
+            _, left, weights = self.residual(touch)
+            total += _weighted_square(left, weights)
+        return total
+
+    def _add(self, sums: _Sums, touch: int, moving: tuple[Fitted, ...]) -> float:
+        """Add a touch to the sums of a step, and return the weighted squares of what is left of its image."""
         base, left, weights = self.residual(touch)
         columns, places = [left], []
         if moving:
@@ -206,6 +223,7 @@ class Fit:
         seen = gel.seen_features(self.surface(touch, self.poses[touch], self.shape), pitch_m, self.shape)
         blur_px = self.shape[Fitted.BLUR] / pitch_m
         sums.add(seen, weights, np.stack(columns, axis=2, dtype=np.float32), places, blur_px)
+        return _weighted_square(left, weights)
 
     def refresh_background(self) -> None:
         """Average what touches show of the background, in full size, with the images without contact."""
@@ -331,6 +349,10 @@ class _Sums:
         moved = np.zeros(len(slope))
         moved[active] = np.linalg.solve(matrix[np.ix_(active, active)], slope[active])
         return moved
+
+
+def _weighted_square(left: Float32, weights: Float32) -> float:
+    return float(np.sum(weights[..., None] * left * left, dtype=np.float64))
 
 
 def shrunk(image: Float32, factor: int) -> Float32:

@@ -30,7 +30,7 @@ _COARSE = (
 )
 # Press depth and shadows have similar effects on the image: the depth is fitted without shadows.
 _SHALLOW = tuple(each for each in Fitted if each not in (Fitted.GEL, Fitted.CONTACT))
-_ROUNDS = ((80, 10, _COARSE, 0.1), (160, 8, tuple(Fitted), 3e-4), (160, 6, _SHALLOW, 1e-3))
+_ROUNDS = ((80, 10, _COARSE, 0.1), (160, 8, tuple(Fitted), 1e-2), (160, 6, _SHALLOW, 1e-3))
 """Widths of the images, steps, what moves, and ridges: a stiff response leaves more to the geometry."""
 
 _SETTLED = 0.01
