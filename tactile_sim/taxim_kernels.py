@@ -79,6 +79,46 @@ class PictureTables(NamedTuple):
     shadow_step: Float32
 
 
+def _build_weighing(
+    context: Context, builder: ir.IRBuilder, signature: Signature, given: Sequence[ir.Value]
+) -> ir.Value:
+    """Build the code of :func:`_weigh_pixels`."""
+    arrays = [context.make_array(signature.args[n])(context, builder, given[n]) for n in (0, 2, 5)]
+    written, read, weighed = (array.data for array in arrays)
+    count = _BUILD.unpack_tuple(builder, arrays[2].shape, 1)[0]
+    one, size = ir.Constant(count.type, 1), signature.args[0].dtype.bitwidth // 8
+    pixels = ir.VectorType(context.get_data_type(signature.args[0].dtype), LANES)
+
+    def values(place: ir.Value) -> ir.Value:
+        return builder.load(builder.bitcast(builder.gep(read, [place]), pixels.as_pointer()), align=size)
+
+    def weight(tap: ir.Value) -> ir.Value:
+        return spread(builder, builder.load(builder.gep(weighed, [tap])), pixels)
+
+    def total() -> ir.Value:
+        held = _BUILD.alloca_once_value(
+            builder, builder.fmul(weight(ir.Constant(count.type, 0)), values(given[3]))
+        )
+        with _BUILD.for_range_slice(builder, one, count, one) as (tap, _):
+            far = builder.mul(tap, given[4])
+            pair = builder.fadd(values(builder.sub(given[3], far)), values(builder.add(given[3], far)))
+            builder.store(builder.fadd(builder.load(held), builder.fmul(weight(tap), pair)), held)
+        return builder.load(held)
+
+    target = builder.bitcast(builder.gep(written, [given[1]]), pixels.as_pointer())
+    if isinstance(signature.args[6], types.NoneType):
+        builder.store(total(), target, align=size)
+        return context.get_dummy_value()
+    mask = context.make_array(signature.args[6])(context, builder, given[6]).data
+    stays = builder.bitcast(builder.gep(mask, [given[7]]), _MASK.as_pointer())
+    stays = builder.icmp_unsigned("!=", builder.load(stays, align=1), ir.Constant(_MASK, [0] * LANES))
+    as_number = builder.bitcast(stays, ir.IntType(LANES))
+    with builder.if_then(builder.icmp_unsigned("!=", as_number, ir.Constant(ir.IntType(LANES), -1))):
+        found = total()
+        builder.store(builder.select(stays, builder.load(target, align=size), found), target, align=size)
+    return context.get_dummy_value()
+
+
 def _weigh_pixels(
     _typing: object,
     out: types.Type,
@@ -105,46 +145,7 @@ def _weigh_pixels(
     """
     place = types.int64
     signature = types.void(out, place, source, place, place, weights, kept, place)
-
-    def build(
-        context: Context, builder: ir.IRBuilder, signature: Signature, given: Sequence[ir.Value]
-    ) -> ir.Value:
-        arrays = [context.make_array(signature.args[n])(context, builder, given[n]) for n in (0, 2, 5)]
-        written, read, weighed = (array.data for array in arrays)
-        count = _BUILD.unpack_tuple(builder, arrays[2].shape, 1)[0]
-        one, size = ir.Constant(count.type, 1), signature.args[0].dtype.bitwidth // 8
-        pixels = ir.VectorType(context.get_data_type(signature.args[0].dtype), LANES)
-
-        def values(place: ir.Value) -> ir.Value:
-            return builder.load(builder.bitcast(builder.gep(read, [place]), pixels.as_pointer()), align=size)
-
-        def weight(tap: ir.Value) -> ir.Value:
-            return spread(builder, builder.load(builder.gep(weighed, [tap])), pixels)
-
-        def total() -> ir.Value:
-            held = _BUILD.alloca_once_value(
-                builder, builder.fmul(weight(ir.Constant(count.type, 0)), values(given[3]))
-            )
-            with _BUILD.for_range_slice(builder, one, count, one) as (tap, _):
-                far = builder.mul(tap, given[4])
-                pair = builder.fadd(values(builder.sub(given[3], far)), values(builder.add(given[3], far)))
-                builder.store(builder.fadd(builder.load(held), builder.fmul(weight(tap), pair)), held)
-            return builder.load(held)
-
-        target = builder.bitcast(builder.gep(written, [given[1]]), pixels.as_pointer())
-        if isinstance(signature.args[6], types.NoneType):
-            builder.store(total(), target, align=size)
-            return context.get_dummy_value()
-        mask = context.make_array(signature.args[6])(context, builder, given[6]).data
-        stays = builder.bitcast(builder.gep(mask, [given[7]]), _MASK.as_pointer())
-        stays = builder.icmp_unsigned("!=", builder.load(stays, align=1), ir.Constant(_MASK, [0] * LANES))
-        as_number = builder.bitcast(stays, ir.IntType(LANES))
-        with builder.if_then(builder.icmp_unsigned("!=", as_number, ir.Constant(ir.IntType(LANES), -1))):
-            found = total()
-            builder.store(builder.select(stays, builder.load(target, align=size), found), target, align=size)
-        return context.get_dummy_value()
-
-    return signature, build
+    return signature, _build_weighing
 
 
 weigh_pixels: Callable[..., None] = intrinsic(_weigh_pixels)

@@ -65,6 +65,47 @@ def _hold_pixels(
 hold_pixels: Callable[..., None] = intrinsic(_hold_pixels)
 
 
+def _build_mix(
+    context: Context, builder: ir.IRBuilder, signature: Signature, given: Sequence[ir.Value]
+) -> ir.Value:
+    """Build the code of :func:`_mix_entries`."""
+    written, read, parts = (
+        context.make_array(signature.args[n])(context, builder, given[n]).data for n in (0, 2, 6)
+    )
+
+    def number(place: int, kind: ir.VectorType) -> ir.Value:
+        at = builder.add(given[7], builder.mul(given[8], ir.Constant(given[8].type, place)))
+        return spread(builder, builder.load(builder.gep(parts, [at])), kind)
+
+    def mixed(first: ir.Value, second: ir.Value, share: tuple[ir.Value, ir.Value]) -> ir.Value:
+        return builder.fadd(builder.fmul(share[0], first), builder.fmul(share[1], second))
+
+    def pair(place: ir.Value, share: tuple[ir.Value, ir.Value]) -> ir.Value:
+        following = builder.add(place, ir.Constant(place.type, LANES))
+        entries = [builder.load(_at(builder, read, each), align=4) for each in (place, following)]
+        return mixed(entries[0], entries[1], share)
+
+    one = ir.Constant(_PIXELS, [1.0] * LANES)
+    far, steep, deep = (
+        (builder.fsub(one, share), share) for share in (number(place, _PIXELS) for place in range(3))
+    )
+    here = builder.fadd(pair(given[3], steep), pair(given[4], deep))
+    there = builder.fadd(
+        pair(builder.add(given[3], given[5]), steep), pair(builder.add(given[4], given[5]), deep)
+    )
+    term = mixed(here, there, far)
+    powers = []
+    for power in range(3):
+        lanes = [4 * power + colour for colour in range(4)]
+        kind = ir.VectorType(ir.IntType(32), 4)
+        powers.append(builder.shuffle_vector(term, term, ir.Constant(kind, lanes)))
+    x = number(3, _COLOURS)
+    total = builder.fadd(powers[1], builder.fmul(x, powers[2]))
+    total = builder.fadd(powers[0], builder.fmul(x, total))
+    builder.store(total, _at(builder, written, given[1], _COLOURS), align=4)
+    return context.get_dummy_value()
+
+
 def _mix_entries(
     _typing: object,
     out: types.Type,
@@ -100,47 +141,7 @@ def _mix_entries(
     """
     place = types.int64
     signature = types.void(out, place, table, place, place, place, shares, place, place)
-
-    def build(
-        context: Context, builder: ir.IRBuilder, signature: Signature, given: Sequence[ir.Value]
-    ) -> ir.Value:
-        written, read, parts = (
-            context.make_array(signature.args[n])(context, builder, given[n]).data for n in (0, 2, 6)
-        )
-
-        def number(place: int, kind: ir.VectorType) -> ir.Value:
-            at = builder.add(given[7], builder.mul(given[8], ir.Constant(given[8].type, place)))
-            return spread(builder, builder.load(builder.gep(parts, [at])), kind)
-
-        def mixed(first: ir.Value, second: ir.Value, share: tuple[ir.Value, ir.Value]) -> ir.Value:
-            return builder.fadd(builder.fmul(share[0], first), builder.fmul(share[1], second))
-
-        def pair(place: ir.Value, share: tuple[ir.Value, ir.Value]) -> ir.Value:
-            following = builder.add(place, ir.Constant(place.type, LANES))
-            entries = [builder.load(_at(builder, read, each), align=4) for each in (place, following)]
-            return mixed(entries[0], entries[1], share)
-
-        one = ir.Constant(_PIXELS, [1.0] * LANES)
-        far, steep, deep = (
-            (builder.fsub(one, share), share) for share in (number(place, _PIXELS) for place in range(3))
-        )
-        here = builder.fadd(pair(given[3], steep), pair(given[4], deep))
-        there = builder.fadd(
-            pair(builder.add(given[3], given[5]), steep), pair(builder.add(given[4], given[5]), deep)
-        )
-        term = mixed(here, there, far)
-        powers = []
-        for power in range(3):
-            lanes = [4 * power + colour for colour in range(4)]
-            kind = ir.VectorType(ir.IntType(32), 4)
-            powers.append(builder.shuffle_vector(term, term, ir.Constant(kind, lanes)))
-        x = number(3, _COLOURS)
-        total = builder.fadd(powers[1], builder.fmul(x, powers[2]))
-        total = builder.fadd(powers[0], builder.fmul(x, total))
-        builder.store(total, _at(builder, written, given[1], _COLOURS), align=4)
-        return context.get_dummy_value()
-
-    return signature, build
+    return signature, _build_mix
 
 
 mix_entries: Callable[..., None] = intrinsic(_mix_entries)
