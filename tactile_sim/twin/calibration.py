@@ -5,21 +5,26 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from tactile_sim.sensor_models import GELSIGHT_MINI, SensorModel
 from tactile_sim.twin import matching, rounds_of_fit
-from tactile_sim.twin.fitting import Fit
+from tactile_sim.twin.fitting import Fit, unsaturated
 from tactile_sim.twin.gel import Fitted
 from tactile_sim.twin.mistakes import MIN_TOUCHES, Mistake, find_mistakes
 from tactile_sim.twin.reader import read_depth, train_reader
 from tactile_sim.twin.recordings import Recordings
 from tactile_sim.twin.twin import Twin, TwinOptics
-from tactile_toolkit.array_types import Bool
+from tactile_toolkit.array_types import Bool, Float64, Int64
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.wording import with_count
 
 Progress = Callable[[int, int], None]
+
+_MIN_DULL = 0.25  # share of the pixels of an image that are not saturated
+_MIN_EXPLAINED = 0.4  # of the squared change of an image; of hidden sensors, 0.8 to 1
 
 
 def calibrate(
@@ -34,7 +39,7 @@ def calibrate(
     Parameters
     ----------
     recordings : Recordings
-        At least 6 touches, better 20, of solids with slopes in all directions.
+        At least 5 touches, better 20, of solids with slopes in all directions.
     name : str
         Name of the sensor in manifests and cards.
     start : SensorModel
@@ -51,7 +56,8 @@ def calibrate(
     Raises
     ------
     InputError
-        The recordings are wrong in a way that :func:`find_mistakes` names, or agree with none of the solids.
+        The recordings are wrong in a way that :func:`find_mistakes` names, fewer than 5 touches can be used,
+        or the solids explain little of the images.
 
     Notes
     -----
@@ -64,17 +70,13 @@ def calibrate(
         raise InputError(
             f"the recordings cannot be fitted ({fatal[0].kind}): {fatal[0].detail}", next="correct them"
         )
-    fit = _first_fit(recordings, start)
-    likely = fit.likely
-    if likely.sum() < MIN_TOUCHES:
-        raise InputError(
-            f"{int(likely.sum())} of {len(recordings)} touches without poses have a place that stands out; "
-            f"expected at least {MIN_TOUCHES}",
-            next="give approximate poses, or touch ends and corners of solids, not the middle of strokes",
-        )
-    fit.used = likely & _of_one_gel(len(recordings), mistakes)
+    dull = _dull_shares(recordings)
+    fit = _usable_fit(recordings, start, mistakes, np.flatnonzero(dull >= _MIN_DULL))
     rounds_of_fit.run_fit(fit, on_progress)
+    _require_explained(fit)
     report = {**rounds_of_fit.found(fit), "mistakes": [asdict(each) for each in mistakes]}
+    for touch in np.flatnonzero(dull < _MIN_DULL).tolist():
+        report["touches"].insert(touch, _saturated(recordings, touch, dull[touch]))
     shape = fit.shape.copy()
     half_m = fit.half_m(shape)
     shape[: Fitted.LENS] = 0.0
@@ -84,12 +86,70 @@ def calibrate(
     return model_of(twin, name)
 
 
-def _of_one_gel(count: int, mistakes: Sequence[Mistake]) -> Bool:
-    """Return which touches are those of one gel: of two, that with more touches."""
-    chosen = np.ones(count, bool)
+def _usable_fit(
+    recordings: Recordings, start: SensorModel, mistakes: Sequence[Mistake], usable: Int64
+) -> Fit:
+    """Return a fit to the usable touches, by their numbers, that is about to run."""
+    if len(usable) < MIN_TOUCHES:
+        raise InputError(
+            f"{len(usable)} of {with_count(len(recordings), 'images')} can be used: of the others, over "
+            f"{1 - _MIN_DULL:.0%} of the pixels are saturated; expected at least {MIN_TOUCHES}",
+            next="change the exposure of the camera and record again",
+        )
+    part = recordings
+    if len(usable) < len(recordings):  # all of them would be a copy
+        part = recordings.chosen(usable)
+    fit = _first_fit(part, start)
+    likely = fit.likely
+    if likely.sum() < MIN_TOUCHES:
+        raise InputError(
+            f"{int(likely.sum())} of {len(recordings)} touches without poses have a place that stands out; "
+            f"expected at least {MIN_TOUCHES}",
+            next="give approximate poses, or touch ends and corners of solids, not the middle of strokes",
+        )
+    fit.used = likely & _of_one_gel(usable, mistakes)
+    if fit.used.sum() < MIN_TOUCHES:
+        raise InputError(
+            f"the gel changed halfway; {with_count(int(fit.used.sum()), 'usable touches')} of one gel; "
+            f"expected at least {MIN_TOUCHES}",
+            next="calibrate with touches of one gel",
+        )
+    return fit
+
+
+def _dull_shares(recordings: Recordings) -> Float64:
+    """Return the share of the pixels of each image that are not saturated."""
+    return np.array([unsaturated(image).mean() for image in recordings.images])
+
+
+def _saturated(recordings: Recordings, touch: int, dull: float) -> dict[str, Any]:
+    """Return what a report says of an image that is saturated."""
+    return {
+        "name": recordings.names[touch],
+        "object_id": int(recordings.object_ids[touch]),
+        "used": False,
+        "reason": f"{1 - dull:.0%} of its pixels are saturated",
+    }
+
+
+def _require_explained(fit: Fit) -> None:
+    """Refuse recordings whose images the solids do not explain; such a twin would render noise."""
+    used = np.flatnonzero(fit.used).tolist()
+    explained = float(np.median([1 - (fit.rms[touch] / fit.change(touch)) ** 2 for touch in used]))
+    if explained < _MIN_EXPLAINED:
+        raise InputError(
+            f"the solids and their poses explain {max(explained, 0):.0%} of how touches change the images; "
+            f"expected at least {_MIN_EXPLAINED:.0%}",
+            next="check that solids, poses and images are of the same touches",
+        )
+
+
+def _of_one_gel(touches: Int64, mistakes: Sequence[Mistake]) -> Bool:
+    """Return which of some touches are those of one gel: of two, that with more touches."""
+    chosen = np.ones(len(touches), bool)
     for each in mistakes:
         if each.kind == "gel-changed":
-            second = np.isin(np.arange(count), each.touches)
+            second = np.isin(touches, each.touches)
             chosen = max(~second, second, key=np.count_nonzero)
     return chosen
 

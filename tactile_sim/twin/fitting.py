@@ -21,7 +21,7 @@ from tactile_sim.twin.gel import Fitted
 if TYPE_CHECKING:
     from tactile_sim.twin.recordings import Recordings
     from tactile_sim.twin.relief import Relief
-    from tactile_toolkit.array_types import Bool, Float32, Float64
+    from tactile_toolkit.array_types import Bool, Float32, Float64, UInt8
 
 COEFFICIENTS = gel_kernels.ENTRIES * gel_kernels.PLACES
 _SHARED, _OWN = len(Fitted), 4
@@ -60,6 +60,11 @@ def _penalty(depth_cost: float) -> Float64:
     cost = np.kron(around.T @ around, np.eye(2 * steps))
     cost += np.kron(directions, along + np.diag(np.repeat([_ENTRY_COST, depth_cost], steps)))
     return np.asarray(np.kron(cost, np.diag(_PLACE_COST)))
+
+
+def unsaturated(image: UInt8) -> Bool:
+    """Return which pixels (H, W) of an image are within the range of all colours."""
+    return np.asarray(((image > _DARK) & (image < _BRIGHT)).all(axis=-1))
 
 
 @dataclass(eq=False)
@@ -112,10 +117,13 @@ class Fit:
     def image(self, touch: int) -> tuple[Float32, Bool]:
         """Return an image in the present size, levels, and where it is not saturated."""
         image = self.recordings.images[touch]
-        dull = ((image > _DARK) & (image < _BRIGHT)).all(axis=-1)
-        return shrunk(image.astype(np.float32), self.shrink), shrunk(
-            dull.astype(np.float32), self.shrink
-        ) > 0.99
+        dull = unsaturated(image).astype(np.float32)
+        return shrunk(image.astype(np.float32), self.shrink), shrunk(dull, self.shrink) > 0.99
+
+    def change(self, touch: int) -> float:
+        """Return how much an image differs from the gel at rest, levels."""
+        image, dull = self.image(touch)
+        return float(np.sqrt(np.mean((image - self.behind)[dull] ** 2))) + 1e-9
 
     def half_m(self, shape: Float64) -> Float64:
         """Return half of width and height of the image, metres."""

@@ -97,14 +97,8 @@ def are_off(fit: Fit) -> bool:
     left = []
     for touch in range(len(fit.poses)):
         fit.residual(touch)
-        left.append(fit.rms[touch] / _change(fit, touch))
+        left.append(fit.rms[touch] / fit.change(touch))
     return float(np.median(left)) > _OFF
-
-
-def _change(fit: Fit, touch: int) -> float:
-    """Return how much an image differs from the gel at rest, levels."""
-    image, dull = fit.image(touch)
-    return float(np.sqrt(np.mean((image - fit.behind)[dull] ** 2))) + 1e-9
 
 
 def matched_places(
@@ -139,6 +133,8 @@ def matched_places(
         found |= {touch: _refined(fit, touch, each, _GOOD, 4) for touch, each in worth.items()}
         best = np.array([best[touch] if touch in sure else found[touch].at for touch in range(count)])
         likely = _likely([found[touch] for touch in range(count)])
+        if not likely.any():  # then there is nothing to learn colours from
+            break
     return best, likely | (near is not None)
 
 

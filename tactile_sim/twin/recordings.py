@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -97,6 +97,13 @@ class Recordings:
     def size_px(self) -> tuple[int, int]:
         """Width and height of the images."""
         return self.images.shape[2], self.images.shape[1]
+
+    def chosen(self, touches: Int64) -> Recordings:
+        """Return some of the touches, by their numbers."""
+        own = {name: getattr(self, name)[touches] for name in ("images", "object_ids", "object_poses")}
+        names = tuple(self.names[touch] for touch in touches)
+        sensor_m = None if self.sensor_m is None else self.sensor_m[touches]
+        return replace(self, **own, names=names, sensor_m=sensor_m)
 
     def mesh(self, object_id: int) -> Mesh:
         """Return a solid."""

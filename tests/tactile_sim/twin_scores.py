@@ -70,10 +70,12 @@ def rendered(model: tactile_sim.SensorModel, recording: Recording) -> np.ndarray
 
 
 def score(
-    sensor: HiddenSensor, touches: int = 20, held_out: int = 10
+    sensor: HiddenSensor, touches: int = 20, held_out: int = 10, black: int | None = None
 ) -> tuple[Score, tactile_sim.SensorModel]:
-    """Calibrate a twin with some touches, and judge it by touches of other digits."""
+    """Calibrate a twin with some touches, one of them black if asked, and judge it by others."""
     fitted = sensor.record(digits(4, TRAIN_DIGITS), touches, seed=0)
+    if black is not None:
+        fitted.images[black] = 0
     judged = sensor.record(digits(4, HELD_OUT_DIGITS), held_out, seed=1)
     start = time.perf_counter()
     model = tactile_sim.calibrate(recordings_of(fitted))
