@@ -1,4 +1,4 @@
-"""Preview of an import: what it would make; nothing is written."""
+"""Preview of an import: what it would make, without writing anything."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ class ImportPreview:
     layout, recognised_by : str
         Format, and the file by which it was recognised; empty if it was given.
     cut : str
-        How recordings become touches; empty if the source holds none.
+        How recordings become touches; empty if the source has no recordings.
     touches, rounds : int
-        Their numbers, without the touches that are known to be left out.
+        Numbers of touches and rounds, without the touches that are known to be left out.
     splits : mapping of str to int
         Touches of each split.
     classes : sequence of str
@@ -51,7 +51,7 @@ class ImportPreview:
     first : sequence of mapping
         The first touches as they would be stored, without pictures.
     streams : sequence of tuple of str
-        How streams of other rates fit, rows of a table.
+        How streams of other rates fit the recordings, as rows of a table.
     left_out : sequence of tuple
         Reason, number of touches, and the message of the first.
     """

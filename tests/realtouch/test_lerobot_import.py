@@ -91,7 +91,7 @@ def test_one_of_several_cameras_is_chosen_and_the_others_are_named(
     for name in (CAMERA, "observation.images.wrist"):
         info["features"][name]["dtype"] = "float32"
     write_json(tmp_path / "meta" / "info.json", info)
-    with pytest.raises(InputError, match=r"the cameras none among .*, timestamp"):
+    with pytest.raises(InputError, match=r"no cameras, but .*, timestamp"):
         found(tmp_path)
 
 
