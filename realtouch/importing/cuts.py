@@ -45,7 +45,8 @@ class CutTable:
         if len(starts) != 1:
             found = " and ".join(starts) or ", ".join(map(str, names)) or "none"
             raise errors.InputError(
-                f"{self._place!r} needs one column for the start of touches, one for the end; found {found}",
+                f"{self._place!r} needs one column for the start of touches and one for the end; "
+                f"found columns {found}",
                 next="name the columns start_s and end_s (or _ms, _us, _ns), or start_frame and end_frame",
             )
         (self._start_column,) = starts

@@ -21,9 +21,9 @@ class ImportFormat:
     """How a format is read.
 
     ``contents`` yields all pictures of each touch, encoded. ``cut`` is how recordings become touches by
-    default. ``is_one_a_file`` says that the pictures of a file have one size. ``describe`` states how pictures
-    are converted; empty if they are stored as they are. With ``rotvec``, the last three of a pose of six
-    numbers are a rotation vector.
+    default. ``is_one_a_file`` says that the pictures of a file have one size. ``describe`` states how
+    pictures are converted; empty if they are stored as they are. With ``rotvec``, the last three of a pose of
+    six numbers are a rotation vector.
     """
 
     find: FindTouches

@@ -235,7 +235,7 @@ def test_lines_that_cannot_be_cut_are_problems_of_their_touches(tmp_path: Path) 
             "the times ['x', '1.0'] from number 1 on; expected finite numbers",
             "the times [None, 1.0]",
             "no times; next: state start_frame and end_frame",
-            "names it",
+            "names this recording",
             "names 'c'",
             "names 'd'",
         ],
@@ -249,7 +249,7 @@ def test_lines_that_cannot_be_cut_are_problems_of_their_touches(tmp_path: Path) 
     [
         (
             "start,end\n0,1\n",
-            "one column for the start of touches, one for the end; found columns start, end",
+            "one column for the start of touches and one for the end; found columns start, end",
         ),
         ("start_s,start_ms,end_s\n0,1,1\n", "start_s and start_ms"),
         ("start_s\n0\n", "no column 'end_s'"),

@@ -98,9 +98,7 @@ def test_one_of_several_columns_of_pictures_is_chosen(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", ["single", "seq"])
 def test_a_set_of_touches_needs_no_import(kind: str, request: pytest.FixtureRequest) -> None:
     folder = request.getfixturevalue(f"{kind}_folder")
-    with pytest.raises(
-        InputError, match=r"'sensor_(image|video)': it is of a data set of touches, which needs no"
-    ):
+    with pytest.raises(InputError, match=r"'sensor_(image|video)' of a data set of touches, which needs no"):
         found(folder)
 
 

@@ -195,7 +195,7 @@ SIX = ("x", "y", "z", "a", "b", "c")
         ({"quaternion_order": "zyxw"}, "expected None or one of xyzw, wxyz"),
         ({"time_unit": "min"}, "time_unit of the columns is 'min'"),
         ({"extra": (("a\nb", "c"),)}, "printable characters"),
-        ({"extra": (("a" * 101, "c"),)}, "1 to 100 letters"),
+        ({"extra": (("a" * 101, "c"),)}, "1 to 100 printable characters"),
         ({"extra": (("a", "b"), ("a", "c"))}, "named twice"),
     ],
 )

@@ -164,7 +164,7 @@ def change_column(name: str, values: Callable[[pa.Table], pa.Array]) -> Callable
 @pytest.mark.parametrize(
     ("dtype", "spoil", "words"),
     [
-        ("image", drop_rows, r"holds 4 frames of it; expected 5, as stated"),
+        ("image", drop_rows, r"holds 4 frames of this episode; expected 5, as stated"),
         ("image", cut_file("episode_000000.parquet"), "is damaged"),
         ("image", remove("episode_000000.parquet"), "the file does not exist"),
         (
