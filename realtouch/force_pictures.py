@@ -44,7 +44,8 @@ def force_views(touch: Touch) -> list[UInt8]:
 def pressure_picture(pressure: AnyArray) -> UInt8:
     """Return a map of pressure (H, W), of any unit, as colours (H, W, 3).
 
-    It is brightest from the 98th percentile of the contact on: single pixels at edges have far more pressure.
+    The brightest colour begins at the 98th percentile of the contact, as single pixels at edges have far more
+    pressure.
     """
     known = np.nan_to_num(np.asarray(pressure, np.float64))
     most = 1.0
@@ -58,7 +59,7 @@ def pressure_picture(pressure: AnyArray) -> UInt8:
 
 
 def flow_picture(rest_px: AnyArray, flow_px: AnyArray, size_px: tuple[int, int]) -> UInt8:
-    """Return arrows from markers at rest (n, 2), :data:`ARROWS` times as long as they moved, (n, 2), pixels.
+    """Return arrows from markers at rest (n, 2), :data:`ARROWS` times as long as their motion (n, 2), pixels.
 
     The picture (H, W, 3) shows an image of ``size_px``, width and height, and has at least 160 columns.
     """

@@ -160,9 +160,9 @@ class StoredColumns(Row):
         return int(starts[self.index + 1] - starts[self.index])
 
     def entries_of(self, name: str, touch: int | None = None) -> tuple[NestedColumn, int, int]:
-        """Return a column and the range of its entries that are the round's, or one touch's.
+        """Return a column and the range of its entries that belong to the round, or to one touch.
 
-        Raises IntegrityError unless there are T, IndexError when it has no such touch.
+        Raises IntegrityError unless the round has T entries, IndexError if it has no such touch.
         """
         column = self.column_of(name)
         start, stop = column.inside(0, self.index, self.index + 1)

@@ -224,13 +224,13 @@ class Aligner:
         return replace(recording, time_s=fields.times_s(recording.per_frame[time], self._columns))
 
     def _streams_beside(self, recording: recordings.Recording) -> list[Stream]:
-        path = PurePosixPath(recording.path)
-        folder = "" if str(path.parent) == "." else str(path.parent)
+        folder, _, name = recording.path.rpartition("/")
+        stem = PurePosixPath(name).stem
         home = store.open_folder(recording.home)
-        tables = self._beside(recording.home, folder).get(path.stem, ())
+        tables = self._beside(recording.home, folder).get(stem, ())
         names = (f"{folder}/{name}".lstrip("/") for name in tables)
         return [
-            open_stream(home, name, self._columns, path.stem)
+            open_stream(home, name, self._columns, stem)
             for name in names
             if name != recording.path and _address(home.address(name)) not in self._no_streams
         ]

@@ -186,7 +186,7 @@ def change_column(name: str, values: Callable[[pa.Table], pa.Array]) -> Callable
         (
             "video",
             change_column("timestamp", lambda rows: pa.array(np.arange(5) / 10)),
-            "not at the times of its frames",
+            "not at the times of the frames",
         ),
     ],
 )
