@@ -34,7 +34,7 @@ class Avi:
     """
 
     def __init__(self, data: memoryview) -> None:
-        name, size, kind = _RIFF.unpack_from(data) if len(data) >= _RIFF.size else (b"", 0, b"")
+        name, size, kind = _RIFF.unpack(bytes(data[: _RIFF.size]).ljust(_RIFF.size, b"\0"))
         if name != b"RIFF" or kind != b"AVI ":
             raise ValueError(
                 f"{len(data):,} bytes that begin with {bytes(data[:8]).hex(' ')}; expected an AVI with MJPEG "

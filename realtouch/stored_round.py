@@ -305,10 +305,5 @@ def _pose(row: stored_columns.StoredColumns, values: JsonDict, name: str) -> Pos
         )
     wrong = bad_pose(position.reshape(-1, 3), quaternion.reshape(-1, 4))
     if wrong is not None:  # one invalid pose makes the metadata of the round unreadable
-        number, problem = wrong
-        if outer:
-            problem = f"pose {number}: {problem}"
-        raise row.damaged(name, problem)
-    if outer:
-        return Poses(position, quaternion)
-    return rigid_transform(position, quaternion)
+        raise row.damaged(name, f"pose {wrong[0]}: {wrong[1]}" if outer else wrong[1])
+    return Poses(position, quaternion) if outer else rigid_transform(position, quaternion)

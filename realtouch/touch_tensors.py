@@ -224,9 +224,7 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
 
 def _numbers_of(rounds: touch_dataset.AnyDataset) -> list[str]:
     """Return the targets that are further columns of numbers."""
-    if not rounds.table.schemas:
-        return []
-    types = read.column_types(rounds.table.schemas[0])
+    types = read.column_types(rounds.table.schemas[0]) if rounds.table.schemas else {}
     columns = schema.extra_columns(rounds.column_names).items()
     leaves = {name: read.list_depth(types[stored])[1] for name, stored in columns}
     return [f"extra.{name}" for name, leaf in leaves.items() if not pa.types.is_string(leaf)]

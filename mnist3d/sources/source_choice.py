@@ -53,7 +53,7 @@ def chosen_source(name: str, given: JsonObject, seed: int) -> digit_source.Digit
 
 
 def source_again(described: JsonObject, **files: str | None) -> digit_source.DigitSource:
-    """Return the source that a fingerprint describes; ``files`` are the present paths of its files.
+    """Return the source that a fingerprint describes; ``files`` are the current paths of its files.
 
     Raises InputError if files are missing, or differ from those that the data set was made from.
     """

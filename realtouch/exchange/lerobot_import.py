@@ -74,9 +74,7 @@ class _Episodes:
             found = self._read(found, episode)
         except (errors.ItemError, errors.IntegrityError) as error:
             return replace(found, problem=errors.ItemError(getattr(error, "reason", "file"), error.what))
-        if self.info.realtouch is None:
-            return found
-        return lerobot_mark.as_ours(found, self.info.realtouch)
+        return found if self.info.realtouch is None else lerobot_mark.as_ours(found, self.info.realtouch)
 
     def _read(self, found: importing.Recording, episode: lerobot_metadata.Episode) -> importing.Recording:
         self._read_columns(episode.data_path)

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import msgspec
-import numpy as np
 import pyarrow as pa
 
 from realtouch import convert
@@ -76,12 +75,7 @@ class WriteMeta:
         width, leaf = 1, each.type
         if pa.types.is_fixed_size_list(leaf):
             width, leaf = leaf.list_size, leaf.value_type
-        return {"dtype": _dtype(leaf), "shape": [width], "names": _COMPONENTS.get(each.name)}
-
-
-def _dtype(data_type: pa.DataType) -> str:
-    """Return the name of a type in LeRobot: that of NumPy, except for text."""
-    return "string" if pa.types.is_string(data_type) else np.dtype(data_type.to_pandas_dtype()).name
+        return {"dtype": read.dtype_name(leaf), "shape": [width], "names": _COMPONENTS.get(each.name)}
 
 
 def _json_bytes(values: Mapping[str, object]) -> bytes:

@@ -87,7 +87,7 @@ def find_oxt(
             if count == 1:
                 sensors[name] = name, 0
             else:
-                for sensor in range(min(count, _MAX_SENSORS)):
-                    sensors[f"{name}[{sensor}]"] = name, sensor
+                numbers = range(min(count, _MAX_SENSORS))
+                sensors |= {f"{name}[{sensor}]": (name, sensor) for sensor in numbers}
     chosen = importing.chosen_pictures(sensors, columns.image_name, group.place, "arrays of pictures", arrays)
     return zarr_recordings.recordings_of(group, arrays, sensors[chosen], columns)

@@ -125,17 +125,16 @@ class PictureArray:
     def described(self) -> str:
         """Return how the pictures are converted; empty if they are taken as they are."""
         axes = len(self.array.shape) - (self.sensor is not None)
-        words = []
-        if axes == 4 and self.array.shape[-1] not in _CHANNELS:
-            words.append("channels first")
-        if self.shape[3] == 1:
-            words.append("one channel")
-        if self.array.dtype != np.uint8:
-            top = self.divisor * _MAX_LEVEL
-            words.append(f"{self.array.dtype} from 0 to {top:g}, taken as levels from 0 to {_MAX_LEVEL}")
-        if words:
-            words.append("without loss")
-        return ", ".join(words)
+        top = self.divisor * _MAX_LEVEL
+        applies = {
+            "channels first": axes == 4 and self.array.shape[-1] not in _CHANNELS,
+            "one channel": self.shape[3] == 1,
+            f"{self.array.dtype} from 0 to {top:g}, taken as levels from 0 to {_MAX_LEVEL}": (
+                self.array.dtype != np.uint8
+            ),
+        }
+        words = [text for text, is_so in applies.items() if is_so]
+        return ", ".join([*words, "without loss"]) if words else ""
 
     def _lossless_divisor(self) -> float:
         """Return a number of which all values are multiples; InputError if 8 bits would lose some."""

@@ -53,9 +53,7 @@ class TouchFormat:
         if source.kind == "seq":
             source.require_frame(method)
             options = {**options, "frame": method}
-        pack = None
-        if self.pack is not None:
-            pack = partial(self._pack_shard, self.pack)
+        pack = None if self.pack is None else partial(self._pack_shard, self.pack)
         return convert.Conversion(
             source,
             "export",

@@ -111,10 +111,8 @@ def _table_of_videos(
             if {*map(importing.path_of, rows.texts(image))}.intersection(paths):
                 found[name] = rows
         elif refused is None and not {*importing.RECORDING_COLUMNS}.intersection(first):  # no table of cuts
-            for column, value in first.items():
-                if value and importing.path_of(str(value)) in paths:
-                    refused = name, column
-                    break
+            values = {column: importing.path_of(str(value)) for column, value in first.items() if value}
+            refused = next(((name, column) for column, value in values.items() if value in paths), None)
     if len(found) > 1:
         raise errors.InputError(
             f"{home.address()!r} has several tables of its videos: {', '.join(found)}",

@@ -46,9 +46,7 @@ def _by_numcodecs(name: str, sizes_at: Sequence[int], data: bytes, size: int) ->
         codec = import_module(f"numcodecs.{name}")
     expected = zip(sizes_at, (size, len(data)), strict=False)
     is_stated = all(int.from_bytes(data[at : at + 4], "little") == each for at, each in expected)
-    if not is_stated:
-        return b""
-    return bytes(codec.decompress(data))
+    return bytes(codec.decompress(data)) if is_stated else b""
 
 
 _CODECS: dict[str, Callable[[bytes, int], bytes]] = {

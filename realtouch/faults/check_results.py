@@ -81,9 +81,7 @@ def finding_of(
         if spot == whole:
             count = max(known.touches, 1)
             named = f"{known.name}:0-{count - 1}"
-        if len(splits) > 1:
-            named = f"{spot.split}/{named}"
-        names.append(named)
+        names.append(f"{spot.split}/{named}" if len(splits) > 1 else named)
         total += count
     message = rules.RULES[rule]
     found = message.found.format(value=max(fault.value for fault in faults))

@@ -129,8 +129,7 @@ class CutTable:
             raise errors.ItemError(
                 "times", "the recording has no times", next="state start_frame and end_frame"
             )
-        columns = (self._start_column, self._end_column)
-        ends = [self._table.columns[name].slice(row, 1) for name in columns]
+        ends = [self._table.columns[name].slice(row, 1) for name in (self._start_column, self._end_column)]
         first, last = fields.times_s(column_types.joined(ends), self._time_columns).tolist()
         start, stop = int(times.searchsorted(first)), int(times.searchsorted(last, side="right"))
         tolerance = float(np.median(np.diff(times))) if len(times) > 1 else 0.0

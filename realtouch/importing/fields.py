@@ -270,11 +270,10 @@ def _numbers(
         numbers = np.empty((0, 0))
     if numbers.shape[1] not in sizes or not np.isfinite(numbers).all():
         first = [each[0].as_py() for each in found if len(each)] or ["nothing"]
-        if len(first) == 1:
-            (first,) = first
+        example = first[0] if len(first) == 1 else first
         expected = f"{sizes[0]} finite numbers"
         if len(sizes) > 1:
             counts = import_columns.expected_counts(sizes[1:])
             expected += f", or {counts} of a matrix (6 with --euler or --rotvec)"
-        raise errors.ItemError(reason, f"{shown(first)}; expected {expected}")
+        raise errors.ItemError(reason, f"{shown(example)}; expected {expected}")
     return numbers / columns.divisors(names, numbers.shape[1])

@@ -102,14 +102,7 @@ class FoundTouches(Sequence[PicturePlace]):
         count = len(names)
         given = {"name": names, "home": home, "path": paths, "part": "", "start": 0, "size": 0, "frames": 0}
         given |= columns
-        made = []
-        for field in _WHERE:
-            value = given.get(field.name)
-            if value is None or isinstance(value, (str, int)):
-                value = pa.repeat(pa.scalar(value, field.type), count)
-            elif not isinstance(value, pa.Array):
-                value = pa.array(value, field.type)
-            made.append(value)
+        made = [_as_column(given.get(field.name), field.type, count) for field in _WHERE]
         found = cls(pa.table(made, schema=_WHERE), _table(said), _table(per_frame or {}))
         return found.with_problems(problems or {})
 
@@ -191,11 +184,11 @@ class FoundTouches(Sequence[PicturePlace]):
         values = one_chunk(self.per_frame[name])
         if not values.null_count:
             return values
-        whole, inside = self.value(name), values.flatten()
+        whole, inside = _column(self.said, name, len(self)), values.flatten()
         is_known = values.is_valid().to_numpy(zero_copy_only=False)
         known = pc.list_value_length(values).fill_null(0).to_numpy()
         lengths = np.where(is_known, known, self.where["frames"].to_numpy())
-        entries = column_types.joined([inside, pa.nulls(len(self)) if whole is None else whole])
+        entries = column_types.joined([inside, whole])
         of_clips = np.repeat(np.arange(len(self)), lengths)
         rows = len(inside) + of_clips
         rows[is_known[of_clips]] = np.arange(len(inside))
@@ -205,9 +198,7 @@ class FoundTouches(Sequence[PicturePlace]):
         """Return a field as a column with an entry for each picture of all touches; null without a value."""
         if name in self.per_frame.column_names:
             return self.of_frames(name).flatten()
-        whole = self.value(name)
-        if whole is None:
-            whole = pa.nulls(len(self))
+        whole = _column(self.said, name, len(self))
         return whole.take(pa.array(np.repeat(np.arange(len(self)), self.picture_counts)))
 
     def texts(self, name: str | None) -> list[str]:
@@ -221,9 +212,9 @@ class FoundTouches(Sequence[PicturePlace]):
         """Return the touches with other columns of ``where``."""
         where = self.where
         for name, values in columns.items():
-            place = _WHERE.get_field_index(name)
-            column = values if isinstance(values, pa.Array) else pa.array(values, _WHERE.types[place])
-            where = where.set_column(place, _WHERE.field(place), column)
+            field = _WHERE.field(name)
+            column = _as_column(values, field.type, len(self))
+            where = where.set_column(_WHERE.get_field_index(name), field, column)
         return replace(self, where=where)
 
     def with_said(self, columns: Mapping[str, pa.Array]) -> FoundTouches:
@@ -260,10 +251,20 @@ def one_chunk(column: pa.ChunkedArray) -> pa.Array:
     """Return a column of a table as an array."""
     if column.num_chunks == 1:
         return column.chunk(0)
-    return pa.concat_arrays(column.chunks) if column.num_chunks else pa.array([], column.type)
+    return pa.concat_arrays([pa.nulls(0, column.type), *column.chunks])
+
+
+def _as_column(value: object, data_type: pa.DataType, count: int) -> pa.Array:
+    """Return values as an array; a single one is repeated."""
+    if isinstance(value, pa.Array):
+        return value
+    if value is None or isinstance(value, (str, int)):
+        return pa.repeat(pa.scalar(value, data_type), count)
+    return pa.array(value, data_type)
 
 
 def _column(table: pa.Table, name: str, count: int) -> pa.Array:
+    """Return a column of a table; nulls if there is no such column."""
     return one_chunk(table[name]) if name in table.column_names else pa.nulls(count)
 
 

@@ -189,9 +189,7 @@ def chosen_pictures(
     found = f"the {what} {', '.join(known)}"
     if not known:
         found = f"no {what}, but {', '.join(others)}"
-    expected = "one"
-    if name:
-        expected = f"{name!r}{wording.did_you_mean(name, known)}"
+    expected = f"{name!r}{wording.did_you_mean(name, known)}" if name else "one"
     raise errors.InputError(
         f"{where!r} has {found}; expected {expected}", next="choose one with --map image=NAME"
     )

@@ -355,9 +355,7 @@ def _between(
         if whole.shape[1] in _WITH_QUATERNION:
             between = around.interpolated(whole)
             between[:, -_QUATERNION:] = around.turned(whole[:, -_QUATERNION:])
-            parts: Sequence[Float64] = [between]
-            if len(pose) > 1:
-                parts = list(between.T)
+            parts = [between] if len(pose) == 1 else list(between.T)
             found |= zip(pose, parts, strict=True)
     return {name: _with_gaps(values, around) for name, values in found.items()}
 
