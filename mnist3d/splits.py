@@ -63,7 +63,7 @@ def plan_splits(
     Raises
     ------
     InputError
-        A class has fewer digits than ``spec.sizes`` asks for, or writers are needed and unknown.
+        A class has fewer digits than ``spec.sizes`` needs, or writers are needed and unknown.
     """
     if spec.by == "none":
         split_of = np.full(len(catalog), SPLITS.index("train"))

@@ -22,9 +22,9 @@ _HEAD, _HALF_HEAD_RAD = 0.35, 0.45  # of an arrow
 
 
 def force_views(touch: Touch) -> list[UInt8]:
-    """Return the picture of a touch, and those of pressure and of the motion of markers that it has.
+    """Return the picture of a touch, and pictures of its pressure and its moving markers, if it has them.
 
-    They are of one size. Maps of another size than the image, as after `realtouch resize`, are left out.
+    They have one size. Maps of another size than the image, as after `realtouch resize`, are left out.
     """
     image, extra = touch.image, touch.extra
     height, width = image.shape[:2]

@@ -51,7 +51,7 @@ _EXTRA_ENTRIES = {1: "one per touch", 2: "one per frame of each touch"}  # by th
 
 
 def extra_columns(names: Iterable[str]) -> dict[str, str]:
-    """Return the further columns among those of some dotted names, by their own names."""
+    """Return the further columns among some dotted names, by their own names."""
     return {
         name.removeprefix(prefix): name
         for name in names
@@ -79,7 +79,7 @@ def extra_type_text(name: str, data_type: pa.DataType) -> str:
 
 
 def per_touch_columns(names: Iterable[str]) -> list[str]:
-    """Return those of some columns that must have one entry per touch."""
+    """Return the columns, among some, that must have one entry per touch."""
     there = dict.fromkeys(names)
     known = [name for name, (depth, _, _) in KNOWN_COLUMNS.items() if depth and name in there]
     return [*known, *extra_columns(there).values()]

@@ -1,4 +1,4 @@
-"""The source of images that options ask for, or that a manifest describes."""
+"""The source of images that options choose, or that a manifest describes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _UNCOMPARED = ("writers_sha256", "left_out")
 
 
 def chosen_source(name: str, given: JsonObject, seed: int) -> digit_source.DigitSource:
-    """Return the source that options ask for; InputError for a missing option, or one of another source."""
+    """Return the source that options choose; InputError for a missing option, or one of another source."""
     for option in _NEEDED[name]:
         if option not in given:
             flag = f"--{option.replace('_', '-')}"

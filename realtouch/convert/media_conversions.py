@@ -59,7 +59,7 @@ def clips_to_images(
         ``"contact_end"``, ``"contact_start"``, ``"peak"`` or ``"best"``; see
         :meth:`~realtouch.TouchClip.contact_index`.
     split : str, optional
-        Only this split; files of others are not fetched. All by default.
+        Only this split; files of other splits are not fetched. All by default.
     limit : int, optional
         Only the first ``limit`` rounds of each split.
     workers : int or Runner

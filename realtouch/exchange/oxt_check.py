@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections import Counter, defaultdict
+from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import NamedTuple
@@ -134,8 +134,7 @@ def _problems(group: zarr_arrays.ZarrGroup) -> Iterator[_Problem]:
     for name in names:
         try:
             array = group.array(f"{zarr_recordings.DATA}/{name}")
-            for _ in array.blocks():
-                pass
+            deque(array.blocks(), maxlen=0)
             if array.dtype.kind in "SU":  # its characters are checked, too
                 _values(array, array.shape[0])
             arrays[name] = array

@@ -24,7 +24,7 @@ def find_video(
 
     The fields of videos are in a table: the one that was named, or the only one in the folder whose column of
     files names some videos. A video without a row has a problem then, and so has a row without a video.
-    Without a table, the folder of a video is its class if all videos are in folders.
+    Without a table, the folder of a video is its class if all videos are in folders, two or more.
     """
     folder, paths = importing.files_to_read(
         home, "videos; expected AVI, MP4, MOV, MKV, WebM or MPEG-TS", _videos
@@ -135,7 +135,7 @@ def _first_row(home: store.DataFolder, name: str) -> JsonDict:
 
 
 def describe_conversion(touches: importing.FoundTouches) -> str:
-    """Return what is done to the pictures of videos; empty if they are stored as they are."""
+    """Return how the pictures of videos are converted; empty if they are stored as they are."""
     return "; ".join(sorted({*touches.where["part"].unique().to_pylist()} - {""}))
 
 

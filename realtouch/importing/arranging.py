@@ -144,10 +144,7 @@ def _rounds(
 def _splits(stated: Sequence[str], paths: Sequence[str], split: str | None) -> Iterator[str]:
     """Yield the split of each touch: as its column states, as given, as the name of its tar, or ``train``."""
     for each, path in zip(stated, paths, strict=True):
-        if each or split:
-            yield each or split or ""
-        else:
-            yield next(iter(_OUR_TAR.findall(path.rpartition("/")[2])), "train")
+        yield each or split or next(iter(_OUR_TAR.findall(path.rpartition("/")[2])), "train")
 
 
 def _in_pieces(

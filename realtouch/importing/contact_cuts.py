@@ -165,7 +165,7 @@ class GelAtRest:
         return found
 
     def _levels_of(self, pictures: UInt8) -> Float64:
-        """Return the level of each channel of n samples over the background, (n, 3), smooth in time."""
+        """Return the levels of n samples relative to the background, (n, 3) channels, smooth in time."""
         levels = np.ones((len(pictures), 3))
         parts, base = (each[..., ::_PIXEL_STEP, ::_PIXEL_STEP, :] for each in (pictures, self._base))
         for channel in range(3):

@@ -20,7 +20,7 @@ MAX_PICTURES = 64
 
 
 class CutTable:
-    """A table of touches, a row each; a row belongs to one recording.
+    """A table with a row for each touch; a row belongs to one recording.
 
     Raises
     ------
@@ -60,8 +60,9 @@ class CutTable:
         self._recording_of_row: dict[int, str] = {}
         self._stated_recordings = [""] * self._table.rows
         if self._recording_column is not None:
-            texts = self._table.texts(self._recording_column)
-            self._stated_recordings = list(map(source_files.path_of, texts))
+            self._stated_recordings = [
+                source_files.path_of(text) for text in self._table.texts(self._recording_column)
+            ]
         self._rows_that_state: dict[str, list[int]] = {}
         for row, stated in enumerate(self._stated_recordings):
             self._rows_that_state.setdefault(stated, []).append(row)

@@ -23,7 +23,7 @@ Fields = Mapping[str, pa.Array]
 _WHOLE = re.compile(r"^(0|[1-9][0-9]*)(?:\.0+)?\Z")
 _LONGEST_SHOWN = 80  # characters of a value in a message
 _LONGEST_INTEGER = 18  # digits
-# The cell is 0.12 m wide. Farther outside of it than that, or at three times that height, the unit is wrong.
+# The cell is 0.12 m wide. A position over 0.12 m outside of it, or over 0.36 m high, is in another unit.
 _FARTHEST_M = (0.18, 0.18, 0.36)
 _MAX_TURN = 4 * np.pi  # radians; a longer rotation vector is in degrees
 _MAX_TILT = 1e-6  # of a frame that can transform x and y without the height

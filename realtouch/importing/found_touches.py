@@ -150,7 +150,7 @@ class FoundTouches(Sequence[PicturePlace]):
 
     @property
     def has_clips(self) -> bool:
-        """Whether the touches are clips, as the first one is or is not."""
+        """Whether the touches are clips; the first touch decides."""
         return bool(len(self)) and self.where["frames"][0].as_py() > 0
 
     @property

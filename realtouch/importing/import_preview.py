@@ -152,21 +152,16 @@ def _pictures_in_words(found: import_sources.FoundSource, touches: arranging.Arr
 def _uses(found: import_sources.FoundSource, extras: Iterable[str]) -> list[tuple[str, str, str]]:
     """Return each column of the source, what it becomes, and its unit; ``extras`` are the extra columns."""
     columns = found.columns
-    roles = {
+    roles: dict[str | None, str] = {
+        **{source: f"extra {name!r}" for source, name in extra_columns.kept_sources(columns, extras).items()},
         columns.label: "label",
         columns.round: "round",
         columns.object_id: "object_id",
         columns.split: "split",
-    }
-    roles |= dict.fromkeys(columns.position or (), "pos_in_cell")
-    roles |= dict.fromkeys(columns.pose or (), "pose of the gel")
-    if columns.image is not None:
-        roles[columns.image] = "picture"
-    if columns.time is not None:
-        roles[columns.time] = "time"
-    roles = {
-        **{source: f"extra {name!r}" for source, name in extra_columns.kept_sources(columns, extras).items()},
-        **roles,
+        **dict.fromkeys(columns.position or (), "pos_in_cell"),
+        **dict.fromkeys(columns.pose or (), "pose of the gel"),
+        columns.image: "picture",
+        columns.time: "time",
     }
     lengths = {*(columns.position or ()), *(columns.pose or ())[:3]}
     uses = []

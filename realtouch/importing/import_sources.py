@@ -135,7 +135,7 @@ def _read_folders(
 
 
 def _files_of_several(touches: found_touches.FoundTouches) -> set[found_touches.File]:
-    """Return the files with the images of several touches: an image in them does not start at byte 0."""
+    """Return the files with images of several touches: those with an image that does not start at byte 0."""
     files = touches.where.filter(pc.greater(touches.where["start"], 0)).group_by(["home", "path"])
     return {(row["home"], row["path"]) for row in files.aggregate([]).to_pylist()}
 

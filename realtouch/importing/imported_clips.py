@@ -58,7 +58,7 @@ def clip_of(
     step_s = float(np.median(np.diff(time_s))) if len(pictures) > 1 else 0.0
     fps = min(max(1 / step_s, _RATES[0]), _RATES[1]) if step_s > 0 else FRAMES_PER_SECOND
     jpegs, contact = list(map(stored_images.as_jpeg, pictures)), touches.where["contact"][row].as_py()
-    if contact is None:  # from the stored pictures, so that an import of an export finds the same
+    if contact is None:  # from the pictures as they are stored, so that a copy gives the same
         contact, is_found = contact_by_pictures(jpegs, size)
         notes.append("contact found by the pictures" if is_found else "no contact found: the best picture")
     height, width = size

@@ -41,7 +41,7 @@ def _ends_with(*endings: str) -> Callable[[str], object]:
     return lambda path: path.lower().endswith(endings)
 
 
-# The first file that fits names the format. Several marks may stand for one format.
+# Marks of formats: which paths show that a source has a format.
 _MARKS: tuple[tuple[str, Callable[[str], object]], ...] = (
     ("lerobot", re.compile(r"^meta/info\.json\Z").search),
     ("oxt", _OXT_MEMBER.search),
