@@ -48,11 +48,11 @@ class Damage:
     file : str
         Parquet file.
     row : int or None
-        Row in that file, the first one where the problem names several; None when all of the file is meant.
+        Row in that file, the first one if the problem names several; None if the whole file is meant.
     touch : int or None
-        Touch of the round; None when all of the round is meant.
+        Touch of the round; None if the whole round is meant.
     field : str
-        Column; empty when no single one is meant.
+        Column; empty if no single column is meant.
     problem : str
         What was found, and what was expected.
     """

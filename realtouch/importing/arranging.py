@@ -64,7 +64,7 @@ def arranged(found: import_sources.FoundSource, classes: Sequence[str], split: s
     for each, of_split in whole.items():
         rounds = _in_pieces(of_split, sizes, most_bytes, taken)
         shards[each] = [_shard(touches, part) for part in _divided(rounds, sizes, touches.has_clips)]
-    size = common_size(touches, read.contents, read.is_one_a_file)
+    size = common_size(touches, read.contents, read.one_size_per_file)
     schema = imported_rows.touch_schema(columns, names, touches)
     return Arranged(
         shards, import_shards.ImportTouches(found.layout, columns, names, size, schema, found.versions)
@@ -168,7 +168,7 @@ def _in_pieces(
 
 
 def common_size(
-    touches: found_touches.FoundTouches, read: source_files.ReadContents, is_one_a_file: bool = False
+    touches: found_touches.FoundTouches, read: source_files.ReadContents, one_size_per_file: bool = False
 ) -> tuple[int, int] | None:
     """Return the most frequent height and width of images; None if no image can be read.
 
@@ -177,7 +177,7 @@ def common_size(
     """
     usable = touches.take(np.flatnonzero(touches.is_usable))
     places, counts = list[found_touches.PicturePlace](), dict[found_touches.PicturePlace, int]()
-    if is_one_a_file:
+    if one_size_per_file:
         of_files = usable.where.group_by(["home", "path", "part"])
         files = of_files.aggregate([("number", "min"), ("frames", "sum"), ("frames", "count")])
         for row in files.sort_by("number_min").to_pylist():

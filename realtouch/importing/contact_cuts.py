@@ -145,14 +145,14 @@ class GelAtRest:
                 self.shape, self.window = picture.shape, rule.window(*picture.shape[:2])
                 fitting = max(_MIN_SAMPLES, _SAMPLE_BYTES // picture[self.window].nbytes)
                 step = -(-_MAX_SAMPLES // fitting)
-            cropped = self.seen_of(picture)
+            cropped = self.cropped(picture)
             if cropped is not None and (index % step == 0 or not found):
                 found[number] = cropped.copy()
         if not found:
             raise errors.ItemError("image", f"none of {len(spread):,} pictures of the recording can be read")
         return found
 
-    def seen_of(self, picture: UInt8 | None) -> UInt8 | None:
+    def cropped(self, picture: UInt8 | None) -> UInt8 | None:
         """Return the window of a picture; None if it is unreadable or of another size."""
         if picture is None or picture.shape != self.shape:
             return None
@@ -187,7 +187,7 @@ def find_contacts(
     uncropped = replace(rule, crop=1.0)
     numbers = range(recording.frames)
     for number, picture in zip(numbers, pictures_of(recording, [numbers], contents), strict=False):
-        seen = background.seen_of(picture)
+        seen = background.cropped(picture)
         if seen is None:
             unreadable += 1
             continue

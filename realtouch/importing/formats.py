@@ -21,7 +21,7 @@ class ImportFormat:
     """How a format is read.
 
     ``contents`` yields all pictures of each touch, encoded. ``cut`` is how recordings become touches by
-    default. ``is_one_a_file`` says that the pictures of a file have one size. ``describe`` states how
+    default. ``one_size_per_file`` says that the pictures of a file have one size. ``describe`` states how
     pictures are converted; empty if they are stored as they are. With ``rotvec``, the last three of a pose of
     six numbers are a rotation vector.
     """
@@ -29,7 +29,7 @@ class ImportFormat:
     find: FindTouches
     contents: source_files.ReadContents = source_files.contents_of
     cut: str = "frames"
-    is_one_a_file: bool = False
+    one_size_per_file: bool = False
     describe: Callable[[found_touches.FoundTouches], str] = lambda _touches: ""
     rotvec: bool = False
 
