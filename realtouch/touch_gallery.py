@@ -92,12 +92,8 @@ def _item(
     media = {"stills.jpg": stills}
     listed = []
     for touch in touches:
-        entry: JsonDict = {
-            "number": touch.touch_index,
-            "contact": None,
-            "height_mm": None,
-            "film": None,
-        }
+        entry: JsonDict = dict.fromkeys(("number", "contact", "height_mm", "film"))
+        entry["number"] = touch.touch_index
         if heights_m is not None and not math.isnan(heights_m[touch.touch_index]):
             height_m = float(heights_m[touch.touch_index])
             entry |= {"contact": height_m >= least_m, "height_mm": round(height_m * mesh.MM_PER_M, 2)}
