@@ -1,8 +1,8 @@
 """Loops for which numpy would need many passes, compiled by numba (:mod:`tactile_toolkit.compiled`).
 
-Floating-point operations run in the order in which they are written, so that results do not depend on the
-processor. Arrays are made by numpy, and kernels hold plain loops over single elements: numba needs longer for
-an array that a kernel makes or cuts than for all that is done with it.
+Floating-point operations run in the order in which they are written, so results do not depend on the
+processor. Arrays are made by numpy, and kernels have plain loops over single elements: for numba, making or
+slicing an array in a kernel takes longer than all operations on it.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def signed_distance_px(mask: Bool, inside_px: float, outside_px: float) -> Float
 
 @planned("(int16[:,::1], int64, int64, int16[:,::1], int16[:,::1])")
 def _distances_in_rows(ink: Int16, inside: int, outside: int, paper: Int16, inked: Int16) -> None:
-    """Write the squared distances from the other kind in each row, of paper and of ink."""
+    """Write the squared distances of paper from ink, and of ink from paper, within each row."""
     height, width = ink.shape
     far = max(inside, outside)
     for row in range(height):
@@ -74,7 +74,7 @@ def _distances(
     least: Int16,
     found: Float32,
 ) -> None:
-    """Write the signed distances, from the squared ones within rows; ``least`` is a row of scratch."""
+    """Write the signed distances, from the squared ones within rows; ``least`` is a scratch row."""
     height, width = ink.shape
     half = np.float32(0.5)
     for row in range(height):
@@ -242,7 +242,7 @@ def smoothed(vertices: Float32, faces: Int32, flat: Int64, shares: Float32) -> F
 
 @planned("(int32[:,::1], int64[::1], int64[::1], int32[::1], float32[::1])")
 def _find_neighbours(faces: Int32, ends: Int64, filled: Int64, beside: Int32, weights: Float32) -> None:
-    """Write the neighbours of vertices, each once and from the last to the first, and how often they are."""
+    """Write the neighbours of vertices, each once, from the last to the first, and how often each occurs."""
     for face in range(len(faces)):
         for k in range(6):
             corner, other = faces[face, k % 3], faces[face, (k % 3 + k // 3 + 1) % 3]
@@ -271,7 +271,7 @@ def _pull(
     weights: Float32,
     moved: Float32,
 ) -> None:
-    """Write where vertices are after one share of the way to the mean of their neighbours."""
+    """Write the vertices after they moved by a share of the way to the mean of their neighbours."""
     for vertex in range(len(vertices)):
         part = np.float32(1) / np.float32(ends[vertex + 1] - ends[vertex])
         x, y, z = np.float32(0), np.float32(0), np.float32(0)

@@ -62,9 +62,10 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         things = "drawings"
     columns = store.open_parquet(folder, REPORT_FILE).schema_arrow.names
     joined = ", separate pieces bridged" if solid["join_bodies"] else ""
+    title = shown_text.printable(catalog.short_name(folder.address())) if is_own else "MNIST 3D"
     cards.Card(
         template=KIND.card_template,
-        title=shown_text.printable(catalog.short_name(folder.address())) if is_own else "MNIST 3D",
+        title=title,
         columns=COLUMNS,
         picture=("digits.png", _sheet, "The first digit of each class that is there, seen from above"),
         licence=words["licence"],
@@ -127,8 +128,9 @@ def _limits(
     rows = sum(s.counts["rows"] for s in summaries)
     pieces = rows - sum(s.facets["bodies"].get("1", 0) for s in summaries)
     warned = sum(sum(s.facets["warnings"].values()) for s in summaries)
-    in_one = "None of the digits is in several pieces"
-    in_pieces = f"{pieces:,} of {rows:,} digits are in several pieces that print apart" if pieces else in_one
+    in_pieces = "None of the digits is in several pieces"
+    if pieces:
+        in_pieces = f"{pieces:,} of {rows:,} digits are in several pieces that print apart"
     lines = [
         words["limit"],
         f"{in_pieces}; `--join-bodies` makes bridges.",

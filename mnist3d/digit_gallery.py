@@ -44,8 +44,7 @@ def _item(
     vertices_m, faces = record.vertices_m, record.faces
     if report is None:
         found = mesh.inspect(mesh.Mesh(vertices_m, faces))
-        broken = (found.problem,) if found.problem else ()
-        report = {**found.to_row(), "warnings": [*broken, *found.warnings]}
+        report = {**found.to_row(), "warnings": [*filter(None, [found.problem]), *found.warnings]}
     label = class_name(names, record.label)
     source = [("Source", record.source)] if record.source else []
     return gallery.GalleryItem(

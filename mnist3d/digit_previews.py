@@ -46,7 +46,7 @@ def plan_previews(name: Name | Place, spec: digit_options.DigitPreviewSpec) -> p
 
 
 def is_picture_or_mesh(name: str) -> bool:
-    """Return whether a name is that of a local picture or mesh file, and not of a data set."""
+    """Return whether a name is the path of a local picture or mesh file rather than a data set."""
     if store.is_remote(name):
         return False
     path = store.expanded(name)

@@ -129,7 +129,7 @@ def print_pictures(
 
 
 def _refuse_pictures(pictures: Sequence[Path], folder: Path, names: Sequence[str]) -> None:
-    """Refuse to replace a picture by a file that is made of it."""
+    """Refuse to replace a picture by a file that is made from it."""
     targets = {(folder / name).resolve() for name in names}
     hit = next((path for path in pictures if path.resolve() in targets), None)
     if hit is not None:
@@ -162,7 +162,7 @@ def _readable_pages(file: Path) -> tuple[int, ...]:
 
 
 def _file_names(found: Sequence[tuple[Path, int]], out: str, ending: str) -> tuple[str, str, Sequence[str]]:
-    """Return folder, ending and names of the files without it."""
+    """Return the folder, the ending, and the names of the files without their ending."""
     place = store.expanded(out)
     if place.suffix.lower() in mesh.FORMATS:
         if len(found) != 1:

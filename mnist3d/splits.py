@@ -63,7 +63,7 @@ def plan_splits(
     Raises
     ------
     InputError
-        A class has fewer digits than ``spec.sizes`` asks for, or writers are needed and unknown.
+        A class has fewer digits than ``spec.sizes`` needs, or writers are needed and unknown.
     """
     if spec.by == "none":
         split_of = np.full(len(catalog), SPLITS.index("train"))
@@ -81,7 +81,7 @@ def plan_splits(
 
 
 def _by_digit(catalog: DigitCatalog, spec: SplitSpec, usual: Mapping[str, int]) -> Int64:
-    """Return the index of the split of each digit, -1 for none."""
+    """Return the index of the split of each digit, -1 for a digit that is in no split."""
     split_of = np.full(len(catalog), -1)
     for label, name in enumerate(catalog.class_names):
         members = np.flatnonzero(catalog.labels == label)
@@ -118,7 +118,7 @@ def _usual_sizes(available: int, usual: Mapping[str, int]) -> dict[str, int]:
     by_remainder = sorted(quotas, key=lambda split: sizes[split] - quotas[split])
     for split in by_remainder[: available - sum(sizes.values())]:
         sizes[split] += 1
-    # A split is empty only if there are fewer digits than splits; then the later ones are.
+    # Splits are empty only if there are fewer digits than splits; then the last splits are.
     for split in quotas:
         largest = max(quotas, key=lambda name: sizes[name])
         if sizes[split] == 0 and sizes[largest] > 1:

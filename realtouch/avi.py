@@ -34,7 +34,7 @@ class Avi:
     """
 
     def __init__(self, data: memoryview) -> None:
-        name, size, kind = _RIFF.unpack_from(data) if len(data) >= _RIFF.size else (b"", 0, b"")
+        name, size, kind = _RIFF.unpack(bytes(data[: _RIFF.size]).ljust(_RIFF.size, b"\0"))
         if name != b"RIFF" or kind != b"AVI ":
             raise ValueError(
                 f"{len(data):,} bytes that begin with {bytes(data[:8]).hex(' ')}; expected an AVI with MJPEG "
@@ -54,7 +54,7 @@ class Avi:
             position = start + size + size % 2
             if start + size > end:
                 raise ValueError(
-                    f"an AVI whose part {name!r} ends {start + size - end:,} bytes behind its end"
+                    f"an AVI whose part {name!r} ends {start + size - end:,} bytes beyond its end"
                 )
             if name == b"LIST" and size >= 4:
                 name, start, size = bytes(data[start : start + 4]), start + 4, size - 4
@@ -106,8 +106,8 @@ class Avi:
         if np.count_nonzero(is_early) or self.starts[0] < movie[0] or ends[-1] > sum(movie):
             fits = np.append(self.starts[0] >= movie[0], ~is_early) & (ends <= sum(movie))
             raise ValueError(
-                f"an AVI whose index has frame {fits.argmin()} of {len(self)} outside of it or over another; "
-                "expected that of the stream"
+                f"an AVI whose index has frame {fits.argmin()} of {len(self)} outside of the stream or over "
+                "another frame"
             )
 
     @property
@@ -164,5 +164,5 @@ def write_avi(frames: Sequence[bytes], width: int, height: int, fps: float) -> b
 
 
 def _chunk(name: bytes, content: bytes) -> bytes:
-    # RIFF fills chunks up to an even length, which their size does not count.
+    # RIFF pads chunks to an even length, which their size does not count.
     return name + struct.pack("<I", len(content)) + content + b"\0" * (len(content) % 2)

@@ -176,7 +176,7 @@ class _Reader:
                     raise ItemError(
                         "length",
                         f"{number:,} pictures or more, which take {total_bytes:,} bytes; "
-                        f"the limit is {MAX_PICTURES:,}, and those of the file",
+                        f"the limits are {MAX_PICTURES:,} and {_MAX_READ} times the size of the file",
                     )
                 pts.append(cast(int, packet.pts))
                 is_cut = packet.is_corrupt

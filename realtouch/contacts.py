@@ -122,9 +122,9 @@ def best_frame(
     """
     if not isinstance(clip, touch_clips.TouchClip):
         return contact_picture.best_of(contact_picture.as_pictures(clip), rule, base)
-    pieces = list(islice(_batches(clip), 2))
-    if len(pieces) < 2:
-        return contact_picture.best_of(pieces[0] if pieces else clip.frames(), rule, base)
+    pieces = list(islice(_batches(clip), 2)) or [clip.frames()]
+    if len(pieces) == 1:
+        return contact_picture.best_of(pieces[0], rule, base)
     # A clip that does not fit in memory is processed a few frames at a time.
     if base is None:
         base = background(clip)

@@ -1,6 +1,6 @@
-"""Maps of depth, stored as images of 16 bits in whole micrometres.
+"""Depth maps, stored as images of 16 bits in whole micrometres.
 
-A map states how far each point of the gel is pressed in: 0 where nothing touches it, 65,535 um at most. A
+A map states how far each point of the gel is pressed in: 0 where nothing touches it, at most 65,535 um. A
 second map states the expected error of each pixel.
 """
 
@@ -29,7 +29,7 @@ _MODES = ("I;16", "I;16B")
 
 
 def encode_map(depth_m: Floating) -> bytes:
-    """Encode a map of depth, (H, W), metres, as PNG; negative values become 0.
+    """Encode a depth map, (H, W), metres, as PNG; negative values become 0.
 
     Raises InputError for values that are not finite, or exceed 65.535 mm.
     """
@@ -45,13 +45,13 @@ def encode_map(depth_m: Floating) -> bytes:
 
 
 def decode_map(data: memoryview | bytes) -> Float32:
-    """Decode a map of depth, shape (H, W), float32, metres; ValueError for any other file."""
+    """Decode a depth map, shape (H, W), float32, metres; ValueError for any other file."""
     try:
         image = Image.open(io.BytesIO(data), formats=["PNG"])
         is_depth = image.mode in _MODES and image.width * image.height <= MAX_IMAGE_PIXELS
         counts = np.asarray(image) if is_depth else None
     except Exception as error:  # Pillow raises many kinds on damaged files
-        raise ValueError("a map of depth that cannot be decoded; expected a PNG of 16 bits") from error
+        raise ValueError("a depth map that cannot be decoded; expected a PNG of 16 bits") from error
     if counts is None:
         raise ValueError(
             f"{image.width} x {image.height} pixels ({image.mode}); expected a grey PNG of 16 bits and "

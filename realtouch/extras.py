@@ -25,7 +25,7 @@ class UnknownExtraError(errors.InputError, KeyError):
             f"{wording.did_you_mean(str(name), known)}",
             next="name one of these, or import it again with that column",
         )
-        self.args = (name, path, tuple(known))  # by which it crosses process borders
+        self.args = (name, path, tuple(known))  # pickling calls the constructor with these
 
 
 class Extras(Mapping[str, Any]):

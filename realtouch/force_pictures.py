@@ -22,9 +22,9 @@ _HEAD, _HALF_HEAD_RAD = 0.35, 0.45  # of an arrow
 
 
 def force_views(touch: Touch) -> list[UInt8]:
-    """Return the picture of a touch, and those of pressure and of the motion of markers that it has.
+    """Return the picture of a touch, and pictures of its pressure and its moving markers, if it has them.
 
-    They are of one size. Maps of another size than the image, as after `realtouch resize`, are left out.
+    They have one size. Maps of another size than the image, as after `realtouch resize`, are left out.
     """
     image, extra = touch.image, touch.extra
     height, width = image.shape[:2]
@@ -44,7 +44,8 @@ def force_views(touch: Touch) -> list[UInt8]:
 def pressure_picture(pressure: AnyArray) -> UInt8:
     """Return a map of pressure (H, W), of any unit, as colours (H, W, 3).
 
-    It is brightest from the 98th percentile of the contact on: single pixels at edges have far more pressure.
+    The brightest colour begins at the 98th percentile of the contact, as single pixels at edges have far more
+    pressure.
     """
     known = np.nan_to_num(np.asarray(pressure, np.float64))
     most = 1.0
@@ -58,7 +59,7 @@ def pressure_picture(pressure: AnyArray) -> UInt8:
 
 
 def flow_picture(rest_px: AnyArray, flow_px: AnyArray, size_px: tuple[int, int]) -> UInt8:
-    """Return arrows from markers at rest (n, 2), :data:`ARROWS` times as long as they moved, (n, 2), pixels.
+    """Return arrows from markers at rest (n, 2), :data:`ARROWS` times as long as their motion (n, 2), pixels.
 
     The picture (H, W, 3) shows an image of ``size_px``, width and height, and has at least 160 columns.
     """

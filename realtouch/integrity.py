@@ -19,8 +19,8 @@ def agreeing_files(
 ) -> list[read.Shard]:
     """Return the files of a data set that can be read and agree with the first of them.
 
-    What is wrong with the others is added to ``left_out``. Without such a list it is raised: InputError for a
-    file without touches, IntegrityError for one that is damaged or holds something else.
+    The damage of the other files is added to ``left_out``. Without such a list it is raised: InputError for a
+    file without touches, IntegrityError for a file that is damaged or differs.
     """
     files: list[read.Shard] = []
     for shard in shards:
@@ -75,10 +75,10 @@ def class_names_of(shards: Iterable[read.RowSource]) -> tuple[str, ...]:
 
 
 def modal_touch_count(shards: Sequence[read.Shard]) -> int | None:
-    """Return the T that every round of a data set must have: that of more than half of its readable rounds.
+    """Return the T that every round of a data set must have: the T of more than half of its readable rounds.
 
-    None where rounds may differ: no T is that of more than half, or the set has a manifest. Imported and
-    selected rounds differ in length, and the manifest has their checksums.
+    None if rounds may differ: if there is no such T, or if the set has a manifest. Imported and selected
+    rounds differ in length, and the manifest has their checksums.
     """
     if shards and catalog.manifest_beside(shards[0]) is not None:
         return None
@@ -115,7 +115,7 @@ def checked_rows(
 def readable_rows(
     groups: Iterable[tuple[read.Shard, int]],
 ) -> Iterator[stored_round.StoredRound | stored_columns.Damage]:
-    """Yield all rows, and for unreadable ones their damage."""
+    """Yield all rows; the damage stands for rows that cannot be read."""
     for shard, index in groups:
         try:
             yield from stored_round.rows_of(shard.blocks(index))
@@ -201,7 +201,7 @@ def _check_touches(
 
 @contextmanager
 def _noted(found: list[stored_columns.Damage], row: stored_round.StoredRound) -> Iterator[None]:
-    """Add what is wrong to a list instead of raising it."""
+    """Add the damage to a list instead of raising it."""
     try:
         yield
     except stored_columns.DamagedRoundError as error:
@@ -251,7 +251,7 @@ def _clip_size(row: stored_round.StoredRound, touch: int, size_of: _SizeOf, note
 def _odd_sizes(
     row: stored_round.StoredRound, sizes: dict[int, tuple[int, ...]], media: str
 ) -> Iterator[stored_columns.Damage]:
-    """List the touches whose pictures differ in size from most of the round, on a tie the first."""
+    """List the touches whose pictures differ in size from most of the round; on a tie, from the first."""
     known = {touch: size for touch, size in sizes.items() if size}
     modal = max(known.values(), key=list(known.values()).count, default=())
     for touch, size in known.items():

@@ -54,7 +54,7 @@ class TouchRound(read.Record):
 
     @property
     def info(self) -> JsonDict:
-        """Metadata such as ``gel_id`` and notes, unflattened, with poses; a dict of the caller."""
+        """Metadata such as ``gel_id`` and notes, nested, with poses; a new dict, which may be changed."""
         return dict(self._once("info", lambda: self.row.read_info()))
 
     @property

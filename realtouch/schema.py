@@ -51,7 +51,7 @@ _EXTRA_ENTRIES = {1: "one per touch", 2: "one per frame of each touch"}  # by th
 
 
 def extra_columns(names: Iterable[str]) -> dict[str, str]:
-    """Return the further columns among those of some dotted names, by their own names."""
+    """Return the further columns among some dotted names, by their own names."""
     return {
         name.removeprefix(prefix): name
         for name in names
@@ -79,7 +79,7 @@ def extra_type_text(name: str, data_type: pa.DataType) -> str:
 
 
 def per_touch_columns(names: Iterable[str]) -> list[str]:
-    """Return those of some columns that must have one entry per touch."""
+    """Return the columns, among some, that must have one entry per touch."""
     there = dict.fromkeys(names)
     known = [name for name, (depth, _, _) in KNOWN_COLUMNS.items() if depth and name in there]
     return [*known, *extra_columns(there).values()]
@@ -122,7 +122,7 @@ def media_kind(schema: pa.Schema | None, where: str) -> Kind:
 
 
 def _is_rendered(schema: pa.Schema) -> bool:
-    """Return whether images were rendered: the object then has a pose for each touch, not one a round."""
+    """Return whether images were rendered: the object then has a pose for each touch, not for the round."""
     pose = column_type(schema, "info.object_pose.position")
     has_images = column_type(schema, MEDIA_COLUMN["single"]) is not None
     return has_images and pose is not None and read.list_depth(pose)[0] == 2
@@ -206,7 +206,7 @@ def _without_structs(table: pa.Table) -> pa.Table:
 
 
 def row_with(flat: pa.Table, made: Mapping[str, pa.Array], schema: pa.Schema) -> pa.Table:
-    """Return the columns of a schema: those that were made, with an entry a touch, others of a flat row."""
+    """Return the columns of a schema: new ones with an entry for each touch, the others from a flat row."""
     columns = dict(zip(flat.column_names, flat.columns, strict=True))
     columns |= {name: _as_list(entries, schema.field(name).type) for name, entries in made.items()}
     return pa.table([columns[name] for name in schema.names], schema=schema)

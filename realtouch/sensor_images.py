@@ -24,7 +24,7 @@ MAX_BATCH_PIXELS = 1 << 31
 def in_parallel(work: Callable[[int], object], count: int, threads: int) -> None:
     """Process items 0 to ``count`` - 1 in threads; the first error ends all of them.
 
-    Each takes a run of pieces at a time: neighbours share pages of the array that they are written to.
+    A thread takes a run of items at a time, as neighbours share pages of the array that they are written to.
     """
     length = max(1, min(_LONGEST_RUN, count // max(1, 4 * threads)))
     runs = (range(start, min(start + length, count)) for start in range(0, count, length))
@@ -99,9 +99,9 @@ class SensorImages(Sequence[UInt8]):
         index : slice, sequence of int, or boolean mask
             Which touches; all by default.
         threads : int
-            How many to decode at a time.
+            Number of images to decode at a time.
         out : ndarray, shape (n, H, W, 3), uint8, optional
-            Where to put them, to spare the memory of a new array per batch; each image C-contiguous.
+            Array to write to, which saves a new array for each batch; each image must be C-contiguous.
 
         Returns
         -------

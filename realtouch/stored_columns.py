@@ -48,11 +48,11 @@ class Damage:
     file : str
         Parquet file.
     row : int or None
-        Row in that file, the first one where the problem names several; None when all of the file is meant.
+        Row in that file, the first one if the problem names several; None if the whole file is meant.
     touch : int or None
-        Touch of the round; None when all of the round is meant.
+        Touch of the round; None if the whole round is meant.
     field : str
-        Column; empty when no single one is meant.
+        Column; empty if no single column is meant.
     problem : str
         What was found, and what was expected.
     """
@@ -160,9 +160,9 @@ class StoredColumns(Row):
         return int(starts[self.index + 1] - starts[self.index])
 
     def entries_of(self, name: str, touch: int | None = None) -> tuple[NestedColumn, int, int]:
-        """Return a column and the range of its entries that are the round's, or one touch's.
+        """Return a column and the range of its entries that belong to the round, or to one touch.
 
-        Raises IntegrityError unless there are T, IndexError when it has no such touch.
+        Raises IntegrityError unless the round has T entries, IndexError if it has no such touch.
         """
         column = self.column_of(name)
         start, stop = column.inside(0, self.index, self.index + 1)

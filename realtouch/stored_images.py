@@ -20,15 +20,15 @@ _ENDINGS = {b"\xff\xd8": "jpg", b"\x89P": "png"}
 
 _ORIENTATION = 0x0112
 _TURNED = range(2, 9)
-_APP1 = b"\xff\xe1"  # within coded pixels, no such bytes stand together
+_APP1 = b"\xff\xe1"  # these bytes never occur within coded pixels
 
 
 def require_intact(data: bytes | memoryview) -> tuple[int, int]:
     """Return height and width of an image, after a check of its beginning and end.
 
     The pixels of a JPEG are not decoded, which would take longer than all other work, unless bytes follow the
-    mark of its end: cameras send whole buffers, and encoders of clips fill up to even lengths. Raises
-    ValueError.
+    mark of its end: cameras send whole buffers, and encoders of clips pad to even lengths. Raises ValueError
+    if the image is damaged.
     """
     size = image_size(data)
     if not is_jpeg(data):

@@ -25,7 +25,7 @@ _NO_TIME = "no time is stored; expected a duration or float seconds"
 _SECOND = np.timedelta64(1, "s")
 _CONTACT_START, _CONTACT_END = "touch_start_time_rel", "touch_end_time_rel"
 _POSE, _POSE_SEQUENCE = schema.POSE_COLUMN["single"], schema.POSE_COLUMN["seq"]
-# With an entry a touch; pictures are the last, as these fill the memory.
+# Columns with an entry for each touch; pictures come last, as they take much memory.
 _COUNTING = ("pos_in_cell", "video_length_frames", f"{_POSE}.position", *MEDIA_COLUMN.values())
 
 
@@ -60,7 +60,7 @@ class StoredRound(stored_columns.StoredColumns):
             return None
         found = [as_seconds(times) for times in self.cut("time_stamp_rel_seq", 0, touch)]
         if touch is None:
-            # In one go; touch by touch only to find which one is wrong.
+            # All at once; touch by touch only to find the wrong one.
             joined = np.concatenate([np.zeros(0), *found])
             falls = np.flatnonzero(joined[1:] < joined[:-1]) + 1
             if np.isfinite(joined).all() and np.isin(falls, np.cumsum(list(map(len, found)))).all():
@@ -91,7 +91,7 @@ class StoredRound(stored_columns.StoredColumns):
         return start_s, end_s
 
     def stored_clip(self, touch: int) -> memoryview:
-        """Return the bytes of one clip, without a copy; IntegrityError when none are stored."""
+        """Return the bytes of one clip, without a copy; IntegrityError if no bytes are stored."""
         column = self.group.nested("sensor_video")
         start, stop = column.inside(0, self.index, self.index + 1)
         blob: memoryview | None = column.values[start + touch] if touch < stop - start else None
@@ -119,7 +119,7 @@ class StoredRound(stored_columns.StoredColumns):
         """
         positions = self.cut(f"{_POSE_SEQUENCE}.position", 3, touch)
         quaternions = self.cut(f"{_POSE_SEQUENCE}.quaternion", 4, touch)
-        # Checked in one go; touch by touch only to find which one is wrong.
+        # Checked all at once; touch by touch only to find the wrong one.
         if positions and bad_pose(np.concatenate(positions), np.concatenate(quaternions)) is not None:
             for number, each in enumerate(zip(positions, quaternions, strict=True), touch or 0):
                 wrong = bad_pose(*each)

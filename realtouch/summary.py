@@ -1,4 +1,4 @@
-"""Summary of a data set of touches in numbers, also compared with those of the Tactile MNIST paper."""
+"""Figures of a data set of touches, also compared with those of the Tactile MNIST paper."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ _PLAIN_HEADER = re.compile(
 
 
 class _Header(tarfile.TarInfo):
-    """A header, read in a tenth of the time if it is that of a plain file with a short name."""
+    """A header; that of a plain file with a short name is read in a tenth of the time."""
 
     @classmethod
     def frombuf(cls, buf: bytes | bytearray, encoding: str, errors: str) -> Self:
@@ -54,5 +54,5 @@ def files_of_tar(stream: IO[bytes], size: int) -> Iterator[tarfile.TarInfo]:
         # `tarfile` takes a damaged header for the end of the tar, which is a block of zeros.
         if stream.read(tarfile.BLOCKSIZE) != bytes(tarfile.BLOCKSIZE):
             raise tarfile.ReadError(f"neither a header nor the mark of its end follows {name!r}")
-    except (ValueError, IndexError, RecursionError) as error:  # of what extended headers state
+    except (ValueError, IndexError, RecursionError) as error:  # from values of extended headers
         raise tarfile.ReadError(f"the headers after {name!r} cannot be read: {error}") from error

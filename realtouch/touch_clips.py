@@ -1,6 +1,6 @@
 """The clips of a round; frames are found by the headers of the file and decoded one by one.
 
-An AVI of MJPEG frames is a string of JPEGs, which libjpeg decodes.
+An AVI of MJPEG frames is a sequence of JPEGs, which libjpeg decodes.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ class TouchClip(Sequence[UInt8]):
     def __iter__(self) -> Iterator[dict[str, object]]:  # type: ignore[override]
         """Yield ``{"data", "pts"}``: a (3, H, W) uint8 tensor (without torch an array), and seconds."""
         to_data: Callable[[UInt8], object] = np.asarray
-        # Consumers of torchvision's reader expect tensors; without torch the arrays do.
+        # Users of torchvision's reader expect tensors; without torch, arrays are returned.
         with suppress(ImportError):
             import torch  # an extra
 
@@ -188,7 +188,7 @@ class TouchClip(Sequence[UInt8]):
     def timestamps_s(self) -> Float64:
         """Time stamp of each frame, shape (N,), float64, seconds on the clock of the recording.
 
-        Those stored with the round; the file's own clock in data sets without them.
+        They are stored with the round; in data sets without them, they are on the file's own clock.
         """
         times = self.row.stamps_s(self.touch)
         return self.media_times_s if times is None else times[0]
@@ -232,7 +232,7 @@ class TouchClip(Sequence[UInt8]):
         return self[self.contact_index(method)]
 
     def to_torchcodec(self) -> VideoDecoder:
-        """Return a ``torchcodec`` decoder of the clip, as `datasets` hands them out.
+        """Return a ``torchcodec`` decoder of the clip, as `datasets` does.
 
         Raises
         ------
@@ -322,7 +322,7 @@ def contact_windows(row: stored_round.StoredRound, touch: int | None = None) -> 
 def contact_frames_of(
     row: stored_round.StoredRound, method: contact.ContactMethod, touch: int | None = None
 ) -> list[int]:
-    """Return the frame of every clip of a round, or of one, that shows the contact: by time or pose.
+    """Return the frame that shows the contact, by time or pose, for every clip of a round, or for one clip.
 
     See :meth:`TouchClip.contact_index`. Raises InputError for ``"peak"`` without poses, IntegrityError as
     :func:`contact_windows`, and for poses.

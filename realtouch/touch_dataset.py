@@ -18,7 +18,7 @@ from tactile_toolkit.array_types import Float64, Int64
 class RowsWithoutMedia(read.Rows):
     """A block of rows without images or clips, which are read on first use.
 
-    ``number`` is that of the first of them in the source.
+    ``number`` is the number of the first row in the source.
     """
 
     def __init__(self, block: read.RowGroup, source: read.RowSource, number: int) -> None:

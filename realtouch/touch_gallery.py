@@ -92,14 +92,11 @@ def _item(
     media = {"stills.jpg": stills}
     listed = []
     for touch in touches:
-        height_m = math.nan if heights_m is None else float(heights_m[touch.touch_index])
-        height_mm = _millimetres(height_m)
-        entry: JsonDict = {
-            "number": touch.touch_index,
-            "contact": None if height_mm is None else height_m >= least_m,
-            "height_mm": None if height_mm is None else round(height_mm, 2),
-            "film": None,
-        }
+        entry: JsonDict = dict.fromkeys(("number", "contact", "height_mm", "film"))
+        entry["number"] = touch.touch_index
+        if heights_m is not None and not math.isnan(heights_m[touch.touch_index]):
+            height_m = float(heights_m[touch.touch_index])
+            entry |= {"contact": height_m >= least_m, "height_mm": round(height_m * mesh.MM_PER_M, 2)}
         if isinstance(record, rounds.TouchSeqRound):
             name = f"{touch.touch_index:03d}.jpg"
             media[name], entry["film"] = film_of(touch.clip, name)
@@ -159,8 +156,10 @@ def _millimetres(height_m: float) -> float | None:
 def _share(met: Bool | None) -> str:
     if met is None:
         return "unknown"
-    if met.all() or not met.any():
-        return "all touches" if met.any() else "none"
+    if not met.any():
+        return "none"
+    if met.all():
+        return "all touches"
     return "more than half" if met.mean() > 0.5 else "half or fewer"
 
 
@@ -185,7 +184,7 @@ def sheet_of(
 def film_of(clip: touch_clips.TouchClip, name: str) -> tuple[bytes, JsonDict]:
     """Choose frames of a clip, evenly spaced and with both ends of the contact: a JPEG of tiles, JSON values.
 
-    These say for the page which frames and times (seconds) are shown, and the first and last tile in contact.
+    The values are the frames and times (seconds) that are shown, and the first and last tile in contact.
     """
     window = clip.contact_window
     # Both ends of the contact are always included, because they are of most interest.

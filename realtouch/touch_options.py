@@ -40,7 +40,7 @@ STREAM_HEADER = (
 """Columns of a table of streams, each a row of ``realtouch.importing.streams``."""
 
 LEFT_OUT = "left_out"
-"""Key of the specification of an import: what recordings have besides what was read."""
+"""Key of the specification of an import: data of recordings that are not imported."""
 
 STREAMS = "streams"
 """Key of the specification of an import: rows of a table of streams, below :data:`STREAM_HEADER`."""
@@ -130,10 +130,10 @@ class Alignment:
     Attributes
     ----------
     method : "nearest" or "linear"
-        Which value a picture gets: that of the nearest sample, the earlier of two equally near; or one on a
-        line between the two samples around it, of quaternions on the shorter turn, and of columns whose names
-        state degrees or radians on the shorter way around the circle. Text, integers and switches are always
-        those of the nearest sample.
+        Value of a picture: that of the nearest sample, the earlier of two equally near; or the linear
+        interpolation between the two samples around it. Quaternions are interpolated on the shorter rotation,
+        and columns whose names state degrees or radians on the shorter way around the circle. Text, integers
+        and booleans are always those of the nearest sample.
     max_gap_ms : float
         A picture gets a missing value if its nearest sample is farther away than this, or if it lies between
         two samples that are farther apart, milliseconds.

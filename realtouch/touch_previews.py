@@ -35,10 +35,10 @@ _MAX_THREADS = 4
 def plan_previews(
     name: places.Name | places.Place, spec: touch_options.TouchPreviewSpec
 ) -> pictures.PicturePlan:
-    """Plan the pictures of a data set that :func:`realtouch.load` opens; draws none.
+    """Plan the pictures of a data set that :func:`realtouch.load` opens; draws nothing.
 
-    Kinds are grid, overlay and strip. InputError: no such data set, split, round, touch or kind, nothing in
-    it, or a strip of a set without clips. IntegrityError and HubError as :func:`realtouch.load`.
+    Kinds are grid and overlay. InputError: no such data set, split, round or kind, an empty split, or an
+    overlay of a set without positions. IntegrityError and HubError as :func:`realtouch.load`.
     """
     place = places.open_place(name).require(KIND, "preview").require_complete(spec.split)
     split = place.split(spec.split)
@@ -115,11 +115,11 @@ def _title(record: rounds.TouchRound) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedTouch:
-    """A touch and where it was.
+    """A touch and its place.
 
-    ``centre_m``, shape (2,), is where the middle of the picture lies: x and y, metres, cell frame. ``axes``,
-    shape (2, 2), are the directions along x and y in which its columns and rows grow, one a row; shorter than
-    one where the gel was tilted.
+    ``centre_m``, shape (2,), is the middle of the picture: x and y, metres, cell frame. The rows of ``axes``,
+    shape (2, 2), are the directions along x and y in which columns and rows of the picture grow; they are
+    shorter than one if the gel was tilted.
     """
 
     pixels: UInt8
@@ -141,9 +141,9 @@ class CellMap:
 
 
 def placed_touches(record: rounds.TouchRound, touches: Sequence[int]) -> list[PlacedTouch]:
-    """Read the pictures of some touches and the positions of the gel; of clips, the last frame of contact.
+    """Read the pictures of some touches and the positions of the gel; for clips, the last frame of contact.
 
-    Where the data set stores no pose of the gel, its intended position is taken and no rotation.
+    If the data set stores no pose of the gel, the intended position without rotation is taken.
     """
     placed: dict[int, PlacedTouch] = {}
 

@@ -51,7 +51,7 @@ def hf_touches(
 
 
 def _row_of_each_touch(row: stored_round.StoredRound, per_touch: Collection[str]) -> pa.Table:
-    """Return a table with a row for each touch of a round; columns without one entry each are repeated."""
+    """Return a table with a row for each touch of a round; other columns repeat the value of the round."""
     table, count = schema.flat_row(row), row.touch_total()
     columns = {}
     for name in table.column_names:

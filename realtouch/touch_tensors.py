@@ -45,7 +45,7 @@ TARGETS: dict[str, Callable[[Touch], object]] = {
 }
 """Targets of images; positions are in metres, cell frame, float32.
 
-``"gel_position"`` is that of the frame which is given; next to a whole clip, of the last frame of contact.
+``"gel_position"`` belongs to the frame of the item; for a whole clip, to the last frame of contact.
 """
 
 
@@ -58,7 +58,7 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
     Parameters
     ----------
     dataset : TouchDataset, TouchStream or Touches
-        The touches to give: all touches of a data set or stream.
+        The touches: all touches of a data set or stream, or a selection.
     transform : callable, optional
         Applied to each image or clip, such as a pipeline of ``torchvision.transforms.v2``.
     target : str, callable or None
@@ -71,7 +71,8 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         given the touch, whose pose is that of the last frame of contact.
     channels_last : bool
         Lay out batches of images in torch's memory format ``channels_last``: the same values in a fifth less
-        time, and what convolutions like best. ``view`` cannot flatten them; ``flatten`` and ``reshape`` can.
+        time, and the fastest format for convolutions. ``view`` cannot flatten them; ``flatten`` and
+        ``reshape`` can.
 
     Raises
     ------
@@ -135,9 +136,11 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         return [self._given(*each) for each in zip(shown, found[1], strict=True)]
 
     def _given(self, shown: torch.Tensor, touch: Touch, frame: int | None = None) -> object:
-        """Return an item of a picture; ``frame`` is that of the clip, where one was chosen."""
+        """Return the item of a picture; ``frame`` is the chosen frame of a clip."""
         given = shown if self.transform is None else self.transform(shown)
-        return given if self.target is None else (given, self._target_of(touch, frame))
+        if self.target is None:
+            return given
+        return given, self._target_of(touch, frame)
 
     def _target_of(self, touch: Touch, frame: int | None = None) -> object:
         if frame is not None and self.target == "gel_position":
@@ -211,7 +214,7 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         return torch.from_numpy(planes), [touches[slot] for slot in range(len(wanted))]
 
     def _images(self, position: int) -> tuple[TouchSingleRound, sensor_images.SensorImages]:
-        """Return a round of images, and these; the rounds used last are kept."""
+        """Return a round and its images; the rounds used last are cached."""
         found = self._rounds.get(position)
         if found is None:
             found = self.touches.dataset[position]
@@ -220,7 +223,7 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
 
 
 def _numbers_of(rounds: touch_dataset.AnyDataset) -> list[str]:
-    """Return the targets that are further columns: those of numbers."""
+    """Return the targets that are further columns of numbers."""
     types = read.column_types(rounds.table.schemas[0]) if rounds.table.schemas else {}
     columns = schema.extra_columns(rounds.column_names).items()
     leaves = {name: read.list_depth(types[stored])[1] for name, stored in columns}

@@ -299,9 +299,9 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         index : slice, sequence of int, or boolean mask
             Which touches, in any order.
         threads : int
-            How many images to decode at a time.
+            Number of images to decode at a time.
         out : ndarray, shape (n, H, W, 3), uint8, optional
-            Where to put them.
+            Array to write to.
 
         Returns
         -------
@@ -319,11 +319,10 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         if wanted or (len(self.dataset) and self.dataset[0].touch_count):
             first, number = [*wanted, (0, 0)][0]
             size = self._images_of(first).size(number)
-        out = (
-            np.empty((len(wanted), *size, 3), np.uint8)
-            if out is None
-            else sensor_images.room_for(len(wanted), size, out)
-        )
+        if out is None:
+            out = np.empty((len(wanted), *size, 3), np.uint8)
+        else:
+            out = sensor_images.room_for(len(wanted), size, out)
         start = 0
         for position, of_round in groupby(wanted, key=lambda place: place[0]):
             touches = [touch for _, touch in of_round]

@@ -218,7 +218,7 @@ def list_findings(folder: store.DataFolder, workers: int = 1) -> list[store.Find
 
 
 def _lacking_columns(shards: Sequence[read.Shard]) -> list[stored_columns.Damage]:
-    """List the columns that some files of a split lack; they cannot be read of the split."""
+    """List the columns that some files of a split lack; they cannot be read from the whole split."""
     names = {shard.path: read.column_names(shard.schema) for shard in shards}
     known = dict.fromkeys(name for columns in names.values() for name in columns)
     problem = "the column is not there; expected it as in other files of the split"
@@ -233,11 +233,8 @@ def _lacking_columns(shards: Sequence[read.Shard]) -> list[stored_columns.Damage
 def _repeated_id(row: stored_round.StoredRound, seen: dict[str, str]) -> list[stored_columns.Damage]:
     try:
         name = row.name()
-    except (
-        errors.InputError,
-        errors.IntegrityError,
-    ):  # no column of ids, or an id that is reported with the other fields
-        return []
+    except (errors.InputError, errors.IntegrityError):
+        return []  # no column of ids, or an id that is listed with the other fields
     here = f"{row.path!r}, row {row.number}"
     first = seen.setdefault(name, here)
     if first == here:

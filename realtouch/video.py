@@ -19,7 +19,7 @@ _KEPT_VIDEOS = 8
 
 
 def open_video(folder: store.DataFolder, path: str) -> video_files.Video:
-    """Find the pictures of a video; none but the first is decoded.
+    """Find the pictures of a video; only the first one is decoded.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def pictures_of_video(
     folder, path
         As for :func:`open_video`.
     numbers : iterable of int
-        Which pictures. As long as they rise, the file is read once.
+        Numbers of pictures. The file is read once as long as they increase.
 
     Yields
     ------
@@ -114,5 +114,7 @@ def _video_of_jpegs(found: avi_scan.AviPictures) -> video_files.Video:
             stream.seek(int(found.starts[number]))
             yield video_files.kept_jpeg(stream.read(min(int(found.sizes[number]), touch.MAX_IMAGE_BYTES + 1)))
 
-    times = video_files.seconds_of(found.slots, found.period_s)
-    return video_files.Video(times, int(found.sizes.mean()), video_files.CUT_SHORT * found.is_cut, read)
+    times, note = video_files.seconds_of(found.slots, found.period_s), ""
+    if found.is_cut:
+        note = video_files.CUT_SHORT
+    return video_files.Video(times, int(found.sizes.mean()), note, read)

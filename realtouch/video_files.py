@@ -56,9 +56,9 @@ _BOX = struct.Struct(">I4s")
 
 
 def demuxer_of(start: bytes) -> str:
-    """Return FFmpeg's name for the container that a file begins as: avi, mov, matroska or mpegts.
+    """Return FFmpeg's name of the container of a file: avi, mov, matroska or mpegts.
 
-    Empty for other containers; ``start`` is what :func:`read_start` returns.
+    Empty for other containers; ``start`` are the first bytes, as :func:`read_start` returns them.
     """
     if start[:4] == b"RIFF" and start[8:12] in (b"AVI ", b"AVIX"):
         return "avi"
@@ -93,8 +93,8 @@ def is_video(folder: store.DataFolder, path: str) -> bool:
 def check_boxes(stream: IO[bytes]) -> bool:
     """Return whether an MP4 or MOV ends in the middle.
 
-    Raises ItemError if its boxes state more samples than a video may have: a demuxer makes room for all that
-    a file of a few bytes states.
+    Raises ItemError if its boxes state more samples than a video may have: a demuxer allocates memory for all
+    samples that are stated, even in a file of a few bytes.
     """
     counts = Counter[bytes]()
     end = stream.seek(0, 2)
@@ -141,11 +141,11 @@ class Video:
     Attributes
     ----------
     time_s : ndarray of float64, shape (n,)
-        When each picture is shown, seconds from the first; rises.
+        Time of each picture, seconds from the first, increasing.
     picture_bytes : int
-        About how many bytes an encoded picture takes.
+        Approximate size of an encoded picture in bytes.
     conversion : str
-        What is done to its pictures; empty if they are taken as they are.
+        How the pictures are converted; empty if they are taken as they are.
     read : callable
         Reads its pictures.
     """
@@ -179,6 +179,6 @@ def named_problems() -> Iterator[None]:
         yield
     except errors.ToolkitError:
         raise
-    except Exception as error:  # FFmpegError is several, and PyAV raises those of the language
+    except Exception as error:  # besides FFmpegError, PyAV raises errors of the language
         found = getattr(error, "strerror", None) or type(error).__name__
         raise errors.ItemError("video", f"it cannot be read ({found}); expected an intact video") from error

@@ -11,7 +11,7 @@ from __future__ import annotations
 from mnist3d.handwriting import five_to_nine, zero_to_four
 
 ALLOGRAPHS = zero_to_four.ZERO_TO_FOUR + five_to_nine.FIVE_TO_NINE
-"""For each digit its shapes, and the share of writers who prefer them; a seed depends on the order.
+"""For each digit its shapes, and the share of writers who prefer them; seeded digits depend on their order.
 
 The shapes are those in MNIST and in collections of pen strokes. Means, spreads and shares were chosen so that
 drawn digits are close to real ones (half of the MNIST test images and a few hundred pen digits;

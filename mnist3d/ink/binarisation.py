@@ -102,7 +102,8 @@ def ink_of_levels(levels: UInt8, threshold: float | None = None, most_ink: float
     darkest = int(levels.min())
     if threshold is None:
         if darkest == levels.max():
-            refuse("no-ink" if darkest > 127 else "all-ink", darkest, sentence="one-level")
+            reason = "no-ink" if darkest > 127 else "all-ink"
+            refuse(reason, darkest, sentence="one-level")
         threshold = otsu_threshold(levels)
     mask = levels <= threshold
     if not mask.any():

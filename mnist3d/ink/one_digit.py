@@ -1,4 +1,4 @@
-"""The one digit in the ink of a page, or all that was drawn on it."""
+"""The one digit in the ink of a page, or everything that was drawn on it."""
 
 from __future__ import annotations
 

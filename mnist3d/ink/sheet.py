@@ -12,7 +12,7 @@ from tactile_toolkit.arithmetic import exp_neg
 from tactile_toolkit.array_types import AnyArray, Float32, Floating, UInt8
 
 SIDE_PX = 500
-"""Side of the square sheet that every source hands out: 100 mm at the published 0.2 mm per pixel."""
+"""Side of the square sheet that every source returns: 100 mm at the published 0.2 mm per pixel."""
 
 # Samples per original pixel at which the ink is smoothed before it is drawn.
 _MESH = 5

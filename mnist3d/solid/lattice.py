@@ -1,6 +1,6 @@
 """The lattice of nodes at which a solid is evaluated.
 
-Nodes lie as far apart as the vertex budget asks for. Where a neck, a gap or a whisker is narrower than the
+The vertex budget decides the distance of the nodes. Where a neck, a gap or a whisker is narrower than the
 lattice can show, rows and columns of nodes are added until it is shown.
 """
 

@@ -49,8 +49,9 @@ def scale(surface: Surface, shape: tuple[int, ...], spec: SolidSpec) -> Mesh:
 def fit_to_size(solid: Mesh, size: SolidSize) -> Mesh:
     """Scale a solid along x and y to a given height or width; the thickness stays.
 
-    Pixels alone do not give it: the outline lies between pixels, cleaning moves it, and the lattice cuts off
-    tips, which adds up to more than half a millimetre. The middle of the solid becomes the origin of x and y.
+    The size of the pixels does not determine it: the outline lies between pixels, cleaning moves it, and the
+    lattice cuts off tips, which adds up to more than half a millimetre. The middle of the solid becomes the
+    origin of x and y.
     """
     asked = next(((axis, mm) for axis, mm in enumerate((size.width_mm, size.height_mm)) if mm), None)
     if asked is None:

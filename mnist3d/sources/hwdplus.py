@@ -28,7 +28,7 @@ class HwdPlusSource:
 
     The image array is mapped for one image at a time, so memory does not grow with the file. Integers of any
     width are grey levels from 0 to 255. Floats run from 0 to 1 if the brightest pixels of 16 evenly spaced
-    images have a median of at most 1, and else from 0 to 255. The scale is decided once per file. Images of
+    images have a median of at most 1, otherwise from 0 to 255. The scale is decided once per file. Images of
     another size are fitted into 500 x 500 px.
 
     Parameters
@@ -189,8 +189,8 @@ def _int_column(table: AnyArray, column: int, path: str, most: float = np.inf) -
 def open_npy(path: str) -> AnyArray:
     """Map a ``.npy`` file without reading its numbers.
 
-    Raises InputError when the file is missing, is not a ``.npy`` file, is shorter than its header promises,
-    or holds pickled Python objects (which are never loaded: they can run code).
+    Raises InputError when the file is missing, is not a ``.npy`` file, is shorter than its header states, or
+    holds pickled Python objects (which are never loaded, as they can run code).
     """
     try:
         with warnings.catch_warnings():

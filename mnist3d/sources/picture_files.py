@@ -173,7 +173,9 @@ def _reduced(picture: Image.Image) -> Image.Image:
         width, height = picture.size
         bounds.require_unpackable(width * height * _BYTES_HELD.get(picture.mode, 4), what)
         factor = -(-max(width, height) // _REDUCED_PX)
-        if picture.mode in ("1", "P"):
-            return picture.convert("L" if picture.mode == "1" else "RGB").reduce(factor)
+        if picture.mode == "1":
+            picture = picture.convert("L")
+        elif picture.mode == "P":
+            picture = picture.convert("RGB")
         return picture.reduce(factor)
     return picture

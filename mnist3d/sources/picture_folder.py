@@ -208,18 +208,20 @@ def _class_names(root: str, folders: Sequence[str]) -> tuple[str, ...]:
 
 
 def _pictures_of(root: str, path: Path, pages: tuple[int, ...], names: tuple[str, ...]) -> Iterator[_Picture]:
-    """Yield the pages of a file with its class; InputError if it has none."""
+    """Yield the pages of a file with its class; InputError if it has no class."""
     name, label = path.relative_to(root).as_posix(), _LABEL.search(path.name)
-    word = path.parent.name
+    class_name = path.parent.name
     if path.parent == Path(root):
-        word = "" if label is None or names != DIGITS else label[1]
-    if pages and word not in names:
+        class_name = ""
+        if label is not None and names == DIGITS:
+            class_name = label[1]
+    if pages and class_name not in names:
         raise _misplaced(root, name)
     writer = _WRITER.search(path.name)
     for page in pages:
         file = f"{name}#{page + 1}" if len(pages) > 1 else name
         number = int(writer[1]) if writer else NO_WRITER
-        yield _Picture(names.index(word), name, page, number, printable(file))
+        yield _Picture(names.index(class_name), name, page, number, printable(file))
 
 
 def _misplaced(root: str, name: str) -> InputError:

@@ -1,4 +1,4 @@
-"""The source of images that options ask for, or that a manifest describes."""
+"""The source of images that options choose, or that a manifest describes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _UNCOMPARED = ("writers_sha256", "left_out")
 
 
 def chosen_source(name: str, given: JsonObject, seed: int) -> digit_source.DigitSource:
-    """Return the source that options ask for; InputError for a missing option, or one of another source."""
+    """Return the source that options choose; InputError for a missing option, or one of another source."""
     for option in _NEEDED[name]:
         if option not in given:
             flag = f"--{option.replace('_', '-')}"
@@ -53,7 +53,7 @@ def chosen_source(name: str, given: JsonObject, seed: int) -> digit_source.Digit
 
 
 def source_again(described: JsonObject, **files: str | None) -> digit_source.DigitSource:
-    """Return the source that a fingerprint describes; ``files`` are the present paths of its files.
+    """Return the source that a fingerprint describes; ``files`` are the current paths of its files.
 
     Raises InputError if files are missing, or differ from those that the data set was made from.
     """

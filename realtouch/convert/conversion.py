@@ -71,7 +71,7 @@ class Source:
 
     @property
     def class_names(self) -> tuple[str, ...]:
-        """Name of each class; none without labels."""
+        """Name of each class; empty without labels."""
         return integrity.class_names_of(self._files())
 
     def require_frame(self, method: contact.ContactMethod) -> None:
@@ -97,7 +97,7 @@ class Source:
         return max(size // max(count, 1), 1)
 
     def image_bytes(self) -> int:
-        """Return about the size of an image, or of a frame of a clip; at least 1."""
+        """Return the approximate size of an image, or of a frame of a clip; at least 1."""
         return self.media_bytes() // _IMAGES_PER_MEDIA[self.kind] or 1
 
     def _files(self) -> Iterator[read.Shard]:
@@ -156,9 +156,9 @@ class Step(Protocol):
 class Conversion:
     """A conversion and the rows that it takes.
 
-    ``options`` are JSON values; the layout follows from the size of the source's rows where it is None.
-    ``extra_dirs`` names where files next to the rows lie; ``write_files`` writes what follows from all rows,
-    see :class:`tactile_toolkit.store.BuildPlan`.
+    ``options`` are JSON values. ``rows_per_shard`` and ``rows_per_group`` follow from the size of the rows of
+    the source if they are None. ``extra_dirs`` are the folders of files next to the rows; ``write_files``
+    writes files that follow from all rows; see :class:`tactile_toolkit.store.BuildPlan`.
     """
 
     source: Source

@@ -30,7 +30,7 @@ _CONTACT_FRAME_ROWS = 16
 _POSE, _POSE_SEQUENCE = schema.POSE_COLUMN["single"], schema.POSE_COLUMN["seq"]
 _WIDTHS = {"position": 3, "quaternion": 4}
 _SUFFIX: dict[Kind, str] = {"seq": "avi", "single": "jpg"}
-# Further columns with columns and rows in pixels, and where the middle of the first pixel is: 0 of a motion.
+# Further columns of pixel coordinates, and the middle of the first pixel in them; 0 for a motion.
 _MIDDLE_OF_FIRST_PX = {"marker_positions_px": 0.5, "marker_flow_px": 0.0}
 _SEQ_ONLY = (
     "video_length_frames",
@@ -47,7 +47,7 @@ def clips_to_images(
     frame: str = "contact_end",
     **job: Unpack[shard_tasks.JobOptions],
 ) -> store.Manifest:
-    """Make a ``single`` data set of a ``seq`` one: one frame of each clip, with the pose at that moment.
+    """Make a ``single`` data set from a ``seq`` one: one frame of each clip, with the pose at that moment.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def clips_to_images(
         ``"contact_end"``, ``"contact_start"``, ``"peak"`` or ``"best"``; see
         :meth:`~realtouch.TouchClip.contact_index`.
     split : str, optional
-        Only this split; files of others are not fetched. All by default.
+        Only this split; files of other splits are not fetched. All by default.
     limit : int, optional
         Only the first ``limit`` rounds of each split.
     workers : int or Runner
@@ -171,7 +171,7 @@ def resize(
 ) -> store.Manifest:
     """Write the same data set with images or clips of another size.
 
-    Maps of depth get the size of their images, and ``marker_positions_px`` and ``marker_flow_px`` are scaled.
+    Depth maps get the size of their images, and ``marker_positions_px`` and ``marker_flow_px`` are scaled.
 
     Parameters
     ----------
@@ -220,7 +220,7 @@ def resize(
 class ResizeMedia:
     """Step of ``resize``: pixels are averaged; unchanged pictures are not encoded again.
 
-    Maps of depth, and columns and rows in pixels, follow the pictures.
+    Depth maps and pixel coordinates follow the pictures.
     """
 
     width: int
@@ -258,7 +258,7 @@ class ResizeMedia:
         return schema.row_with(flat, made, flat.schema), {}
 
     def _moved(self, name: str, values: object, size: tuple[int, int]) -> object:
-        """Return columns and rows in pixels of a picture, (height, width), in that of the new size."""
+        """Return pixel coordinates in a picture of a size (height, width) as those in the new picture."""
         if not isinstance(values, list):
             return values
         if any(isinstance(each, list) for each in values):

@@ -51,7 +51,7 @@ def add_depth(
     fast: bool = False,
     **job: Unpack[shard_tasks.JobOptions],
 ) -> store.Manifest:
-    """Add maps of depth to a data set of images, as a calibrated sensor reads them.
+    """Add depth maps to a data set of images, as a calibrated sensor reads them.
 
     Each touch gains ``depth_m`` and ``depth_error_m``, maps in metres in the size of its image, stored in
     whole micrometres; ``extra["depth_max_m"]`` and ``extra["depth_error_m"]`` are its deepest point and the
@@ -102,7 +102,7 @@ def _reader(folder: str) -> DepthReader:
 
 @dataclass(frozen=True)
 class AddDepth:
-    """Step of ``depth``: the columns of a round, and maps of depth. ``sensor`` is a folder."""
+    """Step of ``depth``: the columns of a round, and depth maps. ``sensor`` is a folder."""
 
     sensor: str
     fast: bool

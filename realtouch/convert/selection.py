@@ -1,4 +1,4 @@
-"""Some rounds and touches of a data set."""
+"""Selections: some rounds and touches of a data set."""
 
 from __future__ import annotations
 

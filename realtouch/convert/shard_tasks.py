@@ -1,7 +1,7 @@
 """Running conversions: planned from footers, each shard made from its own rows, block by block.
 
-An interrupted one continues where it stopped; the same source and options give byte-identical Parquet,
-whatever the number of workers; see ``tactile_toolkit.store``.
+An interrupted conversion continues where it stopped. The same source and options give byte-identical Parquet
+for any number of workers; see ``tactile_toolkit.store``.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class _ConvertRows:
         if self.pack is not None:
             kept, packed = self.pack(shard, kept, skipped)
             files |= packed
-        # By the allocator of the system: that of Arrow takes many times as long for hundreds of megabytes.
+        # Arrow's own allocator takes many times as long for hundreds of megabytes.
         whole = kept.combine_chunks(memory_pool=pa.system_memory_pool())
         return store.ShardContent(whole, tuple(skipped), files=files)
 

@@ -31,8 +31,8 @@ _OTHER_COLUMNS = (
 class TouchPicture:
     """The picture that represents a touch, and the pose of the gel at that moment.
 
-    ``images`` holds it at ``place``: the images of the round, or the clip whose frame it is. ``pose`` are
-    position and quaternion, seven numbers, or none where there are no poses.
+    ``images`` holds the picture at ``place``: the images of the round, or the clip whose frame it is.
+    ``pose`` has position and quaternion, seven numbers; it is empty if there are no poses.
     """
 
     touch: int
@@ -101,7 +101,7 @@ def columns_of_touches(
 def plain_extras(source: pa.Schema) -> dict[str, pa.Field]:
     """Return the plain column for each further column of a source, by its stored name.
 
-    It has the further column's own name, with ``extra_`` before it where that is the name of another column.
+    The plain column has the name of the further column, with the prefix ``extra_`` if the name is taken.
     """
     types, taken = read.column_types(source), {*_OTHER_COLUMNS}
     found = {}

@@ -1,1 +1,1 @@
-"""Formats of other libraries, read and written: a module or two for each."""
+"""Formats of other libraries, read and written; one or more modules for each format."""

@@ -1,7 +1,7 @@
-"""The list files of AnyTouch 2, as Touch and Go has them: ``FOLDER/0000000012.jpg,LABEL,BACKGROUND``.
+"""List files of AnyTouch 2, with the lines of Touch and Go: ``FOLDER/0000000012.jpg,LABEL,BACKGROUND``.
 
-Facts of the format: images lie in ``touch_and_go/FOLDER/gelsight_frame``, their numbers have ten digits;
-``train_bg.txt`` and ``test_bg.txt`` have a line for each image, and the label -1 leaves one out.
+Facts of the format: images are in ``touch_and_go/FOLDER/gelsight_frame``, and their numbers have ten digits;
+``train_bg.txt`` and ``test_bg.txt`` have a line for each image, and the label -1 leaves an image out.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ plan_anytouch = TouchFormat(_FOLDER, _pack, _write_lists).plan
 def find_anytouch(
     home: store.DataFolder, columns: importing.ImportColumns, table: str | None
 ) -> Iterator[importing.FoundTouches]:
-    """Yield the lines of each list, or of one list, as touches; a missing file is the touch's problem."""
+    """Yield the lines of each list, or of one list, as touches; the touch of a missing file has a problem."""
     named = home if table is None else store.open_folder(table)
     find = partial(importing.visible_files, endings=LIST_END)
     place, lists = importing.files_to_read(named, f"lists (*{LIST_END})", find)

@@ -1,4 +1,4 @@
-"""Further columns of touches as columns of frames, whose vectors are of one length."""
+"""Further columns of touches as columns of frames; vectors in a column have one length."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from realtouch import schema, stored_round
 from tactile_toolkit import read
 
 FEATURE = "observation."
-"""How the names of these columns begin."""
+"""Prefix of the names of these columns."""
 
 # Columns and arrays of the formats themselves.
 _TAKEN = (
@@ -35,7 +35,7 @@ _TAKEN = (
 
 @dataclass(frozen=True, slots=True)
 class ExtraColumn:
-    """A further column: its stored name, its name among those of frames, and its type there."""
+    """A further column: its stored name, and its name and type as a column of frames."""
 
     stored: str
     name: str
@@ -49,7 +49,7 @@ class ExtraColumn:
     def of_frames(self, row: stored_round.StoredRound, touch: int | None, count: int) -> pa.Array:
         """Return the values of an episode: of all touches of a round, or of the frames of one clip.
 
-        What is missing is NaN, or an empty text. Raises IntegrityError for fewer values than frames, and for
+        A missing value is NaN or an empty text. Raises IntegrityError for fewer values than frames, and for
         vectors of another length.
         """
         values = row.extra_entries(self.stored)
@@ -90,7 +90,7 @@ class ExtraColumn:
 def extra_columns_of(shards: Sequence[read.Shard]) -> tuple[ExtraColumn, ...]:
     """Return the further columns of a split, except those without any value.
 
-    Their values are read: for the length of vectors, and whether some are missing.
+    Their values are read to find the length of vectors, and whether values are missing.
     """
     types = read.column_types(shards[0].schema)
     names = {f"{FEATURE}{name}" for name in _TAKEN}
@@ -99,20 +99,22 @@ def extra_columns_of(shards: Sequence[read.Shard]) -> tuple[ExtraColumn, ...]:
         entry, (width, has_gaps) = schema.extra_type(stored, types[stored]), _widths(shards, stored)
         depth, leaf = read.list_depth(entry)
         if has_gaps and not (pa.types.is_floating(leaf) or pa.types.is_string(leaf)):
-            leaf = pa.float64()  # where NaN stands for what is missing
+            leaf = pa.float64()  # NaN stands for a missing value
         feature = f"{FEATURE}{name.replace('/', '_')}"
         while feature in names:
             feature = f"{feature}_"
         names.add(feature)
-        width = width if depth else 1
+        if not depth:
+            width = 1
+        if width > 1:  # readers of LeRobotDatasets take vectors of length 1 for numbers
+            leaf = pa.list_(leaf, width)
         if width:
-            # Readers of LeRobotDatasets take what is of length 1 for numbers.
-            found.append(ExtraColumn(stored, feature, pa.list_(leaf, width) if width > 1 else leaf))
+            found.append(ExtraColumn(stored, feature, leaf))
     return tuple(found)
 
 
 def _widths(shards: Iterable[read.Shard], stored: str) -> tuple[int, bool]:
-    """Return the length of the first vector of a column, 0 without any, and whether values are missing."""
+    """Return the length of the first vector of a column, or 0, and whether values are missing."""
     width, has_gaps = 0, False
     for block in read.all_blocks(shards, [stored]):
         column = block.nested(stored)

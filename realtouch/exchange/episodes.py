@@ -1,6 +1,6 @@
-"""Episodes: every frame of each clip, or of single images the touches of each round, numbered without gaps.
+"""Episodes: all frames of a clip, or all single images of a round, numbered without gaps.
 
-Readers of such formats find episodes by their position, so that none may be missing, and frames are counted
+Readers of such formats find episodes by their position. So no episode may be missing, and frames are counted
 before they are read.
 """
 
@@ -33,20 +33,21 @@ CONTACT = "in_contact"
 """Column that marks the frames from the first to the last contact of a clip."""
 
 DEPTH = "observation.images.depth"
-"""Column of maps of depth, of rounds of single images that have some."""
+"""Column of depth maps, for rounds of single images that have them."""
 
 _POSES = {kind: f"{name}.position" for kind, name in POSE_COLUMN.items()}
 
 _Episode = tuple[int | None, list[memoryview], dict[str, object]]
-"""The touch that a clip is (None: all of a round), the images of its frames, and columns."""
+"""The touch of a clip (None for all touches of a round), the images of the frames, and columns."""
 
 
 @dataclass(frozen=True)
 class Episodes:
-    """Step of the export: the frames of the episodes of a row, numbered within each.
+    """Step of the export: a round becomes the frames of its episodes, numbered within each episode.
 
-    ``split`` is the only one, ``size`` that of all images (height, width), ``number`` the type of poses.
-    ``depth_of`` makes the files of the maps of depth of a round, of that size; without it, they are left out.
+    ``split`` is the only split, ``size`` the size of all images (height, width), ``number`` the type of
+    poses. ``depth_of`` encodes the depth maps of a round, which must have that size; without it, they are
+    left out.
     """
 
     split: str
@@ -60,9 +61,10 @@ class Episodes:
 
     @classmethod
     def of(cls, source: convert.Source, choices: convert.Choices, what: str, number: pa.DataType) -> Episodes:
-        """Read the size of the first image of a split; all images must have it.
+        """Read the size of the first image of a split; all images must have this size.
 
-        Raises InputError for several splits, which a ``what`` cannot hold, or for one without touches.
+        Raises InputError for several splits, which the format ``what`` cannot hold, and for a split without
+        touches.
         """
         split, *others = choices
         if others:
@@ -108,13 +110,14 @@ class Episodes:
         return pa.schema([*convert.schema_of(source, wanted), *extras])
 
     def apply(self, row: stored_round.StoredRound, choice: convert.RowChoice, split: str) -> convert.Made:
-        """Return all frames of a row."""
+        """Return all frames of a round."""
         schema = self.schema(row.group.table.schema)
         of_row: dict[str, object] = {"round_id": row.name(), "label": row.label_value(self.names)}
         if row.has("object_id"):
             of_row["object_id"] = row.integer("object_id")
         tables = [schema.empty_table()]
-        for touch, images, columns in self._clips(row) if self.are_clips else self._round(row):
+        read = self._clips if self.are_clips else self._round
+        for touch, images, columns in read(row):
             count, start = len(images), f"{row.name()}_{touch or 0:03d}"
             for number, image in enumerate(images):
                 self._require_size(row, number if touch is None else touch, image)
@@ -128,7 +131,7 @@ class Episodes:
         return pa.concat_tables(tables), {}
 
     def _round(self, row: stored_round.StoredRound) -> Iterator[_Episode]:
-        """Yield all touches of a round of single images as one episode; none of a round without any."""
+        """Yield all touches of a round of single images as one episode; a round without touches has none."""
         row.entries_of("sensor_image")
         images, columns = sensor_images.SensorImages(row), dict[str, object]()
         if not len(images):
@@ -182,7 +185,7 @@ class Episodes:
 
 @dataclass(frozen=True)
 class EpisodeNumbers:
-    """Numbers of the first episode and frame of each shard, and of one more."""
+    """Numbers of the first episode and frame of each shard, and the total numbers at the end."""
 
     starts: Sequence[Sequence[int]] = field(repr=False)
 
@@ -198,13 +201,13 @@ class EpisodeNumbers:
     def of_shard(
         self, shard: store.ShardName, found: Sequence[int], skipped: Sequence[store.Skipped]
     ) -> Sequence[int]:
-        """Return the numbers of the first episode and frame of a shard, given how many there are.
+        """Return the numbers of the first episode and frame of a shard with ``found`` episodes and frames.
 
-        Raises IntegrityError for a shard that lacks rounds, or has other counts than were planned.
+        Raises IntegrityError if the shard lacks rounds, or if its counts differ from the planned ones.
         """
         if skipped:
             raise errors.IntegrityError(
-                f"{skipped[0].message}; episodes are numbered without gaps, so that none can be left out; "
+                f"{skipped[0].message}; episodes are numbered without gaps, so no episode can be left out; "
                 "nothing of this file was written",
                 next="leave the round out first (`realtouch select`)",
             )

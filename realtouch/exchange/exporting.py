@@ -29,14 +29,14 @@ def export(
     source, out, split, limit, workers, overwrite, on_progress
         As for :func:`realtouch.clips_to_images`.
     layout : str
-        ``"flat"``: Parquet with one row a touch, for `datasets`, pandas and polars. ``"webdataset"``: the
-        same in tars below ``webdataset/``, an image and a JSON file for each touch. ``"lerobot"``: a
+        ``"flat"``: Parquet with a row for each touch, for `datasets`, pandas and polars. ``"webdataset"``:
+        the same in tars below ``webdataset/``, an image and a JSON file for each touch. ``"lerobot"``: a
         LeRobotDataset v3.0 in ``lerobot/``, an episode for each clip, or for each round of single images,
-        with maps of depth where there are some; it holds one split. ``"oxt"``: Open-X-Tactile, the Zarr of
-        FTP-1, of the same frames as pixels. ``"replay"``: the same frames as pixels in the Zarr group that
-        Diffusion Policy reads; they need much space. ``"fota"``: the tars of T3, poses in mm. ``"sparsh"``:
-        pickled lists of encoded images, with a background. ``"anytouch"``: images and list files of
-        AnyTouch 2.
+        with depth maps if there are some; it holds one split. ``"oxt"``: Open-X-Tactile, the Zarr of
+        FTP-1, with the same frames as pixels. ``"replay"``: the same frames as pixels in the Zarr group that
+        Diffusion Policy reads; they need much space. ``"fota"``: the tars of T3, with poses in mm.
+        ``"sparsh"``: pickled lists of encoded images, with a background. ``"anytouch"``: images and list
+        files of AnyTouch 2.
     frame : str
         Which frame of a clip a touch shows, as for :func:`realtouch.clips_to_images`; ``"lerobot"``,
         ``"oxt"`` and ``"replay"`` take all.
@@ -44,8 +44,8 @@ def export(
     Returns
     -------
     Manifest
-        What the folder holds now. Damaged rounds are left out and listed in it; LeRobot numbers episodes
-        without gaps, so that there they end the export.
+        What the folder holds now. Damaged rounds are left out and listed in it. LeRobot numbers episodes
+        without gaps, so for this format a damaged round ends the export.
 
     Raises
     ------

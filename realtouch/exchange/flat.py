@@ -1,6 +1,7 @@
-"""Tables with a row a touch, as `datasets`, pandas and polars read them: the rows are the format.
+"""Tables with a row for each touch, as `datasets`, pandas and polars read them: the rows are the format.
 
-Those of others have the picture in a column of bytes, or of ``bytes`` and ``path`` as `datasets` stores it.
+Files of other programs have the picture in a column of bytes, or of ``bytes`` and ``path`` as `datasets`
+stores it.
 """
 
 from __future__ import annotations
@@ -18,9 +19,9 @@ plan_flat = touch_rows.TouchFormat().plan
 
 _ENDING = ".parquet"
 _SPLIT = "split"
-# Of our export: ids of touches, and the order in which they stand anyway.
+# Columns of our exports. Those of the order repeat the ids and the order of the rows.
 _OURS = {"id", "round_id", "label_name", "touch", "frame"}
-_OF_ORDER = ("id", "touch", "frame")
+_ORDER_COLUMNS = ("id", "touch", "frame")
 
 
 def find_flat(
@@ -44,13 +45,12 @@ def _parquet(home: store.DataFolder) -> list[str]:
 
 
 def _picture_column(parquet: foreign_parquet.ForeignParquet, name: str) -> str:
-    """Return the column of pictures: that named, or the only one (InputError)."""
+    """Return the column of pictures: the named or the only one; InputError if there is no such column."""
     for stored in touch.MEDIA_COLUMN.values():
-        if stored in parquet.types and not foreign_parquet.is_picture(
-            parquet.types[stored]
-        ):  # a list, an entry a touch
+        # In a data set of touches, it is a list with an entry for each touch.
+        if stored in parquet.types and not foreign_parquet.is_picture(parquet.types[stored]):
             raise errors.InputError(
-                f"{parquet.place!r} has the column {stored!r}: it is of a data set of touches, "
+                f"{parquet.place!r} has the column {stored!r} of a data set of touches, "
                 "which needs no import",
                 next="open the data set by its folder, as with `realtouch info`",
             )
@@ -64,14 +64,14 @@ def _touches(
     names = [name for name, data_type in parquet.types.items() if not foreign_parquet.is_picture(data_type)]
     size, stem = parquet.picture_bytes(column), path.removesuffix(_ENDING)
     shard = store.ShardName.parse(path.rpartition("/")[2])
-    left_out = _OF_ORDER if {*names} >= _OURS else ()
+    left_out = _ORDER_COLUMNS if {*names} >= _OURS else ()
     said = parquet.columns([name for name in names if name not in left_out])
     if shard is not None and _SPLIT not in names:
         said = {_SPLIT: column_types.repeated(shard.split, len(parquet)), **said}
-    # The file that a picture was, without its folder.
-    called = [importing.path_of(name or "").rpartition("/")[2] for name in parquet.picture_names(column)]
+    # The name of the file of each picture, without its folder.
+    files = [importing.path_of(name or "").rpartition("/")[2] for name in parquet.picture_names(column)]
     return importing.FoundTouches.of(
-        [name or f"{stem}_{number:06d}" for number, name in enumerate(called)],
+        [name or f"{stem}_{number:06d}" for number, name in enumerate(files)],
         home.address(),
         path,
         said,

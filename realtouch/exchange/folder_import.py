@@ -1,4 +1,4 @@
-"""A folder of images: with a table of what is known of them, in a folder for each class, or images alone."""
+"""Folders of images: with a table of their fields, with a folder for each class, or images alone."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _MAX_IMAGES = 1_000_000
 def find_folder(
     home: store.DataFolder, columns: importing.ImportColumns, table: str | None
 ) -> Iterator[importing.FoundTouches]:
-    """Yield a touch for each line of the table; a missing file is the touch's problem.
+    """Yield a touch for each row of the table; the touch of a missing file has a problem.
 
     Without a table, each image is a touch; see :func:`_labelled`.
     """
@@ -27,10 +27,11 @@ def find_folder(
         folder, found = importing.source_of(table)
     else:
         folder, tables = home, importing.visible_files(home, column_tables.COLUMN_TABLE_ENDINGS)
-        images = [] if tables or columns.image_name else _images(home)
-        if images:
-            yield _labelled(home, images)
-            return
+        if not tables and not columns.image_name:
+            images = _images(home)
+            if images:
+                yield _labelled(home, images)
+                return
         if len(tables) != 1:
             raise errors.InputError(
                 f"{home.address()!r} should be a folder with one table; found {', '.join(tables) or 'none'}",
@@ -46,7 +47,7 @@ def find_folder(
 
 
 def _images(home: store.DataFolder) -> list[str]:
-    """List the visible images in a folder and below it, in natural order; InputError for too many."""
+    """List the visible images in a folder and its sub-folders, in natural order; InputError for too many."""
     found: list[str] = []
     for path in home.walk():
         if path.lower().endswith(_IMAGES) and not store.is_hidden(path):
@@ -59,20 +60,20 @@ def _images(home: store.DataFolder) -> list[str]:
 
 
 def _labelled(home: store.DataFolder, paths: list[str]) -> importing.FoundTouches:
-    """Return the touches of images, whose folders name their classes.
+    """Return the touches of images; the folder of an image may name its class.
 
-    Outer folders that are all called ``train``, ``val``, ``test`` and so on are splits, and those in them are
-    classes. Other outer folders are classes if there are several.
+    If all outer folders are called ``train``, ``val``, ``test`` and so on, they are splits, and the folders
+    in them are classes. Other outer folders are classes if there are several.
     """
     folders = [path.split("/")[:-1] for path in paths]
-    is_split = {names[0] if names else "" for names in folders} <= _SPLITS
+    is_split = all(folders) and {names[0] for names in folders} <= _SPLITS
     inner = [names[is_split:] for names in folders]
     has_classes = is_split or len({names[0] for names in inner if names}) > 1
     said = {}
     if is_split:
         said["split"] = pa.array([names[0] for names in folders])
     if has_classes and any(inner):
-        # A name that is not Unicode is the problem of its image.
+        # An image in a folder whose name is not Unicode has a problem; here only the text matters.
         labels = [names[0].encode(errors="replace").decode() if names else None for names in inner]
         said["label"] = pa.array(labels, pa.string())
     return importing.image_files(home, paths, said)

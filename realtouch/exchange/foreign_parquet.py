@@ -1,4 +1,4 @@
-"""Parquet files of others: columns as arrays, and pictures, of which a few are in memory at a time."""
+"""Parquet files of other programs: columns as arrays, and pictures, a few of them in memory at a time."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
     from pyarrow import parquet as pq
 
 _ROWS_AT_ONCE = 4096
-# A value may be stored once and be repeated in each row, so that the size of a column says little.
+# A value may be stored once and repeated in each row, so the stored size of a column says little.
 _BYTES_AT_ONCE = 256 << 20
 _TEXT = "BYTE_ARRAY"
 _VALUE_BYTES = 8
 
 
 def is_picture(data_type: pa.DataType | None) -> bool:
-    """Return whether a column may hold encoded pictures: bytes, or a struct of them and a path."""
+    """Return whether a column may hold encoded pictures: bytes, or a struct with bytes."""
     if data_type is None:
         return False
     if pa.types.is_struct(data_type):
@@ -36,7 +36,7 @@ def is_picture(data_type: pa.DataType | None) -> bool:
 
 
 class _Chunk(NamedTuple):
-    """What a footer states of a column of a row group; ``values`` counts those in lists."""
+    """A column of a row group, as the footer states it; ``values`` includes the values in lists."""
 
     path: str
     size_bytes: int
@@ -49,8 +49,8 @@ class _Chunk(NamedTuple):
 class ForeignParquet:
     """A Parquet file below a source, whose content is not trusted.
 
-    Raises ItemError if it is missing or lies elsewhere, IntegrityError if it is damaged, and InputError if
-    two columns have one name.
+    Raises ItemError if it is missing or outside the source, IntegrityError if it is damaged, and InputError
+    if two columns have the same name.
     """
 
     def __init__(self, home: store.DataFolder, path: str) -> None:
@@ -66,14 +66,14 @@ class ForeignParquet:
             self._chunks = [_chunks(group) for group in groups]
         self.types: dict[str, pa.DataType] = dict(zip(schema.names, schema.types, strict=True))
         if len(self.types) < len(schema.names):
-            raise errors.InputError(f"{self.place!r} has two columns of one name; expected a name for each")
+            raise errors.InputError(f"{self.place!r} has two columns of one name; expected different names")
         self._starts: list[int] = np.cumsum([0, *(group.num_rows for group in groups)]).tolist()
 
     def __len__(self) -> int:
         return self._starts[-1]
 
     def picture_bytes(self, name: str) -> int:
-        """Return about how many bytes a picture of a column takes."""
+        """Return the approximate size of a picture of a column in bytes."""
         size = sum(each.size_bytes for group in self._chunks for each in _of_columns(group, [name]))
         return size // max(1, len(self)) + 1
 
@@ -85,7 +85,7 @@ class ForeignParquet:
             yield from found or ({} for _ in range(len(table)))
 
     def columns(self, names: Sequence[str]) -> dict[str, pa.Array]:
-        """Return columns with an entry a row; see :mod:`tactile_toolkit.column_types`.
+        """Return columns with an entry for each row; see :mod:`tactile_toolkit.column_types`.
 
         Raises as :meth:`rows` does.
         """
@@ -97,7 +97,7 @@ class ForeignParquet:
             return {name: column_types.from_arrow(joined[name]) for name in names}
 
     def picture_names(self, name: str) -> list[str | None]:
-        """Return the paths that a column of pictures states; None where it states none."""
+        """Return the paths that a column of pictures states; None for a picture without a path."""
         if not pa.types.is_struct(self.types[name]) or self.types[name].get_field_index("path") < 0:
             return [None] * len(self)
         found = list[str | None]()
@@ -109,7 +109,7 @@ class ForeignParquet:
         return found
 
     def pictures(self, name: str, rows: Iterable[int]) -> Iterator[bytes | errors.ItemError]:
-        """Yield the encoded picture in each of some rows; those that stand in order are read once."""
+        """Yield the encoded picture of each of some rows; rows in ascending order are read once."""
         group, start, held = -1, 0, list[bytes | None]()
         batches: Iterator[pa.Table] = iter(())
         for row in rows:
@@ -128,7 +128,7 @@ class ForeignParquet:
             )
 
     def _bounded(self, names: Sequence[str]) -> Iterator[pa.Table]:
-        """Yield some columns of all rows, few rows at a time; InputError for more than may be unpacked."""
+        """Yield some columns of all rows, a few rows at a time; InputError for more than may be unpacked."""
         stated = [each for group in self._chunks for each in _of_columns(group, names)]
         unpacked = sum(max(each.size_bytes, _VALUE_BYTES * each.values) for each in stated)
         bounds.require_unpackable(unpacked, f"{self.place!r}:", self.size_bytes)
@@ -145,26 +145,26 @@ class ForeignParquet:
                 require_bounded_pages(stream, each.start, each.stored_bytes, _BYTES_AT_ONCE)
 
     def _tables(self, group: int, names: Sequence[str]) -> Iterator[pa.Table]:
-        """Yield the rows of a row group, few at a time; IntegrityError if it holds fewer than stated."""
+        """Yield the rows of a row group, a few at a time; IntegrityError if it holds fewer than stated."""
         chunks = _of_columns(self._chunks[group], names)
         largest = max((1, *(each.size_bytes for each in chunks if each.is_text)))
         rows = min(_ROWS_AT_ONCE, max(1, _BYTES_AT_ONCE // largest))
         missing = self._starts[group + 1] - self._starts[group]
         self._require_bounded_pages(chunks)
         with store.named_damage(self.place):
-            # Without threads of Arrow: shards are imported in parallel.
+            # Arrow uses no threads of its own, as shards are imported in parallel.
             for batch in self._file.iter_batches(rows, [group], list(names), use_threads=False):
                 missing -= len(batch)
                 yield read.supported_table(pa.Table.from_batches([batch]))
         if missing:
             raise errors.IntegrityError.in_file(
                 self.place,
-                f" is damaged, row group {group} holds {missing:,} rows less than its footer states",
+                f" is damaged, row group {group} holds {missing:,} rows fewer than its footer states",
             )
 
 
 def _chunks(group: pq.RowGroupMetaData) -> list[_Chunk]:
-    """Return what the footer states of the columns of a row group; of a struct or list, of what it holds."""
+    """Return the columns of a row group; for a struct or list, the columns in it."""
     found = map(group.column, range(group.num_columns))
     return [
         _Chunk(
@@ -194,7 +194,7 @@ def _of_columns(chunks: Sequence[_Chunk], names: Sequence[str]) -> list[_Chunk]:
 
 @contextmanager
 def _named_values(place: str) -> Iterator[None]:
-    """Turn errors about values that Python and numpy do not have into an IntegrityError."""
+    """Turn errors about values that Python and NumPy do not have into an IntegrityError."""
     try:
         with store.named_damage(place):
             yield
@@ -203,5 +203,5 @@ def _named_values(place: str) -> Iterator[None]:
 
 
 def read_rows(place: importing.PicturePlace, numbers: Sequence[int]) -> Iterator[bytes | errors.ItemError]:
-    """Yield the pictures in some rows; the part of the file is their column."""
+    """Yield the pictures of some rows; ``part`` of the place is their column."""
     return ForeignParquet(store.open_folder(place.home), place.path).pictures(place.part, numbers)

@@ -33,7 +33,7 @@ def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[touch_rows.N
 
 
 def _pose_mm(fields: JsonObject) -> dict[str, float]:
-    """Return the pose of a touch by the names and in the units of the format; nothing without one."""
+    """Return the pose of a touch with the names and units of the format; empty without a pose."""
     values = [fields[name] for name in touch_options.POSE_COLUMNS if name in fields]
     return {
         name: value * factor
@@ -54,13 +54,11 @@ plan_fota = touch_rows.TouchFormat(_FOLDER, _pack, _write_counts, no_gaps=True).
 def find_fota(
     home: store.DataFolder, columns: importing.ImportColumns, table: str | None
 ) -> Iterator[importing.FoundTouches]:
-    """Yield the samples of each tar of one split; the folder's name is that of the split."""
+    """Yield the samples of each tar of one split; the folder has the name of the split."""
     split = home.address().rstrip("/").rpartition("/")[2]
+    in_both_units = {*touch_options.POSE_COLUMNS, *touch_options.FOTA_POSE_COLUMNS}
     for touches in webdataset_import.find_webdataset(home, columns, table):
-        if {*touches.names} >= {
-            *touch_options.POSE_COLUMNS,
-            *touch_options.FOTA_POSE_COLUMNS,
-        }:  # of our exports: one pose, in two units
+        if {*touches.names} >= in_both_units:  # our exports have the pose twice
             touches = replace(touches, said=touches.said.drop_columns(list(touch_options.FOTA_POSE_COLUMNS)))
         if "split" not in touches.names:
             touches = touches.with_said({"split": column_types.repeated(split, len(touches))})

@@ -1,7 +1,7 @@
-"""Datasets of HDF5 that others wrote: read from the file itself alone, by filters that come with the library.
+"""HDF5 datasets of other programs: only values in the file itself are read, with the filters of the library.
 
-What the metadata state is checked before a value is read. A chunk unpacks to its stated size and no further:
-HDF5 would allocate whatever the packed bytes ask for.
+Metadata are checked before a value is read. A chunk is unpacked to its stated size and no further: HDF5 would
+allocate whatever the packed bytes ask for.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError, needs_extra
 
 H5Object = Any
-"""A file, group or dataset of h5py, which states no types."""
+"""A file, group or dataset of h5py, which has no types for type checkers."""
 
 _DEFLATE, _LZF = 1, 32000
-# Filters that are known, in the order in which they may stand; HDF5 and others pack by one of the second.
+# Known filters, in the order in which they may occur. A dataset has at most one of gzip and lzf.
 _FILTERS = {2: "shuffle", _DEFLATE: "gzip", _LZF: "lzf", 3: "fletcher32"}
 _LZF_RATIO = 90  # of unpacked to packed bytes, at most
 _SPARE_BYTES = 1 << 16
@@ -43,20 +43,20 @@ def in_words(place: str) -> Iterator[None]:
 
 
 def open_file(stream: IO[bytes]) -> H5Object:
-    """Open a file of HDF5 from a stream, which must stay open."""
+    """Open an HDF5 file from a stream, which must stay open."""
     with needs_extra("reading HDF5", "h5py", "hdf5"):
         return import_module("h5py").File(stream, "r")
 
 
 def kind_of_member(group: H5Object, name: str) -> str:
-    """Return what a member of a group is: a Dataset, a Group, or a link to another place or file."""
+    """Return the kind of a member of a group: ``Dataset``, ``Group``, or ``link`` to another place."""
     if type(group.get(name, getlink=True)).__name__ != "HardLink":
         return "link"
     return str(group.get(name, getclass=True).__name__)
 
 
 def dataset_in(file: str, root: H5Object, path: str) -> StoredArray:
-    """Open a dataset by its path, through the groups of the file alone; InputError if it cannot be used."""
+    """Open a dataset by its path in the file, not through links; InputError if it cannot be used."""
     place, found = f"{file}/{path}", root
     with in_words(place):
         for name in path.split("/"):
@@ -104,7 +104,7 @@ def _block(place: str, dataset: H5Object, step: int, number: int) -> AnyArray:
 
 
 def _require_chunk(place: str, dataset: H5Object, at: tuple[int, ...]) -> None:
-    """Refuse a chunk that unpacks to more than its size, which HDF5 would allocate."""
+    """Refuse a chunk that unpacks to more than its size, as HDF5 would allocate that."""
     filters, size = _filters(dataset), _chunk_bytes(dataset)
     stored = dataset.id.get_chunk_info_by_coord(at).size
     if stored > 2 * size + _SPARE_BYTES:

@@ -1,7 +1,7 @@
 """HDF5 as recordings: each group with a dataset of pictures at a given path is an episode.
 
-Datasets below the group with a row a picture are columns by their paths; attributes are values. Nothing is
-opened through a link.
+Datasets below the group with a row for each picture are columns with the name of their path; attributes are
+values. Links are not followed.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ def find_hdf5(
 ) -> Iterator[importing.Recording]:
     """Yield a recording for each group that has the dataset of pictures; InputError lists such datasets.
 
-    They are in natural order: of ``data/demo_2`` before ``data/demo_10``.
+    Groups are in natural order: ``data/demo_2`` before ``data/demo_10``.
     """
-    expected = f"file of HDF5; expected {' or '.join(_ENDINGS)}"
+    expected = f"HDF5 file; expected {' or '.join(_ENDINGS)}"
     home, names = importing.files_to_read(home, expected, partial(importing.visible_files, endings=_ENDINGS))
     image = columns.image_name.strip("/")
     for name in names:
@@ -43,15 +43,17 @@ def find_hdf5(
             if len(kinds) > _MAX_OBJECTS:
                 raise errors.InputError(f"{place!r}: more than {_MAX_OBJECTS:,} datasets and groups")
             for group in sorted(_groups(place, root, kinds, image), key=importing.natural_order):
-                prefix = [name.rpartition(".")[0]] * (len(names) > 1 or not group)
-                title = "/".join([*prefix, *filter(None, [group.strip("/")])])
+                parts = [group.strip("/")]
+                if len(names) > 1 or not group:
+                    parts.insert(0, name.rpartition(".")[0])
+                title = "/".join(filter(None, parts))
                 yield _recording(home, name, root, kinds, (title, group, image), columns)
 
 
 def _members(place: str, group: hdf5_arrays.H5Object, path: str, deepest: int) -> Iterator[tuple[str, str]]:
-    """Yield the path and kind of each member of a group and of the groups in it, but not behind links."""
+    """Yield the path and kind of each member of a group and of the groups in it; links are not followed."""
     if not deepest:
-        raise errors.InputError(f"{place!r}: more than {_DEEPEST} groups in each other")
+        raise errors.InputError(f"{place!r}: more than {_DEEPEST} nested groups")
     for name in group:
         kind = hdf5_arrays.kind_of_member(group, name)
         yield f"{path}{name}", kind
@@ -60,7 +62,7 @@ def _members(place: str, group: hdf5_arrays.H5Object, path: str, deepest: int) -
 
 
 def _groups(place: str, root: hdf5_arrays.H5Object, kinds: dict[str, str], image: str) -> list[str]:
-    """Return the paths of groups with a dataset of pictures; InputError lists what may hold pictures."""
+    """Return the paths of groups with a dataset of pictures; an InputError lists possible datasets."""
     datasets = [path for path, kind in kinds.items() if kind == "Dataset"]
     groups = [path.removesuffix(image) for path in datasets if f"/{path}".endswith(f"/{image}")]
     if not image or not groups:

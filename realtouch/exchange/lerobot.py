@@ -1,7 +1,7 @@
-"""LeRobotDataset v3.0 with images: one clip an episode, or one round of single images.
+"""LeRobotDataset v3.0 with images: an episode is a clip, or a round of single images.
 
-Facts of the format: frames lie in ``data/chunk-000/file-000.parquet``, 1,000 files a chunk, numbered over all
-episodes; ``meta`` says where each episode begins, what the features are, and their statistics.
+Facts of the format: frames are in ``data/chunk-000/file-000.parquet``, 1,000 files in a chunk, and are
+numbered over all episodes; ``meta`` has the start of each episode, the features, and their statistics.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from tactile_toolkit import store, touch
 from tactile_toolkit.array_types import Int64
 
 _GROUP_BYTES = 16 << 20
-_OF_EPISODE = ("round_id", "touch", "label", "object_id")
-_OF_READERS = ("round_id", "touch")
+_INDEX_COLUMNS = ("round_id", "touch", "label", "object_id")
+_META_COLUMNS = ("round_id", "touch")
 
 
 def plan_lerobot(
@@ -30,7 +30,10 @@ def plan_lerobot(
     method: contact.ContactMethod,
     options: Mapping[str, object],
 ) -> convert.Conversion:
-    """Plan a LeRobotDataset; reads footers, lengths and one header. InputError for several splits."""
+    """Plan a LeRobotDataset; reads footers, lengths and the header of one image.
+
+    Raises InputError for several splits.
+    """
     rows_per_shard = max(1, lerobot_info.FILE_BYTES // source.row_bytes())
     step = Episodes.of(source, choices, "LeRobotDataset", pa.float32())
     step = replace(step, depth_of=lerobot_depth.depth_of)
@@ -68,7 +71,7 @@ class _PackEpisodes:
     ) -> convert.Made:
         """Return the frames and episodes of a shard, numbered over the whole data set.
 
-        Raises IntegrityError if a round was left out, or lengths were not as stated.
+        Raises IntegrityError if a round was left out, or if lengths differ from those that were stated.
         """
         rows = rows.combine_chunks()
         firsts = np.flatnonzero(rows["frame_index"].to_numpy() == 0)
@@ -89,14 +92,14 @@ class _PackEpisodes:
             "dataset_to_index": frame + firsts + lengths,
             "meta/episodes/chunk_index": chunks,
             "meta/episodes/file_index": files,
-            **{name: rows[name].take(firsts) for name in _OF_READERS if name in rows.schema.names},
+            **{name: rows[name].take(firsts) for name in _META_COLUMNS if name in rows.schema.names},
             **lerobot_statistics.columns_of_episodes(frames, firsts.tolist(), lengths.tolist()),
         }
         pictures = [each.name for each in rows.schema if each.type == touch.MEDIA_TYPE]
         encodings = tuple((f"{name}.bytes", "PLAIN") for name in pictures)
         style = store.ParquetStyle(self.rows_per_group, compression_level=3, encodings=encodings)
         index = {"id": episodes, "first_frame": frame + firsts, "frames": lengths}
-        index |= {name: rows[name].take(firsts) for name in _OF_EPISODE if name in rows.schema.names}
+        index |= {name: rows[name].take(firsts) for name in _INDEX_COLUMNS if name in rows.schema.names}
         return convert.with_files(
             pa.table(index),
             {
@@ -117,5 +120,5 @@ class _PackEpisodes:
             ("task_index", rows["label"].to_numpy() % len(self.tasks)),
         ):
             frames = frames.append_column(name, pa.array(values, pa.int64()))
-        # What `datasets` makes of the columns; a class is a number here.
+        # Types of the columns for `datasets`; a class is a number here.
         return frames.cast(touch.with_features(frames.schema, None))

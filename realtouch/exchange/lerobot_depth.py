@@ -1,7 +1,7 @@
-"""Maps of depth in LeRobotDatasets: lossless TIFF of float32 in metres, as LeRobot 0.6 stores depth.
+"""Depth maps in LeRobotDatasets: lossless TIFF of float32 in metres, as LeRobot 0.6 stores depth.
 
 Facts of the format: a feature of maps has one channel, and ``info`` with ``is_depth_map`` and ``depth_unit``,
-which is ``m`` or ``mm``. Statistics are in that unit, not scaled to 1 as those of colours.
+which is ``m`` or ``mm``. Statistics are in that unit, while those of colours are scaled to 1.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ NUMBER_BYTES = 4  # of float32
 
 
 def depth_of(row: stored_round.StoredRound, size: tuple[int, int]) -> pa.Array:
-    """Return the files of the maps of a round; IntegrityError for a map that is not of that size."""
+    """Return the encoded depth maps of a round; IntegrityError for a map of another size."""
     files = []
     for touch, depth_m in enumerate(depth_maps.DepthMaps(row, depth_maps.DEPTH)):
         if depth_m.shape != size:
@@ -40,7 +40,7 @@ def _tiff(depth_m: Float32) -> bytes:
 
 
 def counted_depths(files: Iterable[bytes]) -> tuple[Float64, Int64]:
-    """Return the values of some maps, rising, and how often each occurs."""
+    """Return the sorted values of some maps, and how often each occurs."""
     maps = [np.asarray(Image.open(io.BytesIO(each), formats=["TIFF"]), np.float64) for each in files]
     values, counts = np.unique(np.concatenate(maps), return_counts=True)
     return values, counts

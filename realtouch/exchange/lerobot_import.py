@@ -1,8 +1,8 @@
 """LeRobotDatasets v2.0, v2.1 and v3.0 as recordings: an episode is a sequence of pictures of one camera.
 
 Facts of the format: ``meta/info.json`` says what the features are and where files lie. Frames are rows of
-Parquet: of one episode a file (v2), or of many (v3). Pictures are in these rows (dtype ``image``) or in video
-(dtype ``video``), where v3 states at how many seconds an episode begins.
+Parquet; a file holds one episode (v2) or many (v3). Pictures are in these rows (dtype ``image``) or in videos
+(dtype ``video``). In v3 a video holds many episodes, and metadata state the time at which each begins.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _INDICES = ("index", "frame_index", "episode_index", "task_index", "timestamp")
 def find_lerobot(
     home: store.DataFolder, columns: importing.ImportColumns, table: str | None
 ) -> Iterator[importing.Recording]:
-    """Yield each episode, with the pictures of the only camera or of that named; InputError for several.
+    """Yield each episode with the pictures of the named or the only camera; InputError for several.
 
     An episode that cannot be used is a recording with a problem.
     """
@@ -36,7 +36,7 @@ def find_lerobot(
 
 
 def describe_conversion(touches: importing.FoundTouches) -> str:
-    """Return what was done to the pictures; empty if they are stored as they were."""
+    """Return how pictures are converted; empty if they are stored as they are."""
     places = touches.take(np.flatnonzero(touches.is_usable)[:1])
     if not len(places) or places[0].path.endswith(_ROWS):
         return ""
@@ -45,13 +45,14 @@ def describe_conversion(touches: importing.FoundTouches) -> str:
 
 
 def read_frames(place: importing.PicturePlace, numbers: Sequence[int]) -> Iterator[bytes | errors.ItemError]:
-    """Yield some pictures of a file of rows, or of a video."""
-    read = foreign_parquet.read_rows if place.path.endswith(_ROWS) else video_import.read_frames
-    return read(place, numbers)
+    """Yield the pictures with some numbers of a Parquet file or video."""
+    if place.path.endswith(_ROWS):
+        return foreign_parquet.read_rows(place, numbers)
+    return video_import.read_frames(place, numbers)
 
 
 class _Episodes:
-    """Reads the episodes of one camera; the columns of the file read last are kept."""
+    """Reads the episodes of one camera; the columns of the last file are kept."""
 
     def __init__(
         self, home: store.DataFolder, info: lerobot_metadata.Info, camera: str, tasks: Mapping[int, str]
@@ -65,7 +66,7 @@ class _Episodes:
         self._picture_bytes = 0
 
     def recording(self, episode: lerobot_metadata.Episode) -> importing.Recording:
-        """Return an episode; one that cannot be used has a problem, and one picture."""
+        """Return the recording of an episode; if it cannot be used, it has a problem and one picture."""
         others = tuple(name for name in self.info.pictures if name != self.camera)
         place = self.home.address(), episode.data_path, self.camera
         found = importing.Recording(episode.name, *place, 0, 1, 0, episode.values, left_out=others)
@@ -88,12 +89,12 @@ class _Episodes:
         if self.info.features[self.camera].dtype == "image":
             return replace(found, first=rows.start, frame_bytes=self._picture_bytes)
         store.size_inside(self.home, episode.video_path)
-        shown = video.open_video(self.home, episode.video_path)
-        first = _first_picture(shown.time_s, episode.video_start_s + time_s, self.info.fps)
-        return replace(found, path=episode.video_path, first=first, frame_bytes=shown.picture_bytes)
+        opened = video.open_video(self.home, episode.video_path)
+        first = _first_picture(opened.time_s, episode.video_start_s + time_s, self.info.fps)
+        return replace(found, path=episode.video_path, first=first, frame_bytes=opened.picture_bytes)
 
     def _read_columns(self, path: str) -> None:
-        """Read all columns of a file but pictures, unless it was read last."""
+        """Read all columns of a file except pictures, unless it was the last one that was read."""
         if path == self._path:
             return
         parquet = foreign_parquet.ForeignParquet(self.home, path)
@@ -130,7 +131,7 @@ class _Episodes:
 
 
 def _rows_of(episode: lerobot_metadata.Episode, columns: Mapping[str, pa.Array]) -> slice:
-    """Return where the frames of an episode stand in a file; ItemError unless all do, one after another."""
+    """Return the rows of the frames of an episode in a file; ItemError unless all are there, in sequence."""
     stated = columns.get("episode_index", pa.nulls(0))
     numbers = np.empty(0, np.int64)
     is_stated = pa.types.is_integer(stated.type) and not stated.null_count
@@ -144,14 +145,14 @@ def _rows_of(episode: lerobot_metadata.Episode, columns: Mapping[str, pa.Array])
     if stop - start != episode.length or not episode.length:
         raise errors.ItemError(
             "episode",
-            f"{episode.data_path!r} holds {stop - start:,} frames of it; "
+            f"{episode.data_path!r} holds {stop - start:,} frames of this episode; "
             f"expected {episode.length:,}, as stated, and at least one",
         )
     return slice(start, stop)
 
 
 def _times(per_frame: Mapping[str, pa.Array], fps: float) -> Float64:
-    """Return the times of frames, seconds: as stated, or by the frame rate if they are that, rounded."""
+    """Return the times of frames, seconds: as stated, or by the frame rate if these agree as float32."""
     column = per_frame.get("timestamp", pa.nulls(0))
     stated: Float64 = np.full(1, np.nan)
     if pa.types.is_floating(column.type):
@@ -164,14 +165,16 @@ def _times(per_frame: Mapping[str, pa.Array], fps: float) -> Float64:
 
 
 def _first_picture(shown_s: Float64, wanted_s: Float64, fps: float) -> int:
-    """Return which picture of a video is shown at the first time, if the next are shown at the others."""
+    """Return the number of the picture of a video at the first time.
+
+    Raises ItemError unless the video shows the pictures after it at the other times.
+    """
     first = int(np.abs(shown_s - wanted_s[0]).argmin())
     found = shown_s[first : first + len(wanted_s)]
     if len(found) < len(wanted_s) or np.abs(found - wanted_s).max() * fps > 0.5:
         raise errors.ItemError(
             "video",
-            f"the {wording.with_count(len(shown_s), 'pictures')} of its video are shown until "
-            f"{shown_s[-1]:.3f} s, "
-            f"not at the times of its frames, until {wanted_s[-1]:.3f} s",
+            f"the video shows its {wording.with_count(len(shown_s), 'pictures')} until {shown_s[-1]:.3f} s, "
+            f"not at the times of the frames, until {wanted_s[-1]:.3f} s",
         )
     return first

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import msgspec
-import numpy as np
 import pyarrow as pa
 
 from realtouch import convert
@@ -22,7 +21,7 @@ _VERSION = "v3.0"
 META_STYLE = store.ParquetStyle(rows_per_group=1 << 12, compression_level=3)
 _POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 _AXES = ("height", "width", "channels")
-_COMPONENTS = {STATE: _POSE, ACTION: _POSE[:2]}
+_COMPONENTS = {STATE: list(_POSE), ACTION: list(_POSE[:2])}
 
 
 @dataclass(frozen=True)
@@ -70,17 +69,13 @@ class WriteMeta:
     def _feature(self, each: pa.Field) -> dict[str, object]:
         if each.type == touch.MEDIA_TYPE:
             picture: dict[str, object] = {"dtype": "image", "shape": [*self.step.size, 3], "names": [*_AXES]}
-            depth = {"shape": [*self.step.size, 1], "info": lerobot_depth.INFO}
-            return picture | (depth if each.name == DEPTH else {})
-        names, width, leaf = _COMPONENTS.get(each.name), 1, each.type
+            if each.name == DEPTH:
+                picture |= {"shape": [*self.step.size, 1], "info": lerobot_depth.INFO}
+            return picture
+        width, leaf = 1, each.type
         if pa.types.is_fixed_size_list(leaf):
             width, leaf = leaf.list_size, leaf.value_type
-        return {"dtype": _dtype(leaf), "shape": [width], "names": names and list(names)}
-
-
-def _dtype(data_type: pa.DataType) -> str:
-    """Return LeRobot's name of a type, numpy's but for text."""
-    return "string" if pa.types.is_string(data_type) else np.dtype(data_type.to_pandas_dtype()).name
+        return {"dtype": read.dtype_name(leaf), "shape": [width], "names": _COMPONENTS.get(each.name)}
 
 
 def _json_bytes(values: Mapping[str, object]) -> bytes:

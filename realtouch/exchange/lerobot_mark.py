@@ -19,7 +19,7 @@ class Mark(msgspec.Struct, frozen=True):
     """Mark of an export of this toolkit.
 
     ``clips``: an episode is a clip, not a round. ``extra``: the stored name of the further column in each
-    feature, ``extra.NAME`` with an entry a touch, or ``extra_seq.NAME``.
+    feature: ``extra.NAME`` with an entry for each touch, or ``extra_seq.NAME`` for each frame.
     """
 
     class_names: tuple[str, ...]
@@ -27,12 +27,12 @@ class Mark(msgspec.Struct, frozen=True):
     extra: Mapping[str, str] = {}
 
     def own_name(self, feature: str) -> str:
-        """Return the own name of a further column, of other features their name."""
+        """Return the name of a further column in the data set; the name of another feature is unchanged."""
         return self.extra.get(feature, feature).removeprefix("extra_seq.").removeprefix("extra.")
 
     @property
     def per_touch(self) -> list[str]:
-        """Own names of the further columns with an entry a touch."""
+        """Names in the data set of the further columns with an entry for each touch."""
         return [self.own_name(name) for name, stored in self.extra.items() if stored.startswith("extra.")]
 
 
@@ -54,7 +54,7 @@ def as_ours(found: importing.Recording, mark: Mark) -> importing.Recording:
     found = replace(found, name=name, round=round_id, cut=cut, time_s=time_s, per_frame=columns)
     found = zarr_recordings.with_contact(found)
     ours = zarr_recordings.name_ours(found, _VECTORS, mark.class_names).per_frame
-    # Later, as a further column may have the name of one of ours.
+    # Further columns are added last: one may have the name of a column of ours, which is kept then.
     per_frame = {**{mark.own_name(name): every[name] for name in mark.extra if name in every}, **ours}
     values |= {each: per_frame.pop(each)[0].as_py() for each in of_episode if each in per_frame}
     return replace(found, values=values, per_frame=per_frame)

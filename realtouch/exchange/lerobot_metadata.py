@@ -22,20 +22,20 @@ _MAX_BYTES = 256 << 20
 _VERSION = re.compile(r"v(2\.[01]|3\.0)")
 _FIELD = re.compile(r"\{(\w+)(?::0?([0-9])d)?\}")
 _RANGE = re.compile(r"(\d{1,15}):(\d{1,15})")
-# What is said of episodes for readers of files, and what follows from their frames.
+# Fields of episodes that locate their files, or that follow from their frames.
 _OF_FILES = re.compile(r"(stats|data|meta|videos)/.*|dataset_(from|to)_index|tasks|length|episode_index")
 _Count = Annotated[int, msgspec.Meta(ge=0, lt=1 << 50)]
 
 
 class Feature(msgspec.Struct, frozen=True):
-    """What is stored of each frame."""
+    """A feature of frames: the type of its values, and details of pictures."""
 
     dtype: str
     info: JsonObject | None = None
 
     @property
     def is_depth(self) -> bool:
-        """Whether it holds maps of depth."""
+        """Whether it holds depth maps."""
         return any((self.info or {}).get(key) for key in _DEPTH)
 
 
@@ -53,24 +53,24 @@ class Info(msgspec.Struct, frozen=True):
 
     @property
     def pictures(self) -> list[str]:
-        """Features that are pictures, of colours or depth."""
+        """Names of the features that are pictures: colour images or depth maps."""
         return [name for name, each in self.features.items() if each.dtype in _PICTURES]
 
     @property
     def is_v2(self) -> bool:
-        """Whether there is a file for each episode."""
+        """Whether each episode has a file of its own, as in version 2."""
         return self.codebase_version.startswith("v2")
 
     def camera(self, name: str, where: str) -> str:
-        """Return the feature of the pictures to import: that named, or the only one that is not depth.
+        """Return the feature of the pictures to import: the named one, or the only one that is not depth.
 
-        Raises InputError for none or several.
+        Raises InputError if there is no such feature, or if there are several.
         """
         cameras = [key for key in self.pictures if not self.features[key].is_depth]
         return importing.chosen_pictures(cameras, name, where, "cameras", self.features)
 
     def split_of(self, episode: int) -> dict[str, object]:
-        """Return the split of an episode, as far as one is stated."""
+        """Return the split of an episode as a field; empty if it is not stated."""
         for name, text in (self.splits or {}).items():
             found = _RANGE.fullmatch(text)
             if found and int(found[1]) <= episode < int(found[2]):
@@ -80,7 +80,7 @@ class Info(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True)
 class Episode:
-    """An episode: where its frames are, how many there are, and what else is said of it."""
+    """An episode: the places and number of its frames, and its other fields."""
 
     number: int
     length: int
@@ -91,12 +91,12 @@ class Episode:
 
     @property
     def name(self) -> str:
-        """Name, also of the round."""
+        """Name of the episode and of its round."""
         return f"episode_{self.number:06d}"
 
 
 class _Files(msgspec.Struct, frozen=True):
-    """Which files of version 3 hold something of an episode, and at how many seconds it begins in a video."""
+    """Numbers of the file of an episode in version 3, and where the episode begins in a video, seconds."""
 
     chunk_index: _Count = 0
     file_index: _Count = 0
@@ -104,8 +104,8 @@ class _Files(msgspec.Struct, frozen=True):
 
 
 def read_info(home: store.DataFolder) -> Info:
-    """Read what a data set says of itself; InputError for another version, or if it cannot be read."""
-    with _refused(home, _INFO):
+    """Read the description of a data set; InputError for an unknown version, or if it cannot be read."""
+    with _as_input_error(home, _INFO):
         info = msgspec.json.decode(_content(home, _INFO), type=Info)
     if not _VERSION.fullmatch(info.codebase_version):
         raise errors.InputError(
@@ -117,10 +117,12 @@ def read_info(home: store.DataFolder) -> Info:
 
 
 def read_tasks(home: store.DataFolder, info: Info) -> dict[int, str]:
-    """Return the text of each task by its number; InputError if they cannot be read."""
+    """Return the text of each task by its number; InputError if the file cannot be read."""
     path = "meta/tasks.jsonl" if info.is_v2 else "meta/tasks.parquet"
     tasks: dict[int, str] = {}
-    for line in _lines(home, path) if home.exists(path) else ():
+    if not home.exists(path):
+        return tasks
+    for line in _lines(home, path):
         number, texts = line.get("task_index"), [value for value in line.values() if isinstance(value, str)]
         if not isinstance(number, int) or len(texts) != 1:
             raise errors.InputError(
@@ -131,14 +133,14 @@ def read_tasks(home: store.DataFolder, info: Info) -> dict[int, str]:
 
 
 def read_episodes(home: store.DataFolder, info: Info, camera: str) -> Iterator[Episode]:
-    """Yield the episodes, whose numbers rise; InputError if their metadata cannot be read."""
+    """Yield the episodes in the order of their numbers; InputError if their metadata cannot be read."""
     paths = ["meta/episodes.jsonl"]
     if not info.is_v2:
         paths = sorted(path for path in home.walk("meta/episodes") if path.endswith(".parquet"))
     last = -1
     for path in paths:
         for line in _lines(home, path):
-            with _refused(home, path):
+            with _as_input_error(home, path):
                 episode = _episode(info, camera, line)
             if episode.number <= last:
                 raise errors.InputError(
@@ -170,13 +172,13 @@ def _files(line: JsonObject, prefix: str) -> _Files:
 
 
 def _filled(template: str, values: Mapping[str, object]) -> str:
-    # Not by `str.format`, which looks up attributes, and takes as much memory as a path asks for.
+    # `str.format` would look up attributes, and allocate as much memory as a template asks for.
     return _FIELD.sub(lambda found: str(values.get(found[1], found[0])).zfill(int(found[2] or 0)), template)
 
 
 def _lines(home: store.DataFolder, path: str) -> Iterator[JsonObject]:
-    """Yield the lines of a JSON lines or Parquet file; of the latter without statistics."""
-    with _refused(home, path):
+    """Yield the rows of a JSON Lines or Parquet file; columns of statistics are left out."""
+    with _as_input_error(home, path):
         if path.endswith(".jsonl"):
             yield from msgspec.json.Decoder(JsonObject).decode_lines(_content(home, path))
             return
@@ -188,15 +190,13 @@ def _content(home: store.DataFolder, path: str) -> bytes:
     with importing.open_source(home, path) as stream:
         content = stream.read(_MAX_BYTES + 1)
     if len(content) > _MAX_BYTES:
-        raise errors.InputError(
-            f"{home.address(path)!r} is larger than {_MAX_BYTES:,} bytes, the most that is read"
-        )
+        raise errors.InputError(f"{home.address(path)!r} is larger than the limit of {_MAX_BYTES:,} bytes")
     return content
 
 
 @contextmanager
-def _refused(home: store.DataFolder, path: str) -> Iterator[None]:
-    """Raise InputError, which names the file, for metadata that cannot be used."""
+def _as_input_error(home: store.DataFolder, path: str) -> Iterator[None]:
+    """Raise an InputError that names the file for metadata that cannot be used."""
     try:
         yield
     except errors.ItemError as error:

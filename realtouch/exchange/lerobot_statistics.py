@@ -1,7 +1,7 @@
-"""Statistics of the features of a LeRobotDataset: of each episode, and of all frames.
+"""Statistics of the features of a LeRobotDataset, for each episode and for all frames.
 
-LeRobot scales what a policy sees by them, and puts those of episodes together where data sets are divided or
-merged. Sums are exact, so that every processor rounds alike.
+LeRobot normalises the inputs of a policy with them. It combines the statistics of episodes when data sets are
+split or merged. Sums are exact, so the results do not depend on the processor.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from tactile_toolkit import read, touch
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.json_types import JsonDict
 
-# Images of an episode that are decoded for its statistics.
-_IMAGES_SEEN = 8
+# Number of images of an episode that are decoded for its statistics.
+_IMAGE_SAMPLES = 8
 _LEVELS = 256
 _IN_MEMORY_BYTES = 64 << 20
 _QUANTILES = {f"q{round(100 * share):02d}": share for share in (0.01, 0.10, 0.50, 0.90, 0.99)}
@@ -44,12 +44,12 @@ def columns_of_episodes(frames: pa.Table, starts: list[int], lengths: list[int])
 
 
 def _episode(name: str, values: pa.Array) -> dict[str, object]:
-    """Return the statistics of a feature in an episode; those of images are of a sample."""
+    """Return the statistics of a feature in an episode; for images, those of a sample of them."""
     if values.type != touch.MEDIA_TYPE:
         numbers = _flat_rows(values)
         found = [_statistics(*np.unique(column, return_counts=True)) for column in numbers.T]
         return {**_transposed(found), "count": [len(values)]}
-    seen = np.unique(np.linspace(0, len(values) - 1, _IMAGES_SEEN).round().astype(int)).tolist()
+    seen = np.unique(np.linspace(0, len(values) - 1, _IMAGE_SAMPLES).round().astype(int)).tolist()
     images = [values[number].as_py() for number in seen]
     if name == DEPTH:
         channels = [lerobot_depth.counted_depths(image["bytes"] for image in images)]
@@ -72,9 +72,9 @@ def _transposed(found: Sequence[dict[str, float]]) -> dict[str, list[float]]:
 
 
 def _statistics(values: Float64, counts: Int64) -> dict[str, float]:
-    """Return the statistics of rising values, given how often each occurs; zeros without any.
+    """Return the statistics of sorted values, given how often each occurs; zeros if there are no values.
 
-    What is missing, NaN, does not count.
+    NaN is a missing value and does not count.
     """
     if not (math.isfinite(values[0]) and math.isfinite(values[-1])):
         is_known = np.isfinite(values)
@@ -93,16 +93,16 @@ def _statistics(values: Float64, counts: Int64) -> dict[str, float]:
 
 
 def statistics_of_all(episodes: Sequence[read.Shard], frames: Sequence[read.Shard]) -> dict[str, object]:
-    """Return the statistics of all frames; of images put together from the episodes, as LeRobot does.
+    """Return the statistics of all frames; those of images are combined from episodes, as LeRobot does.
 
-    Few numbers of each frame are in memory at a time, of long vectors one.
+    Only a few numbers of each frame are in memory at a time; one if there are many frames.
     """
     found: JsonDict = {}
     total = sum(map(len, frames))
     for name in _counted(frames[0].schema):
         data_type = frames[0].schema.field(name).type
         if data_type == touch.MEDIA_TYPE:
-            found[name] = _put_together(episodes, name)
+            found[name] = _combined(episodes, name)
             continue
         width, columns = getattr(data_type, "list_size", 1), []
         step = max(1, _IN_MEMORY_BYTES // (8 * total))
@@ -119,25 +119,25 @@ def _counted(frames: pa.Schema) -> list[str]:
     return [each.name for each in frames if not pa.types.is_string(read.list_depth(each.type)[1])]
 
 
-def _put_together(episodes: Sequence[read.Shard], name: str) -> dict[str, object]:
-    """Put the statistics of the images of all episodes together, weighed by their counts."""
+def _combined(episodes: Sequence[read.Shard], name: str) -> dict[str, object]:
+    """Return the statistics of the images of all episodes, weighted by their counts."""
     columns = [f"stats/{name}/{statistic}" for statistic in _NAMES]
     table = pa.concat_tables([shard.read(columns=columns) for shard in episodes])
     parts = {each: _flat_rows(table[f"stats/{name}/{each}"]) for each in _NAMES}
     weights = parts.pop("count")[:, 0]
     total = int(weights.sum())
 
-    def weighed(values: Float64) -> Float64:
+    def weighted_mean(values: Float64) -> Float64:
         return np.array([math.fsum(column * weights) / total for column in values.T])
 
-    found = {each: weighed(values) for each, values in parts.items()}
-    square = weighed(parts["std"] ** 2 + (parts["mean"] - found["mean"]) ** 2)
-    found |= {"min": parts["min"].min(axis=0), "max": parts["max"].max(axis=0), "std": np.sqrt(square)}
+    found = {each: weighted_mean(values) for each, values in parts.items()}
+    variance = weighted_mean(parts["std"] ** 2 + (parts["mean"] - found["mean"]) ** 2)
+    found |= {"min": parts["min"].min(axis=0), "max": parts["max"].max(axis=0), "std": np.sqrt(variance)}
     return {**{each: values.reshape(-1, 1, 1).tolist() for each, values in found.items()}, "count": [total]}
 
 
 def _flat_rows(values: pa.Array | pa.ChunkedArray) -> Float64:
-    """Return lists of equal length, of whatever depth, as an array of a row for each."""
+    """Return lists of equal length and any depth as an array with a row for each."""
     if isinstance(values, pa.ChunkedArray):
         values = values.combine_chunks()
     rows = extras.array_with_gaps(values)

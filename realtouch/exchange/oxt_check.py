@@ -1,9 +1,9 @@
-"""Whether a group of Zarr is what the contract of FTP-1 asks for, which has no validator of its own."""
+"""Check a Zarr group against the contract of FTP-1, which has no validator of its own."""
 
 from __future__ import annotations
 
 import re
-from collections import Counter, defaultdict
+from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import NamedTuple
@@ -21,12 +21,12 @@ _TACTILE = r"(?P<side>\w+?)_tactile_(data|area|sensor|type)_(?P<group>.+)"
 _MEMBERS = ("data", "area", "sensor", "type")
 _HAND = "(?P<side>left|right)_hand_joints"
 _TYPES = f"state|binary|{oxt.PICTURE}"
-# Other sensors may have any name, but for these in another spelling.
+# Other sensors may have any name, except another spelling of these two.
 _SENSORS = rf"{oxt.SENSOR}|InspireHand|(?!(?i:gelsight[\W_]*mini|inspire[\W_]*hand)\Z).+"
 _TEXTS_SHOWN = 3
 _SLOTS = 32  # of the joints of a hand
 
-# Rule, names of arrays, and those that must be there for each of them; without any, one that fits must be.
+# Rule, pattern of names, and the arrays that each name needs. Without such arrays, one name must fit.
 NEEDED: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("members", ".+", (oxt.TIMES, oxt.INSTRUCTION)),
     ("camera", _CAMERA, ()),
@@ -37,14 +37,14 @@ NEEDED: tuple[tuple[str, str, tuple[str, ...]], ...] = (
 )
 
 
-_SCOPE = re.compile("_tactile_(data|area|sensor|type)_|_idx$")  # without which members have one name
+_SCOPE = re.compile("_tactile_(data|area|sensor|type)_|_idx$")  # without it, members have the same name
 _TYPE_NAMES = {"iuf": "numbers", "U": "text of a fixed length", "B": "uint8", "f": "floats", "iu": "integers"}
 
 _Problem = tuple[str, str, str, str]
 """Rule, path of an array, what was found, and what was expected."""
 
 
-def _rises(times: AnyArray, starts: Int64) -> str:
+def _time_problem(times: AnyArray, starts: Int64) -> str:
     wrong = np.setdiff1d(np.flatnonzero(~(times[1:] > times[:-1])) + 1, starts)  # NaN is wrong, too
     if not len(wrong):
         return ""
@@ -56,17 +56,17 @@ def _such_as(wrong: AnyArray) -> str:
     return f"{wording.with_count(len(wrong), 'values')} such as {wrong[0]}" if len(wrong) else ""
 
 
-def _is_text(pattern: str, values: AnyArray, starts: Int64) -> str:
+def _text_problem(pattern: str, values: AnyArray, starts: Int64) -> str:
     found = np.unique(values).tolist()
     is_one = len(found) == 1 and re.fullmatch(pattern, found[0])
     return "" if is_one else ", ".join(map(repr, found[:_TEXTS_SHOWN]))
 
 
 class ArrayRule(NamedTuple):
-    """What arrays must be.
+    """A rule for arrays: their shape, type and values.
 
-    ``axes`` are those behind the first: numbers, letters for lengths that the members of a group share, and
-    ``...`` for one or more of any length. ``problem`` returns what is wrong with the values.
+    ``axes`` are the axes after the first: numbers, letters for lengths that the members of a group share, and
+    ``...`` for one or more axes of any length. ``problem`` returns what is wrong with the values.
     """
 
     names: str
@@ -79,10 +79,10 @@ class ArrayRule(NamedTuple):
 
 _FINITE = ("finite", lambda values, _starts: _such_as(values[~np.isfinite(values)]), "finite numbers")
 PICTURES = ArrayRule(r"\w+?_tactile_data_.+", "N H W 3", "B")
-"""Of tactile groups whose type is that of pictures."""
+"""Rule for tactile groups of pictures."""
 
 RULES = (
-    ArrayRule(oxt.TIMES, "", "iuf", "times", _rises, "times that rise in each episode"),
+    ArrayRule(oxt.TIMES, "", "iuf", "times", _time_problem, "times that rise in each episode"),
     ArrayRule(oxt.INSTRUCTION, "", "U"),
     ArrayRule(_CAMERA, "H W 3", "B"),
     ArrayRule("((left|right)_wrist|camera_ego)_pose", "6", "f", *_FINITE),
@@ -96,14 +96,19 @@ RULES = (
         f"slots below {_SLOTS}",
     ),
     ArrayRule(
-        r"\w+?_tactile_type_.+", "", "U", "type", partial(_is_text, _TYPES), f"one of {_TYPES} in all frames"
+        r"\w+?_tactile_type_.+",
+        "",
+        "U",
+        "type",
+        partial(_text_problem, _TYPES),
+        f"one of {_TYPES} in all frames",
     ),
     ArrayRule(
         r"\w+?_tactile_sensor_.+",
         "",
         "U",
         "sensor",
-        partial(_is_text, _SENSORS),
+        partial(_text_problem, _SENSORS),
         f"a name, such as {oxt.SENSOR}, in all frames",
     ),
     PICTURES,
@@ -113,9 +118,9 @@ RULES = (
 
 
 def oxt_findings(home: store.DataFolder, file: str = "") -> list[RecordingFinding]:
-    """Check a group of Zarr, in a folder or zip, against the contract of FTP-1; empty if it conforms.
+    """Check a Zarr group, in a folder or zip, against the contract of FTP-1; empty if it conforms.
 
-    Every chunk is unpacked once. InputError if there is no group, or nothing in it.
+    Every chunk is unpacked once. Raises InputError if there is no group, or if it is empty.
     """
     group = zarr_recordings.group_in(store.open_folder(home.address(file)))
     return [
@@ -129,13 +134,12 @@ def _problems(group: zarr_arrays.ZarrGroup) -> Iterator[_Problem]:
     for name in names:
         try:
             array = group.array(f"{zarr_recordings.DATA}/{name}")
-            for _ in array.blocks():
-                pass
-            if array.dtype.kind in "SU":  # of which the letters are looked at, too
+            deque(array.blocks(), maxlen=0)
+            if array.dtype.kind in "SU":  # its characters are checked, too
                 _values(array, array.shape[0])
             arrays[name] = array
         except errors.InputError as error:
-            yield "readable", name, error.what, "an array of Zarr that can be read completely"
+            yield "readable", name, error.what, "a Zarr array that can be read completely"
     lengths = Counter(array.shape[0] for array in arrays.values())
     frames = next((size for size, _ in lengths.most_common(1)), 0)
     starts = np.arange(frames)
@@ -149,15 +153,15 @@ def _problems(group: zarr_arrays.ZarrGroup) -> Iterator[_Problem]:
             yield rule, zarr_recordings.DATA, "no such array", f"an array that is called {pattern}"
         for name in dict.fromkeys(each.format(**groups) for groups in found for each in wanted):
             if name not in names:
-                yield rule, name, "no such array", "an array with an entry a frame"
+                yield rule, name, "no such array", "an array with an entry for each frame"
     for name, array in arrays.items():
         if array.shape[0] != frames:
-            yield "length", name, f"{array.shape}", f"{frames:,} entries, one a frame"
+            yield "length", name, f"{array.shape}", f"{frames:,} entries, one for each frame"
     yield from _unfit(arrays, frames, starts)
 
 
 def _unfit(arrays: dict[str, picture_arrays.StoredArray], frames: int, starts: Int64) -> Iterator[_Problem]:
-    """Yield what does not fit the rules."""
+    """Yield the arrays that do not fit the rules."""
     lengths, types = defaultdict[str, dict[str, int]](dict), dict[str, list[str]]()
     for rule in RULES:
         for name in filter(partial(re.fullmatch, rule.names), arrays):
@@ -180,12 +184,12 @@ def _unfit(arrays: dict[str, picture_arrays.StoredArray], frames: int, starts: I
 
 
 def _values(array: picture_arrays.StoredArray, frames: int) -> AnyArray | None:
-    """Return the values of an array with few numbers a frame; None for all others."""
+    """Return the values of an array with few numbers for each frame; None for other arrays."""
     return picture_arrays.columns_of({"": lambda: array}, frames, ())[0].get("")
 
 
 def _fits(array: picture_arrays.StoredArray, rule: ArrayRule, lengths: dict[str, int]) -> bool:
-    """Return whether an array has the axes and the type of a rule; takes note of lengths."""
+    """Return whether an array has the axes and the type of a rule; add new lengths to ``lengths``."""
     sizes, axes = array.shape[1:], rule.axes.split()
     if axes[-1:] == ["..."]:
         axes = [*axes[:-1], *(f"axis {number}" for number in range(max(1, len(sizes) - len(axes) + 1)))]

@@ -1,7 +1,7 @@
 """Sizes of Parquet pages: Arrow allocates what a header states, so headers of untrusted files are checked.
 
-Facts of the format: a column of a row group is a run of pages. Each begins with a header in the compact
-protocol of Thrift, whose fields 2 and 3 are the sizes of the page, unpacked and stored.
+Facts of the format: a column of a row group is a sequence of pages. Each begins with a header in the compact
+protocol of Thrift; its fields 2 and 3 are the sizes of the page, unpacked and stored.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import IO
 
 _UNPACKED, _STORED = 2, 3  # fields of a header
-_HEADER_BYTES = (1 << 10, 1 << 24)  # read at first, and of a long header; Arrow reads no longer one
+_HEADER_BYTES = (1 << 10, 1 << 24)  # read at first, and for a long header; Arrow reads no longer ones
 _MAX_PAGES = 1 << 20
 _SPARE_BYTES = 100  # by which old writers understate the size of a column
 _BOOLEANS, _BYTE, _INTEGERS, _DOUBLE, _BINARY, _LISTS, _STRUCT = (1, 2), 3, (4, 5, 6), 7, 8, (9, 10), 12
@@ -17,9 +17,9 @@ _MAX_BITS = 63
 
 
 def require_bounded_pages(stream: IO[bytes], start: int, stored_bytes: int, most_bytes: int) -> None:
-    """Raise ValueError where a page in a range of a file states more bytes than it can have.
+    """Raise ValueError if a page in a range of a file states more bytes than it can have.
 
-    ``most_bytes`` is the limit for a page unpacked.
+    ``most_bytes`` is the limit for an unpacked page.
     """
     at, end = start, start + stored_bytes
     for _ in range(_MAX_PAGES):
@@ -50,7 +50,7 @@ def _header(stream: IO[bytes], at: int) -> tuple[dict[int, int], int]:
 
 
 def _end_of_struct(data: bytes, at: int, integers: dict[int, int]) -> int:
-    """Return where a struct ends; IndexError if that is behind the data."""
+    """Return the end of a struct; IndexError if that is beyond the data."""
     field = 0
     while data[at]:
         step, kind = data[at] >> 4, data[at] & 15
@@ -76,9 +76,11 @@ def _end_of_value(data: bytes, at: int, kind: int) -> int:
         count, element, at = data[at] >> 4, data[at] & 15, at + 1
         if count == 15:
             count, at = _varint(data, at)
+        if element in _BOOLEANS:
+            element = _BYTE
         for _ in range(count):
-            _ = data[at]  # the data end somewhere
-            at = _end_of_value(data, at, _BYTE if element in _BOOLEANS else element)
+            _ = data[at]  # raises IndexError at the end of the data
+            at = _end_of_value(data, at, element)
         return at
     sizes = {**dict.fromkeys(_BOOLEANS, 0), _BYTE: 1, _DOUBLE: 8}
     if kind not in sizes:

@@ -1,7 +1,7 @@
 """Arrays from other programs: pictures with a channel axis, and columns with a row for each picture.
 
-Arrays of 8 bits are taken as they are. Of all others, every value is looked at before anything is made: only
-what 8 bits hold without loss is converted.
+Arrays of 8 bits are taken as they are. Every value of another array is checked before a picture is made: only
+values that 8 bits hold without loss are converted.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Literal
 
 import numpy as np
 
@@ -19,23 +20,23 @@ from tactile_toolkit.array_types import AnyArray, Floating, UInt8
 
 _CHANNELS = (1, 3)
 _MAX_LEVEL = 255
-# What values may be multiples of, the first that fits: of floats 1/255 or 1, of integers 1, 257 or 256.
+# Values may be multiples of one of these; the first that fits is taken.
 _DIVISORS = {"f": (1 / _MAX_LEVEL, 1.0), "u": (1.0, 257.0, 256.0), "i": (1.0, 257.0, 256.0)}
-_COMPRESSION = 8  # how much better than other files arrays of pictures may compress
-_MAX_UNSTORED = 20_000  # pictures that may be stored in next to nothing
+_COMPRESSION = 8  # arrays of pictures may compress this many times better than other files
+_MAX_UNSTORED = 20_000  # pictures that may take almost no bytes
 _MIN_PICTURE_BYTES = 64
-_MIN_TOLERANCE = 1e-3  # levels; what single precision rounds off
-_MAX_NUMBERS = 256  # that are said of a picture in one array
-_LARGEST_LETTER = 0x10FFFF
+_MIN_TOLERANCE = 1e-3  # levels; rounding errors of single precision
+_MAX_NUMBERS = 256  # for each picture in one array
+_LAST_CODE_POINT = 0x10FFFF
 _SURROGATES = (0xD800, 0xDFFF)
 
 
 @dataclass(frozen=True, eq=False)
 class StoredArray:
-    """An array of any format, whose metadata were checked: numbers, or text of a fixed length.
+    """An array of any format with checked metadata: numbers, or text of a fixed length.
 
-    ``block(n)`` reads the rows along the first axis from ``n * step`` on: ``step`` of them, or all that are
-    left. ``stored_bytes()`` is about how many bytes are stored of the array.
+    ``block(n)`` reads ``step`` rows along the first axis from ``n * step`` on, or the remaining ones.
+    ``stored_bytes()`` returns the approximate size of the stored array in bytes.
     """
 
     place: str
@@ -63,7 +64,7 @@ class StoredArray:
 class PictureArray:
     """Pictures along the first axis; values divided by ``divisor`` are levels from 0 to 255.
 
-    ``sensor`` is the number along the second axis, of pictures of several sensors.
+    ``sensor`` is the index along the second axis, if the array has pictures of several sensors.
     """
 
     array: StoredArray
@@ -72,7 +73,7 @@ class PictureArray:
 
     @classmethod
     def of(cls, array: StoredArray, sensor: int | None = None) -> PictureArray:
-        """Look at an array; InputError for one that does not hold pictures of 8 bits."""
+        """Check an array; InputError unless it holds pictures that 8 bits can hold."""
         pictures, stored = cls(array, sensor=sensor), array.stored_bytes()
         count = math.prod(array.shape)
         bounds.require_unpackable(
@@ -87,19 +88,21 @@ class PictureArray:
         if array.dtype.kind not in _DIVISORS:
             raise array.refused(f"pictures of type {array.dtype}; expected numbers from 0 to 255")
         most = _MAX_UNSTORED + stored // _MIN_PICTURE_BYTES
-        if len(pictures) > most:  # each takes time, though it need not take a byte
+        if len(pictures) > most:  # each takes time, even if it takes no bytes
             raise array.refused(
                 f"{wording.with_count(len(pictures), 'pictures')} in {stored:,} bytes; expected at most "
                 f"{most:,}"
             )
-        return pictures if array.dtype == np.uint8 else cls(array, pictures._lossless(), sensor)
+        if array.dtype == np.uint8:
+            return pictures
+        return cls(array, pictures._lossless_divisor(), sensor)
 
     def __len__(self) -> int:
         return self.array.shape[0]
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Pictures, height, width and channels, as far as there are such axes."""
+        """Number of pictures, height, width and channels, as far as there are such axes."""
         return self._upright(np.broadcast_to(np.uint8(0), self.array.shape)).shape
 
     def _upright(self, values: AnyArray) -> AnyArray:
@@ -120,17 +123,21 @@ class PictureArray:
         return found.repeat(3 // found.shape[3], axis=3)
 
     def described(self) -> str:
-        """Return what is done to the pictures; empty if they are taken as they are."""
+        """Return how the pictures are converted; empty if they are taken as they are."""
         axes = len(self.array.shape) - (self.sensor is not None)
-        words = ["channels first"] * (axes == 4 and self.array.shape[-1] not in _CHANNELS)
-        words += ["one channel"] * (self.shape[3] == 1)
-        if self.array.dtype != np.uint8:
-            top = self.divisor * _MAX_LEVEL
-            words.append(f"{self.array.dtype} from 0 to {top:g}, taken as levels from 0 to {_MAX_LEVEL}")
-        return ", ".join([*words, "without loss"] if words else words)
+        top = self.divisor * _MAX_LEVEL
+        applies = {
+            "channels first": axes == 4 and self.array.shape[-1] not in _CHANNELS,
+            "one channel": self.shape[3] == 1,
+            f"{self.array.dtype} from 0 to {top:g}, taken as levels from 0 to {_MAX_LEVEL}": (
+                self.array.dtype != np.uint8
+            ),
+        }
+        words = [text for text, is_so in applies.items() if is_so]
+        return ", ".join([*words, "without loss"]) if words else ""
 
-    def _lossless(self) -> float:
-        """Return what all values are multiples of; InputError if 8 bits would lose some."""
+    def _lossless_divisor(self) -> float:
+        """Return a number of which all values are multiples; InputError if 8 bits would lose some."""
         dtype, tolerance = self.array.dtype, _MIN_TOLERANCE
         if dtype.kind == "f":
             tolerance = max(tolerance, float(np.finfo(dtype.name).eps) * _MAX_LEVEL)
@@ -149,48 +156,53 @@ class PictureArray:
 
 
 def _fits(levels: Floating, tolerance: float) -> bool:
-    """Return whether values are integers from 0 to 255, as far as rounding shows; False for NaN."""
+    """Return whether values are integers from 0 to 255, within a tolerance; False for NaN."""
     nearest = np.rint(levels)
     inside = (nearest >= 0) & (nearest <= _MAX_LEVEL)
     return bool((inside & (np.abs(levels - nearest) <= tolerance)).all())
 
 
 OpenPictures = Callable[[str, str, str], PictureArray]
-"""Opens the pictures that a touch is some of, given its ``home``, ``path`` and ``part``."""
+"""Opens the array with the pictures of a touch, given its ``home``, ``path`` and ``part``."""
 
 
 def read_pictures(
     place: importing.PicturePlace, numbers: Sequence[int], opened: OpenPictures
 ) -> Iterator[bytes]:
-    """Yield some pictures of an array, images as PNG, those of clips as JPEG; a block is read once."""
+    """Yield pictures of an array by their numbers: images as PNG, pictures of clips as JPEG.
+
+    Consecutive pictures of a block read it once.
+    """
     pictures, pixels = opened(*place.file, place.part), lru_cache(1)(PictureArray.pixels)
+    encoding: Literal["jpeg", "png"] = "jpeg" if place.frames else "png"
     for number in numbers:
         block, row = divmod(number, pictures.array.step)
-        yield touch.encode_image(pixels(pictures, block)[row], "jpeg" if place.frames else "png")
+        yield touch.encode_image(pixels(pictures, block)[row], encoding)
 
 
 def described_pictures(touches: importing.FoundTouches, opened: OpenPictures) -> str:
-    """Return what is done to the pictures of some touches; empty if they are taken as they are."""
+    """Return how the pictures of some touches are converted; empty if they are taken as they are."""
     first = touches[0]
     words = [opened(first.home, first.path, first.part).described()]
-    words += ["pictures of clips encoded as JPEG of quality 95"] * bool(first.frames)
+    if first.frames:
+        words.append("pictures of clips encoded as JPEG of quality 95")
     return "; ".join(filter(None, words))
 
 
 def columns_of(
     arrays: Mapping[str, Callable[[], StoredArray]], frames: int, wanted: Collection[str]
 ) -> tuple[dict[str, AnyArray], list[str]]:
-    """Read what is said of each picture: shape (frames,), or (frames, k) of vectors and matrices.
+    """Read fields of each picture: shape (frames,), or (frames, k) for vectors and matrices.
 
-    Takes functions that open arrays, by name. Returns what is left out, too, with its shape. InputError if
-    one of those is wanted.
+    ``arrays`` holds functions that open arrays, by name. Also returns the names of the arrays that are left
+    out, each with its shape or the reason. Raises InputError if such an array is wanted.
     """
     found: dict[str, AnyArray] = {}
     others, size = [], 0
     for name, opened in arrays.items():
         try:
             array = opened()
-        except errors.InputError:  # which names the place of the source
+        except errors.InputError:  # its message, which names the place of the source, is not kept
             if name in wanted:
                 raise
             others.append(f"{name} (cannot be read)")
@@ -199,7 +211,7 @@ def columns_of(
         if array.shape[:1] == (frames,) and 0 < width <= _MAX_NUMBERS:
             size += frames * width * array.dtype.itemsize
             bounds.require_unpackable(size, f"{array.place}, with all arrays before it,")
-            rows = _letters_checked(array).reshape(frames, width)
+            rows = _rows_with_checked_text(array).reshape(frames, width)
             found[name] = rows[:, 0] if width == 1 else rows
         elif name in wanted:
             raise array.refused(f"an array {array.shape}; expected {frames:,} rows of numbers, as frames")
@@ -208,8 +220,8 @@ def columns_of(
     return found, others
 
 
-def _letters_checked(array: StoredArray) -> AnyArray:
-    """Return numbers as they are, and text as Unicode; InputError for text that is not."""
+def _rows_with_checked_text(array: StoredArray) -> AnyArray:
+    """Return all rows, text as Unicode; InputError for text that is not Unicode."""
     rows = array.rows()
     try:
         if rows.dtype.kind == "S":
@@ -217,8 +229,8 @@ def _letters_checked(array: StoredArray) -> AnyArray:
     except UnicodeDecodeError as error:
         raise array.refused("bytes that are not UTF-8; expected text") from error
     if rows.dtype.kind == "U":
-        letters = np.ascontiguousarray(rows).view(np.uint32)
+        points = np.ascontiguousarray(rows).view(np.uint32)
         low, high = _SURROGATES
-        if letters.max(initial=0) > _LARGEST_LETTER or ((letters >= low) & (letters <= high)).any():
+        if points.max(initial=0) > _LAST_CODE_POINT or ((points >= low) & (points <= high)).any():
             raise array.refused("letters that are not Unicode; expected text")
     return rows

@@ -1,4 +1,4 @@
-"""Replay buffers of Diffusion Policy: groups of Zarr with the arrays ``tactile``, ``state``, ``action``."""
+"""Replay buffers of Diffusion Policy: Zarr groups with the arrays ``tactile``, ``state`` and ``action``."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def find_replay(
 ) -> Iterator[importing.Recording]:
     """Yield a recording for each episode of the buffer; its arrays are columns.
 
-    What an array of others means does not follow from its shape; a buffer of this toolkit states its names.
+    The meaning of an array does not follow from its shape; only a buffer of this toolkit states its columns.
     """
     group = zarr_recordings.group_in(home)
     names = zarr_recordings.data_arrays(group)

@@ -1,7 +1,7 @@
 """The layout of Sparsh: pickled lists of encoded images, and the picture of a gel at rest.
 
-Facts of the format: ``DATASET.pkl`` is a list of the bytes of image files, in their order; the background is
-``bgs/bg_gs.jpg``. Labels, for which the format has no place, lie in a CSV table of the same name.
+Facts of the format: ``DATASET.pkl`` is a list of the bytes of image files, in order; the background is
+``bgs/bg_gs.jpg``. The format has no place for labels: they are in a CSV table of the same name.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from tactile_toolkit import column_types, errors, store
 
 # No image is smaller; a million empty ones would take long to check.
 _MIN_IMAGE_BYTES = 24
-# How many bytes of an opcode come before the content.
+# Number of bytes of an opcode before its content.
 _HEADER_BYTES = {"SHORT_BINBYTES": 2, "BINBYTES": 5, "BINBYTES8": 9}
 _OF_LISTS = frozenset(
     ["PROTO", "FRAME", "EMPTY_LIST", "MARK", "MEMOIZE", "BINPUT", "LONG_BINPUT", "APPEND", "APPENDS", "STOP"]
@@ -37,7 +37,7 @@ _MAX_IN_MEDIAN = 256
 
 
 def places_of_images(stream: IO[bytes], name: str) -> Iterator[tuple[int, int]]:
-    """Yield place and size of each image in a pickled list; executes nothing of it."""
+    """Yield offset and size of each image in a pickled list, without executing the pickle."""
     lists = 0
     try:
         for opcode, content, position in pickletools.genops(stream):
@@ -50,7 +50,7 @@ def places_of_images(stream: IO[bytes], name: str) -> Iterator[tuple[int, int]]:
                 yield position + _HEADER_BYTES[opcode.name], len(content)
             elif opcode.name not in _OF_LISTS or lists > 1:
                 raise errors.InputError(
-                    f"{name!r} holds something else than a list of encoded images ({opcode.name})",
+                    f"{name!r} does not hold one list of encoded images ({opcode.name})",
                     next="write one list of `bytes` with pickle protocol 3 or higher",
                 )
     except (ValueError, OverflowError, MemoryError) as error:
@@ -76,15 +76,15 @@ def find_sparsh(
         said = {"split": column_types.repeated(split, len(places))}
         if table is not None or beside in files:
             lines = importing.read_table(folder, beside, columns)
-            if lines.rows != len(places):  # else they would be of other images
+            if lines.rows != len(places):  # rows might belong to other images
                 raise errors.InputError(
-                    f"{beside!r} has {lines.rows:,} lines; expected {len(places):,}, one for each image of "
+                    f"{beside!r} has {lines.rows:,} rows; expected {len(places):,}, one for each image of "
                     f"{name!r}"
                 )
             said |= lines.columns
-        called = [f"{stem}_{count:06d}" for count in range(len(places))]
+        touch_names = [f"{stem}_{count:06d}" for count in range(len(places))]
         starts, sizes = [place[0] for place in places], [place[1] for place in places]
-        yield importing.FoundTouches.of(called, home.address(), name, said, start=starts, size=sizes)
+        yield importing.FoundTouches.of(touch_names, home.address(), name, said, start=starts, size=sizes)
 
 
 def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[NamedImage]) -> convert.Made:
@@ -97,10 +97,11 @@ def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[NamedImage])
 
 
 def _with_texts(index: pa.Table) -> pa.Table:
-    """Return a table whose vectors are JSON texts; CSV has no lists."""
+    """Return a table with vectors as JSON texts, as CSV has no lists."""
     for place, field in enumerate(index.schema):
         if pa.types.is_nested(field.type):
-            texts = [value and json.dumps(value) for value in index[field.name].to_pylist()]
+            values = index[field.name].to_pylist()
+            texts = [None if value is None else json.dumps(value) for value in values]
             index = index.set_column(place, field.name, pa.array(texts, pa.string()))
     return index
 

@@ -1,7 +1,7 @@
-"""Formats with a row a touch: the stored image as it is, and plain columns that every reader of tables knows.
+"""Formats with a row for each touch: the image as it is stored, and columns that every table reader can read.
 
-Of clips, a touch shows one frame. A format packs the touches of a shard into files of its own, and may write
-others once all shards are there.
+If touches are clips, a row shows one frame. A format packs the touches of a shard into its own files, and may
+write further files after the last shard.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ _GROUP_BYTES = 32 << 20
 _MAX_ROWS_PER_GROUP = 1 << 14
 
 NamedImage = tuple[str, memoryview]
-"""The name of the file of an image, and its bytes as they are stored."""
+"""The file name of an image, and its bytes as they are stored."""
 
 PackTouches = Callable[[store.ShardName, pa.Table, Iterator[NamedImage]], convert.Made]
-"""Makes files of the touches of a shard, given their plain columns and images; returns an index, too."""
+"""Makes the files of a shard from the plain columns and the images of its touches; also returns an index."""
 
 
 @dataclass(frozen=True)
 class TouchFormat:
     """A format of files below ``folder``; without one, the rows are the format.
 
-    ``pack`` makes the files of a shard, ``write_files`` those that follow from all rows. With ``no_gaps``, no
-    shard may be empty, as its files are numbered.
+    ``pack`` makes the files of a shard, ``write_files`` those that follow from all rows. With ``no_gaps`` no
+    shard may be empty, as the numbers of files have no gaps.
     """
 
     folder: str = ""
@@ -49,10 +49,11 @@ class TouchFormat:
         method: contact.ContactMethod,
         options: Mapping[str, object],
     ) -> convert.Conversion:
-        """Plan an export with a row for each touch; of clips, a touch shows the frame by some method."""
+        """Plan an export with a row for each touch; for clips, ``method`` chooses the frame."""
         if source.kind == "seq":
             source.require_frame(method)
             options = {**options, "frame": method}
+        pack = None if self.pack is None else partial(self._pack_shard, self.pack)
         return convert.Conversion(
             source,
             "export",
@@ -62,20 +63,20 @@ class TouchFormat:
             rows_per_group=max(1, min(_MAX_ROWS_PER_GROUP, _GROUP_BYTES // source.image_bytes())),
             extra_dirs=tuple(filter(None, [self.folder])),
             write_files=self.write_files,
-            pack=self.pack and partial(self._pack_shard, self.pack),
+            pack=pack,
         )
 
     def _pack_shard(
         self, pack: PackTouches, shard: store.ShardName, rows: pa.Table, skipped: Sequence[store.Skipped]
     ) -> convert.Made:
-        """Return the files of a shard, and plain columns as its index; an empty shard has no files."""
+        """Return the files of a shard, with the plain columns as index; an empty shard has no files."""
         index = rows.drop_columns([_IMAGE])
         if len(rows):
             return pack(shard, index, _images_of(rows[_IMAGE]))
         if self.no_gaps:
             raise errors.IntegrityError(
-                f"{shard}: no round is left, the first because {skipped[0].message}; files are numbered "
-                "without gaps; nothing of this file was written",
+                f"{shard}: every round was left out, the first because {skipped[0].message}; files are "
+                "numbered without gaps, so nothing of this file was written",
                 next="leave it out (`realtouch select`)",
             )
         return convert.with_files(index, {})
@@ -90,9 +91,9 @@ def _images_of(column: pa.ChunkedArray) -> Iterator[NamedImage]:
 
 @dataclass(frozen=True)
 class _Touches:
-    """Step of ``export``: a row becomes one row for each touch; of clips, with the frame of the contact.
+    """Step of ``export``: a round becomes a row for each touch; for clips, with the frame of the contact.
 
-    JPEGs pass through as they are stored. ``names`` are those of the classes.
+    JPEGs pass through as they are stored. ``names`` are the names of the classes.
     """
 
     method: contact.ContactMethod
@@ -116,7 +117,7 @@ class _Touches:
         return pa.schema([*convert.schema_of(source, wanted), *convert.plain_extras(source).values()])
 
     def apply(self, row: stored_round.StoredRound, choice: convert.RowChoice, split: str) -> convert.Made:
-        """Return the touches of a row; a round with a damaged touch is left out as a whole."""
+        """Return the touches of a round; a round with a damaged touch is left out as a whole."""
         row.label_value(self.names)
         shown = list(convert.shown_touches(row, self.method))
         columns = convert.columns_of_touches(row, shown, self.names)

@@ -17,17 +17,18 @@ from tactile_toolkit import store
 _FOLDER = "webdataset"
 _WITHOUT_NAN = json.JSONEncoder(ensure_ascii=False, separators=(",", ":"), allow_nan=False)
 _encode = msgspec.json.Encoder().encode
-# What msgspec, which takes a tenth of the time, writes in another way than `json`: infinity, and numbers that
-# one of them writes with an exponent.
-_OTHERWISE = (b"null", b"0.0000")
+# Signs of values that msgspec, which is ten times as fast, writes in another way than `json`: NaN, infinity,
+# and numbers that one of them writes with an exponent.
+_UNLIKE_JSON = (b"null", b"0.0000")
 _EXPONENT = re.compile(rb"e[-\d]")
-# Of a header (POSIX.1-1988, ustar): name, size and checksum, which is the sum of all bytes with blanks there.
+# Fields of a header (POSIX.1-1988, ustar): name, size and checksum. The checksum is the sum of all bytes,
+# with blanks in its own place.
 _NAME_BYTES, _SIZE, _SUM = 100, slice(124, 135), slice(148, 154)
 _HEADER = tarfile.TarInfo().tobuf(tarfile.USTAR_FORMAT)
 _SUM_OF_OTHERS = int(_HEADER[_SUM], 8) - sum(_HEADER[_SIZE])
 
 Sample = tuple[str, bytes | memoryview, Mapping[str, object]]
-"""The name of an image, its bytes, and what its JSON file says."""
+"""The name of an image, its bytes, and the fields for its JSON file."""
 
 
 def tar_of(samples: Iterable[Sample]) -> bytes:
@@ -43,14 +44,14 @@ def tar_of(samples: Iterable[Sample]) -> bytes:
 
 
 def _header(member: str, size: int) -> bytes:
-    """Return the header of a file as `tarfile` writes it, ten times as fast unless its name is long."""
+    """Return the header of a file as `tarfile` writes it, but ten times as fast unless the name is long."""
     name, digits = member.encode(), b"%011o" % size
     if len(name) > _NAME_BYTES:
         header = tarfile.TarInfo(member)
         header.size = size
         try:
             return header.tobuf(tarfile.USTAR_FORMAT)
-        except ValueError:  # a name without a place to divide it
+        except ValueError:  # ustar cannot divide the name
             return header.tobuf(tarfile.PAX_FORMAT)
     found = bytearray(_HEADER)
     found[: len(name)] = name
@@ -60,9 +61,9 @@ def _header(member: str, size: int) -> bytes:
 
 
 def _json_of(fields: Mapping[str, object]) -> bytes:
-    """Return fields as `json` writes them; a missing number is null in JSON, which has no NaN."""
+    """Return fields as `json` writes them; NaN becomes null, as JSON has no NaN."""
     content = _encode(fields)
-    if not (any(each in content for each in _OTHERWISE) or _EXPONENT.search(content)):
+    if not (any(each in content for each in _UNLIKE_JSON) or _EXPONENT.search(content)):
         return content
     try:
         return _WITHOUT_NAN.encode(fields).encode()

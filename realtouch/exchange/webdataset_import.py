@@ -1,4 +1,4 @@
-"""WebDataset as touches: an image and what lies next to it, in tars, by headers and short texts alone."""
+"""WebDataset as touches: an image and the files of the same key in a tar; images are not read."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from realtouch import importing, tars
 from tactile_toolkit import column_types, errors, store
 from tactile_toolkit.json_types import JsonDict, JsonObject
 
-# How files of gzip, bzip2, xz and Zstandard begin.
-_PACKED = (b"\x1f\x8b", b"BZh", b"\xfd7zX", b"\x28\xb5\x2f\xfd")
+# First bytes of files of gzip, bzip2, xz and Zstandard.
+_COMPRESSED = (b"\x1f\x8b", b"BZh", b"\xfd7zX", b"\x28\xb5\x2f\xfd")
 _MAX_FIELDS = 1000
 _MAX_TEXT_BYTES = 1 << 20  # longer files with fields are not read
 
@@ -27,7 +27,7 @@ _MAX_TEXT_BYTES = 1 << 20  # longer files with fields are not read
 def find_webdataset(
     home: store.DataFolder, columns: importing.ImportColumns, table: str | None
 ) -> Iterator[importing.FoundTouches]:
-    """Yield the samples of each tar as touches, by their headers and JSON files alone."""
+    """Yield the samples of each tar as touches; only headers and short texts are read."""
     if table is not None:
         raise errors.InputError(
             "--table applies to folders of images; a WebDataset has JSON files", next="leave out --table"
@@ -48,19 +48,19 @@ def find_webdataset(
 
 
 def _touches(folder: store.DataFolder, name: str, samples: Sequence[_Sample]) -> importing.FoundTouches:
-    """Return the samples of a tar; of samples with the same key, the first one can be used."""
+    """Return the samples of a tar; of samples with the same key, only the first can be used."""
     problems = {number: sample.problems[0] for number, sample in enumerate(samples) if sample.problems}
     problems |= importing.duplicates_of([sample.key for sample in samples], "key as in sample {} of this tar")
     names = dict.fromkeys(field for sample in samples for field in sample.values)
     if len(names) > _MAX_FIELDS:
         raise errors.InputError(
             f"{folder.address(name)!r} has {len(names):,} different fields; the limit is {_MAX_FIELDS:,}",
-            next="check that the names of fields are no values",
+            next="check that no names of fields are values",
         )
     said = {}
     for field in names:
         column = column_types.from_values([sample.values.get(field) for sample in samples])
-        if pa.types.is_string(column.type) and any(field in sample.texts for sample in samples):
+        if pa.types.is_string(column.type) and any(field in sample.endings for sample in samples):
             column = column_types.from_text(column)
         said[field.encode(errors="backslashreplace").decode()] = column
     return importing.FoundTouches.of(
@@ -90,14 +90,14 @@ _NO_FILE = _Member("", "", 0, 0, b"")
 def _members(folder: store.DataFolder, name: str) -> Iterator[_Member]:
     try:
         with importing.open_source(folder, name) as stream:
-            if stream.read(4).startswith(_PACKED):
+            if stream.read(4).startswith(_COMPRESSED):
                 raise errors.InputError(
                     f"{folder.address(name)!r} is compressed; expected a tar", next="unpack it"
                 )
             stream.seek(0)
             for member in tars.files_of_tar(stream, folder.size_bytes(name)):
                 start, path = member.offset_data, importing.path_of(member.name)
-                if store.is_hidden(path):  # as archives of a Mac have, one for each file
+                if store.is_hidden(path):  # macOS adds such a file to archives for each file
                     continue
                 directory, slash, base = path.rpartition("/")
                 stem, _, ending = base.partition(".")
@@ -115,17 +115,17 @@ def _members(folder: store.DataFolder, name: str) -> Iterator[_Member]:
 
 @lru_cache(maxsize=256)
 def _is_image(ending: str) -> bool:
-    """Return whether an ending is that of an image; there may be several: ``rgb.jpg``."""
+    """Return whether an ending is that of an image; the ending may have several parts, as ``rgb.jpg``."""
     return ending.lower().rpartition(".")[2] in importing.IMAGE_ENDINGS
 
 
 class _Sample(NamedTuple):
-    """The files of one key: the image, what is said of it, by which files of text, and what is wrong."""
+    """The files of one key: the image, its fields, the endings of all files, and the problems."""
 
     key: str
     image: _Member
     values: JsonObject
-    texts: Collection[str]
+    endings: Collection[str]
     problems: Sequence[errors.ItemError]
 
 
@@ -155,20 +155,20 @@ def _sample(key: str, members: Sequence[_Member], columns: importing.ImportColum
                 problems.append(error)
         elif not _is_image(member.ending):
             values.setdefault(member.ending, member.content.decode(errors="surrogateescape").strip())
-    # JSON may hold one half of a surrogate pair without the other, which cannot be stored.
+    # JSON may hold one half of a surrogate pair, which cannot be stored.
     texts = {name: value for name, value in values.items() if isinstance(value, str)}
-    if not "".join(texts.values()).isascii():  # text by text only then: this runs for each image
+    if not "".join(texts.values()).isascii():  # a fast test first, as this runs for each image
         wrong = [name for name, text in texts.items() if text.encode(errors="ignore").decode() != text]
         for name in wrong:
             problems.append(errors.ItemError("json", f"its field {name!r} holds text that is not Unicode"))
             values = {}
-    files = {member.ending for member in members}
-    return _Sample(key, next(iter(images), _NO_FILE), values, files, problems)
+    endings = {member.ending for member in members}
+    return _Sample(key, next(iter(images), _NO_FILE), values, endings, problems)
 
 
 def _fields(content: bytes) -> JsonDict:
     try:
-        # Five times as fast; `json` reads more: NaN, numbers out of range, marks of the byte order.
+        # msgspec is five times as fast; `json` also reads NaN, numbers out of range and byte order marks.
         with suppress(msgspec.MsgspecError, UnicodeDecodeError):
             return dict(msgspec.json.decode(content))
         return dict(json.loads(content))

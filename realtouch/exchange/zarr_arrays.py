@@ -1,6 +1,6 @@
 """Groups of Zarr 2 and 3 from other programs, in a folder or zip; codecs that run code are refused.
 
-Metadata of an array are checked before a chunk is opened, see :mod:`realtouch.exchange.zarr_layouts`.
+The metadata of an array are checked before a chunk is opened; see :mod:`realtouch.exchange.zarr_layouts`.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from tactile_toolkit.json_types import JsonDict
 
 _METADATA = {2: ".zarray", 3: "zarr.json"}
 _MAX_METADATA_BYTES = 1 << 20
-_SPARE_BYTES = 1 << 16  # that a chunk which does not compress may take beyond its values
+_SPARE_BYTES = 1 << 16  # a chunk that does not compress may be this much larger than its values
 
 
 class ZarrGroup:
-    """A group, by its path below the source: a folder, or a file ``.zip``."""
+    """A group, given by its path below the source: a folder or a ``.zip`` file."""
 
     def __init__(self, home: store.DataFolder, path: str) -> None:
         self.home, self.path, self.place = home, path, home.address(path)
@@ -55,7 +55,7 @@ class ZarrGroup:
         return f"{self.path}/{path}".strip("/")
 
     def read(self, path: str, most: int = _MAX_METADATA_BYTES) -> bytes | None:
-        """Return a file of the group, of ``most`` bytes at most; None if it does not exist."""
+        """Return a file of the group, at most ``most`` bytes; None if it does not exist."""
         try:
             with self._open(path) as stream:
                 found = stream.read(most + 1)
@@ -74,10 +74,10 @@ class ZarrGroup:
         try:
             return dict(json.loads(self.read(path) or b"{}"))
         except (ValueError, TypeError, RecursionError) as error:
-            raise self.refused(path, "no JSON object; expected what Zarr states of an array") from error
+            raise self.refused(path, "no JSON object; expected metadata of Zarr") from error
 
     def arrays(self, folder: str) -> dict[str, object]:
-        """Return what is stated as the shapes of the arrays directly in a folder of the group, unchecked."""
+        """Return the stated shapes of the arrays directly in a folder of the group, unchecked."""
         if self.is_zip:
             names = {path.removeprefix(f"{folder}/").partition("/")[0] for path in self._archive.NameToInfo}
         else:
@@ -87,12 +87,12 @@ class ZarrGroup:
         return {name: each["shape"] for name, each in stated.items() if "shape" in each}
 
     def _stated(self, path: str) -> tuple[int, JsonDict]:
-        """Return the version of Zarr of an array, and its metadata; 0 and empty if it does not exist."""
+        """Return the Zarr version and the metadata of an array; 0 and empty if it does not exist."""
         found = {version: self.json(f"{path}/{name}") for version, name in _METADATA.items()}
         return next(((version, stated) for version, stated in found.items() if stated), (0, {}))
 
     def array(self, path: str) -> picture_arrays.StoredArray:
-        """Return an array whose metadata were checked; InputError for one that cannot be read."""
+        """Return an array after a check of its metadata; InputError if it cannot be read."""
         version, stated = self._stated(path)
         try:
             layout = zarr_layouts.LAYOUTS[version](stated)
@@ -111,7 +111,7 @@ class ZarrGroup:
         return errors.InputError(f"{where!r}: {problem}")
 
     def _stored_bytes(self, path: str) -> int:
-        """Return how many bytes are stored of an array: of a group in a zip, those of the zip."""
+        """Return the size of the stored array in bytes; for a zipped group, the size of the zip."""
         if self.is_zip:
             return self.home.size_bytes(self.path)
         return sum(map(self.home.size_bytes, self.home.walk(self._below(path))))
@@ -121,11 +121,12 @@ class ZarrGroup:
         size = (min(step, layout.shape[0] - number * step), *layout.shape[1:])
         dtype = layout.dtype.newbyteorder("=")
         bounds.require_unpackable(math.prod(size) * dtype.itemsize, f"{self.place}/{path}: {size} values")
-        found: AnyArray = np.broadcast_to(layout.fill, size)  # where no chunk is stored
+        found: AnyArray = np.broadcast_to(layout.fill, size)  # the value where no chunk is stored
         for index in product(*map(range, layout.counts[1:])):
             chunk = self._chunk(path, layout, (number, *index))
             if chunk is not None:
-                found = found if found.flags.writeable else np.array(found, dtype)
+                if not found.flags.writeable:
+                    found = np.array(found, dtype)
                 spans = (slice(at * part, (at + 1) * part) for at, part in zip(index, parts, strict=True))
                 target = found[(slice(None), *spans)]
                 target[...] = chunk[tuple(map(slice, target.shape))]

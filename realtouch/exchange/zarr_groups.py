@@ -1,10 +1,10 @@
-"""Zipped groups of Zarr with a row a frame: what replay buffers and Open-X-Tactile have in common.
+"""Zipped Zarr groups with a row for each frame: what replay buffers and Open-X-Tactile have in common.
 
 Facts of the formats (Zarr version 2, which opens a path that ends in ``.zip``): ``data`` has arrays of equal
-length along time, ``meta/episode_ends`` the number of the frame behind each episode; images are pixels. What
-the group is made of stays in the folder ``data`` of the export: a row a frame, its image as it was stored.
-Ids of rounds and names of classes, for which the formats have no place, lie in ``meta``; they mark the group
-as ours, so that its poses are known to be some.
+length along time; ``meta/episode_ends`` has the number of the first frame after each episode; images are
+pixels. The rows from which the group is made stay in the folder ``data`` of the export, with images as they
+were stored. The formats have no place for ids of rounds and names of classes: they are in ``meta`` and mark
+the group as an export of this toolkit, whose poses are then known.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _LEVEL = 1
 ENDS, ATTRIBUTES = "meta/episode_ends", "meta/.zattrs"
 
 ROUND, TOUCH = "round_id", "touch"
-"""Arrays of ``meta`` with an entry an episode; the second, if episodes are clips."""
+"""Arrays of ``meta`` with an entry for each episode; the second exists if episodes are clips."""
 
 CLASSES, COLUMNS, PER_CLIP = "class_names", "columns", "columns_of_clips"
 """Attributes of ``meta``: classes, columns of the data set by array, those that concern whole clips."""
@@ -53,16 +53,16 @@ _PICTURE = {episodes.IMAGE, f"{episodes.IMAGE}.bytes", f"{episodes.IMAGE}.path"}
 _IN_MEMORY_BYTES = 64 << 20
 
 AddArrays = Callable[[episodes.Episodes, pa.Table, dict[str, AnyArray]], Mapping[str, object]]
-"""Adds arrays of ``data`` to those of columns, given a row a frame; returns attributes of ``meta``."""
+"""Adds arrays to those of ``data``, given a table of the frames; returns attributes of ``meta``."""
 
 
 def rows_of_chunk(row_bytes: int) -> int:
-    """Return how many rows a chunk holds."""
+    """Return the number of rows of a chunk."""
     return max(1, CHUNK_BYTES // row_bytes)
 
 
 class ZarrWriter(zipfile.ZipFile):
-    """A zip of arrays, whose chunks follow each other along the first axis."""
+    """A zip of arrays; chunks divide an array along its first axis."""
 
     def __init__(self, stream: IO[bytes]) -> None:
         super().__init__(stream, "w")
@@ -70,13 +70,15 @@ class ZarrWriter(zipfile.ZipFile):
             self.add_json(path, {"zarr_format": 2})
 
     def add_json(self, path: str, stated: Mapping[str, object], indent: int | None = None) -> None:
-        """Write a file of JSON."""
+        """Write a JSON file."""
         self._add(path, json.dumps(stated, indent=indent).encode())
 
     def add_array(self, path: str, values: AnyArray) -> None:
-        """Write an array; where it is a zero that is repeated, without any chunk."""
+        """Write an array; a broadcast zero has no chunks, as zero is the fill value."""
         rows = max(1, min(len(values), rows_of_chunk(values[:1].nbytes)))
-        starts = range(0, len(values) if any(values.strides) else 0, rows)
+        starts = range(0, len(values), rows)
+        if not any(values.strides):
+            starts = range(0)
         blocks = (values[start : start + rows] for start in starts)
         self.add_blocks(path, values.shape, values.dtype, rows, blocks)
 
@@ -88,7 +90,7 @@ class ZarrWriter(zipfile.ZipFile):
         rows: int,
         blocks: Iterable[AnyArray],
     ) -> None:
-        """Write an array that is made block by block, each a chunk of so many rows; the last has fewer."""
+        """Write an array block by block; a block is a chunk of ``rows`` rows, the last may have fewer."""
         stated = {
             "zarr_format": 2,
             "shape": list(shape),
@@ -101,7 +103,7 @@ class ZarrWriter(zipfile.ZipFile):
         }
         self.add_json(f"{path}/.zarray", stated, indent=4)
         for number, block in enumerate(blocks):
-            content = block.tobytes().ljust(rows * block[:1].nbytes, b"\0")  # zeros follow the last row
+            content = block.tobytes().ljust(rows * block[:1].nbytes, b"\0")  # zeros fill the last chunk
             name = ".".join([str(number), *"0" * (len(shape) - 1)])
             self._add(f"{path}/{name}", zlib.compress(content, _LEVEL))
 
@@ -113,8 +115,8 @@ class ZarrWriter(zipfile.ZipFile):
 class GroupFormat:
     """A format of groups: its name and folder, its arrays, and the type of poses.
 
-    ``pictures`` is an array of ``data``, ``sensors`` the length of its axis of sensors, where there is one.
-    ``arrays`` are names for columns of frames, ``add`` makes all further arrays.
+    ``pictures`` is the array of pictures in ``data``; ``sensors`` is the length of its axis of sensors, if it
+    has one. ``arrays`` names the arrays of columns of frames; ``add`` makes all further arrays.
     """
 
     name: str
@@ -132,7 +134,7 @@ class GroupFormat:
         method: contact.ContactMethod,
         options: Mapping[str, object],
     ) -> convert.Conversion:
-        """Plan a group; reads footers and one header. InputError for several splits."""
+        """Plan a group; reads footers and the header of one image. InputError for several splits."""
         step = episodes.Episodes.of(source, choices, self.name, self.number)
         options = {**options, "image_size": [step.size[1], step.size[0]]}
         write = partial(self._write_group, step)
@@ -143,9 +145,9 @@ class GroupFormat:
     def _write_group(
         self, step: episodes.Episodes, folder: store.DataFolder, manifest: store.Manifest
     ) -> dict[str, str]:
-        """Write a zipped group of all frames, once those of all shards are there.
+        """Write the frames of all shards as a zipped group.
 
-        Returns the checksum of the file by its path; an unchanged file is not written again.
+        Returns the checksum of the file by its path; an unchanged file is not rewritten.
         """
         shards = [
             read.Shard(folder.address(record.shard.data_path)) for record in manifest.shards if record.rows
@@ -176,7 +178,7 @@ class GroupFormat:
     def _arrays(
         self, step: episodes.Episodes, table: pa.Table
     ) -> tuple[dict[str, AnyArray], dict[str, object]]:
-        """Return all arrays but the pictures, and what is said of them: the attributes of ``meta``."""
+        """Return all arrays except the pictures, and the attributes of ``meta``, which describe them."""
         columns = {name: table[name].combine_chunks() for name in table.schema.names}
         known = {name: array for name, array in self.arrays.items() if name in columns}
         kept = {array: OUR_NAMES[name] for name, array in known.items()}
@@ -184,7 +186,8 @@ class GroupFormat:
         for extra in step.extras:
             known[extra.name] = array = extra.name.removeprefix(episode_extras.FEATURE)
             kept[array] = own_name = extra.stored.partition(".")[2]
-            of_clips += [own_name] * extra.stored.startswith(schema.EXTRA_PREFIX["touch"])
+            if extra.stored.startswith(schema.EXTRA_PREFIX["touch"]):
+                of_clips.append(own_name)
         arrays = {array: _numbers(columns[name]) for name, array in known.items()}
         stated = self.add(step, table, arrays)
         starts = np.flatnonzero(table["frame_index"].to_numpy() == 0)
@@ -197,7 +200,7 @@ class GroupFormat:
 
 
 def _pictures(size: tuple[int, int], rows: int, shards: Sequence[read.Shard]) -> Iterator[UInt8]:
-    """Yield the pixels of all frames, so many at a time, each time in the same memory."""
+    """Yield the pixels of all frames in blocks of ``rows`` frames; all blocks use the same memory."""
     block, at = np.empty((rows, *size, 3), np.uint8), 0
     for row in stored_round.stored_rows(shards, [episodes.IMAGE]):
         image = row.group.table[episodes.IMAGE][row.index].as_py()
@@ -215,7 +218,7 @@ def _copy(source: IO[bytes], target: IO[bytes]) -> None:
 
 
 def _numbers(values: pa.Array) -> AnyArray:
-    """Return numbers, texts, or lists of equal length, as an array, little end first; empty for no text."""
+    """Return numbers, texts or lists of equal length as a little-endian array; a missing text is empty."""
     if pa.types.is_fixed_size_list(values.type):
         return _numbers(values.flatten()).reshape(len(values), -1)
     if pa.types.is_string(values.type):

@@ -1,7 +1,7 @@
-"""What metadata of Zarr 2 and 3 state of an array, checked before a chunk is opened, and how a chunk unpacks.
+"""Metadata of Zarr 2 and 3 arrays, which are checked before a chunk is opened, and unpacking of chunks.
 
-Of the codecs only the lossless ones below are known; a chunk unpacks to its stated size and no further. (The
-package zarr opens whatever codec is named, unpacks without a limit, and follows links.)
+Only the lossless codecs below are known. A chunk is unpacked to its stated size and no further. (The package
+zarr opens any codec that is named, unpacks without a limit, and follows links.)
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.json_types import JsonObject, JsonValue
 
 _DIRECTIONS = {"C": 1, "F": -1}
-# Of Zarr 3: how the names of chunks begin, and what stands between their numbers by default.
+# Zarr 3: the prefix of the names of chunks, and the default separator of their numbers.
 _CHUNK_KEYS = {"default": ("c{}", "/"), "v2": ("", ".")}
 _MAX_CHUNKS = 1 << 18
-_WITHOUT_CHANGE = ("bytes", "transpose")  # of Zarr 3: how values lie in a chunk
+_ARRANGING = ("bytes", "transpose")  # codecs of Zarr 3 that arrange the values of a chunk
 # Errors of the standard library, Arrow and numcodecs; a damaged header causes MemoryError.
 UNREADABLE = (
     *(OSError, EOFError, ValueError, TypeError, LookupError, RuntimeError, MemoryError, OverflowError),
@@ -38,12 +38,15 @@ def _deflated(data: bytes, size: int) -> bytes:
 
 
 def _by_numcodecs(name: str, sizes_at: Sequence[int], data: bytes, size: int) -> bytes:
-    """Unpack where the header, at some places, states the size unpacked, and that of all where it does."""
+    """Unpack data if the header states the right sizes; return nothing otherwise.
+
+    ``sizes_at`` are the offsets of the size of the unpacked data and, for some codecs, of the packed data.
+    """
     with errors.needs_extra("reading this Zarr group", "numcodecs", "zarr"):
         codec = import_module(f"numcodecs.{name}")
     expected = zip(sizes_at, (size, len(data)), strict=False)
     is_stated = all(int.from_bytes(data[at : at + 4], "little") == each for at, each in expected)
-    return b"" if not is_stated else bytes(codec.decompress(data))
+    return bytes(codec.decompress(data)) if is_stated else b""
 
 
 _CODECS: dict[str, Callable[[bytes, int], bytes]] = {
@@ -58,10 +61,10 @@ _CODECS: dict[str, Callable[[bytes, int], bytes]] = {
 
 @dataclass(frozen=True)
 class ZarrLayout:
-    """What metadata state of an array, and by that how it is read.
+    """The layout of an array, as its metadata state it.
 
-    ``axes`` is the order in which a chunk holds the axes; its file is called ``prefix`` and its number along
-    each axis, with ``separator`` between.
+    ``axes`` is the order of the axes in a chunk. The name of its file is ``prefix``, then its number along
+    each axis, with ``separator`` between the numbers.
     """
 
     shape: tuple[int, ...]
@@ -84,12 +87,12 @@ class ZarrLayout:
         return [-(-size // part) for size, part in zip(self.shape, self.chunks, strict=True)]
 
     def problem(self) -> str:
-        """Return why such an array cannot be read; empty if it can."""
+        """Return why the array cannot be read; empty if it can."""
         unknown = [name for name in self.codecs if name not in _CODECS] or list(self.codecs[1:])
         if unknown:
             return (
                 f"the codec {unknown[0][:40]!r}; expected one of {', '.join(_CODECS)}, alone: others may run "
-                "code, lose values or are not known here; nothing was opened"
+                "code, lose values or be unknown; nothing was opened"
             )
         sizes, axes = [*self.shape, *self.chunks], list(range(len(self.shape)))
         fits = all(type(size) is int and 0 <= size <= store.LARGEST for size in sizes) and all(self.chunks)
@@ -98,18 +101,16 @@ class ZarrLayout:
         if not fits:
             return f"{self.dtype} {self.shape} in chunks {self.chunks}; expected numbers and fitting chunks"
         count = math.prod(self.counts)
-        return (
-            f"{wording.with_count(count, 'chunks')}; the limit is {_MAX_CHUNKS:,}"
-            if count > _MAX_CHUNKS
-            else ""
-        )
+        if count > _MAX_CHUNKS:
+            return f"{wording.with_count(count, 'chunks')}; the limit is {_MAX_CHUNKS:,}"
+        return ""
 
     def chunk_name(self, index: Iterable[int]) -> str:
         """Return the name of the file of a chunk."""
         return f"{self.prefix}{self.separator.join(map(str, index))}"
 
     def unpacked(self, data: bytes) -> AnyArray:
-        """Return the values of a chunk; one of UNREADABLE for a damaged one."""
+        """Return the values of a chunk; raises one of UNREADABLE if it is damaged."""
         for codec in self.codecs:
             data = _CODECS[codec](data, self.chunk_bytes)
         stored = np.frombuffer(data, self.dtype).reshape([self.chunks[axis] for axis in self.axes])
@@ -117,7 +118,7 @@ class ZarrLayout:
 
 
 def _fill(stated: JsonValue, dtype: np.dtype[np.generic]) -> AnyArray:
-    """Return the value of what no chunk holds; ValueError for one that the type cannot hold."""
+    """Return the value where no chunk is stored; ValueError if the type cannot hold it."""
     if dtype.kind in "SU":
         stated = str(stated or "")
     elif isinstance(stated, str):
@@ -152,7 +153,7 @@ def _layout_of_3(stated: JsonObject) -> ZarrLayout:
         chunks=tuple({"regular": grid["configuration"]}[grid["name"]]["chunk_shape"]),
         dtype=dtype.newbyteorder(order),
         fill=_fill(stated["fill_value"], dtype),
-        codecs=tuple(name for name in configurations if name not in _WITHOUT_CHANGE),
+        codecs=tuple(name for name in configurations if name not in _ARRANGING),
         axes=tuple(configurations.get("transpose", {}).get("order", range(len(stated["shape"])))),
         prefix=prefix.format(separator),
         separator=separator,
@@ -160,4 +161,4 @@ def _layout_of_3(stated: JsonObject) -> ZarrLayout:
 
 
 LAYOUTS = {2: _layout_of_2, 3: _layout_of_3}
-"""Functions that read what metadata state of an array, by the version of Zarr."""
+"""Functions that read the metadata of an array, by the version of Zarr."""

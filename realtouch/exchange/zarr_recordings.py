@@ -1,4 +1,4 @@
-"""Groups of Zarr as recordings: an episode is a recording, and arrays of ``data`` are its columns."""
+"""Zarr groups as recordings: an episode is a recording, and the arrays of ``data`` are its columns."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tactile_toolkit.array_types import Int64
 
 DATA = "data"
 TIMES = ("time_s", "timestamps", "timestamp")
-"""Arrays that hold the time of each picture, the first that is known; floats count seconds."""
+"""Names of the array of times of pictures, in order of preference; it has floats, in seconds."""
 
 _ENDINGS = (".zarr", ".zarr.zip")
 _ENDS_SHOWN = 8
@@ -50,8 +50,8 @@ def data_arrays(group: zarr_arrays.ZarrGroup) -> dict[str, object]:
     if not 0 < len(names) <= _MAX_ARRAYS:
         raise errors.InputError(
             f"{group.place!r} has {len(names) or 'no'} arrays in its group 'data'; "
-            f"expected a replay buffer or Open-X-Tactile, of {_MAX_ARRAYS} arrays at most",
-            next="give the group itself; a zip holds what is inside of the group's folder",
+            f"expected a replay buffer or Open-X-Tactile, with at most {_MAX_ARRAYS} arrays",
+            next="give the group itself; a zip must hold what is inside the group's folder",
         )
     return names
 
@@ -62,10 +62,10 @@ def recordings_of(
     pictures: tuple[str, int | None],
     columns: importing.ImportColumns,
 ) -> Iterator[importing.Recording]:
-    """Yield all episodes, given the pictures: an array of ``data``, and which sensor of it.
+    """Return all episodes; ``pictures`` is an array of ``data``, and the number of the sensor in it.
 
-    InputError for an array without pictures, and a named column that cannot be used. What this toolkit
-    wrote comes back by its own names.
+    Columns that this toolkit wrote get their own names again. Raises InputError if the array has no pictures,
+    or if a named column cannot be used.
     """
     name, sensor = pictures
     shown = picture_arrays.PictureArray.of(group.array(f"{DATA}/{name}"), sensor)
@@ -85,10 +85,11 @@ def recordings_of(
     if zarr_groups.ROUND not in said or not isinstance(kept, dict):
         return episodes_of(whole, ends, (), of_episodes(whole, columns))
     per_frame = {str(kept[name]): values for name, values in per_frame.items() if name in kept}
-    whole = replace(whole, per_frame=per_frame, left_out=(), cut="whole" if zarr_groups.TOUCH in said else "")
+    whole = replace(whole, per_frame=per_frame, left_out=())
     whole = name_ours(whole, _OUR_VECTORS, _texts(stated, zarr_groups.CLASSES))
     rounds = ids = list(map(str, said[zarr_groups.ROUND].tolist()))
     if zarr_groups.TOUCH in said:
+        whole = replace(whole, cut="whole")
         ids = list(map(touch.touch_id, rounds, said[zarr_groups.TOUCH].astype(int).tolist()))
     episodes = episodes_of(whole, ends, ids, {*_OUR_VALUES, *_texts(stated, zarr_groups.PER_CLIP)})
     return (replace(with_contact(each), round=name) for each, name in zip(episodes, rounds, strict=True))
@@ -105,7 +106,10 @@ describe_conversion = partial(picture_arrays.described_pictures, opened=_open_pi
 
 
 def episode_ends(group: zarr_arrays.ZarrGroup, frames: int) -> Int64:
-    """Return the number of the frame behind each episode; InputError unless they rise to all frames."""
+    """Return the number of the first frame after each episode.
+
+    Raises InputError unless the numbers rise, and the last one is the number of all frames.
+    """
     array = group.array(zarr_groups.ENDS)
     ends = np.zeros(0, np.int64)
     if len(array.shape) == 1 and array.dtype.kind in "iu" and array.shape[0] <= frames:
@@ -119,7 +123,7 @@ def episode_ends(group: zarr_arrays.ZarrGroup, frames: int) -> Int64:
 
 
 def of_episodes(whole: importing.Recording, columns: importing.ImportColumns) -> set[str]:
-    """Return what may be said of whole episodes: labels, objects, rounds and splits, and all texts."""
+    """Return the columns that may describe whole episodes: labels, objects, rounds, splits and all texts."""
     known = columns.found_in(whole.per_frame)
     stated = {importing.NUMBERED, known.label, known.object_id, known.round, known.split}
     return {
@@ -130,9 +134,9 @@ def of_episodes(whole: importing.Recording, columns: importing.ImportColumns) ->
 def episodes_of(
     whole: importing.Recording, ends: Int64, names: Sequence[str], of_episode: Collection[str]
 ) -> Iterator[importing.Recording]:
-    """Divide a recording into episodes, by default called ``episode-000000`` and so on.
+    """Divide a recording into episodes; their default names are ``episode-000000`` and so on.
 
-    What ``of_episode`` names is a value of each episode, if it never changes within one.
+    A column of ``of_episode`` becomes a value of each episode, if it does not change within any episode.
     """
     names = names or [f"episode-{episode:06d}" for episode in range(len(ends))]
     starts = np.append(0, ends[:-1])
@@ -143,7 +147,7 @@ def episodes_of(
         values = per_frame[name].take(firsts)
         if _is_same(per_frame[name], values.take(of_rows)):
             constant[name] = values
-    time = next((name for name in TIMES if _rises(per_frame.get(name), starts)), None)
+    time = next((name for name in TIMES if _holds_times(per_frame.get(name), starts)), None)
     times = None if time is None else per_frame[time].to_numpy()
     per_frame = {name: column for name, column in per_frame.items() if name not in constant}
     if time == importing.TIME_S:
@@ -162,14 +166,14 @@ def episodes_of(
 
 
 def _is_same(column: pa.Array, other: pa.Array) -> bool:
-    if pa.types.is_floating(column.type):  # where NaN is missing, too
+    if pa.types.is_floating(column.type):  # NaN is a missing value, too
         first, second = column_types.floats_of(column), column_types.floats_of(other)
         return np.array_equal(first, second, equal_nan=True)
     return bool(column.equals(other))
 
 
-def _rises(column: pa.Array | None, starts: Int64) -> bool:
-    """Return whether a column holds seconds that rise in each episode."""
+def _holds_times(column: pa.Array | None, starts: Int64) -> bool:
+    """Return whether a column holds seconds that do not decrease within any episode."""
     if column is None or not pa.types.is_floating(column.type) or column.null_count:
         return False
     times = column.to_numpy()
@@ -178,7 +182,7 @@ def _rises(column: pa.Array | None, starts: Int64) -> bool:
 
 
 def _texts(stated: Mapping[str, object], name: str) -> list[str]:
-    """Return a list of texts that attributes state; empty if they do not."""
+    """Return a list of texts from attributes; empty if they have no such list."""
     found = stated.get(name)
     return [str(each) for each in found] if isinstance(found, list) else []
 
@@ -186,7 +190,7 @@ def _texts(stated: Mapping[str, object], name: str) -> list[str]:
 def name_ours(
     whole: importing.Recording, vectors: Mapping[str, Sequence[str]], class_names: Sequence[str]
 ) -> importing.Recording:
-    """Return a recording that this toolkit wrote with its columns named as in its tables."""
+    """Return a recording that this toolkit wrote, with the column names of its tables."""
     per_frame = dict(whole.per_frame)
     for name, names in vectors.items():
         if name in per_frame:
@@ -205,10 +209,11 @@ def name_ours(
 
 
 def with_contact(found: importing.Recording) -> importing.Recording:
-    """Return a clip that this toolkit wrote with its first and last picture of contact, if it states them."""
+    """Return a clip that this toolkit wrote, with its first and last picture of contact if it states them."""
     per_frame = dict(found.per_frame)
-    stated = per_frame.pop(CONTACT, None)
-    held: list[int] = []
+    stated, contact = per_frame.pop(CONTACT, None), None
     if stated is not None:
-        held = np.flatnonzero(np.array(stated.to_pylist(), object)).tolist()
-    return replace(found, per_frame=per_frame, contact=(held[0], held[-1]) if held else None)
+        in_contact = np.flatnonzero(np.array(stated.to_pylist(), object)).tolist()
+        if in_contact:
+            contact = in_contact[0], in_contact[-1]
+    return replace(found, per_frame=per_frame, contact=contact)

@@ -21,7 +21,7 @@ from tactile_toolkit.array_types import UInt8
 
 _MAX_DRAWN = 8
 _TILE_PX = 240
-_LETTERS = 20  # characters of the name of a round, from its end, that fit below a picture
+_NAME_CHARACTERS = 20  # at the end of the name of a round, which fit below a picture
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,7 @@ def finding_of(
     rounds: Mapping[rules.Spot, RoundSeen],
     limits: touch_options.CheckLimits,
 ) -> RecordingFinding:
-    """Return the findings of a rule in all splits."""
+    """Return the finding of a rule in all splits."""
     splits = list(dict.fromkeys(fault.at.split for fault in faults))
     names: list[str] = []
     total = 0
@@ -83,11 +83,11 @@ def finding_of(
             named = f"{known.name}:0-{count - 1}"
         names.append(f"{spot.split}/{named}" if len(splits) > 1 else named)
         total += count
-    said = rules.RULES[rule]
-    found = said.found.format(value=max(fault.value for fault in faults))
+    message = rules.RULES[rule]
+    found = message.found.format(value=max(fault.value for fault in faults))
     where = " and ".join(splits)
     return RecordingFinding(
-        rule, found, said.expected_text(limits), where, tuple(names[:MAX_NAMED]), total, said.next
+        rule, found, message.expected_text(limits), where, tuple(names[:MAX_NAMED]), total, message.next
     )
 
 
@@ -104,7 +104,9 @@ def _draw(
             else:
                 pixels = record.sensor_video[touch][spot.frame]
             tiles.append(
-                pictures.Tile(picture_views.fitted(pixels, _TILE_PX), f"{record.id[-_LETTERS:]}:{touch}")
+                pictures.Tile(
+                    picture_views.fitted(pixels, _TILE_PX), f"{record.id[-_NAME_CHARACTERS:]}:{touch}"
+                )
             )
     title = f"{rules.RULES[finding.rule].title}: {finding.found}"
     lines = (

@@ -109,8 +109,9 @@ def _most_common(patterns: Float32) -> Float32:
     """Return the pattern of most touches, some of which have red and blue exchanged; on a tie, the first."""
     _, order = _gain(patterns, patterns[np.argmax(patterns.any(axis=1))])
     most = -1 if np.count_nonzero(order == -1) > np.count_nonzero(order == 1) else 1
-    chosen = patterns[order == most]
-    return seen.normalised(np.median(chosen if len(chosen) else patterns, axis=0))
+    if (order == most).any():
+        patterns = patterns[order == most]
+    return seen.normalised(np.median(patterns, axis=0))
 
 
 def _mixed_markers(sections: Sequence[Section]) -> Iterator[rules.Fault]:

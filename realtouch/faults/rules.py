@@ -163,9 +163,9 @@ RULES: dict[str, FaultRule] = {
         "check the units, the order of the quaternion and the robot for lost packets",
     ),
     "times-run-back": FaultRule(
-        "Times that are missing or run back",
-        "times run back by {value:.3g} s, or are missing",
-        "times that rise",
+        "Times that are missing or run backwards",
+        "times run backwards by {value:.3g} s, or are missing",
+        "times that do not decrease",
         "sort frames by time, or write times of one clock that is never set",
     ),
 }

@@ -1,7 +1,7 @@
 """Sections of a session: one round, or several short ones in a row, each checked in one pass.
 
-A section keeps what it is compared by with others: a digest and a colour pattern of each touch, and the bare
-gel. It keeps no pictures.
+A section keeps what other sections are compared with: a digest and a colour pattern of each touch, and the
+bare gel. It keeps no pictures.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Import of the recordings of others: touches are found, cut, given their fields, and stored."""
+"""Import of recordings from other programs: touches are found, cut, given their fields, and stored."""
 
 from lazy_loader import attach_stub
 

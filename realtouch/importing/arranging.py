@@ -1,4 +1,4 @@
-"""Touches that were found, divided into rounds, splits and shards, with their classes and their size."""
+"""Divide the touches of a source into rounds, splits and shards; find their classes and image size."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ from tactile_toolkit import errors, touch
 
 _TOUCHES_PER_SHARD = 4096
 _SHARD_BYTES = 256 << 20
-_CLIP_SHARD_BYTES = 32 << 20  # clips, packed and unpacked, are in memory several times
-_ROUND_BYTES = 24 << 20  # of a recording; a longer one becomes several rounds
+_CLIP_SHARD_BYTES = 32 << 20  # clips are in memory several times, encoded and decoded
+_ROUND_BYTES = 24 << 20  # of a recording; a larger one becomes several rounds
 _SPLIT = re.compile(r"\w+")
 _OUR_TAR = re.compile(r"^(\w+)-[0-9]{6}\.tar\Z")
 _DECIMAL = re.compile(r"\d+")
 _INTEGER = re.compile(r"0|[1-9][0-9]{0,3}")
 _UNNAMED = re.compile(r"[^\w-]")
-_SIZES_SEEN = 32
-_LONGEST_ID = 64  # of the end of a path: exports write ids of 80 letters at most
+_SIZE_SAMPLES = 32
+_LONGEST_ID = 64  # characters at the end of a path; exports write ids of at most 80
 
 
 @dataclass(frozen=True, slots=True)
 class Arranged:
-    """The touches of a source in their rounds and splits, and how shards of them are made.
+    """The touches of a source in rounds and splits, and the function that makes shards of them.
 
-    ``shards`` hold whole rounds, one after the other, by the name of the split.
+    ``shards`` holds the shards of each split by its name; a shard has whole rounds, one after the other.
     """
 
     shards: Mapping[str, Sequence[found_touches.FoundTouches]]
@@ -64,7 +64,7 @@ def arranged(found: import_sources.FoundSource, classes: Sequence[str], split: s
     for each, of_split in whole.items():
         rounds = _in_pieces(of_split, sizes, most_bytes, taken)
         shards[each] = [_shard(touches, part) for part in _divided(rounds, sizes, touches.has_clips)]
-    size = common_size(touches, read.contents, read.is_one_a_file)
+    size = common_size(touches, read.contents, read.one_size_per_file)
     schema = imported_rows.touch_schema(columns, names, touches)
     return Arranged(
         shards, import_shards.ImportTouches(found.layout, columns, names, size, schema, found.versions)
@@ -83,9 +83,9 @@ def _shard(
 def _divided(
     rounds: Mapping[str, Sequence[int]], sizes: Sequence[int], has_clips: bool
 ) -> list[dict[str, Sequence[int]]]:
-    """Divide rounds into shards that a worker can hold."""
+    """Divide rounds into shards that fit into the memory of a worker."""
     most_bytes = _CLIP_SHARD_BYTES if has_clips else _SHARD_BYTES
-    # A touch counts as so many bytes at least, so that a shard has not too many.
+    # A touch counts at least this many bytes, which limits the number of touches of a shard.
     least = most_bytes // _TOUCHES_PER_SHARD
     of_rounds = [sum(max(least, sizes[number]) for number in numbers) for numbers in rounds.values()]
     pairs = list(rounds.items())
@@ -94,15 +94,16 @@ def _divided(
 
 def _class_names(touches: found_touches.FoundTouches, column: str | None) -> tuple[str, ...]:
     """Return the classes in the data: the numbers from 0 to at least 9, or the names."""
-    numbered: dict[str, str] = {}  # our exports have name and number, which keeps the order
+    numbered: dict[str, str] = {}  # number by name: our exports state both, which keeps the order
     for name, number in dict.fromkeys(
         zip(touches.texts(column), touches.texts(source_files.NUMBERED), strict=True)
     ):
-        is_number = column != source_files.NUMBERED and _DECIMAL.fullmatch(number)
-        numbered.setdefault(name, number if is_number else "")
+        if column == source_files.NUMBERED or not _DECIMAL.fullmatch(number):
+            number = ""
+        numbered.setdefault(name, number)
     for unknown in ("", *fields.UNKNOWN):
         numbered.pop(unknown, None)
-    if not numbered:  # of a recording without classes
+    if not numbered:  # the source has no classes
         return ()
     texts = list(map(fields.integer_text, numbered))
     if all(map(_INTEGER.fullmatch, texts)):
@@ -113,9 +114,9 @@ def _class_names(touches: found_touches.FoundTouches, column: str | None) -> tup
 def _rounds(
     touches: found_touches.FoundTouches, columns: import_columns.ImportColumns, split: str | None
 ) -> dict[str, dict[str, list[int]]]:
-    """Return the touches of each round of each split, in order; a touch without a round is a round."""
+    """Return the touches of each round of each split, in order; a touch without a round gets its own."""
     found: dict[str, dict[str, list[int]]] = {}
-    home: dict[str, str] = {}
+    split_of: dict[str, str] = {}
     rounds = touches.texts(columns.round)
     named = set(rounds)
     names, numbers = (touches.where[name].to_pylist() for name in ("name", "number"))
@@ -126,36 +127,32 @@ def _rounds(
                 f"{names[place]!r}: the split {fields.shown(part)!r}; expected letters and digits"
             )
         if not name:
-            # Programs of a Mac write letters and their marks apart.
+            # macOS writes letters and their accents as separate characters.
             stem = unicodedata.normalize("NFC", names[place].rpartition(".")[0] or names[place])
             name = _UNNAMED.sub("_", stem)[-_LONGEST_ID:]
-            while name in home or name in named:
+            while name in split_of or name in named:
                 name = f"{name}_{numbers[place]}"
-        if home.setdefault(name, part) != part:
+        if split_of.setdefault(name, part) != part:
             raise errors.InputError(
-                f"{names[place]!r}: round {fields.shown(name)!r} lies in the splits {home[name]!r} and "
-                f"{part!r}; expected each round in one"
+                f"{names[place]!r}: round {fields.shown(name)!r} is in the splits {split_of[name]!r} and "
+                f"{part!r}; expected each round in one split"
             )
         found.setdefault(part, {}).setdefault(name, []).append(place)
     return found
 
 
 def _splits(stated: Sequence[str], paths: Sequence[str], split: str | None) -> Iterator[str]:
-    """Yield the split of each touch: as a column states it, as given, as that of a tar, or ``train``."""
+    """Yield the split of each touch: as its column states, as given, as the name of its tar, or ``train``."""
     for each, path in zip(stated, paths, strict=True):
-        if each or split:
-            yield each or split or ""
-        else:
-            of_tar = _OUR_TAR.findall(path.rpartition("/")[2]) if path.endswith(".tar") else ()
-            yield next(iter(of_tar), "train")
+        yield each or split or next(iter(_OUR_TAR.findall(path.rpartition("/")[2])), "train")
 
 
 def _in_pieces(
     rounds: Mapping[str, list[int]], sizes: Sequence[int], most_bytes: int, taken: set[str]
 ) -> dict[str, list[int]]:
-    """Divide rounds that memory should not hold at once: ``ID`` becomes ``ID-0``, ``ID-1``.
+    """Divide rounds that are too large for memory: ``ID`` becomes ``ID-0``, ``ID-1``.
 
-    ``taken`` are names that other rounds have, or get here.
+    ``taken`` holds the names of all rounds; new names are added.
     """
     found: dict[str, list[int]] = {}
     for name, numbers in rounds.items():
@@ -171,16 +168,16 @@ def _in_pieces(
 
 
 def common_size(
-    touches: found_touches.FoundTouches, read: source_files.ReadContents, is_one_a_file: bool = False
+    touches: found_touches.FoundTouches, read: source_files.ReadContents, one_size_per_file: bool = False
 ) -> tuple[int, int] | None:
     """Return the most frequent height and width of images; None if no image can be read.
 
-    Only the first picture of a file is looked at if the format has one size in each. All are looked at only
-    where some, spread over all, differ: to read each twice takes long.
+    If the pictures of a file have one size, only its first picture is read. All images are read only if a
+    sample of them has several sizes, as it takes long to read each image twice.
     """
     usable = touches.take(np.flatnonzero(touches.is_usable))
     places, counts = list[found_touches.PicturePlace](), dict[found_touches.PicturePlace, int]()
-    if is_one_a_file:
+    if one_size_per_file:
         of_files = usable.where.group_by(["home", "path", "part"])
         files = of_files.aggregate([("number", "min"), ("frames", "sum"), ("frames", "count")])
         for row in files.sort_by("number_min").to_pylist():
@@ -188,7 +185,7 @@ def common_size(
             counts[places[-1]] = max(row["frames_sum"], row["frames_count"])
     else:
         places = list(usable)
-    sizes = _sizes(places[:: max(1, len(places) // _SIZES_SEEN)], read, counts)
+    sizes = _sizes(places[:: max(1, len(places) // _SIZE_SAMPLES)], read, counts)
     if len(sizes) != 1:
         sizes = _sizes(places, read, counts)
     return next((size for size, _ in sizes.most_common(1)), None)
@@ -199,7 +196,7 @@ def _sizes(
     read: source_files.ReadContents,
     counts: Mapping[found_touches.PicturePlace, int],
 ) -> Counter[tuple[int, int]]:
-    """Count the sizes of images, each as often as its file; those that are not intact do not count."""
+    """Count the sizes of intact images; ``counts`` says for how many pictures of its file an image stands."""
     sizes = Counter[tuple[int, int]]()
     for content, place in zip(read(places), places, strict=True):
         if isinstance(content, bytes):

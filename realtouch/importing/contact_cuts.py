@@ -1,7 +1,7 @@
-"""Touches of a recording, found by its pictures: the gel at rest, score of every picture, runs, clips.
+"""Find the touches of a recording by contact: background, score of each picture, runs of contact, clips.
 
-A picture shows contact by the rule of :func:`realtouch.contacts_by_image`, against the gel at rest, also
-where the light changes slowly.
+The rule of :func:`realtouch.contacts_by_image` decides which pictures show contact. They are compared with
+the gel at rest; the background follows slow changes of the light.
 """
 
 from __future__ import annotations
@@ -18,23 +18,24 @@ from tactile_toolkit import errors, pictures, touch, wording
 from tactile_toolkit.array_types import Bool, Float64, Int64, UInt8
 
 JOIN_S = 0.2
-"""Runs of pictures with contact are one touch if they are at most so far apart, seconds."""
+"""Longest gap between two runs of contact that are joined to one touch, in seconds."""
 
 JOIN_PICTURES = 5
-"""The same without times, pictures."""
+"""The same limit for recordings without times, in pictures."""
 
 MIN_PICTURES = 3
-"""Fewer pictures with contact are no touch."""
+"""Minimum number of pictures with contact in a touch."""
 
 MIN_MARGIN = 12
-"""Least number of pictures before and after a contact, as far as its neighbours leave so many."""
+"""Minimum number of pictures before and after a contact; fewer where the next touch is close."""
 
-_SPREAD = 48
-_SPREAD_BYTES = 64 << 20
-_MIN_SPREAD = 5
+# Pictures spread over the recording, from which the background is made.
+_MAX_SAMPLES = 48
+_MIN_SAMPLES = 5
+_SAMPLE_BYTES = 64 << 20
 _MIN_AT_REST = 3
-_LEVELS_TOGETHER = 9  # of neighbours in time, whose median is the level of the light
-_DARK = 16  # levels of pixels whose ratio is mostly noise
+_LIGHT_WINDOW = 9  # samples; the level of the light is a running median over them
+_DARK = 16  # grey level; below it, the ratio of two pixels is mostly noise
 _PIXEL_STEP = 2
 _TILE_PX = 108
 _GAP_PX = 8
@@ -48,7 +49,7 @@ _CURVE, _LIMIT = pictures.ACCENTS[0], pictures.ACCENTS[3]
 
 @dataclass(frozen=True, slots=True)
 class ContactRun:
-    """A touch: numbers of the pictures of its clip, of its first and last contact, and of the best."""
+    """A touch as numbers of pictures: start and stop of its clip, first and last contact, best picture."""
 
     start: int
     stop: int
@@ -67,7 +68,7 @@ class ContactRuns:
         Changed pixels of each picture; 0 if it cannot be read.
     runs : tuple of ContactRun
     too_short : int
-        Number of runs with fewer pictures than a touch has.
+        Number of runs with fewer than :data:`MIN_PICTURES` pictures with contact.
     unreadable : int
         Number of pictures that cannot be read, or are of another size.
     """
@@ -81,7 +82,7 @@ class ContactRuns:
 def pictures_of(
     recording: recordings.Recording, parts: Iterable[range], contents: source_files.ReadContents
 ) -> Iterator[UInt8 | None]:
-    """Yield some pictures of a recording, shape (H, W, 3), in order; None for one that cannot be read."""
+    """Yield the pictures of some ranges, in order, shape (H, W, 3); None for an unreadable picture."""
     places = (recording.place(part.start, part.stop) for part in parts)
     for content in contents(places):
         try:
@@ -93,12 +94,13 @@ def pictures_of(
 class GelAtRest:
     """The background of each picture of a recording, within the window of the rule.
 
-    It is the median of some pictures spread over the recording, then of those of them that show no contact
-    against that first median: it is right where every pixel is at rest in more than half of them. It follows
-    slow changes of the light: each channel is scaled by its level, measured in these pictures, whose running
-    median touches do not change. The spread pictures are in memory, cropped.
+    The first background is the median of samples: pictures spread over the recording. The final one is the
+    median of the samples that show no contact against the first. It is right where every pixel is at rest in
+    more than half of the samples. The background follows slow changes of the light: each channel is scaled by
+    its level in the samples, smoothed by a running median, which touches do not change. The samples are kept
+    in memory, cropped.
 
-    Raises ItemError if no picture can be read.
+    Raises ItemError if no sample can be read.
     """
 
     def __init__(
@@ -107,48 +109,63 @@ class GelAtRest:
         contents: source_files.ReadContents,
         rule: contact_picture.ContactRule,
     ) -> None:
-        spread = np.unique(np.linspace(0, recording.frames - 1, _SPREAD).round().astype(np.int64)).tolist()
         self.shape: tuple[int, ...] = ()
+        found = self._read_samples(recording, contents, rule)
+        self._numbers, samples = list(found), np.stack(list(found.values()))
+        self._base = contact_picture.median_in_memory(samples)
+        self._levels = self._levels_of(samples)
+        uncropped = replace(rule, crop=1.0)
+        shows_contact = np.array(
+            [
+                rule.holds(contact_picture.contact_score(sample, self.at(number), uncropped))
+                for number, sample in found.items()
+            ]
+        )
+        at_rest = ~shows_contact
+        if at_rest.sum() >= _MIN_AT_REST:
+            levels = np.float32(self._levels[at_rest, np.newaxis, np.newaxis])
+            same_light = np.minimum(np.rint(samples[at_rest] / levels), 255).astype(np.uint8)
+            self._base = contact_picture.median_in_memory(same_light)
+            self._levels = self._levels_of(samples)
+
+    def _read_samples(
+        self,
+        recording: recordings.Recording,
+        contents: source_files.ReadContents,
+        rule: contact_picture.ContactRule,
+    ) -> dict[int, UInt8]:
+        """Return samples by their number, cropped; the first readable one sets shape and window."""
+        numbers = np.linspace(0, recording.frames - 1, _MAX_SAMPLES).round().astype(np.int64)
+        spread = np.unique(numbers).tolist()
         found: dict[int, UInt8] = {}
         step = 1
         seen = pictures_of(recording, (range(number, number + 1) for number in spread), contents)
         for index, (number, picture) in enumerate(zip(spread, seen, strict=False)):
             if picture is not None and not self.shape:
                 self.shape, self.window = picture.shape, rule.window(*picture.shape[:2])
-                step = -(-_SPREAD // max(_MIN_SPREAD, _SPREAD_BYTES // picture[self.window].nbytes))
-            cropped = self.seen_of(picture)
+                fitting = max(_MIN_SAMPLES, _SAMPLE_BYTES // picture[self.window].nbytes)
+                step = -(-_MAX_SAMPLES // fitting)
+            cropped = self.cropped(picture)
             if cropped is not None and (index % step == 0 or not found):
                 found[number] = cropped.copy()
         if not found:
             raise errors.ItemError("image", f"none of {len(spread):,} pictures of the recording can be read")
-        self._numbers, pictures = list(found), np.stack(list(found.values()))
-        self._base = contact_picture.median_in_memory(pictures)
-        self._levels = self._levels_of(pictures)
-        whole = replace(rule, crop=1.0)
-        scores = (
-            contact_picture.contact_score(*each, whole)
-            for each in zip(pictures, map(self.at, found), strict=True)
-        )
-        at_rest = ~np.array(list(map(rule.holds, scores)))
-        if at_rest.sum() >= _MIN_AT_REST:
-            alike = np.rint(pictures[at_rest] / np.float32(self._levels[at_rest, np.newaxis, np.newaxis]))
-            self._base = contact_picture.median_in_memory(np.minimum(alike, 255).astype(np.uint8))
-            self._levels = self._levels_of(pictures)
+        return found
 
-    def seen_of(self, picture: UInt8 | None) -> UInt8 | None:
-        """Return the window of a picture; None for one that cannot be read or is of another size."""
+    def cropped(self, picture: UInt8 | None) -> UInt8 | None:
+        """Return the window of a picture; None if it is unreadable or of another size."""
         if picture is None or picture.shape != self.shape:
             return None
         return picture[self.window]
 
     def at(self, number: int) -> UInt8:
-        """Return the background of a picture by its number."""
+        """Return the background of the picture with this number."""
         levels = np.array([np.interp(number, self._numbers, each) for each in self._levels.T], np.float32)
         found: UInt8 = np.minimum(np.rint(self._base * levels), 255).astype(np.uint8)
         return found
 
     def _levels_of(self, pictures: UInt8) -> Float64:
-        """Return how bright each channel of n pictures is against the background, (n, 3), smooth in time."""
+        """Return the levels of n samples relative to the background, (n, 3) channels, smooth in time."""
         levels = np.ones((len(pictures), 3))
         parts, base = (each[..., ::_PIXEL_STEP, ::_PIXEL_STEP, :] for each in (pictures, self._base))
         for channel in range(3):
@@ -156,7 +173,7 @@ class GelAtRest:
             if bright.any():
                 ratios = parts[:, bright, channel] / base[bright, channel].astype(np.float32)
                 levels[:, channel] = np.median(ratios, axis=1)
-        smooth: Float64 = median_filter(levels, (_LEVELS_TOGETHER, 1), mode="nearest")
+        smooth: Float64 = median_filter(levels, (_LIGHT_WINDOW, 1), mode="nearest")
         return smooth
 
 
@@ -167,14 +184,14 @@ def find_contacts(
     area_px, change = np.zeros((2, recording.frames), np.int64)
     holds, unreadable = np.zeros(recording.frames, bool), 0
     background = GelAtRest(recording, contents, rule)
-    alone = replace(rule, crop=1.0)
+    uncropped = replace(rule, crop=1.0)
     numbers = range(recording.frames)
     for number, picture in zip(numbers, pictures_of(recording, [numbers], contents), strict=False):
-        seen = background.seen_of(picture)
+        seen = background.cropped(picture)
         if seen is None:
             unreadable += 1
             continue
-        score = contact_picture.contact_score(seen, background.at(number), alone)
+        score = contact_picture.contact_score(seen, background.at(number), uncropped)
         area_px[number], change[number], holds[number] = score.area_px, score.total_change, rule.holds(score)
     starts, stops = _joined(holds, recording.time_s)
     counts = [int(holds[start:stop].sum()) for start, stop in zip(starts, stops, strict=True)]
@@ -183,15 +200,15 @@ def find_contacts(
     if not runs:
         raise errors.ItemError(
             "contact",
-            f"no touch in {recording.frames:,} pictures: none of {MIN_PICTURES} pictures or more in which "
+            f"no touch in {recording.frames:,} pictures; a touch needs {MIN_PICTURES} pictures in which "
             f"{rule.min_area_px:,} pixels differ by more than {rule.min_change} levels from the gel at rest",
-            next="take it whole (`--cut whole`), or state its touches by a table (`--cut TABLE`)",
+            next="take it whole (`--cut whole`), or give a table of its touches (`--cut TABLE`)",
         )
     return ContactRuns(area_px, runs, int(np.sum(~long)), unreadable)
 
 
 def _joined(holds: Bool, time_s: Float64 | None) -> tuple[Int64, Int64]:
-    """Return the starts and stops of runs of pictures with contact, close ones joined."""
+    """Return the starts and stops of runs of pictures with contact; close runs are joined."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], holds, [False]])))
     starts, stops = edges[::2], edges[1::2]
     if not len(starts):
@@ -204,7 +221,7 @@ def _joined(holds: Bool, time_s: Float64 | None) -> tuple[Int64, Int64]:
 
 
 def _with_margins(starts: Int64, stops: Int64, change: Int64) -> Iterator[ContactRun]:
-    """Yield runs as clips: as much before and after as the contact is long, up to half way to the next."""
+    """Yield each run as a clip with margins as long as the contact, at most half way to the next run."""
     middles = (stops[:-1] + starts[1:]) // 2
     limits = [0, *middles.tolist(), len(change)]
     for number, (start, stop) in enumerate(zip(starts.tolist(), stops.tolist(), strict=True)):
@@ -221,7 +238,10 @@ def draw_cuts(
     contents: source_files.ReadContents,
     rule: contact_picture.ContactRule,
 ) -> bytes:
-    """Draw the cuts of a recording as PNG; of many touches, the first have a small picture."""
+    """Draw the cuts of a recording as PNG: a strip of all pictures, and the best picture of each touch.
+
+    If there are many touches, only the first ones are shown by a picture.
+    """
     best = [run.best for run in found.runs[:_MAX_TILES]]
     seen = pictures_of(recording, [range(frame, frame + 1) for frame in best], contents)
     tiles = [
@@ -230,17 +250,17 @@ def draw_cuts(
         if picture is not None
     ]
     touches, frames = wording.with_count(len(found.runs), "touches"), f"{recording.frames:,} pictures"
-    words = [
+    captions = [
         f"{touches} in {frames}: "
         f"{rule.min_area_px} changed pixels or more (red line), by {rule.min_intensity:g} levels on average",
         "height: square root of the changed pixels; orange: contact; blue: margin of the clip; "
         f"{found.too_short:,} too short, {wording.with_count(found.unreadable, 'unreadable pictures')}",
     ]
-    strip = pictures.sheet([pictures.Tile(_strip(found, rule))], 1, recording.name, words)
+    strip = pictures.sheet([pictures.Tile(_strip(found, rule))], 1, recording.name, captions)
     small = pictures.sheet(tiles, _TILES_PER_ROW, gap_px=_GAP_PX)
     width = max(strip.shape[1], small.shape[1])
     parts = [
-        np.pad(part, ((0, 0), (0, width - part.shape[1]), (0, 0)), "edge")  # which is paper
+        np.pad(part, ((0, 0), (0, width - part.shape[1]), (0, 0)), "edge")  # the edge is blank
         for part in (strip, small)
     ]
     return pictures.png_bytes(np.vstack(parts))
@@ -253,7 +273,7 @@ def _small(picture: UInt8) -> UInt8:
 
 
 def _strip(found: ContactRuns, rule: contact_picture.ContactRule) -> UInt8:
-    """Draw the changed area over all pictures; a column shows the largest of its pictures."""
+    """Draw the changed area over all pictures; a column shows the largest area of its pictures."""
     frames, colours = len(found.area_px), np.full((_WIDTH_PX, 3), _GREY, np.uint8)
     clips = [(run.start, run.stop - 1, _CLIP) for run in found.runs]
     for first, last, colour in [*clips, *((run.first, run.last, _CONTACT) for run in found.runs)]:

@@ -1,4 +1,4 @@
-"""Recordings of a source cut into touches, in one of the ways of ``--cut``, with pictures of the cuts."""
+"""Cut the recordings of a source into touches as ``--cut`` says, and draw the cuts."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _FRAME = "start_frame"
 
 
 MAX_PICTURES = 64
-"""Pictures of cuts that are drawn; of more recordings, those of the first ones."""
+"""Maximum number of recordings whose cuts are drawn; the first ones are."""
 
 
 class CutTable:
-    """A table of touches: a line for each, which is used once.
+    """A table with a row for each touch; a row belongs to one recording.
 
     Raises
     ------
@@ -33,104 +33,112 @@ class CutTable:
         if not home.exists(name):
             raise errors.InputError(
                 f"no cut {path!r}{wording.did_you_mean(path, recordings.CUTS)}; expected "
-                f"{', '.join(recordings.CUTS)} or a path of a table"
+                f"{', '.join(recordings.CUTS)} or the path of a table"
             )
         self._place = home.address(name)
-        self._lines = source_files.read_table(home, name, columns, RECORDING_COLUMNS)
-        names, time_unit = self._lines.names, columns.time_unit
-        known = [_FRAME, *(f"start_{unit}" for unit in units.PER_SECOND), *(["start"] if time_unit else [])]
+        self._table = source_files.read_table(home, name, columns, RECORDING_COLUMNS)
+        names, time_unit = self._table.names, columns.time_unit
+        known = [_FRAME, *(f"start_{unit}" for unit in units.PER_SECOND)]
+        if time_unit:
+            known.append("start")
         starts = [each for each in known if each in names]
         if len(starts) != 1:
             found = " and ".join(starts) or ", ".join(map(str, names)) or "none"
             raise errors.InputError(
-                f"{self._place!r} should say once when touches start and end; found columns {found}",
+                f"{self._place!r} needs one column for the start of touches and one for the end; "
+                f"found columns {found}",
                 next="name the columns start_s and end_s (or _ms, _us, _ns), or start_frame and end_frame",
             )
-        (self._start,) = starts
-        self._end = self._start.replace("start", "end")
-        self._recording = next((each for each in RECORDING_COLUMNS if each in names), None)
-        self._columns = list(filter(None, (self._start, self._end, self._recording)))
-        source_files.require_columns(names, self._columns, self._place)
-        self._unit = import_columns.ImportColumns(
-            time=self._start, time_unit=time_unit if self._start == "start" else None
-        )
-        self._used: dict[int, str] = {}
-        self._meant = [""] * self._lines.rows
-        if self._recording is not None:
-            self._meant = list(map(source_files.path_of, self._lines.texts(self._recording)))
-        self._named: dict[str, list[int]] = {}
-        for number, meant in enumerate(self._meant):
-            self._named.setdefault(meant, []).append(number)
+        (self._start_column,) = starts
+        self._end_column = self._start_column.replace("start", "end")
+        self._recording_column = next((each for each in RECORDING_COLUMNS if each in names), None)
+        self._own_columns = list(filter(None, (self._start_column, self._end_column, self._recording_column)))
+        source_files.require_columns(names, self._own_columns, self._place)
+        if self._start_column != "start":  # its name states the unit
+            time_unit = None
+        self._time_columns = import_columns.ImportColumns(time=self._start_column, time_unit=time_unit)
+        self._recording_of_row: dict[int, str] = {}
+        self._stated_recordings = [""] * self._table.rows
+        if self._recording_column is not None:
+            self._stated_recordings = [
+                source_files.path_of(text) for text in self._table.texts(self._recording_column)
+            ]
+        self._rows_that_state: dict[str, list[int]] = {}
+        for row, stated in enumerate(self._stated_recordings):
+            self._rows_that_state.setdefault(stated, []).append(row)
 
     def touches_of(self, recording: recordings.Recording) -> found_touches.FoundTouches:
         """Return the touches of a recording in the order of the table.
 
-        What cannot be cut is that touch's problem. InputError: the table does not say which of several
-        recordings is meant, or means both.
+        A touch that cannot be cut has a problem. Raises InputError if a row fits several recordings.
         """
         clips = []
-        for count, number in enumerate(self._lines_of(recording)):
-            other = self._used.setdefault(number, recording.name)
+        for count, row in enumerate(self._rows_of(recording)):
+            other = self._recording_of_row.setdefault(row, recording.name)
             if other != recording.name:
                 raise errors.InputError(
-                    f"{self._place!r}: row {number + 1:,} could mean {other!r} or {recording.name!r}",
+                    f"{self._place!r}: row {row + 1:,} could mean {other!r} or {recording.name!r}",
                     next=f"write whole paths below the source, in a column {RECORDING_COLUMNS[0]!r}",
                 )
             name = f"{recording.name}_{count:03d}"
             try:
-                start, stop = self._interval(recording, number)
+                start, stop = self._interval(recording, row)
             except errors.ItemError as error:
                 clips.append(recording.unusable(error, name))
                 continue
-            values = self._lines.values(number)
-            said = {key: value for key, value in values.items() if key not in self._columns}
+            values = self._table.values(row)
+            said = {key: value for key, value in values.items() if key not in self._own_columns}
             clips.append(recordings.Clip(start, stop, name, said=said))
         if not clips:
-            clips = [recording.unusable(errors.ItemError("cut", f"no line of {self._place!r} names it"))]
+            problem = errors.ItemError("cut", f"no row of {self._place!r} names this recording")
+            clips = [recording.unusable(problem)]
         return recording.clips(clips)
 
     def unused(self) -> found_touches.FoundTouches:
-        """Return the lines of recordings that were not found, each with this problem."""
-        rows = [number for number in range(self._lines.rows) if number not in self._used]
+        """Return the rows whose recording was not found, each with this problem."""
+        rows = [row for row in range(self._table.rows) if row not in self._recording_of_row]
         problems = {}
-        for place, number in enumerate(rows):
-            meant = fields.shown(self._meant[number]) or "no recording"
-            problems[place] = errors.ItemError(
-                "recording", f"names {meant!r}; expected a recording of the source"
+        for index, row in enumerate(rows):
+            stated = fields.shown(self._stated_recordings[row])
+            problems[index] = errors.ItemError(
+                "recording", f"names {stated!r}; expected a recording of the source"
             )
-        names = [f"row {number + 1} of the cuts" for number in rows]
+        names = [f"row {row + 1} of the cuts" for row in rows]
         return found_touches.FoundTouches.of(names, self._place, "", {}, problems=problems)
 
-    def _lines_of(self, recording: recordings.Recording) -> Sequence[int]:
-        """Return the numbers of the lines of a recording; all, if no column names recordings."""
-        if self._recording is None:
-            return range(self._lines.rows)
+    def _rows_of(self, recording: recordings.Recording) -> Sequence[int]:
+        """Return the rows of a recording; all rows if no column names recordings."""
+        if self._recording_column is None:
+            return range(self._table.rows)
         path = PurePosixPath(recording.path)
-        whole = recording.path.removesuffix(path.suffix)
-        names = {recording.name, recording.path, path.name, whole, path.stem} - {""}
-        return sorted(number for name in names for number in self._named.get(name, ()))
+        without_ending = recording.path.removesuffix(path.suffix)
+        names = {recording.name, recording.path, path.name, without_ending, path.stem} - {""}
+        return sorted(row for name in names for row in self._rows_that_state.get(name, ()))
 
-    def _interval(self, recording: recordings.Recording, number: int) -> tuple[int, int]:
-        """Return the first picture of a touch, and the one after its last, or raise ItemError."""
-        problem = recording.problem or self._lines.problems.get(number)
+    def _interval(self, recording: recordings.Recording, row: int) -> tuple[int, int]:
+        """Return the number of the first picture of a touch and of the one after its last.
+
+        Raises ItemError if the row or the recording cannot be used.
+        """
+        problem = recording.problem or self._table.problems.get(row)
         if problem is not None:
             raise problem
         times = recording.time_s
-        if self._start == _FRAME:
+        if self._start_column == _FRAME:
             times = np.arange(recording.frames, dtype=np.float64)
         if times is None:
             raise errors.ItemError(
                 "times", "the recording has no times", next="state start_frame and end_frame"
             )
-        ends = [self._lines.columns[name].slice(number, 1) for name in (self._start, self._end)]
-        first, last = fields.times_s(column_types.joined(ends), self._unit).tolist()
+        ends = [self._table.columns[name].slice(row, 1) for name in (self._start_column, self._end_column)]
+        first, last = fields.times_s(column_types.joined(ends), self._time_columns).tolist()
         start, stop = int(times.searchsorted(first)), int(times.searchsorted(last, side="right"))
         tolerance = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
         if start >= stop or first < times[0] - tolerance or last > times[-1] + tolerance:
             raise errors.ItemError(
                 "interval",
-                f"{self._start} is {first:g}, {self._end} {last:g}; expected pictures of the recording, "
-                f"which lasts from {times[0]:g} to {times[-1]:g}",
+                f"{self._start_column} is {first:g}, {self._end_column} {last:g}; expected pictures of the "
+                f"recording, which lasts from {times[0]:g} to {times[-1]:g}",
             )
         return start, stop
 
@@ -141,21 +149,21 @@ class Cutter:
     Parameters
     ----------
     cut : str or None
-        One of :data:`CUTS`, or the path of a table of touches; None stands for what each recording states.
+        One of :data:`CUTS`, or the path of a table of touches; None cuts each recording as it states itself.
     contents : callable
-        Reads the pictures of touches, as the format of the source has them.
+        Reads the pictures of touches in the format of the source.
     columns : ImportColumns, optional
-        Its unit of time is that of the columns ``start`` and ``end`` of a table, which do not state theirs.
+        Its unit of time applies to the columns ``start`` and ``end`` of a table, whose names state none.
     default : str
-        One of the first two of :data:`CUTS`, for recordings that state nothing.
+        One of the first two of :data:`CUTS`, for recordings that state no cut.
 
     Attributes
     ----------
     pictures : dict
-        Pictures of the cuts found by contact, as PNG, by the name of the recording with ``-`` for ``/``;
-        complete when all touches were taken.
+        Drawings of the cuts found by contact, as PNG, by the name of the recording with ``-`` for ``/``;
+        complete after the last recording.
     done : str
-        How the last recording was cut, "table" by a table; empty without one.
+        How the last recording was cut: one of :data:`CUTS`, or "table"; empty before the first recording.
 
     Raises
     ------
@@ -178,13 +186,13 @@ class Cutter:
             self._table = CutTable(cut, columns or import_columns.ImportColumns())
 
     def cut(self, recording: recordings.Recording) -> found_touches.FoundTouches:
-        """Return the touches of a recording in order; what cannot be cut is one touch, with its problem.
+        """Return the touches of a recording in order; a recording that cannot be cut is one touch.
 
-        Raises InputError for a table that does not say which of several recordings is meant.
+        That touch has the problem. Raises InputError if a row of a table fits several recordings.
         """
         recording = recording.checked()
         if self._table is not None:
-            self.done = "table"  # what a set says of itself does not depend on paths
+            self.done = "table"  # not its path: paths are not recorded in a data set
             return self._table.touches_of(recording)
         self.done = self._cut or recording.cut or self._default
         if recording.problem is None and self.done == "contact":
@@ -192,7 +200,7 @@ class Cutter:
         return recordings.touches_of(recording, self.done)
 
     def unused(self) -> list[found_touches.FoundTouches]:
-        """Return what a table says of recordings that were not found, each with this problem."""
+        """Return the rows of a table whose recordings were not found, each with this problem."""
         return [] if self._table is None else [self._table.unused()]
 
     def _by_contact(self, recording: recordings.Recording) -> Iterator[recordings.Clip]:

@@ -1,6 +1,6 @@
-"""Columns of a source whose meaning this toolkit does not know: kept with their types, as extra columns.
+"""Columns of a source whose meaning is not known are kept with their types, as extra columns.
 
-A touch has one value of each, or one for each picture of its clip. Missing values stay missing.
+A touch has one value in such a column, or one for each picture of its clip. Missing values stay missing.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from tactile_toolkit import column_types, errors, shown_text
 BOOKKEEPING = frozenset(
     {"id", "round_id", "touch", "frame", "file", "image", "key", "sha256", "meta_file", "meta_sha256"}
 )
-"""Columns by which exports of this toolkit find their files: no extra columns, unless they are named."""
+"""Columns by which exports of this toolkit find their files; they become extra columns only if named."""
 
 _MAX_COLUMNS = 1000
 
@@ -33,9 +33,9 @@ def used_names(columns: import_columns.ImportColumns) -> set[str | None]:
 def extra_sources(
     touches: found_touches.FoundTouches, columns: import_columns.ImportColumns
 ) -> dict[str, str]:
-    """Return the extra columns that touches have: new names, with those of the source.
+    """Return the extra columns of touches: the name in the source by the new name.
 
-    InputError for two columns of one new name.
+    Raises InputError if two columns would have one name.
     """
     renamed = {source: name for name, source in columns.extra if source}
     left_out = {name for name, source in columns.extra if not source}
@@ -60,9 +60,9 @@ def extra_sources(
 def extra_types(
     touches: found_touches.FoundTouches, columns: import_columns.ImportColumns
 ) -> dict[str, pa.DataType]:
-    """Return the type of what a touch has in each extra column, by the name of the column in a data set.
+    """Return the type of the value of a touch in each extra column, by the name of the column in a data set.
 
-    A column with objects, bytes or uneven lists is not kept, nor one without any value.
+    A column of objects, bytes or lists of several lengths is not kept, nor one without any value.
     """
     types: dict[str, pa.DataType] = {}
     for name, source in extra_sources(touches, columns).items():
@@ -76,7 +76,7 @@ def extra_types(
 
 
 def _type_of(touches: found_touches.FoundTouches, source: str, *, per_frame: bool) -> pa.DataType | None:
-    """Return the type in which values of a column are stored; None if they are not."""
+    """Return the type in which the values of a column are stored; None if they are not stored."""
     kind = touches.of_frames(source).type.value_type if per_frame else touches.said[source].type
     leaf = kind.value_type if pa.types.is_list(kind) else kind
     if leaf == column_types.UNTYPED or pa.types.is_null(leaf) or source not in touches.known:
@@ -91,7 +91,7 @@ def extra_arrays(
     columns: import_columns.ImportColumns,
     types: Mapping[str, pa.DataType],
 ) -> Iterator[pa.Array]:
-    """Yield the values of each extra column, an entry a touch."""
+    """Yield the values of each extra column, an entry for each touch."""
     sources = dict(columns.extra)
     for column, data_type in types.items():
         name, is_frame = _name_of(column)
@@ -112,7 +112,7 @@ def _name_of(column: str) -> tuple[str, bool]:
 
 
 def kept_sources(columns: import_columns.ImportColumns, types: Iterable[str]) -> dict[str, str]:
-    """Return the fields that are kept in some extra columns of a data set, with their names there."""
+    """Return the fields that some extra columns of a data set keep, with their names there."""
     sources = dict(columns.extra)
     names = (_name_of(column)[0] for column in types)
     return {sources.get(name, name): name for name in names}
@@ -121,7 +121,7 @@ def kept_sources(columns: import_columns.ImportColumns, types: Iterable[str]) ->
 def not_kept(
     touches: found_touches.FoundTouches, columns: import_columns.ImportColumns, types: Iterable[str]
 ) -> dict[str, int]:
-    """Return of how many touches each field is neither used nor kept, by its name as it can be shown."""
+    """Return the number of touches with each field that is neither used nor kept, by its printable name."""
     kept = used_names(columns) | kept_sources(columns, types).keys()
     counts: dict[str, int] = {}
     for name in touches.names:

@@ -1,4 +1,4 @@
-"""Values of the fields of a source, in the units of this toolkit; a wrong one is refused with a reason."""
+"""Convert the fields of a source to the units of this toolkit; wrong values are refused with a reason."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from tactile_toolkit import arithmetic, column_types, errors, spatial, units
 from tactile_toolkit.array_types import Float64, Int64
 
 UNKNOWN = ("-1", "-1.0")
-"""The number of a class that is not known, as `datasets` has it."""
+"""Numbers of an unknown class, as in `datasets`."""
 
 Fields = Mapping[str, pa.Array]
-"""Columns by their names, each with an entry for every touch or picture."""
+"""Columns by name, each with an entry for every touch or picture."""
 
 _WHOLE = re.compile(r"^(0|[1-9][0-9]*)(?:\.0+)?\Z")
-_LONGEST_SHOWN = 80  # letters of a value that a message repeats
+_LONGEST_SHOWN = 80  # characters of a value in a message
 _LONGEST_INTEGER = 18  # digits
-# The cell is 0.12 m wide. What lies farther from it than that, or three times as high, is in another unit.
+# The cell is 0.12 m wide. A position over 0.12 m outside of it, or over 0.36 m high, is in another unit.
 _FARTHEST_M = (0.18, 0.18, 0.36)
-_MAX_TURN = 4 * np.pi  # of a rotation vector; a longer one is in degrees
-_NO_TILT = 1e-6  # of a frame by which x and y alone can be transformed
+_MAX_TURN = 4 * np.pi  # radians; a longer rotation vector is in degrees
+_MAX_TILT = 1e-6  # of a frame that can transform x and y without the height
 _INSTANTS = (pa.timestamp("ns", "UTC"), pa.timestamp("ns"))
 
 
@@ -36,8 +36,8 @@ def shown(text: object) -> str:
 
 
 def integer_text(text: str) -> str:
-    """Return ``"3"`` for ``"3.0"``: programs write integers so in a column with gaps."""
-    if text.isdecimal() or "." not in text:  # most of them
+    """Return ``"3"`` for ``"3.0"``, as programs write integers in a column with missing values."""
+    if text.isdecimal() or "." not in text:  # the usual case, decided fast
         return text
     return _WHOLE.sub(r"\1", text)
 
@@ -45,35 +45,34 @@ def integer_text(text: str) -> str:
 def labels_of(
     touches: found_touches.FoundTouches, column: str | None, names: Sequence[str]
 ) -> tuple[Int64, dict[int, errors.ItemError]]:
-    """Return the class number of each touch, -1 if it is unknown, and the problems by place."""
+    """Return the class number of each touch, -1 if it is unknown, and the problems by index."""
     numbers = {name: number for number, name in reversed([*enumerate(names)])}
-    problems = _no_names(touches.value(column or source_files.NUMBERED))
+    problems = _nested_labels(touches.value(column or source_files.NUMBERED))
     found = np.full(len(touches), -1)
     if not numbers:
         return found, problems
     seen: dict[str, int | None] = dict.fromkeys(UNKNOWN, -1)
-    for place, pair in enumerate(
-        zip(touches.texts(column), touches.texts(source_files.NUMBERED), strict=True)
-    ):
-        label = pair[0] or pair[1]
+    stated = zip(touches.texts(column), touches.texts(source_files.NUMBERED), strict=True)
+    for index, (name, digits) in enumerate(stated):
+        label = name or digits
         if label not in seen:
             seen[label] = numbers.get(label, numbers.get(integer_text(label)))
         number = seen[label]
         if number is None:
-            problems[place] = errors.ItemError("label", f"the label {shown(label)!r}; expected a class")
+            problems[index] = errors.ItemError("label", f"the label {shown(label)!r}; expected a class")
         else:
-            found[place] = number
+            found[index] = number
     return found, problems
 
 
-def _no_names(column: pa.Array | None) -> dict[int, errors.ItemError]:
-    """Return the labels that are lists or objects of JSON."""
+def _nested_labels(column: pa.Array | None) -> dict[int, errors.ItemError]:
+    """Return a problem for each label that is a JSON list or object."""
     if column is None or column_types.is_leaf(column.type):
         return {}
     values = column_types.values_of(column)
     return {
-        place: errors.ItemError("label", f"the label {shown(value)}; expected a name or a number")
-        for place, value in enumerate(values)
+        index: errors.ItemError("label", f"the label {shown(value)}; expected a name or a number")
+        for index, value in enumerate(values)
         if isinstance(value, (dict, list))
     }
 
@@ -81,13 +80,15 @@ def _no_names(column: pa.Array | None) -> dict[int, errors.ItemError]:
 def objects_of(
     touches: found_touches.FoundTouches, column: str | None
 ) -> tuple[Int64, dict[int, errors.ItemError]]:
-    """Return the object id of each touch, 0 without such a column, and the problems by place."""
+    """Return the object id of each touch, 0 without such a column, and the problems by index."""
     found, problems = np.zeros(len(touches), np.int64), dict[int, errors.ItemError]()
-    for place, text in enumerate(map(integer_text, touches.texts(column)) if column else ()):
+    if not column:
+        return found, problems
+    for index, text in enumerate(map(integer_text, touches.texts(column))):
         if text.isdecimal() and text.isascii() and len(text) <= _LONGEST_INTEGER:
-            found[place] = int(text)
+            found[index] = int(text)
         else:
-            problems[place] = errors.ItemError("object", f"the object {shown(text)!r}; expected an integer")
+            problems[index] = errors.ItemError("object", f"the object {shown(text)!r}; expected an integer")
     return found, problems
 
 
@@ -97,10 +98,10 @@ def each_of(
     columns: import_columns.ImportColumns,
     rows: Int64,
 ) -> tuple[Float64 | None, dict[int, errors.ItemError]]:
-    """Read some touches or pictures at once, or one by one where some are wrong.
+    """Read the values of some touches or pictures at once, or in smaller parts where some are wrong.
 
-    Returns an array with an entry for each row, NaN for those that are not read, and what is wrong with those
-    that cannot be used; without a single one that can, there is no array.
+    Returns an array with an entry for every touch or picture of the fields, NaN where nothing was read, and
+    the problems by index. Instead of the array it returns None if no value can be used.
     """
     problems: dict[int, errors.ItemError] = {}
     found: Float64 | None = None
@@ -112,8 +113,8 @@ def each_of(
         except errors.ItemError as error:
             if len(part) == 1:
                 problems[int(part[0])] = error
-            else:
-                parts += np.array_split(part, 2)[::-1] if len(part) else []
+            elif len(part):
+                parts += np.array_split(part, 2)[::-1]
             continue
         if found is None:
             count = max(map(len, fields.values()))
@@ -125,14 +126,15 @@ def each_of(
 def stated_positions(fields: Fields, columns: import_columns.ImportColumns) -> Float64:
     """Return intended positions, x and y in metres, cell frame, shape (n, 2).
 
-    Raises ItemError for anything else; InputError for a frame that makes them depend on a height.
+    Raises ItemError for other values, and InputError for a tilted frame, as x and y then depend on the
+    height.
     """
     place = _numbers(fields, columns, columns.position or (), (2,), "position")
     if columns.frame is not None:
         turn, shift = _frame(columns)
-        if np.abs(turn[:2, 2]).max() > _NO_TILT:
+        if np.abs(turn[:2, 2]).max() > _MAX_TILT:
             raise errors.InputError(
-                "the frame tilts, so that an x and y of the source is no x and y of the cell",
+                "the frame tilts, so that x and y in the cell depend on the height in the source",
                 next="leave out the positions: --map position=",
             )
         place = place @ turn[:2, :2].T + shift[:2]
@@ -143,10 +145,10 @@ def stated_positions(fields: Fields, columns: import_columns.ImportColumns) -> F
 def poses(fields: Fields, columns: import_columns.ImportColumns) -> Float64:
     """Return poses in the cell frame, shape (n, 7): position in metres, quaternion x, y, z, w.
 
-    Raises ItemError for anything else.
+    Raises ItemError for other values.
     """
     numbers = _numbers(fields, columns, columns.pose or (), columns.pose_sizes, "pose")
-    read = {6: _turned, 7: _ordered}.get(numbers.shape[1], _of_matrices)
+    read = {6: _of_angles, 7: _of_quaternions}.get(numbers.shape[1], _of_matrices)
     place, turns = read(numbers, columns)
     wrong = bad_pose(place, turns)
     if wrong is not None:
@@ -160,9 +162,9 @@ def poses(fields: Fields, columns: import_columns.ImportColumns) -> Float64:
 
 
 def times_s(values: pa.Array, columns: import_columns.ImportColumns) -> Float64:
-    """Return times in seconds, shape (n,); ItemError for anything but finite numbers or points in time.
+    """Return times in seconds, shape (n,); points in time count from 1970, UTC.
 
-    Points in time count from 1970, UTC.
+    Raises ItemError for values that are neither finite numbers nor points in time.
     """
     found, divisor = _instants_s(values), 1.0
     if found is None:
@@ -185,7 +187,7 @@ def times_s(values: pa.Array, columns: import_columns.ImportColumns) -> Float64:
 
 
 def _instants_s(values: pa.Array) -> Float64 | None:
-    """Return points in time, also as text, in seconds; None for anything else."""
+    """Return points in time, also those in text, and durations in seconds; None for other values."""
     if pa.types.is_string(values.type):
         for kind in _INSTANTS:
             with suppress(pa.ArrowException):
@@ -202,28 +204,28 @@ def _instants_s(values: pa.Array) -> Float64 | None:
     return None
 
 
-def _ordered(numbers: Float64, columns: import_columns.ImportColumns) -> tuple[Float64, Float64]:
-    """Return positions, and quaternions x, y, z, w, of poses of seven numbers."""
+def _of_quaternions(numbers: Float64, columns: import_columns.ImportColumns) -> tuple[Float64, Float64]:
+    """Return positions and quaternions x, y, z, w of poses of seven numbers."""
     order = [3 + columns.order.index(axis) for axis in "xyzw"]
     return numbers[:, :3], numbers[:, order]
 
 
-def _turned(numbers: Float64, columns: import_columns.ImportColumns) -> tuple[Float64, Float64]:
-    """Return the same of six numbers, with Euler angles or rotation vectors in radians."""
+def _of_angles(numbers: Float64, columns: import_columns.ImportColumns) -> tuple[Float64, Float64]:
+    """Return positions and quaternions of poses with Euler angles or rotation vectors in radians."""
     place, angles = numbers[:, :3], numbers[:, 3:]
     if columns.euler is not None:
         return place, spatial.Rotation.from_euler(columns.euler, angles).as_quat()
     if columns.angle_unit is None and np.abs(angles).max(initial=0) > _MAX_TURN:
         raise errors.ItemError(
             "pose",
-            f"the rotation vector {shown(angles[0])}, in radians, turns more than twice; expected radians "
+            f"the rotation vector {shown(angles[0])} has more than two turns in radians; expected radians "
             "(--angle-unit states another unit)",
         )
     return place, spatial.Rotation.from_rotvec(angles).as_quat()
 
 
 def _of_matrices(numbers: Float64, _columns: import_columns.ImportColumns) -> tuple[Float64, Float64]:
-    """Return the same of matrices, shape (n, 12) or (n, 16); ItemError if one is not rigid."""
+    """Return positions and quaternions of matrices, (n, 12) or (n, 16); ItemError if one is not rigid."""
     matrices = numbers.reshape(len(numbers), -1, 4)
     if not arithmetic.are_rigid(matrices):
         raise errors.ItemError(
@@ -235,7 +237,7 @@ def _of_matrices(numbers: Float64, _columns: import_columns.ImportColumns) -> tu
 
 
 def _frame(columns: import_columns.ImportColumns) -> tuple[Float64, Float64]:
-    """Return rotation and shift, in metres, from the frame of the source to that of the cell."""
+    """Return rotation and translation, in metres, from the frame of the source to the cell frame."""
     matrix = np.array(columns.frame)
     per_metre = columns.divisors((), 2)[0]
     return spatial.Rotation.from_matrix(matrix[:3, :3]).as_matrix(), matrix[:3, 3] / per_metre
@@ -259,7 +261,7 @@ def _numbers(
     sizes: tuple[int, ...],
     reason: str,
 ) -> Float64:
-    """Return the numbers of some columns, or of one with all, shape (n, size), in metres and radians."""
+    """Return the numbers of columns, or of one column of lists, shape (n, size), in metres and radians."""
     found = [fields[name] for name in names]
     try:
         parts = [column_types.floats_of(each) for each in found]
@@ -267,12 +269,11 @@ def _numbers(
     except (ValueError, OverflowError):
         numbers = np.empty((0, 0))
     if numbers.shape[1] not in sizes or not np.isfinite(numbers).all():
-        first = [each[0].as_py() for each in found] if len(found[0]) else ["nothing"]
+        first = [each[0].as_py() for each in found if len(each)] or ["nothing"]
+        example = first[0] if len(first) == 1 else first
         expected = f"{sizes[0]} finite numbers"
         if len(sizes) > 1:
             counts = import_columns.expected_counts(sizes[1:])
-            expected += f", or {counts} of a matrix (--euler and --rotvec are of 6)"
-        raise errors.ItemError(
-            reason, f"{shown(first[0] if len(first) == 1 else first)}; expected {expected}"
-        )
+            expected += f", or {counts} of a matrix (6 with --euler or --rotvec)"
+        raise errors.ItemError(reason, f"{shown(example)}; expected {expected}")
     return numbers / columns.divisors(names, numbers.shape[1])

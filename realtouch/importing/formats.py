@@ -1,4 +1,4 @@
-"""The formats of recordings that are read, each by a module of ``realtouch.exchange``."""
+"""The formats of recordings that can be imported; a module of ``realtouch.exchange`` reads each of them."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ FindTouches = Callable[
     [store.DataFolder, import_columns.ImportColumns, str | None],
     Iterator[found_touches.FoundTouches | recordings.Recording],
 ]
-"""Takes a folder, the columns and the path of a table; yields touches, or recordings to cut."""
+"""Yields the touches of a folder, or recordings to cut, given columns and the path of a table."""
 
 
 @dataclass(frozen=True)
 class ImportFormat:
     """How a format is read.
 
-    ``contents`` yields the pictures of touches, encoded: as many for each touch as it has. ``cut`` is how
-    recordings become touches by default. ``is_one_a_file`` says that pictures of a file have one size.
-    ``describe`` states how pictures are converted; empty if they are taken as they are. With ``rotvec`` the
-    format has rotation vectors in poses of six numbers.
+    ``contents`` yields all pictures of each touch, encoded. ``cut`` is how recordings become touches by
+    default. ``one_size_per_file`` says that the pictures of a file have one size. ``describe`` states how
+    pictures are converted; empty if they are stored as they are. With ``rotvec``, the last three of a pose of
+    six numbers are a rotation vector.
     """
 
     find: FindTouches
     contents: source_files.ReadContents = source_files.contents_of
     cut: str = "frames"
-    is_one_a_file: bool = False
+    one_size_per_file: bool = False
     describe: Callable[[found_touches.FoundTouches], str] = lambda _touches: ""
     rotvec: bool = False
 
@@ -37,14 +37,14 @@ class ImportFormat:
 def _images(
     layout: str, module: str = "", contents: source_files.ReadContents = source_files.contents_of
 ) -> ImportFormat:
-    """Return a format of images, each a file or part of one."""
+    """Return a format of images, each of which is a file or a part of one."""
     return ImportFormat(kind.lazy(f"realtouch.exchange.{module or layout}:find_{layout}"), contents)
 
 
 def _recordings(
     layout: str, module: str, reader: str, cut: str = "frames", *, rotvec: bool = False
 ) -> ImportFormat:
-    """Return a format of recordings, each file of which has pictures of one size; ``reader`` is a module."""
+    """Return a format of recordings whose files have pictures of one size; ``reader`` is a module."""
     find = kind.lazy(f"realtouch.exchange.{module}:find_{layout}")
     describe = kind.lazy(f"realtouch.exchange.{reader}:describe_conversion")
     return ImportFormat(find, _contents(f"{reader}:read_frames"), cut, True, describe, rotvec)
@@ -67,4 +67,4 @@ IMPORTS: dict[str, ImportFormat] = {
     "sparsh": _images("sparsh"),
     "anytouch": _images("anytouch"),
 }
-"""Formats that are read; each is recognised by its content (:mod:`realtouch.importing.recognised`)."""
+"""Formats that can be imported; :mod:`realtouch.importing.recognised` recognises them by their content."""

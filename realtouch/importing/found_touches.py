@@ -1,4 +1,4 @@
-"""Touches to import, as columns: places of their pictures, their fields, and their problems."""
+"""Touches to import, as columns: places of their pictures, fields and problems."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _WHERE = pa.schema(
         "round": pa.string(),
     }
 )
-_OF_PLACES = ("home", "path", "part", "start", "size", "frames")
+_PLACE_COLUMNS = ("home", "path", "part", "start", "size", "frames")
 
 File = tuple[str, str]
 """Address of a source, and a path below it."""
@@ -44,12 +44,12 @@ class PicturePlace(NamedTuple):
     home, path : str
         Address of the source, and the file below it that holds the pictures.
     part : str
-        What of a file with several sequences of pictures is meant; for the reader of the format alone.
+        Part of a file with several sequences of pictures. Only the reader of the format uses it.
     start, size : int
-        Where the picture begins in the file, and its bytes; of a recording, the number of its first picture,
-        and about how many bytes all of its pictures take.
+        Offset of the picture in the file and its size, bytes. For a recording, the number of the first
+        picture and the approximate size of all pictures.
     frames : int
-        Pictures of a clip; 0 for a single image.
+        Number of pictures of a clip; 0 for a single image.
     """
 
     home: str
@@ -72,14 +72,14 @@ class FoundTouches(Sequence[PicturePlace]):
     Attributes
     ----------
     where : pyarrow.Table
-        A row a touch. ``name``: what messages call it. ``home`` to ``frames``: see :class:`PicturePlace`.
-        ``contact``: first and last picture of a clip that show contact, if that is known. ``time_s``: time of
-        each picture of a clip, if known, seconds; rises. ``reason``, ``problem``: why it cannot be used, if
-        it cannot. ``number`` among all touches of the source; ``round``: in which it will be stored.
+        A row for each touch. ``name``: name in messages. ``home`` to ``frames``: see :class:`PicturePlace`.
+        ``contact``: first and last picture of a clip with contact, if known. ``time_s``: time of each picture
+        of a clip, if known, seconds, not decreasing. ``reason``, ``problem``: why the touch cannot be used,
+        else null. ``number``: number among all touches of the source. ``round``: round to store it in.
     said : pyarrow.Table
-        What is said of each touch, by the names of the source; see :mod:`tactile_toolkit.column_types`.
+        Fields of each touch, by their names in the source; see :mod:`tactile_toolkit.column_types`.
     per_frame : pyarrow.Table
-        What is said of each picture of a clip: lists with an entry a picture, null where nothing is.
+        Fields of each picture of a clip: lists with an entry for each picture, or null.
     """
 
     where: pa.Table
@@ -98,23 +98,17 @@ class FoundTouches(Sequence[PicturePlace]):
         problems: Mapping[int, errors.ItemError] | None = None,
         **columns: object,
     ) -> FoundTouches:
-        """Return touches of one source; of ``columns`` of ``where``, one value stands for all."""
+        """Return touches of one source; a single value of ``columns`` of ``where`` holds for all touches."""
         count = len(names)
         given = {"name": names, "home": home, "path": paths, "part": "", "start": 0, "size": 0, "frames": 0}
         given |= columns
-        made = []
-        for field in _WHERE:
-            value = given.get(field.name)
-            if value is None or isinstance(value, (str, int)):
-                made.append(pa.repeat(pa.scalar(value, field.type), count))
-            else:
-                made.append(value if isinstance(value, pa.Array) else pa.array(value, field.type))
+        made = [_as_column(given.get(field.name), field.type, count) for field in _WHERE]
         found = cls(pa.table(made, schema=_WHERE), _table(said), _table(per_frame or {}))
         return found.with_problems(problems or {})
 
     @classmethod
     def joined(cls, parts: Sequence[FoundTouches]) -> FoundTouches:
-        """Return the touches of several sources; a column has a type that holds the values of all."""
+        """Return the touches of several sources; the type of a column fits the values of all sources."""
         if len(parts) == 1:
             return parts[0]
         where = pa.concat_tables([_WHERE.empty_table(), *(part.where for part in parts)])
@@ -140,11 +134,11 @@ class FoundTouches(Sequence[PicturePlace]):
 
     def __iter__(self) -> Iterator[PicturePlace]:
         return map(
-            PicturePlace._make, zip(*(self.where[name].to_pylist() for name in _OF_PLACES), strict=True)
+            PicturePlace._make, zip(*(self.where[name].to_pylist() for name in _PLACE_COLUMNS), strict=True)
         )
 
     def take(self, rows: Int64) -> FoundTouches:
-        """Return some touches, in this order, which no longer hold the others in memory."""
+        """Return some touches in this order; the others are not kept in memory."""
         taken = pa.array(rows, pa.int64())
         return FoundTouches(*(each.take(taken) for each in (self.where, self.said, self.per_frame)))
 
@@ -156,24 +150,24 @@ class FoundTouches(Sequence[PicturePlace]):
 
     @property
     def has_clips(self) -> bool:
-        """Whether touches are clips; the first decides."""
+        """Whether the touches are clips; the first touch decides."""
         return bool(len(self)) and self.where["frames"][0].as_py() > 0
 
     @property
     def names(self) -> list[str]:
-        """Names of all that is said, in order."""
+        """Names of all fields, in order."""
         return list(dict.fromkeys([*self.said.column_names, *self.per_frame.column_names]))
 
     @property
     def known(self) -> set[str]:
-        """Names of what is said of any touch."""
+        """Names of the fields that at least one touch has."""
         tables = (self.said, self.per_frame)
         return {
             name for table in tables for name in table.column_names if table[name].null_count < len(table)
         }
 
     def value(self, name: str) -> pa.Array | None:
-        """Return a column of what is said of touches; None without such a column."""
+        """Return a field of the touches as a column; None if there is no such field."""
         return one_chunk(self.said[name]) if name in self.said.column_names else None
 
     @property
@@ -183,31 +177,32 @@ class FoundTouches(Sequence[PicturePlace]):
         return frames if self.has_clips else np.ones_like(frames)
 
     def of_frames(self, name: str) -> pa.Array:
-        """Return what is said of the pictures of each clip, as lists; what is said of it holds for each."""
+        """Return a field of the pictures of each clip, as lists.
+
+        Where pictures have no values, each has the value of the clip.
+        """
         values = one_chunk(self.per_frame[name])
         if not values.null_count:
             return values
-        whole, inside = self.value(name), values.flatten()
+        whole, inside = _column(self.said, name, len(self)), values.flatten()
         is_known = values.is_valid().to_numpy(zero_copy_only=False)
         known = pc.list_value_length(values).fill_null(0).to_numpy()
         lengths = np.where(is_known, known, self.where["frames"].to_numpy())
-        entries = column_types.joined([inside, pa.nulls(len(self)) if whole is None else whole])
+        entries = column_types.joined([inside, whole])
         of_clips = np.repeat(np.arange(len(self)), lengths)
         rows = len(inside) + of_clips
         rows[is_known[of_clips]] = np.arange(len(inside))
         return column_types.lists_of(entries.take(pa.array(rows)), lengths)
 
     def of_pictures(self, name: str) -> pa.Array:
-        """Return a column with an entry for each picture of all touches; null where nothing is said."""
+        """Return a field as a column with an entry for each picture of all touches; null without a value."""
         if name in self.per_frame.column_names:
             return self.of_frames(name).flatten()
-        whole = self.value(name)
-        if whole is None:
-            whole = pa.nulls(len(self))
+        whole = _column(self.said, name, len(self))
         return whole.take(pa.array(np.repeat(np.arange(len(self)), self.picture_counts)))
 
     def texts(self, name: str | None) -> list[str]:
-        """Return what is said of each touch as text, as of names; empty where nothing is."""
+        """Return a field of each touch as text; empty where there is no value."""
         column = self.value(name) if name else None
         if column is None:
             return [""] * len(self)
@@ -217,18 +212,18 @@ class FoundTouches(Sequence[PicturePlace]):
         """Return the touches with other columns of ``where``."""
         where = self.where
         for name, values in columns.items():
-            place = _WHERE.get_field_index(name)
-            column = values if isinstance(values, pa.Array) else pa.array(values, _WHERE.types[place])
-            where = where.set_column(place, _WHERE.field(place), column)
+            field = _WHERE.field(name)
+            column = _as_column(values, field.type, len(self))
+            where = where.set_column(_WHERE.get_field_index(name), field, column)
         return replace(self, where=where)
 
     def with_said(self, columns: Mapping[str, pa.Array]) -> FoundTouches:
-        """Return the touches, of which more is said, or something else."""
+        """Return the touches with fields added or replaced."""
         said = dict(zip(self.said.column_names, self.said.columns, strict=True))
         return replace(self, said=_table({**said, **columns}))
 
     def with_problems(self, problems: Mapping[int, errors.ItemError]) -> FoundTouches:
-        """Return the touches, some with a problem, by place; the first problem of a touch counts."""
+        """Return the touches with problems added, by index; the first problem of a touch is kept."""
         if not problems:
             return self
         reasons, messages = (self.where[name].to_pylist() for name in ("reason", "problem"))
@@ -238,14 +233,14 @@ class FoundTouches(Sequence[PicturePlace]):
         return self.with_where(reason=reasons, problem=messages)
 
     def problems(self) -> Iterator[tuple[int, str, errors.ItemError]]:
-        """Yield number and name of each touch that cannot be used, and why."""
+        """Yield number, name and problem of each touch that cannot be used."""
         held = self.where.filter(pc.is_valid(self.where["problem"]))
         for row in held.select(["number", "name", "reason", "problem"]).to_pylist():
             yield row["number"], row["name"], errors.ItemError(row["reason"], row["problem"])
 
 
 def texts_in(column: pa.Array | pa.ChunkedArray) -> list[str]:
-    """Return texts, of which equal ones are one object: there may be many of few."""
+    """Return a column as a list of texts; equal texts are one object, which saves memory."""
     found = one_chunk(column) if isinstance(column, pa.ChunkedArray) else column
     encoded = found.dictionary_encode()
     names: list[str] = encoded.dictionary.to_pylist()
@@ -256,10 +251,20 @@ def one_chunk(column: pa.ChunkedArray) -> pa.Array:
     """Return a column of a table as an array."""
     if column.num_chunks == 1:
         return column.chunk(0)
-    return pa.concat_arrays(column.chunks) if column.num_chunks else pa.array([], column.type)
+    return pa.concat_arrays([pa.nulls(0, column.type), *column.chunks])
+
+
+def _as_column(value: object, data_type: pa.DataType, count: int) -> pa.Array:
+    """Return values as an array; a single one is repeated."""
+    if isinstance(value, pa.Array):
+        return value
+    if value is None or isinstance(value, (str, int)):
+        return pa.repeat(pa.scalar(value, data_type), count)
+    return pa.array(value, data_type)
 
 
 def _column(table: pa.Table, name: str, count: int) -> pa.Array:
+    """Return a column of a table; nulls if there is no such column."""
     return one_chunk(table[name]) if name in table.column_names else pa.nulls(count)
 
 
@@ -268,7 +273,10 @@ def _table(columns: Mapping[str, object] | pa.Table) -> pa.Table:
 
 
 def ranges_of(sizes: Sequence[int], most_bytes: int) -> Iterator[slice]:
-    """Divide a sequence, given the bytes of each, into parts of so many bytes; larger ones stand alone."""
+    """Divide items, given their sizes in bytes, into parts of at most ``most_bytes``.
+
+    An item that is larger is a part of its own.
+    """
     start = size_bytes = 0
     for number, size in enumerate(sizes):
         if size_bytes + size > most_bytes and number > start:
@@ -279,7 +287,7 @@ def ranges_of(sizes: Sequence[int], most_bytes: int) -> Iterator[slice]:
 
 
 def add_values(digest: Any, column: pa.Array) -> None:
-    """Add the values of a column to a digest; equal columns add the same, however they lie in memory."""
+    """Add the values of a column to a digest; the layout of the column in memory does not matter."""
     digest.update(column.is_null().to_numpy(zero_copy_only=False).tobytes())
     if pa.types.is_list(column.type):
         digest.update(pc.list_value_length(column).fill_null(0).to_numpy().tobytes())

@@ -12,8 +12,8 @@ from tactile_toolkit import checked_fields, errors, parsed_text, units
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import lazy
 
-# Fields of `ImportColumns` that are not given, and the columns that they are then, where a source has these.
-_OURS: tuple[tuple[str, str | tuple[str, ...]], ...] = (
+# Fields of `ImportColumns` and their default columns, which are used if the source has them.
+_DEFAULT_COLUMNS: tuple[tuple[str, str | tuple[str, ...]], ...] = (
     ("label", "label_name"),
     ("label", "label"),
     ("round", "round_id"),
@@ -33,14 +33,14 @@ MAPPED = {
     "split": "split",
     "time": "time",
 }
-"""What ``--map`` names, and the fields of :class:`ImportColumns` that hold it."""
+"""Names for ``--map``, and the field of :class:`ImportColumns` that each sets."""
 
 Matrix = tuple[tuple[float, ...], ...]
-_OUR_IMAGES = "file"
-_LENGTHS = 3  # of these, the first so many are lengths
-_POSITION_AND_TURN = 2  # columns of a pose that are vectors
+_DEFAULT_IMAGE = "file"
+_LENGTHS = 3  # numbers at the start of a pose that are lengths
+_POSITION_AND_ROTATION = 2  # columns of a pose that is given as two vectors
 _QUATERNION_POSE, _ANGLE_POSE, _MATRIX_POSES = 7, 6, (12, 16)
-# Of positions and poses of so many numbers, which are lengths, and which are angles.
+# Which numbers of a position or pose are lengths, and which are angles, by how many it has.
 _PLACES = {
     2: (range(2), range(0)),
     _ANGLE_POSE: (range(3), range(3, 6)),
@@ -48,8 +48,8 @@ _PLACES = {
     **dict.fromkeys(_MATRIX_POSES, (range(3, 12, 4), range(0))),
 }
 _EULER = re.compile(r"(?:[xyz]{3}|[XYZ]{3})\Z")
-LONGEST_NAME = 100  # letters
-# Imported on use: few commands name a file, and these take a while.
+LONGEST_NAME = 100  # characters
+# Imported on use: few commands name a file, and these imports are slow.
 _read_frame = lazy("realtouch.importing.named_files:read_frame")
 _rigid_frame = lazy("realtouch.importing.named_files:rigid_frame")
 _read_mapped = lazy("realtouch.importing.named_files:read_mapped")
@@ -59,13 +59,13 @@ _read_mapped = lazy("realtouch.importing.named_files:read_mapped")
 class ImportColumns:
     """Which columns of a table, fields of JSON files or arrays hold labels, positions and so on; their units.
 
-    What is not named is read from the columns that :func:`realtouch.export` and :func:`realtouch.frames`
-    write, where the source has them: ``label_name`` or ``label``, ``round_id``, ``object_id``, ``split``,
-    ``pos_in_cell_x_m`` and ``_y_m``, ``gel_x_m`` to ``gel_qw``; or the pose from those of FoTa, ``x_mm`` to
+    Fields that are None are read from the columns that :func:`realtouch.export` and :func:`realtouch.frames`
+    write, if the source has them: ``label_name`` or ``label``, ``round_id``, ``object_id``, ``split``,
+    ``pos_in_cell_x_m`` and ``_y_m``, ``gel_x_m`` to ``gel_qw``; the pose also from those of FoTa, ``x_mm`` to
     ``quat_w``. An empty text or tuple stands for no column. Every other column is kept as an extra one.
 
-    A column is in the unit in which its name ends: ``_mm``, ``_cm`` or ``_m``; ``_deg`` or ``_rad``; ``_s``,
-    ``_ms``, ``_us`` or ``_ns``. Else it is in ``length_unit``, ``angle_unit`` or ``time_unit``.
+    The end of its name states the unit of a column: ``_mm``, ``_cm`` or ``_m``; ``_deg`` or ``_rad``; ``_s``,
+    ``_ms``, ``_us`` or ``_ns``. Otherwise it is ``length_unit``, ``angle_unit`` or ``time_unit``.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class ImportColumns:
     label : str or None
         Class: a number, or a name. Without such a column all touches have the label -1 and no class.
     round : str or None
-        Which touches belong together; without it each is a round of its own.
+        Which touches belong together; without it each touch is a round of its own.
     object_id : str or None
         Number of the touched object, an integer.
     position : tuple of str or None
@@ -94,8 +94,8 @@ class ImportColumns:
     length_unit : "mm", "cm" or "m", optional
         Unit of lengths whose columns do not state theirs; metres by default.
     angle_unit : "deg" or "rad", optional
-        Unit of angles whose columns do not state theirs. Euler angles need one of both; the default of a
-        rotation vector is radians.
+        Unit of angles whose columns do not state theirs. Euler angles need a stated unit; a rotation vector
+        is in radians by default.
     time_unit : "s", "ms", "us" or "ns", optional
         Unit of times whose column does not state its own; seconds by default.
     quaternion_order : "xyzw" or "wxyz", optional
@@ -110,7 +110,7 @@ class ImportColumns:
         translation is in ``length_unit``; metres by default. It applies to poses and positions.
     """
 
-    image: str | None = _OUR_IMAGES
+    image: str | None = _DEFAULT_IMAGE
     label: str | None = None
     round: str | None = None
     object_id: str | None = None
@@ -186,7 +186,7 @@ class ImportColumns:
         self._check_extra()
 
     def _check_orientation(self) -> None:
-        """Refuse several kinds of orientations, other axes, and angles of an unknown unit."""
+        """Refuse contradictory kinds of orientation, invalid axes, and angles of unknown unit."""
         stated = {
             "--quaternion-order": self.quaternion_order,
             "--euler": self.euler,
@@ -216,16 +216,16 @@ class ImportColumns:
             if not is_extra_name(name):
                 raise errors.InputError(
                     f"the extra column {name[:LONGEST_NAME]!r}; expected a name of 1 to {LONGEST_NAME} "
-                    "letters that can be printed"
+                    "printable characters"
                 )
             if names.count(name) > 1:
                 raise errors.InputError(f"the extra column {name!r} is named twice; expected different names")
 
     def with_mapped(self, pairs: Sequence[str]) -> ImportColumns:
-        """Return these columns with those that texts ``NAME=COLUMN`` name, or ``@FILE`` with such lines.
+        """Return these columns, changed by texts ``NAME=COLUMN``, or ``@FILE`` for a file of such lines.
 
-        Names other than those of ``MAPPED`` are new names of extra columns. InputError for a text of
-        another form, a name that is given twice, and one that is almost one of ``MAPPED``.
+        Names other than those of ``MAPPED`` are new names of extra columns. Raises InputError for a text of
+        another form, a name that is given twice, and a name that is almost one of ``MAPPED``.
         """
         found: dict[str, str] = _read_mapped(pairs)
         changes: JsonDict = {MAPPED[name]: column for name, column in found.items() if name in MAPPED}
@@ -237,8 +237,8 @@ class ImportColumns:
 
     @property
     def image_name(self) -> str:
-        """Name that was given for images; empty by default."""
-        if self.image == _OUR_IMAGES:
+        """Name of the images if one was given; empty by default."""
+        if self.image == _DEFAULT_IMAGE:
             return ""
         return self.image or ""
 
@@ -249,7 +249,7 @@ class ImportColumns:
 
     @property
     def pose_sizes(self) -> tuple[int, ...]:
-        """How many numbers a pose may have."""
+        """Numbers of values that a pose may have."""
         if self.euler is not None or self.rotvec:
             return (_ANGLE_POSE,)
         if self.quaternion_order is not None:
@@ -257,9 +257,10 @@ class ImportColumns:
         return (_QUATERNION_POSE, *_MATRIX_POSES)
 
     def divisors(self, names: tuple[str, ...], count: int) -> tuple[float, ...]:
-        """Return what to divide the values of some columns by; InputError for conflicting units.
+        """Return the divisors that convert the values of some columns to metres and radians.
 
-        ``count`` is the number of values: of positions (2), or of poses.
+        ``count`` is the number of values of a position (2) or of a pose. Raises InputError for conflicting
+        units.
         """
         found = [1.0] * count
         lengths, angles = _PLACES[count]
@@ -271,7 +272,7 @@ class ImportColumns:
                 name = ""
                 if len(names) in (1, count):
                     name = names[place % len(names)]
-                elif len(names) == _POSITION_AND_TURN:
+                elif len(names) == _POSITION_AND_ROTATION:
                     name = names[place >= _LENGTHS]
                 if (
                     quantity is units.ANGLE
@@ -283,12 +284,12 @@ class ImportColumns:
         return tuple(found)
 
     def found_in(self, known: Collection[str], *, rotvec: bool = False) -> ImportColumns:
-        """Return these columns, completed by those of exports of this toolkit that are known.
+        """Return these columns, completed by the default columns that are known.
 
-        With ``rotvec``, the format states that a pose of six numbers holds a rotation vector.
+        ``rotvec`` says that a pose of six numbers holds a rotation vector in this format.
         """
         found: JsonDict = {}
-        for field, columns in _OURS:
+        for field, columns in _DEFAULT_COLUMNS:
             names = {columns} if isinstance(columns, str) else {*columns}
             if getattr(self, field) is None and field not in found and names <= {*known}:
                 found[field] = columns
@@ -296,18 +297,18 @@ class ImportColumns:
         return replace(self, **found, rotvec=self.rotvec or (rotvec and bool(self.pose) and not is_stated))
 
     def names(self) -> list[str]:
-        """Return the columns that must be there."""
+        """Return the columns that the source must have."""
         plain = (self.label, self.round, self.object_id, self.split, self.time)
         several = (*(self.position or ()), *(self.pose or ()), *(column for _, column in self.extra))
         return list(dict.fromkeys(filter(None, (*plain, *several))))
 
 
 def is_extra_name(name: str) -> bool:
-    """Return whether an extra column may have a name."""
+    """Return whether an extra column may have this name."""
     return name.isprintable() and name == name.strip() and 0 < len(name) <= LONGEST_NAME
 
 
 def expected_counts(counts: Sequence[int]) -> str:
-    """Return numbers as the words of a message: ``7``, or ``7, 12 or 16``."""
+    """Return numbers as text for a message: ``7``, or ``7, 12 or 16``."""
     *most, last = map(str, counts)
     return f"{', '.join(most)} or {last}" if most else last

@@ -1,4 +1,4 @@
-"""Preview of an import: what it would make; nothing is written."""
+"""Preview of an import: what it would make, without writing anything."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ class ImportPreview:
     layout, recognised_by : str
         Format, and the file by which it was recognised; empty if it was given.
     cut : str
-        How recordings become touches; empty if the source holds none.
+        How recordings become touches; empty if the source has no recordings.
     touches, rounds : int
-        Their numbers, without the touches that are known to be left out.
+        Numbers of touches and rounds, without the touches that are known to be left out.
     splits : mapping of str to int
         Touches of each split.
     classes : sequence of str
@@ -51,7 +51,7 @@ class ImportPreview:
     first : sequence of mapping
         The first touches as they would be stored, without pictures.
     streams : sequence of tuple of str
-        How streams of other rates fit, rows of a table.
+        How streams of other rates fit the recordings, as rows of a table.
     left_out : sequence of tuple
         Reason, number of touches, and the message of the first.
     """
@@ -152,21 +152,16 @@ def _pictures_in_words(found: import_sources.FoundSource, touches: arranging.Arr
 def _uses(found: import_sources.FoundSource, extras: Iterable[str]) -> list[tuple[str, str, str]]:
     """Return each column of the source, what it becomes, and its unit; ``extras`` are the extra columns."""
     columns = found.columns
-    roles = {
+    roles: dict[str | None, str] = {
+        **{source: f"extra {name!r}" for source, name in extra_columns.kept_sources(columns, extras).items()},
         columns.label: "label",
         columns.round: "round",
         columns.object_id: "object_id",
         columns.split: "split",
-    }
-    roles |= dict.fromkeys(columns.position or (), "pos_in_cell")
-    roles |= dict.fromkeys(columns.pose or (), "pose of the gel")
-    if columns.image is not None:
-        roles[columns.image] = "picture"
-    if columns.time is not None:
-        roles[columns.time] = "time"
-    roles = {
-        **{source: f"extra {name!r}" for source, name in extra_columns.kept_sources(columns, extras).items()},
-        **roles,
+        **dict.fromkeys(columns.position or (), "pos_in_cell"),
+        **dict.fromkeys(columns.pose or (), "pose of the gel"),
+        columns.image: "picture",
+        columns.time: "time",
     }
     lengths = {*(columns.position or ()), *(columns.pose or ())[:3]}
     uses = []

@@ -1,4 +1,4 @@
-"""The shards of an import: pictures read, checked and stored with what is said of them."""
+"""The shards of an import: pictures are read, checked and stored with their fields."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import Float64, Int64
 
 NOT_IMPORTED = "not_imported"
-"""Key of the statistics of an import: fields that were not imported, and of how many touches."""
+"""Key of the statistics of an import: number of touches of each field that was not imported."""
 
 
 _MAX_FIELDS = 100
@@ -35,8 +35,10 @@ _PIECE_BYTES = 32 << 20
 _SAME_M = 1e-9
 
 
-def _noted(contents: Iterable[bytes | errors.ItemError], digest: Any) -> Iterator[bytes | errors.ItemError]:
-    """Yield contents, and add each to a digest."""
+def _digested(
+    contents: Iterable[bytes | errors.ItemError], digest: Any
+) -> Iterator[bytes | errors.ItemError]:
+    """Yield contents and add each to a digest."""
     for content in contents:
         if isinstance(content, errors.ItemError):
             digest.update(b"unreadable\n")
@@ -46,10 +48,10 @@ def _noted(contents: Iterable[bytes | errors.ItemError], digest: Any) -> Iterato
         yield content
 
 
-class _Said(NamedTuple):
-    """What is said of the touches of a shard, an entry for each, and what is wrong with some of them.
+class _TouchFields(NamedTuple):
+    """Fields of the touches of a shard, an entry for each, and the problems of some of them.
 
-    ``poses`` have an entry for each picture; ``owners`` are the numbers of the touches of these.
+    ``poses`` has an entry for each picture; ``owners`` is the number of the touch of each picture.
     """
 
     labels: Int64
@@ -62,9 +64,9 @@ class _Said(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ImportTouches:
-    """Picklable: reads the pictures of some rounds and checks what is said of them.
+    """Picklable function that reads the pictures of some rounds and checks their fields.
 
-    ``versions`` are those of files that hold several images, when places of these in them were read.
+    ``versions`` holds the version of each file with several images, from when the places of these were read.
     """
 
     layout: str
@@ -78,9 +80,9 @@ class ImportTouches:
         return formats.IMPORTS[self.layout].contents(touches.take(np.flatnonzero(touches.is_usable)))
 
     def digest(self, touches: found_touches.FoundTouches) -> str:
-        """Read the images of touches and return the checksum of all."""
+        """Read the images of touches and return the checksum of them all."""
         found = hashlib.sha256()
-        deque(_noted(self._contents(touches), found), maxlen=0)
+        deque(_digested(self._contents(touches), found), maxlen=0)
         return found.hexdigest()
 
     @store.without_collecting()
@@ -89,8 +91,8 @@ class ImportTouches:
         digest = hashlib.sha256()
         tables, skipped = [self.schema.empty_table()], list[store.Skipped]()
         notes, others = Counter[str](), Counter[str]()
-        extras, said = imported_rows.extras_in(self.schema), self._said(touches)
-        contents = _noted(self._contents(touches), digest)
+        extras, said = imported_rows.extras_in(self.schema), self._read_fields(touches)
+        contents = _digested(self._contents(touches), digest)
         for rows in _pieces(touches):
             stored, problems = self._stored(touches, rows, said, contents)
             tables.append(imported_rows.table_of_touches(stored, self.columns, self.schema))
@@ -98,14 +100,7 @@ class ImportTouches:
             others.update(extra_columns.not_kept(stored.touches, self.columns, extras))
             for number, name, error in touches.take(rows).with_problems(problems).problems():
                 skipped.append(store.Skipped(number, error.reason, f"{name!r}: {error.message}"))
-        files = {place.file for place in touches} if self.versions else ()
-        for file in self.versions.keys() & files:
-            if import_sources.version_of(file) != self.versions[file]:
-                raise errors.IntegrityError(
-                    f"{'/'.join(file)!r} "
-                    "was replaced or changed while it was imported: images would be taken for others",
-                    next="run the same command with --overwrite",
-                )
+        self._require_unchanged(touches)
         counted = {NOT_IMPORTED: dict(others.most_common(_MAX_FIELDS)), touch_options.CLIPS: notes}
         statistics = {key: dict(sorted(counts.items())) for key, counts in counted.items() if counts}
         return store.ShardContent(
@@ -115,8 +110,20 @@ class ImportTouches:
             source_digest=digest.hexdigest(),
         )
 
-    def _said(self, touches: found_touches.FoundTouches) -> _Said:
-        """Read labels, objects, positions and poses of all touches that can be used."""
+    def _require_unchanged(self, touches: found_touches.FoundTouches) -> None:
+        """Raise IntegrityError if a file with several images is not the one whose places were read."""
+        if not self.versions:
+            return
+        for file in self.versions.keys() & {place.file for place in touches}:
+            if import_sources.version_of(file) != self.versions[file]:
+                raise errors.IntegrityError(
+                    f"{'/'.join(file)!r} was replaced or changed while it was imported; "
+                    "its images are no longer where they were",
+                    next="run the same command with --overwrite",
+                )
+
+    def _read_fields(self, touches: found_touches.FoundTouches) -> _TouchFields:
+        """Read labels, objects, positions and poses of all usable touches."""
         owners, columns = np.repeat(np.arange(len(touches)), touches.picture_counts), self.columns
         labels, problems = fields.labels_of(touches, columns.label, self.names)
         objects, no_objects = fields.objects_of(touches, columns.object_id)
@@ -130,10 +137,10 @@ class ImportTouches:
         differs = (np.abs(places - positions[owners]) > _SAME_M).any(axis=1)
         error = errors.ItemError(
             "position",
-            "it differs between the pictures of the clip; expected one (--map position= leaves it out)",
+            "it differs between the pictures of the clip; expected one value (--map position= leaves it out)",
         )
         problems = dict.fromkeys(owners[differs].tolist(), error) | no_objects | problems
-        return _Said(labels, objects, positions, poses, owners, problems | no_poses | no_places)
+        return _TouchFields(labels, objects, positions, poses, owners, problems | no_poses | no_places)
 
     def _of_pictures(
         self,
@@ -143,11 +150,11 @@ class ImportTouches:
         width: int,
         owners: Int64,
     ) -> tuple[Float64, dict[int, errors.ItemError]]:
-        """Read columns for each picture, NaN where nothing is; return what is wrong with touches, too."""
-        out, problems = np.full((len(owners), width), np.nan), dict[int, errors.ItemError]()
+        """Return the values of columns for each picture, NaN where there is none, and problems of touches."""
+        no_values, problems = np.full((len(owners), width), np.nan), dict[int, errors.ItemError]()
         rows = np.flatnonzero(touches.is_usable[owners])
         if not names or not len(rows):
-            return out, problems
+            return no_values, problems
         values = {name: touches.of_pictures(name) for name in names}
         found, wrong = fields.each_of(read, values, self.columns, rows)
         for row, error in wrong.items():
@@ -156,16 +163,18 @@ class ImportTouches:
                 number = row - int(np.searchsorted(owners, touch))
                 error = errors.ItemError(error.reason, f"picture {number}: {error.message}")
             problems.setdefault(touch, error)
-        return out if found is None else found, problems
+        if found is None:
+            found = no_values
+        return found, problems
 
     def _stored(
         self,
         touches: found_touches.FoundTouches,
         rows: Int64,
-        said: _Said,
+        said: _TouchFields,
         contents: Iterator[bytes | errors.ItemError],
     ) -> tuple[imported_rows.StoredTouches, dict[int, errors.ItemError]]:
-        """Read the pictures of touches of whole rounds; returns what is wrong with some, by place in rows."""
+        """Read the pictures of touches of whole rounds; also return problems, by index in ``rows``."""
         piece = touches.take(rows)
         frames, numbers = piece.where["frames"].to_pylist(), rows.tolist()
         made, clips = dict[int, bytes](), dict[int, imported_clips.ImportedClip]()
@@ -194,7 +203,7 @@ class ImportTouches:
         return imported_rows.StoredTouches(piece.take(kept), *about, encoded, kept_clips), problems
 
     def _size(self, pictures: Sequence[bytes | errors.ItemError], *, is_clip: bool) -> tuple[int, int]:
-        """Return the size of pictures; ItemError unless each is intact, upright and of the common size."""
+        """Return the size of pictures; ItemError if one is damaged, not upright or of another size."""
         size = self.image_size
         for number, picture in enumerate(pictures):
             try:
@@ -206,7 +215,7 @@ class ImportTouches:
 
 
 def _pieces(touches: found_touches.FoundTouches) -> Iterator[Int64]:
-    """Yield touches of whole rounds, a few at a time: pictures should not be held twice."""
+    """Yield the rows of a few whole rounds at a time, so that few pictures are in memory twice."""
     rounds, sizes = (touches.where[name].to_pylist() for name in ("round", "size"))
     start = size_bytes = 0
     for number, size in enumerate(sizes):
@@ -218,9 +227,9 @@ def _pieces(touches: found_touches.FoundTouches) -> Iterator[Int64]:
 
 
 def _of_other_rounds(
-    piece: found_touches.FoundTouches, said: _Said, rows: Int64, kept: Sequence[int]
+    piece: found_touches.FoundTouches, said: _TouchFields, rows: Int64, kept: Sequence[int]
 ) -> dict[int, errors.ItemError]:
-    """Return the touches whose label or object is not that of the first touch of their round."""
+    """Return a problem for each touch whose label or object differs from the first one of its round."""
     places = np.array(kept, np.int64)
     codes = found_touches.one_chunk(piece.where["round"]).dictionary_encode().indices.to_numpy()[places]
     _, first, of_round = np.unique(codes, return_index=True, return_inverse=True)

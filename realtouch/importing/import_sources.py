@@ -1,4 +1,4 @@
-"""Sources of an import: recognised, read, and cut into touches."""
+"""Sources of an import are recognised, read, and cut into touches."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from realtouch.importing.streams import Aligner, StreamReport
 from realtouch.touch_options import Alignment, require_layout
 from tactile_toolkit import column_types, errors, store, touch
 
-_SPLIT_FOLDERS = ("fota", "sparsh")  # formats of which a folder holds one split, and is named so
+_SPLIT_FOLDERS = ("fota", "sparsh")  # formats whose exports have a folder for each split, with its name
 
 Version = tuple[object, ...] | None
 
@@ -45,10 +45,10 @@ class FoundSource:
     """The touches of a source.
 
     ``recognised_by`` is the file by which the format was recognised; empty if it was given. ``cut`` is how
-    recordings were cut; empty if the source holds none. ``pictures`` show the cuts: PNG by name. ``streams``
-    say how streams of other rates fit to the recordings. ``left_out`` names what recordings have besides what
-    was read. ``versions`` are those of files that hold several pictures, by folder and path, when they were
-    found: before any picture was looked at, as a file may be replaced later.
+    recordings were cut; empty if the source has no recordings. ``pictures`` shows the cuts: PNG by name.
+    ``streams`` says how streams of other rates fit the recordings. ``left_out`` names data of recordings that
+    are not imported. ``versions`` holds the version of each file with several pictures, by folder and path.
+    It was taken before any picture was read, as a file may be replaced later.
     """
 
     home: store.DataFolder
@@ -84,16 +84,16 @@ def find_source(place: str, reading: Reading) -> FoundSource:
         format_ = recognised.recognised(place)
     read = formats.IMPORTS[format_.layout]
     cutter = cuts.Cutter(reading.cut, read.contents, columns, read.cut)
-    others = [
+    no_streams = [
         path for path in (reading.table, reading.cut) if path is not None and path not in recordings.CUTS
     ]
-    aligner = Aligner(reading.streams, reading.alignment, columns, others)
+    aligner = Aligner(reading.streams, reading.alignment, columns, no_streams)
     parts, left_out, versions = (
         list[found_touches.FoundTouches](),
         dict[str, None](),
         dict[found_touches.File, Version](),
     )
-    for each in _found(home, format_.layout, columns, reading.table):
+    for each in _read_folders(home, format_.layout, columns, reading.table):
         if isinstance(each, recordings.Recording):
             left_out |= dict.fromkeys(each.left_out)
             if each.problem is None and (each.home, each.path) not in versions:
@@ -109,7 +109,7 @@ def find_source(place: str, reading: Reading) -> FoundSource:
         raise errors.InputError(
             f"{home.address()!r} holds single pictures; --cut applies to recordings", next="leave out --cut"
         )
-    # The time may be that of a stream, of which only what was aligned is left.
+    # The column of times may be that of a stream; alignment drops it.
     missing = {*columns.names()} - {*touches.names} - aligner.times
     if missing and touches.is_usable.any():
         source_files.require_columns(touches.names, sorted(missing), home.address())
@@ -119,10 +119,10 @@ def find_source(place: str, reading: Reading) -> FoundSource:
     return FoundSource(home, format_.layout, format_.by, touches, completed, *of_cuts)
 
 
-def _found(
+def _read_folders(
     home: store.DataFolder, layout: str, columns: import_columns.ImportColumns, table: str | None
 ) -> Iterator[found_touches.FoundTouches | recordings.Recording]:
-    """Find what a folder holds, or the splits of an export of this toolkit."""
+    """Yield the touches and recordings of a folder, or of each split of an export of this toolkit."""
     folders = [home]
     if layout in home.entries():
         folders = [store.open_folder(home.address(layout))]
@@ -135,7 +135,7 @@ def _found(
 
 
 def _files_of_several(touches: found_touches.FoundTouches) -> set[found_touches.File]:
-    """Return the files that hold the images of several touches: in which images stand behind something."""
+    """Return the files with images of several touches: those with an image that does not start at byte 0."""
     files = touches.where.filter(pc.greater(touches.where["start"], 0)).group_by(["home", "path"])
     return {(row["home"], row["path"]) for row in files.aggregate([]).to_pylist()}
 
@@ -143,13 +143,13 @@ def _files_of_several(touches: found_touches.FoundTouches) -> set[found_touches.
 def _timed(
     touches: found_touches.FoundTouches, columns: import_columns.ImportColumns
 ) -> found_touches.FoundTouches:
-    """Return images with their time in seconds, as pictures of recordings have it."""
+    """Return images with a field of times in seconds, as the pictures of recordings have it."""
     values = touches.value(columns.time) if columns.time else None
     if values is None:
         return touches
     if recordings.TIME_S in touches.names and columns.time != recordings.TIME_S:
         raise errors.InputError(
-            f"the source has a column {recordings.TIME_S!r} beside that of the time, {columns.time!r}",
+            f"the source has a column {recordings.TIME_S!r} beside the column of times, {columns.time!r}",
             next=f"map one of them to the time, or name the other one: --map NEW={recordings.TIME_S}",
         )
     rows = np.flatnonzero(values.is_valid().to_numpy(zero_copy_only=False))
@@ -160,7 +160,7 @@ def _timed(
 
 
 def _checked(touches: found_touches.FoundTouches) -> found_touches.FoundTouches:
-    """Return all touches of a source with their numbers; images that are too large have a problem."""
+    """Return all touches of a source with their numbers; an image that is too large has a problem."""
     where = touches.where
     is_large = pc.and_(pc.equal(where["frames"], 0), pc.greater(where["size"], touch.MAX_IMAGE_BYTES))
     problems = {}
@@ -174,9 +174,9 @@ def _checked(touches: found_touches.FoundTouches) -> found_touches.FoundTouches:
 def said_of_whole(
     touches: found_touches.FoundTouches, columns: import_columns.ImportColumns
 ) -> found_touches.FoundTouches:
-    """Return clips whose label, round, object and split, where each picture has them, are those of the clip.
+    """Return clips with the label, round, object and split of their pictures as fields of the clip.
 
-    A clip has a problem if they differ between its pictures.
+    A clip has a problem if a value differs between its pictures, unless the clip has its own value.
     """
     names = {columns.label, columns.round, columns.object_id, columns.split, source_files.NUMBERED}
     owners = np.repeat(np.arange(len(touches)), touches.picture_counts)
@@ -198,7 +198,7 @@ def said_of_whole(
         error = errors.ItemError(
             "frames",
             f"{name!r} differs between the pictures of the clip; "
-            "expected one value (--cut frames has one each)",
+            "expected one value (with --cut frames each picture keeps its own)",
         )
         touches = touches.with_problems(dict.fromkeys(owners[differs].tolist(), error))
     return touches

@@ -1,4 +1,4 @@
-"""Rows of an import: touches of whole rounds as columns of Arrow, in the published schema."""
+"""Rows of an import: touches of whole rounds as Arrow columns in the published schema."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from tactile_toolkit.array_types import AnyArray, Float64, Int64
 from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE, Kind, with_features
 
 _TIME = pa.duration("us")
-_WIDTHS = {"position": 3, "quaternion": 4}
+_POSE_PARTS = {"position": slice(0, 3), "quaternion": slice(3, 7)}
 
 
 @dataclass(frozen=True, eq=False)
 class StoredTouches:
-    """Touches of whole rounds as they are stored, an entry for each; empty without a column.
+    """Touches of whole rounds as they are stored, an entry for each touch.
 
-    ``positions`` have the shape (n, 2), ``poses`` (n, 7), or of clips (all pictures, 7). ``media`` are images
-    or clips.
+    ``positions`` has the shape (n, 2), ``poses`` (n, 7), or (all pictures, 7) for clips; NaN stands for a
+    missing value. ``media`` holds images or videos. ``clips`` is empty for single images.
     """
 
     touches: found_touches.FoundTouches
@@ -40,14 +40,14 @@ class StoredTouches:
 def touch_schema(
     columns: import_columns.ImportColumns, names: Sequence[str], touches: found_touches.FoundTouches
 ) -> pa.Schema:
-    """Return the schema of imported rounds with the known columns: of clips, or of single images."""
+    """Return the schema of imported rounds, of clips or of single images, with the columns that are known."""
     kind: Kind = "seq" if touches.has_clips else "single"
     known: dict[str, pa.DataType] = {}
     if columns.position:
         known["pos_in_cell"] = pa.list_(pa.float64(), 2)
     if columns.pose:
-        for part, width in _WIDTHS.items():
-            pose = pa.list_(pa.float64(), width)
+        for part, numbers in _POSE_PARTS.items():
+            pose = pa.list_(pa.float64(), numbers.stop - numbers.start)
             known[f"{POSE_COLUMN[kind]}.{part}"] = pa.list_(pose) if kind == "seq" else pose
     if kind == "seq":
         known |= {
@@ -66,7 +66,7 @@ def touch_schema(
 
 
 def extras_in(schema: pa.Schema) -> dict[str, pa.DataType]:
-    """Return the type of what a touch has in each extra column of a schema."""
+    """Return the type of the value of a touch in each extra column of a schema."""
     return {name: schema.field(name).type.value_type for name in extra_columns(schema.names).values()}
 
 
@@ -93,7 +93,7 @@ def table_of_touches(
 
 
 def _media_and_poses(stored: StoredTouches, schema: pa.Schema) -> dict[str, pa.Array]:
-    """Return the columns that hold an entry for each touch, without the extra ones."""
+    """Return the columns with an entry for each touch, except the extra ones."""
     kind: Kind = "seq" if MEDIA_COLUMN["seq"] in schema.names else "single"
     paths = [name.rpartition("/")[2] for name in stored.touches.where["name"].to_pylist()]
     made: dict[str, pa.Array] = {}
@@ -102,16 +102,16 @@ def _media_and_poses(stored: StoredTouches, schema: pa.Schema) -> dict[str, pa.A
         made |= _clip_times(stored.clips)
     made[MEDIA_COLUMN[kind]] = media_array(stored.media, paths)
     made["pos_in_cell"] = _vectors(stored.positions, 2)
-    for part, width in _WIDTHS.items():
+    for part, numbers in _POSE_PARTS.items():
         name = f"{POSE_COLUMN[kind]}.{part}"
-        made[name] = _vectors(stored.poses[:, 3:] if part == "quaternion" else stored.poses[:, :3], width)
+        made[name] = _vectors(stored.poses[:, numbers], numbers.stop - numbers.start)
         if kind == "seq":
             made[name] = column_types.lists_of(made[name], [len(clip.time_us) for clip in stored.clips])
     return made
 
 
 def _clip_times(clips: Sequence[imported_clips.ImportedClip]) -> Mapping[str, pa.Array]:
-    """Return the columns of times of clips, an entry a clip."""
+    """Return the columns of times of clips, an entry for each clip."""
     time_us = np.concatenate([np.empty(0, np.int64), *(clip.time_us for clip in clips)])
     lengths = [len(clip.time_us) for clip in clips]
     moments = np.array([clip.time_us[list(clip.contact)] for clip in clips], np.int64).reshape(-1, 2)

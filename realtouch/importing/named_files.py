@@ -1,4 +1,4 @@
-"""What options of an import name: files of frames, and which names are mapped to which columns."""
+"""Values of options of an import: frames in files, and names mapped to columns."""
 
 from __future__ import annotations
 
@@ -16,20 +16,23 @@ from realtouch.importing.import_columns import LONGEST_NAME, MAPPED, Matrix
 from tactile_toolkit import errors, wording
 from tactile_toolkit.arithmetic import are_rigid
 
-_CLOSE = 0.8  # how much alike two names are of which one is a slip of the pen
+_SIMILARITY = 0.8  # a name that is so similar to a known one is a misspelling of it
 _LARGEST_FILE = 1 << 20  # bytes
-_NO_NUMBERS = re.compile(r"[\[\](){},;]")
+_SEPARATORS = re.compile(r"[\[\](){},;]")
 
 
 def read_frame(place: str | os.PathLike[str]) -> Matrix:
-    """Read a rigid transform, 4 x 4 numbers, from a file of text, CSV, JSON or NPY; InputError for others."""
+    """Read a rigid transform, 4 x 4 numbers, from a file of text, CSV, JSON or NPY.
+
+    Raises InputError if the file cannot be read or holds no rigid transform.
+    """
     content = _content_of(place)
     values: object = ()
     with suppress(ValueError, EOFError, OSError):
         if content.startswith(b"\x93NUMPY"):
             values = np.load(io.BytesIO(content), allow_pickle=False)
         else:
-            words = _NO_NUMBERS.sub(" ", content.decode("utf-8-sig", errors="replace")).split()
+            words = _SEPARATORS.sub(" ", content.decode("utf-8-sig", errors="replace")).split()
             values = [list(map(float, words[start : start + 4])) for start in range(0, len(words), 4)]
     return rigid_frame(values, repr(os.fspath(place)))
 
@@ -49,7 +52,7 @@ def _content_of(place: str | os.PathLike[str]) -> bytes:
 
 
 def rigid_frame(values: object, where: str) -> Matrix:
-    """Return a 4 x 4 matrix as tuples; InputError unless it rotates and shifts, and does nothing else."""
+    """Return a 4 x 4 matrix as tuples; InputError if it is not a rigid transform."""
     try:
         matrix = np.array(values, np.float64)
     except (TypeError, ValueError, OverflowError):
@@ -65,15 +68,15 @@ def rigid_frame(values: object, where: str) -> Matrix:
 
 
 def read_mapped(texts: Sequence[str]) -> dict[str, str]:
-    """Return the column for each name; InputError as :meth:`ImportColumns.with_mapped`."""
+    """Return the column for each name; raises InputError as :meth:`ImportColumns.with_mapped`."""
     found: dict[str, str] = {}
     for name, column in _pairs(texts):
         if name in found:
             raise errors.InputError(f"--map names {name!r} twice; expected each name once")
-        close = difflib.get_close_matches(name.lower(), (*MAPPED, *MAPPED.values()), 1, _CLOSE)
+        close = difflib.get_close_matches(name.lower(), (*MAPPED, *MAPPED.values()), 1, _SIMILARITY)
         if name not in MAPPED and close:
             raise errors.InputError(
-                f"--map names {name!r}, which is none of {', '.join(MAPPED)}"
+                f"--map names {name!r}; expected one of {', '.join(MAPPED)}"
                 f"{wording.did_you_mean(name, MAPPED)}",
                 next="correct it; an extra column needs a name that is less like these",
             )
@@ -82,13 +85,13 @@ def read_mapped(texts: Sequence[str]) -> dict[str, str]:
 
 
 def _pairs(texts: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Yield the names and columns that texts ``NAME=COLUMN`` and files of them state."""
-    for word in texts:
-        lines = [word]
+    """Yield the names and columns that are stated by texts ``NAME=COLUMN`` and files of such lines."""
+    for text in texts:
+        lines = [text]
         where = "--map"
-        if word.startswith("@"):
-            where = f"--map {word}"
-            content = _content_of(word[1:]).decode("utf-8-sig", errors="replace")
+        if text.startswith("@"):
+            where = f"--map {text}"
+            content = _content_of(text[1:]).decode("utf-8-sig", errors="replace")
             lines = [
                 line for line in content.splitlines() if line.strip() and not line.lstrip().startswith("#")
             ]

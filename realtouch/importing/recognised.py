@@ -1,4 +1,4 @@
-"""The format of a source of recordings, by its content: names of files, and how they begin."""
+"""Recognise the format of a source of recordings by its file names and first bytes."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from realtouch import kind, video_files
 from realtouch.importing import formats, source_files
 from tactile_toolkit import column_tables, errors, places, store, text_tables
 
-_MAX_LOOKED_AT = 20_000
+_MAX_PATHS = 20_000
 _MAX_FOLDERS = 200
-_LEVELS = 3
-_SHOWN = 3
-_TAR_AT = 257
+_MAX_DEPTH = 3
+_PATHS_SHOWN = 3
+_TAR_OFFSET = 257
 _ZIP = b"PK\x03\x04"
-# How files of other formats than videos begin: place, bytes.
-_BEGINNINGS: dict[str, tuple[tuple[int, bytes], ...]] = {
+# First bytes of files that are not videos: offset, bytes.
+_FIRST_BYTES: dict[str, tuple[tuple[int, bytes], ...]] = {
     "hdf5": ((0, b"\x89HDF\r\n\x1a\n"),),
     "flat": ((0, b"PAR1"),),
-    "webdataset": ((_TAR_AT, b"ustar"),),
+    "webdataset": ((_TAR_OFFSET, b"ustar"),),
     "replay": ((0, _ZIP),),
 }
 _OXT_MEMBER = re.compile(r"(^|/)data/\w+_tactile_type_\w+(/|\Z)")
@@ -31,33 +31,33 @@ _ZARR_MARKS = (".zgroup", "zarr.json")
 
 
 class Recognised(NamedTuple):
-    """The format of a source, and what it was recognised by."""
+    """The format of a source, and the file by which it was recognised."""
 
     layout: str
     by: str
 
 
-def _ends(*endings: str) -> Callable[[str], object]:
+def _ends_with(*endings: str) -> Callable[[str], object]:
     return lambda path: path.lower().endswith(endings)
 
 
-# In this order: a format whose files may hold those of the next stands before it.
+# Marks of formats: which paths show that a source has a format.
 _MARKS: tuple[tuple[str, Callable[[str], object]], ...] = (
     ("lerobot", re.compile(r"^meta/info\.json\Z").search),
     ("oxt", _OXT_MEMBER.search),
     ("replay", lambda path: path.rpartition("/")[2] in _ZARR_MARKS and path.count("/") <= 1),
-    ("replay", _ends(".zarr.zip")),
+    ("replay", _ends_with(".zarr.zip")),
     ("anytouch", re.compile(r"^\w+_bg\.txt\Z").search),
     ("fota", re.compile(r"^(\w+/)?count\.txt\Z").search),
     ("sparsh", re.compile(r"^(\w+/)?[^/]+\.pkl\Z").search),
     ("webdataset", re.compile(r"^[^/]+\.tar\Z", re.IGNORECASE).search),
-    ("hdf5", _ends(".h5", ".hdf5")),
-    ("video", _ends(*video_files.VIDEO_ENDINGS)),
-    ("folder", _ends(*(f".{ending}" for ending in source_files.IMAGE_ENDINGS))),
-    ("flat", _ends(".parquet")),
-    ("folder", _ends(*text_tables.TABLE_ENDINGS, ".jsonl")),
+    ("hdf5", _ends_with(".h5", ".hdf5")),
+    ("video", _ends_with(*video_files.VIDEO_ENDINGS)),
+    ("folder", _ends_with(*(f".{ending}" for ending in source_files.IMAGE_ENDINGS))),
+    ("flat", _ends_with(".parquet")),
+    ("folder", _ends_with(*text_tables.TABLE_ENDINGS, ".jsonl")),
 )
-# Formats of which others are a part: videos and Parquet of LeRobot, a table of poses beside a video.
+# Formats that contain files of other formats: LeRobot has videos, Parquet files and tables.
 _PARTS = {
     "lerobot": {"video", "flat", "folder"},
     "oxt": {"replay"},
@@ -65,13 +65,13 @@ _PARTS = {
     "fota": {"webdataset"},
     "sparsh": {"folder"},
 }
-_TABLES = _ends(*column_tables.COLUMN_TABLE_ENDINGS)
+_TABLES = _ends_with(*column_tables.COLUMN_TABLE_ENDINGS)
 
 
 def recognised(place: str) -> Recognised:
     """Return the format of a file or folder.
 
-    Raises InputError if nothing is recognised, or several formats are, with the option that names one.
+    Raises InputError if no format or several formats are recognised; it names the option that states one.
     """
     home = store.open_folder(place)
     if home.is_local and Path(place).is_file():
@@ -88,18 +88,18 @@ def recognised(place: str) -> Recognised:
                 found[layout] = first
     for whole in [each for each in found if each in _PARTS]:
         found = {layout: first for layout, first in found.items() if layout not in _PARTS[whole]}
-    if len(found) > 1:  # a table says something of what lies beside it
+    if len(found) > 1:  # a table describes the files beside it
         found = {layout: first for layout, first in found.items() if not _TABLES(first)} or found
     if not found:
-        shown = ", ".join(paths[:_SHOWN]) or "nothing"
+        shown = ", ".join(paths[:_PATHS_SHOWN]) or "nothing"
         raise errors.InputError(
-            f"{place!r} holds no recordings of a format that is known (found {shown})",
+            f"{place!r} holds no recordings of a known format (found {shown})",
             next=f"name the format with --format: {', '.join(formats.IMPORTS)}",
         )
     if len(found) > 1:
         words = ", ".join(f"{layout} ({first})" for layout, first in found.items())
         raise errors.InputError(
-            f"{place!r} may be read in several formats: {words}", next="name one with --format"
+            f"{place!r} can be read in several formats: {words}", next="name one with --format"
         )
     ((layout, first),) = found.items()
     return Recognised(layout, first)
@@ -113,7 +113,7 @@ def _of_file(place: str) -> Recognised:
             return Recognised("oxt", name)
     if video_files.demuxer_of(head):
         return Recognised("video", name)
-    for layout, marks in _BEGINNINGS.items():
+    for layout, marks in _FIRST_BYTES.items():
         if any(head[at : at + len(mark)] == mark for at, mark in marks):
             return Recognised(layout, name)
     found = "is empty"
@@ -132,7 +132,7 @@ def _is_oxt(stream: IO[bytes]) -> bool:
 
 
 def _of_export(home: store.DataFolder) -> Recognised | None:
-    """Return the format of what this toolkit exported, as its manifest states."""
+    """Return the format of an export of this toolkit, as its manifest states it; None for other folders."""
     if store.manifest_so_far(home) is None:
         return None
     place = places.folder_place(home).require(kind.KIND, "import")
@@ -146,9 +146,9 @@ def _of_export(home: store.DataFolder) -> Recognised | None:
 
 
 def _paths(home: store.DataFolder) -> Sequence[str]:
-    """List visible files of a folder and two levels of folders in it, as far as there are not too many."""
+    """List visible paths in a folder and two levels below it; the list of a very large folder is cut off."""
     paths, folders = list[str](), [""]
-    for _ in range(_LEVELS):
+    for _ in range(_MAX_DEPTH):
         inner: list[str] = []
         for folder in folders[:_MAX_FOLDERS]:
             for name, size in sorted(home.entries(folder).items()):
@@ -158,7 +158,7 @@ def _paths(home: store.DataFolder) -> Sequence[str]:
                 if size is None:
                     inner.append(path)
                 paths.append(path)
-            if len(paths) > _MAX_LOOKED_AT:
+            if len(paths) > _MAX_PATHS:
                 return paths
         folders = inner
     return paths

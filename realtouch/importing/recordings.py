@@ -1,4 +1,4 @@
-"""Recordings: sequences of pictures with what is said of each, cut into touches."""
+"""Recordings: sequences of pictures with their fields, cut into touches."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from tactile_toolkit import column_types, errors, wording
 from tactile_toolkit.array_types import Float64
 
 CUTS = ("frames", "whole", "contact")
-"""How recordings become touches: each picture, the whole, or what is found by contact; or a table says."""
+"""How recordings become touches without a table: each picture, the whole, or clips found by contact."""
 
 TIME_S = "time_s"
-"""What the time of a picture of a recording is called, seconds."""
+"""Name of the field with the time of a picture of a recording, seconds."""
 
 _ROUND = "round_id"
-_SHORTER = "cut it into touches, by `--cut contact` or a table of times (`--cut TABLE`)"
+_SHORTER = "cut it into touches with `--cut contact` or a table of times (`--cut TABLE`)"
 
 
 @dataclass(frozen=True, slots=True)
 class Clip:
-    """Pictures of a recording from ``start`` to the one before ``stop``, to be a touch.
+    """Pictures of a recording that become a touch, from ``start`` to the one before ``stop``.
 
-    ``contact`` counts from its first picture. ``problem`` is why it cannot be used; ``said`` is said of it
-    beside what is said of the recording.
+    ``contact`` is the first and last picture with contact, counted from the start of the clip. ``problem``
+    says why the clip cannot be used. ``said`` holds fields of the clip, which replace those of the recording.
     """
 
     start: int
@@ -46,23 +46,23 @@ class Recording:
     Attributes
     ----------
     name : str
-        What messages call it, and the round of its touches unless a column states one; no file ending.
+        Name in messages, without file ending; also the round of its touches unless a column states one.
     home, path : str
         Address of the source, and the file below it that holds the pictures.
     part : str
-        What of that file is meant; for the reader of the format alone, which gets it back in each place.
+        Part of that file. Only the reader of the format uses it, which gets it back in each place.
     first : int
         Number of its first picture in the file or array.
     frames : int
         Number of pictures.
     frame_bytes : int
-        About how many bytes a picture takes.
+        Approximate size of a picture in bytes.
     values : mapping
-        What is said of the whole recording, by the names of the source.
+        Fields of the whole recording, by their names in the source.
     per_frame : mapping
-        What is said of each picture: columns of ``frames`` values; see :mod:`tactile_toolkit.column_types`.
+        Fields of each picture: columns of ``frames`` values; see :mod:`tactile_toolkit.column_types`.
     time_s : ndarray of float64, shape (frames,), or None
-        Time of each picture, seconds; rises.
+        Time of each picture, seconds, not decreasing.
     problem : ItemError or None
         Why it cannot be used.
     round : str
@@ -70,9 +70,9 @@ class Recording:
     cut : str
         How it becomes touches by default, if the source states that; see :data:`CUTS`.
     contact : tuple of int or None
-        First and last picture that show contact, of a recording of one touch.
+        First and last picture with contact, for a recording of one touch.
     left_out : tuple of str
-        What the source says of the recording that is not imported, each with its shape or the reason.
+        Data of the recording that are not imported, each with its shape or the reason.
     """
 
     name: str
@@ -92,12 +92,12 @@ class Recording:
     left_out: tuple[str, ...] = ()
 
     def place(self, start: int, stop: int) -> PicturePlace:
-        """Return where some of its pictures are."""
+        """Return the place of the pictures from ``start`` to the one before ``stop``."""
         size, count = self.frame_bytes * (stop - start), stop - start
         return PicturePlace(self.home, self.path, self.part, self.first + start, size, count)
 
     def checked(self) -> Recording:
-        """Return the recording, with a problem if it has no picture, or times that run back."""
+        """Return the recording, with a problem if it has no picture or its times cannot be used."""
         problem = self.problem
         if problem is None and not self.frames:
             problem = errors.ItemError("empty", "the recording has no picture")
@@ -110,16 +110,16 @@ class Recording:
                 number = int(is_later.argmin()) + 1
                 before, after = self.time_s[number - 1 : number + 1].tolist()
                 found = f"picture {number:,} was taken at {after:g} s, the one before it at {before:g} s"
-                problem = errors.ItemError("times", f"{found}; expected times that rise")
+                problem = errors.ItemError("times", f"{found}; expected times that do not decrease")
         return replace(self, problem=problem)
 
     def unusable(self, problem: errors.ItemError | None, name: str = "") -> Clip:
-        """Return a clip for all that cannot be used, for one line in the list."""
+        """Return one clip with a problem: the recording, or a touch of it, cannot be used."""
         return Clip(0, min(self.frames, 1), name or self.name, problem=problem)
 
     def clips(self, clips: Sequence[Clip]) -> FoundTouches:
-        """Return some of its pictures as touches; more than clips may have cannot be used."""
-        if self.problem is not None:  # nothing is known of its pictures
+        """Return clips as touches; a clip that is too long has a problem."""
+        if self.problem is not None:  # nothing is known about its pictures
             self = replace(self, per_frame={}, time_s=None)
         counts = np.array([clip.stop - clip.start for clip in clips], np.int64)
         rows = np.concatenate([np.arange(clip.start, clip.stop) for clip in clips])
@@ -133,7 +133,7 @@ class Recording:
                     next=_SHORTER,
                 ),
             )
-        said = self._said(self.round or self.name, len(clips))
+        said = self._repeated_fields(self.round or self.name, len(clips))
         for name in dict.fromkeys(name for clip in clips for name in clip.said):
             whole = self.values.get(name)
             said[name] = column_types.from_values([clip.said.get(name, whole) for clip in clips])
@@ -159,9 +159,9 @@ class Recording:
         )
 
     def images(self) -> FoundTouches:
-        """Return each picture as a touch; what is said of a picture is said of the touch."""
+        """Return each picture as a touch, with the fields of the picture and of the recording."""
         stem, count = self.name.replace("/", "-"), self.frames
-        said = {**self._said(self.name, count), **self.per_frame}
+        said = {**self._repeated_fields(self.name, count), **self.per_frame}
         if self.time_s is not None and TIME_S not in self.per_frame:
             said[TIME_S] = pa.array(self.time_s)
         return FoundTouches.of(
@@ -174,14 +174,14 @@ class Recording:
             size=self.frame_bytes,
         )
 
-    def _said(self, round_id: str, count: int) -> dict[str, pa.Array]:
-        """Return what is said of the whole as columns of some touches."""
+    def _repeated_fields(self, round_id: str, count: int) -> dict[str, pa.Array]:
+        """Return the fields of the recording as columns with an entry for each of some touches."""
         values = {_ROUND: round_id, **self.values}
         return {name: column_types.repeated(value, count) for name, value in values.items()}
 
 
 def touches_of(recording: Recording, cut: str) -> FoundTouches:
-    """Cut a recording into its pictures, or take the whole: the first two of :data:`CUTS`."""
+    """Cut a recording into its pictures or take the whole, by the first two of :data:`CUTS`."""
     if recording.problem is not None:
         return recording.clips([recording.unusable(recording.problem)])
     if cut == "frames":

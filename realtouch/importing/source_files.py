@@ -1,4 +1,4 @@
-"""Files of a source: their names, tables and pictures; nothing is read from outside of its folder."""
+"""Files of a source: their names, tables and pictures; nothing outside its folder is read."""
 
 from __future__ import annotations
 
@@ -22,34 +22,34 @@ from tactile_toolkit.json_types import JsonDict
 IMAGE_ENDINGS = ("jpg", "jpeg", "png", "webp")
 
 FILE_OF_TABLE = "file as in row {} of the table"
-"""Where a table names a file twice, for :func:`duplicates_of`."""
+"""Text for :func:`duplicates_of` where a table names a file twice."""
 
 NUMBERED = "label"
 """The field of our own exports that numbers the classes."""
 
-# Images that are requested from a store at a time; latency dominates, as images are small.
-_FAR_READERS = 16
-_HERE = re.compile(r"^(?:\./+)+")
-_MAX_LINES = 1 << 21  # of a table of touches
+# Images that are requested from a store at a time: images are small, so latency dominates.
+_REMOTE_READERS = 16
+_CURRENT_FOLDER = re.compile(r"^(?:\./+)+")
+_MAX_ROWS = 1 << 21  # of a table of touches
 _VECTOR = r"^\[[-+.,0-9eE \[\]nulNa]*\]$"  # of numbers, NaN or null, in JSON
 _DIGITS = re.compile(r"([0-9]{1,18})")
 
 
 def path_of(text: str) -> str:
-    """Return a path of a table or tar with slashes; programs on Windows write backslashes."""
+    """Return a path in a table or tar with slashes; programs on Windows write backslashes."""
     path = text.strip().replace("\\", "/")
-    return _HERE.sub("", path) if path.startswith(".") else path
+    return _CURRENT_FOLDER.sub("", path) if path.startswith(".") else path
 
 
 def source_of(place: str) -> tuple[store.DataFolder, str]:
-    """Return the folder of a file that the user named, and its name there; it may be a link itself."""
+    """Return the folder of a file that the user named, and its name there; the file may be a link."""
     if not store.is_remote(place):
         place = os.path.realpath(place)
     return store.split_uri(place)
 
 
 def open_source(folder: store.DataFolder, name: str) -> IO[bytes]:
-    """Open a table or archive of a source; InputError, which names it, if it cannot be read."""
+    """Open a table or archive of a source; an InputError names it if it cannot be read."""
     try:
         return store.open_inside(folder, name)
     except errors.ItemError as error:
@@ -57,7 +57,7 @@ def open_source(folder: store.DataFolder, name: str) -> IO[bytes]:
 
 
 def visible_files(home: store.DataFolder, endings: str | tuple[str, ...]) -> list[str]:
-    """Return the names of visible files directly in a folder that end so; case does not matter."""
+    """Return the names of visible files in a folder that have one of the endings; case does not matter."""
     return [name for name in home.sizes() if name.lower().endswith(endings) and not store.is_hidden(name)]
 
 
@@ -66,10 +66,10 @@ def files_to_read(
 ) -> tuple[store.DataFolder, list[str]]:
     """Return a folder and the files of a format in it, as ``find`` lists them; or the file that was named.
 
-    InputError, which says what is ``expected``, if there is no such file.
+    Raises InputError, which says what is ``expected``, if there is no such file.
     """
     names = find(home)
-    # Asked last: where a folder is in a store, this is another listing of it.
+    # Asked last: for a folder in a store, this is another listing.
     if not names and (home.info("") or {}).get("type") == "file":
         home, name = source_of(home.address())
         return home, [name]
@@ -84,7 +84,7 @@ def natural_order(path: str) -> list[tuple[int, str]]:
 
 
 def column_table(folder: store.DataFolder, name: str) -> column_tables.ColumnTable:
-    """Return a table that is read in passes; IntegrityError if it is another one in a later pass."""
+    """Return a table that is read in passes; a pass raises IntegrityError if the file has changed."""
     place, version = folder.address(name), folder.version(name)
 
     def opened() -> IO[bytes]:
@@ -98,7 +98,7 @@ def column_table(folder: store.DataFolder, name: str) -> column_tables.ColumnTab
 
 
 class SourceTable(NamedTuple):
-    """A table of touches: a row for each, and what is wrong with some of them, by their numbers."""
+    """A table of touches, a row for each, with the problems of some rows by their numbers."""
 
     names: list[str]
     columns: Mapping[str, pa.Array]
@@ -106,12 +106,12 @@ class SourceTable(NamedTuple):
     problems: dict[int, errors.ItemError]
 
     def texts(self, name: str) -> list[str]:
-        """Return a column as text; empty where nothing is said."""
+        """Return a column as text; empty where there is no value."""
         found: list[str] = column_types.texts_of(self.columns[name]).fill_null("").to_pylist()
         return found
 
     def values(self, row: int) -> JsonDict:
-        """Return what a row says."""
+        """Return the values of a row by column."""
         return {name: column[row].as_py() for name, column in self.columns.items()}
 
 
@@ -124,14 +124,14 @@ def read_table(
 ) -> SourceTable:
     """Read a table; InputError if it cannot be read.
 
-    Of text tables, what columns name, such as labels and rounds, stays text, and so does what is in
-    ``names``; other columns have types, and lists of numbers in brackets are vectors.
+    In text tables, the columns of labels, rounds, objects and splits stay text, and so do those in ``names``.
+    Other columns get types, and lists of numbers in brackets become vectors.
     """
     if name.lower().endswith(column_tables.TYPED_ENDINGS):
         table = column_table(folder, name)
         rows, _ = table.scan()
-        if rows > _MAX_LINES:
-            raise errors.InputError(f"{table.path!r} has {rows:,} rows; expected at most {_MAX_LINES:,}")
+        if rows > _MAX_ROWS:
+            raise errors.InputError(f"{table.path!r} has {rows:,} rows; expected at most {_MAX_ROWS:,}")
         found = table.rows(np.arange(rows)) if rows else pa.table({})
         typed = {each: column_types.from_arrow(found[each]) for each in found.column_names}
         return SourceTable(table.names, typed, rows, {})
@@ -145,7 +145,7 @@ def read_table(
         column = column_types.without_blanks(pa.array(values, pa.string()))
         if each not in kept:
             column = _vectors_in(column_types.from_text(column, decimal_commas=commas))
-        if each in numbers and pa.types.is_string(column.type):  # a value is wrong, but others are not
+        if each in numbers and pa.types.is_string(column.type):  # some values are not numbers
             column = column_types.words_of(column, decimal_commas=commas)
         made[each] = column
     too_long = errors.ItemError("columns", "the line has more values than the table has columns")
@@ -153,7 +153,7 @@ def read_table(
 
 
 def _vectors_in(column: pa.Array) -> pa.Array:
-    """Return a column of text as vectors if each text is one, as in CSV of others: ``[1.5, 2]``."""
+    """Return a column of text as vectors if each text is one, such as ``[1.5, 2]``."""
     if not pa.types.is_string(column.type) or not pc.all(pc.match_substring_regex(column, _VECTOR)).as_py():
         return column
     with suppress(ValueError):
@@ -178,22 +178,25 @@ def require_columns(known: Sequence[str], wanted: Iterable[str], where: str) -> 
 def chosen_pictures(
     known: Collection[str], name: str, where: str, what: str, others: Iterable[str] = ()
 ) -> str:
-    """Return which of the pictures of a source are imported: those that were named, or else the only ones.
+    """Return the name of the pictures to import: the given name, or else the only known one.
 
-    InputError, which says ``what`` they are, for none or several; it lists the ``others`` if there are none.
+    Raises InputError if there is no such name or if there are several. The message says ``what`` the names
+    are, and lists the ``others`` if none is known.
     """
     chosen = [each for each in known if name in ("", each)]
     if len(chosen) == 1:
         return chosen[0]
-    found = ", ".join(known) or f"none among {', '.join(others)}"
+    found = f"the {what} {', '.join(known)}"
+    if not known:
+        found = f"no {what}, but {', '.join(others)}"
     expected = f"{name!r}{wording.did_you_mean(name, known)}" if name else "one"
     raise errors.InputError(
-        f"{where!r} has the {what} {found}; expected {expected}", next="choose one with --map image=NAME"
+        f"{where!r} has {found}; expected {expected}", next="choose one with --map image=NAME"
     )
 
 
 def duplicates_of(names: Sequence[str], where: str) -> dict[int, errors.ItemError]:
-    """Return the problem of each name that stood before; the number of that is put into ``where``."""
+    """Return a problem for each name that occurs again; ``where`` is formatted with its first number."""
     first: dict[str, int] = {}
     return {
         number: errors.ItemError("duplicate", f"the same {where.format(first[name])}")
@@ -208,9 +211,9 @@ def image_files(
     said: Mapping[str, pa.Array],
     problems: Mapping[int, errors.ItemError] | None = None,
 ) -> found_touches.FoundTouches:
-    """Return a touch for each path of an image; a missing file is the touch's problem.
+    """Return a touch for each path of an image; the touch of a missing file has a problem.
 
-    Folders are listed once: an image is opened, and checked, when it is imported.
+    Folders are listed once. An image is opened and checked when it is imported.
     """
     found, sizes, wrong = cache(home.entries), [0] * len(paths), dict(problems or {})
     for number, path in enumerate(paths):
@@ -221,13 +224,13 @@ def image_files(
             continue
         try:
             size = found(parent).get(base, -1)
-        except errors.InputError:  # of a folder that may not be listed
+        except errors.InputError:  # the folder cannot be listed
             size = 0
         if size == -1:
             wrong[number] = errors.ItemError("missing", "the file does not exist")
         else:
-            sizes[number] = size or 0  # of what is no file; it says so where it is read
-    # A name that is not Unicode is a problem already; here it is shown.
+            sizes[number] = size or 0  # a folder has no size; reading it gives the problem
+    # A name that is not Unicode has a problem already; this makes it printable.
     shown = [path.encode(errors="backslashreplace").decode() for path in paths]
     return found_touches.FoundTouches.of(shown, home.address(), shown, said, problems=wrong, size=sizes)
 
@@ -237,15 +240,15 @@ ReadContents = Callable[[Iterable[found_touches.PicturePlace]], Iterator[bytes |
 
 
 ReadNumbers = Callable[[found_touches.PicturePlace, Sequence[int]], Iterator[bytes | errors.ItemError]]
-"""Yields the pictures of some numbers in the file, and the part of it, that a place names."""
+"""Yields the pictures with some numbers from the file, and the part of it, of a place."""
 
 
 def pictures_by_file(
     read: ReadNumbers, places: Iterable[found_touches.PicturePlace]
 ) -> Iterator[bytes | errors.ItemError]:
-    """Yield the pictures of each place in order; those of one file are read in one go.
+    """Yield the pictures of each place in order; consecutive ones of one file are read together.
 
-    An ItemError that is raised stands for each picture that is left of the file.
+    If ``read`` raises an ItemError, it is yielded for each remaining picture of the file.
     """
     for _, group in groupby(places, key=lambda place: (*place.file, place.part, bool(place.frames))):
         of_file = list(group)
@@ -262,13 +265,13 @@ def pictures_by_file(
 def contents_of(places: Iterable[found_touches.PicturePlace]) -> Iterator[bytes | errors.ItemError]:
     """Yield the bytes of each image, in order, or why it cannot be read.
 
-    A tar is opened once for all that follow each other in it.
+    A tar is opened once for consecutive images in it.
     """
     groups = (tuple(group) for _, group in groupby(places, key=lambda place: place.file))
     first = next(groups, None)
     if first is None:
         return
-    threads = _FAR_READERS if store.is_remote(first[0].home) else 1
+    threads = _REMOTE_READERS if store.is_remote(first[0].home) else 1
     read = partial(_contents, cache(lambda home: (store.open_folder(home), set())))
     for found in run.in_threads(read, chain([first], groups), threads):
         yield from found
@@ -293,6 +296,6 @@ def _contents(
                 at = place.start + len(content)
     except errors.ItemError as error:
         found += [error] * (len(places) - len(found))
-    except (OSError, errors.InputError):  # what they say differs between systems
+    except (OSError, errors.InputError):  # their messages differ between systems
         found += [errors.ItemError("image", "the file cannot be read")] * (len(places) - len(found))
     return found

@@ -16,19 +16,19 @@ from tactile_toolkit import alignment, column_tables, column_types, errors, stor
 from tactile_toolkit.array_types import Float64
 
 TIME_NAMES = ("time", "times", "timestamp", "timestamps", "time_stamp", "t", "stamp")
-"""Names of columns of times, with or without a unit, such as ``time_ms``, where none is named."""
+"""Names of the column of times, with or without a unit such as in ``time_ms``, unless one is named."""
 
 _JOINTS = "._"  # between the name of a recording and that of a stream
 
 
 StreamReport = tuple[str, ...]
-"""How a stream fits to a recording, a row below :data:`STREAM_HEADER`."""
+"""How a stream fits a recording: a row below :data:`STREAM_HEADER`."""
 
 _PER_MS = 1e-3
 _QUATERNION = 4
-_WITH_QUATERNION = (4, 7)  # numbers of a rotation, and of a pose, that end in a quaternion
+_WITH_QUATERNION = (4, 7)  # numbers of a rotation, and of a pose, with a quaternion at the end
 _NO_CLOCK: StreamReport = ("0", "0", "", "", "", "")  # of a stream with a row for each picture
-_NO_STREAM = "; if the table is no stream of this recording, give it another name"
+_NO_STREAM = "; if the table is not a stream of this recording, give it another name"
 _FLOATS = (pa.float64(), pa.list_(pa.float64()))
 _NUMBERS = (pa.float64(), pa.int64())
 
@@ -40,18 +40,17 @@ class Stream:
     Attributes
     ----------
     name : str
-        What the summary calls it, and columns whose names are taken.
+        Name in the summary, and prefix of columns whose names are taken.
     place : str
-        Its address, for messages.
+        Address, for messages.
     table : ColumnTable
-        What is read again for the samples that are used.
+        The table, which is read again for the samples that are used.
     rows : int
         Number of rows.
     time_column : str
         Column of times; empty if a row is a picture.
     time_s : ndarray of float64, shape (rows,), or None
-        Times of samples, seconds; none is earlier than the one before. Of samples of one time, the first
-        counts.
+        Times of samples, seconds, not decreasing. If samples have the same time, the first of them counts.
     """
 
     name: str
@@ -70,19 +69,19 @@ def open_stream(
     Parameters
     ----------
     folder, name
-        Where it is; its format follows from its ending.
+        Place of the table; its format follows from its ending.
     columns : ImportColumns
-        ``time`` is the column of times, if the table has it; if empty, a row is a picture. Else it is the
-        only column that is called as in :data:`TIME_NAMES`. ``time_unit`` is the unit of one whose name does
-        not end in one; seconds by default, which integers must state.
+        ``time`` names the column of times; an empty text says that a row is a picture. If the table has no
+        such column, it is the only one with a name of :data:`TIME_NAMES`. ``time_unit`` is the unit if the
+        name of the column does not end in one; by default seconds, but integers need a stated unit.
     stem : str, optional
         Beginning of the file name that is not part of the name of the stream.
 
     Raises
     ------
     InputError
-        The table cannot be read, has no rows, several columns of times, or times that are missing, run back
-        or have no known unit.
+        The table cannot be read, has no rows, several columns of times, or times that are missing, run
+        backwards or have no known unit.
     """
     place = folder.address(name)
     table = source_files.column_table(folder, name)
@@ -100,7 +99,7 @@ def open_stream(
 def _time_column(names: Sequence[str], time: str | None, place: str) -> str:
     if time is not None and (not time or time in names):
         return time
-    # Only a unit of time is taken off: a column `t_mm` is no time.
+    # The name may end in a unit of time only: a column `t_mm` does not hold times.
     known = {name for base in TIME_NAMES for name in (base, *(f"{base}_{unit}" for unit in units.PER_SECOND))}
     found = [name for name in names if name.lower() in known]
     if len(found) > 1:
@@ -111,36 +110,36 @@ def _time_column(names: Sequence[str], time: str | None, place: str) -> str:
     return found[0] if found else ""
 
 
-def _seconds(values: pa.Array, column: str, given: str | None, place: str) -> Float64:
-    """Return times in seconds, which do not run back; those with a date count from 1970, UTC."""
+def _seconds(values: pa.Array, column: str, time_unit: str | None, place: str) -> Float64:
+    """Return times in seconds, not decreasing; those with a date count from 1970, UTC."""
     what, stated = f"{place!r}: the times {column!r}", units.stated_unit(column)
-    if pa.types.is_integer(values.type) and not (stated or given):
+    if pa.types.is_integer(values.type) and not (stated or time_unit):
         raise errors.InputError(
             f"{what} are integers, whose unit is not known",
             next=f"add --time-unit {', '.join(units.PER_SECOND)}, or end the name of the column in the unit",
         )
+    if stated:
+        time_unit = None
     try:
-        found = fields.times_s(
-            values, import_columns.ImportColumns(time=column, time_unit=None if stated else given)
-        )
+        found = fields.times_s(values, import_columns.ImportColumns(time=column, time_unit=time_unit))
     except errors.ItemError as error:
         raise errors.InputError(f"{what}: {error.what}") from error
     back = np.flatnonzero(np.diff(found) < 0)
     if len(back):
         row = int(back[0])
         raise errors.InputError(
-            f"{place!r}: the time runs back, from {found[row]:.6f} s in row {row + 1:,} to "
-            f"{found[row + 1]:.6f} s in row {row + 2:,}; expected times that rise",
+            f"{place!r}: the time runs backwards, from {found[row]:.6f} s in row {row + 1:,} to "
+            f"{found[row + 1]:.6f} s in row {row + 2:,}; expected times that do not decrease",
             next="sort the rows, or divide the table where the clock was set",
         )
     return found
 
 
 def tables_by_stem(names: Iterable[str]) -> dict[str, list[str]]:
-    """Return the tables of a folder that belong to each of its other files, by their names without endings.
+    """Return the tables that belong to each other file of a folder, by the name of that file without ending.
 
-    ``take1.csv``, ``take1.force.csv`` and ``take1_force.csv`` belong to ``take1.mp4``, unless a longer name
-    fits as well, such as that of ``take1_force.mp4``.
+    ``take1.csv``, ``take1.force.csv`` and ``take1_force.csv`` belong to ``take1.mp4``. If the names of
+    several files fit, a table belongs to the longest one, such as ``take1_force.mp4``.
     """
     seen = [name for name in names if not store.is_hidden(name)]
     tables = [name for name in seen if name.lower().endswith(column_tables.COLUMN_TABLE_ENDINGS)]
@@ -156,7 +155,7 @@ def tables_by_stem(names: Iterable[str]) -> dict[str, list[str]]:
 
 
 class Aligner:
-    """Aligns the streams of a source with its recordings: those that are named, and tables beside them.
+    """Aligns streams with the recordings of a source: tables that are named, and tables beside a recording.
 
     Parameters
     ----------
@@ -165,15 +164,15 @@ class Aligner:
     how : Alignment or None
         None stands for the defaults.
     columns : ImportColumns
-        Its column of times is that of the recordings and streams that have it. Its pose is not interpolated
-        as other numbers are.
+        ``time`` is the column of times of the recordings and streams that have it. ``pose`` is interpolated
+        as a rotation; see :func:`with_streams`.
     no_streams : collection of str
-        Paths of tables that are used in another way, though they may lie beside a recording.
+        Paths of tables that are not streams even if they lie beside a recording.
 
     Attributes
     ----------
     reports : list of StreamReport
-        How the streams fit, in the order of recordings; complete when all were aligned.
+        How the streams fit, in the order of recordings; complete after the last recording.
     times : set of str
         Columns of times that were used.
 
@@ -200,7 +199,8 @@ class Aligner:
     def aligned(self, recording: recordings.Recording) -> recordings.Recording:
         """Return a recording with the columns of its streams, and with the times that a column states.
 
-        Tables beside it that do not fit are its problem. InputError: a stream that was named does not fit.
+        If a table beside the recording does not fit, the recording has a problem. Raises InputError if a
+        stream that was named does not fit.
         """
         if recording.problem is not None:
             return recording
@@ -224,13 +224,13 @@ class Aligner:
         return replace(recording, time_s=fields.times_s(recording.per_frame[time], self._columns))
 
     def _streams_beside(self, recording: recordings.Recording) -> list[Stream]:
-        path = PurePosixPath(recording.path)
-        folder = "" if str(path.parent) == "." else str(path.parent)
+        folder, _, name = recording.path.rpartition("/")
+        stem = PurePosixPath(name).stem
         home = store.open_folder(recording.home)
-        tables = self._beside(recording.home, folder).get(path.stem, ())
+        tables = self._beside(recording.home, folder).get(stem, ())
         names = (f"{folder}/{name}".lstrip("/") for name in tables)
         return [
-            open_stream(home, name, self._columns, path.stem)
+            open_stream(home, name, self._columns, stem)
             for name in names
             if name != recording.path and _address(home.address(name)) not in self._no_streams
         ]
@@ -247,25 +247,25 @@ def with_streams(
     how: Alignment,
     columns: import_columns.ImportColumns,
 ) -> tuple[recordings.Recording, list[StreamReport]]:
-    """Add the columns of streams to what is said of each picture.
+    """Add the columns of streams to the fields of each picture.
 
     Parameters
     ----------
     recording : Recording
-        With the times of its pictures. Without, a stream must have a row for each picture, and its times, if
-        it has any, are taken as those of the pictures.
+        If it has no times, a stream needs a row for each picture, and its times, if it has any, become those
+        of the pictures.
     streams : sequence of Stream
-        A column whose name is taken gets that of its stream before it: ``force.seq``.
+        A column whose name is taken gets the name of its stream as a prefix: ``force.seq``.
     how : Alignment
         Method, longest gap, and offset of the clocks.
     columns : ImportColumns
-        Of these, the pose is not interpolated as other numbers are: its quaternion is on the turn between two
-        samples, and a pose with another rotation is that of the nearest sample.
+        ``pose`` is not interpolated number by number: a quaternion lies on the rotation between two samples,
+        and a pose with another kind of rotation is that of the nearest sample.
 
     Raises
     ------
     InputError
-        Clocks without a common time, rows that are not as many as pictures, or no picture gets a value.
+        The clocks have no common time, the rows are not as many as the pictures, or no picture gets a value.
     """
     reports: list[StreamReport] = []
     for stream in streams:
@@ -293,7 +293,7 @@ def _by_row(recording: recordings.Recording, stream: Stream) -> dict[str, pa.Arr
         which = "the table" if stream.time_s is None else "the recording"
         raise errors.InputError(
             f"{stream.place!r} has {stream.rows:,} rows, the recording {recording.name!r} "
-            f"{recording.frames:,} pictures; expected as many, as {which} has no times",
+            f"{recording.frames:,} pictures; expected equal numbers, as {which} has no times",
             next="name the column of times (`--map time=COLUMN`), or give a row for each picture",
         )
     return _columns(stream.table.rows(np.arange(stream.rows)), stream)
@@ -339,9 +339,9 @@ def _by_time(
 def _between(
     samples: Mapping[str, pa.Array], around: alignment.Neighbours, pose: Sequence[str]
 ) -> dict[str, pa.Array]:
-    """Return columns of floats on a line between samples, and a pose with its quaternion on the turn.
+    """Return columns of floats interpolated between samples, and a pose with an interpolated rotation.
 
-    Angles, by the unit in their name, are on the shorter way around the circle.
+    Columns whose names state a unit of angles are interpolated on the shorter way around the circle.
     """
     numbers = {name: column_types.floats_of(column) for name, column in samples.items() if _is_number(column)}
     found = {}
@@ -355,13 +355,15 @@ def _between(
         if whole.shape[1] in _WITH_QUATERNION:
             between = around.interpolated(whole)
             between[:, -_QUATERNION:] = around.turned(whole[:, -_QUATERNION:])
-            found |= zip(pose, [between] if len(pose) == 1 else between.T, strict=True)
+            parts = [between] if len(pose) == 1 else list(between.T)
+            found |= zip(pose, parts, strict=True)
     return {name: _with_gaps(values, around) for name, values in found.items()}
 
 
 def _is_number(column: pa.Array) -> bool:
-    kind = column.type.value_type if pa.types.is_list(column.type) else column.type
-    return kind in _NUMBERS and (kind is column.type or bool(column_types.lengths_of(column)))
+    if pa.types.is_list(column.type):
+        return column.type.value_type in _NUMBERS and bool(column_types.lengths_of(column))
+    return column.type in _NUMBERS
 
 
 def _with_gaps(values: Float64, around: alignment.Neighbours) -> pa.Array:
@@ -383,7 +385,7 @@ def _columns(table: pa.Table, stream: Stream) -> dict[str, pa.Array]:
             what = f"lists of {', '.join(map(str, lengths[:8]))} values" if lengths else "values of no type"
             raise errors.InputError(
                 f"{stream.place!r}: the column {name!r} holds {what}; expected numbers, text, or "
-                "lists of one number of numbers"
+                "lists of numbers, all of one length"
             )
         found[name] = column
     return found

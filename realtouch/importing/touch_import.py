@@ -1,4 +1,4 @@
-"""Recordings of others become a data set: touches found, and divided into rounds, splits and shards."""
+"""Import recordings as a data set: find touches, divide them into rounds, splits and shards."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ CONVERSION = "images_were"
 """Key of the options of an import: how images were converted."""
 
 _MAX_LEFT_OUT = 100
-_MAX_STREAMS = 200  # that are listed
+_MAX_STREAMS = 200  # listed in the manifest
 _TOUCHES_PER_GROUP = 1024
 _GROUP_BYTES = 32 << 20
-_PAGE_BYTES = 256 << 10  # of the images of a round, which do not compress any better together
+_PAGE_BYTES = 256 << 10  # images do not compress better in larger pages
 _CUTS = "cuts"
 
 
@@ -53,7 +53,7 @@ def import_touches(
     Parameters
     ----------
     source : str or path
-        What was recorded: a folder, a file, an address of a store, or what :func:`realtouch.export` wrote.
+        Recordings: a folder, a file, an address of a store, or what :func:`realtouch.export` wrote.
     out : str or path
         Folder to write, outside the source.
     layout : str, optional
@@ -78,12 +78,12 @@ def import_touches(
     Returns
     -------
     Manifest
-        What was left out is listed; fields that were not imported are counted, as ``not_imported``.
+        It lists the touches that were left out; ``not_imported`` counts fields that were not imported.
 
     Raises
     ------
     InputError
-        Source, table, a column or an option cannot be used, or no picture can.
+        The source, its table, a column, an option, or every picture cannot be used.
     IntegrityError, SpecMismatchError, StorageError
         A tar is damaged; or as :func:`realtouch.clips_to_images`.
     """
@@ -97,9 +97,9 @@ def import_touches(
 
 
 def plan_of(touches: arranging.Arranged, found: import_sources.FoundSource) -> store.BuildPlan:
-    """Divide rounds into shards."""
+    """Return the plan of an import: a task for each shard, and its specification for the manifest."""
     every = found.touches
-    work: Any = touches.work  # whose items are touches, of which a task knows that they can be counted
+    work: Any = touches.work  # takes touches; the type of a task only knows items that can be counted
     tasks: list[store.AnyTask] = []
     for split, parts in touches.shards.items():
         for index, part in enumerate(parts):
@@ -149,7 +149,7 @@ def _write_pictures(
 
 
 def _listing_digest(touches: found_touches.FoundTouches) -> str:
-    """Return the checksum of what is said of all touches."""
+    """Return the checksum of the names, places, times and fields of all touches."""
     digest = hashlib.sha256()
     where = touches.where.select(["name", "start", "size", "time_s"])
     for table in (where, touches.said, touches.per_frame):
@@ -163,7 +163,7 @@ def _listing_digest(touches: found_touches.FoundTouches) -> str:
 def _style(
     touches: found_touches.FoundTouches, shards: Mapping[str, Sequence[found_touches.FoundTouches]]
 ) -> store.ParquetStyle:
-    """Return how many rounds are packed together, and which columns are not compressed."""
+    """Return how many rounds are stored in a row group, and how the images are encoded."""
     touch_bytes = pc.sum(touches.where["size"]).as_py() // len(touches) + 1
     per_group = min(_TOUCHES_PER_GROUP, _GROUP_BYTES // touch_bytes)
     rounds = sum(len(part.where["round"].unique()) for parts in shards.values() for part in parts)

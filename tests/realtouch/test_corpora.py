@@ -207,10 +207,10 @@ def test_no_pickle_is_executed(tmp_path: Path) -> None:
             return (Path.touch, (mark,))
 
     for content, words in (
-        (pickle.dumps([Evil()]), "something else than a list of encoded images"),
-        (pickle.dumps([np.zeros((4, 4, 3), np.uint8)]), "something else than a list of encoded images"),
+        (pickle.dumps([Evil()]), "does not hold one list of encoded images"),
+        (pickle.dumps([np.zeros((4, 4, 3), np.uint8)]), "does not hold one list of encoded images"),
         (pickle.dumps([b"a" * 300])[:-40], "not an intact pickle"),
-        (b"no pickle", "something else|not an intact pickle"),
+        (b"no pickle", "does not hold one list|not an intact pickle"),
         # An opcode may state any length, and a line may never end.
         (b"\x80\x04]\x8e" + (1 << 45).to_bytes(8, "little"), "is not an intact pickle"),
         (b"I" + b"9" * 5000, "is not an intact pickle"),
@@ -226,8 +226,8 @@ def test_no_pickle_is_executed(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("table", "words"),
     [
-        (b"label\n0\n1\n", r"has 2 lines; expected 3, one for each image of 'dataset.pkl'"),
-        (b"label\n0\n1\n2\n3\n", "has 4 lines; expected 3"),
+        (b"label\n0\n1\n", r"has 2 rows; expected 3, one for each image of 'dataset.pkl'"),
+        (b"label\n0\n1\n2\n3\n", "has 4 rows; expected 3"),
         (b"label\n\xff\n1\n2\n", "cannot be read as UTF-8"),
         (b'label\n0\n"1\n2\n', "line 3: unexpected end of data"),
     ],

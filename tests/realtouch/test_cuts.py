@@ -235,7 +235,7 @@ def test_lines_that_cannot_be_cut_are_problems_of_their_touches(tmp_path: Path) 
             "the times ['x', '1.0'] from number 1 on; expected finite numbers",
             "the times [None, 1.0]",
             "no times; next: state start_frame and end_frame",
-            "names it",
+            "names this recording",
             "names 'c'",
             "names 'd'",
         ],
@@ -247,7 +247,10 @@ def test_lines_that_cannot_be_cut_are_problems_of_their_touches(tmp_path: Path) 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("start,end\n0,1\n", "should say once when touches start and end; found columns start, end"),
+        (
+            "start,end\n0,1\n",
+            "one column for the start of touches and one for the end; found columns start, end",
+        ),
         ("start_s,start_ms,end_s\n0,1,1\n", "start_s and start_ms"),
         ("start_s\n0\n", "no column 'end_s'"),
         ("start_s,end_s\n0,1\n", "row 1 could mean 'a/take1' or 'b/take1'"),

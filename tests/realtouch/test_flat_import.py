@@ -91,16 +91,14 @@ def test_one_of_several_columns_of_pictures_is_chosen(tmp_path: Path) -> None:
     assert list(IMPORTS["flat"].contents(touches)) == JPEGS[::-1]
     assert each_of(touches)[0].values == {"label": "a", "split": "train"}
     write(tmp_path, label=["a"])
-    with pytest.raises(InputError, match="the columns of pictures none among label; expected one"):
+    with pytest.raises(InputError, match="no columns of pictures, but label; expected one"):
         found(tmp_path)
 
 
 @pytest.mark.parametrize("kind", ["single", "seq"])
 def test_a_set_of_touches_needs_no_import(kind: str, request: pytest.FixtureRequest) -> None:
     folder = request.getfixturevalue(f"{kind}_folder")
-    with pytest.raises(
-        InputError, match=r"'sensor_(image|video)': it is of a data set of touches, which needs no"
-    ):
+    with pytest.raises(InputError, match=r"'sensor_(image|video)' of a data set of touches, which needs no"):
         found(folder)
 
 

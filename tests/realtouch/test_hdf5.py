@@ -96,7 +96,7 @@ def test_pictures_are_named_by_the_user(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=r"found data/demo_0/obs/tactile, data/demo_2.*--map image=PATH"):
             recordings(source, image)
     assert [each.name for each in recordings(source, "/data/demo_2/obs/tactile")] == ["a"]
-    with pytest.raises(InputError, match="holds no file of HDF5"):
+    with pytest.raises(InputError, match="holds no HDF5 file"):
         recordings(tmp_path.parent / "none")
     (tmp_path / "b.h5").write_bytes(b"text")
     with pytest.raises(InputError, match=r"b.h5': not an intact file of HDF5"):

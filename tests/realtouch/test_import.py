@@ -208,7 +208,7 @@ def test_tables_and_options_that_cannot_be_used(home: Path, tmp_path: Path) -> N
     columns = realtouch.ImportColumns(round="round", split="split")
     splits = [{"file": f"pictures/{n}.jpg", "label": 1, "round": "a", "split": "ab"[n]} for n in (0, 1)]
     write_table(home, splits)
-    refused("round 'a' lies in the splits", columns, table=table)
+    refused("round 'a' is in the splits", columns, table=table)
     write_table(home, [each | {"split": "../a"} for each in splits])
     refused(r"0\.jpg': the split '\.\./a'; expected letters and digits", columns, table=table)
 

@@ -194,8 +194,8 @@ SIX = ("x", "y", "z", "a", "b", "c")
         ({"length_unit": "inch"}, "length_unit of the columns is 'inch'; expected None or one of mm, cm, m"),
         ({"quaternion_order": "zyxw"}, "expected None or one of xyzw, wxyz"),
         ({"time_unit": "min"}, "time_unit of the columns is 'min'"),
-        ({"extra": (("a\nb", "c"),)}, "that can be printed"),
-        ({"extra": (("a" * 101, "c"),)}, "1 to 100 letters"),
+        ({"extra": (("a\nb", "c"),)}, "printable characters"),
+        ({"extra": (("a" * 101, "c"),)}, "1 to 100 printable characters"),
         ({"extra": (("a", "b"), ("a", "c"))}, "named twice"),
     ],
 )
@@ -208,7 +208,7 @@ def test_columns_that_do_not_say_what_they_are(options: dict[str, Any], words: s
     ("value", "options", "words"),
     [
         ([0, 0, 0, 0, 0, 0], {}, "expected 7 finite numbers, or 12 or 16 of a matrix"),
-        ([0, 0, 0, 0, 0, 90], {"rotvec": True}, "turns more than twice; .*--angle-unit"),
+        ([0, 0, 0, 0, 0, 90], {"rotvec": True}, "more than two turns in radians; .*--angle-unit"),
         (np.diag([1, 1, -1, 1]).tolist(), {}, "no rigid transform"),
         ((2 * np.eye(4)).tolist(), {}, "no rigid transform"),
         (np.zeros((2, 6)).tolist(), {}, "no rigid transform"),

@@ -132,11 +132,11 @@ def test_mapped_names(tmp_path: Path) -> None:
     [
         (["label"], "--map has 'label'; expected NAME=COLUMN"),
         (["=x"], "expected NAME=COLUMN"),
-        (["lable=x"], "'lable', which is none of image, .*did you mean 'label'"),
+        (["lable=x"], "'lable'; expected one of image, .*did you mean 'label'"),
         (["object_id=x"], "did you mean 'object'"),
         (["label=x", "label=y"], "names 'label' twice"),
         (["@nothing.txt"], "cannot be read"),
-        (["a\tb=x"], "that can be printed"),
+        (["a\tb=x"], "printable characters"),
         (["pose=x,y,z"], "3 pose columns"),
     ],
 )

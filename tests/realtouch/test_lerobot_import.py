@@ -91,7 +91,7 @@ def test_one_of_several_cameras_is_chosen_and_the_others_are_named(
     for name in (CAMERA, "observation.images.wrist"):
         info["features"][name]["dtype"] = "float32"
     write_json(tmp_path / "meta" / "info.json", info)
-    with pytest.raises(InputError, match=r"the cameras none among .*, timestamp"):
+    with pytest.raises(InputError, match=r"no cameras, but .*, timestamp"):
         found(tmp_path)
 
 
@@ -164,7 +164,7 @@ def change_column(name: str, values: Callable[[pa.Table], pa.Array]) -> Callable
 @pytest.mark.parametrize(
     ("dtype", "spoil", "words"),
     [
-        ("image", drop_rows, r"holds 4 frames of it; expected 5, as stated"),
+        ("image", drop_rows, r"holds 4 frames of this episode; expected 5, as stated"),
         ("image", cut_file("episode_000000.parquet"), "is damaged"),
         ("image", remove("episode_000000.parquet"), "the file does not exist"),
         (
@@ -186,7 +186,7 @@ def change_column(name: str, values: Callable[[pa.Table], pa.Array]) -> Callable
         (
             "video",
             change_column("timestamp", lambda rows: pa.array(np.arange(5) / 10)),
-            "not at the times of its frames",
+            "not at the times of the frames",
         ),
     ],
 )

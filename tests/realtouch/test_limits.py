@@ -110,7 +110,7 @@ def test_an_index_out_of_the_order_of_the_stream_is_named(order: tuple[int, ...]
     entries = [whole[place + 16 * each : place + 16 * each + 16] for each in order]
     data = memoryview(whole[:place] + b"".join(entries))
     with pytest.raises(
-        ValueError, match=r"index has frame \d of 4 outside of it or over another; expected that of"
+        ValueError, match=r"index has frame \d of 4 outside of the stream or over another frame"
     ):
         Avi(data)
 

@@ -187,7 +187,7 @@ def test_the_sensor_is_named_where_there_are_several(tmp_path: Path) -> None:
     only = {name: None for name in arrays() if "gripper" in name} | tactile("left", "tip", TIPS)
     (first, _) = recordings(write(tmp_path / "b.zarr", arrays(**only)))
     assert first.part.endswith("data/left_tactile_data_tip")
-    with pytest.raises(InputError, match="pictures none among"):
+    with pytest.raises(InputError, match="no arrays of pictures, but"):
         recordings(write(tmp_path / "c.zarr", {"timestamps": np.arange(T)}))
 
 

@@ -290,7 +290,7 @@ def test_tars_that_lead_elsewhere_or_are_packed_are_named(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (pickle.dumps([[picture(1)], [picture(2)]]), "something else than a list of encoded images"),
+        (pickle.dumps([[picture(1)], [picture(2)]]), "does not hold one list of encoded images"),
         (pickle.dumps([picture(1)], 2), "with pickle protocol 3 or higher"),
         (pickle.dumps([picture(1)]) + pickle.dumps([picture(2)]), "holds more than one pickle"),
     ],

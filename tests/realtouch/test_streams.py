@@ -246,7 +246,7 @@ def test_times_that_are_none_are_refused(
             {"f": [1, 2]},
             3,
             True,
-            "has 2 rows, the recording 'take1' 3 pictures; expected as many, as the table",
+            "has 2 rows, the recording 'take1' 3 pictures; expected equal numbers, as the table",
         ),
         ({"time_s": [0.0, 0.1]}, 3, False, "as the recording has no times"),
         ({"time_s": [0.5, 1.5], "f": [1, 2]}, 3, True, "no picture of 'take1' gets a value"),
