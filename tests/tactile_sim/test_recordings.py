@@ -164,6 +164,13 @@ def test_mistakes_of_many_sensors(family: Family, seed: int) -> None:
         assert {each.kind for each in found} == {mistake} - {None}, mistake
 
 
+@pytest.mark.parametrize(("mistake", "named"), [(None, []), ("gel-changed", ["gel-changed"])])
+def test_contacts_of_few_touches_are_no_change_of_the_gel(mistake: str | None, named: list[str]) -> None:
+    """Medians of five images show contacts, more strongly than some gels that changed."""
+    made = draw_sensor(1, "phong", (160, 120)).record(digits(4, 5), 10, seed=1, mistake=mistake)
+    assert [each.kind for each in tactile_sim.find_mistakes(as_given(made))] == named
+
+
 def test_a_solid_that_is_not_there_is_named() -> None:
     made = record()
     others = {key: solid for key, solid in enumerate(digits(7, seed=40).values()) if key >= 4}
