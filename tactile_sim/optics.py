@@ -14,7 +14,7 @@ from tactile_toolkit.array_types import Float32, Float64, UInt8
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import lazy
 
-__all__ = ["OPTICS", "Optics", "make_optics", "scaled"]
+__all__ = ["OPTICS", "Optics", "in_size_of", "make_optics", "scaled"]
 
 
 def scaled(pictures: UInt8, size_px: tuple[int, int]) -> UInt8:
@@ -23,6 +23,21 @@ def scaled(pictures: UInt8, size_px: tuple[int, int]) -> UInt8:
     if pictures.shape[1:3] == (height, width):
         return pictures
     return np.stack([touch.resized(each, width, height) for each in pictures])
+
+
+def in_size_of(size_px: tuple[int, int], images: UInt8) -> UInt8:
+    """Return images (n, H, W, 3) in the size of those of a sensor; InputError for others, or proportions."""
+    if images.dtype != np.uint8 or images.ndim != 4 or images.shape[3] != 3 or not len(images):
+        raise InputError(
+            f"images are {images.dtype} of the shape {images.shape}; expected uint8 (n, height, width, 3)"
+        )
+    (wide, high), (height, width) = size_px, images.shape[1:3]
+    if abs(height - width * high / wide) > 1 and abs(width - height * wide / high) > 1:
+        raise InputError(
+            f"images have {width} x {height} pixels; expected the proportions of the sensor, {wide} x {high}",
+            next="give whole images, as the camera took them for the calibration",
+        )
+    return scaled(images, size_px)
 
 
 def depth_image(depth_m: Float64, sensor: Sensor) -> Float32:

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import ndimage
 
 from tactile_sim.kind import KIND
-from tactile_sim.optics import scaled
+from tactile_sim.optics import in_size_of
 from tactile_sim.sensor_models import SensorModel
 from tactile_sim.twin.sources import image_paths, read_image, spaced
 from tactile_toolkit import places, store
@@ -108,10 +108,11 @@ def check_sensor(model: SensorModel, images: Iterable[UInt8]) -> SensorHealth:
     Raises
     ------
     InputError
-        The sensor has no twin, or there are fewer than five images.
+        The sensor has no twin, there are fewer than five images, or their proportions are not those of the
+        sensor.
     """
     size_px = (model.width_px, model.height_px)
-    seen = [scaled(np.asarray(each)[None], size_px)[0] for each in images]
+    seen = [in_size_of(size_px, np.asarray(each)[None])[0] for each in images]
     if len(seen) < MIN_IMAGES:
         raise InputError(
             f"{with_count(len(seen), 'images')} to compare with the sensor; expected at least {MIN_IMAGES}",
@@ -125,7 +126,7 @@ def check_sensor(model: SensorModel, images: Iterable[UInt8]) -> SensorHealth:
     drift = _smoothed(difference, _SMOOTH_PX)[known]
     gains = (today[known] * plain[known]).sum(axis=0) / (plain[known] ** 2).sum(axis=0)
     # Residual of the touches of the calibration itself, levels.
-    expected = max(float(model.report.get("residual_levels", 0.0)), float(model.report["noise_levels"]))
+    expected = max(model.report["residual_levels"], model.report["noise_levels"])
     values = (
         np.sqrt((drift**2).mean()),
         np.abs(gains - 1).max(),

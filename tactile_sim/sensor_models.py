@@ -165,7 +165,7 @@ class SensorModel:
         Parameters
         ----------
         images : ndarray of uint8, shape (N, H, W, 3)
-            Images of this sensor, in any size.
+            Images of this sensor, in any size of its proportions.
         fast : bool
             Read in half of the resolution, several times as fast.
 
@@ -177,7 +177,7 @@ class SensorModel:
         Raises
         ------
         InputError
-            The images have another shape or type, or the sensor was not calibrated.
+            The images have another shape, type or proportions, or the sensor was not calibrated.
         """
         return self.read_depth(images, fast=fast).depth_m
 

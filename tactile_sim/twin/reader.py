@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
+from tactile_sim.optics import in_size_of
 from tactile_sim.sensor_parts import DepthReading
 from tactile_sim.taxim_kernels import blur
 from tactile_sim.twin import gel, network
@@ -21,7 +22,7 @@ from tactile_sim.twin.fitting import Fit, shrunk
 from tactile_sim.twin.gel import Fitted
 from tactile_sim.twin.gel_kernels import sample_relief
 from tactile_sim.twin.relief import Relief
-from tactile_sim.twin.twin import Twin, TwinOptics, in_size_of, resized_depth
+from tactile_sim.twin.twin import Twin, TwinOptics, resized_depth
 from tactile_toolkit.array_types import Float32, Float64, Int64, UInt8
 
 _WIDTHS = {"full": 160, "fast": 80}  # pixels of the images that are read
@@ -59,7 +60,7 @@ def read_depth(twin: Twin, images: UInt8, *, fast: bool = False) -> DepthReading
     shrink = _shrink(twin, mode)
     background = shrunk(twin.background, shrink)
     depths, errors = [], []
-    for image in in_size_of(twin, images):
+    for image in in_size_of(twin.size_px, images):
         change = shrunk(image.astype(np.float32), shrink) - background
         depth_mm, error_mm = _read(twin.reader, mode, change)
         depths.append(depth_mm)

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from tactile_sim.array_files import npz_bytes
-from tactile_sim.optics import Optics, scaled
+from tactile_sim.optics import Optics
 from tactile_sim.sensor import Sensor
 from tactile_sim.twin import gel, surface_kernels
 from tactile_sim.twin.gel import Fitted
@@ -156,8 +156,3 @@ def resized_depth(maps: Float32, size_px: tuple[int, int]) -> Float32:
     if maps.shape[1:] == (height, width):
         return maps
     return np.stack([_part_of(each[..., None], gel.WHOLE, (height, width))[..., 0] for each in maps])
-
-
-def in_size_of(twin: Twin, images: UInt8) -> UInt8:
-    """Return images in the size of those of the sensor."""
-    return scaled(images, twin.size_px)

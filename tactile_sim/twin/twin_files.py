@@ -24,6 +24,8 @@ SENSOR_FILE, ARRAYS_FILE = "sensor.json", "arrays.npz"
 _FORMAT, _VERSION = "tactile-sim sensor", 1
 _MAX_BYTES = 1 << 22
 _MAX_PIXELS = 1280 * 1280
+_REPORTED = ("mm_per_px", "noise_levels", "image_error_levels", "residual_levels")
+"""Numbers of a report that others use."""
 
 
 def write_sensor(folder: str, model: SensorModel, twin: Twin) -> None:
@@ -64,7 +66,12 @@ def read_sensor(folder: str | Path) -> tuple[dict[str, Any], Twin]:
             raise ValueError(problem)
         geometry = dict(document["sensor"])
         arrays, _ = read_npz(place / ARRAYS_FILE)
-        twin = _twin_of(arrays, dict(document["report"]))
+        report = dict(document["report"])
+        _require_report(report)
+        twin = _twin_of(arrays, report)
+        if twin.size_px != (geometry["width_px"], geometry["height_px"]):
+            problem = f"its arrays are of images of {twin.size_px} pixels"
+            raise ValueError(problem)
         if twin.sha256 != document["arrays_sha256"]:
             problem = f"{ARRAYS_FILE} has another digest than {SENSOR_FILE} states"
             raise ValueError(problem)
@@ -73,6 +80,16 @@ def read_sensor(folder: str | Path) -> tuple[dict[str, Any], Twin]:
             f"the sensor in {str(folder)!r} cannot be read ({error})", next="copy or make it again"
         ) from error
     return geometry, twin
+
+
+def _require_report(report: Mapping[str, Any]) -> None:
+    """Raise ValueError unless a report has numbers and touches as a calibration writes them."""
+    wrong = [name for name in _REPORTED if not 0 <= float(report[name]) < np.inf]
+    touches = [{"reason": "", **each} for each in report["touches"] if each["used"] in (True, False)]
+    texts = [each[name] for each in touches for name in ("name", "reason")]
+    if wrong or len(touches) < len(report["touches"]) or not all(isinstance(text, str) for text in texts):
+        problem = f"its report does not hold {', '.join([*_REPORTED, 'touches'])}"
+        raise ValueError(problem)
 
 
 def _twin_of(arrays: Mapping[str, AnyArray], report: Mapping[str, Any]) -> Twin:

@@ -89,7 +89,7 @@ def test_touches_of_digits_are_calibrated_with(made, folder, monkeypatch) -> Non
     def calibrated(recordings, **options):
         takes.bind(recordings, **options)
         given.append(recordings)
-        report = {"image_error_levels": 1.0, "noise_levels": 1.0}
+        report = {"image_error_levels": 1.0, "noise_levels": 1.0, "residual_levels": 0.0}
         background = np.full((72, 96, 3), 100.0, np.float32)
         return model_of(replace(made_up_twin(), background=background, report=report), "mine")
 

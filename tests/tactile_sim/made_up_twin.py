@@ -19,7 +19,8 @@ def made_up_twin(seed: int = 0) -> Twin:
     coefficients = rng.normal(0, 30, (gel_kernels.ENTRIES, gel_kernels.PLACES, 3)).astype(np.float32)
     background = rng.uniform(90, 130, (48, 64, 3)).astype(np.float32)
     weights = {name: np.zeros(shape, np.float32) for name, shape in reader.reader_shapes().items()}
-    return Twin(SHAPE, HALF_M, coefficients, background, weights, {"mm_per_px": 0.295})
+    report = {"mm_per_px": 0.295, "noise_levels": 1.0, "image_error_levels": 1.0, "residual_levels": 1.0}
+    return Twin(SHAPE, HALF_M, coefficients, background, weights, {**report, "touches": []})
 
 
 def made_up_sensor(seed: int = 0) -> SensorModel:

@@ -27,7 +27,7 @@ class PerfectTwin:
     report: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.report = {"noise_levels": self.recording.noise_levels}
+        self.report = {"noise_levels": self.recording.noise_levels, "residual_levels": 0.0}
         flat = np.zeros(self.of._frame_shape)
         self.plain = self.of._camera(self.of._shown(flat, flat))
 

@@ -363,7 +363,9 @@ def _array_file(shape: str) -> bytes:
     return header.getvalue().replace(b"(3,)", shape.encode())
 
 
-@pytest.mark.parametrize("harm", ["changed", "pickle", "huge", "missing", "geometry", "json", "link"])
+@pytest.mark.parametrize(
+    "harm", ["changed", "pickle", "huge", "missing", "geometry", "json", "link", "report", "size"]
+)
 def test_a_damaged_or_hostile_folder_is_refused(tmp_path, harm):
     """No array of another kind is accepted, no object is unpickled, nothing huge is made."""
     folder = tmp_path / "sensor"
@@ -383,6 +385,13 @@ def test_a_damaged_or_hostile_folder_is_refused(tmp_path, harm):
     if harm == "huge":
         with zipfile.ZipFile(file, "w") as archive:
             archive.writestr("shape.npy", _array_file("(1 << 50,)".replace("1 << 50", "1125899906842624")))
+    document = json.loads(text.read_text())
+    if harm == "report":
+        del document["report"]["noise_levels"]
+    if harm == "size":
+        document["sensor"]["width_px"] *= 2
+    if harm in ("report", "size"):
+        text.write_text(json.dumps(document))
     if harm == "json":
         text.write_text(json.dumps({"format": []}))
     if harm == "link":
@@ -417,6 +426,12 @@ def test_reading_gives_depth_in_the_size_of_the_images():
         assert found.depth_m.dtype == np.float32
         assert (found.depth_m >= 0).all()
         assert (found.error_m > 0).all()
+    for wrong in (images.transpose(0, 2, 1, 3), np.zeros((2, 64, 64, 3), np.uint8)):
+        with pytest.raises(InputError, match="proportions of the sensor, 64 x 48"):
+            model.read_depth(wrong)
+    for wrong in (images[0], images[..., :2], images / 255, images[:0]):
+        with pytest.raises(InputError, match="expected uint8"):
+            model.read_depth(wrong)
 
 
 def test_touches_of_a_twin_are_generated(tmp_path):
