@@ -16,6 +16,8 @@ from tactile_toolkit.kind import lazy
 
 __all__ = ["OPTICS", "Optics", "in_size_of", "make_optics", "scaled"]
 
+_FARTHEST_M = 10.0
+
 
 def scaled(pictures: UInt8, size_px: tuple[int, int]) -> UInt8:
     """Scale pictures (n, H, W, 3) to a size, pixels; pictures of that size are returned unchanged."""
@@ -65,7 +67,6 @@ class Optics(ABC):
             )
         return width, height
 
-    @abstractmethod
     def shades(
         self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int], *, is_surface: bool = False
     ) -> Float32:
@@ -73,7 +74,30 @@ class Optics(ABC):
 
         They have the requested size if the optics scale shades themselves, otherwise the size of the maps.
         With ``is_surface``, the maps are the surface of an elastic gel, which is not smoothed again.
+        InputError for maps of another shape, smaller than ``least_px``, or not within 10 m, and for sizes
+        that no image has.
         """
+        maps = np.asarray(depth_m)
+        if maps.ndim != 3 or maps.dtype.kind != "f" or min(maps.shape[1:]) < self.least_px:
+            raise InputError(
+                f"depth maps are {maps.dtype} of the shape {maps.shape}; expected floats (n, height, width) "
+                f"with at least {self.least_px} pixels a side"
+            )
+        # Kernels look values up by place in a table, so each of them must be a number.
+        if maps.size and not (maps.min() > -_FARTHEST_M and maps.max() < _FARTHEST_M):
+            raise InputError(f"depth maps hold values that are not within {_FARTHEST_M:g} m")
+        if min(size_px) < 1 or size_px[0] * size_px[1] > touch.MAX_IMAGE_PIXELS:
+            raise InputError(
+                f"a picture of {size_px[0]} x {size_px[1]} pixels was asked for; expected 1 to "
+                f"{touch.MAX_IMAGE_PIXELS:,} pixels"
+            )
+        return self._shades(maps, sensor, size_px, is_surface=is_surface)
+
+    @abstractmethod
+    def _shades(
+        self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int], *, is_surface: bool
+    ) -> Float32:
+        """Return :meth:`shades` of maps that were checked."""
 
     def render(
         self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int], *, is_surface: bool = False
@@ -91,8 +115,8 @@ class Optics(ABC):
 class DepthOptics(Optics):
     """The depth image itself, grey: black deepest in the gel, white no contact."""
 
-    def shades(
-        self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int], *, is_surface: bool = False
+    def _shades(
+        self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int], *, is_surface: bool
     ) -> Float32:
         """Return the depth image in red, green and blue."""
         return np.repeat(depth_image(depth_m, sensor)[..., None], 3, axis=-1)

@@ -42,8 +42,8 @@ class TaximOptics(Optics):
     def __init__(self) -> None:
         self._calibration = taxim_package().calibration
 
-    def shades(
-        self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int], *, is_surface: bool = False
+    def _shades(
+        self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int], *, is_surface: bool
     ) -> Float32:
         """Return shades of red, green and blue, in the size of the depth maps.
 

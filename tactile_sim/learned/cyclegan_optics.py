@@ -52,8 +52,8 @@ class CycleganOptics(Optics):
         super().depth_size(width, height)
         return self.size_px
 
-    def shades(
-        self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int], *, is_surface: bool = False
+    def _shades(
+        self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int], *, is_surface: bool
     ) -> Float32:
         """Return shades of red, green and blue in the requested size; equal depth is computed only once."""
         images = depth_image(depth_m, sensor)

@@ -88,8 +88,8 @@ class TwinOptics(Optics):
         self._lens = lens
         self._table = gel.response_table(twin.coefficients)
 
-    def shades(
-        self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int], *, is_surface: bool = False
+    def _shades(
+        self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int], *, is_surface: bool
     ) -> Float32:
         """Return shades of red, green and blue, in the size of the depth maps; see :class:`Optics`."""
         span = np.array(sensor.window_m) / (2 * self._twin.half_m)

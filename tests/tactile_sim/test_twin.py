@@ -317,6 +317,34 @@ def test_optics_show_the_background_and_a_window_of_it():
         model.optics.render(free_m, wide, (64, 48))
 
 
+SMALL = np.full((1, 4, 4), 0.004)
+
+
+@pytest.mark.parametrize("optics", ["twin", "depth"])
+@pytest.mark.parametrize(
+    "wrong", [SMALL[0], SMALL[..., None], SMALL.astype(int), SMALL * np.nan, SMALL * 1e9, -SMALL * np.inf]
+)
+def test_maps_that_kernels_cannot_take_are_refused(optics: str, wrong: np.ndarray):
+    """Values that are no numbers, and maps of another shape, would lead kernels out of their tables."""
+    model = model_of(made_up_twin(), "mine")
+    rendering = model.optics if optics == "twin" else tactile_sim.make_optics("depth")
+    large = (
+        np.repeat(np.repeat(wrong, 16, 0), 16, 1) if wrong.ndim == 2 else wrong.repeat(16, 1).repeat(16, 2)
+    )
+    for maps in (large, wrong) if optics == "twin" else (large,):
+        with pytest.raises(InputError, match="depth maps"):
+            rendering.render(maps, model.sensor, (64, 48))
+    with pytest.raises(InputError, match="0 x 48 pixels"):
+        rendering.render(np.full((1, 48, 64), 0.004), model.sensor, (0, 48))
+
+
+def test_maps_smaller_than_vectors_of_kernels_are_refused():
+    """Four pixels a side once damaged memory."""
+    model = model_of(made_up_twin(), "mine")
+    with pytest.raises(InputError, match="at least 16 pixels"):
+        model.optics.render(SMALL, model.sensor, (64, 48))
+
+
 def test_images_of_a_twin_do_not_depend_on_their_batch():
     """A touch gives the same bytes alone, in a batch, and again."""
     model = model_of(made_up_twin(), "mine")
