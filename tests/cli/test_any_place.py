@@ -355,7 +355,7 @@ def test_what_is_no_data_set_is_called_what_it_is(tmp_path, capsys, stranger):
             answers.add(said)
     assert len(answers) == 1, "one answer for one situation"
     assert f"{str(folder)!r} {words}" in (answer := answers.pop())
-    assert "; expected a data set, which is Parquet files; next: " in answer
+    assert "; expected a data set of Parquet files; next: " in answer
     assert folder_bytes(folder) == before
     assert not (tmp_path / "out").exists()
 
@@ -374,7 +374,7 @@ def test_a_file_is_called_what_it_is(tmp_path, capsys, name, words):
     for program in ("starstruck", "realtouch", "env-assets"):
         code, said = asked(capsys, program, "show", str(tmp_path / name))
         assert code == 2
-        assert f"{name}' is {words}; expected a data set, which is Parquet files" in said
+        assert f"{name}' is {words}; expected a data set of Parquet files" in said
 
 
 def test_a_folder_of_data_sets_names_them(sets, capsys):

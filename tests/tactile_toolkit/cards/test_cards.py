@@ -189,7 +189,7 @@ def test_a_damaged_picture_is_named(folder):
 def test_a_gap_is_named(folder, gap):
     with (folder / "README.md").open("a") as card:
         card.write(f"\n{gap}\n")
-    assert ["expected every gap filled" in problem for problem in problems(folder)] == [True]
+    assert ["expected text in its place" in problem for problem in problems(folder)] == [True]
 
 
 def test_the_card_takes_another_name(digits_set):
