@@ -213,7 +213,7 @@ def test_numbers_of_other_types_are_the_same_shape():
 
 @cache
 def fancy() -> SceneSpec:
-    """A function: its solids are proved, by what numba compiles on a new machine."""
+    """A function, not a constant: its solids are checked by kernels that numba may have to compile."""
     return SceneSpec(
         star=Shape("star", 0.008, Star(points=7, inner_ratio=0.35)),
         distractor_shapes=(

@@ -1,4 +1,4 @@
-"""A new kind of data set is one short file: the rest follows from what it declares."""
+"""A new kind of data set is one short file; everything else follows from its declarations."""
 
 from __future__ import annotations
 
