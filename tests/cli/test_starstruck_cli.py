@@ -141,7 +141,7 @@ def test_validate_and_verify_pass(made):
         ),
     ],
 )
-def test_unusable_option_is_told_in_one_line_with_exit_code_2(tmp_path, words, message):
+def test_unusable_options_give_one_line_and_exit_code_2(tmp_path, words, message):
     result = run("generate", "--out", tmp_path / "set", *words)
     assert result.exit_code == 2
     assert message in result.stderr
