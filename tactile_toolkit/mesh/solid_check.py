@@ -66,7 +66,7 @@ def check_manifold(mesh: Mesh) -> ManifoldCheck:
     parts = manifold.decompose()
     volume_mm3 = float(manifold.volume())
     if not parts or abs(volume_mm3) < FLAT_MM3:
-        problem = "no-volume", "the surface is closed, but the enclosed volume is 0"
+        problem = "no-volume", "the surface is closed, but the enclosed volume is nearly 0"
     elif volume_mm3 < 0:
         problem = "inside-out", f"the triangles face inwards, the volume is {volume_mm3:.3f} mm³"
     else:
