@@ -178,9 +178,7 @@ class Fit:
         image, mask = self.image(touch)
         residuals = image - self.behind - base
         largest = np.abs(residuals).max(axis=-1)
-        weights = np.where(mask, 1 / np.maximum(1, largest / (_HUBER * self.noise)), 0).astype(
-            np.float32
-        )
+        weights = np.where(mask, 1 / np.maximum(1, largest / (_HUBER * self.noise)), 0).astype(np.float32)
         self.rms[touch] = np.sqrt(np.mean(residuals[mask] ** 2)) if mask.any() else np.nan
         self.robust_std[touch] = 1.4826 * float(np.median(np.abs(residuals)))
         return base, residuals, weights

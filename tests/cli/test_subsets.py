@@ -1,4 +1,4 @@
-"""``merge`` and ``split``: every row comes back once and unchanged, in data sets of the same kind."""
+"""``merge`` and ``split``: every row occurs once and unchanged, in data sets of the same kind."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a source of recordings is follows from its content."""
+"""The format of recordings is recognised by their content."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Videos of others: MJPEG stays as it is, all else is decoded alike however it is divided, or is refused."""
+"""Videos of other programs: MJPEG is copied; other codecs are decoded, independent of cuts, or refused."""
 
 from __future__ import annotations
 
@@ -310,9 +310,9 @@ def test_a_file_that_was_cut_gives_its_whole_pictures(tmp_path: Path) -> None:
         (found,) = recordings(path)
         numbers = (
             np.rint(found.time_s * FPS).astype(int).tolist()
-        )  # of some that depend on others, one may lack
+        )  # of pictures that depend on others, one may be missing
         pictures = dict(zip(numbers, pictures_of(path), strict=True))
-        if name == "h264.ts":  # whose last packet may end anywhere
+        if name == "h264.ts":  # the last packet may end anywhere
             pictures.popitem()
         assert all(isinstance(each, ItemError) or each == whole[at] for at, each in pictures.items())
         assert 10 < sum(isinstance(each, bytes) for each in pictures.values()) < COUNT

@@ -1,4 +1,4 @@
-"""Bodies for simulators, read by the simulators' own readers."""
+"""Bodies for simulators, read by the readers of the simulators."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ def test_what_cannot_be_a_body_is_named(tmp_path: Path):
 
 
 def test_bodies_that_mujoco_refuses_are_named_before(tmp_path: Path):
-    """MuJoCo takes moments of inertia from 1e-14 kg m² on."""
+    """MuJoCo accepts moments of inertia from 1e-14 kg m² on."""
     for kind in ("mjcf", "urdf", "usd"):
         made = export_files(named(SHAPES), str(tmp_path), kind, scale=0.02)
         assert [each.problem for each in made.failed] == ["too-light"] * len(SHAPES)
