@@ -1,4 +1,4 @@
-"""Downloads while the Hub cannot be asked: what the cache does not list may well be there, and stays."""
+"""Downloads without a connection to the Hub: files that the cache does not list may exist, and are kept."""
 
 from __future__ import annotations
 
