@@ -153,7 +153,7 @@ def test_sizes_stay_below_a_thousand_of_their_unit(size: float, text: str) -> No
     assert bytes_text(size) == text
 
 
-def test_specifications_are_told_in_words():
+def test_specifications_are_described_in_words():
     values = {
         "a": {"size_m": [0.1, 0.2], "on": True, "limit": None},
         "shapes": [{"name": "box"}, {"name": "disc"}],
@@ -171,7 +171,7 @@ def test_specifications_are_told_in_words():
     ("name", "words"),
     [("tset", "; did you mean 'test'?"), ("Train", "; did you mean 'train'?"), ("holdout", "")],
 )
-def test_a_mistyped_name_is_told_what_was_meant(name, words):
+def test_mistyped_names_get_a_suggestion(name, words):
     assert did_you_mean(name, ["train", "test"]) == words
 
 

@@ -154,7 +154,7 @@ def test_working_in_parts_changes_nothing(assets, monkeypatch):
     np.testing.assert_array_equal(top_surface(record, 0.0005).heights_m, whole.heights_m)
 
 
-def test_filled_stands_on_the_plate_and_the_map_stays_as_it_is():
+def test_filled_stands_on_the_plate_and_does_not_change_the_map():
     found = top_surface(cylinder(2.0, 1.0, 6), 0.5)
     filled = found.filled()
     assert filled.dtype == np.float32

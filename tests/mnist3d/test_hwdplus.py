@@ -198,7 +198,7 @@ def test_arrays_that_are_no_stack_of_images(tmp_path: Path, images: NDArray[Any]
 
 
 @pytest.mark.parametrize("info", [np.zeros((3, 2, 2), int), np.zeros((0, 2)), np.zeros(3, complex)])
-def test_tables_that_are_none(tmp_path: Path, info: NDArray[Any]) -> None:
+def test_invalid_tables(tmp_path: Path, info: NDArray[Any]) -> None:
     message = refusal(source(tmp_path, info=info))
     assert f"WriterInfo.npy: found shape {info.shape} of {info.dtype}, expected one row per image" in message
 

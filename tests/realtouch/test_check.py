@@ -485,7 +485,7 @@ def test_each_rule_is_documented() -> None:
 
 
 @pytest.mark.parametrize(("size", "noise"), [((64, 64), 6), ((320, 240), 3), ((640, 480), 1)])
-def test_markers_are_counted_at_any_size_and_noise_is_none(size: tuple[int, int], noise: int) -> None:
+def test_markers_are_counted_at_any_size_and_noise_is_not_counted(size: tuple[int, int], noise: int) -> None:
     random = np.random.default_rng(0)
     width, height = size
     gel = factories._gel(size) + random.normal(0, noise, (height, width, 3))

@@ -264,7 +264,7 @@ def test_invalid_metadata_are_named(name: str, content: bytes, words: str, tmp_p
         ({"data_path": None}, r"Expected `str`"),
     ],
 )
-def test_what_a_set_says_of_itself_is_checked(values: dict[str, Any], words: str, tmp_path: Path) -> None:
+def test_stated_values_of_a_set_are_checked(values: dict[str, Any], words: str, tmp_path: Path) -> None:
     write_lerobot(tmp_path)
     state(**values)(tmp_path)
     with pytest.raises(InputError, match=words):

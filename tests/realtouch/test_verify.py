@@ -69,7 +69,7 @@ def test_before_an_upload_damage_or_errors_of_the_card_are_listed(
     assert {Path(each.file).name for each in list_findings(open_folder(str(tmp_path)))} == {shard.name}
 
 
-def test_files_without_any_checksum_are_said_to_be_unprotected(single_folder: Path, tmp_path: Path) -> None:
+def test_files_without_any_checksum_are_reported_as_unprotected(single_folder: Path, tmp_path: Path) -> None:
     files = sorted(map(str, (single_folder / "data").glob("*.parquet")))
     assert sorted(realtouch.verify(single_folder, quick=True).unprotected) == files
     assert realtouch.verify(files[:2], quick=True).unprotected == tuple(files[:2])

@@ -238,7 +238,7 @@ def _move(row):
         (_move, "not that of the declared objects"),
     ],
 )
-def test_validate_finds_what_is_wrong(whole, tmp_path, change, finding):
+def test_validate_finds_faults(whole, tmp_path, change, finding):
     checked = validate_folder(_rewritten(whole, tmp_path, change))
     assert checked.checked == 30
     assert [failure.id for failure in checked.failures] == [1_000_000_004]

@@ -175,7 +175,7 @@ def test_object_inside_a_hole_is_clear_and_inside_a_solid_is_not():
     assert not outlines_clear(disc, [small], 0.0)
 
 
-def test_impossible_specification_ends_with_what_failed_and_what_to_change():
+def test_impossible_specification_ends_with_the_reason_and_a_next_step():
     spec = replace(SceneSpec(), stars=(30,), restarts=3, attempts=20)
     with pytest.raises(SamplingExhausted) as caught:
         sample_scenes(spec, "train", 0, 0, 1)

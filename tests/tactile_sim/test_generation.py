@@ -80,7 +80,7 @@ def test_the_source_is_not_written_over(overwrite, scenes):
     assert _bytes(Path(scenes)) == before
 
 
-def test_a_set_is_what_its_poses_say(scenes, touches):
+def test_a_set_agrees_with_its_poses(scenes, touches):
     """Rendering the stored poses again gives the stored pictures and heights."""
     rounds, solids = realtouch.load(touches, "train"), starstruck_gen.load(scenes, "train")
     assert len(rounds) == 14
@@ -211,12 +211,12 @@ def test_shifts_are_as_large_as_those_of_the_environments():
         {"seed": -1},
     ],
 )
-def test_plans_that_cannot_be_are_refused(values):
+def test_invalid_plans_are_refused(values):
     with pytest.raises(InputError, match=f"{next(iter(values))} of the plan"):
         tactile_sim.TouchPlan(**values)
 
 
-def test_sources_that_cannot_be_are_refused(scenes, touches, tmp_path):
+def test_invalid_sources_are_refused(scenes, touches, tmp_path):
     with pytest.raises(InputError, match="does not exist; expected a folder"):
         TouchGenerator.of(tmp_path / "nothing", SPEC)
     with pytest.raises(InputError, match="unknown split 'dev'"):
@@ -310,7 +310,7 @@ def test_contact_of_a_look_counts_the_object(tmp_path, capsys):
     assert note == ""
 
 
-def test_a_look_that_misses_the_mesh_says_where_it_is(tmp_path, capsys):
+def test_a_touch_that_misses_the_mesh_reports_its_position(tmp_path, capsys):
     away = block()
     away.apply_translation([0.1, -0.03, 0.2])
     away.apply_scale(1000).export(tmp_path / "away.stl")

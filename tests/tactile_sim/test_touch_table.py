@@ -73,7 +73,7 @@ def test_columns_state_their_units_and_an_index_is_ignored(tmp_path):
         tactile_sim.TouchTable.read(_write(tmp_path, ".csv", {"x_mm": [100.0], "y_mm": [0.0]}))
 
 
-def test_a_round_is_made_of_what_is_given():
+def test_a_round_has_the_given_touches():
     solid = tactile_sim.Pressable.of(block())
     plan = tactile_sim.TouchPlan(positions="given", given=tactile_sim.TouchTable(**TABLE))
     assert (plan.rounds, plan.touches) == (2, 2)

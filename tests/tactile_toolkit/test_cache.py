@@ -179,7 +179,7 @@ def test_a_copy_in_another_process_starts_empty():
 
 
 @pytest.mark.parametrize("variable", [CACHE_VARIABLE, "XDG_CACHE_HOME"])
-def test_a_cache_in_the_home_of_nobody_is_named(monkeypatch, variable):
+def test_a_cache_in_the_home_of_an_unknown_user_is_named(monkeypatch, variable):
     monkeypatch.delenv(CACHE_VARIABLE, raising=False)
     monkeypatch.setenv(variable, "~nobody-of-that-name/x")
     with pytest.raises(InputError, match=f"{variable} '~nobody-of-that-name/x': no home folder is known"):

@@ -198,7 +198,7 @@ def test_the_same_wrench_is_written_once_and_another_is_refused(tmp_path):
     assert (tmp_path / "again" / name).read_bytes() == (folder / name).read_bytes()
 
 
-def test_what_cannot_be_written_is_refused_before_anything_is(tmp_path):
+def test_invalid_outputs_are_refused_before_anything_is_written(tmp_path):
     with pytest.raises(InputError, match=r"wrench\.step"):
         write_wrench(WrenchSpec(), str(tmp_path / "wrench"), mesh_file=tmp_path / "wrench.step")
     assert list(tmp_path.iterdir()) == []

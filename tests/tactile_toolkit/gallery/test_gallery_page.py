@@ -58,7 +58,7 @@ def focused(found: Opened) -> str:
     return str(found.page.evaluate("document.activeElement.id || document.activeElement.tagName"))
 
 
-def test_filters_show_what_the_data_holds(chromium, site):
+def test_filters_show_the_values_of_the_data(chromium, site):
     numbers = range(COUNT)
     with opened(chromium, site) as found:
         assert count_text(found) == "1,000 toys"

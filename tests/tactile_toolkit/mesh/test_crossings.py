@@ -230,7 +230,7 @@ def test_bodies_that_touch_and_a_body_that_touches_itself_are_solids() -> None:
 
 
 @pytest.mark.parametrize("tip_mm", [14.0, 10.01])
-def test_the_proof_keeps_what_lies_over_or_under_an_overhang(tip_mm: float) -> None:
+def test_the_proof_keeps_faces_above_or_below_an_overhang(tip_mm: float) -> None:
     """Two cones on one rim, of which one leans over it, the second only just: there faces may cross."""
     turn = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     here, following = np.arange(24), np.roll(np.arange(24), -1)

@@ -201,7 +201,7 @@ def test_objects_in_another_unit_than_that_of_the_root_are_refused(tmp_path: Pat
         ('<component objectid="2"/>' * 2, "holds itself"),
     ],
 )
-def test_paths_to_what_a_package_lacks_are_named(component: str, words: str, tmp_path: Path) -> None:
+def test_paths_to_missing_parts_of_a_package_are_named(component: str, words: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=words):
         read_mesh(package(tmp_path / "a.3mf", component, a="millimeter"))
 

@@ -147,7 +147,7 @@ def test_the_drawn_bar_has_that_many_pixels(px_per_mm):
     assert np.array_equal(drawn[:, 160:], grey[:, 160:])
 
 
-def test_tiles_lie_in_rows_of_one_height_whatever_is_written_around_them():
+def test_tiles_lie_in_rows_of_one_height_with_any_text_around_them():
     colours = [(255, 0, 0), (0, 255, 0), (0, 0, 255), (255, 255, 0)]
     tiles = [Tile(np.full((20 + n, 30, 3), colours[n], np.uint8), f"caption {n}") for n in range(3)]
     framed = Tile(np.full((20, 30, 3), colours[3], np.uint8), "", (1, 2, 3))

@@ -237,7 +237,7 @@ def test_plates_and_gaps_that_no_printer_has_are_refused(plate: str, gap_mm: flo
         PlateSpec.parse(plate, gap_mm=gap_mm)
 
 
-def test_a_plate_holds_named_objects_where_the_table_says(tmp_path: Path) -> None:
+def test_a_plate_holds_named_objects_at_the_positions_of_the_table(tmp_path: Path) -> None:
     made = write_plates(lay_out(named(FEW), SMALL), str(tmp_path))
     rows = list(csv.DictReader(io.StringIO((tmp_path / "plates.csv").read_text())))
     assert sorted(int(row["id"]) for row in rows) == list(range(len(FEW)))

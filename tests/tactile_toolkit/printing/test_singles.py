@@ -124,7 +124,7 @@ def test_the_former_file_of_a_failed_object_is_removed(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["test-0-00000.stl"]
 
 
-def test_a_dry_run_returns_what_the_run_does_and_writes_nothing(tmp_path: Path) -> None:
+def test_a_dry_run_returns_the_result_of_the_run_and_writes_nothing(tmp_path: Path) -> None:
     objects, out = named(SHAPES), tmp_path / "out"
     view = export_files(objects, str(out), dry_run=True)
     assert list(tmp_path.iterdir()) == []

@@ -123,7 +123,7 @@ def test_a_shard_names_its_data_set(path, origin):
     assert Shard(path).origin == origin
 
 
-def test_byte_strings_that_are_missing_are_none() -> None:
+def test_missing_byte_strings_become_none() -> None:
     stored = [b"a", None, b"", b"bc"]
     found = nested_column(pa.array(stored, pa.binary())).values
     assert [None if each is None else bytes(each) for each in map(found.__getitem__, range(4))] == stored

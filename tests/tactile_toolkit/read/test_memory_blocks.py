@@ -78,7 +78,7 @@ def test_every_row_is_read_in_bounded_memory_after_one_warning(shard: Shard, no_
     assert f"'{os.environ[CACHE_VARIABLE]}/blocks' cannot be written: Not a directory" in only
 
 
-def test_a_pass_over_what_is_held_decodes_every_block_once(
+def test_a_pass_over_blocks_in_memory_decodes_each_once(
     shard: Shard, no_cache: None, decoded: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     table = given_up(shard)

@@ -123,7 +123,7 @@ def copy_of(tmp_path, **files):
     return folder
 
 
-def test_a_copy_is_compared_with_all_that_the_hub_said(tmp_path):
+def test_a_copy_is_compared_with_all_digests_of_the_hub(tmp_path):
     digest = hashlib.sha256(b"content").hexdigest()
     in_git = hashlib.sha1(b"blob 7\0content").hexdigest()
     folder = copy_of(
