@@ -90,7 +90,7 @@ class WholeGel:
 
 
 def _filled(size_px: int, least: int, block_px: int) -> int | None:
-    """Return by how many pixels, from ``least`` on, each side grows to fill whole blocks; None if none fit."""
+    """Return the margin of each side, ``least`` pixels or more, that fills whole blocks; None if none does."""
     return next((k for k in range(least, least + block_px) if (size_px + 2 * k) % block_px == 0), None)
 
 
