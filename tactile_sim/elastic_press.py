@@ -90,7 +90,7 @@ class WholeGel:
 
 
 def _filled(size_px: int, least: int, block_px: int) -> int | None:
-    """Return the margin of each side, ``least`` pixels or more, that fills whole blocks; None if none does."""
+    """Return the margin of each side, at least ``least`` pixels, that fills whole blocks; or None."""
     return next((k for k in range(least, least + block_px) if (size_px + 2 * k) % block_px == 0), None)
 
 
