@@ -26,7 +26,7 @@ from tactile_sim.twin.twin import Twin, TwinOptics, resized_depth
 from tactile_toolkit.array_types import Float32, Float64, Int64, UInt8
 
 _WIDTHS = {"full": 160, "fast": 80}  # of the images that are read, pixels
-_RENDERED = 480
+_TOUCHES = 480  # that are rendered for the training of the networks
 _PER_TOUCH = 1500  # pixels of each touch on which the networks are trained
 _SLOPE_STEPS, _DEPTH_STEPS = 1000, 3000
 _SLOPE_HIDDEN, _DEPTH_HIDDEN = (24, 24), (64, 64)
@@ -222,7 +222,7 @@ def _samples(twin: Twin, fit: Fit, rng: np.random.Generator) -> Iterator[tuple[F
         yield image, (1e3 * depth_m).astype(np.float32), _RECORDING_WEIGHT
         residuals.append(image - fit.background - fit.rendered(touch, fit.poses[touch], fit.shape))
     optics, reliefs = TwinOptics(twin), list(fit.reliefs.values())
-    for number in range(_RENDERED):
+    for number in range(_TOUCHES):
         relief = reliefs[rng.integers(len(reliefs))]
         if rng.random() < _SIMPLE_SHARE:
             relief = simple_shape(rng)

@@ -36,7 +36,7 @@ def place(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> Pat
     folder = tmp_path_factory.mktemp("twin")
     recording.write(folder)
     with pytest.MonkeyPatch.context() as patch:
-        for name, value in (("_RENDERED", 4), ("_SLOPE_STEPS", 20), ("_DEPTH_STEPS", 20)):
+        for name, value in (("_TOUCHES", 4), ("_SLOPE_STEPS", 20), ("_DEPTH_STEPS", 20)):
             patch.setattr(reader, name, value)
         options = ("--solids", folder / "solids", "--background", folder / "backgrounds")
         assert (
