@@ -255,7 +255,7 @@ def test_private_is_private(server, folder):
     assert server.repository(NAME).private
     assert upload(folder, private=True).sent == ()
     server.create("someone/open")
-    with pytest.raises(InputError, match="everyone can see it, --private was asked for; nothing was sent"):
+    with pytest.raises(InputError, match="everyone can see it, but --private was given; nothing was sent"):
         upload(folder, "someone/open", private=True)
     prepared = prepare_upload(str(folder), "someone/late", UploadOptions(private=True))
     server.create("someone/late")
