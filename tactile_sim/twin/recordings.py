@@ -123,9 +123,7 @@ class Recordings:
 def _require_images(images: AnyArray, name: str) -> None:
     shape = images.shape
     if images.dtype != np.uint8 or images.ndim != 4 or shape[3] != 3 or not len(images):
-        raise InputError(
-            f"{name} are {images.dtype} of the shape {shape}; expected uint8 (n, height, width, 3)"
-        )
+        raise InputError(f"{name} are {images.dtype} of shape {shape}; expected uint8 (n, height, width, 3)")
     if min(shape[1:3]) < _MIN_PX or shape[1] * shape[2] > MAX_IMAGE_PIXELS or images.nbytes > _MAX_BYTES:
         raise InputError(
             f"{name} are {shape[0]} images of {shape[2]} x {shape[1]} pixels; expected at least "

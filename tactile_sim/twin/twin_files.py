@@ -25,7 +25,7 @@ _FORMAT, _VERSION = "tactile-sim sensor", 1
 _MAX_BYTES = 1 << 22
 _MAX_PIXELS = 1280 * 1280
 _REPORTED = ("mm_per_px", "noise_levels", "image_error_levels", "residual_levels")
-"""Numbers of a report that others use."""
+"""Numbers that every report must hold."""
 
 
 def write_sensor(folder: str, model: SensorModel, twin: Twin) -> None:
@@ -70,7 +70,7 @@ def read_sensor(folder: str | Path) -> tuple[dict[str, Any], Twin]:
         _require_report(report)
         twin = _twin_of(arrays, report)
         if twin.size_px != (geometry["width_px"], geometry["height_px"]):
-            problem = f"its arrays are of images of {twin.size_px} pixels"
+            problem = f"its arrays are for images of {twin.size_px} pixels"
             raise ValueError(problem)
         if twin.sha256 != document["arrays_sha256"]:
             problem = f"{ARRAYS_FILE} has another digest than {SENSOR_FILE} states"
