@@ -41,7 +41,7 @@ class Checked(Protocol):
         """Return header, rows and title of a table."""
 
     def advice(self) -> Sequence[str]:
-        """Return advice on warnings, a line each."""
+        """Return advice on warnings, one line for each."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ _MAX_SHADE = 255
 
 
 def calibrate_published(sink: Sink, place: places.Place, solids: str, out: Path) -> None:
-    """Calibrate with touches of the first split, judge by touches of the last one, and write all of it.
+    """Calibrate with touches of the first split, check with touches of the last one, and write the results.
 
     ``out`` gets the sensor, the touches that were chosen, ``figures.json`` and ``figures.png``: images, what
     the twin makes of the depth that it reads from them, and that depth.
@@ -43,7 +43,7 @@ def calibrate_published(sink: Sink, place: places.Place, solids: str, out: Path)
     sink.table(("held-out touches", "found", "limit"), rows)
     error = model.report["image_error_levels"]
     sink.line(
-        f"{with_count(len(recordings), 'touches')}, {error:.2f} levels left of their images; "
+        f"{with_count(len(recordings), 'touches')}, with a residual of {error:.2f} levels; "
         f"figures are in {out}"
     )
 

@@ -169,7 +169,7 @@ class Config(EpisodeConfig):
         with a value for each attribute of :class:`tactile_sim.SensorNoise`.
     real_base_depth_dataset : str, path or realtouch.TouchSingleDataset, optional
         Real touches, of which the split ``train`` is read: the depth of one without contact, as a network
-        estimates it, lies before each depth map; what the object presses in deeper still shows.
+        estimates it, lies before each depth map; the object shows where it presses the gel in deeper.
     real_base_depth_touches : int
         Number of real touches without contact that are chosen for this, at random with a fixed seed. Each is
         estimated once, which takes about a second, and kept in the cache folder. The published environments

@@ -26,7 +26,7 @@ class ElasticGel:
     Attributes
     ----------
     sensor : Sensor
-        The sensor with a window that shows the whole gel: what is to be met.
+        The sensor with a window that shows the whole gel.
     """
 
     def __init__(self, config: Config, sensor: Sensor) -> None:

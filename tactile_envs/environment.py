@@ -152,7 +152,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
             self._predicted = None
 
     def _touched(self, rows: reset_options.Rows, others: Info = _NOTHING) -> tuple[Observation, Info]:
-        """Touch in some environments; return observations and infos of all, from ``others`` where not."""
+        """Touch in some environments; return observations and infos of all, the others from ``others``."""
         readings = self._scene.touch(rows, self.np_random, self._steps[rows])
         seen, info = dict(readings.observation), dict(readings.info)
         if rows is not reset_options.EVERY:

@@ -22,9 +22,10 @@ class EpisodeLog:
         self._values: dict[str, Float32] = {}
 
     def add(self, steps: Int64, active: reset_options.Rows, metrics: Mapping[str, AnyArray]) -> None:
-        """Add the metrics of a step of the active environments, an array (n,) of all each.
+        """Add the metrics of a step of the active environments.
 
-        ``steps``, shape (n,), are the numbers of the steps, from 0 on.
+        Each of ``metrics`` has shape (n,), one value for each environment, active or not; ``steps``, shape
+        (n,), are the numbers of their steps, from 0 on.
         """
         rows, at = self._rows[active], steps[active]
         for name, values in metrics.items():

@@ -39,9 +39,9 @@ _POOLS = cache.DiskCache(
 )
 _FORMAT = 3
 _CHUNK = 128
-# So few chunks are packed before workers would have started.
+# Fewer chunks are packed before workers would have started.
 _FEW_CHUNKS = 8
-# Shorter work shows no progress, seconds.
+# In seconds; shorter work shows no progress.
 _QUIET_S = 2.0
 _LOOK_AGAIN_S = 5.0
 # Columns of `grids` with the first vertex, face, start and corner of the hull.
@@ -98,7 +98,7 @@ class MeshPool:
         with contextlib.ExitStack() as stack:
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)
-                # Processes that wait find it made.
+                # Another process may have packed them meanwhile.
                 stack.enter_context(store.locked(path.with_suffix(".lock"), is_patient=True))
             except (OSError, BusyError) as error:  # not writable, or locked for too long
                 _LOG.warning("meshes are sorted again each time: %s", error)

@@ -48,8 +48,9 @@ def _raise_block(
     """Raise :data:`ROWS` rows of :data:`LANES` neighbouring pixels to a triangle, where it covers them.
 
     ``heights`` is contiguous, float32; ``places`` are the indices at which rows begin. ``b`` and ``c``, the
-    weights of the second and third corner there, and their steps per row are float64. Float32 are their steps
-    per pixel, tolerances below 0, and the heights of the corners. In plain numba::
+    weights of the second and third corner there, and their steps per row are float64. The other arguments are
+    float32: the steps of the weights per pixel, their tolerances below 0, the height of the first corner, and
+    how much higher the second and the third corner are. In plain numba::
 
         for row in range(ROWS):
             for lane in range(LANES):
@@ -97,7 +98,7 @@ raise_block: Callable[..., None] = intrinsic(_raise_block)
 def _raised(
     builder: ir.IRBuilder, held: ir.Value, weights: ir.Value, rest: ir.Value, lanes: ir.Value
 ) -> ir.Value:
-    """Return heights of pixels of a triangle where it covers them and is higher, else those held."""
+    """Return the heights of a triangle at pixels that it covers and raises, else the heights held there."""
     b_step, c_step, b_slack, c_slack, low, b_rise, c_rise = rest
     zero, one = (_constant([value] * held.type.count) for value in (0.0, 1.0))
     b = builder.fadd(weights[0], builder.fmul(b_step, lanes))

@@ -89,8 +89,8 @@ class _Regression:
 class Volume(_Regression):
     """Volume of an object, in standard deviations from the mean of all objects.
 
-    ``volumes_m3``, shape (n,), are those of all objects. ``which``, if given, are the numbers of the objects
-    that are touched, by the number of what touches them.
+    ``volumes_m3``, shape (n,), are those of all objects. ``which``, if given, is the number of the
+    object of each round of recorded touches, shape (R,).
     """
 
     def __init__(self, volumes_m3: Float64, which: Int64 | None = None) -> None:

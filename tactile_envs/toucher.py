@@ -20,9 +20,9 @@ _PARTS_A_THREAD = 8
 class SensorReadings(NamedTuple):
     """One touch of each environment.
 
-    ``images`` (n, H, W) are depth images; ``depths_m``, likewise or (0, 0, 0), distances from the camera of
-    the gel, metres; ``positions`` (n, 3) what sensors observe of theirs, -1 to 1; ``is_bare`` (n,) whether
-    the gel touched only the plate.
+    ``images`` (n, H, W) are depth images; ``depths_m``, of the same shape or (0, 0, 0), are
+    distances from the camera of the gel, metres; ``positions`` (n, 3) are the observed positions of the
+    sensors, -1 to 1; ``is_bare`` (n,) states whether the gel touched only the plate.
     """
 
     images: Float32

@@ -18,7 +18,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS
 
 MAX_SHARE = 0.5
-"""Greatest press depth, as a share of the thickness of the gel: where linear theory is but indicative."""
+"""Greatest press depth, as a share of the thickness of the gel; there, linear theory is only indicative."""
 
 STILL: ArrayLike = (0.0, 0.0)
 STRAIGHT: ArrayLike = 0.0
@@ -27,7 +27,7 @@ STRAIGHT: ArrayLike = 0.0
 # Pixels of 64 x 64 images have 0.22 mm. At 80 x 60 blocks of 320 x 240 pixels the depth is off by 2 um.
 _SOLVED_M = 0.00024
 _SAME = 1 + 1e-9  # sides that differ only by rounding
-_BLEND_M = 0.003  # beside a contact that slips, by a third of it at most
+_SLIP_REACH_M = 0.003  # distance at which the slip of a contact has decayed; slides are at most a third
 _MAPS = ("pressure_pa", "traction_pa", "displacement_m", "is_contact", "is_stick")
 
 
@@ -51,7 +51,7 @@ class WholeGel:
 
     @classmethod
     def of(cls, sensor: Sensor) -> WholeGel:
-        """Lay the gel around a window, a whole number of blocks; blocks are not larger than solved pixels.
+        """Extend a window to the whole gel, a whole number of blocks that are at most 0.24 mm wide.
 
         InputError for a window that is larger than the gel, or a gel of too many pixels.
         """
@@ -90,7 +90,7 @@ class WholeGel:
 
 
 def _filled(size_px: int, least: int, block_px: int) -> int | None:
-    """Return how many pixels on both sides fill whole blocks, ``least`` or a little more; None if none do."""
+    """Return the margin of each side, at least ``least`` pixels, that fills whole blocks; or None."""
     return next((k for k in range(least, least + block_px) if (size_px + 2 * k) % block_px == 0), None)
 
 
@@ -121,7 +121,7 @@ class Load(NamedTuple):
         else:
             found = _plate_contact(self, whole)
         corner, inward_m = (rows.start, columns.start), found.displacement_m[..., 2]
-        show_surface(out, corner, inward_m, self._seen_to_move(found, sensor), sensor.pixel_m, sensor.gel_m)
+        show_surface(out, corner, inward_m, self._visible_motion(found, sensor), sensor.pixel_m, sensor.gel_m)
         maps = {name: getattr(found, name)[rows, columns].copy() for name in _MAPS}
         return replace(found, **maps, torque_nm=_about_axis(found, sensor))
 
@@ -145,7 +145,7 @@ class Load(NamedTuple):
             block_px=whole.block_px,
         )
 
-    def _seen_to_move(self, contact: Contact, sensor: Sensor) -> Float64:
+    def _visible_motion(self, contact: Contact, sensor: Sensor) -> Float64:
         """Return the motion along x and y of the visible surface, metres, (H, W, 2).
 
         In the contact, the shape of the body is visible and moves, even where it slips over the gel; far from
@@ -166,7 +166,7 @@ class Load(NamedTuple):
         away_m, nearest = distance_transform_edt(
             ~contact.is_contact, sampling=(height_m, width_m), return_indices=True
         )
-        share = np.square(np.maximum(1.0 - away_m / _BLEND_M, 0.0))
+        share = np.square(np.maximum(1.0 - away_m / _SLIP_REACH_M, 0.0))
         moved: Float64 = gel_m + share[..., None] * (body_m - gel_m)[tuple(nearest)]
         return moved
 
@@ -237,7 +237,12 @@ def loads_of(
     numbers = _numbers(name, value, (count,))
     _require(name, (numbers > 0) & (numbers < most), numbers, f"above 0 and below {most:g}")
     _require("slide_m", np.abs(slides) <= MAX_SLIDE_M, slides, f"at most {MAX_SLIDE_M:g} along x and y")
-    _require("twist_rad", np.abs(twists) <= MAX_TWIST_RAD, twists, f"at most {MAX_TWIST_RAD:.4g} either way")
+    _require(
+        "twist_rad",
+        np.abs(twists) <= MAX_TWIST_RAD,
+        twists,
+        f"at most {MAX_TWIST_RAD:.4g} in either direction",
+    )
     still = Load(gel, None, None)
     return [
         still._replace(**{name: number}, slide_m=(x, y), twist_rad=twist)
@@ -246,7 +251,7 @@ def loads_of(
 
 
 def _numbers(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Float64:
-    """Return finite numbers in a shape, from those of each touch or of all; InputError for anything else."""
+    """Broadcast finite numbers, of each touch or of all, to a shape; InputError for anything else."""
     try:
         found = np.asarray(value, np.float64)
         numbers = np.broadcast_to(found, shape).copy()

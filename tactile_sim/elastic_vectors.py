@@ -1,6 +1,6 @@
 """Steps of Fourier transforms on vectors of numbers, as vector instructions of LLVM, which numba lacks.
 
-Each operation is an IEEE one, in the order in which it is written. Arrays are flat; a vector may start at any
+Each operation is one of IEEE 754, in the written order. Arrays are flat; a vector may start at any
 index. Numba's cache on disk does not check this file: when it changes, change ``elastic_response.py`` and
 ``elastic_kernels.py``, too.
 """

@@ -10,7 +10,7 @@ from tactile_sim.elastic_press import Load, plate_z_m
 from tactile_sim.sensor import Sensor, full_view
 from tactile_toolkit.errors import InputError
 
-_TRIED_PA, _TRIED_N = 1e6, 1.0
+_REFERENCE_PA, _REFERENCE_N = 1e6, 1.0
 
 
 def fit_youngs_modulus(
@@ -23,8 +23,8 @@ def fit_youngs_modulus(
 ) -> float:
     """Find Young's modulus of a gel from presses onto the bare plate.
 
-    On a plate that is larger than the gel, force is proportional to depth, and to the modulus; only the slope
-    is taken, so that the depth may count from any zero. Poisson's ratio must be known: a gel that is
+    On a plate that is larger than the gel, force is proportional to depth and to the modulus. Only the slope
+    is used, so the depth may be measured from any zero. Poisson's ratio must be known: a gel that is
     bonded to its window is twice as stiff at 0.49 as at 0.4.
 
     Parameters
@@ -63,9 +63,9 @@ def fit_youngs_modulus(
     if slope <= 0:
         raise InputError(
             "the force does not grow with the depth; expected depths that grow into the gel, metres",
-            next="turn the sign of depth_m",
+            next="change the sign of depth_m",
         )
     sensor = sensor or full_view()
-    gel = Gel(_TRIED_PA, poisson_ratio, friction)
-    deep_m = sensor.gel_m - plate_z_m(sensor, Load(gel, _TRIED_N, None))
-    return _TRIED_PA * slope * deep_m / _TRIED_N
+    gel = Gel(_REFERENCE_PA, poisson_ratio, friction)
+    deep_m = sensor.gel_m - plate_z_m(sensor, Load(gel, _REFERENCE_N, None))
+    return _REFERENCE_PA * slope * deep_m / _REFERENCE_N

@@ -22,10 +22,10 @@ from tactile_toolkit.array_types import Int64
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.json_types import JsonObject
 
-# Encoded images in memory, which is all that a worker holds of a shard.
+# Encoded images in memory; a worker holds nothing else of a shard.
 _SHARD_BYTES = 64 << 20
 _SMALLEST_SHARD_BYTES = 2 << 20
-_SMALLEST_ELASTIC_TOUCHES = 128  # take as long as 2 MB of others
+_SMALLEST_ELASTIC_TOUCHES = 128  # they take as long as 2 MB of other touches
 _SHARDS = 32  # of smaller sets: several for each worker, so that all end at about the same time
 _GROUP_BYTES = 8 << 20
 # Images without contact repeat from round to round: shorter pages would hide that from zstd, longer ones
@@ -46,7 +46,7 @@ class TouchGenerator(generation.RowGenerator):
     """Makes rounds of touches: for each object a plan of where it lies and is touched, then images.
 
     ``rows`` are the rows of the touched objects. The items are numbers of rounds, object after object.
-    ``unfinished`` are the finished shards of an unfinished source.
+    ``unfinished`` states the finished shards of an unfinished source, such as ``"3 of 8 shards"``.
     """
 
     spec: GenerateSpec
@@ -151,7 +151,7 @@ class TouchGenerator(generation.RowGenerator):
         )
 
     def make(self, split: str, items: Sequence[int]) -> Iterator[touch_rows.SyntheticRound | store.Skipped]:
-        """Render the rounds; for an object that bounds no solid yield the reason, once."""
+        """Render the rounds; for an object that does not bound a solid, yield the reason once."""
         solids, plan = self.source[split], self.spec.plan
         for place in range(items[0] // plan.rounds, items[-1] // plan.rounds + 1):
             record = solids[int(self.rows[split][place])]
@@ -177,7 +177,7 @@ class TouchGenerator(generation.RowGenerator):
                 yield _make_row(self.spec, solid, (split, record.id, number), record.label)
 
     def statistics(self, rows: Sequence[touch_rows.SyntheticRound]) -> Mapping[str, int]:
-        """Count touches, and those on the object."""
+        """Count the touches, and those on the object."""
         on_object = 0
         for row in rows:
             plate_m = row.plate_z_m or self.spec.sensor.press_m

@@ -28,10 +28,10 @@ def scaled(pictures: UInt8, size_px: tuple[int, int]) -> UInt8:
 
 
 def in_size_of(size_px: tuple[int, int], images: UInt8) -> UInt8:
-    """Return images (n, H, W, 3) in the size of those of a sensor; InputError for others, or proportions."""
+    """Scale images (n, H, W, 3) to the size of a sensor's; InputError for other arrays or proportions."""
     if images.dtype != np.uint8 or images.ndim != 4 or images.shape[3] != 3 or not len(images):
         raise InputError(
-            f"images are {images.dtype} of the shape {images.shape}; expected uint8 (n, height, width, 3)"
+            f"images are {images.dtype} of shape {images.shape}; expected uint8 (n, height, width, 3)"
         )
     (wide, high), (height, width) = size_px, images.shape[1:3]
     if abs(height - width * high / wide) > 1 and abs(width - height * wide / high) > 1:

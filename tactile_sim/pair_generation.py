@@ -52,7 +52,7 @@ class PairsGenerator(generation.RowGenerator):
         spec: PairsSpec,
         opened: touch_sources.Opener = places.open_place,
     ) -> PairsGenerator:
-        """Open both sources by their names; InputError for another kind, or without meshes."""
+        """Open both sources by their names; InputError for other kinds of data, or without meshes."""
         sources = [opened(objects).require_meshes("tactile-sim pairs"), opened(real)]
         solids = touch_sources.open_split(sources[0], split)
         if not len(solids):
@@ -116,7 +116,7 @@ class PairsGenerator(generation.RowGenerator):
         return self._real(items)
 
     def _depth(self, items: Sequence[int]) -> Iterator[pairs.PairRow | store.Skipped]:
-        """Press the gel onto the objects; for one that bounds no solid yield the reason, once."""
+        """Press the gel onto the objects; for one that does not bound a solid, yield the reason once."""
         spec, solids = self.spec, self.objects
         last, solid = -1, None
         for number in items:
@@ -194,7 +194,7 @@ def make_pairs(
     InputError
         There are too few touches, or something else cannot be used; nothing is written.
     IntegrityError, HubError
-        A source is damaged; or on the Hub, and cannot be fetched.
+        A source is damaged, or cannot be fetched from the Hub.
     SpecMismatchError, StorageError
         The folder holds a data set of another specification, or cannot be written: what was finished stays.
     """

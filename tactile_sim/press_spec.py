@@ -27,7 +27,7 @@ Span: TypeAlias = tuple[float, float]
 
 MAX_FORCE_N = 1000.0
 MAX_SLIDE_M, MAX_TWIST_RAD = 0.001, math.radians(10.0)
-"""Greatest slide, metres, and greatest turn, radians, either way: beyond them all contacts slip."""
+"""Greatest slide, metres, and turn in either direction, radians: beyond them all contacts slip."""
 
 _MAX_PRESS_M = 0.05
 _MAX_MARKERS = 100  # along a side
@@ -191,7 +191,7 @@ class ElasticPress:
     def _set_span(
         self, name: str, value: object, most: float, *, least: float = 0.0, above: float = -math.inf
     ) -> None:
-        """Normalize a number or a pair to a span; InputError unless it rises and lies within bounds."""
+        """Normalize a number or a pair to a span; InputError unless it ascends and lies within bounds."""
         ends = builtin_values.to_builtin(value, float)
         if isinstance(ends, float):
             ends = (ends, ends)
@@ -205,7 +205,7 @@ class ElasticPress:
             if is_pair:
                 shown = f"{':'.join(f'{factor * end:g}' for end in dict.fromkeys(ends))} {unit}"
             raise InputError(
-                f"{name} of the press is {shown}; expected a number {span}, or two of them that rise"
+                f"{name} of the press is {shown}; expected a number {span}, or two in ascending order"
             )
         object.__setattr__(self, name, ends)
 

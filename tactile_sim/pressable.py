@@ -39,7 +39,7 @@ _CACHE_BYTES = 64 << 20
 
 
 def checked_layer_m(layer_m: object) -> float:
-    """Return the height of layers as Python's own number, metres; 0 for none. InputError for any other."""
+    """Return the height of layers as a Python float, metres; 0 for none. InputError for other values."""
     found = builtin_values.to_builtin_number(layer_m, float)
     if isinstance(found, float) and (found == 0 or _MIN_LAYER_M <= found <= _MAX_LAYER_M):
         return found
@@ -124,7 +124,7 @@ class Pressable:
             return None
         if tuple(affine[2, :3]) != (0.0, 0.0, 1.0):
             raise InputError(
-                "layers of a print were asked for, and the solid leans, or the sensor; expected both upright",
+                "a solid with printed layers or its sensor is tilted; expected both upright",
                 next="layer_m=0",
             )
         foot_m, slack_m = self.foot_m, _SLACK * self.layer_m

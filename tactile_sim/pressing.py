@@ -97,7 +97,7 @@ def render_touch(
     cell_m : tuple of float
         Width and depth of the plate, metres.
     gel : Gel, optional
-        Elastic properties of the gel. The rest is for an elastic gel only.
+        Elastic properties of the gel. The parameters below are for an elastic gel only.
     force_n, depth_m : float or array_like, shape (n,), optional
         Normal force at which the sensor stops, newtons; it presses at most to half the thickness of the gel,
         the limit of linear theory. Or how far the highest point under the whole gel is pressed in, metres.
@@ -115,18 +115,18 @@ def render_touch(
     sensor = sensor or full_view()
     if isinstance(sensor, SensorModel):
         sensor = sensor.sensor
-    seen = _Seen.of(solid, object_pose, sensor_pose, cell_m)
-    loads = elastic_press.loads_of(gel, seen.count, sensor, force_n, depth_m, slide_m, twist_rad)
-    made = _cut(seen, sensor) if loads is None else _given_way(seen, loads, sensor)
-    sensor_z_m = seen.targets[:, 2, 3] + seen.targets[:, 2, 2] * made.sensor_z_m
-    if seen.is_single:
+    setup = _Setup.of(solid, object_pose, sensor_pose, cell_m)
+    loads = elastic_press.loads_of(gel, setup.count, sensor, force_n, depth_m, slide_m, twist_rad)
+    made = _press_rigid(setup, sensor) if loads is None else _press_elastic(setup, loads, sensor)
+    sensor_z_m = setup.targets[:, 2, 3] + setup.targets[:, 2, 2] * made.sensor_z_m
+    if setup.is_single:
         return Pressed(made.depth_m[0], made.image[0], float(sensor_z_m[0]), made.contacts)
     return replace(made, sensor_z_m=sensor_z_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
-    """Solids, their poses (n, 4, 4), and those of sensors; ``count`` touches, or a single one."""
+class _Setup:
+    """Solids, their poses and the target poses of sensors (n, 4, 4), for ``count`` touches."""
 
     solids: Sequence[Solid]
     objects: Float64
@@ -142,7 +142,7 @@ class _Seen:
         object_pose: PoseLike,
         sensor_pose: PoseLike,
         cell_m: tuple[float, float],
-    ) -> _Seen:
+    ) -> _Setup:
         objects, targets = as_matrices(object_pose, "object_pose"), as_matrices(sensor_pose, "sensor_pose")
         is_single = not isinstance(solid, Sequence) and objects.ndim == targets.ndim == 2
         solids = solid if isinstance(solid, Sequence) else [solid]
@@ -152,20 +152,20 @@ class _Seen:
         return cls(solids, objects, targets, cell_m, count, is_single)
 
 
-def _cut(seen: _Seen, sensor: Sensor) -> Pressed:
-    """Press a gel that shows the solid, cut where it stops; heights are counted from the targets."""
-    scene, shape = _Scene.of(seen, sensor), (seen.count, *sensor.size_px[::-1])
-    depths_m, image, highest_m = np.empty(shape), np.empty(shape, np.float32), np.empty(seen.count)
-    for touch in range(seen.count):
+def _press_rigid(setup: _Setup, sensor: Sensor) -> Pressed:
+    """Press a gel that does not deform: images show the solid. Heights are relative to the targets."""
+    scene, shape = _Scene.of(setup, sensor), (setup.count, *sensor.size_px[::-1])
+    depths_m, image, highest_m = np.empty(shape), np.empty(shape, np.float32), np.empty(setup.count)
+    for touch in range(setup.count):
         scene.raise_heights(touch, depths_m[touch])
         highest_m[touch] = scene.to_depth(depths_m[touch], image[touch], sensor.press_m, sensor.gel_m)
     return Pressed(depths_m, image, highest_m + sensor.press_m)
 
 
-def _given_way(seen: _Seen, loads: Sequence[elastic_press.Load], sensor: Sensor) -> Pressed:
-    """Press an elastic gel; heights are counted from the targets."""
+def _press_elastic(setup: _Setup, loads: Sequence[elastic_press.Load], sensor: Sensor) -> Pressed:
+    """Press an elastic gel. Heights are relative to the targets."""
     whole = elastic_press.WholeGel.of(sensor)
-    scene = _Scene.of(seen, whole.sensor)
+    scene = _Scene.of(setup, whole.sensor)
     depths_m, stops_m = np.empty((len(loads), *sensor.size_px[::-1])), np.empty(len(loads))
     contacts = []
     for touch, load in enumerate(loads):
@@ -192,14 +192,14 @@ class _Scene:
     to_depth: Callable[[Float64, Float32, float, float], float]
 
     @classmethod
-    def of(cls, seen: _Seen, sensor: Sensor) -> _Scene:
+    def of(cls, setup: _Setup, sensor: Sensor) -> _Scene:
         from tactile_sim import press_kernels  # numba takes half a second to import
 
-        affines = _to_pixels(inverse_times(seen.targets, seen.objects), sensor)
-        plates = _to_pixels(inverse_times(seen.targets, np.eye(4)[None]), sensor)
-        corners_m = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [*seen.cell_m, 0.0] / 2
-        ball_m = np.array([[0.0, 0.0, 0.0, max(seen.cell_m)]])
-        solids = [Pressable.of(each) for each in seen.solids]
+        affines = _to_pixels(inverse_times(setup.targets, setup.objects), sensor)
+        plates = _to_pixels(inverse_times(setup.targets, np.eye(4)[None]), sensor)
+        corners_m = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [*setup.cell_m, 0.0] / 2
+        ball_m = np.array([[0.0, 0.0, 0.0, max(setup.cell_m)]])
+        solids = [Pressable.of(each) for each in setup.solids]
         kernels = press_kernels.rasterise, press_kernels.to_depth
         return cls(solids, affines, plates, corners_m, ball_m, *kernels)
 
@@ -213,7 +213,7 @@ class _Scene:
 
 
 def _count_of(**given: Sized) -> int:
-    """Return the number of touches: of each argument there are as many, or one for all."""
+    """Return the number of touches; each argument has one item for each touch, or one for all."""
     count = max(map(len, given.values()))
     for name, each in given.items():
         if len(each) not in (1, count):
@@ -236,9 +236,9 @@ def _require_above_cell(targets: Float64, cell_m: tuple[float, float]) -> None:
     )
 
 
-def _to_pixels(seen: Float64, sensor: Sensor) -> Float64:
+def _to_pixels(poses: Float64, sensor: Sensor) -> Float64:
     """Return maps from a body's frame to column, row from the bottom, and height; shape (n, 3, 4)."""
-    affine = seen[:, :3].copy()
+    affine = poses[:, :3].copy()
     for axis in range(2):
         affine[:, axis] *= sensor.size_px[axis] / sensor.window_m[axis]
         # Pixel 0 samples a point that is half a pixel, plus the offset of the sample, from the edge.

@@ -25,7 +25,7 @@ from tactile_toolkit.wording import with_count
 
 MIN_IMAGES = 5
 MAX_IMAGES = 64
-"""Greatest number of images that are compared; if there are more, evenly spaced ones are taken."""
+"""Greatest number of images that are compared; of more images, evenly spaced ones are used."""
 
 # Name, greatest value of a healthy sensor, and meaning of each figure. In the tests, twelve images with noise
 # of 3 levels stay below half of each limit.
@@ -53,7 +53,7 @@ _MARKER_PX, _MARKER_LEVELS = 7.0, 12.0  # a marker is smaller than this, and dar
 _SMOOTH_PX = 2.0
 _NO_CONTACT_M = 2e-5
 _MIN_KNOWN = 0.2  # share of the gel that must be seen without contact
-_FULL = 254
+_SATURATED_LEVEL = 254
 _BATCH = 4
 
 
@@ -132,7 +132,7 @@ def check_sensor(model: SensorModel, images: Iterable[UInt8]) -> SensorHealth:
         np.abs(gains - 1).max(),
         np.median(_residuals(model, stack, depth_m)) / expected,
         _marker_share(difference, known),
-        (stack >= _FULL).mean(),
+        (stack >= _SATURATED_LEVEL).mean(),
     )
     figures = (
         HealthFigure(name, float(value), limit, meaning)
@@ -167,8 +167,8 @@ def _residuals(model: SensorModel, images: UInt8, depth_m: Float32) -> Float64:
     found = []
     for start in range(0, len(images), _BATCH):
         part = slice(start, start + _BATCH)
-        left = images[part].astype(np.float64) - model.render_read(depth_m[part])
-        found.append(np.sqrt((left**2).mean(axis=(1, 2, 3))))
+        residuals = images[part].astype(np.float64) - model.render_read(depth_m[part])
+        found.append(np.sqrt((residuals**2).mean(axis=(1, 2, 3))))
     return np.concatenate(found)
 
 

@@ -94,16 +94,19 @@ class SensorModel:
 
     @classmethod
     def load(cls, folder: str | PathLike[str]) -> SensorModel:
-        """Read a calibrated sensor from its folder; InputError if it holds none, or a damaged one."""
+        """Read a calibrated sensor from its folder; InputError if the sensor is missing or damaged."""
         geometry, twin = _read_sensor(fspath(folder))
         if not set(geometry) <= set(cls.geometry_names()):
-            raise InputError(f"the sensor in {fspath(folder)!r} has fields {', '.join(geometry)}")
+            raise InputError(
+                f"the sensor in {fspath(folder)!r} has the fields {', '.join(geometry)}; expected "
+                f"{', '.join(cls.geometry_names())}"
+            )
         return cls(**geometry, twin=twin)
 
     def save(self, folder: str | PathLike[str]) -> None:
         """Write a calibrated sensor into a folder: ``sensor.json`` and ``arrays.npz``.
 
-        InputError for a sensor without a twin, or a folder with something else.
+        InputError for a sensor without a twin, or a folder with other files.
         """
         _write_sensor(fspath(folder), self, self._require_twin())
 
@@ -167,12 +170,12 @@ class SensorModel:
         images : ndarray of uint8, shape (N, H, W, 3)
             Images of this sensor, in any size of its proportions.
         fast : bool
-            Read in half of the resolution, several times as fast.
+            Read at half the resolution, several times as fast.
 
         Returns
         -------
         ndarray of float32, shape (N, H, W)
-            Depth of the solid in the gel at rest, metres; 0 where nothing touches.
+            How far the solid reaches into the gel at rest, metres; 0 where nothing touches.
 
         Raises
         ------

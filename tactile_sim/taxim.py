@@ -2,8 +2,8 @@
 
 The tables are those of the package `taxim` (GelSight Mini), whose steps are followed, with one exception.
 Where the gel is flat, the package looks a colour up by the direction of a slope that is rounding noise, so
-that its backends differ by up to 25 levels. Here slopes below :data:`FLAT_SLOPE` count as none, and have the
-colour of direction 0, which the package gives to a slope of exactly none.
+that its backends differ by up to 25 levels. Here slopes below :data:`FLAT_SLOPE` count as 0, and have the
+colour of direction 0, which the package gives to a slope of exactly 0.
 """
 
 from __future__ import annotations
@@ -152,7 +152,7 @@ def _picture_tables(height: int, width: int) -> PictureTables:
 
 
 def _kernels(sigmas: Sequence[float], height: int, width: int) -> Pair:
-    """Return halves of the Gaussian kernels across and down, from the middle on."""
+    """Return halves of the Gaussian kernels across and down, from the middle outwards."""
     return _half_kernel(sigmas[0] * width), _half_kernel(sigmas[1] * height)
 
 

@@ -23,7 +23,7 @@ from tactile_toolkit.array_types import Bool, Float32, Float64, Floating, Int32,
 from tactile_toolkit.compiled import compiled
 
 LANES = 16
-"""Values that are weighed at once; a row of a map has no fewer."""
+"""Number of values that are weighted at once; a row of a map has at least as many."""
 
 _FOLDED = 0.41421356237309503  # tan(pi / 8)
 
@@ -39,7 +39,7 @@ Build: TypeAlias = Callable[[Context, ir.IRBuilder, Signature, Sequence[ir.Value
 """Writes the instructions of a function for LLVM."""
 
 Pair: TypeAlias = tuple[Float64, Float64]
-"""Halves of Gaussian kernels across and down, from the middle on."""
+"""Halves of Gaussian kernels across and down, from the middle outwards."""
 
 
 class Calibration(NamedTuple):

@@ -61,8 +61,8 @@ def preview_touch(
     spec : GenerateSpec
         What the touch looks like; its plan is not used.
     at_m : tuple of float or None
-        Where the gel goes, x and y from the solid's own origin, metres. None puts the solid under the gel: at
-        the point of it that is nearest to its middle as seen from above.
+        Where the gel goes, x and y from the solid's own origin, metres. None puts the solid
+        under the gel with the point that is nearest to its middle, as seen from above.
     turn_rad : float
         Rotation of the solid about z, radians.
 
@@ -86,10 +86,10 @@ def preview_touch(
     # Noise and slides are drawn as for round 0 of object 0, so that they are the same each time.
     made = press_round(spec, solid, stands[None], pose(x_m, y_m)[None], ("look", 0, 0))
     sensor_z_m, depth_m = float(np.ravel(made.pressed.sensor_z_m)[0]), made.pressed.depth_m[0]
-    is_met = depth_m < made.sensor.gel_m
+    is_contact = depth_m < made.sensor.gel_m
     if made.pressed.contacts:
-        is_met = made.pressed.contact.is_contact
-    touched = float((is_met & (sensor_z_m - depth_m >= touch.RENDERED_CONTACT_M)).mean())
+        is_contact = made.pressed.contact.is_contact
+    touched = float((is_contact & (sensor_z_m - depth_m >= touch.RENDERED_CONTACT_M)).mean())
     forces = {name: made.further[name][0].tolist() for name in _SHOWN if name in made.further}
     return TouchPreview(made.images[0], sensor_z_m, touched, _bounds_m(solid, stands), forces)
 

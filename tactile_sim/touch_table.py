@@ -44,7 +44,7 @@ class TouchTable:
     x_m, y_m : array of float, shape (n,)
         Where the gel goes, metres, cell frame.
     object_id : array of int, shape (n,), optional
-        The `id` of the object that is touched. Without it, every object is touched there.
+        The `id` of the object that is touched. Without it, every object is touched at these places.
     round : array of int, shape (n,), optional
         Number of the round of the object, from 0. Without it, every round is made of these touches.
     object_x_m, object_y_m, object_turn_rad : array of float, shape (n,), optional
@@ -54,7 +54,7 @@ class TouchTable:
     Raises
     ------
     InputError
-        Columns of other lengths, values that are not finite numbers, a position outside the cell.
+        Columns have different lengths, values are not finite, or a position lies outside the cell.
     """
 
     x_m: Float64
@@ -97,7 +97,7 @@ class TouchTable:
         Raises
         ------
         InputError
-            The file does not exist, is not such a table, or holds values as above.
+            The file does not exist, is not such a table, or holds values that the class refuses.
         """
         file = store.expanded(path)
         if file.suffix.lower() not in text_tables.TABLE_ENDINGS:

@@ -100,7 +100,7 @@ def _is_changed(words: pa.Array, data_type: pa.DataType) -> bool:
 
 
 def from_text(texts: pa.Array, *, decimal_commas: bool = False) -> pa.Array:
-    """Return the column that texts of a table are."""
+    """Convert the texts of a table to a column of the type that they state."""
     words = words_of(texts, decimal_commas=decimal_commas)
     return as_type(texts, words, text_type(words))
 
@@ -115,7 +115,7 @@ def as_type(texts: pa.Array, words: pa.Array, kind: pa.DataType) -> pa.Array:
 
 
 def from_values(values: Iterable[object]) -> pa.Array:
-    """Return the column of values of JSON or Python; numbers beside text, or beside switches, become text."""
+    """Return the column of values of JSON or Python; numbers beside texts or booleans become text."""
     given = list(values)
     with suppress(pa.ArrowException, OverflowError, UnicodeError):
         return from_arrow(pa.array(given))
@@ -247,7 +247,7 @@ def lengths_of(column: pa.Array) -> list[int]:
 
 
 def is_leaf(data_type: pa.DataType) -> bool:
-    """Return whether values are numbers, switches, text or points in time, or all missing."""
+    """Return whether values are numbers, booleans, texts or points in time, or all missing."""
     return not pa.types.is_list(data_type) and data_type != UNTYPED
 
 

@@ -73,7 +73,7 @@ def planned(types: str) -> Callable[[F], F]:
 def prepare(*modules: str) -> None:
     """Compile or load the planned kernels of modules that another process is not compiling just now.
 
-    Workers that begin side by side so divide the kernels among them. Later, each loads those of the others.
+    Workers that start together thus divide the kernels among them. Later, each loads those of the others.
     """
     parsed: Any = sigutils.normalize_signature
     for module in modules:

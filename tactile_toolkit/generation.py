@@ -34,7 +34,7 @@ class StorageLayout:
     Attributes
     ----------
     style : ParquetStyle
-        StorageLayout of the shards.
+        Parquet layout of the shards.
     libraries : tuple of str
         Distributions whose versions decide bytes.
     smallest, largest, wanted : int
@@ -314,7 +314,7 @@ class Recipe:
     """Recipe of a data set that needs no input.
 
     ``options`` are those of the equivalent command, by name; None if it takes no ``--split``. ``planned``
-    takes a split, if a mesh can be made by itself, and all of them take long.
+    takes a split; None unless each mesh can be made by itself and all of them take long.
     """
 
     generator: RowGenerator

@@ -1,6 +1,6 @@
 """Compile all kernels that make digits, scenes and touches for aarch64: `python -m tests.aarch64_kernels`.
 
-An operation that multiplies and adds in one step rounds once, not twice as on x86-64: data sets would differ.
+A fused multiply-add rounds once, not twice as on x86-64, so data sets would differ.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import tactile_sim
 from mnist3d.sources.synthetic import SyntheticSource
 from tests.tactile_sim.sets import touch_sets
 
-# Of floats; integers may be multiplied and added in one step.
+# Of floats; fused operations on integers are exact.
 _FUSED = re.compile(r"^\s+(?:fn?madd|fn?msub|fml[as]|fcmla)\s.*", re.MULTILINE)
 
 
@@ -30,7 +30,7 @@ def assembly(kernel: Dispatcher, machine: llvm.TargetMachine) -> str:
     texts = []
     for signature in kernel.signatures:
         text = re.sub(r'^target .*$|"target-[a-z]+"="[^"]*"', "", kernel.inspect_llvm(signature), flags=re.M)
-        # Counting of references is lowered for this processor; it calculates nothing.
+        # Reference counting is compiled for this processor; it computes nothing.
         module = llvm.parse_assembly(text.replace("@llvm.x86.", "@x86.").replace(" immarg", ""))
         module.triple = machine.triple
         texts.append(machine.emit_assembly(module))

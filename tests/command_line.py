@@ -1,4 +1,4 @@
-"""Command lines given in this process, or as a process of their own."""
+"""Command lines that run in this process, or in another process."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ __all__ = ["alone", "call", "program"]
 
 
 def alone() -> Any:
-    """Commands use one process unless workers are asked for: each other one imports all they need."""
+    """Commands use one process unless workers are requested, because each worker imports all modules."""
     return mock.patch.object(os, "cpu_count", return_value=1)
 
 
 def call(program: str, *arguments: object) -> int:
-    """Run a command line in this process, alone unless workers are asked for, and return its exit code."""
+    """Run a command line in this process, without workers unless requested, and return its exit code."""
     main = import_module(f"cli.{program.replace('-', '_')}").main
     before = sys.argv
     sys.argv = [program, *map(str, arguments)]
@@ -33,6 +33,6 @@ def call(program: str, *arguments: object) -> int:
 
 
 def program(name: str, *arguments: object) -> list[str]:
-    """Return what an interpreter of its own is started with to run a command line."""
+    """Return the arguments with which another interpreter runs a command line."""
     script = f"import sys; sys.argv[0] = {name!r}; from cli.{name.replace('-', '_')} import main; main()"
     return [sys.executable, "-c", script, *map(str, arguments)]

@@ -1,4 +1,4 @@
-"""What all tests share: a cache folder of their own, and no network."""
+"""Shared by all tests: a separate cache folder, and no network."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.real_input import NO_REAL_INPUT, SHARED
 from tests.s3_fixtures import bucket, new_clients, s3, s3_server  # noqa: F401  # one server for each worker
 from tests.small_sets import digits_set, scenes_set  # noqa: F401
 
-# A slow or busy machine must not fail a property. README's command draws few examples, for a quick answer;
+# A slow or busy machine must not fail a property. The command of README draws few examples, to be quick;
 # `pytest -m ""` draws many. A server draws the same ones every time, so that a change fails for what it
 # changes; every other machine always draws new ones.
 _EXAMPLES_AT_A_DESK = 15
@@ -28,7 +28,7 @@ _EXAMPLES_IN_ALL = 75
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Choose how many examples properties draw, before the tests that adjust the number are imported."""
+    """Choose the number of examples of properties, before tests that adjust the number are imported."""
     is_desk = config.getoption("markexpr") == "not thorough"
     settings.register_profile(
         "toolkit",
@@ -40,18 +40,18 @@ def pytest_configure(config: pytest.Config) -> None:
     settings.load_profile("toolkit")
 
 
-# What is imported and collected stays: to look for garbage meanwhile takes a quarter of the time.
+# Imported modules and collected tests stay, and searching them for garbage takes a quarter of the time.
 gc.disable()
 
-# Hundreds of tests start processes: where byte code may not be kept, each compiles all that it imports.
+# Hundreds of tests start processes: without cached byte code, each compiles all of its imports.
 if os.environ.pop("PYTHONDONTWRITEBYTECODE", None):
     sys.dont_write_bytecode = False
 
-# No test speaks to a server that has a certificate, and each client would read all that the system trusts.
+# No test uses a server with a certificate, and each client would read all certificates of the system.
 os.environ.pop("SSL_CERT_FILE", None)
 os.environ["SSL_CERT_DIR"] = str(Path(__file__).parent)
 
-# What a power cut leaves cannot be seen here, and waiting for the disk would take a fifth of the time;
+# Effects of a power cut cannot be tested here, and waiting for the disk would take a fifth of the time;
 # `test_durable.py` counts the calls.
 os.fsync = lambda _handle: None
 
@@ -79,13 +79,13 @@ _LONG = (
 _SECOND_HALF = ("tests/realtouch", "tests/tactile_toolkit", "tests/unchanged")
 
 
-# Windows lets most users make no symbolic links.
+# On Windows, most users may not make symbolic links.
 _NO_PRIVILEGE = 1314
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call() -> Generator[None, Any, Any]:
-    """Skip a test that makes a symbolic link where the user may make none."""
+    """Skip a test that makes a symbolic link if the user may not."""
     try:
         return (yield)
     except OSError as error:
@@ -114,7 +114,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Keep the collector from walking through all that was collected, again and again."""
+    """Keep the garbage collector from walking through all collected tests again and again."""
     gc.collect()
     gc.freeze()
     gc.enable()
@@ -132,7 +132,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
 @pytest.fixture(autouse=True)
 def _own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
-    # Not by `mktemp`, which looks at all the folders that there are already.
+    # Not by `mktemp`, which lists all existing folders.
     cache = tmp_path_factory.getbasetemp() / f"cache-{next(_NUMBERS)}"
     cache.mkdir()
     monkeypatch.setenv("TACTILE_TOOLKIT_CACHE", str(cache / "toolkit"))
@@ -152,7 +152,7 @@ def shared() -> Path:
 def pytest_make_collect_report(
     collector: pytest.Collector,
 ) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
-    """Fail where a whole file is skipped although all extras are said to be installed."""
+    """Fail if a whole file is skipped although all extras are stated to be installed."""
     report = yield
     if report.skipped and os.environ.get("REQUIRE_EXTRAS") and NO_REAL_INPUT not in str(report.longrepr):
         report.outcome = "failed"
@@ -162,10 +162,10 @@ def pytest_make_collect_report(
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Fail instead of skipping for want of a package where all extras are said to be installed."""
+    """Fail instead of skipping for a missing package if all extras are stated to be installed."""
     report = yield
     needs_extra = any(item.get_closest_marker(extra) for extra in _EXTRAS)
-    wants_package = NO_REAL_INPUT not in str(report.longrepr)  # real input is no package
+    wants_package = NO_REAL_INPUT not in str(report.longrepr)  # real input is not a package
     if report.skipped and needs_extra and wants_package and os.environ.get("REQUIRE_EXTRAS"):
         report.outcome = "failed"
         report.longrepr = f"skipped although REQUIRE_EXTRAS is set: {report.longrepr}"

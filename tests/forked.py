@@ -1,7 +1,7 @@
-"""Processes that start at once: forked from one that has imported before what most of them need.
+"""Processes that start quickly: they are forked from one that has imported what most of them need.
 
-They have the environment of the test, no thread, and nothing that a test has left behind. What is reported of
-imports needs an interpreter of its own: :func:`tests.processes.printed_by`.
+They have the environment of the test, no threads, and no state of other tests. Tests of imports need an
+interpreter of their own: :func:`tests.processes.printed_by`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from tests.processes import PATIENCE_S
 __all__ = ["Forked", "run_forked", "start_forked"]
 
 _CONTEXT = multiprocessing.get_context("forkserver")
-# Nothing that starts threads. The client of the Hub reads its settings when it is imported: it gets those of
+# No module that starts threads. The client of the Hub reads its settings on import: it gets those of
 # a test from `tests.tactile_toolkit.hub.client`.
 _CONTEXT.set_forkserver_preload(
     [
@@ -60,34 +60,34 @@ _CONTEXT.set_forkserver_preload(
 
 @dataclass(frozen=True)
 class Forked:
-    """A process, and the files with what it says."""
+    """A process, and the files with its output."""
 
     process: ForkServerProcess
     _folder: Path
 
     @property
     def pid(self) -> int:
-        """Its number."""
+        """Process id."""
         assert self.process.pid is not None
         return self.process.pid
 
     @property
     def out(self) -> str:
-        """What it has printed so far."""
+        """Output so far."""
         return (self._folder / "out").read_text()
 
     @property
     def err(self) -> str:
-        """What it has said on stderr so far."""
+        """Output on stderr so far."""
         return (self._folder / "err").read_text()
 
     @property
     def is_running(self) -> bool:
-        """Whether it has not ended."""
+        """Whether it is running."""
         return self.process.is_alive()
 
     def end(self, number: int | None = None) -> int:
-        """Send it a signal, if one is given, wait for its end, and return its exit code."""
+        """Send a signal, if one is given, wait for the end of the process, and return its exit code."""
         if number is not None:
             os.kill(self.pid, number)
         self.process.join(PATIENCE_S)

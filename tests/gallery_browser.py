@@ -28,7 +28,7 @@ _ARGUMENTS = [
 
 @dataclass
 class Opened:
-    """A page with everything that it said and asked for."""
+    """A page with its messages and requests."""
 
     page: Any
     errors: list[str] = field(default_factory=list)
@@ -44,16 +44,16 @@ class Opened:
         self.page.on("requestfailed", lambda request: self.errors.append(f"failed: {request.url}"))
 
     def _console(self, message: Any) -> None:
-        # Reading pixels back makes the drawing library warn of its own slowness; all else counts.
+        # Reading pixels back makes the drawing library warn about slowness; all other messages count.
         if message.type in ("error", "warning") and "GPU stall due to ReadPixels" not in message.text:
             self.errors.append(message.text)
 
     def drawn(self) -> int:
-        """Return how often the 3D view was drawn so far."""
+        """Return how often the 3D view has been drawn."""
         return int(self.page.evaluate("document.querySelector('.stage canvas')?.dataset.drawn ?? 0"))
 
     def stage(self) -> np.ndarray:
-        """Take the pixels of the 3D view inside its focus ring, shape (H, W, 3)."""
+        """Return the pixels of the 3D view inside its focus ring, shape (H, W, 3)."""
         from PIL import Image
 
         self.page.wait_for_function("document.querySelector('.stage canvas')?.dataset.drawn >= 1")
@@ -86,7 +86,7 @@ def opened(
     dark: bool = False,
     link: str = "",
 ) -> Iterator[Opened]:
-    """Open a site from the file system; in the end, nothing may have failed and no request have left it."""
+    """Open a site from the file system; at the end, check for errors and for requests to other places."""
     scheme = "dark" if dark else "light"
     context = chromium.new_context(viewport={"width": width, "height": height}, color_scheme=scheme)
     try:

@@ -1,4 +1,4 @@
-"""What the scripts of a gallery hold: the index of its page, and single items."""
+"""Content of the scripts of a gallery: the index of its page, and single items."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A tiny gallery, so that the pages are tested without any room of the toolkit."""
+"""A tiny gallery, so that the pages are tested without any package of data sets."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _OWN = "document.title='owned'"
 HOSTILE = f"""<script>{_OWN}</script>"><img src=x onerror="{_OWN}">'`${{1}}&amp;\u2028"""
 CORNERS_M = np.array([[0, 0, 0], [0.03, 0, 0], [0, 0.02, 0], [0, 0, 0.01]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
-# No toy has a hat: what nothing has any value of is no filter.
+# No toy has a hat: a field without values is not a filter.
 COLUMNS = (
     Column(pa.string(), name="label", role="facet", title="Class"),
     Column(pa.string(), name="parity", role="facet", title="Parity", values=("odd", "even")),
@@ -79,7 +79,7 @@ class ToyTask:
 
 
 def toy_gallery(count: int = 20, portion: int = 8, **options: object) -> Gallery:
-    """Return a gallery of so many items."""
+    """Return a gallery with a number of items."""
     starts = range(0, count, portion)
     tasks = tuple(ToyTask(start, min(start + portion, count), **options) for start in starts)  # type: ignore[arg-type]
     title = f"Toys {HOSTILE}" if options.get("hostile") else "Toys"

@@ -37,11 +37,11 @@ class Module:
     tree: ast.Module
 
     def every(self, *kinds: type[ast.AST]) -> Iterator[ast.AST]:
-        """Give all nodes of these kinds."""
+        """Return all nodes of these kinds."""
         return (node for node in ast.walk(self.tree) if isinstance(node, kinds))
 
     def docstrings(self) -> list[ast.stmt]:
-        """Give the docstrings of the module, its classes and its functions."""
+        """Return the docstrings of the module, its classes and its functions."""
         owners = [node for node in self.every(ast.Module, *_DEFINITIONS) if ast.get_docstring(node)]
         return [owner.body[0] for owner in owners]
 
@@ -72,7 +72,7 @@ class Module:
         return sum(name.strip("_").isupper() for name in names) >= LATE_CONSTANTS
 
     def imported_names(self) -> int:
-        """Count the names that import statements bring in, wherever they stand."""
+        """Count the names that import statements bind, anywhere in the file."""
         imports = self.every(ast.Import, ast.ImportFrom)
         return sum(len(node.names) for node in imports if getattr(node, "module", "") != "__future__")
 
@@ -87,7 +87,7 @@ class Module:
         return len(inside)
 
     def private_access(self) -> int:
-        """Count attributes with one leading underscore that are taken from another object."""
+        """Count accesses to attributes of other objects with one leading underscore."""
         own = ("self", "cls")
         return sum(
             node.attr.startswith("_")
@@ -98,7 +98,7 @@ class Module:
         )
 
     def public(self, *kinds: type[ast.AST]) -> list[str]:
-        """Give the public names that the module defines with these kinds of statement."""
+        """Return the public names that the module defines with these kinds of statement."""
         names = [node.name for node in self.tree.body if isinstance(node, kinds)]
         return [name for name in names if not name.startswith("_")]
 

@@ -1,4 +1,4 @@
-"""Inline code of a page: whether the commands, options, names and parameters in it are there."""
+"""Inline code of a page: check that its commands, options, names and parameters exist."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _EXAMPLES = {"digits": mnist3d.DigitDataset, "digit": mnist3d.DigitRecord}
 
 
 def fault(code: str) -> str | None:
-    """Return what is wrong with inline code, as far as it names commands and functions of the toolkit."""
+    """Return the problem of inline code that names commands or functions of the toolkit."""
     return _fault_of_command(code.split()) or next(_faults_of_names(expression(code)), None)
 
 
@@ -75,7 +75,7 @@ def _faults_of_names(tree: ast.AST | None) -> Iterator[str]:
             yield str(error)
             continue
         except MissingExtraError:
-            continue  # where the extra is installed, it is looked at
+            continue  # checked if the extra is installed
         if not isinstance(node, ast.Call) or found is None:
             continue
         given = [None for each in node.args if not _is_ellipsis(each)]
@@ -98,7 +98,7 @@ def _is_method(node: ast.expr) -> bool:
 
 
 def _named(node: ast.AST) -> Any:
-    """Return what a dotted name of the toolkit stands for; None for all else.
+    """Return the object of a dotted name of the toolkit; None for other names.
 
     AttributeError: the name does not exist.
     """

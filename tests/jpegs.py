@@ -1,4 +1,4 @@
-"""JPEGs that no camera writes."""
+"""Unusual JPEGs, which no camera writes."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ _INTEGER = re.compile(rb"\d+")
 
 
 def mutated(content: bytes, seed: int) -> bytes:
-    """Return bytes with a few places changed, cut out, put in, or overwritten by a large number."""
+    """Return bytes with a few bytes replaced, removed, inserted, or overwritten by a large number."""
     random = np.random.default_rng(seed)
     made = bytearray(content)
     for _ in range(int(random.integers(1, 6))):
@@ -29,7 +29,7 @@ def mutated(content: bytes, seed: int) -> bytes:
 
 
 def with_other_numbers(text: bytes, seed: int) -> bytes:
-    """Return text in which one number, such as a length in metadata, is another, or the end is missing."""
+    """Return text with one number replaced, such as a length in metadata, or with its end cut off."""
     random = np.random.default_rng(seed)
     places = [*_INTEGER.finditer(text)]
     if not places or random.random() < 0.2:

@@ -93,7 +93,7 @@ def _program(command: str) -> list[str]:
 
 
 def main() -> None:
-    """Run pages; ends with a message where a block fails or prints something else."""
+    """Run pages; end with a message if a block fails or prints something else."""
     _READY.set_forkserver_preload(_IMPORTED_BEFORE)
     pages = [name for name in sys.argv[1:] if name.endswith(".md")]
     for page in pages:
@@ -134,7 +134,7 @@ def _shell(page: str, text: str) -> Iterator[str]:
 
 
 def _command(words: list[str], folder: str) -> None:
-    """Run a command line in this process, which ends with it."""
+    """Run a command line in this process, and end the process with its exit code."""
     for descriptor, name in enumerate(_STREAMS, 1):
         os.dup2(os.open(Path(folder, name), os.O_WRONLY | os.O_CREAT), descriptor)
     sys.exit(command_line.call(*words))

@@ -1,4 +1,4 @@
-"""Processes that tests start, hold and kill, and what the system knows of them (Linux)."""
+"""Processes that tests start, hold and kill, and their state in the system (Linux)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 
 PATIENCE_S = 3_600
-"""How long to wait for what must come: no test may fail because the machine is busy."""
+"""Time to wait for expected events: no test may fail because the machine is busy."""
 
 _HELD = """
 import importlib, sys, time
@@ -42,7 +42,7 @@ importlib.import_module(f"cli.{name}").main()
 def printed_by(code: str, *words: object, **environment: str) -> str:
     """Run code in an interpreter of its own, at the root of the repository; return what it printed.
 
-    What it says on stderr is shown where it ends with an error.
+    Its stderr is shown if it ends with an error.
     """
     done = subprocess.run(
         [sys.executable, "-c", textwrap.dedent(code), *map(str, words)],
@@ -58,9 +58,9 @@ def printed_by(code: str, *words: object, **environment: str) -> str:
 
 
 def start_held(command_line: str, shards: int, marker: Path, *words: object) -> subprocess.Popen[bytes]:
-    """Start a command that makes data and stands still when it has made so many shards; wait for that.
+    """Start a command that makes data and pauses after a number of shards; wait until it pauses.
 
-    With none it stands still before the first. It continues when there is a file of the marker's name with
+    With 0 shards, it pauses before the first. It continues when there is a file of the marker's name with
     ``.go`` behind it.
     """
     program = [sys.executable, "-c", _HELD, command_line, str(shards), str(marker), *map(str, words)]
@@ -72,7 +72,7 @@ def start_held(command_line: str, shards: int, marker: Path, *words: object) -> 
 
 
 def children(pid: int) -> list[int]:
-    """List the processes that a process has started itself."""
+    """List the children of a process."""
     try:
         return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
     except FileNotFoundError:
@@ -80,7 +80,7 @@ def children(pid: int) -> list[int]:
 
 
 def alive(pid: int) -> bool:
-    """Return whether a process runs; one that has ended and whose status was not read does not."""
+    """Return whether a process is running; zombies are not."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except FileNotFoundError:
@@ -88,7 +88,7 @@ def alive(pid: int) -> bool:
 
 
 def wait_until_gone(processes: list[int]) -> None:
-    """Processes whose parent was killed must leave by themselves, and soon."""
+    """Wait until processes have ended by themselves, as they must soon after their parent was killed."""
     deadline_s = time.monotonic() + 60
     while any(alive(pid) for pid in processes) and time.monotonic() < deadline_s:
         time.sleep(0.02)
@@ -98,7 +98,7 @@ def wait_until_gone(processes: list[int]) -> None:
 def records_so_far(folder: Path) -> list[str]:
     """Return the names of the records of finished shards of an unfinished set.
 
-    ``Path.glob`` fails where the folder of them goes away in between, as it may while a set is made.
+    ``Path.glob`` would fail if their folder is removed meanwhile, as it may be while a set is made.
     """
     with suppress(FileNotFoundError):
         return [path.name for path in (folder / ".pending").iterdir() if path.suffix == ".json"]

@@ -1,4 +1,4 @@
-"""Make a little of every kind of data below a folder, of the touches in another, in a process of its own."""
+"""Make a little of every kind of data below a folder, and of touches below another, in another process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where real input lies: a folder next to the repository, which need not be there."""
+"""The folder of real input next to the repository, which may be missing."""
 
 from __future__ import annotations
 

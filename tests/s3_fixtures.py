@@ -1,4 +1,4 @@
-"""Fixtures of tests that talk to an object store: one server for each worker, a new bucket for each test."""
+"""Fixtures of tests with an object store: one server for each worker, a new bucket for each test."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _NUMBERS = itertools.count()
 def s3_server() -> Iterator[S3Server]:
     import s3fs
 
-    # Clients are kept by the process, with the credentials and for the server that they were made with.
+    # The process caches clients, with their credentials and server.
     s3fs.S3FileSystem.clear_instance_cache()
     yield from serve()
     s3fs.S3FileSystem.clear_instance_cache()
@@ -24,7 +24,7 @@ def s3_server() -> Iterator[S3Server]:
 
 @pytest.fixture
 def new_clients() -> Iterator[None]:
-    """Clients that are made in a test, with what it sets, and go with it."""
+    """Clients that are made in a test with its settings, and removed after it."""
     import s3fs
 
     s3fs.S3FileSystem.clear_instance_cache()
@@ -34,7 +34,7 @@ def new_clients() -> Iterator[None]:
 
 @pytest.fixture
 def s3(s3_server: S3Server, monkeypatch: pytest.MonkeyPatch) -> S3Server:
-    """The server, asked with credentials, which no other configuration disturbs."""
+    """The server with credentials, without any other configuration."""
     for name, value in s3_server.environment().items():
         monkeypatch.setenv(name, value)
     for name in ("AWS_PROFILE", "AWS_SESSION_TOKEN", "AWS_ENDPOINT_URL_S3"):

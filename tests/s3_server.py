@@ -1,4 +1,4 @@
-"""An S3 server on 127.0.0.1 for tests: moto's, behind what counts, refuses and breaks off on request."""
+"""An S3 server on 127.0.0.1 for tests: moto behind a layer that counts, refuses and interrupts requests."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Answer = tuple[str, str]
 
 @dataclass
 class Traffic:
-    """What clients have asked for: requests by method, bytes that were sent to them, keys they wrote."""
+    """Requests of clients by method, bytes that were sent to them, and keys that they wrote."""
 
     requests: Counter[str] = field(default_factory=Counter)
     sent_bytes: int = 0
@@ -45,7 +45,7 @@ class S3Server:
     endpoint: str = ""
 
     def environment(self) -> dict[str, str]:
-        """Return the variables with which any client talks to this server."""
+        """Return the environment variables with which a client uses this server."""
         return {
             "AWS_ENDPOINT_URL": self.endpoint,
             "AWS_ACCESS_KEY_ID": KEY,
@@ -55,14 +55,14 @@ class S3Server:
         }
 
     def objects(self, bucket: str) -> dict[str, bytes]:
-        """Return all objects of a bucket, past the network."""
+        """Return all objects of a bucket, without the network."""
         from moto.s3.models import s3_backends
 
         keys = s3_backends["123456789012"]["global"].buckets[bucket].keys
         return {name: keys[name].value for name in sorted(keys)}
 
     def uploads(self, bucket: str) -> list[str]:
-        """Return what was begun in several pieces and neither finished nor given up."""
+        """Return multipart uploads that were neither completed nor aborted."""
         from moto.s3.models import s3_backends
 
         return list(s3_backends["123456789012"]["global"].buckets[bucket].multiparts)
@@ -78,7 +78,7 @@ class S3Server:
         return sorted(s3_backends["123456789012"]["global"].buckets)
 
     def wraps(self, app: Any) -> Callable[[Environ, Any], Iterable[bytes]]:
-        """Return the application behind what counts and refuses."""
+        """Return the application behind a layer that counts and refuses requests."""
 
         def call(environ: Environ, start_response: Any) -> Iterator[bytes]:
             self.traffic.requests[environ["REQUEST_METHOD"]] += 1

@@ -1,4 +1,4 @@
-"""Manifests and records with other values, as a program would write them: their digests are right."""
+"""Manifests and records with changed values and correct digests, as a program would write them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tactile_toolkit.store.sealed_json import seal
 
 
 def sealed(values: Any) -> str:
-    """Return the text of a document that holds such values."""
+    """Return the text of a document with given values."""
     fields = values
     if isinstance(values, dict):
         fields = {name: value for name, value in values.items() if name != "sha256_of_all_below"}

@@ -1,7 +1,7 @@
 """Checks the built site: ``python -m tests.site docs/_build/html``.
 
-Every link inside leads to a page and a place on it, no page fetches anything from elsewhere, and the search
-finds a function, all from the file system.
+Every internal link leads to a page and a place on it, no page fetches anything from other sites, and the
+search finds a function, all from the file system.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ FETCHED = {("img", "src"), ("script", "src"), ("link", "href")}
 
 
 class Page(HTMLParser):
-    """The links of a page, what it fetches, and the places on it."""
+    """The links of a page, its fetched files, and the places on it."""
 
     def __init__(self, path: Path) -> None:
         super().__init__()
@@ -39,7 +39,7 @@ class Page(HTMLParser):
 
 
 def broken(site: Path) -> list[str]:
-    """List links that lead nowhere, and what is fetched from elsewhere."""
+    """List broken links, and files that are fetched from other sites."""
     pages = {path: Page(path) for path in site.rglob("*.html") if "_static" not in path.parts}
     found = []
     for path, page in pages.items():
@@ -70,7 +70,7 @@ def search(site: Path, words: str) -> list[str]:
 
 
 def main() -> None:
-    """Check a site; ends with a list of what is wrong."""
+    """Check a site; end with a list of problems."""
     site = Path(sys.argv[1]).resolve()
     found = broken(site)
     if not any("solidify" in title for title in search(site, "solidify")):

@@ -1,4 +1,4 @@
-"""What is packed: the wheel holds the packages, the sdist the whole checkout, and neither anything else."""
+"""Distributions: the wheel contains only the packages, the sdist only the checkout."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def tracked() -> set[str]:
-    """Return what git holds or will hold, by its path in the checkout."""
+    """Return the files that git tracks or will track, by path in the checkout."""
     listing = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard", "--deduplicate"]
     done = subprocess.run(listing, cwd=ROOT, capture_output=True, text=True, check=False)
     if done.returncode:

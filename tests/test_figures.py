@@ -1,4 +1,4 @@
-"""Figures in the documents are those that the benchmarks measured; changed code is marked."""
+"""Figures in the documents equal those of the benchmarks; figures of changed code are marked."""
 
 from __future__ import annotations
 

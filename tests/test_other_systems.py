@@ -1,6 +1,6 @@
-"""Nothing asks for what only some systems have: all is imported, a set made, loaded and verified without it.
+"""The toolkit needs no features of particular operating systems.
 
-Python runs without the modules and functions missing on Windows, and without ``/proc``, as on macOS.
+Modules and functions that Windows lacks are hidden from Python, and ``/proc`` is not read, as on macOS.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = sorted(
     path.parent.name for path in ROOT.glob("*/__init__.py") if path.parent.name not in ("tests", "benchmarks")
 )
-# Not termios and tty: the client of the Hub imports them wherever the system does not call itself Windows.
+# Without termios and tty: the client of the Hub imports them unless the system calls itself Windows.
 POSIX_MODULES = ("fcntl", "grp", "posix_ipc", "pty", "pwd", "resource", "syslog")
 POSIX_FUNCTIONS = (
     *("fork", "forkpty", "getuid", "geteuid", "getgid", "getpgid", "setsid", "killpg", "mkfifo"),
@@ -48,7 +48,7 @@ if "HIDE_FUNCTIONS" in os.environ:
 
 
 def hidden(folder: Path, code: str, *, functions: bool) -> str:
-    """Run Python code on a system without these modules, and without these functions too."""
+    """Run Python code without these modules and, if ``functions`` is set, without these functions."""
     (folder / "sitecustomize.py").write_text(HIDE)
     settings = {**os.environ, "PYTHONPATH": f"{folder}{os.pathsep}{ROOT}", "HF_HUB_OFFLINE": "1"}
     settings |= {"HIDE_FUNCTIONS": "1"} if functions else {}
@@ -66,7 +66,7 @@ import importlib, json, pkgutil, sys
 from tactile_toolkit.errors import MissingExtraError
 imported = []
 for package in {PACKAGES!r}:
-    # What cannot be walked into is imported below, by its name, and fails there unless it is an extra.
+    # Packages that fail while they are walked are imported by name below; errors are raised there.
     found = [m.name for m in pkgutil.walk_packages([f"{ROOT}/{{package}}"], f"{{package}}.", lambda _: None)]
     for name in [package, *found]:
         if not name.endswith("__main__"):
@@ -115,7 +115,7 @@ if __name__ == "__main__":
     assert (tmp_path / "page" / "index.html").is_file()
 
 
-def test_only_one_module_knows_of_systems() -> None:
+def test_only_one_module_depends_on_the_system() -> None:
     found = {
         (path.relative_to(ROOT).as_posix(), name)
         for package in PACKAGES
@@ -131,7 +131,7 @@ def _imports(path: Path) -> set[str]:
 
 
 def test_every_test_file_is_collected_on_every_system() -> None:
-    """A test that needs a module of some systems asks with ``pytest.importorskip``, or in its process."""
+    """Tests import modules of particular systems with ``pytest.importorskip``, or in another process."""
     asked = {
         path.relative_to(ROOT).as_posix()
         for path in (ROOT / "tests").rglob("*.py")
@@ -144,12 +144,12 @@ def test_every_test_file_is_collected_on_every_system() -> None:
 
 @pytest.mark.parametrize("encoding", ["cp1252", "ascii", "cp437", "utf-8"])
 def test_output_fits_every_encoding(monkeypatch: pytest.MonkeyPatch, encoding: str) -> None:
-    """A stream that is no console has an encoding of its own; what it lacks is written in ASCII."""
-    app = application.new_app("told", "Tells.")
+    """Redirected streams have their own encoding; characters that it lacks are written in ASCII."""
+    app = application.new_app("program", "Program.")
 
     @application.command(app)
-    def tell(*, sink: Sink) -> None:
-        """Tell."""
+    def show(*, sink: Sink) -> None:
+        """Show."""
         sink.document({"name": "\u03b1 \u4e2d\U0001f9ff"})
         sink.table(["name", "size \u2192 \u00b5m"], [["\u03b1", 1]])
         sink.warn("3 \u00d7 4 mm\u2026 \u4e2d")
@@ -159,7 +159,7 @@ def test_output_fits_every_encoding(monkeypatch: pytest.MonkeyPatch, encoding: s
     for option in ("--json", "--debug"):
         streams = [io.TextIOWrapper(io.BytesIO(), encoding=encoding) for _ in range(2)]
         with monkeypatch.context() as patch:
-            patch.setattr(sys, "argv", ["told", "tell", option])
+            patch.setattr(sys, "argv", ["program", "show", option])
             patch.setattr(sys, "stdout", streams[0])
             patch.setattr(sys, "stderr", streams[1])
             with pytest.raises(SystemExit, match="0"):
@@ -169,17 +169,17 @@ def test_output_fits_every_encoding(monkeypatch: pytest.MonkeyPatch, encoding: s
         printed[option] = [stream.buffer.getvalue().decode(encoding) for stream in streams]
     document = json.loads(printed["--json"][0])
     assert document == {"name": "\u03b1 \u4e2d\U0001f9ff"}
-    table, told = printed["--debug"]
+    table, warning = printed["--debug"]
     if encoding == "utf-8":
         assert "\u2500\u2500" in table
         assert "\u03b1" in table
     if encoding == "ascii":
         assert table.splitlines() == ["name  size -> um", "----  ---------", r"\u03b1             1"]
-        assert told == "3 x 4 mm... \\u4e2d\n"
+        assert warning == "3 x 4 mm... \\u4e2d\n"
 
 
-def test_a_file_is_flushed_as_windows_wants_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Windows flushes no file that was opened for reading."""
+def test_files_are_opened_for_writing_to_be_flushed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Windows does not flush files that were opened for reading."""
     from tactile_toolkit import store
 
     fcntl = pytest.importorskip("fcntl")
@@ -194,7 +194,7 @@ def test_a_file_is_flushed_as_windows_wants_it(tmp_path: Path, monkeypatch: pyte
     assert (tmp_path / "file").read_bytes() == b"x"
 
 
-def test_no_more_workers_than_windows_waits_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_more_workers_than_windows_can_wait_for(monkeypatch: pytest.MonkeyPatch) -> None:
     from tactile_toolkit.run import processes
 
     monkeypatch.setattr(processes.sys, "platform", "win32")

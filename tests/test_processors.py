@@ -1,7 +1,7 @@
 """Data sets, reports, cards and pictures have the same bytes on every processor.
 
-Libraries choose their code when they start, by the instructions that they find. Their own switches make them
-take what they would on another processor.
+Libraries select code at their start by the available instructions. Their own switches make them use that of
+another processor.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ PROCESSORS = {
         "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX,-AVX2,-FMA,-FMA4,-AVX512F,-AVX512VL,-AVX512BW,-AVX512DQ",
         "ARROW_USER_SIMD_LEVEL": "NONE",
         "JSIMD_FORCENONE": "1",
-        # What numba compiles: no wide registers, and no multiplication and addition in one step.
+        # Compiled code of numba: no wide registers, and no fused multiply-add.
         "NUMBA_CPU_NAME": "nehalem",
         "NUMBA_CPU_FEATURES": "",
     },
@@ -43,7 +43,7 @@ PROCESSORS = {
 
 def made_on(settings: dict[str, str], folder: Path, touches: Path) -> dict[str, str]:
     environment = {**os.environ, **settings, "TACTILE_TOOLKIT_CACHE": str(folder.with_suffix(".cache"))}
-    # The features of a processor that has fewer cannot be switched off: numpy warns, and continues.
+    # Features that a processor lacks cannot be switched off: NumPy warns, and continues.
     command = [sys.executable, "-W", "ignore", "-m", "tests.processor_bytes", str(folder), str(touches)]
     result = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr

@@ -91,8 +91,7 @@ def two_sample_test(
     """Train a classifier of real and generated on half of the objects, and measure it on the other half.
 
     Each kind is images (n, H, W, 3), uint8, and their objects (n,): touches of a round share noise that could
-    be learned by heart. Returns the balanced accuracy and its
-    standard error.
+    be memorised. Returns the balanced accuracy and its standard error.
     """
     inputs = classifier_inputs(np.concatenate([real[0], made[0]]))
     held = in_second_half(np.concatenate([real[1], made[1]]))
@@ -109,7 +108,7 @@ def balanced_accuracy(found: Int64, truth: Int64) -> float:
 
 
 def in_second_half(objects: Int64) -> Bool:
-    """Return whether images are of the half of the objects that is held back: every other one."""
+    """Return whether images are of the half of the objects that is held out: every other one."""
     return np.asarray(np.searchsorted(np.unique(objects), objects) % 2 == 1)
 
 

@@ -23,11 +23,12 @@ LOSSES = tuple(
 
 # 0.05 of a range of 2 is 53 um of depth.
 _LEVEL = 0.95
-_SHADOW = 32  # of the image, 0.6 mm: farther from pressed gel a touch equals the background, to 2 levels
+# Farther from pressed gel than 1 / 32 of the image, a touch equals the background within 2 levels.
+_SHADOW = 32
 
 
 class _Pool:
-    """Generated images of earlier steps: each new one is returned, or replaces an older one that is."""
+    """Generated images of earlier steps: a new image is returned, or replaces an older one, which is."""
 
     def __init__(self, size: int) -> None:
         self.size = size

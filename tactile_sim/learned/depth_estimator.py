@@ -74,7 +74,7 @@ class DepthEstimator:
         width, height = checked_size_px(size_px)
         if images.dtype != np.uint8 or images.ndim != 4 or images.shape[3] != 3 or not images.size:
             raise InputError(
-                f"images are {images.dtype} of the shape {images.shape}; expected uint8 (n, height, width, 3)"
+                f"images are {images.dtype} of shape {images.shape}; expected uint8 (n, height, width, 3)"
             )
         made = generated(
             self._generator,

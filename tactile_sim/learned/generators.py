@@ -1,4 +1,4 @@
-"""Generators that are run, not trained: on a processor by Winograd's algorithm, or on a GPU.
+"""Inference with trained generators: on a CPU by Winograd's algorithm, or on a GPU.
 
 On one core of a Zen 5 processor, the published generator (64 filters, 9 blocks, 256 x 256 pixels) takes
 0.23 s for an image, and 0.19 s in bfloat16; as layers of PyTorch 0.49 s, in bfloat16 0.27 s, compiled 0.41 s.
@@ -141,7 +141,7 @@ class FastGenerator:
         with _single_threads(threads) as pool:
             in_parts = _at_once
             if len(images) < threads:
-                # At least one thread is left to compute parts, so none waits for ever.
+                # At least one thread is left to compute parts, so no image waits forever.
                 in_parts = partial(_in_parts, pool, threads)
             made = list(pool.map(partial(self._image, in_parts=in_parts), images.split(1)))
         return torch.cat(made).contiguous()
@@ -200,7 +200,7 @@ def _convolve(
 
     def multiply(first: int, last: int) -> None:
         with torch.inference_mode():
-            # Back to where they came from: the less memory, the more of it stays in the cache.
+            # In place: less memory stays in the cache of the processor.
             for rows, matrix in zip(tiles[first:last], matrices[first:last], strict=True):
                 together = torch.from_numpy(rows)
                 together.copy_(matrix(together))

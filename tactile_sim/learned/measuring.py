@@ -15,11 +15,11 @@ from tactile_toolkit.array_types import AnyArray, Bool, Int64, UInt8
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import with_count
 
-# Half of these are held back; fewer are not conclusive.
-_LEAST = 40
-_LABELS_FROM = 2000
+# Half of the images are held out; fewer are not conclusive.
+_MIN_IMAGES = 40
+_MIN_LABELLED = 2000
 _LABEL_STEPS = 1500
-_SHOWN = 6
+_SHEET_IMAGES = 6
 
 
 @dataclass(frozen=True)
@@ -35,12 +35,12 @@ class Measures:
         Mean absolute error of the depth that the trained inverse recovers from the images, micrometres, over
         touches with contact.
     two_sample : float
-        Balanced accuracy of a classifier that separates real from generated images of held-back objects (the
+        Balanced accuracy of a classifier that separates real from generated images of held-out objects (the
         classifier two-sample test of Lopez-Paz and Oquab, 2017); 0.5 is best.
     two_sample_error : float
         Its standard error.
     contact_accuracy : float
-        Balanced accuracy, on held-back real touches, of a classifier of contact trained on the images.
+        Balanced accuracy, on held-out real touches, of a classifier of contact trained on the images.
     class_accuracy : float
         The same of a classifier of labels; NaN with fewer than 2,000 touches, or without labels.
     """
@@ -55,7 +55,7 @@ class Measures:
 
 @dataclass(frozen=True, eq=False)
 class Selected:
-    """Evenly spaced images of one kind, and their objects, contact and labels; ``held`` are held back."""
+    """Evenly spaced images of one kind, and their objects, contact and labels; ``held`` are held out."""
 
     images: AnyArray
     objects: Int64
@@ -68,12 +68,12 @@ class Selected:
         """Select rows; InputError if there are too few, or all are alike."""
         rows = np.unique(np.linspace(0, len(domain) - 1, min(count, len(domain))).astype(np.int64))
         contact, objects = domain.contact[rows], domain.object_ids[rows]
-        kinds = len(np.unique(objects))
-        if len(rows) < _LEAST or not contact.any() or contact.all() or kinds < 2:
+        object_count = len(np.unique(objects))
+        if len(rows) < _MIN_IMAGES or not contact.any() or contact.all() or object_count < 2:
             raise InputError(
                 f"{pairs!r} holds {with_count(len(rows), 'images')} of one kind, {int(contact.sum())} with "
-                f"contact, of {with_count(kinds, 'objects')}; expected at least {_LEAST}, with and "
-                "without contact, of several objects",
+                f"contact, of {with_count(object_count, 'objects')}; expected at least {_MIN_IMAGES}, with "
+                "and without contact, of several objects",
                 next="make pairs with a larger --count or another --without-contact (`tactile-sim pairs`)",
             )
         return cls(
@@ -87,7 +87,7 @@ class Selected:
     def shown(self) -> Int64:
         """Return the rows of some images with contact, for a sheet."""
         met = np.flatnonzero(self.contact)
-        return met[:: max(1, len(met) // _SHOWN)][:_SHOWN]
+        return met[:: max(1, len(met) // _SHEET_IMAGES)][:_SHEET_IMAGES]
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +111,7 @@ class Bench:
         noise: SensorNoise | None,
         seed: int,
     ) -> Bench:
-        """Select images of both kinds; ``name`` is that of the data in messages (InputError)."""
+        """Select images of both object_count; ``name`` is that of the data in messages (InputError)."""
         real, depth = Selected.of(data.real, count, name), Selected.of(data.depth, count, name)
         return cls(real, depth, inverse, 1e6 * (data.sensor.gel_m - data.sensor.press_m), noise, seed)
 
@@ -135,7 +135,7 @@ class Bench:
         return Measures(name, float(self.reach_um * off.mean()), *apart, *self._accuracies(pictures, depth))
 
     def _accuracies(self, pictures: UInt8, known: Selected) -> tuple[float, float]:
-        """Train classifiers of contact and label on some images; measure them on held-back real touches."""
+        """Train classifiers of contact and label on some images; measure them on held-out real touches."""
         real, train = self.real, ~known.held
         inputs, held = (
             classifiers.classifier_inputs(pictures[train]),
@@ -143,7 +143,7 @@ class Bench:
         )
         reader = classifiers.SmallCNN(2, self.seed, classifiers.STEPS).learn(inputs, known.contact[train])
         of_contact = classifiers.balanced_accuracy(reader.predict(held), real.contact[real.held])
-        if len(real.images) < _LABELS_FROM or min(real.labels.min(), known.labels.min()) < 0:
+        if len(real.images) < _MIN_LABELLED or min(real.labels.min(), known.labels.min()) < 0:
             return of_contact, math.nan
         classes = int(max(known.labels.max(), real.labels.max())) + 1
         reader = classifiers.SmallCNN(classes, self.seed, _LABEL_STEPS).learn(inputs, known.labels[train])

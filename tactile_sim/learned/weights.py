@@ -35,7 +35,7 @@ _PUBLISHED = {
     "touch": "cycle_gan_tactile_mnist_v0.npz",
     "depth": "cycle_gan_inverse_tactile_mnist_v0.npz",
 }
-# A file must not decide how much is built before its shapes were compared.
+# A file must not decide how large a network is built before its shapes are compared.
 _MAX_BLOCKS, _MAX_FILTERS = 64, 1024
 _SIDES_PX = range(16, 2049, 4)
 _MISSING: AnyArray = np.empty(0)
@@ -131,13 +131,13 @@ def read_weights(file: str | Path) -> GeneratorWeights:
         raise InputError(
             f"{str(path)!r} cannot be read as weights of a generator ({error}); expected an .npz such as "
             "`tactile-sim train` writes",
-            next="fetch or make it again",
+            next="download or make it again",
         ) from error
     return GeneratorWeights(arrays, (width, height))
 
 
 def _require_generator(arrays: Mapping[str, AnyArray]) -> None:
-    """Raise ValueError, which names the first layer that differs, for arrays of no generator."""
+    """Raise ValueError, which names the first layer that differs, for arrays that no generator has."""
     blocks, expected = GeneratorWeights(arrays).blocks, {}
     first = arrays.get("model.1.weight")
     if first is not None and first.ndim and 0 < len(first) <= _MAX_FILTERS and blocks <= _MAX_BLOCKS:

@@ -1,1 +1,1 @@
-"""The twin of a sensor: fitted to touches of known solids, it renders images and reads depth from them."""
+"""The twin of a sensor: fitted to touches of known solids, it renders images and reads depth from images."""

@@ -1,4 +1,4 @@
-"""From touches of known solids to the twin of a sensor."""
+"""Calibrate a sensor: make its twin from touches of known solids."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from tactile_toolkit.wording import with_count
 
 Progress = Callable[[int, int], None]
 
-_MIN_DULL = 0.25  # share of the pixels of an image that are not saturated
-_MIN_EXPLAINED = 0.4  # of the squared change of an image; of hidden sensors, 0.8 to 1
+_MIN_UNSATURATED = 0.25  # share of the pixels of an image
+_MIN_EXPLAINED = 0.4  # of the squared change of an image; the twins of hidden sensors explain 0.8 to 1
 
 
 def calibrate(
@@ -43,26 +43,26 @@ def calibrate(
     name : str
         Name of the sensor in manifests and cards.
     start : SensorModel
-        First guess of its geometry, which is fitted: within a sixth of the size of a pixel, and a millimetre
-        of the thickness of the gel.
+        First guess of its geometry, which the fit refines. The size of a pixel should be right within a
+        sixth, and the thickness of the gel within a millimetre.
     on_progress : callable, optional
-        Called with the steps done, and their number.
+        Called with the number of steps done and the total.
 
     Returns
     -------
     SensorModel
-        With ``optics``, ``read_depth_m`` and ``report``; ``save`` writes it into a folder.
+        Sensor with ``optics``, ``read_depth_m`` and ``report``; ``save`` writes it into a folder.
 
     Raises
     ------
     InputError
-        The recordings are wrong in a way that :func:`find_mistakes` names, fewer than 5 touches can be used,
-        or the solids explain little of the images.
+        :func:`find_mistakes` finds a fatal mistake, fewer than 5 touches can be used, or the solids explain
+        little of the images.
 
     Notes
     -----
-    Sums of the fit and networks of the reader are computed by BLAS: on another processor, the twin may differ
-    in the last bits. A twin renders the same bytes everywhere.
+    The fit and the networks of the reader use BLAS: on another processor, the twin may differ in the last
+    bits. A given twin renders the same bytes everywhere.
     """
     mistakes = find_mistakes(recordings, start)
     fatal = [each for each in mistakes if each.is_fatal]
@@ -70,13 +70,13 @@ def calibrate(
         raise InputError(
             f"the recordings cannot be fitted ({fatal[0].kind}): {fatal[0].detail}", next="correct them"
         )
-    dull = _dull_shares(recordings)
-    fit = _usable_fit(recordings, start, mistakes, np.flatnonzero(dull >= _MIN_DULL))
+    unsaturated_shares = _unsaturated_shares(recordings)
+    fit = _usable_fit(recordings, start, mistakes, np.flatnonzero(unsaturated_shares >= _MIN_UNSATURATED))
     rounds_of_fit.run_fit(fit, on_progress)
     _require_explained(fit)
     report = {**rounds_of_fit.found(fit), "mistakes": [asdict(each) for each in mistakes]}
-    for touch in np.flatnonzero(dull < _MIN_DULL).tolist():
-        report["touches"].insert(touch, _saturated(recordings, touch, dull[touch]))
+    for touch in np.flatnonzero(unsaturated_shares < _MIN_UNSATURATED).tolist():
+        report["touches"].insert(touch, _saturated(recordings, touch, unsaturated_shares[touch]))
     shape = fit.shape.copy()
     half_m = fit.half_m(shape)
     shape[: Fitted.LENS] = 0.0
@@ -89,15 +89,15 @@ def calibrate(
 def _usable_fit(
     recordings: Recordings, start: SensorModel, mistakes: Sequence[Mistake], usable: Int64
 ) -> Fit:
-    """Return a fit to the usable touches, by their numbers, that is about to run."""
+    """Return a fit, ready to run, to the touches whose numbers are ``usable``."""
     if len(usable) < MIN_TOUCHES:
         raise InputError(
             f"{len(usable)} of {with_count(len(recordings), 'images')} can be used: of the others, over "
-            f"{1 - _MIN_DULL:.0%} of the pixels are saturated; expected at least {MIN_TOUCHES}",
+            f"{1 - _MIN_UNSATURATED:.0%} of the pixels are saturated; expected at least {MIN_TOUCHES}",
             next="change the exposure of the camera and record again",
         )
     part = recordings
-    if len(usable) < len(recordings):  # all of them would be a copy
+    if len(usable) < len(recordings):  # else the choice would copy all images
         part = recordings.chosen(usable)
     fit = _first_fit(part, start)
     likely = fit.likely
@@ -117,23 +117,23 @@ def _usable_fit(
     return fit
 
 
-def _dull_shares(recordings: Recordings) -> Float64:
-    """Return the share of the pixels of each image that are not saturated."""
+def _unsaturated_shares(recordings: Recordings) -> Float64:
+    """Return the share of the pixels of each image (N,) that are not saturated."""
     return np.array([unsaturated(image).mean() for image in recordings.images])
 
 
-def _saturated(recordings: Recordings, touch: int, dull: float) -> dict[str, Any]:
-    """Return what a report says of an image that is saturated."""
+def _saturated(recordings: Recordings, touch: int, unsaturated_share: float) -> dict[str, Any]:
+    """Return the entry of a saturated image in the report."""
     return {
         "name": recordings.names[touch],
         "object_id": int(recordings.object_ids[touch]),
         "used": False,
-        "reason": f"{1 - dull:.0%} of its pixels are saturated",
+        "reason": f"{1 - unsaturated_share:.0%} of its pixels are saturated",
     }
 
 
 def _require_explained(fit: Fit) -> None:
-    """Refuse recordings whose images the solids do not explain; such a twin would render noise."""
+    """Raise InputError if the solids explain little of the images: such a twin would render noise."""
     used = np.flatnonzero(fit.used).tolist()
     explained = float(np.median([1 - (fit.rms[touch] / fit.change(touch)) ** 2 for touch in used]))
     if explained < _MIN_EXPLAINED:
@@ -145,7 +145,7 @@ def _require_explained(fit: Fit) -> None:
 
 
 def _of_one_gel(touches: Int64, mistakes: Sequence[Mistake]) -> Bool:
-    """Return which of some touches are those of one gel: of two, that with more touches."""
+    """Return which of the touches are of one gel: if the gel changed, of the one with more touches."""
     chosen = np.ones(len(touches), bool)
     for each in mistakes:
         if each.kind == "gel-changed":
@@ -155,7 +155,7 @@ def _of_one_gel(touches: Int64, mistakes: Sequence[Mistake]) -> Bool:
 
 
 def model_of(twin: Twin, name: str) -> SensorModel:
-    """Return a sensor with its twin."""
+    """Return the model of a sensor, with its twin."""
     width_mm, height_mm = (2e3 * twin.half_m).tolist()
     width, height = twin.size_px
     gel_mm = 1e3 * float(twin.shape[Fitted.GEL])
@@ -163,28 +163,28 @@ def model_of(twin: Twin, name: str) -> SensorModel:
 
 
 def _first_fit(recordings: Recordings, start: SensorModel) -> Fit:
-    """Return a fit that begins with poses as they were stated, or as they are found."""
+    """Return a fit that starts from the stated poses; from matched ones if these are missing or far off."""
     places = recordings.places()
     if places is not None:
         assert recordings.sensor_m is not None, "places follow from it"
         stated = partial(rounds_of_fit.start_fit, recordings, places, recordings.sensor_m[:, 2], start)
         if not matching.are_off(stated()):
             return stated()
-    found, likely = matching.matched_places(recordings, start, places)
-    fit = rounds_of_fit.start_fit(recordings, found[:, :3], None, start)
-    for touch, at in enumerate(found):
+    matched, likely = matching.matched_places(recordings, start, places)
+    fit = rounds_of_fit.start_fit(recordings, matched[:, :3], None, start)
+    for touch, at in enumerate(matched):
         matching.place_touch(fit, touch, at)
     fit.likely = likely
     return fit
 
 
 def _residual_levels(twin: Twin, fit: Fit) -> float:
-    """Return what the depth that is read leaves of an image, levels: the median over touches."""
+    """Return the error of images rendered from the depth read in them: RMS in levels, median over touches."""
     optics, sensor = TwinOptics(twin, lens=False), model_of(twin, "twin").sensor
-    left = []
+    errors = []
     for touch in np.flatnonzero(fit.used):
         image = fit.recordings.images[touch]
         depth_m = sensor.gel_m - read_depth(twin, image[None]).depth_m.astype(np.float64)
-        shown = 255 * optics.shades(depth_m, sensor, twin.size_px)[0]
-        left.append(float(np.sqrt(np.mean((image - shown) ** 2))))
-    return float(np.median(left))
+        rendered = 255 * optics.shades(depth_m, sensor, twin.size_px)[0]
+        errors.append(float(np.sqrt(np.mean((image - rendered) ** 2))))
+    return float(np.median(errors))

@@ -1,10 +1,10 @@
 """Fits geometry, response and poses of a twin to touches of known solids.
 
 For a fixed geometry, an image is linear in the coefficients of the response. They are eliminated from each
-Gauss-Newton step (variable projection: Golub and Pereyra, Inverse Problems 19, 2003), which moves what is
-left: the geometry, and of each touch the point under the sensor, the turn and the press depth. Sums are taken
-touch by touch, so memory does not grow with their number. The blur of the camera is left out of the normal
-matrix of the coefficients alone, which makes their steps shorter and leaves where they end.
+Gauss-Newton step (variable projection: Golub and Pereyra, Inverse Problems 19, 2003), which moves the other
+unknowns: the geometry, and for each touch the point under the sensor, the turn and the press depth. Sums are
+taken touch by touch, so memory hardly grows with their number. The normal matrix of the coefficients leaves
+out the blur of the camera. This shortens their steps and does not change where they converge.
 """
 
 from __future__ import annotations
@@ -25,30 +25,31 @@ if TYPE_CHECKING:
 
 COEFFICIENTS = gel_kernels.ENTRIES * gel_kernels.PLACES
 _SHARED, _OWN = len(Fitted), 4
-# Steps of the differences by which derivatives are taken, and how far from the guess values are expected.
+# Steps of the finite differences for derivatives, and expected deviations from the guess.
 _SHAPE_STEP = np.array([0.004, 0.004, 0.01, 3e-5, 5e-5, 1.5e-5, 0.03, 2e-5])
 _SHAPE_SPREAD = np.array([0.15, 0.15, 0.05, 2e-3, 4e-4, 4e-5, 0.15, 5e-5])
 _POSE_STEP = np.array([6e-5, 6e-5, 0.008, 3e-5])
-_SQUARE = 0.001  # how much the shape of a pixel is expected to differ from that of the guess
-_HUBER = 3.0  # residuals beyond so many noise levels weigh less: dust, layer lines, shadows
+_ASPECT_SPREAD = 0.001  # expected relative deviation of the aspect ratio of a pixel from the guess
+_HUBER = 3.0  # residuals beyond this multiple of the noise weigh less: dust, layer lines, shadows
 _FIRST_NOISE, _MIN_NOISE = 10.0, 0.3  # levels
-_DARK, _BRIGHT = 1, 254  # levels from which a pixel counts as saturated
-# Curvature of the table, and how much its terms of the place are held back.
+_DARK, _BRIGHT = 1, 254  # levels at and beyond which a pixel counts as saturated
+# Weights of the penalty: of the terms of the position, of the entries of steepness and of depth.
 _PLACE_COST = np.array([1.0, 3.0, 3.0, 6.0, 6.0, 6.0])
 _ENTRY_COST, _DEPTH_COST, _NO_SHADOWS_COST = 1e-4, 0.1, 1e3
-_SHARES = (1.0, 0.5, 0.25, 0.125)  # of a step, the first of which makes the images no worse
-_NO_WORSE = 1.001
+_SHARES = (1.0, 0.5, 0.25, 0.125)  # of a step, tried until one makes the images no worse
+_NO_WORSE = 1.001  # ratio of the costs after and before
 ALIKE_PX = 200.0
-"""Pixels whose residuals are alike, so that they count as one."""
+"""Number of pixels whose residuals are correlated, so that they count as one."""
 
 RIDGES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
 
 
 def _penalty(depth_cost: float) -> Float64:
-    """Return the matrix that holds back what a response linear in the slopes does not need.
+    """Return the matrix that penalises deviations from a response that is linear in the slopes.
 
-    Such a response is a sine of the direction, and grows with the square of the step from 0 at rest: a dull
-    gel is lit so. Geometry that is fitted under a high ridge then fits most gels.
+    Such a response is a sine of the direction, and grows from 0 at rest with the square of the index of
+    steepness; matte gels respond like this. A geometry that is fitted with a high ridge therefore suits most
+    gels.
     """
     turns, steps = gel_kernels.TURNS, gel_kernels.STEPS
     directions = np.eye(turns)
@@ -63,16 +64,18 @@ def _penalty(depth_cost: float) -> Float64:
 
 
 def unsaturated(image: UInt8) -> Bool:
-    """Return which pixels (H, W) of an image are within the range of all colours."""
+    """Return which pixels (H, W) of an image are not saturated in any colour."""
     return np.asarray(((image > _DARK) & (image < _BRIGHT)).all(axis=-1))
 
 
 @dataclass(eq=False)
 class Fit:
-    """State of a fit: geometry, poses (N, 4: x, y, turn, what is added to the press depth) and response.
+    """State of a fit: geometry, poses and response.
 
-    ``guess_m`` are half of the sides of the image as guessed, ``level_m`` the height of the sensor at each
-    touch; ``spread`` states how far the poses are expected to be off.
+    ``shape`` is the geometry, by :class:`~tactile_sim.twin.gel.Fitted`. ``poses`` (N, 4) are x and y, metres,
+    the turn, radians, and a correction that is added to the press depth, metres; ``spread`` (N, 4) is how far
+    they are expected to be off. ``guess_m`` is the guess of half the width and half the height of the image,
+    ``level_m`` (N,) the height of the sensor at each touch, metres.
     """
 
     recordings: Recordings
@@ -96,18 +99,18 @@ class Fit:
         count = len(self.recordings)
         self.likely, self.used = np.ones(count, bool), np.ones(count, bool)
         self.rms = np.full(count, np.nan)
-        self.typical = np.zeros(count)
+        self.robust_std = np.zeros(count)
         self.shape_guess, self.pose_guess = self.shape.copy(), self.poses.copy()
         self.information = np.zeros((count, _OWN, _OWN))
         self.penalise(shadows=True)
-        self.look(1)
+        self.set_shrink(1)
 
     def penalise(self, *, shadows: bool) -> None:
-        """Continue with or without the response to the depth of the gel, which shows shadows."""
+        """Allow or suppress the response to the depth of the gel, which models shadows, in further steps."""
         self.penalty = _penalty(_DEPTH_COST if shadows else _NO_SHADOWS_COST)
 
-    def look(self, shrink: int) -> None:
-        """Continue with images that are smaller by a factor."""
+    def set_shrink(self, shrink: int) -> None:
+        """Shrink the images by a factor in further steps."""
         self.shrink = shrink
         width, height = (side // shrink for side in self.recordings.size_px)
         self.size = (height, width)
@@ -115,28 +118,29 @@ class Fit:
         self.noise = _FIRST_NOISE
 
     def image(self, touch: int) -> tuple[Float32, Bool]:
-        """Return an image in the present size, levels, and where it is not saturated."""
+        """Return an image in the current size, levels, and a mask of the pixels that are not saturated."""
         image = self.recordings.images[touch]
-        dull = unsaturated(image).astype(np.float32)
-        return shrunk(image.astype(np.float32), self.shrink), shrunk(dull, self.shrink) > 0.99
+        mask = unsaturated(image).astype(np.float32)
+        return shrunk(image.astype(np.float32), self.shrink), shrunk(mask, self.shrink) > 0.99
 
     def change(self, touch: int) -> float:
-        """Return how much an image differs from the gel at rest, levels."""
-        image, dull = self.image(touch)
-        return float(np.sqrt(np.mean((image - self.behind)[dull] ** 2))) + 1e-9
+        """Return how much an image differs from the gel at rest: RMS, levels."""
+        image, mask = self.image(touch)
+        return float(np.sqrt(np.mean((image - self.behind)[mask] ** 2))) + 1e-9
 
     def half_m(self, shape: Float64) -> Float64:
-        """Return half of width and height of the image, metres."""
+        """Return half the width and half the height of the image, metres."""
         return np.asarray(self.guess_m * np.exp(shape[: Fitted.LENS]))
 
     def pitch_m(self, shape: Float64) -> Float64:
-        """Return the size of a pixel in the present size, metres."""
+        """Return the size of a pixel along x and y in the current size of the images, metres."""
         return 2 * self.half_m(shape) / self.size[::-1]
 
     def indentation(self, touch: int, pose: Float64, shape: Float64, margin: int = 0) -> Float64:
-        """Return how far the solid reaches into the gel at rest, metres, in the present size.
+        """Return how far the solid reaches into the gel at rest, metres, in the current size of the images.
 
-        As it is seen through the lens; with a margin, as it is on the gel.
+        Without a margin, the map (H, W) is seen through the lens. With a margin, it is not, and has so many
+        pixels more on each side.
         """
         half, relief = self.half_m(shape), self.reliefs[int(self.recordings.object_ids[touch])]
         cosine, sine = np.cos(pose[2]), np.sin(pose[2])
@@ -164,24 +168,26 @@ class Fit:
         return gel.gel_surface(indentation_m, self.pitch_m(shape), shape, margin)
 
     def rendered(self, touch: int, pose: Float64, shape: Float64) -> Float32:
-        """Return how the image of a touch differs from the background, levels."""
+        """Return the rendered change of an image against the background, (H, W, 3), levels."""
         soft = self.surface(touch, pose, shape)
         return gel.response(soft, self.pitch_m(shape), shape, gel.response_table(self.coefficients))
 
     def residual(self, touch: int) -> tuple[Float32, Float32, Float32]:
-        """Return what is rendered, what is left of the image (H, W, 3), and the weights (H, W)."""
+        """Return the rendered change and the residuals (H, W, 3), levels, and the weights (H, W)."""
         base = self.rendered(touch, self.poses[touch], self.shape)
-        image, dull = self.image(touch)
-        left = image - self.behind - base
-        largest = np.abs(left).max(axis=-1)
-        # Saturated also where the twin goes beyond what an image can hold.
-        weights = np.where(dull, 1 / np.maximum(1, largest / (_HUBER * self.noise)), 0).astype(np.float32)
-        self.rms[touch] = np.sqrt(np.mean(left[dull] ** 2)) if dull.any() else np.nan
-        self.typical[touch] = 1.4826 * float(np.median(np.abs(left)))
-        return base, left, weights
+        image, mask = self.image(touch)
+        residuals = image - self.behind - base
+        largest = np.abs(residuals).max(axis=-1)
+        weights = np.where(mask, 1 / np.maximum(1, largest / (_HUBER * self.noise)), 0).astype(np.float32)
+        self.rms[touch] = np.sqrt(np.mean(residuals[mask] ** 2)) if mask.any() else np.nan
+        self.robust_std[touch] = 1.4826 * float(np.median(np.abs(residuals)))
+        return base, residuals, weights
 
     def step(self, moving: tuple[Fitted, ...] = ()) -> float:
-        """Take a step and return how far the geometry moved; poses move if any of the geometry does."""
+        """Take a step and return how far the geometry moved, in parts of its expected spread.
+
+        The response always changes. If any of the geometry is ``moving``, the poses move too.
+        """
         sums = _Sums(len(self.poses))
         cost = sum(self._add(sums, touch, moving) for touch in np.flatnonzero(self.used).tolist())
         before = self.shape, self.poses, self.coefficients
@@ -196,8 +202,8 @@ class Fit:
             )
             if self._cost() <= _NO_WORSE * cost:
                 break
-        self.noise = max(float(np.median(self.typical[self.used])), _MIN_NOISE)
-        # A press that is deeper in all touches is a thicker gel.
+        self.noise = max(float(np.median(self.robust_std[self.used])), _MIN_NOISE)
+        # If all touches are pressed in deeper, the gel is thicker.
         common_m = float(self.poses[self.used, 3].mean())
         if Fitted.GEL in moving:
             self.shape[Fitted.GEL] += common_m
@@ -205,17 +211,17 @@ class Fit:
         return float(shift)
 
     def _cost(self) -> float:
-        """Return the weighted squares of what is left of the images."""
+        """Return the weighted sum of squared residuals of all used touches."""
         total = 0.0
         for touch in np.flatnonzero(self.used).tolist():
-            _, left, weights = self.residual(touch)
-            total += _weighted_square(left, weights)
+            _, residuals, weights = self.residual(touch)
+            total += _weighted_square(residuals, weights)
         return total
 
     def _add(self, sums: _Sums, touch: int, moving: tuple[Fitted, ...]) -> float:
-        """Add a touch to the sums of a step, and return the weighted squares of what is left of its image."""
-        base, left, weights = self.residual(touch)
-        columns, places = [left], []
+        """Add a touch to the sums of a step, and return its weighted sum of squared residuals."""
+        base, residuals, weights = self.residual(touch)
+        columns, places = [residuals], []
         if moving:
             for each in moving:
                 shape = self.shape.copy()
@@ -231,37 +237,37 @@ class Fit:
         seen = gel.seen_features(self.surface(touch, self.poses[touch], self.shape), pitch_m, self.shape)
         blur_px = self.shape[Fitted.BLUR] / pitch_m
         sums.add(seen, weights, np.stack(columns, axis=2, dtype=np.float32), places, blur_px)
-        return _weighted_square(left, weights)
+        return _weighted_square(residuals, weights)
 
     def refresh_background(self) -> None:
-        """Average what touches show of the background, in full size, with the images without contact."""
+        """Average the images without contact and the touches less their rendered change, in full size."""
         assert self.shrink == 1, "the background has the size of the images"
-        held = self.recordings.backgrounds
+        backgrounds = self.recordings.backgrounds
         total = np.zeros((*self.size, 3))
         share = np.full((*self.size, 1), 1e-6)
-        if held.size:
-            total += held.sum(axis=0, dtype=np.float64)
-            share += len(held)
+        if backgrounds.size:
+            total += backgrounds.sum(axis=0, dtype=np.float64)
+            share += len(backgrounds)
         else:
             total += 1e-6 * self.background
         for touch in np.flatnonzero(self.used):
             base = self.rendered(int(touch), self.poses[touch], self.shape)
-            image, dull = self.image(int(touch))
-            # A response is known to about a twelfth.
+            image, mask = self.image(int(touch))
+            # The response is known to about 8 %.
             far = 0.08 * np.abs(base).max(axis=-1, keepdims=True) / self.noise
-            weight = dull[..., None] / (1 + far * far)
+            weight = mask[..., None] / (1 + far * far)
             total += weight * (image - base)
             share += weight
         self.background = (total / share).astype(np.float32)
         self.behind = self.background
 
     def choose_ridge(self) -> None:
-        """Choose the ridge that serves every fifth touch best when it is fitted to the others."""
+        """Choose the ridge with which a fit to the other touches predicts every fifth touch best."""
         parts = [_Sums(len(self.poses)), _Sums(len(self.poses))]
         for number, touch in enumerate(np.flatnonzero(self.used)):
             self._add(parts[number % 5 == 4], int(touch), ())
-        train, held = parts
-        if not (train.weight and held.weight):
+        train, held_out = parts
+        if not (train.weight and held_out.weight):
             return
         before = self.coefficients.reshape(COEFFICIENTS, 3)
         errors = []
@@ -269,12 +275,14 @@ class Fit:
             cost = ridge * train.scale * self.penalty
             factor = scipy.linalg.cho_factor(train.full() + cost, lower=True, check_finite=False)
             change = scipy.linalg.cho_solve(factor, train.products[:, 0] - cost @ before, check_finite=False)
-            errors.append(np.sum(change * (held.full() @ change)) - 2 * np.sum(change * held.products[:, 0]))
+            errors.append(
+                np.sum(change * (held_out.full() @ change)) - 2 * np.sum(change * held_out.products[:, 0])
+            )
         self.ridge = RIDGES[int(np.argmin(errors))]
 
 
 class _Sums:
-    """Sums of a step over touches: normal matrices of coefficients, of geometry with poses, and between."""
+    """Sums of a step over touches: normal equations of the coefficients, and of the geometry and poses."""
 
     def __init__(self, count: int) -> None:
         many = _SHARED + _OWN * count
@@ -286,17 +294,17 @@ class _Sums:
 
     @property
     def scale(self) -> float:
-        """Pixels for each entry of the tables."""
+        """Weighted number of pixels for each entry of the tables."""
         return self.weight / gel_kernels.ENTRIES
 
     def full(self) -> Float64:
-        """Return both halves of the normal matrix of the coefficients."""
+        """Return the normal matrix of the coefficients with both of its triangles."""
         return np.asarray(self.normal + np.tril(self.normal, -1).T)
 
     def add(
         self, seen: gel.Seen, weights: Float32, columns: Float32, places: list[int], blur_px: Float64
     ) -> None:
-        """Add a touch: ``columns`` (H, W, 1 + m, 3) are what is left and derivatives, of ``places``."""
+        """Add a touch: ``columns`` (H, W, 1 + m, 3) are the residuals, and derivatives by the ``places``."""
         height, width, many, _ = columns.shape
         gel_kernels.add_normal(self.normal, *seen, weights)
         found = np.zeros((COEFFICIENTS, many * 3))
@@ -314,7 +322,7 @@ class _Sums:
             self.slope[places] += square[1:, 0]
 
     def solve(self, fit: Fit, moving: tuple[Fitted, ...]) -> Float64:
-        """Change the response of a fit, and return how its geometry and poses move."""
+        """Update the response of a fit, and return the moves of its geometry and poses."""
         penalty = fit.ridge * self.scale * fit.penalty
         before = fit.coefficients.reshape(COEFFICIENTS, 3)
         factor = scipy.linalg.cho_factor(self.full() + penalty, lower=True, check_finite=False)
@@ -330,14 +338,14 @@ class _Sums:
             matrix = self.moves - flat @ answer[1:].T
             slope = self.slope - flat @ answer[0]
             moved = self._moved(fit, matrix, slope, moving)
-        # Where images are far from linear, a step may lead far astray.
+        # Images are not linear in the geometry: no part of it moves by more than its expected spread.
         moved /= max(float(np.abs(moved[:_SHARED] / _SHAPE_SPREAD).max()), 1.0)
         change = solved[:, 0] - np.einsum("cmk,m->ck", solved[:, 1:], moved)
         fit.coefficients = (before + change).reshape(fit.coefficients.shape)
         return moved
 
     def _moved(self, fit: Fit, matrix: Float64, slope: Float64, moving: tuple[Fitted, ...]) -> Float64:
-        # What is left is alike over patches: slopes that the table does not hold, shadows, blocks of JPEG.
+        # Residuals are correlated over patches: slopes beyond the table, shadows, blocks of JPEG.
         variance = ALIKE_PX * fit.noise**2
         own = [
             _SHARED + _OWN * int(touch) + each for touch in np.flatnonzero(fit.used) for each in range(_OWN)
@@ -346,27 +354,27 @@ class _Sums:
             at = slice(_SHARED + _OWN * int(touch), _SHARED + _OWN * int(touch) + _OWN)
             fit.information[touch] = matrix[at, at] / variance
         expected = np.concatenate([_SHAPE_SPREAD, fit.spread.ravel()])
-        away = np.concatenate([fit.shape - fit.shape_guess, (fit.poses - fit.pose_guess).ravel()])
+        deviation = np.concatenate([fit.shape - fit.shape_guess, (fit.poses - fit.pose_guess).ravel()])
         matrix = matrix + np.diag(variance / expected**2)
-        slope = slope - variance / expected**2 * away
-        square = np.zeros(len(slope))
-        square[[Fitted.WIDE, Fitted.HIGH]] = 1.0, -1.0
-        matrix += variance / _SQUARE**2 * np.outer(square, square)
-        slope -= variance / _SQUARE**2 * (square @ away) * square
+        slope = slope - variance / expected**2 * deviation
+        aspect = np.zeros(len(slope))
+        aspect[[Fitted.WIDE, Fitted.HIGH]] = 1.0, -1.0
+        matrix += variance / _ASPECT_SPREAD**2 * np.outer(aspect, aspect)
+        slope -= variance / _ASPECT_SPREAD**2 * (aspect @ deviation) * aspect
         active = np.array([*map(int, moving), *own])
         moved = np.zeros(len(slope))
         moved[active] = np.linalg.solve(matrix[np.ix_(active, active)], slope[active])
         return moved
 
 
-def _weighted_square(left: Float32, weights: Float32) -> float:
-    return float(np.sum(weights[..., None] * left * left, dtype=np.float64))
+def _weighted_square(residuals: Float32, weights: Float32) -> float:
+    return float(np.sum(weights[..., None] * residuals * residuals, dtype=np.float64))
 
 
 def shrunk(image: Float32, factor: int) -> Float32:
-    """Return an image (H, W) or (H, W, k), smaller by a factor: means of squares."""
+    """Return an image (H, W) or (H, W, k), smaller by a factor: means over blocks of pixels."""
     if factor == 1:
         return image
     height, width = (side // factor for side in image.shape[:2])
-    squares = image[: height * factor, : width * factor].reshape(height, factor, width, factor, -1)
-    return np.asarray(squares.mean(axis=(1, 3)), np.float32).reshape(height, width, *image.shape[2:])
+    blocks = image[: height * factor, : width * factor].reshape(height, factor, width, factor, -1)
+    return np.asarray(blocks.mean(axis=(1, 3)), np.float32).reshape(height, width, *image.shape[2:])

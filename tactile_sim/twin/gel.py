@@ -1,9 +1,10 @@
-"""The gel of a twin: where the solid holds it, it takes its shape; around that it leaves it smoothly.
+"""The gel of a twin: it has the shape of the solid in contact, and leaves it smoothly around the contact.
 
 As in Taxim (Si and Yuan, IEEE Robotics and Automation Letters 7 (2), 2022, section IV), the gel is blurred by
-Gaussians of falling width, and after each of them takes the shape of the solid again where it is in contact.
-Here the greatest width, the last one, and the share of the press depth from which the solid is in contact are
-fitted, and the edge of the contact is as wide as a pixel, so that images change smoothly with all of them.
+Gaussians of falling width. After each but the last of them, it takes the shape of the solid again where it is
+in contact. Here, the greatest width, the last width, and the share of the press depth from which the solid is
+in contact are fitted. The edge of the contact is about as wide as a pixel, so that images change smoothly
+with all of them.
 """
 
 from __future__ import annotations
@@ -21,23 +22,24 @@ from tactile_sim.twin.surface_kernels import Blur
 from tactile_toolkit.arithmetic import exp_neg
 from tactile_toolkit.array_types import Float32, Float64, Floating, Int64
 
-_WIDTHS = 6  # Taxim has as many, each about half of the one before it
-_REACH = 4.0  # standard deviations of the gel's kernels
-# Standard deviations from which a map is halved before it is blurred, and halved again: the edge at which a
-# smaller map is mirrored lies farther off.
+_WIDTHS = 6  # as in Taxim, each about half of the previous one
+_REACH = 4.0  # of the gel's kernels, in standard deviations
+# Standard deviations in pixels from which a map is halved before it is blurred, and from which it is halved
+# again: a smaller map is mirrored at an edge that lies farther away.
 _HALVED_PX = (3.7, 7.0)
 _CAMERA_REACH = 3.0
 _MIN_RIM_M = 1e-6
 _MARGIN = 0.12  # of the width of an image
-_EDGE = 0.7  # press depth in which the contact begins, in pixels: slopes there are about 1
+_EDGE = 0.7  # range of depth in which contact begins, in pixels: slopes there are about 1
 
 
 class Fitted(IntEnum):
-    """Places of the geometry of a twin in a vector.
+    """Indices of the values of a geometry in its vector.
 
-    Logarithms of the sides of the image over those of the first guess; the radial term of the lens; thickness
-    of the gel, greatest width of its blur, last width, metres; share of the press depth from which the solid
-    is in contact; blur of the camera, metres on the gel.
+    ``WIDE`` and ``HIGH`` are the logarithms of the sides of the image over those of the first guess, ``LENS``
+    is the radial term of the lens, ``GEL`` the thickness of the gel, ``WIDTH`` the greatest width of its blur
+    and ``LAST`` the last one, metres; ``CONTACT`` is the share of the press depth from which the solid is in
+    contact, ``BLUR`` the blur of the camera, metres on the gel.
     """
 
     WIDE = 0
@@ -52,17 +54,17 @@ class Fitted(IntEnum):
 
 LEAST = np.array([-1.0, -1.0, -0.3, 1e-4, 1e-4, 1e-5, 0.05, 1e-6])
 MOST = np.array([1.0, 1.0, 0.3, 0.05, 5e-3, 5e-4, 0.95, 5e-4])
-"""Bounds of a geometry."""
+"""Least and greatest values of a geometry."""
 
 WHOLE = np.ones(2)
 """Share of the image, along x and y, of a map that shows all of it."""
 
 Seen: TypeAlias = tuple[Int64, Float32]
-"""Entries of the response that each pixel takes part in, and their shares."""
+"""Entries of the response that each pixel depends on, and their shares."""
 
 
 def half_kernel(sigma_px: float, longest: int, reach: float = _CAMERA_REACH) -> Float64:
-    """Return half of a Gaussian kernel from the middle on, of at most ``longest`` weights."""
+    """Return half of a Gaussian kernel, from the middle outwards, with at most ``longest`` weights."""
     taps = min(int(np.ceil(reach * sigma_px)) + 1, longest)
     place = np.arange(max(taps, 1)) / max(sigma_px, 1e-3)
     weights = exp_neg(0.5 * place * place)
@@ -73,7 +75,7 @@ def half_kernel(sigma_px: float, longest: int, reach: float = _CAMERA_REACH) -> 
 
 
 def margin_px(width_px: int) -> int:
-    """Return how many pixels beyond an image its gel is followed: what is pressed in there pulls at it."""
+    """Return by how many pixels the gel extends beyond the image: indentations there deform it inside."""
     return round(_MARGIN * width_px)
 
 
@@ -88,7 +90,7 @@ def gel_surface(
     """
     sigmas_m = [*(shape[Fitted.WIDTH] * 0.5 ** np.arange(_WIDTHS)), shape[Fitted.LAST]]
     blurs = tuple(gel_blur(sigma_m / pitch_m, indentation_m.shape) for sigma_m in sigmas_m)
-    # Without the lens, slopes need the pixels of the image alone.
+    # Pixels around the image that are seen: two, and more through a lens with a positive term.
     bent = 0.0 if shape[Fitted.LENS] < 0 else shape[Fitted.LENS]
     seen = 2 + int(bent * max(indentation_m.shape) / 2)
     insets = []
@@ -103,10 +105,10 @@ def gel_surface(
 def own_surface(
     pressed_m: Floating, pitch_m: Float64, shape: Float64, margin: int = 0, span: Float64 = WHOLE
 ) -> Float32:
-    """Return the surface of an elastic gel as it is seen; arguments are as of :func:`gel_surface`.
+    """Return the surface of an elastic gel as it is seen; the arguments are those of :func:`gel_surface`.
 
-    ``pressed_m`` is how far the gel itself is pressed in, negative where it rises; only the last blur, which
-    is of the skin of the gel, is added.
+    ``pressed_m`` is how far the gel itself is pressed in, negative where it rises; only the last blur, that
+    of the skin of the gel, is applied.
     """
     soft = np.asarray(-pressed_m, np.float32, order="C")
     surface_kernels.soften(soft, soft, gel_blur(shape[Fitted.LAST] / pitch_m, soft.shape), 0)
@@ -127,7 +129,7 @@ def seen_through(
 
 
 def _across_of(pitch_m: Float64, size: tuple[int, ...], span: Float64) -> float:
-    """Return the share of the width in the square of the diagonal of the image, of a part of it (H, W)."""
+    """Return the squared width over the squared diagonal of an image of which a part (H, W) is shown."""
     wide, high = size[1] * pitch_m[0] / span[0], size[0] * pitch_m[1] / span[1]
     return float(wide * wide / (wide * wide + high * high))
 
@@ -136,7 +138,7 @@ def _across_of(pitch_m: Float64, size: tuple[int, ...], span: Float64) -> float:
 def _blur(sigma_px: tuple[float, float], size: tuple[int, int], reach: float, halved_px: float) -> Blur:
     (sigma_x, sigma_y), (rows, columns), halvings = sigma_px, size, 0
     while min(sigma_x, sigma_y) >= halved_px and columns >= 2 * taxim_kernels.LANES:
-        # Halving and doubling blur too, each by 3 / 4 of a square pixel.
+        # Halving and doubling blur too: each has a variance of 3 / 4 square pixels.
         sigma_x, sigma_y = (np.sqrt(sigma * sigma - 1.5) / 2 for sigma in (sigma_x, sigma_y))
         rows, columns, halvings = (rows + 1) // 2, (columns + 1) // 2, halvings + 1
         halved_px = _HALVED_PX[1]
@@ -145,12 +147,12 @@ def _blur(sigma_px: tuple[float, float], size: tuple[int, int], reach: float, ha
 
 
 def gel_blur(sigma_px: Float64, size: tuple[int, ...]) -> Blur:
-    """Return kernels of a blur of the gel, by standard deviations along x and y."""
+    """Return the kernels of a blur of the gel from its standard deviations along x and y."""
     return _blur((float(sigma_px[0]), float(sigma_px[1])), (size[0], size[1]), _REACH, _HALVED_PX[0])
 
 
 def view_of(soft: Float32, pitch_m: Float64, shape: Float64, span: Float64 = WHOLE) -> SurfaceView:
-    """Return how a surface is seen, by a lens as that of ``shape``."""
+    """Return how a surface is seen through the lens of ``shape``."""
     rim_m = max(-float(shape[Fitted.CONTACT] * soft.min()), _MIN_RIM_M)
     (pitch_x, pitch_y), (span_x, span_y) = pitch_m.tolist(), span.tolist()
     across = _across_of(pitch_m, soft.shape, span)
@@ -158,7 +160,7 @@ def view_of(soft: Float32, pitch_m: Float64, shape: Float64, span: Float64 = WHO
 
 
 def seen_features(soft: Float32, pitch_m: Float64, shape: Float64) -> Seen:
-    """Return which entries of the response each pixel of a surface takes part in."""
+    """Return the entries of the response that each pixel of a surface depends on, and their shares."""
     entries = np.empty((soft.size, gel_kernels.ACTIVE), np.int64)
     shares = np.empty(entries.shape, np.float32)
     gel_kernels.features(soft, view_of(soft, pitch_m, shape), entries, shares)
@@ -166,7 +168,7 @@ def seen_features(soft: Float32, pitch_m: Float64, shape: Float64) -> Seen:
 
 
 def response_table(coefficients: Floating) -> Float32:
-    """Return coefficients (ENTRIES, PLACES, 3) as :func:`response` takes them."""
+    """Return coefficients (ENTRIES, PLACES, 3) in the layout of :func:`response`, (3, ENTRIES * LANES)."""
     table = np.zeros((3, len(coefficients), taxim_kernels.LANES), np.float32)
     # Terms are 1, x, y, x^2, x y, y^2: by the power of y first, then by that of x, then by colour.
     for place, (power_y, power_x) in enumerate(((0, 0), (0, 1), (1, 0), (0, 2), (1, 1), (2, 0))):

@@ -1,9 +1,9 @@
 """Kernels of the twin, in numba: reliefs seen by the sensor, its response to slopes, and normal equations.
 
-The response of a colour is a table over direction and steepness of the slope of the gel, whose entries are
-quadratic in the place in the image, and the same over direction and depth of the gel, which shows where the
-rim of a contact casts shadows. A pixel lies between four entries of each table, which share it bilinearly.
-Where the gel is level, nothing changes.
+The response of a colour is the sum of two tables: one over direction and steepness of the slope of the gel,
+and one over direction and depth of the gel, which models the shadows of the rim of a contact. Their entries
+are quadratic in the position in the image. A pixel interpolates bilinearly between four entries of each
+table. Where the gel is level, the image does not change.
 """
 
 from __future__ import annotations
@@ -25,28 +25,29 @@ STEEPEST = 0.6
 """Tangent of half of the angle of the steepest slope in the table: 62 degrees."""
 
 DEEPEST = 9 / 7
-"""Greatest depth in the table, in parts of that at which the contact begins."""
+"""Greatest depth in the table, as a multiple of the depth at which the contact begins."""
 
 _LEVEL = 1e-5
-"""Slope below which the gel is at rest, as in Taxim."""
+"""Slope below which the gel counts as at rest, as in Taxim."""
 
-_BOW = 0.273  # angles of up to 45 degrees are ratio * (pi / 4 + _BOW (1 - ratio)) to 0.004
+_BOW = 0.273  # atan(ratio) is ratio * (pi / 4 + _BOW (1 - ratio)) within 0.004 for ratios up to 1
 
 PLACES = 6
 """Terms of an entry: 1, x, y, x^2, x y, y^2, where x and y go from -1 to 1 across the image."""
 
 ENTRIES = TURNS * 2 * STEPS
-"""Entries in all: for each direction, those of steepness, and those of depth."""
+"""Number of entries: for each direction, those of steepness and then those of depth."""
 
 ACTIVE = 8
-"""Entries that a pixel takes part in."""
+"""Number of entries that a pixel depends on."""
 
 
 class SurfaceView(NamedTuple):
     """How a surface is seen.
 
-    Sizes of a pixel, metres; shares of the image that are shown, along x and y; the radial term of the lens;
-    the share of the width in the square of the diagonal; the depth at which the contact begins, metres.
+    The fields are the size of a pixel, metres; the share of the image that is shown, along x and y; the
+    radial term of the lens; the squared width of the image over its squared diagonal; and the depth at which
+    the contact begins, metres.
     """
 
     pitch_x: float
@@ -65,10 +66,11 @@ def sample_relief(
     """Write how far a relief rises above a level, 0 where it does not.
 
     ``out``, shape (H, W), first row at the greatest y; ``relief``, shape (rows, columns), heights in metres,
-    first row at the least y, continued by its edge; ``corner`` x and y of its first point and the distances
-    of its points along x and y, metres. Pixels lie at -1 to 1 across the image, times ``span``, which is less
-    than 1 for a part of it, with y upwards. ``lens`` is the radial term of the camera: at the corners of the
-    image, positions are farther out by this share. ``affine``, shape (2, 3), maps a position to x and y.
+    first row at the least y, with the values of its edge repeated outside; ``corner`` x and y of its first
+    point and the distances of its points along x and y, metres. Pixels lie at -1 to 1 across the image, times
+    ``span``, which is less than 1 for a part of it, with y upwards. ``lens`` is the radial term of the lens:
+    at the corners of the image, positions are farther out by this share. ``affine``, shape (2, 3), maps a
+    position to x and y.
     """
     rows, columns = out.shape
     high, wide = relief.shape
@@ -110,7 +112,7 @@ def _row_places(places: Float32, soft: Float32, row: int, view: SurfaceView) -> 
     """Write where in the tables the pixels of a row lie, (3, W): direction, steepness, depth.
 
     Directions are -1 where the gel is at rest. Slopes are those on the gel, not those seen through the lens.
-    All in single precision, without branches: several pixels are computed at once.
+    Single precision and no branches: several pixels are computed at once.
     """
     rows, columns = soft.shape
     zero, one, two = np.float32(0.0), np.float32(1.0), np.float32(2.0)
@@ -159,7 +161,7 @@ def _row_places(places: Float32, soft: Float32, row: int, view: SurfaceView) -> 
 
 @compiled
 def features(soft: Float32, view: SurfaceView, entries: Int64, shares: Float32) -> None:
-    """Write the entries that each pixel takes part in, and their shares: 0 where the gel is at rest.
+    """Write the entries that each pixel depends on, and their shares: 0 where the gel is at rest.
 
     ``soft``, shape (H, W), is the height of the gel, metres, 0 where it is at rest and negative where it is
     pressed in. ``entries`` and ``shares`` have the shape (H W, ACTIVE).
@@ -196,7 +198,7 @@ def _terms(terms: Float64, at: int, rows: int, columns: int, span: Float64) -> N
 
 @compiled
 def add_normal(normal: Float64, entries: Int64, shares: Float32, weights: Float32) -> None:
-    """Add the weighted products of coefficients to the normal matrix ; each pair once."""
+    """Add the weighted products of pairs of features to the normal matrix of coefficients, each pair once."""
     rows, columns = weights.shape
     terms, count, span = np.empty(PLACES), ACTIVE * PLACES, np.ones(2)
     values, places = np.empty(count), np.empty(count, np.int64)
@@ -217,7 +219,7 @@ def add_normal(normal: Float64, entries: Int64, shares: Float32, weights: Float3
 
 @compiled
 def add_products(out: Float64, entries: Int64, shares: Float32, given: Float32) -> None:
-    """Add the products of coefficients and given columns (H, W, m) to ``out`` (coefficients, m)."""
+    """Add the products of features and given columns (H, W, m) to ``out`` (coefficients, m)."""
     rows, columns, many = given.shape
     terms, span = np.empty(PLACES), np.ones(2)
     for at in range(len(entries)):
@@ -234,13 +236,13 @@ def add_products(out: Float64, entries: Int64, shares: Float32, given: Float32) 
 
 @compiled
 def render_response(out: Float32, soft: Float32, view: SurfaceView, table: Float32) -> None:
-    """Write the response of a surface (H, W), flat and with a value more, from coefficients and features.
+    """Write the response of a surface (H, W), flat and with one more value, from its coefficients.
 
     ``table`` (3, ENTRIES * LANES) has the terms of each entry without y, with y, and with y^2; see
-    :func:`mix_entries`. They are summed once for a whole row. Pixels at rest are passed over.
+    :func:`mix_entries`. They are summed once for each row. Pixels at rest remain 0.
     """
     rows, columns = soft.shape
-    # The first direction comes again after the last one.
+    # The first direction is repeated after the last one.
     turn, size = 2 * STEPS * LANES, ENTRIES * LANES
     lines = np.empty(size + turn, np.float32)
     places, parts = np.empty((3, columns), np.float32), np.empty((4, columns), np.float32)
@@ -272,5 +274,5 @@ def render_response(out: Float32, soft: Float32, view: SurfaceView, table: Float
             if places[0, column] >= 0.0:
                 at = 3 * (row * columns + column)
                 mix_entries(out, at, lines, steeps[column], deeps[column], turn, shares, column, columns)
-                # The fourth colour belongs to the next pixel.
+                # The fourth colour is a value of the next pixel.
                 out[at + 3] = np.float32(0.0)

@@ -1,6 +1,6 @@
-"""Steps of the gel on vectors of numbers, in LLVM's instructions, which numba does not use by itself.
+"""Steps of the gel on vectors of numbers, in instructions of LLVM that numba does not emit by itself.
 
-Each operation is an IEEE one, in the order in which it is written.
+Each operation is one of IEEE 754, in the written order.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def _hold_pixels(
     begin: types.Type,
     per_edge: types.Type,
 ) -> tuple[Signature, Build]:
-    """Move :data:`LANES` values of ``out`` to those of ``held``, where these are deep; float32 and flat.
+    """Move :data:`LANES` values of ``out`` towards those of ``held`` where these are deep; both flat float32.
 
     In plain numba::
 
@@ -120,9 +120,9 @@ def _mix_entries(
 ) -> tuple[Signature, Build]:
     """Write four colours of a pixel, the last one 0, from eight entries of a table, all float32 and flat.
 
-    Entries have :data:`LANES` values: four colours without x, with x, with x^2, and four 0. Those of a
-    direction begin ``turn`` values before those of the next one. Shares of the next direction, of the next
-    steepness and of the next depth, and x, lie ``apart`` in ``shares`` from ``first`` on. In plain numba::
+    Entries have :data:`LANES` values: four colours without x, with x, with x^2, and four 0. The entries of a
+    direction begin ``turn`` values before those of the next direction. From ``first`` on, every ``apart``-th
+    value of ``shares`` is the share of the next direction, steepness and depth, and x. In plain numba::
 
         far, fi, fj, x = shares[first : first + 4 * apart : apart]
         term = np.empty(LANES, np.float32)

@@ -1,10 +1,11 @@
-"""Finds where touches without poses were.
+"""Find the poses of touches that were recorded without poses.
 
-Places on the solid are searched whose slopes explain an image, whatever the colours. True places agree about
-the colours, wrong ones do not: the colours that explain most of all images decide. With them, the touches
-whose place stands out give a first twin, by which more touches are found, and so on. A touch that fits badly,
-or as well in another place, is left out. On a straight stroke only the layers of the print and the lens tell
-places apart; the fit reports such directions.
+The search first looks for places on the solid whose slopes explain an image with any colours. True places
+agree on the colours of slopes and wrong places do not, so the colours that explain the most over all images
+are chosen. With these colours, the touches whose place stands out give a first twin, which locates more
+touches, and so on. A touch is left out if it fits badly, or fits almost as well in another place. Along a
+straight stroke, only the layers of the print and the lens distinguish places; the fit reports such
+directions.
 """
 
 from __future__ import annotations
@@ -30,14 +31,15 @@ from tactile_sim.twin.recordings import Recordings
 from tactile_sim.twin.rounds_of_fit import start_fit
 from tactile_toolkit.array_types import Bool, Float32, Float64
 
-_SEARCH_PX, _FIT_PX = 40, 80  # widths of the images that are searched, and fitted
-_HYPOTHESES, _FINALISTS = 25, 8  # colours that each touch proposes, and that are refined
-_TIMES = 6
+_SEARCH_PX, _FIT_PX = 40, 80  # widths of the images in the search and in the fit
+_HYPOTHESES, _FINALISTS = 25, 8  # colours that each touch proposes, and colours that are refined
+_COLOUR_STEPS = 6
 _RIDGE_OF_COLOURS = 0.03
-_PRESSES = ((0.75,), (0.75, 1.4), (0.5, 0.9, 1.8))  # tried in each round, in parts of the usual press depth
-_SEEDS = 5
-_OFF = 0.4  # share of the change of images that is left: 0.15 to 0.3 with poses off by 0.5 mm, 0.5 by 1 mm
-_LEARNING = 4
+_PRESSES = ((0.75,), (0.75, 1.4), (0.5, 0.9, 1.8))  # of each round, as fractions of the usual press depth
+_SEEDS = 5  # touches to which the first twin is fitted
+# Unexplained share of the change of an image: 0.15 to 0.3 if poses are off by 0.5 mm, 0.5 if by 1 mm.
+_MAX_UNEXPLAINED = 0.4
+_GEOMETRY_STEPS = 4
 _GEOMETRY = (
     Fitted.WIDE,
     Fitted.HIGH,
@@ -45,39 +47,40 @@ _GEOMETRY = (
     Fitted.WIDTH,
     Fitted.CONTACT,
 )
-_USUAL = 0.9  # part of the press depth that is tried first
-_RIDGES = (0.1, 0.03, 0.01)  # of each round; what few touches do not show follows from what they show
-_TRIED, _GOOD = 16, 5  # places of a touch that are refined by two steps, and further
-_STEP = np.array([6e-5, 6e-5, 0.008, 3e-5])
-_FARTHEST = np.array([1e-3, 1e-3, 0.1, 4e-4])  # of one step
-_SPREAD = np.array([1.5e-3, 1.5e-3, 0.12, 8e-4])
+_FIRST_PRESS = 0.9  # press depth that is tried first, as a fraction of the usual one
+_RIDGES = (0.1, 0.03, 0.01)  # of each round: a high ridge extends what few touches show
+_TRIED, _GOOD = 16, 5  # places of a touch that are refined by two steps, and by more steps
+_DIFFERENCE = np.array([6e-5, 6e-5, 0.008, 3e-5])  # of a pose, by which derivatives are taken
+_MAX_MOVE = np.array([1e-3, 1e-3, 0.1, 4e-4])  # of one step
+_SPREAD = np.array([1.5e-3, 1.5e-3, 0.12, 8e-4])  # expected error of a pose
 _HUBER = 3.0
-_OTHER = (1e-3, 0.17)  # places farther apart than this are different
-_EXPLAINED = 0.75  # least share of the change of an image
-_SURE = 1.3
-_STANDS_OUT = 1.1  # by how much the error of any other place must be larger
-_LIKE_OTHERS = 2.5  # errors, in parts of the median
+_SAME_PLACE = (1e-3, 0.17)  # metres and radians: places that are closer are the same
+_MIN_EXPLAINED = 0.75  # share of the change of an image
+# Ratios of the error in any other place to that in the best one: the touch is not searched again; it is used.
+_SURE, _STANDS_OUT = 1.3, 1.1
+_MAX_ERROR = 2.5  # as a multiple of the median
 
 
 _Tried: TypeAlias = tuple[float, Float64, float]
-"""The error of a pose, levels, the pose, and the level of the sensor that it is stated with."""
+"""Error of a pose, levels; the pose; and the height of the sensor, metres, to which the pose refers."""
 
 
 @dataclass(eq=False, frozen=True)
 class _Found:
-    """Places of a touch (n, 4: x, y, turn, press depth), the best one first, and errors, levels.
+    """Places of a touch (n, 4: x, y, turn, press depth), the best one first, and errors in levels.
 
-    They are those of the best place, of the best one that is elsewhere, and of no contact at all.
+    ``error`` is that of the best place, ``other_error`` that of the next place, and ``change`` that of
+    rendering no contact.
     """
 
-    all_at: Float64
+    places: Float64
     error: float
-    other: float
+    other_error: float
     change: float
 
     @property
     def at(self) -> Float64:
-        return np.asarray(self.all_at[0])
+        return np.asarray(self.places[0])
 
     @property
     def explained(self) -> float:
@@ -85,20 +88,20 @@ class _Found:
 
     @property
     def stands_out(self) -> float:
-        return self.other / self.error
+        return self.other_error / self.error
 
 
 def are_off(fit: Fit) -> bool:
-    """Return whether stated poses are off by more than a fit mends: they explain little of the images."""
-    _look(fit, _FIT_PX)
+    """Return whether stated poses are too far off for a fit to correct: they explain little of the images."""
+    _set_width(fit, _FIT_PX)
     fit.ridge, fit.spread[:] = _RIDGES[0], _SPREAD
-    for moving in ((), *[_GEOMETRY] * _LEARNING):
+    for moving in ((), *[_GEOMETRY] * _GEOMETRY_STEPS):
         fit.step(moving)
-    left = []
+    unexplained = []
     for touch in range(len(fit.poses)):
         fit.residual(touch)
-        left.append(fit.rms[touch] / fit.change(touch))
-    return float(np.median(left)) > _OFF
+        unexplained.append(fit.rms[touch] / fit.change(touch))
+    return float(np.median(unexplained)) > _MAX_UNEXPLAINED
 
 
 def matched_places(
@@ -106,12 +109,13 @@ def matched_places(
 ) -> tuple[Float64, Bool]:
     """Return points under the sensor, turns and press depths (N, 4), and which of them are likely (N,).
 
-    ``near`` (N, 3) are points and turns that are stated, and off by some millimetres; all are then likely.
+    ``near`` (N, 3) are stated points and turns, which may be off by up to 5 mm and 17 degrees; with them, all
+    touches count as likely.
     """
     count = len(recordings)
     fit = start_fit(recordings, np.zeros((count, 3)), None, start)
     press_m = start.gel_mm / 1e3 - start.press_m
-    _look(fit, _SEARCH_PX)
+    _set_width(fit, _SEARCH_PX)
     changes = changes_of(fit, range(count))
     colours = _common_colours(list(free_places(fit, changes, press_m, near).values()))
 
@@ -119,7 +123,7 @@ def matched_places(
         steep = np.stack([*np.gradient(surface, *pitch_m[::-1])], axis=2)
         return np.asarray(steep @ colours, np.float32)
 
-    places = matching_places(fit, changes, slopes, (_USUAL * press_m,), press_m, near)
+    places = matching_places(fit, changes, slopes, (_FIRST_PRESS * press_m,), press_m, near)
     best = np.array([places[touch].at[0] for touch in range(count)])
     margins = np.array([places[touch].margin for touch in range(count)])
     likely = np.isin(np.arange(count), np.argsort(-margins)[:_SEEDS])
@@ -129,7 +133,7 @@ def matched_places(
         sure = [touch for touch, each in found.items() if likely[touch] and each.stands_out >= _SURE]
         open_ = [touch for touch in range(count) if touch not in sure]
         worth = _search(fit, open_, best, tuple(share * press_m for share in shares), press_m, near)
-        _look(fit, _FIT_PX)
+        _set_width(fit, _FIT_PX)
         found |= {touch: _refined(fit, touch, each, _GOOD, 4) for touch, each in worth.items()}
         best = np.array([best[touch] if touch in sure else found[touch].at for touch in range(count)])
         likely = _likely([found[touch] for touch in range(count)])
@@ -138,8 +142,8 @@ def matched_places(
     return best, likely | (near is not None)
 
 
-def _look(fit: Fit, width_px: int) -> None:
-    fit.look(max(1, fit.recordings.size_px[0] // width_px))
+def _set_width(fit: Fit, width_px: int) -> None:
+    fit.set_shrink(max(1, fit.recordings.size_px[0] // width_px))
 
 
 def _search(
@@ -150,32 +154,32 @@ def _search(
     most_m: float,
     near: Float64 | None,
 ) -> dict[int, Float64]:
-    """Return places (n, 4) that look like the images of touches, and that are worth another look."""
-    _look(fit, _SEARCH_PX)
+    """Return the best places (n, 4) of each touch, refined by two steps."""
+    _set_width(fit, _SEARCH_PX)
     found = matching_places(fit, changes_of(fit, touches), _paint_of(fit), presses_m, 1.1 * most_m, near)
     chosen = {}
     for touch, places in found.items():
         tried = np.concatenate([best[touch][None], places.at[:_TRIED]])
-        chosen[touch] = _refined(fit, touch, tried, 0, 0).all_at[:_GOOD]
+        chosen[touch] = _refined(fit, touch, tried, 0, 0).places[:_GOOD]
     return chosen
 
 
 def _likely(found: list[_Found]) -> Bool:
     errors = np.array([each.error for each in found])
-    explained = np.array([each.explained for each in found]) >= _EXPLAINED
-    out = np.array([each.stands_out for each in found]) >= _STANDS_OUT
-    likely = explained & out
+    explained = np.array([each.explained for each in found]) >= _MIN_EXPLAINED
+    unique = np.array([each.stands_out for each in found]) >= _STANDS_OUT
+    likely = explained & unique
     if likely.any():
-        likely &= errors <= _LIKE_OTHERS * np.median(errors[likely])
+        likely &= errors <= _MAX_ERROR * np.median(errors[likely])
     return np.asarray(likely)
 
 
 def _common_colours(places: list[Places]) -> Float64:
-    """Return the colours of slopes down and across (2, 3) that explain most of all images."""
-    cuts = np.cumsum([len(each.alike) for each in places])[:-1]
+    """Return the colours (2, 3) of slopes down and across that explain the most over all images."""
+    cuts = np.cumsum([len(each.explained) for each in places])[:-1]
     products = np.concatenate([each.products for each in places])
     squares = np.concatenate([each.squares for each in places])
-    eye = _RIDGE_OF_COLOURS * np.trace(squares, axis1=1, axis2=2).max() * np.eye(2)
+    ridge = _RIDGE_OF_COLOURS * np.trace(squares, axis1=1, axis2=2).max() * np.eye(2)
 
     def explained(colours: Float64) -> Float64:
         mixed = (squares @ colours) * colours
@@ -185,14 +189,14 @@ def _common_colours(places: list[Places]) -> Float64:
         return float(sum(max(part.max(), 0.0) for part in np.split(explained(colours), cuts)))
 
     proposed = [
-        np.linalg.solve(each.squares[rank] + eye, each.products[rank])
+        np.linalg.solve(each.squares[rank] + ridge, each.products[rank])
         for each in places
-        for rank in range(min(_HYPOTHESES, len(each.alike)))
+        for rank in range(min(_HYPOTHESES, len(each.explained)))
     ]
     finalists = sorted(proposed, key=total, reverse=True)[:_FINALISTS]
     for rank, first in enumerate(finalists):
         colours = first
-        for _ in range(_TIMES):
+        for _ in range(_COLOUR_STEPS):
             parts = np.split(explained(colours), cuts)
             winners = [int(part.argmax()) for part in parts]
             weights = [max(part[winner], 0.0) ** 2 for part, winner in zip(parts, winners, strict=True)]
@@ -205,23 +209,23 @@ def _common_colours(places: list[Places]) -> Float64:
 
 
 def place_touch(fit: Fit, touch: int, at: Float64) -> None:
-    """Put a touch at a place with its press depth."""
+    """Put a touch at a place (x, y, turn, press depth)."""
     fit.poses[touch] = *at[:3], 0.0
-    # Nothing lies below this level, so heights come back as they are.
+    # With this level, the indentation is the height of the relief above the plate.
     fit.level_m[touch] = fit.shape[Fitted.GEL]
     highest_m = fit.indentation(touch, fit.poses[touch], fit.shape).max()
     fit.level_m[touch] = highest_m - at[3] + fit.shape[Fitted.GEL]
 
 
 def _learn(fit: Fit, at: Float64, likely: Bool) -> None:
-    """Fit colours and geometry to the touches whose place is likely."""
-    _look(fit, _FIT_PX)
+    """Fit colours and geometry to the touches whose place is likely, and update these places in ``at``."""
+    _set_width(fit, _FIT_PX)
     for touch in range(len(at)):
         place_touch(fit, touch, at[touch])
     fit.pose_guess = fit.poses.copy()
     fit.used = likely.copy()
     fit.step()
-    for _ in range(_LEARNING):
+    for _ in range(_GEOMETRY_STEPS):
         fit.step(_GEOMETRY)
     fit.step()
     for touch in np.flatnonzero(likely).tolist():
@@ -233,7 +237,7 @@ def _press_m(fit: Fit, touch: int) -> float:
 
 
 def _paint_of(fit: Fit) -> Paint:
-    """Return how the fit colours a surface, the same everywhere."""
+    """Return a function that colours a surface by the response of the fit, alike all over the image."""
     coefficients = fit.coefficients.copy()
     coefficients[:, 1:] = 0.0
     shape = np.where(np.arange(len(fit.shape)) == Fitted.LENS, 0.0, fit.shape)
@@ -246,18 +250,18 @@ def _paint_of(fit: Fit) -> Paint:
 
 
 def _refined(fit: Fit, touch: int, places: Float64, good: int, steps: int) -> _Found:
-    """Return the best place of a touch, by two steps from each place, and more from the good ones."""
-    image, dull = fit.image(touch)
-    change: Float64 = np.asarray((image - fit.behind)[dull], np.float64)
+    """Refine the places of a touch: two steps from each, then ``steps`` from the ``good`` best ones."""
+    image, unsaturated = fit.image(touch)
+    change: Float64 = np.asarray((image - fit.behind)[unsaturated], np.float64)
     tried = []
     for at in places:
         place_touch(fit, touch, at)
         pose, level_m = fit.poses[touch].copy(), float(fit.level_m[touch])
-        tried.append((*_stepped(fit, touch, pose, change, dull, 2), level_m))
+        tried.append((*_stepped(fit, touch, pose, change, unsaturated, 2), level_m))
     tried = _different(tried)
     for rank, (_, pose, level_m) in enumerate(tried[:good]):
         fit.level_m[touch] = level_m
-        tried[rank] = (*_stepped(fit, touch, pose, change, dull, steps), level_m)
+        tried[rank] = (*_stepped(fit, touch, pose, change, unsaturated, steps), level_m)
     tried = _different(tried)
     at = np.empty((len(tried), 4))
     for rank, (_, pose, level_m) in enumerate(tried):
@@ -268,38 +272,38 @@ def _refined(fit: Fit, touch: int, places: Float64, good: int, steps: int) -> _F
 
 
 def _different(tried: list[_Tried]) -> list[_Tried]:
-    """Return places in the order of their errors; the best one of several that are close together."""
+    """Return places in the order of their errors; of places that are close together, only the best one."""
     kept: list[_Tried] = []
     for each in sorted(tried, key=lambda each: each[0]):
         others = np.array([other[1] for other in kept]).reshape(-1, 4)
-        if not alike_places(others, each[1], _OTHER).any():
+        if not alike_places(others, each[1], _SAME_PLACE).any():
             kept.append(each)
     return kept
 
 
 def _stepped(
-    fit: Fit, touch: int, pose: Float64, change: Float64, dull: Bool, steps: int
+    fit: Fit, touch: int, pose: Float64, change: Float64, unsaturated: Bool, steps: int
 ) -> tuple[float, Float64]:
-    """Move a pose by Gauss-Newton steps; return its error, levels, and itself."""
+    """Move a pose by Gauss-Newton steps; return the least error, levels, and its pose."""
     guess, best = pose, (np.inf, pose)
     for number in range(steps + 1):
-        base = fit.rendered(touch, pose, fit.shape)[dull]
-        left = change - base
-        error = float(np.sqrt(np.mean(left * left)))
+        base = fit.rendered(touch, pose, fit.shape)[unsaturated]
+        residuals = change - base
+        error = float(np.sqrt(np.mean(residuals * residuals)))
         if error < best[0]:
             best = (error, pose)
         elif error > 1.02 * best[0]:
             break
         if number == steps:
             break
-        moves = np.empty((len(_STEP), left.size))
-        for own, move in enumerate(np.diag(_STEP)):
-            moved = fit.rendered(touch, pose + move, fit.shape)[dull]
-            moves[own] = ((moved - base) / _STEP[own]).ravel()
+        derivatives = np.empty((len(_DIFFERENCE), residuals.size))
+        for own, move in enumerate(np.diag(_DIFFERENCE)):
+            moved = fit.rendered(touch, pose + move, fit.shape)[unsaturated]
+            derivatives[own] = ((moved - base) / _DIFFERENCE[own]).ravel()
         bound = _HUBER * max(error, 1.0)
-        weights = np.repeat(1 / np.maximum(1, np.abs(left).max(axis=1) / bound), 3)
+        weights = np.repeat(1 / np.maximum(1, np.abs(residuals).max(axis=1) / bound), 3)
         variance = 20 * max(error, 1.0) ** 2 / np.square(_SPREAD)
-        square = (moves * weights) @ moves.T + np.diag(variance)
-        slope = (moves * weights) @ left.ravel() - variance * (pose - guess)
-        pose = pose + np.clip(np.linalg.solve(square, slope), -_FARTHEST, _FARTHEST)
+        square = (derivatives * weights) @ derivatives.T + np.diag(variance)
+        slope = (derivatives * weights) @ residuals.ravel() - variance * (pose - guess)
+        pose = pose + np.clip(np.linalg.solve(square, slope), -_MAX_MOVE, _MAX_MOVE)
     return best

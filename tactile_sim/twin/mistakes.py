@@ -1,8 +1,8 @@
-"""What is wrong with recordings, found before anything is fitted.
+"""Find mistakes in recordings before anything is fitted.
 
-Colours are compared with those of the gel at rest. Poses and solids are judged by where they say that an
-image must change: at the slopes of the solid. What is stated and what may have been meant (a mirrored axis,
-another solid, another unit) are compared by the correlation of those slopes with the change of the image.
+Colours are compared with those of the gel at rest. Poses and solids predict where an image changes: at the
+slopes of the solid. The stated ones and likely alternatives (a mirrored axis, another solid, another unit)
+are compared by the correlation of these slopes with the change of the image.
 """
 
 from __future__ import annotations
@@ -26,17 +26,18 @@ MIN_TOUCHES = 5
 
 _WIDTH_PX = 80  # of the images that are compared
 _SMOOTH_MM = 0.5
-_FULL, _MAX_FULL = 254, 0.02
+_SATURATED_LEVEL, _MAX_SATURATED = 254, 0.02
 _CHANGED, _MIN_CHANGED = 12.0, 0.01  # levels; share of an image that a contact changes
 _MARKER_PX, _MARKER_LEVELS, _MAX_MARKERS = 7.0, 8.0, 0.01
-_MAX_DRIFT = 4.0  # levels between parts of a recording; of hidden sensors that did not change, up to 2.8
-# Runs and shifts of the touches that take turns in two mixed halves, and how much larger a drift must be than
-# theirs: of hidden sensors up to 1.5 times with 10 touches; of gels that changed, at least 3.3 times.
+_MAX_DRIFT = 4.0  # levels between parts of a recording; up to 2.8 for sensors that did not change
+# Mixed halves of a recording: (length of the runs of touches that alternate between them, shift of the runs).
+# A drift must exceed theirs by a factor: it is up to 1.5 times as large if nothing changed (10 touches), and
+# at least 3.3 times as large if the gel changed.
 _MIXED, _ABOVE_MIXED = ((1, 0), (2, 0), (2, 1), (3, 0)), 2.2
-_FARTHEST_M = 1.0  # a sensor that is further away from its object is not on a desk
-# Correlation of slopes with the change of an image: of right poses 0.5 to 0.9, of wrong ones about 0.
+_MAX_DISTANCE_M = 1.0  # of a sensor from its object; a setup on a desk is smaller
+# Correlation of slopes with the change of an image: 0.5 to 0.9 for right poses, about 0 for wrong ones.
 _LOW, _GAIN = 0.35, 0.15
-_REACH_PX, _STEP_PX = 6, 2  # of the error of a pose, which correlation overlooks: 1.4 mm
+_SHIFT_PX, _STEP_PX = 6, 2  # shifts that are tried because poses have errors: up to 1.4 mm
 _UNITS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254}
 
 
@@ -50,11 +51,11 @@ class Mistake:
         A stable word: ``"channels"``, ``"mesh"``, ``"units"``, ``"mirrored"``, ``"markers"``,
         ``"saturated"``, ``"gel-changed"``, ``"too-few"``, ``"flat"``.
     detail : str
-        A sentence that names it and the figure that shows it.
+        A sentence that states the mistake and the measured value.
     figure : float
-        That figure.
+        The measured value.
     touches : tuple of int
-        Touches that show it, by their numbers; empty for all.
+        Numbers of the touches that show it; empty for all.
     """
 
     kind: str
@@ -64,7 +65,7 @@ class Mistake:
 
     @property
     def is_fatal(self) -> bool:
-        """Whether nothing can be fitted; of two gels, the one with more touches is."""
+        """Whether no fit is possible; if the gel changed, the one with more touches is fitted."""
         return self.kind not in ("saturated", "markers", "gel-changed")
 
     def __str__(self) -> str:
@@ -93,8 +94,8 @@ def find_mistakes(recordings: Recordings, start: SensorModel = GELSIGHT_MINI) ->
         found.append(Mistake("too-few", detail, float(count)))
     images = _small(recordings.images)
     rest = _rest(recordings, images)
-    for look in (_saturated, _channels, _changed_gel):
-        found += look(recordings, images, rest)
+    for check in (_saturated, _channels, _changed_gel):
+        found += check(recordings, images, rest)
     found += _markers(recordings)
     change = np.abs(images - rest).max(axis=3)
     shares = (change > _CHANGED).mean(axis=(1, 2))
@@ -109,35 +110,35 @@ def find_mistakes(recordings: Recordings, start: SensorModel = GELSIGHT_MINI) ->
 
 
 def _small(images: UInt8) -> Float64:
-    """Return images as numbers, about :data:`_WIDTH_PX` wide: means of squares."""
+    """Return smaller images, at least :data:`_WIDTH_PX` wide if the given ones are: means over blocks."""
     factor = max(1, images.shape[2] // _WIDTH_PX)
     rows, columns = images.shape[1] // factor, images.shape[2] // factor
     cut = images[:, : rows * factor, : columns * factor]
-    squares = cut.reshape(len(images), rows, factor, columns, factor, 3)
-    return np.asarray(squares.mean(axis=(2, 4)), np.float64)
+    blocks = cut.reshape(len(images), rows, factor, columns, factor, 3)
+    return np.asarray(blocks.mean(axis=(2, 4)), np.float64)
 
 
 def _rest(recordings: Recordings, images: Float64) -> Float64:
-    """Return the gel at rest, (h, w, 3): of images without contact, or what most touches show."""
+    """Return the gel at rest, (h, w, 3): mean of the images without contact, or median of the touches."""
     if recordings.backgrounds.size:
         return np.asarray(_small(recordings.backgrounds).mean(axis=0))
     return np.asarray(np.median(images, axis=0))
 
 
 def _saturated(recordings: Recordings, images: Float64, rest: Float64) -> Iterator[Mistake]:
-    shares = np.array([(each >= _FULL).mean() for each in recordings.images])
-    if np.median(shares) > _MAX_FULL:
+    shares = np.array([(each >= _SATURATED_LEVEL).mean() for each in recordings.images])
+    if np.median(shares) > _MAX_SATURATED:
         yield Mistake(
             "saturated",
-            f"{np.median(shares):.1%} of the levels of an image are at the end of their range; expected at "
-            f"most {_MAX_FULL:.0%}: shorten the exposure",
+            f"{np.median(shares):.1%} of the levels of an image are at the upper end of their range; "
+            f"expected at most {_MAX_SATURATED:.0%}: shorten the exposure",
             float(np.median(shares)),
-            tuple(np.flatnonzero(shares > _MAX_FULL).tolist()),
+            tuple(np.flatnonzero(shares > _MAX_SATURATED).tolist()),
         )
 
 
 def _channels(recordings: Recordings, images: Float64, rest: Float64) -> Iterator[Mistake]:
-    """Compare the gel at rest with what most touches show, channel by channel."""
+    """Compare the gel at rest with the median of the touches, in all orders of the channels."""
     usual = images
     if not recordings.backgrounds.size:
         usual = images[len(images) // 2 :]
@@ -160,14 +161,15 @@ def _channels(recordings: Recordings, images: Float64, rest: Float64) -> Iterato
 
 def _changed_gel(recordings: Recordings, images: Float64, rest: Float64) -> Iterator[Mistake]:
     """Find where the gel at rest changes in the order of the touches."""
-    # Parts of fewer touches would show their contacts, which move from touch to touch.
+    # The median of fewer touches would show their contacts, which move from touch to touch.
     order = np.arange(len(images))
     least = max(MIN_TOUCHES, len(images) // 3)
     drifts = {cut: _drift(images, order < cut) for cut in range(least, len(images) - least + 1)}
     if not drifts:
         return
     cut = max(drifts, key=lambda place: drifts[place])
-    # Contacts alone make any two halves differ; a change does so only before and after, not where they mix.
+    # Contacts make any two halves differ. A changed gel makes the touches before and after the change differ,
+    # but not mixed halves.
     mixed = min(_drift(images, (order + shift) // width % 2 == 0) for width, shift in _MIXED)
     if drifts[cut] > max(_MAX_DRIFT, _ABOVE_MIXED * mixed):
         yield Mistake(
@@ -181,8 +183,8 @@ def _changed_gel(recordings: Recordings, images: Float64, rest: Float64) -> Iter
 
 def _drift(images: Float64, part: Bool) -> float:
     """Return by how many levels most of the gel at rest differs between some images and the others."""
-    usual, other = np.median(images[part], axis=0), np.median(images[~part], axis=0)
-    return float(np.median(np.abs(usual - other).mean(axis=2)))
+    within, other = np.median(images[part], axis=0), np.median(images[~part], axis=0)
+    return float(np.median(np.abs(within - other).mean(axis=2)))
 
 
 def _markers(recordings: Recordings) -> Iterator[Mistake]:
@@ -195,39 +197,43 @@ def _markers(recordings: Recordings) -> Iterator[Mistake]:
     if share > _MAX_MARKERS:
         yield Mistake(
             "markers",
-            f"the gel has markers: {share:.1%} of it are small dark dots, expected none; a twin has none",
+            f"the gel has markers: {share:.1%} of it are small dark dots; expected at most "
+            f"{_MAX_MARKERS:.0%}: a twin has no markers",
             share,
         )
 
 
 def _poses(recordings: Recordings, change: Float64, touching: Bool, start: SensorModel) -> Iterator[Mistake]:
-    """Compare what was stated of poses and solids with what may have been meant."""
+    """Compare the stated poses and solids with likely alternatives."""
     compare = _Comparison(recordings, change[touching], np.flatnonzero(touching), start)
     stated = compare.agreement(recordings)
     assert recordings.sensor_m is not None, "checked before"
     assert recordings.object_poses is not None, "set when recordings are made"
     away_m = float(np.median(np.abs(recordings.sensor_m[:, :2] - recordings.object_poses[:, :2]).max(axis=1)))
     figure = f"the slopes of the solids and the change of the images agree by {stated:.2f}"
-    if away_m > _FARTHEST_M:
-        agrees = {
-            unit: compare.agreement(_meant(recordings, metres, metres)) for unit, metres in _UNITS.items()
+    if away_m > _MAX_DISTANCE_M:
+        agreements = {
+            unit: compare.agreement(_rescaled(recordings, metres, metres)) for unit, metres in _UNITS.items()
         }
-        unit = max(agrees, key=lambda each: agrees[each])
-        words = f"; in {unit}, {figure.rpartition(' ')[0]} {agrees[unit]:.2f}"
+        unit = max(agreements, key=lambda each: agreements[each])
+        words = f"; in {unit}, {figure.rpartition(' ')[0]} {agreements[unit]:.2f}"
         yield Mistake(
-            "units", f"sensor and solid are {away_m:.3g} m apart: positions are no metres{words}", away_m
+            "units", f"sensor and solid are {away_m:.3g} m apart: positions are not in metres{words}", away_m
         )
         return
     if stated >= _LOW:
         return
-    meant = [("mirrored", words, compare.agreement(_meant(recordings, *signs))) for words, signs in _MIRRORS]
+    meant = [
+        ("mirrored", words, compare.agreement(_rescaled(recordings, *signs))) for words, signs in _MIRRORS
+    ]
     meant += [("mirrored", words, compare.agreement(recordings, flip)) for words, flip in _FLIPS]
     meant.append(("mesh", "with other solids of the set", compare.with_others(recordings)))
     kind, words, agrees_by = max(meant, key=lambda each: each[2])
     if agrees_by > max(stated + _GAIN, _LOW):
         yield Mistake(kind, f"{_WORDS[kind]}: {figure}, and {words} by {agrees_by:.2f}", stated)
         return
-    yield Mistake("mesh", f"{_WORDS['mesh']}, or their poses: {figure}; expected at least {_LOW:g}", stated)
+    detail = f"the solids or their poses are not those of the touches: {figure}; expected at least {_LOW:g}"
+    yield Mistake("mesh", detail, stated)
 
 
 _WORDS = {
@@ -237,7 +243,7 @@ _WORDS = {
 
 
 class _Comparison:
-    """Compares the slopes of solids, where poses put them, with the change of images (n, h, w)."""
+    """Compares the slopes of solids in their poses with the change of images (n, h, w)."""
 
     def __init__(self, recordings: Recordings, change: Float64, touches: Int64, start: SensorModel) -> None:
         self.touches = touches
@@ -263,7 +269,7 @@ class _Comparison:
         return float(np.median(found))
 
     def with_others(self, recordings: Recordings) -> float:
-        """Return the median correlation if each touch names the best of the other solids."""
+        """Return the median correlation if each touch is of the best of the other solids."""
         places, found = recordings.places(), []
         assert places is not None, "poses were stated"
         for touch, seen in zip(self.touches, self.change, strict=True):
@@ -278,8 +284,8 @@ class _Comparison:
         if norm == 0:
             return 0.0
         best = 0.0
-        for down in range(-_REACH_PX, _REACH_PX + 1, _STEP_PX):
-            for right in range(-_REACH_PX, _REACH_PX + 1, _STEP_PX):
+        for down in range(-_SHIFT_PX, _SHIFT_PX + 1, _STEP_PX):
+            for right in range(-_SHIFT_PX, _SHIFT_PX + 1, _STEP_PX):
                 moved = np.roll(slopes, (down, right), axis=(0, 1))
                 best = max(best, float((moved * seen).sum() / norm))
         return best
@@ -306,8 +312,8 @@ def _centred(images: Float64) -> Float64:
     return np.asarray(images - images.mean(axis=(1, 2), keepdims=True))
 
 
-def _meant(recordings: Recordings, x: float, y: float, turn: float = 1.0) -> Recordings:
-    """Return recordings whose positions and turns are those that were stated, times factors."""
+def _rescaled(recordings: Recordings, x: float, y: float, turn: float = 1.0) -> Recordings:
+    """Return recordings with positions and turns multiplied by factors."""
     assert recordings.sensor_m is not None, "poses were stated"
     assert recordings.object_poses is not None, "set when recordings are made"
     return replace(

@@ -1,4 +1,4 @@
-"""Small networks of numbers per pixel, trained and evaluated in numpy, single precision."""
+"""Small fully connected networks on pixels, trained and evaluated in NumPy, single precision."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from tactile_toolkit.array_types import Float32
 
 _LEAK = np.float32(0.1)
 _RATE, _BATCH = 5e-3, 4096
-_MAX_ROWS = 100_000  # from which mean and spread of inputs are taken
-_DECAYS = (0.9, 0.999)  # Adam (Kingma and Ba 2015), whose numbers these are
-_BLOCK = 1 << 14  # rows that stay in the processor's cache
+_MAX_ROWS = 100_000  # about as many give the mean and the spread of inputs
+_DECAYS = (0.9, 0.999)  # of Adam, as published (Kingma and Ba, 2015)
+_BLOCK = 1 << 14  # rows that fit into the processor's cache
 
 
 def network_output(weights: Mapping[str, Float32], name: str, inputs: Float32) -> Float32:
@@ -37,14 +37,15 @@ def trained(
     targets: Float32,
     hidden: tuple[int, ...],
     outputs: int,
-    slope: Callable[[Float32, Float32], Float32],
+    loss_gradient: Callable[[Float32, Float32], Float32],
     rng: np.random.Generator,
     steps: int,
 ) -> dict[str, Float32]:
-    """Train a network by Adam; ``slope`` takes outputs and targets to the derivative of the loss."""
-    some = inputs[:: max(1, len(inputs) // _MAX_ROWS)]  # of all, differences would double the memory
-    mean = some.mean(axis=0)
-    scale = 1 / (some.std(axis=0) + np.float32(1e-6))
+    """Train a network by Adam; ``loss_gradient`` takes outputs and targets to the derivative by outputs."""
+    # A sample of the rows: differences of all of them would double the memory.
+    sample = inputs[:: max(1, len(inputs) // _MAX_ROWS)]
+    mean = sample.mean(axis=0)
+    scale = 1 / (sample.std(axis=0) + np.float32(1e-6))
     sizes = (inputs.shape[1], *hidden, outputs)
     found: dict[str, Float32] = {f"{name}_mean": mean, f"{name}_scale": scale}
     layers: list[Float32] = []
@@ -57,34 +58,37 @@ def trained(
     first, second = ([np.zeros_like(each) for each in layers] for _ in range(2))
     for step in range(steps):
         rows = rng.integers(len(inputs), size=_BATCH)
-        slopes = _slopes(layers, (inputs[rows] - mean) * scale, targets[rows], slope)
-        # From the full rate down to none, along a half wave.
+        gradients = _gradients(layers, (inputs[rows] - mean) * scale, targets[rows], loss_gradient)
+        # Cosine decay, from the full rate to 0.
         rate = _RATE * 0.5 * (1 + np.cos(np.pi * step / steps))
         rate *= np.sqrt(1 - _DECAYS[1] ** (step + 1)) / (1 - _DECAYS[0] ** (step + 1))
-        for each, down, mean_slope, mean_square in zip(layers, slopes, first, second, strict=True):
-            mean_slope += (1 - _DECAYS[0]) * (down - mean_slope)
-            mean_square += (1 - _DECAYS[1]) * (down * down - mean_square)
-            each -= np.float32(rate) * mean_slope / (np.sqrt(mean_square) + np.float32(1e-8))
+        for each, gradient, mean_gradient, mean_square in zip(layers, gradients, first, second, strict=True):
+            mean_gradient += (1 - _DECAYS[0]) * (gradient - mean_gradient)
+            mean_square += (1 - _DECAYS[1]) * (gradient * gradient - mean_square)
+            each -= np.float32(rate) * mean_gradient / (np.sqrt(mean_square) + np.float32(1e-8))
     for number in range(len(layers) // 2):
         found[f"{name}_w{number}"], found[f"{name}_b{number}"] = layers[2 * number : 2 * number + 2]
     return {key: np.asarray(each, np.float32) for key, each in found.items()}
 
 
-def _slopes(
-    layers: list[Float32], values: Float32, targets: Float32, slope: Callable[[Float32, Float32], Float32]
+def _gradients(
+    layers: list[Float32],
+    values: Float32,
+    targets: Float32,
+    loss_gradient: Callable[[Float32, Float32], Float32],
 ) -> list[Float32]:
-    """Return the mean derivative of the loss by each array of a network."""
+    """Return the derivatives of the mean loss by each array of a network."""
     held = [values]
     for number in range(0, len(layers), 2):
         values = values @ layers[number] + layers[number + 1]
         if number < len(layers) - 2:
             values = np.maximum(values, values * _LEAK)
         held.append(values)
-    down = slope(values, targets) / np.float32(len(targets))
-    slopes: list[Float32] = []
+    gradient = loss_gradient(values, targets) / np.float32(len(targets))
+    gradients: list[Float32] = []
     for number in range(len(layers) - 2, -1, -2):
         before = held[number // 2]
-        slopes = [before.T @ down, down.sum(axis=0), *slopes]
+        gradients = [before.T @ gradient, gradient.sum(axis=0), *gradients]
         if number:
-            down = (down @ layers[number].T) * np.where(before > 0, np.float32(1), _LEAK)
-    return slopes
+            gradient = (gradient @ layers[number].T) * np.where(before > 0, np.float32(1), _LEAK)
+    return gradients

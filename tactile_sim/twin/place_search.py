@@ -1,9 +1,9 @@
-"""Searches a solid for places that look like an image: all turns of a grid, all places by correlation.
+"""Search a solid for places that look like an image: a grid of turns, and all positions by correlation.
 
-The solid is pressed into the gel as a whole, everywhere as deep as usual, and turned. Sums of products over
-all windows of the size of an image come from its Fourier transform. What is compared is either an image that
-the solid would give (:func:`matching_places`), or, while no colours are known, the slopes of the gel in
-whatever mixture of them explains the image best (:func:`free_places`).
+The whole solid is turned and pressed into the gel, everywhere to the usual depth. Sums of products over all
+windows of the size of an image are computed by Fourier transforms. The image is compared with the one that
+the solid would give (:func:`matching_places`) or, while the colours are unknown, with the mixture of the
+slopes of the gel that explains it best (:func:`free_places`).
 """
 
 from __future__ import annotations
@@ -23,43 +23,45 @@ from tactile_toolkit.array_types import Bool, Float32, Float64
 TURNS = 72
 _SMOOTH_PX = 1.0
 _PEAK_PX = 5
-_PEAKS = 4  # of one turn
+_PEAKS = 4  # that are kept of one turn
 _MAX_PLACES = 120
-_APART_M, _APART_RAD = 8e-4, 0.15  # places that are closer than this are one
-_NEAR_M, _NEAR_RAD = 5e-3, 0.3  # from stated poses that are off
-_FAINT = 0.03  # of the strongest window: less of the solid cannot explain an image
-_MIN_GAIN, _MAX_GAIN = 0.6, 1.6  # of how strong an image is against one of the usual press depth
+_APART_M, _APART_RAD = 8e-4, 0.15  # closer places count as one
+_NEAR_M, _NEAR_RAD = 5e-3, 0.3  # greatest distance and turn from a stated pose
+_FAINT = 0.03  # of the strongest window: weaker ones, which show little of the solid, count less
+_MIN_GAIN, _MAX_GAIN = 0.6, 1.6  # bounds of the strength of an image, relative to a rendered one
 
 Changes: TypeAlias = Mapping[int, Float32]
-"""How images of touches differ from the gel at rest, (3, h, w), by their numbers."""
+"""How images differ from the gel at rest, (3, h, w), by the numbers of their touches."""
 
 Paint: TypeAlias = Callable[[Float32, Float64], Float32]
-"""Makes the change of an image (h, w, 3) of a gel's surface (h, w), metres, and the size of a pixel."""
+"""Returns the change of an image (h, w, 3), from the surface of a gel (h, w) and the pixel size, metres."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Places:
-    """Places on a solid that look like one image, the most alike first.
+    """Places on a solid that look like one image, the best one first.
 
-    ``at`` (n, 4) are x and y, metres, the turn and the press depth; ``alike`` (n,) is the share of the change
-    of the image that is explained. Of slopes, ``products`` (n, 2, 3) with the image, and ``squares``
-    (n, 2, 2), in parts of the square of that change.
+    ``at`` (n, 4) are x and y, metres, the turn, radians, and the press depth, metres. ``explained`` (n,) is
+    the explained share of the change of the image. ``products`` (n, 2, 3) are the sums of products of slopes
+    and image, and ``squares`` (n, 2, 2) those of slopes alone, both divided by the sum of squares of the
+    change; zeros if slopes were not compared.
     """
 
     at: Float64
-    alike: Float64
+    explained: Float64
     products: Float64
     squares: Float64
 
     @property
     def margin(self) -> float:
-        """How far the best place is above the next one."""
-        return float(self.alike[0] - self.alike[1]) if len(self.alike) > 1 else float(self.alike[0])
+        """Difference between the explained shares of the best place and the next one."""
+        best, *others = self.explained.tolist()
+        return float(best - others[0]) if others else float(best)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Turned:
-    """A turned solid: the surface of the gel (R, C), and middles and press depths of its windows (r, c)."""
+    """A turned solid: the surface of the gel (R, C), and the centres and press depths of windows (r, c)."""
 
     surface: Float32
     x_m: Float64
@@ -68,7 +70,7 @@ class _Turned:
     turn_rad: float
 
     def is_near(self, near: Float64 | None, touch: int) -> Bool | bool:
-        """Return which windows are near to where a touch is known to be; True if that is not known."""
+        """Return which windows are near the known place of a touch; True if it is unknown."""
         if near is None:
             return True
         x_m, y_m, turn_rad = near[touch]
@@ -79,13 +81,13 @@ class _Turned:
 
 
 def alike_places(places: Float64, one: Float64, apart: tuple[float, float] = (_APART_M, _APART_RAD)) -> Bool:
-    """Return which of some places (n, 3) are the same as one of them, to a distance and a turn."""
+    """Return which places (n, 3) are closer to a given one than a distance and a turn."""
     turn = np.abs((places[:, 2] - one[2] + np.pi) % (2 * np.pi) - np.pi)
     return np.asarray((np.hypot(*(places[:, :2] - one[:2]).T) < apart[0]) & (turn < apart[1]))
 
 
 def changes_of(fit: Fit, touches: Iterable[int]) -> Changes:
-    """Return how images differ from the gel at rest, smoothed, (3, h, w)."""
+    """Return how the images of touches differ from the gel at rest, smoothed."""
     found = {}
     for touch in touches:
         change = _smooth(fit.image(touch)[0] - fit.behind)
@@ -94,9 +96,9 @@ def changes_of(fit: Fit, touches: Iterable[int]) -> Changes:
 
 
 def free_places(fit: Fit, changes: Changes, press_m: float, near: Float64 | None) -> dict[int, Places]:
-    """Return where slopes of solids explain each image best, if their colours may be any.
+    """Return the places where slopes of the solids explain each image best, with any colours.
 
-    ``near`` (N, 3) are places and turns that each touch is known to be near to, if they are known.
+    ``near`` (N, 3) are the places and turns near which each touch is searched; None if they are unknown.
     """
     found: dict[int, list[tuple[float, ...]]] = {touch: [] for touch in changes}
     for key, windows, spectra in _solids(fit, changes):
@@ -114,13 +116,13 @@ def free_places(fit: Fit, changes: Changes, press_m: float, near: Float64 | None
                 products = windows.products(spectrum[:, None] * image)
                 first, second = products
                 total = (two * first * first - 2 * mixed * first * second + one * second * second).sum(axis=0)
-                alike = total / (one * two - mixed * mixed) / _square(changes[touch])
-                for row, column in _peaks(np.where(is_near, alike, -1.0)):
+                explained = total / (one * two - mixed * mixed) / _sum_of_squares(changes[touch])
+                for row, column in _peaks(np.where(is_near, explained, -1.0)):
                     at = turned.x_m[row, column], turned.y_m[row, column], turned.turn_rad, press_m
                     of = products[:, :, row, column].ravel()
                     rest = squares[0][row, column], squares[1][row, column], squares[2][row, column]
-                    found[touch].append((alike[row, column], *at, *of, *rest))
-    return {touch: _sorted(each, _square(changes[touch])) for touch, each in found.items()}
+                    found[touch].append((explained[row, column], *at, *of, *rest))
+    return {touch: _best_places(each, _sum_of_squares(changes[touch])) for touch, each in found.items()}
 
 
 def matching_places(
@@ -131,9 +133,10 @@ def matching_places(
     most_m: float,
     near: Float64 | None,
 ) -> dict[int, Places]:
-    """Return where images of solids look like each image, where they are pressed in at most so deep.
+    """Return the places where rendered images match each image best, of those pressed in at most ``most_m``.
 
-    Press depths are below the highest point around; at the flank of a solid, that is not in the window.
+    ``presses_m`` are depths below the highest point of the solid around each point. At the flank of a solid,
+    this point lies outside the window.
     """
     found: dict[int, list[tuple[float, ...]]] = {touch: [] for touch in changes}
     for key, windows, spectra in _solids(fit, changes):
@@ -150,17 +153,17 @@ def matching_places(
                         continue
                     product = windows.products((spectrum * image).sum(axis=0))
                     gain = np.clip(product / energy, _MIN_GAIN, _MAX_GAIN)
-                    alike = (2 * gain * product - gain * gain * energy) / _square(changes[touch])
-                    alike = np.where(allowed & is_near, alike, -1.0)
-                    for row, column in _peaks(alike):
+                    explained = (2 * gain * product - gain * gain * energy) / _sum_of_squares(changes[touch])
+                    explained = np.where(allowed & is_near, explained, -1.0)
+                    for row, column in _peaks(explained):
                         at = turned.x_m[row, column], turned.y_m[row, column], turned.turn_rad
                         depth_m = turned.press_m[row, column]
-                        found[touch].append((alike[row, column], *at, depth_m, *np.zeros(9)))
-    return {touch: _sorted(each, _square(changes[touch])) for touch, each in found.items()}
+                        found[touch].append((explained[row, column], *at, depth_m, *np.zeros(9)))
+    return {touch: _best_places(each, _sum_of_squares(changes[touch])) for touch, each in found.items()}
 
 
 class _Windows:
-    """Sums over all windows (h, w) of maps (R, C)."""
+    """Sums over all windows of the size (h, w) in maps (R, C)."""
 
     def __init__(self, shape: tuple[int, ...], size: tuple[int, int]) -> None:
         self._sides = [scipy.fft.next_fast_len(side, real=True) for side in shape]
@@ -186,7 +189,7 @@ class _Windows:
 
 
 def _solids(fit: Fit, changes: Changes) -> Iterator[tuple[int, _Windows, dict[int, np.ndarray]]]:
-    """Yield solids, windows on them, and the transforms of the images of their touches."""
+    """Yield the id of each solid, its windows, and the transforms of the images of its touches."""
     for key in fit.reliefs:
         windows = _Windows(_map_shape(fit, key), fit.size)
         touches = [touch for touch in changes if fit.recordings.object_ids[touch] == key]
@@ -202,7 +205,7 @@ def _map_shape(fit: Fit, key: int) -> tuple[int, int]:
 
 
 def _turns(fit: Fit, key: int, press_m: float) -> Iterator[_Turned]:
-    """Press all of a solid into the gel, everywhere as deep as usual, in all turns."""
+    """Yield the whole solid in each turn, pressed into the gel by ``press_m`` everywhere."""
     relief, pitch_m = fit.reliefs[key], fit.pitch_m(fit.shape)
     small = shrunk(relief.heights_m, max(1, round(float(pitch_m.mean() / relief.corner[2])))).astype(
         np.float64
@@ -228,7 +231,7 @@ def _turns(fit: Fit, key: int, press_m: float) -> Iterator[_Turned]:
 
 
 def _inner(values: Float64, size: tuple[int, ...]) -> Float64:
-    """Return the middle of a map."""
+    """Return the middle part of a map."""
     first = [(side - inner + 1) // 2 for side, inner in zip(values.shape, size, strict=True)]
     return values[first[0] : first[0] + size[0], first[1] : first[1] + size[1]]
 
@@ -244,18 +247,18 @@ def _smooth(image: Float32) -> Float64:
     return np.asarray(scipy.ndimage.gaussian_filter(image.astype(np.float64), (_SMOOTH_PX, _SMOOTH_PX, 0)))
 
 
-def _square(change: Float32) -> float:
+def _sum_of_squares(change: Float32) -> float:
     return float((change * change).sum()) + 1e-9
 
 
-def _peaks(alike: Float64) -> list[tuple[int, int]]:
+def _peaks(explained: Float64) -> list[tuple[int, int]]:
     """Return the rows and columns of the highest peaks."""
-    flat = np.flatnonzero(alike == scipy.ndimage.maximum_filter(alike, _PEAK_PX))
-    best = flat[np.argsort(-alike.ravel()[flat])[:_PEAKS]]
-    return [divmod(int(each), alike.shape[1]) for each in best]
+    flat = np.flatnonzero(explained == scipy.ndimage.maximum_filter(explained, _PEAK_PX))
+    best = flat[np.argsort(-explained.ravel()[flat])[:_PEAKS]]
+    return [divmod(int(each), explained.shape[1]) for each in best]
 
 
-def _sorted(rows: list[tuple[float, ...]], square: float) -> Places:
+def _best_places(rows: list[tuple[float, ...]], square: float) -> Places:
     values = np.array(sorted(rows, key=lambda each: -each[0]))
     kept: list[int] = []
     left = np.ones(len(values), bool)

@@ -1,8 +1,8 @@
-"""Reads depth from images of a sensor: colours to slopes, Poisson integration, and a second regression.
+"""Read depth from images of a sensor: slopes from colours, Poisson integration, and depth from the result.
 
-The networks are trained on touches that the twin itself renders, of the solids of its calibration in random
-places, sizes and depths and of simple shapes, such as stairs, with the noise of the sensor, and on the
-recordings. The second one also states how far off it is likely to be.
+Two networks regress slopes and depth. They are trained on the recordings, and on touches that the twin itself
+renders with the noise of the sensor: of the solids of its calibration in random places, sizes and depths, and
+of simple shapes such as stairs. The second network also predicts its error.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from tactile_sim.twin.relief import Relief
 from tactile_sim.twin.twin import Twin, TwinOptics, resized_depth
 from tactile_toolkit.array_types import Float32, Float64, Int64, UInt8
 
-_WIDTHS = {"full": 160, "fast": 80}  # pixels of the images that are read
-_TOUCHES = 480
-_PER_TOUCH = 1500  # pixels that the networks see of each
+_WIDTHS = {"full": 160, "fast": 80}  # of the images that are read, pixels
+_TOUCHES = 480  # that are rendered for the training of the networks
+_PER_TOUCH = 1500  # pixels of each touch on which the networks are trained
 _SLOPE_STEPS, _DEPTH_STEPS = 1000, 3000
 _SLOPE_HIDDEN, _DEPTH_HIDDEN = (24, 24), (64, 64)
 _BLURS = (0.01, 0.03, 0.09)  # of the width
-_DULL_MM = 0.02  # less depth is taken for no contact
-_SMOOTH_MM = 0.01  # below this, the loss is round
-_REPEATED = 3  # how often the recordings are seen for each time of a rendered touch
-_SIMPLE = 0.2  # share of touches of simple shapes
+_NO_CONTACT_MM = 0.02  # a smaller depth counts as no contact
+_SMOOTH_MM = 0.01  # the loss is quadratic in smaller errors
+_RECORDING_WEIGHT = 3  # pixels of a recording for each pixel of a rendered touch
+_SIMPLE_SHARE = 0.2  # of the rendered touches
 
 
 def reader_shapes() -> dict[str, tuple[int, ...]]:
@@ -83,11 +83,11 @@ def _read(reader: Mapping[str, Float32], mode: str, change: Float32) -> tuple[Fl
     found = network.network_output(reader, f"{mode}_depth", _surroundings(colours, slopes))
     depth_mm = found[:, 0].reshape(rows, columns)
     error_mm = np.exp(np.clip(found[:, 1], -8, 2)).reshape(rows, columns)
-    return np.where(depth_mm > _DULL_MM, depth_mm, 0), error_mm
+    return np.where(depth_mm > _NO_CONTACT_MM, depth_mm, 0), error_mm
 
 
 def _colours(change: Float32) -> Float32:
-    """Return what slopes are read from: changes of colours, sharp and blurred, and the place; (H W, 11)."""
+    """Return inputs of the network of slopes, (H W, 11): colour changes, sharp and blurred, and place."""
     rows, columns, _ = change.shape
     soft = _blurred(change, _BLURS[0] * columns)
     y, x = np.meshgrid(np.linspace(-1, 1, rows), np.linspace(-1, 1, columns), indexing="ij")
@@ -96,7 +96,7 @@ def _colours(change: Float32) -> Float32:
 
 
 def _surroundings(colours: Float32, slopes: Float32) -> Float32:
-    """Return what depth is read from: colours, slopes, the integrated surface, and both around a pixel."""
+    """Return inputs of the network of depth: colours, slopes and integrated surface, at and around pixels."""
     rows, columns, _ = slopes.shape
     surface = integrated(slopes)
     level = surface - np.float32(np.percentile(surface, 90))
@@ -119,7 +119,7 @@ def _blurred(image: Float32, sigma_px: float) -> Float32:
 
 
 def integrated(slopes: Float32) -> Float32:
-    """Return the surface (H, W) whose slopes (H, W, 2), per pixel along x and y upwards, fit best.
+    """Return the surface (H, W) that best fits slopes (H, W, 2), per pixel along x and y upwards.
 
     Poisson's equation with free edges, by the cosine transform (Agrawal, Raskar and Chellappa, ECCV 2006).
     """
@@ -145,16 +145,16 @@ def integrated(slopes: Float32) -> Float32:
 def train_reader(twin: Twin, fit: Fit, seed: int = 0) -> dict[str, Float32]:
     """Return the weights of the networks of a twin."""
     rng = np.random.default_rng(seed)
-    held: dict[str, list[_Sample]] = {mode: [] for mode in _WIDTHS}
-    for image, depth_mm, repeated in _samples(twin, fit, rng):
-        for mode, kept in held.items():
+    samples: dict[str, list[_Sample]] = {mode: [] for mode in _WIDTHS}
+    for image, depth_mm, weight in _samples(twin, fit, rng):
+        for mode, kept in samples.items():
             shrink = _shrink(twin, mode)
             depth = shrunk(depth_mm, shrink)
-            pixels = rng.permutation(depth.size)[: _PER_TOUCH * repeated]
+            pixels = rng.permutation(depth.size)[: _PER_TOUCH * weight]
             change = shrunk(image, shrink) - shrunk(twin.background, shrink)
             slopes = _true_slopes(depth, twin, shrink).reshape(-1, 2)
             kept.append(_Sample(change, pixels, slopes[pixels], depth.reshape(-1, 1)[pixels]))
-    return {name: each for mode, kept in held.items() for name, each in _trained(mode, kept, rng).items()}
+    return {name: each for mode, kept in samples.items() for name, each in _trained(mode, kept, rng).items()}
 
 
 class _Sample(NamedTuple):
@@ -166,15 +166,15 @@ class _Sample(NamedTuple):
     depth_mm: Float32
 
 
-def _trained(mode: str, held: list[_Sample], rng: np.random.Generator) -> dict[str, Float32]:
+def _trained(mode: str, samples: list[_Sample], rng: np.random.Generator) -> dict[str, Float32]:
     """Train both networks of a mode: slopes first, then depth from what the first one finds."""
     # Colours of all pixels at once would take four times the memory of the images.
-    inputs = np.concatenate([_colours(each.change)[each.pixels] for each in held])
-    targets = np.concatenate([each.slopes for each in held])
+    inputs = np.concatenate([_colours(each.change)[each.pixels] for each in samples])
+    targets = np.concatenate([each.slopes for each in samples])
     name = f"{mode}_slope"
-    reader = network.trained(name, inputs, targets, _SLOPE_HIDDEN, 2, _plain_slope, rng, _SLOPE_STEPS)
-    first, targets = 0, np.concatenate([each.depth_mm for each in held])
-    for each in held:
+    reader = network.trained(name, inputs, targets, _SLOPE_HIDDEN, 2, _slope_gradient, rng, _SLOPE_STEPS)
+    first, targets = 0, np.concatenate([each.depth_mm for each in samples])
+    for each in samples:
         colours = _colours(each.change)
         slopes = network.network_output(reader, name, colours).reshape(*each.change.shape[:2], 2)
         part = _surroundings(colours, slopes)[each.pixels]
@@ -183,20 +183,22 @@ def _trained(mode: str, held: list[_Sample], rng: np.random.Generator) -> dict[s
         inputs[first : first + len(part)] = part
         first += len(part)
     name = f"{mode}_depth"
-    return reader | network.trained(name, inputs, targets, _DEPTH_HIDDEN, 2, _depth_slope, rng, _DEPTH_STEPS)
+    return reader | network.trained(
+        name, inputs, targets, _DEPTH_HIDDEN, 2, _depth_gradient, rng, _DEPTH_STEPS
+    )
 
 
-def _plain_slope(found: Float32, targets: Float32) -> Float32:
-    left = found - targets
-    return np.asarray(left / np.sqrt(left * left + np.float32(1e-4)))
+def _slope_gradient(found: Float32, targets: Float32) -> Float32:
+    error = found - targets
+    return np.asarray(error / np.sqrt(error * error + np.float32(1e-4)))
 
 
-def _depth_slope(found: Float32, targets: Float32) -> Float32:
-    """Return derivatives of the absolute error, and of the likelihood of a Laplace distribution's width."""
-    left = found[:, :1] - targets
-    width = np.clip(found[:, 1:], -8, 2)
-    sharp = left / np.sqrt(left * left + np.float32(_SMOOTH_MM**2))
-    return np.concatenate([sharp, np.float32(0.1) * (1 - np.abs(left) * np.exp(-width))], axis=1)
+def _depth_gradient(found: Float32, targets: Float32) -> Float32:
+    """Return derivatives of the absolute error, and of the Laplace likelihood by its logarithmic width."""
+    error = found[:, :1] - targets
+    log_width = np.clip(found[:, 1:], -8, 2)
+    sharp = error / np.sqrt(error * error + np.float32(_SMOOTH_MM**2))
+    return np.concatenate([sharp, np.float32(0.1) * (1 - np.abs(error) * np.exp(-log_width))], axis=1)
 
 
 def _true_slopes(depth_mm: Float32, twin: Twin, shrink: int) -> Float32:
@@ -204,32 +206,32 @@ def _true_slopes(depth_mm: Float32, twin: Twin, shrink: int) -> Float32:
     rows, columns = depth_mm.shape
     pitch_m = 2 * twin.half_m / [columns, rows]
     shape = twin.shape.copy()
-    shape[Fitted.LENS] = 0.0  # depth is as it is seen
+    shape[Fitted.LENS] = 0.0  # the depth is already seen through it
     soft = 1e3 * gel.gel_surface(depth_mm.astype(np.float64) / 1e3, pitch_m, shape)
     down, across = np.gradient(soft)
     return np.stack([across, -down], axis=-1).astype(np.float32)
 
 
 def _samples(twin: Twin, fit: Fit, rng: np.random.Generator) -> Iterator[tuple[Float32, Float32, int]]:
-    """Yield images, depth in mm, and how often each is seen, of recordings and of rendered touches."""
-    presses, left = [], []
+    """Yield images, depth in mm, and weights, of recordings and of rendered touches."""
+    presses, residuals = [], []
     for touch in np.flatnonzero(fit.used).tolist():
         depth_m = fit.indentation(touch, fit.poses[touch], fit.shape)
         presses.append(float(depth_m.max()))
         image = fit.recordings.images[touch].astype(np.float32)
-        yield image, (1e3 * depth_m).astype(np.float32), _REPEATED
-        left.append(image - fit.background - fit.rendered(touch, fit.poses[touch], fit.shape))
+        yield image, (1e3 * depth_m).astype(np.float32), _RECORDING_WEIGHT
+        residuals.append(image - fit.background - fit.rendered(touch, fit.poses[touch], fit.shape))
     optics, reliefs = TwinOptics(twin), list(fit.reliefs.values())
     for number in range(_TOUCHES):
         relief = reliefs[rng.integers(len(reliefs))]
-        if rng.random() < _SIMPLE:
+        if rng.random() < _SIMPLE_SHARE:
             relief = simple_shape(rng)
         margin = gel.margin_px(twin.size_px[0])
         reach_m: Float32 | Float64 = _pressed(twin, relief, rng, presses, margin)
         clean = twin.background + optics.response(reach_m, margin=margin)
         reach_m = gel.seen_through(reach_m, twin.pitch_m, float(twin.shape[Fitted.LENS]), margin)
-        # What the fit leaves of real images: their noise, and what the twin does not render.
-        noise = left[number % len(left)]
+        # Residuals of recordings: the noise of the sensor, and effects that the twin does not render.
+        noise = residuals[number % len(residuals)]
         image = np.clip(np.rint(clean + noise[:: rng.choice([1, -1]), :: rng.choice([1, -1])]), 0, 255)
         yield image.astype(np.float32), (1e3 * reach_m).astype(np.float32), 1
 
@@ -257,7 +259,7 @@ def _pressed(
 
 
 def simple_shape(rng: np.random.Generator) -> Relief:
-    """Return balls, cones, ridges, blocks and stairs, one to three of them, 7 mm high, on 16 x 16 mm."""
+    """Return one to three balls, cones, ridges, blocks or stairs, about 7 mm high, on 16 x 16 mm."""
     side, pitch = 320, 5e-5
     y, x = np.mgrid[-1:1:320j, -1:1:320j] * (side * pitch / 2)
     height = np.zeros((side, side))
@@ -266,7 +268,7 @@ def simple_shape(rng: np.random.Generator) -> Relief:
         along = np.cos(turn) * (x - at[0]) + np.sin(turn) * (y - at[1])
         across = np.cos(turn) * (y - at[1]) - np.sin(turn) * (x - at[0])
         top = 7e-3 - rng.uniform(0, 6e-4)
-        # How far from a point, a line, an edge, or a square.
+        # Distance from a point, a line, an edge, or the centre of a square.
         far = (
             np.hypot(along, across),
             np.abs(along),
@@ -283,7 +285,7 @@ def simple_shape(rng: np.random.Generator) -> Relief:
         )[rng.integers(3)]
         tilt = rng.normal(0, 0.03, 2)
         body = top - drop + tilt[0] * along + tilt[1] * across
-        # Beside a face there is some of the gel at rest, as beside what is printed.
+        # The gel is at rest beside a shape, as it is beside a printed solid.
         inside = np.maximum(np.abs(along), np.abs(across)) < rng.uniform(3e-3, 8e-3)
         height = np.maximum(height, np.where(inside, body, 0))
     corner = np.array([x[0, 0], y[0, 0], pitch, pitch])

@@ -1,4 +1,4 @@
-"""Touches of known solids by one sensor, from which its twin is made."""
+"""Touches of known solids by one sensor: the input of its calibration."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ class Recordings:
     images : ndarray of uint8, shape (N, H, W, 3)
         One image of each touch, red, green and blue.
     object_ids : ndarray of int64, shape (N,)
-        Which solid was touched.
+        Id of the solid that was touched.
     solids : mapping of int to mesh
-        Closed meshes, metres, by their numbers.
+        Closed meshes, metres, by object id.
     backgrounds : ndarray of uint8, shape (B, H, W, 3)
         Images without contact; without them, the background is found from the touches.
     sensor_m : ndarray of float64, shape (N, 3), optional
-        Where the sensor was, metres, cell frame: x, y, and the height z at which it stopped, NaN where it is
-        unknown. Without it, touches are found by matching.
+        Position of the sensor, metres, cell frame: x, y, and the height z at which it stopped, NaN where the
+        height is unknown. Without positions, the touches are located by matching.
     object_poses : ndarray of float64, shape (N, 3), optional
         x and y of the origin of the mesh, metres, cell frame, and its turn about z as seen by the sensor,
         radians; zeros by default.
@@ -44,7 +44,7 @@ class Recordings:
     Raises
     ------
     InputError
-        Arrays of other types, shapes or lengths, numbers that are not finite, unknown solids.
+        Arrays have other types, shapes or lengths, numbers are not finite, or solids are unknown.
     """
 
     images: UInt8
@@ -110,7 +110,7 @@ class Recordings:
         return as_mesh(self.solids[object_id])
 
     def places(self) -> Float64 | None:
-        """Return the point of each solid under the sensor, x and y, metres, and its turn, radians; (N, 3)."""
+        """Return the point of each solid under the sensor, x and y, metres, and the turn, radians; (N, 3)."""
         if self.sensor_m is None:
             return None
         assert self.object_poses is not None, "set when the recordings are made"
@@ -123,13 +123,11 @@ class Recordings:
 def _require_images(images: AnyArray, name: str) -> None:
     shape = images.shape
     if images.dtype != np.uint8 or images.ndim != 4 or shape[3] != 3 or not len(images):
-        raise InputError(
-            f"{name} are {images.dtype} of the shape {shape}; expected uint8 (n, height, width, 3)"
-        )
+        raise InputError(f"{name} are {images.dtype} of shape {shape}; expected uint8 (n, height, width, 3)")
     if min(shape[1:3]) < _MIN_PX or shape[1] * shape[2] > MAX_IMAGE_PIXELS or images.nbytes > _MAX_BYTES:
         raise InputError(
-            f"{name} are {shape[0]} of {shape[2]} x {shape[1]} pixels; expected at least {_MIN_PX} pixels "
-            f"a side and at most {_MAX_BYTES >> 20} MiB in all",
+            f"{name} are {shape[0]} images of {shape[2]} x {shape[1]} pixels; expected at least "
+            f"{_MIN_PX} pixels a side and at most {_MAX_BYTES >> 20} MiB in all",
             next="scale the images, or take fewer",
         )
 

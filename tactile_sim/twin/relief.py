@@ -1,4 +1,4 @@
-"""Reliefs of solids: their heights from above, on a grid, from which any touch is sampled."""
+"""Reliefs of solids: height maps on a grid, from which any touch is sampled."""
 
 from __future__ import annotations
 
@@ -19,14 +19,17 @@ _MARGIN_M = 2e-4  # of plate around the solid
 
 @dataclass(frozen=True, eq=False)
 class Relief:
-    """Heights above the plate, metres, first row at the least y; ``corner`` as the kernel takes it."""
+    """Heights above the plate, metres, shape (rows, columns), first row at the least y.
+
+    ``corner`` is x and y of the first point and the distances of points along x and y, metres.
+    """
 
     heights_m: Float32
     corner: Float64
 
     @classmethod
     def of(cls, solid: MeshLike | Pressable) -> Relief:
-        """Return the relief of a solid that stands on the plate; InputError if it is not closed, or huge."""
+        """Return the relief of a solid that stands on the plate; InputError if it is open or too large."""
         prepared = Pressable.of(solid)
         low = prepared.vertices_m[:, :2].min(axis=0) - _MARGIN_M
         sides = np.ptp(prepared.vertices_m[:, :2], axis=0) + 2 * _MARGIN_M
@@ -35,7 +38,7 @@ class Relief:
             raise InputError(
                 f"a solid of {1e3 * sides[0]:.4g} x {1e3 * sides[1]:.4g} mm is too large to be touched; "
                 "expected metres",
-                next="look at the unit of the mesh",
+                next="check the unit of the mesh",
             )
         out = np.zeros((rows, columns))
         affine = np.zeros((3, 4))

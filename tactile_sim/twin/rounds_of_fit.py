@@ -1,4 +1,4 @@
-"""The course of a fit: from coarse to fine, with the touches that fit badly left out, and what it found."""
+"""Run a fit from coarse to fine images, leave out the touches that fit badly, and report the result."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from tactile_sim.twin.recordings import Recordings
 from tactile_sim.twin.relief import Relief
 from tactile_toolkit.array_types import Float32, Float64, Int64
 
-# First guesses: as Taxim's calibration of the GelSight Mini has them.
+# First guesses, close to Taxim's calibration of the GelSight Mini.
 _WIDTH_M, _LAST_M, _CONTACT, _BLUR_M = 9e-4, 6e-5, 0.6, 6e-5
-# How far poses are expected to be off: metres, metres, radians, metres.
+# Expected errors of poses: x and y, metres; turn, radians; press depth, metres.
 _SPREAD = np.array([2e-4, 2e-4, 0.015, 1e-4])
 _UNKNOWN_PRESS_M = 5e-4
 _MATCHED_SPREAD = np.array([1e-3, 1e-3, 0.08])
@@ -31,15 +31,18 @@ _COARSE = (
 # Press depth and shadows have similar effects on the image: the depth is fitted without shadows.
 _SHALLOW = tuple(each for each in Fitted if each not in (Fitted.GEL, Fitted.CONTACT))
 _ROUNDS = ((80, 10, _COARSE, 0.1), (160, 8, tuple(Fitted), 1e-2), (160, 6, _SHALLOW, 1e-3))
-"""Widths of the images, steps, what moves, and ridges: a stiff response leaves more to the geometry."""
+"""Width of the images, steps, moving geometry, and ridge; a high ridge leaves more to the geometry."""
 
-_SETTLED = 0.01
+_SETTLED_MOVE = 0.01  # a round ends after a step that is smaller, in parts of the expected spread
 _PASSES = 3
-_MISFIT = 3.0  # times the median error
+_MISFIT = 3.0  # as a multiple of the median error
 
 
 def start_fit(recordings: Recordings, places: Float64, level_m: Float64 | None, start: SensorModel) -> Fit:
-    """Return a fit that begins with a geometry, and with given points under the sensor and turns (N, 3)."""
+    """Return a fit that starts from a geometry, and from points under the sensor and turns (N, 3).
+
+    ``level_m`` (N,) are the heights of the sensor, NaN where unknown; None if places were found by matching.
+    """
     reliefs = {key: Relief.of(recordings.mesh(key)) for key in recordings.solids}
     shape = np.array([0.0, 0.0, 0.0, start.gel_mm / 1e3, _WIDTH_M, _LAST_M, _CONTACT, _BLUR_M])
     guess_m = np.array([start.width_mm, start.height_mm]) / 2e3
@@ -77,7 +80,7 @@ def first_background(recordings: Recordings) -> Float32:
 
 
 def run_fit(fit: Fit, on_progress: Callable[[int, int], None] | None = None) -> None:
-    """Fit from coarse to fine."""
+    """Run the rounds of a fit, from coarse to fine images."""
     width = fit.recordings.size_px[0]
     done, total = 0, sum(steps for _, steps, _, _ in _ROUNDS) + _PASSES + 2
 
@@ -85,20 +88,20 @@ def run_fit(fit: Fit, on_progress: Callable[[int, int], None] | None = None) -> 
         if on_progress is not None:
             on_progress(to, total)
 
-    for wide, steps, moving, fit.ridge in _ROUNDS:
-        fit.look(max(1, round(width / wide)))
+    for width_px, steps, moving, fit.ridge in _ROUNDS:
+        fit.set_shrink(max(1, round(width / width_px)))
         fit.penalise(shadows=moving == _SHALLOW)
         fit.step()
         for number in range(steps):
             moved = fit.step(moving)
             advance(done + number)
-            if moved < _SETTLED:
+            if moved < _SETTLED_MOVE:
                 break
         done += steps
         leave_out_misfits(fit)
     fit.choose_ridge()
     advance(done + 1)
-    fit.look(1)
+    fit.set_shrink(1)
     for number in range(_PASSES):
         fit.step()
         fit.refresh_background()
@@ -106,7 +109,7 @@ def run_fit(fit: Fit, on_progress: Callable[[int, int], None] | None = None) -> 
 
 
 def leave_out_misfits(fit: Fit) -> None:
-    """Leave out touches whose error is far above that of the others."""
+    """Leave out the touches whose error is far above that of the others."""
     for touch in range(len(fit.poses)):
         fit.residual(touch)
     bound = _MISFIT * np.median(fit.rms[fit.used])
@@ -114,7 +117,7 @@ def leave_out_misfits(fit: Fit) -> None:
 
 
 def found(fit: Fit) -> dict[str, Any]:
-    """Return what a fit found: JSON values."""
+    """Return the results of a fit as JSON values."""
     half_m = fit.half_m(fit.shape)
     width, height = fit.recordings.size_px
     pitch_mm = 2e3 * half_m / [width, height]
@@ -167,7 +170,7 @@ def spread_of(fit: Fit, touch: int) -> dict[str, Any]:
     noise = (fit.rms[touch] / fit.noise) ** 2
     floor = np.diag(1e-6 / np.square(_SPREAD))
     values, vectors = np.linalg.eigh(fit.information[touch] + floor * noise)
-    # Where the images are far from linear, no more is known than before.
+    # Where images are far from linear, the variance may not exceed that before the fit.
     values = np.maximum(values, noise * floor.diagonal().min())
     covariance = noise * (vectors / values) @ vectors.T
     along, directions = np.linalg.eigh(covariance[:2, :2])

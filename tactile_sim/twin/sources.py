@@ -1,4 +1,4 @@
-"""Recordings of a user: a data set of touches, or a folder of images with a table, and the solids."""
+"""Read recordings for a calibration: a data set of touches or a folder of images, and the solids."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from tactile_toolkit.text_tables import TABLE_ENDINGS, read_text_table
 from tactile_toolkit.units import stated_unit
 
 MAX_TOUCHES = 60
-"""Touches that are taken at most, evenly spaced; 20 are enough, and time grows with their number."""
+"""Greatest number of touches that are used, evenly spaced; 20 are enough, and time grows with the number."""
 
 _SENSOR = ("x_m", "y_m", "z_m")
 _OBJECT = ("object_x_m", "object_y_m", "object_turn_rad")
@@ -67,7 +67,7 @@ def read_recordings(
         ``z_m`` of the sensor; ``object_x_m``, ``object_y_m``, ``object_turn_rad`` of the solid. By default
         the only table in the folder, if there is one.
     backgrounds : sequence of str or path
-        Images that touch nothing, or folders of them.
+        Images without contact, or folders of them.
     unit : "mm", "cm", "m" or "in", optional
         Unit of STL, PLY and OBJ files; millimetres by default.
     opened : callable
@@ -111,7 +111,7 @@ def _one_array(images: Sequence[UInt8]) -> UInt8:
     shapes = {each.shape for each in images}
     if len(shapes) > 1:
         sizes = ", ".join(f"{width} x {height}" for height, width, *_ in sorted(shapes)[:4])
-        raise InputError(f"images have the sizes {sizes}; expected one", next="scale them first")
+        raise InputError(f"images have the sizes {sizes}; expected one size", next="scale them first")
     return np.stack(images)
 
 
@@ -138,7 +138,7 @@ def read_image(file: Path, root: Path | None = None) -> UInt8:
 
 
 def _of_folder(root: Path, images: list[Path], table: str | PathLike[str] | None) -> list[_Touched]:
-    """Read the images of a folder, and what a table says of them."""
+    """Read the images of a folder, with the solids and poses that a table states for them."""
     tables = [each for each in sorted(root.iterdir()) if each.suffix.lower() in TABLE_ENDINGS]
     if table is None and len(tables) > 1:
         names = ", ".join(each.name for each in tables[:4])
@@ -202,12 +202,12 @@ def _numbers(texts: Sequence[str], name: str, where: str, separator: str) -> lis
 
 
 def spaced(count: int, most: int) -> list[int]:
-    """Return at most so many numbers below a count, evenly spaced."""
+    """Return evenly spaced integers below a count, at most ``most``."""
     return [int(each) for each in np.unique(np.linspace(0, count - 1, min(count, most)).round())]
 
 
 def _of_data_set(place: places.Place) -> list[_Touched]:
-    """Read touches of a data set, of all splits; their poses, or columns of the names of a table."""
+    """Read the touches of all splits of a data set, with their poses or columns named as those of a table."""
     place.require(KIND, "calibrate")
     parts = [KIND.load(place, split).touches() for split in place.splits]
     flat = [(each, number) for each in parts for number in range(len(each))]
@@ -229,7 +229,7 @@ def _of_touch(each: Any) -> _Touched:
 
 
 def _seen_poses(each: Any) -> dict[str, float]:
-    """Return where sensor and solid are, both turned about z so that the gel is not turned."""
+    """Return the poses of sensor and solid by column, turned about z so that the x axis of the gel is x."""
     gel = each.gel_pose
     x_axis = gel.matrix[:3, 0]
     yaw = np.arctan2(x_axis[1], x_axis[0])
@@ -251,7 +251,7 @@ def _columns(
 ) -> Float64 | None:
     """Return numbers of all touches, (N, 3): NaN for a height that is not stated, 0 for other gaps.
 
-    None if no touch states any, or not all state what is required.
+    Return None if no touch states any of them; InputError if some touches lack a required one.
     """
     if not any(name in each.numbers for each in touches for name in names):
         return None
@@ -272,7 +272,7 @@ def _solids(
     unit: str | None,
     opened: Callable[[Any], places.Place],
 ) -> dict[int, Mesh]:
-    """Return the meshes of the solids that were touched; of a single one, whatever touches name."""
+    """Return the meshes of the solids that touches name; all given ones if a touch names none."""
     given = given_solids(source, unit)
     if given is not None:
         solids = [solid for each in given.values() for solid in each.solids]
@@ -311,6 +311,6 @@ def _read_backgrounds(sources: Sequence[str | PathLike[str]], like: UInt8) -> UI
         if image.shape != like.shape:
             raise InputError(
                 f"the image without contact {str(file)!r} has {image.shape[1]} x {image.shape[0]} pixels; "
-                f"expected {like.shape[1]} x {like.shape[0]}, as the touches"
+                f"expected {like.shape[1]} x {like.shape[0]}, like the touches"
             )
     return np.stack(images)

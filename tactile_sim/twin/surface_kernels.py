@@ -1,6 +1,6 @@
-"""The surface of the gel of a twin, in numba: how it follows a solid and leaves it, and how it is seen.
+"""The surface of the gel of a twin, in numba: how it follows a solid, and how it is seen.
 
-All in single precision: heights are right to about a ten-millionth of the press depth.
+Numbers have single precision: heights are right to about a ten-millionth of the press depth.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from tactile_sim import taxim_kernels
 from tactile_toolkit.array_types import Float32, Float64, Floating
 from tactile_toolkit.compiled import compiled
 
-_RUN = 3  # pixels over which the slope at an edge is taken
+_RUN = 3  # pixels from which the slope at an edge is computed
 
 
 class Blur(NamedTuple):
-    """How often a map is halved before it is blurred, and halves of the kernels across and down."""
+    """How often a map is halved before it is blurred, and half kernels across and down, middle first."""
 
     halvings: int
     across: Float32
@@ -26,9 +26,9 @@ class Blur(NamedTuple):
 
 @compiled
 def extend(depth: Float64, level: float, margin: int) -> Float32:
-    """Return how far a solid rises above a level, with ``margin`` pixels more on each side.
+    """Return how far a solid reaches beyond a level of depth, with ``margin`` pixels more on each side.
 
-    There its slopes at the edge go on. Values stay between 0 and the greatest of the map.
+    The margin continues the slopes at the edge. Its values are limited to 0 and the maximum of the map.
     """
     rows, columns = depth.shape
     out = np.empty((rows + 2 * margin, columns + 2 * margin), np.float32)
@@ -72,11 +72,12 @@ def press_gel(
     share: float,
     edge: float,
 ) -> Float32:
-    """Return the surface of the gel, metres, that a solid presses in so far (H, W), the margin included.
+    """Return the surface of the gel, metres, from the ``indentation`` (H, W) by a solid, margin included.
 
-    Contact begins at a share of the greatest indentation within the margin, over an edge in metres; no part
-    counts as higher than that. After each of the ``blurs`` but the last one, the gel takes the shape of the
-    solid where it is in contact. Each leaves out an edge, of the width of its inset, that nothing shows.
+    Contact begins at a ``share`` of the greatest indentation inside the margin, over a range of ``edge``
+    metres; larger indentations are reduced to the greatest one. After each of the ``blurs`` but the last one,
+    the gel takes the shape of the solid where it is in contact. Each blur leaves out an edge as wide as its
+    inset, which is not seen.
     """
     held = np.empty(indentation.shape, np.float32)
     greatest = _turn_over(held, indentation, margin)
@@ -93,9 +94,9 @@ def press_gel(
 
 @compiled
 def _hold(soft: Float32, held: Float32, inset: int, begin: float, per_edge: float) -> None:
-    """Give the gel the shape of the solid where it is in contact, but for an edge of ``inset``.
+    """Give the gel the shape of the solid where it is in contact, except for an edge of ``inset`` pixels.
 
-    Contact begins at ``begin``, metres, and grows from 0 to 1 by ``per_edge`` for each metre deeper.
+    Contact begins below the height ``begin``, metres, and grows from 0 to 1 by ``per_edge`` for each metre.
     """
     zero, one, level, growth = np.float32(0.0), np.float32(1.0), np.float32(begin), np.float32(per_edge)
     for row in range(inset, len(soft) - inset):
@@ -109,7 +110,7 @@ def _hold(soft: Float32, held: Float32, inset: int, begin: float, per_edge: floa
 
 @compiled
 def _turn_over(held: Float32, indentation: Floating, margin: int) -> float:
-    """Write the height of the gel where it has the shape of the solid; return the greatest indentation."""
+    """Write the height that the gel has in contact; return the greatest indentation inside the margin."""
     rows, columns = indentation.shape
     tops = np.zeros(columns - 2 * margin, np.float32)
     for row in range(margin, rows - margin):
@@ -128,9 +129,10 @@ def _turn_over(held: Float32, indentation: Floating, margin: int) -> float:
 
 @compiled
 def soften(out: Float32, source: Float32, blur: Blur, inset: int) -> None:
-    """Write a blurred map, but for an edge of ``inset``.
+    """Write a blurred map, except for an edge of ``inset`` pixels.
 
-    Wide blurs are done on a smaller map: binomials of width 4, down and up, are part of the Gaussian.
+    Wide blurs are done on a smaller map. Halving and doubling use binomials of four weights, which are part
+    of the Gaussian.
     """
     if blur.halvings == 0:
         taxim_kernels.blur(source, blur.across, blur.down, 1, None, out, inset)
@@ -149,7 +151,7 @@ def soften(out: Float32, source: Float32, blur: Blur, inset: int) -> None:
 
 @compiled
 def halved(wide: Float32) -> Float32:
-    """Return a map of half the size, weighed by 1, 3, 3, 1; it goes on with the values at its edge."""
+    """Return a map of half the size, averaged with the weights 1, 3, 3, 1; the edge is repeated."""
     rows, columns = wide.shape
     high, across = (rows + 1) // 2, (columns + 1) // 2
     out, line = np.empty((high, across), np.float32), np.empty(columns + 3, np.float32)
@@ -171,7 +173,7 @@ def halved(wide: Float32) -> Float32:
 
 @compiled
 def double(out: Float32, small: Float32) -> None:
-    """Write a map of twice the size, bilinear; an odd side has a pixel less."""
+    """Write a map of twice the size, bilinearly; if a side is odd, the last pixel is left out."""
     rows, columns = out.shape
     high, wide = small.shape
     three, part, line = np.float32(3.0), np.float32(1.0 / 16.0), np.empty(wide + 2, np.float32)
@@ -194,9 +196,10 @@ def double(out: Float32, small: Float32) -> None:
 def bend_surface(
     out: Float32, surface: Floating, span: Float64, margin: int, lens: float, across: float
 ) -> None:
-    """Write a surface as it is seen through the lens, bilinear; it has ``margin`` pixels more on each side.
+    """Write a surface as it is seen through the lens, bilinearly.
 
-    ``across`` is the share of the width in the square of the diagonal.
+    ``surface`` has ``margin`` pixels more on each side than ``out``. ``across`` is the squared width of the
+    image over its squared diagonal.
     """
     rows, columns = out.shape
     high, wide = surface.shape
@@ -225,7 +228,7 @@ def bend_surface(
 
 @compiled
 def lay_over(out: Float32, response: Float32, behind: Float32) -> None:
-    """Write shades, 0 to 1, (H, W, 3), of a response over a background, levels."""
+    """Write the shades, 0 to 1, (H, W, 3), of a response over a background; both are in levels."""
     flat, change, below = out.reshape(out.size), response.reshape(out.size), behind.reshape(out.size)
     zero, one, part = np.float32(0.0), np.float32(1.0), np.float32(1.0 / 255.0)
     for at in range(len(flat)):

@@ -1,4 +1,4 @@
-"""The twin of a sensor: what a fit found, as optics that render its images."""
+"""The twin of a sensor: the result of a fit, and optics that render its images."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tactile_toolkit.array_types import AnyArray, Float32, Float64, Floating, UI
 from tactile_toolkit.errors import InputError
 
 Surface: TypeAlias = Callable[[Floating, Float64, Float64, int, Float64], Float32]
-"""Makes the surface of a gel that is seen, as :func:`tactile_sim.twin.gel.gel_surface` does."""
+"""Returns the surface of a gel as it is seen, like :func:`tactile_sim.twin.gel.gel_surface`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class Twin:
     reader : mapping of str to ndarray of float32
         Weights of the reader of depth.
     report : mapping
-        What the fit found, JSON values.
+        Results of the fit, JSON values.
     """
 
     shape: Float64
@@ -60,7 +60,7 @@ class Twin:
         return np.asarray(2 * self.half_m / self.size_px)
 
     def arrays(self) -> dict[str, AnyArray]:
-        """Return all arrays by name, as the file holds them."""
+        """Return all arrays by name, as in the file."""
         own = {name: getattr(self, name) for name in ("shape", "half_m", "coefficients", "background")}
         return {**own, **{f"reader_{name}": each for name, each in self.reader.items()}}
 
@@ -107,14 +107,14 @@ class TwinOptics(Optics):
             if is_surface:
                 change = self._response(gel.own_surface, sensor.gel_m - each, span, 0)
             else:
-                # Mirrored at the edge, as kernels would have it, the gel is six times as far off there.
+                # Kernels would mirror the map at its edge, where the gel would be six times as far off.
                 reach_m = surface_kernels.extend(np.ascontiguousarray(each), sensor.gel_m, margin)
                 change = self.response(reach_m, margin, span)
             surface_kernels.lay_over(out[number], change, behind)
         return out
 
     def response(self, reach_m: Floating, margin: int, span: Float64 = gel.WHOLE) -> Float32:
-        """Return the change of the image (H, W, 3), levels, by a solid that reaches so far into the gel.
+        """Return the change of the image (H, W, 3), levels, from how far a solid reaches into the gel.
 
         The map has ``margin`` pixels more on each side; ``span`` is the share of the image that it shows,
         along x and y, without them.
@@ -131,12 +131,12 @@ class TwinOptics(Optics):
         return gel.response(soft, pitch_m, self._twin.shape, self._table, span)
 
     def reached(self, reach_m: Float32, sensor: Sensor) -> UInt8:
-        """Return pictures (n, H, W, 3) of how far solids reach into the gel, (n, H, W), metres."""
+        """Return pictures (n, H, W, 3) of solids from how far they reach into the gel, (n, H, W), metres."""
         return self.render(sensor.gel_m - np.asarray(reach_m, np.float64), sensor, self._twin.size_px)
 
 
 def _part_of(image: Float32, span: Float64, size: tuple[int, ...]) -> Float32:
-    """Return the middle of an image, a share ``span`` of its sides, in another size (H, W)."""
+    """Return the middle part of an image, a share ``span`` of its sides, scaled to a size (H, W)."""
     if image.shape[:2] == size and (np.abs(span - 1) < 1e-6).all():
         return image
     part = image.astype(np.float64)
@@ -151,7 +151,7 @@ def _part_of(image: Float32, span: Float64, size: tuple[int, ...]) -> Float32:
 
 
 def resized_depth(maps: Float32, size_px: tuple[int, int]) -> Float32:
-    """Return maps (n, H, W) in another size, width and height: bilinear."""
+    """Return maps (n, H, W) scaled to a width and height, bilinearly."""
     width, height = size_px
     if maps.shape[1:] == (height, width):
         return maps

@@ -1,4 +1,4 @@
-"""Folders of sensors: ``sensor.json`` with what can be read by people, and one file of arrays."""
+"""Folders of sensors: ``sensor.json``, which people can read, and one file of arrays."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ _FORMAT, _VERSION = "tactile-sim sensor", 1
 _MAX_BYTES = 1 << 22
 _MAX_PIXELS = 1280 * 1280
 _REPORTED = ("mm_per_px", "noise_levels", "image_error_levels", "residual_levels")
-"""Numbers of a report that others use."""
+"""Numbers that every report must hold."""
 
 
 def write_sensor(folder: str, model: SensorModel, twin: Twin) -> None:
-    """Write the folder of a sensor; InputError if it holds something else."""
+    """Write the folder of a sensor; InputError if it holds other files."""
     place = store.open_folder(folder)
     others = sorted(set(place.names()) - {SENSOR_FILE, ARRAYS_FILE})
     if others:
         raise InputError(
-            f"{folder!r} holds {others[0]!r}, which belongs to no sensor", next="choose another folder"
+            f"{folder!r} holds {others[0]!r}, which is not part of a sensor", next="choose another folder"
         )
     document = {
         "format": _FORMAT,
@@ -44,18 +44,18 @@ def write_sensor(folder: str, model: SensorModel, twin: Twin) -> None:
         "arrays_sha256": twin.sha256,
         "report": dict(twin.report),
     }
-    # The document last: without it the folder is no sensor.
+    # The document is written last: without it, the folder is not a sensor.
     place.write_bytes(ARRAYS_FILE, npz_bytes(twin.arrays()))
     place.write_bytes(SENSOR_FILE, (json.dumps(document, indent=1) + "\n").encode())
 
 
 def read_sensor(folder: str | Path) -> tuple[dict[str, Any], Twin]:
-    """Return the geometry and the twin of a folder; InputError if it holds no sensor, or a damaged one."""
+    """Return the geometry and the twin of a folder; InputError if the sensor is missing or damaged."""
     place = store.expanded(folder)
     file = place / SENSOR_FILE
     if not file.is_file():
         raise InputError(
-            f"{str(folder)!r} is no sensor: it has no {SENSOR_FILE}",
+            f"{str(folder)!r} is not a sensor: it has no {SENSOR_FILE}",
             next="give a folder that `tactile-sim calibrate` wrote",
         )
     try:
@@ -70,7 +70,7 @@ def read_sensor(folder: str | Path) -> tuple[dict[str, Any], Twin]:
         _require_report(report)
         twin = _twin_of(arrays, report)
         if twin.size_px != (geometry["width_px"], geometry["height_px"]):
-            problem = f"its arrays are of images of {twin.size_px} pixels"
+            problem = f"its arrays are for images of {twin.size_px} pixels"
             raise ValueError(problem)
         if twin.sha256 != document["arrays_sha256"]:
             problem = f"{ARRAYS_FILE} has another digest than {SENSOR_FILE} states"
@@ -93,7 +93,7 @@ def _require_report(report: Mapping[str, Any]) -> None:
 
 
 def _twin_of(arrays: Mapping[str, AnyArray], report: Mapping[str, Any]) -> Twin:
-    """Return a twin; ValueError, which names the array, for arrays of another kind."""
+    """Return the twin of arrays; ValueError, which names the array, for other names, types and shapes."""
     background = arrays["background"]
     if background.ndim != 3 or not background.size <= 3 * _MAX_PIXELS or min(background.shape[:2]) < 16:
         problem = f"background has the shape {background.shape}"
@@ -108,7 +108,7 @@ def _twin_of(arrays: Mapping[str, AnyArray], report: Mapping[str, Any]) -> Twin:
     for name in [*expected, *arrays]:
         array, (kind, sides) = arrays.get(name), expected.get(name, (None, ()))
         if array is None or array.dtype != kind or array.shape != sides or not np.isfinite(array).all():
-            problem = f"{name} does not hold finite numbers, {np.dtype(kind)} of the shape {sides}"
+            problem = f"{name} is not an array of finite {np.dtype(kind)} numbers with the shape {sides}"
             raise ValueError(problem)
     shape, half_m = arrays["shape"], arrays["half_m"]
     if (shape < gel.LEAST).any() or (shape > gel.MOST).any() or not ((half_m > 1e-4) & (half_m < 0.1)).all():

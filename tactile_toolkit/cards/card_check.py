@@ -18,7 +18,7 @@ from tactile_toolkit.cards.yaml_head import CARD_FILE, card_head
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.json_types import JsonObject, JsonValue
 
-_GAPS = re.compile(r"more information needed|\[optional\]|\bTODO\b", re.IGNORECASE)
+_PLACEHOLDERS = re.compile(r"more information needed|\[optional\]|\bTODO\b", re.IGNORECASE)
 _PICTURE = re.compile(r"!\[[^\]]*\]\((?P<path>[^)\s]+)\)")
 _MAX_SHOWN = 300
 # Errors of invalid YAML content, whose values may have any type.
@@ -39,8 +39,8 @@ def check_card(folder: store.DataFolder) -> list[store.Finding]:
         facts = folder_summary(folder)
         problems = [f"its head has no {name!r}" for name in _REQUIRED if not head.get(name)]
         problems += _contradictions(head, facts)
-        gaps = dict.fromkeys(match[0] for match in _GAPS.finditer(text))
-        problems += [f"reads {gap!r}; expected every gap filled" for gap in gaps]
+        placeholders = dict.fromkeys(match[0] for match in _PLACEHOLDERS.finditer(text))
+        problems += [f"contains the placeholder {gap!r}; expected text in its place" for gap in placeholders]
     except ToolkitError as error:
         return [store.Finding(CARD_FILE, f"cannot be compared with the data: {error}")]
     except (*_UNREADABLE, yaml.YAMLError) as error:

@@ -113,7 +113,7 @@ def choose_rows(
 
 
 def _with_id(rows: Classified, given: GivenId) -> Bool:
-    """Return a mask of the rows whose object, or whose own text, has a given id or lies in a range."""
+    """Return a mask of the rows with a given id, or one in a given range: of the object, or of the row."""
     values = rows.object_ids
     if isinstance(given, str) and rows.ids.dtype.kind not in "iuf":
         values = rows.ids

@@ -276,7 +276,7 @@ def _refuse_public(repo_id: str, options: UploadOptions, held: hub.HubRepository
     """Refuse to upload private data to a public repository."""
     if options.private and held is not None and not held.is_private:
         raise InputError(
-            f"{repo_id!r} exists and everyone can see it, --private was asked for; nothing was sent",
+            f"{repo_id!r} exists and everyone can see it, but --private was given; nothing was sent",
             next=f"make it private at {hub.page_of(repo_id)}/settings, or leave --private out",
         )
 
@@ -401,7 +401,7 @@ def run_upload(prepared: PreparedUpload) -> UploadResult:
         raise IntegrityError(
             f"{prepared.repo_id!r} does not hold what was sent (commit {commit[:12]}): "
             f"{paths[0]} differs ({with_count(len(paths), 'such files')})",
-            next="run the same upload again, it sends what is missing",
+            next="run the same upload again, which sends what is missing",
         )
     if options.tag:
         ask(partial(api.create_tag, **here, tag=options.tag, revision=commit, exist_ok=True))

@@ -25,7 +25,7 @@ class PrintProfile:
     max_height_mm : float
         Largest height of a print.
     min_wall_mm : float
-        Thinner walls give a warning; two lines if it is not given.
+        Thinner walls give a warning; twice ``nozzle_mm`` by default.
     overhang_deg : float
         Slopes that lean out by more than this from the vertical need support.
     max_overhang_share : float

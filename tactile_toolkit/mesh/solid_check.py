@@ -62,11 +62,11 @@ def check_manifold(mesh: Mesh) -> ManifoldCheck:
     manifold = mesh.to_manifold()
     status = str(manifold.status()).rpartition(".")[2]
     if status != "NoError":
-        return ManifoldCheck(None, status, "not-manifold", _edge_story(mesh))
+        return ManifoldCheck(None, status, "not-manifold", _edge_problem(mesh))
     parts = manifold.decompose()
     volume_mm3 = float(manifold.volume())
     if not parts or abs(volume_mm3) < FLAT_MM3:
-        problem = "no-volume", "the surface is closed, but what it encloses adds up to nothing"
+        problem = "no-volume", "the surface is closed, but the enclosed volume is nearly 0"
     elif volume_mm3 < 0:
         problem = "inside-out", f"the triangles face inwards, the volume is {volume_mm3:.3f} mm³"
     else:
@@ -155,7 +155,7 @@ def _filled(cavity: Manifold) -> Manifold:
     return Mesh(inside_out.vertices_m, np.ascontiguousarray(inside_out.faces[:, ::-1])).to_manifold()
 
 
-def _edge_story(mesh: Mesh) -> str:
+def _edge_problem(mesh: Mesh) -> str:
     ends = mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
     ends.sort(axis=1)
     uses = np.unique(ends[:, 0] * len(mesh.vertices_m) + ends[:, 1], return_counts=True)[1]

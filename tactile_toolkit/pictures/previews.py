@@ -28,7 +28,7 @@ class MeshPreviews(Generic[D]):
         self, kind: DatasetKind, name: places.Name | places.Place, spec: catalog.PreviewSpec
     ) -> None:
         place = places.open_place(name).require(kind, "preview")
-        self.name, self.things, self.stem = place.name, kind.nouns, file_stem(place.name)
+        self.name, self.item_noun, self.stem = place.name, kind.nouns, file_stem(place.name)
         self.unfinished = place.unfinished
         among = spec.given()
         datasets: dict[str, D] = catalog.open_splits(place, among.pop("split"), kind.load, kind.nouns)
@@ -43,7 +43,7 @@ class MeshPreviews(Generic[D]):
         for split, dataset, found in self.chosen:
             rows = dataset[found[np.argsort(dataset.labels[found], kind="stable")]]
             if len(rows):
-                what = f"{with_count(len(rows), self.things)} of {split} from above"
+                what = f"{with_count(len(rows), self.item_noun)} of {split} from above"
                 heading = f"{self.stem}: {split}"
                 if self.unfinished:
                     heading = f"{heading} (unfinished, {self.unfinished})"

@@ -55,14 +55,14 @@ def is_parquet_file(folder: store.DataFolder, path: str) -> bool:
 
 
 def is_interrupted(folder: store.DataFolder) -> bool:
-    """Return whether a folder has records of a run, which belong to a manifest."""
+    """Return whether a folder has shard records of an unfinished run."""
     return bool(store.pending_shards(folder.names(store.PENDING_FOLDER)))
 
 
 def not_a_set(folder: store.DataFolder, name: str, path: str = "") -> InputError:
     """Return the error for a folder, or a file in it, without a data set; it names what was found."""
     found, next_step = _file_in_words(path) if path else _folder_in_words(folder)
-    return InputError(f"{name!r} {found}; expected a data set, which is Parquet files", next=next_step)
+    return InputError(f"{name!r} {found}; expected a data set of Parquet files", next=next_step)
 
 
 def _file_in_words(path: str) -> tuple[str, str]:
@@ -113,8 +113,8 @@ def _contents_in_words(folder: store.DataFolder) -> tuple[str, str]:
         shown = ", ".join(map(repr, sorted(folder.names())[:_MAX_SHOWN]))
         return f"holds no Parquet files (found {shown})", "give the folder of a data set"
     # Tables beside pictures, videos or meshes describe them.
-    said = _ENDINGS[_TABLES[0]][1:]
-    ((kind, next_step), count), *_ = sorted(counts.most_common(), key=lambda each: each[0] == said)
+    tables = _ENDINGS[_TABLES[0]][1:]
+    ((kind, next_step), count), *_ = sorted(counts.most_common(), key=lambda each: each[0] == tables)
     first = next(path for path in files if _ENDINGS.get(_ending(path), ("", "", ""))[1] == kind)
     return f"is a folder of {kind} ({count:,}, such as {first!r})", next_step
 

@@ -55,25 +55,25 @@ _PICTURE_PX, _TEXT_PX, _EDGE_PX, _COLOUR = (1000, 740), 18, 20, (180, 190, 210)
 
 _SHEET = """# Press your sensor here
 
-Print `{file}` on its flat side, in layers of 0.2 mm, of a rigid material, at its own size, without supports.
-Clean it: the gel shows dust and strings. Lay it down with the cut corner in front on the left. Positions are
-in mm from the middle of the plate, x to the right and y away from you; z counts from its lower side.
+Print `{file}` on its flat side, in layers of 0.2 mm of a rigid material, without scaling and supports. Remove
+dust and strings, which would be visible in the gel. Lay the plate down with the cut corner at the front left.
+Positions are in mm from the middle of the plate: x to the right, y away from you, z up from its lower side.
 
 ![The plate, seen from the front, with the numbers of the touches](calibration-plate.png)
 
-| on the plate | x | y | top | what it is |
+| on the plate | x | y | top | description |
 | --- | --- | --- | --- | --- |
 {features}
 
 ## How to press
 
-1. Take three images that touch nothing. They show the gel at rest; keep light and exposure as they are.
-2. Press straight down at the {count} places below, one image each. Places need not be exact; the numbers that
-   you write down should be: a millimetre is enough to begin with, a tenth is what a robot gives.
-3. Press by different depths, 1 to 2 mm, never more than half of the gel.
-4. Turn the plate between the touches if you can, and write down by how much. A ball looks the same from
-   everywhere, and a straight stroke is the same along itself: the two solids tell what these leave open.
-5. A touch of the flat base shows nothing; one that sees only it is left out.
+1. Take three images without contact. They show the gel at rest. Do not change light and exposure afterwards.
+2. Press straight down at the {count} places below, and take one image of each. You need not meet the places
+   exactly, but write down where you pressed: within 1 mm by hand, within 0.1 mm with a robot.
+3. Press to different depths, 1 to 2 mm, but never more than half the thickness of the gel.
+4. If you can, turn the plate between the touches, and write down the angle. A ball looks the same from all
+   sides, and a straight stroke is the same along its length; the two solids resolve such ambiguities.
+5. Do not touch only the flat base: such an image shows nothing, and is left out.
 
 | touch | on | x | y | press |
 | --- | --- | --- | --- | --- |
@@ -81,7 +81,7 @@ in mm from the middle of the plate, x to the right and y away from you; z counts
 
 Write a table `touches.csv` beside the images with the columns `file`, `object` (0, the plate), `x_m`, `y_m`
 and `z_m` of the sensor, and `object_x_m`, `object_y_m` and `object_turn_rad` of the plate, in metres and
-radians; zeros where the plate did not move. Then:
+radians; 0 if the plate was not moved. Then run:
 
     tactile-sim calibrate images --solids {folder} --table images/touches.csv --out my-sensor
 """

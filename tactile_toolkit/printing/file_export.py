@@ -183,8 +183,8 @@ def write_products(
             found[name] = state, record
             on_progress(len(found), len(products))
 
-    # A dry run of existing products finds files in the way. Kept products are not made again, because convex
-    # parts take longer to compute than their file to write.
+    # A dry run of existing products finds files in the way. Kept products are not made again, because
+    # computing convex parts takes longer than writing their file.
     there = [product for product in products if not overwrite and _before(folder, product)]
     run(products if dry_run else there, overwrite, True)
     others = sorted(each.patterns[0] for each in there if found[each.name][0] == "failed")

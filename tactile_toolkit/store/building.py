@@ -5,7 +5,7 @@ work    make a shard; then, under the shared lock: same job? rows, report rows, 
 finish  under the lock: every task has its record; report, further files, card, manifest
 
 A kind of data set brings a :class:`~tactile_toolkit.store.BuildPlan`. An interrupted run continues when the
-same is asked for again: a task with an intact record is done.
+same data set is requested again: a task with an intact record is done.
 """
 
 from __future__ import annotations

@@ -185,7 +185,7 @@ class DataFolder(Protocol):
     def locked(
         self, *, shared: bool = False, patience_s: float | None = None, is_patient: bool = False
     ) -> AbstractContextManager[None]:
-        """Hold the folder against other runs, where it can be locked; stores have no locks.
+        """Lock the folder against other runs, where this is possible; stores have no locks.
 
         A run changes files of the folder under the lock, its shards under a ``shared`` one. Raises BusyError
         as :func:`tactile_toolkit.store.locked` does, which explains the arguments.

@@ -49,13 +49,13 @@ def open_inside(folder: DataFolder, path: str, known: set[str] | None = None) ->
 def read_inside(folder: DataFolder, path: str, size: int, known: set[str] | None = None) -> bytes:
     """Return the beginning of a small regular file below a folder; arguments and errors of `open_inside`.
 
-    Where systems open no link themselves, a local file takes less than half of the time: this runs for each
-    image.
+    This runs for each image. On systems that can refuse to open a link, a local file takes less than half of
+    the time of `open_inside`.
     """
     no_link = getattr(os, "O_NOFOLLOW", 0)
     parent = path.rpartition("/")[0]
     if folder.is_local and no_link and known is not None and (not parent or parent in known):
-        with suppress(OSError):  # of a link, or of what is no file: the other way says what it is
+        with suppress(OSError):  # a link, or not a file: `open_inside` says what it is
             handle = os.open(folder.address(path), os.O_RDONLY | no_link | getattr(os, "O_NONBLOCK", 0))
             try:
                 content = os.read(handle, size) if stat.S_ISREG(os.fstat(handle).st_mode) else b""

@@ -69,9 +69,9 @@ def pending_records(
 
 
 def manifest_so_far(folder: DataFolder) -> Manifest | None:
-    """Read the manifest of a folder together with what an unfinished run has finished; None without manifest.
+    """Read the manifest of a folder together with what an unfinished run has finished; None without one.
 
-    Sizes are compared, no content. A file of that name of another program is no manifest. Raises
+    Only sizes are compared. A file of that name that another program wrote is not a manifest. Raises
     IntegrityError when the manifest is damaged.
     """
     try:

@@ -34,7 +34,7 @@ def decode(content: str | bytes, kind: type[T], where: str) -> T:
 
 
 def seal(text: str) -> str:
-    """Return the text of a JSON object, one line a field, with a digest of the rest as its first field."""
+    """Return the text of a JSON object, a line for each field, the first one a digest of the rest."""
     fields = text.removeprefix(_FIRST_LINE)
     return f"{_head(fields.encode())}{fields}"
 

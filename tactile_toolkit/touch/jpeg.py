@@ -82,7 +82,7 @@ def require_bounded_jpeg(data: memoryview | bytes) -> None:
     ):  # a touch of 64 x 64 pixels takes 1 kB; the search would add a tenth to its time
         return
     # This pair of bytes does not occur within coded pixels (ITU-T T.81, B.1.1.5).
-    # An expression takes half of the time of `bytes.count`.
+    # A regular expression takes half of the time of `bytes.count`.
     starts = [found.start() for found in _SCAN_START.finditer(data)]
     scans, header = len(starts), (starts or [-1])[0]
     if scans > MAX_SCANS:
@@ -125,8 +125,9 @@ def decode_image(data: memoryview | bytes, out: UInt8 | None = None) -> UInt8:
 def decode_small(data: memoryview | bytes, least_px: int) -> UInt8:
     """Decode a JPEG at 1/2, 1/4 or 1/8 of its size, the smallest with sides of at least ``least_px`` pixels.
 
-    Shape (h, w, 3), uint8: each pixel is the mean of those it replaces. Takes half the time of
-    :func:`decode_image`, which decodes PNG and WebP here, at their size. Raises ValueError as that does.
+    Shape (h, w, 3), uint8: each pixel is the mean of those it replaces. This takes half the
+    time of :func:`decode_image`. PNG and WebP are decoded at their full size. Raises ValueError as
+    :func:`decode_image` does.
     """
     if not is_jpeg(data):
         return decode_image(data)

@@ -1,4 +1,4 @@
-"""Every command on folders of every kind: one answer for a situation, no traceback, nothing false."""
+"""Every command on folders of every kind: consistent and correct answers, and no traceback."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def asked(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str]:
 @pytest.mark.thorough
 @pytest.mark.parametrize("program", PROGRAMS)
 @pytest.mark.parametrize("name", CONTENT)
-def test_a_command_works_or_says_what_the_data_are(sets, tmp_path, capsys, name, program):
+def test_a_command_works_or_names_the_kind_of_the_data(sets, tmp_path, capsys, name, program):
     owner, content = CONTENT[name]
     place = Path(shutil.copytree(sets / name, tmp_path / name))
     before = folder_bytes(place)
@@ -119,7 +119,7 @@ def test_a_command_works_or_says_what_the_data_are(sets, tmp_path, capsys, name,
         code, said = asked(capsys, program, command, str(place), *words)
         if (program, command) == ("tactile-sim", "verify") and name in ("single", "seq"):
             assert "no manifest.json and no record of a download" in said
-        elif own and not (name == "wrench" and command == "split"):  # of one row, half is none
+        elif own and not (name == "wrench" and command == "split"):  # half of one row is no row
             assert code == 0, (command, said)
         elif not own:
             assert code == 2, (command, said)
@@ -177,7 +177,7 @@ COMMANDS_OF_ONE: dict[tuple[str, str], tuple[str, ...]] = {
 }
 
 
-# Not all sets have the split that is loaded, all columns of the paper's, or enough touches for pairs.
+# Some sets lack the loaded split, some columns of the paper, or enough touches for pairs.
 EXIT_CODES = {"load": (0, 2), "check": (0, 1), "reproduce": (1, 2), "import": (2,), "pairs": (2,)}
 
 
@@ -189,7 +189,7 @@ def words_of(program: str, command: str, place: Path, sets: Path, out: Path) -> 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", CONTENT)
-def test_so_do_the_commands_that_one_program_has(sets, tmp_path, capsys, name):
+def test_so_do_commands_of_single_programs(sets, tmp_path, capsys, name):
     owner, content = CONTENT[name]
     before = folder_bytes(sets / name)
     for program, command in COMMANDS_OF_ONE:
@@ -210,7 +210,7 @@ def test_so_do_the_commands_that_one_program_has(sets, tmp_path, capsys, name):
     assert folder_bytes(sets / name) == before
 
 
-def test_solids_are_pressed_and_files_for_others_are_not(sets, tmp_path, capsys):
+def test_solids_are_pressed_and_exports_are_refused(sets, tmp_path, capsys):
     for name, code in (("solids", 0), ("digits", 0), ("flat", 2), ("tars", 2)):
         words = words_of("tactile-sim", "generate", sets / name, sets, tmp_path / "out")
         assert (found := asked(capsys, *words))[0] == code, found
@@ -223,7 +223,7 @@ def test_solids_are_pressed_and_files_for_others_are_not(sets, tmp_path, capsys)
     assert "holds digits; `realtouch import` is for touches" in said
 
 
-def test_what_is_pressed_of_an_unfinished_set_says_so(sets, tmp_path, capsys):
+def test_touches_of_an_unfinished_set_record_that(sets, tmp_path, capsys):
     words = words_of("tactile-sim", "generate", sets / "unfinished", sets, tmp_path / "out")
     words = [*(word for word in words if word != "--dry-run"), "--limit", "1", "--rounds", "1"]
     code, said = asked(capsys, *words)
@@ -241,7 +241,7 @@ def half_touches(sets, tmp_path) -> str:
 
 
 def test_unfinished_touches_are_opened_only_if_that_is_allowed(half_touches, capsys):
-    """One split has all of its shards; without its name, it is not taken for the whole data set."""
+    """One split has all of its shards; if it is not named, it does not stand for the whole data set."""
     code, said = asked(capsys, "realtouch", "load", half_touches)
     assert code == 3
     assert "is not finished (1 of 2 shards); next: run the same command again" in said
@@ -250,9 +250,7 @@ def test_unfinished_touches_are_opened_only_if_that_is_allowed(half_touches, cap
 
 
 @pytest.mark.parametrize("program", ["realtouch", "starstruck"])
-def test_a_run_that_has_finished_nothing_yet_has_nothing_to_take(
-    sets, half_touches, tmp_path, capsys, program
-):
+def test_a_run_without_finished_shards_has_no_rows(sets, half_touches, tmp_path, capsys, program):
     place = Path(half_touches)
     if program == "starstruck":
         place = Path(shutil.copytree(sets / "unfinished", tmp_path / "scenes"))
@@ -342,7 +340,7 @@ STRANGERS = {
 
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("stranger", STRANGERS)
-def test_what_is_no_data_set_is_called_what_it_is(tmp_path, capsys, stranger):
+def test_folders_without_a_data_set_are_described(tmp_path, capsys, stranger):
     make, words = STRANGERS[stranger]
     folder = tmp_path / stranger
     folder.mkdir()
@@ -355,7 +353,7 @@ def test_what_is_no_data_set_is_called_what_it_is(tmp_path, capsys, stranger):
             answers.add(said)
     assert len(answers) == 1, "one answer for one situation"
     assert f"{str(folder)!r} {words}" in (answer := answers.pop())
-    assert "; expected a data set, which is Parquet files; next: " in answer
+    assert "; expected a data set of Parquet files; next: " in answer
     assert folder_bytes(folder) == before
     assert not (tmp_path / "out").exists()
 
@@ -369,12 +367,12 @@ def test_what_is_no_data_set_is_called_what_it_is(tmp_path, capsys, stranger):
         ("t.csv", "a table or an array"),
     ],
 )
-def test_a_file_is_called_what_it_is(tmp_path, capsys, name, words):
+def test_files_without_a_data_set_are_described(tmp_path, capsys, name, words):
     (tmp_path / name).write_bytes(b"content")
     for program in ("starstruck", "realtouch", "env-assets"):
         code, said = asked(capsys, program, "show", str(tmp_path / name))
         assert code == 2
-        assert f"{name}' is {words}; expected a data set, which is Parquet files" in said
+        assert f"{name}' is {words}; expected a data set of Parquet files" in said
 
 
 def test_a_folder_of_data_sets_names_them(sets, capsys):
@@ -419,8 +417,8 @@ def file_of(folder: Path) -> Path:
     return next(iter(sorted((folder / "data").iterdir())))
 
 
-def test_each_of_several_files_and_each_split_is_of_the_kind(sets, tmp_path):
-    """The first file does not decide for others: a scene read as a digit would have another class."""
+def test_all_files_and_splits_are_of_one_kind(sets, tmp_path):
+    """The first file does not decide for the others: a scene read as a digit would have another class."""
     loaders = {"digits": mnist3d.load, "scenes": starstruck_gen.load, "single": realtouch.load}
     for name, load in loaders.items():
         for other, words in (("digits", "digits"), ("scenes", "scenes"), ("single", "touches")):
@@ -450,7 +448,7 @@ def test_files_of_several_sets_have_the_same_classes(sets, tmp_path):
         mnist3d.load([file_of(sets / "digits"), tmp_path / "other.parquet"])
 
 
-def test_files_for_other_programs_are_no_source(sets, tmp_path, capsys):
+def test_exports_are_refused_as_sources(sets, tmp_path, capsys):
     for command in ("merge", "split", "gallery", "preview", "export"):
         words = options_of(command, tmp_path / "out")
         code, said = asked(capsys, "mnist3d", command, str(sets / "flat"), *words)

@@ -1,4 +1,4 @@
-"""What all command lines share: groups of options, common options, errors, completion, closed pipes."""
+"""Shared parts of all command lines: groups of options, common options, errors, completion, closed pipes."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def test_errors_of_the_toolkit_are_a_line_and_an_exit_code():
     ],
 )
 def test_a_path_that_the_system_refuses_is_input(words, tmp_path, monkeypatch, capsys):
-    """A traceback would end with 1, as validations do that fail."""
+    """A traceback would end with 1, like failed validations."""
     monkeypatch.chdir(tmp_path)
     name = "a" * 300
     assert call(*words.replace("NAME", name).split()) == 2
@@ -99,7 +99,7 @@ def test_a_path_that_the_system_refuses_is_input(words, tmp_path, monkeypatch, c
 
 
 def test_pandas_is_left_out_before_a_command_begins(monkeypatch):
-    """It would swallow a Ctrl-C that comes while pyarrow imports it."""
+    """It would swallow a Ctrl-C during its import by pyarrow."""
     app, order = new_app("toy", "A toy."), []
     monkeypatch.setattr("tactile_toolkit.run.skip_pandas", lambda: order.append("left out"))
 
@@ -162,7 +162,7 @@ def test_no_help_of_any_command_imports_a_heavy_library(line):
     for text in helps:
         name = text.split()[1]
         assert "Example" in text or name in ("upload", "download"), name
-        # What Click calls a type of Python means nothing to a user.
+        # Users do not know the names of types in Click.
         assert not re.search("<(bool|int range|float( range)?)>", text), name
 
 
@@ -257,7 +257,7 @@ def test_a_closed_pipe_ends_a_command_as_it_ends_other_tools(tmp_path, words):
         (["--version"], ">&-", 0, ""),
     ],
 )
-def test_an_output_that_takes_nothing_is_named(tmp_path, words, redirected, code, why):
+def test_an_output_that_cannot_be_written_is_named(tmp_path, words, redirected, code, why):
     done = _redirected(tmp_path, words, redirected)
     message = f"error: the output cannot be written: {why}; next: redirect it to another place\n"
     assert (done.returncode, done.stderr) == (code, message if why else "")
@@ -271,7 +271,7 @@ def test_the_exit_code_needs_no_stream(tmp_path, redirected):
 
 @pytest.mark.thorough
 def test_a_file_does_not_take_the_number_of_a_closed_stream(tmp_path):
-    """What a library prints there would end in the file."""
+    """Output of a library there would end up in the file."""
     words = ["generate", "--scenes", "train=3", "--workers", "1", "--out", "scenes", "--quiet"]
     done = _shell(tmp_path, [sys.executable, "-m", "starstruck_gen", *words], "<&- >&- 2>&-")
     assert done.returncode == 0
@@ -311,7 +311,7 @@ def _shell(folder: Path, words: list[str], redirected: str) -> subprocess.Comple
     "words", ["mnist3d generate --dry-run --out NAME", "starstruck info NAME", "realtouch gallery NAME"]
 )
 def test_a_name_that_is_not_text_is_refused(words, tmp_path, monkeypatch, capsys):
-    """As Python gives bytes that are not UTF-8."""
+    """As Python decodes bytes that are not UTF-8."""
     monkeypatch.chdir(tmp_path)
     assert call(*(word.replace("NAME", "caf\udce9") for word in words.split())) == 2
     said = capsys.readouterr().err
@@ -364,7 +364,7 @@ def test_a_library_that_does_not_fit_into_memory_is_named(tmp_path):
     assert len(said) == 2
 
 
-def test_values_that_are_refused_are_told_in_plain_words(capsys):
+def test_messages_about_refused_values_are_plain(capsys):
     assert call("mnist3d", "generate", "--split-by", "foo", "--out", "never") == 2
     said = capsys.readouterr().err
     assert "'--split-by': 'foo' is not one of 'digit'" in said
@@ -372,6 +372,6 @@ def test_values_that_are_refused_are_told_in_plain_words(capsys):
 
 
 def test_exit_codes_are_those_of_the_documentation() -> None:
-    """Scripts tell a wrong word from a damaged file by them."""
+    """By exit codes, scripts distinguish a wrong argument from a damaged file."""
     found = [each.exit_code for each in (ToolkitError, InputError, IntegrityError, RemoteError)]
     assert found == [1, 2, 3, 4]

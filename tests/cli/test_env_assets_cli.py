@@ -15,7 +15,7 @@ def run(*words):
         return CliRunner().invoke(app, list(map(str, words)))
 
 
-def test_a_wrench_is_made_as_data_set_and_file(tmp_path):
+def test_a_wrench_is_made_as_a_data_set_and_a_file(tmp_path):
     made = run(
         "wrench",
         "--opening-mm",
@@ -78,7 +78,7 @@ def test_the_home_of_the_user_is_known(tmp_path, monkeypatch):
 
 @pytest.mark.thorough
 def test_a_wrench_is_exported_for_printers_and_simulators(tmp_path):
-    """Through the export of all data sets of meshes; the simulator weighs it as the report says."""
+    """By the export of all data sets of meshes; the mass in the simulator is that of the report."""
     made = run(
         "wrench", "--opening-mm", 10, "--second-opening-mm", 13, "--out", tmp_path / "wrench", "--json"
     )

@@ -1,4 +1,4 @@
-"""``export`` as it is typed."""
+"""The command ``export``."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_one_file_per_object(digits_set: Path, tmp_path: Path, capsys: pytest.Ca
 
 
 def test_other_formats_and_scales(digits_set: Path, tmp_path: Path) -> None:
-    """That each format comes back is tested in ``printing/test_singles.py``."""
+    """``printing/test_singles.py`` tests that each format is read back."""
     choice = ("--split", "test", "--labels", "3", "--quiet")
     assert call("export", digits_set, *choice, "--out", tmp_path / "one") == 0
     options = ("--format", "ply", "--scale", "1.5", "--out", tmp_path / "other")
@@ -171,10 +171,10 @@ def test_other_files_are_refused_unless_overwritten(
 
 
 @pytest.mark.thorough
-def test_what_is_no_solid_is_named_and_the_rest_is_written(
+def test_broken_meshes_are_named_and_the_rest_is_written(
     digits_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A data set of other people's, one of whose meshes has a hole."""
+    """A data set of others, in which one mesh has a hole."""
     import pyarrow as pa
     from pyarrow import parquet
 
@@ -257,7 +257,7 @@ def test_tables_are_a_data_set_folder(
 
 
 @pytest.mark.thorough
-def test_scenes_keep_what_stands_where(tmp_path: Path) -> None:
+def test_scenes_keep_the_places_of_objects(tmp_path: Path) -> None:
     import datasets
 
     import starstruck_gen
@@ -312,6 +312,6 @@ def test_the_plate_for_calibration_is_one_solid_whose_shapes_have_their_stated_s
     assert heights_mm([(0, -10)]) == pytest.approx([4], abs=1e-3)
     sheet = (tmp_path / "plate" / "press-here.md").read_text()
     assert sheet.count("\n| 20 | ") == 1
-    # Options that it does not have are refused.
+    # Other options are refused.
     for wrong in (("--format", "flat"), ("--plate", "256x256"), ("--scale", "2"), ("--limit", "1")):
         assert call("export", digits_set, *options, *wrong) == 2

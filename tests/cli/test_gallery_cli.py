@@ -22,7 +22,7 @@ def folders(digits_set, scenes_set, tmp_path) -> dict[str, Path]:
 
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("program", ["realtouch", "mnist3d", "starstruck"])
-def test_a_gallery_is_what_the_dry_run_says_and_is_replaced_on_request(program, folders, tmp_path, capsys):
+def test_a_gallery_agrees_with_its_dry_run_and_is_replaced_on_request(program, folders, tmp_path, capsys):
     count, nouns = ITEMS[program]
     out = tmp_path / "site"
     arguments = ("gallery", folders[program], "--out", out, "--workers", 1)

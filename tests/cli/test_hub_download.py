@@ -1,4 +1,4 @@
-"""``download`` and ``list`` of all three command lines, against a Hub on 127.0.0.1."""
+"""``download`` and ``list`` of all three command lines, with a Hub on 127.0.0.1."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def root(tmp_path_factory, digits_set, scenes_set) -> Path:
 
 
 def _publish(ours: Path, there: Path) -> None:
-    """Write what the published repositories hold: the published columns, no manifest, no reports."""
+    """Write the content of published repositories: the published columns, without manifest and reports."""
     (there / "data").mkdir(parents=True)
     for shard in sorted(ours.glob("data/*.parquet")):
         rows = pq.ParquetFile(shard).read(["id", "label", "mesh.vertices", "mesh.faces"])
@@ -66,7 +66,7 @@ print('exit', code, file=sys.stderr)
 
 
 class Said:
-    """What a command printed."""
+    """The output of a command."""
 
     def __init__(self, done: subprocess.CompletedProcess[str]) -> None:
         assert done.returncode == 0, done.stderr
@@ -102,7 +102,7 @@ def test_a_part_is_a_data_set_that_verifies_and_that_datasets_loads(server, tmp_
 
 
 def test_a_copy_of_a_published_set_is_shown_and_verified(server, root, tmp_path):
-    """The published repositories hold no manifest: what the Hub said of its files is what counts."""
+    """The published repositories have no manifest, so the digests of the Hub count."""
     commit = server.repository(BARE).head.sha[:12]
     out = tmp_path / "copy"
     assert call(server, tmp_path, "mnist3d", "download", BARE, "--out", out).code == 0
@@ -191,7 +191,7 @@ def test_an_interrupted_download_is_called_one(server, tmp_path):
     assert "holds a data set of another origin" in said.err
 
 
-def test_waits_are_told_while_the_download_is_planned(server, tmp_path):
+def test_waits_are_reported_while_the_download_is_planned(server, tmp_path):
     server.faults.fail("/api/datasets/*", 503, times=1)
     said = call(server, tmp_path, "mnist3d", "download", DIGITS, "--dry-run")
     assert said.code == 0
@@ -199,7 +199,7 @@ def test_waits_are_told_while_the_download_is_planned(server, tmp_path):
     assert "HTTP Error" not in said.err
 
 
-def test_json_is_one_document_and_again_nothing_is_left(server, tmp_path):
+def test_json_is_one_document_and_a_repetition_fetches_nothing(server, tmp_path):
     first = json.loads(call(server, tmp_path, "mnist3d", "download", DIGITS, "--json").out)
     assert first["splits"] == ["test", "holdout"]
     assert first["commit"] == server.repository(DIGITS).head.sha
@@ -242,7 +242,7 @@ def test_large_downloads_are_not_begun_unasked(server, tmp_path):
         ((DIGITS, "--out", "file"), 2, "a file"),
     ],
 )
-def test_failures_are_told_in_a_line(server, tmp_path, arguments, code, words):
+def test_failures_give_one_line(server, tmp_path, arguments, code, words):
     (tmp_path / "file").write_text("")
     said = call(server, tmp_path, "mnist3d", "download", *arguments)
     assert said.code == code

@@ -108,7 +108,7 @@ def test_the_whole_way(digits_set, tmp_path):
     assert second
 
 
-def test_it_shows_what_it_sends_and_sends_nothing_twice(server, folder, capsys):
+def test_upload_lists_its_files_and_sends_none_twice(server, folder, capsys):
     (folder / "notes.txt").write_text("mine")
     assert call("starstruck", "upload", folder, NAME, "--yes", "--tag", "v1") == 0
     printed = capsys.readouterr()
@@ -189,7 +189,7 @@ def _read(terminal: int) -> bytes:
         (("someone", "write"), "a/b/c", "'a/b/c' is not a name of a repository; next: give USER/NAME"),
     ],
 )
-def test_refusals_are_told_in_one_line(server, folder, capsys, monkeypatch, account, name, words):
+def test_refusals_give_one_line(server, folder, capsys, monkeypatch, account, name, words):
     token = server.account(*account) if account else None
     monkeypatch.setenv("HF_TOKEN", token or "")
     code = call("starstruck", "upload", folder, name, "--yes")
@@ -201,7 +201,7 @@ def test_refusals_are_told_in_one_line(server, folder, capsys, monkeypatch, acco
     assert not any(request.method == "PUT" for request in server.requests)
 
 
-def test_no_network_is_told(folder, tmp_path):
+def test_a_missing_network_is_named(folder, tmp_path):
     environment = settings("http://127.0.0.1:9", tmp_path, "hf_abcdefgh")
     words = ("starstruck", "upload", str(folder), NAME, "--yes")
     script = f"from tests.command_line import call\nprint(call(*{words!r}))"

@@ -1,4 +1,4 @@
-"""Ctrl-C ends every command: nothing on the way swallows it."""
+"""Ctrl-C ends every command; no import swallows it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tests.realtouch.factories import make_round, single_rows, write_set
 
 ROOT = Path(__file__).resolve().parents[2]
 
-# As if the user pressed Ctrl-C while pandas is imported: pyarrow, which imports it, continues without it.
+# As if the user pressed Ctrl-C during the import of pandas by pyarrow, which continues without it.
 PRESSED = """
 import sys
 from importlib import import_module
@@ -32,7 +32,7 @@ for line in sys.stdin.read().splitlines():
 """
 
 
-# As the script of an installed command; Ctrl-C comes when the module that the last word names is imported.
+# As the script of an installed command; Ctrl-C comes during the import of the module of the last word.
 STARTED = """
 import os, signal, sys
 from importlib import import_module
@@ -47,7 +47,7 @@ sys.exit(getattr(import_module(module), function)())
 
 
 @pytest.mark.thorough
-def test_no_command_imports_what_swallows_it(digits_set, scenes_set, tmp_path: Path):
+def test_no_command_imports_modules_that_swallow_it(digits_set, scenes_set, tmp_path: Path):
     touches = tmp_path / "touches"
     write_set(touches, {"train": single_rows([make_round(0, 4, (64, 64))])}, "single")
     sets = {"mnist3d": digits_set, "starstruck": scenes_set, "realtouch": touches}

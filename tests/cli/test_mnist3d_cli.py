@@ -17,7 +17,7 @@ SMALL = ("--split", "test", "--per-class", "1", "--vertices", "2000", "--workers
 call = partial(command_line.call, "mnist3d")
 
 
-def test_generate_ends_with_what_was_made_where_and_what_next(tmp_path, capsys):
+def test_generate_ends_with_a_summary_and_a_next_step(tmp_path, capsys):
     out = tmp_path / "digits"
     assert call("generate", *SMALL, "--out", out) == 0
     printed = capsys.readouterr()
@@ -144,7 +144,7 @@ def test_the_next_step_names_a_split_that_has_rows(tmp_path, capsys):
 
 
 def pictures(folder: Path, *greys: int) -> Path:
-    """Pages for label 3: a stroke where the grey level is 0, otherwise one grey level only."""
+    """Pages for label 3: a stroke if the grey level is 0, otherwise a single grey level."""
     (folder / "3").mkdir(parents=True)
     for number, grey in enumerate(greys):
         page = np.full((120, 120), grey or 255, np.uint8)
@@ -153,7 +153,7 @@ def pictures(folder: Path, *greys: int) -> Path:
     return folder
 
 
-def test_generate_counts_what_was_made(tmp_path, capsys):
+def test_generate_counts_the_digits_made(tmp_path, capsys):
     source = ("--source", "folder", "--images", pictures(tmp_path / "some", 0, 255, 0), "--vertices", 2000)
     sizes = ("--split", "test", "--split-sizes", "test=3", "--workers", 1)
     assert call("generate", *source, *sizes, "--out", tmp_path / "set") == 0

@@ -36,7 +36,7 @@ def test_runners_have_names_and_that_of_ray_may_have_an_address():
 
 @pytest.mark.parametrize("text", ["./~", "./~nobody-of-that-name/x", ".//~/x"])
 def test_a_folder_whose_name_begins_with_a_tilde_is_not_the_home_folder(tmp_path, monkeypatch, text):
-    """As in a shell, ``~`` means the home folder at the start of the text alone."""
+    """As in a shell, ``~`` means the home folder only at the start of the text."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     meant = tmp_path / os.path.normpath(text)

@@ -1,4 +1,4 @@
-"""What commands print: tables that a narrow terminal can show, rates and sizes that can be read."""
+"""Output of commands: tables on narrow terminals, readable rates and sizes."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PRINTED = f"from cli.output import Sink\nSink().table({HEADER!r}, {ROWS!r}, {TIT
 
 
 def in_terminal(columns: int, code: str) -> str:
-    """Run Python code in a terminal of so many columns, and return what stands there."""
+    """Run Python code in a terminal of some columns, and return its screen."""
     leader, follower = pty.openpty()
     fcntl.ioctl(follower, termios.TIOCSWINSZ, struct.pack("HHHH", 40, columns, 0, 0))
     settings = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES")}
@@ -45,7 +45,7 @@ def in_terminal(columns: int, code: str) -> str:
         while True:
             try:
                 part = os.read(leader, 65536)
-            except OSError:  # Linux reports this when the other side is not open
+            except OSError:  # Linux reports this if the other side is not open
                 break
             if not part:
                 break
@@ -73,7 +73,7 @@ def test_no_cell_is_cut_in_any_terminal(columns, capsys, monkeypatch):
             assert cell in text
     for word in (*HEADER[0].split(), *ROWS[1][-1].split(), "thinnest"):
         assert word in whole.split()
-    # Under one another where columns have no room.
+    # One below the other if columns have no room.
     assert (columns < 100) == ("\n  findings" in text)
     assert (columns < 100) == (f"\n{HEADER[0]} " in text and f"\n  {HEADER[1]}" in text)
 
@@ -153,7 +153,7 @@ def test_sizes_stay_below_a_thousand_of_their_unit(size: float, text: str) -> No
     assert bytes_text(size) == text
 
 
-def test_specifications_are_told_in_words():
+def test_specifications_are_described_in_words():
     values = {
         "a": {"size_m": [0.1, 0.2], "on": True, "limit": None},
         "shapes": [{"name": "box"}, {"name": "disc"}],
@@ -171,7 +171,7 @@ def test_specifications_are_told_in_words():
     ("name", "words"),
     [("tset", "; did you mean 'test'?"), ("Train", "; did you mean 'train'?"), ("holdout", "")],
 )
-def test_a_mistyped_name_is_told_what_was_meant(name, words):
+def test_mistyped_names_get_a_suggestion(name, words):
     assert did_you_mean(name, ["train", "test"]) == words
 
 

@@ -1,4 +1,4 @@
-"""Parts of one data set as jobs of an array run them: real processes, killed, at once, of other versions."""
+"""Parts of a data set as jobs of an array: real processes, killed, concurrent, and of other versions."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def whole(tmp_path_factory) -> dict[str, bytes]:
 
 @pytest.mark.thorough
 def test_a_killed_part_is_named_given_again_and_nothing_differs(tmp_path, whole, monkeypatch, capfd):
-    """An array of four is given whole, one job is killed, and given again as Slurm gives some of an array."""
+    """An array of four is submitted, one job is killed, and submitted again as part of an array of Slurm."""
     place = tmp_path / "scenes"
 
     def job(index: int, **array: str) -> int:
@@ -55,7 +55,7 @@ def test_a_killed_part_is_named_given_again_and_nothing_differs(tmp_path, whole,
         return given(*SCENES, place, "--part", "auto", "-q")
 
     assert [job(index, COUNT="4", MIN="0", MAX="3") for index in (0, 2, 3)] == [0, 0, 0]
-    # What a job is at work on when it is killed: a file half-written, and no record of it.
+    # State after a job was killed: a partial file without a record.
     killed = start_held("starstruck", 1, tmp_path / "marker", *SCENES, place, "--part", "1/4")
     killed.kill()
     killed.communicate()
@@ -72,7 +72,7 @@ def test_a_killed_part_is_named_given_again_and_nothing_differs(tmp_path, whole,
 
 
 @pytest.mark.thorough
-def test_what_is_said_of_a_run_that_was_stopped_before_its_first_shard(tmp_path):
+def test_messages_about_a_run_that_was_stopped_before_its_first_shard(tmp_path):
     process = start_held("starstruck", 0, tmp_path / "marker", *SCENES, tmp_path / "scenes", "-q")
     process.send_signal(signal.SIGINT)
     _, talked = process.communicate()

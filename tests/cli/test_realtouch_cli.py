@@ -42,7 +42,7 @@ def test_the_only_split_is_opened(clips, tmp_path, capsys):
     assert "--split" in said
 
 
-def test_load_checks_and_prints_what_there_is(clips, capsys):
+def test_load_checks_and_prints_the_content(clips, capsys):
     assert call("load", clips, "--split", "test") == 0
     printed = capsys.readouterr()
     for words in (
@@ -100,7 +100,7 @@ def test_one_split_alone(clips, tmp_path, capsys):
         assert set(json.loads(capsys.readouterr().out)["splits"]) == {"test"}
 
 
-def test_what_is_fetched_is_told(capsys):
+def test_fetched_splits_are_announced(capsys):
     from cli.output import Sink
     from cli.touch_conversions import announce_fetching
 
@@ -187,8 +187,8 @@ def test_verify_names_all_damage_and_leaves_with_3(images, tmp_path, capsys):
     assert "Traceback" not in printed.err
 
 
-def test_load_checks_headers_unless_told_not_to_and_verify_can_be_quick(tmp_path, capsys):
-    """Damage in the body of an image is seen where it is decoded; a header that is gone is seen at once."""
+def test_load_checks_headers_by_default_and_verify_can_be_quick(tmp_path, capsys):
+    """Damage in the body of an image is found when it is decoded; a missing header is found at once."""
 
     def damage(row, index):
         first, second, *others = row["sensor_image"]
@@ -237,7 +237,7 @@ def test_load_checks_headers_unless_told_not_to_and_verify_can_be_quick(tmp_path
         (("verify", "{out}/nothing"), "does not exist"),
     ],
 )
-def test_bad_input_is_said_in_a_line_with_exit_code_2(arguments, words, images, tmp_path, capsys):
+def test_bad_input_gives_one_line_and_exit_code_2(arguments, words, images, tmp_path, capsys):
     filled = [str(each).format(images=images, out=tmp_path / "out") for each in arguments]
     assert call(*filled) == 2
     printed = capsys.readouterr()

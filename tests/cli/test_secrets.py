@@ -1,4 +1,4 @@
-"""A key, a password or a signature in an address: refused, and never repeated, whichever command gets it."""
+"""A key, a password or a signature in an address: refused by all commands, and never repeated."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ PROGRAMS = ("env-assets", "mnist3d", "realtouch", "starstruck", "tactile-sim")
 
 
 def places() -> list[tuple[str, list[str]]]:
-    """Return each place of each command line where a value can stand, as the words in front of it."""
+    """Return each position of a value in each command line, as the words in front of it."""
     found = []
     for name in PROGRAMS:
         app = typer.main.get_command(import_module(f"cli.{name.replace('-', '_')}").app)
@@ -66,7 +66,7 @@ SECRETS = st.text(st.characters(categories=("L", "N", "P", "S", "Zs")), min_size
     lambda secret: not secret.isdecimal()  # HOST:PORT is an address
 )
 ENCODED = SECRETS | SECRETS.map(lambda secret: quote(secret, safe=""))
-OTHER = "of-nobody"  # what is told of any secret is what is told of this one
+OTHER = "of-nobody"  # the message is the same for all secrets
 
 
 @settings(max_examples=2 * settings.default.max_examples, suppress_health_check=list(HealthCheck))

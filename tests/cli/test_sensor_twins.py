@@ -1,4 +1,4 @@
-"""The way of a sensor through the commands: recordings, twin, images, depth, check, Hub."""
+"""Commands for a sensor: recordings, twin, images, depth, check, Hub."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.tactile_sim.hidden_sensors import Recording, digits, draw_sensor
 from tests.tactile_toolkit.exchange.upload_client import logged_in
 
 pytestmark = pytest.mark.filterwarnings(
-    "ignore:Use 'content=<...>':DeprecationWarning"  # of the Hub client's own making, in every PUT
+    "ignore:Use 'content=<...>':DeprecationWarning"  # made by the client of the Hub, in every PUT
 )
 
 SIZE = (64, 48)
@@ -32,7 +32,7 @@ def recording() -> Recording:
 
 @pytest.fixture(scope="module")
 def place(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with recordings, and a sensor that was calibrated with them; its reader has hardly learned."""
+    """A folder with recordings, and a sensor that was calibrated with them; its reader is hardly trained."""
     folder = tmp_path_factory.mktemp("twin")
     recording.write(folder)
     with pytest.MonkeyPatch.context() as patch:
@@ -46,7 +46,7 @@ def place(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> Pat
 
 
 @pytest.mark.thorough
-def test_a_sensor_is_a_small_folder_that_shows_what_was_found(
+def test_a_sensor_is_a_small_folder_with_the_results(
     place: Path, recording: Recording, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert sorted(file.name for file in (place / "mine").iterdir()) == ["arrays.npz", "sensor.json"]

@@ -1,4 +1,4 @@
-"""What all kinds share: show, list, cache, verify --geometry, --token, some of the objects."""
+"""Shared commands and options: show, list, cache, verify --geometry, --token, selection of objects."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_a_row_is_shown_column_by_column(digits, capsys):
     assert "--row is 20; rows are counted from 0, and split " in capsys.readouterr().err
 
 
-def test_a_row_of_others_is_shown_whatever_is_in_it(tmp_path):
+def test_rows_of_others_with_any_content_are_shown(tmp_path):
     columns = {
         "when": pa.array([1], pa.timestamp("ns")),
         "spans": pa.array([[1, 2]], pa.list_(pa.duration("ns"))),
@@ -57,7 +57,7 @@ from cli.mnist3d import main
 sys.argv = ["mnist3d", "show", {str(tmp_path)!r}]
 main()
 """
-    # In a process of its own, as users run it: with pandas, which is imported here, Arrow converts more.
+    # In another process, as users run it: with pandas, which is imported here, Arrow converts more.
     printed = printed_by(code)
     assert "1970-01-01 00:00:00.000000001" in printed
     assert "1, 2" in printed
@@ -65,7 +65,7 @@ main()
     assert "\x07" not in printed
 
 
-def test_sets_of_a_folder_are_listed_with_what_is_wrong(digits, tmp_path, capsys):
+def test_sets_of_a_folder_are_listed_with_their_problems(digits, tmp_path, capsys):
     (tmp_path / "none").mkdir()
     (tmp_path / "good").symlink_to(digits)
     bad = tmp_path / "bad"
@@ -143,7 +143,7 @@ def test_a_training_reads_a_file_and_options_come_before_it(tmp_path):
 
 
 def test_specifications_give_commands_their_options():
-    """A field with help is an option, one without is none."""
+    """A field with help is an option, a field without help is not."""
     group = typer.main.get_command(import_module("cli.tactile_sim").app)
     options = {text for each in group.commands["generate"].params for text in each.opts}
     assert {"--rounds", "--turn", "--touches-from"} <= options

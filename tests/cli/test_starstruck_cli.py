@@ -86,7 +86,7 @@ def test_proportions_reach_the_specification_and_info(tmp_path):
     assert "inner_ratio of shape 'star' is 0.95; expected at most 0.8009 with 5 points" in refused.stderr
 
 
-def test_validate_says_that_stars_are_declared_although_every_scene_fails(made, tmp_path):
+def test_validate_mentions_declared_stars_although_every_scene_fails(made, tmp_path):
     folder, _ = made
     table = pq.ParquetFile(folder / "data" / "test-00000-of-00001.parquet").read(use_threads=False)
     wrong = table.set_column(1, "label", pa.array([9] * len(table)))
@@ -141,7 +141,7 @@ def test_validate_and_verify_pass(made):
         ),
     ],
 )
-def test_unusable_option_is_told_in_one_line_with_exit_code_2(tmp_path, words, message):
+def test_unusable_options_give_one_line_and_exit_code_2(tmp_path, words, message):
     result = run("generate", "--out", tmp_path / "set", *words)
     assert result.exit_code == 2
     assert message in result.stderr

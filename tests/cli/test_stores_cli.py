@@ -1,4 +1,4 @@
-"""The whole walk of a data set that lies in an object store, by command line and in Python."""
+"""All operations on a data set in an object store, by command line and in Python."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SCENES = ("generate", "--scenes", "train=6,test=3", "--stars", "1", "--workers",
 
 
 def stored(s3, bucket, prefix):
-    """Return what lies below a folder of a bucket, as ``folder_bytes`` does for local ones."""
+    """Return the objects below a folder of a bucket, as ``folder_bytes`` does for local ones."""
     objects = s3.objects(bucket).items()
     return {
         key.removeprefix(f"{prefix}/"): content for key, content in objects if key.startswith(f"{prefix}/")
@@ -86,7 +86,7 @@ def test_scenes_from_generation_to_the_hub_and_back(s3, bucket, tmp_path, monkey
             path: content for path, content in made.items() if path != "README.md"
         }
         assert call("starstruck", "verify", back) == 0
-        # What is whole is not fetched again; what is missing or of another size is.
+        # Complete files are not fetched again; missing ones and those of another size are.
         s3.traffic.reset()
         assert call("starstruck", "download", "someone/scenes", "--out", back, "--quiet") == 0
         assert s3.traffic.requests["PUT"] == 0
@@ -97,8 +97,8 @@ def test_scenes_from_generation_to_the_hub_and_back(s3, bucket, tmp_path, monkey
 
 
 @pytest.mark.usefixtures("new_clients")
-def test_what_goes_wrong_is_named_without_any_secret(s3, monkeypatch, capfd, tmp_path):
-    """Tracebacks hold what messages hold, and more."""
+def test_failures_are_named_without_secrets(s3, monkeypatch, capfd, tmp_path):
+    """Tracebacks contain messages, and more."""
     monkeypatch.setenv("AWS_SESSION_TOKEN", "a-token-that-no-output-may-hold")
     monkeypatch.chdir(tmp_path)
 

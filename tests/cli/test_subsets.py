@@ -1,4 +1,4 @@
-"""``merge`` and ``split``: every row comes back once and unchanged, in data sets of the same kind."""
+"""``merge`` and ``split``: every row occurs once and unchanged, in data sets of the same kind."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def _rows(*folders: Path) -> dict[str, list[dict[str, object]]]:
 
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("kind", ["realtouch", "mnist3d", "starstruck"])
-def test_parts_are_data_sets_and_together_what_was_divided(kind, tmp_path, capsys):
+def test_parts_are_data_sets_and_together_the_whole(kind, tmp_path, capsys):
     folder = _made(kind, tmp_path / "all")
     parts = tmp_path / "parts"
     assert call(kind, "split", folder, "--fractions", "0.75,0.25", "--out", parts, *ALONE) == 0

@@ -1,4 +1,4 @@
-"""One command that leads to the others."""
+"""The command `tactile`, which finds the other commands."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_python_runs_it_too():
     assert (done.returncode, done.stdout[:16]) == (0, "tactile-toolkit ")
 
 
-def test_a_token_is_taken_only_where_the_hub_is_asked(capsys):
+def test_a_token_is_accepted_only_by_commands_of_the_hub(capsys):
     for line, takes in {
         ("mnist3d", "generate"): False,
         ("starstruck", "generate"): False,

@@ -13,7 +13,7 @@ import pytest
 from tests.env_assets import factories
 from tests.realtouch.conftest import held_out, seq_folder, seq_rows, truth  # noqa: F401
 
-# OpenGL reads this once, when it is first imported, which tests elsewhere do before an environment is made.
+# OpenGL reads this on its first import, which other tests do before an environment is made.
 os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
 
 
@@ -27,12 +27,12 @@ def assets(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def packages(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """The published package; what it warns of while it is imported is not ours."""
+    """The published package; warnings during its import are ignored."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         found = pytest.importorskip("tactile_mnist", reason="tactile-mnist (extra `oracle`) is not installed")
     with pytest.MonkeyPatch.context() as patch:
-        # Statistics of data sets, which it keeps in the user's home otherwise.
+        # Otherwise it keeps statistics of data sets in the home folder of the user.
         patch.setattr(found.util, "CACHE_BASE_DIR", tmp_path_factory.mktemp("statistics"))
         yield found
 

@@ -18,7 +18,7 @@ DIGITS = tuple(str(digit) for digit in range(10))
 
 
 def write_assets(root: Path) -> None:
-    """A folder as a provider takes it: ``mnist3d``, ``starstruck``, ``wrench``, ``real-single``."""
+    """A folder for a provider: ``mnist3d``, ``starstruck``, ``wrench``, ``real-single``."""
     import mnist3d
 
     write_digits(root / "mnist3d")
@@ -60,7 +60,7 @@ def write_touches(folder: Path, digits: Sequence[Any]) -> None:
 
 
 def write_meshes(folder: Path, meshes: Sequence[Any], names: tuple[str, ...] = DIGITS) -> Path:
-    """Write meshes with the published columns alone, mesh i as row i with label i; returns the folder.
+    """Write meshes with only the published columns, mesh i as row i with label i; return the folder.
 
     Parameters
     ----------

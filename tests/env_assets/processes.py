@@ -1,4 +1,4 @@
-"""What a process sees of a provider; a module of its own, so that spawned processes import little."""
+"""Use of a provider in another process; in a separate module, so that spawned processes import little."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["fingerprint", "seen_by_a_child"]
 
 
 def fingerprint(provider: Any) -> list[Any]:
-    """Look at a bit of everything."""
+    """Read a little of all assets."""
     digits = provider.meshes("mnist3d", "test")
     return [
         len(digits),
@@ -31,7 +31,7 @@ def _answer(provider: Any, queue: Any) -> None:
 
 
 def seen_by_a_child(provider: Any, method: str) -> list[Any]:
-    """Start a process, and return what it sees of a provider."""
+    """Start a process, and return the result of its use of a provider."""
     context = multiprocessing.get_context(method)
     queue = context.Queue()
     process = context.Process(target=_answer, args=(provider, queue))

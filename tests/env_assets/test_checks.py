@@ -34,7 +34,7 @@ def test_measures_are_those_of_the_meshes_in_the_order_of_the_rows(tmp_path):
     np.testing.assert_allclose(meshes[:2].bounds_m, expected, rtol=1e-6)
 
 
-def test_what_fits_passes_and_what_does_not_is_named(tmp_path):
+def test_valid_assets_pass_and_others_are_named(tmp_path):
     meshes = opened(tmp_path, SMALL, WIDE, WIDE)
     require_fitting_meshes(meshes, None, "solids", (0.2001, 0.12))
     require_fitting_meshes(meshes[:1], None, "solids", (0.0101, 0.0201))
@@ -46,7 +46,7 @@ def test_what_fits_passes_and_what_does_not_is_named(tmp_path):
 
 
 @pytest.mark.parametrize("wrong", [INSIDE_OUT, FLAT])
-def test_what_encloses_nothing_is_named(tmp_path, wrong):
+def test_meshes_without_volume_are_named(tmp_path, wrong):
     meshes = opened(tmp_path, SMALL, WIDE, wrong)
     require_fitting_meshes(meshes[:2], None, "solids", (1.0, 1.0))
     with pytest.raises(InputError, match=r"mesh 2 of solids has a volume of .*\(1 of 3 do not fit\)"):
@@ -65,7 +65,7 @@ def test_classes_have_names_and_an_order(tmp_path):
     )
 
 
-def test_a_published_wrench_has_none_of_our_columns(tmp_path):
+def test_a_published_wrench_needs_no_columns_of_the_toolkit(tmp_path):
     write_meshes(tmp_path / "wrench", [SMALL.to_trimesh()], ("open-end",))
     assert len(env_assets.AssetProvider(tmp_path).meshes("wrench")) == 1
 
@@ -77,7 +77,7 @@ def test_digits_are_no_wrench(tmp_path):
 
 
 class Solid:
-    """What trimesh would not hold."""
+    """A mesh with arrays that trimesh would not accept."""
 
     def __init__(self, mesh):
         self.vertices, self.faces = mesh.vertices_m, mesh.faces

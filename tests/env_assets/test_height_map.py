@@ -106,7 +106,7 @@ def test_a_cylinder_covers_its_polygon_and_nothing_else():
     assert set(found.heights_m[found.covered].tolist()) == {5.0}
 
 
-def test_a_digit_is_that_of_every_triangle_tried_at_every_point(assets):
+def test_a_digit_agrees_with_a_search_over_all_triangles(assets):
     import mnist3d
 
     record = mnist3d.load(str(assets / "mnist3d"), "test")[3]
@@ -118,13 +118,13 @@ def test_a_digit_is_that_of_every_triangle_tried_at_every_point(assets):
     expected = []
     for x, y in zip(found.x_m[columns], found.y_m[rows], strict=True):
         around = (low[:, 0] <= x) & (x <= high[:, 0]) & (low[:, 1] <= y) & (y <= high[:, 1])
-        expected.append(tried(corners[around], x, y))
+        expected.append(searched_height(corners[around], x, y))
     np.testing.assert_allclose(found.heights_m[rows, columns], expected, rtol=0, atol=1e-8)
     assert 20 < np.isfinite(expected).sum() < 180
 
 
-def tried(corners, x: float, y: float) -> float:
-    """Solve for the barycentric coordinates in every triangle, whichever way it faces."""
+def searched_height(corners, x: float, y: float) -> float:
+    """Solve for the barycentric coordinates in every triangle, whether it faces up or down."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     area = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -135,7 +135,7 @@ def tried(corners, x: float, y: float) -> float:
     return heights[inside].max() if inside.any() else np.nan
 
 
-def test_a_digit_covers_what_its_shadow_covers(assets):
+def test_a_digit_covers_the_area_of_its_projection(assets):
     """The area under the map against manifold3d's projection of the solid."""
     import mnist3d
 
@@ -154,7 +154,7 @@ def test_working_in_parts_changes_nothing(assets, monkeypatch):
     np.testing.assert_array_equal(top_surface(record, 0.0005).heights_m, whole.heights_m)
 
 
-def test_filled_stands_on_the_plate_and_the_map_stays_as_it_is():
+def test_filled_stands_on_the_plate_and_does_not_change_the_map():
     found = top_surface(cylinder(2.0, 1.0, 6), 0.5)
     filled = found.filled()
     assert filled.dtype == np.float32
@@ -165,7 +165,7 @@ def test_filled_stands_on_the_plate_and_the_map_stays_as_it_is():
 
 
 @pytest.mark.parametrize("pitch", [0, -0.1, float("nan"), float("inf")])
-def test_a_pitch_that_is_no_length_is_refused(pitch):
+def test_a_pitch_that_is_not_a_length_is_refused(pitch):
     with pytest.raises(InputError, match="expected a positive length"):
         top_surface(box((0, 0, 0), (1, 1, 1)), pitch)
 
@@ -176,6 +176,6 @@ def test_a_grid_that_would_fill_the_memory_is_refused():
 
 
 @pytest.mark.parametrize("vertices", [np.zeros((0, 3)), np.array([[0, 0, 0], [1, np.nan, 0], [0, 1, 0.0]])])
-def test_a_mesh_that_is_nowhere_is_refused(vertices):
+def test_a_mesh_without_a_surface_is_refused(vertices):
     with pytest.raises(InputError, match="has no height map"):
         top_surface(Mesh(vertices, np.zeros((0, 3), np.int32)), 1.0)

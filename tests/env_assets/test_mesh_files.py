@@ -1,4 +1,4 @@
-"""Meshes that a user has: files, folders of classes, lists of records."""
+"""Meshes of a user: files, folders of classes, lists of records."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def test_a_link_out_of_a_folder_of_meshes_is_not_followed(tmp_path: Path) -> Non
 
 @pytest.mark.oracle
 def test_objects_are_laid_flat_as_the_package_does(packages: Any) -> None:
-    """Its own code runs on corners that may be written to, which trimesh no longer gives out."""
+    """The package writes to the vertices; trimesh returns read-only ones now, so they are copied."""
     from tactile_mnist.tactile_perception_vector_env import TactilePerceptionVectorEnv
 
     for seed in range(5):

@@ -14,7 +14,7 @@ from tests.forked import start_forked
 
 
 def run_named_command(message: str) -> None:
-    """Give the command line in a message."""
+    """Return the command line in a message."""
     command = re.search(r"next: run `([^`]+)`", message)
     assert command, message
     assert call(*shlex.split(command[1]), "--quiet") == 0
@@ -28,8 +28,8 @@ def parquet(folder: Path) -> dict[str, bytes]:
 @pytest.mark.parametrize(
     ("kind", "split", "rows"), [("mnist3d", "holdout", 10), ("starstruck", "test", 3), ("wrench", "train", 1)]
 )
-def test_the_command_that_is_named_makes_what_is_missing(tmp_path, kind, split, rows):
-    """And generate=True makes the very same, byte for byte."""
+def test_the_command_in_the_message_makes_the_missing_data(tmp_path, kind, split, rows):
+    """With generate=True, the same data are made, byte for byte."""
     root = tmp_path / "some assets"
     options = {"per_class": 1, "seed": 3}
     with pytest.raises(
@@ -56,7 +56,7 @@ def test_splits_are_added_one_by_one_and_named_where_one_is_missing(tmp_path):
     assert (manifest.splits, manifest.complete) == (("train", "test"), True)
 
 
-def test_a_split_that_no_kind_has_is_refused_and_nothing_is_made(tmp_path):
+def test_unknown_splits_are_refused_and_nothing_is_made(tmp_path):
     provider = env_assets.AssetProvider(tmp_path, generate=True, per_class=1)
     for kind, split in (("mnist3d", "trian"), ("starstruck", "holdout"), ("wrench", "test")):
         with pytest.raises(InputError, match=f"unknown split '{split}'"):
@@ -75,7 +75,7 @@ def test_a_set_made_otherwise_is_left_alone(tmp_path):
     assert parquet(tmp_path / "starstruck") == before
 
 
-def test_nothing_but_the_kinds_is_made(tmp_path):
+def test_only_known_kinds_are_made(tmp_path):
     with pytest.raises(InputError, match="does not exist; expected a folder, a Parquet file"):
         env_assets.AssetProvider(tmp_path, generate=True).meshes("screwdriver")
     assert not list(tmp_path.iterdir())
@@ -90,7 +90,7 @@ def test_nothing_but_the_kinds_is_made(tmp_path):
         {"workers": 0},
     ],
 )
-def test_numbers_that_make_nothing_are_refused_at_once(tmp_path, options):
+def test_numbers_without_any_object_are_refused_at_once(tmp_path, options):
     (name,) = options
     with pytest.raises(InputError, match=f"{name} of the AssetProvider is"):
         env_assets.AssetProvider(tmp_path, **options)
@@ -102,7 +102,7 @@ def _make(folder: str, split: str) -> list[int]:
 
 
 def test_processes_that_start_at_once_do_not_harm_each_other(tmp_path):
-    """Two want the same split and one another; without taking turns the last to end would lose a split."""
+    """Two processes make the same split and one another split; without locks, a split would be lost."""
     splits = ("test", "train", "train")
     running = [start_forked(_make, str(tmp_path), split) for split in splits]
     assert [process.end() for process in running] == [0] * 3, [process.err for process in running]

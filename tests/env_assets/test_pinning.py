@@ -1,4 +1,4 @@
-"""A branch of the Hub is held at the commit it named first: a real server, the real client."""
+"""A branch of the Hub stays pinned to the commit that was seen first: a real server and client."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def seeds(provider: AssetProvider, split: str) -> list[int]:
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory) -> dict[str, list[int]]:
-    """What a client sees that opens one split before a commit and the other one after it."""
+    """Return what a client sees that opens one split before a commit and the other split after it."""
     root, home = tmp_path_factory.mktemp("hub"), tmp_path_factory.mktemp("home")
     write(root / "someone" / "scenes", seed=1, scenes=6)
     with hub(root) as server, as_client(settings(server, home)):
@@ -62,7 +62,7 @@ def test_a_new_provider_sees_the_new_commit(found):
     assert found["new"][:6] != found["other split"]
 
 
-def test_a_folder_that_is_there_is_no_repository(tmp_path, monkeypatch):
+def test_an_existing_folder_is_not_a_repository(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "someone" / "scenes").mkdir(parents=True)
     provider = AssetProvider()

@@ -43,7 +43,7 @@ def test_a_folder_may_be_anywhere_and_names_may_be_given(assets, tmp_path):
     assert elsewhere.meshes(str(file), "test").ids.tolist() == by_name.ids.tolist()
 
 
-def test_the_kind_is_told_from_the_columns_and_else_from_the_classes(tmp_path):
+def test_the_kind_follows_from_the_columns_or_else_from_the_classes(tmp_path):
     solids = [box((0, 0, 0), (0.01, 0.01, 0.005)).to_trimesh()] * 3
     provider = env_assets.AssetProvider(tmp_path)
     for names, kind in (
@@ -73,7 +73,7 @@ def test_volumes_are_those_of_the_meshes(provider, assets, tmp_path):
 
 
 def test_stored_volumes_are_read_without_the_meshes(assets, tmp_path):
-    """The bytes of the meshes are spoiled: volumes can be read all the same, meshes not."""
+    """The bytes of the meshes are damaged: volumes can still be read, meshes cannot."""
     import pyarrow.parquet as pq
 
     shutil.copytree(assets / "mnist3d", tmp_path / "mnist3d")
@@ -127,7 +127,7 @@ assert fingerprint(provider) == seen_by_a_child(provider, "fork")
 
 
 def test_a_forked_process_sees_the_same(assets):
-    """Of a provider that was made and used; in an interpreter without the threads of other tests."""
+    """After a provider was made and used, in an interpreter without threads of other tests."""
     run_forked(FORKS, assets)
 
 
@@ -139,7 +139,7 @@ def test_a_copy_is_light_and_opens_again(provider):
     assert copy.meshes("mnist3d", "test").ids.tolist() == provider.meshes("mnist3d", "test").ids.tolist()
 
 
-def test_what_is_no_data_set_is_named(provider, assets, tmp_path):
+def test_other_folders_are_named(provider, assets, tmp_path):
     with pytest.raises(InputError, match="does not exist; expected a folder, a Parquet file, a repository"):
         provider.meshes("nothing-of-that-name")
     with pytest.raises(InputError, match=r"no split 'tset' .*it has train, test, printed_train"):
@@ -171,13 +171,13 @@ def test_places_that_are_not_a_mapping_are_refused(places):
 @pytest.mark.parametrize(
     ("name", "near"), [("minst3d", "did you mean 'mnist3d'"), ("digits", "wrench"), (3, "3")]
 )
-def test_a_place_for_a_name_that_nothing_asks_for_is_refused(name, near):
+def test_a_place_for_an_unused_name_is_refused(name, near):
     with pytest.raises(InputError, match="expected names of mnist3d, starstruck, wrench, abc") as caught:
         env_assets.AssetProvider("assets", {name: "digits"})
     assert near in str(caught.value)
 
 
-def test_names_and_folders_that_cannot_be_are_refused(provider):
+def test_invalid_names_and_folders_are_refused(provider):
     with pytest.raises(InputError, match="does not exist"):
         provider.meshes("a" * 300)
     with pytest.raises(InputError, match="no home folder is known"):

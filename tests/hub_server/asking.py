@@ -1,4 +1,4 @@
-"""A request with everything that decides its answer, and the forms of an answer."""
+"""Requests to the server with everything that decides the reply, and kinds of replies."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class Reply:
-    """An answer; values become JSON, bytes are a file's content."""
+    """A reply: values become JSON, bytes are the content of a file."""
 
     status: int = 200
     value: Any = None
@@ -24,7 +24,7 @@ class Reply:
 
     @property
     def is_content(self) -> bool:
-        """Whether it is the content of a file."""
+        """Whether the body is the content of a file."""
         return isinstance(self.value, bytes)
 
     @property
@@ -35,8 +35,8 @@ class Reply:
         return b"" if self.value is None else json.dumps(self.value).encode()
 
 
-class Refusal(Exception):  # noqa: N818 - a plain answer, not an error of the server
-    """The Hub refuses."""
+class Refusal(Exception):  # noqa: N818 - a normal reply, not an error of the server
+    """The Hub refuses the request."""
 
     def __init__(self, status: int, message: str, code: str = "") -> None:
         super().__init__(message)
@@ -46,7 +46,7 @@ class Refusal(Exception):  # noqa: N818 - a plain answer, not an error of the se
 
 @dataclass
 class Asked:
-    """A request with everything that decides its answer."""
+    """A request with everything that decides the reply."""
 
     hub: HubServer
     method: str
@@ -59,25 +59,25 @@ class Asked:
 
     @property
     def json(self) -> Any:
-        """The body's JSON value."""
+        """The JSON value of the body."""
         return json.loads(self.body or b"{}")
 
     @property
     def query(self) -> dict[str, str]:
-        """The query, last value of each name."""
+        """The query: the last value of each name."""
         return {name: values[-1] for name, values in parse_qs(self.address.query).items()}
 
     def repository(self) -> Repository:
-        """Return the repository that is asked for, if the account may see it."""
+        """Return the requested repository, if the account may see it."""
         found = self.hub.find(self.names.get("kind", "models"), self.names["repo"])
         if found is None or not _may_see(found, self.account):
-            # The Hub answers for what is private as for what is not there. Its 401 carries no error code;
-            # the clients know it by an https address then, which this server has not.
+            # The Hub replies for private repositories as for missing ones. Its 401 has no error code;
+            # clients then recognise it by an https address, which this server does not have.
             raise Refusal(404 if self.account else 401, "Repository not found", "RepoNotFound")
         return found
 
     def commit(self, repository: Repository) -> Commit:
-        """Return the commit that is asked for."""
+        """Return the requested commit."""
         found = repository.find(self.names.get("revision") or "main")
         if found is None:
             raise Refusal(404, f"Invalid rev id: {self.names['revision']}", "RevisionNotFound")

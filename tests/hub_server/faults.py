@@ -1,4 +1,4 @@
-"""What the server is to do wrong, and what it was asked."""
+"""Faults that the server simulates, and requests that it received."""
 
 from __future__ import annotations
 
@@ -10,28 +10,28 @@ from typing import Any
 
 @dataclass
 class Request:
-    """One request as it went over the wire."""
+    """One request as it was received."""
 
     method: str
     path: str
     query: str
     range: str | None
     user: str | None
-    """Whose token came with it; ``"?"`` for an unknown token."""
+    """Account of its token; ``"?"`` for an unknown token."""
     status: int = 0
-    """Status of the answer; 0 while there is none."""
+    """Status of the reply; 0 before there is one."""
     sent: int = 0
-    """Bytes of the answer's body that were sent."""
+    """Bytes of the body of the reply that were sent."""
 
     @property
     def is_content(self) -> bool:
-        """Whether it asks for the content of a file, wherever that lies."""
+        """Whether it asks for the content of a file, from any address."""
         return "/resolve/" in self.path or self.path.startswith("/cdn/")
 
 
 @dataclass
 class Fault:
-    """Something that goes wrong with requests whose path matches a pattern, a number of times."""
+    """A fault of requests whose path matches a pattern, for a number of times."""
 
     pattern: str
     times: int = 1
@@ -41,27 +41,27 @@ class Fault:
     stall_after: int | None = None
     lose_reply: bool = False
     value: Any = None
-    """What is answered under ``status``: bytes as they are, anything else as JSON."""
+    """Body of the reply with ``status``: bytes, or JSON values."""
     drip_s: float | None = None
     drips_head: bool = False
     endless: bool = False
 
     @property
     def touches_content(self) -> bool:
-        """Whether it shows only where the bytes of a file are sent."""
+        """Whether it affects only requests by which the bytes of a file are sent."""
         return self.endless or self.corrupt_at is not None or self.stall_after is not None
 
 
 class Faults:
-    """The faults still to come; each call adds one."""
+    """The faults that remain; each call adds one."""
 
     def __init__(self) -> None:
         self._faults: list[Fault] = []
         self._lock = threading.Lock()
         self.stalled = threading.Event()
-        """Set when an answer stands still; see :meth:`stall`."""
+        """Set when a reply pauses; see :meth:`stall`."""
         self.released = threading.Event()
-        """Set it to let answers that stand still continue."""
+        """Set it to let replies that pause continue."""
 
     def add(self, fault: Fault) -> None:
         """Add a fault."""
@@ -69,12 +69,12 @@ class Faults:
             self._faults.append(fault)
 
     def clear(self) -> None:
-        """Forget the faults still to come."""
+        """Remove the faults that remain."""
         with self._lock:
             self._faults.clear()
 
     def fail(self, pattern: str, status: int = 503, times: int = 1, **more: object) -> None:
-        """Answer with an error, before anything is done."""
+        """Reply with an error, and do nothing."""
         self.add(Fault(pattern, times, status=status, **more))  # type: ignore[arg-type]
 
     def corrupt(self, pattern: str, at: int, times: int = 1) -> None:
@@ -82,23 +82,23 @@ class Faults:
         self.add(Fault(pattern, times, corrupt_at=at))
 
     def stall(self, pattern: str, after: int, times: int = 1) -> None:
-        """Stand still after some bytes of a file, until ``released`` is set."""
+        """Pause after some bytes of a file, until ``released`` is set."""
         self.add(Fault(pattern, times, stall_after=after))
 
     def endless(self, pattern: str, times: int = 1) -> None:
-        """Send a file in pieces that do not end, without a word about its size."""
+        """Send a file in pieces without end, and without its size."""
         self.add(Fault(pattern, times, endless=True))
 
     def drip(self, pattern: str, pause_s: float, times: int = 1, *, head: bool = False) -> None:
-        """Answer byte by byte, the head or what follows it."""
+        """Send the head or the body of a reply byte by byte."""
         self.add(Fault(pattern, times, drip_s=pause_s, drips_head=head))
 
     def lose_reply(self, pattern: str, times: int = 1) -> None:
-        """Do what is asked and close the connection without an answer."""
+        """Execute the request, and close the connection without a reply."""
         self.add(Fault(pattern, times, lose_reply=True))
 
     def take(self, path: str, *, content: bool) -> Fault | None:
-        """Return the first fault that hits this request and count it."""
+        """Return the first fault that applies to this request, and count it."""
         with self._lock:
             for fault in self._faults:
                 if fault.times and self._hits(fault, path, content):

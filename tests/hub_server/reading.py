@@ -1,4 +1,4 @@
-"""Answers that change nothing: who asks, what there is, and the content of files."""
+"""Replies to read requests: account, repositories, lists of files, and their content."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def validate_yaml(asked: Asked) -> Reply:
 
 
 def _card_head(text: str) -> Any:
-    """Return the YAML head of a card; None when there is none that can be read."""
+    """Return the YAML head of a card; None if no head can be read."""
     head = re.match(r"---\n(.*?)\n---", text, flags=re.DOTALL)
     try:
         return yaml.safe_load(head[1]) if head else None

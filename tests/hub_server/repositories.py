@@ -1,4 +1,4 @@
-"""What the server holds: accounts and repositories with their whole history."""
+"""Content of the server: accounts, and repositories with their entire history."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def git_blob_oid(content: bytes) -> str:
 
 @dataclass(frozen=True)
 class Account:
-    """Who a token belongs to, and what it allows."""
+    """The user of a token, and its permissions."""
 
     name: str
     role: str = "write"
@@ -44,7 +44,7 @@ class Blob:
 
     @cached_property
     def pointer(self) -> bytes:
-        """What git holds in place of a large file."""
+        """The pointer that git stores in place of a large file."""
         head = "version https://git-lfs.github.com/spec/v1"
         return f"{head}\noid sha256:{self.sha256}\nsize {len(self.content)}\n".encode()
 
@@ -55,7 +55,7 @@ class Blob:
 
     @property
     def etag(self) -> str:
-        """What the Hub calls the content: SHA-256 of a large file, git's name of any other."""
+        """Digest of the content on the Hub: SHA-256 of a large file, the name in git of any other."""
         return self.sha256 if self.is_lfs else self.oid
 
 
@@ -73,14 +73,14 @@ class Commit:
 
 @dataclass
 class Repository:
-    """A repository with its history, its names for commits, and who may see it."""
+    """A repository with its history, its names of commits, and its permissions."""
 
     id: str
     kind: str = "datasets"
     private: bool = False
     gated: str | bool = False
     granted: set[str] = field(default_factory=set)
-    """Accounts that were let through the gate."""
+    """Accounts that have passed the gate."""
     lfs_suffixes: frozenset[str] = LFS_SUFFIXES
     commits: dict[str, Commit] = field(default_factory=dict)
     branches: dict[str, str] = field(default_factory=dict)
@@ -116,7 +116,7 @@ class Repository:
         return found
 
     def blob(self, path: str, content: bytes) -> Blob:
-        """Keep content as a large file or not, by its name and looks."""
+        """Decide by name and content whether a file is stored as a large file."""
         return Blob(content, self.is_lfs(path, len(content), content[:512]))
 
     def is_lfs(self, path: str, size: int, sample: bytes) -> bool:
@@ -178,7 +178,7 @@ class Repository:
         return f"refs/pr/{number}"
 
     def mirror(self, folder: Path) -> None:
-        """Commit what has changed in a folder since it was last looked at."""
+        """Commit the changes of a folder since the last call."""
         found = {
             str(file.relative_to(folder)): (file.stat().st_size, file.stat().st_mtime_ns)
             for file in sorted(folder.rglob("*"))

@@ -1,4 +1,4 @@
-"""Which address is answered by what: the parts of the Hub's API that its Python clients use."""
+"""Routes: the parts of the API of the Hub that its Python clients use."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tests.hub_server.asking import Asked, Refusal, Reply
 
 
 def answer(asked: Asked) -> Reply:
-    """Answer a request."""
+    """Reply to a request."""
     if asked.has_token and asked.account is None:
         raise Refusal(401, "Invalid credentials in Authorization header")
     for methods, pattern, respond in _ROUTES:

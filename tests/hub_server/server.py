@@ -1,4 +1,4 @@
-"""The HTTP side: listeners, bodies, ranges, and the faults that show on the wire."""
+"""The HTTP side: listeners, bodies, ranges, and faults of the connection."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from tests.hub_server.repositories import Account, Repository
 from tests.hub_server.routes import answer
 
 _PIECE = 1 << 16
-_ENDLESS_PIECES = 1 << 11  # 128 MiB, so that a client that takes all of it fails its test and not the machine
+_ENDLESS_PIECES = 1 << 11  # 128 MiB: a client that reads all of it fails its test, and the machine survives
 _PLACE = re.compile(r".*/resolve/[^/]+/|/cdn/\w+/[^/]+/[^/]+/\w+/")
 
 
 class HubServer:
-    """The server, what it holds, what it was asked, and what it shall do wrong."""
+    """The server with its repositories, requests, and faults that it simulates."""
 
     def __init__(self, root: Path | None) -> None:
         self.root = root
@@ -105,12 +105,12 @@ class HubServer:
             return repository
 
     def start(self) -> None:
-        """Begin to answer."""
+        """Start the server."""
         for listener in (self._main, self._cdn):
             listener.start()
 
     def stop(self) -> None:
-        """Stop answering and free the ports."""
+        """Stop the server and free the ports."""
         self.faults.released.set()
         for listener in (self._main, self._cdn):
             listener.stop()
@@ -118,7 +118,7 @@ class HubServer:
 
 class _Listener(ThreadingHTTPServer):
     daemon_threads = True
-    # A killed client leaves its connection in an odd state; that is a test's business, not worth a traceback.
+    # A killed client breaks its connection; the test knows, so no traceback is printed.
     handle_error = staticmethod(lambda *_: None)  # type: ignore[assignment]
 
     def __init__(self, hub: HubServer) -> None:
@@ -136,14 +136,14 @@ class _Listener(ThreadingHTTPServer):
 
     def stop(self) -> None:
         self._is_stopping = True
-        # A last visitor wakes the thread: `serve_forever` would look for its end twenty times a second only.
+        # A last connection wakes the thread, because `serve_forever` checks for its end only every 50 ms.
         socket.create_connection(self.server_address[:2]).close()
         self._thread.join()
         self.server_close()
 
 
 class _LostError(Exception):
-    """The connection is to be closed now."""
+    """The connection must be closed now."""
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -152,7 +152,7 @@ class _Handler(BaseHTTPRequestHandler):
     disable_nagle_algorithm = True  # head and body leave in two writes; the second must not wait for an ACK
 
     def log_message(self, *_: object) -> None:
-        """Say nothing."""
+        """Print nothing."""
 
     def _serve(self) -> None:
         hub = self.server.hub
@@ -258,7 +258,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _write(self, content: bytes, start: int, end: int, note: Request) -> None:
         for place in range(start, end, _PIECE):
             piece = content[place : min(place + _PIECE, end)]
-            # Before the client can have it, so that a test that has it sees the count.
+            # Counted before it is sent, so that a test that received it sees the count.
             note.sent += len(piece)
             self.wfile.write(piece)
         self.wfile.flush()
@@ -266,7 +266,7 @@ class _Handler(BaseHTTPRequestHandler):
 
 @contextmanager
 def hub(root: Path | None = None) -> Iterator[HubServer]:
-    """Serve repositories, and those of a folder ``ROOT/USER/NAME``, until the block ends."""
+    """Serve repositories, and folders ``ROOT/USER/NAME`` as repositories, until the block ends."""
     server = HubServer(root)
     server.start()
     try:

@@ -1,4 +1,4 @@
-"""Answers that change something: repositories, names for commits, large files, commits."""
+"""Replies to requests that change repositories: names of commits, large files, commits."""
 
 from __future__ import annotations
 

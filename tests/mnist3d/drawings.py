@@ -1,4 +1,4 @@
-"""Drawings in closed form, and sizes of what is made of them."""
+"""Drawings in closed form, and sizes of the solids that are made of them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def ring() -> np.ndarray:
 
 
 def stroke(points: list[tuple[float, float]], width: float) -> np.ndarray:
-    """A line of round pen through (row, column) points."""
+    """Return a line of a round pen through (row, column) points."""
     path = np.concatenate([np.linspace(a, b, 60) for a, b in pairwise(points)])
     mask = np.zeros((500, 500), bool)
     mask[tuple(np.round(path).astype(int).T)] = True
@@ -58,7 +58,7 @@ def size_mm(mesh: Mesh) -> np.ndarray:
 
 
 def dumbbell(neck_mm: float, angle_deg: float) -> np.ndarray:
-    """Two discs 4 mm in radius, 6 mm apart, joined by a bar of that width; 0.2 mm a pixel."""
+    """Return two discs 4 mm in radius, 6 mm apart, joined by a bar of a width; 0.2 mm per pixel."""
     y, x = (np.mgrid[:640, :640] - 319.5) * 0.05
     angle = math.radians(angle_deg)
     along, aside = (

@@ -1,4 +1,4 @@
-"""Pictures that tests draw, as a maker would: handwriting, a coloured drawing, and photographs of them."""
+"""Pictures for tests, like those of users: handwriting, a coloured drawing, and photographs of them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SUN, WALL, GRASS = (255, 165, 0), (255, 235, 150), (60, 170, 60)
 
 
 def word(width: int = 22) -> Image.Image:
-    """Handwriting of five pieces: an l, two i with their dots."""
+    """Return handwriting of five pieces: an l, two i with their dots."""
     picture = Image.new("RGB", (800, 400), "white")
     draw = ImageDraw.Draw(picture)
     for x, top in ((200, 80), (350, 180), (500, 180)):
@@ -27,7 +27,7 @@ def word(width: int = 22) -> Image.Image:
 
 
 def child() -> Image.Image:
-    """A house with an outline and pale walls, an orange sun, grass: three pieces, all of them filled."""
+    """Return a house with an outline and pale walls, an orange sun, and grass: three filled pieces."""
     picture = Image.new("RGB", (800, 600), "white")
     draw = ImageDraw.Draw(picture)
     draw.ellipse([560, 60, 700, 200], fill=SUN)
@@ -37,7 +37,7 @@ def child() -> Image.Image:
 
 
 def photographed(picture: Image.Image) -> Image.Image:
-    """What a phone makes of a page: uneven warm light, noise, blur."""
+    """Return a page as photographed by a phone: uneven warm light, noise, blur."""
     page = np.asarray(picture.resize((1200, 900)), float)
     rows, columns = np.mgrid[:900, :1200]
     light = 0.5 + 0.5 * (0.7 * columns / 1200 + 0.3 * rows / 900)

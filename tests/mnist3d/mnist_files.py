@@ -1,4 +1,4 @@
-"""Files of MNIST, made small."""
+"""Small files in the formats of MNIST."""
 
 from __future__ import annotations
 

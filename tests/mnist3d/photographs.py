@@ -1,4 +1,4 @@
-"""Photographs of handwriting that tests compose, with the ink that is on them.
+"""Photographs of handwriting that tests compose, with their true ink.
 
 A page has paper, lines and ink; light falls on it; it lies on a desk or under the lid of a scanner; a camera
 blurs it, adds noise and packs it as JPEG. All of it is drawn from one seed.
@@ -54,7 +54,7 @@ class Photograph:
 
 
 def strokes_of(strokes: Sequence[Sequence[Sequence[float]]], pen_px: float, height_px: float) -> Floats:
-    """Draw strokes (y up, height 1) with a round pen; returns the cover of each pixel, cut to the ink."""
+    """Draw strokes (y up, height 1) with a round pen; return the coverage of pixels, cropped to the ink."""
     fine = 3
     paths = [np.array(stroke) * (height_px - pen_px) for stroke in strokes]
     every = np.concatenate(paths)
@@ -85,7 +85,7 @@ def _grid() -> tuple[Floats, Floats]:
 
 
 def _light(kind: str, rng: np.random.Generator) -> Floats:
-    """Return how much light falls on each pixel."""
+    """Return the light at each pixel."""
     y, x = _grid()
     turn = rng.uniform(0, 2 * np.pi)
     along = (x - 0.5) * np.cos(turn) + (y - 0.5) * np.sin(turn)
@@ -109,7 +109,7 @@ def _paper(rng: np.random.Generator) -> Floats:
 
 
 def _lines(kind: str, pen_px: float, rng: np.random.Generator) -> Floats:
-    """Return the cover of printed lines."""
+    """Return the coverage by printed lines."""
     cover = np.zeros((SIDE_PX, SIDE_PX))
     gap, wide = rng.uniform(30, 90), rng.uniform(1.2, max(1.4, min(4.0, 0.3 * pen_px)))
     y, x = np.mgrid[:SIDE_PX, :SIDE_PX].astype(np.float64)
@@ -181,7 +181,7 @@ def _placed(cover: Floats, at: tuple[float, float]) -> Floats:
 
 
 def compose(covers: Sequence[Floats], kind: str, seed: int, pen_px: float = 40.0) -> Photograph:
-    """Compose a photograph of some kind from the cut ink of one digit, several or none."""
+    """Compose a photograph of a kind from the cropped ink of one digit, several or none."""
     rng = np.random.default_rng([seed, (*EASY, *HARD, *REFUSED).index(kind)])
     if len(covers) > 1:
         places: list[tuple[float, float]] = [
@@ -253,7 +253,7 @@ def compose(covers: Sequence[Floats], kind: str, seed: int, pen_px: float = 40.0
 
 
 def drawn(label: int, number: int, height_px: float, pen_px: float | None = None) -> Floats:
-    """Return the cover of the cut ink of a synthetic digit, its pen as it is or of a given width."""
+    """Return the coverage of the cropped ink of a synthetic digit, with its own or another pen width."""
     page = SyntheticSource().image(140 * number + 14 * label).pixels
     # Without the specks that the source draws next to ink.
     ink = clean(page < 128, SolidSpec())
@@ -272,7 +272,7 @@ def _levels(mask: NDArray[np.bool_]) -> Image.Image:
 
 
 def likeness(found: NDArray[np.bool_], ink: NDArray[np.bool_], pen_px: float) -> float:
-    """Return intersection over union of two masks, both cut to their ink; of thin pens within one pixel."""
+    """Return intersection over union of two masks, cropped to their ink; of thin pens within one pixel."""
     cuts = []
     for mask in (found, ink):
         rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
@@ -287,7 +287,7 @@ def likeness(found: NDArray[np.bool_], ink: NDArray[np.bool_], pen_px: float) ->
 
 
 def seven(side: int = 240) -> NDArray[np.bool_]:
-    """Ink of a 7 in the middle of a page."""
+    """Return ink of a 7 in the middle of a page."""
     ink = np.zeros((240, 240), bool)
     ink[50:74, 60:190] = True
     rows, columns = np.mgrid[:240, :240]

@@ -1,4 +1,4 @@
-"""A source that fails on purpose, for tests of runs, and what every source says when it cannot be used."""
+"""A source that fails on purpose, for tests of runs, and messages of sources that cannot be used."""
 
 from __future__ import annotations
 

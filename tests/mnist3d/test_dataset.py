@@ -42,7 +42,7 @@ def test_records(digits):
         assert f"id={digit.id}" in repr(digit)
 
 
-def test_mesh_is_what_is_stored(digits):
+def test_mesh_equals_the_stored_arrays(digits):
     digit = digits[0]
     assert len(digit.mesh.vertices) == len(digit.vertices_m)
     np.testing.assert_array_equal(digit.mesh.faces, digit.faces)

@@ -1,4 +1,4 @@
-"""Data sets of any drawings: letters, words, pictures of a child."""
+"""Data sets of drawings: letters, words, pictures by a child."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_folders_are_classes_and_divide_into_train_and_test(words: Path, tmp_pat
     assert [len(mnist3d.load(out, split)) for split in ("train", "test")] == [13, 3]
     assert {row.file for row in rows} == {path.relative_to(words).as_posix() for path in words.rglob("*.*")}
     assert all(row.file.startswith(f"{catalog.class_names[row.label]}/") for row in rows)
-    # The dots of the letters stay.
+    # The dots of the letters are kept.
     assert {check_manifold(as_mesh(row)).bodies for row in rows if row.label == 2} == {5}
     for command in (("verify", out), ("validate", out), ("card", out)):
         assert call("mnist3d", *command) == 0
@@ -130,7 +130,7 @@ def test_select_writes_the_chosen_rows_only(tmp_path: Path, capsys: Any) -> None
 def test_a_dry_upload_needs_no_network(setting: tuple[str, str], tmp_path: Path, capsys: Any) -> None:
     spec = DigitSetSpec(SyntheticSource(), mnist3d.SolidSpec(target_vertices=300), limit=1)
     generate(spec, str(tmp_path / "set"), ("test",))
-    # The client reads its settings when it is imported.
+    # The client reads its settings on import.
     command = program("mnist3d", "upload", tmp_path / "set", "YOU/digits", "--dry-run", "--json")
     settings = {**os.environ, "HF_HOME": str(tmp_path / "hf"), "HF_TOKEN": "", setting[0]: setting[1]}
     done = subprocess.run(command, env=settings, capture_output=True, text=True, check=False)
@@ -140,7 +140,7 @@ def test_a_dry_upload_needs_no_network(setting: tuple[str, str], tmp_path: Path,
     assert {"README.md", "manifest.json"} < set(document["to_send"])
     assert document["bytes_to_send"] == document["bytes"] > 10_000
     assert "note: no connection to the Hub" in done.stderr
-    # A damaged folder is named before the Hub is asked.
+    # A damaged folder is named before any request to the Hub.
     (tmp_path / "set" / "README.md").write_text("no card", encoding="utf-8")
     assert call("mnist3d", "upload", tmp_path / "set", "YOU/digits", "--dry-run") == 3
     assert "README.md" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""What is ink in drawings, logos and photographs."""
+"""Ink in drawings, logos and photographs."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_a_logo_may_be_mostly_ink(mode: str, tmp_path: Path) -> None:
     mesh = mnist3d.solidify(picture, mnist3d.SolidSpec(profile="flat"), height_mm=40)
     disc_mm2 = math.pi * 20**2
     assert check_manifold(mesh).volume_mm3 == pytest.approx(disc_mm2 * size_mm(mesh)[2], rel=0.03)
-    # A channel that is black in most of the picture shows no paper.
+    # A channel that is mostly black does not show the paper.
     with contextlib.suppress(ItemError):
         mnist3d.solidify(picture, threshold="local")
 
@@ -93,7 +93,7 @@ def test_strokes_that_run_to_the_edge_of_a_photographed_page_are_kept(surroundin
     page = word()
     draw = ImageDraw.Draw(page)
     draw.line([(0, 370), (800, 370)], fill=PEN, width=16)  # the ground
-    at = 775 if surroundings else 790  # up to 1.5 % from the edge of a page on a desk, ink is its edge
+    at = 775 if surroundings else 790  # within 1.5 % of the edge of a page on a desk, ink counts as the edge
     draw.line([(at, 40), (at, 60)], fill=PEN, width=14)
     desk = Image.new("RGB", (800 + 2 * surroundings, 400 + 2 * surroundings), (95, 62, 40))
     desk.paste(page, (surroundings, surroundings))
@@ -115,7 +115,7 @@ def test_a_finger_on_a_photographed_page_is_refused() -> None:
 @pytest.mark.parametrize(
     "corners", [[(600, 0), (800, 0), (800, 120)], [(0, 0), (60, 0), (60, 400), (0, 400)]]
 )
-def test_what_lies_beside_a_photographed_page_is_no_ink(corners: list[tuple[int, int]]) -> None:
+def test_objects_beside_a_photographed_page_are_not_ink(corners: list[tuple[int, int]]) -> None:
     page = word()
     ImageDraw.Draw(page).polygon(corners, fill=(40, 30, 20))
     assert pieces(inked(photographed(page)).mask) == 5

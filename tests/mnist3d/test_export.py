@@ -1,4 +1,4 @@
-"""Digits on their way to the printer: chosen, stood on the plate, written."""
+"""Export of digits to printers: selected, placed on the plate, written."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_choosing_by_class_id_and_number(digits: mnist3d.DigitDataset) -> None:
     assert [item.id for item in chosen(digits, ids=some[:1], labels=[label])] == some[:1]
 
 
-def test_what_is_not_there_is_named(digits: mnist3d.DigitDataset) -> None:
+def test_missing_digits_are_named(digits: mnist3d.DigitDataset) -> None:
     some = digits.ids[[4, 11]]
     wanted = chosen(digits, ids=[(int(some.min()), int(some.max())), (0, 10**19)])
     assert {item.id for item in wanted} == set(digits.ids.tolist())

@@ -102,7 +102,7 @@ def test_unknown_id(tmp_path: Path, digit_id: int) -> None:
 
 @pytest.mark.parametrize("suffix", ["png", "bmp", "tif", "tiff", "gif"])
 @pytest.mark.parametrize("light", [False, True])
-def test_black_on_white_comes_back_as_it_is(tmp_path: Path, suffix: str, light: bool) -> None:
+def test_black_on_white_is_unchanged(tmp_path: Path, suffix: str, light: bool) -> None:
     save(tmp_path / "7" / f"a.{suffix}", 255 - bar() if light else bar())
     np.testing.assert_array_equal(read(tmp_path), bar())
     np.testing.assert_array_equal(read(tmp_path, "light" if light else "dark"), bar())
@@ -144,7 +144,7 @@ def test_every_mode(tmp_path: Path, mode: str, light: bool) -> None:
 @pytest.mark.parametrize("mode", ["RGBA", "LA", "P"])
 @pytest.mark.parametrize("ink_level", [0, 255])
 def test_transparent_paper(tmp_path: Path, mode: str, ink_level: int) -> None:
-    """Ink cut out on nothing, whatever colour hides under the transparent pixels."""
+    """Ink on a transparent background, whatever colour the transparent pixels have."""
     rgba = np.full((500, 500, 4), ink_level, np.uint8)
     rgba[..., 3] = 255 - bar()
     (tmp_path / "7").mkdir()
@@ -361,15 +361,15 @@ def test_real_pictures_come_back_as_they_are() -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes have names here")
-def test_what_is_no_file_of_the_folder_is_left_out_and_named(tmp_path: Path) -> None:
-    """A link may lead to what its reader alone can read; a pipe would be waited for."""
+def test_links_and_pipes_in_the_folder_are_left_out_and_named(tmp_path: Path) -> None:
+    """A link may lead to private files; reading a pipe would wait."""
     home = tmp_path / "home"
     outside = save(tmp_path / "7" / "a.png")
     inside = save(home / "7" / "a.png")
     (home / "7" / "b.png").symlink_to(outside)
     (home / "7" / "c.png").symlink_to(inside)
     os.mkfifo(home / "7" / "d.png")
-    (tmp_path / "linked").symlink_to(home)  # what the user names may be a link
+    (tmp_path / "linked").symlink_to(home)  # a path that the user gives may be a link
     for root in (home, tmp_path / "linked"):
         made = FolderSource(str(root))
         assert made.catalog().labels.tolist() == [7, 7]

@@ -1,4 +1,4 @@
-"""Dry runs where another data set lies, values of other types, and folders whose run is not finished."""
+"""Dry runs into folders with another or an unfinished data set, and with values of other types."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_values_of_numpy_and_mappings_are_the_same_specification():
         _spec(limit=2.5)
 
 
-def test_forecast_with_overwrite_tells_what_would_be_replaced(folder):
+def test_forecast_with_overwrite_names_what_would_be_replaced(folder):
     other = _spec(limit=2)
     with pytest.raises(SpecMismatchError):
         forecast(DigitMaking(other), folder, ("train", "test"))

@@ -36,7 +36,7 @@ def measure(index: dict, title: str) -> list[float | None]:
     return next(entry for entry in index["measures"] if entry["title"] == title)["values"]
 
 
-def test_the_page_shows_every_digit_with_what_the_report_says(folder, tmp_path):
+def test_the_page_shows_every_digit_with_its_report(folder, tmp_path):
     site = build_site(plan_gallery(str(folder)), str(tmp_path / "site"))
     assert (site.items, site.splits) == (30, {"train": 20, "test": 10})
     index = index_of(tmp_path / "site")
@@ -68,7 +68,7 @@ def test_a_set_without_a_report_is_inspected(folder, tmp_path):
         assert seen["values"] == pytest.approx(told["values"], rel=1e-3, abs=0.02)
 
 
-def test_what_cannot_be_shown_is_named(folder, tmp_path):
+def test_digits_that_cannot_be_shown_are_named(folder, tmp_path):
     with pytest.raises(InputError, match="no split 'holdout'"):
         plan_gallery(str(folder), RowFilter("holdout"))
     with pytest.raises(InputError, match="does not exist; expected a folder"):

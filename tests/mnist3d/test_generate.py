@@ -22,7 +22,7 @@ from tests.mnist3d.sources import BLANK, FULL, UNREADABLE, FlawedSource
 from tests.processes import PATIENCE_S, start_held
 from tests.tactile_toolkit.toy import folder_bytes
 
-COARSE = SolidSpec(target_vertices=2_000)  # what a lattice gives: fewer are decimated, which takes longer
+COARSE = SolidSpec(target_vertices=2_000)  # as many as a lattice gives; decimation to fewer takes longer
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def test_every_digit_is_a_row_or_skipped_with_its_reason(flawed):
     assert written["skipped"] == {"all-ink": 1, "no-ink": 1, "unreadable": 1}
 
 
-def test_failures_move_no_other_digit(flawed, tmp_path):
+def test_failures_do_not_move_other_digits(flawed, tmp_path):
     folder, _ = flawed
     plan = plan_build(DigitMaking(DigitSetSpec(FlawedSource(), COARSE)))
     for split in ("train", "test", "holdout"):
@@ -73,7 +73,7 @@ def test_report_has_a_row_per_digit_in_the_order_of_the_data(flawed):
     assert report.is_solid.all()
 
 
-def test_nothing_to_make_is_named(tmp_path):
+def test_empty_selections_are_named(tmp_path):
     with pytest.raises(InputError, match=r"no digits to make for printed_test.*--split"):
         generate(DigitSetSpec(FlawedSource(), COARSE), str(tmp_path / "set"), ("printed_test",))
     assert not (tmp_path / "set").exists()
@@ -130,7 +130,7 @@ def unbroken(tmp_path_factory):
         (signal.SIGKILL, 2),
     ],
 )
-def test_stopped_run_goes_on_to_the_same_bytes(unbroken, tmp_path, workers, blow):
+def test_interrupted_run_continues_to_the_same_bytes(unbroken, tmp_path, workers, blow):
     folder = tmp_path / "set"
     words = (*COMMAND, "--workers", workers, "--out", folder)
     process = start_held("mnist3d", 1, tmp_path / "held", *words)

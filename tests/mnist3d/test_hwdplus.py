@@ -20,7 +20,7 @@ SIDE = 500
 
 
 def stack(count: int = 3, side: int = SIDE) -> NDArray[np.uint8]:
-    """White sheets with a black bar whose place shows the row, and one pixel of every level."""
+    """White sheets with a black bar, whose position shows the row, and one pixel of every level."""
     images = np.full((count, side, side), 255, np.uint8)
     for row in range(count):
         images[row, side // 4 : side // 2, side // 5 + row : side // 3 + row] = 0
@@ -85,7 +85,7 @@ def test_the_grey_scale_of_floats_is_the_files_not_the_images(tmp_path: Path) ->
     images[2] = 200.0
     with pytest.raises(ItemError, match="found pixels from 200 to 200, expected 0 to 1"):
         source(tmp_path, images).image(2)
-    # The images that are looked at are the first, the last and those between.
+    # The first and the last image and some between them are examined.
     images[:4] = np.nan
     np.testing.assert_array_equal(source(tmp_path, images).image(4).pixels, stack(5)[4])
 
@@ -198,7 +198,7 @@ def test_arrays_that_are_no_stack_of_images(tmp_path: Path, images: NDArray[Any]
 
 
 @pytest.mark.parametrize("info", [np.zeros((3, 2, 2), int), np.zeros((0, 2)), np.zeros(3, complex)])
-def test_tables_that_are_none(tmp_path: Path, info: NDArray[Any]) -> None:
+def test_invalid_tables(tmp_path: Path, info: NDArray[Any]) -> None:
     message = refusal(source(tmp_path, info=info))
     assert f"WriterInfo.npy: found shape {info.shape} of {info.dtype}, expected one row per image" in message
 
@@ -304,7 +304,7 @@ _READ_WITHIN_LIMITS = """
 
 @pytest.mark.thorough
 def test_memory_does_not_grow_with_the_file(tmp_path: Path) -> None:
-    """6 GB of (sparse) float64 within some MB of what one image takes."""
+    """6 GB of (sparse) float64 need only some MB more than one image."""
     made = _sparse_source(tmp_path, 3000)
     assert int(printed_by(_READ_WITHIN_LIMITS, made.images, made.writer_info)) < 30
 

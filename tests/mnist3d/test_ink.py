@@ -1,4 +1,4 @@
-"""Ink: what counts as ink, and that the cleaned mask has one meaning only."""
+"""Ink: the pixels that count as ink, and cleaned masks, which are unambiguous."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def test_clean_drops_specks_and_fills_pinholes_below_the_limit_only() -> None:
 
 
 def a_stroke(attached: list[str], angle_deg: float = 0, wide_px: int = 41) -> np.ndarray:
-    """A bar and what is drawn below its middle."""
+    """Return a bar, and a shape below its middle."""
     rows, columns = np.mgrid[:160, :160] - 80
     angle = np.radians(angle_deg)
     mask = np.abs(rows * np.cos(angle) + columns * np.sin(angle)) < wide_px / 2
@@ -157,10 +157,10 @@ def test_a_speck_that_touches_a_stroke_goes(speck: list[str], rest: list[str]) -
     for wide_px in (41, 13):
         stroke = a_stroke(speck, wide_px=wide_px)
         assert np.array_equal(cleaned(stroke, speck_px=100), a_stroke(rest, wide_px=wide_px))
-    # What sits on ink that is narrower may be its tip.
+    # A shape on narrower ink may be its tip.
     narrow = a_stroke(speck, wide_px=11)
     assert np.array_equal(cleaned(narrow, speck_px=100), narrow)
-    # With a limit that it exceeds it is ink.
+    # It is ink if it exceeds the limit.
     assert np.array_equal(cleaned(a_stroke(speck), speck_px=15), a_stroke(speck))
 
 
@@ -169,7 +169,7 @@ def test_a_speck_that_touches_a_stroke_goes(speck: list[str], rest: list[str]) -
     [["##"] * 25, ["  #"] * 12, ["####"], [" ###", " ###"], ["########"] * 3],
     ids=["a whisker", "a thin whisker", "a rough spot", "a bump", "a wide bump"],
 )
-def test_what_is_drawn_stays(attached: list[str]) -> None:
+def test_drawn_shapes_are_kept(attached: list[str]) -> None:
     assert np.array_equal(cleaned(a_stroke(attached), speck_px=100), a_stroke(attached))
 
 
@@ -184,7 +184,7 @@ def test_the_tip_of_a_stroke_stays(half_deg: float, angle_deg: float) -> None:
     assert np.array_equal(cleaned(tip, speck_px=100), tip)
 
 
-def test_nothing_but_specks_is_no_ink() -> None:
+def test_an_image_with_only_specks_has_no_ink() -> None:
     mask = np.zeros((40, 40), bool)
     mask[::8, ::8] = True
     with pytest.raises(ItemError) as caught:

@@ -94,7 +94,7 @@ def test_fingerprint_knows_content_and_no_path(tmp_path: Path) -> None:
     assert str(tmp_path) not in repr(a)
 
 
-def test_what_is_in_a_file_says_whether_it_is_packed(tmp_path: Path) -> None:
+def test_compression_is_detected_by_content(tmp_path: Path) -> None:
     for name in "abc":
         write(tmp_path / name, end=".gz" if name == "b" else "")
     plain, packed = (tmp_path / "b" / name_of("test", "labels", end=end) for end in ("", ".gz"))
@@ -110,7 +110,7 @@ class TestRefusals:
         message = refusal(MnistSource(str(tmp_path / "no")))
         assert message.startswith(f"{tmp_path}/no: found no folder, expected train-images-idx3-ubyte")
 
-    def test_nothing_of_mnist(self, tmp_path: Path) -> None:
+    def test_a_folder_without_files_of_mnist(self, tmp_path: Path) -> None:
         (tmp_path / "notes.txt").touch()
         message = refusal(MnistSource(str(tmp_path)))
         assert "found ['notes.txt'], expected train-images-idx3-ubyte or the same with .gz" in message
@@ -198,7 +198,7 @@ def blocks(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def edge_error_px(pixels: NDArray[np.uint8], slope: float) -> float:
-    """How far the outline strays from the straight line it should be, away from the border."""
+    """Return the greatest distance of the outline from the expected straight line, away from the border."""
     from skimage.measure import find_contours
 
     contour = max(find_contours(pixels.astype(float), 127.5), key=len) + 0.5
@@ -216,7 +216,7 @@ def test_slanted_edges_have_no_stairs(slope: float) -> None:
 
 
 def turns(pixels: NDArray[np.uint8]) -> float:
-    """How often the outline turns around in all, measured in steps of 6 px: 1 for a disc."""
+    """Return the number of full turns of the outline, measured in steps of 6 px: 1 for a disc."""
     from skimage.measure import find_contours
 
     contour = max(find_contours(np.pad(pixels, 2, constant_values=255).astype(float), 127.5), key=len)
@@ -271,7 +271,7 @@ class _Quiet(SimpleHTTPRequestHandler):
 
 @pytest.fixture
 def mirror(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A folder behind a web server on this machine that torchvision takes for its only mirror."""
+    """A folder behind a web server on this machine, the only mirror of torchvision."""
     from torchvision.datasets import MNIST
 
     served = tmp_path / "served"
@@ -347,7 +347,7 @@ class TestDownload:
     ],
 )
 def test_files_of_public_reports(name: str, words: str) -> None:
-    """EMNIST is transposed and has letters; torchvision unpacks files, or names those that are not packed."""
+    """EMNIST is transposed and has letters; torchvision unpacks files, or names uncompressed ones."""
     source = MnistSource(str(CASES / name))
     if words:
         assert words in refusal(source)

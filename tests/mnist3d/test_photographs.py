@@ -1,4 +1,4 @@
-"""Photographs of handwriting become the digit that was written, or are refused."""
+"""Photographs of handwriting become the written digit, or are refused."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ ALIKE = 0.85
 
 
 def outcome(photograph: Photograph) -> str:
-    """Return whether a photograph is right, refused, or silently something else."""
+    """Return whether the result of a photograph is right, refused, or silently wrong."""
     try:
         found = binarise(fit(even_out(photograph.pixels)), SolidSpec(), ink="dark")
     except ItemError:
@@ -121,8 +121,8 @@ PHOTOGRAPHS = {
 
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("name", PHOTOGRAPHS)
-def test_ink_is_what_was_written_at_the_scale_of_the_picture(name: str) -> None:
-    """By the API of arrays, and by that of pictures; the table of cases gives the size of the digit in mm."""
+def test_ink_agrees_with_the_writing_at_the_scale_of_the_picture(name: str) -> None:
+    """By the functions for arrays and for pictures; the table of cases gives the size of the digit in mm."""
     pixels = PHOTOGRAPHS[name]
     assert not is_clean(pixels)
     found = binarise(pixels, SolidSpec())
@@ -130,7 +130,7 @@ def test_ink_is_what_was_written_at_the_scale_of_the_picture(name: str) -> None:
     beside = (pixels.shape[0] - 240) // 2
     expected = seven(pixels.shape[0]) if beside > 80 else np.pad(seven(), beside)
     assert likeness(found, expected, 24) > 0.9
-    # In its place, too.
+    # In its place as well.
     assert (found & expected).sum() > 0.9 * expected.sum()
     assert count_bodies_and_holes(found) == (1, 0)
 
@@ -154,7 +154,7 @@ def cut_off() -> NDArray[np.uint8]:
         ),
     ],
 )
-def test_what_is_no_digit_is_refused(pixels: NDArray[np.uint8], reason: str) -> None:
+def test_other_photographs_are_refused(pixels: NDArray[np.uint8], reason: str) -> None:
     with pytest.raises(ItemError) as refused:
         binarise(pixels, SolidSpec())
     assert refused.value.reason == reason
@@ -162,7 +162,7 @@ def test_what_is_no_digit_is_refused(pixels: NDArray[np.uint8], reason: str) -> 
 
 @pytest.mark.parametrize("thickness_px", [1, 3])
 def test_printed_lines_are_removed_and_strokes_stay(thickness_px: int) -> None:
-    """Lines of a page that lies aslant by 1.1 degrees."""
+    """Lines of a page that is turned by 1.1 degrees."""
     lines = np.zeros((240, 240), bool)
     for first in (30, 100, 190):
         for row in range(first, first + thickness_px):
@@ -173,7 +173,7 @@ def test_printed_lines_are_removed_and_strokes_stay(thickness_px: int) -> None:
 
 
 def test_edges_keep_their_order() -> None:
-    """Ink is black and paper white; between them, levels follow how much of a pixel is inked."""
+    """Ink is black and paper white; levels between them follow the inked share of a pixel."""
     inked = ndimage.gaussian_filter(seven().astype(float), 1.5)
     levels = even_out(lit(np.rint(230 - 190 * inked).astype(np.uint8), 0.5 + 0.5 * ROWS))
     assert (levels[inked > 0.99] == 0).all()

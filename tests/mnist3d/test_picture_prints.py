@@ -1,4 +1,4 @@
-"""From a picture to a print: any drawing, at the size that was asked for, as a solid that prints."""
+"""From a picture to a print: any drawing, in the requested size, as a printable solid."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from tests.pages import ROOT
 # --- its size -------------------------------------------------------------------------------------
 
 
-def test_the_same_picture_has_the_same_size_however_it_is_given(tmp_path: Path) -> None:
+def test_the_size_does_not_depend_on_the_form_of_the_picture(tmp_path: Path) -> None:
     word().save(tmp_path / "word.png")
     kinds = {
         "path": tmp_path / "word.png",
@@ -59,7 +59,7 @@ def test_the_solid_is_as_large_as_was_asked(
         length_mm = 98.2
     mesh = mnist3d.solidify(draw(), **size)
     assert inspect(mesh).is_solid
-    # A pixel of paper beside the ink is no pixel of the solid; a length is that of the solid.
+    # Pixels of paper beside the ink do not count; lengths are those of the solid.
     assert size_mm(mesh)[axis] == pytest.approx(length_mm, abs=0.3 if "pixel_mm" in size else 1e-3)
     if "pixel_mm" not in size:
         middle = mesh.bounds_m.mean(axis=0)[:2] * 1000
@@ -102,7 +102,7 @@ def test_a_digit_of_a_data_set_is_the_digit_of_solidify() -> None:
         ({"width_mm": 1e5}, "the solid would be"),
     ],
 )
-def test_what_cannot_be_made_is_named(options: dict[str, Any], message: str) -> None:
+def test_impossible_solids_are_named(options: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
         mnist3d.solidify(word(), **options)
 
@@ -126,7 +126,7 @@ def test_bridges_are_as_wide_as_the_strokes(width: int) -> None:
     bridges = ndimage.binary_dilation(joined & ~ink, iterations=1)
     deepest = ndimage.distance_transform_edt(bridges).max()
     assert 2 * deepest <= width + 4
-    # A width that was asked for is the greatest.
+    # A requested width is a maximum.
     narrow = join_bodies(ink, width / 2)
     assert np.count_nonzero(narrow & ~ink) < 0.8 * np.count_nonzero(joined & ~ink)
 
@@ -182,7 +182,7 @@ def test_a_folder_of_pictures_makes_a_file_each_and_names_what_failed(tmp_path: 
     assert {path.name: path.stat().st_mtime_ns for path in out.iterdir()} == written
 
 
-def test_each_warning_says_what_was_found_and_what_to_do(tmp_path: Path, capsys: Any) -> None:
+def test_each_warning_has_a_measured_value_and_a_next_step(tmp_path: Path, capsys: Any) -> None:
     word(8).save(tmp_path / "word.png")
     out = tmp_path / "word.stl"
     assert call("mnist3d", "solidify", tmp_path / "word.png", "--out", out, "--height-mm", 15) == 0
@@ -191,7 +191,7 @@ def test_each_warning_says_what_was_found_and_what_to_do(tmp_path: Path, capsys:
         assert f"word.stl: {name}: " in printed
         assert f"(see docs/warnings.md#{name})" in printed
     assert "--base-mm 2" in printed
-    # Another size is another content.
+    # A file of another size has other content.
     again = ("solidify", tmp_path / "word.png", "--out", out, "--height-mm", 40)
     assert call("mnist3d", *again) == 2
     assert "--overwrite" in capsys.readouterr().err
@@ -237,7 +237,7 @@ def test_no_picture_and_no_other_file_is_replaced(tmp_path: Path, capsys: Any) -
     assert (tmp_path / "a-preview.png").is_file()
     assert call("mnist3d", "solidify", preview, "--out", tmp_path / "b.stl", "--preview", "--overwrite") == 2
     assert "is a picture and would be replaced" in capsys.readouterr().err
-    # Names that are patterns for a shell are names.
+    # Patterns of a shell are valid names.
     (tmp_path / "a1.stl").write_bytes(b"another")
     source.rename(tmp_path / "a[1].png")
     Image.new("L", (90, 90), 255).save(tmp_path / "a*.png")

@@ -55,7 +55,7 @@ def save_pages(path: Path, *pages: NDArray[np.uint8], **options: Any) -> Path:
         ("avif", "AVIF"),
         ("jp2", "JPEG2000"),
         ("pnm", "PPM"),
-        # What is in a file counts, not how it is called.
+        # The content of a file counts, not its name.
         ("png", "TIFF"),
         ("scan", "PNG"),
     ],
@@ -79,7 +79,7 @@ def test_heic_is_read_or_the_extra_named(tmp_path: Path) -> None:
     assert np.abs(np.subtract(ink_box(pixels), BOX)).max() <= 1
 
 
-def test_a_heic_that_cannot_be_read_is_named_with_the_way_out(
+def test_an_unreadable_heic_is_named_with_a_next_step(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("mnist3d.sources.picture_files._formats", lambda: ("PNG",))
@@ -138,7 +138,7 @@ def test_equal_greys_of_different_colours(tmp_path: Path) -> None:
     assert likeness(pixels < 128, seven(), 24) > 0.95
 
 
-def test_what_is_no_picture_is_named_and_what_systems_leave_is_not(tmp_path: Path) -> None:
+def test_other_files_are_named_except_those_of_operating_systems(tmp_path: Path) -> None:
     root = tmp_path / "own"
     save(root / "7" / "a.png")
     for name in ("7/notes.txt", "labels.csv", "7/Thumbs.db", "7/._a.png", "__MACOSX/7/._a.png", "7/@eaDir/x"):
@@ -152,7 +152,7 @@ def test_what_is_no_picture_is_named_and_what_systems_leave_is_not(tmp_path: Pat
     assert manifest.spec["source"]["left_out"] == expected
     (skipped,) = (item for shard in manifest.shards for item in shard.skipped)
     assert (skipped.reason, "7/b.jpg" in skipped.message) == ("unreadable", True)
-    # A file of text more or less decides no digit.
+    # Additional text files do not change digits.
     (root / "labels.csv").unlink()
     again = source_again(json.loads(json.dumps(manifest.spec["source"])), images=str(root), writer_info=None)
     assert again == source
@@ -188,7 +188,7 @@ def test_thresholds_are_part_of_a_source_where_they_are_chosen(tmp_path: Path) -
     ],
 )
 def test_pictures_of_public_reports(name: str, sizes_mm: list[tuple[int, int]]) -> None:
-    """Sizes of the digits by how they were drawn; see the table of cases."""
+    """Expected sizes of the digits from their drawings; see the table of cases."""
     boxes = [ink_box(pixels) for pixels in images(SHARED / "cases" / "solid" / name)]
     found = [((right - left) * 0.2, (bottom - top) * 0.2) for top, bottom, left, right in boxes]
     np.testing.assert_allclose(found, sizes_mm, atol=1)

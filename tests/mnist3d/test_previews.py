@@ -1,4 +1,4 @@
-"""Pictures of digits: every digit where the sheet says, at the scale the bar says, counts as in the data."""
+"""Pictures of digits: places on the sheet, the scale bar, and counts agree with the data."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def drawn(name: object, **options: object) -> dict[str, np.ndarray]:
 
 
 def find(pixels: np.ndarray, part: np.ndarray) -> list[tuple[int, int]]:
-    """Return the corners at which a picture holds another one exactly."""
+    """Return the corners at which a picture contains another one exactly."""
     height, width = part.shape[:2]
     wanted, places = part[height // 2].tobytes(), []
     for top in range(pixels.shape[0] - height + 1):
@@ -62,7 +62,7 @@ def find(pixels: np.ndarray, part: np.ndarray) -> list[tuple[int, int]]:
 
 
 def relief_tiles(records: list) -> list[np.ndarray]:
-    """Draw digits as a sheet of just these holds them."""
+    """Draw digits as they appear in a sheet of only these."""
     largest_m = max(float(np.ptp(record.vertices_m[:, :2], axis=0).max()) for record in records)
     tiles = (relief_of(Mesh(each.vertices_m, each.faces), 132 / (1000.0 * largest_m)) for each in records)
     return [np.repeat(tile[:, :, None], 3, axis=2) for tile in tiles]
@@ -120,7 +120,7 @@ def test_a_sheet_holds_the_ids_asked_for_and_no_others(folder):
 
 
 @pytest.mark.parametrize("ending", ["stl", "3mf", "ply", "obj", "glb"])
-def test_a_box_of_known_size_is_as_wide_as_the_bar_says(ending, tmp_path):
+def test_the_scale_bar_fits_a_box_of_known_size(ending, tmp_path):
     import trimesh
 
     made = trimesh.creation.box((0.030, 0.020, 0.008))
@@ -140,7 +140,7 @@ def test_a_box_of_known_size_is_as_wide_as_the_bar_says(ending, tmp_path):
 # ---------------------------------------------------------------- steps
 
 
-def test_layers_lie_within_one_another_the_higher_the_darker():
+def test_layers_are_nested_and_higher_ones_are_darker():
     steps = solid_steps(binarise(SyntheticSource().image(0).pixels, SolidSpec()), SolidSpec())
     layers = [layer for layer in np.moveaxis(steps.upper_half > 0, 2, 0) if layer.any()]
     assert all((upper <= lower).all() for lower, upper in pairwise(layers))
@@ -191,7 +191,7 @@ def test_steps_begin_with_the_image_and_end_with_the_surface(tmp_path):
 
 @pytest.fixture
 def seen(monkeypatch: pytest.MonkeyPatch) -> list[Mesh]:
-    """The bodies that steps draw."""
+    """Return the bodies that steps draw."""
     meshes: list[Mesh] = []
 
     def look(bodies: Sequence[DrawnBody], *how: Any) -> np.ndarray:

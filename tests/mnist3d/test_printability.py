@@ -1,4 +1,4 @@
-"""Printability: what is a solid and what is not, and measures of shapes whose numbers are known."""
+"""Printability: solids and broken meshes, and measures of shapes with known values."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_bodies_and_holes_are_counted_over_all_bodies() -> None:
 
 
 def test_a_body_loose_in_a_cavity_is_one_of_two() -> None:
-    """Winding numbers 1, 0, 1: a rattle; and one with a cavity of its own, and a body in that."""
+    """Winding numbers 1, 0, 1: a rattle; and one whose inner body has a cavity with another body."""
     ball = cube(4, (8, 8, 8)) - cube(2, (9, 9, 9))
     rattle = pile(shell(), mesh_of(cube(6, (7, 7, 7))))
     nested = pile(shell(), mesh_of(ball), mesh_of(cube(1, (9.5, 9.5, 9.5))))
@@ -240,11 +240,11 @@ def test_broken_meshes_are_reported_by_name(name: str) -> None:
     assert problem in PROBLEMS
     assert report.detail
     assert report.warnings == ()
-    if problem in ("overlap", "self-crossing"):  # the signed sum is not what such bodies enclose
+    if problem in ("overlap", "self-crossing"):  # the signed sum is not the enclosed volume of such bodies
         assert math.isnan(report.volume_mm3)
 
 
-def test_the_story_of_a_hole_counts_its_edges() -> None:
+def test_the_message_about_a_hole_counts_its_edges() -> None:
     assert "3 edges" in str(inspect(BROKEN["hole"][0]).detail)
 
 
@@ -270,6 +270,6 @@ def test_warnings_of_a_row_are_words() -> None:
     "wrong",
     [{"nozzle_mm": 0.0}, {"plate_mm": (256.0, -1.0)}, {"overhang_deg": 90.0}, {"min_wall_mm": math.nan}],
 )
-def test_a_profile_of_no_printer_is_refused(wrong: dict[str, Any]) -> None:
+def test_impossible_profiles_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(InputError, match=next(iter(wrong))):
         PrintProfile(**wrong)

@@ -1,4 +1,4 @@
-"""Digits of the synthetic source can be read, and teach to read: smaller samples of the benchmark."""
+"""Digits of the synthetic source can be recognised, and train classifiers: small samples of the benchmark."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.real_input import NO_REAL_INPUT, SHARED
 
 ROOT = Path(__file__).resolve().parents[2]
 TRAIN_COUNT = 1_940
-"""Even over writers and classes; the benchmark has the full sizes."""
+"""Balanced over writers and classes; the benchmark has the full sizes."""
 
 
 @pytest.fixture(scope="module")

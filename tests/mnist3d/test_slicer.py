@@ -1,4 +1,4 @@
-"""PrusaSlicer, which knows nothing of us, loads what we write and slices it without a repair."""
+"""PrusaSlicer loads the files of this toolkit and slices them without repairs."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def slicer(*arguments: object) -> str:
 
 @dataclass(frozen=True)
 class Seen:
-    """What the slicer says of one object."""
+    """Report of the slicer about one object."""
 
     size_mm: tuple[float, ...]
     low_mm: tuple[float, ...]
@@ -75,7 +75,7 @@ def seen_in(path: Path) -> list[Seen]:
 
 
 def repairs_in(path: Path, work: Path) -> dict[str, tuple[int, ...]]:
-    """Let the slicer write what it loaded: its own file says what it repaired in each object."""
+    """Let the slicer write the loaded objects: its file states the repairs of each."""
     slicer("--export-3mf", "--dont-arrange", "-o", work / "again.3mf", path)
     with zipfile.ZipFile(work / "again.3mf") as archive:
         root = ElementTree.fromstring(archive.read("Metadata/Slic3r_PE_model.config"))
@@ -89,7 +89,7 @@ def repairs_in(path: Path, work: Path) -> dict[str, tuple[int, ...]]:
 
 @dataclass(frozen=True)
 class Sliced:
-    """What the machine would do."""
+    """Work of the printer."""
 
     top_mm: dict[str, float]
     low_mm: tuple[float, float]
@@ -115,7 +115,7 @@ def _followed(gcode: str) -> Sliced:
             z_mm = float(line[3:])
         elif match := re.match(r"G1 X(\S+) Y(\S+) E", line):
             points.append((float(match[1]), float(match[2])))
-            if name:  # a skirt is part of no object
+            if name:  # a skirt is not part of an object
                 tops[name] = max(tops.get(name, 0.0), z_mm)
     low, high = np.min(points, axis=0), np.max(points, axis=0)
     return Sliced(tops, (float(low[0]), float(low[1])), (float(high[0]), float(high[1])))
@@ -204,7 +204,7 @@ def test_a_drawing_slices_after_one_command(draw: Callable[[], Any], shape: Any,
 
 @pytest.mark.thorough
 def test_the_check_sees_a_broken_file(digits: mnist3d.DigitDataset, tmp_path: Path) -> None:
-    """What is asserted above fails for a surface without three triangles."""
+    """The assertions above fail for a surface from which three triangles are missing."""
     whole = place_on_plate(digits[0])
     write_mesh(tmp_path / "broken.stl", Mesh(whole.vertices_m, whole.faces[3:]))
     (seen,) = seen_in(tmp_path / "broken.stl")

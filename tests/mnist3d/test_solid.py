@@ -1,4 +1,4 @@
-"""The solid: each published step on its own, the fast way against the literal one, shapes in closed form."""
+"""The solid: each published step alone, the fast method against the literal one, shapes in closed form."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ from tests.real_input import needs_shared
 
 BOTH_WAYS = pytest.mark.parametrize("method", ["fast", pytest.param("literal", marks=pytest.mark.thorough)])
 
-# --- the whole way --------------------------------------------------------------------------------
+# --- all steps together --------------------------------------------------------------------------------
 
 
 @pytest.mark.one_at_a_desk
@@ -55,7 +55,7 @@ BOTH_WAYS = pytest.mark.parametrize("method", ["fast", pytest.param("literal", m
         *(("literal", profile) for profile in PROFILES),
     ],
 )
-def test_every_way_gives_a_solid_on_the_plate(method: Any, profile: str) -> None:
+def test_every_method_gives_a_solid_on_the_plate(method: Any, profile: str) -> None:
     mesh = solidify(six(), SolidSpec(profile=profile), method=method)
     report = inspect(mesh)
     assert (report.problem, report.bodies, report.genus) == (None, 1, 1)
@@ -111,13 +111,13 @@ def test_an_upright_seven_stays_upright_and_unmirrored() -> None:
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("erosion", EROSIONS)
 @pytest.mark.parametrize("name", ["six", "thin seven"])
-def test_the_fast_solid_is_the_literal_one(name: str, erosion: str) -> None:
+def test_the_fast_solid_equals_the_literal_one(name: str, erosion: str) -> None:
     spec = SolidSpec(erosion=erosion)
     pixels = six() if name == "six" else seven(18)
     fast = solidify(pixels, spec)
     literal = literal_solid(binarise(pixels, spec), spec, decimated=False)
     distances = symmetric_distances_mm(fast, literal, 20_000)
-    # Ink half as wide as that of the real digits has a sharp ridge, which a lattice of this pitch wears down.
+    # Ink half as wide as that of real digits has a sharp ridge, which a lattice of this pitch smooths.
     assert distances.mean() <= 0.085
     assert np.percentile(distances, 99.9) <= 0.4
     assert fast.volume_m3 == pytest.approx(literal.volume_m3, rel=0.015)
@@ -126,7 +126,7 @@ def test_the_fast_solid_is_the_literal_one(name: str, erosion: str) -> None:
 @needs_shared
 @pytest.mark.thorough
 @pytest.mark.parametrize("place", [100, 240])
-def test_the_fast_solid_is_the_literal_one_on_real_digits(place: int) -> None:
+def test_the_fast_solid_equals_the_literal_one_on_real_digits(place: int) -> None:
     from PIL import Image
 
     with Image.open(sorted(DIGITS.glob("*.png"))[place]) as image:
@@ -143,7 +143,7 @@ def test_the_fast_solid_is_the_literal_one_on_real_digits(place: int) -> None:
         assert (report.bodies, report.genus) == count_bodies_and_holes(mask)
 
 
-# --- images as they come --------------------------------------------------------------------------
+# --- images of other types --------------------------------------------------------------------------
 
 
 def test_light_ink_floats_and_bool_make_the_same_solid() -> None:
@@ -155,7 +155,7 @@ def test_light_ink_floats_and_bool_make_the_same_solid() -> None:
         assert np.array_equal(found.faces, expected.faces)
 
 
-def test_a_small_image_is_resampled_or_refused_with_the_way_out() -> None:
+def test_a_small_image_is_resampled_or_refused_with_a_next_step() -> None:
     small = 255 - six().reshape(20, 25, 20, 25).mean(axis=(1, 3)).astype(np.uint8)
     with pytest.raises(
         ItemError, match=r"20 x 20 px, so that the solid would be 4 mm long.*leave pixel_mm out"
@@ -230,7 +230,7 @@ def test_the_size_of_the_image_moves_only_the_origin() -> None:
     assert shift == pytest.approx([0.0, 0.0, 0.0], abs=1e-5)
 
 
-# --- what is narrower than the lattice -------------------------------------------------------------
+# --- ink narrower than the lattice -------------------------------------------------------------
 
 
 @pytest.mark.one_at_a_desk
@@ -269,7 +269,7 @@ def test_narrow_gaps_do_not_make_the_whole_lattice_finer(gap_px: float, turns: f
 
 
 @needs_shared
-def test_nodes_that_touch_at_a_corner_get_others_between_them() -> None:
+def test_nodes_that_touch_at_a_corner_are_joined_by_others() -> None:
     from PIL import Image
 
     # Ink on two nodes across a slanting gap, paper on the other two: the surface joins the ink.
@@ -318,7 +318,7 @@ def test_both_ways_keep_the_holes_of_a_sieve_or_refuse(method: Any) -> None:
     assert counts == (1, 84)
 
 
-# --- anything at all ------------------------------------------------------------------------------
+# --- arbitrary images ------------------------------------------------------------------------------
 
 
 def blobs(rng: np.random.Generator, side: int) -> np.ndarray:
@@ -372,7 +372,7 @@ def test_any_ink_gives_a_solid_or_a_named_refusal(
 # --- specification --------------------------------------------------------------------------------
 
 
-def test_a_specification_survives_a_manifest_and_a_process_border() -> None:
+def test_a_specification_survives_a_manifest_and_pickling() -> None:
     spec = SolidSpec(profile="linear", threshold=90, lattice_pitch_mm=0.7)
     assert SolidSpec(**json.loads(json.dumps(asdict(spec)))) == spec
     assert pickle.loads(pickle.dumps(spec)) == spec
@@ -396,7 +396,7 @@ def test_a_specification_survives_a_manifest_and_a_process_border() -> None:
         {"min_speck_mm2": -1.0},
     ],
 )
-def test_numbers_that_describe_no_solid_are_refused_by_name(wrong: dict[str, Any]) -> None:
+def test_invalid_numbers_are_refused_by_name(wrong: dict[str, Any]) -> None:
     with pytest.raises(InputError, match=next(iter(wrong))):
         replace(SolidSpec(), **wrong)
 
@@ -416,7 +416,7 @@ def test_unknown_methods_are_refused() -> None:
     ids=["even lattice", "added nodes", "decimated"],
 )
 def test_the_mesh_of_a_digit_never_changes(draw: Callable[[], np.ndarray], expected: str) -> None:
-    # It changes when the solid does: then data sets made before are others.
+    # If the solid changes, earlier data sets cannot be reproduced.
     mesh = solidify(draw(), SolidSpec(), pixel_mm=0.2)
     digest = hashlib.sha256(mesh.vertices_m.astype("<f4").tobytes() + mesh.faces.astype("<i4").tobytes())
     assert digest.hexdigest()[:16] == expected

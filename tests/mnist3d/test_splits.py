@@ -94,7 +94,7 @@ def test_rows_mix_the_classes():
     assert np.bincount(labels, minlength=10).min() >= 8
 
 
-def test_sizes_of_ones_own():
+def test_custom_sizes():
     spec = SplitSpec(sizes=(("train", 8), ("test", 2)))
     plan = plan_splits(hwd_catalog(), spec)
     assert [len(plan.ids[split]) for split in SPLITS] == [80, 20, 0, 0, 0]
@@ -123,7 +123,7 @@ def test_sizes_of_ones_own():
         ({"sizes": [("train", 3), ("train", 4)]}, "once at most"),
     ],
 )
-def test_a_division_that_cannot_be_is_refused(wrong, message):
+def test_impossible_divisions_are_refused(wrong, message):
     with pytest.raises(InputError, match=message):
         SplitSpec(**wrong)
 
@@ -144,7 +144,7 @@ def test_no_writer_is_in_two_splits(counts, seed):
 
 
 def listed_plan(source: DigitCatalog, seed: int) -> dict[str, list[int]]:
-    """Plan with lists, one id at a time: the division by digit in the words of its definition."""
+    """Plan with lists, one id at a time, as the division by digit is defined."""
 
     def ordered(ids: list[int], stream: int) -> list[int]:
         keys = [int(splits._keys(np.asarray([each]), seed, stream)[0]) for each in ids]
@@ -162,7 +162,7 @@ def listed_plan(source: DigitCatalog, seed: int) -> dict[str, list[int]]:
 
 
 @given(source=catalogs, seed=st.integers(0, 2**32))
-def test_a_plan_of_arrays_is_the_plan_of_lists(source, seed):
+def test_plans_of_arrays_and_of_lists_are_equal(source, seed):
     plan = plan_splits(source, SplitSpec(seed))
     assert {split: plan.ids[split].tolist() for split in SPLITS} == listed_plan(source, seed)
 

@@ -30,7 +30,7 @@ from tests.mnist3d.drawings import six
     hnp.arrays(bool, st.tuples(st.integers(1, 40), st.integers(1, 40))), st.floats(1, 24), st.floats(1, 24)
 )
 def test_distance_is_exact_up_to_its_reaches(mask: np.ndarray, inside: float, outside: float) -> None:
-    # Beyond the image lies nothing: neither ink nor paper is near.
+    # There is neither ink nor paper outside of the image.
     reach = math.ceil(max(inside, outside)) + 1
     none = [np.full(np.add(mask.shape, 2 * reach), fill) for fill in (True, False)]
     for there in none:
@@ -53,7 +53,7 @@ def test_erosion_is_binary_erosion_with_a_disc(mask: np.ndarray, radius: float) 
     assert np.array_equal(eroded_by_disc(mask, radius), expected)
 
 
-def test_the_other_erosion_keeps_what_is_further_than_the_radius_from_paper() -> None:
+def test_the_other_erosion_keeps_ink_farther_than_the_radius_from_paper() -> None:
     mask = binarise(six(), SolidSpec())
     distance = ndimage.distance_transform_edt(mask)
     printed = erosion_radii_px(SolidSpec())
@@ -61,8 +61,8 @@ def test_the_other_erosion_keeps_what_is_further_than_the_radius_from_paper() ->
         assert np.array_equal(eroded_by_disc(mask, radius), distance > published)
 
 
-def test_the_continuous_erosion_leaves_what_the_printed_one_does() -> None:
-    """At every pixel as a node, but for the blur and the little by which the surface is set outward."""
+def test_the_continuous_erosion_equals_the_published_one() -> None:
+    """With every pixel as a node, apart from the blur and the small outward shift of the surface."""
     spec = SolidSpec(lattice_pitch_mm=0.2)
     ink = binarise(six(), spec)
     fine = lattice_of(ink, spec)

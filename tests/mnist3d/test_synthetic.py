@@ -1,4 +1,4 @@
-"""The synthetic source: pure, laid out like HWD+, and as varied as people."""
+"""The synthetic source: deterministic, laid out like HWD+, and as varied as real writers."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def ink_of(digit: DigitImage) -> np.ndarray:
 
 
 def holes(digit: DigitImage) -> int:
-    """Count rings: patches of paper inside the ink that are larger than any fleck."""
+    """Count rings: patches of paper inside the ink that are larger than specks."""
     paper, _ = ndimage.label(~ink_of(digit))
     return int((np.bincount(paper.ravel())[1:] > 100).sum()) - 1
 
@@ -53,14 +53,14 @@ GOLDEN = {
     (0, 0): "329e49bef2be4b6ada67b435a7376f44a1af1df5cd1963c444e8e561f1aa1588",
     (0, 4711): "7ad2c62fab95fdf013da25e1a5645df34abe7116ac5cef69bfaa8de6b2dc5af3",
     (7, 13_579): "3a22535321d16949a765c9bee7138aefbecb31939ebc43df34f2b676ad1f927d",
-    # So wide and so far off the centre that the sheet's edge holds it back, as it does one in 40,000.
+    # So wide and off-centre that the edge of the sheet limits it, like one digit in 40,000.
     (18, 7770): "4f2fa63189fba8f5e0921979dcce4283d8f44ff16e1119b68422f36a438c9d3e",
 }
 
 
 @pytest.mark.parametrize(("seed", "digit_id"), GOLDEN)
 def test_pixels_are_those_of_this_drawing_version(seed: int, digit_id: int) -> None:
-    """When this fails on purpose, raise DRAWING_VERSION and renew the hashes."""
+    """If a change is intended, raise DRAWING_VERSION and update the hashes."""
     assert DRAWING_VERSION == 2
     assert sha256(SyntheticSource(seed).image(digit_id)) == GOLDEN[seed, digit_id]
 
@@ -112,7 +112,7 @@ def test_catalog_is_laid_out_like_hwd_plus() -> None:
         assert (digit.label, digit.writer) == (catalog.labels[digit_id], catalog.writers[digit_id])
 
 
-def test_fingerprint_is_json_and_tells_sources_apart() -> None:
+def test_fingerprint_is_json_and_distinguishes_sources() -> None:
     assert SyntheticSource(4, 10).fingerprint() == {
         "name": "synthetic",
         "seed": 4,
@@ -152,7 +152,7 @@ def test_writers_vary_as_people_do(label: int) -> None:
 
 
 def _small(digit: DigitImage) -> np.ndarray:
-    """Return the ink's bounding box, shrunk to 20 x 20, as a flat float array."""
+    """Return the bounding box of the ink, shrunk to 20 x 20, as a flat float array."""
     ink = ink_of(digit)
     rows, columns = np.flatnonzero(ink.any(axis=1)), np.flatnonzero(ink.any(axis=0))
     box = ink[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1].astype(float)
@@ -189,21 +189,21 @@ def test_rings_stay_open_under_thick_pens() -> None:
     thick = sorted(range(97), key=lambda writer: source.hand(writer).pen_px)[-25:]
     open_rings = [holes(source.image(id_of(writer, EIGHT, 1))) == 2 for writer in thick]
     assert np.mean(open_rings) > 0.6
-    # Some hands leave the 0 open; none makes a second ring.
+    # Some writers leave the 0 open; none draws a second ring.
     rings = [holes(source.image(id_of(writer, 0, 1))) for writer in thick]
     assert set(rings) <= {0, 1}
     assert np.mean(rings) > 0.7
 
 
 @pytest.mark.parametrize("label", [0, 6, 9])
-def test_every_ring_keeps_the_same_paper_free_whatever_the_pen(label: int) -> None:
+def test_rings_keep_the_same_paper_free_for_every_pen(label: int) -> None:
     sides = 2 if label == 9 else 1  # the ring of a 9 has its own height, too
     for shape, _ in ALLOGRAPHS[label]:
         if shape is nine_g_shaped:  # slim on purpose
             continue
         free = []
         for pen in (0.1, 0.2, 0.4):
-            # Of a writer whose ring would have no size at all by itself.
+            # Of a writer whose ring would have no size without the minimum.
             ring = through(shape(lambda _mean, _spread: 0.0, pen)[0][0])
             free.append(np.ptp(ring, axis=0)[:sides] - pen)
         assert np.ptp(free, axis=0) == pytest.approx(0, abs=0.007), shape

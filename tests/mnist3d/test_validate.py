@@ -1,4 +1,4 @@
-"""Checking rows of other people's data sets: what is missing in one row costs no other."""
+"""Validation of data sets of others: a faulty row does not affect other rows."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_a_row_without_a_value_is_named_and_the_others_are_checked(rows, tmp_pat
 
 
 def test_mesh_files_are_checked_in_their_unit(rows: pa.Table, tmp_path: Path) -> None:
-    """As the command does; what reading changed is in the table and in JSON."""
+    """As by the command; changes during reading are in the table and in JSON."""
     ball = trimesh.creation.icosphere(1, 0.01)
     torn = ball.vertices[ball.faces].reshape(-1, 3)
     torn[0] += 1e-8

@@ -1,4 +1,4 @@
-"""Run notebooks without Jupyter, and store what they show: ``python -m tests.notebooks.running``."""
+"""Run notebooks without Jupyter, and store their output: ``python -m tests.notebooks.running``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
 
 
 def run(notebook: Path) -> tuple[list[list[dict[str, Any]]], dict[str, Any]]:
-    """Return what each code cell shows, as a notebook stores it, and the names at the end."""
+    """Return the output of each code cell, as a notebook stores it, and the names at the end."""
     names: dict[str, Any] = {}
     cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
     codes = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
@@ -54,7 +54,7 @@ def _lines(text: str) -> list[str]:
 
 
 def record(notebook: Path) -> None:
-    """Write what the cells of a notebook show into it."""
+    """Write the output of the cells of a notebook into it."""
     content = json.loads(notebook.read_text(encoding="utf-8"))
     codes = [cell for cell in content["cells"] if cell["cell_type"] == "code"]
     for number, (cell, outputs) in enumerate(zip(codes, run(notebook)[0], strict=True), 1):

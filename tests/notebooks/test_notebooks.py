@@ -1,4 +1,4 @@
-"""The notebooks run from top to bottom without a network, and show what is stored in them."""
+"""The notebooks run from top to bottom without a network, and give their stored output."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ def offline(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def words(outputs: list[dict]) -> list[str]:
-    """What a cell shows, without pictures, whose bytes hang on the versions of libraries."""
+    """Return the output of a cell without pictures, whose bytes depend on versions of libraries."""
     return ["".join(shown.get("text") or shown["data"]["text/plain"]) for shown in outputs]
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", ["digits", "realtouch"])
-def test_a_notebook_shows_what_is_stored_in_it(
+def test_notebooks_give_their_stored_output(
     name: str, offline: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("REALTOUCH_SET", str(clips(offline / "clips")))

@@ -1,8 +1,8 @@
-"""By the front door: our data sets under the published names on a Hub, and the published code unmodified.
+"""Our data sets under the published names on a Hub, loaded by the unmodified published code.
 
-A process pushes generated sets to a Hub on 127.0.0.1 with the Hub's own client, makes environments with
-``ap_gym.make`` as anyone would, and next to them those that other tests compare with (``make``). With one
-seed both must show the same.
+A process pushes generated sets to a Hub on 127.0.0.1 with the client of the Hub, makes environments with
+``ap_gym.make``, and next to them those of other tests (``make``). With the same seed, both must give the same
+values.
 """
 
 from __future__ import annotations
@@ -110,5 +110,5 @@ def test_the_published_environment_runs_on_our_data_set(report):
 
 
 @pytest.mark.parametrize("env_id", IDS)
-def test_what_other_tests_compare_with_is_the_same(report, env_id):
+def test_environments_of_other_tests_are_the_same(report, env_id):
     assert report["same"][env_id]

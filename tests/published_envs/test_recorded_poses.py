@@ -1,4 +1,4 @@
-"""Touches of episodes of the published environments are those of a set with the same poses."""
+"""Touches of episodes of the published environments equal those of a data set with the same poses."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SOURCES = {
 
 @pytest.mark.parametrize("env_id", SOURCES)
 def test_recorded_poses_give_the_same_pictures_as_a_set(env_id, packages, provider, assets, tmp_path):
-    """From the poses of episodes to a table, to a data set, to pictures: those that the environment gave."""
+    """Poses of episodes become a table, a data set and pictures, which equal those of the environment."""
     source, split = SOURCES[env_id]
     env = make(env_id, provider=provider, num_envs=3)
     env.action_space.seed(4)
@@ -56,5 +56,5 @@ def test_recorded_poses_give_the_same_pictures_as_a_set(env_id, packages, provid
         levels = np.rint(255 * np.stack(images))
         off = np.abs(made[f"{object_id}-{number}"] - levels)
         assert off.max() <= 1 or (off > 1).mean() <= 1e-4
-        assert (off > 0).mean() < 5e-3  # where half a micrometre crosses the border of two levels
+        assert (off > 0).mean() < 5e-3  # half a micrometre may change a level
     assert min(image.min() for images in seen.values() for image in images) < 0.5

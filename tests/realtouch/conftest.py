@@ -22,7 +22,7 @@ def truth() -> list[RoundTruth]:
 
 @pytest.fixture(scope="session")
 def held_out() -> list[RoundTruth]:
-    """Round of the test split."""
+    """Round of the split test."""
     return [factories.make_round(3, TOUCHES, SIZE, FRAMES)]
 
 

@@ -26,12 +26,12 @@ from tactile_toolkit.touch import MEDIA_TYPE, with_features
 FPS = 25
 DIGIT_HEIGHT_M = 0.007
 LABELS = [str(number) for number in range(10)]
-_ENCODED: dict[Any, bytes] = {}  # many tests change some of equal clips
+_ENCODED: dict[Any, bytes] = {}  # many tests use equal clips
 
 
 @dataclass(frozen=True)
 class TouchTruth:
-    """What really happened in one touch."""
+    """Ground truth of one touch."""
 
     frames: int
     contact_start: int  # first frame that shows contact
@@ -60,7 +60,7 @@ class RoundTruth:
 
 @dataclass(frozen=True)
 class Layout:
-    """How a set is stored; the defaults are the published ways."""
+    """How a data set is stored; by default as the published ones."""
 
     nested: bool = False  # struct a{b, c} instead of flat a.b, a.c
     seconds: bool = False  # durations as float seconds
@@ -119,7 +119,7 @@ def _make_touch(
 
 @cache
 def _gel(size: tuple[int, int]) -> np.ndarray:
-    """Light of three colours that falls in from three sides, as in a GelSight Mini."""
+    """Return light of three colours from three sides, as in a GelSight Mini."""
     width, height = size
     y, x = np.mgrid[0:height, 0:width]
     red, green, blue = 90 + 70 * x / width, 110 + 50 * y / height, 150 - 60 * x / width
@@ -348,7 +348,7 @@ def bare_set(
     extras: Callable[[str], dict[str, pa.Array]] = lambda _split: {},
     prefix: str = "r",
 ) -> Path:
-    """Write a set as recordings of pictures alone are imported; ``extras`` are columns for a split.
+    """Write a data set as imports of pictures without poses make it; ``extras`` are columns for a split.
 
     Rounds of train have 3 and 2 touches, that of test has 2; clips have 4 and more frames.
     """

@@ -1,4 +1,4 @@
-"""What readers of sources found, as objects that tests compare."""
+"""Results of readers of sources, as objects that tests compare."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tactile_toolkit import column_types
 
 @dataclass(frozen=True)
 class Found:
-    """A touch, with what is said of it; what is missing is left out."""
+    """A touch with its values; missing ones are left out."""
 
     name: str
     place: PicturePlace
@@ -58,13 +58,13 @@ def each_of(touches: FoundTouches) -> list[Found]:
 
 
 def cut_by(cutter: Cutter, recordings: Iterable[Recording]) -> list[Found]:
-    """Cut recordings, and add what a table says of others."""
+    """Cut recordings, and add touches that a table lists."""
     parts = [cutter.cut(recording) for recording in recordings]
     return [touch for part in (*parts, *cutter.unused()) for touch in each_of(part)]
 
 
 def per_frame(recording: Recording, name: str) -> np.ndarray:
-    """Return what is said of each picture as numpy has it: NaN for a missing number, else None."""
+    """Return the values of pictures: NaN for a missing number, None for other missing values."""
     return array_with_gaps(recording.per_frame[name])
 
 

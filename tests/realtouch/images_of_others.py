@@ -1,4 +1,4 @@
-"""Images with tables and tars of what is known of them, as others have them."""
+"""Images of other projects, with tables and tars of their values."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def write_tar(path: Path, members: list[tuple[str, bytes]]) -> None:
 
 
 def spoiled(random: np.random.Generator, content: bytes) -> bytes:
-    """Return a file with bytes flipped, cut out or put in."""
+    """Return a file with bytes flipped, removed or inserted."""
     data = bytearray(content)
     for _ in range(random.integers(1, 4)):
         at, size = int(random.integers(len(data) + 1)), int(random.integers(1, 40))

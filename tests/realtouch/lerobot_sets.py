@@ -29,7 +29,7 @@ V3_VIDEO = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4
 
 @dataclass(frozen=True)
 class Truth:
-    """What a set holds: pictures and columns of each episode."""
+    """Content of a data set: pictures and columns of each episode."""
 
     lengths: Sequence[int] = LENGTHS
     cameras: Sequence[str] = (CAMERA,)
@@ -116,7 +116,7 @@ def info_of(truth: Truth, version: str, dtype: str) -> dict[str, Any]:
 def write_lerobot(
     home: Path, version: str = "v3.0", dtype: str = "image", truth: Truth | None = None
 ) -> Truth:
-    """Write a set below a folder; return what it holds."""
+    """Write a data set below a folder; return its content."""
     truth = truth or Truth()
     write_json(home / "meta" / "info.json", info_of(truth, version, dtype))
     (_write_v3 if version == "v3.0" else _write_v2)(home, truth, dtype)

@@ -1,4 +1,4 @@
-"""Recordings with a known truth: a gel under slowly changing light, which is touched now and then."""
+"""Recordings with known content: a gel under slowly changing light, with some touches."""
 
 from __future__ import annotations
 

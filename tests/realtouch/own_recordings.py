@@ -1,4 +1,4 @@
-"""Recordings as laboratories have them, made by the writers of others, with a known truth."""
+"""Recordings like those of laboratories, made by writers of other projects, with known content."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CLASSES = ("mug", "fork")
 
 @dataclass(frozen=True)
 class Session:
-    """A recording: the words of the import, and what must come of it, touch by touch.
+    """A recording: arguments of the import, and the expected touches.
 
     ``lossless`` is whether pixels are stored as they were given. ``position_m`` and ``quaternion`` are
     empty where the source has no poses.
@@ -81,7 +81,7 @@ def write_csv(path: Path, columns: dict[str, Sequence[object]]) -> None:
 
 
 def mjpeg_avi(home: Path) -> Session:
-    """One AVI a touch, with poses and forces at the camera's rate beside each, and a table of classes."""
+    """One AVI for each touch, with poses and forces at the rate of the camera, and a table of classes."""
     touches = truth().touches
     home.mkdir()
     pixels = []
@@ -114,7 +114,7 @@ def mjpeg_avi(home: Path) -> Session:
 
 
 def h264_mp4(home: Path) -> Session:
-    """One MP4 a touch, in a folder for each class."""
+    """One MP4 for each touch, in a folder for each class."""
     touches = truth().touches
     labels = []
     ordered = []

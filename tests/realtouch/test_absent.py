@@ -1,4 +1,4 @@
-"""Sets with pictures and nothing else, as recordings are imported: every command takes them."""
+"""Data sets with only pictures, as imports of recordings make them: every command accepts them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.realtouch import factories
 
 KINDS = ("single", "seq")
 LABELS = (None, -1)
-"""Without the column, and with the value that imports give to touches of no class."""
+"""Without the column, and with the value that imports give to touches without a class."""
 
 EXPORTS = ("flat", "webdataset", "lerobot", "replay", "oxt", "fota", "sparsh")
 _TRAIN = ["--split", "train"]
@@ -55,7 +55,7 @@ def sets(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, int | None]
 @pytest.mark.parametrize("name", COMMANDS)
 @pytest.mark.parametrize("label", [None, pytest.param(-1, marks=pytest.mark.thorough)])
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_command_takes_a_set_of_pictures_alone(
+def test_every_command_accepts_a_set_with_only_pictures(
     kind: str, label: int | None, name: str, sets: Any, tmp_path: Path, capsys: Any
 ) -> None:
     if kind == "single" and name.startswith("clips-to-images"):
@@ -86,7 +86,7 @@ def test_contact_is_decided_by_pictures_without_poses(kind: str, sets: Any, tmp_
     assert "plate_z_m" not in realtouch.load(tmp_path / "out", "train").column_names
 
 
-def test_what_needs_an_absent_column_says_so(sets: Any, tmp_path: Path) -> None:
+def test_operations_that_need_an_absent_column_name_it(sets: Any, tmp_path: Path) -> None:
     clips, out = sets("seq", -1), str(tmp_path / "out")
     record = realtouch.load(clips, "train")[0]
     others = "which 'peak' needs; next: choose the frame by one of contact_start, contact_end, best"

@@ -1,4 +1,4 @@
-"""Replay buffers that others wrote: read as Zarr says, or refused by name before anything is opened."""
+"""Replay buffers of other programs: read as Zarr specifies, or refused by name before any data is read."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ GREY = FRAMES[..., :1]
         (GREY, GREY.repeat(3, axis=-1), "one channel"),
         (GREY[..., 0], GREY.repeat(3, axis=-1), "one channel"),
         (np.moveaxis(GREY, -1, 1), GREY.repeat(3, axis=-1), "channels first, one channel"),
-        # Dark pictures of 0 to 255 have a chunk in which all is 0 or 1.
+        # Dark pictures of 0 to 255 may have a chunk with only 0 and 1.
         (np.minimum(FRAMES, 200).astype(np.float32), np.minimum(FRAMES, 200), "from 0 to 255"),
     ],
 )
@@ -141,10 +141,10 @@ def test_episodes_that_do_not_divide_the_frames_are_refused(ends: Any, tmp_path:
     refused(write_zip(tmp_path / "b.zarr.zip", ends=values), "episode_ends.*expected|numbers and fitting")
 
 
-def test_what_an_array_means_does_not_follow_from_its_shape(
+def test_the_meaning_of_an_array_does_not_follow_from_its_shape(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Seven joints are no pose, nor are two numbers of an action a place; unless the user says so."""
+    """Seven joints are not a pose, and two numbers of an action not a position, unless the user states it."""
     joints = np.tile(np.float32([0, -0.78, 0, -2.36, 0, 1.57, 0.785]), (6, 1))
     poses = np.tile(np.float32([0.01, 0.02, 0.003, 0, 0, 0, 1]), (6, 1))
     label = np.arange(6).reshape(6, 1) // 4  # a number in each row, as a list of one
@@ -167,7 +167,7 @@ def test_what_an_array_means_does_not_follow_from_its_shape(
 
 
 class Evil:
-    """What a pickle would run."""
+    """Runs code when it is unpickled."""
 
     def __reduce__(self) -> tuple[Any, ...]:
         return (os.mkdir, (os.environ["EVIL_MARK"],))
@@ -213,9 +213,7 @@ def test_codecs_that_run_code_or_lose_values_are_refused_by_name(
         {"dimension_separator": "../"},
     ],
 )
-def test_metadata_that_cannot_be_true_are_refused_before_anything_is_allocated(
-    changes: dict[str, Any], tmp_path: Path
-) -> None:
+def test_impossible_metadata_are_refused_before_allocation(changes: dict[str, Any], tmp_path: Path) -> None:
     home = unzipped(write_zip(tmp_path / "b.zarr.zip"))
     restate(home, **changes)
     refused(home, "b.zarr")
@@ -228,8 +226,8 @@ def test_episodes_are_as_many_as_frames_at_most(tmp_path: Path) -> None:
 
 
 @pytest.mark.thorough
-def test_a_chunk_unpacks_to_its_size_and_no_further(tmp_path: Path) -> None:
-    """A few bytes stand for gigabytes; a zip adds another thousandfold."""
+def test_a_chunk_is_not_unpacked_beyond_its_size(tmp_path: Path) -> None:
+    """A few bytes may unpack to gigabytes; a zip multiplies that by a thousand."""
     bomb = zlib.compress(bytes(1 << 26), 9)
     home = unzipped(write_zip(tmp_path / "b.zarr.zip"))
     chunk = home / "data" / "img" / "0.0.0.0"
@@ -261,7 +259,7 @@ def test_a_zip_around_the_folder_of_a_group_is_named(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("codec", ["lz4", "blosc", "zstd", "gzip"])
 def test_a_chunk_that_unpacks_to_less_than_it_states_is_damaged(codec: str, tmp_path: Path) -> None:
-    """What a buffer held before would else be stored as pixels."""
+    """Otherwise, earlier content of the memory would be stored as pixels."""
     numcodecs = pytest.importorskip("numcodecs", reason="needs numcodecs, of the extra zarr")
     home = unzipped(write_zip(tmp_path / "b.zarr.zip"))
     restate(home, compressor={"id": codec})
@@ -313,8 +311,8 @@ def test_round_ids_and_class_names_come_back_from_a_replay_buffer(home: Path, tm
 
 
 @pytest.mark.parametrize("version", [2, 3])
-def test_whatever_zarr_writes_without_loss_is_read_as_zarr_reads_it(version: Any, tmp_path: Path) -> None:
-    """Chunks along all axes, other orders and ends of bytes, packers, keys, chunks that are not stored."""
+def test_lossless_arrays_are_read_as_zarr_reads_them(version: Any, tmp_path: Path) -> None:
+    """Chunks along all axes, memory and byte orders, compressors, keys, and chunks that are not stored."""
     zarr = pytest.importorskip("zarr", reason="needs zarr")
     numcodecs = pytest.importorskip("numcodecs", reason="needs numcodecs, of the extra zarr")
     from zarr import codecs

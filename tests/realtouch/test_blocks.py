@@ -1,4 +1,4 @@
-"""Large row groups: unpacked in blocks, found again in every process, streamed from anywhere."""
+"""Large row groups: unpacked in blocks, found again by every process, streamed from any position."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Faults planted one by one are found, with their touches; clean recordings are not complained of."""
+"""Planted faults are found, with their touches; clean recordings have no findings."""
 
 from __future__ import annotations
 
@@ -386,7 +386,7 @@ def test_a_set_wholly_in_another_order_is_known_by_the_colours_of_the_sensor(
     smooth = np.asarray(gel.resize(SIZE, Image.Resampling.BICUBIC)).astype(np.float64)
     truth = recorded()
     for touch in (touch for each in truth for touch in each.touches):
-        # What the factory adds to its own gel is kept.
+        # Content that the factory adds to its gel is kept.
         relief = touch.pixels - factories._gel(SIZE)
         touch.pixels[:] = np.clip(smooth + relief, 0, 255)[..., ::order]
     result = realtouch.check(written(tmp_path, "single", truth))
@@ -427,7 +427,7 @@ def test_rendered_touches_of_equal_surfaces_are_no_fault(tmp_path: Path) -> None
     plan = tactile_sim.TouchPlan(2, 16, seed=3)
     tactile_sim.generate(str(scenes), tactile_sim.GenerateSpec((64, 64), "depth", plan=plan), touches)
     assert realtouch.check(touches).findings == ()
-    # A round that is there twice is a duplicate nevertheless.
+    # A round that occurs twice is a duplicate nevertheless.
     file = next((touches / "data").glob("train-*"))
     table = pq.read_table(file)
     pq.write_table(pa.concat_tables([table, table.slice(1, 1)]), tmp_path / "twice.parquet")
@@ -485,7 +485,7 @@ def test_each_rule_is_documented() -> None:
 
 
 @pytest.mark.parametrize(("size", "noise"), [((64, 64), 6), ((320, 240), 3), ((640, 480), 1)])
-def test_markers_are_counted_at_any_size_and_noise_is_none(size: tuple[int, int], noise: int) -> None:
+def test_markers_are_counted_at_any_size_and_noise_is_not_counted(size: tuple[int, int], noise: int) -> None:
     random = np.random.default_rng(0)
     width, height = size
     gel = factories._gel(size) + random.normal(0, noise, (height, width, 3))

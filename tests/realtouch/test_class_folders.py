@@ -47,7 +47,7 @@ def imported(home: Path, tmp_path: Path, **options: Any) -> dict[str, Any]:
         ),
         (("b.png", "a.png"), {"train": [("a", None), ("b", None)]}),
         (
-            ("Glas/1.png", "Müsli/1.png", "mu\u0308de/ß.png"),  # letters and marks apart, as of a Mac
+            ("Glas/1.png", "Müsli/1.png", "mu\u0308de/ß.png"),  # letters and marks decomposed, as on macOS
             {"train": [("Glas_1", "Glas"), ("Müsli_1", "Müsli"), ("müde_ß", "mu\u0308de")]},
         ),
         (("in/1.png", "in/deep/2.png"), {"train": [("in_1", None), ("in_deep_2", None)]}),
@@ -85,7 +85,7 @@ def test_images_whose_names_cannot_be_used_are_listed(tmp_path: Path) -> None:
     assert len(realtouch.load(tmp_path / "out", "train")) == 1
 
 
-def test_images_may_not_be_counted_without_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_number_of_images_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("realtouch.exchange.folder_import._MAX_IMAGES", 2)
     home = images(tmp_path / "home", "a.png", "b.png", "c.png")
     with pytest.raises(InputError, match="more than 2 images"):

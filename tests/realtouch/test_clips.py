@@ -26,7 +26,7 @@ def clip(seq_folder: Path) -> TouchClip:
     return realtouch.load(seq_folder, "train")[0].sensor_video[0]
 
 
-def test_frames_show_what_was_encoded(clip: TouchClip, truth: list[RoundTruth]) -> None:
+def test_frames_equal_the_encoded_ones(clip: TouchClip, truth: list[RoundTruth]) -> None:
     made = truth[0].touches[0]
     assert (len(clip), clip.size, clip.fps) == (made.frames, (72, 96), 25.0)
     frames = clip.frames()
@@ -57,7 +57,7 @@ def test_contact_frames_are_the_true_ones(seq_folder: Path, truth: list[RoundTru
             assert clip.contact_index("contact_start") == made.contact_start
             assert clip.contact_index("contact_end") == made.contact_end
             assert clip.contact_index("peak") == made.peak
-            # The deepest press shows most; its neighbour may look the same after JPEG.
+            # The deepest press changes the image most; its neighbour may look the same after JPEG.
             assert abs(clip.contact_index("best") - made.peak) <= 1
             np.testing.assert_array_equal(clip.contact_frame("peak"), clip[made.peak])
             assert clip[clip.contact_window].shape[0] == made.contact_end - made.contact_start + 1
@@ -91,7 +91,7 @@ def test_a_window_holds_a_frame_and_only_frames_of_contact(
 
 @given(st.integers(0, 1800 * 25), st.integers(0, 60), st.integers(0, 30))
 def test_a_clock_in_single_precision_has_the_same_windows(offset: int, start: int, count: int) -> None:
-    """Of half an hour at most; frames are 400 times as far apart as times that count as one."""
+    """At most half an hour; frames are 400 times as far apart as times that count as equal."""
     exact = (offset + np.arange(91)) / 25
     rounded = exact.astype(np.float32).astype(np.float64)
     expected = slice(start, start + count + 1)
@@ -142,7 +142,7 @@ def test_heights_and_contact_of_touches(
         assert [(t.round_id, t.touch_index) for t in kept] == [
             (t.round_id, t.touch_index) for t, wanted in zip(touches, on_digit, strict=True) if wanted
         ]
-        # The plate is found among all touches of a round, whatever was selected before.
+        # The plate is found among all touches of a round, also after a selection.
         assert len(touches[np.array(on_digit)].with_contact()) == sum(on_digit)
         assert len(touches.with_contact(min_height_m=0.008)) == 0
 
@@ -156,7 +156,7 @@ def test_an_avi_of_ours_reads_back_and_in_ffmpeg() -> None:
     pixels = decode_with_ffmpeg(memoryview(data))
     assert pixels.shape == (10, 16, 24, 3)
     assert np.abs(pixels.astype(int) - FRAMES).max() <= 6
-    short = bytearray(data)  # as short as the header of a stream may be, and what was the rest of it
+    short = bytearray(data)  # the shortest header of a stream, and the former rest of it
     at = short.index(b"strh") + 4
     short[at : at + 4], short[at + 32 : at + 40] = b"\x1c\0\0\0", b"JUNK\x14\0\0\0"
     assert Avi(memoryview(short)).fps == avi.fps == 25

@@ -1,4 +1,4 @@
-"""Conversions: what comes out, that pixels pass through, that runs resume and repeat byte for byte."""
+"""Conversions: their results, unchanged pixels, resumed runs, and the same bytes each time."""
 
 from __future__ import annotations
 
@@ -213,7 +213,7 @@ def test_workers_and_interruptions_change_no_byte(
     assert folder_bytes(tmp_path / "a") == folder_bytes(tmp_path / "c")
 
 
-def test_what_cannot_be_converted_is_said(
+def test_impossible_conversions_are_refused(
     seq_folder: Path, single_folder: Path, seq_rows: list[dict], tmp_path: Path
 ) -> None:
     out = str(tmp_path / "out")
@@ -254,7 +254,7 @@ def test_damaged_rounds_are_left_out_and_listed(seq_rows: list[dict], tmp_path: 
     assert [record.label for record in realtouch.load(tmp_path / "out")] == [0, 2]
 
 
-def test_the_fingerprint_names_no_place(single_folder: Path) -> None:
+def test_the_fingerprint_does_not_depend_on_the_path(single_folder: Path) -> None:
     fingerprint = Source.open(str(single_folder)).fingerprint()
     assert [entry["file"] for entry in fingerprint["train"]] == [
         "train-00000-of-00002.parquet",
@@ -280,7 +280,7 @@ def test_a_task_takes_along_the_files_of_its_own_rows_only(single_folder: Path) 
     rows = list(map(RowChoice, range(sum(map(len, files)))))
     conversion = Conversion(source, "toy", {}, KeepTouches(False), {"train": rows}, rows_per_shard=1)
     plan = plan_conversion(conversion)
-    # A dictionary of pictures would only take space.
+    # A dictionary of pictures would only waste space.
     assert plan.style.encodings == (("sensor_image.list.element.bytes", "PLAIN"),)
     tasks = plan.tasks
     assert len(tasks) == len(rows)
@@ -290,7 +290,7 @@ def test_a_task_takes_along_the_files_of_its_own_rows_only(single_folder: Path) 
     assert made == realtouch.load(str(single_folder), "train").ids.tolist()
 
 
-def test_some_of_each_class_and_ranges_of_objects(tmp_path: Path) -> None:
+def test_selection_by_class_and_ranges_of_objects(tmp_path: Path) -> None:
     rounds = [factories.make_round(index, 3, (24, 32), (4, 6)) for index in range(20)]
     factories.write_set(tmp_path / "all", {"train": factories.single_rows(rounds)}, "single")
     before = realtouch.load(tmp_path / "all")

@@ -1,4 +1,4 @@
-"""Conversions harm nothing: not their source, not a finished set, not what lies outside the folder."""
+"""Conversions do not damage their source, a finished set, or files outside of the folder."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def with_ids(*names: str) -> Edit:
 
 
 def cut_pictures(*rounds: int) -> Edit:
-    """Cut a picture of some rounds short."""
+    """Truncate a picture in some rounds."""
 
     def edit(row: dict[str, Any], index: int) -> None:
         if index in rounds:
@@ -99,7 +99,7 @@ def test_a_conversion_that_fails_gives_the_finished_set_back(
 
 
 @pytest.mark.parametrize("name", ["resize", "frames", "frames-jpeg", "clips_to_images"])
-def test_nothing_is_left_of_a_source_in_which_all_is_damaged(
+def test_a_source_without_intact_rounds_is_refused(
     name: str, single_rows: list[dict], seq_rows: list[dict], tmp_path: Path
 ) -> None:
     kind, rows = ("seq", seq_rows) if name == "clips_to_images" else ("single", single_rows)
@@ -120,7 +120,7 @@ def test_a_damaged_frame_does_not_pass_through(name: str, seq_rows: list[dict], 
     assert realtouch.verify(tmp_path / "out").ok
 
 
-def test_what_is_no_picture_is_found_though_its_checksum_is_right(small: Path, tmp_path: Path) -> None:
+def test_invalid_pictures_are_found_although_their_checksum_is_right(small: Path, tmp_path: Path) -> None:
     realtouch.frames(small, tmp_path / "out", "jpeg")
     assert realtouch.verify(tmp_path / "out").ok
     picture = next((tmp_path / "out" / "images").rglob("*.jpg"))

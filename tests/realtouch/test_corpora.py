@@ -1,4 +1,4 @@
-"""Touches in the layouts that others train on: each read by the steps of its consumer, written again here."""
+"""Touches in the layouts of other projects: each is read by the steps of its consumer, repeated here."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def source(request: pytest.FixtureRequest) -> Path:
 
 @pytest.fixture
 def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have a file for each round, so that there are several."""
+    """Write a file for each round, so that there are several."""
     monkeypatch.setattr("realtouch.convert.shard_tasks._MAX_ROWS_PER_SHARD", 1)
 
 
@@ -61,7 +61,7 @@ def touches_of(source: Path) -> list[dict[str, Any]]:
 
 
 def test_t3_reads_fota(source: Path, tmp_path: Path, small_shards: None) -> None:
-    """As ``t3.data_loader``: the tars from the first to the last, pairs of jpg and json, poses in mm."""
+    """Read like ``t3.data_loader``: all tars in order, pairs of jpg and json, poses in mm."""
     realtouch.export(source, tmp_path, "fota")
     home = tmp_path / "fota" / "train"
     wanted = touches_of(source)
@@ -84,7 +84,7 @@ def test_t3_reads_fota(source: Path, tmp_path: Path, small_shards: None) -> None
 
 
 def test_sparsh_reads_its_pickles(source: Path, tmp_path: Path, small_shards: None) -> None:
-    """As ``tactile_ssl.data.vision_tactile``: a list of bytes, less the background, around grey."""
+    """Read like ``tactile_ssl.data.vision_tactile``: a list of bytes, minus the background, around grey."""
     realtouch.export(source, tmp_path, "sparsh")
     home = tmp_path / "sparsh" / "train"
     frames = []
@@ -102,7 +102,7 @@ def test_sparsh_reads_its_pickles(source: Path, tmp_path: Path, small_shards: No
 
 
 def test_anytouch_reads_its_lists(source: Path, tmp_path: Path, small_shards: None) -> None:
-    """As ``data.downstream_dataset.TAGDataset_video``: a line an image, frames before it by their number."""
+    """Read like ``data.downstream_dataset.TAGDataset_video``: a line per image, earlier frames by number."""
     realtouch.export(source, tmp_path, "anytouch")
     home = tmp_path / "anytouch"
     wanted = touches_of(source)
@@ -121,7 +121,7 @@ def test_anytouch_reads_its_lists(source: Path, tmp_path: Path, small_shards: No
 
 
 def zarr_array(group: zipfile.ZipFile, path: str) -> np.ndarray:
-    """Read an array of Zarr version 2, all chunks of it."""
+    """Read all chunks of an array of Zarr version 2."""
     stated = json.loads(group.read(f"{path}/.zarray"))
     assert (stated["zarr_format"], stated["order"], stated["filters"]) == (2, "C", None)
     assert stated["compressor"]["id"] == "zlib"
@@ -136,7 +136,7 @@ def zarr_array(group: zipfile.ZipFile, path: str) -> np.ndarray:
 def test_diffusion_policy_reads_the_replay_buffer(
     source: Path, tmp_path: Path, small_shards: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As ``ReplayBuffer.copy_from_path``: all arrays of data are as long as the last of the ends says."""
+    """Read like ``ReplayBuffer.copy_from_path``: all arrays of data are as long as the last end states."""
     monkeypatch.setattr("realtouch.exchange.zarr_groups.CHUNK_BYTES", 4 * 72 * 96 * 3)
     realtouch.export(source, tmp_path, "replay", split="train")
     with zipfile.ZipFile(tmp_path / "replay" / "touches.zarr.zip") as group:

@@ -61,7 +61,7 @@ def test_contacts_are_found_at_the_frames_of_the_truth(dimmed: float, noise: flo
         assert each.start >= max(0, first - margin)
         assert each.start + each.frames - 1 <= min(499, last + margin)
         np.testing.assert_array_equal(each.time_s, np.arange(each.start, each.start + each.frames) / 25)
-        # The rule that loaders apply to the clip alone finds the same contact.
+        # The rule that loaders apply to single clips finds the same contact.
         clip = np.stack([decode_image(content) for content in made.contents([each.place])])  # type: ignore[arg-type]
         assert first <= each.start + best_of(clip)[0] <= last
     picture = Image.open(io.BytesIO(cutter.pictures["take1"]))
@@ -70,13 +70,13 @@ def test_contacts_are_found_at_the_frames_of_the_truth(dimmed: float, noise: flo
 
 
 def test_a_gel_pressed_most_of_the_time_at_changing_places_is_found_at_rest() -> None:
-    """Each place is at rest most of the time, though the whole gel hardly ever is."""
+    """Each place of the gel is at rest most of the time, but the entire gel hardly ever."""
     pressed = [(start, start + 23) for start in range(5, 480, 40)]
     made = MadeRecording(500, pressed, at=((30, 28), (30, 40), (30, 52)))
     assert np.abs(np.subtract(contacts(cut([made.recording()], "contact", made)), pressed)).max() <= 1
 
 
-def test_flicker_is_joined_and_what_is_short_is_dropped_and_counted() -> None:
+def test_flicker_is_joined_and_short_contacts_are_dropped_and_counted() -> None:
     made = MadeRecording(400, [(50, 60), (64, 80), (120, 121), (200, 220), (232, 240)], noise=1.0)
     for fps, expected in (
         (25.0, [(50, 80), (200, 220), (232, 240)]),
@@ -85,7 +85,7 @@ def test_flicker_is_joined_and_what_is_short_is_dropped_and_counted() -> None:
         recording = made.recording(fps=fps)
         assert np.abs(np.subtract(contacts(cut([recording], "contact", made)), expected)).max() <= 1
         assert find_contacts(recording, made.contents, ContactRule()).too_short == 1
-    # At more pictures a second, the same gap is shorter.
+    # With more pictures per second, the same gap is shorter.
     assert len(contacts(cut([made.recording(fps=100.0)], "contact", made))) == 2
 
 
@@ -133,7 +133,7 @@ def test_whole_recordings_and_those_that_are_too_long() -> None:
     assert "--cut contact" in str(second.problem)
 
 
-def test_frames_have_what_is_said_of_each_picture() -> None:
+def test_frames_have_the_values_of_their_pictures() -> None:
     texts = np.array(["a", None, "c"], object)
     said = {"force": np.array([1.0, np.nan, 3.0]), "note": texts, "xy": np.eye(3)[:, :2]}
     given = plain(3, per_frame=columns(said))
@@ -153,7 +153,7 @@ def test_frames_have_what_is_said_of_each_picture() -> None:
         ({"problem": ItemError("video", "cut short")}, "cut short"),
     ],
 )
-def test_what_cannot_be_used_is_said_once(how: str, change: dict[str, Any], words: str) -> None:
+def test_unusable_recordings_are_named_once(how: str, change: dict[str, Any], words: str) -> None:
     (only,) = cut([plain(**change)], how)
     assert words in str(only.problem)
 
@@ -174,7 +174,7 @@ def table(folder: Path, text: str, name: str = "cuts.csv") -> str:
         "file,start_s,end_s,label\ntake1.avi,0.4,0.8,mug\n.\\take1.avi,0.6,1.2,fork\n",
     ],
 )
-def test_a_table_says_when_touches_start_and_end(text: str, tmp_path: Path) -> None:
+def test_a_table_states_start_and_end_of_touches(text: str, tmp_path: Path) -> None:
     found = cut([plain()], table(tmp_path, text))
     assert [(each.start, each.frames) for each in found] == [(10, 11), (15, 16)]
     assert [each.name for each in found] == ["take1_000", "take1_001"]
@@ -257,7 +257,7 @@ def test_lines_that_cannot_be_cut_are_problems_of_their_touches(tmp_path: Path) 
         ("file,start_s,end_s\ntake1,0,1\n", "row 1 could mean 'a/take1' or 'b/take1'"),
     ],
 )
-def test_tables_that_do_not_say_what_is_cut_are_refused(text: str, words: str, tmp_path: Path) -> None:
+def test_tables_without_recordings_are_refused(text: str, words: str, tmp_path: Path) -> None:
     recordings = [replace(plain(name=f"{folder}/take1"), path=f"{folder}/take1.avi") for folder in "ab"]
     with pytest.raises(InputError, match=words.replace("(", "\\(")):
         cut(recordings, table(tmp_path, text))

@@ -164,7 +164,7 @@ def damaged_set(folder: Path, rows: list[dict], kind: str, edit: Edit, row: int 
 
 
 def everything(record: Any, kind: str) -> None:
-    """Ask for every field of a round."""
+    """Read every field of a round."""
     _ = record.id, record.label, record.object_id, record.info, record.pos_in_cell_m
     if kind == "single":
         _ = record.gel_pose_cell_frame, record.sensor_image[:]
@@ -199,7 +199,7 @@ def test_damage_is_named_and_listed(
     dataset = realtouch.load(folder)
     everything(dataset[0], kind)
     everything(dataset[2], kind)
-    if name != "one touch less":  # a round that is whole in itself
+    if name != "one touch less":  # a round that is valid in itself
         with pytest.raises(IntegrityError) as caught:
             everything(dataset[1], kind)
         message = str(caught.value)
@@ -228,7 +228,7 @@ def test_damage_is_named_and_listed(
         "touch_start_time_rel",
     ],
 )
-def test_the_last_touch_never_takes_what_the_next_round_begins_with(
+def test_the_last_touch_never_gets_values_of_the_next_round(
     field: str, seq_rows: list[dict], tmp_path: Path
 ) -> None:
     def one_less(row: dict[str, Any]) -> None:

@@ -113,7 +113,7 @@ def test_further_conversions_keep_the_maps_of_the_touches_that_they_keep(
     assert realtouch.load(tmp_path / "again", "train")[0].depth_error_m[0][0, 0] == pytest.approx(2e-5)
 
 
-def test_what_has_no_depth_is_said(images: Path, tmp_path: Path) -> None:
+def test_sets_without_depth_are_named(images: Path, tmp_path: Path) -> None:
     touch = realtouch.load(images, "train").touches()[0]
     with pytest.raises(InputError, match="depth_um"):
         _ = touch.depth_m

@@ -30,7 +30,7 @@ FORCE = "observation.force_n"
 
 
 def with_extras(source: Path, home: Path, columns: dict[str, list[Any]]) -> Path:
-    """Write the rounds of a set with further columns, an entry a round."""
+    """Write the rounds of a set with further columns, one entry for each round."""
     found = sorted((source / "data").glob("train-*.parquet"))
     rows = pa.concat_tables([pq.read_table(path) for path in found])
     for name, values in columns.items():
@@ -54,7 +54,7 @@ def exported(home: Path, out: Path) -> tuple[pa.Table, dict[str, Any], dict[str,
 
 
 def test_columns_with_an_entry_per_touch_are_features(single_folder: Path, tmp_path: Path) -> None:
-    """Numbers, vectors, texts and booleans; what is missing is NaN, or an empty text."""
+    """Numbers, vectors, texts and booleans; missing values are NaN or an empty text."""
     random = np.random.default_rng(4)
     force = random.normal(size=(3, 5, 3)).tolist()
     count: list[list[int | None]] = [[1, 2, None, 4, 5]] * 3
@@ -97,7 +97,7 @@ def test_columns_with_an_entry_per_touch_are_features(single_folder: Path, tmp_p
 def test_columns_with_an_entry_per_frame_are_features(
     seq_folder: Path, truth: list[RoundTruth], tmp_path: Path
 ) -> None:
-    """Beside those of whole clips; a name that a feature of ours has is another one."""
+    """Next to columns of whole clips; a name that is taken by a feature of ours is changed."""
     random = np.random.default_rng(4)
     lengths = [[touch.frames for touch in each.touches] for each in truth]
     force = [[random.normal(size=(length, 3)).tolist() for length in round_] for round_ in lengths]
@@ -134,7 +134,7 @@ def test_vectors_of_another_length_are_named(single_folder: Path, tmp_path: Path
 def test_large_integers_with_gaps_are_not_rounded(
     single_folder: Path, truth: list[RoundTruth], tmp_path: Path
 ) -> None:
-    """Formats without missing values have NaN in their place, which floats alone can be."""
+    """Formats without missing values store NaN instead, which only floats can hold."""
     count = len(truth[0].touches)
     stamps = [2**60 + 1, None, *range(count - 2)]
     home = with_extras(single_folder, tmp_path / "home", {"extra.stamp_ns": [stamps] * 3})

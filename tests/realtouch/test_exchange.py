@@ -1,4 +1,4 @@
-"""Touches for other libraries: each layout is read back by the foreign reader itself."""
+"""Exports of touches: each layout is read back by the reader of its library."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def source(request: pytest.FixtureRequest) -> Path:
 
 @pytest.fixture
 def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have a file for each round, so that there are several."""
+    """Write a file for each round, so that there are several."""
     monkeypatch.setattr(shard_tasks, "_MAX_ROWS_PER_SHARD", 1)
     monkeypatch.setattr(lerobot_info, "FILE_BYTES", 1 << 10)
 
@@ -138,7 +138,7 @@ def test_parts_kills_and_damage_end_in_the_same_bytes(
     layout: Any, single_folder: Path, tmp_path: Path
 ) -> None:
     whole, parts = tmp_path / "whole", tmp_path / "parts"
-    # Starting workers takes longer than their work: one layout shows that their number changes no byte.
+    # Starting workers takes longer than their work, so only one layout is tested with several.
     realtouch.export(single_folder, whole, layout, split="train", workers=2 if layout == "lerobot" else 1)
     for number in (1, 0):
         realtouch.export(single_folder, parts, layout, split="train", part=Part(number, 2))
@@ -200,7 +200,7 @@ def test_lerobot_numbers_frames_over_all_files(source: Path, truth: list[RoundTr
             chunk_index=episode["data/chunk_index"], file_index=episode["data/file_index"]
         )
         assert number in pq.read_table(file, columns=["episode_index"])["episode_index"].to_pylist()
-    if not is_seq:  # an episode of few images: all were seen
+    if not is_seq:  # an episode of few images, all of which count
         blobs = frames.slice(0, 5)["observation.images.tactile"].to_pylist()
         pixels = np.stack([decode_image(blob["bytes"]) for blob in blobs]) / 255
         found = episodes[0]
@@ -255,9 +255,7 @@ def test_lerobot_reads_its_data_set(source: Path, step_s: float, tmp_path: Path)
     np.testing.assert_allclose(means, states.astype(float).mean(axis=0), rtol=1e-6, atol=1e-9)
 
 
-def test_what_cannot_be_exported_is_named(
-    single_rows: list[dict], single_folder: Path, tmp_path: Path
-) -> None:
+def test_impossible_exports_are_named(single_rows: list[dict], single_folder: Path, tmp_path: Path) -> None:
     for layout, options, words in (
         ("flat", {"split": "held"}, "held"),
         ("flat", {"frame": "last"}, "last"),
@@ -305,7 +303,7 @@ def test_what_cannot_be_exported_is_named(
         assert manifest.split_table()["train"] == manifest.split_table()["train"] | {"rows": 10, "skipped": 1}
         assert "touch 3" in manifest.shards[0].skipped[0].message
         half = realtouch.export(tmp_path / "half", tmp_path / f"{layout}-half", layout)  # type: ignore[arg-type]
-        assert half.split_table()["train"]["rows"] == 15  # whole at both ends
+        assert half.split_table()["train"]["rows"] == 15  # complete at both ends
         (found,) = realtouch.verify(tmp_path / f"{layout}-half").findings
         assert "cannot be decoded" in found.problem
         assert realtouch.verify(tmp_path / f"{layout}-half", quick=True).ok
@@ -324,7 +322,7 @@ def test_what_cannot_be_exported_is_named(
 
 
 def test_lerobot_needs_lengths_that_are_true(seq_rows: list[dict], tmp_path: Path) -> None:
-    """Frames are numbered through all files, and so before they are read."""
+    """Frames are numbered consecutively over all files, before they are read."""
 
     def shorten(row: dict[str, Any], index: int) -> None:
         row["video_length_frames"] = [length - (index == 1) for length in row["video_length_frames"]]
@@ -339,7 +337,7 @@ def test_lerobot_needs_lengths_that_are_true(seq_rows: list[dict], tmp_path: Pat
         assert not (tmp_path / "robots").exists()
 
 
-def test_lerobot_is_told_the_form_of_every_column(source: Path, tmp_path: Path) -> None:
+def test_lerobot_gets_the_shape_of_every_column(source: Path, tmp_path: Path) -> None:
     realtouch.export(source, tmp_path, "lerobot", split="train")
     features = json.loads((tmp_path / "lerobot" / "meta" / "info.json").read_text())["features"]
     picture = {"dtype": "image", "shape": [72, 96, 3], "names": ["height", "width", "channels"]}

@@ -1,4 +1,4 @@
-"""Further columns of a set: what was stored is read, kept by every conversion, and stated."""
+"""Further columns of a data set: they are read, kept by every conversion, and described in the card."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ NUMBER = pa.float64()
 
 
 def of_touches(split: str) -> dict[str, pa.Array]:
-    """Columns with an entry for each touch; one has the name of another column of exports."""
+    """Columns with an entry for each touch; one has the name of a column of exports."""
     return {
         "extra.force_n": pa.array(FORCES[split], pa.list_(NUMBER)),
         "extra.count": pa.array(COUNTS[split], pa.list_(pa.int64())),
@@ -119,7 +119,7 @@ def test_columns_of_frames_are_read_touch_by_touch(clips: Path) -> None:
     assert first.extra["state"][0].tolist()[:2] == [None, "at 1"]
 
 
-def test_a_column_is_read_when_it_is_asked_for(images: Path, tmp_path: Path) -> None:
+def test_a_column_is_read_on_first_use(images: Path, tmp_path: Path) -> None:
     record = realtouch.load(images, "train")[0]
     assert "force_n" in record.extra
     with pytest.raises(KeyError, match=r"no further column 'force'.*did you mean 'force_n'") as caught:

@@ -1,4 +1,4 @@
-"""Tables of images in Parquet, of this toolkit and of others, as touches."""
+"""Import of Parquet tables of images, made by this toolkit or by others."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def images(names: list[str | None] | None = None) -> pa.Array:
 
 @pytest.mark.parametrize("form", ["struct", "binary", "large"])
 def test_rows_of_others_are_touches(form: str, tmp_path: Path) -> None:
-    """Every other column by its own name; pictures in any order."""
+    """Other columns keep their names; pictures may be in any order."""
     names: list[str | None] = [f"/home/me/{number}.jpg" for number in range(len(JPEGS))]
     names[3] = None
     kinds = {"struct": images(names), "binary": pa.array(JPEGS), "large": pa.array(JPEGS, pa.large_binary())}
@@ -74,7 +74,7 @@ def test_rows_of_others_are_touches(form: str, tmp_path: Path) -> None:
     assert len(found(tmp_path / "only.parquet")) == 12
 
 
-def test_a_table_of_nothing_but_pictures(tmp_path: Path) -> None:
+def test_a_table_with_only_pictures(tmp_path: Path) -> None:
     write(tmp_path, picture=pa.array(JPEGS))
     assert [touch.values for touch in each_of(found(tmp_path))] == [{"split": "train"}] * 12
 
@@ -102,7 +102,7 @@ def test_a_set_of_touches_needs_no_import(kind: str, request: pytest.FixtureRequ
         found(folder)
 
 
-def test_what_is_no_picture_or_no_file_is_named(tmp_path: Path) -> None:
+def test_invalid_pictures_and_files_are_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="holds no Parquet files"):
         found(tmp_path)
     home, secret = tmp_path / "home", tmp_path / "secret.parquet"
@@ -133,10 +133,10 @@ def test_what_is_no_picture_or_no_file_is_named(tmp_path: Path) -> None:
         found(home)
 
 
-def test_what_unpacks_to_more_than_a_machine_holds_is_refused(
+def test_tables_that_unpack_to_huge_sizes_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A text that is stored once and stands in each of many rows; numbers that take next to no space."""
+    """A text that is stored once for many rows, and numbers that compress to almost no space."""
     monkeypatch.setenv("TACTILE_TOOLKIT_UNPACKED_MIB", "4")
     count = 10_000
     image = pa.DictionaryArray.from_arrays(pa.array([0] * count, pa.int32()), pa.array([JPEGS[0]])).cast(
@@ -153,7 +153,7 @@ def test_what_unpacks_to_more_than_a_machine_holds_is_refused(
 
 
 @pytest.mark.parametrize("kind", ["single", "seq"])
-def test_an_export_of_this_toolkit_comes_back(
+def test_an_export_of_this_toolkit_is_imported_unchanged(
     kind: Any, request: pytest.FixtureRequest, tmp_path: Path
 ) -> None:
     source = request.getfixturevalue(f"{kind}_folder")
@@ -176,8 +176,8 @@ def test_an_export_of_this_toolkit_comes_back(
 
 
 @pytest.mark.thorough
-def test_whatever_a_file_holds_there_is_a_result_or_a_sentence(tmp_path: Path) -> None:
-    """600 files with bytes flipped, cut out or put in."""
+def test_any_damage_gives_a_result_or_a_message(tmp_path: Path) -> None:
+    """600 files with bytes flipped, removed or inserted."""
     force = np.random.default_rng(1).normal(size=(12, 3))
     path = write(tmp_path, image=images(), force=force.tolist(), label=["mug", None] * 6, count=[1, None] * 6)
     content, random = path.read_bytes(), np.random.default_rng(3)
@@ -193,7 +193,7 @@ def test_whatever_a_file_holds_there_is_a_result_or_a_sentence(tmp_path: Path) -
 
 
 def with_wrong_histogram(content: bytes) -> list[bytes]:
-    """Return files whose footer states one count more of some column than its type has levels."""
+    """Return files whose footer states one more count for a column than its type has levels."""
     start = len(content) - 8 - int.from_bytes(content[-8:-4], "little")
     footer, found = content[start:-8], []
     for at in (place.start() for place in re.finditer(b"\x36", footer)):  # three integers
@@ -203,7 +203,7 @@ def with_wrong_histogram(content: bytes) -> list[bytes]:
 
 
 def test_a_footer_that_contradicts_itself_does_not_end_the_process(tmp_path: Path) -> None:
-    """Arrow ends the process where such a column is looked at in the footer."""
+    """Arrow aborts the process when such a column is read from the footer."""
     path = write(tmp_path, image=images())
     problems = set()
     for content in with_wrong_histogram(path.read_bytes()):
@@ -217,7 +217,7 @@ def test_a_footer_that_contradicts_itself_does_not_end_the_process(tmp_path: Pat
 
 
 def test_a_page_that_states_more_than_it_can_hold_is_damage(tmp_path: Path) -> None:
-    """Arrow makes room for a page before it reads it."""
+    """Arrow allocates memory for a page before it reads the page."""
     path = write(tmp_path, image=pa.array(JPEGS), force=np.arange(12.0))
     content = path.read_bytes()
     start = pq.read_metadata(path).row_group(0).column(1).data_page_offset

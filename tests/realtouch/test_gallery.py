@@ -97,8 +97,8 @@ def test_a_set_without_poses_is_shown_without_contact(single_rows, tmp_path):
     assert {entry["contact"] for entry in touches_of(tmp_path / "site", 0)["list"]} == {None}
 
 
-def test_notes_say_what_further_columns_hold(tmp_path):
-    """Ranges of numbers and different texts, also where each frame has a value and clips differ in length."""
+def test_notes_describe_further_columns(tmp_path):
+    """Ranges of numbers and distinct texts, also if each frame has a value and clips differ in length."""
     factories.bare_set(tmp_path / "set", "seq", extras=of_frames)
     build_site(plan_gallery(str(tmp_path / "set"), RowFilter("train")), str(tmp_path / "site"))
     last = max(10 * touch + length - 1 for touch, length in enumerate(LENGTHS["train"][0]))

@@ -1,4 +1,4 @@
-"""HDF5 of laboratories: episodes by the path of their pictures, and nothing from outside of the file."""
+"""HDF5 of laboratories: episodes by the path of their pictures, without access outside of the file."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ def objects(file: Any, secret: Path) -> None:
         (objects, "values of type object"),
     ],
 )
-def test_nothing_is_opened_from_outside_of_the_file(add: Any, words: str, tmp_path: Path) -> None:
+def test_no_external_files_are_opened(add: Any, words: str, tmp_path: Path) -> None:
     secret = write(tmp_path / "secret" if add is stored_outside else tmp_path / "secret.h5", (0,))
     (tmp_path / "in").mkdir()
     with h5py.File(tmp_path / "in" / "a.h5", "w") as file:
@@ -156,7 +156,7 @@ def test_nothing_is_opened_from_outside_of_the_file(add: Any, words: str, tmp_pa
         recordings(tmp_path / "in")
 
 
-def test_a_chunk_unpacks_to_its_size_and_no_further(tmp_path: Path) -> None:
+def test_chunks_are_not_unpacked_beyond_their_size(tmp_path: Path) -> None:
     for content, words in (
         (zlib.compress(bytes(1 << 26), 9), "a damaged chunk; expected 512 bytes unpacked"),
         (zlib.compress(bytes(500)), "a damaged chunk"),
@@ -171,7 +171,7 @@ def test_a_chunk_unpacks_to_its_size_and_no_further(tmp_path: Path) -> None:
 
 
 @pytest.mark.thorough
-def test_whatever_a_file_holds_ends_in_recordings_or_a_sentence(tmp_path: Path) -> None:
+def test_any_damage_gives_recordings_or_a_message(tmp_path: Path) -> None:
     source = write(tmp_path / "a.h5", (0, 1))
     whole, refused = source.read_bytes(), 0
     for seed in range(500):

@@ -27,7 +27,7 @@ def pillow(data: bytes) -> np.ndarray:
 
 
 @given(st.integers(1, 70), st.integers(1, 70), st.integers(10, 100), st.sampled_from([0, 1, 2]))
-def test_pixels_are_those_of_pillow_bit_for_bit(height: int, width: int, quality: int, sampling: int) -> None:
+def test_pixels_equal_those_of_pillow(height: int, width: int, quality: int, sampling: int) -> None:
     stream = io.BytesIO()
     Image.fromarray(smooth(height, width)).save(stream, "JPEG", quality=quality, subsampling=sampling)
     data = stream.getvalue()
@@ -63,7 +63,7 @@ def test_same_pixels_give_the_same_bytes() -> None:
 
 @given(st.data())
 def test_damaged_jpegs_raise_or_give_whole_pictures(data: st.DataObject) -> None:
-    """Whatever bytes are flipped or lost, nothing half-decoded and nothing but ValueError comes out."""
+    """Flipped or missing bytes raise ValueError; no picture is returned that is decoded in part."""
     whole = bytearray(encode_jpeg(smooth(24, 32)))
     for _ in range(data.draw(st.integers(0, 4))):
         whole[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
@@ -87,7 +87,7 @@ def test_a_cut_jpeg_is_never_decoded(keep: float) -> None:
 @pytest.mark.parametrize("size", [(12, 16), (32, 24), (24, 48), (48, 64)])
 @pytest.mark.parametrize("kind", ["jpeg", "png"])
 def test_a_picture_of_another_size_than_its_place_is_refused(kind: str, size: tuple[int, int]) -> None:
-    """Smaller, turned, and larger: none is handed out as what the place was made for."""
+    """Smaller, turned and larger pictures are errors."""
     out = np.zeros((24, 32, 3), np.uint8)
     with pytest.raises(ValueError, match=f"an image of {size[1]} x {size[0]} pixels; expected 32 x 24"):
         decode_image(encode_image(smooth(*size), kind), out)
@@ -137,7 +137,7 @@ def test_threads_share_a_round(single_folder: Path) -> None:
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])
-def test_fill_bytes_before_a_marker_are_passed_over(count: int) -> None:
+def test_fill_bytes_before_a_marker_are_skipped(count: int) -> None:
     """Any number of FF may stand before a marker (ITU T.81, B.1.1.2)."""
     data = encode_image(PICTURES)
     frame = data.index(b"\xff\xc0")

@@ -1,4 +1,4 @@
-"""Images of others become touches: the way there and back, what is left out, and what is made of them."""
+"""Import of images as touches: round trips, items that are left out, and conversions."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from tests.tactile_toolkit.toy import folder_bytes
 def test_there_and_back(
     layout: Any, single_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """By the shortest command nothing is lost; columns that are named give the same set."""
+    """The shortest command keeps everything; named columns give the same set."""
     there, back = tmp_path / "there", tmp_path / "back"
     if layout == "folder":
         realtouch.frames(single_folder, there, "jpeg")
@@ -60,7 +60,7 @@ def test_there_and_back(
     assert realtouch.load(back, "train").label_names == tuple(factories.LABELS)
     assert realtouch.verify(back).ok
     columns = COLUMNS
-    if layout == "folder":  # names of tars state the split
+    if layout == "folder":  # the names of tars state the split
         columns = replace(COLUMNS, split="split")
     workers = 2 if layout == "folder" else 1
     realtouch.import_touches(place, tmp_path / "again", layout, columns, workers=workers)
@@ -74,9 +74,7 @@ BOTH_WAYS = sorted(set(get_args(ExportLayout)) & set(IMPORT_LAYOUTS) - {"flat", 
 
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("layout", BOTH_WAYS)
-def test_what_an_export_wrote_is_imported_by_its_own_path(
-    layout: Any, single_folder: Path, tmp_path: Path
-) -> None:
+def test_an_export_is_imported_by_its_path(layout: Any, single_folder: Path, tmp_path: Path) -> None:
     if layout == "replay":
         pytest.importorskip("zarr", reason="needs zarr, of the extra zarr")
     split = "train" if layout in ("replay", "oxt") else None  # it holds one
@@ -90,10 +88,10 @@ def test_what_an_export_wrote_is_imported_by_its_own_path(
         np.testing.assert_array_equal(after.labels, before.labels)
 
 
-def test_cards_of_touches_on_objects_alone_claim_nothing_of_a_plate(
+def test_cards_of_touches_only_on_objects_do_not_mention_a_plate(
     single_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The deepest touch of such a round is not one of the plate; an import knows no better."""
+    """The deepest touch of such a round is not on the plate, which an import cannot know."""
     realtouch.select(single_folder, tmp_path / "some", contact=True)
     realtouch.export(tmp_path / "some", tmp_path / "tars", "webdataset")
     back = tmp_path / "back"
@@ -108,7 +106,7 @@ def test_cards_of_touches_on_objects_alone_claim_nothing_of_a_plate(
     assert "no column 'object_id'; next: choose by --labels" in capsys.readouterr().err
 
 
-def test_what_cannot_be_used_is_left_out_and_named(home: Path, tmp_path: Path) -> None:
+def test_unusable_images_are_left_out_and_named(home: Path, tmp_path: Path) -> None:
     pictures = home / "pictures"
     (pictures / "cut.jpg").write_bytes(picture(9)[:-30])
     (pictures / "text.jpg").write_bytes(b"a picture")
@@ -157,7 +155,7 @@ def test_what_cannot_be_used_is_left_out_and_named(home: Path, tmp_path: Path) -
 def test_a_round_is_of_one_label_and_one_object(home: Path, tmp_path: Path) -> None:
     for number in range(4, 7):
         (home / "pictures" / f"{number}.jpg").write_bytes(picture(9))
-    # The last are a digit of another script, and more than a column of integers takes.
+    # The last ones are a digit of another script, and a number too large for a column of integers.
     odd = [("cat", each) for each in ("one", "\u0661", "9" * 19)]
     objects = [("cat", 1), ("dog", 1), ("cat", 2), ("cat", 1), *odd]
     lines = [
@@ -173,7 +171,7 @@ def test_a_round_is_of_one_label_and_one_object(home: Path, tmp_path: Path) -> N
     assert (only.id, only.label, only.object_id, only.touch_count) == ("a", 0, 1, 2)
 
 
-def test_tables_and_options_that_cannot_be_used(home: Path, tmp_path: Path) -> None:
+def test_unusable_tables_and_options(home: Path, tmp_path: Path) -> None:
     def refused(words: str, columns: Any = None, where: Path | str = home, **options: Any) -> None:
         layout = options.pop("layout", "folder")
         out = options.pop("out", tmp_path / "out")

@@ -1,4 +1,4 @@
-"""Images of others that lie in an object store."""
+"""Import of images from an object store."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ COLUMNS = realtouch.ImportColumns(round="round_id", object_id="object_id", split
 
 
 def lists(server: Any) -> list[str]:
-    """Return the listings that were asked for: of a bucket, and of no object in it."""
+    """Return the requested listings of buckets, without requests for objects."""
     return [path for path in server.traffic.paths if path.startswith("GET") and path.count("/") < 3]
 
 
 @pytest.mark.parametrize("layout", ["folder", "webdataset"])
-def test_what_lies_in_a_store_becomes_what_a_folder_becomes(
+def test_imports_from_a_store_equal_those_from_a_folder(
     layout: Any,
     single_folder: Path,
     tmp_path: Path,

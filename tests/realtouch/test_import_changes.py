@@ -1,4 +1,4 @@
-"""Sources that change while they are imported, and what a run and its preview must agree on."""
+"""Sources that change while they are imported, and agreement of a run with its preview."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def video(path: Path, count: int = 30) -> None:
 
 
 def change_after(monkeypatch: pytest.MonkeyPatch, module: Any, name: str, change: Any) -> None:
-    """Let something happen whenever a function has ended."""
+    """Call a function whenever another one has returned."""
     whole = getattr(module, name)
 
     def changed(*given: Any, **more: Any) -> Any:
@@ -110,7 +110,7 @@ def test_the_size_of_videos_is_that_of_most_pictures(cut: str, tmp_path: Path) -
     assert len(realtouch.load(tmp_path / "out", "train").touches()) == 2 * left_out
 
 
-def test_a_preview_says_of_each_column_what_becomes_of_it(tmp_path: Path) -> None:
+def test_a_preview_states_the_use_of_each_column(tmp_path: Path) -> None:
     said = {"label": "mug", "id": 1, "touch": 2, "N" * 300: 3, "empty": "", "force_n": 4, "old": 5, "t_ms": 6}
     source = images(tmp_path / "source", [list(said.values())] * 2, list(said))
     columns = realtouch.ImportColumns(extra=(("new", "old"),), time="t_ms")

@@ -1,4 +1,4 @@
-"""What columns of others mean: mapped by name, in any unit and rotation; clips; and extra columns."""
+"""Columns of other projects: mapped by name, in any unit and rotation; clips; and extra columns."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_euler_angles_are_those_of_scipy(sequence: str, unit: str, scale: float,
 @pytest.mark.parametrize("one", [True, False])
 @pytest.mark.parametrize("what", ["xyzw", "wxyz", "rotvec", "3x4", "4x4"])
 def test_rotations_of_every_kind(what: str, one: bool) -> None:
-    """In several columns, or in one that holds lists, as text too."""
+    """In several columns, or in one with lists, also as text."""
     matrices = np.tile(np.eye(4), (20, 1, 1))
     matrices[:, :3, :3], matrices[:, :3, 3] = TURNS.as_matrix(), 1000 * PLACES
     options: dict[str, Any] = {"length_unit": "mm"}
@@ -156,7 +156,7 @@ def test_a_frame_leads_to_the_cell(form: str, tmp_path: Path) -> None:
         (" " * (1 << 20) + "1", "more than 1,048,576 bytes"),
     ],
 )
-def test_frames_that_are_none(content: str, words: str, tmp_path: Path) -> None:
+def test_invalid_frames(content: str, words: str, tmp_path: Path) -> None:
     (tmp_path / "frame").write_text(content, encoding="latin-1")
     with pytest.raises(InputError, match=words):
         realtouch.ImportColumns(frame=tmp_path / "frame")  # type: ignore[arg-type]
@@ -199,7 +199,7 @@ SIX = ("x", "y", "z", "a", "b", "c")
         ({"extra": (("a", "b"), ("a", "c"))}, "named twice"),
     ],
 )
-def test_columns_that_do_not_say_what_they_are(options: dict[str, Any], words: str) -> None:
+def test_columns_without_unit_or_rotation(options: dict[str, Any], words: str) -> None:
     with pytest.raises(InputError, match=words):
         realtouch.ImportColumns(**options)
 
@@ -294,7 +294,7 @@ def frames_of(count: int, pressed: range, size: tuple[int, int] = (24, 32)) -> l
 
 @pytest.fixture
 def recordings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
-    """Import recordings that are in memory; returns the imported rounds of the split ``train``."""
+    """Import recordings in memory; return the imported rounds of the split ``train``."""
 
     def make(
         every: list[Recording], pictures: dict[str, list[Any]], columns: Any = None, **options: Any
@@ -320,8 +320,8 @@ def recording(name: str, frames: int, **said: Any) -> Recording:
     return Recording(name, "memory", name, "", 0, frames, 700, **said)
 
 
-def test_clips_hold_what_the_recording_said(recordings: Any, tmp_path: Path) -> None:
-    """Pictures to the byte, times to a microsecond, poses and extra columns as they were."""
+def test_clips_have_the_values_of_the_recording(recordings: Any, tmp_path: Path) -> None:
+    """Pictures are equal, times within a microsecond, poses and extra columns unchanged."""
     pictures = {"a": frames_of(9, range(3, 6)), "b": frames_of(5, range(0))}
     quaternions, places = TURNS.as_quat()[:9], 1000 * PLACES[:9]
     time_s = 1.7e9 + np.array([0, 1, 2, 3.5, 4, 5, 6, 7, 8]) / 30
@@ -390,7 +390,7 @@ def test_known_contact_and_times_of_a_column(recordings: Any) -> None:
         ({"frames": 10_001}, "10,001 pictures; the limit is 10,000"),
     ],
 )
-def test_clips_that_cannot_be_used(change: dict[str, Any], words: str, recordings: Any) -> None:
+def test_unusable_clips(change: dict[str, Any], words: str, recordings: Any) -> None:
     change = dict(change)
     columns = realtouch.ImportColumns(pose=("pose",)) if "per_frame" in change else None
     pictures = {"a": change.pop("pictures", frames_of(4, range(0))), "b": frames_of(4, range(0))}
@@ -402,7 +402,7 @@ def test_clips_that_cannot_be_used(change: dict[str, Any], words: str, recording
 
 
 def test_clips_of_other_pictures_are_jpegs(recordings: Any) -> None:
-    """Where pictures are not JPEG, the manifest says that they were encoded."""
+    """If pictures are not JPEG, the manifest states that they were encoded."""
     png = [encode_image(np.full((24, 32, 3), level, np.uint8), "png") for level in (10, 90)]
     (only,), manifest = recordings([recording("a", 2)], {"a": png})
     assert [int(clip.mean().round()) for clip in only.sensor_video[0].frames()] == [10, 90]
@@ -460,7 +460,7 @@ _VALUES: tuple[Any, ...] = (
 
 @given(st.data())
 def test_extra_values_come_back_as_they_were(data: st.DataObject) -> None:
-    """Of touches and of pictures, as JSON and as the text of tables; what is missing stays missing."""
+    """For touches and for pictures, as JSON and as text of tables; missing values stay missing."""
     kind = data.draw(st.sampled_from(_VALUES))
     if data.draw(st.booleans()):
         kind = st.lists(kind, min_size=1, max_size=3)

@@ -24,7 +24,7 @@ from tests.tactile_toolkit.toy import folder_bytes
 def test_an_image_that_changed_in_place_is_read_again_with_check_alone(
     home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A second import compares names, sizes and the table; to check is to compare what the images hold."""
+    """A second import compares names, sizes and the table; `check` compares the content of the images."""
     monkeypatch.setattr("realtouch.importing.arranging._TOUCHES_PER_SHARD", 2)
     write_table(home, [line(f"pictures/{number}.jpg") for number in range(4)])
     out, read, contents = tmp_path / "out", list[str](), IMPORTS["folder"].contents
@@ -57,14 +57,14 @@ def test_an_image_that_changed_in_place_is_read_again_with_check_alone(
     assert np.array_equal(image, np.full((24, 32, 3), 40))
     realtouch.import_touches(home, tmp_path / "whole", "folder")
     assert folder_bytes(out) == folder_bytes(tmp_path / "whole")
-    first.unlink()  # it is listed without a size now: another specification
+    first.unlink()  # it is listed without a size now, so the specification differs
     with pytest.raises(SpecMismatchError):
         realtouch.import_touches(home, out, "folder")
 
 
 @pytest.mark.thorough
-def test_images_that_readers_would_see_differently(tmp_path: Path) -> None:
-    """What is deeper than 8 bits would be cut at 255; what asks to be turned is turned by some readers."""
+def test_images_that_programs_show_differently(tmp_path: Path) -> None:
+    """Values above 8 bits would be clipped at 255; images marked as turned are turned by some readers."""
     upright = Image.new("RGB", (32, 24), (9, 9, 9))
     turned = Image.Exif()
     turned[0x0112] = 6
@@ -102,7 +102,7 @@ def _png(*chunks: tuple[bytes, bytes], late: bool = False) -> bytes:
 
 
 def _turned_images() -> dict[str, bytes]:
-    """Return images that ask to be turned, in all places in which they can."""
+    """Return images that are marked as turned, in all places where they can be."""
     exif = Image.Exif()
     exif[0x0112] = 6
     tiff = exif.tobytes()[6:]
@@ -132,18 +132,18 @@ def _turned_images() -> dict[str, bytes]:
     }
 
 
-def test_every_way_to_ask_to_be_turned_is_seen(tmp_path: Path) -> None:
+def test_every_mark_of_a_turned_image_is_found(tmp_path: Path) -> None:
     home = tmp_path / "home"
     home.mkdir()
     images = _turned_images()
-    for content in images.values():  # else the test would test nothing
+    for content in images.values():  # otherwise the test has no effect
         with Image.open(io.BytesIO(content)) as image:
             assert ImageOps.exif_transpose(image).size == (24, 32)
     stream = io.BytesIO()
     odd = Image.Exif()
     odd[0x0112] = 9  # which turns nothing
     Image.new("RGB", (32, 24)).save(stream, "JPEG", exif=odd)
-    # Bytes after the mark of the end are no part of an image.
+    # Bytes after the end marker are not part of an image.
     images |= {"odd.jpg": stream.getvalue(), "text.jpg": picture(3) + b"Exif", "plain.png": _png()}
     for name, content in images.items():
         (home / name).write_bytes(content)

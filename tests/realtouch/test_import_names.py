@@ -1,4 +1,4 @@
-"""Classes, rounds and splits of imported touches keep their names, whatever those are; columns are mapped."""
+"""Classes, rounds and splits of imported touches keep any names; columns are mapped."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.realtouch.images_of_others import line, picture, write_table, write_t
 
 @pytest.mark.parametrize("layout", ["folder", "webdataset"])
 def test_names_of_classes_of_our_own_exports_stay(layout: Any, home: Path, tmp_path: Path) -> None:
-    """Of a set without poses and positions, too."""
+    """Also for a data set without poses and positions."""
     names = ["zebra", "ant", "cat"]
     write_table(
         home,
@@ -57,7 +57,7 @@ def test_classes_stay_the_text_that_they_are(
 
 
 def test_text_that_cannot_be_stored_or_seen(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Half surrogates are left out; what turns or hides text reaches no terminal, manifest or card."""
+    """Lone surrogates are left out; characters that turn or hide text reach no terminal, manifest or card."""
     fields = [
         {"label": "a\u202eb\x07\u0085x", "round": "r\u202e\x1b[31m", "cap\ud800": 1},
         {"label": "\ud800x", "round": "b"},
@@ -102,7 +102,7 @@ def test_stored_text_that_is_not_unicode(
     (shard,) = (tmp_path / "out" / "data").iterdir()
     manifest, good = tmp_path / "out" / "manifest.json", (tmp_path / "out" / "manifest.json").read_text()
     for escape in ("\\ud800", "\\uDFFF"):
-        manifest.write_text(good.replace('"select"', f'"select{escape}"'))  # damaged, whatever the digest is
+        manifest.write_text(good.replace('"select"', f'"select{escape}"'))  # damaged, whatever its digest
         for command in ("verify", "info", "card"):
             assert call("realtouch", command, tmp_path / "out") == 3, command
             assert "surrogate" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Tars of others: samples with missing parts, headers that cannot be true."""
+"""Tars of other programs: samples with missing parts, and impossible headers."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_tars_of_others(tmp_path: Path) -> None:
 
 
 def test_a_tar_that_is_replaced_before_its_images_are_read_is_refused(tmp_path: Path) -> None:
-    """Else images at the same places would get the labels of those that were there."""
+    """Otherwise images with the same names would get the labels of earlier ones."""
     fields = [(f"{number}.json", json.dumps({"label": number}).encode()) for number in range(2)]
     for name, levels in (("given.tar", (10, 90)), ("other.tar", (90, 10))):
         pictures = [(f"{number}.jpg", picture(level)) for number, level in enumerate(levels)]
@@ -105,7 +105,7 @@ def pax(**fields: str) -> tuple[tarfile.TarInfo, bytes]:
         ([pax(path="c" * 300, size="5" * 5000)], 0, f"'{'c' * 300}' is sparse, or its size is not a number"),
     ],
 )
-def test_a_tar_with_a_header_that_cannot_be_true(
+def test_a_tar_with_an_impossible_header(
     before: list[tuple[tarfile.TarInfo, bytes]],
     size: int,
     words: str,
@@ -165,7 +165,7 @@ def test_tars_are_written_as_tarfile_writes_them(samples: list[tuple[str, bytes]
 @given(st.data())
 @settings(max_examples=2 * settings.default.max_examples)
 def test_headers_of_tars_are_read_as_tarfile_reads_them(data: st.DataObject) -> None:
-    """Also where bytes of them were changed, with a sum that fits."""
+    """Also if bytes of headers were changed and their checksums corrected."""
     stream = io.BytesIO()
     form = data.draw(st.sampled_from([tarfile.USTAR_FORMAT, tarfile.GNU_FORMAT, tarfile.PAX_FORMAT]))
     with tarfile.open(fileobj=stream, mode="w", format=form) as tar:

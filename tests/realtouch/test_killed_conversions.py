@@ -29,7 +29,7 @@ def convert(name: str, source: Path, out: Path, **more: Any) -> None:
 
 
 def _die(call: str, source: str, out: str, options: dict[str, Any], moment: int) -> None:
-    """Convert, and end as by ``kill -9``, with nothing closed, flushed or tidied up.
+    """Convert, and end as by ``kill -9``, without closing, flushing or cleaning up.
 
     The interpreter informs an audit hook of every file that is opened, renamed or removed, just before it
     happens.
@@ -86,7 +86,7 @@ def test_killed_again_and_again_it_ends_with_the_same_bytes(
 ) -> None:
     source = seq_folder if CONVERSIONS[name][1] == "seq" else single_folder
     out = tmp_path / "out"
-    # Each life goes a little further than the one before it: into the manifest, a shard, a record.
+    # Each process gets a little further than the one before: to the manifest, a shard, a record.
     moments = (9, 30, 16) if name == "frames" else (9, 16)
     assert killed(name, source, out, moments[0])
     assert out.is_dir()
@@ -113,7 +113,7 @@ def test_half_written_pictures_are_removed(
 
 
 def test_pictures_that_cannot_be_written_leave_no_trace(single_folder: Path, tmp_path: Path) -> None:
-    """A run that fails before its first shard is finished takes its pictures with it."""
+    """A run that fails before its first shard is finished removes its pictures."""
     code = (
         "import resource, signal, sys, realtouch\n"
         "from tactile_toolkit.errors import StorageError\n"

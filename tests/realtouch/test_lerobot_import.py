@@ -1,4 +1,4 @@
-"""LeRobotDatasets of others and of this toolkit as touches."""
+"""Import of LeRobotDatasets of others and of this toolkit."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def pictures(recording: Recording, cut: str = "whole") -> list[Any]:
 
 @pytest.mark.parametrize(("version", "dtype"), KINDS)
 def test_episodes_of_others_are_recordings(version: str, dtype: str, tmp_path: Path) -> None:
-    """Every column under its own name, exactly; pictures as stored, or as decoded."""
+    """Every column keeps its name and values; pictures are as stored, or as decoded."""
     truth = write_lerobot(tmp_path, version, dtype)
     recordings = found(tmp_path)
     assert [each.frames for each in recordings] == list(truth.lengths)
@@ -190,7 +190,7 @@ def change_column(name: str, values: Callable[[pa.Table], pa.Array]) -> Callable
         ),
     ],
 )
-def test_an_episode_that_cannot_be_used_is_one_item_with_the_reason(
+def test_an_unusable_episode_is_one_item_with_the_reason(
     dtype: str, spoil: Callable[[Path], None], words: str, tmp_path: Path
 ) -> None:
     write_lerobot(tmp_path, "v2.1", dtype)
@@ -247,9 +247,7 @@ def test_paths_in_metadata_stay_inside(
         ("tasks.jsonl", b"1", "Expected `object`"),
     ],
 )
-def test_metadata_that_cannot_be_used_are_named(
-    name: str, content: bytes, words: str, tmp_path: Path
-) -> None:
+def test_invalid_metadata_are_named(name: str, content: bytes, words: str, tmp_path: Path) -> None:
     write_lerobot(tmp_path, "v2.1")
     (tmp_path / "meta" / name).write_bytes(content)
     with pytest.raises(InputError, match=words):
@@ -266,14 +264,14 @@ def test_metadata_that_cannot_be_used_are_named(
         ({"data_path": None}, r"Expected `str`"),
     ],
 )
-def test_what_a_set_says_of_itself_is_checked(values: dict[str, Any], words: str, tmp_path: Path) -> None:
+def test_stated_values_of_a_set_are_checked(values: dict[str, Any], words: str, tmp_path: Path) -> None:
     write_lerobot(tmp_path)
     state(**values)(tmp_path)
     with pytest.raises(InputError, match=words):
         found(tmp_path)
 
 
-def test_metadata_of_version_3_that_cannot_be_used_are_named(tmp_path: Path) -> None:
+def test_invalid_metadata_of_version_3_are_named(tmp_path: Path) -> None:
     write_lerobot(tmp_path)
     path = tmp_path / "meta" / "episodes" / "chunk-000" / "file-001.parquet"
     lines = pq.read_table(path)
@@ -340,7 +338,7 @@ def test_a_set_of_others_is_imported(version: str, dtype: str, tmp_path: Path) -
 
 
 def other_number(random: np.random.Generator, content: bytes) -> bytes:
-    """Return JSON with another number or text in one place."""
+    """Return JSON with one number or text changed."""
     places = list(re.finditer(rb"-?\d+|\"[^\"]*\"", content))
     place = places[random.integers(len(places))]
     values = [
@@ -360,10 +358,8 @@ def other_number(random: np.random.Generator, content: bytes) -> bytes:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(("version", "dtype"), KINDS)
-def test_whatever_a_file_holds_there_is_a_result_or_a_sentence(
-    version: str, dtype: str, tmp_path: Path
-) -> None:
-    """200 mutations of each kind of set: of a file of any kind, bytes; of metadata, also numbers."""
+def test_any_damage_gives_a_result_or_a_message(version: str, dtype: str, tmp_path: Path) -> None:
+    """200 mutations of each kind of set: changed bytes of any file, and changed numbers of metadata."""
     write_lerobot(tmp_path, version, dtype, Truth((3, 2)))
     files = {path: path.read_bytes() for path in sorted(tmp_path.rglob("*")) if path.is_file()}
     random = np.random.default_rng(11)

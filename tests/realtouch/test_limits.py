@@ -1,4 +1,4 @@
-"""What is refused before it costs memory, or before it is filled with garbage."""
+"""Inputs that are refused before memory is allocated or filled with garbage."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LARGE = factories.encode_jpeg(np.zeros((4096, 4096, 3), np.uint8), quality=10)
 
 
 def one_clip(data: bytes, frames: int) -> Callable[[dict[str, Any], int], None]:
-    """Put a clip in the place of touch 1 of the second row."""
+    """Replace touch 1 of the second row by a clip."""
 
     def edit(row: dict[str, Any], index: int) -> None:
         if index == 1:
@@ -38,7 +38,7 @@ def one_clip(data: bytes, frames: int) -> Callable[[dict[str, Any], int], None]:
 
 
 def repeated(frame: bytes, count: int) -> bytes:
-    """An AVI of one frame that its index lists many times."""
+    """Return an AVI of one frame, which its index lists many times."""
     whole = write_avi([frame], 4096, 4096, 25.0)
     place = whole.rindex(b"idx1")
     listed = whole[place + 8 : place + 24] * count
@@ -85,7 +85,7 @@ def test_images_that_unpack_to_gigabytes_are_refused(single_rows: list[dict], tm
 
 @pytest.mark.parametrize("step", [1, 3])
 def test_no_encoder_has_frames_overlap(step: int) -> None:
-    """Frames that are all alike, and gaps in time, which FFmpeg fills with frames without bytes."""
+    """Equal frames, and gaps in time, which FFmpeg fills with frames without bytes."""
     stream = io.BytesIO()
     with av.open(stream, "w", format="avi") as output:
         video = output.add_stream("mjpeg", rate=25)
@@ -103,7 +103,7 @@ def test_no_encoder_has_frames_overlap(step: int) -> None:
 
 @pytest.mark.parametrize("order", [(2, 0, 3, 1), (1, 0, 2, 3), (1, 2, 3, 0), (0, 1, 3, 2)])
 def test_an_index_out_of_the_order_of_the_stream_is_named(order: tuple[int, ...]) -> None:
-    """It would play the frames in another order than they were taken in."""
+    """Frames would be played in another order than recorded."""
     jpegs = [factories.encode_jpeg(np.full((16, 24, 3), 40 * each, np.uint8)) for each in range(4)]
     whole = write_avi(jpegs, 24, 16, 25.0)
     place = whole.rindex(b"idx1") + 8
@@ -171,7 +171,7 @@ def test_an_out_that_does_not_fit_is_refused_before_it_is_written_to(
 
 
 def test_a_jpeg_of_hundreds_of_scans_is_not_decoded(single_rows: list[dict], tmp_path: Path) -> None:
-    """A few bytes make a scan, and each goes over the picture again: 88 kB took 17 s."""
+    """A few bytes make a scan, and each scan decodes the picture again: 88 kB took 17 s."""
     assert decode_image(jpeg_of_scans(100)).shape == (8, 8, 3)
 
     def edit(row: dict[str, Any], index: int) -> None:

@@ -1,4 +1,4 @@
-"""Opening sets: all the ways in which they may be stored read alike."""
+"""Opening data sets: all forms of storage give the same values."""
 
 from __future__ import annotations
 
@@ -176,7 +176,7 @@ def test_a_set_of_neither_kind_is_refused(single_rows: list[dict], tmp_path: Pat
         realtouch.load(tmp_path)
 
 
-def test_what_is_not_there_is_named(tmp_path: Path, single_folder: Path) -> None:
+def test_missing_items_are_named(tmp_path: Path, single_folder: Path) -> None:
     with pytest.raises(InputError, match="does not exist; expected a folder"):
         realtouch.load(str(tmp_path / "nowhere"))
     with pytest.raises(InputError, match="no split 'holdout'"):

@@ -1,4 +1,4 @@
-"""Values that are missing or do not fit: named with row and touch, never given out as other values."""
+"""Values that are missing or do not fit are errors that name row and touch; none is replaced."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def damaged(folder: Path, rows: list[dict], kind: str, edit: Any) -> Path:
     return factories.write_set(folder, {"train": rows}, kind, layout)
 
 
-def test_a_position_that_is_missing(single_rows: list[dict], tmp_path: Path) -> None:
+def test_missing_positions(single_rows: list[dict], tmp_path: Path) -> None:
     dataset = realtouch.load(damaged(tmp_path, single_rows, "single", no_position))
     touches = dataset.touches()
     named = r"row 1, touch 3, field 'pos_in_cell': a position \[nan  ?0\.\]; expected metres"
@@ -40,12 +40,12 @@ def test_a_position_that_is_missing(single_rows: list[dict], tmp_path: Path) -> 
     ):
         with pytest.raises(IntegrityError, match=named):
             ask()
-    for index in (5, 6, 7, 9):  # a touch looks at no other
+    for index in (5, 6, 7, 9):  # other touches are not affected
         np.testing.assert_array_equal(touches[index].pos_in_cell_m, single_rows[1]["pos_in_cell"][index - 5])
 
 
 @pytest.mark.parametrize("seconds", [False, True])
-def test_a_time_that_is_missing(seconds: bool, truth: list, tmp_path: Path) -> None:
+def test_missing_times(seconds: bool, truth: list, tmp_path: Path) -> None:
     layout = Layout(seconds=seconds, edit=lambda row, index: no_start(row) if index == 1 else None)
     factories.write_set(tmp_path, {"train": factories.seq_rows(truth, layout)}, "seq", layout)
     record = realtouch.load(tmp_path)[1]
@@ -87,7 +87,7 @@ def test_object_ids_that_do_not_fit(single_rows: list[dict], tmp_path: Path) -> 
     ]
 
 
-def test_labels_and_objects_that_are_missing(single_rows: list[dict], tmp_path: Path) -> None:
+def test_missing_labels_and_objects(single_rows: list[dict], tmp_path: Path) -> None:
     def forget(row: dict[str, Any]) -> None:
         row["label"] = row["object_id"] = None
 

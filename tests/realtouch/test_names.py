@@ -1,4 +1,4 @@
-"""What `realtouch.load` may be given: names, addresses and files, here and on the Hub."""
+"""Arguments of `realtouch.load`: names, addresses and files, on this machine and on the Hub."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.tactile_toolkit.hub.client import run_here, settings
 
 
 @pytest.mark.parametrize("name", [None, 123, b"real-seq", [None], [b"a.parquet"]])
-def test_what_is_no_name_is_refused(name: Any) -> None:
+def test_invalid_names_are_refused(name: Any) -> None:
     with pytest.raises(InputError, match="is not a name of a data set; expected a short name such as"):
         realtouch.load(name)
 
@@ -33,7 +33,7 @@ def test_local_data_of_a_short_name_comes_first(
     for _ in range(2):
         with pytest.raises(HubError, match="TimSchneider42/"):
             open_place(name)
-        Path(name).mkdir(exist_ok=True)  # a folder without data is none
+        Path(name).mkdir(exist_ok=True)  # a folder without data is not a data set
     shutil.copytree(single_folder / "data", Path(name) / "data")
     assert open_place(name).folder is not None
     assert len(realtouch.load(name, "train")) == 3
@@ -109,7 +109,9 @@ def test_files_and_revisions_of_the_hub(
         ("'someone/converted', 'train'", "InputError no split 'train' in 'someone/converted': it has test"),
     ],
 )
-def test_what_the_hub_has_not_is_named(arguments: str, words: str, server: HubServer, tmp_path: Path) -> None:
+def test_names_missing_on_the_hub_are_named(
+    arguments: str, words: str, server: HubServer, tmp_path: Path
+) -> None:
     done = run_here(LOAD.format(arguments=arguments), settings(server, tmp_path), tmp_path)
     assert done.stdout.startswith(words)
 

@@ -64,7 +64,7 @@ def require_equal(touches: Any, session: Session) -> None:
 
 @pytest.fixture(params=MAKERS, ids=lambda make: make.__name__, scope="module")
 def made(request: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[Session, Path]:
-    """A recording and what is made of it, which no test changes."""
+    """A recording and its imports, which tests must not change."""
     if request.param is own.zarr3_buffer:
         pytest.importorskip("zarr", reason="needs zarr, of the extra dev")
     folder = tmp_path_factory.mktemp(request.param.__name__)

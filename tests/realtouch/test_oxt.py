@@ -1,4 +1,4 @@
-"""Open-X-Tactile, the Zarr of FTP-1: written as its contract says, read back, and recordings of others."""
+"""Open-X-Tactile, the Zarr format of FTP-1: written as specified, read back, and recordings of others."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def arrays(**changes: Any) -> dict[str, Any]:
 
 
 def write(path: Path, data: dict[str, Any], ends: Any = ENDS) -> Path:
-    """Write a set by the package zarr: a folder, or a stored zip for a name that ends so."""
+    """Write a data set by the package zarr: a folder, or a stored zip for a name with that ending."""
     store_ = zarr.storage.ZipStore(path, mode="w") if path.suffix == ".zip" else str(path)
     group = zarr.open_group(store_, mode="w", zarr_format=2)
     for name, values in {**{f"data/{name}": data[name] for name in data}, "meta/episode_ends": ends}.items():
@@ -82,10 +82,10 @@ def source(request: pytest.FixtureRequest) -> Path:
     return request.getfixturevalue(f"{request.param}_folder")
 
 
-def test_the_contract_holds_for_what_is_written(
+def test_exports_follow_the_specification(
     source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As the loader of FTP-1 opens it, by the package zarr: rows a frame, four members of each group."""
+    """Opened as by the loader of FTP-1, with zarr: a row for each frame, four members of each group."""
     monkeypatch.setattr("realtouch.exchange.zarr_groups.CHUNK_BYTES", 4 * 72 * 96 * 3)
     realtouch.export(source, tmp_path / "a", "oxt", split="train")
     path = tmp_path / "a" / "oxt" / "touches.zarr.zip"
@@ -122,7 +122,7 @@ def test_the_contract_holds_for_what_is_written(
     assert (tmp_path / "b" / "oxt" / "touches.zarr.zip").read_bytes() == path.read_bytes()
 
 
-def test_what_is_written_comes_back(source: Path, tmp_path: Path) -> None:
+def test_exports_are_imported_unchanged(source: Path, tmp_path: Path) -> None:
     realtouch.export(source, tmp_path / "there", "oxt", split="train")
     assert call("realtouch", "import", tmp_path / "there", "--out", tmp_path / "back") == 0
     before, after = (realtouch.load(each, "train") for each in (source, tmp_path / "back"))
@@ -148,7 +148,7 @@ def test_what_is_written_comes_back(source: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["task.zarr", "task.zarr.zip"])
 def test_a_set_of_others_becomes_recordings(name: str, tmp_path: Path) -> None:
-    """Every array with a row a frame is a column by its own name; texts of whole episodes are values."""
+    """Every array with a row for each frame is a column with its name; texts of whole episodes are values."""
     data = arrays(left_tactile_data_tip=TIPS)
     source = write(tmp_path / name, data)
     first, second = recordings(source, "right_tactile_data_gripper[1]")
@@ -191,7 +191,7 @@ def test_the_sensor_is_named_where_there_are_several(tmp_path: Path) -> None:
         recordings(write(tmp_path / "c.zarr", {"timestamps": np.arange(T)}))
 
 
-def test_what_is_said_of_episodes_stands_in_the_order_of_the_arrays(tmp_path: Path) -> None:
+def test_values_of_episodes_are_in_the_order_of_the_arrays(tmp_path: Path) -> None:
     names = [f"note_{letter}" for letter in "abcdefghijklmnop"]
     source = write(tmp_path / "a.zarr", arrays(**dict.fromkeys(names, np.full(T, "x"))))
     for found in recordings(source, "right_tactile_data_gripper[0]"):
@@ -213,7 +213,7 @@ def test_times_are_taken_where_they_are_seconds_that_rise(tmp_path: Path) -> Non
         np.testing.assert_array_equal(per_frame(first, "timestamps"), times[:4])
 
 
-def test_text_that_is_none_is_refused(tmp_path: Path) -> None:
+def test_invalid_text_is_refused(tmp_path: Path) -> None:
     source = write(tmp_path / "a.zarr", arrays(sub_task_instruction=np.full(T, "abc")))
     for chunk in (source / "data" / "sub_task_instruction").glob("[0-9]*"):
         chunk.write_bytes(np.full(9, 0xDFFF, "<u4").tobytes())
@@ -230,7 +230,7 @@ def findings(source: Path) -> dict[str, str]:
     return {f"{each.rule} {each.where}": each.found for each in found}
 
 
-def test_the_check_finds_nothing_in_what_conforms(source: Path, tmp_path: Path) -> None:
+def test_the_check_accepts_valid_sets(source: Path, tmp_path: Path) -> None:
     realtouch.export(source, tmp_path / "out", "oxt", split="train")
     made = tmp_path / "out" / "oxt" / "touches.zarr.zip"
     assert findings(made) == {}
@@ -293,9 +293,7 @@ def test_the_check_finds_nothing_in_what_conforms(source: Path, tmp_path: Path) 
         ({name: None for name in arrays() if "tactile" in name}, {"tactile data": "no such array"}),
     ],
 )  # fmt: skip
-def test_the_check_names_what_does_not_conform(
-    changes: dict[str, Any], found: dict[str, str], tmp_path: Path
-) -> None:
+def test_the_check_names_violations(changes: dict[str, Any], found: dict[str, str], tmp_path: Path) -> None:
     assert findings(write(tmp_path / "a.zarr", arrays(**changes))) == found
 
 
@@ -318,8 +316,8 @@ def test_the_check_reads_every_chunk_and_the_ends(tmp_path: Path) -> None:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("layout", ["oxt", "replay"])
-def test_whatever_a_group_holds_ends_in_recordings_or_a_sentence(layout: str, tmp_path: Path) -> None:
-    """600 damaged groups: bytes of a zip, of chunks, and numbers of metadata."""
+def test_any_damage_of_a_group_gives_recordings_or_a_message(layout: str, tmp_path: Path) -> None:
+    """600 damaged groups: changed bytes of a zip or of chunks, and changed numbers of metadata."""
     image = "right_tactile_data_gripper[1]"
     data = arrays()
     if layout == "replay":

@@ -1,4 +1,4 @@
-"""Sequences that are padded to one length, of which the stated lengths of the clips count."""
+"""Sequences that are padded to one length: only frames within the stated length of a clip count."""
 
 from __future__ import annotations
 
@@ -16,9 +16,7 @@ from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
 
 
-def test_padding_to_a_length_that_the_schema_states_is_no_frame_either(
-    truth: list[RoundTruth], tmp_path: Path
-) -> None:
+def test_padding_to_a_fixed_length_adds_no_frames(truth: list[RoundTruth], tmp_path: Path) -> None:
     layout = Layout()
     factories.write_set(tmp_path, {"train": factories.seq_rows(truth[:1], layout)}, "seq", layout)
     (file,) = (tmp_path / "data").iterdir()
@@ -37,7 +35,7 @@ def test_padding_to_a_length_that_the_schema_states_is_no_frame_either(
     assert [len(poses.position_m) for poses in record.gel_pose_cell_frame_seq] == lengths
 
 
-def test_lengths_that_are_not_stated_are_named(seq_folder: Path) -> None:
+def test_missing_lengths_are_named(seq_folder: Path) -> None:
     group = realtouch.load(seq_folder, "train")[0].row.group
     row = StoredRound(RowGroup(group.table.drop_columns(["video_length_frames"])), 0)
     for ask in (

@@ -1,4 +1,4 @@
-"""Damage of a part of a set: what is named, and that all the rest can be used."""
+"""Damage of a part of a data set is named, and the rest can be used."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def test_heights_of_a_view_need_no_other(
     edit: Any, left: int, single_rows: list[dict], tmp_path: Path
 ) -> None:
     whole = realtouch.load(damaged_set(tmp_path, single_rows, "single", edit))
-    assert len(whole[[0, 2]].touches().with_contact()) == 8  # what is not in a view does not matter
+    assert len(whole[[0, 2]].touches().with_contact()) == 8  # rows outside of a view do not matter
     with pytest.raises(IntegrityError, match="row 1"):
         whole.touches().with_contact()
     with pytest.raises(IntegrityError, match="row 1"):
@@ -162,7 +162,7 @@ def test_a_file_with_a_wrong_column_type_is_named(single_folder: Path, tmp_path:
 
 
 @pytest.mark.parametrize("column", ["sensor_image", "label", "gel_pose_cell_frame.position"])
-def test_rows_that_cannot_be_read_are_named(column: str, single_rows: list[dict], tmp_path: Path) -> None:
+def test_unreadable_rows_are_named(column: str, single_rows: list[dict], tmp_path: Path) -> None:
     factories.write_set(tmp_path, {"train": single_rows}, "single", Layout(group_rows=1))
     spoil_pages(only_file(tmp_path), 1, column)
     result = realtouch.verify(tmp_path)
@@ -177,7 +177,7 @@ def test_rows_that_cannot_be_read_are_named(column: str, single_rows: list[dict]
         _ = dataset[1].label, dataset[1].sensor_image[0], dataset[1].gel_pose_cell_frame
 
 
-def test_verify_goes_on_behind_rows_that_cannot_be_read(single_rows: list[dict], tmp_path: Path) -> None:
+def test_verify_continues_after_unreadable_rows(single_rows: list[dict], tmp_path: Path) -> None:
     layout = Layout(group_rows=2, edit=lambda row, index: no_jpeg(row) if index == 2 else None)
     rows = [{**row, "sensor_image": [dict(blob) for blob in row["sensor_image"]]} for row in single_rows]
     factories.write_set(tmp_path, {"train": rows}, "single", layout)
@@ -188,7 +188,7 @@ def test_verify_goes_on_behind_rows_that_cannot_be_read(single_rows: list[dict],
     assert "next:" not in f"{first}{second}"
 
 
-def test_one_rule_says_how_many_touches_a_round_has(single_rows: list[dict], tmp_path: Path) -> None:
+def test_the_number_of_touches_of_a_round_follows_one_rule(single_rows: list[dict], tmp_path: Path) -> None:
     short = damaged_set(tmp_path / "of three", single_rows, "single", one_touch_less)
     assert [each.field for each in realtouch.verify(short).findings] == ["pos_in_cell"]
     either = damaged_set(tmp_path / "of two", single_rows[:2], "single", one_touch_less)

@@ -1,4 +1,4 @@
-"""The height of the plate outlives the touches that showed it."""
+"""The height of the plate is kept when the touches that show it are removed."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def source(request: pytest.FixtureRequest, seq_folder: Path, single_folder: Path
 
 
 def plates_m(truth: list[RoundTruth], kind: str) -> np.ndarray:
-    """Height of the gel in the one touch of each round that misses the digit."""
+    """Return the height of the gel in the touch of each round that misses the digit."""
     touches = [each.touches[2] for each in truth]
     return np.array([t.position_m[:, 2].min() if kind == "seq" else t.position_m[t.peak, 2] for t in touches])
 
@@ -41,7 +41,7 @@ def test_a_selection_of_contacts_has_contact(source: Path, truth: list[RoundTrut
     assert "do not count" not in card
     items = [item for task in plan_gallery(str(tmp_path / "some")).tasks for item in task.make()]
     assert [(item.values["in_contact"], item.values["contact"]) for item in items] == [(4, "all touches")] * 4
-    # Above the plate that is no more, the deepest of those that are left is in contact, too.
+    # The deepest of the remaining touches is in contact too, above the former plate.
     assert (draw_grid(after[0], 4) == CONTACT).all(axis=2).any()
     assert realtouch.verify(tmp_path / "some").ok
 

@@ -1,4 +1,4 @@
-"""Poses answer to scipy's names and to those of the published type."""
+"""Poses have the attributes of SciPy and of the published type."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def read_only(values: Any) -> np.ndarray:
 
 
 @given(positions, quaternions)
-def test_one_pose_is_that_of_scipy(position: list[float], quaternion: list[float]) -> None:
+def test_single_poses_equal_those_of_scipy(position: list[float], quaternion: list[float]) -> None:
     expected = RigidTransform.from_components(position, Rotation.from_quat(quaternion))
     pose = rigid_transform(read_only(position), read_only(quaternion))
     assert isinstance(pose, RigidTransform)
@@ -81,7 +81,7 @@ def test_poses_pickle_copy_and_change() -> None:
 
 @pytest.mark.oracle
 @given(st.lists(st.tuples(positions, quaternions), min_size=1, max_size=4))
-def test_the_published_type_says_the_same(parts: list[tuple[list[float], list[float]]]) -> None:
+def test_the_published_type_gives_the_same_values(parts: list[tuple[list[float], list[float]]]) -> None:
     package = pytest.importorskip("transformation", reason="transformation3d is not installed")
     published = package.Transformation
     position, quaternion = (np.array(part) for part in zip(*parts, strict=True))

@@ -1,4 +1,4 @@
-"""Backgrounds, differences and contact by the picture, against plain numpy and the truth of made touches."""
+"""Backgrounds, differences and contact by picture, compared with plain NumPy and known touches."""
 
 from __future__ import annotations
 
@@ -166,7 +166,7 @@ def test_a_share_of_touches_without_contact(single_folder: Path, share: float):
     assert contacts <= kept
     expected = min((~mask).sum(), round(mask.sum() * share / (1 - share)))
     assert len(kept) == len(chosen) == mask.sum() + expected
-    # Whatever the order, and with more seeds than one.
+    # In any order, and with several seeds.
     turned = touches[::-1].sample(no_contact_fraction=share, seed=3, contact=mask[::-1])
     assert list(turned) == list(chosen)[::-1]
     if 0 < expected < (~mask).sum():
@@ -187,7 +187,7 @@ def test_clips_of_several_sizes_have_no_background(seq_folder: Path, tmp_path: P
     assert len(realtouch.contacts_by_image(both.touches()[10:20])) == 10
 
 
-def test_what_cannot_be_used_is_named(single_folder: Path):
+def test_invalid_touches_are_named(single_folder: Path):
     touches = realtouch.load(single_folder, split="train").touches()
     pictures = np.zeros((2, 4, 4, 3), np.uint8)
     for ask, words in (

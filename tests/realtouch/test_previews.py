@@ -1,4 +1,4 @@
-"""Pictures of touches: each pixel of a touch lands where the gel felt it, contact is marked where it was."""
+"""Pictures of touches: pixels are drawn where the gel touched, and contacts are marked."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def placed(pixels: np.ndarray, centre_m: tuple[float, float], pose: Rotation) ->
 def felt_at_m(
     pose: Rotation, centre_m: tuple[float, float], column: float, row: float, size: tuple[int, int]
 ) -> np.ndarray:
-    """Return where the gel felt a place of its picture: columns along its +x, rows along its -y."""
+    """Return the position of a pixel of the picture on the gel: columns along its +x, rows along its -y."""
     width, height = size
     x = (column / width - 0.5) * SENSING_AREA_M[0]
     y = -(row / height - 0.5) * SENSING_AREA_M[1]
@@ -59,7 +59,7 @@ def felt_at_m(
     st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05)),
     st.tuples(st.integers(20, 290), st.integers(20, 210)),
 )
-def test_what_was_felt_lands_where_it_was_felt(angle, flipped, centre_m, mark):
+def test_pixels_are_drawn_at_their_positions(angle, flipped, centre_m, mark):
     column, row = mark
     pixels = np.full((240, 320, 3), GREY, np.uint8)
     pixels[row : row + 12, column : column + 12] = (255, 0, 0)

@@ -1,4 +1,4 @@
-"""The drop-in claim: the published loaders and ours give the same values on the same folder."""
+"""The published loaders and ours give the same values for the same folder."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import realtouch
 
 pytestmark = [
     pytest.mark.oracle,
-    # The published packages and what they import warn of their own future.
+    # The published packages and their imports warn about deprecations.
     pytest.mark.filterwarnings("ignore"),
 ]
 

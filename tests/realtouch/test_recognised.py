@@ -1,4 +1,4 @@
-"""What a source of recordings is follows from its content."""
+"""The format of recordings is recognised by their content."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_a_zip_is_recognised_by_its_arrays(member: str, layout: str, tmp_path: P
     assert recognised(str(tmp_path / "a.zarr.zip")).layout == layout
 
 
-def test_a_table_belongs_to_what_lies_beside_it(tmp_path: Path) -> None:
+def test_a_table_belongs_to_the_files_beside_it(tmp_path: Path) -> None:
     place(tmp_path, "video")
     (tmp_path / "labels.csv").write_text("file,label\n")
     assert recognised(str(tmp_path)).layout == "video"

@@ -1,4 +1,4 @@
-"""Tables, folders and tars as other programs write them: read as they mean, or refused with the reason."""
+"""Tables, folders and tars of other programs: read correctly, or refused with the reason."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_tables_have_any_ending(ending: str, home: Path, tmp_path: Path) -> None
 
 
 def poses_in(unit: str, scale: float, decimal: str = ".") -> list[dict[str, str]]:
-    """Return a line whose pose is (0.01, -0.02, 0.003) m, in columns that end in a unit or say none."""
+    """Return a line with the pose (0.01, -0.02, 0.003) m, in columns with or without a unit."""
     ending = f"_{unit}" if unit else ""
     place = dict(zip([f"{axis}{ending}" for axis in "xyz"], (0.01, -0.02, 0.003), strict=True))
     values = {name: f"{scale * value:g}".replace(".", decimal) for name, value in place.items()}
@@ -126,7 +126,9 @@ def test_decimal_commas_and_lists_in_a_unit(home: Path, tmp_path: Path) -> None:
         ("0.17 -0.17 0.2 0.5 0.5 -0.5 -0.5", ""),
     ],
 )
-def test_what_is_no_pose_in_metres_is_refused(pose: str, words: str, home: Path, tmp_path: Path) -> None:
+def test_other_values_than_poses_in_metres_are_refused(
+    pose: str, words: str, home: Path, tmp_path: Path
+) -> None:
     write_table(home, [line("pictures/0.jpg", pose=pose)])
     columns = realtouch.ImportColumns(pose=("pose",))
     if not words:
@@ -161,7 +163,7 @@ def _poses(source: Path) -> Any:
 
 
 @pytest.mark.parametrize("end", [b"\n", b"\0" * 32, bytes(range(96)), b"\xff\xd9 twice", b"\xff\xd8\xff\xd9"])
-def test_bytes_after_the_end_of_a_jpeg_are_no_part_of_it(end: bytes, home: Path, tmp_path: Path) -> None:
+def test_bytes_after_the_end_of_a_jpeg_are_ignored(end: bytes, home: Path, tmp_path: Path) -> None:
     whole = picture(77)
     for number, content in enumerate(
         (whole + end, whole[:-2] + end.replace(b"\xff\xd9", b"")[:8], whole[:-4])
@@ -176,7 +178,7 @@ def test_bytes_after_the_end_of_a_jpeg_are_no_part_of_it(end: bytes, home: Path,
 
 
 def test_the_size_of_most_images_is_kept(home: Path, tmp_path: Path) -> None:
-    """Whichever comes first, and where those of another size are many and stand together."""
+    """Also if others come first, or many others stand together."""
     sizes = [(30, 40), *[(24, 32)] * 70, *[(30, 40)] * 50]
     for number, size in enumerate(sizes):
         (home / f"{number:03d}.jpg").write_bytes(picture(number, size))
@@ -188,7 +190,7 @@ def test_the_size_of_most_images_is_kept(home: Path, tmp_path: Path) -> None:
 
 
 def test_a_recording_without_labels_is_a_set(home: Path, tmp_path: Path) -> None:
-    """It states that there are no classes, is read by all that reads touches, and passes through exports."""
+    """It states that there are no classes, is accepted by all readers of touches, and can be exported."""
     import datasets
 
     write_table(home, [{"file": f"pictures/{number}.jpg", "session": "a.b"} for number in range(4)])
@@ -237,7 +239,7 @@ def test_pictures_of_sparsh_never_have_labels(tmp_path: Path) -> None:
     assert (found.labels.tolist(), found.touch_counts.tolist()) == ([-1, -1], [1, 1])
 
 
-def test_what_systems_leave_in_folders_and_tars_is_passed_over(home: Path, tmp_path: Path) -> None:
+def test_files_of_operating_systems_in_folders_and_tars_are_ignored(home: Path, tmp_path: Path) -> None:
     tars = tmp_path / "tars"
     tars.mkdir()
     members = [
@@ -266,9 +268,7 @@ def test_what_systems_leave_in_folders_and_tars_is_passed_over(home: Path, tmp_p
         ({"jpg": picture(1), "label": "gr\u00fcn".encode("latin-1")}, "text that is not Unicode"),
     ],
 )
-def test_samples_that_can_be_read_in_two_ways_are_refused(
-    members: dict[str, bytes], words: str, tmp_path: Path
-) -> None:
+def test_ambiguous_samples_are_refused(members: dict[str, bytes], words: str, tmp_path: Path) -> None:
     (tmp_path / "tars").mkdir()
     write_tar(tmp_path / "tars" / "a.tar", [(f"0.{ending}", content) for ending, content in members.items()])
     with pytest.raises(InputError, match=words):
@@ -341,8 +341,8 @@ def test_samples_of_several_tars_may_have_equal_keys(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
-def test_no_importer_opens_what_is_no_file_below_the_source(home: Path, tmp_path: Path) -> None:
-    """A link may lead to a private key, whose bytes would be stored; a pipe is waited for."""
+def test_importers_open_only_regular_files_below_the_source(home: Path, tmp_path: Path) -> None:
+    """A link may lead to a private key, whose bytes would be stored; reading a pipe would wait."""
     secret = tmp_path / "id_rsa"
     secret.write_bytes(picture(1))
     (home / "pictures" / "4.jpg").symlink_to(secret)
@@ -371,9 +371,7 @@ def test_no_importer_opens_what_is_no_file_below_the_source(home: Path, tmp_path
             assert not (tmp_path / "none").exists()
 
 
-def test_what_is_stored_holds_no_text_of_libraries_nor_addresses_of_objects(
-    home: Path, tmp_path: Path
-) -> None:
+def test_stored_text_has_no_messages_of_libraries_or_addresses_of_objects(home: Path, tmp_path: Path) -> None:
     stream = io.BytesIO()
     Image.new("RGB", (32, 24)).save(stream, "BMP")
     spoiled = bytearray(picture(9))

@@ -57,7 +57,7 @@ def test_an_object_in_two_splits_is_found(folder):
     assert not numbers["objects in two splits"].agrees
 
 
-def test_the_command_says_both_and_ends_with_1(folder):
+def test_the_command_prints_both_and_exits_with_1(folder):
     result = CliRunner().invoke(app, ["reproduce", str(folder), "--json"])
     assert result.exit_code == 1
     table = {each["what"]: each for each in json.loads(result.stdout)}

@@ -1,4 +1,4 @@
-"""`realtouch reproduce --calibrate` on touches of a hidden sensor, stored as the published ones are."""
+"""`realtouch reproduce --calibrate` on touches of a hidden sensor, stored like the published ones."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ def touch_of(image: np.ndarray, position_m: np.ndarray, turn_rad: float, *, is_o
 
 
 def rounds_of(made: Recording) -> list[dict]:
-    """Return a row of each solid: its touches, and some of the plate alone."""
+    """Return a row for each solid: its touches, and some of the bare plate."""
     rows = []
     for solid in sorted(made.solids):
         chosen = np.flatnonzero(made.object_ids == solid)
-        # A solid lies as it is; whatever turns it in a recording turns the sensor the other way here.
+        # Solids are not turned; instead, the sensor is turned the other way.
         touches = []
         for number in chosen:
             turn = made.object_poses[number, 2]

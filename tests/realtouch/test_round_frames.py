@@ -28,10 +28,10 @@ AVIS = {"FFmpeg": factories.encode_avi(FRAMES), "ours": write_avi(JPEGS, 24, 16,
 def test_a_damaged_file_raises_or_gives_frames_of_its_stream(
     writer: str, changes: list[tuple[float, int]], kept: float
 ) -> None:
-    """Nothing is taken from outside of the file, and no byte of it twice."""
+    """No bytes from outside of the file are used, and none twice."""
     data = bytearray(AVIS[writer])
     for place, value in changes:
-        # Headers and index are where damage matters; most of the file is pictures.
+        # Damage matters in headers and index; most of the file is pictures.
         data[int(place * 400) * (1 if value % 2 else -1)] = value
     for view in (memoryview(bytes(data)), memoryview(bytes(data[: int(kept * len(data))]))):
         with suppress(ValueError):
@@ -129,7 +129,7 @@ def test_damage_is_named_with_its_touch(
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
 @pytest.mark.parametrize("count", [0, 1, 3, 100, 1_000])
-def test_every_piece_is_done_once(count: int, threads: int) -> None:
+def test_every_task_is_done_once(count: int, threads: int) -> None:
     done: list[int] = []
     in_parallel(done.append, count, threads)
     assert sorted(done) == list(range(count))
@@ -137,7 +137,7 @@ def test_every_piece_is_done_once(count: int, threads: int) -> None:
 
 @pytest.mark.parametrize("wrong", [0, 57, 999])
 def test_an_error_ends_the_work_of_all_threads(wrong: int) -> None:
-    """Whichever thread meets it; what the others were about to do is left."""
+    """In any thread; the others start no further work."""
     done: list[int] = []
 
     def work(piece: int) -> None:

@@ -1,4 +1,4 @@
-"""Recordings made after public reports: each becomes what the reference says, or an error in words."""
+"""Recordings after public reports: each gives the result of the reference, or an error message."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def cases(kind: str) -> list[Any]:
 
 
 def expected_pixels(kind: str, source: Path) -> list[Any]:
-    """Return what Pillow decodes of the images of a source, in order; those of the most frequent size."""
+    """Return the images of a source of the most frequent size, as Pillow decodes them, in order."""
     if kind == "folders":
         files = sorted(each for each in source.rglob("*") if each.suffix.lower() in (".jpg", ".png"))
         found = [Image.open(io.BytesIO(file.read_bytes())) for file in files]
@@ -56,7 +56,7 @@ def expected_pixels(kind: str, source: Path) -> list[Any]:
 
 
 @pytest.mark.parametrize(("kind", "name"), [*cases("folders"), *cases("tars")])
-def test_images_are_what_pillow_decodes(kind: str, name: str, tmp_path: Path) -> None:
+def test_images_equal_those_of_pillow(kind: str, name: str, tmp_path: Path) -> None:
     source, layout = CASES / kind / name, "folder" if kind == "folders" else "webdataset"
     columns = realtouch.ImportColumns(**COLUMNS.get(name, {}))
 
@@ -72,7 +72,7 @@ def test_images_are_what_pillow_decodes(kind: str, name: str, tmp_path: Path) ->
     wanted = expected_pixels(kind, source)
     assert len(touches) == len(wanted)
     for touch, pixels in zip(touches, wanted, strict=True):
-        if name == "cmyk":  # which decoders convert in ways of their own
+        if name == "cmyk":  # which decoders convert differently
             assert touch.image.shape == pixels.shape
         else:
             np.testing.assert_allclose(touch.image.astype(int), pixels, atol=3, err_msg=path_of(touch.id))
@@ -81,7 +81,7 @@ def test_images_are_what_pillow_decodes(kind: str, name: str, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(("kind", "name"), cases("replay"))
-def test_buffers_are_what_zarr_reads(kind: str, name: str, tmp_path: Path) -> None:
+def test_buffers_equal_those_of_zarr(kind: str, name: str, tmp_path: Path) -> None:
     zarr = pytest.importorskip("zarr", reason="needs zarr")
     source = CASES / kind / name
     columns = realtouch.ImportColumns(image="img")

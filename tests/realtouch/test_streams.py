@@ -62,7 +62,7 @@ def stream(folder: Path, columns: dict[str, Any], name: str = "take1.force.csv",
 @pytest.mark.parametrize("ending", ["csv", "parquet", "jsonl"])
 @pytest.mark.parametrize("method", ["nearest", "linear"])
 def test_forces_and_poses_get_the_times_of_the_pictures(ending: str, method: str, tmp_path: Path) -> None:
-    """A camera at 60 Hz with jitter, a force at 1 kHz and poses at 30 Hz, all of known functions of time."""
+    """A camera at 60 Hz with jitter, a force at 1 kHz and poses at 30 Hz, all known functions of time."""
     camera_s = 0.5 + jittered(240, 60)
     force_s, pose_s = np.arange(6000) / 1000, jittered(180, 30, 1)
     force = {"time_s": force_s, "fz": np.sin(3 * force_s), "count": np.arange(6000), "ok": force_s > 2}
@@ -136,7 +136,7 @@ def test_vectors_dates_and_text(tmp_path: Path) -> None:
 
 
 def test_poses_of_other_forms_are_those_of_the_nearest_sample(tmp_path: Path) -> None:
-    """Euler angles jump, and what lies between two matrices is no rotation."""
+    """Euler angles jump, and the mean of two matrices is not a rotation."""
     for width in (6, 16):
         columns = {"time_s": [0.0, 0.1], "pose": [[0.0] * width, [1.0] * width], "f": [0.0, 1.0]}
         given = stream(tmp_path, columns, "take1.jsonl")
@@ -232,7 +232,7 @@ def test_an_offset_of_the_clocks_is_added(tmp_path: Path) -> None:
         ({"time_s": pa.array([], pa.float64())}, {}, "has no rows"),
     ],
 )
-def test_times_that_are_none_are_refused(
+def test_invalid_times_are_refused(
     columns: dict[str, Any], options: dict[str, Any], words: str, tmp_path: Path
 ) -> None:
     with pytest.raises(InputError, match=words):
@@ -297,7 +297,7 @@ def takes(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("cut", ["whole", "contact", "frames", "table"])
 def test_streams_become_extra_columns_of_touches(cut: str, takes: Path, tmp_path: Path) -> None:
     if cut == "table":
-        cut = str(takes / "take1_cuts.csv")  # beside a video, and no stream of it
+        cut = str(takes / "take1_cuts.csv")  # beside a video, but not a stream of it
         lines = [f"take{number},{start},{start + 0.8},mug" for number in (1, 2) for start in (0.4, 2.2)]
         Path(cut).write_text("\n".join(["recording,start_s,end_s,label", *lines]) + "\n")
     stream(tmp_path, {"time_s": np.arange(41) / 10, "warmth": np.arange(41) / 10}, "room.csv")
@@ -380,7 +380,7 @@ def test_a_named_column_of_times_is_that_of_the_streams_that_have_it(
         )
 
 
-def test_a_column_of_times_that_nothing_has_is_refused(takes: Path, tmp_path: Path) -> None:
+def test_a_column_of_times_that_does_not_exist_is_refused(takes: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no column 'nope'"):
         realtouch.import_touches(takes, tmp_path / "out", columns=ImportColumns(time="nope"))
 

@@ -23,7 +23,7 @@ pytestmark = [pytest.mark.torch, pytest.mark.filterwarnings("ignore")]
 
 
 def squared(touch: realtouch.Touch) -> int:
-    """A target of one's own; top-level, so that it pickles."""
+    """A target of a user, at the top level of the module so that it can be pickled."""
     return touch.label**2
 
 
@@ -153,7 +153,7 @@ def test_transforms_apply(single_folder: Path) -> None:
 @pytest.mark.own_process
 def test_workers_that_are_forked_or_are_spawned(images: Any) -> None:
     _ = images[0]  # opened in the parent, too
-    # One that is spawned imports torch, which takes seconds.
+    # A spawned process imports torch, which takes seconds.
     for method, workers in (("fork", 2), ("spawn", 1)):
         loader = torch.utils.data.DataLoader(
             images, batch_size=8, num_workers=workers, multiprocessing_context=method, timeout=PATIENCE_S

@@ -1,4 +1,4 @@
-"""What :func:`realtouch.verify` is given, and what it sees next to damaged pictures."""
+"""Arguments of :func:`realtouch.verify`, and its findings beside damaged pictures."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def with_column(folder: Path, name: str, values: pa.Array, source: Path) -> Path
     return folder
 
 
-def test_it_takes_what_load_takes(
+def test_it_accepts_what_load_accepts(
     single_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     files = sorted((single_folder / "data").glob("train-*"))
@@ -57,7 +57,7 @@ def test_it_takes_what_load_takes(
         realtouch.verify(3)
 
 
-def test_before_an_upload_damage_is_listed_or_else_what_the_card_gets_wrong(
+def test_before_an_upload_damage_or_errors_of_the_card_are_listed(
     single_folder: Path, tmp_path: Path
 ) -> None:
     realtouch.select(str(single_folder), str(tmp_path), contact=True)
@@ -69,7 +69,7 @@ def test_before_an_upload_damage_is_listed_or_else_what_the_card_gets_wrong(
     assert {Path(each.file).name for each in list_findings(open_folder(str(tmp_path)))} == {shard.name}
 
 
-def test_files_without_any_checksum_are_said_to_be_unprotected(single_folder: Path, tmp_path: Path) -> None:
+def test_files_without_any_checksum_are_reported_as_unprotected(single_folder: Path, tmp_path: Path) -> None:
     files = sorted(map(str, (single_folder / "data").glob("*.parquet")))
     assert sorted(realtouch.verify(single_folder, quick=True).unprotected) == files
     assert realtouch.verify(files[:2], quick=True).unprotected == tuple(files[:2])
@@ -159,7 +159,7 @@ def test_a_label_without_a_name(single_folder: Path, tmp_path: Path) -> None:
         ("info.gel_id.sub", pa.array([3]), "info.gel_id.sub"),
     ],
 )
-def test_metadata_that_cannot_be_given(
+def test_metadata_that_cannot_be_returned(
     name: str, values: pa.Array, field: str, single_folder: Path, tmp_path: Path
 ) -> None:
     folder = with_column(tmp_path, name, values, single_folder)
@@ -225,7 +225,7 @@ def test_a_clip_that_refers_to_something_else_is_damaged(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Players of videos would open the user's own files, or a socket, and hand out what is there."""
+    """Video players would open files of the user, or a socket, and return their content."""
 
     def refer(row: dict[str, Any]) -> None:
         row["sensor_video"][2]["bytes"] = REFERENCES[name]

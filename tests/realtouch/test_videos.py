@@ -1,4 +1,4 @@
-"""Videos of others: MJPEG stays as it is, all else is decoded alike however it is divided, or is refused."""
+"""Videos of other programs: MJPEG is copied; other codecs are decoded, independent of cuts, or refused."""
 
 from __future__ import annotations
 
@@ -310,9 +310,9 @@ def test_a_file_that_was_cut_gives_its_whole_pictures(tmp_path: Path) -> None:
         (found,) = recordings(path)
         numbers = (
             np.rint(found.time_s * FPS).astype(int).tolist()
-        )  # of some that depend on others, one may lack
+        )  # of pictures that depend on others, one may be missing
         pictures = dict(zip(numbers, pictures_of(path), strict=True))
-        if name == "h264.ts":  # whose last packet may end anywhere
+        if name == "h264.ts":  # the last packet may end anywhere
             pictures.popitem()
         assert all(isinstance(each, ItemError) or each == whole[at] for at, each in pictures.items())
         assert 10 < sum(isinstance(each, bytes) for each in pictures.values()) < COUNT
@@ -381,7 +381,7 @@ HOSTILE: dict[str, tuple[Any, str]] = {
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-def test_what_cannot_be_used_is_refused_in_a_sentence(name: str, tmp_path: Path) -> None:
+def test_unusable_videos_are_refused_with_a_message(name: str, tmp_path: Path) -> None:
     make, words = HOSTILE[name]
     (tmp_path / "a.mp4").write_bytes(make())
     refused(tmp_path / "a.mp4", words)
@@ -404,7 +404,7 @@ def test_references_to_other_files_are_not_followed(tmp_path: Path) -> None:
         assert isinstance(problem, bytes) == (name == "a")
 
 
-def test_gray_and_alpha_are_said_to_be_converted(tmp_path: Path) -> None:
+def test_conversions_of_gray_and_alpha_are_reported(tmp_path: Path) -> None:
     for codec, pixel_format, words in (
         ("ffv1", "gray", "one channel"),
         ("ffv1", "yuva444p", "alpha left out"),
@@ -423,7 +423,7 @@ def test_without_a_decoder_only_the_extra_is_named(tmp_path: Path, monkeypatch: 
         recordings(tmp_path)
 
 
-def test_a_table_says_something_of_each_video(tmp_path: Path) -> None:
+def test_a_table_has_values_for_each_video(tmp_path: Path) -> None:
     for name in ("mug/1.avi", "fork/2.avi", "3.avi", ".hidden.avi", "4.AVI"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_bytes(AVIS["no index"][0])

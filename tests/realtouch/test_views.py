@@ -1,4 +1,4 @@
-"""Touches and rounds taken out of views: what they carry along, what they read, what they refuse."""
+"""Touches and rounds from views: pickled state, reads, and refused arguments."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Videos as cameras, FFmpeg and recorders write them, made for tests."""
+"""Videos like those of cameras, FFmpeg and recorders, made for tests."""
 
 from __future__ import annotations
 

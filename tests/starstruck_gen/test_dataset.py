@@ -22,7 +22,7 @@ from tactile_toolkit.errors import InputError
 
 @cache
 def specified() -> SceneSpec:
-    """A function: its solids are proved, by what numba compiles on a new machine."""
+    """A function, not a constant: its solids are checked by kernels that numba may have to compile."""
     return SceneSpec(stars=(1, 2, 3, 4), collision="exact", heights_m=(0.004, 0.006))
 
 

@@ -23,7 +23,7 @@ def folder(tmp_path_factory) -> Path:
     return out
 
 
-def test_scenes_are_filtered_by_what_stands_in_them(folder, tmp_path):
+def test_scenes_are_filtered_by_their_objects(folder, tmp_path):
     site = build_site(plan_gallery(str(folder)), str(tmp_path / "site"))
     assert (site.items, site.splits) == (18, {"train": 12, "test": 6})
     index = index_of(tmp_path / "site")
@@ -51,7 +51,7 @@ def test_thumbnails_show_stars_on_clear_paper(folder, tmp_path):
         x, y = round(72 + 1200 * star.x_m), round(72 - 1200 * star.y_m)
         red, _, blue, opaque = pixels[y, x]
         assert (red - blue > 60, opaque) == (True, 255)
-        # No light rim of the plate around the objects.
+        # The plate does not show as a light rim around the objects.
         half = pixels[(pixels[..., 3] > 40) & (pixels[..., 3] < 200)]
         assert np.median(half[:, :3].mean(axis=1)) < 150
 
@@ -72,7 +72,7 @@ def test_the_published_set_has_no_placements_and_is_shown_too(folder, tmp_path):
     assert column(index, "Shapes") == [[]] * 6
     assert column(index, "Stars") == [[str(number % 3 + 1)] for number in range(6)]
     mesh = content_of(tmp_path / "site", 0)["mesh"]
-    assert mesh["parts"] == [[mesh["face_count"], "other"]]  # none is painted as a star
+    assert mesh["parts"] == [[mesh["face_count"], "other"]]  # no object has the colour of stars
     assert (files_of(tmp_path / "site") / "thumbs" / "000005.png").stat().st_size > 200
 
 

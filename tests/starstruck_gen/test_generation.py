@@ -29,7 +29,7 @@ from tests.command_line import call
 
 @cache
 def small() -> SceneSetSpec:
-    """A function: its solids are proved, by what numba compiles on a new machine."""
+    """A function, not a constant: its solids are checked by kernels that numba may have to compile."""
     return SceneSetSpec(scenes=(("train", 2_100), ("test", 30)))
 
 
@@ -45,7 +45,7 @@ def whole(tmp_path_factory) -> Path:
     return folder
 
 
-def test_folder_holds_what_is_promised(whole):
+def test_folder_has_the_documented_files(whole):
     manifest = read_manifest(open_folder(str(whole)))
     assert manifest.complete
     assert manifest.kind == "starstruck"
@@ -165,12 +165,12 @@ def test_ordinary_values_of_other_types_are_the_same_specification(tmp_path):
 
 
 @pytest.mark.parametrize("splits", [("holdout",), ("test",)])
-def test_nothing_to_make_is_refused(tmp_path, splits):
+def test_empty_selections_are_refused(tmp_path, splits):
     with pytest.raises(InputError, match=r"unknown split 'holdout'|no scenes to make for test"):
         generate(SceneSetSpec(scenes=(("train", 5),)), str(tmp_path / "set"), splits)
 
 
-def test_validate_proves_the_written_scenes(whole):
+def test_validate_accepts_the_written_scenes(whole):
     checked = validate_folder(str(whole), limit=30)
     assert (checked.checked, checked.failed, checked.stars) == (60, 0, 120)
     test = validate_folder(str(whole), "test")
@@ -179,7 +179,7 @@ def test_validate_proves_the_written_scenes(whole):
 
 
 def _rewritten(whole, tmp_path, change) -> str:
-    """A Parquet file of some scenes, one of them changed."""
+    """Return a Parquet file of some scenes, one of which is changed."""
     table = pq.read_table(whole / "data" / "test-00000-of-00001.parquet")
     rows = table.to_pylist()
     change(rows[4])
@@ -238,14 +238,14 @@ def _move(row):
         (_move, "not that of the declared objects"),
     ],
 )
-def test_validate_finds_what_is_wrong(whole, tmp_path, change, finding):
+def test_validate_finds_faults(whole, tmp_path, change, finding):
     checked = validate_folder(_rewritten(whole, tmp_path, change))
     assert checked.checked == 30
     assert [failure.id for failure in checked.failures] == [1_000_000_004]
     assert finding in checked.failures[0].problem
 
 
-def test_a_dry_run_of_a_part_tells_what_that_part_would_make(tmp_path, capsys):
+def test_a_dry_run_of_a_part_prints_what_that_part_would_make(tmp_path, capsys):
     words = ("generate", "--scenes", "5000", "--split", "train", "--out", tmp_path / "set", "--dry-run")
     for options, rows, shards in (((), 5000, 5), (("--part", "1/3"), 2000, 2), (("--part", "3/3"), 2000, 2)):
         assert call("starstruck", *words, "--json", *options) == 0

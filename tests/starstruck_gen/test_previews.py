@@ -1,4 +1,4 @@
-"""Pictures of scenes: each where the sheet says, objects where they stand."""
+"""Pictures of scenes: their places on the sheet, and the places of objects."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tactile_toolkit.errors import InputError
 
 @cache
 def crowded() -> SceneSpec:
-    """A function: its solids are proved, by what numba compiles on a new machine."""
+    """A function, not a constant: its solids are checked by kernels that numba may have to compile."""
     return SceneSpec(stars=(3,), distractors=(5, 5), attempts=12)
 
 
@@ -42,7 +42,7 @@ def test_a_published_set_without_placements_is_drawn_from_its_meshes(folder, tmp
     (planned,) = plan_previews(str(tmp_path / "train.parquet"), PreviewSpec(kinds=("sheet",))).pictures
     pixels = planned.draw().astype(int)
     assert pixels.std() > 10
-    assert (pixels[..., 0] - pixels[..., 2]).max() < 60  # nothing is as yellow as a star
+    assert (pixels[..., 0] - pixels[..., 2]).max() < 60  # only stars are yellow
 
 
 @pytest.mark.thorough

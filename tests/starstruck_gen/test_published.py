@@ -1,4 +1,4 @@
-"""Next to the published generator (package tactile-mnist 0.13.0) and its reader."""
+"""Compared with the published generator (package tactile-mnist 0.13.0) and its reader."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from starstruck_gen.prisms import prism
 from starstruck_gen.scene_generation import SceneSetSpec, generate
 from starstruck_gen.scenes_on_the_fly import SceneDataset
 
-# The package's own imports warn; what they warn about is not ours.
+# Imports of the package warn about code of others.
 pytestmark = [pytest.mark.oracle, pytest.mark.filterwarnings("ignore")]
 
 LEVEL = 0.01
@@ -24,7 +24,7 @@ def importorskip(name: str):
 
 
 def bodies(mesh) -> list[np.ndarray]:
-    """Vertices of each object of a published scene, in the order of placing."""
+    """Return the vertices of each object of a published scene, in the order of placing."""
     edges = mesh.faces[:, [0, 1, 1, 2]].reshape(-1, 2)
     graph = coo_array((np.ones(len(edges)), edges.T), shape=(len(mesh.vertices),) * 2)
     count, label = connected_components(graph, directed=False)
@@ -76,7 +76,7 @@ def test_shapes_of_distractors_are_distributed_alike(published, ours):
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("place", [0, -1])
 def test_positions_are_distributed_alike(published_centres, our_centres, axis, place):
-    """Of the first and of the last object of a scene: the one meets no obstacle, the other all of them."""
+    """For the first object of a scene, which meets no obstacle, and the last one, which meets all."""
     assert same([c[place, axis] for c in published_centres], [c[place, axis] for c in our_centres])
 
 

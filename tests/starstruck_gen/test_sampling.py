@@ -28,7 +28,7 @@ from tests.starstruck_gen.strategies import specs
 
 
 @given(specs(), st.integers(0, 2**40), st.sampled_from(SPLITS), st.integers(0, 10**6))
-def test_scene_keeps_what_its_specification_promises(spec, seed, split, start):
+def test_scenes_satisfy_their_specification(spec, seed, split, start):
     for index, scene in enumerate(sample_scenes(spec, split, seed, start, 3), start):
         stars = [placement.is_star for placement in scene.placements]
         assert scene.star_count == sum(stars) == spec.stars[index % len(spec.stars)]
@@ -87,8 +87,8 @@ def test_seeds_and_ids_differ_over_seeds_splits_and_scenes():
     assert len(ids) == 2_000
 
 
-def test_seeds_stay_what_they_are():
-    """Data sets in the world depend on these."""
+def test_seeds_never_change():
+    """Existing data sets depend on these."""
     assert scene_seed(0, "train", 0) == 1588843498829269705
     assert scene_seed(7, "test", 123_456) == 1128125805858447187
 
@@ -141,7 +141,7 @@ def test_exact_rule_lets_objects_stand_closer_than_circles_do():
 @pytest.mark.parametrize(
     ("one", "other", "clearance_m", "clear"),
     [
-        # two boxes side by side: outlines 0.1 mm apart, circles far into one another
+        # two boxes side by side: outlines 0.1 mm apart, circles overlap widely
         (("box", 0.0, math.pi / 4), ("box", 0.02 / math.sqrt(2) + 1e-4, math.pi / 4), 0.0, None),
         (("box", 0.0, 0.0), ("box", 0.02 / math.sqrt(2) + 1e-4, 0.0), 0.0, True),
         (("box", 0.0, 0.0), ("box", 0.02 / math.sqrt(2) + 1e-4, 0.0), 2e-4, False),
@@ -158,7 +158,7 @@ def test_exact_rule_on_known_pairs(one, other, clearance_m, clear):
     mirrored = [each._replace(x_m=0.0, y_m=each.x_m) for each in (a, b)]
     assert found == outlines_clear(mirrored[0], mirrored[1:], clearance_m)
     assert not circles_clear(a, [b], clearance_m)
-    # One that is too near is enough, wherever it stands among the others.
+    # One object that is too near is enough, at any place in the list.
     far = Placement("disc", 1.0, 1.0, 0.0, 0.01, 0.005)
     for others in ([far, b], [b, far]):
         assert outlines_clear(a, others, clearance_m) == found
@@ -175,7 +175,7 @@ def test_object_inside_a_hole_is_clear_and_inside_a_solid_is_not():
     assert not outlines_clear(disc, [small], 0.0)
 
 
-def test_impossible_specification_ends_with_what_failed_and_what_to_change():
+def test_impossible_specification_ends_with_the_reason_and_a_next_step():
     spec = replace(SceneSpec(), stars=(30,), restarts=3, attempts=20)
     with pytest.raises(SamplingExhausted) as caught:
         sample_scenes(spec, "train", 0, 0, 1)
@@ -194,7 +194,7 @@ def test_impossible_specification_ends_with_what_failed_and_what_to_change():
 
 
 def test_the_object_that_found_no_place_is_the_one_that_is_named():
-    """One star leaves no room for a disc that fills the cell; of many stars a later one finds none."""
+    """One star leaves no room for a disc that fills the cell; of many stars, a later one finds no place."""
     spec = SceneSpec(stars=(1,), distractors=(1, 1), distractor_shapes=(Shape("disc", 0.03),), restarts=2)
     spec = replace(spec, cell_m=(0.08, 0.08), padding_m=(0, 0), attempts=9)
     with pytest.raises(SamplingExhausted, match=r"object 2 of 2 \(a disc\)"):
@@ -210,7 +210,7 @@ def test_starting_over_is_counted():
     assert all(scene.attempts[0] == 1 + scene.restarts for scene in scenes)
 
 
-def test_layouts_that_never_come_near_are_few_and_told():
+def test_hopeless_specifications_end_early_with_a_verdict():
     failures = []
     spec = SceneSpec(distractors=(0, 18))
     with pytest.raises(SamplingExhausted, match=r"of 21 .* no layout held nearly as many objects") as caught:

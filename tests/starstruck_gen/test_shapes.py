@@ -67,7 +67,7 @@ def test_prism_is_one_closed_outward_solid_with_every_corner_used(name):
 
 @pytest.mark.parametrize("name", KINDS)
 def test_caps_have_no_t_junctions(name):
-    """No corner lies on an edge of a cap triangle other than at its ends."""
+    """Corners lie on edges of cap triangles only at their ends."""
     made = prism(name)
     a = made.corners[made.cap]
     b = np.roll(a, -1, axis=1)
@@ -113,7 +113,7 @@ def test_defaults_are_the_published_numbers():
             assert np.array_equal(ring, same)
 
 
-def test_published_outlines_are_bit_for_bit_what_they_were():
+def test_published_outlines_never_change():
     """Outlines decide every byte of a data set; the sums are older than the parameters."""
     sums = {
         name: [hashlib.sha256(ring.tobytes()).hexdigest()[:16] for ring in outline(name)] for name in KINDS
@@ -198,7 +198,7 @@ def test_area_follows_from_the_proportions(proportions, area):
         (lambda: outline("moon"), "unknown shape 'moon'; expected one of star, box"),
     ],
 )
-def test_unusable_proportions_are_named_with_what_was_expected(make, message):
+def test_invalid_proportions_are_named_with_the_expected_ones(make, message):
     with pytest.raises(InputError, match=message):
         make()
 
@@ -213,7 +213,7 @@ def test_numbers_of_other_types_are_the_same_shape():
 
 @cache
 def fancy() -> SceneSpec:
-    """A function: its solids are proved, by what numba compiles on a new machine."""
+    """A function, not a constant: its solids are checked by kernels that numba may have to compile."""
     return SceneSpec(
         star=Shape("star", 0.008, Star(points=7, inner_ratio=0.35)),
         distractor_shapes=(

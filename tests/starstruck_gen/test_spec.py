@@ -68,7 +68,7 @@ def test_json_and_back(spec):
         ({"restarts": -1}, "restarts .* -1"),
     ],
 )
-def test_unusable_value_is_named_with_what_was_expected(values, message):
+def test_invalid_values_are_named_with_the_expected_ones(values, message):
     with pytest.raises(InputError, match=message):
         SceneSpec(**values)
 
@@ -101,7 +101,7 @@ def test_lists_ranges_and_numbers_of_numpy_are_the_same_specification():
 TINY = (Shape("disc", 1e-4, Disc(segments=256)),)
 
 
-def test_shapes_too_fine_for_stored_coordinates_are_refused_with_what_to_change():
+def test_shapes_too_fine_for_stored_coordinates_are_refused_with_a_next_step():
     with pytest.raises(InputError) as caught:
         SceneSpec(cell_m=(2, 2), star=Shape("star", 1e-4), distractor_shapes=TINY)
     for part in ("cell_m", "(2.0, 2.0)", "disc(segments=256)", "radius_m 0.0001", "segments"):
@@ -112,7 +112,7 @@ def test_shapes_too_fine_for_stored_coordinates_are_refused_with_what_to_change(
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("side_m", [0.24, 0.16, 0.4])
 def test_shapes_as_fine_as_the_cell_allows_are_sound(side_m, tmp_path):
-    """Up to a cell in which coordinates reach a power of two, the thinnest triangles are thick enough."""
+    """Up to a cell whose coordinates reach a power of two, the thinnest triangles are thick enough."""
     spec = SceneSpec(cell_m=(side_m, side_m), star=Shape("star", 1e-4), distractor_shapes=TINY)
     path = tmp_path / "train-00000-of-00001.parquet"
     pq.write_table(table_of(make_rows(spec, "train", 0, 0, 3), scene_schema()), path)

@@ -81,7 +81,7 @@ def test_column_of_another_type_is_a_finding(table, tmp_path):
 
 
 def test_cap_triangles_turned_by_rounding_are_found_although_the_solid_is_one(tmp_path):
-    """No specification makes such a scene; a data set of other makers may hold it."""
+    """No specification makes such a scene, but a data set of others may contain it."""
     (row,) = make_rows(SceneSpec(distractors=(1, 1)), "train", 0, 0, 1)
     fine = Placement("disc(segments=256)", 0.99, 0.4, 0.1, 1e-4, 0.005)
     placements = (row.placements[0], fine)

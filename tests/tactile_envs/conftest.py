@@ -14,5 +14,5 @@ def _shared_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def _cache_of_the_file(_own_cache: None, _shared_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Keep what environments make of their objects: it is named by its content."""
+    """Keep the packed objects of environments, which are named by their content."""
     monkeypatch.setenv("TACTILE_TOOLKIT_CACHE", str(_shared_cache))

@@ -1,4 +1,4 @@
-"""Drives environments as training code does."""
+"""Runs environments as training code does."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def make(assets: Path, name: str = DEPTH, **options: Any) -> Any:
 
 
 def drive(env: Any, steps: int = STEPS) -> list[Any]:
-    """Take random steps, more than an episode has; observations stay in their spaces."""
+    """Take more random steps than an episode has; check that observations stay in their spaces."""
     observation, info = env.reset(seed=1)
     env.action_space.seed(1)
     assert observation in env.observation_space

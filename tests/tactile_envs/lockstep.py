@@ -1,4 +1,4 @@
-"""Compares what published environments and ours give for the same actions."""
+"""Compares published environments with ours for the same actions."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SPACES = (
     "prediction_target_space",
 )
 HALF_MICROMETRE = 0.5e-6 / 2.125e-3
-"""Of depth, in units of an image."""
+"""Tolerance of depth, in units of an image."""
 
 
 def walk(published: Any, native: Any, steps: int, compare: Callable[[Any, Any], None]) -> None:
@@ -39,7 +39,7 @@ def same_spaces(published: Any, native: Any) -> None:
 
 
 def same_as_listed(env_id: str, published: Any) -> None:
-    """Compare spaces with what the list of ids says of them."""
+    """Compare spaces with those in the list of ids."""
     (each,) = (each for each in tactile_envs.ids() if each.id == env_id)
     seen, action = published.single_observation_space, published.single_action_space["action"]
     assert each.observation == {name: space.shape for name, space in seen.items()}, each
@@ -47,11 +47,11 @@ def same_as_listed(env_id: str, published: Any) -> None:
 
 
 def same_step(theirs: Any, ours: Any) -> None:
-    """Compare all that a reset or a step gives, but for the picture."""
+    """Compare all results of a reset or a step, except the picture."""
     (there, seen, *outcome), (here, found, *result) = theirs, ours
     assert seen.keys() == found.keys()
     assert all(found[name].dtype == seen[name].dtype or name == "sensor_img" for name in seen)
-    # The published environment leaves its space where a tilted sensor slides out of its limits.
+    # The published environment leaves its space if a tilted sensor slides out of its limits.
     assert np.abs(np.clip(seen["sensor_pos"], -1, 1) - found["sensor_pos"]).max() < 5e-5
     assert (seen["time_step"] == found["time_step"]).all()
     within_m = 0.5e-6 if "sensor_rot" in found else 1e-12
@@ -113,4 +113,4 @@ def _same_stats(theirs: dict[str, Any], ours: dict[str, Any]) -> None:
         for one, other in zip(values, ours["vector"][name], strict=True):
             taken, rest = np.split(np.ravel(other), [np.size(one)])
             np.testing.assert_allclose(taken, np.ravel(one), rtol=1e-4, atol=1e-6)
-            assert np.isnan(rest).all()  # of an episode that is shorter, or goes on
+            assert np.isnan(rest).all()  # of an episode that is shorter, or continues

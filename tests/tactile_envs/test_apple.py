@@ -1,6 +1,6 @@
 """The wrappers of APPLE (https://github.com/TimSchneider42/apple), the training code of the paper.
 
-They need JAX and modules of their own; what they ask of an environment is asked here in the same order
+They need JAX and modules of their own; here, an environment is used in the same order as by them
 (``__prepare_env``).
 """
 
@@ -22,7 +22,7 @@ pytestmark = [pytest.mark.envs, pytest.mark.filterwarnings("ignore")]
 
 
 def _in_32_bits(space: Any) -> Any:
-    """Make a space again from its parts, with integers and numbers of 32 bits."""
+    """Return a copy of a space, with integers and numbers of 32 bits."""
     seed = space._np_random
     if isinstance(space, gym.spaces.Dict):
         return type(space)({name: _in_32_bits(part) for name, part in space.spaces.items()})
@@ -40,7 +40,7 @@ def _in_32_bits(space: Any) -> Any:
 
 
 class _RandomActions(ap_gym.ActivePerceptionVectorWrapper):
-    """Takes predictions alone, and acts at random."""
+    """Takes only predictions, and acts at random."""
 
     def __init__(self, env: Any) -> None:
         super().__init__(env)
@@ -84,7 +84,7 @@ class _Checked(ap_gym.ActivePerceptionVectorWrapper):
 
 
 class _BinaryReward(ap_gym.ActivePerceptionVectorWrapper):
-    """Rewards answers that are right."""
+    """Rewards correct predictions."""
 
     def step(self, action: Any) -> Any:
         observation, _, done, cut, info = super().step(action)
@@ -94,7 +94,7 @@ class _BinaryReward(ap_gym.ActivePerceptionVectorWrapper):
 
 
 class _Pictures(ap_gym.ActivePerceptionVectorWrapper):
-    """Observes what is rendered."""
+    """Observes rendered pictures."""
 
     def __init__(self, env: Any) -> None:
         super().__init__(env)

@@ -1,4 +1,4 @@
-"""Drawings of environments: what they show, and words in them."""
+"""Drawings of environments: content and text."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def test_of_many_classes_the_most_probable_and_the_right_one_are_drawn(pool):
 @pytest.mark.parametrize(
     ("felt", "height_m", "is_word"), [(0.0, 0.0, True), (0.0, 0.004, True), (0.5, 0.0, False)]
 )
-def test_a_black_image_says_what_is_felt(pool, felt, height_m, is_word):
+def test_a_black_image_has_an_explanation(pool, felt, height_m, is_word):
     image = panel_of(pool, PredictionView(), felt, height_m)[4:92, 4:92]
     assert (len(np.unique(image)) > 1) == is_word
     if is_word:
@@ -99,7 +99,7 @@ def test_a_task_names_its_classes(pool):
 
 
 def test_a_picture_shows_a_bar_for_the_probability_of_each_class(assets):
-    """Below what the sensor feels, beside the name of the class; the right class has its colour."""
+    """Below the image of the sensor, beside the names of the classes; the right class has its own colour."""
     env = gym.make_vec(DEPTH, num_envs=2, assets=str(assets), render_mode="rgb_array")
     env.reset(seed=0)
     action = env.action_space.sample()

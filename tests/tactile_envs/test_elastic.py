@@ -22,7 +22,7 @@ ELASTIC = {"elastic_gel": "elastic", "press_force": 3.0, "sensor_output_size": (
 
 
 def _touched(env, seed=3):
-    """Press where the objects are; observation and info."""
+    """Press at the objects; return observation and info."""
     where = [np.zeros(2)] * env.num_envs
     lies = [np.array([0.0, 0.0, 0.3 * row]) for row in range(env.num_envs)]
     options = {"initial_sensor_target_pose": where, "initial_object_pose": lies}
@@ -100,6 +100,6 @@ def test_sensors_that_tilt_feel_where_the_object_leans(assets):
     ],
     ids=str,
 )
-def test_settings_that_cannot_be_are_refused(config, told):
+def test_invalid_settings_are_refused(config, told):
     with pytest.raises(InputError, match=told):
         make_vector(DEPTH, config=config)

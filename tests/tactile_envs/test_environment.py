@@ -1,4 +1,4 @@
-"""What holds of an environment by itself, without the published package."""
+"""Properties of environments that need no published package."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def test_observations_stay_in_their_spaces(walked, task, seed, ways):
         assert np.isfinite(reward).all()
 
 
-def test_one_seed_gives_one_course_however_many_threads(assets):
+def test_episodes_depend_on_the_seed_but_not_on_threads(assets):
     courses = []
     for threads in (1, 3):
         before = set(threading.enumerate())
@@ -159,8 +159,8 @@ def test_a_copy_continues_where_the_first_is(assets, copied, made):
     other.close()
 
 
-def test_a_single_one_is_no_vector(assets):
-    """TorchRL and others look for `num_envs`; what the vector of one knows is there under its name."""
+def test_a_single_environment_is_not_a_vector(assets):
+    """TorchRL and others look for `num_envs`; attributes of the vector are available under their names."""
     single, vector = gym.make(f"tactile_envs:{DEPTH}", assets=str(assets)), make_vector(DEPTH, assets=assets)
     env = single.unwrapped
     for name in ("num_envs", "single_action_space", "autoreset_mode", "closed"):
@@ -197,7 +197,7 @@ def test_a_step_after_the_end_is_refused_in_words(assets, threads):
 
 
 def test_the_next_episode_may_begin_in_the_same_step(assets):
-    """The same touches as with the default mode, whose resets take a step of their own."""
+    """The touches are those of the default mode, whose resets take a separate step."""
     same, later = (
         make_vector(DEPTH, num_envs=3, assets=assets, config={"step_limit": 4}, autoreset_mode=mode)
         for mode in ("SAME_STEP", AutoresetMode.NEXT_STEP)
@@ -262,7 +262,7 @@ def test_without_automatic_resets_a_step_after_the_end_is_refused(assets):
 
 
 def test_options_of_an_environment_are_known(assets):
-    """Unknown ones are TypeErrors in Python's words: TorchRL tries `frameskip`, and leaves it out then."""
+    """Unknown options raise a TypeError as Python does: TorchRL tries `frameskip`, and then leaves it out."""
     place = {"assets": str(assets)}
     for make in (gym.make, gym.make_vec):
         with pytest.raises(
@@ -285,7 +285,7 @@ def test_options_of_an_environment_are_known(assets):
 
 
 def test_infos_hold_arrays_and_numbers_alone(assets):
-    """What training code converts to tensors: no objects, and no arrays of them."""
+    """Training code converts values to tensors, so there must be no objects or arrays of objects."""
 
     def plain(value: Any) -> None:
         for each in value.values() if isinstance(value, dict) else ():
@@ -306,7 +306,7 @@ def test_infos_hold_arrays_and_numbers_alone(assets):
 
 @pytest.mark.parametrize("env_id", [*TASKS, "Toolbox-small-Depth-sparse-v0"])
 def test_same_reward_by_the_loss_function(env_id, assets):
-    """`loss_fn`, which training code differentiates, gives the loss of the steps, times its weight."""
+    """`loss_fn`, which training code differentiates, returns the loss of the steps times its weight."""
     env = make_vector(env_id, num_envs=4, assets=assets, config={"step_limit": 2})
     env.reset(seed=0)
     for _ in range(2):
@@ -320,7 +320,7 @@ def test_same_reward_by_the_loss_function(env_id, assets):
 
 @pytest.mark.parametrize("task", TASKS)
 def test_predictions_without_a_loss_are_refused(assets, task):
-    """The published class gives a reward of NaN; here nothing has happened, and the episode goes on."""
+    """The published class gives a reward of NaN; here, the state is unchanged, and the episode continues."""
     env, unharmed = (make_vector(task, num_envs=2, assets=assets) for _ in range(2))
     env.action_space.seed(1)
     for each in (env, unharmed):
@@ -335,8 +335,8 @@ def test_predictions_without_a_loss_are_refused(assets, task):
 
 
 @pytest.mark.thorough
-def test_observations_are_kept_by_whoever_has_them(assets):
-    """A step writes no array that an earlier one gave; depth is what the picture shows, from the camera."""
+def test_observations_stay_unchanged_in_later_steps(assets):
+    """A step does not change arrays of earlier ones; depth is that of the picture, from the camera."""
     env = make_vector(DEPTH, num_envs=2, assets=assets, config={"depth_in_info": True})
     press_m = tactile_sim.center_view().press_m
     env.action_space.seed(0)
@@ -398,7 +398,7 @@ def test_objects_and_places_may_be_given(assets):
         ({"config": Config(step_limit=3)}, "sensor_type of `config` is 'taxim'; the id has 'depth'"),
     ],
 )
-def test_what_cannot_be_is_named(assets, options, words):
+def test_invalid_settings_are_named(assets, options, words):
     with pytest.raises(InputError, match=words):
         make_vector(DEPTH, assets=assets, **options)
     env = make_vector(DEPTH, num_envs=2, assets=assets)
@@ -428,7 +428,7 @@ def test_what_cannot_be_is_named(assets, options, words):
 
 
 def test_a_mask_resets_some_environments_alone(assets):
-    """The others observe their last touch, keep their episode, and end at another time."""
+    """The others observe their last touch again, continue their episode, and end later."""
     env = make_vector(DEPTH, num_envs=3, assets=assets, config={"step_limit": 4})
     before, _ = env.reset(seed=0)
     for _ in range(2):
@@ -457,7 +457,7 @@ def test_a_mask_resets_some_environments_alone(assets):
 
 
 def test_an_action_without_a_finite_cost_is_named(assets):
-    """Its square is infinite: the published class pays a reward of -inf, and goes nowhere."""
+    """Its square is infinite: the published class gives a reward of -inf, and does not move."""
     env = make_vector(DEPTH, num_envs=2, assets=assets)
     env.reset(seed=0)
     action = env.action_space.sample()
@@ -469,7 +469,7 @@ def test_an_action_without_a_finite_cost_is_named(assets):
 
 
 def test_a_size_of_pictures_has_one_spelling_and_is_checked_with_the_settings():
-    """So equal settings are equal, whoever spelt them: a command line, numpy, or JSON."""
+    """So equal settings compare equal, whether they come from a command line, NumPy or JSON."""
     for size in ([64, 48], np.array([64, 48]), (np.int64(64), 48)):
         config = Config(sensor_output_size=size)
         assert config == Config(sensor_output_size=(64, 48))
@@ -479,14 +479,14 @@ def test_a_size_of_pictures_has_one_spelling_and_is_checked_with_the_settings():
 
 
 def test_meshes_of_ones_own(assets, tmp_path):
-    """A folder of mesh files, or one data set of several; and what is not there is named."""
+    """A folder of mesh files, or one data set of several; missing ones are named."""
     for number, side_mm in enumerate((20, 30)):
         trimesh.creation.box([side_mm, 30, 6]).export(tmp_path / f"{number}.stl")
     env = make_vector("MinecraftPose-Depth-v0", num_envs=3, assets=tmp_path)
     observation, _ = env.reset(seed=0)
     assert observation in env.observation_space
     assert {record.label for record in env.current_data_points} <= {0, 1}
-    # Under an id with classes of its own, too: those of the meshes count.
+    # Also under an id with other classes: those of the meshes count.
     assert make_vector(DEPTH, num_envs=1, assets=tmp_path).reset(seed=0)
     one, other = (make_vector(DEPTH, assets=place) for place in (assets, assets / "mnist3d"))
     assert (one.reset(seed=0)[0]["sensor_img"] == other.reset(seed=0)[0]["sensor_img"]).all()

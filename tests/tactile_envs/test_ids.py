@@ -1,4 +1,4 @@
-"""The ids of environments: what each is, without any extra, and how gymnasium knows them."""
+"""The ids of environments: their descriptions without any extra, and their registration in gymnasium."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def listed(*words: str) -> list[dict[str, object]]:
 
 
 def test_ids_are_listed_without_any_extra() -> None:
-    """Each once, with what its name says; the command gives the same as Python."""
+    """Each id occurs once, with the parts of its name; the command prints the same as Python."""
     rows = json.loads(printed_by(ALONE))
     assert rows == listed()
     assert [row["id"] for row in rows] == [each.id for each in tactile_envs.ids()]
@@ -113,7 +113,7 @@ def test_the_page_describes_every_family() -> None:
 def test_a_moving_picture_shows_an_episode(
     provider: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """From the first touch to the last; what is there is not made again."""
+    """From the first touch to the last; existing files are not made again."""
     pytest.importorskip("ap_gym", reason="ap-gym (extra `envs`) is not installed")
     from docs import episodes
 
@@ -131,7 +131,7 @@ def test_a_moving_picture_shows_an_episode(
 @pytest.mark.oracle
 @pytest.mark.parametrize("names", [("tactile_envs", "tactile_mnist"), ("tactile_mnist", "tactile_envs")])
 def test_the_published_package_may_be_imported_before_and_after(names: tuple[str, str]) -> None:
-    """Plain ids stay those of this package, and nothing is said."""
+    """Plain ids stay those of this package, without a warning."""
     pytest.importorskip("tactile_mnist", reason="tactile-mnist (extra `oracle`) is not installed")
     assert printed_by(TOGETHER, *names, PYOPENGL_PLATFORM="egl").splitlines() == [
         "TactileMNIST-Depth-train-v0 False",

@@ -1,4 +1,4 @@
-"""Training libraries take the environments; ``docs/howto/training_libraries.md``, whose code runs, trains."""
+"""Training libraries accept the environments; ``docs/howto/training_libraries.md`` trains agents."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FAMILIES = ("TactileMNIST-Depth-train-v0", "TactileMNISTVolume-Depth-train-spars
 def test_torchrl(assets):
     """Its own check: specifications, seeds, resets of some; a single environment is no vector.
 
-    In a process of its own, because TorchRL changes how processes begin.
+    In another process, because TorchRL changes how processes are started.
     """
     envs = pytest.importorskip("torchrl.envs", reason="torchrl (extra `libraries`) is not installed")
     options = {"assets": str(assets), "config": {"step_limit": 4}}
@@ -72,7 +72,7 @@ def test_stable_baselines(assets, name):
 
 @pytest.mark.parametrize("name", FAMILIES)
 def test_skrl(assets, name):
-    """Tensors with a row for each environment."""
+    """Return tensors with a row for each environment."""
     wrap_env = pytest.importorskip(
         "skrl.envs.wrappers.torch", reason="skrl (extra `libraries`) is not installed"
     ).wrap_env

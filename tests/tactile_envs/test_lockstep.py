@@ -1,4 +1,4 @@
-"""Native environments beside the published ones, step by step: the same spaces, episodes and measures."""
+"""Native environments compared with the published ones, step by step: spaces, episodes and measures."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.tactile_envs.lockstep import HALF_MICROMETRE, same_as_listed, same_sp
 pytestmark = [pytest.mark.oracle, pytest.mark.sim, pytest.mark.filterwarnings("ignore")]
 
 ENVS = 4
-STEPS = 68  # four episodes of digits, two of all else
+STEPS = 68  # four episodes of digits, two of other objects
 CASES = (
     "TactileMNIST-Depth-train-v0",
     "TactileMNIST-Depth-test-sparse-v0",
@@ -36,14 +36,14 @@ SPARSE = [
     for family in dict.fromkeys(name.split("-Depth")[0] for name in env_specs() if "-Depth" in name)
     if "RealSnap" not in family
 ]
-"""One of each simulated family: the splits differ in their objects, and sensors in pictures."""
+"""One id of each simulated family: splits differ only in objects, and sensors only in pictures."""
 OTHERS = {
     *("dataset", "mesh_dataset"),
     *("sensor_backend", "sensor_device", "sensor_device_index", "convert_image_to_numpy"),
     *("depth_estimator_backend", "depth_estimator_type"),
     *("show_sensor_target_pos", "enable_rendering"),
 }
-"""Settings that we do not have, beside ``render...``: of data, of what computes an image, and of pictures."""
+"""Settings that we do not have, beside ``render...``: of data, of renderers, and of pictures."""
 
 
 @pytest.mark.one_at_a_desk
@@ -74,7 +74,7 @@ def test_same_episodes(env_id, provider, assets, packages):
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("env_id", SPARSE)
 def test_sparse_forms(env_id, provider, assets, packages, tmp_path):
-    """Rewards, weights, keys of info and statistics of every form with `-sparse`, over several episodes."""
+    """Rewards, weights, keys of info and statistics of all `-sparse` ids, over several episodes."""
     folder, source = assets, provider
     if env_id.startswith(("ABC", "Minecraft")):
         for number, side_mm in enumerate((20, 30)):
@@ -98,7 +98,7 @@ def test_sparse_forms(env_id, provider, assets, packages, tmp_path):
 
 
 def test_cycle_gan(provider, assets, packages):
-    """The same episodes, and pictures of the same network."""
+    """The episodes and the pictures of the network are the same."""
     env_id = "TactileMNISTVolumeSnap-CycleGAN-v0"
     pytest.importorskip("torchvision", reason="torchvision (extra `torch`) is not installed")
     config = {"step_limit": 1}
@@ -117,7 +117,7 @@ def test_cycle_gan(provider, assets, packages):
 
 
 def test_settings_are_those_of_the_registration(packages):
-    """Every published id is here, with the same settings, and no other."""
+    """The ids are the published ones, with the same settings."""
     published = registrations()
     assert env_specs().keys() == published.keys()
     assert len(published) == 356
@@ -136,7 +136,7 @@ def test_settings_are_those_of_the_registration(packages):
 
 
 def _same_noise(theirs: Any, ours: dict[str, Any]) -> None:
-    """Compare noise; for depth the package gives one without an effect on images, for its base depth."""
+    """Compare noise; for depth, that of the package concerns only its base depth, not images."""
     noise, base_depth = ours.pop("sensor_noise", None), ours.pop("real_base_depth_dataset", None)
     assert base_depth == getattr(theirs, "real_base_depth_dataset", None)
     if noise is not None:
@@ -146,9 +146,9 @@ def _same_noise(theirs: Any, ours: dict[str, Any]) -> None:
 
 
 def test_taxim_within_a_level(provider, assets, packages):
-    """Where a touch shows, within a level at 99 %; else as `tactile_sim.optics` states.
+    """Within a level for 99 % of the pixels of a touch; other pixels as `tactile_sim.optics` states.
 
-    Where the gel is flat, the package looks colours up by rounding noise, 26 levels apart at most; pixels
+    On flat gel, the package selects colours by rounding noise, which differ by up to 26 levels; pixels
     beside upright walls may be further off.
     """
     env_id = "TactileMNIST-train-v0"

@@ -1,4 +1,4 @@
-"""The pool of meshes, and what is drawn of it: beside plain loops, and beside `tactile_sim`."""
+"""The pool of meshes and its height maps, compared with plain loops and with `tactile_sim`."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def _at_once(heights, places, b, c, b_up, c_up, b_step, c_step, b_slack, c_slack
     raise_block(heights, places, b, c, b_up, c_up, b_step, c_step, b_slack, c_slack, low, b_rise, c_rise)
 
 
-def test_a_block_at_once_is_as_one_pixel_after_the_other():
+def test_raising_a_block_equals_raising_each_pixel():
     random = np.random.default_rng(0)
     heights = random.normal(size=4000).astype(np.float32)
     one, other = heights.copy(), heights.copy()
@@ -71,8 +71,8 @@ def test_pixels_on_the_edge_of_a_triangle_are_raised_whichever_way_its_corners_r
 
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("name", ["mnist3d", "starstruck", "wrench"])
-def test_what_is_drawn_is_what_pressing_gives(name, assets):
-    """To a hundredth of a micrometre at pixels that show, but for those on the edge of an upright wall."""
+def test_height_maps_agree_with_pressing(name, assets):
+    """Within a hundredth of a micrometre at visible pixels, except those on the edge of an upright wall."""
     meshes = env_assets.AssetProvider(assets).meshes(name)
     pool = MeshPool.of(meshes)
     sensor, random = center_view(64, 64), np.random.default_rng(0)
@@ -101,7 +101,7 @@ def test_what_is_drawn_is_what_pressing_gives(name, assets):
     assert off <= 1e-5 * pixels
 
 
-def test_a_pool_on_disk_is_that_in_memory(assets):
+def test_a_pool_on_disk_equals_the_one_in_memory(assets):
     meshes = env_assets.AssetProvider(assets).meshes("mnist3d")
     made, again, packed = MeshPool.of(meshes), MeshPool.of(meshes), MeshPool.packed(meshes)
     for name in ("vertices", "faces", "starts", "hulls", "grids", "measures"):
@@ -123,7 +123,7 @@ def test_a_view_of_meshes_has_a_pool_of_its_own(assets):
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("damage", ["empty", "cut", "flipped", "of another program", "pipe"])
 def test_a_damaged_pool_is_made_again(damage, assets, tmp_path, monkeypatch):
-    """Kernels read where its numbers say, whichever these are."""
+    """Kernels trust the indices in the file, so a damaged file must not be used."""
     monkeypatch.setenv("TACTILE_TOOLKIT_CACHE", str(tmp_path))
     meshes = env_assets.AssetProvider(assets).meshes("mnist3d")
     made = MeshPool.of(meshes)
@@ -134,7 +134,7 @@ def test_a_damaged_pool_is_made_again(damage, assets, tmp_path, monkeypatch):
     content = {"empty": b"", "cut": intact[:-1], "flipped": bytes(flipped)}.get(damage, b"text" * 100)
     other = tmp_path / "other"
     other.write_bytes(content)
-    if damage == "pipe":  # opening it would wait for whoever writes
+    if damage == "pipe":  # opening it would wait for a writer
         other.unlink()
         os.mkfifo(other)
     other.replace(path)
@@ -143,7 +143,7 @@ def test_a_damaged_pool_is_made_again(damage, assets, tmp_path, monkeypatch):
 
 
 def test_a_pool_is_of_the_meshes_that_were_loaded(assets, tmp_path, monkeypatch):
-    """A data set that takes the place of another at an address has meshes of its own."""
+    """A data set that replaces another at the same address gets its own pool."""
     fsspec = pytest.importorskip("fsspec")
     monkeypatch.setenv("TACTILE_TOOLKIT_CACHE", str(tmp_path))
     store = fsspec.filesystem("memory")

@@ -1,4 +1,4 @@
-"""Objects that environments make themselves, while they are made and after, and objects of one's own."""
+"""Objects that environments make themselves, during and after the run, and objects of a user."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ DEPTH, VOLUME = "TactileMNIST-Depth-train-v0", "TactileMNISTVolume-Depth-train-v
 
 @pytest.fixture
 def begun(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """A working folder without assets, where sets are small; what would be started in the background."""
+    """A working folder without assets, and small sets; yields the work that would start in the background."""
     started: list[Any] = []
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("TACTILE_TOOLKIT_CACHE", str(tmp_path / "cache"))
@@ -51,7 +51,7 @@ def steps(env: Any, count: int) -> list[Any]:
 
 
 def test_episodes_begin_before_the_set_is_made_and_go_on_with_it(begun, capsys):
-    """The same ones for a seed: with single digits, in copies, when the set takes their place, and later."""
+    """A seed gives the same objects: with single digits, in copies, when the set replaces them, and later."""
     env = make_vector(DEPTH, num_envs=3)
     told = capsys.readouterr().err
     for words in ("10 digits (split train)", "tactile-assets/mnist3d'", " s on 1 core", "`assets=` takes"):
@@ -63,19 +63,19 @@ def test_episodes_begin_before_the_set_is_made_and_go_on_with_it(begun, capsys):
     env.action_space.seed(4)
     assert 0 < len(pool.hulls) < 10 * 200
     other = make_vector(DEPTH, num_envs=3)
-    assert capsys.readouterr().err == ""  # said once
+    assert capsys.readouterr().err == ""  # announced once
     (work,) = begun
     course = steps(env, 40)
     for copied in (copy.deepcopy, lambda each: pickle.loads(pickle.dumps(each))):
         again = copied(env)
-        assert again._scene.pool._is_packed.sum() <= 3  # of what lies in the cells
+        assert again._scene.pool._is_packed.sum() <= 3  # of the objects in the cells
         action = env.action_space.sample()
         np.testing.assert_equal(again.step(action)[:2], copy.deepcopy(env).step(action)[:2])
         assert again._scene.pool._is_packed.sum() <= 6
     work[0](*work[1:])
     observation, _ = other.reset(seed=4)
     other.action_space.seed(4)
-    assert isinstance(other._scene.pool.vertices.base, np.memmap)  # of the set that is made now
+    assert isinstance(other._scene.pool.vertices.base, np.memmap)  # of the set that is being made
     later = make_vector(DEPTH, num_envs=3)
     assert type(later._scene.pool) is MeshPool
     np.testing.assert_equal(later.reset(seed=4)[0], observation)
@@ -121,7 +121,7 @@ def test_another_set_in_the_folder_is_refused(begun):
     assert not begun
 
 
-def test_an_interrupt_is_one_error_and_keeps_what_is_finished(tmp_path, monkeypatch):
+def test_an_interrupt_is_one_error_and_keeps_finished_shards(tmp_path, monkeypatch):
     provider = AssetProvider(tmp_path, generate=True, per_class=1)
 
     def interrupted(*_: Any) -> None:
@@ -150,14 +150,14 @@ def test_a_process_in_the_background_makes_a_set(tmp_path, monkeypatch):
 
 
 def test_a_large_set_is_packed_by_several_processes_as_by_one(tmp_path, monkeypatch):
-    """A mesh of more corners than 16 bits count makes all faces wider, wherever it is."""
+    """A mesh with more corners than 16 bits can count makes the type of all faces wider."""
     monkeypatch.setenv("TACTILE_TOOLKIT_CACHE", str(tmp_path / "cache"))
     solids = [box((0, 0, 0), (0.01, 0.01, 0.001 * n)).to_trimesh() for n in range(1, 12)]
     write_meshes(tmp_path / "set", solids, ("a", "b"))
     meshes = AssetProvider(tmp_path).meshes("set")
     for name, value in {"_CHUNK": 2, "_FEW_CHUNKS": 1}.items():
         monkeypatch.setattr(f"tactile_envs.mesh_pool.{name}", value)
-    # In this process, in any order: workers would import the module anew.
+    # In this process, in any order: workers would import the module again.
     monkeypatch.setattr("tactile_toolkit.run.runner_for", lambda _: _Backwards())
     found, expected = MeshPool.of(meshes), MeshPool.packed(meshes)
     for name in ("vertices", "faces", "starts", "hulls", "grids", "measures"):

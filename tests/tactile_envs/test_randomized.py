@@ -1,4 +1,4 @@
-"""Heights, noise and depth of real touches behind: ids with ``-DR``, beside the published environments."""
+"""Heights, noise and background depth of real touches: ids with ``-DR``, and the published environments."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ FAMILIES = [name for name in env_specs() if name.endswith("-Depth-DR-v0")]
 
 
 class Ripples:
-    """Estimates of depth as simple to compute as they are strange, in both packages."""
+    """Simple artificial estimates of depth, the same in both packages."""
 
     def __init__(self) -> None:
         self.images = 0
@@ -54,7 +54,7 @@ class Ripples:
 
 @pytest.fixture
 def estimator(monkeypatch: pytest.MonkeyPatch) -> Ripples:
-    """The estimator of ours."""
+    """The estimator of this toolkit."""
     ripples = Ripples()
     monkeypatch.setattr(base_depth, "_estimator", lambda: ripples)
     return ripples
@@ -69,13 +69,13 @@ def _touches(folder: Path, touches: int, rounds: int = 1) -> Path:
 
 @pytest.fixture
 def one_empty(tmp_path: Path) -> Path:
-    """Real touches of which a single one has no contact."""
+    """Real touches, of which one has no contact."""
     return _touches(tmp_path / "touches", 3)
 
 
 @pytest.fixture
 def envs(assets: Path) -> Iterator[Any]:
-    """Make environments of ours, which are closed after the test."""
+    """Make environments of this toolkit, which are closed after the test."""
     made = []
 
     def make_env(env_id: str, num_envs: int = ENVS, objects: Path = assets, **config: Any) -> Any:
@@ -108,7 +108,7 @@ def _published(env_id: str, assets: Path, touches: Path | None, monkeypatch: Any
 
 
 def _boxes(folder: Path) -> Path:
-    """Write objects of two classes, the lower of which the gel is thicker than."""
+    """Write objects of two classes, one of which is lower than the gel is thick."""
     folder.mkdir()
     for number, side_mm in enumerate((20, 30)):
         trimesh.creation.box([side_mm, 30, 1 + 5 * number]).export(folder / f"{number}.stl")
@@ -119,7 +119,7 @@ def _boxes(folder: Path) -> Path:
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("env_id", FAMILIES)
 def test_same_episodes(env_id, assets, packages, envs, one_empty, estimator, monkeypatch, tmp_path):
-    """Heights, depth, and images with real depth behind, of each family over several episodes."""
+    """Heights, depth, and images with background depth, of each family over several episodes."""
     objects = assets
     if env_specs()[env_id].assets in ("abc", "minecraft"):
         objects = _boxes(tmp_path / "boxes")
@@ -153,7 +153,7 @@ def test_same_episodes(env_id, assets, packages, envs, one_empty, estimator, mon
 @pytest.mark.oracle
 @pytest.mark.sim
 def test_taxim_within_a_level(assets, packages, envs, monkeypatch):
-    """Where the gel is pressed in, within a level at 99 %; else as without noise."""
+    """Where the gel is pressed in, within a level for 99 % of the pixels; otherwise as without noise."""
     env_id = "TactileMNIST-DR-train-v0"
     published = _published(env_id, assets, None, monkeypatch, packages)
     native = envs(env_id, real_base_depth_dataset=None, depth_in_info=True)
@@ -193,7 +193,7 @@ def test_networks_of_both_packages_agree(assets, packages, envs, one_empty):
 
 
 def test_observed_heights(envs):
-    """Half-normal, never more than the gel allows; images and depth stay, and so does all else."""
+    """Half-normal, limited by the gel; images, depth and everything else are unchanged."""
     plain, lifted = envs(PLAIN, depth_in_info=True), envs(PLAIN, penetration_depth_reduction_std=0.65e-3)
     assert (_images(plain, 30) == _images(lifted, 30)).all()
     lifts = []
@@ -209,7 +209,7 @@ def test_observed_heights(envs):
 
 
 def test_the_plate_carries_the_sensor(envs):
-    """Depth maps are higher by what the sensor is; of the plate alone, nothing shows."""
+    """Depth maps are as much higher as the sensor; a bare plate does not show."""
     plain = envs(PLAIN, depth_in_info=True, num_envs=8)
     held = envs(PLAIN, depth_in_info=True, num_envs=8, max_platform_penetration=0.001)
     plain.action_space.seed(0)
@@ -230,7 +230,7 @@ def test_the_plate_carries_the_sensor(envs):
 
 
 def test_gel_of_another_sensor(envs):
-    """A press and a gel of one's own, as in `tactile_sim.Sensor`."""
+    """A custom press depth and gel, as in `tactile_sim.Sensor`."""
     env = envs(PLAIN, depth_in_info=True, gel_thickness=0.003, penetration_depth=0.0005)
     seen, info = env.reset(seed=2)
     np.testing.assert_allclose(info["depth"].min(axis=(1, 2)), 0.0005, atol=1e-7)
@@ -251,7 +251,7 @@ PATTERN = replace(SensorNoise.calibrated(), episode_gain_std=0.0, frame_noise_st
 def test_noise_of_episodes_and_touches(envs):
     """Each environment and episode has a pattern, each touch its noise; a seed repeats them."""
     clean = _images(envs(PLAIN, step_limit=3), 7)
-    # Where nothing is cut off; the plate alone is black.
+    # Where no value is clipped; the bare plate is black.
     inner = (clean > 0.1) & (clean < 0.9)
     for noise, is_lasting in ((PATTERN, True), (SensorNoise.calibrated(), False)):
         noisy = envs(PLAIN, step_limit=3, sensor_noise=noise)
@@ -270,7 +270,7 @@ def test_noise_of_episodes_and_touches(envs):
 
 @pytest.mark.sim
 def test_other_environments_stay_when_one_is_reset(envs):
-    """A reset of some draws their patterns alone."""
+    """A reset of some environments draws only their patterns."""
     pytest.importorskip("taxim", reason="taxim (extra `sim`) is not installed")
     env = envs("TactileMNIST-train-v0", sensor_noise=PATTERN, perturb_object_pose=False)
     env.reset(seed=0)
@@ -286,7 +286,7 @@ def test_other_environments_stay_when_one_is_reset(envs):
 
 
 def test_a_copy_goes_on_alike(envs, one_empty, estimator):
-    """Noise, heights and depth behind belong to the state of an environment."""
+    """Noise, heights and background depth belong to the state of an environment."""
     env = envs(DEPTH, real_base_depth_dataset=one_empty, sensor_noise="calibrated")
     _images(env)
     other = copy.deepcopy(env)
@@ -297,7 +297,7 @@ def test_a_copy_goes_on_alike(envs, one_empty, estimator):
 
 
 def test_forms_of_noise(envs, tmp_path):
-    """As `tactile-sim` takes it, and as a mapping."""
+    """In the forms that `tactile-sim` accepts, and as a mapping."""
     values = {**SensorNoise.calibrated().to_dict(), "frame_noise_std": 0.02}
     file = tmp_path / "noise.json"
     file.write_text(json.dumps(values))
@@ -320,7 +320,7 @@ def many_empty(tmp_path: Path) -> Path:
 
 
 def test_depth_behind(envs, many_empty, estimator):
-    """The deeper of both shows; which lies behind follows from the seed, and changes no other draw."""
+    """The deeper of both maps shows; the background is drawn from the seed without changing other draws."""
     plain = envs(DEPTH, real_base_depth_dataset=None)
     behind = envs(DEPTH, real_base_depth_dataset=many_empty, real_base_depth_touches=8)
     assert estimator.images == 8
@@ -338,7 +338,7 @@ def test_depth_behind(envs, many_empty, estimator):
 
 @pytest.mark.sim
 def test_images_of_the_bare_plate_are_shared_with_depth_behind(envs, many_empty, estimator):
-    """The optics see each map behind the plate alone once, and give what they give without that."""
+    """The optics render each background with the bare plate only once, with the same result."""
     pytest.importorskip("taxim", reason="taxim (extra `sim`) is not installed")
     config = {"sensor_noise": None, "real_base_depth_dataset": many_empty, "real_base_depth_touches": 2}
     env = envs("TactileMNIST-DR-train-v0", num_envs=16, depth_in_info=True, **config)
@@ -355,7 +355,7 @@ def test_images_of_the_bare_plate_are_shared_with_depth_behind(envs, many_empty,
 
 
 def test_each_touch_is_estimated_once(many_empty, estimator, tmp_path, monkeypatch, capsys):
-    """Estimates are kept on disk; more of them begin with the same; damaged ones are made again."""
+    """Estimates are cached on disk; more estimates begin with the same ones; damaged ones are made again."""
     monkeypatch.setenv("TACTILE_TOOLKIT_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(base_depth, "_QUIET_S", 0.0)
     few = base_depth.base_depths_m(many_empty, 5, (16, 12))
@@ -380,7 +380,7 @@ def test_each_touch_is_estimated_once(many_empty, estimator, tmp_path, monkeypat
 
 
 def test_estimates_without_a_cache(many_empty, estimator, tmp_path, monkeypatch):
-    """A cache folder that cannot be written costs time alone."""
+    """A cache folder that cannot be written costs only time."""
     (tmp_path / "file").write_text("no folder")
     monkeypatch.setenv("TACTILE_TOOLKIT_CACHE", str(tmp_path / "file"))
     for _ in range(2):
@@ -389,14 +389,14 @@ def test_estimates_without_a_cache(many_empty, estimator, tmp_path, monkeypatch)
 
 
 def test_real_touches_lie_with_the_assets(envs, assets, estimator):
-    """The published ones are looked for in the folder of the assets first."""
+    """The published touches are first searched in the folder of the assets."""
     assert env_specs()[DEPTH].config.real_base_depth_dataset is not None
     env = envs(DEPTH)
     assert estimator.images == len(env._scene._camera._behind) > 10
 
 
 def test_missing_real_touches(assets, envs, tmp_path, estimator, monkeypatch):
-    """A sentence says what is needed, and how to go without."""
+    """The message names the missing data, and how to do without."""
     clips = factories.seq_rows([factories.make_round(0, 3, (32, 24), frames=(6, 9))])
     factories.write_set(tmp_path / "clips", {"train": clips}, "seq")
     leave_out = 'config={"real_base_depth_dataset": None} to leave it out'
@@ -417,7 +417,7 @@ def test_missing_real_touches(assets, envs, tmp_path, estimator, monkeypatch):
 
 
 def test_the_hub_cannot_be_reached(envs, tmp_path, monkeypatch, estimator, assets):
-    """Nothing was given: the message says so, and what went wrong."""
+    """Without touches, the message says so, and why the download failed."""
     monkeypatch.setenv("HF_ENDPOINT", "http://127.0.0.1:9")
     with pytest.raises(InputError) as caught:
         make_vector(DEPTH, num_envs=1, assets=assets / "mnist3d")

@@ -1,4 +1,4 @@
-"""Recorded touches: in lock-step with the published environments, and what holds of them by themselves."""
+"""Recorded touches: in lock-step with the published environments, and properties of their own."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ VOLUME = "TactileMNISTVolumeRealSnap-train-v0"
 
 @pytest.fixture
 def published(provider, packages):
-    """A function that makes published environments on the same touches."""
+    """Return a function that makes published environments with the same touches."""
     made = []
 
     def make_one(name: str, num_envs: int = ENVS, **config: Any) -> Any:
@@ -58,7 +58,7 @@ def _same_beginnings(theirs: Any, ours: Any) -> None:
 
 
 def _same_step(theirs: Any, ours: Any, levels: int = 0, share: float = 0.0) -> None:
-    """Compare all of a reset or step; a ``share`` of an image may be off by more than some ``levels``."""
+    """Compare the results of a reset or step; a ``share`` of an image may differ by more than ``levels``."""
     (there, seen, *outcome), (here, found, *result) = theirs, ours
     assert seen.keys() == found.keys()
     for name in seen.keys() - {"sensor_img"}:
@@ -92,7 +92,7 @@ OFTEN_CUT = {"step_limit": 8, "approx_truncation_probability": 0.9}
     ],
 )
 def test_same_episodes(env_id, steps, config, published, assets):
-    """Observations exactly, while environments end one by one."""
+    """Observations are equal, while environments end one by one."""
     native = make_vector(env_id, num_envs=ENVS, assets=assets, config=config)
     theirs = published(env_id, **config)
     _same_beginnings(theirs, native)
@@ -116,13 +116,13 @@ def test_same_episodes(env_id, steps, config, published, assets):
     ("sensor", "levels", "share"), [("Depth", 1, 0.0), ("Taxim", 26, 1e-3), ("CycleGAN", 1, 0.01)]
 )
 def test_rendered_from_estimated_depth(sensor, levels, share, published, assets):
-    """Images within a level, but for what is known of Taxim: see `test_taxim_within_a_level`."""
+    """Images are within a level, apart from known differences of Taxim: see `test_taxim_within_a_level`."""
     pytest.importorskip("torchvision", reason="torchvision (extra `torch`) is not installed")
     name, config = f"TactileMNISTRealSnap-{sensor}-train-v0", {"step_limit": 2}
     native = make_vector(name, num_envs=1, assets=assets, config=config)
     theirs = published(name, 1, **config, depth_estimator_backend="torch")
     _same_beginnings(theirs, native)
-    # Networks that draw take seconds for an image.
+    # Networks that render take seconds for an image.
     steps = 0 if sensor == "CycleGAN" else 1
     walk(theirs, native, steps, lambda *each: _same_step(*each, levels, share))
     assert np.std(native._observation["sensor_img"]) > 0.01
@@ -132,13 +132,13 @@ def test_window_is_the_published_one(packages):
     from tactile_mnist.util import compute_touch_window_size
 
     assert window_size(256, 16, 0.1) == 23
-    # Of probabilities that occur exactly, such as 0.5, rounding decides.
+    # For exact probabilities, such as 0.5, rounding decides.
     for case in itertools.product((18, 24, 57, 256), (1, 3, 16), (0.0131, 0.1173, 0.4871, 0.9337)):
         assert window_size(*case) == compute_touch_window_size(*case), case
 
 
 def test_images_are_those_of_the_round(assets):
-    """Each observation is the image of a touch of the window, the nearest to the target, as it is stored."""
+    """Each observation is the stored image of the touch in the window that is nearest to the target."""
     rounds = {record.id: record for record in realtouch.load(assets / "real-single", "train")}
     config = {"sensor_output_size": (96, 72), "step_limit": 6}
     env = make_vector(PLAIN, num_envs=ENVS, assets=assets, config=config, render_mode="rgb_array", threads=2)
@@ -196,14 +196,14 @@ def test_copies_continue_alike(assets):
 
 
 def test_classes_need_no_meshes(assets):
-    """Touches alone will do for classes, and pictures then show the plate; volumes need digits."""
+    """Touches are enough for classes; pictures then show only the plate. Volumes need digits."""
     touches, digits = assets / "real-single", assets / "mnist3d"
     seen = []
     for place in ({"assets": touches}, {"touches": touches}, {"touches": touches, "assets": digits}):
         env = make_vector(PLAIN, num_envs=2, render_mode="rgb_array", **place)
         seen.append(env.reset(seed=1)[0]["sensor_img"])
         colours = [len(np.unique(each[:, :240].reshape(-1, 3), axis=0)) for each in env.render()]
-        # The plate, the frame of the sensor and the cross of its target have a colour each.
+        # The plate, the frame of the sensor and the cross of its target have different colours.
         assert (min(colours) > 20) == (place.get("assets") == digits)
         assert (max(colours) <= 3) == (place.get("assets") != digits)
     assert (seen[0] == seen[1]).all()
@@ -223,7 +223,7 @@ def _write_touches(folder: Path, lengths: list[int], **changes: Any) -> None:
 
 @pytest.fixture(scope="module")
 def unfit(assets, tmp_path_factory):
-    """A folder of data sets that cannot be used, and of some that can."""
+    """A folder with unusable data sets, and some usable ones."""
     root = tmp_path_factory.mktemp("unfit")
     for name in ("mnist3d", "real-single"):
         (root / name).symlink_to(assets / name)

@@ -1,4 +1,4 @@
-"""Sensors that turn: beside the published environments, beside rays, and what holds of any action."""
+"""Sensors that turn, compared with the published environments and with rays; properties of all actions."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ HALF_MICROMETRE_M = 0.5e-6
 
 
 def bracket() -> trimesh.Trimesh:
-    """An L of two walls, millimetres, one solid."""
+    """Return an L of two walls, millimetres, one solid."""
     outline = np.array([(0, 0), (30, 0), (30, 8), (8, 8), (8, 25), (0, 25)], float)
     cap = np.array([(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5)])
     sides = [(k, (k + 1) % 6, (k + 1) % 6 + 6) for k in range(6)]
@@ -70,12 +70,12 @@ def solids(tmp_path_factory: pytest.TempPathFactory, assets: Path) -> Path:
 
 
 def _same(theirs: Any, ours: Any) -> None:
-    """Compare all but images and heights: directions to 3e-7, places to 20 micrometres, scores too."""
+    """Compare everything except images and heights: directions to 3e-7, places to 20 micrometres, scores."""
     (there, seen, *outcome), (here, found, *result) = theirs, ours
     assert seen.keys() == found.keys()
     assert found[TURNED].dtype == seen[TURNED].dtype
     np.testing.assert_allclose(found[TURNED], seen[TURNED], atol=3e-7)
-    # The published one leaves its space where a sensor slides along its axis out of its limits.
+    # The published one leaves its space if a sensor slides along its axis out of its limits.
     np.testing.assert_allclose(found["sensor_pos"], np.clip(seen["sensor_pos"], -1, 1), atol=2e-3)
     assert (found["time_step"] == seen["time_step"]).all()
     targets = [env.current_sensor_target_poses_platform_frame.matrix for env in (there.unwrapped, here)]
@@ -159,7 +159,7 @@ def test_pictures_are_those_of_the_optics_for_the_depth_that_is_stated(solids):
 
 
 def _seen_by_rays(env: Any, row: int, axes: Any, from_m: Any) -> Any:
-    """Return heights above ``from_m`` along a sensor's axis of what rays meet, -inf where that is nothing."""
+    """Return heights above ``from_m``, along the axis of a sensor, at which rays hit; -inf without a hit."""
     object_m = env.current_object_poses_platform_frame.matrix[row]
     record = env.current_data_points[row]
     solid = trimesh.Trimesh(record.vertices_m, record.faces, process=False).apply_transform(object_m)
@@ -179,8 +179,8 @@ def _seen_by_rays(env: Any, row: int, axes: Any, from_m: Any) -> Any:
 
 
 @pytest.mark.parametrize("env_id", [VOLUME, "TactileMNIST-Depth-train-v0"])
-def test_a_tilted_sensor_sees_what_rays_meet(env_id, solids):
-    """Also beside the plate, of which the sensor sees the edge here."""
+def test_a_tilted_sensor_agrees_with_rays(env_id, solids):
+    """Also at the edge of the plate, which the sensor sees here."""
     config = {
         "sensor_output_size": (24, 16),
         "depth_in_info": True,
@@ -208,7 +208,7 @@ def test_a_tilted_sensor_sees_what_rays_meet(env_id, solids):
     assert on_object
 
 
-def test_upright_it_sees_what_upright_sensors_see(solids):
+def test_without_tilt_it_agrees_with_upright_sensors(solids):
     starts = [np.array([0.004, -0.003]), np.eye(4)]
     options = {"datapoint_idx": [0, 3], "initial_object_pose": [(0.0, 0.0, 0.4)] * 2}
     seen = []
@@ -231,7 +231,7 @@ def test_upright_it_sees_what_upright_sensors_see(solids):
     scale=st.sampled_from([0.0, 1.0, 1e3]),
 )
 def test_tilt_stays_in_its_limit_and_axes_orthonormal(solids, seed, most_rad, speed, scale):
-    """Whatever the action, even if one turns a sensor head over."""
+    """For any action, even one that turns a sensor over."""
     config = {
         "max_tilt_angle": most_rad,
         "angular_velocity": speed,
@@ -298,7 +298,7 @@ def test_a_first_touch_may_be_a_pose(solids):
     found = env.current_sensor_target_poses_platform_frame.matrix
     np.testing.assert_allclose(found[:4], np.tile(matrix, (4, 1, 1)), atol=1e-12)
     np.testing.assert_allclose(found[4, :3], np.c_[np.eye(3), matrix[:3, 3]], atol=1e-12)
-    # Down along its own axis from where it was sent.
+    # Down along its own axis from its target.
     slid = np.linalg.inv(matrix) @ info["sensor_pose"][0]
     np.testing.assert_allclose(slid[:2, 3], 0, atol=1e-12)
 
@@ -313,7 +313,7 @@ def test_a_first_touch_may_be_a_pose(solids):
         (np.full((3, 3), np.nan), True, "a pose: a matrix of 4 x 4"),
     ],
 )
-def test_poses_that_cannot_be_are_named(start, turns, words, solids):
+def test_invalid_poses_are_named(start, turns, words, solids):
     env = make_vector(VOLUME, assets=solids, config={"allow_sensor_rotation": turns})
     matrix = np.eye(4)
     matrix[:3, :3] = start
@@ -321,7 +321,7 @@ def test_poses_that_cannot_be_are_named(start, turns, words, solids):
         env.reset(options={"initial_sensor_target_pose": [matrix]})
 
 
-def test_turns_that_cannot_be_are_named(solids):
+def test_invalid_turns_are_named(solids):
     env = make_vector(VOLUME, assets=solids)
     env.reset(seed=0)
     action = env.action_space.sample()
@@ -334,7 +334,7 @@ def test_turns_that_cannot_be_are_named(solids):
 
 
 def test_objects_lie_on_their_broadest_side(solids):
-    """Without it as their files say; volumes are the same."""
+    """Without turning, they lie as in their files; volumes are the same."""
     found = []
     for flat in (False, True):
         env = make_vector(CENTRE, assets=solids, num_envs=7, config={"smallest_dimension_up": flat})
@@ -364,7 +364,7 @@ def test_copies_and_threads_give_the_same(solids):
 
 
 def test_a_picture_frames_what_a_tilted_sensor_covers(solids):
-    """Seen from above, a window that is tilted around its y axis is narrower."""
+    """From above, a window that is tilted around its y axis is narrower."""
     matrix = np.eye(4)
     matrix[:3, :3] = Rotation.from_euler("y", MOST_RAD).as_matrix()
     sides = []

@@ -1,4 +1,4 @@
-"""Training code drives environments by the wrappers of gymnasium, of ap-gym, and of this package."""
+"""Environments in the wrappers of gymnasium, of ap-gym, and of this package."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def test_wrappers_of_a_single_one(assets, name):
 
 
 def test_infos_as_lists(assets):
-    """Each environment has what it has alone: statistics where its episode is over, and no masks."""
+    """Each environment has the info of a single one: statistics if its episode is over, and no masks."""
     env = wrappers.DictInfoToList(make(assets))
     for _, _, done, infos in drive(env):
         for row, info in enumerate(infos):
@@ -114,7 +114,7 @@ def test_infos_as_lists(assets):
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 def test_tensors_of_torch(assets, mode):
-    """Infos, too; and actions that are tensors."""
+    """Also infos, and actions that are tensors."""
     torch = pytest.importorskip("torch", reason="torch (extra `torch`) is not installed")
     pytest.importorskip("array_api_compat", reason="array-api-compat (extra `test`) is not installed")
     env = wrappers.NumpyToTorch(make(assets, autoreset_mode=mode, config={"step_limit": 3}))
@@ -129,8 +129,8 @@ def test_tensors_of_torch(assets, mode):
 
 
 @pytest.mark.parametrize("form", ["single", "vector"])
-def test_videos_show_what_is_rendered(assets, tmp_path, monkeypatch, form):
-    """moviepy, which encodes videos, does not go together with the version of pillow that is pinned."""
+def test_videos_have_the_rendered_frames(assets, tmp_path, monkeypatch, form):
+    """moviepy, which encodes videos, is not compatible with the pinned version of pillow."""
     filmed = []
     clip = SimpleNamespace(write_videofile=lambda path, **_: filmed.append(path))
     clips = SimpleNamespace(ImageSequenceClip=lambda frames, fps: filmed.append((frames, fps)) or clip)
@@ -170,7 +170,7 @@ def sync(assets: Path, mode: AutoresetMode, kind: str, **options: Any) -> Any:
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 def test_single_ones_side_by_side(assets, mode):
-    """As one by one with the seeds that gymnasium gives them; ends, resets and infos as of its mode."""
+    """As one by one, with the seeds of gymnasium; ends, resets and infos follow its mode."""
     env = sync(assets, mode, "sync")
     alone = [gym.make(DEPTH, assets=str(assets), config={"step_limit": 4}) for _ in range(2)]
     env.reset(seed=7)
@@ -214,7 +214,7 @@ def test_single_ones_side_by_side(assets, mode):
 @pytest.mark.thorough
 @pytest.mark.own_process
 def test_single_ones_in_processes(assets):
-    """The same as side by side in one process."""
+    """The results are those of environments side by side in one process."""
     pair = [
         sync(assets, AutoresetMode.SAME_STEP, "sync"),
         sync(assets, AutoresetMode.SAME_STEP, "async", context="fork"),
@@ -240,7 +240,7 @@ KINDS: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("name", KINDS)
 def test_flat_actions_are_those_of_the_environment(assets, name):
-    """Numbers in the order of gymnasium, the prediction last, nothing scaled; touches as without it."""
+    """Numbers are in the order of gymnasium, the prediction last, without scaling; touches are unchanged."""
     options = {"assets": str(assets), **KINDS[name]}
     bare, flat = gym.make(name, **options), FlatAction(gym.make(name, **options), limit=3.0)
     bare_ones = gym.make_vec(name, num_envs=ENVS, **options)
@@ -282,7 +282,7 @@ def _flattened(_: Any, action: dict[str, Any]) -> Any:
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 def test_episodes_of_recorded_touches_end_one_by_one(assets, mode):
-    """Truncated where no touches are left: each begins again as its mode says."""
+    """Truncated if no touches are left: each begins again according to its mode."""
     name = "TactileMNISTRealSnap-v0"
     config = {"approx_truncation_probability": 0.9, "timeout_behavior": "terminate"}
     env = gym.make_vec(name, num_envs=4, assets=str(assets), config=config, autoreset_mode=mode)

@@ -15,7 +15,7 @@ REDUCED_PA = E_PA / (1 - 0.3**2)
 
 
 def grid(count, pixel_m):
-    """Return x and y of a square window, as its rows lie: y from the greatest."""
+    """Return x and y of a square window, with the greatest y in the first row."""
     x = (np.arange(count) - (count - 1) / 2) * pixel_m
     return np.meshgrid(x, -x)
 
@@ -39,7 +39,7 @@ def area_radius_m(mask, pixel_m):
 
 
 def punch_on_layer(ratio, poisson_ratio, count, room=1.06):
-    """Press a punch of radius ``ratio`` layers by 0.01 mm; return its force."""
+    """Press a punch, whose radius is ``ratio`` times the thickness, by 0.01 mm; return its force."""
     pixel_m = 2 * room * ratio * LAYER_M / count
     heights = punch(count, pixel_m, ratio * LAYER_M)
     gel = tactile_sim.Gel(E_PA, poisson_ratio, 0.0)

@@ -1,4 +1,4 @@
-"""A plain solver of the elastic gel, in double precision, with SciPy's transforms.
+"""A plain solver of the elastic gel, in double precision, with transforms of SciPy.
 
 Rows of its arrays grow with y. Tractions and motions are complex numbers, x + i y.
 """

@@ -1,4 +1,4 @@
-"""What a user records with a sensor, and what only the tests know of it."""
+"""Recordings of a user, and their ground truth, which only the tests know."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tactile_toolkit.mesh import Mesh, pack_mesh
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """What a user records, and what only the tests know.
+    """Recordings of a user, and their ground truth.
 
     ``images`` (N, H, W, 3) and ``backgrounds`` (B, H, W, 3), uint8; ``object_ids`` (N,); ``sensor_m`` (N, 3)
     and ``object_poses`` (N, 3), x, y and turn, as stated. The truth: ``depth_m`` (N, H, W), how far the solid
@@ -58,7 +58,7 @@ class Recording:
         return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
     def write(self, folder: Path) -> None:
-        """Write images, their table, backgrounds and solids, as a user has them, and the truth."""
+        """Write images, their table, backgrounds and solids, as a user has them, and the ground truth."""
         for name in ("images", "backgrounds", "solids"):
             (folder / name).mkdir(parents=True, exist_ok=True)
         for number, image in enumerate(self.images):

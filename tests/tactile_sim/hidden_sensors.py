@@ -1,7 +1,7 @@
-"""Sensors whose every property is known to the tests and to nobody else, and recordings of their touches.
+"""Sensors whose properties only the tests know, and recordings of their touches.
 
-The project's rasteriser gives heights of solids. All that follows (gel, colours, lens, camera, noise, JPEG)
-is of this file alone, in plain numpy and scipy, so that a fit and what it is judged by share no mistake.
+The project's rasteriser gives heights of solids. Everything else (gel, colours, lens, camera, noise, JPEG)
+is implemented in this file, in plain NumPy and SciPy, so that a fit and its reference share no mistake.
 Three families of optics::
 
     taxim      slopes of a gel, coloured by the published calibration of Taxim, with its shadows
@@ -146,7 +146,7 @@ class HiddenSensor:
 
     @property
     def _frame_shape(self) -> tuple[int, int]:
-        """Rows and columns of what is computed: the image and a margin."""
+        """Rows and columns of the computed frame: the image and a margin."""
         width, height = self.size_px
         return height + 2 * self._margins[1], width + 2 * self._margins[0]
 
@@ -198,7 +198,7 @@ class HiddenSensor:
         across, down = self._margins
         top_mm = surface_mm[down : down + height, across : across + width].max()
         into_mm = np.maximum(surface_mm - (top_mm - press_mm), 0.0)
-        into_mm = np.minimum(into_mm, press_mm)  # what stands higher is outside of the image
+        into_mm = np.minimum(into_mm, press_mm)  # higher points are outside of the image
         gel_mm, contact = self._gel(into_mm, press_mm)
         clean = self._camera(self._shown(gel_mm, contact))
         sensor_at = np.array([*at, (top_mm - press_mm + self.gel_mm) / 1e3])
@@ -269,7 +269,7 @@ class HiddenSensor:
     def _shadowed(
         self, shade: Array, gel_mm: Array, direction: Array, contact: Array, settings: Any, shadows: Array
     ) -> Array:
-        """Darken what lies behind the rim of the contact, step by step along a fan of rays."""
+        """Darken pixels behind the rim of the contact, step by step along a fan of rays."""
         reach = max(round(0.1 / self.pitch_mm), 1)
         rim = np.argwhere(ndimage.binary_dilation(contact, np.ones((3, 3)), reach) & ~contact)
         if not len(rim):
@@ -404,7 +404,7 @@ def digits(count: int = 4, seed: int = 5) -> dict[int, Mesh]:
 def _planted(
     mistake: str | None, images: Array, ids: Array, sensor_m: Array, stated: Array
 ) -> tuple[Any, ...]:
-    """Return images, ids, poses of the sensor and of the solids with a mistake in them."""
+    """Return images, ids, and poses of the sensor and the solids, with a planted mistake."""
     images, ids, sensor_m, stated = images.copy(), ids.copy(), sensor_m.copy(), stated.copy()
     if mistake == "channels":
         images = np.ascontiguousarray(images[..., ::-1])
@@ -437,7 +437,7 @@ def _lamps(rng: np.random.Generator) -> Array:
 
 
 def _both_ways(values: Array, keep: float, axis: int) -> Array:
-    """Smooth by an exponential kernel to both sides; what lies beyond the edge is as the edge."""
+    """Smooth by an exponential kernel in both directions; values at the edge continue outside."""
     share, coefficients = [1 - keep], [1, -keep]
 
     def forward(lines: Array) -> Array:
@@ -458,7 +458,7 @@ def _taxim() -> tuple[Any, Array, Array, Array]:
     folder = Path(found.origin).parent / "calib" / "gelsight_mini"
     settings = json.loads((folder / "params.json").read_text())
     tables = np.load(folder / "polycalib.npz", allow_pickle=True)
-    # Blue and red change places in the file.
+    # Blue and red are exchanged in the file.
     colours = np.stack([tables[f"grad_{colour}"] / 255 for colour in "bgr"], axis=3)
     lists = np.load(folder / "shadowTable.npz", allow_pickle=True)["shadowTable"][::-1]
     longest = max(len(each) for each in lists.ravel())

@@ -1,6 +1,6 @@
-"""A made-up sensor in the files of `taxim`, small enough for kernels that Python runs itself.
+"""A made-up sensor in the files of `taxim`, small enough for kernels that Python interprets.
 
-So the way of a picture is tested without the package. As a program it writes the pictures of the sensor.
+So rendering is tested without the package. As a program, it writes the pictures of the sensor.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _SIMULATOR = {
 
 
 def write_calibration(folder: Path) -> None:
-    """Write what the optics read of the package, below a folder that stands for it."""
+    """Write the files of the package that the optics read, below a folder in its place."""
     rng, place = np.random.default_rng(8), folder / "calib" / "gelsight_mini"
     place.mkdir(parents=True)
     sensor = {"pixmm": _PIXEL_MM, "num_bins": 125, "h": _HEIGHT, "w": _WIDTH}
@@ -54,7 +54,7 @@ def write_calibration(folder: Path) -> None:
 
 
 def pictures(package: Path) -> NDArray[np.float32]:
-    """Return the shades of a ball, of a slanted edge and of nothing, shape (3, 16, 20, 3)."""
+    """Return the shades of a ball, a slanted edge and a touch without contact, shape (3, 16, 20, 3)."""
     sensor = center_view(20, 16)
     row, column = np.mgrid[:16, :20]
     ball_mm = np.minimum(0.02 * ((row - 7) ** 2 + 0.6 * (column - 9) ** 2) - 1.4, 1.5)
@@ -92,7 +92,7 @@ def plain_colour_pixel(out, at, tables, first, x, y):
 
 
 def sums(shades: NDArray[Any]) -> list[float]:
-    """Return a sum for each row and colour, weighted by the columns so that none may change places."""
+    """Return a sum for each row and colour, weighted by column so that exchanged columns are noticed."""
     return (
         (shades.astype(float) @ np.eye(3))
         .transpose(0, 1, 3, 2)

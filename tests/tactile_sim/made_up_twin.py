@@ -1,4 +1,4 @@
-"""A twin with random colours, and a reader that reads nothing, for tests of everything around it."""
+"""A twin with random colours and an untrained reader, for tests of everything around it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The published renderer, asked for depth maps of given poses: the truth that touches are compared with."""
+"""Depth maps of given poses by the published renderer: the reference for touches."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ PRESS_M, GEL_M = 0.002125, 0.00425
 
 @dataclasses.dataclass
 class _Point:
-    """What the renderer wants of an object."""
+    """The attributes of an object that the renderer needs."""
 
     mesh: Any
 
 
 class Oracle:
-    """The renderer of `tactile-mnist` for one size of image; ``sensor`` looks where its driver does."""
+    """The renderer of `tactile-mnist` for one size of image; ``sensor`` samples where its driver does."""
 
     def __init__(self, width: int, height: int) -> None:
         package = published_package("tactile_mnist")
@@ -56,7 +56,7 @@ class Oracle:
         return found + offset, float(target[2, 3] + target[2, 2] * offset)
 
     def sensor(self) -> Sensor:
-        """Ask the driver at which point of a pixel the depth is taken that the environments read."""
+        """Ask the driver at which point of a pixel it samples the depth for environments."""
         from OpenGL.GL import GL_FRAMEBUFFER, GL_SAMPLE_POSITION, glBindFramebuffer, glGetMultisamplefv
 
         egl = published_package("tactile_mnist.shared_egl")
@@ -72,7 +72,7 @@ class Oracle:
 
 
 def require_package() -> None:
-    """Skip a test where the package is not installed; importing it with a way to draw without a screen."""
+    """Skip a test if the package is not installed; import it so that it renders without a screen."""
     try:
         published_package("tactile_mnist")
     except ImportError as error:

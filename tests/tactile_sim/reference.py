@@ -1,4 +1,4 @@
-"""The reference of the kernels: the same operations in the same order, in numpy.
+"""The reference of the kernels: the same operations in the same order, in NumPy.
 
 Both use sums, products, quotients and comparisons of IEEE doubles only, which every processor rounds alike,
 so that their bytes are equal.
@@ -51,7 +51,7 @@ def to_depth(heights_m: Numbers, image: NDArray[np.float32], press_m: float, gel
 
 
 def runs(vertices: Numbers, faces: NDArray[np.integer[Any]], layers: Numbers) -> Numbers:
-    """Return of each face how far it runs outwards for a step down."""
+    """Return for each face the horizontal distance per unit of height."""
     a, b, c = (vertices[corner].T for corner in faces.T)
     (abx, aby, abz), (acx, acy, acz) = b - a, c - a
     x, y, z = aby * acz - abz * acy, abz * acx - abx * acz, abx * acy - aby * acx
@@ -59,7 +59,7 @@ def runs(vertices: Numbers, faces: NDArray[np.integer[Any]], layers: Numbers) ->
 
 
 def layer_rises(height: Numbers, run: Numbers, layers: Numbers) -> Numbers:
-    """Return how far above points of the solid their layer ends; -inf where there is none.
+    """Return how far above points of the solid their layer ends; -inf if there is no layer.
 
     ``run`` are the :func:`runs` of their faces. In the section across the contour lines, with the point at
     the origin of the line of sight, ``across`` and ``down`` lead from the middle of the round end of a layer
@@ -70,6 +70,6 @@ def layer_rises(height: Numbers, run: Numbers, layers: Numbers) -> Numbers:
     down = over - (number + 0.5) * layer
     across = radius - run * (down + slack)
     root = down * down - ((across * across + down * down) - radius * radius)
-    with np.errstate(invalid="ignore"):  # what has no root is not chosen
+    with np.errstate(invalid="ignore"):  # points without a root are not chosen
         rise = np.where(across <= 0, radius - down, np.where(root >= 0, np.sqrt(root) - down, -np.inf))
     return np.where((number >= 0) & (number < count), np.minimum(rise, 2.0 * layer), -np.inf)

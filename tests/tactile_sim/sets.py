@@ -1,4 +1,4 @@
-"""Small sets of touches that use all that decides bytes."""
+"""Small sets of touches with all options that affect their bytes."""
 
 from __future__ import annotations
 

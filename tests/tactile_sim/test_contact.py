@@ -1,4 +1,4 @@
-"""Contact of synthetic touches is what the sensor met, whatever is high, low or everywhere."""
+"""Contact of synthetic touches: where the sensor met an object of any height, or no plate."""
 
 from __future__ import annotations
 
@@ -73,12 +73,12 @@ def touches(request):
 
 
 def _met(folder: Path) -> np.ndarray:
-    """Whether the sensor stopped above where the bare plate stops it, by the stored poses."""
+    """Return whether the sensor stopped higher than on the bare plate, by the stored poses."""
     rounds = realtouch.load(folder, "train")
     return np.concatenate([record.gel_pose_cell_frame.position_m[:, 2] for record in rounds]) > PRESS_M + 1e-9
 
 
-def test_contact_is_what_the_sensor_met(touches):
+def test_contact_means_that_the_sensor_met_an_object(touches):
     view = realtouch.load(touches, "train").touches()
     met = _met(touches)
     for recalibrate_z in (True, False):
@@ -160,7 +160,7 @@ def test_damaged_pairs_are_named(pairs, tmp_path):
         Pairs.open(str(tmp_path))
 
 
-def test_pairs_of_what_is_no_such_set_are_refused(scenes, in_cell, tmp_path):
+def test_pairs_of_other_data_sets_are_refused(scenes, in_cell, tmp_path):
     with pytest.raises(InputError, match="is not a training set; expected a folder that"):
         Pairs.open(str(in_cell))
     _without_rows(scenes, tmp_path / "none")
@@ -173,7 +173,7 @@ def test_pairs_of_what_is_no_such_set_are_refused(scenes, in_cell, tmp_path):
 
 
 def _without_rows(source, folder):
-    """Write the shard of a set with its columns and no row."""
+    """Write a shard with the columns of a set, without rows."""
     (file,) = Path(source, "data").glob("train-*")
     (folder / "data").mkdir(parents=True)
     pq.write_table(pq.read_table(file).slice(0, 0), folder / "data" / file.name)
@@ -181,7 +181,7 @@ def _without_rows(source, folder):
 
 @pytest.mark.parametrize("columns", [("file",), ("file", "label"), ("file", "session")])
 def test_recordings_without_labels_objects_and_poses_make_pairs(columns, scenes, tmp_path, capsys):
-    """Their images tell contact: each as against the others of its round, or of all rounds of one image."""
+    """Images decide about contact, compared with others of a round, or of all rounds of one image."""
     rng, home = np.random.default_rng(5), tmp_path / "home"
     home.mkdir()
     lines = []

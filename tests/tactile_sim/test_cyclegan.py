@@ -1,4 +1,4 @@
-"""The optics `cyclegan`: the published networks, both ways, and weights of other shapes."""
+"""The optics `cyclegan`: the published networks in both directions, and weights of other shapes."""
 
 from __future__ import annotations
 
@@ -92,8 +92,8 @@ def test_a_picture_does_not_depend_on_its_batch_nor_on_threads(small):
         torch.set_num_threads(threads)
 
 
-def test_weights_that_were_trained_anew_are_read_anew(small):
-    """In one process: the manifest has the checksum of the file, and pictures must be of that file."""
+def test_retrained_weights_are_read_again(small):
+    """In one process: the manifest has the checksum of the file, so pictures must be made with this file."""
     spec = tactile_sim.GenerateSpec((32, 24), "cyclegan", weights=str(small()))
     sensor, depths = _depths((32, 24))
     before = optics_of(spec)
@@ -110,7 +110,7 @@ def test_weights_survive_the_file_and_are_the_same_bytes(small):
     read = files.read_weights(first)
     assert (read.size_px, read.filters, read.blocks) == ((32, 24), 4, 2)
     assert files.weights_bytes(read) == first.read_bytes()
-    with np.load(first) as stored:  # what others read it with
+    with np.load(first) as stored:  # the reader of others
         assert set(stored.files) == set(GeneratorNetwork(4, 2).state_dict())
     network = generator_of(read)
     assert weights_of(network, (32, 24)).arrays.keys() == read.arrays.keys()
@@ -119,7 +119,7 @@ def test_weights_survive_the_file_and_are_the_same_bytes(small):
 
 
 def test_our_weights_run_in_the_package(small):
-    """Nine blocks are what it has; the number of filters is free in its JAX half."""
+    """The package has nine blocks; its JAX version accepts any number of filters."""
     from tests.published_envs import published_package
 
     file = small(size_px=(256, 256), blocks=9)

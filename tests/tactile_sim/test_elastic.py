@@ -1,4 +1,4 @@
-"""The elastic gel and the textbook: formulas, where a contact has one, and laws that each contact obeys."""
+"""The elastic gel compared with textbooks: closed formulas, and laws that each contact obeys."""
 
 from __future__ import annotations
 
@@ -86,8 +86,8 @@ STIFFNESS = {
     0.49: (1.2741, 1.6638, 3.4840, 8.3370),
     0.4999: (1.2806, 1.6835, 3.6173, 9.1402),
 }
-"""Of a flat punch on a bonded layer, for a / h of 0.2, 0.4, 1 and 2: values of another solution of Fredholm's
-equation."""
+"""Stiffness of a flat punch on a bonded layer, for a / h of 0.2, 0.4, 1 and 2, by Poisson's ratio: values of
+another solution of Fredholm's equation."""
 
 
 @pytest.mark.parametrize("poisson_ratio", STIFFNESS)
@@ -105,7 +105,7 @@ def test_punch_on_the_bonded_layer(poisson_ratio, number):
     ("poisson_ratio", "ratio", "over"),
     [(0.4999, 5, 2.71), (0.4999, 8, 1.92), (0.3, 4, 1.063), (0.3, 8, 1.031)],
 )
-def test_thin_layer_comes_to_its_limit_from_above(poisson_ratio, ratio, over):
+def test_thin_layer_approaches_its_limit_from_above(poisson_ratio, ratio, over):
     force_n = punch_on_layer(ratio, poisson_ratio, 160)
     shear = shear_pa(poisson_ratio)
     if poisson_ratio == 0.3:
@@ -116,14 +116,14 @@ def test_thin_layer_comes_to_its_limit_from_above(poisson_ratio, ratio, over):
     assert force_n / limit_n == pytest.approx(over, rel=0.02)
 
 
-def test_punch_on_a_thin_incompressible_layer_acts_as_a_wider_one():
+def test_punch_on_a_thin_incompressible_layer_acts_like_a_wider_one():
     """The surface bulges beside it: the limit is reached with a + 1.45 h in place of the radius a."""
     wider_n = formulas.thin_incompressible(8 + 1.45, shear_pa(0.5), 1e-5, LAYER_M)
     assert punch_on_layer(8, 0.5, 160) / wider_n == pytest.approx(1.0, rel=0.01)
 
 
 @given(st.floats(0.05, 8), st.sampled_from([0.0, 0.3, 0.45, 0.49, 0.4999]))
-def test_layer_answers_waves_as_its_equations_over_depth(wave, poisson_ratio):
+def test_response_of_the_layer_solves_its_equations_over_depth(wave, poisson_ratio):
     z, a, n, b = (
         wave * float(each[0]) for each in elastic_layer.layer_response(np.array([wave]), poisson_ratio)
     )
@@ -143,7 +143,7 @@ def test_thick_layer_is_a_half_space():
 
 
 def response_to_smooth_load(poisson_ratio, count=64, width_m=2e-3):
-    """Return displacements by a bell of pressure and of traction along x: by kernels, and by waves alone."""
+    """Return displacements by a bell of pressure and of traction along x: by kernels, and by waves."""
     pixel_m = 0.02 / count
     solver = PlainSolver((count, count), (pixel_m, pixel_m), tactile_sim.Gel(E_PA, poisson_ratio), LAYER_M)
     x, y = grid(count, pixel_m)
@@ -172,7 +172,7 @@ def waves_of(waves, poisson_ratio):
 
 
 @pytest.mark.parametrize("poisson_ratio", [0.3, 0.49])
-def test_kernels_of_pixels_add_up_to_the_response_to_a_smooth_load(poisson_ratio):
+def test_pixel_kernels_add_up_to_the_response_to_a_smooth_load(poisson_ratio):
     for ours, waves in response_to_smooth_load(poisson_ratio):
         assert np.abs(ours - waves).max() < 6e-3 * np.abs(waves).max()
 
@@ -284,7 +284,7 @@ def test_mirror_images_have_mirrored_results(seed, motion):
     )
 
 
-def test_depth_and_force_are_two_ways_to_one_contact():
+def test_depth_and_force_lead_to_the_same_contact():
     for friction in (0.0, 0.5):
         gel = tactile_sim.Gel(friction=friction)
         pressed = tactile_sim.solve_contact(bumps(3), PIXEL_M, gel, thickness_m=LAYER_M, force_n=4.0)
@@ -364,7 +364,7 @@ def test_large_images_are_solved_on_blocks():
 
 
 def test_reciprocity_of_single_loads():
-    """Work of one load on the displacement by another is the same both ways, of all components."""
+    """The work of one load on the displacement by another is the same both ways, for all components."""
     solver = PlainSolver((24, 30), (3e-4, 2e-4), tactile_sim.Gel(poisson_ratio=0.45), LAYER_M)
     rng = np.random.default_rng(0)
     loads, moved = [], []
@@ -412,7 +412,7 @@ def test_reciprocity_of_single_loads():
         ({"block_px": 0}, "block_px is 0"),
     ],
 )
-def test_what_cannot_be_solved_is_refused(change, words):
+def test_invalid_arguments_are_refused(change, words):
     arguments = {
         "height_m": bumps(1),
         "pixel_m": 1e-4,
@@ -434,7 +434,7 @@ def test_a_gel_states_its_limits():
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 3), (13, 14), (5, 40)], ids=str)
-def test_small_windows_turned_by_a_right_angle_have_results_turned_so(shape):
+def test_results_of_small_windows_turn_with_them(shape):
     """Fields are padded to 32 columns, more than the transforms of few columns have."""
     height_m = 1e-3 * np.random.default_rng(3).random(shape)
     keywords = {"thickness_m": LAYER_M, "force_n": 1.0, "twist_rad": 0.02}
@@ -449,7 +449,7 @@ def test_small_windows_turned_by_a_right_angle_have_results_turned_so(shape):
 
 
 @pytest.mark.parametrize("depth_m", [2e-5, 4e-4])
-def test_a_press_to_a_depth_has_that_depth_also_on_blocks(depth_m):
+def test_a_press_to_a_depth_has_that_depth_even_on_blocks(depth_m):
     """A steep cone: the highest mean of a block lies 0.06 mm below the tip."""
     side = (np.arange(64) - 31.5) * 1e-4
     cone_m = -np.hypot(*np.meshgrid(side, side)) / 2

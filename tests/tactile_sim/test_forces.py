@@ -1,4 +1,4 @@
-"""Presses of an elastic gel in touches, sets and commands: what is stored is what the solver says."""
+"""Presses of an elastic gel in touches, data sets and commands: stored values are those of the solver."""
 
 from __future__ import annotations
 
@@ -52,10 +52,10 @@ def test_the_sensor_stops_at_the_force_and_the_picture_is_the_surface():
     contact = pressed.contact
     assert contact.force_n[2] == pytest.approx(3.0, rel=1e-6)
     assert np.abs(contact.force_n[:2]).max() < 0.01
-    # The ball is 2 mm to the left and 1 mm above the middle of the sensor: moments of its force.
+    # Moments: the ball is 2 mm to the left and 1 mm above the middle of the sensor.
     assert contact.torque_nm[:2] == pytest.approx([3.0 * 0.001, 3.0 * 0.002], rel=2e-3)
     assert abs(contact.torque_nm[2]) < 2e-5
-    # Where it touches, the surface is the ball; beside it the gel bulges, and never reaches into the ball.
+    # In the contact, the surface is that of the ball; beside it, the gel bulges without entering the ball.
     heights_m = pressed.sensor_z_m - pressed.depth_m
     x, y = (np.arange(32) + 0.5 - 16) * 0.01416 / 32, (15.5 - np.arange(32)) * 0.01416 / 32
     x, y = x + SENSOR.sample_px[0] * 0.01416 / 32 + 0.002, y + SENSOR.sample_px[1] * 0.01416 / 32 - 0.001
@@ -97,7 +97,7 @@ def test_a_gel_of_too_many_pixels_is_refused():
 
 
 def test_an_image_of_more_than_the_gel_is_refused():
-    """The centre of an image of 2:1 is that of 28 mm; loads beyond the gel would bear a part of the force."""
+    """An image of 2:1 would show 28 mm; loads outside of the gel would bear a part of the force."""
     with pytest.raises(InputError, match=r"shows 28.32 x 14.16 mm, and the elastic gel has 18.88 x 14.16 mm"):
         _press(ball(subdivisions=1), center_view(64, 32), force_n=1.0)
     assert _press(ball(subdivisions=1), center_view(32, 24), force_n=1.0).contact.force_n[2] > 0.99
@@ -184,7 +184,7 @@ def test_markers_are_dark_dots_where_they_are():
     ],
     ids=str,
 )
-def test_loads_that_cannot_be_are_refused(loads, told):
+def test_invalid_loads_are_refused(loads, told):
     with pytest.raises(InputError, match=told):
         _press(ball(subdivisions=1), **loads)
 
@@ -199,21 +199,21 @@ def test_a_touch_of_a_rigid_gel_has_no_contact():
 @pytest.mark.parametrize(
     ("wrong", "told"),
     [
-        ({"force_n": (10.0, 1.0)}, "two of them that rise"),
+        ({"force_n": (10.0, 1.0)}, "two in ascending order"),
         ({"force_n": 0.0}, "above 0"),
         ({"force_n": 1.0, "press_m": 0.001}, "both a force and a depth"),
         ({"slide_m": -0.001}, "slide_m of the press is -1 mm; expected a number from 0 to 1 mm"),
         ({"press_m": (0.002, 0.001)}, "press_m of the press is 2:1 mm"),
         ({"twist_rad": (0.0, math.pi)}, "is 0:180 degrees; expected a number from -10 to 10 degrees"),
-        ({"twist_rad": 2.0}, "two of them that rise"),
-        ({"twist_rad": (0.1, np.inf)}, "two of them that rise"),
+        ({"twist_rad": 2.0}, "two in ascending order"),
+        ({"twist_rad": (0.1, np.inf)}, "two in ascending order"),
         ({"markers": (0, 0)}, "columns and rows"),
         ({"markers": 7}, "columns and rows"),
         ({"draw_markers": True}, "there are none"),
     ],
     ids=str,
 )
-def test_presses_that_cannot_be_are_refused(wrong, told):
+def test_invalid_presses_are_refused(wrong, told):
     with pytest.raises(InputError, match=told):
         ElasticPress(GEL, **wrong)
 
@@ -235,7 +235,7 @@ def test_numbers_become_spans_and_the_force_is_that_of_the_paper():
     assert GenerateSpec(press=press).to_dict()["press"]["youngs_modulus_pa"] == GEL.youngs_modulus_pa
 
 
-def test_a_set_holds_what_the_solver_says(touches):
+def test_a_set_stores_the_results_of_the_solver(touches):
     forces = []
     for record in realtouch.load(touches, "train"):
         solid = (ball(0.006, 2), block())[record.object_id]
@@ -375,7 +375,7 @@ def test_other_sets_show_their_image_alone(tmp_path):
         (["--gel", "none", "--markers", "7x9"], "--markers is given, and the gel is not elastic"),
         (["--gel", "soft"], "expected none, elastic, or a JSON file"),
         (["--gel", "elastic", "--force-n", "-5"], "above 0"),
-        (["--gel", "elastic", "--force-n", "1:0"], "two of them that rise"),
+        (["--gel", "elastic", "--force-n", "1:0"], "two in ascending order"),
         (["--gel", "elastic", "--force-n", "1:2:3"], "expected a number, or two"),
         (["--gel", "elastic", "--force-n", "inf"], "expected a number, or two"),
         (["--gel", "elastic", "--markers", "0x0"], "columns and rows"),
@@ -409,7 +409,7 @@ def test_the_commands_press(tmp_path, capsys):
     )
     told = json.loads(capsys.readouterr().out)
     assert told["force_n"][2] == pytest.approx(2.0, rel=1e-4)
-    # One touch of a large image is no round of them.
+    # One touch of a large image fits; a round of them does not.
     large = ("--size", "1024x768", "--gel", "elastic", "--out", out)
     assert call("tactile-sim", "render", *base[:5], *large) == 0
     capsys.readouterr()
@@ -467,7 +467,7 @@ def test_taxim_shows_the_surface_and_does_not_smooth_it():
         for each in (False, True)
     )
     assert np.abs(smoothed - shown).max() > 5
-    # A bulge is seen, where the smoothing of Taxim and a gel that ends at its rest show none.
+    # A bulge is visible, which Taxim would smooth away and a gel that is cut off at rest would not show.
     bulge = pressed.depth_m > sensor.gel_m + 2e-5
     flat = np.minimum(pressed.depth_m, sensor.gel_m)[None]
     below = optics.render(flat, sensor, (64, 64), is_surface=True)[0].astype(int)

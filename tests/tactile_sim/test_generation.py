@@ -1,4 +1,4 @@
-"""Data sets of touches: the same bytes with any number of workers, read by all who read touches."""
+"""Data sets of touches: the same bytes with any number of workers, and readable like all touches."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_the_same_bytes_with_workers_split_by_split_and_small_shards(scenes, tou
 
 
 def test_shards_and_row_groups_hold_as_many_rounds_as_their_bytes_allow(scenes):
-    """A later version that divided them otherwise would not continue a set, nor make the same files again."""
+    """A later version with other shards could not continue a set, and would make other files."""
     for size_px, touches, largest, rows_per_group in (((64, 64), 256, 161, 20), ((320, 240), 64, 52, 6)):
         spec = tactile_sim.GenerateSpec(size_px, "depth", plan=tactile_sim.TouchPlan(2, touches))
         layout = TouchGenerator.of(scenes, spec).layout()
@@ -80,7 +80,7 @@ def test_the_source_is_not_written_over(overwrite, scenes):
     assert _bytes(Path(scenes)) == before
 
 
-def test_a_set_is_what_its_poses_say(scenes, touches):
+def test_a_set_agrees_with_its_poses(scenes, touches):
     """Rendering the stored poses again gives the stored pictures and heights."""
     rounds, solids = realtouch.load(touches, "train"), starstruck_gen.load(scenes, "train")
     assert len(rounds) == 14
@@ -99,7 +99,7 @@ def test_a_set_is_what_its_poses_say(scenes, touches):
 
 
 def test_published_is_the_whole_sensor_rendered_large_and_scaled(scenes, tmp_path):
-    """By another way: the window cut into 320 x 240 by hand, and areas averaged by numpy."""
+    """Compared with another method: the window is cut from 320 x 240 pixels, and NumPy averages areas."""
     spec = tactile_sim.GenerateSpec((64, 48), "depth", "full", PLAN, "png", limit=2)
     tactile_sim.generate(scenes, spec, tmp_path / "made", ["train"])
     solids = starstruck_gen.load(scenes, "train")
@@ -211,12 +211,12 @@ def test_shifts_are_as_large_as_those_of_the_environments():
         {"seed": -1},
     ],
 )
-def test_plans_that_cannot_be_are_refused(values):
+def test_invalid_plans_are_refused(values):
     with pytest.raises(InputError, match=f"{next(iter(values))} of the plan"):
         tactile_sim.TouchPlan(**values)
 
 
-def test_sources_that_cannot_be_are_refused(scenes, touches, tmp_path):
+def test_invalid_sources_are_refused(scenes, touches, tmp_path):
     with pytest.raises(InputError, match="does not exist; expected a folder"):
         TouchGenerator.of(tmp_path / "nothing", SPEC)
     with pytest.raises(InputError, match="unknown split 'dev'"):
@@ -303,14 +303,14 @@ def _rendered(capsys, *arguments) -> tuple[dict, str]:
 
 
 def test_contact_of_a_look_counts_the_object(tmp_path, capsys):
-    """A block of 4 x 3 mm, 1 mm high: the gel meets it, and the plate around it."""
+    """A block of 4 x 3 mm, 1 mm high: the gel touches it and the plate around it."""
     block((0.004, 0.003, 0.001)).apply_scale(1000).export(tmp_path / "low.stl")
     found, note = _rendered(capsys, tmp_path / "low.stl", "--size", "80x60", "--out", tmp_path / "low.png")
     assert found["contact"] == pytest.approx(4 * 3 / (18.88 * 14.16), rel=0.1)
     assert note == ""
 
 
-def test_a_look_that_misses_the_mesh_says_where_it_is(tmp_path, capsys):
+def test_a_touch_that_misses_the_mesh_reports_its_position(tmp_path, capsys):
     away = block()
     away.apply_translation([0.1, -0.03, 0.2])
     away.apply_scale(1000).export(tmp_path / "away.stl")

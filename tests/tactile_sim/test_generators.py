@@ -1,4 +1,4 @@
-"""Generators that are run: the values of their layers, alone or together, on any number of threads."""
+"""Inference with generators: the values of their layers, single or in batches, with any number of threads."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_bfloat16_is_close(size_px):
     assert 0 < off.mean() < 0.03
 
 
-def test_what_a_machine_does_not_have_is_named(monkeypatch, tmp_path):
+def test_missing_hardware_is_named(monkeypatch, tmp_path):
     write_weights(open_folder(str(tmp_path)), "small.npz", _weights())
     monkeypatch.setattr(torch.cpu, "_is_avx512_bf16_supported", lambda: False)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)

@@ -1,4 +1,4 @@
-"""The sensors that judge a calibration are what they say."""
+"""The sensors by which calibrations are judged have the stated properties."""
 
 from __future__ import annotations
 
@@ -46,13 +46,13 @@ def test_depth_is_how_far_the_solid_reaches_into_the_gel_at_its_true_pose() -> N
             block(), tactile_sim.pose(x_m, y_m, turn_rad=turn), tactile_sim.pose(), like
         )
         np.testing.assert_allclose(made.depth_m[number], np.maximum(gel_m - pressed.depth_m, 0), atol=1e-8)
-        # What is stated is the truth where poses have no errors.
+        # Without errors, the stated poses are the true ones.
         stated = made.object_poses[number, :2] - made.sensor_m[number, :2]
         np.testing.assert_allclose(stated, [x_m, y_m], atol=1e-12)
         assert made.sensor_m[number, 2] == pytest.approx(0.004 + gel_m - made.press_m[number])
 
 
-def test_stated_poses_are_off_as_they_are_said_to_be() -> None:
+def test_stated_poses_have_the_requested_errors() -> None:
     made = phong().record(digits(2), 40)
     off_m = made.object_poses[:, :2] - made.sensor_m[:, :2] - made.true_poses[:, :2]
     assert off_m.std() == pytest.approx(1e-4, rel=0.3)
@@ -60,7 +60,7 @@ def test_stated_poses_are_off_as_they_are_said_to_be() -> None:
 
 
 @pytest.mark.sim
-def test_taxims_colours_by_a_way_of_their_own_are_those_of_the_project() -> None:
+def test_independent_colours_of_taxim_equal_those_of_the_project() -> None:
     pytest.importorskip("taxim", reason="taxim (extra `sim`) is not installed")
     sensor = replace(draw_sensor(0, "published"), noise=0.0)
     made = sensor.record(digits(2), 2)
@@ -74,7 +74,7 @@ def test_taxims_colours_by_a_way_of_their_own_are_those_of_the_project() -> None
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
-def test_each_mistake_changes_what_it_names_alone(mistake: str, recording: Recording) -> None:
+def test_each_mistake_changes_only_what_it_names(mistake: str, recording: Recording) -> None:
     made = phong().record(digits(2), 4, seed=1, mistake=mistake)
     same = {name: np.array_equal(getattr(made, name), getattr(recording, name)) for name in NAMES}
     assert {name for name, is_same in same.items() if not is_same} == CHANGED[mistake]
@@ -98,7 +98,7 @@ CHANGED = {
 }
 
 
-def test_a_written_recording_is_what_a_user_has(recording: Recording, tmp_path: Path) -> None:
+def test_a_written_recording_has_the_files_of_a_user(recording: Recording, tmp_path: Path) -> None:
     recording.write(tmp_path)
     with (tmp_path / "images" / "touches.csv").open() as stream:
         rows = list(csv.DictReader(stream))

@@ -1,4 +1,4 @@
-"""Steps of the Taxim kernels one by one: whole pictures need the extra `sim`."""
+"""Steps of the Taxim kernels one by one; entire pictures need the extra `sim`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.unchanged.record import numbers_of, recorded
 
 @pytest.fixture(scope="module")
 def in_python(tmp_path_factory):
-    """A sensor of our own, and its pictures when no kernel is compiled."""
+    """A made-up sensor, and its pictures without compiled kernels."""
     package = tmp_path_factory.mktemp("made-up") / "taxim"
     made_up_sensor.write_calibration(package)
     command = [sys.executable, "-m", made_up_sensor.__name__, str(package)]
@@ -58,13 +58,13 @@ def test_the_rim_is_where_two_windows_reach(windows):
     mask = np.random.default_rng(1).random((30, 40)) < 0.01
     near = mask
     for width, height in windows:
-        # A window of an even size leans to the upper left, as scipy's does to the lower right.
+        # A window of even size is off-centre to the upper left, that of SciPy to the lower right.
         origin = [-((side + 1) % 2) for side in (height, width)]
         near = binary_dilation(near, np.ones((height, width)), origin=origin)
     assert (taxim_kernels._rim(mask, np.array(windows)) == near & ~mask).all()
 
 
-def test_slopes_of_a_plane_and_of_what_is_level():
+def test_slopes_of_a_plane_and_of_a_level_surface():
     row, column = np.mgrid[:6.0, :9.0]
     slope, direction = taxim_kernels._slopes.py_func(0.3 * column - 0.2 * row, 0.5, 0.5, 1e-6)
     # Two pixels apart, and halved: the slope of the plane, up to where it rises.
@@ -73,7 +73,7 @@ def test_slopes_of_a_plane_and_of_what_is_level():
     slope, direction = taxim_kernels._slopes.py_func(np.full((4, 5), 0.7), 0.5, 0.5, 1e-6)
     assert (slope == 0).all()
     assert (direction == np.pi).all()
-    # At the edge stands what is next to it, here and of any other surface.
+    # Pixels at the edge copy their neighbours, for any surface.
     bumps = np.random.default_rng(0).random((5, 6))
     for table in taxim_kernels._slopes.py_func(bumps, 0.5, 0.5, 1e-6):
         assert (table == np.pad(table[1:-1, 1:-1], 1, mode="edge")).all()

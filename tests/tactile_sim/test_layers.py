@@ -1,4 +1,4 @@
-"""Printed solids: layers in closed form, against layers that are stacked and walked through."""
+"""Printed solids: layers in closed form, compared with a walk through stacked layers."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ LAYER_M = 0.0004
 
 
 def _ramp(slope: float) -> trimesh.Trimesh:
-    """A long wedge whose upper face rises along x, from z = 0 at x = -0.02."""
+    """Return a long wedge whose upper face rises along x, from z = 0 at x = -0.02."""
     height = 0.04 * slope
     ends = [[-0.02, y, 0] for y in (-0.03, 0.03)] + [[0.02, y, z] for y in (-0.03, 0.03) for z in (0, height)]
     return trimesh.convex.convex_hull(np.array(ends))
 
 
 def _is_printed(x_m: np.ndarray, z_m: np.ndarray, slope: float) -> np.ndarray:
-    """Whether points of the section of the ramp are inside a layer: the definition, layer by layer."""
+    """Return whether points of the section of the ramp are inside a layer, by definition."""
     inside = np.zeros(x_m.shape, bool)
     radius = LAYER_M / 2
     for number in range(int(np.floor(0.04 * slope / LAYER_M + 0.5))):
@@ -50,7 +50,7 @@ def test_layers_are_where_a_walk_along_the_line_of_sight_meets_them(slope):
         printed = _is_printed(np.full(steps.shape, place), steps, slope)
         expected.append(steps[np.argmax(printed)])
     off = np.abs(heights - np.array(expected))
-    assert np.sort(off)[-3] < 1e-6  # where one layer ends before another, rounding decides
+    assert np.sort(off)[-3] < 1e-6  # at the end of a layer, rounding decides
 
 
 @pytest.mark.sim
@@ -94,6 +94,6 @@ def test_layers_turn_and_move_with_their_solid():
 
 
 @pytest.mark.parametrize("layer_m", [-0.0002, 0.2, float("nan"), "thin", None, 1e-6])
-def test_layers_that_cannot_be_are_refused(layer_m):
+def test_invalid_layers_are_refused(layer_m):
     with pytest.raises(InputError, match=r"expected 2e-05 to 0\.002 m"):
         tactile_sim.Pressable.of(block(), layer_m=layer_m)

@@ -1,4 +1,4 @@
-"""Learned rendering from pairs to pictures: same bytes however it runs, nothing half-written."""
+"""Learned rendering from pairs to pictures: the same bytes for any workers and interruptions."""
 
 from __future__ import annotations
 
@@ -72,14 +72,14 @@ def pairs(sources, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def trained(pairs, tmp_path_factory):
-    """A training that nothing disturbed."""
+    """An uninterrupted training."""
     folder = tmp_path_factory.mktemp("trained") / "weights"
     train(pairs, folder, CONFIG, device="cpu", deterministic=True)
     return folder
 
 
 def test_losses_of_a_training_are_unchanged(trained):
-    """Other processors round otherwise, which some steps later is a thousandth."""
+    """Other processors round differently, which grows to a thousandth in some steps."""
     expected, found = recorded()["training"], losses_of_steps(trained)
     assert found.keys() == expected.keys()
     for name, values in found.items():
@@ -90,7 +90,7 @@ def _weights(folder) -> list[bytes]:
     return [(Path(folder) / name).read_bytes() for name in FILES]
 
 
-def test_pairs_hold_what_was_asked_for_with_any_number_of_workers(sources, pairs, tmp_path, monkeypatch):
+def test_pairs_satisfy_their_specification_with_any_number_of_workers(sources, pairs, tmp_path, monkeypatch):
     data = Pairs.open(pairs)
     for domain in (data.depth, data.real):
         assert len(domain) == 60
@@ -122,7 +122,7 @@ def test_pairs_hold_what_was_asked_for_with_any_number_of_workers(sources, pairs
     assert ((known >= 0.006) == data.real.contact).all()
 
 
-def test_pairs_that_cannot_be_made_are_named(sources, tmp_path):
+def test_impossible_pairs_are_named(sources, tmp_path):
     cases = [
         (PairsSpec((32, 32), 5000), "holds .* touches with contact"),
         (PairsSpec((32, 32), 60, min_height_m=0.09), "holds 0 touches with contact"),
@@ -156,7 +156,7 @@ def test_killed_at_any_moment_it_ends_in_the_same_weights(pairs, trained, tmp_pa
         f"train({pairs!r}, {str(out)!r}, TrainConfig(**{CONFIG.to_dict()!r}), device='cpu',"
         "deterministic=True, on_progress=lambda done, total: print(done, flush=True))"
     )
-    # Where it continues, there are other threads.
+    # The run may continue with another number of threads.
     threads = {"OMP_NUM_THREADS": str(torch.get_num_threads() + 1)}
     with subprocess.Popen(
         [sys.executable, "-c", program], stdout=subprocess.PIPE, env={**os.environ, **threads}
@@ -213,7 +213,7 @@ def test_a_damaged_checkpoint_and_a_full_disk_are_named(pairs, trained, tmp_path
     out.mkdir()
     for file in ("training.json", "checkpoint.pt"):
         (out / file).write_bytes((trained / file).read_bytes())
-    # As a kill leaves it that comes between the last checkpoint and what follows from it.
+    # As if killed between the last checkpoint and the files that follow from it.
     assert train(pairs, out, CONFIG, device="cpu", deterministic=True).taken == 0
     assert _weights(out) == _weights(trained)
     whole = (out / "checkpoint.pt").read_bytes()
@@ -261,7 +261,7 @@ def test_the_chain_from_the_command_line(sources, pairs, trained, tmp_path, monk
     from cli.tactile_sim import app
 
     run = CliRunner()
-    # A folder of another specification would be refused: the options mean what `SPEC` says.
+    # A folder of another specification would be refused, so the options have the meaning of `SPEC`.
     words = [
         "pairs", sources[0], "--real", sources[1], "--size", "32x32", "--count", "60",
         "--without-contact", "0.2", "--min-height-mm", "6", "--window", "center", "-w", "1", "--out",
@@ -287,7 +287,7 @@ def test_the_chain_from_the_command_line(sources, pairs, trained, tmp_path, monk
     assert [rows[name]["depth_um"] for name in ("trained", "taxim", "untrained")] == pytest.approx(
         [939.82, 929.20, 940.52], rel=1e-4
     )
-    # Whatever a processor rounds, classifiers that learn for 60 steps find about the same.
+    # On all processors, classifiers that learn for 60 steps give about the same results.
     assert [row["contact_accuracy"] for row in rows.values()] == pytest.approx(
         [0.841, 0.5, 0.773, 0.5], abs=0.05
     )
@@ -296,7 +296,7 @@ def test_the_chain_from_the_command_line(sources, pairs, trained, tmp_path, monk
         [0.0928, 0.0085, 0.0651, 0.0085], abs=1e-3
     )
     assert rows["untrained"]["two_sample"] > 0.9  # noise is not a touch
-    # These real touches are Taxim's own, but for their noise.
+    # These real touches are those of Taxim, with noise.
     assert rows["taxim"]["two_sample"] < rows["untrained"]["two_sample"]
     assert sorted(file.name for file in (tmp_path / "found").iterdir()) == [
         "evaluation.json", "evaluation.md", "evaluation.png",
@@ -342,7 +342,7 @@ def test_an_evaluation_is_the_same_of_one_picture_at_a_time(pairs, trained, monk
 
 
 def test_two_processes_of_torchrun_train_together(pairs, tmp_path, monkeypatch):
-    """One is this process, with the variables that `torchrun` gives to each."""
+    """One of them is this process, with the variables that `torchrun` sets."""
     out, config = tmp_path / "two", TrainConfig(2, 1, 4, steps=2, crop=1.0)
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = str(free.getsockname()[1])
@@ -363,10 +363,10 @@ def test_two_processes_of_torchrun_train_together(pairs, tmp_path, monkeypatch):
         verdicts = other.communicate()
     monkeypatch.undo()
     assert other.returncode == 0, verdicts
-    assert not verdicts[0]  # the first process speaks for all
+    assert not verdicts[0]  # the first process prints for all
     with pytest.raises(SpecMismatchError, match="trained by 2 processes"):
         train(pairs, out, config, device="cpu")
-    # Each process continues with the pictures that it had drawn.
+    # Each process continues with the pictures in its pools.
     state = torch.load(io.BytesIO((out / "checkpoint.pt").read_bytes()[32:]), weights_only=True)
     for pool in state["pools"]:
         model = CycleGan(config, "cpu")
@@ -412,7 +412,7 @@ def test_relief_is_free_only_near_the_contact():
 
     assert (
         error(30, 32) == error(28, 28) == {"touch_background": 0, "depth_background": 0}
-    )  # that touch met something
+    )  # that touch met the object
     assert error(30, 33)["touch_background"] == error(0, 0)["touch_background"] > 0
 
 
@@ -422,11 +422,11 @@ def test_noise_in_training_is_that_of_generated_touches():
     shades = shades_of(noisy_channels(picture_channels(pictures), NOISE, rngs[0]), (32, 24))
     expected = add_noise(pictures, NOISE, rngs[1], lambda _: rngs[1])
     off = np.abs(255 * shades.permute(0, 2, 3, 1).numpy() - expected)
-    assert off.max() < 0.501  # what is rounded to levels
+    assert off.max() < 0.501  # of values that are rounded to levels
     assert np.abs(expected.astype(int) - pictures).mean() > 1
 
 
-def test_errors_weigh_what_the_settings_say():
+def test_losses_have_the_weights_of_the_settings():
     config = TrainConfig(
         2, 1, 4, steps=8, pretrain_steps=4,
         touch_cycle_weight=3.0, depth_cycle_weight=4.0, identity_weight=5.0, background_weight=6.0,
@@ -444,8 +444,8 @@ def test_noise_for_discriminators_ends_where_the_rate_begins_to_fall():
     assert [config.rate(step) < config.learning_rate for step in (0, 49, 51)] == [False, False, True]
 
 
-def test_what_doubles_the_size_begins_as_linear_interpolation():
-    """One drawn number for each pair of channels, halved beside its pixel, and once more at the corners."""
+def test_upsampling_layers_begin_as_linear_interpolation():
+    """One random number for each pair of channels, halved at the sides, and halved again at the corners."""
     network = GeneratorNetwork(2, 1)
     initialise(network, 3)
     doubling = [each for each in network.modules() if isinstance(each, torch.nn.ConvTranspose2d)]
@@ -458,7 +458,7 @@ def test_what_doubles_the_size_begins_as_linear_interpolation():
 
 
 def test_a_step_takes_the_rate_of_its_number():
-    """Which falls to nothing in the second half of the training."""
+    """The learning rate falls to 0 in the second half of the training."""
     config = TrainConfig(2, 1, 4, steps=8, pretrain_steps=0, decay_from=0.5)
     networks, rng = CycleGan(config, "cpu"), np.random.default_rng(0)
     touch, depth = (torch.from_numpy(rng.random((1, 3, 64, 64), np.float32)) for _ in range(2))
@@ -469,7 +469,7 @@ def test_a_step_takes_the_rate_of_its_number():
         assert {group["lr"] for group in groups} == {config.rate(number)}
 
 
-def test_the_manifest_of_pairs_names_what_they_were_made_of(sources, pairs):
+def test_the_manifest_of_pairs_names_their_sources(sources, pairs):
     source = json.loads((Path(pairs) / "manifest.json").read_text())["spec"]["source"]
     shards = [json.loads((Path(folder) / "manifest.json").read_text())["shards"][0] for folder in sources]
     assert set(source) == {"depth", "real"}

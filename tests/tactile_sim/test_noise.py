@@ -1,4 +1,4 @@
-"""The noise of a real sensor: with the same random numbers, what the package's own code gives."""
+"""The noise of a real sensor: with the same random numbers, it equals that of the package."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def _rng(*key):
 
 @pytest.mark.oracle
 @pytest.mark.parametrize("size", [(64, 64), (33, 20), (320, 240), (1, 7)], ids=str)
-def test_the_same_random_numbers_give_what_the_package_gives(size):
+def test_the_same_random_numbers_give_the_noise_of_the_package(size):
     require_package()
     from tests.published_envs import published_package
 
@@ -56,7 +56,7 @@ def test_the_same_random_numbers_give_what_the_package_gives(size):
 @pytest.mark.parametrize("size", [(64, 64), (33, 20), (1, 7)], ids=str)
 @pytest.mark.parametrize("channels", [1, 3])
 def test_sensors_side_by_side_have_the_noise_of_the_package(size, channels):
-    """Over resets of some of them, to single precision."""
+    """Also after resets of some of them; to single precision."""
     require_package()
     from tests.published_envs import published_package
 
@@ -91,8 +91,8 @@ def test_calibrated_values_are_those_of_the_installed_package():
 
 
 @pytest.mark.parametrize("part", ["frame_noise", "episode_pattern"])
-def test_noise_is_as_large_and_as_correlated_as_asked_for(part):
-    """Against the definition: deviation, correlation of colours and slope of the spectrum."""
+def test_noise_has_the_requested_deviation_and_correlation(part):
+    """Compared with the definition: deviation, correlation of colours and slope of the spectrum."""
     values = {name: 0.0 if name.endswith("_std") else value for name, value in VALUES.items()}
     noise = tactile_sim.SensorNoise(**values | {f"{part}_std": 0.05})
     grey = np.full((200, 64, 64, 3), 128, np.uint8)
@@ -117,7 +117,7 @@ def test_noise_is_as_large_and_as_correlated_as_asked_for(part):
 
 
 @pytest.mark.thorough
-def test_rounds_differ_in_gain_and_offset_as_asked_for():
+def test_rounds_have_the_requested_spread_of_gain_and_offset():
     ramp = np.tile(np.linspace(40, 200, 64).astype(np.uint8)[None, None, :, None], (1, 64, 1, 3))
     values = {**VALUES, "frame_noise_std": 0.0, "episode_pattern_std": 0.0}
     made = np.concatenate(
@@ -138,7 +138,7 @@ def test_sets_have_noise_of_their_own_for_each_touch(tmp_path):
 
     scenes = str(tmp_path / "scenes")
     starstruck_gen.generate(starstruck_gen.SceneSetSpec(scenes=(("train", 3),)), scenes)
-    # All touches of the bare plate: what differs is noise.
+    # All touches are of the bare plate, so differences are noise.
     given = tactile_sim.TouchTable(
         [0.0] * 3, [0.0] * 3, object_x_m=[0.5] * 3, object_y_m=[0.5] * 3, object_turn_rad=[0.0] * 3
     )
@@ -169,7 +169,7 @@ def test_sets_have_noise_of_their_own_for_each_touch(tmp_path):
     assert within > 0.6 > abs(between)
 
 
-def test_noise_that_cannot_be_is_refused(tmp_path):
+def test_invalid_noise_is_refused(tmp_path):
     for name, value in (
         ("frame_noise_std", -1.0),
         ("episode_gain_std", float("nan")),

@@ -24,7 +24,7 @@ def _depths(sensor):
 
 
 @pytest.mark.parametrize("size", [(320, 240), (50, 40)], ids=str)
-def test_taxim_is_the_package_on_slopes_and_no_further_off_where_it_is_flat(size):
+def test_taxim_equals_the_package_on_slopes_and_is_near_it_on_flat_gel(size):
     jax = pytest.importorskip("taxim.taxim_jax", reason="needs taxim with JAX, of the extra oracle")
     from taxim import CALIB_GELSIGHT_MINI
 
@@ -35,10 +35,10 @@ def test_taxim_is_the_package_on_slopes_and_no_further_off_where_it_is_flat(size
     assert (make_optics("taxim").render(depths, sensor, size) == np.rint(ours * np.float32(255))).all()
     for depth_m, shades in zip(depths, ours, strict=True):
         height_mm = (depth_m * 1000 - 4.25).astype(np.float32)
-        # Of the package's inner steps only the shape of the gel is taken, to distinguish flat pixels.
+        # Private functions of the package give the shape of the gel, to find flat pixels.
         gel_mm, _ = package._TaximJax__compute_gel_pad_deformation(height_mm)
         steep, direction = map(np.asarray, package._TaximJax__generate_normals(-gel_mm / 0.0295))
-        # Where the circle of directions closes, single precision alone decides on which side a pixel is.
+        # At the seam of the directions, rounding decides on which side a pixel is.
         clear = (np.tan(steep) > 1e-4) & (np.abs(direction) < np.pi - 1e-5)
         sloped = clear.copy()
         for radius in range(1, 1 + max(size) // 64):  # the last filters carry colours that far
@@ -51,7 +51,7 @@ def test_taxim_is_the_package_on_slopes_and_no_further_off_where_it_is_flat(size
         assert off.max() <= 26
 
 
-def test_flat_pixels_have_one_colour_whatever_the_rounding():
+def test_rounding_does_not_change_the_colour_of_flat_pixels():
     sensor = tactile_sim.center_view(64, 64)
     plate = np.full((1, 64, 64), sensor.press_m)
     optics = make_optics("taxim")
@@ -68,7 +68,7 @@ def test_depth_pictures_are_grey_levels_of_the_depth_image():
     assert np.abs(picture - expected[..., None]).max() <= 0.5 + 1e-4
 
 
-def test_optics_that_cannot_be_are_refused(monkeypatch):
+def test_invalid_optics_are_refused(monkeypatch):
     with pytest.raises(InputError, match="no optics 'lens'"):
         make_optics("lens")
     for option in ({"device": "cuda"}, {"bfloat16": True}):

@@ -1,4 +1,4 @@
-"""Depth maps are those of the published renderer, at the sample point that its driver names."""
+"""Depth maps equal those of the published renderer, at the sample point that its driver reports."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from tests.tactile_sim.oracle import GEL_M, PRESS_M, Oracle, require_package
 pytestmark = [pytest.mark.oracle, pytest.mark.sim]
 
 OBJECTS = int(os.environ.get("ORACLE_OBJECTS", "5"))
-"""Objects of each kind; `ORACLE_OBJECTS=400` makes the whole proof, in some minutes."""
+"""Objects of each kind; `ORACLE_OBJECTS=400` runs the full proof, in some minutes."""
 
 HEIGHTS_M = {"digits": 1e-7, "scenes": 1e-7, "wrench": 2e-7}
-"""How far heights of the sensor may be apart. The top of a wrench is one large flat face, whose height is
-known exactly and met by ours; the driver's depths there, of which the least counts, scatter by 0.12 um."""
+"""Greatest difference of the heights of the sensor. The top of a wrench is one large flat face. Our height of
+it is exact; the depths of the driver, of which the least decides, scatter by 0.12 um."""
 
 SIZES = [(64, 64), (256, 256), (320, 240)]
 
@@ -60,7 +60,7 @@ def test_depth_is_that_of_the_environments(kind, size, record_property):
         solid = tactile_sim.Pressable.of(mesh)
         x_m, y_m = rng.uniform(-0.02, 0.02, 2)
         object_pose = tactile_sim.pose(x_m, y_m, 0.0 - solid.foot_m, turn_rad=rng.uniform(-np.pi, np.pi))
-        # Where something is: a corner of the solid, or up to 8 mm next to it.
+        # Near the solid: a corner of it, or up to 8 mm away.
         corner = object_pose @ [*solid.vertices_m[rng.integers(len(solid.vertices_m))], 1.0]
         place = np.clip(corner[:2] + rng.uniform(-0.008, 0.008, 2), -0.038, 0.038)
         target = tactile_sim.pose(*place)

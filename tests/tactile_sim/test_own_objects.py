@@ -1,4 +1,4 @@
-"""Touches of a user's own meshes, by sensors of any geometry."""
+"""Touches of meshes of a user, with sensors of any geometry."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_folders_are_classes_and_splits_and_no_path_is_stored(tmp_path: Path) ->
     assert [(each["id"], each["file"]) for each in listed] == list(enumerate(names))
     for file in (tmp_path / "out").glob("*.*"):
         assert str(tmp_path).encode() not in file.read_bytes()
-    # The same bytes split by split, with two workers, and of chosen objects alone.
+    # The bytes are the same split by split, with two workers, and for selected objects.
     tactile_sim.generate(source, depth(), tmp_path / "again", ["test"])
     tactile_sim.generate(source, depth(), tmp_path / "again", ["train"], workers=2)
     assert shards(tmp_path / "again") == shards(tmp_path / "out")
@@ -129,7 +129,7 @@ def test_each_object_that_cannot_be_touched_is_left_out_once(tmp_path: Path, mon
         np.testing.assert_allclose(one.pos_in_cell, other.pos_in_cell, atol=1e-8)
 
 
-def test_sources_that_cannot_be_are_refused_before_anything_is_written(tmp_path: Path) -> None:
+def test_invalid_sources_are_refused_before_anything_is_written(tmp_path: Path) -> None:
     write(tmp_path / "own" / "a" / "part.stl")
     write(tmp_path / "loose.stl")
     (tmp_path / "linked").mkdir()
@@ -162,7 +162,7 @@ def test_sources_that_cannot_be_are_refused_before_anything_is_written(tmp_path:
         list(touches.make("train", range(2)))
 
 
-def test_a_folder_with_a_data_set_is_one(tmp_path: Path) -> None:
+def test_a_folder_with_a_data_set_is_not_a_folder_of_meshes(tmp_path: Path) -> None:
     import starstruck_gen
 
     starstruck_gen.generate(starstruck_gen.SceneSetSpec(scenes=(("train", 1),)), tmp_path)
@@ -174,7 +174,7 @@ def test_a_folder_with_a_data_set_is_one(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("window", "size_px"), [("full", (64, 48)), ("center", (60, 40)), ("center", (40, 60))]
 )
-def test_images_show_a_block_as_large_as_the_geometry_says(
+def test_images_show_a_block_in_its_size(
     name: str, window: Any, size_px: tuple[int, int], tmp_path: Path
 ) -> None:
     """A block in the middle of the gel: width and height in the image, depth, and where the sensor stops."""
@@ -209,7 +209,7 @@ def test_images_show_a_block_as_large_as_the_geometry_says(
     assert dark[:, column].sum() * pitch_mm[1] == pytest.approx(depth_mm, abs=1.1 * pitch_mm[1])
     sensor_z_m = rounds[0].gel_pose_cell_frame.position_m[0, 2]
     assert sensor_z_m == pytest.approx((height_mm + model.gel_mm / 2) / 1e3, abs=1e-9)
-    # Readers know the height above the plate, whatever the gel.
+    # Readers know the height above the plate for any gel.
     assert rounds.touches().heights_m() == pytest.approx([height_mm / 1e3], abs=1e-9)
     assert len(rounds.touches().with_contact()) == 1
     assert ("plate_z_m" in pq.read_schema(next((tmp_path / "out" / "data").iterdir())).names) == (
@@ -267,7 +267,7 @@ def test_a_sensor_is_named_or_read_from_a_file(tmp_path: Path, capsys: Any) -> N
         file.write_text(content)
         with pytest.raises(InputError, match=r"own\.json"):
             tactile_sim.SensorModel.named(str(file))
-    # Commands take depth for another sensor unless other optics are asked for.
+    # Commands use depth images for another sensor unless other optics are requested.
     file.write_text(json.dumps(THIN.to_dict()))
     write(tmp_path / "part.stl")
     words = ("--sensor", file, "--size", "32x24", "--rounds", 1, "--touches", 2, "--out", tmp_path / "out")
@@ -281,7 +281,7 @@ def test_a_sensor_is_named_or_read_from_a_file(tmp_path: Path, capsys: Any) -> N
     assert "add --optics depth" in capsys.readouterr().err
 
 
-def test_depth_images_have_grey_noise_of_the_deviation_that_was_asked_for(tmp_path: Path) -> None:
+def test_depth_images_have_grey_noise_of_the_requested_deviation(tmp_path: Path) -> None:
     noise = tactile_sim.SensorNoise.named("0.02")
     plan = tactile_sim.TouchPlan(4, 4, "object", seed=1, turn_rad=0.0)
     clean = tactile_sim.GenerateSpec((64, 64), "depth", plan=plan, image_format="png")
@@ -294,7 +294,7 @@ def test_depth_images_have_grey_noise_of_the_deviation_that_was_asked_for(tmp_pa
         images.append(np.stack([row.sensor_image[:] for row in realtouch.load(out)]).astype(float))
     assert (images[1] == images[2]).all()
     assert (images[1][..., 0] == images[1][..., 2]).all()
-    # Where neither end of the range cuts it.
+    # Where the noise is not clipped by the range.
     within = (images[0] > 30) & (images[0] < 225)
     added = (images[1] - images[0])[within] / 255
     assert added.std() == pytest.approx(0.02, rel=0.05)

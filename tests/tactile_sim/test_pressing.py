@@ -1,4 +1,4 @@
-"""Depth of touches: two paths with one result, truths that geometry gives, and input that is refused."""
+"""Depth of touches: compared with another method and with geometry, and input that is refused."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_numba_and_numpy_give_the_same_bytes(size, turn, lean, x_m, y_m, solid):
 
 
 def _rays(mesh: trimesh.Trimesh, object_pose, target, sensor):
-    """Heights by casting a ray for each pixel: another algorithm, of another library."""
+    """Return heights by casting a ray for each pixel, with another library."""
     width, height = sensor.size_px
     columns, rows = np.meshgrid(np.arange(width), np.arange(height))
     x = (columns + 0.5 + sensor.sample_px[0]) / width * sensor.window_m[0] - sensor.window_m[0] / 2
@@ -105,8 +105,8 @@ def test_a_block_is_felt_at_its_height_in_its_place():
     assert (pressed.image[~top] == 1).all()
 
 
-def test_beyond_the_plate_lies_what_is_twice_its_longer_side_away():
-    """A sensor over the edge: one half sees the plate, the other nothing."""
+def test_beyond_the_plate_the_depth_is_twice_its_longer_side():
+    """A sensor over the edge: one half shows the plate, the other no surface."""
     sensor, place, edge = tactile_sim.full_view(32, 24), tactile_sim.pose(), tactile_sim.pose(0.04)
     pressed = tactile_sim.render_touch(ball(), place, edge, sensor, cell_m=(0.08, 0.05))
     assert (pressed.depth_m[:, :16] == 0.002125).all()
@@ -171,7 +171,7 @@ def test_bad_input_is_named(change, words):
         {"sample_px": (0.6, 0.0)},
     ],
 )
-def test_sensors_that_cannot_be_are_refused(values):
+def test_invalid_sensors_are_refused(values):
     with pytest.raises(InputError, match="expected"):
         dataclasses.replace(tactile_sim.full_view(), **values)
 
@@ -196,7 +196,7 @@ def test_a_solid_is_checked_once_and_again_when_it_was_changed(monkeypatch):
     )
     assert np.array_equal(changed.depth_m, fresh.depth_m)
     assert not np.array_equal(changed.depth_m, before.depth_m)
-    # What is kept of the first does not change with the mesh.
+    # The cached solid does not change with the mesh.
     solid.vertices[:, 0] *= 2
     back = tactile_sim.render_touch(solid, place, place, sensor)
     assert np.array_equal(back.depth_m, before.depth_m)

@@ -1,4 +1,4 @@
-"""A sensor that has changed is told from one that has not, by figures with limits."""
+"""Figures with limits distinguish a changed sensor from an unchanged one."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class PerfectTwin:
         self.plain = self.of._camera(self.of._shown(flat, flat))
 
     def read_depth_m(self, images: np.ndarray) -> np.ndarray:
-        # The image of the recording that is most alike, whatever a gel of today makes of it.
+        # The most similar image of the recording, even if the gel has changed.
         known = self.recording.images.astype(float)
         rows = [int(((known - each) ** 2).mean(axis=(1, 2, 3)).argmin()) for each in images.astype(float)]
         return self.recording.depth_m[rows].astype(np.float32)
@@ -48,7 +48,7 @@ class PerfectTwin:
 
 @pytest.fixture(scope="module")
 def twin() -> PerfectTwin:
-    # The noisiest that hidden sensors can be.
+    # The greatest noise of hidden sensors.
     sensor = replace(draw_sensor(4, "phong", SIZE), noise=3.0, jpeg=85)
     return PerfectTwin(sensor, sensor.record(digits(2), 12, seed=1))
 

@@ -1,4 +1,4 @@
-"""What is made of data sets of others: which of their files and objects a manifest names, and how."""
+"""Sources of touches: the files and objects that a manifest names."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def touches(scenes, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def with_an_open_mesh(scenes, tmp_path_factory):
-    """The scenes, one of which has a face too few, so that it bounds no solid."""
+    """The scenes, one of which lacks a face, so that it does not bound a solid."""
     folder = tmp_path_factory.mktemp("open") / "scenes"
     (folder / "data").mkdir(parents=True)
     (file,) = (scenes / "data").glob("train-*")
@@ -59,7 +59,7 @@ def _manifest(folder: Path) -> dict:
 def test_equal_pairs_have_equal_manifests_that_name_no_place(scenes, touches, tmp_path):
     made = []
     for name in ("one", "other"):
-        # Copies have folders, inodes and times of their own.
+        # Copies have other folders, inodes and times.
         here = tmp_path / name
         shutil.copytree(scenes, here / "scenes")
         shutil.copytree(touches, here / "touches")
@@ -72,7 +72,7 @@ def test_equal_pairs_have_equal_manifests_that_name_no_place(scenes, touches, tm
     source = _manifest(tmp_path / "one" / "pairs")["spec"]["source"]
     assert [len(each["sha256"]) for each in source["depth"]] == [64]
     assert [each["file"] for each in source["real"]] == ["train-00000-of-00001.parquet"]
-    # Other touches of the same name and shape are another source.
+    # Other touches with the same name and shape are another source.
     tactile_sim.generate(
         scenes,
         tactile_sim.GenerateSpec((32, 24), "depth", plan=tactile_sim.TouchPlan(4, 8, "object", seed=4)),

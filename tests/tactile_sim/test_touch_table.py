@@ -1,4 +1,4 @@
-"""Touches from tables: what is written in them is what is made."""
+"""Touches from tables: they are made as the tables state."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def _write(folder, suffix, table):
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".tsv"])
-def test_files_of_all_kinds_hold_the_same(suffix, tmp_path):
+def test_files_of_all_formats_give_the_same_table(suffix, tmp_path):
     made, read = (
         tactile_sim.TouchTable(**TABLE),
         tactile_sim.TouchTable.read(_write(tmp_path, suffix, TABLE)),
@@ -43,7 +43,7 @@ def test_files_of_all_kinds_hold_the_same(suffix, tmp_path):
     assert [len(read.of(*key)[0]) for key in ((0, 0), (0, 1), (1, 0), (7, 0))] == [1, 0, 1, 0]
 
 
-def test_columns_state_their_units_and_an_index_is_no_column(tmp_path):
+def test_columns_state_their_units_and_an_index_is_ignored(tmp_path):
     scales = {"x_m": ("x_mm", 1e3), "y_m": ("y_cm", 1e2), "object_turn_rad": ("object_turn_deg", 180 / np.pi)}
     table = {"": [0, 1, 2, 3]}
     for name, values in TABLE.items():
@@ -73,7 +73,7 @@ def test_columns_state_their_units_and_an_index_is_no_column(tmp_path):
         tactile_sim.TouchTable.read(_write(tmp_path, ".csv", {"x_mm": [100.0], "y_mm": [0.0]}))
 
 
-def test_a_round_is_made_of_what_is_given():
+def test_a_round_has_the_given_touches():
     solid = tactile_sim.Pressable.of(block())
     plan = tactile_sim.TouchPlan(positions="given", given=tactile_sim.TouchTable(**TABLE))
     assert (plan.rounds, plan.touches) == (2, 2)
@@ -81,7 +81,7 @@ def test_a_round_is_made_of_what_is_given():
     assert made.positions_m.tolist() == [[-0.02, 0.01], [0.03, 0.0]]
     assert (made.object_poses[1] == tactile_sim.pose(0.002, -0.001, turn_rad=-0.5)).all()
     assert (made.object_poses[2] == made.object_poses[1]).all()
-    # Without poses the object lies as the plan says, and is shifted as ever.
+    # Without poses, the object lies as the plan says, and is shifted as usual.
     places = {name: TABLE[name] for name in ("x_m", "y_m")}
     given = tactile_sim.TouchPlan(3, positions="given", given=tactile_sim.TouchTable(**places))
     drawn = tactile_sim.TouchPlan(3, 4)
@@ -125,13 +125,13 @@ def test_a_set_holds_the_rounds_that_are_given(tmp_path):
         ({"x_m": [0.0]}, "columns of lengths x_m 1, y_m 4"),
     ],
 )
-def test_tables_that_cannot_be_are_refused(changed, message, tmp_path):
+def test_invalid_tables_are_refused(changed, message, tmp_path):
     table = {**TABLE, **changed}
     with pytest.raises(InputError, match=message):
         tactile_sim.TouchTable(**table)
 
 
-def test_files_that_cannot_be_are_refused(tmp_path, monkeypatch):
+def test_invalid_files_are_refused(tmp_path, monkeypatch):
     read = tactile_sim.TouchTable.read
     for name, content, message in (
         ("no.csv", None, "cannot be read"),
@@ -158,7 +158,7 @@ def test_a_plan_has_given_touches_or_none():
             tactile_sim.TouchPlan(**values)
 
 
-def test_a_small_table_of_millions_of_rows_is_refused_unread(tmp_path):
+def test_a_small_file_with_millions_of_rows_is_refused_unread(tmp_path):
     (tmp_path / "rows.csv").write_bytes(b"x_m,y_m\n" + b"0,0\n" * 2_000_000)
     (tmp_path / "columns.csv").write_bytes(b"x_m,y_m" + b",a" * 100_000 + b"\n")
     words = {

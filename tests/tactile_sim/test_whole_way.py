@@ -1,4 +1,4 @@
-"""Sets of touches to the Hub and back, their galleries, and what the command line refuses."""
+"""Data sets of touches: upload and download, galleries, and errors of the command line."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.tactile_sim.solids import block
 
 pytestmark = [
     pytest.mark.sim,
-    pytest.mark.filterwarnings("ignore:Use 'content=<...>':DeprecationWarning"),  # of the client's own making
+    pytest.mark.filterwarnings("ignore:Use 'content=<...>':DeprecationWarning"),  # made by the client
 ]
 
 NAME = "someone/synthetic"
@@ -87,7 +87,7 @@ def _mesh(folder: Path, kind: str) -> Path:
         ("none", (), "No such file"),
     ],
 )
-def test_looks_that_cannot_be_are_refused_and_write_nothing(mesh, options, message, tmp_path):
+def test_invalid_renderings_are_refused_and_write_nothing(mesh, options, message, tmp_path):
     file = tmp_path / "none.stl" if mesh == "none" else _mesh(tmp_path, mesh)
     out = tmp_path / "touch.png"
     command = ["render", str(file), "--optics", "depth", "--out", str(out), *options]
@@ -98,7 +98,7 @@ def test_looks_that_cannot_be_are_refused_and_write_nothing(mesh, options, messa
     assert not out.exists()
 
 
-def test_poses_that_cannot_be_are_refused():
+def test_invalid_poses_are_refused():
     solid, flat = block(), np.diag([1.0, 1.0, 0.0, 1.0])
     broken = tactile_sim.pose()
     broken[0, 3] = np.nan
@@ -112,7 +112,7 @@ def test_poses_that_cannot_be_are_refused():
             tactile_sim.render_touch(solid, pose, tactile_sim.pose())
 
 
-def test_a_set_without_taxim_says_what_to_install(made, tmp_path, monkeypatch):
+def test_without_taxim_the_missing_extra_is_named(made, tmp_path, monkeypatch):
     import tactile_sim.spec_optics
     import tactile_sim.taxim
 

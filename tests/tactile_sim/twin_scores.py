@@ -1,4 +1,4 @@
-"""How good the twin of a hidden sensor is, by what only the tests know of it."""
+"""Scores of the twin of a hidden sensor, by its true properties, which only the tests know."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.tactile_sim.hidden_recordings import Recording
 from tests.tactile_sim.hidden_sensors import Family, HiddenSensor, digits, draw_sensor
 
 TRAIN_DIGITS, HELD_OUT_DIGITS = 5, 77
-"""Seeds of the digits that a sensor is calibrated with, and of those that it is judged by."""
+"""Seeds of the digits for the calibration of a sensor, and of those for its evaluation."""
 
 _UNDETERMINED = re.compile(r"along (-?[\d.]+) degrees of the solid")
 
@@ -46,7 +46,7 @@ class Score:
 
 
 def recordings_of(recording: Recording) -> tactile_sim.Recordings:
-    """Return what a user has of a recording."""
+    """Return the parts of a recording that a user has."""
     return tactile_sim.Recordings(
         recording.images,
         recording.object_ids,
@@ -58,7 +58,7 @@ def recordings_of(recording: Recording) -> tactile_sim.Recordings:
 
 
 def rendered(model: tactile_sim.SensorModel, recording: Recording) -> np.ndarray:
-    """Return the images that a twin makes of the touches of a recording, as they truly were."""
+    """Return the images that a twin renders of the touches of a recording, at their true poses."""
     pictures = []
     for number, (x_m, y_m, turn_rad) in enumerate(recording.true_poses):
         solid = Pressable.of(recording.solids[int(recording.object_ids[number])], check=False)
@@ -72,7 +72,10 @@ def rendered(model: tactile_sim.SensorModel, recording: Recording) -> np.ndarray
 def score(
     sensor: HiddenSensor, touches: int = 20, held_out: int = 10, black: int | None = None
 ) -> tuple[Score, tactile_sim.SensorModel]:
-    """Calibrate a twin with some touches, one of them black if asked, and judge it by others."""
+    """Calibrate a twin with some touches, and evaluate it with touches of other digits.
+
+    ``black`` is the number of a touch whose image is made black.
+    """
     fitted = sensor.record(digits(4, TRAIN_DIGITS), touches, seed=0)
     if black is not None:
         fitted.images[black] = 0
@@ -136,7 +139,7 @@ def named_mistakes(family: Family, seed: int, mistake: str | None) -> set[str]:
 def table(scores: Sequence[Score]) -> str:
     """Return medians and worst tenths as a table in Markdown."""
     names = [name for name in asdict(scores[0]) if name not in ("family", "seed")]
-    # Of these, small values are the bad ones.
+    # For these, small values are bad.
     shares = {"placed", "turned"}
     lines = [f"| {len(scores)} sensors, {scores[0].family} | median | worst tenth |", "| --- | --- | --- |"]
     for name in names:

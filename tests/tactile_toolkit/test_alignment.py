@@ -1,4 +1,4 @@
-"""Samples of streams at other times, against brute force, numpy and SciPy."""
+"""Samples of streams at other times, compared with brute force, NumPy and SciPy."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from tactile_toolkit.alignment import TIME_TOLERANCE_S, Neighbours
 
-# Times on a grid are equal often, which others hardly ever are.
+# Times on a grid are often equal; others hardly ever.
 TIMES = st.lists(st.integers(0, 400).map(lambda number: number / 64), min_size=1, max_size=30)
 
 
@@ -60,7 +60,7 @@ def test_turns_between_samples_are_those_of_scipy(seed: int, angle: float, is_ne
         np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1, rtol=0, atol=1e-14)
 
 
-def test_a_missing_sample_spoils_only_what_lies_beside_it() -> None:
+def test_a_missing_sample_affects_only_its_neighbours() -> None:
     samples = np.array([0.0, 1.0, np.nan, 3.0, np.inf])
     found = Neighbours.of(np.array([-0.5, 0.5, 1.0, 1.5, 2.5, 3.0, 4.5]), np.arange(5.0), 1)
     expected = [0, 0.5, 1, np.nan, np.nan, 3, np.inf]
@@ -69,7 +69,7 @@ def test_a_missing_sample_spoils_only_what_lies_beside_it() -> None:
 
 
 def test_a_quaternion_of_another_length_stays_one() -> None:
-    """The check of poses must still find it."""
+    """The check of poses must still find the error."""
     quaternions = np.array([[0, 0, 0, 1.0], [0, 0, 0, 2.0], [0, 0, 0, 0.0]])
     found = Neighbours.of(np.array([0, 0.5, 1, 1.5, 2]), np.arange(3.0), 1).turned(quaternions)
     np.testing.assert_array_equal(found[:3, 3], [1, 1.5, 2])

@@ -1,4 +1,4 @@
-"""Small files that unpack to gigabytes are refused before they do, by one limit that can be raised."""
+"""Small files that would unpack to gigabytes are refused first; the limit can be raised."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_the_limit_is_raised_by_a_variable(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def peak_mb(code: str, *arguments: str, run: Callable[..., str] = run_forked) -> tuple[float, str]:
-    """Return the peak memory beyond what the imports take, and what the code printed."""
+    """Return the peak memory of the code in MB, without that of its imports, and its output."""
     lines = f"""
 import resource, sys
 from mnist3d.sources.mnist import IMAGES_MAGIC, read_idx
@@ -114,7 +114,7 @@ def test_a_3mf_beyond_the_limit_is_refused(tmp_path: Path, monkeypatch: pytest.M
 
 
 def glb(positions: int, corners: int, *, placed: int = 1, stored: bool = True) -> bytes:
-    """A binary glTF of one surface of zeros, placed so many times."""
+    """Return a binary glTF of one surface of zeros, which is placed ``placed`` times."""
     buffer = bytes(12 * positions + 4 * corners if stored else 0)
     view = {"bufferView": 0} if stored else {}
     scene = {
@@ -144,7 +144,7 @@ def ply(kind: str, vertices: int, faces: int, body: bytes) -> bytes:
 
 
 def nested(levels: int, each: int, items: int = 1) -> bytes:
-    """A model whose objects name each other so many times at so many levels."""
+    """Return a model with ``levels`` of objects, each of which holds the one below it ``each`` times."""
     objects = b"".join(
         b'<object id="%d"><components>' % (level + 2)
         + b'<component objectid="%d"/>' % (level + 1) * each
@@ -169,13 +169,13 @@ ENTITY = b'<!DOCTYPE m [<!ENTITY a "' + b"a" * 1_000_000 + b'">]><model b="' + b
 
 
 def glb_of(text: bytes) -> bytes:
-    """A binary glTF of this JSON alone."""
+    """Return a binary glTF with only this JSON."""
     text += b" " * (-len(text) % 4)
     return struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text), len(text), b"JSON") + text
 
 
 def nodes_glb(nodes: bytes) -> bytes:
-    """The glTF of a triangle, with these nodes."""
+    """Return the glTF of a triangle, with these nodes."""
     return glb_of(glb(3, 3)[20:].partition(b"BIN")[0][:-4].rstrip().replace(b'"nodes": [{"mesh"', nodes, 1))
 
 
@@ -185,7 +185,7 @@ def chain(levels: int) -> bytes:
 
 
 def coloured(times: int) -> bytes:
-    """A triangle with a colour for each of a million vertices, so many times."""
+    """Return a triangle with a colour for each of a million vertices, ``times`` times."""
     text = glb(3, 3)[20:].partition(b"BIN")[0][:-4].rstrip()
     surface = b'{"attributes": {"POSITION": 0}, "indices": 1}'
     colours = surface.replace(b"0}", b'0, "COLOR_0": 2}')
@@ -195,7 +195,7 @@ def coloured(times: int) -> bytes:
 
 
 def packed_as(method: int) -> bytes:
-    """A model of which the archive states fewer bytes than it unpacks to."""
+    """Return a model that unpacks to more bytes than its archive states."""
     text = model_of(0) + b" " * 30_000_000
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", method) as archive:
@@ -203,7 +203,7 @@ def packed_as(method: int) -> bytes:
     return packed.getvalue().replace(struct.pack("<I", len(text)), struct.pack("<I", 1000))
 
 
-# What a file of some bytes states, and what is found instead; all would take gigabytes or minutes.
+# Small files, and words of the error for each; they state contents that would take gigabytes or minutes.
 BOMBS = {
     "zeros.glb": (
         lambda: glb(150_000_000, 150_000_000, stored=False),
@@ -257,11 +257,11 @@ BOMBS = {
 
 
 @pytest.mark.thorough
-def test_meshes_that_state_more_than_they_hold_are_refused_before_it_is_made(tmp_path: Path) -> None:
+def test_meshes_that_state_more_than_they_hold_are_refused_before_allocation(tmp_path: Path) -> None:
     for name, (content, _) in BOMBS.items():
         (tmp_path / name).write_bytes(content())
         assert (tmp_path / name).stat().st_size < 10_000_000
-    # A tenth of the usual limit of parts, for an answer sooner.
+    # A tenth of the usual limit of parts, to save time.
     code = """
     from tactile_toolkit.mesh import threemf
     threemf._MAX_PARTS //= 10
@@ -272,7 +272,7 @@ def test_meshes_that_state_more_than_they_hold_are_refused_before_it_is_made(tmp
         except ToolkitError as error:
             print(error)
     """
-    # A quarter of the usual limit, for an answer sooner: that one is asked for above.
+    # A quarter of the usual limit, to save time; the usual one is tested above.
     run = partial(printed_by, **{UNPACKED_VARIABLE: "128"})
     peak, said = peak_mb(code.strip(), *(str(tmp_path / name) for name in BOMBS), run=run)
     for line, (name, (_, words)) in zip(said.splitlines(), BOMBS.items(), strict=True):
@@ -297,14 +297,14 @@ def test_a_row_of_millions_of_vertices_is_refused(tmp_path: Path, monkeypatch: p
 
 
 @pytest.mark.thorough
-def test_padded_rows_are_none_of_those(tmp_path: Path) -> None:
+def test_padded_rows_are_accepted(tmp_path: Path) -> None:
     rows = [[0.0] * 30_000] * 100
     pq.write_table(pa.table({"id": range(100), "padding": rows}), tmp_path / "train.parquet")
     assert ShardedTable((Shard(str(tmp_path / "train.parquet")),)).locate(99)[1] == 99
 
 
-def test_a_damaged_header_of_numpy_is_named(tmp_path: Path) -> None:
-    """Each byte of the header, changed in several ways; what still parses is read as what it says."""
+def test_a_damaged_numpy_header_is_named(tmp_path: Path) -> None:
+    """Each byte of the header is changed in several ways; a header that still parses is believed."""
     file = tmp_path / "labels.npy"
     np.save(file, np.arange(20))
     content = file.read_bytes()

@@ -1,4 +1,4 @@
-"""Bounds, order of leaving, whole files, folders that cannot be written; threads, forks and pickles."""
+"""Limits, order of eviction, whole files, folders that cannot be written; threads, forks and pickles."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def test_making_room_while_another_thread_is_writing(tmp_path):
     assert cache.path("slow").stat().st_size == 600
 
 
-def test_a_folder_that_cannot_be_written_is_told_once(tmp_path):
+def test_a_folder_that_cannot_be_written_is_reported_once(tmp_path):
     (tmp_path / "taken").write_text("")
     silent = disk_cache(tmp_path / "taken" / "a", 1000)
     assert not put(silent, "x", 1)
@@ -118,7 +118,7 @@ def test_memory_is_bounded_by_the_sum_of_sizes():
     assert (memory.get("b"), memory.size, len(memory)) == (None, 8, 3)
     memory.put("a", bytes(1))
     assert memory.size == 5
-    memory.put("e", bytes(100))  # alone larger than the limit
+    memory.put("e", bytes(100))  # larger than the limit by itself
     assert (memory.size, len(memory), memory.get("e")) == (100, 1, bytes(100))
 
 
@@ -162,7 +162,7 @@ def _fork_while_a_thread_fills_it() -> None:
     for _ in range(50):
         child = os.fork()
         if child == 0:
-            memory.put(2, b"22")  # a lock that the thread held at the fork would never open here
+            memory.put(2, b"22")  # a lock that a thread held at the fork would never be released here
             os._exit(0 if memory.get(2) == b"22" and memory.size in (2, 3) else 1)
         assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
     done.set()
@@ -179,7 +179,7 @@ def test_a_copy_in_another_process_starts_empty():
 
 
 @pytest.mark.parametrize("variable", [CACHE_VARIABLE, "XDG_CACHE_HOME"])
-def test_a_cache_in_the_home_of_nobody_is_named(monkeypatch, variable):
+def test_a_cache_in_the_home_of_an_unknown_user_is_named(monkeypatch, variable):
     monkeypatch.delenv(CACHE_VARIABLE, raising=False)
     monkeypatch.setenv(variable, "~nobody-of-that-name/x")
     with pytest.raises(InputError, match=f"{variable} '~nobody-of-that-name/x': no home folder is known"):
@@ -196,7 +196,7 @@ def _write(folder: Path, writer: int) -> None:
 
 
 def test_processes_keep_the_limit_together(tmp_path):
-    """Four processes write far more than the limit; what lies there is looked at all the while."""
+    """Four processes write far more than the limit; the size of the folder is measured meanwhile."""
     writers = [start_forked(_write, tmp_path, number) for number in range(4)]
     most = 0
     while any(writer.is_running for writer in writers):
@@ -239,8 +239,8 @@ def fill_cache(folder: Path, files: tuple[str, ...]) -> list[Path]:
     return paths
 
 
-def test_only_what_is_ours_is_listed_and_removed(tmp_path, monkeypatch):
-    """The variable may name a folder that holds other things: a scratch disk, or a home."""
+def test_only_files_of_the_cache_are_listed_and_removed(tmp_path, monkeypatch):
+    """The variable may name a folder with other files: a scratch disk, or a home folder."""
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
     theirs, ours = fill_cache(tmp_path, THEIRS), fill_cache(tmp_path, OURS)
     held = cached_files()
@@ -252,7 +252,7 @@ def test_only_what_is_ours_is_listed_and_removed(tmp_path, monkeypatch):
     assert not any(path.exists() for path in ours)
 
 
-def test_making_room_removes_only_what_is_ours(tmp_path, monkeypatch):
+def test_eviction_removes_only_files_of_the_cache(tmp_path, monkeypatch):
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
     theirs, ours = fill_cache(tmp_path, THEIRS), fill_cache(tmp_path, OURS)
     new = BLOCK.replace("1", "2")
@@ -279,7 +279,7 @@ def test_nothing_is_removed_or_written_through_a_link(tmp_path, monkeypatch):
 
 
 def test_the_names_of_all_folders_of_the_cache_are_known():
-    """Whoever keeps something in a folder of its own says so in :mod:`tactile_toolkit.cache`."""
+    """Every module with a folder in the cache declares it in :mod:`tactile_toolkit.cache`."""
     root = Path(__file__).parents[2]
     packages = ("tactile_toolkit", "tactile_envs", "tactile_sim", "env_assets", "mnist3d", "realtouch")
     code = [path.read_text() for name in packages for path in (root / name).rglob("*.py")]

@@ -1,4 +1,4 @@
-"""Fields that say which values they take: what fits is spelled one way, what does not is named."""
+"""Fields that state their valid values: valid ones are normalized, others are named."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_a_field_without_default_is_asked_for():
         ("shift", 1, "shift of the example is 1; expected True or False"),
     ],
 )
-def test_what_does_not_fit_is_named(name, value, message):
+def test_invalid_values_are_named(name, value, message):
     with pytest.raises(InputError) as error:
         _Spec(**{"height_m": 0.5, name: value})
     assert message in str(error.value)

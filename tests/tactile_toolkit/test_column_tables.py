@@ -1,4 +1,4 @@
-"""Tables that are read a few rows at a time, against what they hold."""
+"""Tables that are read a few rows at a time, compared with their content."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ EXACT = {
 }
 
 
-def test_text_that_a_number_would_not_give_back_stays_text() -> None:
+def test_text_that_a_number_would_not_reproduce_stays_text() -> None:
     rows = [",".join(EXACT), *(",".join(row) for row in zip(*EXACT.values(), strict=True))]
     assert read(table("\n".join(rows))) == EXACT
     _, times = table("t\n007\n008\n").scan("t")
@@ -121,7 +121,7 @@ def test_parquet(tmp_path: Path) -> None:
         (b"PAR1 and more", ".parquet", "cannot be read as a table"),
     ],
 )
-def test_what_is_no_table_is_refused(content: bytes | str, ending: str, words: str) -> None:
+def test_other_files_are_refused(content: bytes | str, ending: str, words: str) -> None:
     with pytest.raises(InputError, match=words):
         read(table(content, ending))
 
@@ -144,7 +144,7 @@ def test_types_that_differ_between_blocks_of_json(monkeypatch: pytest.MonkeyPatc
 
 
 def test_switches_after_numbers_are_text(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A block ends between both; each alone would be of a type."""
+    """A block ends between them; each block alone would have another type."""
     monkeypatch.setattr(column_tables, "_BLOCK_BYTES", 8)
     values = ["1"] * 7 + ["true"] * 8
     assert read(table("\n".join(["a", *values]) + "\n")) == {"a": values}
@@ -153,7 +153,7 @@ def test_switches_after_numbers_are_text(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_a_field_holds_as_many_numbers_as_the_file():
-    """The maps of a touch are lists of more characters than Python's reader of CSV takes by itself."""
+    """The maps of a touch have more characters than the CSV reader of Python accepts by default."""
     field = " ".join(["0.123456"] * 40_000)
     table = read_text_table(f"file,map\n0.png,{field}\n".encode(), "index.csv")
     assert (list(table.names), [list(row) for row in table.rows]) == (["file", "map"], [["0.png", field]])

@@ -1,4 +1,4 @@
-"""Types of columns: of text, of values of JSON and numpy, and of Arrow; joined without loss."""
+"""Types of columns: of text, of values of JSON and NumPy, and of Arrow; they are joined without loss."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_types_of_text(values: list[Any], data_type: pa.DataType) -> None:
 
 
 def test_commas_are_decimal_marks_where_the_separator_shows_it() -> None:
-    """Else ``1,234`` may be a thousand, as it may beside a number with a point."""
+    """Otherwise ``1,234`` may mean a thousand, as it does beside a number with a point."""
     for values, expected in ((["1,5", "1,234"], [1.5, 1.234]), (["1,5", "1.5"], ["1,5", "1.5"])):
         column = column_types.from_text(pa.array(values), decimal_commas=True)
         assert column.to_pylist() == expected

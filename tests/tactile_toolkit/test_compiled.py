@@ -1,4 +1,4 @@
-"""Compiled kernels: what is compiled again, and by which of several processes."""
+"""Compiled kernels: when they are compiled again, and by which of several processes."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_a_kernel_is_compiled_again_when_a_file_behind_it_changes(tmp_path: Path
         """
     write_kernels(tmp_path, 1)
     assert printed(tmp_path, code) == "8 1"
-    # What was compiled before is of a class that exists no longer.
+    # The cached kernel refers to a class that no longer exists.
     write_kernels(tmp_path, 5)
     assert printed(tmp_path, code) == "16 1"
 
@@ -110,7 +110,7 @@ def test_a_planned_kernel_that_another_process_compiles_is_left_to_it(first_is_b
         """
     begun_s = time.monotonic()
     assert printed(first_is_busy, code) == "0 [(int64,)]"
-    assert time.monotonic() - begun_s < 60  # which is how long a lock is waited for
+    assert time.monotonic() - begun_s < 60  # the time that a process waits for a lock
 
 
 def test_planned_kernels_are_ready_and_are_those_of_the_first_call(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Kinds of data sets: found by their entry points, and what each says of itself is there."""
+"""Kinds of data sets: they are found by their entry points, and everything they name exists."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def test_all_kinds_are_found_by_their_entry_points():
 
 
 @pytest.mark.parametrize("kind", ALL, ids=lambda kind: kind.name)
-def test_what_a_kind_names_is_there(kind: DatasetKind) -> None:
+def test_everything_that_a_kind_names_exists(kind: DatasetKind) -> None:
     paths: list[str] = []
     for value in vars(kind).values():
         if getattr(value, "__qualname__", "") == "lazy.<locals>.call":

@@ -1,4 +1,4 @@
-"""A new kind of data set is one short file: the rest follows from what it declares."""
+"""A new kind of data set is one short file; everything else follows from its declarations."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_generate_resume_parts_verify_card_load_upload_and_forecast(tmp_path: Pa
     assert set(folder_bytes(whole)) == set(collect(whole, manifest))
 
 
-def test_a_forecast_says_that_the_first_items_give_no_row(tmp_path: Path) -> None:
+def test_a_forecast_reports_that_the_first_items_give_no_row(tmp_path: Path) -> None:
     from tactile_toolkit.store import Skipped
 
     class Reluctant(boxes.BoxMaking):

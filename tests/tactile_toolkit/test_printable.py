@@ -1,4 +1,4 @@
-"""Text from data is shown as it is: by messages, tables, JSON, cards and reprs, and none of it is obeyed."""
+"""Text from data is shown literally in messages, tables, JSON, cards and reprs, and never interpreted."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ wild = st.text() | st.sampled_from(WILD)
 
 
 @pytest.mark.parametrize("kind", [InputError, UnfinishedError])
-def test_what_was_found_is_told_from_the_next_step_whatever_a_path_holds(kind):
+def test_problem_and_next_step_stay_apart_for_any_path(kind):
     error = pickle.loads(pickle.dumps(kind("'a; next: b' is none", next="give another")))
     assert error.what == "'a; next: b' is none"
     assert str(error) == "'a; next: b' is none; next: give another"
 
 
 @given(wild)
-def test_what_is_printable_says_which_characters_there_were(text):
+def test_escapes_show_which_characters_there_were(text):
     shown = printable(text)
     assert shown.isprintable()
     assert text.isprintable() is (shown == text)
@@ -51,7 +51,7 @@ def test_what_is_printable_says_which_characters_there_were(text):
 
 
 @given(st.recursive(wild | st.integers(), lambda inner: st.lists(inner) | st.dictionaries(wild, inner)))
-def test_json_says_the_same_without_characters_that_cannot_be_seen(values):
+def test_json_escapes_invisible_characters(values):
     text = printable_json(values)
     assert json.loads(text) == values
     assert text.replace("\n", "").isprintable()
@@ -81,14 +81,14 @@ def test_the_command_line_prints_data_as_text(texts):
 
 
 @pytest.mark.parametrize("text", WILD)
-def test_cells_of_tables_lose_nothing(text, capsys):
+def test_cells_of_tables_are_shown_in_full(text, capsys):
     """A file called part[b]one.stl was reported as partone.stl, and a class called [/b0] was a traceback."""
     Sink().table(("name",), [(text,)], title=text)
     assert capsys.readouterr().out.count(printable(text).strip()) == 2
 
 
 @given(wild)
-def test_the_head_of_a_card_holds_what_it_was_given(text):
+def test_the_head_of_a_card_keeps_its_values(text):
     head = head_text({"pretty_name": text, "tags": ["日本", text]})
     assert head.replace("\n", "").isprintable()
     start, found, end = head.split("---\n")

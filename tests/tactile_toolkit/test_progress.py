@@ -1,4 +1,4 @@
-"""Progress on stderr: without a terminal a line every few seconds, and none of short work."""
+"""Progress on stderr: without a terminal, a line every few seconds, and no line for short work."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every package gives its public names on first use, as its stub lists them."""
+"""Every package provides the public names of its stub, on first use."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A row is declared once: schema, table and the words about its columns follow."""
+"""A row is declared once: schema, table and descriptions of its columns follow."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def full(number: int, objects: list, points: int = 2) -> Full:
     return Full(id=number, points=corners, objects=objects, tags=["a"] * number, note="not stored")
 
 
-def test_columns_of_the_base_come_first_and_what_is_no_column_is_not_stored():
+def test_columns_of_the_base_come_first_and_other_attributes_are_not_stored():
     assert plain_schema(Full).names == ["id", "base.points", "objects", "tags"]
     assert plain_schema(Full).types == [
         pa.int64(),

@@ -1,4 +1,4 @@
-"""What the system gives to a process: cores, a working folder, a home."""
+"""Resources of a process: cores, a working folder, a home folder."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_a_deleted_working_folder_is_a_sentence(tmp_path: Path, monkeypatch: pyt
 def test_a_user_without_a_home_has_a_cache_of_his_own(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In the folder for temporary files, which all users share: what another one made there is not taken."""
+    """In the folder for temporary files, which all users share, files of other users are not used."""
 
     def no_home(_path: Path) -> Path:
         raise RuntimeError

@@ -1,4 +1,4 @@
-"""A tiny kind of data set, so that the store is tested without any room of the toolkit."""
+"""A tiny kind of data set, so that the store is tested without any package of data sets."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ SCHEMA = pa.schema(
 
 
 def points(number: int) -> np.ndarray:
-    """Different lengths, zero among them."""
+    """Return points of different numbers, zero among them."""
     rng = np.random.default_rng(number)
     return rng.normal(size=(number % 5, 3)).astype(np.float32)
 
@@ -103,7 +103,7 @@ def toy_plan(splits: tuple[str, ...] = SPLITS, spec: dict | None = None, **task_
 
 
 def folder_bytes(folder: Path) -> dict[str, bytes]:
-    """Everything in a folder, by relative path."""
+    """Return the content of all files in a folder, by relative path."""
     return {str(f.relative_to(folder)): f.read_bytes() for f in sorted(folder.rglob("*")) if f.is_file()}
 
 

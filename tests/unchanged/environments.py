@@ -1,4 +1,4 @@
-"""What environments do, as numbers that do not depend on the processor: to five digits."""
+"""Behaviour of environments, as numbers of five digits that do not depend on the processor."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ COURSES = {
         "action_regularization": 0.1,
     },
 }
-"""Ids, and settings other than theirs, so that each setting makes a difference somewhere."""
+"""Ids with settings that differ from their defaults, so that each setting has an effect somewhere."""
 
 _STEPS = 14
 _BLOCK_PX = 16
 
 
 def ids() -> dict[str, str]:
-    """Return what each id stands for, where it is not as it is by default."""
+    """Return the settings of each id that differ from the defaults."""
     return {
         name: f"{each.task} {each.assets} {each.split} {each.frame} {_changed(each.config)}"
         for name, each in env_specs().items()
@@ -49,8 +49,8 @@ def _changed(config: EpisodeConfig) -> str:
 def course(name: str, assets: Path) -> dict[str, list[float]]:
     """Drive three environments of one id at random.
 
-    Returns sums over observations, rewards and infos of each step, and how bright the pictures of two steps
-    are in blocks of 16 pixels.
+    Returns sums over observations, rewards and infos of each step, and the brightness of the pictures of
+    two steps in blocks of 16 pixels.
     """
     from tactile_envs.entry_points import make_vector
 
@@ -59,7 +59,7 @@ def course(name: str, assets: Path) -> dict[str, list[float]]:
     observation, info = env.reset(seed=5)
     found = {f"reset {key}": [value] for key, value in _numbers({**observation, **info})}
     for step in range(_STEPS):
-        # Short ways, so that most touches meet something; and a longer one now and then.
+        # Short movements, so that most touches meet something, and sometimes a longer one.
         way = rng.uniform(-1, 1, (3, 3)) * rng.choice([0.2, 1.0], p=[0.8, 0.2])
         shape = env.action_space["prediction"].shape
         action = {
@@ -89,5 +89,5 @@ def _numbers(seen: Any, path: str = "") -> Any:
         values = np.asarray(seen)
         if values.dtype.kind in "biuf":
             flat = np.nan_to_num(values.astype(float)).ravel()
-            # Weights, so that what changes places is seen.
+            # Weighted, so that exchanged values are noticed.
             yield path[:-1], float(f"{flat @ np.linspace(0.5, 1.5, flat.size):.6g}")

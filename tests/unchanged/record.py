@@ -1,7 +1,7 @@
-"""What users and stored data rely on, as text: bytes, pixels, courses of environments, names.
+"""Record of everything that users and stored data rely on: bytes, pixels, environments, names.
 
-``python -m tests.unchanged.record`` writes it again after a change that was meant, and what notebooks show;
-review shows the rest.
+``python -m tests.unchanged.record`` writes the record and the output of notebooks again after an intended
+change; a review shows the differences.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ FOLDER = Path(__file__).parent
 
 
 def recorded() -> dict[str, Any]:
-    """Return what :func:`main` wrote."""
+    """Return the record that :func:`main` wrote."""
     found: dict[str, Any] = json.loads((FOLDER / "record.json").read_text(encoding="utf-8"))
     return found
 
@@ -74,7 +74,7 @@ LIBRARIES = (
     "trimesh",
     "av",
 )
-"""Their versions decide bytes."""
+"""Libraries whose versions decide bytes."""
 
 
 def library_versions() -> dict[str, str]:
@@ -86,7 +86,7 @@ def public_names(package: str) -> list[str]:
 
 
 def importable(package: str) -> dict[str, Any]:
-    """Return what public names stand for, but for those that need an extra which is not there."""
+    """Return the objects of public names, except those that need a missing extra."""
     found = {}
     for name in public_names(package):
         with suppress(MissingExtraError):
@@ -116,14 +116,14 @@ def _is_plain(default: Any) -> bool:
 
 
 def _functions(name: str, public: Any) -> Iterator[tuple[str, Any]]:
-    """Yield a public function, or the public methods of a class that are our own."""
+    """Yield a public function, or the public methods that a class defines here."""
     if inspect.isfunction(public):
         yield name, public
     if not inspect.isclass(public):
         return
     for method, function in inspect.getmembers(public, inspect.isroutine):
         is_ours = (getattr(function, "__module__", None) or "").partition(".")[0] in OUR_PACKAGES
-        # Users call a constructor whose parameters are described.
+        # Users call constructors with documented parameters.
         is_public = "Parameters\n" in (public.__doc__ or "") if method == "__init__" else method[0] != "_"
         if is_ours and is_public:
             yield f"{name}.{method}", function
@@ -157,7 +157,7 @@ def data_sets(folder: Path) -> dict[str, Any]:
 
 
 def styles() -> dict[str, str]:
-    """Return how shards of digits and scenes are stored, which decides the bytes of sets of any size."""
+    """Return the storage layouts of digits and scenes, which decide the bytes of sets of any size."""
     return {
         rows.partition(".")[0]: repr(import_module(rows).PARQUET_STYLE)
         for rows in ("mnist3d.digit_rows", "starstruck_gen.scene_rows")
@@ -183,7 +183,7 @@ def pictures(sets: Path) -> dict[str, str]:
 
 
 def synthetic_touches(folder: Path) -> dict[str, Any]:
-    """Make small sets of touches below a folder and return their digests, and what else decides them."""
+    """Make small sets of touches below a folder; return their digests, and other values that decide them."""
     starstruck_gen.generate(starstruck_gen.SceneSetSpec(scenes=(("train", 3),)), folder / "scenes")
     touch_sets(folder / "scenes", folder)
     files = sorted(folder.glob("touches-*/data/*.parquet"))

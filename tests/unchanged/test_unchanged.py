@@ -1,4 +1,4 @@
-"""Inner changes must not reach users: the recorded bytes and names are still what they were."""
+"""Internal changes must not affect users: bytes and names are the recorded ones."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_public_names_are_unchanged(package):
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_defaults_and_limits_are_unchanged(package):
-    """Of all public names, but for those that only extras can import."""
+    """Of all public names, except those that need extras."""
     if package == "realtouch.touch_tensors":
         pytest.importorskip("torch", reason="needs torch, of the extra torch")
     names = importable(package)
@@ -55,17 +55,17 @@ def test_defaults_and_limits_are_unchanged(package):
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_what_users_hold_is_not_changed_by_whoever_else_holds_it(package):
+def test_shared_values_cannot_be_changed(package):
     if package == "realtouch.touch_tensors":
         pytest.importorskip("torch", reason="needs torch, of the extra torch")
     kinds = [kind for kind in importable(package).values() if isinstance(kind, type) and is_dataclass(kind)]
-    # An error is not held; Python itself writes where it came from into it.
+    # Errors are not cached; Python itself writes their traceback into them.
     changeable = [kind for kind in kinds if not kind.__dataclass_params__.frozen]
     assert all(issubclass(kind, Exception) for kind in changeable), changeable
 
 
 def test_dataclasses_are_frozen():
-    """Those inside packages too: what one module holds is what the next one reads."""
+    """Also those inside packages, because modules read each other's values."""
     found = {
         name
         for package in OUR_PACKAGES | {"cli"}
@@ -107,7 +107,7 @@ def test_bytes_of_synthetic_touches_are_unchanged(tmp_path):
 
 
 @pytest.mark.envs
-def test_what_ids_of_environments_stand_for_is_unchanged():
+def test_settings_of_environments_are_unchanged():
     assert environments.ids() == RECORD["environments"]
 
 
@@ -115,7 +115,7 @@ def test_what_ids_of_environments_stand_for_is_unchanged():
 @pytest.mark.envs
 @pytest.mark.parametrize("name", environments.COURSES)
 def test_courses_of_environments_are_unchanged(name, assets):  # noqa: F811
-    """Compared with the published environments elsewhere, which only CI can."""
+    """Other tests compare them with the published environments, which only CI can do."""
     pytest.importorskip("ap_gym", reason="ap-gym (extra `envs`) is not installed")
     found, course = environments.course(name, assets), RECORD["courses"][name]
     assert found.keys() == course.keys()

@@ -16,7 +16,7 @@ from tactile_toolkit.store import open_folder, verify
 
 
 def middles_mm(spec: WrenchSpec) -> tuple[tuple[float, float, float], ...]:
-    """Where on the x axis the nuts sit, their width, and where the jaws open to."""
+    """Positions of the nuts on the x axis, their widths, and the directions in which the jaws open."""
     lengths = spec.lengths()
     angle = math.radians(lengths["jaw_angle_deg"])
     return (
@@ -49,7 +49,7 @@ def test_nuts_go_in_from_the_open_side_and_are_held(size):
             assert (section ^ nut(0.999 * width_mm, turned).translate(place)).area() < 0.02 * width_mm
         larger = nut(width_mm + 2 * spec.clearance_mm, turned).translate((middle_mm, 0))
         assert (section ^ larger).area() > 0.05 * width_mm
-        # Turning the nut inside the jaws is what they are for: they stop it.
+        # The jaws stop a nut that is turned inside them.
         tilted = nut(width_mm, turned + math.radians(12)).translate((middle_mm, 0))
         assert (section ^ tilted).area() > 0.01 * width_mm**2
 
@@ -86,7 +86,7 @@ def test_top_and_bottom_are_alike_and_edges_are_cut():
 
 
 def test_the_default_wrench_is_unchanged():
-    """Environments are trained and compared on it."""
+    """Agents are trained and compared on this wrench."""
     assert WrenchSpec().lengths() == {
         "opening_mm": 13.0, "second_opening_mm": 10.0, "clearance_mm": 0.2, "length_mm": 157.5,
         "head_mm": 28.6, "second_head_mm": 22.0, "handle_mm": 10.5, "thickness_mm": 5.9,
@@ -198,7 +198,7 @@ def test_the_same_wrench_is_written_once_and_another_is_refused(tmp_path):
     assert (tmp_path / "again" / name).read_bytes() == (folder / name).read_bytes()
 
 
-def test_what_cannot_be_written_is_refused_before_anything_is(tmp_path):
+def test_invalid_outputs_are_refused_before_anything_is_written(tmp_path):
     with pytest.raises(InputError, match=r"wrench\.step"):
         write_wrench(WrenchSpec(), str(tmp_path / "wrench"), mesh_file=tmp_path / "wrench.step")
     assert list(tmp_path.iterdir()) == []

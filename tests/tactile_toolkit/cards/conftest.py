@@ -10,5 +10,5 @@ import pytest
 
 @pytest.fixture
 def folder(digits_set: Path, tmp_path: Path) -> Path:
-    """A copy of digits."""
+    """A copy of a data set of digits."""
     return Path(shutil.copytree(digits_set, tmp_path / "digits"))

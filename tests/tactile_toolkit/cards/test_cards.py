@@ -1,4 +1,4 @@
-"""Cards are true: what `datasets` reads in them is what it finds, and a lie is named."""
+"""Cards agree with the data: `datasets` finds what they state, and contradictions are named."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def problems(folder: Path) -> list[str]:
 
 
 def test_unpacked_bytes_are_those_that_datasets_counts(digits_set, tmp_path):
-    bare = tmp_path / "bare"  # without a card, `datasets` counts for itself
+    bare = tmp_path / "bare"  # without a card, `datasets` counts the rows
     shutil.copytree(digits_set / "data", bare / "data")
     loaded = datasets.load_dataset(str(bare))
     facts = folder_summary(open_folder(str(digits_set)))
@@ -154,7 +154,7 @@ def test_pictures_that_lie_elsewhere_are_left_alone(folder):
         (lambda f: (f / "previews" / "digits.png").unlink(), "previews/digits.png", "README.md shows it"),
     ],
 )
-def test_what_is_missing_is_named(folder, harm, file, words):
+def test_missing_entries_are_named(folder, harm, file, words):
     harm(folder)
     assert any(problem.startswith(f"{file}: ") and words in problem for problem in problems(folder))
 
@@ -189,7 +189,7 @@ def test_a_damaged_picture_is_named(folder):
 def test_a_gap_is_named(folder, gap):
     with (folder / "README.md").open("a") as card:
         card.write(f"\n{gap}\n")
-    assert ["expected every gap filled" in problem for problem in problems(folder)] == [True]
+    assert ["expected text in its place" in problem for problem in problems(folder)] == [True]
 
 
 def test_the_card_takes_another_name(digits_set):

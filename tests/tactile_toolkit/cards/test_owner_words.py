@@ -53,7 +53,7 @@ def test_words_are_in_head_and_text_and_stay(digits: Path) -> None:
     )
     assert {name for name in head if head[name] != before.get(name)} == {"license", "pretty_name", "owner"}
     assert call("mnist3d", "verify", digits) == 0
-    # Written again, also by a run, the words stay; each can be replaced.
+    # The words stay when the card is written again, also by a run; each can be replaced.
     assert call("mnist3d", "card", digits) == 0
     assert card_of(digits) == (head, body)
     assert call("mnist3d", "card", digits, "--license", "cc0-1.0") == 0
@@ -75,7 +75,7 @@ def test_generate_takes_the_words_and_the_rows_do_not_depend_on_them(tmp_path: P
     plain, named = card_of(tmp_path / "plain"), card_of(tmp_path / "named")
     assert "owner" not in plain[0]
     assert named[0]["owner"]["license"] == "cc-by-4.0"
-    # A run with nothing left to make keeps them.
+    # A run that has nothing to make keeps them.
     assert call("mnist3d", "generate", *options, "--out", tmp_path / "named") == 0
     assert card_of(tmp_path / "named") == named
 
@@ -112,9 +112,7 @@ def test_a_citation_may_be_text_or_a_file(citation: str, digits: Path, tmp_path:
         (("--citation", "none.bib"), "cannot be read (No such file or directory)"),
     ],
 )
-def test_words_that_cannot_be_used_are_named(
-    words: tuple[str, str], message: str, digits: Path, capsys: Any
-) -> None:
+def test_invalid_words_are_named(words: tuple[str, str], message: str, digits: Path, capsys: Any) -> None:
     before = (digits / "README.md").read_bytes()
     assert call("mnist3d", "card", digits, *words) == 2
     assert message in capsys.readouterr().err
@@ -128,7 +126,7 @@ def test_a_head_that_was_changed_by_hand_is_checked(digits: Path, capsys: Any) -
         path.write_text(text.replace("---\n", f"---\n{owner}\n", 1), encoding="utf-8")
         assert call("mnist3d", "card", digits) == 2
         assert "correct 'owner' in its head" in capsys.readouterr().err
-    # A card that cannot be read is written anew.
+    # An unreadable card is written again.
     path.write_text("---\n: : :\n---\n", encoding="utf-8")
     assert call("mnist3d", "card", digits, "--license", "mit") == 0
     assert card_of(digits)[0]["owner"] == {"license": "mit"}

@@ -1,4 +1,4 @@
-"""What copies take from their source: the rows that were there when the copy was planned, or none."""
+"""Copies take the rows that their source had when they were planned, or none."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def test_so_is_one_in_a_store(copy: Callable[..., None], tmp_path: Path) -> None
     path = f"/{copy.__name__}/data/train-00000-of-00001.parquet"
 
     def replace(_progress: Progress) -> None:
-        store.pipe_file(path, store.cat_file(path))  # as new, even where it holds the same
+        store.pipe_file(path, store.cat_file(path))  # as new, even if its content is the same
 
     with pytest.raises(IntegrityError, match="was replaced or changed"):
         copy(source, str(tmp_path / "out"), on_progress=replace)

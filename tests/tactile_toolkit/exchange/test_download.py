@@ -1,4 +1,4 @@
-"""Downloads against a real server: what is sent, what is kept, and that nothing damaged is handed out."""
+"""Downloads from a real server: requested files, kept files, and no damaged file in the result."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_a_split_in_a_folder_is_a_data_set_of_its_own(server, tmp_path):
     assert folder_bytes(out)[shards[0]] == folder_bytes(server.root / NAME)[shards[0]]
 
 
-def test_again_does_nothing_and_another_split_makes_the_whole(server, tmp_path):
+def test_a_repetition_fetches_nothing_and_another_split_completes_the_set(server, tmp_path):
     out = tmp_path / "part"
     fetch(server, tmp_path, script(NAME, "test", out=out))
     before, state = len(server.fetched), folder_bytes(out)
@@ -89,7 +89,7 @@ def test_progress_ends_with_all_bytes_that_were_missing(server, tmp_path, client
 
 @pytest.mark.parametrize("at_work", ["train", "test"])
 def test_downloads_of_two_splits_at_once_make_one_set_of_both(server, tmp_path, client_here, at_work):
-    """One has planned and stands still in the middle of a file when the other, planned as early, begins."""
+    """One download pauses in the middle of a file when another one, planned as early, begins."""
     out = str(tmp_path / "both")
     said: list[str] = []
     plans = {split: plan_download(NAME, [split], out=out, on_wait=said.append) for split in ("train", "test")}
@@ -131,7 +131,7 @@ def test_nothing_is_written_through_links_in_the_folder(server, tmp_path, client
     assert (out / link).is_symlink()
 
 
-def test_only_what_was_downloaded_and_is_gone_on_the_hub_is_removed(server, tmp_path):
+def test_only_downloaded_files_that_the_hub_no_longer_has_are_removed(server, tmp_path):
     out = tmp_path / "out"
     fetch(server, tmp_path, script(out=out))
     (out / "notes.txt").write_text("mine")
@@ -196,7 +196,7 @@ def test_a_bit_that_the_disk_has_flipped_is_found_though_size_and_time_are_kept(
 
 
 @pytest.mark.parametrize("to_folder", [False, True])
-def test_a_killed_download_leaves_nothing_that_looks_whole(server, tmp_path, to_folder):
+def test_a_killed_download_does_not_look_complete(server, tmp_path, to_folder):
     out = tmp_path / "out" if to_folder else None
     server.faults.stall(f"*/{SHARD}", after=1_500_000)
     process = start_here(script(BIG, out=out), settings(server, tmp_path), tmp_path)
@@ -249,8 +249,8 @@ def test_an_interrupted_folder_is_not_taken_for_a_data_set(server, tmp_path):
 @pytest.mark.skipif(
     client_version.startswith("0."), reason="locks of clients before 1.0 are held in other places"
 )
-def test_what_a_failed_download_still_does_changes_no_later_one(server, tmp_path, monkeypatch):
-    """The first failure ends a download; the thread of another file, about to write it, goes on later."""
+def test_threads_of_a_failed_download_do_not_affect_a_later_one(server, tmp_path, monkeypatch):
+    """The first failure ends a download; the thread of another file, about to write, continues later."""
     out, going = tmp_path / "out", threading.Event()
     threads, late = {*threading.enumerate()}, []
 
@@ -286,7 +286,7 @@ def test_a_flipped_byte_is_repaired(server, tmp_path, kept_in_git):
     assert [request.sent for request in server.content_requests(SHARD)] == [len(CONTENT)] * 2
 
 
-def test_a_card_that_cannot_be_fitted_stays_as_it_is(server, tmp_path):
+def test_a_card_that_cannot_be_adapted_stays_unchanged(server, tmp_path):
     card = b"---\ntags: " + b"[" * 900 + b"\n---\n"
     (tmp_path / "root" / NAME / "README.md").write_bytes(card)
     place = Path(fetch(server, tmp_path, script(NAME, "test", out=tmp_path / "out"))[0])

@@ -1,4 +1,4 @@
-"""Downloads while the Hub cannot be asked: what the cache does not list may well be there, and stays."""
+"""Downloads without a connection to the Hub: files that the cache does not list may exist, and are kept."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def flip_a_byte(file: Path) -> None:
 
 @pytest.mark.parametrize("more", [{}, OFFLINE])
 @pytest.mark.parametrize("damage", ["README.md", TEST])
-def test_a_folder_stays_as_it_is_while_the_hub_gives_no_answer(out, tmp_path, more, damage):
+def test_a_folder_is_unchanged_while_the_hub_does_not_reply(out, tmp_path, more, damage):
     (out / damage).unlink()
     before = folder_bytes(out)
     code, kind, words = fetch(NOWHERE, tmp_path, script(BARE, out=out), **more)

@@ -1,4 +1,4 @@
-"""Merging on request: ids that occur twice get new ones, and rows say which data set they are from."""
+"""Options of merging: duplicate ids get new ones, and a column names the data set of each row."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def rows_of(folder: Path) -> list[dict[str, Any]]:
     ("program", "make", "load"),
     [("starstruck", scenes, starstruck_gen.load), ("realtouch", touches, realtouch.load)],
 )
-def test_rows_get_new_ids_and_a_source_and_are_else_unchanged(
+def test_rows_get_new_ids_and_a_source_and_are_otherwise_unchanged(
     program: str, make: Any, load: Any, tmp_path: Path, capsys: Any
 ) -> None:
     one, other = make(tmp_path / "a" / "set", 1), make(tmp_path / "b" / "set", 2)
@@ -101,7 +101,7 @@ def test_shards_without_changes_are_copied_byte_for_byte(tmp_path: Path) -> None
     assert renumbered.spec["options"]["renumbered"] == []
 
 
-def test_a_merge_that_cannot_be_is_refused(tmp_path: Path) -> None:
+def test_impossible_merges_are_refused(tmp_path: Path) -> None:
     one, other = scenes(tmp_path / "one", 1), scenes(tmp_path / "other", 2)
     for name in ("id", "mesh", "a.b", "", " ", "a\nb"):
         with pytest.raises(InputError, match=r"--source-column is .*expected the name of a new column"):
@@ -112,7 +112,7 @@ def test_a_merge_that_cannot_be_is_refused(tmp_path: Path) -> None:
 
 
 def test_new_ids_are_new_in_all_sources(tmp_path: Path) -> None:
-    """Also where a text that would be the new one, or one id in a source twice, is already there."""
+    """Also if the first choice of a new id exists already, or an id occurs twice in one source."""
     folders = []
     for number, ids in enumerate((["a", "a_2", "b"], ["a", "a", "b_2"], ["a", "a_3"])):
         rounds = [factories.make_round(index, 2, (24, 32), (4, 5)) for index in range(len(ids))]
@@ -159,7 +159,7 @@ def test_messages_name_what_differs() -> None:
         assert bool(found) == bool(words)
 
 
-def test_sources_are_called_by_what_differs(tmp_path: Path) -> None:
+def test_names_of_sources_are_as_short_as_they_differ(tmp_path: Path) -> None:
     assert source_names(["x/touches", "y/other"]) == ["touches", "other"]
     assert source_names(["x/set", "y/set"]) == ["x/set", "y/set"]
     assert source_names(["s3://bucket/a/set", "hub/name@main"]) == ["set", "name@main"]

@@ -1,4 +1,4 @@
-"""Uploads to a real server: only what is missing is sent, and what arrived is proved."""
+"""Uploads to a real server: only missing files are sent, and arrived files are verified."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tests.tactile_toolkit.toy import folder_bytes
 NAME = "someone/stars"
 
 pytestmark = pytest.mark.filterwarnings(
-    "ignore:Use 'content=<...>':DeprecationWarning"  # of the client's own making, in every PUT
+    "ignore:Use 'content=<...>':DeprecationWarning"  # made by the client, in every PUT
 )
 
 
@@ -55,7 +55,7 @@ def _sha256(file: Path) -> str:
 
 
 def assert_holds(server: HubServer, folder: Path, name: str = NAME, revision: str = "main") -> None:
-    """Everything of the folder is there byte for byte, with the name of the repository in the card."""
+    """Assert that all files of the folder are there, byte for byte, and the card names the repository."""
     held = server.repository(name).find(revision)
     assert held is not None
     expected = {f.relative_to(folder).as_posix(): f.read_bytes() for f in folder.rglob("*") if f.is_file()}
@@ -131,7 +131,7 @@ def test_a_lost_answer_makes_no_second_commit(server, folder):
 
 
 @pytest.mark.parametrize("pattern", ["*/repos/create", "*/commit/*", "*/tag/*"])
-def test_trouble_that_passes_is_waited_out(server, folder, pattern):
+def test_transient_failures_are_retried(server, folder, pattern):
     told: list[str] = []
     server.faults.fail(pattern, 503, times=2)
     run_upload(prepare_upload(str(folder), NAME, UploadOptions(tag="v1"), on_wait=told.append))
@@ -141,7 +141,7 @@ def test_trouble_that_passes_is_waited_out(server, folder, pattern):
     assert all("503" in line and "trying again in 0.0" in line for line in told)
 
 
-def test_damage_on_the_way_is_found(server, folder, monkeypatch):
+def test_damage_in_transit_is_found(server, folder, monkeypatch):
     from tests.hub_server import writing
 
     honest = writing._change
@@ -188,14 +188,14 @@ def test_a_new_branch_is_compared_with_where_it_starts(server, folder, capfd):
 
 
 @pytest.mark.parametrize("name", ["stars", "someone/", "a/b/c", "", "someone/my stars", "https://a.b/c/d"])
-def test_what_is_no_name_is_refused_before_anything_is_asked(server, folder, name):
+def test_invalid_names_are_refused_before_any_request(server, folder, name):
     with pytest.raises(InputError, match="is not a name of a repository; next: give USER/NAME"):
         upload(folder, name)
     assert server.requests == []
     assert server.repositories == {}
 
 
-def test_a_picture_that_stays_behind_is_named(server, folder):
+def test_a_picture_that_is_not_sent_is_named(server, folder):
     (folder / "pictures").mkdir()
     shutil.copy(folder / "previews" / "scenes.png", folder / "pictures" / "mine.png")
     card = folder / "README.md"
@@ -244,7 +244,7 @@ def test_names_move_only_where_they_may(server, folder):
 
 
 @pytest.mark.parametrize("other", [{"revision": "next"}, {"tag": "v1"}])
-def test_a_pull_request_excludes_what_makes_no_sense_with_it(other):
+def test_a_pull_request_excludes_contradicting_options(other):
     with pytest.raises(InputError, match="exclude each other"):
         UploadOptions(create_pr=True, **other)
     assert UploadOptions(create_pr=True, revision="main").create_pr
@@ -255,7 +255,7 @@ def test_private_is_private(server, folder):
     assert server.repository(NAME).private
     assert upload(folder, private=True).sent == ()
     server.create("someone/open")
-    with pytest.raises(InputError, match="everyone can see it, --private was asked for; nothing was sent"):
+    with pytest.raises(InputError, match="everyone can see it, but --private was given; nothing was sent"):
         upload(folder, "someone/open", private=True)
     prepared = prepare_upload(str(folder), "someone/late", UploadOptions(private=True))
     server.create("someone/late")
@@ -264,7 +264,7 @@ def test_private_is_private(server, folder):
     assert server.repository("someone/late").head.title == "initial commit"
 
 
-def test_nothing_unsound_leaves_the_house(server, folder):
+def test_damaged_data_sets_are_not_sent(server, folder):
     shard = folder / "data" / "test-00000-of-00001.parquet"
     content = bytearray(shard.read_bytes())
     content[1000] ^= 1
@@ -283,7 +283,7 @@ def test_nothing_unsound_leaves_the_house(server, folder):
     assert server.requests == []
 
 
-def test_what_is_no_data_set_of_ours_is_refused(server, tmp_path):
+def test_folders_without_a_data_set_are_refused(server, tmp_path):
     with pytest.raises(InputError, match=r"no manifest.json in .*; next:"):
         prepare_upload(str(tmp_path), NAME)
     with pytest.raises(InputError, match=r"no manifest.json in 'memory://somewhere'.*; next:"):
@@ -292,7 +292,7 @@ def test_what_is_no_data_set_of_ours_is_refused(server, tmp_path):
 
 
 def test_a_folder_in_a_store_is_sent_from_a_copy_that_goes_with_the_upload(server, folder):
-    """Without hidden files; a name that leads elsewhere or a failure of the store ends it."""
+    """Hidden files are left out; a name that leads elsewhere or a failure of the store ends the upload."""
     store = open_folder("memory://uploads/stars")
     for path, content in folder_bytes(folder).items():
         store.write_bytes(path, content)
@@ -312,8 +312,8 @@ run_upload(prepare_upload({folder!r}, {name!r}))
 """
 
 
-def test_a_killed_upload_goes_on_with_what_is_missing(server, folder, tmp_path):
-    """One large file does not get through; the process is killed meanwhile; the next one sends only that."""
+def test_a_killed_upload_continues_with_the_missing_files(server, folder, tmp_path):
+    """The process is killed while one large file is sent; the next process sends only this file."""
     wanted = {*shards_of(folder).values(), _sha256(folder / "previews" / "scenes.png")}
     late = shards_of(folder)["data/train-00001-of-00003.parquet"]
     server.faults.fail(f"/lfs/*/{late}", 503, times=10_000)

@@ -1,4 +1,4 @@
-"""What an upload decides before it does anything: which files, and in which card."""
+"""Plans of uploads, before anything is sent: files, and the card."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def digest(content: bytes, *, large: bool) -> str:
     st.dictionaries(names, st.tuples(contents, st.booleans())),
     st.dictionaries(names, st.tuples(contents, st.booleans())),
 )
-def test_a_plan_brings_exactly_the_folder(here, there):
+def test_a_plan_reproduces_exactly_the_folder(here, there):
     with TemporaryDirectory() as folder:
         files = []
         for number, (path, (content, is_known)) in enumerate(here.items()):
@@ -61,7 +61,7 @@ def test_a_plan_brings_exactly_the_folder(here, there):
     assert not any(path in there and there[path][0] == here[path][0] for path in sent)
 
 
-def test_the_payload_is_the_data_set_and_nothing_else(folder):
+def test_only_the_data_set_is_sent(folder):
     (folder / ".pending").mkdir()
     (folder / ".pending" / "train-00000-of-00001.json").write_text("{}")
     (folder / ".writing-host-1-abc-README.md").write_text("half")

@@ -1,4 +1,4 @@
-"""What the Hub's page shows: a second configuration, which `datasets` reads and loaders of ours pass over."""
+"""Meshes on the page of the Hub: a second configuration, which `datasets` reads and our loaders ignore."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ NAME = "someone/digits"
 SPLITS = ("test", "holdout")
 
 pytestmark = pytest.mark.filterwarnings(
-    "ignore:Use 'content=<...>':DeprecationWarning"  # of the client's own making, in every PUT
+    "ignore:Use 'content=<...>':DeprecationWarning"  # made by the client, in every PUT
 )
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory) -> Path:
-    """Digits as they are by default, so that their size is what users will see."""
+    """Digits with default settings, so that their size is that of users."""
     folder = tmp_path_factory.mktemp("viewer") / "digits"
     generate(DigitSetSpec(SyntheticSource(), per_class=1), str(folder), SPLITS)
     return folder
@@ -46,7 +46,7 @@ def held(server: HubServer) -> dict[str, bytes]:
 
 @pytest.fixture(scope="module")
 def sent(made) -> dict[str, bytes]:
-    """What an upload with meshes in 3D leaves on the Hub."""
+    """The content of the Hub after an upload with meshes in 3D."""
     with pytest.MonkeyPatch.context() as patch, hub() as server:
         with logged_in(server, server.account("someone"), patch):
             upload(made, viewer=True)

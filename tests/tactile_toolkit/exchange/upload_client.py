@@ -1,4 +1,4 @@
-"""Uploads in this process, through the client library as it is, to the server on 127.0.0.1."""
+"""Uploads in this process, through the unchanged client library, to the server on 127.0.0.1."""
 
 from __future__ import annotations
 

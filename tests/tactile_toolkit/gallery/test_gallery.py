@@ -32,7 +32,7 @@ def build(out: Path, gallery: Gallery | None = None, **options: object) -> site_
     return build_site(gallery or toy_gallery(), str(out), InlineRunner(), **options)  # type: ignore[arg-type]
 
 
-def test_a_site_holds_what_it_says(tmp_path):
+def test_a_site_has_the_stated_content(tmp_path):
     site = build(tmp_path / "site")
     files = folder_bytes(tmp_path / "site")
     assert (site.items, site.files, site.bytes) == (20, len(files), sum(map(len, files.values())))
@@ -88,7 +88,7 @@ def test_no_other_foreign_code_lies_in_the_package():
 
 
 @pytest.mark.thorough
-def test_same_gallery_same_bytes_whoever_works(tmp_path):
+def test_bytes_do_not_depend_on_workers(tmp_path):
     build(tmp_path / "a")
     build_site(toy_gallery(), str(tmp_path / "b"), ProcessRunner(2))
     assert folder_bytes(tmp_path / "a") == folder_bytes(tmp_path / "b")
@@ -109,7 +109,7 @@ def test_another_folder_is_refused_even_with_overwrite(tmp_path):
     assert (tmp_path / "mine" / "thesis.txt").read_text() == "years of work"
 
 
-def test_a_gallery_is_replaced_only_when_asked_and_only_when_it_holds_nothing_else(tmp_path):
+def test_a_gallery_is_replaced_only_on_request_and_without_other_files(tmp_path):
     out = tmp_path / "site"
     build(out)
     before = folder_bytes(out)
@@ -130,7 +130,7 @@ def test_a_gallery_is_replaced_only_when_asked_and_only_when_it_holds_nothing_el
         *("FILES/items/000021.js", "FILES/assets/fonts/mine.woff", "FILES/assets/mine/", "files-mine"),
     ],
 )
-def test_what_a_gallery_did_not_write_is_kept(tmp_path, unknown):
+def test_files_of_others_are_kept(tmp_path, unknown):
     out = tmp_path / "site"
     build(out)
     place = out / unknown.replace("FILES", files_of(out).name)
@@ -174,7 +174,7 @@ def test_links_are_not_followed(tmp_path, link):
         (mine / "thesis.txt").write_text("years of work")
     before = mine.read_bytes() if mine.is_file() else folder_bytes(mine)
     place.symlink_to(mine)
-    if link == UNFINISHED:  # a link of our making, and not what it leads to
+    if link == UNFINISHED:  # a link made here, and not its target
         build(out, overwrite=True)
         assert not place.is_symlink()
     else:
@@ -246,7 +246,7 @@ except StorageError as error:
 """
 
 
-def test_no_room_leaves_nothing_and_says_so(tmp_path):
+def test_a_full_disk_is_named_and_leaves_no_files(tmp_path):
     assert "File too large" in run_forked(FULL, tmp_path / "site")
     assert entries(tmp_path) == []
 
@@ -259,7 +259,7 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path):
         build_site(toy_gallery(), "memory://site", InlineRunner())
 
 
-def test_nothing_and_too_much_are_refused(tmp_path, monkeypatch):
+def test_empty_and_too_large_galleries_are_refused(tmp_path, monkeypatch):
     with pytest.raises(InputError, match="there is no toy to show"):
         build(tmp_path / "site", toy_gallery(0))
     with pytest.raises(

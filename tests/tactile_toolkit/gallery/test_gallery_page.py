@@ -58,14 +58,14 @@ def focused(found: Opened) -> str:
     return str(found.page.evaluate("document.activeElement.id || document.activeElement.tagName"))
 
 
-def test_filters_show_what_the_data_holds(chromium, site):
+def test_filters_show_the_values_of_the_data(chromium, site):
     numbers = range(COUNT)
     with opened(chromium, site) as found:
         assert count_text(found) == "1,000 toys"
         assert chip(found, "Class", "3").locator(".number").inner_text() == "100"
         chip(found, "Class", "3").click()
         assert count_text(found) == "100 of 1,000 toys"
-        # Other facets count what is left; the facet itself counts what choosing more would add.
+        # Other facets count the remaining items; the facet itself counts what further choices would add.
         assert chip(found, "Parity", "odd").locator(".number").inner_text() == "100"
         assert chip(found, "Parity", "even").locator(".number").inner_text() == "0"
         assert chip(found, "Class", "4").locator(".number").inner_text() == "100"
@@ -104,7 +104,7 @@ def test_sorting_keeps_unknown_values_last(chromium, site):
         assert not any("Never measured" in label for label in labels)
 
 
-def test_only_what_is_near_the_viewport_exists(chromium, site):
+def test_only_tiles_near_the_viewport_exist(chromium, site):
     with opened(chromium, site) as found:
         found.page.wait_for_function("document.querySelectorAll('.tile img').length > 0")
         nodes = "document.querySelectorAll('*').length"
@@ -134,11 +134,11 @@ def test_the_viewer_draws_the_object_and_turns_it(chromium, site):
         found.page.locator(".tile").nth(2).click()
         first = found.stage()
         ground = first[4, 4]
-        # The paint is amber, so red leads blue by far; the ground and its lines are grey.
+        # The paint is amber, so red is far above blue; the ground and its lines are grey.
         amber = (first[..., 0] - first[..., 2]) > 40
         assert amber.mean() > 0.02
         assert np.abs(ground - ground.mean()).max() < 12
-        found.page.keyboard.press("ArrowRight")  # the view has the focus as soon as it is drawn
+        found.page.keyboard.press("ArrowRight")  # the view gets the focus when it is drawn
         turned = found.stage()
         assert (np.abs(turned - first).max(axis=-1) > 25).mean() > 0.01
         found.page.keyboard.press("+")
@@ -321,7 +321,7 @@ def test_missing_files_are_named_not_awaited(chromium, site, tmp_path):
 def test_without_webgl_the_thumbnail_is_shown(chromium, site):
     with opened(chromium, site) as found:
         found.page.evaluate("HTMLCanvasElement.prototype.getContext = () => null")
-        found.page.evaluate("console.error = () => {}")  # the library says so too, at length
+        found.page.evaluate("console.error = () => {}")  # the library also reports it
         found.page.locator(".tile").first.click()
         found.page.get_by_text("The 3D view cannot be shown here").wait_for()
         assert found.page.locator("dialog img.fallback").evaluate("node => node.decode().then(() => true)")

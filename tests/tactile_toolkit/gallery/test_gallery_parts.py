@@ -1,4 +1,4 @@
-"""What a gallery is made of: texts, meshes, thumbnails, and the choice of rows."""
+"""Parts of a gallery: texts, meshes, thumbnails, and the choice of rows."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_script_json_is_json_without_anything_a_page_could_take_for_markup(value
     assert not set("<>&\u2028\u2029") & set(text)
 
 
-def test_script_json_refuses_what_is_no_json():
+def test_script_json_refuses_other_values():
     with pytest.raises(ValueError, match="JSON"):
         script_json(float("nan"))
 
@@ -117,7 +117,7 @@ def test_thumbnails_have_clear_paper_and_no_light_rim():
 
 
 @pytest.mark.parametrize("sides_m", [(0.03, 0.08), (0.08, 0.03), (0.02, 0.02)])
-def test_a_relief_fills_its_tile_whatever_its_size(sides_m):
+def test_a_relief_of_any_size_fills_its_tile(sides_m):
     box = trimesh.creation.box((*sides_m, 0.01))
     content = relief_thumbnail(box.vertices, box.faces)
     small = read_png(content)

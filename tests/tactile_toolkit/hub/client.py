@@ -1,4 +1,4 @@
-"""A user of the Hub: in a process of its own, or in this one with the client's settings swapped meanwhile."""
+"""A user of the Hub: in another process, or in this one with temporary settings of the client."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from tests.forked import Forked, start_forked
 from tests.hub_server import HubServer
 from tests.processes import PATIENCE_S
 
-resource = pytest.importorskip("resource")  # so that what needs it is left out elsewhere
+resource = pytest.importorskip("resource")  # so that tests that need it are skipped elsewhere
 
 __all__ = ["as_client", "forget_sessions", "run_here", "run_python", "settings", "start_here", "start_python"]
 
 
 def settings(server: HubServer | str, home: Path, token: str | None = None, **more: str) -> dict[str, str]:
-    """Return the environment of a client: its own folders, no login but the token given, no long waits."""
+    """Return the environment of a client: separate folders, no login without a token, no long waits."""
     environment = {key: value for key, value in os.environ.items() if not key.startswith(("HF_", "HUGGING"))}
     return {
         **environment,
@@ -42,7 +42,7 @@ def settings(server: HubServer | str, home: Path, token: str | None = None, **mo
 
 
 def start_python(script: str, environment: dict[str, str], home: Path) -> subprocess.Popen[str]:
-    """Start a script in a process of its own: clients read their settings when they are imported."""
+    """Start a script in another process, because clients read their settings on import."""
     program = [sys.executable, "-c", script]
     return subprocess.Popen(
         program, cwd=home, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -50,7 +50,7 @@ def start_python(script: str, environment: dict[str, str], home: Path) -> subpro
 
 
 def run_python(script: str, environment: dict[str, str], home: Path) -> subprocess.CompletedProcess[str]:
-    """Run a script to its end in a process of its own."""
+    """Run a script to its end in another process."""
     with start_python(script, environment, home) as process:
         out, err = process.communicate(timeout=PATIENCE_S)
     return subprocess.CompletedProcess(script, process.returncode, out, err)
@@ -66,7 +66,7 @@ def _said_here(script: str, environment: dict[str, str], home: Path) -> str:
 
 
 def run_here(script: str, environment: dict[str, str], home: Path) -> subprocess.CompletedProcess[str]:
-    """Run a script to its end in this process, ten times as fast: the imports are done already."""
+    """Run a script to its end in this process, ten times as fast because imports are done."""
     out, err = io.StringIO(), io.StringIO()
     with (
         as_client(environment),
@@ -75,20 +75,20 @@ def run_here(script: str, environment: dict[str, str], home: Path) -> subprocess
         contextlib.redirect_stderr(err),
         warnings.catch_warnings(),
     ):
-        warnings.simplefilter("ignore")  # the client library's own
+        warnings.simplefilter("ignore")  # of the client library
         exec(compile(script, "client", "exec"), {"__name__": "client"})
     return subprocess.CompletedProcess(script, 0, out.getvalue(), err.getvalue())
 
 
 class _NoWaits:
-    """The module `time` as the client sees it: it waits between its own tries, up to half a minute in all."""
+    """The module `time` for the client, which waits between its attempts, up to half a minute in total."""
 
     sleep = staticmethod(lambda _seconds: None)
     time, monotonic = staticmethod(time.time), staticmethod(time.monotonic)
 
 
 def forget_sessions() -> None:
-    """Let the client make new sessions: they keep what they read of the environment."""
+    """Let the client make new sessions, because sessions keep the settings of the environment."""
     close = getattr(huggingface_hub, "close_session", None)  # from 1.0 on
     (close or huggingface_hub.utils._http.reset_sessions)()
 
@@ -98,7 +98,7 @@ _RESOLVE = "/{repo_id}/resolve/{revision}/{filename}"
 
 @contextlib.contextmanager
 def as_client(environment: dict[str, str]) -> Iterator[None]:
-    """Let this process be a client of these settings, as if they had been set when it was started."""
+    """Let this process be a client with these settings, as if they had been set at its start."""
     from huggingface_hub import HfFileSystem, constants, file_download
     from huggingface_hub.utils import _http, disable_progress_bars, enable_progress_bars
 

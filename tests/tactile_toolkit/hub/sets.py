@@ -1,4 +1,4 @@
-"""Two repositories to download from: a small data set of ours, and one large file of others."""
+"""Two repositories for downloads: a small data set of this toolkit, and one large file."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SHARD = "data/train-00000-of-00001.parquet"
 
 
 def big_parquet(seed: int = 0, rows: int = 400_000) -> bytes:
-    """A Parquet file of some MB that no codec makes smaller."""
+    """Return a Parquet file of some MB that cannot be compressed."""
     stream = io.BytesIO()
     numbers = np.random.default_rng(seed).integers(0, 1 << 60, rows)
     pq.write_table(pa.table({"id": numbers}), stream, compression="none", use_dictionary=False)
@@ -47,7 +47,7 @@ def _toy_files() -> dict[str, bytes]:
 
 @contextmanager
 def two_sets(root: Path) -> Iterator[HubServer]:
-    """Serve both."""
+    """Serve both repositories."""
     for path, content in _toy_files().items():
         (root / NAME / path).parent.mkdir(parents=True, exist_ok=True)
         (root / NAME / path).write_bytes(content)
@@ -57,7 +57,7 @@ def two_sets(root: Path) -> Iterator[HubServer]:
 
 
 FULL = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (1000000, resource.RLIM_INFINITY))\n"
-"""Lets no file grow beyond 1 MB: a real limit of the file system, as of a disk that is full."""
+"""Limits files to 1 MB, a limit of the file system, to simulate a full disk."""
 
 SCRIPT = """
 import json
@@ -75,7 +75,7 @@ except ToolkitError as error:
 def script(
     name: str = NAME, *splits: str, out: Path | None = None, revision: str | None = None, before: str = ""
 ) -> str:
-    """Return a script that downloads and prints what was done, or the failure."""
+    """Return a script that downloads and prints the result or the failure."""
     place = None if out is None else str(out)
     return before + SCRIPT.format(name=name, splits=splits, revision=revision, out=place)
 

@@ -1,4 +1,4 @@
-"""Every way in which the Hub says no, made to happen by a real server, and what the user then reads."""
+"""Every kind of failure of the Hub, produced by a real server, and its message."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ else:
 
 
 def said(server: HubServer | str, home: Path, action: str, *, token: str | None = None, **more: str) -> str:
-    """Run an action of a client and return what the toolkit says of it."""
+    """Run an action of a client and return the message of the toolkit."""
     repo = more.pop("repo", "someone/set")
     done = run_here(SCRIPT.format(repo=repo, action=action), settings(server, home, token, **more), home)
     assert done.returncode == 0, done.stderr
@@ -136,7 +136,7 @@ PART = "pa55"
         ("all_proxy", f"nothing://{PART}@host:9", "cannot be set up (ValueError); set are "),
     ],
 )
-def test_an_address_in_the_environment_that_is_none_is_not_quoted(tmp_path, name, value, words):
+def test_an_invalid_address_in_the_environment_is_not_quoted(tmp_path, name, value, words):
     environment = {**settings("http://127.0.0.1:9", tmp_path), name: value}
     environment.pop("NO_PROXY", None)
     script = "import cli.mnist3d as each; import sys; sys.argv = ['mnist3d', 'info', 'a/b']; each.main()"
@@ -148,7 +148,7 @@ def test_an_address_in_the_environment_that_is_none_is_not_quoted(tmp_path, name
 
 
 def test_a_full_disk(server, tmp_path):
-    """A real limit of the file system on how large a file may grow stands for a full disk."""
+    """A limit of the file system on the size of files simulates a full disk."""
     limited = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (500, resource.RLIM_INFINITY))"
     action = reading(path="data/train-00000-of-00001.parquet")
     text = said(server, tmp_path, f"{limited}; exec({action!r})")
@@ -208,7 +208,7 @@ def test_scrubbing(text, shown):
 
 
 @pytest.mark.parametrize("words", ["Authorization: Bearer AbCdEf123456", "https://host/a?sig=AbCdEf123456"])
-def test_what_is_hidden_ends_where_the_next_step_begins(words):
+def test_redaction_ends_before_the_next_step(words):
     failure = failure_of(OSError(words), "someone/set")
     assert failure is not None
     said = str(failure.error)
@@ -235,7 +235,7 @@ def test_scrubbing_knows_the_token_in_use(monkeypatch):
 
 
 class BusyError(Exception):
-    """What the client raises for a Hub that wants fewer requests."""
+    """The exception of the client for a Hub that asks for fewer requests."""
 
     def __init__(self, wait: str | None) -> None:
         headers = {} if wait is None else {"Retry-After": wait}
@@ -247,7 +247,7 @@ class BusyError(Exception):
     [(None, [0.5, 30.0]), ("7", [7.0, 30.0]), ("soon", [0.5, 30.0]), ("60", [60.0, 60.0])],
 )
 def test_as_long_as_the_hub_asks_for_is_waited(monkeypatch, asked, waited_s):
-    """At least as long as planned, at most two minutes together."""
+    """Waits are at least as long as planned, and at most two minutes in total."""
     slept, told, failures = [], [], [BusyError(asked), BusyError(asked)]
     monkeypatch.setattr(time, "sleep", slept.append)
 
@@ -276,8 +276,8 @@ except ToolkitError as error:
 
 
 @pytest.mark.parametrize("more", [{}, {"HF_HUB_OFFLINE": "1"}])
-def test_what_is_not_cached_is_named_when_nobody_can_be_asked(server, tmp_path, more):
-    """It may well be on the Hub: to say that the file does not exist would be false."""
+def test_files_that_are_not_cached_are_named_without_a_network(server, tmp_path, more):
+    """The file may exist on the Hub, so the message must not say that it does not exist."""
     here, away = "README.md", "data/train-00000-of-00001.parquet"
     online, nowhere = settings(server, tmp_path), settings("http://127.0.0.1:9", tmp_path, **more)
     missing = run_here(OFFLINE.format(paths=["nothing"]), online, tmp_path).stdout

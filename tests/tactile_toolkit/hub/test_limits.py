@@ -1,4 +1,4 @@
-"""A Hub that sends too much, too slowly, or something else: each ends soon, in a sentence."""
+"""A Hub that sends too much, too slowly, or something else: each case ends soon, with a message."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_a_file_without_end_is_given_up_at_the_size_that_the_listing_states(serv
 
 
 def test_a_listing_that_unpacks_to_gigabytes_ends_soon(server, tmp_path, monkeypatch):
-    # A thousandth of what it is to do, under a limit as small.
+    # A thousandth of the real work, with a limit a thousand times smaller.
     monkeypatch.setattr(calls, "ANSWER_BYTES", 1 << 20)
     packed = gzip.compress(b"[" + b" " * (64 << 20))
     headers = {"Content-Encoding": "gzip", "Content-Type": "application/json"}
@@ -71,7 +71,7 @@ def test_a_listing_that_unpacks_to_gigabytes_ends_soon(server, tmp_path, monkeyp
     ("pattern", "doing"), [(LISTING, "reading"), ("/cdn/*parquet", f"fetching {SHARD!r} of")]
 )
 def test_an_answer_that_comes_byte_by_byte_is_given_up(server, tmp_path, monkeypatch, pattern, doing, head):
-    """Each byte comes soon enough for the client, whose limit is one for each part of an answer."""
+    """Each byte arrives within the limit of the client, which applies to each part of a reply."""
     if not head and not hasattr(huggingface_hub, "close_session"):
         pytest.skip("clients before 1.0 do not tell what arrives of a body")
     monkeypatch.setattr(remote, "ANSWER_S", 0.3)
@@ -102,7 +102,7 @@ PAGE = b"<!DOCTYPE html><title>Hotel</title><form>Please log in</form>"
         (b"[" * 100_000, "application/json"),
     ],
 )
-def test_what_is_not_the_answer_of_a_hub_is_named(server, tmp_path, value, kind):
+def test_replies_of_other_servers_are_named(server, tmp_path, value, kind):
     server.faults.fail(LISTING, 200, times=99, value=value, headers={"Content-Type": kind})
     code, error, words = fetch(server, tmp_path, script(BIG))
     assert (code, error) == (4, "HubError")

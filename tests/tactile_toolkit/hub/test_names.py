@@ -1,4 +1,4 @@
-"""Names of the Hub: what they mean, and which files of a repository belong to which split."""
+"""Names of the Hub, and the splits to which files of a repository belong."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_parts_of_a_name(name, expected):
     "name",
     ["a", "a/b/c", "/a/b", "./a/b", "../a", "~a/b", "a/b@", "hf://a/b", "hf://datasets/a", "s3://a/b", ""],
 )
-def test_other_names_are_none(name):
+def test_other_names_are_not_repositories(name):
     assert hub_name(name) is None
 
 
@@ -47,7 +47,7 @@ def test_a_revision_is_given_once():
         hub_name("a/b@main", "dev")
 
 
-def test_a_part_of_a_repository_is_none():
+def test_a_part_of_a_repository_is_not_a_repository():
     assert repository_named("a/b@dev").revision == "dev"
     with pytest.raises(InputError, match="leave 'data' out"):
         repository_named("hf://datasets/a/b/data")

@@ -1,4 +1,4 @@
-"""Files of the Hub as readers get them: whole or not at all, fetched once, found by other programs too."""
+"""Files of the Hub: complete or not at all, fetched once, and found by other programs too."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_a_file_is_on_the_disk_before_it_counts_as_intact(server, tmp_path):
     assert done.stdout.strip() == "True", done.stderr
 
 
-def test_what_the_manifest_does_not_list_is_not_handed_out(server, tmp_path):
+def test_files_that_the_manifest_does_not_list_are_refused(server, tmp_path):
     repository = server.repository(NAME)
     shard = "data/test-00000-of-00002.parquet"
     repository.commit({shard: repository.blob(shard, CONTENT)}, "another file")
@@ -69,7 +69,7 @@ def test_what_the_manifest_does_not_list_is_not_handed_out(server, tmp_path):
     assert server.fetched[before:] == ["manifest.json"]
 
 
-def test_a_manifest_of_other_tools_is_none_of_ours(server, tmp_path):
+def test_a_manifest_of_other_tools_is_ignored(server, tmp_path):
     server.create("someone/other", {"manifest.json": b'{"name": "a web page"}', SHARD: CONTENT})
     assert load(server, tmp_path, "someone/other").startswith("path ")
 

@@ -1,4 +1,4 @@
-"""A Hub that means harm: names and digests that lead elsewhere are refused, nothing outside is touched."""
+"""A hostile Hub: names and digests that lead elsewhere are refused, and files outside are not changed."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def server(tmp_path) -> Iterator[HubServer]:
 
 @pytest.fixture
 def home(tmp_path) -> Path:
-    """Where the client is at home, deep enough that what leads out of it can be seen."""
+    """The home folder of the client, deep enough that escapes from it are noticed."""
     home = tmp_path / "a" / "b" / "home"
     home.mkdir(parents=True)
     (tmp_path / "a" / "victim.txt").write_text("years of work")
@@ -58,7 +58,7 @@ def test_a_shard_with_a_wild_name_is_not_fetched(server, tmp_path, home, name):
     before = outside(tmp_path, home)
     for text in (script(BIG), script(BIG, out=home / "out")):
         code, kind, words = fetch(server, home, text)
-        if name.startswith(".git/"):  # a hidden folder is passed over
+        if name.startswith(".git/"):  # a hidden folder is ignored
             assert (code, kind) == (2, "InputError")
             assert "no Parquet files" in words
         else:
@@ -73,7 +73,7 @@ def test_a_shard_with_a_wild_name_is_not_fetched(server, tmp_path, home, name):
 @pytest.mark.parametrize(
     "name", ["reports/../../../victim.txt", "previews/.hidden.png", "images/train/\\x.png"]
 )
-def test_what_goes_with_shards_has_plain_names_too(server, tmp_path, home, name):
+def test_files_beside_shards_have_plain_names_too(server, tmp_path, home, name):
     files = {path: blob.content for path, blob in server.repository(NAME).head.files.items()}
     server.create("someone/wild", {**files, name: b"evil"})
     before = outside(tmp_path, home)
@@ -127,10 +127,10 @@ except ToolkitError as error:
 """
 
 
-def test_the_client_does_not_name_files_by_what_the_hub_calls_them(server, tmp_path, home, monkeypatch):
-    """The client's cache takes its file names from the heads of answers."""
+def test_the_client_does_not_use_file_names_of_the_hub(server, tmp_path, home, monkeypatch):
+    """The cache of the client takes its file names from the headers of replies."""
     before = outside(tmp_path, home)
-    monkeypatch.setattr(Blob, "oid", Blob.oid)  # puts back what the script changes
+    monkeypatch.setattr(Blob, "oid", Blob.oid)  # restores the changes of the script
     text = HEAD.format(name=BIG, part="oid")
     done = run_here(text, settings(server, home), home)
     assert "4 HubError the Hub calls a file " in done.stdout

@@ -1,4 +1,4 @@
-"""Surfaces that cross themselves: bodies with a name, random ones against exact arithmetic."""
+"""Surfaces that cross themselves: known bodies, and random ones compared with exact arithmetic."""
 
 from __future__ import annotations
 
@@ -95,11 +95,11 @@ def _rotation(seed: int) -> np.ndarray:
     return q * np.sign(np.linalg.det(q))
 
 
-# --- next to exact arithmetic ----------------------------------------------------------------------
+# --- compared with exact arithmetic ----------------------------------------------------------------------
 
 
 def exact_crossing(vertices: np.ndarray, faces: np.ndarray) -> bool:
-    """Try every edge against every triangle in integers, as the coordinates are; nothing degenerate."""
+    """Test every edge against every triangle in integers, without degenerate cases."""
     points = [tuple(map(int, vertex)) for vertex in vertices.tolist()]
     edges = {tuple(sorted(pair)) for face in faces.tolist() for pair in itertools.combinations(face, 2)}
 
@@ -162,7 +162,7 @@ def test_digits_cross_nowhere_by_proof_and_by_trial(spec: SolidSpec) -> None:
 @settings(max_examples=settings.default.max_examples // 5)
 @given(st.integers(0, 10**6))
 def test_digits_that_are_tampered_with_are_found_through_the_proof(seed: int) -> None:
-    """The proof leaves out only what cannot cross: it finds what a trial of all faces finds."""
+    """The pruning leaves out only faces that cannot cross: results equal those of a test of all faces."""
     rng = np.random.default_rng(seed)
     mesh = solidify(SyntheticSource(seed=5).image(seed % 1000).pixels, SolidSpec(target_vertices=1000))
     vertices, faces = mesh.vertices_m.astype(float) * 1000, mesh.faces.astype(np.int64)
@@ -195,7 +195,7 @@ def test_shapes_of_trimesh_cross_nowhere(made: Any) -> None:
 
 @settings(max_examples=settings.default.max_examples // 5)
 @given(st.integers(0, 10**6), st.booleans())
-def test_what_manifold3d_joins_and_cuts_crosses_nowhere(seed: int, single: bool) -> None:
+def test_results_of_manifold3d_do_not_cross_themselves(seed: int, single: bool) -> None:
     rng = np.random.default_rng(seed)
 
     def part() -> Any:
@@ -230,7 +230,7 @@ def test_bodies_that_touch_and_a_body_that_touches_itself_are_solids() -> None:
 
 
 @pytest.mark.parametrize("tip_mm", [14.0, 10.01])
-def test_the_proof_keeps_what_lies_over_or_under_an_overhang(tip_mm: float) -> None:
+def test_the_proof_keeps_faces_above_or_below_an_overhang(tip_mm: float) -> None:
     """Two cones on one rim, of which one leans over it, the second only just: there faces may cross."""
     turn = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     here, following = np.arange(24), np.roll(np.arange(24), -1)
@@ -254,7 +254,7 @@ def test_the_proof_keeps_what_lies_over_or_under_an_overhang(tip_mm: float) -> N
 
 @pytest.mark.parametrize("bulge", [0.1, 0.3])
 def test_two_reliefs_back_to_back_over_a_line_that_winds_twice_are_named(bulge: float) -> None:
-    """All faces of each half look the same way, so that only the line between the halves tells it."""
+    """All faces of each half face the same way, so only the line between the halves shows the crossing."""
     turn = np.linspace(0, 4 * np.pi, 41, endpoint=False)
     far = 10 * (1 + bulge * np.cos(turn / 2))
     rim = np.stack([far * np.cos(turn), far * np.sin(turn), np.zeros(41)], axis=1)

@@ -1,6 +1,6 @@
 """Mesh files of other programs: read as their formats say, or refused with the reason.
 
-Outcomes of the files next to the repository are those of the references that `solid.md` names there.
+Expected results of the files next to the repository are from the references that `solid.md` lists there.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from tests.tactile_toolkit.mesh.solid_files import cube, outcome_of
 
 CASES = SHARED / "cases" / "solid"
 
-# A volume in mm³, or words of a refusal or of what is wrong.
+# A volume in mm³, or words of the error or of the problem.
 OUTCOMES: dict[str, float | str] = {
     "g01_yup.glb": 3000,
     "g02_draco.glb": "KHR_draco_mesh_compression",
@@ -157,17 +157,17 @@ DAMAGED = {
 
 
 @pytest.mark.parametrize("name", DAMAGED)
-def test_damage_is_told_in_a_sentence(name: str, tmp_path: Path) -> None:
+def test_damage_is_described_in_a_sentence(name: str, tmp_path: Path) -> None:
     content, words = DAMAGED[name]
     (tmp_path / name).write_bytes(content)
     found = str(outcome_of(tmp_path / name))
     assert words in found
-    # No words of libraries.
+    # Without messages of libraries.
     assert not any(word in found for word in ("unmatched", "reshape", "buffer", "0x", "Error"))
 
 
 @pytest.mark.parametrize("ending", [".stl", ".obj", ".ply", ".glb", ".3mf"])
-def test_random_damage_is_refused_or_read_without_words_of_libraries(ending: str) -> None:
+def test_random_damage_is_refused_without_messages_of_libraries(ending: str) -> None:
     random = np.random.default_rng(0)
     whole, said = pack_mesh(cube(), ending), ""
     for _ in range(150):
@@ -186,7 +186,7 @@ def test_random_damage_is_refused_or_read_without_words_of_libraries(ending: str
 
 @pytest.mark.parametrize("unit", ["m", "in", "cm", "mm"])
 @pytest.mark.parametrize("ending", [".stl", ".obj", ".ply"])
-def test_units_are_asked_for_and_obeyed(unit: str, ending: str, tmp_path: Path) -> None:
+def test_units_are_requested_and_applied(unit: str, ending: str, tmp_path: Path) -> None:
     size = {"m": 0.02, "in": 20 / 25.4, "cm": 2.0, "mm": 20.0}[unit]
     path = tmp_path / f"part{ending}"
     path.write_bytes(pack_mesh(cube(size), ending))
@@ -262,7 +262,7 @@ def ply_of(vertices: np.ndarray, polygons: list[list[int]], form: str) -> bytes:
 
 @pytest.mark.parametrize("turn_deg", [0, 33])
 @pytest.mark.parametrize("form", ["obj", "ascii", "binary_little_endian", "binary_big_endian"])
-def test_concave_polygons_are_cut_as_polygons(form: str, turn_deg: float, tmp_path: Path) -> None:
+def test_concave_polygons_are_triangulated_correctly(form: str, turn_deg: float, tmp_path: Path) -> None:
     vertices, polygons = prism(L_SHAPE)
     turn = trimesh.transformations.rotation_matrix(math.radians(turn_deg), (1, 2, 3))[:3, :3]
     content = obj_text(vertices @ turn, polygons).encode()
@@ -293,11 +293,11 @@ def test_cut_polygons_cover_their_area_once() -> None:
         cut_polygons(np.zeros((4, 3)), np.array([4, 2]), np.arange(6) % 4)
 
 
-# --- corners that rounding has torn apart -------------------------------------------------------------
+# --- corners that rounding has separated -------------------------------------------------------------
 
 
 @pytest.mark.parametrize("ending", [".stl", ".obj"])
-def test_torn_corners_are_welded_and_counted(ending: str, tmp_path: Path) -> None:
+def test_separated_corners_are_welded_and_counted(ending: str, tmp_path: Path) -> None:
     ball = trimesh.creation.icosphere(2, 0.01)
     apart = ball.vertices[ball.faces].reshape(-1, 3)
     random = np.random.default_rng(0)
@@ -317,7 +317,7 @@ def test_torn_corners_are_welded_and_counted(ending: str, tmp_path: Path) -> Non
 
 
 def test_a_corner_far_away_does_not_weld_the_others(tmp_path: Path) -> None:
-    """Measured by it, all others would be near: two facets fewer, and half of the cube were a solid."""
+    """Relative to its distance, all others would be close together: half of the cube would be welded."""
     path = tmp_path / "far.stl"
     path.write_text(CUBE_STL.replace("vertex 10", "vertex 1e9", 1))
     mesh = read_mesh(path, unit="mm")
@@ -325,7 +325,7 @@ def test_a_corner_far_away_does_not_weld_the_others(tmp_path: Path) -> None:
     assert not inspect(mesh).is_solid
 
 
-def test_what_is_open_stays_as_it_is() -> None:
+def test_open_surfaces_are_unchanged() -> None:
     open_box = Mesh(cube().vertices_m, cube().faces[1:])
     for ending in (".stl", ".ply", ".glb"):
         found = unpack_mesh(pack_mesh(open_box, ending), ending)

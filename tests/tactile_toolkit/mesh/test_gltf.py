@@ -1,4 +1,4 @@
-"""GLB files of other programs: read as glTF 2.0 says, or refused with the reason."""
+"""GLB files of other programs: read as specified by glTF 2.0, or refused with the reason."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def glb_of(tree: dict[str, Any], content: bytes) -> bytes:
 
 
 def tree_of(mesh: Mesh = BOX, **changes: Any) -> tuple[dict[str, Any], bytes]:
-    """A mesh as it is, y up, and what a test changes in its tree."""
+    """Return a GLB file of a mesh, y up, with changes to its JSON."""
     vertices, corners = mesh.vertices_m.astype("<f4"), mesh.faces.astype("<u2")
     content = vertices.tobytes() + corners.tobytes()
     tree: dict[str, Any] = {
@@ -56,7 +56,7 @@ def sizes_mm(data: bytes) -> np.ndarray:
 
 
 def test_y_is_up_in_glb_files() -> None:
-    """A part that lies flat is low along y in the file, and comes back along z, as it was."""
+    """A flat part is thin along y in the file, and along z after reading."""
     shape = Mesh(BOX.vertices_m + np.array([0.1, 0.2, 0.3]), BOX.faces)
     data = pack_mesh(shape, ".glb")
     there = trimesh.load_scene(io.BytesIO(data), file_type="glb").to_mesh()
@@ -65,7 +65,7 @@ def test_y_is_up_in_glb_files() -> None:
     assert sizes_mm(glb_of(*tree_of())) == pytest.approx([30, 5, 20], abs=1e-4)
 
 
-def test_nodes_place_what_they_hold() -> None:
+def test_nodes_transform_their_meshes() -> None:
     half = math.sqrt(0.5)
     nodes = [
         {"children": [1, 2], "translation": [1, 0, 0]},
@@ -160,7 +160,7 @@ def test_strips_fans_and_sparse_values_are_read() -> None:
         ({"accessors": [{"componentType": 5126, "count": 8, "type": "VEC3"}] * 2}, "has no data"),
     ],
 )  # fmt: skip
-def test_what_glb_files_need_is_read_or_named(changes: dict[str, Any], words: str) -> None:
+def test_required_extensions_are_read_or_named(changes: dict[str, Any], words: str) -> None:
     data = glb_of(*tree_of(**changes))
     if not words:
         assert len(read_glb(data)[1]) == 12

@@ -1,4 +1,4 @@
-"""Mesh files: what is written comes back as the same solid, and what is damaged is refused by name."""
+"""Mesh files: written solids are read back unchanged, and damaged files are refused by name."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_a_file_cut_short_is_refused_or_seen_to_be_open(
         mesh = read_mesh(path)
     except InputError:
         return
-    # A text file such as OBJ says nowhere how long it is.
+    # A text file such as OBJ does not state its length.
     assert not inspect(mesh).is_solid
 
 
@@ -137,7 +137,7 @@ def test_merging_keeps_the_order_and_the_triangles() -> None:
     assert faces.tolist() == [[0, 1, 2], [1, 0, 3]]
 
 
-def test_merging_nothing_gives_nothing() -> None:
+def test_merging_no_meshes_gives_an_empty_mesh() -> None:
     vertices, faces = merge_equal_vertices(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
     assert (vertices.shape, faces.shape) == ((0, 3), (0, 3))
 
@@ -179,7 +179,7 @@ def test_objects_in_models_of_their_own_are_found(tmp_path: Path) -> None:
 
 
 def test_objects_in_another_unit_than_that_of_the_root_are_refused(tmp_path: Path) -> None:
-    """lib3mf takes the unit of the root for all of them; the specification gives each model one."""
+    """lib3mf uses the unit of the root for all models; in the specification, each model has its own."""
     component = '<component p:path="/3D/Objects/a.model" objectid="1"/>'
     with pytest.raises(InputError, match=r"/3d/objects/a\.model is in cm, and /3d/3dmodel\.model in mm"):
         read_mesh(package(tmp_path / "a.3mf", component, a="centimeter"))
@@ -201,12 +201,12 @@ def test_objects_in_another_unit_than_that_of_the_root_are_refused(tmp_path: Pat
         ('<component objectid="2"/>' * 2, "holds itself"),
     ],
 )
-def test_paths_to_what_a_package_lacks_are_named(component: str, words: str, tmp_path: Path) -> None:
+def test_paths_to_missing_parts_of_a_package_are_named(component: str, words: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=words):
         read_mesh(package(tmp_path / "a.3mf", component, a="millimeter"))
 
 
-def test_packages_without_a_model_or_with_numbers_that_are_none(tmp_path: Path) -> None:
+def test_packages_without_a_model_or_with_invalid_numbers(tmp_path: Path) -> None:
     path = tmp_path / "a.3mf"
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("[Content_Types].xml", "<Types/>")
@@ -220,7 +220,7 @@ def test_packages_without_a_model_or_with_numbers_that_are_none(tmp_path: Path) 
         read_mesh(path)
 
 
-def test_a_mesh_of_trimesh_and_a_record_are_taken_as_they_are(ring: Mesh, tmp_path: Path) -> None:
+def test_meshes_of_trimesh_and_records_are_accepted(ring: Mesh, tmp_path: Path) -> None:
     class Record:
         vertices_m, faces = ring.vertices_m, ring.faces
 

@@ -1,4 +1,4 @@
-"""The search for the thinnest wall next to a trial of all pairs of triangles, written out in plain numpy."""
+"""The search for the thinnest wall, compared with a search of all pairs of triangles in plain NumPy."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hypothesis import given, settings, strategies as st
 from tactile_toolkit.mesh.nearness import FACING, near_pairs, thinnest_wall_mm
 
 REACH_MM = 2.5
-# Of the definition: a way along the surface, and one along an edge; what is in a plane; what is round.
+# Limits of the definition: along the surface, along an edge, in a plane, on round surfaces.
 ALONG, LENGTHWISE, LEVEL = 0.05, math.sqrt(1 - FACING**2), 1e-9
 ROUND_CORNER = math.cos(math.radians(20))
 
@@ -37,7 +37,7 @@ def unit(u: np.ndarray) -> np.ndarray:
 
 
 def wall_of_all_pairs(vertices: np.ndarray, faces: np.ndarray) -> float:
-    """Return the thinnest wall below the reach: every triangle next to every other, nothing left out."""
+    """Return the thinnest wall below the reach, from all pairs of triangles."""
     corners = vertices[faces]
     doubled = np.cross(corners[:, 2] - corners[:, 0], corners[:, 1] - corners[:, 0])
     inward = unit(doubled)
@@ -49,7 +49,7 @@ def wall_of_all_pairs(vertices: np.ndarray, faces: np.ndarray) -> float:
     }
     joined = (faces[:, None, :, None] == faces[None, :, None, :]).any(axis=(2, 3))
     one, other = np.nonzero(~joined | (inward @ inward.T <= 1 - 2 * FACING**2))
-    # Each has something of the other before it.
+    # A part of each triangle lies in front of the other.
     depths = np.einsum("nkc,nc->nk", corners[other] - corners[one, :1], inward[one]).max(axis=1)
     before = np.zeros((len(faces), len(faces)), dtype=bool)
     before[one, other] = depths > LEVEL
@@ -58,7 +58,7 @@ def wall_of_all_pairs(vertices: np.ndarray, faces: np.ndarray) -> float:
         return 0.0
     best = math.inf
     for k in range(3):
-        # From a corner of the one straight to the inside of the other.
+        # From a corner of one triangle straight to the inside of the other.
         point, into = corners[one, k], inward[other]
         depth = dot(point - corners[other, 0], into)
         here = at_corner[faces[one, k]]
@@ -148,7 +148,7 @@ def wedge(rng: np.random.Generator) -> Any:
 
 
 def two_blocks_joined(rng: np.random.Generator) -> Any:
-    """A slanted neck between two notches."""
+    """Return a solid with a slanted neck between two notches."""
     x, z = rng.uniform(-0.6, 0.6), rng.uniform(0.3, 2)
     a, b, c, d = rng.uniform(-2, 2, 4)
     outline = [(-6, 6), (-6, a), (0, 0), (b, -6), (6, -6), (6, z + c), (x, z), (x + d, 6)]

@@ -1,4 +1,4 @@
-"""The rasteriser: what covers a pixel and lies highest there."""
+"""The rasteriser: coverage of pixels, and the highest surface at each."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tactile_toolkit.mesh import highest_faces, highest_values
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_the_highest_triangle_is_what_looking_at_each_pixel_sees(seed):
+def test_the_highest_triangle_agrees_with_a_search_at_each_pixel(seed):
     random = np.random.default_rng(seed)
     points = random.uniform(-4, 20, (9, 3)) + np.array((0, 0, random.uniform(-50, 50)))
     faces = random.integers(0, 9, (7, 3))
@@ -36,7 +36,7 @@ def _depth_at(corners: np.ndarray, x: float, y: float) -> float | None:
     return float(shares @ corners[:, 2]) if (shares >= 0).all() else None
 
 
-def test_triangles_turned_away_are_seen_only_where_asked_for():
+def test_triangles_that_face_away_are_drawn_only_on_request():
     points = np.array([(0, 8, 0), (0, 0, 8), (1, 1, 1)], float)
     for faces, seen in (([[0, 1, 2]], True), ([[0, 2, 1]], False)):
         assert (highest_faces(points, np.array(faces), (4, 4)) == 0).all() == seen
@@ -49,6 +49,6 @@ def test_of_equally_high_triangles_the_later_is_seen():
     assert (highest_faces(points, np.array([[0, 1, 2], [0, 1, 2]]), (4, 4)) == 1).all()
 
 
-def test_nothing_covers_nothing():
+def test_no_triangles_cover_no_pixels():
     assert (highest_faces(np.zeros((3, 0)), np.zeros((0, 3), int), (2, 3)) == -1).all()
     assert np.isneginf(highest_values(np.zeros((3, 0)), np.zeros((0, 3), int), (2, 3))).all()

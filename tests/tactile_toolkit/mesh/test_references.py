@@ -1,4 +1,4 @@
-"""Mesh files as programs of others read and write them: meshio, lib3mf, and PrusaSlicer's command line."""
+"""Mesh files compared with other programs: meshio, lib3mf, and the command line of PrusaSlicer."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def test_volumes_and_sizes_are_those_of_prusaslicer(tmp_path: Path) -> None:
 
 
 def volume_by_lib3mf(path: Path) -> float | None:
-    """Return the volume of all that is built of meshes of type "model"; None where lib3mf reads nothing."""
+    """Return the volume of all built meshes of type "model"; None if lib3mf reads none."""
     lib3mf = pytest.importorskip("lib3mf", reason="lib3mf is not installed")
     model = lib3mf.get_wrapper().CreateModel()
     try:

@@ -1,4 +1,4 @@
-"""Walls of solids whose thinnest place is known: necks, floors, fins, shells, grooves, at any angle."""
+"""Walls of solids with a known thinnest place: necks, floors, fins, shells, grooves, at any angle."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ def test_fins_far_from_the_outline_of_a_relief_are_found(wall: float) -> None:
 
 
 def shuffled(mesh: Mesh, seed: int) -> Mesh:
-    """Return the same triangles, elsewhere on the plate and in another order, as are their corners."""
+    """Return the same triangles, elsewhere on the plate, with triangles and corners in another order."""
     rng = np.random.default_rng(seed)
     moved, turned = rng.permutation(len(mesh.vertices_m)), rng.integers(0, 3, len(mesh.faces))
     faces = np.argsort(moved)[np.take_along_axis(mesh.faces, (np.arange(3) + turned[:, None]) % 3, axis=1)]
@@ -166,7 +166,7 @@ def shuffled(mesh: Mesh, seed: int) -> Mesh:
 @settings(max_examples=settings.default.max_examples // 5)
 @given(st.integers(0, 10**6), st.sampled_from([8, 40]))
 def test_walls_depend_neither_on_place_nor_on_order(seed: int, ink_px: int) -> None:
-    """Neither a thin one, found in the solid, nor a thick one, that of the middle section."""
+    """Neither a thin wall, found in the solid, nor a thick one, found in the middle section."""
     picture = Image.new("L", (350, 350), 255)
     draw = ImageDraw.Draw(picture)
     draw.line([(80, 90), (250, 130), (150, 280)], fill=0, width=ink_px)

@@ -1,4 +1,4 @@
-"""3MF files of other programs: read as 3MF says, or refused with the reason."""
+"""3MF files of other programs: read as the specification of 3MF says, or refused with the reason."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_volumes_of_prusaslicer_that_are_not_the_object(kind: str, tmp_path: Pat
     ],
 )
 def test_parts_of_bambu_studio(subtype: str, found: float | str, tmp_path: Path) -> None:
-    """As it writes them: parts in a model of their own, what each is for in a file of settings."""
+    """Bambu Studio stores the parts in a model of their own, and their purpose in a file of settings."""
     production = "http://schemas.microsoft.com/3dmanufacturing/production/2015/06"
     parts = f'<object id="1">{mesh_xml(cube())}</object><object id="2">{mesh_xml(BESIDE)}</object>'
     files = {
@@ -99,7 +99,7 @@ def test_parts_of_bambu_studio(subtype: str, found: float | str, tmp_path: Path)
 
 
 @pytest.mark.parametrize("kind", ["support", "solidsupport", "other", "surface"])
-def test_objects_of_other_types_are_not_of_the_model(kind: str, tmp_path: Path) -> None:
+def test_objects_of_other_types_are_left_out(kind: str, tmp_path: Path) -> None:
     two = (
         f'<object id="1">{mesh_xml(cube())}</object><object id="2" type="{kind}">{mesh_xml(BESIDE)}</object>'
     )
@@ -145,7 +145,7 @@ def test_extensions_of_3mf(head: str, inside: str, words: str, tmp_path: Path) -
         (TWO.replace('v1="1"', 'v1="1.5"', 1), ITEM, "'1.5' is not a number; expected an integer"),
     ],
 )
-def test_what_3mf_does_not_allow_is_named(resources: str, build: str, words: str, tmp_path: Path) -> None:
+def test_errors_in_3mf_files_are_named(resources: str, build: str, words: str, tmp_path: Path) -> None:
     """lib3mf refuses them, too, or reads another solid."""
     with pytest.raises(InputError, match=words):
         read_mesh(package(tmp_path / "a.3mf", resources, build))

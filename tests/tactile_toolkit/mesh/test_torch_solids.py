@@ -1,4 +1,4 @@
-"""Solids as tensors: what they say of the solid, in this process and in workers of every start method."""
+"""Solids as tensors: their values, in this process and in workers of every start method."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ pytestmark = [pytest.mark.torch, pytest.mark.filterwarnings("ignore")]
 
 
 def squared(record: Any) -> int:
-    """A target of one's own; top-level, so that it pickles."""
+    """A target of a user, at the top level of the module so that it can be pickled."""
     return int(record.label) ** 2
 
 
@@ -40,7 +40,7 @@ def test_points_lie_on_the_surface_evenly(digits: mnist3d.DigitDataset) -> None:
     points, label = data[4]
     assert (tuple(points.shape), points.dtype, label) == ((4000, 3), torch.float32, digits[4].label)
     mesh = digits[4].mesh
-    # In millimetres: trimesh takes triangles of less than a square tenth of one for points.
+    # In millimetres: trimesh treats very small triangles as points.
     larger = mesh.copy().apply_scale(1e3)
     _, distance_mm, _ = trimesh.proximity.closest_point(larger, 1e3 * points[:200].numpy())
     assert distance_mm.max() < 1e-4
@@ -59,8 +59,8 @@ def test_points_lie_on_the_surface_evenly(digits: mnist3d.DigitDataset) -> None:
     assert not torch.equal(DigitTensors(digits, points=4000, seed=4)[4][0], points)
 
 
-def test_voxels_are_the_inside(digits: mnist3d.DigitDataset) -> None:
-    """Against the mesh itself, point by point, and by volume."""
+def test_voxels_fill_the_inside(digits: mnist3d.DigitDataset) -> None:
+    """Compared with the mesh itself, point by point, and by volume."""
     from mnist3d.digit_tensors import DigitTensors
     from starstruck_gen.scene_tensors import SceneTensors
 
@@ -107,7 +107,7 @@ def test_height_maps_and_meshes(digits: mnist3d.DigitDataset) -> None:
     assert doubled[3][1] == digits[3].id
 
 
-def test_what_cannot_be_is_refused() -> None:
+def test_invalid_arguments_are_refused() -> None:
     from starstruck_gen.scene_tensors import SceneTensors
 
     for given, words in (

@@ -1,4 +1,4 @@
-"""Pictures: what is drawn where, at which scale, and the same bytes everywhere."""
+"""Pictures: their layout and scale, and equal bytes on all machines."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def ink(pixels: np.ndarray) -> np.ndarray:
     return (pixels == INK).all(axis=2)
 
 
-# ---------------------------------------------------------------- words
+# ---------------------------------------------------------------- text
 
 
 def test_letters_of_many_languages_differ_from_the_box_of_a_letter_that_is_missing():
@@ -71,7 +71,7 @@ def test_letters_of_many_languages_differ_from_the_box_of_a_letter_that_is_missi
 @pytest.mark.parametrize(
     ("written", "as_if"), [("u\u0308ber", "über"), ("a\nb\tc\x00", "a?b?c?"), ("\udcff.png", "?.png")]
 )
-def test_a_line_is_one_line_whatever_is_in_it(written, as_if):
+def test_a_line_of_text_stays_one_line(written, as_if):
     titled = [sheet([None], 1, title, (title,)) for title in (written, as_if)]
     assert np.array_equal(*titled)
     assert text_size(written, 16) == text_size(as_if, 16)
@@ -81,7 +81,7 @@ def test_a_line_is_one_line_whatever_is_in_it(written, as_if):
 
 
 @pytest.mark.parametrize("shape", [(5, 7), (5, 7, 3)])
-def test_a_png_holds_its_pixels_and_nothing_else(shape, tmp_path):
+def test_a_png_holds_only_its_pixels(shape, tmp_path):
     pixels = np.random.default_rng(0).integers(0, 256, shape, dtype=np.uint8)
     png = png_bytes(pixels)
     assert np.array_equal(opened(png, tmp_path), pixels)
@@ -89,7 +89,7 @@ def test_a_png_holds_its_pixels_and_nothing_else(shape, tmp_path):
     assert png_bytes(pixels[:, ::-1][:, ::-1]) == png
 
 
-def test_pictures_before_a_failing_one_stay_and_nothing_half_written_is_left(tmp_path):
+def test_pictures_before_a_failing_one_stay_and_no_partial_file_remains(tmp_path):
     def fails() -> np.ndarray:
         message = "no"
         raise InputError(message)
@@ -109,7 +109,7 @@ def test_pictures_before_a_failing_one_stay_and_nothing_half_written_is_left(tmp
     assert written.bytes == (tmp_path / "good.png").stat().st_size
 
 
-def test_kinds_are_settled_once():
+def test_kinds_are_planned_once():
     drawn = {name: PlannedPicture(f"{name}.png", "", lambda: np.zeros((1, 1), np.uint8)) for name in "abc"}
     plans = {name: lambda name=name: [drawn[name]] for name in drawn}
 
@@ -127,7 +127,7 @@ def test_kinds_are_settled_once():
 
 
 @given(st.integers(20, 4000), st.floats(0.01, 500))
-def test_a_scale_bar_is_as_long_as_it_says(width_px, px_per_mm):
+def test_a_scale_bar_has_the_stated_length(width_px, px_per_mm):
     length_mm = bar_length_mm(width_px, px_per_mm)
     first = int(f"{length_mm:e}"[0])
     assert first in (1, 2, 5)
@@ -147,7 +147,7 @@ def test_the_drawn_bar_has_that_many_pixels(px_per_mm):
     assert np.array_equal(drawn[:, 160:], grey[:, 160:])
 
 
-def test_tiles_lie_in_rows_of_one_height_whatever_is_written_around_them():
+def test_tiles_lie_in_rows_of_one_height_with_any_text_around_them():
     colours = [(255, 0, 0), (0, 255, 0), (0, 0, 255), (255, 255, 0)]
     tiles = [Tile(np.full((20 + n, 30, 3), colours[n], np.uint8), f"caption {n}") for n in range(3)]
     framed = Tile(np.full((20, 30, 3), colours[3], np.uint8), "", (1, 2, 3))

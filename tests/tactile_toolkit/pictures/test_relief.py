@@ -48,7 +48,7 @@ def test_a_box_from_above_covers_its_area_to_the_pixel():
     assert (columns.min(), rows.min()) == (30, 30)
 
 
-def test_what_is_closer_hides_what_is_behind():
+def test_closer_surfaces_hide_those_behind():
     high, low = box(4, 4, 4), box(10, 10, 1)
     red, green = DrawnBody(lifted(high, 0.01), (250, 0, 0)), DrawnBody(low, (0, 250, 0))
     for bodies in ((red, green), (green, red)):
@@ -66,7 +66,7 @@ def test_averaging_keeps_levels(factor, height, width, level):
 
 
 def colours_of(pixels: np.ndarray) -> np.ndarray:
-    """Return the colours of a picture that are no smoothed edges, each once."""
+    """Return the distinct colours of a picture, except those of smoothed edges."""
     found, counts = np.unique(pixels.reshape(-1, 3), axis=0, return_counts=True)
     return found[counts > 300]
 
@@ -74,11 +74,11 @@ def colours_of(pixels: np.ndarray) -> np.ndarray:
 def test_sides_of_a_box_are_flat_and_its_edges_sharp():
     bodies = (DrawnBody(box(20, 10, 8), CLAY),)
     drawn = draw_bodies(bodies, (240, 180), 9_000.0)
-    assert len(colours_of(drawn)) == 3 + 1  # three sides are seen, and the paper
+    assert len(colours_of(drawn)) == 3 + 1  # three sides are visible, and the paper
 
 
-def test_a_round_surface_is_lit_as_the_surface_that_its_triangles_stand_for():
-    """Smooth across triangles, and the same however they are laid."""
+def test_round_surfaces_are_shaded_smoothly():
+    """Shading is smooth across triangles, and independent of their arrangement."""
     import trimesh
 
     views = []
@@ -91,7 +91,7 @@ def test_a_round_surface_is_lit_as_the_surface_that_its_triangles_stand_for():
     assert steps.max() <= 8
 
 
-def test_what_is_not_lit_keeps_its_colour_on_paper_of_any_colour():
+def test_unlit_bodies_keep_their_colour_on_any_paper():
     body, paper = DrawnBody(box(20, 10, 5), CLAY, lit=False), (10, 20, 30)
     drawn = draw_bodies((body,), (120, 90), 3_000.0, paper=paper)
     assert {tuple(colour) for colour in colours_of(drawn).tolist()} == {CLAY, paper}

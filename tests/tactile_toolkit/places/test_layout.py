@@ -1,4 +1,4 @@
-"""Splits of folders: as `datasets.load_dataset` finds them, or refused where it would guess."""
+"""Splits of folders: as `datasets.load_dataset` finds them, or refused if it would guess."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.tactile_toolkit.toy import toy_plan
 
 
 def folder_of(root: Path, files: dict[str, int], card: str = "") -> Path:
-    """Write Parquet files with so many rows each, whose ids are unique, and a data card."""
+    """Write Parquet files with given numbers of rows, unique ids, and a data card."""
     first = 0
     for name, rows in files.items():
         (root / name).parent.mkdir(parents=True, exist_ok=True)
@@ -130,7 +130,7 @@ def test_several_configurations_need_a_choice(tmp_path):
 
 
 def test_a_configuration_is_refused_where_none_decides(tmp_path):
-    """Otherwise what is opened would not be what was asked for."""
+    """Otherwise other data than the requested ones would be opened."""
     plain = folder_of(tmp_path / "plain", {"train.parquet": 2})
     file = plain / "train.parquet"
     build(open_folder(str(tmp_path / "ours")), toy_plan())
@@ -169,7 +169,7 @@ def test_files_of_one_split_in_two_folders_are_refused(files):
         "---\nconfigs:\n---\n",
     ],
 )
-def test_a_card_that_says_nothing_leaves_the_names(text):
+def test_without_configurations_in_the_card_file_names_decide(text):
     assert splits_by_card(text.encode(), ["x.parquet"], None, "here") is None
 
 
@@ -189,7 +189,7 @@ def test_a_card_that_says_nothing_leaves_the_names(text):
         "7",
     ],
 )
-def test_what_leads_out_of_the_folder_or_cannot_be_read_is_refused(data_files):
+def test_links_out_of_the_folder_and_unreadable_files_are_refused(data_files):
     text = f"---\nconfigs:\n- config_name: default\n  data_files: {data_files}\n---\n"
     with pytest.raises(InputError, match=r"^README\.md of 'here'.*; next: "):
         splits_by_card(text.encode(), ["x.parquet"], None, "here")
@@ -250,8 +250,8 @@ def test_a_data_set_in_a_folder_is_not_of_that_folder(tmp_path):
 @pytest.mark.parametrize(
     ("text", "is_ours"), [('{"name": "x"}', False), ("[7]", False), ('{"shards": []}', True)]
 )
-def test_a_manifest_of_another_program_is_none(tmp_path, text, is_ours):
-    """On this machine as on the Hub; one of ours, of which bytes were changed, is damaged."""
+def test_a_manifest_of_another_program_is_ignored(tmp_path, text, is_ours):
+    """On this machine and on the Hub; a manifest of ours with changed bytes is damaged."""
     folder = folder_of(tmp_path, {"train.parquet": 2})
     (folder / "manifest.json").write_text(text)
     if is_ours:

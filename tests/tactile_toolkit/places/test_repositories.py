@@ -1,4 +1,4 @@
-"""Names of the Hub: which files a card names, what is fetched for that, and what is known offline."""
+"""Repositories of the Hub: the files that a card names, which of them are fetched, and use offline."""
 
 from __future__ import annotations
 

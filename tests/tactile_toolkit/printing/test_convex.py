@@ -1,4 +1,4 @@
-"""Convex parts hold the solid, add little to it, and are the same each time."""
+"""Convex parts contain the solid, add little volume, and are the same each time."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.tactile_toolkit.printing.solids import box, ell, mesh_of, prism, ring
 
 
 def outside_mm(mesh: Mesh, parts: list[Mesh]) -> float:
-    """Greatest distance of a corner, or of the middle of a face, from the nearest part."""
+    """Return the greatest distance of a corner, or of the centre of a face, from the nearest part."""
     vertices = np.asarray(mesh.vertices_m, np.float64)
     points_mm = 1e3 * np.concatenate([vertices, vertices[mesh.faces].mean(axis=1)])
     nearest = np.full(len(points_mm), np.inf)
@@ -48,7 +48,7 @@ def test_parts_of_a_digit(seed: int, number: int):
     assert all((one.vertices_m == other.vertices_m).all() for one, other in zip(parts, again, strict=True))
 
 
-def test_what_is_convex_is_one_part():
+def test_convex_solids_are_one_part():
     (part,) = convex_parts(box(20, 10))
     assert part.volume_m3 == pytest.approx(box(20, 10).volume_m3)
 
@@ -69,7 +69,7 @@ def test_bays_holes_and_several_bodies():
 
 
 def test_cuts_lie_in_steps_of_15_degrees():
-    """A block with a notch 10 degrees wide: cuts along its middle or across its tip alone leave no bay."""
+    """A block with a notch 10 degrees wide: only cuts along its middle or across its tip leave no bay."""
     aside_mm = 20 * np.tan(np.radians(5))
     notch = [(aside_mm, 30), (0, 10), (-aside_mm, 30)]
     upright = prism([(-10, 0), (10, 0), (10, 30), *notch, (-10, 30)]).to_manifold()
@@ -80,8 +80,8 @@ def test_cuts_lie_in_steps_of_15_degrees():
         assert sum(part.volume_m3 for part in parts) == pytest.approx(turned.volume_m3, rel=1e-6)
 
 
-def test_what_no_upright_cut_divides_ends():
-    """A flight of low steps under a convex outline: each cut leaves hulls that add something."""
+def test_solids_that_vertical_cuts_cannot_divide_end():
+    """A flight of low steps under a convex outline: after each cut, hulls still add volume."""
     steps = [(x, 2 + x % 2) for x in range(40)]
     upright = prism([(0, 0), (39, 0), *reversed(steps)])
     turned = Mesh(np.asarray(upright.vertices_m)[:, [2, 0, 1]], upright.faces)

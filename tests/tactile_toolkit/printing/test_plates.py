@@ -1,4 +1,4 @@
-"""Build plates: everything is on them once, apart from each other, named, and where the table says."""
+"""Build plates: each object is on one once, apart from others, named, and where the table says."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def test_pixels_of_maps_grow_with_the_plate(plate: str, shape: tuple[int, int]) 
     assert picture.shape[0] == shape[0]
     title_px = text_size(f"plate 1 of 1: 0 objects, {spec.text}", 40)[0] / 2
     assert picture.shape[1] == pytest.approx(max(shape[1], title_px + 120), abs=2)
-    # The plate is paper with lines on it, not lines alone.
+    # The plate is paper with lines on it, not only lines.
     middle = picture[60 : shape[0] - 60, 60 : shape[1] - 60]
     assert (middle > 235).mean() > 0.8
 
@@ -168,7 +168,7 @@ def test_objects_move_from_where_they_are_stored_to_their_place() -> None:
         (box(10, 70), PlateSpec(100, 80), "next: give a larger --plate, a smaller --margin-mm or --scale"),
     ],
 )
-def test_what_is_larger_than_the_plate_is_named(
+def test_objects_larger_than_the_plate_are_named(
     shape: Mesh, spec: PlateSpec, words: str, tmp_path: Path
 ) -> None:
     objects = named([box(5, 5), shape])
@@ -210,7 +210,7 @@ def test_beds_have_names() -> None:
     assert PlateSpec.parse("bambu-x1").corner_mm == PlateSpec.parse("bambu-p1").corner_mm == (18, 28)
     assert PlateSpec.parse("bambu-a1").corner_mm == PlateSpec(256, 256).corner_mm == (0, 0)
     assert PlateSpec.parse("250x210", gap_mm=1, margin_mm=0) == PlateSpec(250, 210, 1, 0)
-    # As the makers give them.
+    # As stated by the makers.
     sides = {"bambu-a1-mini": 180, "bambu-a1": 256, "bambu-p1": 256, "bambu-x1": 256, "ender-3": 220}
     assert {name: BEDS_MM[name] for name in sides} == {name: (side, side) for name, side in sides.items()}
     with pytest.raises(InputError, match=r"expected .* prusa-mk4, .*; did you mean 'prusa-mk4'\?"):
@@ -237,7 +237,7 @@ def test_plates_and_gaps_that_no_printer_has_are_refused(plate: str, gap_mm: flo
         PlateSpec.parse(plate, gap_mm=gap_mm)
 
 
-def test_a_plate_holds_named_objects_where_the_table_says(tmp_path: Path) -> None:
+def test_a_plate_holds_named_objects_at_the_positions_of_the_table(tmp_path: Path) -> None:
     made = write_plates(lay_out(named(FEW), SMALL), str(tmp_path))
     rows = list(csv.DictReader(io.StringIO((tmp_path / "plates.csv").read_text())))
     assert sorted(int(row["id"]) for row in rows) == list(range(len(FEW)))
@@ -336,7 +336,7 @@ def test_going_on_keeps_plates_and_overwriting_leaves_no_stale_ones(tmp_path: Pa
 
 
 def test_a_plate_that_reads_back_otherwise_is_removed_and_not_in_the_table(tmp_path: Path) -> None:
-    """An object that changes between measuring and writing: what is written is not where it should be."""
+    """An object that changes between measuring and writing is not where it should be."""
     shapes = iter([box(5, 5), *[box(500, 5)] * 9])
     layout = lay_out([PrintObject("odd", "", "", 1, lambda: next(shapes))], SMALL)
     (tmp_path / "plate-01.png").write_bytes(b"old")
@@ -348,7 +348,7 @@ def test_a_plate_that_reads_back_otherwise_is_removed_and_not_in_the_table(tmp_p
     assert [path.name for path in tmp_path.iterdir()] == ["plates.csv"]
 
 
-def test_a_dry_run_says_what_stands_in_the_way(tmp_path: Path) -> None:
+def test_a_dry_run_names_existing_files(tmp_path: Path) -> None:
     write_plates(lay_out(named(FEW), SMALL), str(tmp_path))
     with pytest.raises(InputError, match="--overwrite"):
         write_plates(lay_out(named(FEW[:2]), SMALL), str(tmp_path), dry_run=True)

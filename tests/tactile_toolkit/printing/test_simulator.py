@@ -1,4 +1,4 @@
-"""Bodies for simulators, read by the simulators' own readers."""
+"""Bodies for simulators, read by the readers of the simulators."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def digits() -> list[Mesh]:
 
 
 @needs_simulators
-def test_mujoco_weighs_a_body_as_it_is_and_lets_it_rest_on_its_flat_side(tmp_path: Path):
+def test_mujoco_has_the_mass_of_a_body_and_lets_it_rest_on_its_flat_side(tmp_path: Path):
     mujoco = pytest.importorskip("mujoco", reason="needs mujoco, of the extra simulators")
     solids = [*SHAPES, *digits()]
     made = export_files(named(solids), str(tmp_path), "mjcf", physics=Physics(1100, 0.7))
@@ -139,7 +139,7 @@ def _triangles(mesh: Any) -> np.ndarray:
     return np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)
 
 
-def test_what_cannot_be_a_body_is_named(tmp_path: Path):
+def test_meshes_that_cannot_be_bodies_are_named(tmp_path: Path):
     made = export_files(named([box(5, 5), open_box(5, 5)]), str(tmp_path), "urdf")
     assert [failure.name for failure in made.failed] == ["test-1-00001"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["test-0-00000", "test-0-00000.urdf"]
@@ -149,7 +149,7 @@ def test_what_cannot_be_a_body_is_named(tmp_path: Path):
 
 
 def test_bodies_that_mujoco_refuses_are_named_before(tmp_path: Path):
-    """MuJoCo takes moments of inertia from 1e-14 kg m² on."""
+    """MuJoCo accepts moments of inertia from 1e-14 kg m² on."""
     for kind in ("mjcf", "urdf", "usd"):
         made = export_files(named(SHAPES), str(tmp_path), kind, scale=0.02)
         assert [each.problem for each in made.failed] == ["too-light"] * len(SHAPES)

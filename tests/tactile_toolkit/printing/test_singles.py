@@ -1,4 +1,4 @@
-"""One file per object: what is there was read back as the same solid, and nothing else is there."""
+"""One file for each object: each was read back as the same solid, and there are no other files."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_every_format_comes_back_as_the_solid_on_the_plate(ending: str, tmp_path
         assert file.bytes == (tmp_path / "out" / file.file).stat().st_size
 
 
-def test_what_is_no_solid_is_named_and_does_not_stop_the_others(tmp_path: Path) -> None:
+def test_broken_meshes_are_named_and_do_not_stop_the_others(tmp_path: Path) -> None:
     made = export_files(named([box(5, 5), open_box(5, 5), ring(4, 2)]), str(tmp_path))
     assert [file.id for file in made.files] == [0, 2]
     (failure,) = made.failed
@@ -62,7 +62,7 @@ def test_damaged_meshes_are_named_not_crashed_on(damage, problem: str, tmp_path:
 
 
 def test_a_solid_that_the_format_cannot_hold_leaves_no_file(tmp_path: Path) -> None:
-    """Far from the origin, single precision lets the corners of a small solid fall together."""
+    """Far from the origin, corners of a small solid coincide in single precision."""
     small = box(0.05, 0.05, 0.05)
     away = Mesh(small.vertices_m + np.array([5_000.0, 0.0, 0.0]), small.faces)
     assert check_manifold(place_on_plate(away)).problem is None
@@ -73,7 +73,7 @@ def test_a_solid_that_the_format_cannot_hold_leaves_no_file(tmp_path: Path) -> N
     assert export_files(named([away]), str(tmp_path / "exact"), "3mf").failed == ()
 
 
-def test_a_disk_that_changes_bytes_keeps_what_stood_there(
+def test_a_disk_that_changes_bytes_keeps_the_former_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     export_files(named([box(7, 7), box(5, 5)]), str(tmp_path))
@@ -92,7 +92,7 @@ def test_a_disk_that_changes_bytes_keeps_what_stood_there(
 
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("workers", [1, 2])
-def test_going_on_keeps_what_is_there_and_ends_with_the_same_bytes(tmp_path: Path, workers: int) -> None:
+def test_a_continued_run_keeps_files_and_gives_the_same_bytes(tmp_path: Path, workers: int) -> None:
     export_files(named(SHAPES), str(tmp_path / "whole"))
     export_files(named(SHAPES)[:2], str(tmp_path / "parts"))
     stamps = {path: path.stat().st_mtime_ns for path in (tmp_path / "parts").iterdir()}
@@ -116,7 +116,7 @@ def test_other_content_is_refused_before_anything_is_written(tmp_path: Path) -> 
     }
 
 
-def test_what_stood_under_the_name_of_a_failed_object_is_removed(tmp_path: Path) -> None:
+def test_the_former_file_of_a_failed_object_is_removed(tmp_path: Path) -> None:
     export_files(named([box(5, 5), box(7, 7)]), str(tmp_path))
     made = export_files(named([box(5, 5), open_box(5, 5)]), str(tmp_path), overwrite=True)
     (failure,) = made.failed
@@ -124,7 +124,7 @@ def test_what_stood_under_the_name_of_a_failed_object_is_removed(tmp_path: Path)
     assert [path.name for path in tmp_path.iterdir()] == ["test-0-00000.stl"]
 
 
-def test_a_dry_run_returns_what_the_run_does_and_writes_nothing(tmp_path: Path) -> None:
+def test_a_dry_run_returns_the_result_of_the_run_and_writes_nothing(tmp_path: Path) -> None:
     objects, out = named(SHAPES), tmp_path / "out"
     view = export_files(objects, str(out), dry_run=True)
     assert list(tmp_path.iterdir()) == []
@@ -141,7 +141,7 @@ def test_a_dry_run_returns_what_the_run_does_and_writes_nothing(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("scale", [0, -1, float("nan"), float("inf")])
-def test_scales_that_make_nothing_are_refused(scale: float, tmp_path: Path) -> None:
+def test_scales_that_give_no_solid_are_refused(scale: float, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--scale"):
         export_files(named(SHAPES), str(tmp_path / "out"), scale=scale)
     assert list(tmp_path.iterdir()) == []
@@ -188,12 +188,12 @@ def test_other_ids_are_no_numbers(text: str) -> None:
 @pytest.mark.parametrize(
     "text", ["a", "2023-09-28_15-50-43_7-0", "5-3", "3-5", "007", "007-9", "+3", "1.5", "-3"]
 )
-def test_ids_of_text_are_what_was_given(text: str) -> None:
+def test_ids_of_text_are_kept(text: str) -> None:
     assert id_text(parse_ids(f" {text} ,3")[0]) == text
 
 
-def test_another_solid_is_not_what_was_written() -> None:
-    """Of as many bodies and holes, of the same bounds, or of the same volume: all three are compared."""
+def test_another_solid_is_noticed() -> None:
+    """The numbers of bodies and holes, the bounds and the volume are all compared."""
     meant = box(10, 10)
     require_same_solid(meant, meant, require_solid(meant))
     moved = Mesh(meant.vertices_m + 1e-3, meant.faces)

@@ -1,4 +1,4 @@
-"""What a disk has changed is refused by name or made again, never served: shards and blocks of the cache."""
+"""Damaged files are never served: shards are refused by name, and blocks of the cache are made again."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def shard_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return file
 
 
-def test_blocks_come_back_alike_and_where_arrow_may_read_any_number(tmp_path: Path) -> None:
+def test_blocks_are_restored_and_aligned_for_arrow(tmp_path: Path) -> None:
     """Arrow reads numbers of 8 bytes at once, which some processors do only at multiples of 8."""
     for number, count in enumerate((1, 70, 3)):
         table = pa.table({"x": pa.array(range(count), pa.int8())}, metadata={"a": "b"})
@@ -76,7 +76,7 @@ def outcome(file: Path, expected: pa.Table) -> str:
 
 @pytest.mark.parametrize("where", ["anywhere", "footer"])
 def test_a_flipped_bit_is_always_found(shard_file: Path, where: str) -> None:
-    """Pages by Parquet's own checksums; class names and columns, in the footer, by ours."""
+    """In pages by checksums of Parquet; in the footer, which holds class names and columns, by ours."""
     expected, content, rng = read_all(shard_file), shard_file.read_bytes(), np.random.default_rng(1)
     first = 0 if where == "anywhere" else len(content) - 8 - int.from_bytes(content[-8:-4], "little")
     found: Counter[str] = Counter()
@@ -84,11 +84,11 @@ def test_a_flipped_bit_is_always_found(shard_file: Path, where: str) -> None:
         shard_file.write_bytes(flipped(content, int(place), int(bit)))
         found[outcome(shard_file, expected)] += 1
     assert found.total() == found["named"] + found["right"], found
-    # Heads of pages hold a few bits that decide nothing.
+    # Headers of pages have a few bits without meaning.
     assert found["named"] >= (290 if where == "anywhere" else 300), found
 
 
-def test_who_carries_checksums(shard_file: Path, tmp_path: Path) -> None:
+def test_page_checksums_are_detected(shard_file: Path, tmp_path: Path) -> None:
     folder = open_folder(str(tmp_path))
     assert has_page_checksums(folder, NAME)
     for name, options in {
@@ -100,11 +100,11 @@ def test_who_carries_checksums(shard_file: Path, tmp_path: Path) -> None:
             pq.write_table(rows(), tmp_path / name, write_page_checksum=checked, **options)
             assert has_page_checksums(folder, name) is checked
     pq.write_table(rows().slice(0, 0), tmp_path / "empty")
-    assert has_page_checksums(folder, "empty")  # nothing in it could be changed unseen
+    assert has_page_checksums(folder, "empty")  # it has no data that could be damaged
 
 
 def values_of(file: Path) -> list[list[float]]:
-    BLOCKS.clear()  # as a new process finds them
+    BLOCKS.clear()  # as in a new process
     table = ShardedTable((Shard(str(file)),))
     return [group.ragged(VERTICES)[row].ravel().tolist() for group, row in map(table.locate, range(60))]
 
@@ -130,7 +130,7 @@ def mutations(content: bytes, count: int) -> list[tuple[str, bytes]]:
     return found
 
 
-def test_damaged_blocks_are_made_anew(shard_file: Path, tmp_path: Path) -> None:
+def test_damaged_blocks_are_made_again(shard_file: Path, tmp_path: Path) -> None:
     expected = values_of(shard_file)
     files = sorted((tmp_path / "cache" / "blocks").glob("*.arrow"))
     assert len(files) == 3
@@ -139,10 +139,10 @@ def test_damaged_blocks_are_made_anew(shard_file: Path, tmp_path: Path) -> None:
         files[1].write_bytes(changed)
         assert values_of(shard_file) == expected, kind
         assert files[1].read_bytes() == content, kind
-    files[1].write_bytes(files[0].read_bytes())  # intact, and of other rows
+    files[1].write_bytes(files[0].read_bytes())  # intact, but with other rows
     assert values_of(shard_file) == expected
     files[1].unlink()
-    os.mkfifo(files[1])  # opening it would wait for whoever writes
+    os.mkfifo(files[1])  # opening it would wait for a writer
     assert values_of(shard_file) == expected
 
 
@@ -184,12 +184,12 @@ def test_a_file_replaced_under_an_open_set_is_refused(shard_file: Path, tmp_path
             held.locate(59)
         with pytest.raises(IntegrityError, match="replaced or changed"):
             held.column("id")
-    assert table.locate(0)[0].ragged(VERTICES)[0].tolist() == first  # what was open stays as it was
+    assert table.locate(0)[0].ragged(VERTICES)[0].tolist() == first  # blocks that were open stay valid
     assert ShardedTable((Shard(str(shard_file)),)).locate(0)[0].ragged(VERTICES)[0].tolist() != first
 
 
 def test_a_shard_replaced_before_it_was_opened_is_refused(shard_file: Path, tmp_path: Path) -> None:
-    """Known by its manifest alone, so that loading opened only the first."""
+    """Rows are known from the manifest, so loading has opened only the first shard."""
     second = tmp_path / "second.parquet"
     second.write_bytes(shard_file.read_bytes())
     table = ShardedTable((Shard(str(shard_file), 60), Shard(str(second), 60)))
@@ -204,7 +204,7 @@ def test_a_shard_replaced_before_it_was_opened_is_refused(shard_file: Path, tmp_
 def test_a_file_that_is_not_the_one_of_the_manifest_is_refused(
     shard_file: Path, local: bool, rows: int, extra_bytes: int, found: str
 ) -> None:
-    """As while a set is being replaced: the new manifest, and still the shard before it."""
+    """As while a set is being replaced: the manifest is new, and the shard is still the old one."""
     content = shard_file.read_bytes()
     fsspec.filesystem("memory").pipe_file(f"/stated/{NAME}", content)
     address = str(shard_file) if local else f"memory://stated/{NAME}"

@@ -1,4 +1,4 @@
-"""Single columns: by dotted name, checked, and of types that are the same in every process."""
+"""Single columns: found by dotted name, checked, and with the same types in every process."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LARGEST = 2**63 - 1
 
 
 def dataset(folder: Path, *columns: pa.Array, group_rows: int = 2) -> RecordDataset:
-    """A data set of one shard per array given, all with one column ``label``."""
+    """Return a data set with a shard for each array, which is its column ``label``."""
     shards = []
     for index, column in enumerate(columns):
         place = folder / f"{index}.parquet"
@@ -28,7 +28,7 @@ def dataset(folder: Path, *columns: pa.Array, group_rows: int = 2) -> RecordData
     return RecordDataset(ShardedTable(tuple(shards)), label_names=("a", "b"))
 
 
-def test_whole_numbers_are_those_stored(tmp_path):
+def test_integers_are_those_stored(tmp_path):
     rows = dataset(tmp_path, pa.array([0, 1, -1]), pa.array([LARGEST, 7]))
     for _ in range(2):
         assert rows.labels.tolist() == [0, 1, -1, LARGEST, 7]
@@ -49,7 +49,7 @@ def test_whole_numbers_are_those_stored(tmp_path):
         (pa.array([4.0, float("nan"), 2.0]), "the value is nan"),
     ],
 )
-def test_what_is_no_whole_number_is_named_and_the_others_stay_exact(column, found, tmp_path):
+def test_values_that_are_not_integers_are_named_and_the_others_stay_exact(column, found, tmp_path):
     rows = dataset(tmp_path, pa.array([1, 2, 3]), column)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -92,7 +92,7 @@ def described(text: bytes) -> pa.Schema:
         b'{"info": {"features": {"label": {"names": [1, 2]}}}}',
     ],
 )
-def test_a_description_that_is_none_is_named(text):
+def test_invalid_descriptions_are_named(text):
     with pytest.raises(
         IntegrityError, match=r"'x\.parquet', field 'label': the metadata 'huggingface'"
     ) as caught:
@@ -101,7 +101,7 @@ def test_a_description_that_is_none_is_named(text):
 
 
 @pytest.mark.parametrize("values", [{}, {"a": 1}, {"info": None}, {"info": {"features": {"label": {}}}}])
-def test_a_description_may_say_nothing_of_classes(values):
+def test_descriptions_without_classes_are_accepted(values):
     assert class_names(described(json.dumps(values).encode()), None, "x.parquet") is None
 
 
@@ -119,11 +119,11 @@ def test_a_description_may_say_nothing_of_classes(values):
         ("/data/test-00000-of-00001.parquet", ("'data'", "test")),
     ],
 )
-def test_a_shard_names_the_set_that_it_is_of(path, origin):
+def test_a_shard_names_its_data_set(path, origin):
     assert Shard(path).origin == origin
 
 
-def test_byte_strings_that_are_missing_are_none() -> None:
+def test_missing_byte_strings_become_none() -> None:
     stored = [b"a", None, b"", b"bc"]
     found = nested_column(pa.array(stored, pa.binary())).values
     assert [None if each is None else bytes(each) for each in map(found.__getitem__, range(4))] == stored

@@ -1,4 +1,4 @@
-"""A process that may open no further file: what it reads is right or refused by name, and nothing is lost."""
+"""A process that may not open further files: reads are right or refused by name, and no data are lost."""
 
 from __future__ import annotations
 

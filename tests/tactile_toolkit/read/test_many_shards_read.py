@@ -1,4 +1,4 @@
-"""What a process holds while it reads many shards."""
+"""Open files and memory maps of a process that reads many shards."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ SHARDS, MAPS = 100, 16
 
 
 def _held() -> tuple[int, int]:
-    """Open files of this process, and maps of unpacked row groups."""
+    """Return the open files of this process, and maps of unpacked row groups."""
     maps = Path("/proc/self/maps").read_text().splitlines()
     return len(list(Path("/proc/self/fd").iterdir())), sum(line.endswith(".arrow") for line in maps)
 
 
 @pytest.mark.thorough
 @pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="maps are looked up in /proc")
-def test_open_files_and_maps_are_bounded_however_many_shards_are_read(tmp_path, monkeypatch):
+def test_open_files_and_maps_are_bounded_for_many_shards(tmp_path, monkeypatch):
     monkeypatch.setattr(BLOCKS, "limit", MAPS << 20)  # each counts at least 1 MiB
     monkeypatch.setenv("TACTILE_TOOLKIT_CACHE", str(tmp_path / "cache"))
     shards = []

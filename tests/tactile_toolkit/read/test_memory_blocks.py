@@ -1,4 +1,4 @@
-"""Reading where the cache cannot be written: every row, in bounded memory, decoded no more than it takes."""
+"""Reading without a writable cache: every row, in bounded memory, without needless decoding."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def shard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Shard:
 
 @pytest.fixture
 def no_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A cache folder whose place is taken by a file, and memory for three blocks."""
+    """Replace the cache folder by a file, and allow memory for three blocks."""
     (tmp_path / "taken").write_text("")
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "taken"))
     monkeypatch.setattr(BLOCKS, "limit", 3 << 20)  # blocks count at least 1 MiB
@@ -44,7 +44,7 @@ def no_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def decoded(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Rows at which the blocks that are decoded begin."""
+    """Return the first rows of the blocks that are decoded."""
     first_rows, blocks = [], Shard.blocks
 
     def counted(self: Shard, index: int, columns: list[str] | None = None):
@@ -57,7 +57,7 @@ def decoded(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 
 def given_up(shard: Shard) -> ShardedTable:
-    """Return the rows of a cache that was tried, and given up."""
+    """Return rows after the cache was tried and given up."""
     table = ShardedTable((shard,))
     with pytest.warns(RuntimeWarning, match="cannot be kept"):
         table.locate(0)
@@ -78,7 +78,7 @@ def test_every_row_is_read_in_bounded_memory_after_one_warning(shard: Shard, no_
     assert f"'{os.environ[CACHE_VARIABLE]}/blocks' cannot be written: Not a directory" in only
 
 
-def test_a_pass_over_what_is_held_decodes_every_block_once(
+def test_a_pass_over_blocks_in_memory_decodes_each_once(
     shard: Shard, no_cache: None, decoded: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     table = given_up(shard)

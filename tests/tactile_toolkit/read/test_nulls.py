@@ -44,7 +44,7 @@ def test_field_of_a_struct_is_found_by_its_dotted_name():
 
 @pytest.mark.parametrize("level", ["row", "vector", "number"])
 def test_no_null_is_viewed_as_numbers(level):
-    """Also where numbers lie beneath it, as libraries leave them that only mark what is gone."""
+    """Also if the buffer still has numbers, as in libraries that only mark missing values."""
     gone = pa.array([False, True])
     numbers = pa.array([1, 2, 3, 4, 5, None if level == "number" else 6], pa.float32())
     vectors = pa.FixedSizeListArray.from_arrays(numbers, 3, mask=gone if level == "vector" else None)
@@ -87,7 +87,7 @@ def digits_without(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
     ("digits_without", "name"), [(name, name) for name in COLUMNS], indirect=["digits_without"]
 )
 def test_a_null_is_named_with_file_and_row(digits_without: Path, name: str) -> None:
-    """And the other rows are read."""
+    """The other rows are read."""
     digits = mnist3d.load(str(digits_without))
     for row in (0, 1, 2, 4):
         assert (digits[row].id, digits[row].label, len(digits[row].vertices_m)) == (row, row, 4)

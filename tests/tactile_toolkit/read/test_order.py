@@ -1,4 +1,4 @@
-"""The order of training: against a slow one of lists, whatever ranks share it and wherever it stops."""
+"""The order of training, compared with a slow one of lists, for any ranks and any interruptions."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def parts_of(sizes: list[int], order: list[int] | None = None) -> StoredParts:
 
 
 def plain_order(sizes: list[int], seed: int | None, window: int, epoch: int) -> list[int]:
-    """The order as it is described: lists, one shard after another."""
+    """Return the documented order, computed with lists."""
     ends = np.cumsum([0, *(size for size in sizes if size)]).tolist()
     shards = [list(range(first, last)) for first, last in pairwise(ends)]
 
@@ -50,12 +50,12 @@ def test_an_epoch_is_all_items_shard_by_shard_and_shuffled_in_windows(sizes, see
     assert found == plain_order(sizes, seed, window, epoch)
     assert sorted(found) == list(range(total))
     backwards = order.epoch(epoch).positions(np.arange(total)[::-1]).tolist()
-    assert backwards == found[::-1], "an item by its number, whatever was asked for before"
+    assert backwards == found[::-1], "an item depends only on its number"
 
 
 @given(sizes_lists.filter(sum), st.integers(1, 9), st.data())
-def test_views_are_given_in_the_order_in_which_they_are_stored(sizes, window, data):
-    """Without a seed, that is the order; with one, every item comes once."""
+def test_views_are_read_in_the_order_in_which_they_are_stored(sizes, window, data):
+    """Without a seed, that is the order of training; with a seed, each item occurs once."""
     stored = data.draw(st.permutations(range(sum(sizes))))
     parts = parts_of(sizes, stored)
     numbers = np.arange(sum(sizes))
@@ -66,7 +66,7 @@ def test_views_are_given_in_the_order_in_which_they_are_stored(sizes, window, da
 
 
 class Job:
-    """A job on some ranks for some batches, which continues on others; ranks take turns in it."""
+    """A job that runs some batches on some ranks, and continues on others; its ranks take turns."""
 
     def __init__(self, total: int) -> None:
         self.total, self.start = total, 0
@@ -76,7 +76,7 @@ class Job:
         shares = [
             RankSampler(self.total, self.start, rank, ranks, batch_size, drop_last) for rank in range(ranks)
         ]
-        assert len({(share.items, len(share)) for share in shares}) == 1, "all ranks get equally many"
+        assert len({(share.items, len(share)) for share in shares}) == 1, "all ranks get equal shares"
         count = len(shares[0]) if batches is None else min(batches, len(shares[0]))
         turns = [
             number
@@ -96,19 +96,19 @@ class Job:
     st.integers(1, 7),
 )
 @example(total=10, legs=[(4, 1, 2)], ranks=3, batch_size=2)
-def test_nothing_is_lost_or_doubled_wherever_a_job_stops_and_goes_on(total, legs, ranks, batch_size):
+def test_no_item_is_lost_or_repeated_wherever_a_job_is_interrupted(total, legs, ranks, batch_size):
     job = Job(total)
     for leg_ranks, leg_batch, batches in legs:
         job.run(leg_ranks, leg_batch, batches)
     job.run(ranks, batch_size, None)
-    assert job.given[:total] == list(range(total)), "the epoch, once and in its order"
+    assert job.given[:total] == list(range(total)), "each item once, in the order of the epoch"
     repeated = job.given[total:]
-    # What is left over was given so that all ranks have equally many, and stops with the epoch.
+    # Repeated items make the shares of all ranks equal at the end of an epoch.
     most = max([ranks, *(leg[0] for leg in legs)])
     assert len(repeated) < most
     assert repeated == [number % total for number in range(total, total + len(repeated))]
     assert job.start == total
-    assert job.run(ranks, batch_size, None) == [], "after the end there is nothing"
+    assert job.run(ranks, batch_size, None) == [], "no items after the end"
 
 
 @given(
@@ -117,7 +117,7 @@ def test_nothing_is_lost_or_doubled_wherever_a_job_stops_and_goes_on(total, legs
     st.integers(1, 9),
     st.integers(1, 7),
 )
-def test_dropping_leaves_whole_batches_and_repeats_nothing(total, legs, ranks, batch_size):
+def test_dropping_the_last_batch_leaves_whole_batches_without_repetition(total, legs, ranks, batch_size):
     job = Job(total)
     for leg_ranks, leg_batch, batches in legs:
         job.run(leg_ranks, leg_batch, batches, drop_last=True)
@@ -129,7 +129,7 @@ def test_dropping_leaves_whole_batches_and_repeats_nothing(total, legs, ranks, b
 
 @given(st.integers(1, 200), st.integers(1, 6), st.integers(1, 7), st.integers(1, 5), st.booleans())
 def test_batches_of_a_rank_do_not_depend_on_its_workers(total, ranks, batch_size, workers, drop_last):
-    """What each worker is given in turn is the stream of the rank; every batch but the last is whole."""
+    """The batches of the workers in turn are the stream of the rank; all batches but the last are whole."""
     share = RankSampler(total, 0, ranks - 1, ranks, batch_size, drop_last)
     by_worker = [[share.batch(index) for index in range(w, len(share), workers)] for w in range(workers)]
     in_turn = [by_worker[index % workers][index // workers] for index in range(len(share))]
@@ -139,8 +139,8 @@ def test_batches_of_a_rank_do_not_depend_on_its_workers(total, ranks, batch_size
     assert not drop_last or all(len(batch) == batch_size for batch in in_turn)
 
 
-def test_the_order_is_the_same_for_ever():
-    """A checkpoint of today must continue with tomorrow's versions of numpy and of this."""
+def test_the_order_never_changes():
+    """A checkpoint must continue with later versions of NumPy and of this toolkit."""
     order = GlobalOrder(parts_of([3, 4, 2, 5]), 7, 2)
     assert order.epoch(1).positions(np.arange(14)).tolist() == [13, 5, 11, 12, 9, 4, 10, 3, 6, 0, 2, 1, 8, 7]
     assert order.fingerprint == "b82bcb0cd2b98abf"

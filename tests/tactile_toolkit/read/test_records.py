@@ -161,7 +161,7 @@ def test_records_and_views_pickle_small(dataset):
     assert record.id == IDS[7]
     np.testing.assert_array_equal(record.points, points(IDS[7]))
     view = dataset[4:8]
-    view[0].points  # noqa: B018 - maps must not travel
+    view[0].points  # noqa: B018 - memory maps must not be pickled
     content = pickle.dumps(view)
     assert len(content) < 3000
     assert pickle.loads(content).ids.tolist() == IDS[4:8]
@@ -188,7 +188,7 @@ def _sum(dataset: ToyDataset) -> int:
     return sum(record.id for record in dataset)
 
 
-def test_reads_in_a_process_to_which_it_is_sent(dataset):
+def test_reads_after_pickling_to_another_process(dataset):
     dataset[0].points  # noqa: B018 - open in the parent first
     assert run_forked(_sum, dataset) == f"{sum(IDS)}\n"
 
@@ -203,8 +203,8 @@ def _count_garbage(folder: Path) -> int:
     return gc.collect()
 
 
-def test_records_are_no_reference_cycles(folder):
-    """Distinct from the garbage of other tests."""
+def test_records_form_no_reference_cycles(folder):
+    """In a process of its own, without the garbage of other tests."""
     assert run_forked(_count_garbage, folder) == "0\n"
 
 
@@ -235,7 +235,7 @@ def test_folder_without_manifest_is_found_by_names(folder, tmp_path):
     fixed=st.booleans(),
     first=st.integers(0, 3),
 )
-def test_ragged_columns_of_every_spelling(lengths, fixed, first):
+def test_ragged_columns_of_every_list_type(lengths, fixed, first):
     rows = [np.arange(n * 3, dtype=np.float32).reshape(n, 3) + 100 * i for i, n in enumerate(lengths)]
     if fixed:
         array = list_array(rows, pa.float32())

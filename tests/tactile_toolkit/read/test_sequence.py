@@ -1,4 +1,4 @@
-"""One vocabulary for every data set: what is chosen, divided, compared and handed on."""
+"""All data sets have the same interface for selecting, dividing, comparing and converting."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def rows(folder: Path) -> Rows:
 
 @pytest.fixture(scope="module")
 def every_set(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """A small data set of each kind, and what has no files."""
+    """A small data set of each kind, and data sets without files."""
     place = tmp_path_factory.mktemp("kinds")
     spec = mnist3d.SolidSpec(target_vertices=400)
     made = mnist3d.DigitSetSpec(SyntheticSource(), spec, per_class=1)
@@ -106,7 +106,7 @@ def test_one_vocabulary(every_set: dict[str, Any], kind: str) -> None:
 
 
 class Tensor:
-    """What a tensor is to numpy."""
+    """An object with the protocol by which NumPy reads tensors."""
 
     def __init__(self, values: Any) -> None:
         self.values = values
@@ -119,7 +119,7 @@ class Tensor:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_tensors_choose_as_lists_and_arrays_do(every_set: dict[str, Any], kind: str) -> None:
+def test_tensors_select_like_lists_and_arrays(every_set: dict[str, Any], kind: str) -> None:
     items = every_set[kind]
     for chosen in ([2, 0], [-1], [], [True] + [False] * (len(items) - 2) + [True]):
         expected = items[chosen]
@@ -145,7 +145,7 @@ def test_tensors_choose_as_lists_and_arrays_do(every_set: dict[str, Any], kind: 
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_items_and_sets_are_what_they_stand_for(every_set: dict[str, Any], kind: str) -> None:
+def test_items_and_sets_compare_by_value(every_set: dict[str, Any], kind: str) -> None:
     items = every_set[kind]
     copy = pickle.loads(pickle.dumps(items))
     assert copy == items
@@ -222,8 +222,8 @@ def test_values_agree_with_their_pickled_arrow_copy(value: Any, data: st.DataObj
     assert not other.equals(copy)
 
 
-def test_what_is_drawn_is_the_same_everywhere(rows: Rows) -> None:
-    """Golden: numpy's own shuffles may change with its version, the stream of PCG64 may not."""
+def test_random_selections_are_the_same_everywhere(rows: Rows) -> None:
+    """Golden values: shuffles of NumPy may change with its version, the stream of PCG64 may not."""
     assert rows.shuffle(7)[:8].ids.tolist() == rows.ids[[37, 6, 32, 96, 98, 24, 90, 23]].tolist()
     _ = [record.row.value("value") for record in rows[::-3]]
     assert rows.sample(5, 7).ids.tolist() == rows.shuffle(7).ids.tolist()[:5]
@@ -326,7 +326,7 @@ def test_a_hugging_face_set_of_touches_has_a_row_each(every_set: dict[str, Any],
     )
 
 
-def test_a_repr_says_what_is_there(every_set: dict[str, Any], rows: Rows, tmp_path: Path) -> None:
+def test_repr_describes_the_content(every_set: dict[str, Any], rows: Rows, tmp_path: Path) -> None:
     digits, touches = every_set["digits"], every_set["touches"]
     assert repr(digits[3:4]) == f"DigitDataset(1 digit of 'digits', split test, class {digits[3].label})"
     assert repr(touches[:4]) == "Touches(4 touches of 4 rounds of 'images', split train, class 0)"
@@ -354,7 +354,7 @@ def test_notebooks_show_small_pictures(every_set: dict[str, Any], kind: str) -> 
     assert "<img" not in items[:0]._repr_html_()
 
 
-def test_meshes_print_as_those_of_trimesh_do(every_set: dict[str, Any]) -> None:
+def test_meshes_have_the_repr_of_trimesh(every_set: dict[str, Any]) -> None:
     digit = every_set["digits"][0]
     mesh = mnist3d.Mesh(digit.vertices_m, digit.faces)
     expected = repr(digit.mesh).replace("trimesh.Trimesh", "Mesh").replace("vertices.", "vertices_m.")

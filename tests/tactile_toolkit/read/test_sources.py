@@ -1,4 +1,4 @@
-"""What data sets read from: every kind of source gives the same rows by number, in blocks and by column."""
+"""Sources of data sets: each kind gives the same rows by number, in blocks and by column."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_a_source_gives_the_same_rows_in_every_way(kind: str, shard: Shard) -> N
 
 
 def test_a_file_that_was_replaced_is_not_called_damaged(tmp_path: Path) -> None:
-    """The footer that is known is of another file: its positions of columns mean nothing."""
+    """The known footer is that of another file: its positions of columns are invalid."""
     place = tmp_path / "train.parquet"
     pq.write_table(pa.table({"id": range(1000), "text": ["a"] * 1000}), place)
     shard = Shard(str(place))

@@ -1,4 +1,4 @@
-"""Streams under a loader of torch: each item once, whatever the number of workers."""
+"""Streams in a loader of torch: each item once, for any number of workers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Training on real data sets: what ranks and workers are given, and how a job that was stopped continues."""
+"""Training on real data sets: the items of ranks and workers, and how an interrupted job continues."""
 
 from __future__ import annotations
 
@@ -42,16 +42,16 @@ TOTAL = sum(SHARD_ROWS)
 
 
 def ids(items: list[Any]) -> list[int]:
-    """A batch of rows, as their ids; top-level, so that it pickles."""
+    """Return the ids of a batch of rows; at the top level, so that it can be pickled."""
     return [int(item.row.value("id")) for item in items]
 
 
 class Rows(RecordDataset[Any]):
-    """Any rows."""
+    """Rows of any kind."""
 
 
 def write_shards(folder: Path) -> list[str]:
-    """Write shards whose ids count through, in row groups of four rows."""
+    """Write shards with consecutive ids, in row groups of four rows."""
     paths, first = [], 0
     for index, count in enumerate(SHARD_ROWS):
         path = folder / f"train-{index:05d}-of-{len(SHARD_ROWS):05d}.parquet"
@@ -81,7 +81,7 @@ def loader_of(batches: TrainingBatches, workers: int, **options: Any) -> Any:
 
 
 def epoch_ids(rows: Any, epoch: int, seed: int | None = 5, window: int = 2) -> list[int]:
-    """The order of an epoch, from the description of it."""
+    """Return the order of an epoch as documented."""
     order = GlobalOrder(rows.stored_parts(), seed, window)
     return rows.ids[order.epoch(epoch).positions(np.arange(len(order)))].tolist()
 
@@ -117,7 +117,7 @@ def a_rank_is_given_the_same_batches_whatever_its_workers(rows: Rows) -> None:
 def test_a_job_goes_on_on_other_ranks_without_losing_or_doubling_an_item(
     rows_for_ever: Rows, legs: list[tuple[int, int, int]], last: tuple[int, int], drop_last: bool, window: int
 ) -> None:
-    """Each leg runs on some ranks and is stopped after some batches; states travel as JSON."""
+    """Each leg runs on some ranks and is stopped after some batches; states are passed on as JSON."""
     rows = rows_for_ever
     state: str | None = None
     turns: list[int] = []
@@ -148,7 +148,7 @@ def test_a_job_goes_on_on_other_ranks_without_losing_or_doubling_an_item(
 
 @pytest.fixture(scope="module")
 def rows_for_ever(paths: list[str]) -> Rows:
-    """Of the module, as hypothesis wants them: nothing of a test stays in them."""
+    """Fixtures of the module, as hypothesis requires; tests leave no state in them."""
     return Rows(ShardedTable(tuple(map(Shard, paths))))
 
 
@@ -177,7 +177,7 @@ def stops_and_goes_on(rows: Rows, steps: int, **options: Any) -> None:
         other = batches_of(rows, 4)
         other.load_state_dict({"step": 12, "data": state})
         assert other.epoch == 1
-        other.set_epoch(1)  # what loops call anyway
+        other.set_epoch(1)  # as loops do anyway
         other_loader = loader_of(other, workers)
         assert given + flat(other_loader) == expected[1]
         assert flat(other_loader) == expected[2]
@@ -238,7 +238,7 @@ def states_that_cannot_be_resumed_are_refused_by_name(rows: Rows) -> None:
 
 @pytest.mark.own_process
 def test_loaders_with_workers(rows: Rows, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In one process for all, because each must begin without threads of others."""
+    """In one process, because each must begin without threads of others."""
     # A loader whose state was refused ends each of its workers after this time, by default 5 s.
     monkeypatch.setattr("torch.utils.data._utils.MP_STATUS_CHECK_INTERVAL", 0.2)
     a_rank_is_given_the_same_batches_whatever_its_workers(rows)
@@ -275,7 +275,7 @@ def test_ranks_are_those_of_the_launcher(rows: Rows, monkeypatch: pytest.MonkeyP
 
 
 def test_views_come_shard_by_shard(paths: list[str]) -> None:
-    """Whatever was chosen, joined or shuffled: without a seed as stored, with one each item once."""
+    """For any selection, union or shuffle: in stored order without a seed, each item once with a seed."""
     table = ShardedTable(tuple(map(Shard, paths)))
     rows = Rows(table)
     for view in (

@@ -1,4 +1,4 @@
-"""Training on shards that lie in an object store."""
+"""Training on shards in an object store."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_training_from_a_store_is_training_from_a_folder(s3, bucket, tmp_path, m
     for epoch in range(2):
         s3.traffic.reset()
         mine = [item for batch in there for item in batch]
-        assert (s3.traffic.sent_bytes == 0) == (epoch > 0)  # it lies unpacked here by then
+        assert (s3.traffic.sent_bytes == 0) == (epoch > 0)  # it is unpacked on this machine by then
         other = [item for batch in here for item in batch]
         assert len(mine) == len(other) == 30
         for (points, label), (expected, expected_label) in zip(mine, other, strict=True):

@@ -1,4 +1,4 @@
-"""Files that other libraries write, in types of theirs, read as those libraries read them."""
+"""Files of other libraries, with other types: values are those that these libraries read."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def scenes() -> pa.Table:
 
 @pytest.fixture(scope="module")
 def tables(tmp_path_factory: pytest.TempPathFactory) -> dict[str, pa.Table]:
-    """A small set of each kind, as a table in types of ours without what `datasets` would note of it."""
+    """A small set of each kind, as a table with types of the toolkit, without metadata of `datasets`."""
     rounds = [factories.make_round(index, 2, (32, 24), frames=(4, 6)) for index in range(3)]
     folder = tmp_path_factory.mktemp("touches")
     found = {"digits": digits(), "scenes": scenes()}
@@ -64,7 +64,7 @@ WHOLE = ("id", "label", "object_id", "star_count", "video_length_frames")
 
 
 def with_columns(table: pa.Table, names: tuple[str, ...], change: Callable[[Any], Any]) -> pa.Table:
-    """Change the columns of a table that it has, each as one array."""
+    """Change columns of a table, if it has them; each is one array."""
     for name in set(names) & set(table.column_names):
         array = table[name].combine_chunks()
         table = table.set_column(table.column_names.index(name), name, change(array))
@@ -165,7 +165,7 @@ def test_types_of_others_are_read_as_polars_reads_them(
     if kind == "seq":
         lengths = [int(each) for row in expected["video_length_frames"] for each in row]
         assert [len(touch.clip) for touch in rows.touches()] == lengths
-    # What lies behind sees types of ours alone.
+    # All later code sees only types of the toolkit.
     stored = rows.to_hf()
     assert all(supported_type(each.type) == each.type for each in stored.data.schema)
     assert stored["id"][:] == expected["id"].to_list()

@@ -1,4 +1,4 @@
-"""Work in the background ends with the process that started it, however that ends."""
+"""Work in the background ends when the process that started it ends, in any way."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ time.sleep(float(sys.argv[2]))
 
 
 def note_and_wait(path: str) -> None:
-    """Note the number of this process, and wait."""
+    """Write down the id of this process, and wait."""
     draft = Path(f"{path}.draft")
     draft.write_text(str(os.getpid()))
     draft.replace(path)

@@ -1,4 +1,4 @@
-"""Workers: the caller's script is left alone, and a task's own exception is passed on."""
+"""Workers: the script of the caller is not run again, and exceptions of tasks are passed on."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_a_script_without_a_guard_runs_once(tmp_path: Path) -> None:
 
 
 def test_a_worker_of_another_program_starts_no_workers() -> None:
-    """Its processes would be children of a daemonic one, which has none."""
+    """Its processes would be children of a daemonic process, which may have none."""
     code = """
         import math, multiprocessing as mp
         from tactile_toolkit.errors import InputError
@@ -74,8 +74,8 @@ def fails(path: str) -> None:
     raise ZeroDivisionError(message)
 
 
-def test_an_exception_of_a_task_is_raised_as_it_is_and_not_retried(tmp_path: Path) -> None:
-    """It says where in the worker it was raised."""
+def test_exceptions_of_tasks_are_raised_and_not_retried(tmp_path: Path) -> None:
+    """The exception has the traceback of the worker."""
     tries = tmp_path / "tries"
     with pytest.raises(ZeroDivisionError, match="of the task") as raised:
         list(ProcessRunner(2).run(fails, [str(tries)]))
@@ -100,7 +100,7 @@ def unpicklable(_: int) -> object:
 
 
 class OddError(Exception):
-    """Can be pickled, but not be read again."""
+    """Can be pickled, but not unpickled."""
 
     def __init__(self, one: str, two: str) -> None:
         super().__init__(f"{one} and {two}")
@@ -115,7 +115,7 @@ def process_of(_: int) -> int:
 
 
 class Missing:
-    """Cannot be read by a worker, as what belongs to a module that is not there."""
+    """Cannot be unpickled by a worker, like objects of a missing module."""
 
     def __init__(self, number: int) -> None:
         self.number = number
@@ -135,7 +135,7 @@ class Missing:
         (process_of, threading.Lock(), TypeError, "cannot pickle.*lock"),
     ],
 )
-def test_what_cannot_travel_is_named_once(
+def test_objects_that_cannot_be_pickled_are_named_once(
     function: object, task: object, error: type[Exception], words: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(error, match=words):
@@ -158,8 +158,8 @@ def test_tasks_and_answers_may_be_larger_than_a_pipe_holds() -> None:
 
 
 def waits(path: str) -> None:
-    """Show where this process waits, unless there is nowhere to."""
-    os.kill(os.getpid(), signal.SIGINT)  # Ctrl-C comes to the workers, too, and the caller alone decides
+    """Interrupt this process; with a path, also leave a file with its id there, and wait."""
+    os.kill(os.getpid(), signal.SIGINT)  # Ctrl-C reaches the workers, too; only the caller decides
     if path:
         Path(path, str(os.getpid())).touch()
         time.sleep(PATIENCE_S)
@@ -229,7 +229,7 @@ def test_no_task_is_lost_when_workers_die_while_their_parent_is_busy(finished: i
 
 
 def begins(folder: Path, dies_first: bool) -> None:
-    """Die at the first attempt, or wait until the other task has been begun twice."""
+    """Die at the first attempt, or wait until the other task has been started twice."""
     begun = folder / str(dies_first)
     with begun.open("a") as stream:
         stream.write("begun\n")

@@ -1,4 +1,4 @@
-"""A real Ray cluster of two nodes on this machine: equal bytes, and what happens when something dies."""
+"""A real Ray cluster of two nodes on this machine: equal bytes, also when nodes or workers die."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ pytestmark = [
     pytest.mark.skipif(sys.platform != "linux", reason="processes are looked up in /proc"),
 ]
 
-# A process of its own: Ray leaves open files and handlers behind that tests may not have.
+# In another process: Ray leaves open files and handlers behind, which tests must not have.
 CLUSTER = """
 import json, os, sys
 from ray.cluster_utils import Cluster
@@ -84,7 +84,7 @@ class Cluster:
     raylets: list[int]
 
     def add(self, **environment: str) -> int:
-        """Start a node with one core and return the process that a node lives and dies with."""
+        """Start a node with one core and return its main process."""
         assert self.process.stdin is not None
         assert self.process.stdout is not None
         self.process.stdin.write(json.dumps(environment) + "\n")
@@ -93,7 +93,7 @@ class Cluster:
         return self.raylets[-1]
 
     def kill(self, raylet: int) -> None:
-        """Kill a node with all that runs there, as a power cut does."""
+        """Kill all processes of a node, like a power cut."""
         doomed = [raylet, *children(raylet)]
         for pid in doomed:
             os.kill(pid, signal.SIGKILL)
@@ -101,17 +101,17 @@ class Cluster:
         self.raylets.remove(raylet)
 
     def require_two(self) -> None:
-        """Start what is missing of two living nodes."""
+        """Start nodes until two are alive."""
         while len(self.raylets) < 2:
             self.add()
 
     def working(self) -> list[int]:
-        """Processes that carry out a task."""
+        """Return the processes that run a task."""
         found = [child for raylet in self.raylets for child in children(raylet)]
         return [pid for pid in found if alive(pid) and named(pid).startswith("ray::work")]
 
     def start(self, script: str, *arguments: object) -> subprocess.Popen[str]:
-        """Start a script that is given the address first."""
+        """Start a script with the address as its first argument."""
         command = [sys.executable, "-c", textwrap.dedent(script), self.address, *map(str, arguments)]
         pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
         return subprocess.Popen(command, cwd=REPOSITORY, text=True, **pipes)  # type: ignore[call-overload]
@@ -119,7 +119,7 @@ class Cluster:
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Cluster]:
-    folder = tempfile.mkdtemp(prefix="ray")  # names of sockets must be short
+    folder = tempfile.mkdtemp(prefix="ray")  # paths of sockets must be short
     # The address of the cluster goes into a folder of that name, which may be missing or another cluster's.
     Path(folder, "ray").mkdir()
     settings = {
@@ -145,7 +145,7 @@ def cluster() -> Iterator[Cluster]:
 
 
 def named(pid: int) -> str:
-    """The command line of a process, nothing of one that has gone."""
+    """Return the command line of a process, empty if it has ended."""
     try:
         return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
     except OSError:
@@ -162,14 +162,14 @@ def wait_for(condition: Callable[[], object], process: subprocess.Popen[str] | N
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
-    """The bytes of a run in one process."""
+    """Return the bytes of a run in one process."""
     path = tmp_path_factory.mktemp("whole") / "set"
     build(open_folder(str(path)), plan_of())
     return folder_bytes(path)
 
 
 def finish(driver: subprocess.Popen[str]) -> str:
-    """Wait for a driver, which must succeed, and return what it wrote anywhere: Ray is to be silent."""
+    """Wait for a driver, which must succeed, and return all of its output: Ray must be silent."""
     said, complained = driver.communicate()
     assert driver.returncode == 0, complained
     return said + complained
@@ -192,10 +192,10 @@ def test_the_command_line_makes_the_same_bytes_and_prints_its_document_only(
     assert folder_bytes(tmp_path / "ray") == folder_bytes(tmp_path / "one")
 
 
-def test_a_stopped_driver_leaves_nothing_at_work_and_a_killed_node_nothing_undone(
+def test_a_stopped_driver_leaves_no_tasks_and_a_killed_node_no_gaps(
     cluster: Cluster, whole: dict[str, bytes], tmp_path: Path
 ) -> None:
-    """Killed, stopped by Ctrl-C, and then without one of the nodes that were at work: the same bytes."""
+    """Killed, stopped by Ctrl-C, and then without one of the working nodes: the same bytes."""
     cluster.require_two()
     gate = tmp_path / "gate"
     for how in (signal.SIGKILL, signal.SIGINT):
@@ -302,7 +302,7 @@ def test_errors_are_raised_as_they_are_and_only_deaths_tried_again(cluster: Clus
     assert found["odd"] == "ToolkitError: Odd: one and two"
     assert found["deadly"].startswith("ToolkitError: the Ray worker died 3 times while it made ToyTask(")
     assert "next: " in found["deadly"]
-    # Every process has a memory of its own, as nodes have disks.
+    # Every process has separate storage, like the disks of nodes.
     assert "or node " in found["elsewhere"]
     assert "writes to a folder that this machine does not see" in found["elsewhere"]
     assert found["once"] == "made"
@@ -316,7 +316,7 @@ def test_other_versions_are_refused_by_name(cluster: Cluster, tmp_path: Path) ->
     wait_for(lambda: records_so_far(tmp_path / "late"), running)
     different = cluster.add(PYTHONPATH=str(information.parent))
     try:
-        # A node that comes later gets a task, which it refuses.
+        # A node that joins later gets a task, which it refuses.
         refusal = running.communicate()[1]
         assert refusal.startswith(f"InputError: node {socket.gethostname()} (")
         assert "has pyarrow 0.0.1 (here: " in refusal
@@ -342,13 +342,13 @@ except InputError as error:
 
 
 @pytest.mark.parametrize("listens", [False, True])
-def test_where_no_cluster_answers_nothing_is_written(tmp_path: Path, listens: bool) -> None:
-    """Nothing listens at the address, or something that is not Ray does, and says nothing."""
+def test_without_a_cluster_nothing_is_written(tmp_path: Path, listens: bool) -> None:
+    """No server listens at the address, or another server that does not reply."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"127.0.0.1:{server.getsockname()[1]}"
         if not listens:
             server.close()
-        # Ray's own patience is to end in its ConnectionError; here sooner.
+        # Ray gives up with a ConnectionError; here sooner than by default.
         refusal = printed_by(REFUSED, tmp_path / "set", address, RAY_py_gcs_connect_timeout_s="1")
     assert f"no Ray cluster can be joined at {address}: " in refusal
     assert ("Failed to connect to Ray cluster" if listens else "Connection refused") in refusal
@@ -357,6 +357,6 @@ def test_where_no_cluster_answers_nothing_is_written(tmp_path: Path, listens: bo
 
 
 @pytest.mark.parametrize("address", ["ray://head:10001", "head", "head:", ":6379", "head:six", "head:123456"])
-def test_addresses_are_refused_that_are_none(address: str) -> None:
+def test_invalid_addresses_are_refused(address: str) -> None:
     with pytest.raises(InputError, match=r"is not the address of a Ray cluster; expected HOST:PORT.*next: "):
         RayRunner(address)

@@ -1,4 +1,4 @@
-"""Threads of Arrow's abort about one in a hundred interpreters that end: reading must start none."""
+"""Threads of Arrow abort about one in a hundred interpreters at exit, so reading must start none."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_reading_starts_no_thread(tmp_path, what):
     assert done.returncode == 0, done.stderr
 
 
-# OpenBLAS is loaded with pyarrow, before a command begins; what is left are the threads of manifold3d.
+# OpenBLAS is loaded with pyarrow, before a command begins; only the threads of manifold3d are left.
 CHECKS = """
 import os, pathlib, sys
 from tests.command_line import call
@@ -75,7 +75,7 @@ print(len(list(pathlib.Path("/proc/self/task").iterdir())))
 @pytest.mark.thorough
 @pytest.mark.parametrize("words", ["generate --dry-run --limit 1 --out new", "validate ball.stl"])
 def test_commands_limit_threads_before_their_first_digit(tmp_path, monkeypatch, words):
-    """As many threads as where the process may use one processor only."""
+    """There are as many threads as if the process may use only one processor."""
     write_mesh(tmp_path / "ball.stl", ball())
     monkeypatch.chdir(tmp_path)
     single = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")

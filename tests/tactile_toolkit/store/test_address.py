@@ -1,4 +1,4 @@
-"""How places of data are read: local paths, and addresses in stores."""
+"""Parsing of places of data: local paths, and addresses in stores."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_one_form_of_each_place(given, place):
         ("http://host/set", "and not of the web"),
     ],
 )
-def test_what_is_no_address_of_data_is_refused_without_repeating_secrets(address, words):
+def test_invalid_addresses_are_refused_without_repeating_secrets(address, words):
     with pytest.raises(InputError, match=rf"{re.escape(words)}") as told:
         open_folder(address)
     assert "; next: " in str(told.value)
@@ -69,7 +69,7 @@ def test_what_is_no_address_of_data_is_refused_without_repeating_secrets(address
     ],
 )
 def test_nothing_is_written_to_the_hub_file_by_file(act):
-    """Said before anything is asked there: no server is reached."""
+    """The error is raised before any request."""
     with pytest.raises(InputError, match=r"'hf://datasets/a/b.*' cannot be written to: .* command `upload`"):
         act(open_folder("hf://datasets/a/b"))
 
@@ -109,8 +109,8 @@ except InputError as error:
     assert not Path("s3:").exists()
 
 
-def test_what_cannot_be_read_is_named_in_the_words_of_the_system(tmp_path):
-    """Without its number, and without the path a second time."""
+def test_unreadable_files_are_named_with_the_reason_of_the_system(tmp_path):
+    """Without the error number, and without a second mention of the path."""
     place = open_folder(str(tmp_path))
     (tmp_path / "folder").mkdir()
     for path, words in (("absent", "No such file or directory"), ("folder", "Is a directory")):

@@ -106,7 +106,7 @@ def test_damaged_manifest_is_named(tmp_path):
 
 
 class Forgetful:
-    """A runner that makes some tasks only."""
+    """A runner that makes only some tasks."""
 
     def __init__(self, *left_out):
         self.left_out = left_out
@@ -142,8 +142,8 @@ def test_task_that_always_kills_its_worker_ends_the_run(tmp_path):
         make(tmp_path / "set", replace(plan, tasks=tasks), workers=ProcessRunner(1))
 
 
-def test_full_disk_is_named_and_leaves_nothing_half_written(tmp_path):
-    """A real limit on file size stands for a full disk: the kernel refuses the write half way."""
+def test_full_disk_is_named_and_leaves_no_partial_file(tmp_path):
+    """A limit on the file size simulates a full disk: the kernel refuses the write half way."""
     said = run_forked(
         """
         import resource, signal, sys
@@ -184,7 +184,7 @@ def test_read_only_place(mode):
     place.mkdir(mode=mode)
     was_root = os.geteuid() == 0
     if was_root:
-        os.seteuid(65534)  # root may write anywhere; nobody may not
+        os.seteuid(65534)  # root may write anywhere; the user nobody may not
     try:
         for folder in (place / "inner", place):
             with pytest.raises(InputError, match=r"set.*(?i:permission denied).*; next: "):
@@ -207,7 +207,7 @@ def test_remote_folder_through_fsspec(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == [], "an address is not a local path"
 
 
-def test_another_source_is_told_in_few_words(tmp_path):
+def test_another_source_gives_a_short_message(tmp_path):
     def files(count, digest):
         return [{"file": f"train-{index}.parquet", "rows": 9, "sha256": digest} for index in range(count)]
 
@@ -262,8 +262,8 @@ def test_other_versions_of_libraries_are_not_mixed(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["notes.txt", "x.parquet", "train-00000-of-00009.parquet"])
-def test_a_stray_file_among_the_shards_is_named_by_all_who_meet_it(tmp_path, name):
-    """`verify` must not send to a run that has nothing to say about it."""
+def test_a_stray_file_among_the_shards_is_named_by_all_commands(tmp_path, name):
+    """`verify` must not recommend a run that ignores the file."""
     folder = open_folder(str(tmp_path / "set"))
     build(folder, toy_plan())
     (tmp_path / "set" / "data" / name).write_bytes(b"x")

@@ -1,4 +1,4 @@
-"""What a finished shard rests on is on the disk: in all other tests nothing is brought there."""
+"""Finished shards are synced to the disk; all other tests skip that."""
 
 from __future__ import annotations
 

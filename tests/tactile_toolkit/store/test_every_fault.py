@@ -1,4 +1,4 @@
-"""A fault before, in or after every call that a run makes of its folder: nothing is lost or shows.
+"""A fault before, in or after every call of a run to its folder: no data is lost or partly visible.
 
 A call of the folder protocol that changes something is a point. At each of them: the file system refuses,
 Ctrl-C, the end of the process (no call does anything any more), or another complete run. Then the same
@@ -28,15 +28,15 @@ from tactile_toolkit.store import LocalFolder, ShardName, locks, open_folder, re
 from tests.tactile_toolkit.toy import SCHEMA, ToyTask, folder_bytes, make, toy_plan
 
 SAMPLED = 20
-"""Points of each command that the run at a desk draws; all of them are `thorough`."""
+"""Number of points of each command that are tested by default; `thorough` tests all."""
 
 
 class Ended(BaseException):
-    """The process has ended: whatever is called from here on does nothing."""
+    """The process has ended: further calls do nothing."""
 
 
 def plan(splits=("test",), seed=1, error=None):
-    """Two shards a split, of two rows each, whose rows depend on the seed and whose names do not."""
+    """Two shards for each split, of two rows each; rows depend on the seed, names do not."""
     first = {"train": 0, "test": 100}
     tasks = tuple(
         ToyTask(
@@ -60,7 +60,7 @@ def run(place, a_plan=None, **options):
 
 @dataclass(frozen=True)
 class Command:
-    """What is disturbed: it begins with what ``before`` has made, and ``again`` must lead to ``after``."""
+    """A disturbed command: it starts from the result of ``before``; ``again`` must lead to ``after``."""
 
     before: Callable[[Path], object]
     run: Callable[[Path], object]
@@ -204,7 +204,7 @@ def cases(command: Command, points: list[str]) -> Iterator[tuple[int, str, str, 
     for point, name in enumerate(points, start=1):
         for moment in MOMENTS if name == "write_bytes" else ("before", "after"):
             for fault in FAULTS[:3]:
-                # A process that ends after a call leaves what one leaves that ends before the next.
+                # Ending after a call equals ending before the next call.
                 if (moment, fault) != ("after", "ended") or point == len(points):
                     yield point, moment, fault, None
         for other in command.others:
@@ -254,7 +254,7 @@ def check(name: str, tmp_path: Path, drawn: int | None) -> None:
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_fault_at_any_point(name: str, tmp_path: Path) -> None:
-    """At a desk at twenty points, always the same ones; with `-m ""` at all."""
+    """By default at twenty points, always the same ones; with `-m ""` at all."""
     check(name, tmp_path, None if settings.default.max_examples > 50 else SAMPLED)
 
 
@@ -270,7 +270,7 @@ RACES = {
 
 
 def has_finished(place: Path, seed: int, overwrite: bool, error: Exception | None = None) -> bool:
-    """Return what a run says of itself."""
+    """Return whether a run reports that it has finished."""
     try:
         run(place, plan(seed=seed, error=error), overwrite=overwrite)
     except InputError:
@@ -280,8 +280,8 @@ def has_finished(place: Path, seed: int, overwrite: bool, error: Exception | Non
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("race", RACES)
-def test_of_two_runs_the_one_that_says_so_has_finished(race: str, tmp_path: Path) -> None:
-    """The second begins and ends just before a change that the first makes; it waits for no lock."""
+def test_of_two_runs_the_one_that_reports_success_has_finished(race: str, tmp_path: Path) -> None:
+    """The second run begins and ends just before a change of the first, without waiting for a lock."""
     replaces, second, fails = RACES[race]
     for seed in (1, 2, 3):
         run(tmp_path / str(seed), plan(seed=seed))

@@ -1,4 +1,4 @@
-"""One at a time, also where the file system knows no locks of folders; who waits does not wait for ever."""
+"""Exclusive locks, also on file systems without locks of folders; waiting is limited."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ with locked(Path(sys.argv[1]), shared=sys.argv[2] == "shared"):
 
 @contextlib.contextmanager
 def held(path: Path, how: str = "alone", *, is_stopped: bool = True) -> Iterator[subprocess.Popen[str]]:
-    """Have another process hold a lock, stopped as by Ctrl-Z, or at work."""
+    """Let another process hold a lock, stopped as by Ctrl-Z, or at work."""
     program = [sys.executable, "-c", _HOLD, str(path), how]
     with subprocess.Popen(
         program, cwd=Path(__file__).parents[3], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
@@ -84,7 +84,7 @@ def held(path: Path, how: str = "alone", *, is_stopped: bool = True) -> Iterator
 
 
 class Clock:
-    """Time that passes when somebody waits; ``after_s`` something happens."""
+    """A clock that advances while a process waits; an event happens ``after_s`` seconds."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now_s = 0.0
@@ -114,7 +114,7 @@ needs_list = pytest.mark.skipif(not Path("/proc/locks").exists(), reason="asks L
 @needs_list
 @pytest.mark.parametrize("how", ["alone", "shared"])
 @pytest.mark.parametrize("is_patient", [False, True])
-def test_who_waits_for_a_stopped_process_is_told_which(
+def test_the_message_names_the_stopped_process(
     tmp_path: Path, clock: Clock, how: str, is_patient: bool
 ) -> None:
     with held(tmp_path, how) as process:
@@ -129,7 +129,7 @@ def test_who_waits_for_a_stopped_process_is_told_which(
 
 @pytest.mark.thorough
 @needs_list
-def test_who_is_patient_waits_for_a_process_that_is_at_work(tmp_path: Path, clock: Clock) -> None:
+def test_patient_runs_wait_for_a_working_process(tmp_path: Path, clock: Clock) -> None:
     with held(tmp_path, is_stopped=False) as process:
         who = rf"^process {process.pid} on .* holds .*; next: wait until it has ended"
         with pytest.raises(BusyError, match=who), locked(tmp_path):
@@ -151,13 +151,13 @@ def test_without_locks_of_folders_the_holder_is_noted(
     )
     with locked(tmp_path), pytest.raises(BusyError, match=said), locked(tmp_path, patience_s=0):
         pytest.fail("two hold it")
-    (tmp_path / LOCK_FILE).write_text("what is this")  # of a process that was killed in this moment
+    (tmp_path / LOCK_FILE).write_text("what is this")  # of a process that was just killed
     with pytest.raises(BusyError, match=r"^another process holds "), locked(tmp_path, patience_s=0):
         pytest.fail("it is held")
 
 
 def stopped_beside(place: Path, moment: str) -> BusyError:
-    """Make a set while a process is stopped that took its lock before the first shard, or after the last."""
+    """Make a set while a stopped process holds its lock, since before the first shard or after the last."""
     with contextlib.ExitStack() as stack:
 
         def stop(progress: Progress) -> None:
@@ -174,7 +174,7 @@ def stopped_beside(place: Path, moment: str) -> BusyError:
 @needs_list
 @pytest.mark.parametrize(("moment", "finished"), [("before", 0), ("after", 6)])
 def test_a_run_beside_a_stopped_one_ends(tmp_path: Path, clock: Clock, moment: str, finished: int) -> None:
-    """It says so after a minute, not after two, and loses none of its shards."""
+    """The error comes after a minute, not after two, and no shards are lost."""
     assert "which was stopped, holds" in str(stopped_beside(tmp_path / "set", moment))
     assert 60 <= clock.now_s < 61
     assert len(records_so_far(tmp_path / "set")) == finished
@@ -213,7 +213,7 @@ def test_a_stopped_download_keeps_no_other_waiting(tmp_path: Path, clock: Clock)
         assert Path(fetch(server, tmp_path, script(BIG))[0], SHARD).read_bytes() == CONTENT
 
 
-# As the C library of Windows: a lock of bytes of an open file, for one holder, which ends with its process.
+# As in the C library of Windows: a lock on bytes of an open file, for one holder, until its process ends.
 _MSVCRT = """
 import errno, fcntl, os, struct, types
 from tactile_toolkit.store import locks
@@ -235,7 +235,7 @@ def windows(monkeypatch: pytest.MonkeyPatch) -> None:
 
     if not hasattr(fcntl, "F_OFD_SETLK"):
         pytest.skip("asks Linux for locks that belong to an open file")
-    monkeypatch.setattr(locks, "_module", locks._module)  # so that it is undone
+    monkeypatch.setattr(locks, "_module", locks._module)  # so that it is restored
     exec(_MSVCRT, {})
 
 

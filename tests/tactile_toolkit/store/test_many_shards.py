@@ -1,4 +1,4 @@
-"""Sets of more shards than five digits count: planned, written, listed, described and read back."""
+"""Data sets with more shards than five digits can count: planned, written, listed, described and read."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_a_shard_has_one_name(name):
     "shard",
     [ShardName("a-b", 0, 1), ShardName("a b", 0, 1), ShardName("train", 2, 2), ShardName("train", 0, 10**12)],
 )
-def test_what_could_not_be_read_back_is_refused_while_planning(shard):
+def test_sets_that_could_not_be_read_back_are_refused_while_planning(shard):
     with pytest.raises(InputError, match=f"the file of shard {shard} would not be found again"):
         replace(toy_plan(), tasks=(ToyTask(shard, (0,)),))
 
@@ -54,7 +54,7 @@ def test_files_are_in_order_of_their_numbers():
 
 
 def test_datasets_reads_the_rows_in_the_order_of_the_numbers(tmp_path):
-    """`datasets` sorts what a pattern finds as text: 100000 would come before 10001."""
+    """`datasets` sorts the matches of a pattern as text: 100000 would come before 10001."""
     from datasets import load_dataset
 
     numbers = (10_000, 10_001, 99_999, 100_000)

@@ -1,4 +1,4 @@
-"""Names from outside: whatever a manifest, record or link says, nothing outside of the folder is touched."""
+"""Names in manifests, records and links: they never lead to files outside of the folder."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_a_wild_name_is_refused_by_name(name):
         ("a.b/c", False),
     ],
 )
-def test_what_systems_leave_is_passed_over(path: str, hidden: bool) -> None:
+def test_files_of_operating_systems_are_ignored(path: str, hidden: bool) -> None:
     assert is_hidden(path) is hidden
 
 
@@ -115,7 +115,7 @@ parts = st.sampled_from(["..", ".", "", "a", "C:", "\\", "..\\", "~", "nul", "a\
 
 
 @given(st.lists(parts, min_size=1, max_size=6).map("/".join))
-def test_what_passes_stays_inside_on_every_system(name):
+def test_accepted_names_stay_inside_on_every_system(name):
     if problem_of_name(name):
         return
     for path in (PurePosixPath(name), PureWindowsPath(name)):
@@ -135,7 +135,7 @@ def built(tmp_path_factory):
 
 @pytest.fixture
 def finished(built, tmp_path):
-    """A finished set next to files of somebody."""
+    """A finished set next to files of a user."""
     shutil.copytree(built, tmp_path / "set")
     (tmp_path / "victim").write_text("years of work")
     return tmp_path / "set"
@@ -148,8 +148,8 @@ def edited(folder: Path, **changes: object) -> None:
 
 @pytest.mark.parametrize("field", ["files", "trees", "shards"])
 @pytest.mark.parametrize("name", SOME)
-def test_a_wild_manifest_is_refused_and_nothing_is_touched(finished, tmp_path, field, name):
-    """Verified, opened, made again or started again: all of it starts with reading the manifest."""
+def test_a_hostile_manifest_is_refused_and_nothing_is_changed(finished, tmp_path, field, name):
+    """Verifying, opening and continuing all begin with reading the manifest."""
     shard = {**json.loads((finished / "manifest.json").read_text())["shards"][0], "file": name}
     wild = {"files": {name: "0" * 64}, "trees": [name], "shards": [shard]}
     edited(finished, **{field: wild[field]})
@@ -176,8 +176,8 @@ def test_digests_of_a_manifest_are_digests(finished, field, digest):
 
 
 @pytest.mark.parametrize("name", ["notes", "data", "images", "index.csv"])
-def test_overwriting_removes_only_what_sets_of_ours_have(finished, name):
-    """A manifest may say that anything is its own."""
+def test_overwriting_removes_only_files_of_data_sets(finished, name):
+    """A manifest may list any file."""
     edited(finished, trees=[name])
     (finished / name).mkdir(exist_ok=True)
     (finished / name / "thesis.tex").write_text("years of work")
@@ -216,7 +216,7 @@ ACTIONS = {
 @pytest.mark.parametrize("action", ACTIONS.values(), ids=ACTIONS.keys())
 @pytest.mark.parametrize("remote", [False, True])
 def test_a_folder_does_nothing_outside_of_itself(tmp_path, action, remote):
-    """The last line: even a name that was not checked leads nowhere."""
+    """The last line of defence: even an unchecked name does not lead outside."""
     folder = open_folder("memory://bucket/set" if remote else str(tmp_path / "set"))
     (tmp_path / "victim").write_text("years of work")
     windows = (
@@ -260,7 +260,7 @@ def test_pipes_and_devices_are_not_waited_for(finished, path):
     assert "leads out of the folder, to '/dev/zero'" in findings(finished)[path]
 
 
-def test_what_a_link_leads_to_outside_is_not_read(finished, tmp_path):
+def test_targets_of_links_outside_are_not_read(finished, tmp_path):
     (tmp_path / "victim").write_bytes((finished / SHARD).read_bytes())
     (finished / SHARD).unlink()
     (finished / SHARD).symlink_to(tmp_path / "victim")

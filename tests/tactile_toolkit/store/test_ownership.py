@@ -1,4 +1,4 @@
-"""Several runs in one folder: none writes or removes anything of a data set that is not its own."""
+"""Several runs in one folder: none writes or removes files of a data set of another run."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def fresh(tmp_path_factory):
 @pytest.mark.parametrize("runner", [InlineRunner(), ProcessRunner(2)], ids=["inline", "processes"])
 @pytest.mark.parametrize("shards", [1, 0, 6])
 def test_a_slower_run_leaves_the_set_that_replaced_its_own(tmp_path, fresh, runner, shards):
-    """It is held after so many shards while another run starts again there and finishes."""
+    """It pauses after some shards while another run starts again there and finishes."""
     made = []
 
     def hold(progress):
@@ -59,7 +59,7 @@ def test_a_slower_run_leaves_the_set_that_replaced_its_own(tmp_path, fresh, runn
 
 
 def test_where_the_manifest_has_gone_the_reasons_are_named(tmp_path):
-    """The folder was removed, or is another one on the machine that makes the shard."""
+    """The folder was removed, or is another folder on the machine that makes the shard."""
 
     def remove(progress):
         if progress.record is not None and (tmp_path / "set" / "data").exists():
@@ -71,7 +71,7 @@ def test_where_the_manifest_has_gone_the_reasons_are_named(tmp_path):
 
 
 def test_an_outdated_view_of_a_network_file_system_ends_no_run(tmp_path, fresh, monkeypatch):
-    """Such a system shows for a while that a file is not there; a file that comes and goes ends that."""
+    """Such a system may list an outdated state; creating and removing a file updates it."""
     manifest, hidden = tmp_path / "set" / "manifest.json", tmp_path / "hidden"
 
     def hide(progress):
@@ -92,7 +92,7 @@ def test_the_first_of_two_that_create_a_file_wins_on_file_systems_without_links_
     tmp_path, monkeypatch, has_links
 ):
     def refuse(*_, **__):
-        raise OSError(errno.EPERM, "Operation not permitted")  # as Linux says of FAT
+        raise OSError(errno.EPERM, "Operation not permitted")  # the error of Linux for FAT
 
     if not has_links:
         monkeypatch.setattr(os, "link", refuse)
@@ -104,7 +104,7 @@ def test_the_first_of_two_that_create_a_file_wins_on_file_systems_without_links_
 
 
 @pytest.mark.thorough
-def test_a_command_whose_set_was_replaced_says_so_in_one_sentence(tmp_path, capfd):
+def test_a_command_whose_set_was_replaced_ends_with_one_sentence(tmp_path, capfd):
     place, marker = tmp_path / "set", tmp_path / "held"
     words = ("generate", "--scenes", "1200", "--split", "train", "--out", place)
     slow = start_held("starstruck", 1, marker, *words, "--seed", 1, "--workers", 1)
@@ -123,7 +123,7 @@ def test_a_command_whose_set_was_replaced_says_so_in_one_sentence(tmp_path, capf
 
 @pytest.mark.thorough
 def test_a_set_that_another_process_is_about_to_replace_is_left_to_it(tmp_path, capfd):
-    """Runs of the set that is there have nothing to do, and remove nothing of the other one."""
+    """Runs of the present set have nothing to do, and remove no files of the other one."""
     place, marker = tmp_path / "set", tmp_path / "held"
     words = ("generate", "--scenes", "600", "--split", "train", "--out", place)
     assert call("starstruck", *words, "--seed", 1) == 0

@@ -1,4 +1,4 @@
-"""What the store knows of Parquet files without reading them again."""
+"""Properties of Parquet files that the store determines without reading them again."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ def table(rows: int) -> pa.Table:
     return pa.Table.from_pylist(values, schema=SCHEMA)
 
 
-def test_columns_are_encoded_as_asked_whatever_their_nesting() -> None:
-    """The names of columns inside others follow from the schema alone, as Parquet spells them."""
+def test_columns_of_any_nesting_have_the_requested_encoding() -> None:
+    """The names of nested columns follow from the schema, as Parquet spells them."""
     encodings = (
         ("mesh.vertices.list.element.list.element", "BYTE_STREAM_SPLIT"),
         ("placements.list.element.x_m", "PLAIN"),
@@ -92,17 +92,17 @@ def test_of_tables_one_after_another_no_more_than_a_row_group_is_held():
 
 
 @pytest.mark.parametrize("size", [1_000, 200_000])
-def test_a_changed_footer_is_found_however_long_it_is(size):
+def test_a_changed_footer_of_any_length_is_found(size):
     notes = pa.schema([("id", pa.int64())], metadata={"notes": "a" * size})
     content = encode_parquet(pa.table({"id": [1]}, schema=notes), ParquetStyle(rows_per_group=3))
     assert open_checked(io.BytesIO(content)).schema_arrow.metadata == {b"notes": b"a" * size}
-    changed = content.replace(b"aaaa", b"abaa", 1)  # what Parquet itself takes for notes
+    changed = content.replace(b"aaaa", b"abaa", 1)  # which Parquet itself ignores
     with pytest.raises(pa.ArrowInvalid, match="the footer does not match its checksum"):
         open_checked(io.BytesIO(changed))
 
 
 def test_a_changed_row_leaves_the_pages_after_it_as_they_were():
-    """Pages end with rows, whatever their bytes; in a page, zstd makes others of all that follow."""
+    """Pages end at rows, not at sizes; inside a page, a change alters all following bytes of zstd."""
     rng = np.random.default_rng(0)
 
     def image() -> bytes:

@@ -1,4 +1,4 @@
-"""One data set made in parts by processes that never meet: the bytes are those of one process."""
+"""A data set that independent processes make in parts: its bytes are those of one process."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_parts_in_any_order_give_the_bytes_of_one_process(tmp_path, whole, count
             assert (tmp_path / "set" / toy_plan().tasks[first].shard.data_path).is_file()
             assert read_manifest(folder).shards == ()
     assert not manifest_so_far(folder).complete
-    for _ in range(2):  # twice is once
+    for _ in range(2):  # a repeated part makes no difference
         assert make(folder.root, finish=True).complete
         assert folder_bytes(tmp_path / "set") == whole
 
@@ -49,7 +49,7 @@ def test_damage_of_the_same_size_counts_as_missing_where_all_is_read(tmp_path, w
     content[len(content) // 2] ^= 1
     folder.write_bytes(path, bytes(content))
     make(folder.root, part=Part(1, 2))
-    assert folder.read_bytes(path) == content  # parts believe sizes
+    assert folder.read_bytes(path) == content  # parts compare only sizes
     with pytest.raises(MissingPartsError) as caught:
         make(folder.root, check=True, finish=True)
     assert (caught.value.array, caught.value.parts) == ("1", SHARDS)
@@ -60,7 +60,7 @@ def test_damage_of_the_same_size_counts_as_missing_where_all_is_read(tmp_path, w
 
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("runner", [1, ProcessRunner(2)], ids=["inline", "processes"])
-def test_what_is_missing_is_told_as_numbers_of_an_array(tmp_path, whole, runner):
+def test_missing_parts_are_listed_as_numbers_of_an_array(tmp_path, whole, runner):
     for index in (0, 5):
         make(tmp_path / "set", part=Part(index, SHARDS), workers=runner)
     for _ in range(2):
@@ -77,7 +77,7 @@ def test_what_is_missing_is_told_as_numbers_of_an_array(tmp_path, whole, runner)
 
 
 @pytest.mark.parametrize("place", ["{}/set", "memory://nothing-to-finish"])
-def test_where_no_part_made_anything_nothing_can_be_finished(tmp_path, place):
+def test_without_finished_parts_the_set_cannot_be_finished(tmp_path, place):
     folder = place.format(tmp_path)
     make(folder, part=Part(SHARDS, SHARDS + 1))  # there are fewer shards than parts
     with pytest.raises(MissingPartsError, match=f"{SHARDS} of {SHARDS} shards of .* are not finished"):
@@ -179,7 +179,7 @@ def test_finishing_clears_up_after_all_writers(tmp_path, whole):
 
 @pytest.mark.parametrize("moment", ["at the first look", "between two shards"])
 def test_a_part_writes_nothing_into_a_set_that_was_started_again(tmp_path, moment):
-    """Names of shards are the same, rows are not."""
+    """The names of shards are the same, but their rows differ."""
     other = toy_plan(spec={"seed": 2, "size": [1, 2]})
     other = replace(other, tasks=tuple(replace(task, ids=(task.ids[0],)) for task in other.tasks))
     make(tmp_path / "other", plan=other)
@@ -208,7 +208,7 @@ def test_parts_in_a_store_of_objects(whole):
 
 
 def test_records_of_another_job_prove_nothing(tmp_path, whole):
-    """Somebody removed the manifest of an interrupted run, and began another set there."""
+    """A user removed the manifest of an interrupted run, and began another set there."""
     other = toy_plan(spec={"seed": 2, "size": [1, 2]})
     make(tmp_path / "set", other, part=Part(0, 2))
     (tmp_path / "set" / "manifest.json").unlink()
@@ -255,7 +255,7 @@ def test_a_part_is_named_or_taken_from_the_scheduler(text, environment, expected
         ("auto", "neither SLURM_ARRAY_TASK_ID nor JOB_COMPLETION_INDEX is a number"),
     ],
 )
-def test_what_names_no_part_is_refused(text, told):
+def test_invalid_parts_are_refused(text, told):
     with pytest.raises(InputError, match=told):
         parse_part(text, {"SLURM_ARRAY_TASK_ID": ""})
 
@@ -265,7 +265,7 @@ def test_what_names_no_part_is_refused(text, told):
     [{"COUNT": "7", "MIN": "3", "MAX": "44"}, {"COUNT": "250", "MAX": "498"}],
     ids=["--array=3,17,40-44", "with steps"],
 )
-def test_of_a_part_of_an_array_the_number_of_parts_is_to_be_said(array):
+def test_a_partial_array_needs_the_number_of_parts(array):
     with pytest.raises(InputError, match=r"the number of parts is unknown.*--part auto/N"):
         parse_part("auto", slurm(**array))
 

@@ -31,7 +31,7 @@ def indices(manifest, split="train"):
     return [record.shard.index for record in manifest.shards_of(split)]
 
 
-def test_manifest_so_far_counts_what_an_unfinished_run_finished(interrupted, tmp_path):
+def test_manifest_so_far_counts_finished_shards_of_an_unfinished_run(interrupted, tmp_path):
     folder = open_folder(str(interrupted))
     assert indices(read_manifest(folder)) == []
     so_far = manifest_so_far(folder)
@@ -53,7 +53,7 @@ def test_manifest_so_far_is_the_manifest_of_a_finished_run(tmp_path):
 
 
 def made_by(path, plan, **options):
-    """Make a plan, and return which shards this run made."""
+    """Make a plan, and return the shards that this run made."""
     told = []
     build(open_folder(str(path)), plan, on_progress=told.append, **options)
     return [progress.record.shard.index for progress in told if progress.record is not None]
@@ -76,8 +76,8 @@ def test_records_of_another_command_are_not_taken_up(interrupted):
     assert folder_bytes(interrupted) == before
 
 
-def test_what_is_taken_up_has_the_content_that_the_records_state(interrupted, tmp_path):
-    """Another set was begun on top, and left a file of the same name and size."""
+def test_reused_shards_have_the_recorded_content(interrupted, tmp_path):
+    """Another set was begun in the folder, and left a file of the same name and size."""
     (interrupted / "manifest.json").unlink()
     shard = interrupted / "data" / "train-00001-of-00004.parquet"
     content = shard.read_bytes()
@@ -90,7 +90,7 @@ def test_what_is_taken_up_has_the_content_that_the_records_state(interrupted, tm
 
 @pytest.mark.parametrize(("kept", "count"), [((), "0 of 6"), (("test",), "4 of 6")])
 def test_an_unfinished_set_is_verified_as_such(interrupted, kept, count):
-    """The run was to make both splits; what another run has finished of them counts."""
+    """The run would make both splits; shards that another run has finished count."""
     if not kept:
         (interrupted / "manifest.json").unlink()
         for path in (interrupted / ".pending").iterdir():

@@ -1,4 +1,4 @@
-"""Folders in an object store, against a server of S3 on this machine."""
+"""Folders in an object store, tested with an S3 server on this machine."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def folder(bucket):
     return open_folder(f"s3://{bucket}/deep/set")
 
 
-def test_what_is_written_is_listed_with_its_size_and_read_again(folder):
+def test_written_files_are_listed_with_their_size_and_read_again(folder):
     assert (folder.exists(), folder.names(), folder.sizes("data")) == (False, [], {})
     folder.require_folder()
     folder.write_bytes("data/a", b"12345")
@@ -61,7 +61,7 @@ def test_what_is_written_is_listed_with_its_size_and_read_again(folder):
 
 
 def test_a_file_of_several_megabytes_is_one_request(folder, s3, bucket):
-    content = bytes(101 << 20)  # more than the client sends in one piece by itself
+    content = bytes(101 << 20)  # more than the client sends in one piece
     s3.traffic.reset()
     folder.write_bytes("data/large", content)
     assert s3.traffic.requests["PUT"] == 1
@@ -69,7 +69,7 @@ def test_a_file_of_several_megabytes_is_one_request(folder, s3, bucket):
     assert folder.size_bytes("data/large") == len(content)
 
 
-def test_of_a_large_file_that_cannot_be_sent_whole_no_piece_stays(folder, s3, bucket, tmp_path):
+def test_a_failed_upload_of_a_large_file_leaves_no_pieces(folder, s3, bucket, tmp_path):
     with (tmp_path / "report").open("wb") as file:
         file.truncate(101 << 20)
     s3.refuse = lambda asked: (
@@ -77,12 +77,12 @@ def test_of_a_large_file_that_cannot_be_sent_whole_no_piece_stays(folder, s3, bu
     )
     with pytest.raises(RemoteError, match="AccessDenied"):
         folder.upload("reports/large", tmp_path / "report")
-    assert s3.traffic.requests["POST"] == 1  # it was begun in pieces
+    assert s3.traffic.requests["POST"] == 1  # its upload was begun in pieces
     assert s3.uploads(bucket) == []
     assert folder.names("reports") == []
 
 
-def test_what_another_client_writes_is_seen_at_once(folder, s3, bucket):
+def test_files_of_other_clients_are_seen_at_once(folder, s3, bucket):
     folder.write_bytes("data/a", b"1")
     assert folder.names("data") == ["a"]
     import boto3
@@ -110,7 +110,7 @@ def _open(folder):
     ],
 )
 def test_an_answer_that_comes_byte_by_byte_is_given_up(folder, s3, monkeypatch, method, act):
-    """Each byte comes soon enough for the client, whose limit is one for each part of an answer."""
+    """Each byte arrives within the limit of the client, which applies to each part of a reply."""
     folder.write_bytes("data/a", bytes(600))
     expected = act(folder)
     s3.slow = lambda environ: 0.05 * (environ["REQUEST_METHOD"] == method)
@@ -124,7 +124,7 @@ def test_an_answer_that_comes_byte_by_byte_is_given_up(folder, s3, monkeypatch, 
 
 @pytest.mark.usefixtures("new_clients")
 def test_a_request_that_is_lost_is_made_again(folder, s3, monkeypatch):
-    """What is not answered at all is known by the time limit of the client."""
+    """Requests without a reply are ended by the time limit of the client."""
     assert 2 * remote._LIMITS["read_timeout"] < remote._PATIENCE_S
     monkeypatch.setitem(remote._LIMITS, "read_timeout", 0.2)
     folder.write_bytes("data/a", b"1")
@@ -151,7 +151,7 @@ def test_of_many_writers_at_once_one_creates_a_file(folder):
 
 
 def test_a_creation_whose_answer_was_lost_is_not_a_failure(folder, s3):
-    folder.exists()  # the store has answered once
+    folder.exists()  # the store has replied once
     state = {"put": 0}
 
     def lose(environ):
@@ -198,15 +198,15 @@ def test_a_file_in_the_place_of_the_folder_is_refused(folder, bucket):
         open_folder(f"{folder.root}/data/a").require_folder()
 
 
-def test_what_fails_in_passing_is_tried_again(folder, s3):
+def test_transient_failures_are_retried(folder, s3):
     answers = iter([("503 Slow Down", "SlowDown")] * 2)
     s3.refuse = lambda _: next(answers, None)
     folder.write_bytes("a", b"1")
     assert folder.read_bytes("a") == b"1"
 
 
-def test_a_refusal_is_named_at_once_and_nothing_counts_as_absent(folder, s3):
-    """What each code becomes is in ``test_retries.py``; a question about one file is answered by a status."""
+def test_a_refusal_is_named_at_once_and_no_file_counts_as_missing(folder, s3):
+    """``test_retries.py`` tests the codes; here, a request for one file gets a status."""
     folder.write_bytes("a", b"1")
     s3.refuse = lambda _: ("403 Forbidden", "AccessDenied")
     for act in (folder.names, lambda: folder.write_bytes("b", b"1")):
@@ -241,7 +241,7 @@ def test_an_answer_that_ends_too_early_is_asked_for_again(folder, s3, act):
 
 
 def test_a_status_without_a_reason_names_the_region(folder, s3):
-    """A question for one file of a bucket in another region: the answer has no body that could say so."""
+    """A request for one file of a bucket in another region gets a reply without a body that explains it."""
     folder.write_bytes("a", b"1")
     s3.refuse = lambda _: ("400 Bad Request", "AuthorizationHeaderMalformed")
     for act in (folder.exists, lambda: folder.exists("a"), lambda: folder.read_bytes("a")):
@@ -294,7 +294,7 @@ def wide_plan(rows=2_000):
     return replace(plan, tasks=tasks)
 
 
-def test_a_run_over_a_finished_set_reads_next_to_nothing_of_it(folder, s3, bucket):
+def test_a_run_over_a_finished_set_reads_almost_none_of_it(folder, s3, bucket):
     written = []
     made = build(folder, wide_plan(), write_card=lambda *_: written.append("card"))
     size = sum(map(len, s3.objects(bucket).values()))
@@ -305,7 +305,7 @@ def test_a_run_over_a_finished_set_reads_next_to_nothing_of_it(folder, s3, bucke
     assert s3.traffic.requests["PUT"] == 0
     assert written == ["card"]
     assert s3.objects(bucket) == before
-    # What is there in another size, or not at all, is made again.
+    # Missing files and those of another size are made again.
     folder.write_bytes("data/train-00001-of-00004.parquet", b"cut")
     folder.remove("data/train-00002-of-00004.parquet")
     assert build(folder, wide_plan()) == made
@@ -331,8 +331,8 @@ def test_verify_brings_each_shard_once(folder, s3):
 
 @pytest.mark.usefixtures("new_clients")
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
-def test_a_store_that_takes_connections_and_says_nothing_is_named(s3, monkeypatch):
-    """Its silence ends the first request at the time limit, which is here a second instead of twenty."""
+def test_a_store_that_never_replies_is_named(s3, monkeypatch):
+    """The first request ends at the time limit, which is one second here instead of twenty."""
     monkeypatch.setitem(remote._LIMITS, "read_timeout", 1)
     monkeypatch.setattr(remote, "_PATIENCE_S", 1.0)
     with socket.create_server(("127.0.0.1", 0)) as silent:
@@ -364,7 +364,7 @@ def test_a_killed_run_is_resumed_by_two_workers_to_the_same_bytes(folder, s3, bu
     assert not read_manifest(folder).complete
     build(folder, toy_plan(), workers=ProcessRunner(2))
     build(open_folder(str(tmp_path)), toy_plan())
-    # Workers of the killed run may live on for a moment, and what they write is what stands there already.
+    # Workers of the killed run may live on for a moment; they write the same bytes again.
     stored = {key.removeprefix("deep/set/"): content for key, content in s3.objects(bucket).items()}
     assert stored == folder_bytes(tmp_path)
     assert s3.uploads(bucket) == []

@@ -1,4 +1,4 @@
-"""Starting a folder again: what it held is lost only when all of the new data set is there."""
+"""Replacing a data set: the former one is removed only when the new one is complete."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def finished(tmp_path):
 
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("runner", [InlineRunner(), ProcessRunner(2)], ids=["inline", "processes"])
-def test_a_run_that_finishes_nothing_leaves_what_there_was(finished, tmp_path, runner):
-    """The former set, an empty folder, which takes another specification then, or no folder."""
+def test_a_run_without_finished_shards_keeps_the_former_state(finished, tmp_path, runner):
+    """The former set, an empty folder, which accepts another specification then, or no folder."""
     before = folder_bytes(finished)
     (tmp_path / "empty").mkdir()
     for place, options in (
@@ -52,8 +52,8 @@ def test_a_run_that_finishes_nothing_leaves_what_there_was(finished, tmp_path, r
     assert make(tmp_path / "empty", toy_plan(spec={"seed": 9})).complete
 
 
-def test_what_ended_a_run_is_what_is_reported(tmp_path, monkeypatch):
-    """Not that the disk lets nothing be tidied up then."""
+def test_the_first_error_is_reported(tmp_path, monkeypatch):
+    """Not the later failure to clean up on the full disk."""
     left = tmp_path / "set" / ".pending" / "tmp-0123456789abcdef0123456789abcdef"
 
     def stop(progress):
@@ -88,7 +88,7 @@ def test_a_set_that_others_began_in_its_place_is_begun_again(finished, tmp_path)
 
 
 def test_readers_wait_for_a_replacement_that_was_begun(finished, tmp_path, monkeypatch):
-    """Killed in its middle, it is carried on with by who opens the set."""
+    """A replacement that was killed is completed when the set is opened."""
     make(tmp_path / "fresh", replace(other_plan(), kind="toy"))
     moved = []
     move = LocalFolder.move
@@ -141,7 +141,7 @@ def test_all_that_the_former_set_wrote_beside_its_rows_goes(tmp_path):
     assert not (tmp_path / "set" / "images").exists()
 
 
-def test_nothing_outside_the_folder_goes_with_the_former_set(tmp_path):
+def test_files_outside_of_the_folder_are_not_removed_with_the_former_set(tmp_path):
     """A folder of pictures may be a link."""
     outside = tmp_path / "outside"
     outside.mkdir()
@@ -157,8 +157,8 @@ def test_nothing_outside_the_folder_goes_with_the_former_set(tmp_path):
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("mode", [{}, {"part": Part(0, 1)}, {"finish": True}], ids=["run", "part", "finish"])
 @pytest.mark.parametrize("name", [".pending", ".next", "data", "previews", "reports"])
-def test_a_link_inside_the_folder_is_followed_by_nothing(finished, tmp_path, name, mode):
-    """What it leads to is not of the data set."""
+def test_links_inside_the_folder_are_not_followed(finished, tmp_path, name, mode):
+    """Its target does not belong to the data set."""
     outside = tmp_path / "outside"
     outside.mkdir()
     (outside / "thesis.tex").write_text("years of work")
@@ -170,7 +170,7 @@ def test_a_link_inside_the_folder_is_followed_by_nothing(finished, tmp_path, nam
     plans = [toy_plan()] if mode else [toy_plan(), other_plan()]
     for plan in plans:
         is_overwritten = plan.spec["seed"] == 2
-        # A run that writes nothing there may end well.
+        # A run that writes nothing there may succeed.
         refused = pytest.raises(InputError, match=rf"{name}' is a symbolic link; .*next: ")
         with refused if is_overwritten else contextlib.suppress(ToolkitError):
             make(finished, plan, **mode, overwrite=is_overwritten)
@@ -212,8 +212,8 @@ def test_a_set_that_cannot_be_moved_now_is_moved_by_the_next_run(finished, tmp_p
     assert folder_bytes(finished) == folder_bytes(tmp_path / "fresh")
 
 
-def test_a_run_that_leaves_everything_out_fails_and_leaves_what_there_was(finished, tmp_path):
-    """Also of a split beside a finished one."""
+def test_a_run_that_leaves_everything_out_fails_and_keeps_the_former_state(finished, tmp_path):
+    """Also for a split beside a finished one."""
     plan = other_plan()
     empty = replace(plan, tasks=tuple(replace(task, ids=(109, 119)) for task in plan.tasks))
     make(tmp_path / "train", toy_plan(("train",), spec={"seed": 2}))
@@ -244,7 +244,7 @@ def test_a_data_set_in_a_store_is_not_replaced():
 
 
 def test_files_of_the_user_in_hidden_folders_of_a_run_stay(finished, tmp_path):
-    """Names that only begin as ours do are any user's."""
+    """Names that only begin like ours belong to the user."""
     theirs = (
         ".pending/tmp-notes",
         ".pending/notes.json",

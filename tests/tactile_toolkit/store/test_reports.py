@@ -1,4 +1,4 @@
-"""The report over all shards: the same bytes wherever its rows come from, a few of them at a time."""
+"""The report over all shards: the same bytes for any source of its rows, a few at a time."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ REPORT = "reports/toy.parquet"
 
 @pytest.fixture(autouse=True)
 def small_row_groups(monkeypatch):
-    """Shards lie across row groups, as they do in large sets."""
+    """Shards extend over several row groups, as in large sets."""
     monkeypatch.setattr(parquet, "REPORT_STYLE", ParquetStyle(rows_per_group=3))
 
 

@@ -1,4 +1,4 @@
-"""What clients of stores raise: which sentence it becomes, and how often and when it is tried again."""
+"""Errors of clients of stores: their messages, and when calls are retried."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ WAITS_S = (1.0, 2.0, 4.0)
 
 @pytest.fixture
 def slept(monkeypatch):
-    """The seconds that were waited, on a clock that only waiting moves."""
+    """The waits in seconds, on a clock that only waiting advances."""
     found: list[float] = []
     clock = SimpleNamespace(monotonic=lambda: 1e6 + sum(found), sleep=found.append)
     monkeypatch.setattr(remote, "time", clock)
@@ -23,7 +23,7 @@ def slept(monkeypatch):
 
 
 def fails(times, error=OSError):
-    """An action that fails so many times, and then returns what it counted."""
+    """An action that fails some times, and then returns the number of calls."""
     begun = []
 
     def action():
@@ -50,14 +50,14 @@ def test_a_transient_failure_is_tried_again_after_each_wait(slept, times):
     ]
 
 
-def test_after_the_last_wait_the_last_failure_is_raised_without_what_the_client_said(slept):
+def test_after_the_last_wait_the_last_failure_is_raised_without_its_cause(slept):
     with pytest.raises(RemoteError, match="the store said attempt 4") as raised:
         with_retry(fails(9), transient, WAITS_S)
     assert slept == list(WAITS_S)
     assert (raised.value.__cause__, raised.value.__suppress_context__) == (None, True)
 
 
-def test_what_is_not_transient_or_no_failure_is_raised_at_once(slept):
+def test_permanent_failures_and_other_exceptions_are_raised_at_once(slept):
     with pytest.raises(RemoteError, match="attempt 1"):
         with_retry(fails(1), lambda error: CallFailure(RemoteError(str(error)), False), WAITS_S)
     with pytest.raises(KeyError, match="attempt 1"):
@@ -83,7 +83,7 @@ def test_a_wait_that_the_store_asks_for_is_kept_up_to_a_sum(slept):
 
 
 class RefusedError(Exception):
-    """As clients of S3 raise it: with the answer of the store."""
+    """As raised by clients of S3, with the reply of the store."""
 
     def __init__(self, code):
         super().__init__(f"the store answers {code}")
@@ -91,7 +91,7 @@ class RefusedError(Exception):
 
 
 class NumberedError(Exception):
-    """As clients of other stores raise it: with a number of HTTP."""
+    """As raised by clients of other stores, with an HTTP status."""
 
     __module__ = "gcsfs.retry"
 
@@ -128,7 +128,7 @@ def caused(error, cause):
     ],
     ids=str,
 )
-def test_a_failure_is_named_and_tried_again_as_what_it_is(slept, error, words, is_transient):
+def test_failures_get_their_message_and_retries(slept, error, words, is_transient):
     def raises():
         raise error
 
@@ -149,7 +149,7 @@ def test_of_a_long_answer_the_beginning_of_its_first_line_is_shown(slept):
 
 
 @pytest.mark.parametrize("error", [FileNotFoundError("a"), FileExistsError("a"), RuntimeError("a fault")])
-def test_what_is_no_failure_of_the_store_stays_what_it_is(slept, error):
+def test_other_exceptions_are_unchanged(slept, error):
     def raises():
         raise error
 

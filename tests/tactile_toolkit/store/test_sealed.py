@@ -1,4 +1,4 @@
-"""A changed byte of a manifest or record is noticed by whoever reads it."""
+"""A changed byte of a manifest or record is noticed by every reader."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
 
 def changed(content: bytes) -> Iterator[bytes]:
-    """Yield a document with one of its bytes changed: each of them, by a bit and to a space."""
+    """Yield a document with one byte changed: each byte, by a bit and to a space."""
     for place, byte in enumerate(content):
         for other in {byte ^ 1, 32} - {byte}:
             yield content[:place] + bytes([other]) + content[place + 1 :]
@@ -54,7 +54,7 @@ def test_any_byte_of_a_record_of_a_download(tmp_path: Path) -> None:
 
 @pytest.fixture
 def parts(tmp_path: Path) -> Path:
-    """All shards are made, and not finished."""
+    """A folder with all shards that is not finished."""
     build(open_folder(str(tmp_path / "set")), toy_plan(), part=Part(0, 1))
     return tmp_path / "set"
 
@@ -87,7 +87,7 @@ def test_a_changed_record_is_not_finished_but_made_again(parts: Path, tmp_path: 
     assert folder_bytes(parts) == folder_bytes(tmp_path / "whole")
 
 
-def test_what_editors_and_git_do_to_ends_of_lines_is_no_damage() -> None:
+def test_changed_line_ends_are_not_damage() -> None:
     text = seal('{\n "a": "x\\r\\ny"\n}\n')
     for same in (text, text.removesuffix("\n"), text.replace("\n", "\r\n"), text.encode()):
         require_seal(same, "here")

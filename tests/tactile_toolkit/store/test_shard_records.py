@@ -1,4 +1,4 @@
-"""What was written of a shard, as manifests keep it."""
+"""Records of shards in manifests."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def read(values: dict[str, object]) -> ShardRecord:
     return decode(json.dumps(values).encode(), ShardRecord, "m")
 
 
-def test_a_record_is_what_was_written() -> None:
+def test_a_record_is_read_back() -> None:
     assert read(WHOLE).to_dict() == WHOLE
 
 

@@ -1,4 +1,4 @@
-"""What dead writers left goes; what living ones lose, they write again."""
+"""Files of dead writers are removed; living writers write lost files again."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ write_file(Path(sys.argv[1]), lambda stream: (stream.write(b"half"), os.kill(os.
 """
 
 
-def test_what_a_killed_writer_left_goes(tmp_path):
+def test_files_of_a_killed_writer_are_removed(tmp_path):
     killed_writer(_KILLED, tmp_path / NAME)
     (left,) = names(tmp_path)
     assert left.endswith(NAME)
@@ -54,7 +54,7 @@ def test_only_temporary_files_go(tmp_path):
 
 @pytest.mark.parametrize("times", [1, 5])
 def test_a_writer_whose_temporary_file_was_removed_writes_again(tmp_path, times):
-    """By whatever program: nothing has to know which writers are alive, on whichever machine."""
+    """By any program: no one needs to know which writers are alive on which machine."""
     calls = []
 
     def fill(stream):
@@ -75,7 +75,7 @@ def test_a_writer_that_always_loses_its_temporary_file_gives_up(tmp_path):
 
 
 def test_a_folder_of_temporaries_that_goes_between_two_looks_is_made_again(tmp_path, monkeypatch):
-    """Another writer removes it, empty as it is, between the attempt of pathlib and its look at it."""
+    """Another writer removes the empty folder between two calls of pathlib."""
     make, met = Path.mkdir, []
 
     def racing(path, *words, **options):
@@ -91,8 +91,8 @@ def test_a_folder_of_temporaries_that_goes_between_two_looks_is_made_again(tmp_p
     assert names(tmp_path) == ["data"]
 
 
-def test_what_is_being_written_is_no_damage(tmp_path):
-    """A file that a user writes, or never finished on another machine, is not one of the set."""
+def test_files_that_are_being_written_are_not_damage(tmp_path):
+    """A file that a user is writing, or never finished on another machine, is not part of the set."""
     folder = open_folder(str(tmp_path / "set"))
     build(folder, toy_plan())
     (tmp_path / "set" / ".pending").mkdir()

@@ -40,7 +40,7 @@ def test_manifest_adds_up_each_split_and_survives_its_text():
 
 @pytest.mark.parametrize("second", [record("train", 0, None), record("test", 0, None)])
 def test_a_shard_that_is_listed_twice_or_of_no_split_is_damage(second):
-    """The numbers agree with the shards that are listed: these themselves are wrong."""
+    """The statistics agree with the listed shards, but the list is wrong."""
     text = Manifest("toy", "1", {}, ("train",), (record("train", 0, None), second)).to_json()
     with pytest.raises(
         IntegrityError, match="'here' is damaged: shards: one is listed twice, or of no split"
@@ -48,7 +48,7 @@ def test_a_shard_that_is_listed_twice_or_of_no_split_is_damage(second):
         Manifest.from_json(text, "here")
 
 
-def test_manifest_without_statistics_says_nothing_of_them():
+def test_manifest_without_statistics_has_no_such_field():
     manifest = Manifest("toy", "1", {}, ("train",), (record("train", 0, None),))
     assert "statistics" not in manifest.to_json()
     assert manifest.statistics() == {}

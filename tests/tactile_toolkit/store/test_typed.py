@@ -1,4 +1,4 @@
-"""Manifests and records of downloads that anyone wrote: each value is of its kind and size, or is named."""
+"""Manifests and records of downloads from others: values of other types or sizes are named."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def changed(values: Any, place: tuple[Any, ...], other: Any) -> str:
 
 @pytest.mark.thorough
 def test_every_value_is_of_its_kind_or_named(toy_set: Path) -> None:
-    """What is read goes back to the same text; whatever else stands in its place raises one kind of error."""
+    """Valid values are written back as the same text; any other value raises one kind of error."""
     values = json.loads((toy_set / MANIFEST_FILE).read_text())
     counts = {"classes": [1, 2], "sizes": {"all": 3}}
     values["shards"][0]["statistics"] = counts
@@ -63,7 +63,7 @@ def test_every_value_is_of_its_kind_or_named(toy_set: Path) -> None:
                 assert len(story) < 1000
                 named += 1
                 continue
-            # What decides no row may be anything of its kind.
+            # Values that do not affect rows may be any of their type.
             harmless = ("spec", "toolkit_version", "skipped", "statistics", "trees", "kind", "libraries")
             assert place[0] in (*harmless, "shards") or read == whole or other == {}, (place, other)
             read.to_json()
@@ -78,7 +78,7 @@ def outcome(text: str) -> tuple[Manifest | None, str]:
 
 
 def test_a_manifest_that_agrees_with_itself_and_not_with_the_files(toy_set: Path, tmp_path: Path) -> None:
-    """One row less than there is."""
+    """State one row less than there is."""
     values = json.loads((toy_set / MANIFEST_FILE).read_text())
     values["shards"][0]["rows"] -= 1
     (tmp_path / "data").symlink_to(toy_set / "data")
@@ -122,7 +122,7 @@ def test_every_value_of_a_record_of_a_download(tmp_path: Path) -> None:
                 read_download_record(folder)
 
 
-def test_what_this_user_may_not_read_is_not_called_damaged(
+def test_files_without_read_permission_are_not_called_damaged(
     toy_set: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = open_folder(str(toy_set))

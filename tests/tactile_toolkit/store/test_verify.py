@@ -1,4 +1,4 @@
-"""What `verify` says of each thing that can be wrong, and that it looked at all there is."""
+"""Findings of `verify` for each kind of fault, and that it checks all files."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_strange_files_are_named_once_the_set_is_complete(folder):
 
 
 def rewritten(folder, path, change):
-    """Put another table in the place of a shard, with the checksum of that in the manifest."""
+    """Replace a shard by another table, whose checksum is in the manifest."""
     table = change(pq.read_table(folder.address(path)))
     folder.write_bytes(path, encode_parquet(table, STYLE))
 
@@ -103,7 +103,7 @@ NO_ID = "holds no column 'id' of one value for each row"
     ],
 )
 def test_shards_that_are_as_recorded_and_not_as_they_should_be(folder, change, found):
-    """Their checksums are right: a user made them so."""
+    """Their checksums are right, because a user made them so."""
     first, path = (f"data/train-0000{index}-of-00004.parquet" for index in (0, 2))
     rewritten(folder, path, change)
     told = problems(folder)
@@ -113,7 +113,7 @@ def test_shards_that_are_as_recorded_and_not_as_they_should_be(folder, change, f
 
 
 def copy_of(tmp_path, **files):
-    """Return a folder that was downloaded, of files whose record says the right or another thing of them."""
+    """Return a downloaded folder, whose record states the right digests of its files or wrong ones."""
     folder = open_folder(str(tmp_path / "copy"))
     for name, (content, _, _) in files.items():
         if content is not None:
@@ -123,7 +123,7 @@ def copy_of(tmp_path, **files):
     return folder
 
 
-def test_a_copy_is_compared_with_all_that_the_hub_said(tmp_path):
+def test_a_copy_is_compared_with_all_digests_of_the_hub(tmp_path):
     digest = hashlib.sha256(b"content").hexdigest()
     in_git = hashlib.sha1(b"blob 7\0content").hexdigest()
     folder = copy_of(
@@ -149,6 +149,6 @@ def test_a_copy_is_compared_with_all_that_the_hub_said(tmp_path):
     }
 
 
-def test_what_nothing_is_said_of_cannot_be_verified(tmp_path):
+def test_folders_without_any_digest_cannot_be_verified(tmp_path):
     with pytest.raises(InputError, match=r"no manifest\.json and no record of a download"):
         verify(open_folder(str(tmp_path)))
