@@ -198,7 +198,7 @@ def _terms(terms: Float64, at: int, rows: int, columns: int, span: Float64) -> N
 
 @compiled
 def add_normal(normal: Float64, entries: Int64, shares: Float32, weights: Float32) -> None:
-    """Add the weighted products of pairs of features to the normal matrix of coefficients, each pair once."""
+    """Add weighted products of features to the lower half of the normal matrix of coefficients."""
     rows, columns = weights.shape
     terms, count, span = np.empty(PLACES), ACTIVE * PLACES, np.ones(2)
     values, places = np.empty(count), np.empty(count, np.int64)
@@ -207,10 +207,13 @@ def add_normal(normal: Float64, entries: Int64, shares: Float32, weights: Float3
         if weight <= 0.0 or not shares[at].any():
             continue
         _terms(terms, at, rows, columns, span)
-        for k in range(ACTIVE):
+        # In the order of the entries: the direction after the last one is the first.
+        begin = 0 if entries[at, 0] <= entries[at, ACTIVE // 2] else ACTIVE // 2
+        for number in range(ACTIVE):
+            k = (begin + number) % ACTIVE
             for place in range(PLACES):
-                values[k * PLACES + place] = shares[at, k] * terms[place]
-                places[k * PLACES + place] = entries[at, k] * PLACES + place
+                values[number * PLACES + place] = shares[at, k] * terms[place]
+                places[number * PLACES + place] = entries[at, k] * PLACES + place
         for one in range(count):
             weighed, line = values[one] * weight, normal[places[one]]
             for other in range(one + 1):
