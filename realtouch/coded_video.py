@@ -345,9 +345,7 @@ def _words_of(frame: VideoFrame) -> list[str]:
     bits = max(each.bits for each in parts)
     colours = [each for each in parts if not each.is_alpha]
     if bits > _MAX_BITS or (bits > 8 and len(colours) == 1):
-        raise ItemError(
-            "image", f"pictures of {bits} bits ({frame.format.name}), most of which 8 would lose; expected 8"
-        )
+        raise ItemError("image", f"pictures of {bits} bits a colour ({frame.format.name}); expected 8")
     words = []
     if bits > 8:
         words.append(f"{bits} bits rounded to 8")

@@ -294,7 +294,7 @@ def _solid_of(each: _Touched, meshes: Mapping[int, Mesh]) -> int:
     if len(meshes) == 1:
         return next(iter(meshes))
     raise InputError(
-        f"touch {each.name!r} does not say which of {len(meshes)} solids it is of",
+        f"touch {each.name!r} does not name the solid that was touched",
         next="add a column `object` with the id of the solid to the table",
     )
 

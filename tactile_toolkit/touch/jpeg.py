@@ -69,7 +69,7 @@ def image_size(data: memoryview | bytes) -> tuple[int, int]:
     if pictures > 1:
         raise ValueError(f"an image of {pictures:,} pictures, one after the other; expected one")
     if mode in _DEEP_MODES:
-        raise ValueError(f"an image of 16 bits ({mode}), most of which 8 would lose; expected 8")
+        raise ValueError(f"an image of 16 bits a colour ({mode}); expected 8")
     if height * width > MAX_IMAGE_PIXELS:
         raise ValueError(f"an image of {width} x {height} pixels; the limit is {MAX_IMAGE_PIXELS:,} pixels")
     return height, width

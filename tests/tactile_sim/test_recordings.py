@@ -113,7 +113,7 @@ def test_images_alone_have_no_poses_and_one_solid_needs_no_name(folder: Path, re
     found = tactile_sim.read_recordings(folder / "images", folder / "solids" / "000.stl")
     assert found.sensor_m is None
     assert set(found.object_ids.tolist()) == {0}
-    with pytest.raises(InputError, match="does not say which of 3 solids"):
+    with pytest.raises(InputError, match="does not name the solid"):
         tactile_sim.read_recordings(folder / "images", folder / "solids")
 
 
