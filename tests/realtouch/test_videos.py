@@ -375,7 +375,7 @@ HOSTILE: dict[str, tuple[Any, str]] = {
     "no header of an MP4": (lambda: box(b"ftyp", b"isom") + box(b"mdat", bytes(99)), "it cannot be read"),
     "a turned picture": (lambda: turned(mp4()), "asks to turn its pictures"),
     "16 bits": (lambda: matroska("ffv1", "gray16le"), "16 bits a colour .gray16le.; expected 8"),
-    "depth of 12 bits": (lambda: matroska("ffv1", "gray12le"), "12 bits .gray12le., most of which 8 would"),
+    "depth of 12 bits": (lambda: matroska("ffv1", "gray12le"), "12 bits a colour .gray12le.; expected 8"),
     "sound alone": (lambda: box(b"ftyp", b"M4A ") + box(b"moov", b""), "it cannot be read"),
 }  # fmt: skip
 
