@@ -195,7 +195,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         Raises
         ------
         InputError
-            Actions or predictions have another shape, or predictions have no loss.
+            Actions or predictions are missing or have another shape, or predictions have no loss.
         ValueError
             An action is not finite.
         gymnasium.error.ResetNeeded, gymnasium.error.ClosedEnvironmentError
@@ -205,10 +205,17 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         self._require_reset()
         if self._any_over and self.autoreset_mode is AutoresetMode.DISABLED:
             raise gym.error.ResetNeeded(_OVER)
-        predictions = np.asarray(action["prediction"], np.float32)
+        try:
+            predicted, moved = action["prediction"], action["action"]
+        except (IndexError, KeyError, TypeError) as error:
+            raise InputError(
+                f"an action of the type {type(action).__name__} does not hold 'action' and 'prediction'",
+                next="give both for every environment, as `action_space.sample()` does",
+            ) from error
+        predictions = np.asarray(predicted, np.float32)
         if predictions.shape != self._prediction_shape:
             raise InputError(f"predictions have shape {predictions.shape}; expected {self._prediction_shape}")
-        moves = self._scene.checked_action(action["action"])
+        moves = self._scene.checked_action(moved)
         targets = self._task.targets(self._scene.numbers, self._scene.places)
         score = self._task.score(predictions, targets)
         if np.isnan(score.loss).any():

@@ -330,6 +330,9 @@ def test_predictions_without_a_loss_are_refused(assets, task):
     wrong["prediction"][1, 0] = np.nan
     with pytest.raises(InputError, match="predictions hold NaN"):
         env.step(wrong)
+    for wrong in (action["action"], np.zeros((2, 3)), None):
+        with pytest.raises(InputError, match="does not hold 'action' and 'prediction'"):
+            env.step(wrong)
     for one, other in zip(env.step(action)[:2], unharmed.step(action)[:2], strict=True):
         np.testing.assert_equal(one, other)
 
