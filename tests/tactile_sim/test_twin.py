@@ -13,7 +13,7 @@ from scipy import ndimage
 
 import realtouch
 import tactile_sim
-from tactile_sim.twin import gel, gel_kernels, network, reader, surface_kernels
+from tactile_sim.twin import fitting, gel, gel_kernels, network, reader, surface_kernels
 from tactile_sim.twin.calibration import model_of
 from tactile_sim.twin.fitting import COEFFICIENTS, Fit
 from tactile_sim.twin.gel import Fitted
@@ -247,6 +247,26 @@ def test_a_fit_explains_its_images_and_finds_the_gel():
     assert abs(fit.poses[:, 3].mean()) < 1e-12  # a press that all share is the gel's thickness
 
 
+@pytest.mark.parametrize("too_far", [1.0, 3.0, 6.0])
+def test_a_step_that_makes_images_worse_is_shortened(too_far: float, monkeypatch: pytest.MonkeyPatch):
+    """Three times the step to a minimum leaves four times the squares, and half of that a quarter."""
+    solve = fitting._Sums.solve
+
+    def solve_too_far(sums: fitting._Sums, fit: Fit, moving: tuple[Fitted, ...]) -> np.ndarray:
+        before = fit.coefficients
+        moved = solve(sums, fit, moving)
+        fit.coefficients = before + too_far * (fit.coefficients - before)
+        return too_far * moved
+
+    monkeypatch.setattr(fitting._Sums, "solve", solve_too_far)
+    fit, _ = small_fit()
+    changes = [fit.change(each) for each in range(6)]
+    fit.step()
+    for each in range(6):
+        fit.residual(each)
+    assert np.median(fit.rms / changes) < 0.7
+
+
 @pytest.fixture
 def hasty_reader(monkeypatch: pytest.MonkeyPatch) -> None:
     """Train readers with a quarter of the touches and a fifth of the steps."""
@@ -476,6 +496,37 @@ def test_touches_of_a_twin_are_generated(tmp_path):
         tactile_sim.GenerateSpec(sensor=model, optics="taxim")
     with pytest.raises(InputError, match="not calibrated"):
         tactile_sim.GenerateSpec(optics="twin")
+
+
+def test_a_twin_shows_the_surface_of_an_elastic_gel(tmp_path):
+    """Images follow from slopes and depth of the solved surface, blurred as a skin and by the camera."""
+    model = model_of(made_up_twin(), "mine")
+    press = tactile_sim.ElasticPress(tactile_sim.Gel(), (1.0, 6.0))
+    plan = tactile_sim.TouchPlan(rounds=1, touches=3, positions="object")
+    spec = tactile_sim.GenerateSpec(
+        (64, 48), "twin", window="full", sensor=model, plan=plan, press=press, image_format="png"
+    )
+    tactile_sim.generate({"ball": ball()}, spec, tmp_path / "touches", workers=1)
+    made = realtouch.load(tmp_path / "touches", "train")[0]
+    force_n = made.extra["force_n"]
+    assert ((force_n[:, 2] > 0.99) & (force_n[:, 2] < 6.01)).all()
+    at = np.stack([tactile_sim.pose(), tactile_sim.pose()])
+    pressed = tactile_sim.render_touch(
+        ball(), tactile_sim.pose(), at, model.sensor, gel=press.gel, force_n=[1.0, 6.0]
+    )
+    assert pressed.depth_m.max() > model.sensor.gel_m  # it bulges beside the contact
+    images = model.optics.render(pressed.depth_m, model.sensor, (64, 48), is_surface=True).astype(float)
+    twin, pitch_m = made_up_twin(), 2 * HALF_M / [64, 48]
+    changed = []
+    for depth_m, image in zip(pressed.depth_m, images, strict=True):
+        skin = ndimage.gaussian_filter(depth_m - model.sensor.gel_m, SHAPE[Fitted.LAST] / pitch_m[::-1])
+        soft = gel.seen_through(skin.astype(np.float32), pitch_m, float(SHAPE[Fitted.LENS]))
+        plain = response_of(gel.seen_features(soft, pitch_m, SHAPE), twin.coefficients, (48, 64))
+        blur = [*(SHAPE[Fitted.BLUR] / pitch_m[::-1]), 0]
+        shown = twin.background + ndimage.gaussian_filter(plain, blur, mode="mirror", truncate=3)
+        assert np.median(np.abs(image - np.clip(shown, 0, 255))) < 0.5
+        changed.append((np.abs(image - twin.background) > 3).mean())
+    assert 0.05 < changed[0] < changed[1]
 
 
 def test_rendering_leaves_pixels_at_rest_alone():
