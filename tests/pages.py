@@ -45,6 +45,7 @@ _IMPORTED_BEFORE = [
         "tactile_sim.generation",
     ),
     *("datasets", "numba", "pyarrow.parquet", "scipy.ndimage", "skimage.measure", "trimesh"),
+    "tests.short_training",
 ]
 
 

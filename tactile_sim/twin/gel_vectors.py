@@ -22,49 +22,6 @@ def _at(builder: ir.IRBuilder, values: ir.Value, place: ir.Value, kind: ir.Vecto
     return builder.bitcast(builder.gep(values, [place]), kind.as_pointer())
 
 
-def _hold_pixels(
-    _typing: object,
-    out: types.Type,
-    held: types.Type,
-    at: types.Type,
-    begin: types.Type,
-    per_edge: types.Type,
-) -> tuple[Signature, Build]:
-    """Move :data:`LANES` values of ``out`` towards those of ``held`` where these are deep; both flat float32.
-
-    In plain numba::
-
-        for here in range(at, at + LANES):
-            share = (begin - held[here]) * per_edge
-            share = share if share > 0 else 0
-            share = share if share < 1 else 1
-            out[here] += share * (held[here] - out[here])
-    """
-    signature = types.void(out, held, types.int64, types.float32, types.float32)
-
-    def build(
-        context: Context, builder: ir.IRBuilder, signature: Signature, given: Sequence[ir.Value]
-    ) -> ir.Value:
-        places = [
-            _at(builder, context.make_array(kind)(context, builder, array).data, given[2])
-            for kind, array in zip(signature.args[:2], given[:2], strict=True)
-        ]
-        value, target = (builder.load(place, align=4) for place in places)
-        begin, per_edge = (spread(builder, number, _PIXELS) for number in given[3:])
-        zero, one = (ir.Constant(_PIXELS, [number] * LANES) for number in (0.0, 1.0))
-        share = builder.fmul(builder.fsub(begin, target), per_edge)
-        share = builder.select(builder.fcmp_ordered(">", share, zero), share, zero)
-        share = builder.select(builder.fcmp_ordered("<", share, one), share, one)
-        change = builder.fmul(share, builder.fsub(target, value))
-        builder.store(builder.fadd(value, change), places[0], align=4)
-        return context.get_dummy_value()
-
-    return signature, build
-
-
-hold_pixels: Callable[..., None] = intrinsic(_hold_pixels)
-
-
 def _build_mix(
     context: Context, builder: ir.IRBuilder, signature: Signature, given: Sequence[ir.Value]
 ) -> ir.Value:
