@@ -50,7 +50,7 @@ def repeated(frame: bytes, count: int) -> bytes:
 @pytest.mark.parametrize(
     ("data", "frames", "words"),
     [
-        (repeated(LARGE, 2000), 2000, "an AVI whose index has frame 1 of 2000 outside of it or over another"),
+        (repeated(LARGE, 2000), 2000, "an AVI whose index has frame 1 of 2000 outside of the stream"),
         (
             write_avi([LARGE] * 200, 4096, 4096, 25.0),
             200,

@@ -311,18 +311,19 @@ def test_taxims_own_calibration_is_recovered():
 
 @pytest.mark.thorough
 def test_images_that_show_nothing_of_the_solids_are_refused():
-    """Noise that changes halfway, and images without range, end in a sentence, with and without poses."""
-    recordings = recordings_of(draw_sensor(3, "phong", (48, 36)).record(digits(1), 10))
-    noise = np.random.default_rng(0).integers(2, 200, recordings.images.shape, dtype=np.uint8)
-    noise[5:] += 50
-    blind = dataclasses.replace(recordings, images=noise, sensor_m=None)
-    for wrong, words in (
-        (dataclasses.replace(recordings, images=np.full_like(noise, 255)), "0 of 10 images"),
-        (dataclasses.replace(recordings, images=noise), "explain"),
-        (blind, "0 of 10 touches without poses"),
+    """Images without range, of one touch among many, and noise end in a sentence."""
+    recordings = recordings_of(draw_sensor(3, "phong", (48, 36)).record(digits(2), 10))
+    white = np.full_like(recordings.images, 255)
+    single = recordings.backgrounds[:1].repeat(10, axis=0)
+    single[3] = recordings.images[3]
+    noise = np.random.default_rng(0).integers(2, 200, white.shape, dtype=np.uint8)
+    for images, sensor_m, words in (
+        (white, recordings.sensor_m, "0 of 10 images can be used"),
+        (single, recordings.sensor_m, "solids and their poses explain"),
+        (noise, None, "0 of 10 touches without poses"),
     ):
         with pytest.raises(InputError, match=words):
-            tactile_sim.calibrate(wrong)
+            tactile_sim.calibrate(dataclasses.replace(recordings, images=images, sensor_m=sensor_m))
 
 
 def test_optics_show_the_background_and_a_window_of_it():
