@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from typing import Any
 
 import ap_gym
 import gymnasium as gym
@@ -205,13 +206,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         self._require_reset()
         if self._any_over and self.autoreset_mode is AutoresetMode.DISABLED:
             raise gym.error.ResetNeeded(_OVER)
-        try:
-            predicted, moved = action["prediction"], action["action"]
-        except (IndexError, KeyError, TypeError) as error:
-            raise InputError(
-                f"an action of the type {type(action).__name__} does not hold 'action' and 'prediction'",
-                next="give both for every environment, as `action_space.sample()` does",
-            ) from error
+        predicted, moved = _parts_of(action)
         predictions = np.asarray(predicted, np.float32)
         if predictions.shape != self._prediction_shape:
             raise InputError(f"predictions have shape {predictions.shape}; expected {self._prediction_shape}")
@@ -353,3 +348,14 @@ def _checked_mode(mode: AutoresetMode | str) -> AutoresetMode:
             return known
     names = ", ".join(known.name for known in AutoresetMode)
     raise InputError(f"autoreset_mode is {mode!r}; expected one of {names}")
+
+
+def _parts_of(action: Action) -> tuple[Any, Any]:
+    """Return the prediction and the action of an action."""
+    try:
+        return action["prediction"], action["action"]
+    except (IndexError, KeyError, TypeError) as error:
+        raise InputError(
+            f"an action of the type {type(action).__name__} does not hold 'action' and 'prediction'",
+            next="give both for every environment, as `action_space.sample()` does",
+        ) from error

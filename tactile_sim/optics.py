@@ -10,11 +10,11 @@ import numpy as np
 from tactile_sim.sensor import Sensor
 from tactile_sim.sensor_parts import OPTICS
 from tactile_toolkit import touch
-from tactile_toolkit.array_types import Float32, Float64, UInt8
+from tactile_toolkit.array_types import AnyArray, Float32, Float64, UInt8
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import lazy
 
-__all__ = ["OPTICS", "Optics", "in_size_of", "make_optics", "scaled"]
+__all__ = ["OPTICS", "Optics", "in_size_of", "make_optics", "require_images", "scaled"]
 
 _FARTHEST_M = 10.0
 
@@ -27,12 +27,16 @@ def scaled(pictures: UInt8, size_px: tuple[int, int]) -> UInt8:
     return np.stack([touch.resized(each, width, height) for each in pictures])
 
 
+def require_images(images: AnyArray, name: str) -> None:
+    """Raise InputError unless an array holds one image or more, uint8, of shape (n, H, W, 3)."""
+    shape = images.shape
+    if images.dtype != np.uint8 or images.ndim != 4 or shape[3] != 3 or not len(images):
+        raise InputError(f"{name} are {images.dtype} of shape {shape}; expected uint8 (n, height, width, 3)")
+
+
 def in_size_of(size_px: tuple[int, int], images: UInt8) -> UInt8:
     """Scale images (n, H, W, 3) to the size of a sensor's; InputError for other arrays or proportions."""
-    if images.dtype != np.uint8 or images.ndim != 4 or images.shape[3] != 3 or not len(images):
-        raise InputError(
-            f"images are {images.dtype} of shape {images.shape}; expected uint8 (n, height, width, 3)"
-        )
+    require_images(images, "images")
     (wide, high), (height, width) = size_px, images.shape[1:3]
     if abs(height - width * high / wide) > 1 and abs(width - height * wide / high) > 1:
         raise InputError(
@@ -78,7 +82,8 @@ class Optics(ABC):
         that no image has.
         """
         maps = np.asarray(depth_m)
-        if maps.ndim != 3 or maps.dtype.kind != "f" or min(maps.shape[1:]) < self.least_px:
+        is_float = maps.dtype in (np.float32, np.float64)
+        if maps.ndim != 3 or not is_float or min(maps.shape[1:]) < self.least_px:
             raise InputError(
                 f"depth maps are {maps.dtype} of the shape {maps.shape}; expected floats (n, height, width) "
                 f"with at least {self.least_px} pixels a side"

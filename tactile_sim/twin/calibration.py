@@ -11,19 +11,18 @@ import numpy as np
 
 from tactile_sim.sensor_models import GELSIGHT_MINI, SensorModel
 from tactile_sim.twin import matching, rounds_of_fit
-from tactile_sim.twin.fitting import Fit, unsaturated
+from tactile_sim.twin.fitting import Fit
 from tactile_sim.twin.gel import Fitted
 from tactile_sim.twin.mistakes import MIN_TOUCHES, Mistake, find_mistakes
 from tactile_sim.twin.reader import read_depth, train_reader
-from tactile_sim.twin.recordings import Recordings
+from tactile_sim.twin.recordings import MIN_UNSATURATED, Recordings
 from tactile_sim.twin.twin import Twin, TwinOptics
-from tactile_toolkit.array_types import Bool, Float64, Int64
+from tactile_toolkit.array_types import Bool, Int64
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import with_count
 
 Progress = Callable[[int, int], None]
 
-_MIN_UNSATURATED = 0.25  # share of the pixels of an image
 _MIN_EXPLAINED = 0.4  # of the squared change of an image; the twins of hidden sensors explain 0.8 to 1
 
 
@@ -70,12 +69,12 @@ def calibrate(
         raise InputError(
             f"the recordings cannot be fitted ({fatal[0].kind}): {fatal[0].detail}", next="correct them"
         )
-    unsaturated_shares = _unsaturated_shares(recordings)
-    fit = _usable_fit(recordings, start, mistakes, np.flatnonzero(unsaturated_shares >= _MIN_UNSATURATED))
+    unsaturated_shares = recordings.unsaturated_shares()
+    fit = _usable_fit(recordings, start, mistakes, np.flatnonzero(unsaturated_shares >= MIN_UNSATURATED))
     rounds_of_fit.run_fit(fit, on_progress)
     _require_explained(fit)
     report = {**rounds_of_fit.found(fit), "mistakes": [asdict(each) for each in mistakes]}
-    for touch in np.flatnonzero(unsaturated_shares < _MIN_UNSATURATED).tolist():
+    for touch in np.flatnonzero(unsaturated_shares < MIN_UNSATURATED).tolist():
         report["touches"].insert(touch, _saturated(recordings, touch, unsaturated_shares[touch]))
     shape = fit.shape.copy()
     half_m = fit.half_m(shape)
@@ -93,7 +92,7 @@ def _usable_fit(
     if len(usable) < MIN_TOUCHES:
         raise InputError(
             f"{len(usable)} of {with_count(len(recordings), 'images')} can be used: of the others, over "
-            f"{1 - _MIN_UNSATURATED:.0%} of the pixels are saturated; expected at least {MIN_TOUCHES}",
+            f"{1 - MIN_UNSATURATED:.0%} of the pixels are saturated; expected at least {MIN_TOUCHES}",
             next="change the exposure of the camera and record again",
         )
     part = recordings
@@ -117,18 +116,13 @@ def _usable_fit(
     return fit
 
 
-def _unsaturated_shares(recordings: Recordings) -> Float64:
-    """Return the share of the pixels of each image (N,) that are not saturated."""
-    return np.array([unsaturated(image).mean() for image in recordings.images])
-
-
 def _saturated(recordings: Recordings, touch: int, unsaturated_share: float) -> dict[str, Any]:
     """Return the entry of a saturated image in the report."""
     return {
         "name": recordings.names[touch],
         "object_id": int(recordings.object_ids[touch]),
         "used": False,
-        "reason": f"{1 - unsaturated_share:.0%} of its pixels are saturated",
+        "reason": f"{1 - unsaturated_share:.0%} of its pixels are saturated: black or white",
     }
 
 
@@ -156,10 +150,7 @@ def _of_one_gel(touches: Int64, mistakes: Sequence[Mistake]) -> Bool:
 
 def model_of(twin: Twin, name: str) -> SensorModel:
     """Return the model of a sensor, with its twin."""
-    width_mm, height_mm = (2e3 * twin.half_m).tolist()
-    width, height = twin.size_px
-    gel_mm = 1e3 * float(twin.shape[Fitted.GEL])
-    return SensorModel(name, width_mm, height_mm, width, height, gel_mm, "tactile-sim calibrate", twin)
+    return SensorModel(name, **twin.geometry, source="tactile-sim calibrate", twin=twin)
 
 
 def _first_fit(recordings: Recordings, start: SensorModel) -> Fit:

@@ -17,11 +17,12 @@ import scipy
 
 from tactile_sim.twin import gel, gel_kernels
 from tactile_sim.twin.gel import Fitted
+from tactile_sim.twin.recordings import unsaturated
 
 if TYPE_CHECKING:
     from tactile_sim.twin.recordings import Recordings
     from tactile_sim.twin.relief import Relief
-    from tactile_toolkit.array_types import Bool, Float32, Float64, UInt8
+    from tactile_toolkit.array_types import Bool, Float32, Float64
 
 COEFFICIENTS = gel_kernels.ENTRIES * gel_kernels.PLACES
 _SHARED, _OWN = len(Fitted), 4
@@ -32,7 +33,6 @@ _POSE_STEP = np.array([6e-5, 6e-5, 0.008, 3e-5])
 _ASPECT_SPREAD = 0.001  # expected relative deviation of the aspect ratio of a pixel from the guess
 _HUBER = 3.0  # residuals beyond this multiple of the noise weigh less: dust, layer lines, shadows
 _FIRST_NOISE, _MIN_NOISE = 10.0, 0.3  # levels
-_DARK, _BRIGHT = 1, 254  # levels at and beyond which a pixel counts as saturated
 # Weights of the penalty: of the terms of the position, of the entries of steepness and of depth.
 _PLACE_COST = np.array([1.0, 3.0, 3.0, 6.0, 6.0, 6.0])
 _ENTRY_COST, _DEPTH_COST, _NO_SHADOWS_COST = 1e-4, 0.1, 1e3
@@ -61,11 +61,6 @@ def _penalty(depth_cost: float) -> Float64:
     cost = np.kron(around.T @ around, np.eye(2 * steps))
     cost += np.kron(directions, along + np.diag(np.repeat([_ENTRY_COST, depth_cost], steps)))
     return np.asarray(np.kron(cost, np.diag(_PLACE_COST)))
-
-
-def unsaturated(image: UInt8) -> Bool:
-    """Return which pixels (H, W) of an image are not saturated in any colour."""
-    return np.asarray(((image > _DARK) & (image < _BRIGHT)).all(axis=-1))
 
 
 @dataclass(eq=False)

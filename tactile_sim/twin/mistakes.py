@@ -16,7 +16,7 @@ import scipy
 
 from tactile_sim.sensor_models import GELSIGHT_MINI, SensorModel
 from tactile_sim.twin import gel_kernels
-from tactile_sim.twin.recordings import Recordings
+from tactile_sim.twin.recordings import MIN_UNSATURATED, Recordings
 from tactile_sim.twin.relief import Relief
 from tactile_toolkit.array_types import Bool, Float64, Int64, UInt8
 from tactile_toolkit.wording import with_count
@@ -161,8 +161,9 @@ def _channels(recordings: Recordings, images: Float64, rest: Float64) -> Iterato
 
 def _changed_gel(recordings: Recordings, images: Float64, rest: Float64) -> Iterator[Mistake]:
     """Find where the gel at rest changes in the order of the touches."""
+    usable = np.flatnonzero(recordings.unsaturated_shares() >= MIN_UNSATURATED)
+    images, order = images[usable], np.arange(len(usable))
     # The median of fewer touches would show their contacts, which move from touch to touch.
-    order = np.arange(len(images))
     least = max(MIN_TOUCHES, len(images) // 3)
     drifts = {cut: _drift(images, order < cut) for cut in range(least, len(images) - least + 1)}
     if not drifts:
@@ -174,10 +175,10 @@ def _changed_gel(recordings: Recordings, images: Float64, rest: Float64) -> Iter
     if drifts[cut] > max(_MAX_DRIFT, _ABOVE_MIXED * mixed):
         yield Mistake(
             "gel-changed",
-            f"gel or light changed at touch {cut}: most of the gel at rest differs by {drifts[cut]:.1f} "
-            f"levels before and after; expected at most {_MAX_DRIFT:g}",
+            f"gel or light changed at touch {usable[cut]}: most of the gel at rest differs by "
+            f"{drifts[cut]:.1f} levels before and after; expected at most {_MAX_DRIFT:g}",
             drifts[cut],
-            tuple(range(cut, len(images))),
+            tuple(range(int(usable[cut]), len(recordings))),
         )
 
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from tactile_toolkit.array_types import AnyArray, Float64, Int64, UInt8
+from tactile_sim.optics import require_images
+from tactile_toolkit.array_types import AnyArray, Bool, Float64, Int64, UInt8
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh, MeshLike, as_mesh
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS
@@ -15,7 +16,16 @@ from tactile_toolkit.wording import with_count
 
 _MIN_PX = 32  # kernels of the gel need some room
 _MAX_BYTES = 1 << 30
+_DARK, _BRIGHT = 1, 254  # levels at and beyond which a pixel counts as saturated
+MIN_UNSATURATED = 0.25
+"""Share of the pixels of a usable image that are not saturated."""
+
 _NO_BACKGROUND: UInt8 = np.empty((0, 0, 0, 3), np.uint8)
+
+
+def unsaturated(image: UInt8) -> Bool:
+    """Return which pixels (H, W) of an image are not saturated in any colour."""
+    return np.asarray(((image > _DARK) & (image < _BRIGHT)).all(axis=-1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +108,10 @@ class Recordings:
         """Width and height of the images."""
         return self.images.shape[2], self.images.shape[1]
 
+    def unsaturated_shares(self) -> Float64:
+        """Return the share of the pixels of each image (N,) that are not saturated."""
+        return np.array([unsaturated(image).mean() for image in self.images])
+
     def chosen(self, touches: Int64) -> Recordings:
         """Return some of the touches, by their numbers."""
         own = {name: getattr(self, name)[touches] for name in ("images", "object_ids", "object_poses")}
@@ -122,8 +136,7 @@ class Recordings:
 
 def _require_images(images: AnyArray, name: str) -> None:
     shape = images.shape
-    if images.dtype != np.uint8 or images.ndim != 4 or shape[3] != 3 or not len(images):
-        raise InputError(f"{name} are {images.dtype} of shape {shape}; expected uint8 (n, height, width, 3)")
+    require_images(images, name)
     if min(shape[1:3]) < _MIN_PX or shape[1] * shape[2] > MAX_IMAGE_PIXELS or images.nbytes > _MAX_BYTES:
         raise InputError(
             f"{name} are {shape[0]} images of {shape[2]} x {shape[1]} pixels; expected at least "

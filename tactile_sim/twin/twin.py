@@ -59,6 +59,13 @@ class Twin:
         """Size of a pixel on the gel, metres."""
         return np.asarray(2 * self.half_m / self.size_px)
 
+    @property
+    def geometry(self) -> dict[str, Any]:
+        """Sensing area and gel, mm, and size of the images, pixels, by their names in `SensorModel`."""
+        (width_mm, height_mm), (width_px, height_px) = (2e3 * self.half_m).tolist(), self.size_px
+        sides = {"width_mm": width_mm, "height_mm": height_mm, "width_px": width_px, "height_px": height_px}
+        return {**sides, "gel_mm": 1e3 * float(self.shape[Fitted.GEL])}
+
     def arrays(self) -> dict[str, AnyArray]:
         """Return all arrays by name, as in the file."""
         own = {name: getattr(self, name) for name in ("shape", "half_m", "coefficients", "background")}

@@ -69,8 +69,8 @@ def read_sensor(folder: str | Path) -> tuple[dict[str, Any], Twin]:
         report = dict(document["report"])
         _require_report(report)
         twin = _twin_of(arrays, report)
-        if twin.size_px != (geometry["width_px"], geometry["height_px"]):
-            problem = f"its arrays are for images of {twin.size_px} pixels"
+        if not twin.geometry.items() <= geometry.items():
+            problem = f"{SENSOR_FILE} states another geometry than {ARRAYS_FILE} holds"
             raise ValueError(problem)
         if twin.sha256 != document["arrays_sha256"]:
             problem = f"{ARRAYS_FILE} has another digest than {SENSOR_FILE} states"

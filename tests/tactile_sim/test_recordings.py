@@ -169,6 +169,8 @@ def test_contacts_of_few_touches_are_no_change_of_the_gel(mistake: str | None, n
     """Medians of five images show contacts, more strongly than some gels that changed."""
     made = draw_sensor(1, "phong", (160, 120)).record(digits(4, 5), 10, seed=1, mistake=mistake)
     assert [each.kind for each in tactile_sim.find_mistakes(as_given(made))] == named
+    made.images[:5] = 255  # these show no gel
+    assert "gel-changed" not in {each.kind for each in tactile_sim.find_mistakes(as_given(made))}
 
 
 def test_a_solid_that_is_not_there_is_named() -> None:

@@ -345,7 +345,16 @@ SMALL = np.full((1, 4, 4), 0.004)
 
 @pytest.mark.parametrize("optics", ["twin", "depth"])
 @pytest.mark.parametrize(
-    "wrong", [SMALL[0], SMALL[..., None], SMALL.astype(int), SMALL * np.nan, SMALL * 1e9, -SMALL * np.inf]
+    "wrong",
+    [
+        SMALL[0],
+        SMALL[..., None],
+        SMALL.astype(int),
+        SMALL.astype(np.float16),
+        SMALL * np.nan,
+        SMALL * 1e9,
+        -SMALL * np.inf,
+    ],
 )
 def test_maps_that_kernels_cannot_take_are_refused(optics: str, wrong: np.ndarray):
     """Values that are no numbers, and maps of another shape, would lead kernels out of their tables."""
@@ -438,7 +447,9 @@ def test_a_damaged_or_hostile_folder_is_refused(tmp_path, harm):
         del document["report"]["noise_levels"]
     if harm == "size":
         document["sensor"]["width_px"] *= 2
-    if harm in ("report", "size"):
+    if harm == "gel":
+        document["sensor"]["gel_mm"] *= 1.01
+    if harm in ("report", "size", "gel"):
         text.write_text(json.dumps(document))
     if harm == "json":
         text.write_text(json.dumps({"format": []}))
