@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from tactile_sim.sensor_models import SensorModel
-from tactile_sim.twin import gel_kernels, reader
+from tactile_sim.twin import gel, gel_kernels, reader
 from tactile_sim.twin.calibration import model_of
+from tactile_sim.twin.gel import Fitted
 from tactile_sim.twin.twin import Twin
 
 HALF_M = np.array([0.00944, 0.00708])
@@ -26,3 +27,25 @@ def made_up_twin(seed: int = 0) -> Twin:
 def made_up_sensor(seed: int = 0) -> SensorModel:
     """Return a sensor with this twin."""
     return model_of(made_up_twin(seed), "mine")
+
+
+def hills() -> np.ndarray:
+    """How far two balls reach into the gel, metres, (48, 64)."""
+    y, x = np.mgrid[-1:1:48j, -1:1:64j] * HALF_M[::-1, None, None]
+    first = 0.0015 - ((x + 0.004) ** 2 + y**2) / 0.012
+    second = 0.001 - ((x - 0.004) ** 2 + (y - 0.002) ** 2) / 0.006
+    return np.maximum(np.maximum(first, second), 0)
+
+
+def response_of(seen: gel.Seen, coefficients: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """The response (H, W, 3) as the sum over the entries of each pixel, without blur, in plain numpy."""
+    y, x = ((np.arange(side) + 0.5) / side * 2 - 1 for side in size)
+    x, y = np.meshgrid(x, -y)
+    terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1).reshape(-1, 6)
+    entries, shares = seen
+    return np.einsum("pk,pkts,pt->ps", shares, coefficients[entries], terms).reshape(*size, 3)
+
+
+def without(shape: np.ndarray, *fitted: Fitted) -> np.ndarray:
+    """A geometry without a lens, or without blur."""
+    return np.where(np.isin(np.arange(len(shape)), fitted), 0.0, shape)

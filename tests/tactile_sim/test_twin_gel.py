@@ -1,0 +1,185 @@
+"""The gel of a twin and its response: kernels against plain numpy and scipy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from tactile_sim.twin import gel, gel_kernels, surface_kernels
+from tactile_sim.twin.fitting import COEFFICIENTS
+from tactile_sim.twin.gel import Fitted
+from tests.tactile_sim.made_up_twin import HALF_M, SHAPE, hills, made_up_twin, response_of, without
+
+
+def test_a_relief_is_seen_through_the_lens():
+    """A slanting plane, turned, off the middle: positions are farther out, by the lens at the corners."""
+    slope, level, lens, turn = np.array([0.3, -0.2]), 0.001, 0.06, 0.4
+    corner, half_m = np.array([-0.02, -0.03, 5e-4, 4e-4]), 0.6 * HALF_M
+    plane = np.array([[slope @ (corner[:2] + corner[2:] * (x, y)) for x in range(100)] for y in range(150)])
+    turned = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]) * half_m
+    affine, span = np.column_stack([turned, [0.002, -0.001]]), np.array([0.9, 0.8])
+    out = np.empty((12, 16))
+    gel_kernels.sample_relief(out, plane.astype(np.float32), corner, affine, span, lens, level)
+    y, x = np.mgrid[11:-12:-2, -15:16:2] / [[[12]], [[16]]] * span[::-1, None, None]
+    far = np.hypot(x * half_m[0], y * half_m[1]) / np.hypot(*half_m)
+    seen = np.stack([x, y]) * (1 + lens * far**2)
+    heights = np.einsum("k,kj,jrc->rc", slope, turned, seen) + slope @ affine[:, 2]
+    assert out == pytest.approx(np.maximum(heights - level, 0), abs=1e-8)
+    assert 0 < (out > 0).mean() < 1
+
+
+def test_kernels_of_the_gel_are_gaussian():
+    """Half kernels sum to one over both sides, and blur as scipy does where they reach far enough."""
+    half = gel.half_kernel(3.0, 100, reach=4.0)
+    assert half[0] + 2 * half[1:].sum() == pytest.approx(1, abs=1e-12)
+    impulse = np.zeros((41, 41))
+    impulse[20, 20] = 1
+    expected = ndimage.gaussian_filter1d(impulse[20], 3.0, truncate=4)
+    assert half == pytest.approx(expected[20 : 20 + len(half)], abs=1e-5)
+    assert len(gel.half_kernel(50.0, 12)) == 12  # never beyond the image
+
+
+def test_the_optics_render_what_features_and_coefficients_give():
+    """The kernel sums over all entries of a pixel, and blurs as scipy does, lens included."""
+    pitch_m = 2 * HALF_M / [64, 48]
+    soft = gel.gel_surface(hills(), pitch_m, SHAPE)
+    twin = made_up_twin()
+    plain = response_of(gel.seen_features(soft, pitch_m, SHAPE), twin.coefficients.astype(float), (48, 64))
+    assert np.abs(plain).max() > 10
+    table = gel.response_table(twin.coefficients)
+    sharp = gel.response(soft, pitch_m, without(SHAPE, Fitted.BLUR), table)
+    assert sharp == pytest.approx(plain, abs=1e-3)
+    shape = without(SHAPE, Fitted.BLUR) + 4e-4 * (np.arange(8) == Fitted.BLUR)
+    sigmas = [*(4e-4 / pitch_m[::-1]), 0]
+    blurred = ndimage.gaussian_filter(plain, sigmas, mode="mirror", truncate=3)
+    assert gel.response(soft, pitch_m, shape, table) == pytest.approx(
+        blurred, abs=5e-3 * np.abs(blurred).max()
+    )
+
+
+def test_slopes_exactly_along_an_axis_have_an_entry():
+    """The direction of a slope along x is the first one, not the one after the last."""
+    pitch_m, (rows, columns) = np.array([3e-4, 3e-4]), (20, 30)
+    coefficients = made_up_twin().coefficients
+    along = np.arange(columns) * 1e-4 - 0.004
+    for soft in (np.tile(along, (rows, 1)), np.tile(along[:rows, None], (1, columns))):
+        soft = soft.astype(np.float32)
+        for turned in (soft, np.ascontiguousarray(soft[::-1, ::-1])):
+            plain = response_of(gel.seen_features(turned, pitch_m, SHAPE), coefficients, (rows, columns))
+            sharp = without(SHAPE, Fitted.BLUR)
+            found = gel.response(turned, pitch_m, sharp, gel.response_table(coefficients))
+            assert found == pytest.approx(plain, abs=0.02)
+
+
+def test_slopes_seen_through_a_lens_are_those_of_the_gel():
+    """A plane keeps its slope wherever the lens shows it."""
+    pitch_m, margin, lens = np.array([3e-4, 3e-4]), 12, 0.06
+    y, x = np.mgrid[36 + margin : -36 - margin : -1, -48 - margin : 48 + margin].astype(float) * 3e-4
+    seen = gel.seen_through((0.3 * x - 0.2 * y).astype(np.float32), pitch_m, lens, margin)
+    flat, bent = SHAPE.copy(), SHAPE.copy()
+    flat[Fitted.LENS], bent[Fitted.LENS] = 0.0, lens
+    steepness = slice(0, 8, 4)  # first entries of both directions
+    plane = np.ascontiguousarray((0.3 * x - 0.2 * y)[12:-12, 12:-12])
+    entries, straight = gel.seen_features(plane.astype(np.float32), pitch_m, flat)
+    found, shares = gel.seen_features(seen, pitch_m, bent)
+    inside = np.zeros(seen.shape, bool)
+    inside[2:-2, 2:-2] = True
+    inside = inside.ravel()
+    assert (found[inside][:, steepness] == entries[inside][0, steepness]).all()
+    assert np.abs(shares[inside][:, steepness] - straight[inside][:, steepness]).max() < 0.02
+    _, shares = gel.seen_features(seen, pitch_m, flat)  # without the correction
+    assert np.abs(shares[inside][:, steepness] - straight[inside][:, steepness]).max() > 0.1
+
+
+def test_entries_of_a_slope_follow_its_direction_and_steepness():
+    """Shares of planes in all directions add up, and their entries are where arc tangents say."""
+    pitch_m = np.array([3e-4, 3e-4])
+    y, x = np.mgrid[9:-9:-1, -9:10].astype(float) * 3e-4
+    for angle in np.linspace(0.05, 2 * np.pi, 17):
+        steep = 0.1 + 0.05 * angle
+        soft = np.float32(steep * (np.cos(angle) * x + np.sin(angle) * y) - 0.01)
+        entries, shares = gel.seen_features(soft, pitch_m, without(SHAPE, Fitted.LENS))
+        middle = entries[9 * 19 + 9], shares[9 * 19 + 9].astype(float)
+        assert middle[1].sum() == pytest.approx(2, abs=1e-5)  # one for each table
+        turn = np.array([middle[1][:4].sum(), middle[1][4:].sum()]) / 2
+        first = middle[0][0] // (2 * gel_kernels.STEPS)
+        found = (first + turn[1]) * 2 * np.pi / gel_kernels.TURNS
+        assert np.cos(found - angle) > np.cos(0.006)
+        half = np.tan(np.arctan(steep) / 2) / gel_kernels.STEEPEST
+        place = middle[0][0] % (2 * gel_kernels.STEPS) + middle[1][[1, 5]].sum()
+        assert place == pytest.approx((gel_kernels.STEPS - 1) * np.sqrt(half), abs=1e-3)
+
+
+def test_a_gel_at_rest_does_not_respond():
+    """Where the gel is level, there are no shares, and the kernel of the optics writes zeros."""
+    entries, shares = gel.seen_features(np.zeros((20, 30), np.float32), np.array([1e-4, 1e-4]), SHAPE)
+    assert not entries.any()
+    assert not shares.any()
+
+
+@pytest.mark.parametrize("sigma_px", [3.0, 5.0, 9.0, 20.0])
+def test_wide_blurs_on_smaller_maps_are_gaussian(sigma_px: float):
+    """A blur of the gel is scipy's to a thousandth, on a smaller map too."""
+    gel_map = np.zeros((150, 211), np.float32)
+    gel_map[60:100, 80:120] = -1.0
+    expected = ndimage.gaussian_filter(gel_map, sigma_px, truncate=4, mode="mirror")
+    surface_kernels.soften(gel_map, gel_map, gel.gel_blur(np.full(2, sigma_px), gel_map.shape), 0)
+    assert np.abs(gel_map - expected).max() < 1e-3
+
+
+def test_normal_equations_are_those_of_the_dense_matrix():
+    """Sums of the kernels equal products of the matrix whose columns are images of single coefficients."""
+    rng = np.random.default_rng(1)
+    pitch_m = 2 * HALF_M / [64, 48]
+    seen = gel.seen_features(gel.gel_surface(hills(), pitch_m, SHAPE), pitch_m, SHAPE)
+    first, last = np.unique(seen[0])[:6], np.unique(seen[0])[-6:]
+    used = np.concatenate([first, last])  # directions that are neighbours across the whole turn
+    dense = []
+    for entry in used:
+        for place in range(gel_kernels.PLACES):
+            single = np.zeros((gel_kernels.ENTRIES, gel_kernels.PLACES, 3))
+            single[entry, place, 0] = 1
+            dense.append(response_of(seen, single, (48, 64))[..., 0].ravel())
+    matrix = np.array(dense).T
+    weights = rng.uniform(0, 1, (48, 64)).astype(np.float32)
+    given = rng.normal(size=(48, 64, 2)).astype(np.float32)
+    normal, products = np.zeros((COEFFICIENTS, COEFFICIENTS)), np.zeros((COEFFICIENTS, 2))
+    gel_kernels.add_normal(normal, *seen, weights)
+    gel_kernels.add_products(products, *seen, (weights[..., None] * given).astype(float))
+    at = (used[:, None] * gel_kernels.PLACES + np.arange(gel_kernels.PLACES)).ravel()
+    weighed = matrix * weights.reshape(-1, 1)
+    assert normal[np.ix_(at, at)] == pytest.approx(np.tril(weighed.T @ matrix), abs=1e-6)
+    assert np.abs((weighed.T @ matrix)[36:, :36]).max() > 1e-3
+    assert products[at] == pytest.approx(weighed.T @ given.reshape(-1, 2), abs=1e-6)
+
+
+@pytest.mark.parametrize("lens", [-0.2, 0.0, 0.15])
+@pytest.mark.parametrize("width_m", [2e-4, 9e-4, 4e-3])
+def test_what_blurs_leave_out_is_not_seen(lens: float, width_m: float, monkeypatch):
+    """The surface is the same to the bit when every blur covers all of the margin."""
+    shape = SHAPE.copy()
+    shape[Fitted.LENS], shape[Fitted.WIDTH] = lens, width_m
+    pitch_m, margin = np.array([1.2e-4, 1.2e-4]), 19
+    y, x = np.mgrid[-1:1:158j, -1:1:198j]
+    solid = np.clip(0.001 - 0.002 * np.abs(x - 0.3 * y) + 2e-4 * np.sin(40 * x), 0, None)
+    part = gel.gel_surface(solid, pitch_m, shape, margin)
+    press_gel = surface_kernels.press_gel
+    monkeypatch.setattr(
+        surface_kernels, "press_gel", lambda *given: press_gel(*given[:3], (0,) * len(given[3]), *given[4:])
+    )
+    assert (part == gel.gel_surface(solid, pitch_m, shape, margin)).all()
+
+
+def test_a_solid_goes_on_beyond_the_image():
+    """A ridge that leaves the image pulls at the gel nearly as if the map were larger."""
+    pitch_m, margin = np.array([3e-4, 3e-4]), 10
+    y, x = np.mgrid[24 + margin : -24 - margin : -1, -32 - margin : 32 + margin] * 3e-4
+    whole = np.clip(0.001 - np.abs(0.2 * x - 0.1 * y), 0, None)
+    part = np.ascontiguousarray(whole[margin:-margin, margin:-margin])
+    out = surface_kernels.extend(-part, 0.0, margin)
+    assert (out[margin:-margin, margin:-margin] == part.astype(np.float32)).all()
+    shape = without(SHAPE, Fitted.LENS)
+    true = gel.gel_surface(whole, pitch_m, shape, margin)
+    extended, mirrored = gel.gel_surface(out, pitch_m, shape, margin), gel.gel_surface(part, pitch_m, shape)
+    assert np.abs(extended - true).mean() < 0.3 * np.abs(mirrored - true).mean()
