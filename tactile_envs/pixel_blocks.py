@@ -48,9 +48,9 @@ def _raise_block(
     """Raise :data:`ROWS` rows of :data:`LANES` neighbouring pixels to a triangle, where it covers them.
 
     ``heights`` is contiguous, float32; ``places`` are the indices at which rows begin. ``b`` and ``c``, the
-    weights of the second and third corner there, and their steps per row are float64. The other arguments are
-    float32: the steps of the weights per pixel, their tolerances below 0, the height of the first corner, and
-    how much higher the second and the third corner are. In plain numba::
+    weights of the second and third corner there, and their steps per row are float64. Float32 are the steps
+    per pixel, tolerances below 0, the height of the first corner, and the heights of the others above it. In
+    plain numba::
 
         for row in range(ROWS):
             for lane in range(LANES):

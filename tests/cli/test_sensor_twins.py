@@ -12,9 +12,9 @@ import pytest
 
 import realtouch
 import tactile_sim
-from tactile_sim.twin import reader
 from tests.command_line import call
 from tests.hub_server import HubServer, hub
+from tests.short_training import shorten_training
 from tests.tactile_sim.hidden_sensors import Recording, digits, draw_sensor
 from tests.tactile_toolkit.exchange.upload_client import logged_in
 
@@ -36,8 +36,7 @@ def place(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> Pat
     folder = tmp_path_factory.mktemp("twin")
     recording.write(folder)
     with pytest.MonkeyPatch.context() as patch:
-        for name, value in (("_TOUCHES", 4), ("_SLOPE_STEPS", 20), ("_DEPTH_STEPS", 20)):
-            patch.setattr(reader, name, value)
+        shorten_training(4, 20, 20, patch.setattr)
         options = ("--solids", folder / "solids", "--background", folder / "backgrounds")
         assert (
             call("tactile-sim", "calibrate", folder / "images", *options, "--out", folder / "mine", "-q") == 0

@@ -21,6 +21,7 @@ from tactile_sim.twin.matching import are_off, matched_places
 from tactile_sim.twin.rounds_of_fit import start_fit
 from tactile_sim.twin.twin import TwinOptics
 from tactile_toolkit.errors import InputError
+from tests.short_training import shorten_training
 from tests.tactile_sim.hidden_sensors import Recording, digits, draw_sensor
 from tests.tactile_sim.made_up_twin import HALF_M, SHAPE, hills, made_up_twin, response_of
 from tests.tactile_sim.solids import ball, block
@@ -106,8 +107,7 @@ def test_a_step_that_makes_images_worse_is_shortened(too_far: float, monkeypatch
 @pytest.fixture
 def hasty_reader(monkeypatch: pytest.MonkeyPatch) -> None:
     """Train readers with a quarter of the touches and a fifth of the steps."""
-    for name, value in (("_TOUCHES", 120), ("_SLOPE_STEPS", 300), ("_DEPTH_STEPS", 600)):
-        monkeypatch.setattr(reader, name, value)
+    shorten_training(120, 300, 600, monkeypatch.setattr)
 
 
 @pytest.mark.thorough
