@@ -25,7 +25,7 @@ _ROW_S = 0.016
 
 _ADD_PICTURES = (
     "to add pictures, put the new ones into a folder with the same classes, make another data set of it, and "
-    "join both by `mnist3d merge OLD NEW --renumber --out BOTH`; to make all again, add --overwrite"
+    "join both by `mnist3d merge OLD NEW --out BOTH`; to make all again, add --overwrite"
 )
 
 
