@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from tactile_toolkit.checked_fields import choice
+from tactile_toolkit.columns.units import MM_PER_UNIT
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.units import MM_PER_UNIT
 
 UNITS = ("mm", "cm", "m", "in")
 

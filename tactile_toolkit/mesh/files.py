@@ -12,7 +12,8 @@ from xml.parsers import expat
 
 import numpy as np
 
-from tactile_toolkit import quantities, store, units
+from tactile_toolkit import quantities, store
+from tactile_toolkit.columns import units
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.mesh import file_units, gltf, obj, ply, stl, threemf, threemf_writing, welding
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, MeshLike, Surface, as_mesh, join_surfaces
