@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
+from tactile_toolkit.pictures.lettering import INK
 
 import mnist3d
 from mnist3d.digit_generation import DigitSetSpec, generate
@@ -26,7 +27,6 @@ from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.mesh import Mesh, write_mesh
 from tactile_toolkit.pictures import OBLIQUE, DrawnBody, bar_length_mm, draw_bodies, relief, relief_of
-from tactile_toolkit.pictures.lettering import INK
 from tests.sealed import edit
 
 THIN = SolidSpec(target_vertices=2_000, half_thickness_mm=1.2)

@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 import trimesh
 from hypothesis import given, strategies as st
+from tactile_toolkit.gallery.page import index_of, script_json
+from tactile_toolkit.gallery.viewer_mesh import STEP_MM
 
 from tactile_toolkit.catalog import choose_rows
 from tactile_toolkit.errors import IntegrityError
@@ -24,8 +26,6 @@ from tactile_toolkit.gallery import (
     require_mesh,
     thumbnail,
 )
-from tactile_toolkit.gallery.page import index_of, script_json
-from tactile_toolkit.gallery.viewer_mesh import STEP_MM
 from tactile_toolkit.parsed_text import natural_key
 from tactile_toolkit.rows import Column
 from tests.gallery_toy import CORNERS_M, FACES

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 from PIL import Image
+from tactile_toolkit.pictures.lettering import INK
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh
@@ -24,7 +25,6 @@ from tactile_toolkit.pictures import (
     with_scale_bar,
     write_pictures,
 )
-from tactile_toolkit.pictures.lettering import INK
 from tactile_toolkit.store import open_folder
 
 

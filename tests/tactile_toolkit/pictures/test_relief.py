@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from tactile_toolkit.mesh import Mesh
-from tactile_toolkit.pictures import DrawnBody, box_downsample, draw_bodies
-from tactile_toolkit.pictures.oblique_views import View
+from tactile_toolkit.pictures import DrawnBody, View, box_downsample, draw_bodies
 from tests.processes import printed_by
 
 CLAY = (200, 120, 40)
@@ -107,7 +106,7 @@ def test_a_mesh_that_is_inside_out_is_lit_all_the_same():
 DRAW = """
 import hashlib, numpy as np
 from tactile_toolkit.pictures import ACCENTS
-from tactile_toolkit.pictures import DrawnBody, draw_bodies
+from tactile_toolkit.pictures import DrawnBody, View, draw_bodies
 from tactile_toolkit.pictures import png_bytes
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.pictures.sheets import Tile, sheet, with_scale_bar
