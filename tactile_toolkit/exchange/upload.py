@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from posixpath import normpath
 from typing import Any, TypeAlias
 
 import huggingface_hub
@@ -355,12 +354,6 @@ def _files_to_send(
     others, _ = _other_files(paths, held, options.delete)
     stored = cards.with_repo_name(place.read_bytes(cards.CARD_FILE).decode(), repo_id)
     card = cards.with_head(stored, lambda head: head.update(configs=cards.configs(facts, others)))
-    there = {*paths, *others}
-    _require_sound(
-        store.Finding(path, f"is shown by {cards.CARD_FILE} and is not uploaded (only previews/ is)")
-        for path in cards.pictures_in(card)
-        if normpath(path) not in there
-    )
     rendered = {cards.CARD_FILE: card}
     if made:
         rendered[store.MANIFEST_FILE] = manifest.to_json()
