@@ -25,7 +25,7 @@ _ROW_S = 0.016
 
 _ADD_PICTURES = (
     "to add pictures, put the new ones into a folder with the same classes, make another data set of it, and "
-    "join both by `mnist3d merge OLD NEW --renumber --out BOTH`; to make all again, add --overwrite"
+    "join both by `mnist3d merge OLD NEW --out BOTH`; to make all again, add --overwrite"
 )
 
 
@@ -77,7 +77,7 @@ class DigitSetSpec:
 
 
 @dataclass(frozen=True)
-class DigitMaking(generation.RowGenerator):
+class DigitGenerator(generation.RowGenerator):
     """Generator of digits: divides the source into splits and makes a checked solid of each image."""
 
     spec: DigitSetSpec
@@ -90,7 +90,7 @@ class DigitMaking(generation.RowGenerator):
     )
 
     @classmethod
-    def of(cls, spec: DigitSetSpec, splits: Sequence[str] | None) -> DigitMaking:
+    def of(cls, spec: DigitSetSpec, splits: Sequence[str] | None) -> DigitGenerator:
         """Return a generator; a folder of pictures is divided only if ``spec`` or ``splits`` ask for it."""
         is_divided = splits is not None or spec.split.by is not None or spec.split.sizes is not None
         if is_divided or not isinstance(spec.source, picture_folder.FolderSource):
@@ -225,7 +225,7 @@ def generate(
     StorageError
         The folder cannot be written. Finished shards stay.
     """
-    return generation.generate(DigitMaking.of(spec, splits), out, splits, **run)
+    return generation.generate(DigitGenerator.of(spec, splits), out, splits, **run)
 
 
 def digit_recipe(seed: int, per_class: int | None) -> generation.Recipe:
@@ -235,5 +235,5 @@ def digit_recipe(seed: int, per_class: int | None) -> generation.Recipe:
         split=published_splits.SplitSpec(seed=seed),
         per_class=per_class,
     )
-    making = DigitMaking(spec)
+    making = DigitGenerator(spec)
     return generation.Recipe(making, {"per-class": per_class, "seed": seed}, making.planned)

@@ -148,7 +148,7 @@ def _stored_cell_m(row: read.Row) -> tuple[float, float]:
     return width_m, depth_m
 
 
-class SceneMeshDataset(read.RecordDataset[SceneRecord]):
+class SceneMeshDataset(mesh.SolidDataset[SceneRecord]):
     """A lazy sequence of :class:`SceneRecord`; see :class:`tactile_toolkit.read.RecordDataset`."""
 
     record_class = SceneRecord
