@@ -34,7 +34,6 @@ STEP_MM = 0.01
 """Grid to which vertices are rounded, a twentieth of a printed layer; coarser for meshes above 655 mm, finer
 for those below 10 mm."""
 
-_MARGIN_PX = 4  # both margins of a relief together
 _SOLIDS_PER_TASK = 16
 _MIN_STEPS = 1_000
 _MIN_STEP_MM = 1e-6
@@ -190,7 +189,7 @@ def _solid_item(
         id=str(record.id),
         title=record.caption(label_names),
         values=values,
-        thumbnail=thumbnail(record.cutout(THUMBNAIL_PX - _MARGIN_PX)),
+        thumbnail=thumbnail(record.cutout(THUMBNAIL_PX)),
         content={"notes": record.notes, "mesh": content},
     )
 

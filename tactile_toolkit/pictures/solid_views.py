@@ -1,4 +1,4 @@
-"""Solids from above and in oblique views, and records of them that draw themselves; equal pixels everywhere."""
+"""Solids from above and in oblique views, and records of them that draw themselves."""
 
 from __future__ import annotations
 
@@ -249,8 +249,9 @@ class DrawnSolid(Drawn, mesh.SolidRecord):
         return relief(self.vertices_m, self.faces, width_px / self.extent_m)
 
     def cutout(self, width_px: float) -> UInt8:
-        """Draw the solid with opacity, (H, W, 2) or (H, W, 4), for light and dark pages."""
-        return relief(self.vertices_m, self.faces, width_px / self.extent_m, with_opacity=True)
+        """Draw the solid with opacity, (H, W, 2) or (H, W, 4); with its margin ``width_px`` long."""
+        scale = (width_px - 2 * _MARGIN_PX) / self.extent_m
+        return relief(self.vertices_m, self.faces, scale, with_opacity=True)
 
     @property
     def tile_caption(self) -> str:
