@@ -140,7 +140,7 @@ def fitted(pixels: UInt8, width_px: float) -> UInt8:
     return touch.resized(pixels, width, max(1, round(width * pixels.shape[0] / pixels.shape[1])))
 
 
-def bar_length_mm(most_px: int, px_per_mm: float) -> float:
+def bar_length_mm(most_px: float, px_per_mm: float) -> float:
     """Return the largest round length of at most this many pixels."""
     fitting = (mm for mm in _NICE_LENGTHS_MM if mm * px_per_mm <= most_px)
     return max(fitting, default=_NICE_LENGTHS_MM[0])
