@@ -108,9 +108,8 @@ def file_content(path: Path, below: Path | None = None) -> bytes:
     """Return the content of a mesh file; InputError, without its name, if it cannot be read."""
     try:
         if below is not None:
-            with store.open_inside(
-                store.open_folder(str(below)), path.relative_to(below).as_posix()
-            ) as stream:
+            name = path.relative_to(below).as_posix()
+            with store.open_folder(str(below)).open_inside(name) as stream:
                 return _bounded(stream)
         with store.open_regular(path) as stream:
             return _bounded(stream)
