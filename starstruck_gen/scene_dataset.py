@@ -88,7 +88,7 @@ class SceneRecord(mesh.SolidRecord):
         return np.asarray(scene_drawing.draw_scene(self.placements, touch.CELL_M, px_per_mm))
 
 
-class SceneMeshDataset(read.RecordDataset[SceneRecord]):
+class SceneMeshDataset(mesh.SolidDataset[SceneRecord]):
     """A lazy sequence of :class:`SceneRecord`; see :class:`tactile_toolkit.read.RecordDataset`."""
 
     record_class = SceneRecord

@@ -12,7 +12,6 @@ from .card import (
 )
 from .card_check import (
     check_card as check_card,
-    pictures_in as pictures_in,
 )
 from .owner_options import (
     LICENCES as LICENCES,
