@@ -119,7 +119,7 @@ def _refuse_pickles(paths: Sequence[str]) -> None:
 
 def _of_file(place: str) -> Recognised:
     folder, name = source_files.source_of(place)
-    with store.open_inside(folder, name) as stream:
+    with folder.open_inside(name) as stream:
         head = video_files.read_start(stream)
         if head.startswith(_ZIP) and _is_oxt(stream):
             return Recognised("oxt", name)
