@@ -83,10 +83,10 @@ class DigitGenerator(generation.RowGenerator):
     spec: DigitSetSpec
     kind = KIND
     kernels = (
-        "tactile_toolkit.mesh.nearness",
-        "tactile_toolkit.mesh.surface_kernels",
+        "tactile_toolkit.mesh.box_tree",
+        "tactile_toolkit.mesh.crossings",
         "mnist3d.compiled_loops",
-        "tactile_toolkit.mesh.section_kernels",
+        "tactile_toolkit.mesh.walls",
     )
 
     @classmethod

@@ -9,8 +9,8 @@ from .card import (
     PREVIEW_FOLDER as PREVIEW_FOLDER,
     render_card as render_card,
     rewrite_card as rewrite_card,
+    draw_solids as draw_solids,
     rows_to_draw as rows_to_draw,
-    tiles_png as tiles_png,
     with_repo_name as with_repo_name,
     write_table_card as write_table_card,
 )

@@ -1,7 +1,6 @@
 """Data cards: the README of a data set folder, filled from the data, and its picture."""
 
 from __future__ import annotations
-
 import re
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -9,11 +8,9 @@ from dataclasses import dataclass, field
 from importlib.resources import files
 from itertools import islice
 from string import Template
-
 import numpy as np
-
 from tactile_toolkit import catalog, mesh, pictures, read, shown_text, store
-from tactile_toolkit.array_types import Floating, Integers
+from tactile_toolkit.array_types import Float32, Int32
 from tactile_toolkit.cards import owner, yaml_head
 from tactile_toolkit.cards.yaml_head import FolderSummary, folder_summary
 from tactile_toolkit.errors import IntegrityError
@@ -28,6 +25,9 @@ MESH_TASKS = {
 }
 """Tasks of meshes, in terms of the Hub."""
 _MAX_ENTRIES = 100  # of a list of the specification
+# Rows mix the classes: 200 of digits lack a class with a chance of 1 in 10^8.
+_ROWS_READ, _MAX_DRAWN, _COLUMNS = 200, 12, 6
+_PICTURE_PX, _MAX_TILE_PX = 780, 480
 # Templates have "FOLDER" there, because others cannot load a folder by name.
 _LOADED_NAME = re.compile(r'datasets\.load_dataset\("(?P<name>[^"]+)"')
 _UNKNOWN = ("", "a column of this copy; not in the published schema")
@@ -36,8 +36,7 @@ _TABLE_COLUMNS: dict[str, tuple[str, str]] = {
     **{name: ("m", f"extent along {name[5]}") for name in mesh.SIZES},
     f"{mesh.MESH}": ("GLB file, m, frame below", "the solid, its vertices and faces in their order"),
 }
-_SHOWN = 10
-_TILE_PX = 120
+_GLB = f"{mesh.MESH}.bytes"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,6 +164,14 @@ def rewrite_card(
     return [yaml_head.CARD_FILE, *(f"{PREVIEW_FOLDER}/{name}" for name in names)]
 
 
+def _source_column(manifest: store.Manifest | None) -> dict[str, tuple[str, str]]:
+    """Return the meaning of the column that `merge --source-column` adds, by its name."""
+    options = (manifest and manifest.spec.get("options")) or {}
+    if "source_column" not in options:
+        return {}
+    return {str(options["source_column"]): ("", "name of the merged data set that the row is from")}
+
+
 def write_table_card(
     folder: store.DataFolder,
     manifest: store.Manifest,
@@ -190,7 +197,7 @@ def write_table_card(
         template=template,
         title=title,
         columns=columns,
-        picture=(picture, _table_sheet, f"The first {kind.nouns}, seen from above"),
+        picture=(picture, _draw_tables, f"The first {kind.nouns}, seen from above"),
         licence=licence,
         tags=["tactile", "active-perception", "3d", "mesh"],
         made=[
@@ -202,32 +209,31 @@ def write_table_card(
     ).write(folder, manifest, kind)
 
 
-def _table_sheet(facts: FolderSummary) -> bytes | None:
-    """Draw the first objects as PNG; None without rows."""
-    tiles = []
-    for vertices_m, faces in islice(_surfaces(facts), _SHOWN):
-        pitch_m = max(float(np.ptp(vertices_m, axis=0)[:2].max()) / _TILE_PX, 1e-6)
-        tiles.append(pictures.Tile(pictures.relief(vertices_m, faces, pitch_m)))
-    return tiles_png(tiles, 5)
-
-
-def _surfaces(facts: FolderSummary) -> Iterator[tuple[Floating, Integers]]:
-    """Yield the stored surfaces: in columns of a mesh, or in GLB files."""
+def _draw_tables(facts: FolderSummary) -> bytes | None:
+    """Draw the first solids of tables as PNG: in columns of a mesh, or in GLB files."""
     if mesh.VERTICES in read.column_names(facts.schema):
-        for row in rows_to_draw(facts, [mesh.VERTICES, mesh.FACES]):
-            yield row.array(mesh.VERTICES), row.array(mesh.FACES)
-        return
-    for row in rows_to_draw(facts, [f"{mesh.MESH}.bytes"]):
-        solid = mesh.unpack_mesh(row.value(f"{mesh.MESH}.bytes"), ".glb")
-        yield solid.vertices_m, solid.faces
+        return draw_solids(facts)
+    return draw_solids(facts, _PackedSolid, [_GLB])
 
 
-def _source_column(manifest: store.Manifest | None) -> dict[str, tuple[str, str]]:
-    """Return the meaning of the column that `merge --source-column` adds, by its name."""
-    options = (manifest and manifest.spec.get("options")) or {}
-    if "source_column" not in options:
-        return {}
-    return {str(options["source_column"]): ("", "name of the merged data set that the row is from")}
+class _PackedSolid(pictures.DrawnSolid):
+    """A solid in a GLB file."""
+
+    __slots__ = ()
+
+    @property
+    def vertices_m(self) -> Float32:
+        """Vertices, shape (V, 3), metres."""
+        return np.asarray(self._unpacked.vertices_m, np.float32)
+
+    @property
+    def faces(self) -> Int32:
+        """Triangles, shape (F, 3)."""
+        return np.asarray(self._unpacked.faces, np.int32)
+
+    @property
+    def _unpacked(self) -> mesh.Mesh:
+        return self._once("surface", lambda: mesh.unpack_mesh(self.row.value(_GLB), ".glb"))
 
 
 def _shortened(values: JsonValue) -> JsonValue:
@@ -243,11 +249,25 @@ def _shortened(values: JsonValue) -> JsonValue:
     return shown
 
 
-def tiles_png(tiles: Sequence[pictures.Tile], columns: int) -> bytes | None:
-    """Arrange pictures for a card, as PNG; None without pictures."""
-    if not tiles:
+def draw_solids(
+    facts: FolderSummary,
+    record: type[pictures.DrawnSolid] = pictures.DrawnSolid,
+    columns: Sequence[str] = (mesh.VERTICES, mesh.FACES),
+) -> bytes | None:
+    """Draw the first solids of each class as PNG, class by class; None without rows.
+
+    ``record`` draws a row, of which it needs ``columns``.
+    """
+    by_class: dict[int, list[pictures.DrawnSolid]] = {}
+    for row in islice(rows_to_draw(facts, ["label", *columns]), _ROWS_READ):
+        by_class.setdefault(row.integer("label"), []).append(record(row))
+    if not by_class:
         return None
-    return pictures.png_bytes(pictures.sheet(tiles, columns, margin_px=8))
+    per_class = max(1, _MAX_DRAWN // len(by_class))
+    solids = [solid for label in sorted(by_class) for solid in by_class[label][:per_class]][:_MAX_DRAWN]
+    across = min(len(solids), _COLUMNS)
+    tile_px = min(_PICTURE_PX // across, _MAX_TILE_PX)
+    return pictures.png_bytes(pictures.solid_sheet(solids, tile_px, across))
 
 
 def card_words(file: str) -> JsonDict:
