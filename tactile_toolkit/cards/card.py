@@ -1,6 +1,7 @@
 """Data cards: the README of a data set folder, filled from the data, and its picture."""
 
 from __future__ import annotations
+
 import re
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -8,7 +9,9 @@ from dataclasses import dataclass, field
 from importlib.resources import files
 from itertools import islice
 from string import Template
+
 import numpy as np
+
 from tactile_toolkit import catalog, mesh, pictures, read, shown_text, store
 from tactile_toolkit.array_types import Float32, Int32
 from tactile_toolkit.cards import owner, yaml_head
