@@ -11,7 +11,7 @@ from typing import Annotated
 import msgspec
 
 from realtouch import importing
-from realtouch.exchange import foreign_parquet, lerobot_mark
+from realtouch.formats import foreign_parquet, lerobot_mark
 from tactile_toolkit import errors, store
 from tactile_toolkit.json_types import JsonObject
 
