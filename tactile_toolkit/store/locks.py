@@ -120,9 +120,7 @@ def _busy(path: Path, holders: list[_Holder], patience_s: float) -> BusyError:
     then = ""
     if (path / LOCK_FILE).exists() and _module("msvcrt") is None:
         then = f", or remove {str(path / LOCK_FILE)!r} if no process is at work there"
-    waited = ""
-    if patience_s:
-        waited = f", and has done so for {patience_s:.0f} s"
+    waited = f", and has done so for {patience_s:.0f} s" if patience_s else ""
     return BusyError(
         f"{who}{state} holds {str(path)!r}{waited}",
         next=f"{first}, or end it{then}, and run the same command again; what is finished stays",
@@ -168,9 +166,7 @@ def _lock_handle(path: Path, fcntl: ModuleType, shared: bool, stack: contextlib.
 def _lock_byte(path: Path, msvcrt: ModuleType) -> Iterator[None]:
     """Lock a byte of a file, or of one in a folder, as on Windows, which frees those of killed processes."""
     is_folder = path.is_dir()
-    file = path
-    if is_folder:
-        file = path / LOCK_FILE
+    file = path / LOCK_FILE if is_folder else path
     handle = -1
     try:
         handle = os.open(file, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOINHERIT", 0), 0o666)
