@@ -339,6 +339,8 @@ def pending_records(
     """
     waiting = folder.sizes(PENDING_FOLDER)
     chosen = [shard for shard in pending_shards(waiting) if shards is None or shard in shards]
+    if not chosen:
+        return {}
     contents = folder.read_many([shard.record_path for shard in chosen])
     found = {}
     for shard, content in zip(chosen, contents, strict=True):

@@ -129,16 +129,12 @@ def _busy(path: Path, holders: list[_Holder], patience_s: float) -> BusyError:
 
 @contextlib.contextmanager
 def _locked_now(path: Path, shared: bool) -> Iterator[None]:
-    fcntl, msvcrt, is_folder = _module("fcntl"), _module("msvcrt"), path.is_dir()
+    fcntl = _module("fcntl")
+    msvcrt = _module("msvcrt")
     with contextlib.ExitStack() as stack:
-        has_locks = True
-        if fcntl is not None:
-            has_locks = _lock_handle(path, fcntl, shared, stack)
-        elif msvcrt is not None:
+        if fcntl is None and msvcrt is not None:
             stack.enter_context(_lock_byte(path, msvcrt))
-        else:
-            has_locks = False
-        if is_folder and not has_locks:
+        elif (fcntl is None or not _lock_handle(path, fcntl, shared, stack)) and path.is_dir():
             stack.enter_context(_lock_file(path / LOCK_FILE))
         yield
 

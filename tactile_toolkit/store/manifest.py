@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from itertools import zip_longest
-from typing import Annotated, Any, TypeVar, cast
+from typing import Annotated, Any, ClassVar, TypeVar, cast
 
 import msgspec
 
@@ -36,11 +36,9 @@ _FIELDS = (b'"sha256_of_all_below"', b'"schema_version"', b'"shards"')
 # Fields that are left out of the text if they are empty.
 _OPTIONAL = ("libraries", "planned", "statistics", "trees")
 
-LARGEST = (1 << 63) - 1
-Count = Annotated[int, msgspec.Meta(ge=0, le=LARGEST)]
+_LARGEST = (1 << 63) - 1
+Count = Annotated[int, msgspec.Meta(ge=0, le=_LARGEST)]
 Sha256 = Annotated[str, msgspec.Meta(pattern=r"\A[0-9a-f]{64}\Z")]
-DAMAGED = "damaged"
-"""Reason to leave out an item whose stored data is damaged."""
 VIEWER_FOLDER = "viewer"
 """Repeats the rows for the Hub's page (`tactile_toolkit.exchange.flat_tables`); copies may leave it out."""
 MAX_ROWS = 1 << 40
@@ -177,7 +175,10 @@ def shard_ranges(
 class Skipped(msgspec.Struct, frozen=True):
     """An item of a source that gave no row: a stable word for counting, and a message without secrets."""
 
-    id: Annotated[int, msgspec.Meta(ge=-LARGEST - 1, le=LARGEST)]
+    DAMAGED: ClassVar[str] = "damaged"
+    """Reason to leave out an item whose stored data is damaged."""
+
+    id: Annotated[int, msgspec.Meta(ge=-_LARGEST - 1, le=_LARGEST)]
     reason: str
     message: str
 
@@ -263,7 +264,7 @@ def require_rows(shards: Sequence[tuple[int, Sequence[Skipped]]]) -> None:
     if skipped and not any(rows for rows, _ in shards):
         first = {item.reason: item.message for item in reversed(skipped)}
         causes = [f"{reason}: {first[reason]}" for reason in dict.fromkeys(item.reason for item in skipped)]
-        raise (IntegrityError if set(first) == {DAMAGED} else InputError)(
+        raise (IntegrityError if set(first) == {Skipped.DAMAGED} else InputError)(
             f"no row is left: all {len(skipped):,} were left out, nothing was written; the first of each "
             f"reason: {'; '.join(causes[:_CAUSES_SHOWN])}",
             next="correct the source, or choose another one",
@@ -346,6 +347,10 @@ class Manifest:
                 counted.setdefault(record.split, []).append(record.statistics)
         return {split: add_up(parts) for split, parts in counted.items()}
 
+    def total_statistics(self) -> JsonDict:
+        """Add up the statistics of all shards."""
+        return add_up(list(self.statistics().values()))
+
     def with_shards(self, records: Iterable[ShardRecord]) -> Manifest:
         """Return a manifest with these records next to its own, each shard once, in order."""
         merged = {record.shard: record for record in (*self.shards, *records)}
@@ -424,11 +429,12 @@ def is_of_others(content: bytes) -> bool:
 
 def read_manifest(folder: DataFolder) -> Manifest | None:
     """Read the manifest of a folder; None when there is no manifest, IntegrityError when it is damaged."""
+    where = folder.address(MANIFEST_FILE)
     if not folder.exists(MANIFEST_FILE):
         return None
     content = folder.read_bytes(MANIFEST_FILE)
     with without_collecting():
-        return Manifest.from_json(content, folder.address(MANIFEST_FILE))
+        return Manifest.from_json(content, where)
 
 
 def write_manifest(folder: DataFolder, manifest: Manifest) -> None:

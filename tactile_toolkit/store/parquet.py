@@ -18,7 +18,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.store.files import readable
+from tactile_toolkit.store.files import unreadable
 from tactile_toolkit.store.folder import PENDING_FOLDER, DataFolder
 from tactile_toolkit.store.manifest import Manifest, ShardName, ShardRecord
 
@@ -168,15 +168,17 @@ def named_damage(address: str) -> Iterator[None]:
     Raises InputError if the file cannot be read for another reason than its content.
     """
     try:
-        with readable(address):
-            yield
+        yield
     except GeneratorExit:  # an unfinished iteration, perhaps at exit, when Arrow's names are gone
         raise
     except FileNotFoundError as error:
         raise IntegrityError(
             f"{address!r} is missing", next="generate or download the data set again"
         ) from error
-    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
+    except (pa.ArrowException, OSError, MemoryError, UnicodeDecodeError) as error:
+        refused = unreadable(address, error)
+        if refused is not None:
+            raise refused from error
         problem = f" is damaged, an intact Parquet file was expected ({error})"
         raise IntegrityError.in_file(address, problem) from error
 
