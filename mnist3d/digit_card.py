@@ -55,7 +55,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     things = "handwritten digits"
     if classes_of(manifest) != KIND.class_names:
         things = "drawings"
-    columns = store.open_parquet(folder, REPORT_FILE).schema_arrow.names
+    columns = store.read_report(folder, REPORT_FILE).column_names
     joined = ", separate pieces bridged" if solid["join_bodies"] else ""
     title = shown_text.printable(catalog.short_name(folder.address())) if is_own else "MNIST 3D"
     cards.Card(

@@ -18,7 +18,7 @@ from pathlib import PurePosixPath
 import pyarrow as pa
 import yaml
 
-from tactile_toolkit import places, read, run, shown_text, store, system
+from tactile_toolkit import places, read, run, shown_text, store
 from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.json_types import JsonDict, JsonObject, JsonValue
 
@@ -104,7 +104,7 @@ def _measured(folder: store.DataFolder, split: str, shards: tuple[read.Shard, ..
     """Return the files of a split and their sizes as their footers state them."""
     paths = tuple(shard.path.removeprefix(f"{folder.address()}/") for shard in shards)
     files = zip(shards, paths, strict=True)
-    sizes = run.in_threads(partial(_sizes, folder), files, system.usable_cores())
+    sizes = run.in_threads(partial(_sizes, folder), files, run.usable_cores())
     return SplitFiles(split, shards, paths, *map(sum, zip(*sizes, strict=True)))
 
 
