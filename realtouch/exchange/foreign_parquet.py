@@ -12,7 +12,8 @@ import pyarrow as pa
 
 from realtouch import importing
 from realtouch.exchange.parquet_pages import require_bounded_pages
-from tactile_toolkit import bounds, column_types, errors, read, store
+from tactile_toolkit import bounds, errors, read, store
+from tactile_toolkit.columns import column_types
 from tactile_toolkit.json_types import JsonDict
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ class ForeignParquet:
     """
 
     def __init__(self, home: store.DataFolder, path: str) -> None:
-        self.size_bytes = store.size_inside(home, path)
+        self.size_bytes = home.size_inside(path)
         self._home, self._path = home, path
         self.place = home.address(path)
         with _named_values(self.place):
@@ -140,7 +141,7 @@ class ForeignParquet:
                 yield table
 
     def _require_bounded_pages(self, chunks: Sequence[_Chunk]) -> None:
-        with _named_values(self.place), store.open_inside(self._home, self._path) as stream:
+        with _named_values(self.place), self._home.open_inside(self._path) as stream:
             for each in chunks:
                 require_bounded_pages(stream, each.start, each.stored_bytes, _BYTES_AT_ONCE)
 
