@@ -25,10 +25,14 @@ from .finding import RecordingFinding as RecordingFinding
 from .faults.check_results import CheckResult as CheckResult
 from .faults.checking import check as check
 from .depth_maps import DepthMaps as DepthMaps
-from .formats.exporting import export as export
-from .importing.import_preview import ImportPreview as ImportPreview, preview_import as preview_import
+from .formats.exports import export as export
+from .importing.import_plan import (
+    CONVERSION as CONVERSION,
+    import_touches as import_touches,
+    ImportPreview as ImportPreview,
+    preview_import as preview_import,
+)
 from .importing.import_shards import NOT_IMPORTED as NOT_IMPORTED
-from .importing.touch_import import CONVERSION as CONVERSION, import_touches as import_touches
 from .opening import SHORT_NAMES as SHORT_NAMES, load as load
 from .poses import Poses as Poses, PoseSequences as PoseSequences
 from .rounds import (

@@ -13,14 +13,17 @@ from dataclasses import replace
 import numpy as np
 import pyarrow as pa
 
-from realtouch import importing, video
-from realtouch.formats import foreign_parquet, lerobot_mark, lerobot_metadata, video_import
+from realtouch import importing, touch_options, video
+from realtouch.formats import episodes, flat_parquet, lerobot_metadata, media_files, zarr_recordings
+from realtouch.touch import touch_id
 from tactile_toolkit import errors, store, wording
 from tactile_toolkit.array_types import Float64
 from tactile_toolkit.columns import column_types
 
 _ROWS = ".parquet"
 _INDICES = ("index", "frame_index", "episode_index", "task_index", "timestamp")
+_VECTORS = {episodes.STATE: touch_options.POSE_COLUMNS, episodes.ACTION: touch_options.POSITION_COLUMNS}
+_OF_EPISODE = ("label", "label_name", "object_id")
 
 
 def find_lerobot(
@@ -48,8 +51,8 @@ def describe_conversion(touches: importing.FoundTouches) -> str:
 def read_frames(place: importing.PicturePlace, numbers: Sequence[int]) -> Iterator[bytes | errors.ItemError]:
     """Yield the pictures with some numbers of a Parquet file or video."""
     if place.path.endswith(_ROWS):
-        return foreign_parquet.read_rows(place, numbers)
-    return video_import.read_frames(place, numbers)
+        return flat_parquet.read_rows(place, numbers)
+    return media_files.read_frames(place, numbers)
 
 
 class _Episodes:
@@ -75,7 +78,7 @@ class _Episodes:
             found = self._read(found, episode)
         except (errors.ItemError, errors.IntegrityError) as error:
             return replace(found, problem=errors.ItemError(getattr(error, "reason", "file"), error.what))
-        return found if self.info.realtouch is None else lerobot_mark.as_ours(found, self.info.realtouch)
+        return found if self.info.realtouch is None else _as_ours(found, self.info.realtouch)
 
     def _read(self, found: importing.Recording, episode: lerobot_metadata.Episode) -> importing.Recording:
         self._read_columns(episode.data_path)
@@ -98,14 +101,12 @@ class _Episodes:
         """Read all columns of a file except pictures, unless it was the last one that was read."""
         if path == self._path:
             return
-        parquet = foreign_parquet.ForeignParquet(self.home, path)
+        parquet = flat_parquet.ForeignParquet(self.home, path)
         if self.info.features[self.camera].dtype == "image":
-            if not foreign_parquet.is_picture(parquet.types.get(self.camera)):
+            if not flat_parquet.is_picture(parquet.types.get(self.camera)):
                 raise errors.ItemError("image", f"{path!r} has no column of pictures {self.camera!r}")
             self._picture_bytes = parquet.picture_bytes(self.camera)
-        plain = [
-            name for name, data_type in parquet.types.items() if not foreign_parquet.is_picture(data_type)
-        ]
+        plain = [name for name, data_type in parquet.types.items() if not flat_parquet.is_picture(data_type)]
         columns = parquet.columns([name for name in plain if name not in self.info.pictures])
         for name, column in columns.items():
             lengths = column_types.lengths_of(column)
@@ -179,3 +180,27 @@ def _first_picture(shown_s: Float64, wanted_s: Float64, fps: float) -> int:
             f"not at the times of the frames, until {wanted_s[-1]:.3f} s",
         )
     return first
+
+
+def _as_ours(found: importing.Recording, mark: lerobot_metadata.Mark) -> importing.Recording:
+    """Return an episode that this toolkit wrote, with its columns named as in its tables."""
+    every = found.per_frame
+    columns = {name: column for name, column in every.items() if name not in mark.extra}
+    values, time_s = dict(found.values), found.time_s
+    if episodes.TIME in columns:
+        time_s = columns.pop(episodes.TIME).to_numpy(zero_copy_only=False)
+    values.pop("task", None)  # it is the label
+    name = round_id = str(values.pop("round_id", found.name))
+    touch, of_episode, cut = values.pop("touch", None), list(_OF_EPISODE), "frames"
+    if mark.clips:
+        name, cut = found.name, "whole"
+        if isinstance(touch, int):
+            name = touch_id(round_id, touch)
+        of_episode += [*touch_options.POSITION_COLUMNS, *mark.per_touch]
+    found = replace(found, name=name, round=round_id, cut=cut, time_s=time_s, per_frame=columns)
+    found = zarr_recordings.with_contact(found)
+    ours = zarr_recordings.name_ours(found, _VECTORS, mark.class_names).per_frame
+    # Further columns are added last: one may have the name of a column of ours, which is kept then.
+    per_frame = {**{mark.own_name(name): every[name] for name in mark.extra if name in every}, **ours}
+    values |= {each: per_frame.pop(each)[0].as_py() for each in of_episode if each in per_frame}
+    return replace(found, values=values, per_frame=per_frame)

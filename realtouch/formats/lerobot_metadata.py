@@ -1,30 +1,56 @@
-"""Metadata of a LeRobotDataset: features, episodes and tasks."""
+"""The folder meta of a LeRobotDataset: features, tasks, episodes."""
 
 from __future__ import annotations
 
+import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Annotated
 
 import msgspec
+import pyarrow as pa
 
-from realtouch import importing
-from realtouch.formats import foreign_parquet, lerobot_mark
-from tactile_toolkit import errors, store
+from realtouch import convert, importing
+from realtouch.formats import flat_parquet, lerobot_statistics
+from realtouch.formats.episodes import ACTION, DEPTH, STATE, Episodes
+from tactile_toolkit import errors, read, store, touch
 from tactile_toolkit.json_types import JsonObject
 
 _INFO = "meta/info.json"
 _PICTURES = ("image", "video")
+_DEPTH_INFO = {"is_depth_map": True, "depth_unit": "m"}
 _DEPTH = ("is_depth_map", "video.is_depth_map")
 _MAX_BYTES = 256 << 20
 _READABLE_VERSION = re.compile(r"v(2\.[01]|3\.0)")
 _FIELD = re.compile(r"\{(\w+)(?::0?([0-9])d)?\}")
 _RANGE = re.compile(r"(\d{1,15}):(\d{1,15})")
+
 # Fields of episodes that locate their files, or that follow from their frames.
 _OF_FILES = re.compile(r"(stats|data|meta|videos)/.*|dataset_(from|to)_index|tasks|length|episode_index")
 _Count = Annotated[int, msgspec.Meta(ge=0, lt=1 << 50)]
+
+
+class Mark(msgspec.Struct, frozen=True):
+    """Mark of an export of this toolkit.
+
+    ``clips``: an episode is a clip, not a round. ``extra``: the stored name of the further column in each
+    feature: ``extra.NAME`` with an entry for each touch, or ``extra_seq.NAME`` for each frame.
+    """
+
+    class_names: tuple[str, ...]
+    clips: bool
+    extra: Mapping[str, str] = {}
+
+    def own_name(self, feature: str) -> str:
+        """Return the name of a further column in the data set; the name of another feature is unchanged."""
+        return self.extra.get(feature, feature).removeprefix("extra_seq.").removeprefix("extra.")
+
+    @property
+    def per_touch(self) -> list[str]:
+        """Names in the data set of the further columns with an entry for each touch."""
+        return [self.own_name(name) for name, stored in self.extra.items() if stored.startswith("extra.")]
 
 
 class Feature(msgspec.Struct, frozen=True):
@@ -49,7 +75,7 @@ class Info(msgspec.Struct, frozen=True):
     video_path: str | None = None
     chunks_size: Annotated[int, msgspec.Meta(gt=0, lt=1 << 50)] = 1000
     splits: Mapping[str, str] | None = None
-    realtouch: lerobot_mark.Mark | None = None
+    realtouch: Mark | None = None
 
     @property
     def pictures(self) -> list[str]:
@@ -182,7 +208,7 @@ def _lines(home: store.DataFolder, path: str) -> Iterator[JsonObject]:
         if path.endswith(".jsonl"):
             yield from msgspec.json.Decoder(JsonObject).decode_lines(_content(home, path))
             return
-        parquet = foreign_parquet.ForeignParquet(home, path)
+        parquet = flat_parquet.ForeignParquet(home, path)
         yield from parquet.rows([name for name in parquet.types if not name.startswith("stats/")])
 
 
@@ -205,3 +231,82 @@ def _as_input_error(home: store.DataFolder, path: str) -> Iterator[None]:
         raise errors.InputError(
             f"{home.address(path)!r} holds no metadata of a LeRobotDataset ({error})"
         ) from error
+
+
+FOLDER = "lerobot"
+FILES_PER_CHUNK = 1000
+FILE_BYTES = 100 << 20
+_VERSION = "v3.0"
+META_STYLE = store.ParquetStyle(rows_per_group=1 << 12, compression_level=3)
+_POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
+_AXES = ("height", "width", "channels")
+_COMPONENTS = {STATE: list(_POSE), ACTION: list(_POSE[:2])}
+
+
+@dataclass(frozen=True)
+class WriteMeta:
+    """Writes the metadata of a LeRobotDataset after all its episodes."""
+
+    step: Episodes
+    tasks: tuple[str, ...]
+
+    def __call__(self, folder: store.DataFolder, manifest: store.Manifest) -> dict[str, str]:
+        """Return the checksum of each file of the LeRobotDataset by its path."""
+        files = convert.checksums(folder, manifest)
+        placed = [list(convert.files_of(folder, record)) for record in manifest.shards if record.rows]
+        frames, episodes = (
+            [read.Shard(folder.address(path)) for path in paths] for paths in zip(*placed, strict=True)
+        )
+        info = self._info(frames[0].schema, sum(map(len, episodes)), sum(map(len, frames)))
+        meta = {
+            "info.json": _json_bytes(info),
+            "stats.json": _json_bytes(lerobot_statistics.statistics_of_all(episodes, frames)),
+            "tasks.parquet": store.encode_parquet(_task_table(self.tasks), META_STYLE),
+        }
+        return files | convert.write_changed(folder, {f"{FOLDER}/meta/{name}": meta[name] for name in meta})
+
+    def _info(self, frames: pa.Schema, episodes: int, total_frames: int) -> dict[str, object]:
+        step = self.step
+        mark = Mark(step.names, step.are_clips, {each.name: each.stored for each in step.extras})
+        return {
+            "codebase_version": _VERSION,
+            "robot_type": None,
+            "total_episodes": episodes,
+            "total_frames": total_frames,
+            "total_tasks": len(self.tasks),
+            "chunks_size": FILES_PER_CHUNK,
+            "data_files_size_in_mb": FILE_BYTES >> 20,
+            "video_files_size_in_mb": 200,
+            "fps": step.fps,
+            "splits": {step.split: f"0:{episodes}"},
+            "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
+            "video_path": None,
+            "features": {each.name: self._feature(each) for each in frames},
+            "realtouch": msgspec.to_builtins(mark),
+        }
+
+    def _feature(self, each: pa.Field) -> dict[str, object]:
+        if each.type == touch.MEDIA_TYPE:
+            picture: dict[str, object] = {"dtype": "image", "shape": [*self.step.size, 3], "names": [*_AXES]}
+            if each.name == DEPTH:
+                picture |= {"shape": [*self.step.size, 1], "info": _DEPTH_INFO}
+            return picture
+        width, leaf = 1, each.type
+        if pa.types.is_fixed_size_list(leaf):
+            width, leaf = leaf.list_size, leaf.value_type
+        return {"dtype": read.dtype_name(leaf), "shape": [width], "names": _COMPONENTS.get(each.name)}
+
+
+def _json_bytes(values: Mapping[str, object]) -> bytes:
+    return (json.dumps(values, indent=4) + "\n").encode()
+
+
+def _task_table(tasks: Sequence[str]) -> pa.Table:
+    """Return the tasks as pandas stores a table with a named index."""
+    table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": pa.array(tasks)})
+    columns = [
+        {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": stored, "metadata": None}
+        for name, kind, stored in (("task_index", "int64", "int64"), ("task", "unicode", "object"))
+    ]
+    of_pandas = {"index_columns": ["task"], "column_indexes": [], "columns": columns}
+    return table.replace_schema_metadata({"pandas": json.dumps({**of_pandas, "pandas_version": "2.0.0"})})

@@ -6,15 +6,15 @@ split or merged. Sums are exact, so the results do not depend on the processor.
 
 from __future__ import annotations
 
+import io
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import pyarrow as pa
 from PIL import Image
 
 from realtouch import extras
-from realtouch.formats import lerobot_depth
 from realtouch.formats.episodes import DEPTH
 from realtouch.stored_images import decoded
 from tactile_toolkit import read, touch
@@ -52,7 +52,7 @@ def _episode(name: str, values: pa.Array) -> dict[str, object]:
     seen = np.unique(np.linspace(0, len(values) - 1, _IMAGE_SAMPLES).round().astype(int)).tolist()
     images = [values[number].as_py() for number in seen]
     if name == DEPTH:
-        channels = [lerobot_depth.counted_depths(image["bytes"] for image in images)]
+        channels = [_counted_depths(image["bytes"] for image in images)]
     else:
         counts = np.zeros((3, _LEVELS), np.int64)
         for image in images:
@@ -142,3 +142,10 @@ def _flat_rows(values: pa.Array | pa.ChunkedArray) -> Float64:
         values = values.combine_chunks()
     rows = extras.array_with_gaps(values)
     return rows.reshape(len(rows), -1).astype(np.float64, copy=False)
+
+
+def _counted_depths(files: Iterable[bytes]) -> tuple[Float64, Int64]:
+    """Return the sorted values of some maps, and how often each occurs."""
+    maps = [np.asarray(Image.open(io.BytesIO(each), formats=["TIFF"]), np.float64) for each in files]
+    values, counts = np.unique(np.concatenate(maps), return_counts=True)
+    return values, counts

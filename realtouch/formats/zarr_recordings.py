@@ -1,8 +1,9 @@
-"""Zarr groups as recordings: an episode is a recording, and the arrays of ``data`` are its columns."""
+"""Recordings in Zarr groups: episodes of replay buffers and of Open-X-Tactile."""
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -13,22 +14,67 @@ import numpy as np
 import pyarrow as pa
 
 from realtouch import importing, touch, touch_options
-from realtouch.formats import picture_arrays, zarr_arrays, zarr_groups
+from realtouch.formats import picture_arrays, zarr_arrays
 from realtouch.formats.episodes import CONTACT
 from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import Int64
 from tactile_toolkit.columns import column_types
 
+ENDS, ATTRIBUTES = "meta/episode_ends", "meta/.zattrs"
+ROUND, TOUCH = "round_id", "touch"
+"""Arrays of ``meta`` with an entry for each episode; the second exists if episodes are clips."""
+CLASSES, COLUMNS, PER_CLIP = "class_names", "columns", "columns_of_clips"
+"""Attributes of ``meta``: classes, columns of the data set by array, those that concern whole clips."""
 DATA = "data"
 TIMES = ("time_s", "timestamps", "timestamp")
 """Names of the array of times of pictures, in order of preference; it has floats, in seconds."""
+PIXELS = "tactile"
+"""Array of pictures in replay buffers of this toolkit."""
 
+_TACTILE_DATA = re.compile(r"[a-z]+_tactile_data_.+")
+_PICTURE_AXES = 5
+_MAX_SENSORS = 100
 _ENDINGS = (".zarr", ".zarr.zip")
 _ENDS_SHOWN = 8
 _MAX_ARRAYS = 500
-_OF_META = (zarr_groups.ROUND, zarr_groups.TOUCH)
+_OF_META = (ROUND, TOUCH)
 _OUR_VECTORS = {"gel_pose": touch_options.POSE_COLUMNS, "pos_in_cell": touch_options.POSITION_COLUMNS}
 _OUR_VALUES = ("label", "label_name", "object_id", *touch_options.POSITION_COLUMNS)
+
+
+def find_replay(
+    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+) -> Iterator[importing.Recording]:
+    """Yield a recording for each episode of the buffer; its arrays are columns.
+
+    The meaning of an array does not follow from its shape; only a buffer of this toolkit states its columns.
+    """
+    group = group_in(home)
+    names = data_arrays(group)
+    name = importing.chosen_pictures(names, columns.image_name or PIXELS, group.place, "arrays")
+    return recordings_of(group, names, (name, None), columns)
+
+
+def find_oxt(
+    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+) -> Iterator[importing.Recording]:
+    """Yield a recording for each episode; the pictures are those of the only sensor, or of the named one.
+
+    A sensor has the name of its array. If the array holds several sensors, their numbers follow, from 0:
+    ``left_tactile_data_fingers[1]``. Labels, poses and rounds that this toolkit exported are restored.
+    """
+    group, sensors = group_in(home), dict[str, tuple[str, int]]()
+    arrays = data_arrays(group)
+    for name, shape in arrays.items():
+        if _TACTILE_DATA.fullmatch(name) and isinstance(shape, list) and len(shape) == _PICTURE_AXES:
+            count = shape[1] if isinstance(shape[1], int) else 0
+            if count == 1:
+                sensors[name] = name, 0
+            else:
+                numbers = range(min(count, _MAX_SENSORS))
+                sensors |= {f"{name}[{sensor}]": (name, sensor) for sensor in numbers}
+    chosen = importing.chosen_pictures(sensors, columns.image_name, group.place, "arrays of pictures", arrays)
+    return recordings_of(group, arrays, sensors[chosen], columns)
 
 
 def group_in(home: store.DataFolder) -> zarr_arrays.ZarrGroup:
@@ -80,19 +126,19 @@ def recordings_of(
     per_frame = {each: column_types.from_numpy(values) for each, values in found.items()}
     where, size = (name, group.home.address(), group.path, part), math.prod(shown.shape[1:])
     whole = importing.Recording(*where, 0, len(shown), size, per_frame=per_frame, left_out=tuple(left_out))
-    ends, stated = episode_ends(group, len(shown)), group.json(zarr_groups.ATTRIBUTES)
+    ends, stated = episode_ends(group, len(shown)), group.json(ATTRIBUTES)
     said, _ = picture_arrays.columns_of(of_meta, len(ends), ())
-    kept = stated.get(zarr_groups.COLUMNS)
-    if zarr_groups.ROUND not in said or not isinstance(kept, dict):
+    kept = stated.get(COLUMNS)
+    if ROUND not in said or not isinstance(kept, dict):
         return episodes_of(whole, ends, (), of_episodes(whole, columns))
     per_frame = {str(kept[name]): values for name, values in per_frame.items() if name in kept}
     whole = replace(whole, per_frame=per_frame, left_out=())
-    whole = name_ours(whole, _OUR_VECTORS, _texts(stated, zarr_groups.CLASSES))
-    rounds = ids = list(map(str, said[zarr_groups.ROUND].tolist()))
-    if zarr_groups.TOUCH in said:
+    whole = name_ours(whole, _OUR_VECTORS, _texts(stated, CLASSES))
+    rounds = ids = list(map(str, said[ROUND].tolist()))
+    if TOUCH in said:
         whole = replace(whole, cut="whole")
-        ids = list(map(touch.touch_id, rounds, said[zarr_groups.TOUCH].astype(int).tolist()))
-    episodes = episodes_of(whole, ends, ids, {*_OUR_VALUES, *_texts(stated, zarr_groups.PER_CLIP)})
+        ids = list(map(touch.touch_id, rounds, said[TOUCH].astype(int).tolist()))
+    episodes = episodes_of(whole, ends, ids, {*_OUR_VALUES, *_texts(stated, PER_CLIP)})
     return (replace(with_contact(each), round=name) for each, name in zip(episodes, rounds, strict=True))
 
 
@@ -111,7 +157,7 @@ def episode_ends(group: zarr_arrays.ZarrGroup, frames: int) -> Int64:
 
     Raises InputError unless the numbers rise, and the last one is the number of all frames.
     """
-    array = group.array(zarr_groups.ENDS)
+    array = group.array(ENDS)
     ends = np.zeros(0, np.int64)
     if len(array.shape) == 1 and array.dtype.kind in "iu" and array.shape[0] <= frames:
         ends = array.rows().astype(np.int64)

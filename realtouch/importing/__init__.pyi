@@ -6,16 +6,14 @@ from .cuts import (
 from .fields import (
     shown as shown,
 )
-from .found_touches import (
+from .source_touches import (
     FoundTouches as FoundTouches,
     PicturePlace as PicturePlace,
+    Recording as Recording,
+    TIME_S as TIME_S,
 )
 from .import_columns import (
     ImportColumns as ImportColumns,
-)
-from .recordings import (
-    Recording as Recording,
-    TIME_S as TIME_S,
 )
 from .source_files import (
     FILE_OF_TABLE as FILE_OF_TABLE,

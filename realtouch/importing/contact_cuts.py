@@ -13,7 +13,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from realtouch import avi, contact_picture
-from realtouch.importing import recordings, source_files
+from realtouch.importing import source_files, source_touches
 from tactile_toolkit import errors, pictures, touch, wording
 from tactile_toolkit.array_types import Bool, Float64, Int64, UInt8
 
@@ -80,7 +80,7 @@ class ContactRuns:
 
 
 def pictures_of(
-    recording: recordings.Recording, parts: Iterable[range], contents: source_files.ReadContents
+    recording: source_touches.Recording, parts: Iterable[range], contents: source_files.ReadContents
 ) -> Iterator[UInt8 | None]:
     """Yield the pictures of some ranges, in order, shape (H, W, 3); None for an unreadable picture."""
     places = (recording.place(part.start, part.stop) for part in parts)
@@ -105,7 +105,7 @@ class GelAtRest:
 
     def __init__(
         self,
-        recording: recordings.Recording,
+        recording: source_touches.Recording,
         contents: source_files.ReadContents,
         rule: contact_picture.ContactRule,
     ) -> None:
@@ -130,7 +130,7 @@ class GelAtRest:
 
     def _read_samples(
         self,
-        recording: recordings.Recording,
+        recording: source_touches.Recording,
         contents: source_files.ReadContents,
         rule: contact_picture.ContactRule,
     ) -> dict[int, UInt8]:
@@ -178,7 +178,9 @@ class GelAtRest:
 
 
 def find_contacts(
-    recording: recordings.Recording, contents: source_files.ReadContents, rule: contact_picture.ContactRule
+    recording: source_touches.Recording,
+    contents: source_files.ReadContents,
+    rule: contact_picture.ContactRule,
 ) -> ContactRuns:
     """Find the touches of a recording; ItemError if it has none, or if no picture can be read."""
     area_px, change = np.zeros((2, recording.frames), np.int64)
@@ -233,7 +235,7 @@ def _with_margins(starts: Int64, stops: Int64, change: Int64) -> Iterator[Contac
 
 
 def draw_cuts(
-    recording: recordings.Recording,
+    recording: source_touches.Recording,
     found: ContactRuns,
     contents: source_files.ReadContents,
     rule: contact_picture.ContactRule,

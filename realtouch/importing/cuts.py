@@ -8,7 +8,7 @@ from pathlib import PurePosixPath
 import numpy as np
 
 from realtouch.contact_picture import ContactRule
-from realtouch.importing import contact_cuts, fields, found_touches, import_columns, recordings, source_files
+from realtouch.importing import contact_cuts, fields, import_columns, source_files, source_touches
 from tactile_toolkit import errors, wording
 from tactile_toolkit.columns import column_types, units
 
@@ -33,8 +33,8 @@ class CutTable:
         home, name = source_files.source_of(path)
         if not home.exists(name):
             raise errors.InputError(
-                f"no cut {path!r}{wording.did_you_mean(path, recordings.CUTS)}; expected "
-                f"{', '.join(recordings.CUTS)} or the path of a table"
+                f"no cut {path!r}{wording.did_you_mean(path, source_touches.CUTS)}; expected "
+                f"{', '.join(source_touches.CUTS)} or the path of a table"
             )
         self._place = home.address(name)
         self._table = source_files.read_table(home, name, columns, RECORDING_COLUMNS)
@@ -68,7 +68,7 @@ class CutTable:
         for row, stated in enumerate(self._stated_recordings):
             self._rows_that_state.setdefault(stated, []).append(row)
 
-    def touches_of(self, recording: recordings.Recording) -> found_touches.FoundTouches:
+    def touches_of(self, recording: source_touches.Recording) -> source_touches.FoundTouches:
         """Return the touches of a recording in the order of the table.
 
         A touch that cannot be cut has a problem. Raises InputError if a row fits several recordings.
@@ -89,13 +89,13 @@ class CutTable:
                 continue
             values = self._table.values(row)
             said = {key: value for key, value in values.items() if key not in self._own_columns}
-            clips.append(recordings.Clip(start, stop, name, said=said))
+            clips.append(source_touches.Clip(start, stop, name, said=said))
         if not clips:
             problem = errors.ItemError("cut", f"no row of {self._place!r} names this recording")
             clips = [recording.unusable(problem)]
         return recording.clips(clips)
 
-    def unused(self) -> found_touches.FoundTouches:
+    def unused(self) -> source_touches.FoundTouches:
         """Return the rows whose recording was not found, each with this problem."""
         rows = [row for row in range(self._table.rows) if row not in self._recording_of_row]
         problems = {}
@@ -105,9 +105,9 @@ class CutTable:
                 "recording", f"names {stated!r}; expected a recording of the source"
             )
         names = [f"row {row + 1} of the cuts" for row in rows]
-        return found_touches.FoundTouches.of(names, self._place, "", {}, problems=problems)
+        return source_touches.FoundTouches.of(names, self._place, "", {}, problems=problems)
 
-    def _rows_of(self, recording: recordings.Recording) -> Sequence[int]:
+    def _rows_of(self, recording: source_touches.Recording) -> Sequence[int]:
         """Return the rows of a recording; all rows if no column names recordings."""
         if self._recording_column is None:
             return range(self._table.rows)
@@ -116,7 +116,7 @@ class CutTable:
         names = {recording.name, recording.path, path.name, without_ending, path.stem} - {""}
         return sorted(row for name in names for row in self._rows_that_state.get(name, ()))
 
-    def _interval(self, recording: recordings.Recording, row: int) -> tuple[int, int]:
+    def _interval(self, recording: source_touches.Recording, row: int) -> tuple[int, int]:
         """Return the number of the first picture of a touch and of the one after its last.
 
         Raises ItemError if the row or the recording cannot be used.
@@ -183,10 +183,10 @@ class Cutter:
         self.done = ""
         self._cut, self._contents, self._default, self._rule = cut, contents, default, ContactRule()
         self._table = None
-        if cut is not None and cut not in recordings.CUTS:
+        if cut is not None and cut not in source_touches.CUTS:
             self._table = CutTable(cut, columns or import_columns.ImportColumns())
 
-    def cut(self, recording: recordings.Recording) -> found_touches.FoundTouches:
+    def cut(self, recording: source_touches.Recording) -> source_touches.FoundTouches:
         """Return the touches of a recording in order; a recording that cannot be cut is one touch.
 
         That touch has the problem. Raises InputError if a row of a table fits several recordings.
@@ -198,13 +198,13 @@ class Cutter:
         self.done = self._cut or recording.cut or self._default
         if recording.problem is None and self.done == "contact":
             return recording.clips(list(self._by_contact(recording)))
-        return recordings.touches_of(recording, self.done)
+        return source_touches.touches_of(recording, self.done)
 
-    def unused(self) -> list[found_touches.FoundTouches]:
+    def unused(self) -> list[source_touches.FoundTouches]:
         """Return the rows of a table whose recordings were not found, each with this problem."""
         return [] if self._table is None else [self._table.unused()]
 
-    def _by_contact(self, recording: recordings.Recording) -> Iterator[recordings.Clip]:
+    def _by_contact(self, recording: source_touches.Recording) -> Iterator[source_touches.Clip]:
         try:
             found = contact_cuts.find_contacts(recording, self._contents, self._rule)
         except errors.ItemError as error:
@@ -215,4 +215,6 @@ class Cutter:
             self.pictures[name] = contact_cuts.draw_cuts(recording, found, self._contents, self._rule)
         for number, run in enumerate(found.runs):
             name = f"{recording.name}_{number:03d}"
-            yield recordings.Clip(run.start, run.stop, name, (run.first - run.start, run.last - run.start))
+            yield source_touches.Clip(
+                run.start, run.stop, name, (run.first - run.start, run.last - run.start)
+            )

@@ -1,29 +1,29 @@
-"""Convert the fields of a source to the units of this toolkit; wrong values are refused with a reason."""
+"""Fields of a source as columns of a data set: in its units, or kept as extra columns."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 
 import numpy as np
 import pyarrow as pa
 
-from realtouch.importing import found_touches, import_columns, source_files
+from realtouch.importing import import_columns, source_files, source_touches
 from realtouch.poses import bad_pose
-from tactile_toolkit import arithmetic, errors, spatial
+from realtouch.schema import EXTRA_PREFIX
+from tactile_toolkit import arithmetic, errors, shown_text, spatial
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.columns import column_types, units
 
 UNKNOWN = ("-1", "-1.0")
 """Numbers of an unknown class, as in `datasets`."""
-
 Fields = Mapping[str, pa.Array]
 """Columns by name, each with an entry for every touch or picture."""
-
 _WHOLE = re.compile(r"^(0|[1-9][0-9]*)(?:\.0+)?\Z")
 _LONGEST_SHOWN = 80  # characters of a value in a message
 _LONGEST_INTEGER = 18  # digits
+
 # The cell is 0.12 m wide. A position over 0.12 m outside of it, or over 0.36 m high, is in another unit.
 _FARTHEST_M = (0.18, 0.18, 0.36)
 _MAX_TURN = 4 * np.pi  # radians; a longer rotation vector is in degrees
@@ -44,7 +44,7 @@ def integer_text(text: str) -> str:
 
 
 def labels_of(
-    touches: found_touches.FoundTouches, column: str | None, names: Sequence[str]
+    touches: source_touches.FoundTouches, column: str | None, names: Sequence[str]
 ) -> tuple[Int64, dict[int, errors.ItemError]]:
     """Return the class number of each touch, -1 if it is unknown, and the problems by index."""
     numbers = {name: number for number, name in reversed([*enumerate(names)])}
@@ -79,7 +79,7 @@ def _nested_labels(column: pa.Array | None) -> dict[int, errors.ItemError]:
 
 
 def objects_of(
-    touches: found_touches.FoundTouches, column: str | None
+    touches: source_touches.FoundTouches, column: str | None
 ) -> tuple[Int64, dict[int, errors.ItemError]]:
     """Return the object id of each touch, 0 without such a column, and the problems by index."""
     found, problems = np.zeros(len(touches), np.int64), dict[int, errors.ItemError]()
@@ -278,3 +278,122 @@ def _numbers(
             expected += f", or {counts} of a matrix (6 with --euler or --rotvec)"
         raise errors.ItemError(reason, f"{shown(example)}; expected {expected}")
     return numbers / columns.divisors(names, numbers.shape[1])
+
+
+BOOKKEEPING = frozenset(
+    {"id", "round_id", "touch", "frame", "file", "image", "key", "sha256", "meta_file", "meta_sha256"}
+)
+"""Columns by which exports of this toolkit find their files; they become extra columns only if named."""
+_MAX_COLUMNS = 1000
+
+
+def used_names(columns: import_columns.ImportColumns) -> set[str | None]:
+    """Return the columns of a source that hold labels, poses and so on, not extra values."""
+    named = {source for _, source in columns.extra}
+    used: set[str | None] = {*columns.names(), columns.image} - named
+    if columns.label == f"{source_files.NUMBERED}_name":
+        used.add(source_files.NUMBERED)
+    return used
+
+
+def extra_sources(
+    touches: source_touches.FoundTouches, columns: import_columns.ImportColumns
+) -> dict[str, str]:
+    """Return the extra columns of touches: the name in the source by the new name.
+
+    Raises InputError if two columns would have one name.
+    """
+    renamed = {source: name for name, source in columns.extra if source}
+    left_out = {name for name, source in columns.extra if not source}
+    no_extra = used_names(columns) | (BOOKKEEPING - renamed.keys()) | left_out
+    if not touches.has_clips:
+        no_extra.discard(source_touches.TIME_S)
+    sources: dict[str, str] = {}
+    for source in touches.names:
+        if source in no_extra:
+            continue
+        name = renamed.get(source, source)
+        if name in sources:
+            raise errors.InputError(
+                f"the columns {sources[name]!r} and {source!r} would both be kept as {name!r}",
+                next=f"name one of them: --map NEW={sources[name]}",
+            )
+        if import_columns.is_extra_name(name) and len(sources) < _MAX_COLUMNS:
+            sources[name] = source
+    return sources
+
+
+def extra_types(
+    touches: source_touches.FoundTouches, columns: import_columns.ImportColumns
+) -> dict[str, pa.DataType]:
+    """Return the type of the value of a touch in each extra column, by the name of the column in a data set.
+
+    A column of objects, bytes or lists of several lengths is not kept, nor one without any value.
+    """
+    types: dict[str, pa.DataType] = {}
+    for name, source in extra_sources(touches, columns).items():
+        per_frame = source in touches.per_frame.column_names
+        entry = _type_of(touches, source, per_frame=per_frame)
+        if entry is not None and per_frame:
+            types[f"{EXTRA_PREFIX['frame']}{name}"] = pa.list_(entry)
+        elif entry is not None:
+            types[f"{EXTRA_PREFIX['touch']}{name}"] = entry
+    return types
+
+
+def _type_of(touches: source_touches.FoundTouches, source: str, *, per_frame: bool) -> pa.DataType | None:
+    """Return the type in which the values of a column are stored; None if they are not stored."""
+    kind = touches.of_frames(source).type.value_type if per_frame else touches.said[source].type
+    leaf = kind.value_type if pa.types.is_list(kind) else kind
+    if leaf == column_types.UNTYPED or pa.types.is_null(leaf) or source not in touches.known:
+        return None
+    if pa.types.is_temporal(leaf):
+        leaf = pa.string()
+    return pa.list_(leaf) if pa.types.is_list(kind) else leaf
+
+
+def extra_arrays(
+    touches: source_touches.FoundTouches,
+    columns: import_columns.ImportColumns,
+    types: Mapping[str, pa.DataType],
+) -> Iterator[pa.Array]:
+    """Yield the values of each extra column, an entry for each touch."""
+    sources = dict(columns.extra)
+    for column, data_type in types.items():
+        name, is_frame = _name_of(column)
+        source = sources.get(name, name)
+        if is_frame:
+            yield touches.of_frames(source).cast(data_type)
+        else:
+            values = touches.value(source)
+            assert values is not None
+            yield values.cast(data_type)
+
+
+def _name_of(column: str) -> tuple[str, bool]:
+    """Return the name of an extra column of a data set, and whether it has an entry for each picture."""
+    prefix = EXTRA_PREFIX["frame"]
+    is_frame = column.startswith(prefix)
+    return column.removeprefix(prefix if is_frame else EXTRA_PREFIX["touch"]), is_frame
+
+
+def kept_sources(columns: import_columns.ImportColumns, types: Iterable[str]) -> dict[str, str]:
+    """Return the fields that some extra columns of a data set keep, with their names there."""
+    sources = dict(columns.extra)
+    names = (_name_of(column)[0] for column in types)
+    return {sources.get(name, name): name for name in names}
+
+
+def not_kept(
+    touches: source_touches.FoundTouches, columns: import_columns.ImportColumns, types: Iterable[str]
+) -> dict[str, int]:
+    """Return the number of touches with each field that is neither used nor kept, by its printable name."""
+    kept = used_names(columns) | kept_sources(columns, types).keys()
+    counts: dict[str, int] = {}
+    for name in touches.names:
+        if name not in kept:
+            tables = [table for table in (touches.said, touches.per_frame) if name in table.column_names]
+            count = max(len(table) - table[name].null_count for table in tables)
+            shown = shown_text.printable(name)
+            counts[shown] = counts.get(shown, 0) + count
+    return {name: count for name, count in counts.items() if count}

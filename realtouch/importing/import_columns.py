@@ -1,17 +1,23 @@
-"""The meaning and units of the columns of recordings; importing this module is fast."""
+"""Meaning and units of the columns of recordings; importing this module is fast."""
 
 from __future__ import annotations
 
+import difflib
+import io
 import os
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
 
 from realtouch.touch_options import FOTA_POSE_COLUMNS, POSE_COLUMNS, POSITION_COLUMNS
-from tactile_toolkit import checked_fields, errors, parsed_text
+from tactile_toolkit import checked_fields, errors, parsed_text, wording
+from tactile_toolkit.arithmetic import are_rigid
 from tactile_toolkit.columns import units
 from tactile_toolkit.json_types import JsonDict
-from tactile_toolkit.kind import lazy
 
 # Fields of `ImportColumns` and their default columns, which are used if the source has them.
 _DEFAULT_COLUMNS: tuple[tuple[str, str | tuple[str, ...]], ...] = (
@@ -35,12 +41,12 @@ MAPPED = {
     "time": "time",
 }
 """Names for ``--map``, and the field of :class:`ImportColumns` that each sets."""
-
 Matrix = tuple[tuple[float, ...], ...]
 _DEFAULT_IMAGE = "file"
 _LENGTHS = 3  # numbers at the start of a pose that are lengths
 _POSITION_AND_ROTATION = 2  # columns of a pose that is given as two vectors
 _QUATERNION_POSE, _ANGLE_POSE, _MATRIX_POSES = 7, 6, (12, 16)
+
 # Which numbers of a position or pose are lengths, and which are angles, by how many it has.
 _PLACES = {
     2: (range(2), range(0)),
@@ -50,10 +56,55 @@ _PLACES = {
 }
 _EULER = re.compile(r"(?:[xyz]{3}|[XYZ]{3})\Z")
 LONGEST_NAME = 100  # characters
-# Imported on use: few commands name a file, and these imports are slow.
-_read_frame = lazy("realtouch.importing.named_files:read_frame")
-_rigid_frame = lazy("realtouch.importing.named_files:rigid_frame")
-_read_mapped = lazy("realtouch.importing.named_files:read_mapped")
+_SIMILARITY = 0.8  # a name that is so similar to a known one is a misspelling of it
+_LARGEST_FILE = 1 << 20  # bytes
+_SEPARATORS = re.compile(r"[\[\](){},;]")
+
+
+def read_frame(place: str | os.PathLike[str]) -> Matrix:
+    """Read a rigid transform, 4 x 4 numbers, from a file of text, CSV, JSON or NPY.
+
+    Raises InputError if the file cannot be read or holds no rigid transform.
+    """
+    content = _content_of(place)
+    values: object = ()
+    with suppress(ValueError, EOFError, OSError):
+        if content.startswith(b"\x93NUMPY"):
+            values = np.load(io.BytesIO(content), allow_pickle=False)
+        else:
+            words = _SEPARATORS.sub(" ", content.decode("utf-8-sig", errors="replace")).split()
+            values = [list(map(float, words[start : start + 4])) for start in range(0, len(words), 4)]
+    return rigid_frame(values, repr(os.fspath(place)))
+
+
+def _content_of(place: str | os.PathLike[str]) -> bytes:
+    """Return a small file that the user named; InputError if it cannot be read."""
+    try:
+        with Path(place).expanduser().open("rb") as stream:
+            content = stream.read(_LARGEST_FILE + 1)
+    except (OSError, ValueError) as error:
+        raise errors.InputError(f"{os.fspath(place)!r} cannot be read", next="check the path") from error
+    if len(content) > _LARGEST_FILE:
+        raise errors.InputError(
+            f"{os.fspath(place)!r} has more than {_LARGEST_FILE:,} bytes; expected a small file"
+        )
+    return content
+
+
+def rigid_frame(values: object, where: str) -> Matrix:
+    """Return a 4 x 4 matrix as tuples; InputError if it is not a rigid transform."""
+    try:
+        matrix = np.array(values, np.float64)
+    except (TypeError, ValueError, OverflowError):
+        matrix = np.empty(0)
+    if matrix.shape != (4, 4):
+        raise errors.InputError(f"the frame {where} is no matrix of numbers; expected 4 x 4 numbers")
+    if not np.isfinite(matrix).all() or not are_rigid(matrix[None]):
+        raise errors.InputError(
+            f"the frame {where} is no rigid transform; expected a rotation of determinant 1, a translation, "
+            "and the last row 0 0 0 1"
+        )
+    return tuple(map(tuple, matrix.tolist()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +203,7 @@ class ImportColumns:
     )
     frame: Matrix | None = checked_fields.text(
         metavar="FILE",
-        read=_read_frame,
+        read=read_frame,
         help="File of 4 x 4 numbers: the transform from the frame of the source to that of the cell.",
     )
 
@@ -160,9 +211,9 @@ class ImportColumns:
         checked_fields.check_fields(self, "the columns")
         frame: object = self.frame
         if isinstance(frame, str | os.PathLike):
-            frame = _read_frame(frame)
+            frame = read_frame(frame)
         elif frame is not None:
-            frame = _rigid_frame(frame, "of the columns")
+            frame = rigid_frame(frame, "of the columns")
         for name, value in (("frame", frame), ("extra", tuple(map(tuple, self.extra)))):
             object.__setattr__(self, name, value)
         self._check_orientation()
@@ -228,7 +279,7 @@ class ImportColumns:
         Names other than those of ``MAPPED`` are new names of extra columns. Raises InputError for a text of
         another form, a name that is given twice, and a name that is almost one of ``MAPPED``.
         """
-        found: dict[str, str] = _read_mapped(pairs)
+        found: dict[str, str] = read_mapped(pairs)
         changes: JsonDict = {MAPPED[name]: column for name, column in found.items() if name in MAPPED}
         for several in ("position", "pose"):
             if several in found:
@@ -313,3 +364,41 @@ def expected_counts(counts: Sequence[int]) -> str:
     """Return numbers as text for a message: ``7``, or ``7, 12 or 16``."""
     *most, last = map(str, counts)
     return f"{', '.join(most)} or {last}" if most else last
+
+
+def read_mapped(texts: Sequence[str]) -> dict[str, str]:
+    """Return the column for each name; raises InputError as :meth:`ImportColumns.with_mapped`."""
+    found: dict[str, str] = {}
+    for name, column in _pairs(texts):
+        if name in found:
+            raise errors.InputError(f"--map names {name!r} twice; expected each name once")
+        close = difflib.get_close_matches(name.lower(), (*MAPPED, *MAPPED.values()), 1, _SIMILARITY)
+        if name not in MAPPED and close:
+            raise errors.InputError(
+                f"--map names {name!r}; expected one of {', '.join(MAPPED)}"
+                f"{wording.did_you_mean(name, MAPPED)}",
+                next="correct it; an extra column needs a name that is less like these",
+            )
+        found[name] = column
+    return found
+
+
+def _pairs(texts: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Yield the names and columns that are stated by texts ``NAME=COLUMN`` and files of such lines."""
+    for text in texts:
+        lines = [text]
+        where = "--map"
+        if text.startswith("@"):
+            where = f"--map {text}"
+            content = _content_of(text[1:]).decode("utf-8-sig", errors="replace")
+            lines = [
+                line for line in content.splitlines() if line.strip() and not line.lstrip().startswith("#")
+            ]
+        for line in lines:
+            name, equals, column = line.partition("=")
+            if not equals or not name.strip():
+                raise errors.InputError(
+                    f"{where} has {line[:LONGEST_NAME]!r}; expected NAME=COLUMN, such as label=class or "
+                    "pose=x,y,z,qx,qy,qz,qw"
+                )
+            yield name.strip(), column.strip()

@@ -1,35 +1,30 @@
-"""The shards of an import: pictures are read, checked and stored with their fields."""
+"""Shards of an import: rows, images and clips."""
 
 from __future__ import annotations
 
 import hashlib
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 import pyarrow as pa
 
-from realtouch import stored_images, touch_options
-from realtouch.importing import (
-    extra_columns,
-    fields,
-    formats,
-    found_touches,
-    import_columns,
-    import_sources,
-    imported_clips,
-    imported_rows,
-)
+from realtouch import avi, contact_picture, schema as stored_schema, stored_images, touch_options
+from realtouch.importing import fields, import_columns, import_sources, source_formats, source_touches
+from realtouch.importing.fields import extra_arrays, extra_types
+from realtouch.schema import POSE_COLUMN
+from realtouch.stored_images import media_array
 from tactile_toolkit import errors, store
-from tactile_toolkit.array_types import Float64, Int64
+from tactile_toolkit.array_types import AnyArray, Float64, Int64, UInt8
+from tactile_toolkit.columns import column_types
+from tactile_toolkit.errors import ItemError
+from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE, Kind, decode_image, is_jpeg, with_features
 
 NOT_IMPORTED = "not_imported"
 """Key of the statistics of an import: number of touches of each field that was not imported."""
-
-
 _MAX_FIELDS = 100
 _PIECE_BYTES = 32 << 20
 _SAME_M = 1e-9
@@ -74,30 +69,30 @@ class ImportTouches:
     names: tuple[str, ...]
     image_size: tuple[int, int] | None
     schema: pa.Schema
-    versions: Mapping[found_touches.File, import_sources.Version]
+    versions: Mapping[source_touches.File, import_sources.Version]
 
-    def _contents(self, touches: found_touches.FoundTouches) -> Iterator[bytes | errors.ItemError]:
-        return formats.IMPORTS[self.layout].contents(touches.take(np.flatnonzero(touches.is_usable)))
+    def _contents(self, touches: source_touches.FoundTouches) -> Iterator[bytes | errors.ItemError]:
+        return source_formats.IMPORTS[self.layout].contents(touches.take(np.flatnonzero(touches.is_usable)))
 
-    def digest(self, touches: found_touches.FoundTouches) -> str:
+    def digest(self, touches: source_touches.FoundTouches) -> str:
         """Read the images of touches and return the checksum of them all."""
         found = hashlib.sha256()
         deque(_digested(self._contents(touches), found), maxlen=0)
         return found.hexdigest()
 
     @store.without_collecting()
-    def __call__(self, shard: store.ShardName, touches: found_touches.FoundTouches) -> store.ShardContent:
+    def __call__(self, shard: store.ShardName, touches: source_touches.FoundTouches) -> store.ShardContent:
         """Read touches; those that cannot be used are left out and listed."""
         digest = hashlib.sha256()
         tables, skipped = [self.schema.empty_table()], list[store.Skipped]()
         notes, others = Counter[str](), Counter[str]()
-        extras, said = imported_rows.extras_in(self.schema), self._read_fields(touches)
+        extras, said = extras_in(self.schema), self._read_fields(touches)
         contents = _digested(self._contents(touches), digest)
         for rows in _pieces(touches):
             stored, problems = self._stored(touches, rows, said, contents)
-            tables.append(imported_rows.table_of_touches(stored, self.columns, self.schema))
+            tables.append(table_of_touches(stored, self.columns, self.schema))
             notes.update(note for clip in stored.clips for note in clip.notes)
-            others.update(extra_columns.not_kept(stored.touches, self.columns, extras))
+            others.update(fields.not_kept(stored.touches, self.columns, extras))
             for number, name, error in touches.take(rows).with_problems(problems).problems():
                 skipped.append(store.Skipped(number, error.reason, f"{name!r}: {error.message}"))
         self._require_unchanged(touches)
@@ -110,7 +105,7 @@ class ImportTouches:
             source_digest=digest.hexdigest(),
         )
 
-    def _require_unchanged(self, touches: found_touches.FoundTouches) -> None:
+    def _require_unchanged(self, touches: source_touches.FoundTouches) -> None:
         """Raise IntegrityError if a file with several images is not the one whose places were read."""
         if not self.versions:
             return
@@ -122,7 +117,7 @@ class ImportTouches:
                     next="run the same command with --overwrite",
                 )
 
-    def _read_fields(self, touches: found_touches.FoundTouches) -> _TouchFields:
+    def _read_fields(self, touches: source_touches.FoundTouches) -> _TouchFields:
         """Read labels, objects, positions and poses of all usable touches."""
         owners, columns = np.repeat(np.arange(len(touches)), touches.picture_counts), self.columns
         labels, problems = fields.labels_of(touches, columns.label, self.names)
@@ -144,7 +139,7 @@ class ImportTouches:
 
     def _of_pictures(
         self,
-        touches: found_touches.FoundTouches,
+        touches: source_touches.FoundTouches,
         read: Callable[[fields.Fields, import_columns.ImportColumns], Float64],
         names: tuple[str, ...],
         width: int,
@@ -169,15 +164,15 @@ class ImportTouches:
 
     def _stored(
         self,
-        touches: found_touches.FoundTouches,
+        touches: source_touches.FoundTouches,
         rows: Int64,
         said: _TouchFields,
         contents: Iterator[bytes | errors.ItemError],
-    ) -> tuple[imported_rows.StoredTouches, dict[int, errors.ItemError]]:
+    ) -> tuple[StoredTouches, dict[int, errors.ItemError]]:
         """Read the pictures of touches of whole rounds; also return problems, by index in ``rows``."""
         piece = touches.take(rows)
         frames, numbers = piece.where["frames"].to_pylist(), rows.tolist()
-        made, clips = dict[int, bytes](), dict[int, imported_clips.ImportedClip]()
+        made, clips = dict[int, bytes](), dict[int, ImportedClip]()
         problems: dict[int, errors.ItemError] = {}
         for place in np.flatnonzero(piece.is_usable).tolist():
             pictures = list(islice(contents, max(1, frames[place])))
@@ -187,9 +182,7 @@ class ImportTouches:
                     raise said.problems[numbers[place]]
                 media = cast(bytes, pictures[0])
                 if frames[place]:
-                    clips[place] = imported_clips.clip_of(
-                        piece, place, cast(Sequence[bytes], pictures), size, self.columns
-                    )
+                    clips[place] = clip_of(piece, place, cast(Sequence[bytes], pictures), size, self.columns)
                     media = clips[place].video
                 made[place] = media
             except errors.ItemError as error:
@@ -200,7 +193,7 @@ class ImportTouches:
         kept_clips = [clips[place] for place in kept.tolist() if place in clips]
         places, turns = said.positions[rows[kept]], said.poses[np.isin(said.owners, rows[kept])]
         about = said.labels[rows[kept]], said.objects[rows[kept]], places, turns
-        return imported_rows.StoredTouches(piece.take(kept), *about, encoded, kept_clips), problems
+        return StoredTouches(piece.take(kept), *about, encoded, kept_clips), problems
 
     def _size(self, pictures: Sequence[bytes | errors.ItemError], *, is_clip: bool) -> tuple[int, int]:
         """Return the size of pictures; ItemError if one is damaged, not upright or of another size."""
@@ -214,7 +207,7 @@ class ImportTouches:
         return size or (0, 0)
 
 
-def _pieces(touches: found_touches.FoundTouches) -> Iterator[Int64]:
+def _pieces(touches: source_touches.FoundTouches) -> Iterator[Int64]:
     """Yield the rows of a few whole rounds at a time, so that few pictures are in memory twice."""
     rounds, sizes = (touches.where[name].to_pylist() for name in ("round", "size"))
     start = size_bytes = 0
@@ -227,14 +220,242 @@ def _pieces(touches: found_touches.FoundTouches) -> Iterator[Int64]:
 
 
 def _of_other_rounds(
-    piece: found_touches.FoundTouches, said: _TouchFields, rows: Int64, kept: Sequence[int]
+    piece: source_touches.FoundTouches, said: _TouchFields, rows: Int64, kept: Sequence[int]
 ) -> dict[int, errors.ItemError]:
     """Return a problem for each touch whose label or object differs from the first one of its round."""
     places = np.array(kept, np.int64)
-    codes = found_touches.one_chunk(piece.where["round"]).dictionary_encode().indices.to_numpy()[places]
+    codes = source_touches.one_chunk(piece.where["round"]).dictionary_encode().indices.to_numpy()[places]
     _, first, of_round = np.unique(codes, return_index=True, return_inverse=True)
     error = errors.ItemError("round", "another label or object than the first touch of its round")
     differs = np.zeros(len(places), bool)
     for about in (said.labels[rows[places]], said.objects[rows[places]]):
         differs |= about != about[first[of_round]]
     return dict.fromkeys(places[differs].tolist(), error)
+
+
+_TIME = pa.duration("us")
+_POSE_PARTS = {"position": slice(0, 3), "quaternion": slice(3, 7)}
+
+
+@dataclass(frozen=True, eq=False)
+class StoredTouches:
+    """Touches of whole rounds as they are stored, an entry for each touch.
+
+    ``positions`` has the shape (n, 2), ``poses`` (n, 7), or (all pictures, 7) for clips; NaN stands for a
+    missing value. ``media`` holds images or videos. ``clips`` is empty for single images.
+    """
+
+    touches: source_touches.FoundTouches
+    labels: Int64
+    objects: Int64
+    positions: Float64
+    poses: Float64
+    media: Sequence[bytes]
+    clips: Sequence[ImportedClip]
+
+
+def touch_schema(
+    columns: import_columns.ImportColumns, names: Sequence[str], touches: source_touches.FoundTouches
+) -> pa.Schema:
+    """Return the schema of imported rounds, of clips or of single images, with the columns that are known."""
+    kind: Kind = "seq" if touches.has_clips else "single"
+    known: dict[str, pa.DataType] = {}
+    if columns.position:
+        known["pos_in_cell"] = pa.list_(pa.float64(), 2)
+    if columns.pose:
+        for part, numbers in _POSE_PARTS.items():
+            pose = pa.list_(pa.float64(), numbers.stop - numbers.start)
+            known[f"{POSE_COLUMN[kind]}.{part}"] = pa.list_(pose) if kind == "seq" else pose
+    if kind == "seq":
+        known |= {
+            "video_length_frames": pa.int64(),
+            "time_stamp_rel_seq": pa.list_(_TIME),
+            "touch_start_time_rel": _TIME,
+            "touch_end_time_rel": _TIME,
+        }
+    known[MEDIA_COLUMN[kind]] = MEDIA_TYPE
+    known |= extra_types(touches, columns)
+    of_round = [("id", pa.string()), ("label", pa.int64())]
+    if columns.object_id:
+        of_round.append(("object_id", pa.int64()))
+    of_touches = [(name, pa.list_(data_type)) for name, data_type in known.items()]
+    return with_features(pa.schema([*of_round, *of_touches]), names)
+
+
+def extras_in(schema: pa.Schema) -> dict[str, pa.DataType]:
+    """Return the type of the value of a touch in each extra column of a schema."""
+    return {
+        name: schema.field(name).type.value_type
+        for name in stored_schema.extra_columns(schema.names).values()
+    }
+
+
+def table_of_touches(
+    stored: StoredTouches, columns: import_columns.ImportColumns, schema: pa.Schema
+) -> pa.Table:
+    """Return touches of whole rounds, one round after the other, as rows."""
+    rounds = source_touches.one_chunk(stored.touches.where["round"])
+    codes = rounds.dictionary_encode().indices.to_numpy()
+    starts = np.flatnonzero(np.diff(codes, prepend=-1))
+    made: dict[str, pa.Array] = {
+        "id": rounds.take(pa.array(starts)),
+        "label": pa.array(stored.labels[starts]),
+        "object_id": pa.array(stored.objects[starts]),
+    }
+    of_touches = _media_and_poses(stored, schema)
+    extras = extras_in(schema)
+    of_touches |= dict(zip(extras, extra_arrays(stored.touches, columns, extras), strict=True))
+    offsets = pa.array([*starts.tolist(), len(codes)], pa.int32())
+    for name, values in of_touches.items():
+        if name in schema.names:
+            made[name] = pa.ListArray.from_arrays(offsets, values, type=schema.field(name).type)
+    return pa.table([made[name] for name in schema.names], schema=schema)
+
+
+def _media_and_poses(stored: StoredTouches, schema: pa.Schema) -> dict[str, pa.Array]:
+    """Return the columns with an entry for each touch, except the extra ones."""
+    kind: Kind = "seq" if MEDIA_COLUMN["seq"] in schema.names else "single"
+    paths = [name.rpartition("/")[2] for name in stored.touches.where["name"].to_pylist()]
+    made: dict[str, pa.Array] = {}
+    if kind == "seq":
+        paths = [f"{path}.avi" for path in paths]
+        made |= _clip_times(stored.clips)
+    made[MEDIA_COLUMN[kind]] = media_array(stored.media, paths)
+    made["pos_in_cell"] = _vectors(stored.positions, 2)
+    for part, numbers in _POSE_PARTS.items():
+        name = f"{POSE_COLUMN[kind]}.{part}"
+        made[name] = _vectors(stored.poses[:, numbers], numbers.stop - numbers.start)
+        if kind == "seq":
+            made[name] = column_types.lists_of(made[name], [len(clip.time_us) for clip in stored.clips])
+    return made
+
+
+def _clip_times(clips: Sequence[ImportedClip]) -> Mapping[str, pa.Array]:
+    """Return the columns of times of clips, an entry for each clip."""
+    time_us = np.concatenate([np.empty(0, np.int64), *(clip.time_us for clip in clips)])
+    lengths = [len(clip.time_us) for clip in clips]
+    moments = np.array([clip.time_us[list(clip.contact)] for clip in clips], np.int64).reshape(-1, 2)
+    return {
+        "video_length_frames": pa.array(lengths, pa.int64()),
+        "time_stamp_rel_seq": column_types.lists_of(_times(time_us), lengths),
+        "touch_start_time_rel": _times(moments[:, 0]),
+        "touch_end_time_rel": _times(moments[:, 1]),
+    }
+
+
+def _times(time_us: AnyArray) -> pa.Array:
+    return pa.array(np.ascontiguousarray(time_us).astype("timedelta64[us]"), _TIME)
+
+
+def _vectors(rows: Float64, width: int) -> pa.Array:
+    return pa.FixedSizeListArray.from_arrays(pa.array(rows.reshape(-1)), width)
+
+
+FRAMES_PER_SECOND = 25.0
+"""Frame rate of clips whose times are not known."""
+_RATES = (1e-3, 1e4)  # pictures a second that the header of an AVI can state
+_LONGEST_S = 1e6
+_MAX_OF_MEDIAN = 64  # pictures
+_MEDIAN_BYTES = 64 << 20  # of these pictures; if they are large, there are fewer
+_SCORED_AT_ONCE = 4  # pictures that fit into the cache of a processor
+
+
+@dataclass(frozen=True, slots=True)
+class ImportedClip:
+    """A clip as it is stored; times are in microseconds from its first picture.
+
+    ``notes`` say how times, encoding and contact were chosen where the source does not state them.
+    """
+
+    video: bytes
+    time_us: Int64
+    contact: tuple[int, int]
+    notes: tuple[str, ...]
+
+
+def clip_of(
+    touches: source_touches.FoundTouches,
+    row: int,
+    pictures: Sequence[bytes],
+    size: tuple[int, int],
+    columns: import_columns.ImportColumns,
+) -> ImportedClip:
+    """Return a clip of pictures that are intact and of one size (height, width).
+
+    Unless the source states the contact, it lasts from the first to the last picture that shows contact by
+    :class:`ContactRule`, with the median of the clip as background. Raises ItemError for a damaged picture
+    and for times that cannot be used.
+    """
+    notes, time_s = [], clip_times_s(touches, row, columns)
+    if time_s is None:
+        time_s = np.arange(len(pictures)) / FRAMES_PER_SECOND
+        notes.append(f"times of {FRAMES_PER_SECOND:g} pictures a second, as none are known")
+    if not all(map(is_jpeg, pictures)):
+        notes.append("pictures encoded as JPEG")
+    step_s = float(np.median(np.diff(time_s))) if len(pictures) > 1 else 0.0
+    fps = min(max(1 / step_s, _RATES[0]), _RATES[1]) if step_s > 0 else FRAMES_PER_SECOND
+    jpegs, contact = list(map(stored_images.as_jpeg, pictures)), touches.where["contact"][row].as_py()
+    if contact is None:  # from the pictures as they are stored, so that a copy gives the same
+        contact, is_found = contact_by_pictures(jpegs, size)
+        notes.append("contact found by the pictures" if is_found else "no contact found: the best picture")
+    height, width = size
+    video = avi.write_avi(jpegs, width, height, fps)
+    time_us = np.round(time_s * 1e6).astype(np.int64)
+    return ImportedClip(video, time_us, (contact[0], contact[1]), tuple(notes))
+
+
+def clip_times_s(
+    touches: source_touches.FoundTouches, row: int, columns: import_columns.ImportColumns
+) -> Float64 | None:
+    """Return the time of each picture from the first one, seconds, shape (frames,); None if not known.
+
+    The times are finite and do not decrease: the recording was checked. Raises ItemError if they last longer
+    than a clip may, or if the column of times is named and has none for this touch.
+    """
+    stated = touches.where["time_s"][row].values
+    if stated is None:
+        if columns.time:
+            raise ItemError("time", f"no {columns.time!r} for each picture; expected the time of each")
+        return None
+    time_s: Float64 = stated.to_numpy()
+    from_first = time_s - time_s[:1]
+    if from_first.max(initial=0.0) > _LONGEST_S:
+        raise ItemError(
+            "time", f"the clip lasts {from_first[-1]:g} s; expected seconds (--time-unit states another unit)"
+        )
+    return from_first
+
+
+def contact_by_pictures(
+    pictures: Sequence[bytes], size: tuple[int, int], rule: contact_picture.ContactRule | None = None
+) -> tuple[tuple[int, int], bool]:
+    """Return the first and last picture that show contact, and True; else the best picture twice, and False.
+
+    The background is the median of the clip: of at most 64 pictures, spread evenly over the clip, so that a
+    long clip takes little time and memory. Raises ItemError for a damaged picture.
+    """
+    rule = rule or contact_picture.ContactRule()
+    rows, columns = rule.window(*size)
+    uncropped = replace(rule, crop=1.0)
+    height, width = rows.stop - rows.start, columns.stop - columns.start
+    of_median = min(_MAX_OF_MEDIAN, max(1, _MEDIAN_BYTES // (3 * height * width)))
+
+    def decoded(some: Sequence[bytes]) -> UInt8:
+        made = np.empty((len(some), height, width, 3), np.uint8)
+        for number, each in enumerate(some):
+            made[number] = decode_image(each)[rows, columns]  # a view would keep the whole picture
+        return made
+
+    try:
+        base = contact_picture.median_in_memory(decoded(pictures[:: -(-len(pictures) // of_median)]))
+        scores = [
+            contact_picture.contact_score(decoded(pictures[start : start + _SCORED_AT_ONCE]), base, uncropped)
+            for start in range(0, len(pictures), _SCORED_AT_ONCE)
+        ]
+    except ValueError as error:
+        raise ItemError("image", str(error)) from error
+    in_contact = np.flatnonzero(np.concatenate([rule.holds(score) for score in scores]))
+    if len(in_contact):
+        return (int(in_contact[0]), int(in_contact[-1])), True
+    best = int(np.concatenate([score.total_change for score in scores]).argmax())
+    return (best, best), False

@@ -11,12 +11,10 @@ import pyarrow.compute as pc
 
 from realtouch.importing import (
     cuts,
-    formats,
-    found_touches,
     import_columns,
-    recognised,
-    recordings,
     source_files,
+    source_formats,
+    source_touches,
 )
 from realtouch.importing.fields import each_of, times_s
 from realtouch.importing.streams import Aligner, StreamReport
@@ -55,16 +53,16 @@ class FoundSource:
     home: store.DataFolder
     layout: str
     recognised_by: str
-    touches: found_touches.FoundTouches
+    touches: source_touches.FoundTouches
     columns: import_columns.ImportColumns
     cut: str = ""
     pictures: Mapping[str, bytes] = field(default_factory=dict)
     streams: Sequence[StreamReport] = ()
     left_out: Sequence[str] = ()
-    versions: Mapping[found_touches.File, Version] = field(default_factory=dict)
+    versions: Mapping[source_touches.File, Version] = field(default_factory=dict)
 
 
-def version_of(file: found_touches.File) -> Version:
+def version_of(file: source_touches.File) -> Version:
     """Return the version of a file, given by folder and path; it changes if the file is replaced."""
     folder, path = file
     return store.open_folder(folder).version(path)
@@ -73,29 +71,29 @@ def version_of(file: found_touches.File) -> Version:
 def find_source(place: str, reading: Reading) -> FoundSource:
     """Recognise a source and find its touches; InputError if it cannot be used."""
     home, columns = store.open_folder(place), reading.columns or import_columns.ImportColumns()
-    format_ = recognised.Recognised(reading.layout or "", "")
+    format_ = source_formats.Recognised(reading.layout or "", "")
     if reading.layout is not None:
-        require_layout(reading.layout, formats.IMPORTS)
+        require_layout(reading.layout, source_formats.IMPORTS)
     if not home.exists():
         raise errors.InputError(
             f"{home.address()!r} does not exist; expected a folder or file of recordings",
             next="check the name",
         )
     if reading.layout is None:
-        format_ = recognised.recognised(place)
-    read = formats.IMPORTS[format_.layout]
+        format_ = source_formats.recognised(place)
+    read = source_formats.IMPORTS[format_.layout]
     cutter = cuts.Cutter(reading.cut, read.contents, columns, read.cut)
     no_streams = [
-        path for path in (reading.table, reading.cut) if path is not None and path not in recordings.CUTS
+        path for path in (reading.table, reading.cut) if path is not None and path not in source_touches.CUTS
     ]
     aligner = Aligner(reading.streams, reading.alignment, columns, no_streams)
     parts, left_out, versions = (
-        list[found_touches.FoundTouches](),
+        list[source_touches.FoundTouches](),
         dict[str, None](),
-        dict[found_touches.File, Version](),
+        dict[source_touches.File, Version](),
     )
     for each in _read_folders(home, format_.layout, columns, reading.table):
-        if isinstance(each, recordings.Recording):
+        if isinstance(each, source_touches.Recording):
             left_out |= dict.fromkeys(each.left_out)
             if each.problem is None and (each.home, each.path) not in versions:
                 versions[each.home, each.path] = version_of((each.home, each.path))
@@ -103,7 +101,7 @@ def find_source(place: str, reading: Reading) -> FoundSource:
         else:
             versions |= {file: version_of(file) for file in _files_of_several(each) - versions.keys()}
             parts.append(_timed(each, columns))
-    touches = found_touches.FoundTouches.joined([*parts, *cutter.unused()])
+    touches = source_touches.FoundTouches.joined([*parts, *cutter.unused()])
     if not len(touches):
         raise errors.InputError(f"{home.address()!r} holds nothing to import; expected pictures")
     if reading.cut is not None and not cutter.done:
@@ -122,7 +120,7 @@ def find_source(place: str, reading: Reading) -> FoundSource:
 
 def _read_folders(
     home: store.DataFolder, layout: str, columns: import_columns.ImportColumns, table: str | None
-) -> Iterator[found_touches.FoundTouches | recordings.Recording]:
+) -> Iterator[source_touches.FoundTouches | source_touches.Recording]:
     """Yield the touches and recordings of a folder, or of each split of an export of this toolkit."""
     folders = [home]
     if layout in home.entries():
@@ -132,35 +130,35 @@ def _read_folders(
     if layout in _SPLIT_FOLDERS and len(splits) == len(found) > 0:
         folders = [store.open_folder(folders[0].address(split)) for split in splits]
     for folder in folders:
-        yield from formats.IMPORTS[layout].find(folder, columns, table)
+        yield from source_formats.IMPORTS[layout].find(folder, columns, table)
 
 
-def _files_of_several(touches: found_touches.FoundTouches) -> set[found_touches.File]:
+def _files_of_several(touches: source_touches.FoundTouches) -> set[source_touches.File]:
     """Return the files with images of several touches: those with an image that does not start at byte 0."""
     files = touches.where.filter(pc.greater(touches.where["start"], 0)).group_by(["home", "path"])
     return {(row["home"], row["path"]) for row in files.aggregate([]).to_pylist()}
 
 
 def _timed(
-    touches: found_touches.FoundTouches, columns: import_columns.ImportColumns
-) -> found_touches.FoundTouches:
+    touches: source_touches.FoundTouches, columns: import_columns.ImportColumns
+) -> source_touches.FoundTouches:
     """Return images with a field of times in seconds, as the pictures of recordings have it."""
     values = touches.value(columns.time) if columns.time else None
     if values is None:
         return touches
-    if recordings.TIME_S in touches.names and columns.time != recordings.TIME_S:
+    if source_touches.TIME_S in touches.names and columns.time != source_touches.TIME_S:
         raise errors.InputError(
-            f"the source has a column {recordings.TIME_S!r} beside the column of times, {columns.time!r}",
-            next=f"map one of them to the time, or name the other one: --map NEW={recordings.TIME_S}",
+            f"the source has a column {source_touches.TIME_S!r} beside the column of times, {columns.time!r}",
+            next=f"map one of them to the time, or name the other one: --map NEW={source_touches.TIME_S}",
         )
     rows = np.flatnonzero(values.is_valid().to_numpy(zero_copy_only=False))
-    read = lambda fields, how: times_s(fields[recordings.TIME_S], how)  # noqa: E731
-    time_s, problems = each_of(read, {recordings.TIME_S: values}, columns, rows)
+    read = lambda fields, how: times_s(fields[source_touches.TIME_S], how)  # noqa: E731
+    time_s, problems = each_of(read, {source_touches.TIME_S: values}, columns, rows)
     column = pa.nulls(len(touches)) if time_s is None else pa.array(time_s, from_pandas=True)
-    return touches.with_problems(problems).with_said({recordings.TIME_S: column})
+    return touches.with_problems(problems).with_said({source_touches.TIME_S: column})
 
 
-def _checked(touches: found_touches.FoundTouches) -> found_touches.FoundTouches:
+def _checked(touches: source_touches.FoundTouches) -> source_touches.FoundTouches:
     """Return all touches of a source with their numbers; an image that is too large has a problem."""
     where = touches.where
     is_large = pc.and_(pc.equal(where["frames"], 0), pc.greater(where["size"], touch.MAX_IMAGE_BYTES))
@@ -173,8 +171,8 @@ def _checked(touches: found_touches.FoundTouches) -> found_touches.FoundTouches:
 
 
 def said_of_whole(
-    touches: found_touches.FoundTouches, columns: import_columns.ImportColumns
-) -> found_touches.FoundTouches:
+    touches: source_touches.FoundTouches, columns: import_columns.ImportColumns
+) -> source_touches.FoundTouches:
     """Return clips with the label, round, object and split of their pictures as fields of the clip.
 
     A clip has a problem if a value differs between its pictures, unless the clip has its own value.

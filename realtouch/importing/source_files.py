@@ -11,7 +11,7 @@ from typing import IO, NamedTuple
 
 import pyarrow as pa
 
-from realtouch.importing import found_touches, import_columns
+from realtouch.importing import import_columns, source_touches
 from tactile_toolkit import errors, run, store, wording
 from tactile_toolkit.columns import column_types, tables
 from tactile_toolkit.json_types import JsonDict
@@ -160,7 +160,7 @@ def image_files(
     paths: Sequence[str],
     said: Mapping[str, pa.Array],
     problems: Mapping[int, errors.ItemError] | None = None,
-) -> found_touches.FoundTouches:
+) -> source_touches.FoundTouches:
     """Return a touch for each path of an image; the touch of a missing file has a problem.
 
     Folders are listed once. An image is opened and checked when it is imported.
@@ -182,19 +182,19 @@ def image_files(
             sizes[number] = size or 0  # a folder has no size; reading it gives the problem
     # A name that is not Unicode has a problem already; this makes it printable.
     shown = [path.encode(errors="backslashreplace").decode() for path in paths]
-    return found_touches.FoundTouches.of(shown, home.address(), shown, said, problems=wrong, size=sizes)
+    return source_touches.FoundTouches.of(shown, home.address(), shown, said, problems=wrong, size=sizes)
 
 
-ReadContents = Callable[[Iterable[found_touches.PicturePlace]], Iterator[bytes | errors.ItemError]]
+ReadContents = Callable[[Iterable[source_touches.PicturePlace]], Iterator[bytes | errors.ItemError]]
 """Yields the bytes of the pictures of each place, in order, or why one cannot be read."""
 
 
-ReadNumbers = Callable[[found_touches.PicturePlace, Sequence[int]], Iterator[bytes | errors.ItemError]]
+ReadNumbers = Callable[[source_touches.PicturePlace, Sequence[int]], Iterator[bytes | errors.ItemError]]
 """Yields the pictures with some numbers from the file, and the part of it, of a place."""
 
 
 def pictures_by_file(
-    read: ReadNumbers, places: Iterable[found_touches.PicturePlace]
+    read: ReadNumbers, places: Iterable[source_touches.PicturePlace]
 ) -> Iterator[bytes | errors.ItemError]:
     """Yield the pictures of each place in order; consecutive ones of one file are read together.
 
@@ -212,7 +212,7 @@ def pictures_by_file(
             yield from repeat(error, left)
 
 
-def contents_of(places: Iterable[found_touches.PicturePlace]) -> Iterator[bytes | errors.ItemError]:
+def contents_of(places: Iterable[source_touches.PicturePlace]) -> Iterator[bytes | errors.ItemError]:
     """Yield the bytes of each image, in order, or why it cannot be read.
 
     A tar is opened once for consecutive images in it.
@@ -229,7 +229,7 @@ def contents_of(places: Iterable[found_touches.PicturePlace]) -> Iterator[bytes 
 
 def _contents(
     open_folder: Callable[[str], tuple[store.DataFolder, set[str]]],
-    places: Sequence[found_touches.PicturePlace],
+    places: Sequence[source_touches.PicturePlace],
 ) -> list[bytes | errors.ItemError]:
     found: list[bytes | errors.ItemError] = []
     try:

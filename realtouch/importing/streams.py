@@ -10,7 +10,7 @@ from pathlib import PurePosixPath
 import numpy as np
 import pyarrow as pa
 
-from realtouch.importing import fields, found_touches, import_columns, recordings, source_files
+from realtouch.importing import fields, import_columns, source_files, source_touches
 from realtouch.touch_options import Alignment
 from tactile_toolkit import errors, spatial, store
 from tactile_toolkit.array_types import Bool, Float64, Floating, Int64
@@ -201,7 +201,7 @@ class Aligner:
         self._no_streams = {_address(path) for path in (*named, *no_streams)}
         self._beside = cache(lambda home, folder: tables_by_stem(store.open_folder(home).entries(folder)))
 
-    def aligned(self, recording: recordings.Recording) -> recordings.Recording:
+    def aligned(self, recording: source_touches.Recording) -> source_touches.Recording:
         """Return a recording with the columns of its streams, and with the times that a column states.
 
         If a table beside the recording does not fit, the recording has a problem. Raises InputError if a
@@ -222,13 +222,13 @@ class Aligner:
         self.reports += [*reports, *of_named]
         return found
 
-    def _timed(self, recording: recordings.Recording) -> recordings.Recording:
+    def _timed(self, recording: source_touches.Recording) -> source_touches.Recording:
         time = self._columns.time
         if not time or time not in recording.per_frame:
             return recording
         return replace(recording, time_s=fields.times_s(recording.per_frame[time], self._columns))
 
-    def _streams_beside(self, recording: recordings.Recording) -> list[Stream]:
+    def _streams_beside(self, recording: source_touches.Recording) -> list[Stream]:
         folder, _, name = recording.path.rpartition("/")
         stem = PurePosixPath(name).stem
         home = store.open_folder(recording.home)
@@ -247,11 +247,11 @@ def _address(path: str) -> str:
 
 
 def with_streams(
-    recording: recordings.Recording,
+    recording: source_touches.Recording,
     streams: Sequence[Stream],
     how: Alignment,
     columns: import_columns.ImportColumns,
-) -> tuple[recordings.Recording, list[StreamReport]]:
+) -> tuple[source_touches.Recording, list[StreamReport]]:
     """Add the columns of streams to the fields of each picture.
 
     Parameters
@@ -292,7 +292,7 @@ def with_streams(
     return recording, reports
 
 
-def _by_row(recording: recordings.Recording, stream: Stream) -> dict[str, pa.Array]:
+def _by_row(recording: source_touches.Recording, stream: Stream) -> dict[str, pa.Array]:
     """Take a row for each picture."""
     if stream.rows != recording.frames:
         which = "the table" if stream.time_s is None else "the recording"
@@ -305,7 +305,7 @@ def _by_row(recording: recordings.Recording, stream: Stream) -> dict[str, pa.Arr
 
 
 def _by_time(
-    recording: recordings.Recording,
+    recording: source_touches.Recording,
     stream: Stream,
     time_s: Float64,
     sample_s: Float64,
@@ -382,7 +382,7 @@ def _columns(table: pa.Table, stream: Stream) -> dict[str, pa.Array]:
     for name in table.column_names:
         if name == stream.time_column:
             continue
-        column = found_touches.one_chunk(table[name])
+        column = source_touches.one_chunk(table[name])
         lengths = column_types.lengths_of(column)
         if column.type == column_types.UNTYPED or len(lengths) > 1:
             what = f"lists of {', '.join(map(str, lengths[:8]))} values" if lengths else "values of no type"

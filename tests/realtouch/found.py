@@ -11,8 +11,7 @@ import pyarrow as pa
 
 from realtouch.extras import array_with_gaps
 from realtouch.importing.cuts import Cutter
-from realtouch.importing.found_touches import FoundTouches, PicturePlace, one_chunk
-from realtouch.importing.recordings import Recording
+from realtouch.importing.source_touches import FoundTouches, PicturePlace, Recording, one_chunk
 from tactile_toolkit.columns import column_types
 
 

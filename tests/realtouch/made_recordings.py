@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from realtouch.importing.found_touches import PicturePlace
-from realtouch.importing.recordings import Recording
+from realtouch.importing.source_touches import PicturePlace, Recording
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.touch import encode_image
 

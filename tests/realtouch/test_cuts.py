@@ -21,7 +21,7 @@ from realtouch.avi import MAX_CLIP_FRAMES
 from realtouch.contact_picture import ContactRule, best_of
 from realtouch.importing.contact_cuts import MIN_MARGIN, find_contacts
 from realtouch.importing.cuts import Cutter
-from realtouch.importing.recordings import Recording
+from realtouch.importing.source_touches import Recording
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.touch import decode_image
 from tests.realtouch.found import Found, columns, cut_by

@@ -17,9 +17,8 @@ from PIL import Image
 
 import realtouch
 from realtouch.formats.lerobot_import import find_lerobot
-from realtouch.formats.oxt import find_oxt
-from realtouch.formats.replay import find_replay
-from realtouch.importing.recordings import Recording
+from realtouch.formats.zarr_export import find_oxt, find_replay
+from realtouch.importing.source_touches import Recording
 from tactile_toolkit import store
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.touch import decode_image

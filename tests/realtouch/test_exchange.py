@@ -16,7 +16,7 @@ import pytest
 
 import realtouch
 from realtouch.convert import shard_tasks
-from realtouch.formats import lerobot_info, touch_rows
+from realtouch.formats import exports, lerobot_metadata
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.run import Part
 from tactile_toolkit.touch import decode_image
@@ -37,7 +37,7 @@ def source(request: pytest.FixtureRequest) -> Path:
 def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
     """Write a file for each round, so that there are several."""
     monkeypatch.setattr(shard_tasks, "_MAX_ROWS_PER_SHARD", 1)
-    monkeypatch.setattr(lerobot_info, "FILE_BYTES", 1 << 10)
+    monkeypatch.setattr(lerobot_metadata, "FILE_BYTES", 1 << 10)
 
 
 def expected(source: Path, split: str = "train") -> list[dict[str, Any]]:
@@ -101,7 +101,7 @@ def test_row_groups_hold_as_many_touches_as_their_bytes_allow(
     single_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     largest = max(len(row["image"]) for row in expected(single_folder))
-    monkeypatch.setattr(touch_rows, "_GROUP_BYTES", 5 * largest)
+    monkeypatch.setattr(exports, "_GROUP_BYTES", 5 * largest)
     realtouch.export(single_folder, tmp_path, "flat", split="train")
     (file,) = (pq.ParquetFile(path).metadata for path in (tmp_path / "data").iterdir())
     rows = [file.row_group(number).num_rows for number in range(file.num_row_groups)]

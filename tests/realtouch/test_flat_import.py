@@ -14,9 +14,9 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from realtouch.formats.flat import find_flat
-from realtouch.importing.formats import IMPORTS
-from realtouch.importing.found_touches import FoundTouches
+from realtouch.formats.flat_parquet import find_flat
+from realtouch.importing.source_formats import IMPORTS
+from realtouch.importing.source_touches import FoundTouches
 from tactile_toolkit import read, store
 from tactile_toolkit.errors import InputError, ToolkitError
 from tests.realtouch.found import each_of

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import realtouch
-from realtouch.importing.formats import IMPORTS
-from realtouch.importing.recordings import Recording
+from realtouch.importing.source_formats import IMPORTS
+from realtouch.importing.source_touches import Recording
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, ToolkitError
 from tests.mutations import mutated

@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from realtouch.importing import arranging, import_sources, streams
+from realtouch.importing import import_plan, import_sources, streams
 from tactile_toolkit.errors import IntegrityError
 from tests.realtouch.images_of_others import picture
 
@@ -86,7 +86,7 @@ def test_rounds_that_are_divided_take_no_names_of_others(
 ) -> None:
     rounds = ["a", "a", "a", "a-0", "a-1", "b"]
     source = images(tmp_path / "source", [(each,) for each in rounds], ["round_id"])
-    monkeypatch.setattr(arranging, "_SHARD_BYTES", 1)
+    monkeypatch.setattr(import_plan, "_SHARD_BYTES", 1)
     realtouch.import_touches(source, tmp_path / "out")
     found = [touch.round.id for touch in realtouch.load(tmp_path / "out", "train").touches()]
     assert len(found) == len(set(found)) == len(rounds)

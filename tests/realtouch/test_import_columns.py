@@ -17,10 +17,9 @@ from hypothesis import given, strategies as st
 from scipy.spatial.transform import Rotation
 
 import realtouch
-from realtouch.importing import fields, formats, imported_clips
-from realtouch.importing.extra_columns import extra_arrays, extra_types
-from realtouch.importing.found_touches import FoundTouches, PicturePlace
-from realtouch.importing.recordings import Recording, touches_of
+from realtouch.importing import fields, import_shards, source_formats
+from realtouch.importing.fields import extra_arrays, extra_types
+from realtouch.importing.source_touches import FoundTouches, PicturePlace, Recording, touches_of
 from tactile_toolkit.columns import column_types
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.touch import encode_image
@@ -303,8 +302,8 @@ def recordings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
             for place in places:
                 yield from pictures[place.path][place.start : place.start + max(1, place.frames)]
 
-        layout = formats.ImportFormat(lambda *_: iter(every), encoded, "whole", True)
-        monkeypatch.setitem(formats.IMPORTS, "replay", layout)
+        layout = source_formats.ImportFormat(lambda *_: iter(every), encoded, "whole", True)
+        monkeypatch.setitem(source_formats.IMPORTS, "replay", layout)
         (tmp_path / "source").mkdir(exist_ok=True)
         manifest = realtouch.import_touches(
             tmp_path / "source", tmp_path / "out", "replay", columns, **options
@@ -437,17 +436,17 @@ def test_a_format_may_state_rotation_vectors() -> None:
     assert_poses(poses({"wrist": np.hstack([PLACES, TURNS.as_rotvec()])}, columns), PLACES, TURNS)
     stated = realtouch.ImportColumns(pose=("wrist",), euler="xyz", angle_unit="rad").found_in([], rotvec=True)
     assert (stated.euler, stated.rotvec) == ("xyz", False)
-    assert formats.IMPORTS["oxt"].rotvec
+    assert source_formats.IMPORTS["oxt"].rotvec
 
 
 def test_contact_of_a_long_clip_is_found_by_some_of_its_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(imported_clips, "_MAX_OF_MEDIAN", 7)
+    monkeypatch.setattr(import_shards, "_MAX_OF_MEDIAN", 7)
     pictures = frames_of(30, range(11, 15))
-    assert imported_clips.contact_by_pictures(pictures, (24, 32)) == ((11, 14), True)
-    (first, last), is_found = imported_clips.contact_by_pictures(frames_of(30, range(0)), (24, 32))
+    assert import_shards.contact_by_pictures(pictures, (24, 32)) == ((11, 14), True)
+    (first, last), is_found = import_shards.contact_by_pictures(frames_of(30, range(0)), (24, 32))
     assert (first, last, is_found) == (0, 0, False)
     with pytest.raises(ItemError, match="cannot be decoded"):
-        imported_clips.contact_by_pictures([*pictures, pictures[0][:300]], (24, 32))
+        import_shards.contact_by_pictures([*pictures, pictures[0][:300]], (24, 32))
 
 
 _VALUES: tuple[Any, ...] = (

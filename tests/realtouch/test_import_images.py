@@ -14,8 +14,8 @@ import pytest
 from PIL import Image, ImageOps
 
 import realtouch
-from realtouch.importing.formats import IMPORTS
-from realtouch.importing.found_touches import PicturePlace
+from realtouch.importing.source_formats import IMPORTS
+from realtouch.importing.source_touches import PicturePlace
 from tactile_toolkit.errors import SpecMismatchError
 from tests.realtouch.images_of_others import line, picture, write_table
 from tests.tactile_toolkit.toy import folder_bytes
@@ -25,7 +25,7 @@ def test_an_image_that_changed_in_place_is_read_again_with_check_alone(
     home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A second import compares names, sizes and the table; `check` compares the content of the images."""
-    monkeypatch.setattr("realtouch.importing.arranging._TOUCHES_PER_SHARD", 2)
+    monkeypatch.setattr("realtouch.importing.import_plan._TOUCHES_PER_SHARD", 2)
     write_table(home, [line(f"pictures/{number}.jpg") for number in range(4)])
     out, read, contents = tmp_path / "out", list[str](), IMPORTS["folder"].contents
     manifest = realtouch.import_touches(home, out, "folder")

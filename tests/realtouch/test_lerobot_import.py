@@ -16,9 +16,8 @@ import pytest
 
 import realtouch
 from realtouch.formats.lerobot_import import describe_conversion, find_lerobot
-from realtouch.importing.formats import IMPORTS
-from realtouch.importing.found_touches import FoundTouches
-from realtouch.importing.recordings import Recording, touches_of
+from realtouch.importing.source_formats import IMPORTS
+from realtouch.importing.source_touches import FoundTouches, Recording, touches_of
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, ItemError, ToolkitError
 from tactile_toolkit.touch import decode_image

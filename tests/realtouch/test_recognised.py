@@ -9,9 +9,8 @@ from typing import get_args
 import pytest
 
 import realtouch
-from realtouch.formats.exporting import ExportLayout
-from realtouch.importing.formats import IMPORTS
-from realtouch.importing.recognised import recognised
+from realtouch.formats.exports import ExportLayout
+from realtouch.importing.source_formats import IMPORTS, recognised
 from realtouch.touch_options import IMPORT_LAYOUTS
 from tactile_toolkit.errors import InputError
 

@@ -17,7 +17,7 @@ import realtouch
 from realtouch import ImportColumns
 from realtouch.avi import write_avi
 from realtouch.importing.cuts import Cutter
-from realtouch.importing.recordings import Recording
+from realtouch.importing.source_touches import Recording
 from realtouch.importing.streams import Aligner, Stream, open_stream, tables_by_stem, with_streams
 from realtouch.touch_options import STREAM_HEADER, Alignment
 from tactile_toolkit import store

@@ -15,9 +15,9 @@ import pytest
 
 import realtouch
 from realtouch.avi import Avi
-from realtouch.formats.video_import import describe_conversion, find_video
-from realtouch.importing.formats import IMPORTS
-from realtouch.importing.recordings import Recording, touches_of
+from realtouch.formats.media_files import describe_conversion, find_video
+from realtouch.importing.source_formats import IMPORTS
+from realtouch.importing.source_touches import Recording, touches_of
 from realtouch.video import open_video, pictures_of_video
 from tactile_toolkit.errors import InputError, ItemError, MissingExtraError
 from tactile_toolkit.store import open_folder

@@ -1,25 +1,93 @@
-"""Parquet files of other programs: columns as arrays, and pictures, a few of them in memory at a time."""
+"""Parquet of other programs: flat tables with a row for each touch, and images in columns."""
 
 from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, NamedTuple
+from typing import IO, TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 
 from realtouch import importing
-from realtouch.formats.parquet_pages import require_bounded_pages
-from tactile_toolkit import bounds, errors, read, store
+from realtouch.formats import exports
+from tactile_toolkit import bounds, errors, read, store, touch
 from tactile_toolkit.columns import column_types
 from tactile_toolkit.json_types import JsonDict
 
 if TYPE_CHECKING:
     from pyarrow import parquet as pq
 
+
+plan_flat = exports.TouchFormat().plan
+_ENDING = ".parquet"
+_SPLIT = "split"
+
+# Columns of our exports. Those of the order repeat the ids and the order of the rows.
+_OURS = {"id", "round_id", "label_name", "touch", "frame"}
+_ORDER_COLUMNS = ("id", "touch", "frame")
+
+
+def find_flat(
+    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+) -> Iterator[importing.FoundTouches]:
+    """Yield a touch for each row of each file, in their order; the split is that of the file's name."""
+    home, paths = importing.files_to_read(
+        home, "Parquet files; expected a row for each touch in them", _parquet
+    )
+    for path in paths:
+        try:
+            parquet = ForeignParquet(home, path)
+        except errors.ItemError as error:
+            raise errors.InputError(f"{home.address(path)!r}: {error.what}") from error
+        column = _picture_column(parquet, columns.image_name)
+        yield _touches(home, path, parquet, column)
+
+
+def _parquet(home: store.DataFolder) -> list[str]:
+    return sorted(path for path in home.walk() if path.endswith(_ENDING) and not store.is_hidden(path))
+
+
+def _picture_column(parquet: ForeignParquet, name: str) -> str:
+    """Return the column of pictures: the named or the only one; InputError if there is no such column."""
+    for stored in touch.MEDIA_COLUMN.values():
+        # In a data set of touches, it is a list with an entry for each touch.
+        if stored in parquet.types and not is_picture(parquet.types[stored]):
+            raise errors.InputError(
+                f"{parquet.place!r} has the column {stored!r} of a data set of touches, "
+                "which needs no import",
+                next="open the data set by its folder, as with `realtouch info`",
+            )
+    known = [column for column, data_type in parquet.types.items() if is_picture(data_type)]
+    return importing.chosen_pictures(known, name, parquet.place, "columns of pictures", parquet.types)
+
+
+def _touches(
+    home: store.DataFolder, path: str, parquet: ForeignParquet, column: str
+) -> importing.FoundTouches:
+    names = [name for name, data_type in parquet.types.items() if not is_picture(data_type)]
+    size, stem = parquet.picture_bytes(column), path.removesuffix(_ENDING)
+    shard = store.ShardName.parse(path.rpartition("/")[2])
+    left_out = _ORDER_COLUMNS if {*names} >= _OURS else ()
+    said = parquet.columns([name for name in names if name not in left_out])
+    if shard is not None and _SPLIT not in names:
+        said = {_SPLIT: column_types.repeated(shard.split, len(parquet)), **said}
+    # The name of the file of each picture, without its folder.
+    files = [importing.path_of(name or "").rpartition("/")[2] for name in parquet.picture_names(column)]
+    return importing.FoundTouches.of(
+        [name or f"{stem}_{number:06d}" for number, name in enumerate(files)],
+        home.address(),
+        path,
+        said,
+        part=column,
+        start=np.arange(len(parquet)),
+        size=size,
+    )
+
+
 _ROWS_AT_ONCE = 4096
+
 # A value may be stored once and repeated in each row, so the stored size of a column says little.
 _BYTES_AT_ONCE = 256 << 20
 _TEXT = "BYTE_ARRAY"
@@ -206,3 +274,93 @@ def _named_values(place: str) -> Iterator[None]:
 def read_rows(place: importing.PicturePlace, numbers: Sequence[int]) -> Iterator[bytes | errors.ItemError]:
     """Yield the pictures of some rows; ``part`` of the place is their column."""
     return ForeignParquet(store.open_folder(place.home), place.path).pictures(place.part, numbers)
+
+
+_UNPACKED, _STORED = 2, 3  # fields of a header
+_HEADER_BYTES = (1 << 10, 1 << 24)  # read at first, and for a long header; Arrow reads no longer ones
+_MAX_PAGES = 1 << 20
+_SPARE_BYTES = 100  # by which old writers understate the size of a column
+_BOOLEANS, _BYTE, _INTEGERS, _DOUBLE, _BINARY, _LISTS, _STRUCT = (1, 2), 3, (4, 5, 6), 7, 8, (9, 10), 12
+_MAX_BITS = 63
+
+
+def require_bounded_pages(stream: IO[bytes], start: int, stored_bytes: int, most_bytes: int) -> None:
+    """Raise ValueError if a page in a range of a file states more bytes than it can have.
+
+    ``most_bytes`` is the limit for an unpacked page.
+    """
+    at, end = start, start + stored_bytes
+    for _ in range(_MAX_PAGES):
+        if at >= end:
+            return
+        sizes, length = _header(stream, at)
+        unpacked, stored = (sizes.get(field, -1) for field in (_UNPACKED, _STORED))
+        at += length + stored
+        if not (0 <= unpacked <= most_bytes and stored >= 0 and at <= end + _SPARE_BYTES):
+            raise ValueError(
+                f"a page of {unpacked:,} bytes, {stored:,} stored; "
+                f"expected at most {most_bytes:,} in {stored_bytes:,}"
+            )
+    raise ValueError(f"more than {_MAX_PAGES:,} pages in {stored_bytes:,} bytes")
+
+
+def _header(stream: IO[bytes], at: int) -> tuple[dict[int, int], int]:
+    """Return the integers in the header of a page by their fields, and the length of the header."""
+    for most in _HEADER_BYTES:
+        stream.seek(at)
+        data = stream.read(most)
+        integers: dict[int, int] = {}
+        try:
+            return integers, _end_of_struct(data, 0, integers)
+        except (IndexError, RecursionError):
+            continue
+    raise ValueError("a page without a whole header")
+
+
+def _end_of_struct(data: bytes, at: int, integers: dict[int, int]) -> int:
+    """Return the end of a struct; IndexError if that is beyond the data."""
+    field = 0
+    while data[at]:
+        step, kind = data[at] >> 4, data[at] & 15
+        at, field = at + 1, field + step
+        if not step:
+            field, at = _varint(data, at)
+        start, at = at, _end_of_value(data, at, kind)
+        if kind in _INTEGERS:
+            value = _varint(data, start)[0]
+            integers[field] = (value >> 1) ^ -(value & 1)
+    return at + 1
+
+
+def _end_of_value(data: bytes, at: int, kind: int) -> int:
+    if kind in _INTEGERS:
+        return _varint(data, at)[1]
+    if kind == _STRUCT:
+        return _end_of_struct(data, at, {})
+    if kind == _BINARY:
+        length, at = _varint(data, at)
+        return at + length
+    if kind in _LISTS:
+        count, element, at = data[at] >> 4, data[at] & 15, at + 1
+        if count == 15:
+            count, at = _varint(data, at)
+        if element in _BOOLEANS:
+            element = _BYTE
+        for _ in range(count):
+            _ = data[at]  # raises IndexError at the end of the data
+            at = _end_of_value(data, at, element)
+        return at
+    sizes = {**dict.fromkeys(_BOOLEANS, 0), _BYTE: 1, _DOUBLE: 8}
+    if kind not in sizes:
+        raise ValueError(f"a header of a page with a value of type {kind}")
+    return at + sizes[kind]
+
+
+def _varint(data: bytes, at: int) -> tuple[int, int]:
+    value = 0
+    for shift in range(0, _MAX_BITS + 1, 7):
+        value |= (data[at] & 127) << shift
+        at += 1
+        if data[at - 1] < 128:
+            return value, at
+    raise ValueError("a header of a page with a number of more than 64 bits")

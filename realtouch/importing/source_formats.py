@@ -1,19 +1,77 @@
-"""Recognise the format of a source of recordings by its file names and first bytes."""
+"""Formats of recordings, and how a source shows its format."""
 
 from __future__ import annotations
 
 import re
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import IO, NamedTuple
 
 from realtouch import video_files
-from realtouch.importing import formats, source_files
+from realtouch.importing import import_columns, source_files, source_touches
 from realtouch.kind import KIND
-from tactile_toolkit import errors, places, store
+from tactile_toolkit import errors, kind, places, store
 from tactile_toolkit.columns import tables
+
+FindTouches = Callable[
+    [store.DataFolder, import_columns.ImportColumns, str | None],
+    Iterator[source_touches.FoundTouches | source_touches.Recording],
+]
+"""Yields the touches of a folder, or recordings to cut, given columns and the path of a table."""
+
+
+@dataclass(frozen=True)
+class ImportFormat:
+    """How a format is read.
+
+    ``contents`` yields all pictures of each touch, encoded. ``cut`` is how recordings become touches by
+    default. ``one_size_per_file`` says that the pictures of a file have one size. ``describe`` states how
+    pictures are converted; empty if they are stored as they are. With ``rotvec``, the last three of a pose of
+    six numbers are a rotation vector.
+    """
+
+    find: FindTouches
+    contents: source_files.ReadContents = source_files.contents_of
+    cut: str = "frames"
+    one_size_per_file: bool = False
+    describe: Callable[[source_touches.FoundTouches], str] = lambda _touches: ""
+    rotvec: bool = False
+
+
+def _images(find: str, contents: source_files.ReadContents = source_files.contents_of) -> ImportFormat:
+    """Return a format of images, each of which is a file or a part of one."""
+    return ImportFormat(kind.lazy(f"realtouch.formats.{find}"), contents)
+
+
+def _recordings(find: str, cut: str = "frames", *, rotvec: bool = False) -> ImportFormat:
+    """Return a format of recordings whose files have pictures of one size."""
+    reader = find.partition(":")[0]
+    describe = kind.lazy(f"realtouch.formats.{reader}:describe_conversion")
+    contents = _contents(f"{reader}:read_frames")
+    return ImportFormat(kind.lazy(f"realtouch.formats.{find}"), contents, cut, True, describe, rotvec)
+
+
+def _contents(read: str) -> source_files.ReadContents:
+    return partial(source_files.pictures_by_file, kind.lazy(f"realtouch.formats.{read}"))
+
+
+IMPORTS: dict[str, ImportFormat] = {
+    "folder": _images("media_files:find_folder"),
+    "video": _recordings("media_files:find_video", "whole"),
+    "flat": _images("flat_parquet:find_flat", _contents("flat_parquet:read_rows")),
+    "webdataset": _images("tar_samples:find_webdataset"),
+    "lerobot": _recordings("lerobot_import:find_lerobot"),
+    "oxt": _recordings("zarr_recordings:find_oxt", rotvec=True),
+    "replay": _recordings("zarr_recordings:find_replay"),
+    "hdf5": _recordings("hdf5:find_hdf5"),
+    "fota": _images("tar_samples:find_fota"),
+    "anytouch": _images("anytouch:find_anytouch"),
+}
+"""Formats that can be imported; :func:`recognised` recognises them by their content."""
 
 _MAX_PATHS = 20_000
 _MAX_FOLDERS = 200
@@ -21,6 +79,7 @@ _MAX_DEPTH = 3
 _PATHS_SHOWN = 3
 _TAR_OFFSET = 257
 _ZIP = b"PK\x03\x04"
+
 # First bytes of files that are not videos: offset, bytes.
 _FIRST_BYTES: dict[str, tuple[tuple[int, bytes], ...]] = {
     "hdf5": ((0, b"\x89HDF\r\n\x1a\n"),),
@@ -58,6 +117,7 @@ _MARKS: tuple[tuple[str, Callable[[str], object]], ...] = (
     ("flat", _ends_with(".parquet")),
     ("folder", _ends_with(*tables.TEXT_ENDINGS, ".jsonl")),
 )
+
 # Formats that contain files of other formats: LeRobot has videos, Parquet files and tables.
 _PARTS = {
     "lerobot": {"video", "flat", "folder"},
@@ -96,7 +156,7 @@ def recognised(place: str) -> Recognised:
         shown = ", ".join(paths[:_PATHS_SHOWN]) or "nothing"
         raise errors.InputError(
             f"{place!r} holds no recordings of a known format (found {shown})",
-            next=f"name the format with --format: {', '.join(formats.IMPORTS)}",
+            next=f"name the format with --format: {', '.join(IMPORTS)}",
         )
     if len(found) > 1:
         words = ", ".join(f"{layout} ({first})" for layout, first in found.items())

@@ -1,23 +1,22 @@
-"""LeRobotDataset v3.0 with images: an episode is a clip, or a round of single images.
-
-Facts of the format: frames are in ``data/chunk-000/file-000.parquet``, 1,000 files in a chunk, and are
-numbered over all episodes; ``meta`` has the start of each episode, the features, and their statistics.
-"""
+"""Touches as a LeRobotDataset v3.0."""
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pyarrow as pa
+from PIL import Image
 
-from realtouch import contact, convert, touch_dataset
-from realtouch.formats import lerobot_depth, lerobot_info, lerobot_statistics
+from realtouch import contact, convert, depth_maps, stored_round, touch_dataset
+from realtouch.formats import lerobot_metadata, lerobot_statistics
 from realtouch.formats.episodes import DEPTH, EpisodeNumbers, Episodes
 from tactile_toolkit import store, touch
-from tactile_toolkit.array_types import Int64
+from tactile_toolkit.array_types import Float32, Int64
+from tactile_toolkit.touch import MEDIA_TYPE
 
 _GROUP_BYTES = 16 << 20
 _INDEX_COLUMNS = ("round_id", "touch", "label", "object_id")
@@ -34,16 +33,16 @@ def plan_lerobot(
 
     Raises InputError for several splits.
     """
-    rows_per_shard = max(1, lerobot_info.FILE_BYTES // source.row_bytes())
+    rows_per_shard = max(1, lerobot_metadata.FILE_BYTES // source.row_bytes())
     step = Episodes.of(source, choices, "LeRobotDataset", pa.float32())
-    step = replace(step, depth_of=lerobot_depth.depth_of)
+    step = replace(step, depth_of=depth_of)
     numbers = EpisodeNumbers.of(source, step, choices[step.split], rows_per_shard)
     tasks = tuple(f"touch an object of class {name}" for name in step.names)
     if (touch_dataset.dataset_of(source.shards[step.split]).labels < 0).any():
         tasks += ("touch an object",)  # the last, as -1 counts from the end
     frame_bytes = source.image_bytes()
     if DEPTH in step.schema(source.schema).names:
-        frame_bytes += lerobot_depth.NUMBER_BYTES * math.prod(step.size)
+        frame_bytes += NUMBER_BYTES * math.prod(step.size)
     return convert.Conversion(
         source,
         "export",
@@ -52,8 +51,8 @@ def plan_lerobot(
         choices,
         rows_per_shard=rows_per_shard,
         rows_per_group=1 << 12,
-        extra_dirs=(lerobot_info.FOLDER,),
-        write_files=lerobot_info.WriteMeta(step, tasks),
+        extra_dirs=(lerobot_metadata.FOLDER,),
+        write_files=lerobot_metadata.WriteMeta(step, tasks),
         pack=_PackEpisodes(numbers, tasks, max(1, _GROUP_BYTES // frame_bytes)),
     )
 
@@ -78,7 +77,7 @@ class _PackEpisodes:
         episode, frame = self.numbers.of_shard(shard, [len(firsts), len(rows)], skipped)
         episodes, lengths = episode + np.arange(len(firsts)), np.diff([*firsts, len(rows)])
         frames = self._frames(rows, np.repeat(episodes, lengths), frame)
-        chunk, number = divmod(shard.index, lerobot_info.FILES_PER_CHUNK)
+        chunk, number = divmod(shard.index, lerobot_metadata.FILES_PER_CHUNK)
         place = f"chunk-{chunk:03d}/file-{number:03d}.parquet"
         chunks, files = np.full(len(firsts), chunk), np.full(len(firsts), number)
         labels = rows["label"].to_numpy()[firsts]
@@ -103,9 +102,9 @@ class _PackEpisodes:
         return convert.with_files(
             pa.table(index),
             {
-                f"{lerobot_info.FOLDER}/data/{place}": store.encode_parquet(frames, style),
-                f"{lerobot_info.FOLDER}/meta/episodes/{place}": store.encode_parquet(
-                    pa.table(meta), lerobot_info.META_STYLE
+                f"{lerobot_metadata.FOLDER}/data/{place}": store.encode_parquet(frames, style),
+                f"{lerobot_metadata.FOLDER}/meta/episodes/{place}": store.encode_parquet(
+                    pa.table(meta), lerobot_metadata.META_STYLE
                 ),
             },
         )
@@ -122,3 +121,24 @@ class _PackEpisodes:
             frames = frames.append_column(name, pa.array(values, pa.int64()))
         # Types of the columns for `datasets`; a class is a number here.
         return frames.cast(touch.with_features(frames.schema, None))
+
+
+NUMBER_BYTES = 4  # of float32
+
+
+def depth_of(row: stored_round.StoredRound, size: tuple[int, int]) -> pa.Array:
+    """Return the encoded depth maps of a round; IntegrityError for a map of another size."""
+    files = []
+    for number, depth_m in enumerate(depth_maps.DepthMaps(row, depth_maps.DEPTH)):
+        if depth_m.shape != size:
+            raise row.damaged(
+                depth_maps.DEPTH, f"a map {depth_m.shape}; expected {size} as the images", number
+            )
+        files.append({"bytes": _tiff(depth_m), "path": f"{row.name()}_{number:03d}.tiff"})
+    return pa.array(files, MEDIA_TYPE)
+
+
+def _tiff(depth_m: Float32) -> bytes:
+    stream = io.BytesIO()
+    Image.fromarray(depth_m).save(stream, "TIFF")
+    return stream.getvalue()

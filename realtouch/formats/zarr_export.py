@@ -1,11 +1,4 @@
-"""Zipped Zarr groups with a row for each frame: what replay buffers and Open-X-Tactile have in common.
-
-Facts of the formats (Zarr version 2, which opens a path that ends in ``.zip``): ``data`` has arrays of equal
-length along time; ``meta/episode_ends`` has the number of the first frame after each episode; images are
-pixels. The rows from which the group is made stay in the folder ``data`` of the export, with images as they
-were stored. The formats have no place for ids of rounds and names of classes: they are in ``meta`` and mark
-the group as an export of this toolkit, whose poses are then known.
-"""
+"""Touches as Zarr groups: replay buffers and Open-X-Tactile."""
 
 from __future__ import annotations
 
@@ -23,21 +16,13 @@ from typing import IO
 import numpy as np
 import pyarrow as pa
 
-from realtouch import contact, convert, schema, stored_images, stored_round
-from realtouch.formats import episode_extras, episodes
+from realtouch import contact, convert, poses, schema, stored_images, stored_round
+from realtouch.formats import episodes, zarr_recordings
 from tactile_toolkit import read, store
 from tactile_toolkit.array_types import AnyArray, UInt8
 
 CHUNK_BYTES = 2 << 20
 _LEVEL = 1
-ENDS, ATTRIBUTES = "meta/episode_ends", "meta/.zattrs"
-
-ROUND, TOUCH = "round_id", "touch"
-"""Arrays of ``meta`` with an entry for each episode; the second exists if episodes are clips."""
-
-CLASSES, COLUMNS, PER_CLIP = "class_names", "columns", "columns_of_clips"
-"""Attributes of ``meta``: classes, columns of the data set by array, those that concern whole clips."""
-
 OUR_NAMES = {
     **{
         episodes.STATE: "gel_pose",
@@ -48,10 +33,8 @@ OUR_NAMES = {
     **{name: name for name in ("label", "object_id")},
 }
 """Names of columns of frames, as :data:`COLUMNS` states them."""
-
 _PICTURE = {episodes.IMAGE, f"{episodes.IMAGE}.bytes", f"{episodes.IMAGE}.path"}
 _IN_MEMORY_BYTES = 64 << 20
-
 AddArrays = Callable[[episodes.Episodes, pa.Table, dict[str, AnyArray]], Mapping[str, object]]
 """Adds arrays to those of ``data``, given a table of the frames; returns attributes of ``meta``."""
 
@@ -169,7 +152,7 @@ class GroupFormat:
         path, size = f"data/{self.pictures}", step.size
         rows, shape = rows_of_chunk(3 * size[0] * size[1]), (len(table), *self.sensors, *size, 3)
         with ZarrWriter(stream) as group:
-            group.add_json(ATTRIBUTES, attributes)
+            group.add_json(zarr_recordings.ATTRIBUTES, attributes)
             for name, values in arrays.items():
                 group.add_array(name, values)
             blocks = (each.reshape(-1, *shape[1:]) for each in _pictures(size, rows, shards))
@@ -184,7 +167,7 @@ class GroupFormat:
         kept = {array: OUR_NAMES[name] for name, array in known.items()}
         of_clips = []
         for extra in step.extras:
-            known[extra.name] = array = extra.name.removeprefix(episode_extras.FEATURE)
+            known[extra.name] = array = extra.name.removeprefix(episodes.FEATURE)
             kept[array] = own_name = extra.stored.partition(".")[2]
             if extra.stored.startswith(schema.EXTRA_PREFIX["touch"]):
                 of_clips.append(own_name)
@@ -192,11 +175,16 @@ class GroupFormat:
         stated = self.add(step, table, arrays)
         starts = np.flatnonzero(table["frame_index"].to_numpy() == 0)
         found = {f"data/{name}": values for name, values in arrays.items()}
-        for name in (ROUND, TOUCH):
+        for name in (zarr_recordings.ROUND, zarr_recordings.TOUCH):
             if name in columns:
                 found[f"meta/{name}"] = _numbers(columns[name].take(starts))
-        found[ENDS] = np.append(starts[1:], len(table)).astype("<i8")
-        return found, {CLASSES: step.names, COLUMNS: kept, PER_CLIP: of_clips, **stated}
+        found[zarr_recordings.ENDS] = np.append(starts[1:], len(table)).astype("<i8")
+        return found, {
+            zarr_recordings.CLASSES: step.names,
+            zarr_recordings.COLUMNS: kept,
+            zarr_recordings.PER_CLIP: of_clips,
+            **stated,
+        }
 
 
 def _pictures(size: tuple[int, int], rows: int, shards: Sequence[read.Shard]) -> Iterator[UInt8]:
@@ -225,3 +213,55 @@ def _numbers(values: pa.Array) -> AnyArray:
         return np.array([text or "" for text in values.to_pylist()], "<U")
     found: AnyArray = values.to_numpy(zero_copy_only=False)
     return found.astype(found.dtype.newbyteorder("<"))
+
+
+plan_replay = GroupFormat(
+    name="replay buffer",
+    folder="replay",
+    pictures=zarr_recordings.PIXELS,
+    arrays={**OUR_NAMES, episodes.STATE: "state", episodes.ACTION: "action"},
+).plan
+
+
+_TACTILE = "right_tactile_{}_gelsight"
+_CAMERA, _POSE = "camera_main_rgb", "right_wrist_pose"
+_INSTRUCTION, _TIMES = "sub_task_instruction", "timestamps"
+_SENSOR, _PICTURE_TYPE = "GelSightMini", "image"
+_STAND_INS = "what_stands_for"
+_BLACK = "black pictures: there was no camera"
+_OF_GEL = "the pose of the gel in the frame of the cell"
+_NO_POSE = "zeros: no pose is known"
+_DECIMALS = 12  # of rotation vectors: their last bits depend on the processor; the exact pose is not rounded
+
+
+def _add_arrays(
+    step: episodes.Episodes, table: pa.Table, arrays: dict[str, AnyArray]
+) -> Mapping[str, object]:
+    """Add the arrays of the format that follow from columns, and stand-ins; return what stands for what."""
+    count, exact = len(table), arrays.get(OUR_NAMES[episodes.STATE])
+    pose, meaning_of_pose = np.broadcast_to(0.0, (count, 6)), _NO_POSE
+    if exact is not None:
+        turns = poses.Poses(exact[:, :3], exact[:, 3:]).rotvec.round(_DECIMALS)
+        pose, meaning_of_pose = np.hstack([exact[:, :3], turns]), _OF_GEL
+    tasks = [*(f"touch an object of class {name}" for name in step.names), "touch an object"]
+    arrays.setdefault(_TIMES, np.divide(table["frame_index"].to_numpy(), step.fps))
+    arrays |= {
+        _POSE: pose,
+        _CAMERA: np.broadcast_to(np.uint8(0), (count, *step.size, 3)),
+        _INSTRUCTION: np.array(tasks, "<U")[arrays["label"]],  # -1 is the last
+        _TACTILE.format("area"): np.broadcast_to(np.int64(0), (count, 1)),
+        _TACTILE.format("sensor"): np.full(count, _SENSOR),
+        _TACTILE.format("type"): np.full(count, _PICTURE_TYPE),
+    }
+    return {_STAND_INS: {_CAMERA: _BLACK, _POSE: meaning_of_pose}}
+
+
+plan_oxt = GroupFormat(
+    name="group of Open-X-Tactile",
+    folder="oxt",
+    pictures=_TACTILE.format("data"),
+    arrays={**OUR_NAMES, episodes.TIME: _TIMES},
+    add=_add_arrays,
+    sensors=(1,),
+    number=pa.float64(),
+).plan

@@ -1,23 +1,102 @@
-"""WebDataset as touches: an image and the files of the same key in a tar; images are not read."""
+"""Samples in tars: WebDataset, and FoTa of T3."""
 
 from __future__ import annotations
 
 import json
+import re
 import tarfile
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from functools import lru_cache, partial
 from itertools import groupby
 from operator import attrgetter
+from pathlib import PurePath
 from typing import NamedTuple
 
 import msgspec
 import pyarrow as pa
 
-from realtouch import importing, tars
+from realtouch import convert, importing, stored_images, tars, touch_options
+from realtouch.formats import exports
+from realtouch.formats.exports import NamedImage, TouchFormat
 from tactile_toolkit import errors, store
 from tactile_toolkit.columns import column_types
 from tactile_toolkit.json_types import JsonDict, JsonObject
+
+_FOLDER = "webdataset"
+_WITHOUT_NAN = json.JSONEncoder(ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+_encode = msgspec.json.Encoder().encode
+
+# Signs of values that msgspec, which is ten times as fast, writes in another way than `json`: NaN, infinity,
+# and numbers that one of them writes with an exponent.
+_UNLIKE_JSON = (b"null", b"0.0000")
+_EXPONENT = re.compile(rb"e[-\d]")
+
+# Fields of a header (POSIX.1-1988, ustar): name, size and checksum. The checksum is the sum of all bytes,
+# with blanks in its own place.
+_NAME_BYTES, _SIZE, _SUM = 100, slice(124, 135), slice(148, 154)
+_HEADER = tarfile.TarInfo().tobuf(tarfile.USTAR_FORMAT)
+_SUM_OF_OTHERS = int(_HEADER[_SUM], 8) - sum(_HEADER[_SIZE])
+Sample = tuple[str, bytes | memoryview, Mapping[str, object]]
+"""The name of an image, its bytes, and the fields for its JSON file."""
+
+
+def tar_of(samples: Iterable[Sample]) -> bytes:
+    """Return a tar of images, each with its fields as JSON; the same samples give the same bytes."""
+    parts: list[bytes | memoryview] = []
+    size = 2 * tarfile.BLOCKSIZE
+    for name, image, fields in samples:
+        for member, content in ((name, image), (f"{name.partition('.')[0]}.json", _json_of(fields))):
+            rest = -len(content) % tarfile.BLOCKSIZE
+            parts += (_header(member, len(content)), content, bytes(rest))
+            size += tarfile.BLOCKSIZE + len(content) + rest
+    return b"".join([*parts, bytes(2 * tarfile.BLOCKSIZE + -size % tarfile.RECORDSIZE)])
+
+
+def _header(member: str, size: int) -> bytes:
+    """Return the header of a file as `tarfile` writes it, but ten times as fast unless the name is long."""
+    name, digits = member.encode(), b"%011o" % size
+    if len(name) > _NAME_BYTES:
+        header = tarfile.TarInfo(member)
+        header.size = size
+        try:
+            return header.tobuf(tarfile.USTAR_FORMAT)
+        except ValueError:  # ustar cannot divide the name
+            return header.tobuf(tarfile.PAX_FORMAT)
+    found = bytearray(_HEADER)
+    found[: len(name)] = name
+    found[_SIZE] = digits
+    found[_SUM] = b"%06o" % (_SUM_OF_OTHERS + sum(name) + sum(digits))
+    return bytes(found)
+
+
+def _json_of(fields: Mapping[str, object]) -> bytes:
+    """Return fields as `json` writes them; NaN becomes null, as JSON has no NaN."""
+    content = _encode(fields)
+    if not (any(each in content for each in _UNLIKE_JSON) or _EXPONENT.search(content)):
+        return content
+    try:
+        return _WITHOUT_NAN.encode(fields).encode()
+    except ValueError:
+        known = {name: _without_nan(value) for name, value in fields.items()}
+        return json.dumps(known, ensure_ascii=False, separators=(",", ":")).encode()
+
+
+def _without_nan(value: object) -> object:
+    if isinstance(value, list):
+        return list(map(_without_nan, value))
+    return None if value != value else value
+
+
+def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[NamedImage]) -> convert.Made:
+    """Return the touches of a shard as one tar."""
+    samples = ((*image, fields) for image, fields in zip(images, index.to_pylist(), strict=True))
+    return convert.with_files(index, {f"{_FOLDER}/{shard.split}-{shard.index:06d}.tar": tar_of(samples)})
+
+
+plan_webdataset = TouchFormat(_FOLDER, _pack).plan
+
 
 # First bytes of files of gzip, bzip2, xz and Zstandard.
 _COMPRESSED = (b"\x1f\x8b", b"BZh", b"\xfd7zX", b"\x28\xb5\x2f\xfd")
@@ -177,3 +256,51 @@ def _fields(content: bytes) -> JsonDict:
         raise errors.ItemError(
             "json", "its JSON file cannot be read; expected an object of at most 1 MiB"
         ) from error
+
+
+_FOTA_FOLDER = "fota"
+_PER_METRE = (1000.0, 1000.0, 1000.0, 1.0, 1.0, 1.0, 1.0)
+
+
+def _pack_fota(shard: store.ShardName, index: pa.Table, images: Iterator[exports.NamedImage]) -> convert.Made:
+    """Return the touches of a shard as one tar."""
+    samples = (
+        (f"{PurePath(name).stem}.jpg", stored_images.as_jpeg(image), {**fields, **_pose_mm(fields)})
+        for (name, image), fields in zip(images, index.to_pylist(), strict=True)
+    )
+    return convert.with_files(
+        index, {f"{_FOTA_FOLDER}/{shard.split}/data-{shard.index:06d}.tar": tar_of(samples)}
+    )
+
+
+def _pose_mm(fields: JsonObject) -> dict[str, float]:
+    """Return the pose of a touch with the names and units of the format; empty without a pose."""
+    values = [fields[name] for name in touch_options.POSE_COLUMNS if name in fields]
+    return {
+        name: value * factor
+        for name, value, factor in zip(touch_options.FOTA_POSE_COLUMNS, values, _PER_METRE, strict=False)
+    }
+
+
+def _write_counts(folder: store.DataFolder, manifest: store.Manifest) -> dict[str, str]:
+    """Write the number of samples of each split; return the checksum of each file by its path."""
+    counts = {split: str(entry["rows"]).encode() for split, entry in manifest.split_table().items()}
+    files = {f"{_FOTA_FOLDER}/{split}/count.txt": count for split, count in counts.items()}
+    return convert.checksums(folder, manifest) | convert.write_changed(folder, files)
+
+
+plan_fota = exports.TouchFormat(_FOTA_FOLDER, _pack_fota, _write_counts, no_gaps=True).plan
+
+
+def find_fota(
+    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+) -> Iterator[importing.FoundTouches]:
+    """Yield the samples of each tar of one split; the folder has the name of the split."""
+    split = home.address().rstrip("/").rpartition("/")[2]
+    in_both_units = {*touch_options.POSE_COLUMNS, *touch_options.FOTA_POSE_COLUMNS}
+    for touches in find_webdataset(home, columns, table):
+        if {*touches.names} >= in_both_units:  # our exports have the pose twice
+            touches = replace(touches, said=touches.said.drop_columns(list(touch_options.FOTA_POSE_COLUMNS)))
+        if "split" not in touches.names:
+            touches = touches.with_said({"split": column_types.repeated(split, len(touches))})
+        yield touches

@@ -1,0 +1,229 @@
+"""Recordings in HDF5 files."""
+
+from __future__ import annotations
+
+import math
+import weakref
+import zlib
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from functools import partial
+from importlib import import_module
+from itertools import islice
+from typing import IO, Any
+
+import numpy as np
+
+from realtouch import importing
+from realtouch.formats import picture_arrays, zarr_recordings
+from realtouch.formats.picture_arrays import StoredArray
+from tactile_toolkit import errors, store
+from tactile_toolkit.array_types import AnyArray
+from tactile_toolkit.bounds import require_unpackable
+from tactile_toolkit.columns import column_types
+from tactile_toolkit.errors import InputError, needs_extra
+
+H5Object = Any
+"""A file, group or dataset of h5py, which has no types for type checkers."""
+_DEFLATE, _LZF = 1, 32000
+
+# Known filters, in the order in which they may occur. A dataset has at most one of gzip and lzf.
+_FILTERS = {2: "shuffle", _DEFLATE: "gzip", _LZF: "lzf", 3: "fletcher32"}
+_LZF_RATIO = 90  # of unpacked to packed bytes, at most
+_SPARE_BYTES = 1 << 16
+_STEP_BYTES = 4 << 20
+_DAMAGE = (OSError, RuntimeError, ValueError, TypeError, LookupError, MemoryError, OverflowError, zlib.error)
+
+
+@contextmanager
+def in_words(place: str) -> Iterator[None]:
+    """Turn errors of the library into InputError."""
+    try:
+        yield
+    except _DAMAGE as error:
+        raise InputError(f"{place!r}: not an intact file of HDF5", next="write the file again") from error
+
+
+def open_file(stream: IO[bytes]) -> H5Object:
+    """Open an HDF5 file from a stream, which must stay open."""
+    with needs_extra("reading HDF5", "h5py", "hdf5"):
+        return import_module("h5py").File(stream, "r")
+
+
+def kind_of_member(group: H5Object, name: str) -> str:
+    """Return the kind of a member of a group: ``Dataset``, ``Group``, or ``link`` to another place."""
+    if type(group.get(name, getlink=True)).__name__ != "HardLink":
+        return "link"
+    return str(group.get(name, getclass=True).__name__)
+
+
+def dataset_in(file: str, root: H5Object, path: str) -> StoredArray:
+    """Open a dataset by its path in the file, not through links; InputError if it cannot be used."""
+    place, found = f"{file}/{path}", root
+    with in_words(place):
+        for name in path.split("/"):
+            if kind_of_member(found, name) == "link":
+                raise InputError(f"{place!r} lies behind a link")
+            found = found[name]
+        shape, dtype = tuple(found.shape or ()), np.dtype(found.dtype)
+        step = max(1, _STEP_BYTES // max(1, math.prod(shape[1:]) * dtype.itemsize))
+        if found.chunks:
+            step = int(found.chunks[0])
+            require_unpackable(_chunk_bytes(found), f"{place}: a chunk")
+        filters = _filters(found)
+        array = StoredArray(
+            place, shape, dtype, step, partial(_block, place, found, step), found.id.get_storage_size
+        )
+        if found.is_virtual or found.external:
+            raise array.refused("its values lie in other files; expected them in this file")
+    if filters != [each for each in _FILTERS if each in filters] or {_DEFLATE, _LZF} <= {*filters}:
+        named = ", ".join(_FILTERS.get(each, f"number {each}") for each in filters)
+        raise array.refused(f"the filters {named}; expected {', '.join(_FILTERS.values())}, in this order")
+    if dtype.kind not in "biufSU":
+        raise array.refused(f"values of type {dtype}; expected numbers or text of a fixed length")
+    return array
+
+
+def _filters(dataset: H5Object) -> list[int]:
+    properties = dataset.id.get_create_plist()
+    return [properties.get_filter(number)[0] for number in range(properties.get_nfilters())]
+
+
+def _chunk_bytes(dataset: H5Object) -> int:
+    return int(math.prod(dataset.chunks) * dataset.dtype.itemsize)
+
+
+def _block(place: str, dataset: H5Object, step: int, number: int) -> AnyArray:
+    start, stop = number * step, min((number + 1) * step, dataset.shape[0])
+    size = (stop - start, *dataset.shape[1:])
+    require_unpackable(math.prod(size) * dataset.dtype.itemsize, f"{place}: {size} values")
+    with in_words(place):
+        if dataset.chunks and math.prod(size):
+            for chunk in dataset.iter_chunks((slice(start, stop), *map(slice, size[1:]))):
+                _require_chunk(place, dataset, tuple(each.start for each in chunk))
+        found: AnyArray = dataset[start:stop]
+    return found
+
+
+def _require_chunk(place: str, dataset: H5Object, at: tuple[int, ...]) -> None:
+    """Refuse a chunk that unpacks to more than its size, as HDF5 would allocate that."""
+    filters, size = _filters(dataset), _chunk_bytes(dataset)
+    stored = dataset.id.get_chunk_info_by_coord(at).size
+    if stored > 2 * size + _SPARE_BYTES:
+        raise InputError(f"{place!r}: a chunk of {stored:,} bytes; expected at most twice what it unpacks to")
+    if stored and _LZF in filters:
+        require_unpackable(_LZF_RATIO * stored, f"{place}: a chunk")
+    if stored and _DEFLATE in filters:
+        unused, packed = dataset.id.read_direct_chunk(at)
+        is_packed = not unused >> filters.index(_DEFLATE) & 1
+        if is_packed and len(zlib.decompressobj().decompress(packed, size + 1)) != size:
+            raise InputError(f"{place!r}: a damaged chunk; expected {size:,} bytes unpacked")
+
+
+_ENDINGS = (".h5", ".hdf5")
+_MAX_OBJECTS, _DEEPEST = 20_000, 16
+_MAX_NUMBERS, _MAX_LETTERS = 256, 1000  # of an attribute
+_SHOWN, _PICTURE_AXES = 8, 4
+
+
+def find_hdf5(
+    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+) -> Iterator[importing.Recording]:
+    """Yield a recording for each group that has the dataset of pictures; InputError lists such datasets.
+
+    Groups are in natural order: ``data/demo_2`` before ``data/demo_10``.
+    """
+    expected = f"HDF5 file; expected {' or '.join(_ENDINGS)}"
+    home, names = importing.files_to_read(home, expected, partial(importing.visible_files, endings=_ENDINGS))
+    image = columns.image_name.strip("/")
+    for name in names:
+        place = home.address(name)
+        with importing.open_source(home, name) as stream, in_words(place):
+            root = open_file(stream)
+            kinds = dict(islice(_members(place, root, "", _DEEPEST), _MAX_OBJECTS + 1))
+            if len(kinds) > _MAX_OBJECTS:
+                raise errors.InputError(f"{place!r}: more than {_MAX_OBJECTS:,} datasets and groups")
+            for group in sorted(_groups(place, root, kinds, image), key=importing.natural_order):
+                parts = [group.strip("/")]
+                if len(names) > 1 or not group:
+                    parts.insert(0, name.rpartition(".")[0])
+                title = "/".join(filter(None, parts))
+                yield _recording(home, name, root, kinds, (title, group, image), columns)
+
+
+def _members(place: str, group: H5Object, path: str, deepest: int) -> Iterator[tuple[str, str]]:
+    """Yield the path and kind of each member of a group and of the groups in it; links are not followed."""
+    if not deepest:
+        raise errors.InputError(f"{place!r}: more than {_DEEPEST} nested groups")
+    for name in group:
+        kind = kind_of_member(group, name)
+        yield f"{path}{name}", kind
+        if kind == "Group":
+            yield from _members(place, group[name], f"{path}{name}/", deepest - 1)
+
+
+def _groups(place: str, root: H5Object, kinds: dict[str, str], image: str) -> list[str]:
+    """Return the paths of groups with a dataset of pictures; an InputError lists possible datasets."""
+    datasets = [path for path, kind in kinds.items() if kind == "Dataset"]
+    groups = [path.removesuffix(image) for path in datasets if f"/{path}".endswith(f"/{image}")]
+    if not image or not groups:
+        several = [path for path in datasets if len(root[path].shape or ()) == _PICTURE_AXES]
+        shown = ", ".join(sorted(several, key=importing.natural_order)[:_SHOWN])
+        wanted = f"no dataset of pictures {image!r}" if image else "datasets; none was named as the pictures"
+        raise errors.InputError(
+            f"{place!r} has {wanted}; found {shown or 'none'}",
+            next="add --map image=PATH, with the path below the group of each episode: obs/tactile for "
+            "data/demo_0/obs/tactile",
+        )
+    return groups
+
+
+def _recording(
+    home: store.DataFolder,
+    path: str,
+    root: H5Object,
+    kinds: dict[str, str],
+    named: tuple[str, str, str],
+    columns: importing.ImportColumns,
+) -> importing.Recording:
+    title, group, image = named
+    place = home.address(path)
+    below = {each.removeprefix(group): kind for each, kind in kinds.items() if each.startswith(group)}
+    inside = {
+        each: partial(dataset_in, place, root, f"{group}{each}")
+        for each, kind in below.items()
+        if kind == "Dataset"
+    }
+    pictures = picture_arrays.PictureArray.of(inside.pop(image)())
+    wanted = {importing.NUMBERED, *columns.found_in(inside).names()}
+    found, left_out = picture_arrays.columns_of(inside, len(pictures), wanted)
+    per_frame = {each: column_types.from_numpy(values) for each, values in found.items()}
+    left_out += [f"{each} (a link)" for each, kind in below.items() if kind == "link"]
+    values: dict[str, object] = {}
+    for each in dict.fromkeys(("/", f"/{group}")):
+        for name, value in root[each].attrs.items():
+            stated = np.asarray(value)
+            is_text = isinstance(value, str) and len(value) <= _MAX_LETTERS
+            if is_text or (stated.dtype.kind in "biuf" and stated.size <= _MAX_NUMBERS and stated.ndim < 2):
+                values[name] = stated.tolist()
+            else:
+                left_out.append(f"attribute {name}")
+    part, size = f"{pictures.divisor!r} {group}{image}", math.prod(pictures.shape[1:])
+    about = (part, 0, len(pictures), size, values, per_frame)
+    whole = importing.Recording(title, home.address(), path, *about, left_out=tuple(left_out))
+    constant = zarr_recordings.of_episodes(whole, columns).intersection(wanted)
+    return next(zarr_recordings.episodes_of(whole, np.array([len(pictures)]), [title], constant))
+
+
+def _open_pictures(home: str, path: str, part: str) -> picture_arrays.PictureArray:
+    divisor, name = part.split(" ", 1)
+    folder = store.open_folder(home)
+    with ExitStack() as closing, in_words(folder.address(path)):
+        root = open_file(closing.enter_context(importing.open_source(folder, path)))
+        array = dataset_in(folder.address(path), root, name)
+        weakref.finalize(array, closing.pop_all().close)
+    return picture_arrays.PictureArray(array, float(divisor))
+
+
+read_frames = partial(picture_arrays.read_pictures, opened=_open_pictures)
+describe_conversion = partial(picture_arrays.described_pictures, opened=_open_pictures)

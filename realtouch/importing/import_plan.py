@@ -1,0 +1,517 @@
+"""Plan an import: rounds, splits and shards; make it, or preview it."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import unicodedata
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from functools import partial
+from os import PathLike, fspath
+from typing import Any, Unpack
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from realtouch import convert, kind, stored_images, touch_card, touch_options
+from realtouch.importing import (
+    fields,
+    import_columns,
+    import_shards,
+    import_sources,
+    source_files,
+    source_formats,
+    source_touches,
+)
+from realtouch.touch_options import Alignment
+from tactile_toolkit import catalog, errors, shown_text, store, touch
+from tactile_toolkit.columns import units
+from tactile_toolkit.json_types import JsonDict, JsonValue
+from tactile_toolkit.read import Shard
+from tactile_toolkit.touch import MEDIA_TYPE
+
+CONVERSION = "images_were"
+"""Key of the options of an import: how images were converted."""
+_MAX_LEFT_OUT = 100
+_MAX_STREAMS = 200  # listed in the manifest
+_TOUCHES_PER_GROUP = 1024
+_GROUP_BYTES = 32 << 20
+_PAGE_BYTES = 256 << 10  # images do not compress better in larger pages
+_CUTS = "cuts"
+
+
+def import_touches(
+    source: str | PathLike[str],
+    out: str | PathLike[str],
+    layout: str | None = None,
+    columns: import_columns.ImportColumns | None = None,
+    *,
+    table: str | None = None,
+    streams: Sequence[str] = (),
+    alignment: touch_options.Alignment | None = None,
+    cut: str | None = None,
+    classes: Sequence[str] = (),
+    split: str | None = None,
+    **run: Unpack[store.RunKeywords],
+) -> store.Manifest:
+    """Make a data set of touches from videos, images, episodes or arrays; pictures are not changed.
+
+    Parameters
+    ----------
+    source : str or path
+        Recordings: a folder, a file, an address of a store, or what :func:`realtouch.export` wrote.
+    out : str or path
+        Folder to write, outside the source.
+    layout : str, optional
+        Format of the source (see the page "Your own sensor"); by default it is recognised by its content.
+    columns : ImportColumns, optional
+        Meaning and units of columns; those of our exports are found by name, others are kept as extra ones.
+    table : str, optional
+        Path of the table of images or videos; by default the only one in the folder.
+    streams : sequence of str, optional
+        Tables with times that are aligned with every recording by ``alignment``, beside those that are named
+        like a video: ``take1.csv`` and ``take1.force.csv`` of ``take1.mp4``.
+    cut : "frames", "whole", "contact", or path of a table, optional
+        How recordings become touches: pictures, the whole, clips by contact, or a table with ``start_s`` and
+        ``end_s`` or ``start_frame`` and ``end_frame``; by default videos whole, others by frames.
+    classes : sequence of str, optional
+        Names of the classes in order; by default those in the data. Without any, all labels are -1.
+    split : str, optional
+        Split where no column states it; by default that of a tar ``test-000000.tar``, else ``train``.
+    workers, overwrite, on_progress
+        As for :func:`realtouch.clips_to_images`.
+
+    Returns
+    -------
+    Manifest
+        It lists the touches that were left out; ``not_imported`` counts fields that were not imported.
+
+    Raises
+    ------
+    InputError
+        The source, its table, a column, an option, or every picture cannot be used.
+    IntegrityError, SpecMismatchError, StorageError
+        A tar is damaged; or as :func:`realtouch.clips_to_images`.
+    """
+    folder = store.open_folder(fspath(out))
+    reading = import_sources.Reading(layout, columns, table, tuple(streams), alignment, cut)
+    found = import_sources.find_source(fspath(source), reading)
+    catalog.refuse_source(folder, found.home.address(), [Shard(found.home.address("any file"))])
+    plan = plan_of(arranged(found, classes, split), found)
+    del found  # there may be many touches; from here on, shards hold them
+    return store.build(folder, plan, write_card=touch_card.write_card, **run)
+
+
+def plan_of(touches: Arranged, found: import_sources.FoundSource) -> store.BuildPlan:
+    """Return the plan of an import: a task for each shard, and its specification for the manifest."""
+    every = found.touches
+    work: Any = touches.work  # takes touches; the type of a task only knows items that can be counted
+    tasks: list[store.AnyTask] = []
+    for split, parts in touches.shards.items():
+        for index, part in enumerate(parts):
+            shard = store.ShardName(split, index, len(parts))
+            tasks.append(store.ShardTask(shard, part, work, work.digest))
+    spec: JsonDict = {
+        "operation": "import",
+        "options": {
+            "layout": found.layout,
+            "columns": {key: value for key, value in asdict(work.columns).items() if value},
+            "classes": list(work.names),
+            "image_size": work.image_size and [work.image_size[1], work.image_size[0]],
+        },
+        "source": {
+            split: [{"file": "images", "rows": sum(map(len, parts))}]
+            for split, parts in touches.shards.items()
+        },
+        "listing_sha256": _listing_digest(every),
+    }
+    if found.cut:
+        spec["options"]["cut"] = found.cut
+    if found.streams:
+        spec[touch_options.STREAMS] = list(found.streams[:_MAX_STREAMS])
+    if found.left_out:
+        spec[touch_options.LEFT_OUT] = list(map(shown_text.printable, found.left_out[:_MAX_LEFT_OUT]))
+    conversion = source_formats.IMPORTS[found.layout].describe(every)
+    if conversion:
+        spec["options"][CONVERSION] = conversion
+    pictures = {f"{_CUTS}/{name}.png": content for name, content in found.pictures.items()}
+    return store.BuildPlan(
+        kind.KIND.name,
+        spec,
+        tuple(touches.shards),
+        tuple(tasks),
+        _style(every, touches.shards),
+        extra_dirs=(_CUTS,) if pictures else (),
+        libraries=("numpy", "pyarrow"),
+        write_files=partial(_write_pictures, pictures),
+    )
+
+
+def _write_pictures(
+    pictures: Mapping[str, bytes], folder: store.DataFolder, _manifest: store.Manifest
+) -> dict[str, str]:
+    """Write the pictures of the cuts beside the data; return the checksum of each by its path."""
+    return convert.write_changed(folder, pictures)
+
+
+def _listing_digest(touches: source_touches.FoundTouches) -> str:
+    """Return the checksum of the names, places, times and fields of all touches."""
+    digest = hashlib.sha256()
+    where = touches.where.select(["name", "start", "size", "time_s"])
+    for table in (where, touches.said, touches.per_frame):
+        digest.update(f"{len(table)}\n".encode())
+        for name, column in zip(table.column_names, table.columns, strict=True):
+            digest.update(f"{name} {column.type}\n".encode())
+            source_touches.add_values(digest, source_touches.one_chunk(column))
+    return digest.hexdigest()
+
+
+def _style(
+    touches: source_touches.FoundTouches, shards: Mapping[str, Sequence[source_touches.FoundTouches]]
+) -> store.ParquetStyle:
+    """Return how many rounds are stored in a row group, and how the images are encoded."""
+    touch_bytes = pc.sum(touches.where["size"]).as_py() // len(touches) + 1
+    per_group = min(_TOUCHES_PER_GROUP, _GROUP_BYTES // touch_bytes)
+    rounds = sum(len(part.where["round"].unique()) for parts in shards.values() for part in parts)
+    column = "sensor_video" if touches.has_clips else "sensor_image"
+    return store.ParquetStyle(
+        max(1, per_group // max(1, len(touches) // rounds)),
+        compression_level=3,
+        encodings=((f"{column}.list.element.bytes", "PLAIN"),),
+        values_per_page=max(1, _PAGE_BYTES // touch_bytes),
+    )
+
+
+_TOUCHES_PER_SHARD = 4096
+_SHARD_BYTES = 256 << 20
+_CLIP_SHARD_BYTES = 32 << 20  # clips are in memory several times, encoded and decoded
+_ROUND_BYTES = 24 << 20  # of a recording; a larger one becomes several rounds
+_SPLIT = re.compile(r"\w+")
+_OUR_TAR = re.compile(r"^(\w+)-[0-9]{6}\.tar\Z")
+_DECIMAL = re.compile(r"\d+")
+_INTEGER = re.compile(r"0|[1-9][0-9]{0,3}")
+_UNNAMED = re.compile(r"[^\w-]")
+_SIZE_SAMPLES = 32
+_LONGEST_ID = 64  # characters at the end of a path; exports write ids of at most 80
+
+
+@dataclass(frozen=True, slots=True)
+class Arranged:
+    """The touches of a source in rounds and splits, and the function that makes shards of them.
+
+    ``shards`` holds the shards of each split by its name; a shard has whole rounds, one after the other.
+    """
+
+    shards: Mapping[str, Sequence[source_touches.FoundTouches]]
+    work: import_shards.ImportTouches
+
+
+def arranged(found: import_sources.FoundSource, classes: Sequence[str], split: str | None) -> Arranged:
+    """Divide the touches of a source into rounds and splits; InputError if nothing can be imported."""
+    if split is not None and not _SPLIT.fullmatch(split):
+        raise errors.InputError(f"the split is {split!r}; expected letters, digits and underscores")
+    touches, columns, read = found.touches, found.columns, source_formats.IMPORTS[found.layout]
+    names = tuple(classes) or _class_names(touches, columns.label)
+    if len(set(map(fields.integer_text, classes))) < len(classes):
+        raise errors.InputError(f"the classes are {', '.join(names)}; expected each once")
+    most_bytes = _ROUND_BYTES if found.cut else _SHARD_BYTES
+    sizes = touches.where["size"].to_pylist()
+    whole = _rounds(touches, columns, split)
+    taken = {name for of_split in whole.values() for name in of_split}
+    shards = {}
+    for each, of_split in whole.items():
+        rounds = _in_pieces(of_split, sizes, most_bytes, taken)
+        shards[each] = [_shard(touches, part) for part in _divided(rounds, sizes, touches.has_clips)]
+    size = common_size(touches, read.contents, read.one_size_per_file)
+    schema = import_shards.touch_schema(columns, names, touches)
+    return Arranged(
+        shards, import_shards.ImportTouches(found.layout, columns, names, size, schema, found.versions)
+    )
+
+
+def _shard(
+    touches: source_touches.FoundTouches, rounds: Mapping[str, Sequence[int]]
+) -> source_touches.FoundTouches:
+    """Return the touches of some rounds, one round after the other."""
+    rows = np.concatenate([np.array(numbers, np.int64) for numbers in rounds.values()])
+    names = [name for name, numbers in rounds.items() for _ in numbers]
+    return touches.take(rows).with_where(round=names)
+
+
+def _divided(
+    rounds: Mapping[str, Sequence[int]], sizes: Sequence[int], has_clips: bool
+) -> list[dict[str, Sequence[int]]]:
+    """Divide rounds into shards that fit into the memory of a worker."""
+    most_bytes = _CLIP_SHARD_BYTES if has_clips else _SHARD_BYTES
+    # A touch counts at least this many bytes, which limits the number of touches of a shard.
+    least = most_bytes // _TOUCHES_PER_SHARD
+    of_rounds = [sum(max(least, sizes[number]) for number in numbers) for numbers in rounds.values()]
+    pairs = list(rounds.items())
+    return [dict(pairs[part]) for part in source_touches.ranges_of(of_rounds, most_bytes)]
+
+
+def _class_names(touches: source_touches.FoundTouches, column: str | None) -> tuple[str, ...]:
+    """Return the classes in the data: the numbers from 0 to at least 9, or the names."""
+    numbered: dict[str, str] = {}  # number by name: our exports state both, which keeps the order
+    for name, number in dict.fromkeys(
+        zip(touches.texts(column), touches.texts(source_files.NUMBERED), strict=True)
+    ):
+        if column == source_files.NUMBERED or not _DECIMAL.fullmatch(number):
+            number = ""
+        numbered.setdefault(name, number)
+    for unknown in ("", *fields.UNKNOWN):
+        numbered.pop(unknown, None)
+    if not numbered:  # the source has no classes
+        return ()
+    texts = list(map(fields.integer_text, numbered))
+    if all(map(_INTEGER.fullmatch, texts)):
+        return tuple(map(str, range(max(len(touch.CLASS_NAMES), 1 + max(map(int, texts))))))
+    return tuple(sorted(numbered, key=lambda name: (len(numbered[name]), numbered[name], name)))
+
+
+def _rounds(
+    touches: source_touches.FoundTouches, columns: import_columns.ImportColumns, split: str | None
+) -> dict[str, dict[str, list[int]]]:
+    """Return the touches of each round of each split, in order; a touch without a round gets its own."""
+    found: dict[str, dict[str, list[int]]] = {}
+    split_of: dict[str, str] = {}
+    rounds = touches.texts(columns.round)
+    named = set(rounds)
+    names, numbers = (touches.where[name].to_pylist() for name in ("name", "number"))
+    splits = _splits(touches.texts(columns.split), source_touches.texts_in(touches.where["path"]), split)
+    for place, (name, part) in enumerate(zip(rounds, splits, strict=True)):
+        if not _SPLIT.fullmatch(part):
+            raise errors.InputError(
+                f"{names[place]!r}: the split {fields.shown(part)!r}; expected letters and digits"
+            )
+        if not name:
+            # macOS writes letters and their accents as separate characters.
+            stem = unicodedata.normalize("NFC", names[place].rpartition(".")[0] or names[place])
+            name = _UNNAMED.sub("_", stem)[-_LONGEST_ID:]
+            while name in split_of or name in named:
+                name = f"{name}_{numbers[place]}"
+        if split_of.setdefault(name, part) != part:
+            raise errors.InputError(
+                f"{names[place]!r}: round {fields.shown(name)!r} is in the splits {split_of[name]!r} and "
+                f"{part!r}; expected each round in one split"
+            )
+        found.setdefault(part, {}).setdefault(name, []).append(place)
+    return found
+
+
+def _splits(stated: Sequence[str], paths: Sequence[str], split: str | None) -> Iterator[str]:
+    """Yield the split of each touch: as its column states, as given, as the name of its tar, or ``train``."""
+    for each, path in zip(stated, paths, strict=True):
+        yield each or split or next(iter(_OUR_TAR.findall(path.rpartition("/")[2])), "train")
+
+
+def _in_pieces(
+    rounds: Mapping[str, list[int]], sizes: Sequence[int], most_bytes: int, taken: set[str]
+) -> dict[str, list[int]]:
+    """Divide rounds that are too large for memory: ``ID`` becomes ``ID-0``, ``ID-1``.
+
+    ``taken`` holds the names of all rounds; new names are added.
+    """
+    found: dict[str, list[int]] = {}
+    for name, numbers in rounds.items():
+        parts = source_touches.ranges_of([sizes[number] for number in numbers], most_bytes)
+        pieces = [numbers[part] for part in parts]
+        names = [name]
+        while len(names) < len(pieces) or (len(pieces) > 1 and taken.intersection(names)):
+            name = f"{name}-"
+            names = [f"{name}{number}" for number in range(len(pieces))]
+        taken.update(names)
+        found |= dict(zip(names, pieces, strict=True))
+    return found
+
+
+def common_size(
+    touches: source_touches.FoundTouches, read: source_files.ReadContents, one_size_per_file: bool = False
+) -> tuple[int, int] | None:
+    """Return the most frequent height and width of images; None if no image can be read.
+
+    If the pictures of a file have one size, only its first picture is read. All images are read only if a
+    sample of them has several sizes, as it takes long to read each image twice.
+    """
+    usable = touches.take(np.flatnonzero(touches.is_usable))
+    places, counts = list[source_touches.PicturePlace](), dict[source_touches.PicturePlace, int]()
+    if one_size_per_file:
+        of_files = usable.where.group_by(["home", "path", "part"])
+        files = of_files.aggregate([("number", "min"), ("frames", "sum"), ("frames", "count")])
+        for row in files.sort_by("number_min").to_pylist():
+            places.append(touches[row["number_min"]]._replace(frames=0))
+            counts[places[-1]] = max(row["frames_sum"], row["frames_count"])
+    else:
+        places = list(usable)
+    sizes = _sizes(places[:: max(1, len(places) // _SIZE_SAMPLES)], read, counts)
+    if len(sizes) != 1:
+        sizes = _sizes(places, read, counts)
+    return next((size for size, _ in sizes.most_common(1)), None)
+
+
+def _sizes(
+    places: Sequence[source_touches.PicturePlace],
+    read: source_files.ReadContents,
+    counts: Mapping[source_touches.PicturePlace, int],
+) -> Counter[tuple[int, int]]:
+    """Count the sizes of intact images; ``counts`` says for how many pictures of its file an image stands."""
+    sizes = Counter[tuple[int, int]]()
+    for content, place in zip(read(places), places, strict=True):
+        if isinstance(content, bytes):
+            with suppress(ValueError):
+                sizes[stored_images.require_intact(content)] += counts.get(place, 1)
+    return sizes
+
+
+_TOUCHES_SHOWN = 3
+_VALUES_SHOWN = 8
+_LONGEST_SHOWN = 60
+
+
+@dataclass(frozen=True, slots=True)
+class ImportPreview:
+    """What an import would make.
+
+    Attributes
+    ----------
+    layout, recognised_by : str
+        Format, and the file by which it was recognised; empty if it was given.
+    cut : str
+        How recordings become touches; empty if the source has no recordings.
+    touches, rounds : int
+        Numbers of touches and rounds, without the touches that are known to be left out.
+    splits : mapping of str to int
+        Touches of each split.
+    classes : sequence of str
+        Names of the classes.
+    pictures : str
+        Size of the pictures, and how they are converted.
+    columns : sequence of tuple of str
+        Column of the source, what it becomes, and the unit in which it is read.
+    first : sequence of mapping
+        The first touches as they would be stored, without pictures.
+    streams : sequence of tuple of str
+        How streams of other rates fit the recordings, as rows of a table.
+    left_out : sequence of tuple
+        Reason, number of touches, and the message of the first.
+    """
+
+    layout: str
+    recognised_by: str
+    cut: str
+    touches: int
+    rounds: int
+    splits: Mapping[str, int]
+    classes: Sequence[str]
+    pictures: str
+    columns: Sequence[tuple[str, str, str]]
+    first: Sequence[Mapping[str, str]]
+    streams: Sequence[tuple[str, ...]]
+    left_out: Sequence[tuple[str, int, str]]
+
+
+def preview_import(
+    source: str | PathLike[str],
+    layout: str | None = None,
+    columns: import_columns.ImportColumns | None = None,
+    *,
+    table: str | None = None,
+    streams: Sequence[str] = (),
+    alignment: Alignment | None = None,
+    cut: str | None = None,
+    classes: Sequence[str] = (),
+    split: str | None = None,
+) -> ImportPreview:
+    """Read what :func:`import_touches` would import, with the same parameters, and write nothing.
+
+    Returns
+    -------
+    ImportPreview
+
+    Raises
+    ------
+    InputError
+        As :func:`import_touches`.
+    """
+    reading = import_sources.Reading(layout, columns, table, tuple(streams), alignment, cut)
+    found = import_sources.find_source(fspath(source), reading)
+    touches = arranged(found, classes, split)
+    usable = {
+        name: sum(int(part.is_usable.sum()) for part in parts) for name, parts in touches.shards.items()
+    }
+    messages: dict[str, list[str]] = {}
+    for _, name, error in found.touches.problems():
+        messages.setdefault(error.reason, []).append(f"{name!r}: {error.message}")
+    first = _first(touches, messages)
+    return ImportPreview(
+        found.layout,
+        found.recognised_by,
+        found.cut,
+        sum(usable.values()),
+        sum(len(part.where["round"].unique()) for parts in touches.shards.values() for part in parts),
+        usable,
+        touches.work.names,
+        _pictures_in_words(found, touches),
+        _uses(found, import_shards.extras_in(touches.work.schema)),
+        first,
+        list(found.streams),
+        [(reason, len(each), each[0]) for reason, each in messages.items()],
+    )
+
+
+def _first(touches: Arranged, messages: dict[str, list[str]]) -> list[dict[str, str]]:
+    """Make the first touches as an import would, and note why others cannot be used."""
+    parts = [part.take(np.flatnonzero(part.is_usable)) for each in touches.shards.values() for part in each]
+    some = next((part for part in parts if len(part)), parts[0])[:_TOUCHES_SHOWN]
+    content = touches.work(store.ShardName("preview", 0, 1), some)
+    for each in content.skipped:
+        messages.setdefault(each.reason, []).append(each.message)
+    shown = []
+    (media,) = [field.name for field in content.table.schema if field.type == pa.list_(MEDIA_TYPE)]
+    counts = pc.list_value_length(content.table[media]).to_pylist()
+    for row, count in zip(content.table.drop_columns([media]).to_pylist(), counts, strict=True):
+        shown += [{name: _in_words(value, touch) for name, value in row.items()} for touch in range(count)]
+    return shown
+
+
+def _in_words(value: JsonValue, touch: int) -> str:
+    if isinstance(value, list):
+        value = value[touch]
+    if isinstance(value, list) and len(value) > _VALUES_SHOWN:
+        first = shown_text.printable(str(value[0]))[:_LONGEST_SHOWN]
+        return f"{len(value)} entries, the first {first}"
+    return shown_text.printable(str(value))[:_LONGEST_SHOWN]
+
+
+def _pictures_in_words(found: import_sources.FoundSource, touches: Arranged) -> str:
+    words = source_formats.IMPORTS[found.layout].describe(found.touches) or "stored as they are"
+    size = touches.work.image_size
+    return words if size is None else f"{size[1]} x {size[0]} pixels, {words}"
+
+
+def _uses(found: import_sources.FoundSource, extras: Iterable[str]) -> list[tuple[str, str, str]]:
+    """Return each column of the source, what it becomes, and its unit; ``extras`` are the extra columns."""
+    columns = found.columns
+    roles: dict[str | None, str] = {
+        **{source: f"extra {name!r}" for source, name in fields.kept_sources(columns, extras).items()},
+        columns.label: "label",
+        columns.round: "round",
+        columns.object_id: "object_id",
+        columns.split: "split",
+        **dict.fromkeys(columns.position or (), "pos_in_cell"),
+        **dict.fromkeys(columns.pose or (), "pose of the gel"),
+        columns.image: "picture",
+        columns.time: "time",
+    }
+    lengths = {*(columns.position or ()), *(columns.pose or ())[:3]}
+    uses = []
+    for name in found.touches.names:
+        unit = units.stated_unit(name) or ""
+        if name in lengths:
+            unit = unit or columns.length_unit or "m"
+        uses.append((shown_text.printable(name), roles.get(name, "left out"), unit))
+    return [*uses, *((shown_text.printable(each), "left out", "") for each in found.left_out)]
