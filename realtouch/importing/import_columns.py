@@ -7,15 +7,11 @@ import io
 import os
 import re
 from collections.abc import Collection, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 from realtouch.touch_options import FOTA_POSE_COLUMNS, POSE_COLUMNS, POSITION_COLUMNS
 from tactile_toolkit import checked_fields, errors, parsed_text, wording
-from tactile_toolkit.arithmetic import are_rigid
 from tactile_toolkit.columns import units
 from tactile_toolkit.json_types import JsonDict
 
@@ -59,6 +55,7 @@ LONGEST_NAME = 100  # characters
 _SIMILARITY = 0.8  # a name that is so similar to a known one is a misspelling of it
 _LARGEST_FILE = 1 << 20  # bytes
 _SEPARATORS = re.compile(r"[\[\](){},;]")
+_NUMPY_MARK = b"\x93NUMPY"
 
 
 def read_frame(place: str | os.PathLike[str]) -> Matrix:
@@ -67,13 +64,10 @@ def read_frame(place: str | os.PathLike[str]) -> Matrix:
     Raises InputError if the file cannot be read or holds no rigid transform.
     """
     content = _content_of(place)
-    values: object = ()
-    with suppress(ValueError, EOFError, OSError):
-        if content.startswith(b"\x93NUMPY"):
-            values = np.load(io.BytesIO(content), allow_pickle=False)
-        else:
-            words = _SEPARATORS.sub(" ", content.decode("utf-8-sig", errors="replace")).split()
-            values = [list(map(float, words[start : start + 4])) for start in range(0, len(words), 4)]
+    values: object = content
+    if not content.startswith(_NUMPY_MARK):
+        words = _SEPARATORS.sub(" ", content.decode("utf-8-sig", errors="replace")).split()
+        values = [words[start : start + 4] for start in range(0, len(words), 4)]
     return rigid_frame(values, repr(os.fspath(place)))
 
 
@@ -92,10 +86,19 @@ def _content_of(place: str | os.PathLike[str]) -> bytes:
 
 
 def rigid_frame(values: object, where: str) -> Matrix:
-    """Return a 4 x 4 matrix as tuples; InputError if it is not a rigid transform."""
+    """Return a 4 x 4 matrix, or the content of an NPY file with one, as tuples.
+
+    Raises InputError if it is not a rigid transform.
+    """
+    import numpy as np
+
+    from tactile_toolkit.arithmetic import are_rigid
+
     try:
+        if isinstance(values, bytes):
+            values = np.load(io.BytesIO(values), allow_pickle=False)
         matrix = np.array(values, np.float64)
-    except (TypeError, ValueError, OverflowError):
+    except (TypeError, ValueError, OverflowError, EOFError, OSError):
         matrix = np.empty(0)
     if matrix.shape != (4, 4):
         raise errors.InputError(f"the frame {where} is no matrix of numbers; expected 4 x 4 numbers")
