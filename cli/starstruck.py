@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
 from functools import partial
 
 import starstruck_gen
@@ -11,9 +10,8 @@ from cli import checks, options, output, previews, runs, shared
 from cli.application import command, new_app, run as run_app
 from starstruck_gen.kind import KIND
 from starstruck_gen.scene_options import SceneOptions, ScenePreviewSpec, scene_counts
-from tactile_toolkit import catalog, checked_fields, mesh, places, quantities, run, store
+from tactile_toolkit import catalog, checked_fields, mesh, places, run
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.kind import DatasetKind
 
 app = new_app(
     "starstruck", "Starstruck: scenes of stars among other objects, as validated data sets of meshes."
@@ -52,23 +50,7 @@ def generate(
     with sink.progress("trying the fullest scene", "failed layouts") as on_failure:
         require = partial(starstruck_gen.require_feasible, spec.scene, spec.seed, on_failure)
         rows = starstruck_gen.SceneGenerator(spec)
-        runs.generate_set(sink, "making scenes", rows, out, splits, making, _print_made, require)
-
-
-def _print_made(
-    sink: output.Sink, kind: DatasetKind, manifest: store.Manifest, out: str, elapsed_s: float | None
-) -> None:
-    found = starstruck_gen.summarise(manifest)
-    rows = [
-        (split, quantities.least_to_most(each.classes), f"{each.accepted:.1%}", each.restarts)
-        for split, each in found.items()
-    ]
-    splits = [
-        {"split": split, **counts, "acceptance": asdict(found[split])}
-        for split, counts in manifest.split_table().items()
-    ]
-    header = ("split", "per class", "accepted", "started over")
-    runs.print_set(sink, kind, manifest, out, elapsed_s, header, rows, splits=splits)
+        runs.generate_set(sink, "making scenes", rows, out, splits, making, runs.print_set, require)
 
 
 def _check(
@@ -111,6 +93,6 @@ def _preview(
     pictures.write(sink, KIND.plan_previews(opening.open(sink, path), spec))
 
 
-shared.add_shared(app, KIND, {"preview": _preview}, print_made=_print_made, checks=_CHECKS)
+shared.add_shared(app, KIND, {"preview": _preview}, print_made=runs.print_set, checks=_CHECKS)
 
 main = partial(run_app, app)

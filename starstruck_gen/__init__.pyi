@@ -8,7 +8,6 @@ from .rejection import (
     sample_scenes as sample_scenes,
 )
 from .scene import Scene as Scene
-from .scene_card import summarise as summarise
 from .scene_checks import (
     CheckedScenes as CheckedScenes,
     validate_folder as validate_folder,
@@ -43,7 +42,6 @@ from .shape_kinds import (
     Ring as Ring,
     Star as Star,
 )
-from .shape_registry import register_shape as register_shape
 from .shapes import Shape as Shape
 
 __version__: str

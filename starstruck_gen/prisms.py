@@ -11,7 +11,6 @@ from itertools import pairwise
 import manifold3d
 import numpy as np
 
-from starstruck_gen.shape_kinds import Outline
 from starstruck_gen.shapes import PUBLISHED_RADIUS_M, Shape, outline
 from tactile_toolkit import mesh
 from tactile_toolkit.array_types import Float64, Int32, Int64
@@ -46,16 +45,9 @@ class Prism:
 def prism(key: str) -> Prism:
     """Return the solid of the shape that a key names, made and checked on first use.
 
-    Raises InputError for an unknown shape, and as :func:`checked_prism`.
+    Raises InputError for an unknown shape, and for proportions whose outline bounds no area.
     """
-    return checked_prism(key, outline(key))
-
-
-def checked_prism(key: str, rings: Outline) -> Prism:
-    """Make the solid of an outline and check it.
-
-    Raises InputError for an outline that bounds no area (inside out, or crossing itself).
-    """
+    rings = outline(key)
     corners = np.concatenate(rings)
     cap = np.asarray(manifold3d.triangulate(list(rings)), dtype=np.int32)
     a, b, c = (corners[cap[:, index]] for index in range(3))

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
-from starstruck_gen import acceptance, kind, scene_dataset, scene_rows, scene_spec
+from starstruck_gen import kind, scene_dataset, scene_rows, scene_spec
 from tactile_toolkit import cards, mesh, shown_text, store
 from tactile_toolkit.kind import is_copy
 from tactile_toolkit.rows import meanings
@@ -17,11 +16,6 @@ _RULES = {
 }
 
 COLUMNS = meanings(scene_rows.SceneRow)
-
-
-def summarise(manifest: store.Manifest) -> dict[str, acceptance.Acceptance]:
-    """Return the acceptance of each split; of an unfinished run, that of its finished shards."""
-    return {split: acceptance.Acceptance(**counts) for split, counts in manifest.statistics().items()}
 
 
 def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
@@ -37,7 +31,6 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         cards.write_table_card(folder, manifest, kind.KIND, "Starstruck", COLUMNS, licence, **terms)
         return
     spec = scene_spec.SceneSpec.from_dict(manifest.spec["scene"])
-    found = summarise(manifest)
     cards.Card(
         template=kind.KIND.card_template,
         title="Starstruck",
@@ -45,12 +38,10 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         picture=("scenes.png", _draw_scenes, "The first scenes of each class from above; stars are orange"),
         licence="mit",
         tags=["tactile", "active-perception", "3d", "mesh", "counting"],
-        figures={"per class": [", ".join(f"{count:,}" for count in each.classes) for each in found.values()]},
         limits=_limits(manifest, spec),
         values={
             **_placement_values(spec),
             "seed": str(manifest.spec["seed"]),
-            "acceptance_table": _acceptance_table(found),
         },
     ).write(folder, manifest, kind.KIND)
 
@@ -88,20 +79,6 @@ def _placement_values(spec: scene_spec.SceneSpec) -> dict[str, str]:
 def _draw_scenes(facts: cards.FolderSummary) -> bytes | None:
     columns = (mesh.VERTICES, mesh.FACES, "star_count", "placements")
     return cards.draw_solids(facts, scene_dataset.SceneRecord, columns)
-
-
-def _acceptance_table(found: Mapping[str, acceptance.Acceptance]) -> str:
-    header = ("split", "positions drawn per object (first, second, ...)", "accepted", "scenes started over")
-    rows = [
-        (
-            split,
-            ", ".join(f"{mean:.2f}" for mean in each.attempts_per_object),
-            f"{each.accepted:.1%}",
-            f"{each.restarts:,}",
-        )
-        for split, each in found.items()
-    ]
-    return cards.markdown_table(header, rows)
 
 
 def _limits(manifest: store.Manifest, spec: scene_spec.SceneSpec) -> list[str]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from starstruck_gen import scene_dataset, scene_meshes, shape_kinds
+from starstruck_gen import scene_dataset, scene_meshes
 from starstruck_gen.kind import KIND
 from tactile_toolkit import catalog, places, read
 from tactile_toolkit.errors import ToolkitError
@@ -100,7 +100,7 @@ def validate_folder(
     names = {shard.path: read.class_names(shard.schema, KIND.class_names) for _, shard in shards}
     rows = catalog.check_rows(
         shards,
-        partial(_check_row, names=names, shapes=[kind() for kind in shape_kinds.KINDS.values()]),
+        partial(_check_row, names=names),
         _COLUMNS,
         limit,
         workers,
@@ -119,13 +119,8 @@ def validate_folder(
     return CheckedScenes(place.name, len(rows), bodies, stars, tuple(failures), declares)
 
 
-def _check_row(
-    row: read.Row, names: Mapping[str, Sequence[str]], shapes: Sequence[shape_kinds.Proportions]
-) -> tuple[str | None, int, int]:
-    """Return the problem of a scene (or None), its number of bodies, and that of its declared stars.
-
-    ``shapes`` has one shape of each kind: unpickling it registers the kinds of the user in a new process.
-    """
+def _check_row(row: read.Row, names: Mapping[str, Sequence[str]]) -> tuple[str | None, int, int]:
+    """Return the problem of a scene (or None), its number of bodies, and that of its declared stars."""
     record, stars = scene_dataset.SceneRecord(row), 0
     try:
         problem, bodies = check_scene(record, names[row.path])

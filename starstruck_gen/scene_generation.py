@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Unpack
 
 import pyarrow as pa
 
-from starstruck_gen import acceptance, rejection, scene_meshes, scene_rows, scene_seeds, scene_spec
+from starstruck_gen import rejection, scene_meshes, scene_rows, scene_seeds, scene_spec
 from starstruck_gen.kind import KIND
 from tactile_toolkit import checked_fields, generation, store
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.json_types import JsonDict, JsonObject
+from tactile_toolkit.json_types import JsonDict
 
 PUBLISHED_SIZES = (("train", 3_000), ("test", 300))
 """Scenes of each split (Tactile MNIST paper, section Starstruck)."""
@@ -126,10 +126,6 @@ class SceneGenerator(generation.RowGenerator):
         """Return the rows of some scenes; SamplingExhausted if a scene cannot be made."""
         with store.without_collecting():
             return make_rows(self.spec.scene, split, self.spec.seed, items.start, len(items))
-
-    def statistics(self, rows: Sequence[scene_rows.SceneRow]) -> JsonObject:
-        """Count positions drawn and scenes started over."""
-        return asdict(acceptance.count_scenes(self.spec.scene, rows))
 
 
 def generate(

@@ -64,10 +64,6 @@ class Proportions:
         """Return the rings of the outline, read-only; unit: the circumscribed radius."""
         raise NotImplementedError
 
-    def __reduce__(self) -> tuple[object, ...]:
-        """Pickle with the class, so that unpickling registers the kind in a new process."""
-        return (_unpickled, (type(self), self.to_dict()))
-
     def to_dict(self) -> JsonDict:
         """Return JSON values."""
         return {entry.name: getattr(self, entry.name) for entry in fields(self)}
@@ -87,13 +83,6 @@ class Proportions:
             expected = f"one of {', '.join(known)}" if known else "none"
             raise InputError(f"unknown proportion {unknown[0]!r} of shape {cls.name!r}; expected {expected}")
         return cls(**values)
-
-
-def _unpickled(kind: type[Proportions], values: JsonDict) -> Proportions:
-    # The kind was checked when it was registered in the process that pickled it.
-    if kind.name:
-        KINDS.setdefault(kind.name, kind)
-    return kind(**values)
 
 
 def _arc(
@@ -269,18 +258,14 @@ class Crescent(Proportions):
         return (np.array(back + bite),)
 
 
-TOOLKIT_KINDS = (Star, Box, Disc, Triangle, Hexagon, Ring, Cross, Crescent)
-"""Kinds that come with the toolkit; star, box and disc are published (package tactile-mnist 0.13.0)."""
-
-KINDS: dict[str, type[Proportions]] = {kind.name: kind for kind in TOOLKIT_KINDS}
-"""Kinds of shapes by name: those of the toolkit, and those that users register."""
+KINDS: dict[str, type[Proportions]] = {
+    kind.name: kind for kind in (Star, Box, Disc, Triangle, Hexagon, Ring, Cross, Crescent)
+}
+# Star, box and disc are published (package tactile-mnist 0.13.0).
 
 
 def kind_named(name: str) -> type[Proportions]:
     """Return a kind of shape by its name; InputError if it is unknown."""
     if name not in KINDS:
-        raise InputError(
-            f"unknown shape {name!r}; expected one of {', '.join(KINDS)}, or one registered with "
-            "starstruck_gen.register_shape"
-        )
+        raise InputError(f"unknown shape {name!r}; expected one of {', '.join(KINDS)}")
     return KINDS[name]

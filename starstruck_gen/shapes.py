@@ -1,8 +1,8 @@
 """Shapes with their size, and the key that names an outline in a placement.
 
 Lengths of outlines are in units of the circumscribed radius: each outline reaches distance 1 from the origin
-and not beyond. A further kind of shape is one class (:func:`starstruck_gen.register_shape`); collision,
-solids, drawing and the specification follow from it.
+and not beyond. A further kind of shape is one class; collision, solids, drawing and the specification follow
+from it.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Shape:
     Parameters
     ----------
     name : str
-        Name of a kind: star, box, disc, triangle, hexagon, ring, cross, crescent, or one that was registered.
+        Name of a kind: star, box, disc, triangle, hexagon, ring, cross or crescent.
     radius_m : float
         Circumscribed radius, metres.
     proportions : Proportions
@@ -135,12 +135,7 @@ def outline(key: str) -> Outline:
     Frame: origin at the centre of the circumscribed circle, first corner of a star on +x. Raises InputError
     if the shape is unknown or its proportions cannot be used.
     """
-    return read_only(_parse_key(key).rings())
-
-
-def read_only(rings: Outline) -> Outline:
-    """Return rings as read-only arrays of float64."""
-    rings = tuple(np.asarray(ring, dtype=np.float64) for ring in rings)
+    rings = tuple(np.asarray(ring, dtype=np.float64) for ring in _parse_key(key).rings())
     for ring in rings:
         ring.setflags(write=False)
     return rings
