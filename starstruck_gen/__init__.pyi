@@ -34,14 +34,14 @@ from .scene_seeds import (
 )
 from .scene_spec import SceneSpec as SceneSpec
 from .scenes_on_the_fly import SceneDataset as SceneDataset
-from .shape_kinds import (
+from .shapes import (
     Crescent as Crescent,
     Cross as Cross,
     Disc as Disc,
     Proportions as Proportions,
     Ring as Ring,
+    Shape as Shape,
     Star as Star,
 )
-from .shapes import Shape as Shape
 
 __version__: str

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from starstruck_gen import prisms, shape_kinds
+from starstruck_gen import shapes
 from tactile_toolkit import mesh
 from tactile_toolkit.arithmetic import cosine_sine
 
@@ -49,7 +49,7 @@ class Placement(NamedTuple):
     @property
     def is_star(self) -> bool:
         """Whether the object is a star, which is counted."""
-        return self.shape.partition("(")[0] == shape_kinds.STAR
+        return self.shape.partition("(")[0] == shapes.STAR
 
 
 def circles_clear(one: Placement, others: Sequence[Placement], clearance_m: float) -> bool:
@@ -88,10 +88,10 @@ def _standing(placement: Placement) -> manifold3d.Manifold:
     return prism_solid(placement.shape, placement.radius_m).transform(matrix)
 
 
-@lru_cache(prisms.MAX_KEPT)
+@lru_cache(shapes.MAX_KEPT)
 def prism_solid(key: str, radius_m: float) -> manifold3d.Manifold:
     """Return the solid of a shape for manifold3d: millimetres, 1 mm high, centred, not turned."""
-    made = prisms.prism(key)
+    made = shapes.prism(key)
     vertices_m = made.vertices(0.0) * radius_m
     vertices_m[1::2, 2] = 1e-3
     return mesh.Mesh(vertices_m, made.faces).to_manifold()

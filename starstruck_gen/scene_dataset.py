@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from starstruck_gen import kind, placement, prisms, scene_drawing
+from starstruck_gen import kind, placement, scene_drawing, shapes
 from starstruck_gen.scene import Scene
 from tactile_toolkit import catalog, mesh, pictures, places, read, touch
 from tactile_toolkit.array_types import Int64, UInt8
@@ -120,7 +120,7 @@ class SceneRecord(pictures.DrawnSolid):
         if not self.has_placements:
             return [(len(self.faces), "other")]
         runs = [
-            (len(prisms.prism(placed.shape).faces), "main" if placed.is_star else "other")
+            (len(shapes.prism(placed.shape).faces), "main" if placed.is_star else "other")
             for placed in self.placements
         ]
         return runs if sum(count for count, _ in runs) == len(self.faces) else []

@@ -9,7 +9,7 @@ from itertools import accumulate
 import numpy as np
 
 from starstruck_gen.placement import Placement
-from starstruck_gen.prisms import prisms
+from starstruck_gen.shapes import prisms
 from tactile_toolkit import mesh, read
 from tactile_toolkit.array_types import Int64
 

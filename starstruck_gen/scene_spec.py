@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, fields
 from functools import cached_property
 from itertools import pairwise
 
-from starstruck_gen import prisms, shape_kinds
+from starstruck_gen import shapes
 from starstruck_gen.shapes import Shape
 from tactile_toolkit import builtin_values, checked_fields, touch
 from tactile_toolkit.errors import InputError
@@ -18,7 +18,7 @@ COLLISION_RULES = ("circles", "exact")
 
 # 3 mm, half the outer size of the sensor and half the border of the grid (package tactile-mnist 0.13.0).
 _PADDING_M = (0.003 + 0.032 / 2 + 0.005 / 2, 0.003 + 0.028 / 2 + 0.005 / 2)
-_PUBLISHED_STAR = Shape(shape_kinds.STAR)
+_PUBLISHED_STAR = Shape(shapes.STAR)
 _PUBLISHED_DISTRACTORS = (Shape("box"), Shape("disc"))
 # Coordinates stay below 1 m, where float32 storage moves them by 0.03 um, a third of STORAGE_MARGIN_M.
 _LARGEST_CELL_M = 2.0
@@ -102,13 +102,13 @@ class SceneSpec:
         self._require("distractors", fits, "the minimum and the maximum, integers from 0")
         fits = stars[0] + self.distractors[0] > 0 and self.most_objects <= _MAX_OBJECTS
         self._require("stars", fits, f"1 to {_MAX_OBJECTS} objects in a scene, distractors included")
-        fits = isinstance(self.star, Shape) and self.star.name == shape_kinds.STAR
+        fits = isinstance(self.star, Shape) and self.star.name == shapes.STAR
         self._require(
             "star",
             fits,
-            f"a Shape named {shape_kinds.STAR!r}, such as Shape({shape_kinds.STAR!r}, radius_m=0.01)",
+            f"a Shape named {shapes.STAR!r}, such as Shape({shapes.STAR!r}, radius_m=0.01)",
         )
-        fits = all(isinstance(shape, Shape) and shape.name != shape_kinds.STAR for shape in shapes)
+        fits = all(isinstance(shape, Shape) and shape.name != shapes.STAR for shape in shapes)
         fits = fits and (bool(shapes) or self.distractors[1] == 0)
         self._require("distractor_shapes", fits, "Shape objects that are not stars, such as (Shape('box'),)")
         fits = bool(heights) and all(isinstance(each, float) and 1e-4 <= each <= 1.0 for each in heights)
@@ -116,7 +116,7 @@ class SceneSpec:
         self._require(
             "cell_m", min(self.half_area_m) >= 0, "room for the padding and one object side by side"
         )
-        prisms.require_fine_steps((self.star, *self.distractor_shapes), self.half_area_m, self.cell_m)
+        shapes.require_fine_steps((self.star, *self.distractor_shapes), self.half_area_m, self.cell_m)
 
     def _require(self, name: str, fits: bool, expected: str) -> None:
         if not fits:

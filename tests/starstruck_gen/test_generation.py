@@ -17,8 +17,7 @@ from starstruck_gen.scene_generation import SceneGenerator, SceneSetSpec, genera
 from starstruck_gen.scene_meshes import build_meshes
 from starstruck_gen.scene_rows import scene_schema
 from starstruck_gen.scene_spec import SceneSpec
-from starstruck_gen.shape_kinds import Disc, Star
-from starstruck_gen.shapes import Shape
+from starstruck_gen.shapes import Disc, Shape, Star
 from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.generation import plan_build
 from tactile_toolkit.store import inspect_job, open_folder, read_manifest, verify

@@ -21,8 +21,7 @@ from starstruck_gen.rejection import (
 )
 from starstruck_gen.scene_seeds import SPLITS, SceneStreams, scene_id, scene_rng, scene_seed
 from starstruck_gen.scene_spec import SceneSpec
-from starstruck_gen.shape_kinds import KINDS
-from starstruck_gen.shapes import Shape
+from starstruck_gen.shapes import KINDS, Shape
 from tactile_toolkit.errors import InputError
 from tests.starstruck_gen.strategies import specs
 
