@@ -1,13 +1,17 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
-from .placement import Placement as Placement
+from .scene import (
+    build_meshes as build_meshes,
+    Placement as Placement,
+    Scene as Scene,
+    SceneMeshes as SceneMeshes,
+)
 from .rejection import (
     SamplingExhausted as SamplingExhausted,
     require_feasible as require_feasible,
     sample_scene as sample_scene,
     sample_scenes as sample_scenes,
 )
-from .scene import Scene as Scene
 from .scene_checks import (
     CheckedScenes as CheckedScenes,
     validate_folder as validate_folder,
@@ -22,10 +26,6 @@ from .scene_generation import (
     SceneGenerator as SceneGenerator,
     SceneSetSpec as SceneSetSpec,
     generate as generate,
-)
-from .scene_meshes import (
-    SceneMeshes as SceneMeshes,
-    build_meshes as build_meshes,
 )
 from .scene_seeds import (
     SPLITS as SPLITS,

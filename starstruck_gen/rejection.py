@@ -13,7 +13,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from starstruck_gen import placement, scene, scene_seeds, scene_spec
+from starstruck_gen import scene, scene_seeds, scene_spec
 from starstruck_gen.shapes import Shape
 from tactile_toolkit import mesh
 from tactile_toolkit.errors import InputError
@@ -159,7 +159,7 @@ def rejection_sampling(
 
     ``uniform`` gives numbers in [0, 1). The order in which they are drawn decides the bytes of data sets.
     """
-    clear = placement.COLLISION_TESTS[spec.collision]
+    clear = scene.COLLISION_TESTS[spec.collision]
     if star_count is None:
         star_count = _choice(spec.stars, uniform)
     least, most = spec.distractors
@@ -170,7 +170,7 @@ def rejection_sampling(
     reached: list[int] = []
     clearance_m, (half_x_m, half_y_m) = spec.clearance_m, spec.half_area_m
     while len(reached) <= spec.restarts and not is_infeasible(reached, len(shapes)):
-        placed: list[placement.Placement] = []
+        placed: list[scene.Placement] = []
         for number, shape in enumerate(shapes):
             # Drawn once for an object, not for each attempt.
             height_m = _choice(spec.heights_m, uniform)
@@ -179,7 +179,7 @@ def rejection_sampling(
                 x_m = (2.0 * uniform() - 1.0) * half_x_m
                 y_m = (2.0 * uniform() - 1.0) * half_y_m
                 angle_rad = uniform() * spec.rotation_rad
-                candidate = placement.Placement(shape.key, x_m, y_m, angle_rad, shape.radius_m, height_m)
+                candidate = scene.Placement(shape.key, x_m, y_m, angle_rad, shape.radius_m, height_m)
                 if clear(candidate, placed, clearance_m):
                     placed.append(candidate)
                     break

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from starstruck_gen import scene_dataset, scene_meshes
+from starstruck_gen import scene, scene_dataset
 from starstruck_gen.kind import KIND
 from tactile_toolkit import catalog, places, read
 from tactile_toolkit.errors import ToolkitError
@@ -165,7 +165,7 @@ def _check_on_plate(mesh: Mesh, bodies: Sequence[manifold3d.Manifold]) -> str | 
 
 
 def _check_placements(mesh: Mesh, bodies: int, record: scene_dataset.SceneRecord) -> str | None:
-    declared = scene_meshes.build_meshes([record.placements])[0]
+    declared = scene.build_meshes([record.placements])[0]
     if bodies != len(record.placements):
         return f"found {with_count(bodies, 'solids')}; expected {len(record.placements)}, one for each object"
     same = declared.vertices_m.shape == mesh.vertices_m.shape and np.array_equal(declared.faces, mesh.faces)

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from starstruck_gen import kind, placement, scene_drawing, shapes
+from starstruck_gen import kind, scene, shapes
 from starstruck_gen.scene import Scene
 from tactile_toolkit import catalog, mesh, pictures, places, read, touch
 from tactile_toolkit.array_types import Int64, UInt8
@@ -42,12 +42,12 @@ class SceneRecord(pictures.DrawnSolid):
         return self.row.has("placements")
 
     @property
-    def placements(self) -> tuple[placement.Placement, ...]:
+    def placements(self) -> tuple[scene.Placement, ...]:
         """Objects in the order of placing, stars first; InputError if they are not stored."""
         return self._once(
             "placements",
             lambda: tuple(
-                placement.Placement(**entry) for entry in self._stated("placements").required("placements")
+                scene.Placement(**entry) for entry in self._stated("placements").required("placements")
             ),
         )
 
@@ -130,13 +130,13 @@ class SceneRecord(pictures.DrawnSolid):
         if not self.has_placements:
             return super().picture(width_px)
         px_per_mm = width_px / self.extent_m / mesh.MM_PER_M
-        return np.asarray(scene_drawing.draw_scene(self.placements, self.cell_m, px_per_mm))
+        return np.asarray(scene.draw_scene(self.placements, self.cell_m, px_per_mm))
 
     def cutout(self, width_px: float) -> UInt8:
         """Draw the objects with opacity, (H, W, 4); without placements, the mesh in relief, (H, W, 2)."""
         if not self.has_placements:
             return super().cutout(width_px)
-        return scene_drawing.without_plate(self.picture(width_px))
+        return scene.without_plate(self.picture(width_px))
 
 
 def _stored_cell_m(row: read.Row) -> tuple[float, float]:

@@ -10,7 +10,7 @@ from typing import Any, Unpack
 
 import pyarrow as pa
 
-from starstruck_gen import rejection, scene_meshes, scene_rows, scene_seeds, scene_spec
+from starstruck_gen import rejection, scene, scene_rows, scene_seeds, scene_spec
 from starstruck_gen.kind import KIND
 from tactile_toolkit import checked_fields, generation, store
 from tactile_toolkit.errors import InputError
@@ -28,7 +28,7 @@ def make_rows(
     Raises SamplingExhausted if a scene cannot be made.
     """
     scenes = rejection.sample_scenes(spec, split, seed, start, count)
-    meshes = scene_meshes.build_meshes([scene.placements for scene in scenes])
+    meshes = scene.build_meshes([scene.placements for scene in scenes])
     return [
         scene_rows.SceneRow(
             id=scene_seeds.scene_id(split, number),

@@ -7,7 +7,7 @@ from functools import cache
 
 import pyarrow as pa
 
-from starstruck_gen import kind, placement, scene_seeds
+from starstruck_gen import kind, scene, scene_seeds
 from tactile_toolkit import mesh, rows, store
 
 PARQUET_STYLE = store.ParquetStyle(
@@ -24,7 +24,7 @@ PARQUET_STYLE = store.ParquetStyle(
 )
 """1,000 scenes are about 5 MB unpacked, enough for the codec to find repeated triangles."""
 
-_NUMBERS = [(name, pa.float64()) for name in placement.Placement._fields if name != "shape"]
+_NUMBERS = [(name, pa.float64()) for name in scene.Placement._fields if name != "shape"]
 _PLACEMENTS = pa.list_(pa.struct([("shape", pa.string()), *_NUMBERS]))
 _IDS = (
     f"number of the scene: from 0 in train, from {scene_seeds.scene_id(scene_seeds.SPLITS[1], 0):,} in test"
@@ -47,7 +47,7 @@ class SceneRow(mesh.MeshRow):
     distractor_count: int = rows.column(
         pa.int64(), "", "number of objects that are not stars", role="facet", title="Distractors"
     )
-    placements: Sequence[placement.Placement] = rows.column(
+    placements: Sequence[scene.Placement] = rows.column(
         _PLACEMENTS, "one per object: m, rad, frame below", _OBJECTS
     )
     seed: int = rows.column(pa.int64(), "", _SEED)

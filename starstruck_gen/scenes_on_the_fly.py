@@ -13,7 +13,6 @@ from starstruck_gen import (
     scene,
     scene_dataset,
     scene_generation,
-    scene_meshes,
     scene_rows,
     scene_seeds,
     scene_spec,
@@ -130,8 +129,8 @@ class MadeScene(read.Rows):
             "scene", lambda: rejection.sample_scenes(source.spec, source.split, source.seed, row, 1)[0]
         )
 
-    def _built(self) -> scene_meshes.SceneMeshes:
-        meshes = scene_meshes.build_meshes([self._scene.placements])
+    def _built(self) -> scene.SceneMeshes:
+        meshes = scene.build_meshes([self._scene.placements])
         for column in (meshes.vertices_m, meshes.faces):
             column.values.setflags(write=False)
         return meshes

@@ -6,7 +6,7 @@ import math
 
 from hypothesis import strategies as st
 
-from starstruck_gen.placement import Placement
+from starstruck_gen.scene import Placement
 from starstruck_gen.scene_spec import SceneSpec
 from starstruck_gen.shapes import KINDS, STAR, Crescent, Cross, Disc, Ring, Shape, Star
 

@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy import stats
 
-from starstruck_gen.placement import Placement, circles_clear, outlines_clear
 from starstruck_gen.rejection import (
     SamplingExhausted,
     is_infeasible,
@@ -19,6 +18,7 @@ from starstruck_gen.rejection import (
     sample_scene,
     sample_scenes,
 )
+from starstruck_gen.scene import Placement, circles_clear, outlines_clear
 from starstruck_gen.scene_seeds import SPLITS, SceneStreams, scene_id, scene_rng, scene_seed
 from starstruck_gen.scene_spec import SceneSpec
 from starstruck_gen.shapes import KINDS, Shape
