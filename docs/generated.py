@@ -42,7 +42,7 @@ SHARED = (
     "realtouch.contact.CLOCK_TOLERANCE_S",
     "realtouch.contact.contact_heights_m",
     "realtouch.contact.contact_window",
-    "starstruck_gen.scene_spec.COLLISION_RULES",
+    "starstruck_gen.sampling.COLLISION_RULES",
     "tactile_sim.sensor.MESA_SAMPLE_PX",
     "tactile_toolkit.mesh.FORMATS",
     "tactile_toolkit.mesh.UNREADABLE",

@@ -6,11 +6,15 @@ from .scene import (
     Scene as Scene,
     SceneMeshes as SceneMeshes,
 )
-from .rejection import (
-    SamplingExhausted as SamplingExhausted,
+from .sampling import (
     require_feasible as require_feasible,
     sample_scene as sample_scene,
     sample_scenes as sample_scenes,
+    SamplingExhausted as SamplingExhausted,
+    scene_rng as scene_rng,
+    scene_seed as scene_seed,
+    SceneSpec as SceneSpec,
+    SPLITS as SPLITS,
 )
 from .scene_checks import (
     CheckedScenes as CheckedScenes,
@@ -27,12 +31,6 @@ from .scene_generation import (
     SceneSetSpec as SceneSetSpec,
     generate as generate,
 )
-from .scene_seeds import (
-    SPLITS as SPLITS,
-    scene_rng as scene_rng,
-    scene_seed as scene_seed,
-)
-from .scene_spec import SceneSpec as SceneSpec
 from .scenes_on_the_fly import SceneDataset as SceneDataset
 from .shapes import (
     Crescent as Crescent,

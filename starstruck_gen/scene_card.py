@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from starstruck_gen import kind, scene_dataset, scene_rows, scene_spec
+from starstruck_gen import kind, sampling, scene_dataset, scene_rows
 from tactile_toolkit import cards, mesh, shown_text, store
 from tactile_toolkit.kind import is_copy
 from tactile_toolkit.rows import meanings
@@ -30,7 +30,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         terms = {"licence_text": text, "citation_text": "The task: Schneider et al. 2025."}
         cards.write_table_card(folder, manifest, kind.KIND, "Starstruck", COLUMNS, licence, **terms)
         return
-    spec = scene_spec.SceneSpec.from_dict(manifest.spec["scene"])
+    spec = sampling.SceneSpec.from_dict(manifest.spec["scene"])
     cards.Card(
         template=kind.KIND.card_template,
         title="Starstruck",
@@ -46,7 +46,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     ).write(folder, manifest, kind.KIND)
 
 
-def _placement_values(spec: scene_spec.SceneSpec) -> dict[str, str]:
+def _placement_values(spec: sampling.SceneSpec) -> dict[str, str]:
     """Describe the specification in words, with sizes in millimetres."""
     least, most = spec.distractors
     turned = math.degrees(spec.rotation_rad)
@@ -81,12 +81,12 @@ def _draw_scenes(facts: cards.FolderSummary) -> bytes | None:
     return cards.draw_solids(facts, scene_dataset.SceneRecord, columns)
 
 
-def _limits(manifest: store.Manifest, spec: scene_spec.SceneSpec) -> list[str]:
+def _limits(manifest: store.Manifest, spec: sampling.SceneSpec) -> list[str]:
     lines = [
         "Objects lie flat and are of one height each; nothing is stacked.",
         "Scenes are drawn from the seed: they are not the published scenes, only made by the same rule.",
     ]
-    if spec.to_dict() != scene_spec.SceneSpec().to_dict():
+    if spec.to_dict() != sampling.SceneSpec().to_dict():
         lines.append("The specification is not the published one; results do not compare with the paper's.")
     if manifest.spec["limit"] is not None:
         lines.append(f"Splits are cut to their first {manifest.spec['limit']:,} scenes.")

@@ -10,7 +10,7 @@ from typing import Any, Unpack
 
 import pyarrow as pa
 
-from starstruck_gen import rejection, scene, scene_rows, scene_seeds, scene_spec
+from starstruck_gen import sampling, scene, scene_rows
 from starstruck_gen.kind import KIND
 from tactile_toolkit import checked_fields, generation, store
 from tactile_toolkit.errors import InputError
@@ -21,24 +21,24 @@ PUBLISHED_SIZES = (("train", 3_000), ("test", 300))
 
 
 def make_rows(
-    spec: scene_spec.SceneSpec, split: str, seed: int, start: int, count: int
+    spec: sampling.SceneSpec, split: str, seed: int, start: int, count: int
 ) -> list[scene_rows.SceneRow]:
     """Make rows ``start`` to ``start + count - 1`` of a split; each depends on its number only.
 
     Raises SamplingExhausted if a scene cannot be made.
     """
-    scenes = rejection.sample_scenes(spec, split, seed, start, count)
+    scenes = sampling.sample_scenes(spec, split, seed, start, count)
     meshes = scene.build_meshes([scene.placements for scene in scenes])
     return [
         scene_rows.SceneRow(
-            id=scene_seeds.scene_id(split, number),
+            id=sampling.scene_id(split, number),
             label=number % len(spec.stars),
             vertices_m=meshes.vertices_m[index],
             faces=meshes.faces[index],
             star_count=scene.star_count,
             distractor_count=scene.distractor_count,
             placements=scene.placements,
-            seed=scene_seeds.scene_seed(seed, split, number),
+            seed=sampling.scene_seed(seed, split, number),
             attempts=scene.attempts,
             restarts=scene.restarts,
         )
@@ -67,7 +67,7 @@ class SceneSetSpec:
     on any machine.
     """
 
-    scene: scene_spec.SceneSpec = field(default_factory=scene_spec.SceneSpec)
+    scene: sampling.SceneSpec = field(default_factory=sampling.SceneSpec)
     scenes: tuple[tuple[str, int], ...] = PUBLISHED_SIZES
     seed: int = checked_fields.integer(0)
     limit: int | None = checked_fields.integer(None, 1, optional=True)
@@ -75,10 +75,10 @@ class SceneSetSpec:
     def __post_init__(self) -> None:
         checked_fields.check_fields(self, "the data set's specification")
         scenes = checked_fields.split_counts(
-            self.scenes, "scenes of the data set's specification", scene_seeds.SPLITS, scene_seeds.MAX_SCENES
+            self.scenes, "scenes of the data set's specification", sampling.SPLITS, sampling.MAX_SCENES
         )
         object.__setattr__(self, "scenes", scenes)
-        if not isinstance(self.scene, scene_spec.SceneSpec):
+        if not isinstance(self.scene, sampling.SceneSpec):
             raise InputError(f"scene of the data set's specification is {self.scene!r}; expected a SceneSpec")
 
     def rows(self, split: str) -> int:
@@ -105,7 +105,7 @@ class SceneGenerator(generation.RowGenerator):
 
     def items(self) -> Mapping[str, range]:
         """Return the numbers of the scenes of each split."""
-        return {split: range(self.spec.rows(split)) for split in scene_seeds.SPLITS}
+        return {split: range(self.spec.rows(split)) for split in sampling.SPLITS}
 
     def layout(self) -> generation.StorageLayout:
         """Return the storage layout of rows."""
@@ -131,9 +131,9 @@ class SceneGenerator(generation.RowGenerator):
 def generate(
     spec: SceneSetSpec,
     out: str | os.PathLike[str],
-    splits: Sequence[str] = scene_seeds.SPLITS,
+    splits: Sequence[str] = sampling.SPLITS,
     *,
-    on_failure: rejection.LayoutFailed = lambda _failed, _allowed: None,
+    on_failure: sampling.LayoutFailed = lambda _failed, _allowed: None,
     **run: Unpack[store.RunKeywords],
 ) -> store.Manifest:
     """Make a data set of scenes.
@@ -168,7 +168,7 @@ def generate(
     SpecMismatchError, StorageError
         The folder has a data set of another specification, or cannot be written. Finished shards stay.
     """
-    require = partial(rejection.require_feasible, spec.scene, spec.seed, on_failure)
+    require = partial(sampling.require_feasible, spec.scene, spec.seed, on_failure)
     return generation.generate(SceneGenerator(spec), out, splits, require=require, **run)
 
 

@@ -7,7 +7,7 @@ from functools import cache
 
 import pyarrow as pa
 
-from starstruck_gen import kind, scene, scene_seeds
+from starstruck_gen import kind, sampling, scene
 from tactile_toolkit import mesh, rows, store
 
 PARQUET_STYLE = store.ParquetStyle(
@@ -26,9 +26,7 @@ PARQUET_STYLE = store.ParquetStyle(
 
 _NUMBERS = [(name, pa.float64()) for name in scene.Placement._fields if name != "shape"]
 _PLACEMENTS = pa.list_(pa.struct([("shape", pa.string()), *_NUMBERS]))
-_IDS = (
-    f"number of the scene: from 0 in train, from {scene_seeds.scene_id(scene_seeds.SPLITS[1], 0):,} in test"
-)
+_IDS = f"number of the scene: from 0 in train, from {sampling.scene_id(sampling.SPLITS[1], 0):,} in test"
 _OBJECTS = (
     "each object in the order of placing, stars first: `shape`, centre `x_m` and `y_m`, `angle_rad` about z, "
     "`radius_m` of the circumscribed circle, `height_m`"

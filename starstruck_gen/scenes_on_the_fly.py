@@ -9,13 +9,11 @@ import numpy as np
 import pyarrow as pa
 
 from starstruck_gen import (
-    rejection,
+    sampling,
     scene,
     scene_dataset,
     scene_generation,
     scene_rows,
-    scene_seeds,
-    scene_spec,
 )
 from tactile_toolkit import checked_fields, mesh, read
 from tactile_toolkit.array_types import Int64
@@ -34,7 +32,7 @@ class MadeScenes:
 
     path = ""
 
-    def __init__(self, spec: scene_spec.SceneSpec, split: str, size: int, seed: int) -> None:
+    def __init__(self, spec: sampling.SceneSpec, split: str, size: int, seed: int) -> None:
         self.spec = spec
         self.split = split
         self.size = size
@@ -91,15 +89,13 @@ class MadeScenes:
         numbers = np.arange(rows.start, rows.stop, dtype=np.int64)
         classes = numbers % len(self.spec.stars)
         if name == "id":
-            return numbers + scene_seeds.scene_id(self.split, 0)
+            return numbers + sampling.scene_id(self.split, 0)
         if name == "label":
             return classes
         if name == "star_count":
             return np.array(self.spec.stars, dtype=np.int64)[classes]
         if name == "seed":
-            return np.array(
-                [scene_seeds.scene_seed(self.seed, self.split, row) for row in rows], dtype=np.int64
-            )
+            return np.array([sampling.scene_seed(self.seed, self.split, row) for row in rows], dtype=np.int64)
         raise KeyError(name)
 
 
@@ -126,7 +122,7 @@ class MadeScene(read.Rows):
     def _scene(self) -> scene.Scene:
         source, row = self._source, self.first_row
         return self.once(
-            "scene", lambda: rejection.sample_scenes(source.spec, source.split, source.seed, row, 1)[0]
+            "scene", lambda: sampling.sample_scenes(source.spec, source.split, source.seed, row, 1)[0]
         )
 
     def _built(self) -> scene.SceneMeshes:
@@ -184,15 +180,15 @@ class SceneDataset(scene_dataset.SceneMeshDataset):
 
     def __init__(
         self,
-        spec: scene_spec.SceneSpec | None = None,
+        spec: sampling.SceneSpec | None = None,
         split: str = "train",
         size: int = DEFAULT_SIZE,
         seed: int = 0,
     ) -> None:
-        spec = spec or scene_spec.SceneSpec()
-        size = checked_fields.checked_integer(size, "size", 0, scene_seeds.MAX_SCENES)
+        spec = spec or sampling.SceneSpec()
+        size = checked_fields.checked_integer(size, "size", 0, sampling.MAX_SCENES)
         seed = checked_fields.checked_integer(seed, "seed")
-        scene_seeds.scene_seed(seed, split, 0)  # refuses an unknown split
+        sampling.scene_seed(seed, split, 0)  # refuses an unknown split
         super().__init__(
             read.ShardedTable((MadeScenes(spec, split, size, seed),)), label_names=spec.class_names
         )

@@ -6,8 +6,8 @@ import math
 
 from hypothesis import strategies as st
 
+from starstruck_gen.sampling import SceneSpec
 from starstruck_gen.scene import Placement
-from starstruck_gen.scene_spec import SceneSpec
 from starstruck_gen.shapes import KINDS, STAR, Crescent, Cross, Disc, Ring, Shape, Star
 
 names = st.sampled_from(sorted(KINDS))

@@ -10,12 +10,11 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from starstruck_gen.rejection import SamplingExhausted
+from starstruck_gen.sampling import SamplingExhausted, SceneSpec
 from starstruck_gen.scene import Placement, build_meshes
 from starstruck_gen.scene_checks import validate_folder
 from starstruck_gen.scene_generation import SceneGenerator, SceneSetSpec, generate, make_rows
 from starstruck_gen.scene_rows import scene_schema
-from starstruck_gen.scene_spec import SceneSpec
 from starstruck_gen.shapes import Disc, Shape, Star
 from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.generation import plan_build

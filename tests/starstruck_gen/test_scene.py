@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from starstruck_gen.rejection import sample_scenes
+from starstruck_gen.sampling import SceneSpec, sample_scenes
 from starstruck_gen.scene import Placement, Scene, build_meshes
-from starstruck_gen.scene_spec import SceneSpec
 from starstruck_gen.shapes import prism
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import check_manifold
