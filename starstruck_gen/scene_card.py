@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from starstruck_gen import kind, sampling, scene_dataset, scene_rows
+from starstruck_gen import kind, sampling, scene_dataset, scene_generation
 from tactile_toolkit import cards, mesh, shown_text, store
 from tactile_toolkit.kind import is_copy
 from tactile_toolkit.rows import meanings
@@ -15,7 +15,7 @@ _RULES = {
     "exact": "the outlines of two objects do not touch",
 }
 
-COLUMNS = meanings(scene_rows.SceneRow)
+COLUMNS = meanings(scene_generation.SceneRow)
 
 
 def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:

@@ -6,12 +6,12 @@ from functools import partial
 
 import pyarrow as pa
 
-from starstruck_gen import kind, scene_dataset, scene_rows
+from starstruck_gen import kind, scene_dataset, scene_generation
 from tactile_toolkit import gallery, mesh, pictures, rows
 from tactile_toolkit.json_types import JsonDict
 
 _SHOWN = (
-    *rows.with_role(scene_rows.SceneRow, "facet", "measure"),
+    *rows.with_role(scene_generation.SceneRow, "facet", "measure"),
     rows.Column(pa.list_(pa.string()), name="shapes", role="facet", title="Shapes"),
     rows.Column(pa.int64(), name="objects", role="measure", title="Objects"),
     rows.Column(pa.int64(), name="positions", role="measure", title="Positions drawn"),

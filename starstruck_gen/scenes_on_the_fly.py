@@ -13,7 +13,6 @@ from starstruck_gen import (
     scene,
     scene_dataset,
     scene_generation,
-    scene_rows,
 )
 from tactile_toolkit import checked_fields, mesh, read
 from tactile_toolkit.array_types import Int64
@@ -48,7 +47,7 @@ class MadeScenes:
     @cached_property
     def schema(self) -> pa.Schema:
         """Arrow schema of the rows."""
-        return scene_rows.scene_schema(self.spec.class_names)
+        return scene_generation.scene_schema(self.spec.class_names)
 
     @property
     def part_sizes(self) -> Sequence[int]:
