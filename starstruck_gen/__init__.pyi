@@ -21,9 +21,10 @@ from .scene_checks import (
     validate_folder as validate_folder,
 )
 from .scene_dataset import (
+    load as load,
+    SceneDataset as SceneDataset,
     SceneMeshDataset as SceneMeshDataset,
     SceneRecord as SceneRecord,
-    load as load,
 )
 from .scene_generation import (
     PUBLISHED_SIZES as PUBLISHED_SIZES,
@@ -31,7 +32,6 @@ from .scene_generation import (
     SceneSetSpec as SceneSetSpec,
     generate as generate,
 )
-from .scenes_on_the_fly import SceneDataset as SceneDataset
 from .shapes import (
     Crescent as Crescent,
     Cross as Cross,
