@@ -18,7 +18,7 @@ KIND = DatasetKind(
     columns=("star_count",),
     splits=("train", "test"),
     published=(tactile_mnist_set("starstruck", "starstruck", "3,300 scenes with one to three stars"),),
-    plan_previews=lazy("starstruck_gen.scene_previews:plan_previews"),
-    plan_gallery=lazy("starstruck_gen.scene_previews:plan_gallery"),
+    plan_previews=lazy("starstruck_gen.scene_card:plan_previews"),
+    plan_gallery=lazy("starstruck_gen.scene_card:plan_gallery"),
     recipe=lazy("starstruck_gen.scene_generation:scene_recipe"),
 )

@@ -1,11 +1,15 @@
-"""The data card of a data set of scenes."""
+"""The data card, previews and the gallery of scenes."""
 
 from __future__ import annotations
 
 import math
+from functools import partial
+
+import pyarrow as pa
 
 from starstruck_gen import kind, sampling, scene_dataset, scene_generation
-from tactile_toolkit import cards, mesh, shown_text, store
+from tactile_toolkit import cards, gallery, mesh, pictures, rows, shown_text, store
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import is_copy
 from tactile_toolkit.rows import meanings
 from tactile_toolkit.wording import with_count
@@ -14,7 +18,6 @@ _RULES = {
     "circles": "the circumscribed circles of two objects do not meet",
     "exact": "the outlines of two objects do not touch",
 }
-
 COLUMNS = meanings(scene_generation.SceneRow)
 
 
@@ -91,3 +94,28 @@ def _limits(manifest: store.Manifest, spec: sampling.SceneSpec) -> list[str]:
     if manifest.spec["limit"] is not None:
         lines.append(f"Splits are cut to their first {manifest.spec['limit']:,} scenes.")
     return lines
+
+
+_SHOWN = (
+    *rows.with_role(scene_generation.SceneRow, "facet", "measure"),
+    rows.Column(pa.list_(pa.string()), name="shapes", role="facet", title="Shapes"),
+    rows.Column(pa.int64(), name="objects", role="measure", title="Objects"),
+    rows.Column(pa.int64(), name="positions", role="measure", title="Positions drawn"),
+    *(rows.columns(mesh.PrintReport)[name] for name in ("volume_mm3", "vertices", "faces")),
+)
+
+
+def _facts(record: scene_dataset.SceneRecord, _known: None) -> JsonDict:
+    if not record.has_placements:
+        return {}
+    return {
+        "shapes": sorted({placement.shape for placement in record.placements}),
+        "objects": len(record.placements),
+        "positions": sum(record.scene.attempts),
+    }
+
+
+plan_previews = partial(pictures.plan_sheets, kind.KIND)
+plan_gallery = partial(
+    gallery.gallery_of_solids, kind.KIND, title="Starstruck scenes", columns=_SHOWN, facts=_facts
+)
