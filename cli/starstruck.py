@@ -10,8 +10,9 @@ from cli import checks, options, output, previews, runs, shared
 from cli.application import command, new_app, run as run_app
 from starstruck_gen.kind import KIND
 from starstruck_gen.scene_options import SceneOptions, ScenePreviewSpec, scene_counts
-from tactile_toolkit import catalog, checked_fields, mesh, places, run
+from tactile_toolkit import catalog, checked_fields, mesh, places, run, store
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.kind import DatasetKind
 
 app = new_app(
     "starstruck", "Starstruck: scenes of stars among other objects, as validated data sets of meshes."
@@ -50,7 +51,14 @@ def generate(
     with sink.progress("trying the fullest scene", "failed layouts") as on_failure:
         require = partial(starstruck_gen.require_feasible, spec.scene, spec.seed, on_failure)
         rows = starstruck_gen.SceneGenerator(spec)
-        runs.generate_set(sink, "making scenes", rows, out, splits, making, runs.print_set, require)
+        runs.generate_set(sink, "making scenes", rows, out, splits, making, _print_made, require)
+
+
+def _print_made(
+    sink: output.Sink, kind: DatasetKind, manifest: store.Manifest, out: str, elapsed_s: float | None
+) -> None:
+    splits = [{"split": split, **counts} for split, counts in manifest.split_table().items()]
+    runs.print_set(sink, kind, manifest, out, elapsed_s, splits=splits)
 
 
 def _check(
@@ -93,6 +101,6 @@ def _preview(
     pictures.write(sink, KIND.plan_previews(opening.open(sink, path), spec))
 
 
-shared.add_shared(app, KIND, {"preview": _preview}, print_made=runs.print_set, checks=_CHECKS)
+shared.add_shared(app, KIND, {"preview": _preview}, print_made=_print_made, checks=_CHECKS)
 
 main = partial(run_app, app)

@@ -12,8 +12,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from starstruck_gen import scene, shapes
-from starstruck_gen.shapes import Shape
+from starstruck_gen import scene
+from starstruck_gen.shapes import STAR, Shape, require_fine_steps
 from tactile_toolkit import builtin_values, checked_fields, mesh, touch
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError
@@ -27,6 +27,31 @@ MAX_SCENES = 10**9
 _BLOCK = 48  # numbers drawn at once, which is enough for nine of ten published scenes
 _WORD = (1 << 64) - 1
 _GOLDEN = 0x9E3779B97F4A7C15  # 2**64 over the golden ratio: the step of SplitMix64
+
+COLLISION_RULES = ("circles", "exact")
+"""``circles``: circumscribed circles must not meet (published); ``exact``: outlines must not touch."""
+
+# 3 mm, half the outer size of the sensor and half the border of the grid (package tactile-mnist 0.13.0).
+_PADDING_M = (0.003 + 0.032 / 2 + 0.005 / 2, 0.003 + 0.028 / 2 + 0.005 / 2)
+
+_PUBLISHED_STAR = Shape(STAR)
+_PUBLISHED_DISTRACTORS = (Shape("box"), Shape("disc"))
+
+# Coordinates stay below 1 m, where float32 storage moves them by 0.03 um, a third of STORAGE_MARGIN_M.
+_LARGEST_CELL_M = 2.0
+
+# Each is compared with all others of its scene, so the work grows with the square.
+_MAX_OBJECTS = 1_000
+
+T = TypeVar("T")
+Uniform = Callable[[], float]
+
+LayoutFailed = Callable[[int, int], None]
+"""Called with the numbers of failed and of allowed layouts of a scene."""
+
+_LOCAL = threading.local()
+_RECENT_LAYOUTS = 10
+_INFEASIBLE_DEVIATIONS = 8.0
 
 
 def scene_seed(seed: int, split: str, index: int) -> int:
@@ -100,21 +125,6 @@ def _split_start(seed: int, split: str) -> int:
     start = checked_integer(seed, "seed")
     words = np.random.SeedSequence(start, spawn_key=(SPLITS.index(split),)).generate_state(1, np.uint64)
     return int(words[0])
-
-
-COLLISION_RULES = ("circles", "exact")
-"""``circles``: circumscribed circles must not meet (published); ``exact``: outlines must not touch."""
-
-# 3 mm, half the outer size of the sensor and half the border of the grid (package tactile-mnist 0.13.0).
-_PADDING_M = (0.003 + 0.032 / 2 + 0.005 / 2, 0.003 + 0.028 / 2 + 0.005 / 2)
-_PUBLISHED_STAR = Shape(shapes.STAR)
-_PUBLISHED_DISTRACTORS = (Shape("box"), Shape("disc"))
-
-# Coordinates stay below 1 m, where float32 storage moves them by 0.03 um, a third of STORAGE_MARGIN_M.
-_LARGEST_CELL_M = 2.0
-
-# Each is compared with all others of its scene, so the work grows with the square.
-_MAX_OBJECTS = 1_000
 
 
 @dataclass(frozen=True)
@@ -193,13 +203,13 @@ class SceneSpec:
         self._require("distractors", fits, "the minimum and the maximum, integers from 0")
         fits = stars[0] + self.distractors[0] > 0 and self.most_objects <= _MAX_OBJECTS
         self._require("stars", fits, f"1 to {_MAX_OBJECTS} objects in a scene, distractors included")
-        fits = isinstance(self.star, Shape) and self.star.name == shapes.STAR
+        fits = isinstance(self.star, Shape) and self.star.name == STAR
         self._require(
             "star",
             fits,
-            f"a Shape named {shapes.STAR!r}, such as Shape({shapes.STAR!r}, radius_m=0.01)",
+            f"a Shape named {STAR!r}, such as Shape({STAR!r}, radius_m=0.01)",
         )
-        fits = all(isinstance(shape, Shape) and shape.name != shapes.STAR for shape in shapes)
+        fits = all(isinstance(shape, Shape) and shape.name != STAR for shape in shapes)
         fits = fits and (bool(shapes) or self.distractors[1] == 0)
         self._require("distractor_shapes", fits, "Shape objects that are not stars, such as (Shape('box'),)")
         fits = bool(heights) and all(isinstance(each, float) and 1e-4 <= each <= 1.0 for each in heights)
@@ -207,7 +217,7 @@ class SceneSpec:
         self._require(
             "cell_m", min(self.half_area_m) >= 0, "room for the padding and one object side by side"
         )
-        shapes.require_fine_steps((self.star, *self.distractor_shapes), self.half_area_m, self.cell_m)
+        require_fine_steps((self.star, *self.distractor_shapes), self.half_area_m, self.cell_m)
 
     def _require(self, name: str, fits: bool, expected: str) -> None:
         if not fits:
@@ -271,15 +281,6 @@ class SceneSpec:
                 f"a value of the scene specification has a wrong type: {error}",
                 next="see the types of the fields in starstruck_gen.SceneSpec",
             ) from error
-
-
-T = TypeVar("T")
-Uniform = Callable[[], float]
-LayoutFailed = Callable[[int, int], None]
-"""Called with the numbers of failed and of allowed layouts of a scene."""
-_LOCAL = threading.local()
-_RECENT_LAYOUTS = 10
-_INFEASIBLE_DEVIATIONS = 8.0
 
 
 class SamplingExhausted(InputError):  # noqa: N818

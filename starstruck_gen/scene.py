@@ -27,6 +27,19 @@ if TYPE_CHECKING:
 STORAGE_MARGIN_M = 1e-7
 """Margin beyond the clearance: float32 storage moves coordinates by up to a third of it."""
 
+STAR_COLOUR = (214, 140, 20)
+DISTRACTOR_COLOUR = (92, 110, 132)
+
+# Factor by which scenes are drawn larger, then reduced, for smooth edges.
+_SUPERSAMPLING = 4
+
+_PLATE = (245, 243, 238)
+_EDGE = (40, 40, 40)
+_OPAQUE_FROM = 150  # each object is at least this many levels darker than the plate
+
+# Largest enlarged drawing: 300 MB at three bytes for each pixel.
+_MAX_PIXELS = 100_000_000
+
 
 class Placement(NamedTuple):
     """One object of a scene.
@@ -162,19 +175,6 @@ def build_meshes(layouts: Sequence[Sequence[Placement]]) -> SceneMeshes:
 
 def _offsets(counts: list[int]) -> Int64:
     return np.array([0, *accumulate(counts)], dtype=np.int64)
-
-
-STAR_COLOUR = (214, 140, 20)
-DISTRACTOR_COLOUR = (92, 110, 132)
-
-# Factor by which scenes are drawn larger, then reduced, for smooth edges.
-_SUPERSAMPLING = 4
-_PLATE = (245, 243, 238)
-_EDGE = (40, 40, 40)
-_OPAQUE_FROM = 150  # each object is at least this many levels darker than the plate
-
-# Largest enlarged drawing: 300 MB at three bytes for each pixel.
-_MAX_PIXELS = 100_000_000
 
 
 def draw_scene(placements: Iterable[Placement], cell_m: tuple[float, float], px_per_mm: float) -> Image.Image:

@@ -20,6 +20,16 @@ _RULES = {
 }
 COLUMNS = meanings(scene_generation.SceneRow)
 
+_SHOWN = (
+    *rows.with_role(scene_generation.SceneRow, "facet", "measure"),
+    rows.Column(pa.list_(pa.string()), name="shapes", role="facet", title="Shapes"),
+    rows.Column(pa.int64(), name="objects", role="measure", title="Objects"),
+    rows.Column(pa.int64(), name="positions", role="measure", title="Positions drawn"),
+    *(rows.columns(mesh.PrintReport)[name] for name in ("volume_mm3", "vertices", "faces")),
+)
+
+plan_previews = partial(pictures.plan_sheets, kind.KIND)
+
 
 def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     """Write ``README.md`` of a data set folder, and the picture in it.
@@ -96,15 +106,6 @@ def _limits(manifest: store.Manifest, spec: sampling.SceneSpec) -> list[str]:
     return lines
 
 
-_SHOWN = (
-    *rows.with_role(scene_generation.SceneRow, "facet", "measure"),
-    rows.Column(pa.list_(pa.string()), name="shapes", role="facet", title="Shapes"),
-    rows.Column(pa.int64(), name="objects", role="measure", title="Objects"),
-    rows.Column(pa.int64(), name="positions", role="measure", title="Positions drawn"),
-    *(rows.columns(mesh.PrintReport)[name] for name in ("volume_mm3", "vertices", "faces")),
-)
-
-
 def _facts(record: scene_dataset.SceneRecord, _known: None) -> JsonDict:
     if not record.has_placements:
         return {}
@@ -115,7 +116,6 @@ def _facts(record: scene_dataset.SceneRecord, _known: None) -> JsonDict:
     }
 
 
-plan_previews = partial(pictures.plan_sheets, kind.KIND)
 plan_gallery = partial(
     gallery.gallery_of_solids, kind.KIND, title="Starstruck scenes", columns=_SHOWN, facts=_facts
 )

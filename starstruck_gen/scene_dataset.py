@@ -16,6 +16,14 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.rows import table_of
 from tactile_toolkit.wording import with_count
 
+DEFAULT_SIZE = 300_000
+"""Default number of scenes of a split on the fly (package tactile-mnist 0.13.0)."""
+
+_MADE_TOGETHER = 4096  # rows that training shuffles as it does those of a shard
+
+# Columns that follow from the number of a scene.
+_KNOWN = ("id", "label", "star_count", "seed")
+
 
 class SceneRecord(pictures.DrawnSolid):
     """One scene; fields are loaded on first use.
@@ -163,14 +171,6 @@ class SceneMeshDataset(mesh.SolidDataset[SceneRecord]):
 
 
 load = places.loader(kind.KIND, SceneMeshDataset, mesh.RecordStream[SceneRecord])
-
-
-DEFAULT_SIZE = 300_000
-"""Default number of scenes of a split on the fly (package tactile-mnist 0.13.0)."""
-_MADE_TOGETHER = 4096  # rows that training shuffles as it does those of a shard
-
-# Columns that follow from the number of a scene.
-_KNOWN = ("id", "label", "star_count", "seed")
 
 
 class MadeScenes:

@@ -1,4 +1,4 @@
-"""Data sets of scenes: their columns (published ones first, then ours), and generation from a specification."""
+"""Data sets of scenes: their columns, published ones first, and generation from a specification."""
 
 from __future__ import annotations
 
@@ -38,6 +38,9 @@ _OBJECTS = (
 )
 _SEED = "seed of the scene: with the specification and the star count it makes the scene again"
 
+PUBLISHED_SIZES = (("train", 3_000), ("test", 300))
+"""Scenes of each split (Tactile MNIST paper, section Starstruck)."""
+
 
 @rows.row
 class SceneRow(mesh.MeshRow):
@@ -68,10 +71,6 @@ def published_schema(_manifest: object = None) -> pa.Schema:
 def scene_schema(class_names: tuple[str, ...] = kind.KIND.class_names) -> pa.Schema:
     """Return the Arrow schema of a shard."""
     return mesh.mesh_schema(SceneRow, class_names)
-
-
-PUBLISHED_SIZES = (("train", 3_000), ("test", 300))
-"""Scenes of each split (Tactile MNIST paper, section Starstruck)."""
 
 
 def make_rows(spec: sampling.SceneSpec, split: str, seed: int, start: int, count: int) -> list[SceneRow]:

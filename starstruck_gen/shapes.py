@@ -28,6 +28,16 @@ STAR = "star"
 _PUBLISHED_SEGMENTS = 32  # of the published disc (package tactile-mnist 0.13.0)
 _DEEPEST_NOTCH_SHARE = 0.99
 
+PUBLISHED_RADIUS_M = 0.010
+"""Circumscribed radius of every published object (package tactile-mnist 0.13.0)."""
+
+_MIN_RADIUS_M = 1e-4
+_MAX_RADIUS_M = 1.0
+_KEY = re.compile(r"(?P<name>\w+)(\((?P<numbers>[^()]*)\))?")
+
+MAX_KEPT = 1_024
+"""Largest number of solids of shapes in memory."""
+
 
 def _within(published: float, least: float, most: float) -> Any:
     """Declare a number with its default and its range."""
@@ -276,12 +286,6 @@ def kind_named(name: str) -> type[Proportions]:
     return KINDS[name]
 
 
-PUBLISHED_RADIUS_M = 0.010
-"""Circumscribed radius of every published object (package tactile-mnist 0.13.0)."""
-_MIN_RADIUS_M = 1e-4
-_MAX_RADIUS_M = 1.0
-_KEY = re.compile(r"(?P<name>\w+)(\((?P<numbers>[^()]*)\))?")
-
 # Placeholder for the default proportions of the kind, which is known once its name is looked up.
 _OF_THE_KIND = Proportions()
 
@@ -417,10 +421,6 @@ def _parse_key(key: str) -> Proportions:
             )
         numbers[name] = value
     return kind_named(match["name"]).from_dict(numbers)
-
-
-MAX_KEPT = 1_024
-"""Largest number of solids of shapes in memory."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

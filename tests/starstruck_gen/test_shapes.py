@@ -94,8 +94,7 @@ def test_unusable_radius_is_refused(radius_m):
     ],
 )
 def test_outline_that_bounds_no_area_is_refused(monkeypatch, ring, reason):
-
-    monkeypatch.setattr(prisms, "outline", lambda _: (np.array(ring, dtype=float),))
+    monkeypatch.setattr("starstruck_gen.shapes.outline", lambda _: (np.array(ring, dtype=float),))
     with pytest.raises(InputError, match=reason):
         prism.__wrapped__("wrong")
 
