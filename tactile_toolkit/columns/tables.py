@@ -56,7 +56,7 @@ def open_table(folder: store.DataFolder, name: str) -> Table:
                 f"{address!r} was replaced or changed while it was read", next="run the same command again"
             )
         try:
-            return store.open_inside(folder, name)
+            return folder.open_inside(name)
         except ItemError as error:
             raise InputError(f"{address!r} cannot be read: {error.what}") from error
 

@@ -22,7 +22,7 @@ from realtouch import (
     touch_clips,
     touch_dataset,
 )
-from realtouch.exchange.episode_extras import ExtraColumn, extra_columns_of
+from realtouch.formats.episode_extras import ExtraColumn, extra_columns_of
 from realtouch.schema import POSE_COLUMN
 from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import AnyArray, Int64

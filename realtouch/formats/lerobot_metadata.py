@@ -11,7 +11,7 @@ from typing import Annotated
 import msgspec
 
 from realtouch import importing
-from realtouch.exchange import foreign_parquet, lerobot_mark
+from realtouch.formats import foreign_parquet, lerobot_mark
 from tactile_toolkit import errors, store
 from tactile_toolkit.json_types import JsonObject
 
@@ -19,7 +19,7 @@ _INFO = "meta/info.json"
 _PICTURES = ("image", "video")
 _DEPTH = ("is_depth_map", "video.is_depth_map")
 _MAX_BYTES = 256 << 20
-_VERSION = re.compile(r"v(2\.[01]|3\.0)")
+_READABLE_VERSION = re.compile(r"v(2\.[01]|3\.0)")
 _FIELD = re.compile(r"\{(\w+)(?::0?([0-9])d)?\}")
 _RANGE = re.compile(r"(\d{1,15}):(\d{1,15})")
 # Fields of episodes that locate their files, or that follow from their frames.
@@ -107,7 +107,7 @@ def read_info(home: store.DataFolder) -> Info:
     """Read the description of a data set; InputError for an unknown version, or if it cannot be read."""
     with _as_input_error(home, _INFO):
         info = msgspec.json.decode(_content(home, _INFO), type=Info)
-    if not _VERSION.fullmatch(info.codebase_version):
+    if not _READABLE_VERSION.fullmatch(info.codebase_version):
         raise errors.InputError(
             f"{home.address(_INFO)!r} states version {importing.shown(info.codebase_version)!r}; "
             "expected v2.0, v2.1 or v3.0",

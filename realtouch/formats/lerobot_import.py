@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 
 from realtouch import importing, video
-from realtouch.exchange import foreign_parquet, lerobot_mark, lerobot_metadata, video_import
+from realtouch.formats import foreign_parquet, lerobot_mark, lerobot_metadata, video_import
 from tactile_toolkit import errors, store, wording
 from tactile_toolkit.array_types import Float64
 from tactile_toolkit.columns import column_types

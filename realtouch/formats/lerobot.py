@@ -14,8 +14,8 @@ import numpy as np
 import pyarrow as pa
 
 from realtouch import contact, convert, touch_dataset
-from realtouch.exchange import lerobot_depth, lerobot_info, lerobot_statistics
-from realtouch.exchange.episodes import DEPTH, EpisodeNumbers, Episodes
+from realtouch.formats import lerobot_depth, lerobot_info, lerobot_statistics
+from realtouch.formats.episodes import DEPTH, EpisodeNumbers, Episodes
 from tactile_toolkit import store, touch
 from tactile_toolkit.array_types import Int64
 

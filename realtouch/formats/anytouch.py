@@ -14,7 +14,7 @@ from operator import itemgetter
 import pyarrow as pa
 
 from realtouch import convert, importing, stored_images
-from realtouch.exchange.touch_rows import NamedImage, TouchFormat
+from realtouch.formats.touch_rows import NamedImage, TouchFormat
 from tactile_toolkit import errors, read, store
 from tactile_toolkit.columns import column_types
 

@@ -11,7 +11,7 @@ import msgspec
 import pyarrow as pa
 
 from realtouch import convert
-from realtouch.exchange.touch_rows import NamedImage, TouchFormat
+from realtouch.formats.touch_rows import NamedImage, TouchFormat
 from tactile_toolkit import store
 
 _FOLDER = "webdataset"

@@ -17,8 +17,6 @@ from tactile_toolkit.array_types import Bool, Float64
 from tactile_toolkit.checked_fields import check_fields, real
 from tactile_toolkit.errors import InputError
 
-_TOLERANCE = 1e-3  # error of the gap in the contact, relative to the depth
-_SHEAR_TOLERANCE = 1e-4  # root mean square of the error along the surface, relative to the largest motion
 # Range for which single precision and the tables of the layer suffice.
 _MIN_DEPTH_M, _MAX_DEPTH_M = 1e-9, 1.0
 _MIN_FORCE_N, _MAX_FORCE_N = 1e-9, 1e6
@@ -201,42 +199,43 @@ def _solve(
     block_px: int,
 ) -> Contact:
     # Importing numba takes half a second.
-    from tactile_sim import elastic_kernels, elastic_layer, elastic_surface
+    from tactile_sim.elastic import layer, solver, steps
 
     coarse = heights
     if block_px > 1:
-        coarse = elastic_surface.block_means(heights, block_px)
-    rows, columns = coarse.shape
+        blocks = heights.reshape(-1, block_px, heights.shape[1] // block_px, block_px)
+        coarse = blocks.mean(axis=(1, 3))
     width_m, height_m = (size * block_px for size in pixel_m)
-    area_m2 = width_m * height_m
-    layer = elastic_layer.layer_of(
-        (rows, columns), (width_m, height_m), gel.shear_modulus_pa, gel.poisson_ratio, thickness_m
+    tables = layer.layer_of(
+        coarse.shape, (width_m, height_m), gel.shear_modulus_pa, gel.poisson_ratio, thickness_m
     )
-    highest = heights.max()
     # The highest point of the body lies higher than the highest mean.
-    higher = highest - coarse.max()
-    wanted = target / area_m2
+    higher = heights.max() - coarse.max()
+    wanted = target / (width_m * height_m)
     if not is_force:
         wanted = max(target - higher, _MIN_DEPTH_M)
-    fields, is_contact, is_stick, depth, error, steps = elastic_kernels.solve(
+    stiffness = gel.youngs_modulus_pa / min(thickness_m, math.sqrt(width_m * height_m) * coarse.shape[1])
+    found = solver.solve(
         coarse.max() - coarse,
         (width_m, height_m),
         wanted,
         is_force,
         gel.friction,
         motion,
-        layer,
-        elastic_layer.field_width(columns),
-        gel.youngs_modulus_pa / min(thickness_m, math.sqrt(area_m2) * columns),
-        (_TOLERANCE, _SHEAR_TOLERANCE),
+        tables,
+        stiffness,
     )
-    force_n, torque_nm = elastic_surface.resultants(fields, (width_m, height_m))
-    depth = depth + higher if is_force else target
+    force_n, torque_nm = _resultants(found.fields[:3], (width_m, height_m))
+    depth = found.depth_m + higher if is_force else target
+    fields, is_contact, is_stick = found.fields, found.is_contact, found.is_stick
     if block_px > 1:
-        masks = np.stack([is_contact, is_stick]).astype(np.float64)
-        is_contact, is_stick = elastic_surface.bring_up(masks, block_px) > _HALF
-        fields = elastic_surface.bring_up(fields, block_px)
-    elastic_surface.follow_body(fields[5], is_contact, depth - (highest - heights))
+        fields = steps.bring_up(fields, block_px)
+        masks = steps.bring_up(np.stack([is_contact, is_stick]).astype(np.float64), block_px)
+        is_contact, is_stick = masks > _HALF
+    # The surface is the body in the contact, and lies outside of it elsewhere.
+    body_m = depth - (heights.max() - heights)
+    is_contact |= body_m > fields[5]
+    np.copyto(fields[5], body_m, where=is_contact)
     return Contact(
         depth,
         fields[0],
@@ -246,9 +245,21 @@ def _solve(
         is_stick & is_contact,
         force_n,
         torque_nm,
-        steps,
-        error,
+        found.iterations,
+        found.error,
     )
+
+
+def _resultants(
+    loads: Float64, pixel_m: tuple[float, float]
+) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """Return force (N) and torque (N m) about the centre of pressure and traction (3, R, C), Pa."""
+    p, q_x, q_y = pixel_m[0] * pixel_m[1] * loads
+    rows, columns = p.shape
+    x = (np.arange(columns) - (columns - 1) / 2) * pixel_m[0]
+    y = (((rows - 1) / 2 - np.arange(rows)) * pixel_m[1])[:, None]
+    force = (float(q_x.sum()), float(q_y.sum()), float(p.sum()))
+    return force, (float((y * p).sum()), float((-x * p).sum()), float((x * q_y - y * q_x).sum()))
 
 
 def _require(fits: bool, what: str) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 import pyarrow as pa
 
 from realtouch import importing, poses
-from realtouch.exchange import episodes, zarr_groups, zarr_recordings
+from realtouch.formats import episodes, zarr_groups, zarr_recordings
 from tactile_toolkit import store
 from tactile_toolkit.array_types import AnyArray
 

@@ -24,7 +24,7 @@ import numpy as np
 import pyarrow as pa
 
 from realtouch import contact, convert, schema, stored_images, stored_round
-from realtouch.exchange import episode_extras, episodes
+from realtouch.formats import episode_extras, episodes
 from tactile_toolkit import read, store
 from tactile_toolkit.array_types import AnyArray, UInt8
 

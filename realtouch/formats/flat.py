@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from realtouch import importing
-from realtouch.exchange import foreign_parquet, touch_rows
+from realtouch.formats import foreign_parquet, touch_rows
 from tactile_toolkit import errors, store, touch
 from tactile_toolkit.columns import column_types
 

@@ -13,23 +13,25 @@ from pathlib import PurePath
 import pyarrow as pa
 
 from realtouch import convert, importing, stored_images, touch_options
-from realtouch.exchange import touch_rows, webdataset, webdataset_import
+from realtouch.formats import touch_rows, webdataset, webdataset_import
 from tactile_toolkit import store
 from tactile_toolkit.columns import column_types
 from tactile_toolkit.json_types import JsonObject
 
-_FOLDER = "fota"
+_FOTA_FOLDER = "fota"
 _PER_METRE = (1000.0, 1000.0, 1000.0, 1.0, 1.0, 1.0, 1.0)
 
 
-def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[touch_rows.NamedImage]) -> convert.Made:
+def _pack_fota(
+    shard: store.ShardName, index: pa.Table, images: Iterator[touch_rows.NamedImage]
+) -> convert.Made:
     """Return the touches of a shard as one tar."""
     samples = (
         (f"{PurePath(name).stem}.jpg", stored_images.as_jpeg(image), {**fields, **_pose_mm(fields)})
         for (name, image), fields in zip(images, index.to_pylist(), strict=True)
     )
     return convert.with_files(
-        index, {f"{_FOLDER}/{shard.split}/data-{shard.index:06d}.tar": webdataset.tar_of(samples)}
+        index, {f"{_FOTA_FOLDER}/{shard.split}/data-{shard.index:06d}.tar": webdataset.tar_of(samples)}
     )
 
 
@@ -45,11 +47,11 @@ def _pose_mm(fields: JsonObject) -> dict[str, float]:
 def _write_counts(folder: store.DataFolder, manifest: store.Manifest) -> dict[str, str]:
     """Write the number of samples of each split; return the checksum of each file by its path."""
     counts = {split: str(entry["rows"]).encode() for split, entry in manifest.split_table().items()}
-    files = {f"{_FOLDER}/{split}/count.txt": count for split, count in counts.items()}
+    files = {f"{_FOTA_FOLDER}/{split}/count.txt": count for split, count in counts.items()}
     return convert.checksums(folder, manifest) | convert.write_changed(folder, files)
 
 
-plan_fota = touch_rows.TouchFormat(_FOLDER, _pack, _write_counts, no_gaps=True).plan
+plan_fota = touch_rows.TouchFormat(_FOTA_FOLDER, _pack_fota, _write_counts, no_gaps=True).plan
 
 
 def find_fota(

@@ -10,8 +10,8 @@ import msgspec
 import pyarrow as pa
 
 from realtouch import convert
-from realtouch.exchange import lerobot_depth, lerobot_mark, lerobot_statistics
-from realtouch.exchange.episodes import ACTION, DEPTH, STATE, Episodes
+from realtouch.formats import lerobot_depth, lerobot_mark, lerobot_statistics
+from realtouch.formats.episodes import ACTION, DEPTH, STATE, Episodes
 from tactile_toolkit import read, store, touch
 
 FOLDER = "lerobot"

@@ -16,7 +16,7 @@ from itertools import islice
 import numpy as np
 
 from realtouch import importing
-from realtouch.exchange import hdf5_arrays, picture_arrays, zarr_recordings
+from realtouch.formats import hdf5_arrays, picture_arrays, zarr_recordings
 from tactile_toolkit import errors, store
 from tactile_toolkit.columns import column_types
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import msgspec
 
 from realtouch import importing, touch_options
-from realtouch.exchange import episodes, zarr_recordings
+from realtouch.formats import episodes, zarr_recordings
 from realtouch.touch import touch_id
 
 _VECTORS = {episodes.STATE: touch_options.POSE_COLUMNS, episodes.ACTION: touch_options.POSITION_COLUMNS}

@@ -10,7 +10,7 @@ from tactile_toolkit import kind, places, store
 
 ExportLayout = Literal["flat", "webdataset", "lerobot", "oxt", "replay", "fota", "anytouch"]
 EXPORTS = {
-    layout: kind.lazy(f"realtouch.exchange.{layout}:plan_{layout}") for layout in get_args(ExportLayout)
+    layout: kind.lazy(f"realtouch.formats.{layout}:plan_{layout}") for layout in get_args(ExportLayout)
 }
 
 

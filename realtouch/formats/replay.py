@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from realtouch import importing
-from realtouch.exchange import episodes, zarr_groups, zarr_recordings
+from realtouch.formats import episodes, zarr_groups, zarr_recordings
 from tactile_toolkit import store
 
 PIXELS = "tactile"

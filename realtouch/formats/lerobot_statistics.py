@@ -14,8 +14,8 @@ import pyarrow as pa
 from PIL import Image
 
 from realtouch import extras
-from realtouch.exchange import lerobot_depth
-from realtouch.exchange.episodes import DEPTH
+from realtouch.formats import lerobot_depth
+from realtouch.formats.episodes import DEPTH
 from realtouch.stored_images import decoded
 from tactile_toolkit import read, touch
 from tactile_toolkit.array_types import Float64, Int64

@@ -1,6 +1,6 @@
 """Groups of Zarr 2 and 3 from other programs, in a folder or zip; codecs that run code are refused.
 
-The metadata of an array are checked before a chunk is opened; see :mod:`realtouch.exchange.zarr_layouts`.
+The metadata of an array are checked before a chunk is opened; see :mod:`realtouch.formats.zarr_layouts`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import IO
 
 import numpy as np
 
-from realtouch.exchange import picture_arrays, zarr_layouts
+from realtouch.formats import picture_arrays, zarr_layouts
 from tactile_toolkit import bounds, errors, store
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.json_types import JsonDict

@@ -16,7 +16,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from realtouch.exchange.picture_arrays import StoredArray
+from realtouch.formats.picture_arrays import StoredArray
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError, needs_extra
