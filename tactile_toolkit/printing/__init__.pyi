@@ -22,12 +22,10 @@ from .objects import (
 from .packing import (
     arrange as arrange,
 )
-from .physics import (
+from .print_options import (
+    BEDS_MM as BEDS_MM,
     MODELS as MODELS,
     Physics as Physics,
-)
-from .plate_spec import (
-    BEDS_MM as BEDS_MM,
     PlateSpec as PlateSpec,
 )
 from .plates import (

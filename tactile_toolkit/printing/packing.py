@@ -17,8 +17,7 @@ from tactile_toolkit.array_types import Float64
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.printing.file_export import FailedExport, Progress
 from tactile_toolkit.printing.objects import PrintObject, place_on_plate, require_scale
-from tactile_toolkit.printing.physics import Physics
-from tactile_toolkit.printing.plate_spec import PlateSpec
+from tactile_toolkit.printing.print_options import Physics, PlateSpec
 
 if TYPE_CHECKING:
     import manifold3d

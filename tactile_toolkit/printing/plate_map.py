@@ -13,7 +13,7 @@ from PIL import Image, ImageDraw
 from tactile_toolkit import pictures
 from tactile_toolkit.array_types import Float64
 from tactile_toolkit.printing.packing import PlacedObject, PlateLayout
-from tactile_toolkit.printing.plate_spec import PlateSpec
+from tactile_toolkit.printing.print_options import PlateSpec
 from tactile_toolkit.wording import with_count
 
 _PLATE, _GRID, _MARGIN, _OUTLINE = "#f4f2ec", "#e0dcd2", "#b9b3a3", "#222222"

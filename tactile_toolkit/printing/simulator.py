@@ -18,7 +18,7 @@ from tactile_toolkit.array_types import Float64
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.mesh import Mesh
 from tactile_toolkit.printing.convex import convex_parts
-from tactile_toolkit.printing.physics import Physics
+from tactile_toolkit.printing.print_options import Physics
 
 TOO_LIGHT = "too-light"
 """Problem of a body; the others are :data:`tactile_toolkit.mesh.PROBLEMS`."""

@@ -19,7 +19,7 @@ from tactile_toolkit.printing.file_export import (
     write_products,
 )
 from tactile_toolkit.printing.objects import PrintObject, place_on_plate, require_scale
-from tactile_toolkit.printing.physics import MODELS, Physics
+from tactile_toolkit.printing.print_options import MODELS, Physics
 from tactile_toolkit.printing.simulator import model_files
 
 # Meshes that a file for simulators refers to; other files next to them are never replaced.

@@ -24,7 +24,7 @@ from tactile_toolkit.printing import TABLE_FILE, PlateSpec, PrintObject, arrange
 from tactile_toolkit.printing.objects import place_on_plate
 from tactile_toolkit.printing.packing import PlacedObject, PlateLayout
 from tactile_toolkit.printing.plate_map import draw_map
-from tactile_toolkit.printing.plate_spec import BEDS_MM
+from tactile_toolkit.printing.print_options import BEDS_MM
 from tests.tactile_toolkit.printing.solids import box, ell, mesh_of, named, ring
 from tests.tactile_toolkit.toy import folder_bytes
 
