@@ -5,19 +5,17 @@ from .calibration_plate import (
     make_plate as make_plate,
 )
 from .file_export import (
+    choose as choose,
     FailedExport as FailedExport,
     FileExport as FileExport,
     Made as Made,
+    on_plates as on_plates,
+    place_on_plate as place_on_plate,
+    PrintObject as PrintObject,
     Product as Product,
     Progress as Progress,
     require_same_solid as require_same_solid,
     write_products as write_products,
-)
-from .objects import (
-    PrintObject as PrintObject,
-    choose as choose,
-    on_plates as on_plates,
-    place_on_plate as place_on_plate,
 )
 from .packing import (
     arrange as arrange,

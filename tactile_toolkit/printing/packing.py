@@ -15,8 +15,13 @@ import numpy as np
 from tactile_toolkit import mesh
 from tactile_toolkit.array_types import Float64
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.printing.file_export import FailedExport, Progress
-from tactile_toolkit.printing.objects import PrintObject, place_on_plate, require_scale
+from tactile_toolkit.printing.file_export import (
+    FailedExport,
+    PrintObject,
+    Progress,
+    place_on_plate,
+    require_scale,
+)
 from tactile_toolkit.printing.print_options import Physics, PlateSpec
 
 if TYPE_CHECKING:

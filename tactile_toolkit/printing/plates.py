@@ -25,10 +25,10 @@ from tactile_toolkit.printing.file_export import (
     Product,
     Progress,
     content_of,
+    place_on_plate,
     require_same_solid,
     write_products,
 )
-from tactile_toolkit.printing.objects import place_on_plate
 from tactile_toolkit.printing.packing import PlateLayout
 from tactile_toolkit.printing.plate_map import draw_map
 from tactile_toolkit.printing.simulator import body_of, pack_mjcf

@@ -13,12 +13,14 @@ from tactile_toolkit.mesh import FORMATS, MM_PER_M, pack_mesh, require_solid, un
 from tactile_toolkit.printing.file_export import (
     FileExport,
     Made,
+    PrintObject,
     Product,
     Progress,
+    place_on_plate,
     require_same_solid,
+    require_scale,
     write_products,
 )
-from tactile_toolkit.printing.objects import PrintObject, place_on_plate, require_scale
 from tactile_toolkit.printing.print_options import MODELS, Physics
 from tactile_toolkit.printing.simulator import model_files
 
