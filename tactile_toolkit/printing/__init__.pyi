@@ -17,7 +17,7 @@ from .file_export import (
     require_same_solid as require_same_solid,
     write_products as write_products,
 )
-from .packing import (
+from .plate_layouts import (
     arrange as arrange,
 )
 from .print_options import (

@@ -29,8 +29,7 @@ from tactile_toolkit.printing.file_export import (
     require_same_solid,
     write_products,
 )
-from tactile_toolkit.printing.packing import PlateLayout
-from tactile_toolkit.printing.plate_map import draw_map
+from tactile_toolkit.printing.plate_layouts import PlateLayout, draw_map
 from tactile_toolkit.printing.simulator import body_of, pack_mjcf
 from tactile_toolkit.wording import with_count
 
