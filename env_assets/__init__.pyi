@@ -5,9 +5,11 @@ from .asset_kinds import (
     THIRD_PARTY_ASSETS as THIRD_PARTY_ASSETS,
     SolidDataset as SolidDataset,
 )
-from .fitting import require_fitting_meshes as require_fitting_meshes
+from .mesh_view import (
+    MeshView as MeshView,
+    require_fitting_meshes as require_fitting_meshes,
+)
 from .height_map import HeightMap as HeightMap, top_surface as top_surface
-from .mesh_view import MeshView as MeshView
 from .provider import (
     AssetProvider as AssetProvider,
     meshes_at as meshes_at,

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar, overload
 import mnist3d
 import realtouch
 import starstruck_gen
-from env_assets import asset_kinds, mesh_files, mesh_view
+from env_assets import asset_kinds, mesh_view
 from env_assets.wrench.records import WrenchDataset
 from tactile_toolkit import checked_fields, errors, hub, mesh, read, store
 from tactile_toolkit.array_types import Float64
@@ -360,7 +360,7 @@ def meshes_at(
     """
     # An existing place in full: a name would first be looked for among the assets of the toolkit.
     named = _absolute_path(os.fspath(place))
-    files = mesh_files.mesh_files(named, split, unit)
+    files = mesh_view.mesh_files(named, split, unit)
     if files is not None:
         return files
     mesh.refuse_unit(unit, os.fspath(place))
