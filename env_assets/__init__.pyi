@@ -1,19 +1,17 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
-from .asset_kinds import (
+from .provider import (
+    AssetProvider as AssetProvider,
     KINDS as KINDS,
-    THIRD_PARTY_ASSETS as THIRD_PARTY_ASSETS,
+    meshes_at as meshes_at,
     SolidDataset as SolidDataset,
+    THIRD_PARTY_ASSETS as THIRD_PARTY_ASSETS,
 )
 from .mesh_view import (
     MeshView as MeshView,
     require_fitting_meshes as require_fitting_meshes,
 )
 from .height_map import HeightMap as HeightMap, top_surface as top_surface
-from .provider import (
-    AssetProvider as AssetProvider,
-    meshes_at as meshes_at,
-)
 from .wrench.dataset import wrench_facts as wrench_facts, write_wrench as write_wrench
 from .wrench.records import WrenchDataset as WrenchDataset, WrenchRecord as WrenchRecord
 from .wrench.shape import wrench_mesh as wrench_mesh
