@@ -15,6 +15,6 @@ from .height_map import HeightMap as HeightMap, top_surface as top_surface
 from .wrench.dataset import wrench_facts as wrench_facts, write_wrench as write_wrench
 from .wrench.records import WrenchDataset as WrenchDataset, WrenchRecord as WrenchRecord
 from .wrench.shape import wrench_mesh as wrench_mesh
-from .wrench.wrench_spec import WrenchSpec as WrenchSpec
+from .wrench.kind import WrenchSpec as WrenchSpec
 
 __version__: str

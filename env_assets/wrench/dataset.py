@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from env_assets.wrench import shape, wrench_spec
+from env_assets.wrench import kind, shape
 from env_assets.wrench.kind import KIND
 from tactile_toolkit import cards, generation, rows, store
 from tactile_toolkit.json_types import JsonDict
@@ -43,7 +43,7 @@ def wrench_schema(_manifest: object = None) -> pa.Schema:
 class WrenchGenerator(generation.RowGenerator):
     """Makes the row of a wrench."""
 
-    spec: wrench_spec.WrenchSpec
+    spec: kind.WrenchSpec
     kind = KIND
 
     def items(self) -> Mapping[str, range]:
@@ -75,7 +75,7 @@ class WrenchGenerator(generation.RowGenerator):
 
 
 def write_wrench(
-    spec: wrench_spec.WrenchSpec, out: str, *, mesh_file: str | Path | None = None, overwrite: bool = False
+    spec: kind.WrenchSpec, out: str, *, mesh_file: str | Path | None = None, overwrite: bool = False
 ) -> store.Manifest:
     """Write a data set of one wrench.
 
@@ -116,10 +116,10 @@ def write_wrench(
 
 def wrench_recipe(seed: int, per_class: int | None) -> generation.Recipe:
     """Return the recipe of the default wrench, which has neither a seed nor classes."""
-    return generation.Recipe(WrenchGenerator(wrench_spec.WrenchSpec()))
+    return generation.Recipe(WrenchGenerator(kind.WrenchSpec()))
 
 
-def wrench_facts(spec: wrench_spec.WrenchSpec, report: PrintReport) -> JsonDict:
+def wrench_facts(spec: kind.WrenchSpec, report: PrintReport) -> JsonDict:
     """Return lengths, solid and printability of a wrench as JSON values."""
     return {
         "spec": spec.lengths(),
@@ -141,7 +141,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         }
         cards.write_table_card(folder, manifest, KIND, title, columns, "mit", **terms)
         return
-    spec = wrench_spec.WrenchSpec(**manifest.spec)
+    spec = kind.WrenchSpec(**manifest.spec)
     mesh = shape.wrench_mesh(spec)
     report = inspect(mesh)
     cards.Card(
