@@ -12,8 +12,12 @@ from .mesh_view import (
     require_fitting_meshes as require_fitting_meshes,
 )
 from .height_map import HeightMap as HeightMap, top_surface as top_surface
-from .wrench.dataset import wrench_facts as wrench_facts, write_wrench as write_wrench
-from .wrench.records import WrenchDataset as WrenchDataset, WrenchRecord as WrenchRecord
+from .wrench.dataset import (
+    wrench_facts as wrench_facts,
+    WrenchDataset as WrenchDataset,
+    WrenchRecord as WrenchRecord,
+    write_wrench as write_wrench,
+)
 from .wrench.shape import wrench_mesh as wrench_mesh
 from .wrench.kind import WrenchSpec as WrenchSpec
 

@@ -16,7 +16,7 @@ import mnist3d
 import realtouch
 import starstruck_gen
 from env_assets import mesh_view
-from env_assets.wrench.records import WrenchDataset
+from env_assets.wrench.dataset import WrenchDataset
 from tactile_toolkit import checked_fields, errors, hub, mesh, places, read, store
 from tactile_toolkit.array_types import Float64
 from tactile_toolkit.errors import InputError

@@ -1,4 +1,4 @@
-"""A wrench as a data set of one row: its columns, its generator, and its card."""
+"""A wrench as a data set of one row: its columns, records, generator and card."""
 
 from __future__ import annotations
 
@@ -10,10 +10,47 @@ import pyarrow as pa
 
 from env_assets.wrench import kind, shape
 from env_assets.wrench.kind import KIND
-from tactile_toolkit import cards, generation, rows, store
+from tactile_toolkit import cards, generation, mesh, pictures, places, rows, store
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import is_copy
 from tactile_toolkit.mesh import MeshRow, PrintReport, inspect, mesh_schema, write_mesh
+
+
+class WrenchRecord(pictures.DrawnSolid):
+    """One wrench.
+
+    Frame of the mesh: origin on the axis of the handle, halfway along the length, x along the handle towards
+    the first jaw, z up, lowest point at z = 0; metres.
+    """
+
+    __slots__ = ()
+
+    @property
+    def opening_mm(self) -> float:
+        """Width across flats of the first jaw, millimetres."""
+        return float(self.row.required("opening_mm"))
+
+    @property
+    def second_opening_mm(self) -> float:
+        """Width across flats of the second jaw, millimetres."""
+        return float(self.row.required("second_opening_mm"))
+
+    def __repr__(self) -> str:
+        return f"WrenchRecord(id={self.id}, {self.opening_mm:g} mm, {len(self.faces):,} faces)"
+
+    def caption(self, label_names: Sequence[str] = ()) -> str:
+        """Return the width of the first jaw."""
+        return f"wrench, {self.opening_mm:g} mm"
+
+
+class WrenchDataset(mesh.SolidDataset[WrenchRecord]):
+    """A lazy sequence of :class:`WrenchRecord`."""
+
+    record_class = WrenchRecord
+    things = "wrenches"
+
+
+load = places.loader(KIND, WrenchDataset, mesh.RecordStream[WrenchRecord])
 
 
 @rows.row

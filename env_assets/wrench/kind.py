@@ -11,7 +11,7 @@ from tactile_toolkit.kind import DatasetKind, lazy
 KIND = DatasetKind(
     name="wrench",
     command="env-assets",
-    package="env_assets.wrench.records",
+    package="env_assets.wrench.dataset",
     noun="wrench",
     nouns="wrenches",
     made_by="env-assets wrench",
