@@ -29,6 +29,17 @@ if TYPE_CHECKING:
 _ID_DIGITS = 5  # file names sort like ids up to 99,999
 _UNSAFE = re.compile(r"[^\w+-]+")
 
+CHANGED = "changed"
+"""Problem of a file; the others are :data:`tactile_toolkit.mesh.PROBLEMS`."""
+
+_BOUNDS_TOLERANCE_MM = 1e-3
+
+# Relative to the volume. STL and GLB have single precision, 1e-5 mm on an object of 20 cm.
+_VOLUME_TOLERANCE = 1e-3
+
+R = TypeVar("R")
+Progress = Callable[[int, int], None]
+
 
 @dataclass(frozen=True, slots=True)
 class PrintObject:
@@ -110,16 +121,6 @@ def _safe(word: str) -> str:
     # Split and class names of other data sets may contain any character, such as a slash. Letters of all
     # scripts are kept, in composed form, because file systems treat separate accents differently.
     return _UNSAFE.sub("_", unicodedata.normalize("NFC", word))
-
-
-CHANGED = "changed"
-"""Problem of a file; the others are :data:`tactile_toolkit.mesh.PROBLEMS`."""
-_BOUNDS_TOLERANCE_MM = 1e-3
-
-# Relative to the volume. STL and GLB have single precision, 1e-5 mm on an object of 20 cm.
-_VOLUME_TOLERANCE = 1e-3
-R = TypeVar("R")
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,6 +31,21 @@ if TYPE_CHECKING:
 # Objects as wide as the plate fit, despite rounding.
 _ROUNDING_MM = 1e-6
 
+_PLATE, _GRID, _MARGIN, _OUTLINE = "#f4f2ec", "#e0dcd2", "#b9b3a3", "#222222"
+
+# One for each class; labels, not colours, identify objects.
+_FILLS = (
+    *("#9ecae1", "#fdbe85", "#a1d99b", "#fc9f97", "#cbb8dd"),
+    *("#d8b49c", "#f5b9d6", "#c4c9cf", "#d9dc8c", "#9fdde2"),
+)
+
+# Lengths of the map before it is reduced by _FINER, which smooths the lines of Pillow.
+_FINER = 2
+
+_LONGER_SIDE_PX, _LONGEST_SIDE_PX, _MIN_PX_PER_MM = 2_400, 8_000, 8.0
+_EDGE_PX, _TITLE_PX, _NUMBER_PX, _WORD_PX, _LINE_PX = 120, 40, 30, 24, 30
+_LINES = 12  # least number of grid lines across the longer side
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outline:
@@ -220,21 +235,6 @@ def _centred(plate: Sequence[PlacedObject], spec: PlateSpec) -> tuple[PlacedObje
         for each, (x_mm, y_mm) in zip(plate, moved_mm.tolist(), strict=True)
     ]
     return tuple(sorted(placed, key=lambda each: (each.y_mm, each.x_mm)))
-
-
-_PLATE, _GRID, _MARGIN, _OUTLINE = "#f4f2ec", "#e0dcd2", "#b9b3a3", "#222222"
-
-# One for each class; labels, not colours, identify objects.
-_FILLS = (
-    *("#9ecae1", "#fdbe85", "#a1d99b", "#fc9f97", "#cbb8dd"),
-    *("#d8b49c", "#f5b9d6", "#c4c9cf", "#d9dc8c", "#9fdde2"),
-)
-
-# Lengths of the map before it is reduced by _FINER, which smooths the lines of Pillow.
-_FINER = 2
-_LONGER_SIDE_PX, _LONGEST_SIDE_PX, _MIN_PX_PER_MM = 2_400, 8_000, 8.0
-_EDGE_PX, _TITLE_PX, _NUMBER_PX, _WORD_PX, _LINE_PX = 120, 40, 30, 24, 30
-_LINES = 12  # least number of grid lines across the longer side
 
 
 def draw_map(layout: PlateLayout, number: int) -> bytes:

@@ -94,7 +94,7 @@ def write_plates(
     # The table first, because it shows whether the folder holds another export.
     write_products([_table_product(tuple(_rows(layout)), unknown)], out, overwrite=overwrite, dry_run=True)
     plates = [
-        Product(solid, (solid, picture), partial(_made, layout, number))
+        Product(solid, (solid, picture), partial(_made_plate, layout, number))
         for number, (solid, picture) in enumerate(_names(layout), 1)
     ]
     made = write_products(plates, out, overwrite=overwrite, dry_run=dry_run, on_progress=on_progress)
@@ -113,7 +113,7 @@ def _names(layout: PlateLayout) -> list[tuple[str, str]]:
     return [(f"{plate}.{ending}", f"{plate}.png") for plate in plates]
 
 
-def _made(layout: PlateLayout, number: int) -> Made[PlateFile]:
+def _made_plate(layout: PlateLayout, number: int) -> Made[PlateFile]:
     (solid, picture), plate = _names(layout)[number - 1], layout.plates[number - 1]
     items = [
         BuildItem(each.item.name, place_on_plate(each.item.load(), layout.scale), each.offset_mm)

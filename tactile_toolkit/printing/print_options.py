@@ -27,6 +27,9 @@ _CORNERS_MM = dict.fromkeys(("bambu-p1", "bambu-x1"), (18.0, 28.0))
 """Width and depth of the unusable corner at the front left, where the filament is wiped or cut."""
 _PLATE_TEXT = re.compile(r"(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)")
 
+MODELS = {"mjcf": ".xml", "urdf": ".urdf", "usd": ".usda"}
+"""Formats of bodies for simulators, and the endings of their files."""
+
 
 @dataclass(frozen=True, slots=True)
 class PlateSpec:
@@ -80,10 +83,6 @@ class PlateSpec:
     def inner_mm(self) -> tuple[float, float]:
         """Width and depth of the area within the margins."""
         return self.width_mm - 2 * self.margin_mm, self.depth_mm - 2 * self.margin_mm
-
-
-MODELS = {"mjcf": ".xml", "urdf": ".urdf", "usd": ".usda"}
-"""Formats of bodies for simulators, and the endings of their files."""
 
 
 @dataclass(frozen=True, slots=True)

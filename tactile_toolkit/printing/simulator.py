@@ -32,6 +32,17 @@ _OUTLINE_MM = 0.02  # finer details of an outline are ignored
 _FAR_MM = 1e5
 _MIN_MM3 = 1e-6  # smaller remainders of a cut are not parts
 
+TOO_LIGHT = "too-light"
+"""Problem of a body; the others are :data:`tactile_toolkit.mesh.PROBLEMS`."""
+
+# MuJoCo refuses bodies with a smaller moment of inertia.
+_MIN_MOMENT_KG_M2 = 1e-14
+
+_USD_INDENT = " " * 4
+
+# Moments of inertia by name in URDF, in the order of MJCF.
+_MOMENTS = {"ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2)}
+
 
 def convex_parts(
     mesh: Mesh, *, excess: float = 1.08, most: int = 64, tolerance_mm: float = 0.1
@@ -102,17 +113,6 @@ def _depths_mm(outline: CrossSection, corners: Float64) -> Float64:
     inwards /= np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-12)
     depths: Float64 = ((corners[:, None] - hull[None]) * inwards[None]).sum(axis=2).min(axis=1)
     return depths
-
-
-TOO_LIGHT = "too-light"
-"""Problem of a body; the others are :data:`tactile_toolkit.mesh.PROBLEMS`."""
-
-# MuJoCo refuses bodies with a smaller moment of inertia.
-_MIN_MOMENT_KG_M2 = 1e-14
-_USD_INDENT = " " * 4
-
-# Moments of inertia by name in URDF, in the order of MJCF.
-_MOMENTS = {"ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2)}
 
 
 @dataclass(frozen=True, slots=True)

@@ -50,7 +50,7 @@ class WrittenFile:
         return self.width_mm, self.depth_mm, self.height_mm
 
 
-def _made(item: PrintObject, ending: str, scale: float, physics: Physics) -> Made[WrittenFile]:
+def _made_file(item: PrintObject, ending: str, scale: float, physics: Physics) -> Made[WrittenFile]:
     """Make the file of an object; a model for simulators has meshes beside it."""
     is_mesh_file = ending in FORMATS
     mesh = place_on_plate(item.load(), scale)
@@ -87,7 +87,7 @@ def _made(item: PrintObject, ending: str, scale: float, physics: Physics) -> Mad
 
 def _product(item: PrintObject, ending: str, scale: float, physics: Physics) -> Product[WrittenFile]:
     paths = (f"{item.name}{ending}", *(f"{item.name}/{part}.obj" for part in _MESHES))
-    return Product(item.name, paths, partial(_made, item, ending, scale, physics))
+    return Product(item.name, paths, partial(_made_file, item, ending, scale, physics))
 
 
 def _ending_of(kind: str) -> str:
