@@ -26,10 +26,8 @@ from .print_options import (
     Physics as Physics,
     PlateSpec as PlateSpec,
 )
-from .plates import (
+from .exports import (
+    export_files as export_files,
     TABLE_FILE as TABLE_FILE,
     write_plates as write_plates,
-)
-from .single_files import (
-    export_files as export_files,
 )
