@@ -25,6 +25,11 @@ from tactile_toolkit.read import AnyRecords, RecordDataset, picks_several, posit
 if TYPE_CHECKING:
     import trimesh
 
+_LOG = logging.getLogger(__name__)
+
+# Distance by which a scene may protrude from its cell: less than the gel of the sensor is pressed in.
+_SLACK_MM = 1.0
+
 
 @dataclass(frozen=True, eq=False)
 class LazyMesh:
@@ -178,9 +183,6 @@ def _laid_flat(record: MeshRecord) -> trimesh.Trimesh:
     return turned
 
 
-_LOG = logging.getLogger(__name__)
-
-
 def mesh_files(place: str | PathLike[str], split: str, unit: str | None = None) -> MeshView | None:
     """Open a mesh file, or a folder of them, as the meshes of a split; None if there is no such file.
 
@@ -213,10 +215,6 @@ def _mesh_of_file(path: Path, unit: str | None, below: Path | None = None) -> tr
     for note in found.notes:
         _LOG.warning("%s: %s", path, note)
     return Mesh(np.asarray(found.vertices_m, np.float32), found.faces).to_trimesh()
-
-
-# Distance by which a scene may protrude from its cell: less than the gel of the sensor is pressed in.
-_SLACK_MM = 1.0
 
 
 def require_fitting_meshes(

@@ -44,6 +44,11 @@ THIRD_PARTY_ASSETS: dict[str, str] = {
 MeshSet = SolidDataset[Any]
 """A data set of meshes of any kind."""
 
+T = TypeVar("T")
+
+# Shorter work shows no progress, seconds.
+_QUIET_S = 2.0
+
 
 def published_meshes(name: str) -> str | None:
     """Return the data set on the Hub that has the published meshes of a kind; None if there is none."""
@@ -79,12 +84,6 @@ def open_meshes(shards: tuple[read.Shard, ...], name: str) -> MeshSet:
     dataset = SolidDataset if kind is None else kind.dataset
     opened: MeshSet = dataset(table, label_names=names)
     return opened
-
-
-T = TypeVar("T")
-
-# Shorter work shows no progress, seconds.
-_QUIET_S = 2.0
 
 
 class AssetProvider:

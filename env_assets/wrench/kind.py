@@ -1,4 +1,4 @@
-"""The wrench as a kind of data set: its facts, its specification, and the lengths that follow; imports nothing heavy."""
+"""The wrench as a kind of data set: facts, specification and lengths; light, because commands import it."""
 
 from __future__ import annotations
 

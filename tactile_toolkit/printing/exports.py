@@ -46,6 +46,18 @@ from tactile_toolkit.wording import with_count
 # Meshes that a file for simulators refers to; other files next to them are never replaced.
 _MESHES = ("visual", "part-[0-9][0-9]", "part-[0-9][0-9][0-9]")
 
+TABLE_FILE = "plates.csv"
+
+OFF_PLATE = "off-plate"
+"""Problem of a plate; the others are those of files."""
+
+_COLUMNS = (
+    *("plate", "file", "name", "split", "label", "id"),
+    *("x_mm", "y_mm", "width_mm", "depth_mm", "height_mm", "volume_mm3"),
+)
+
+_EDGE_TOLERANCE_MM = 1e-3  # 3MF is written with nine digits, and no printer resolves a micrometre
+
 
 @dataclass(frozen=True, slots=True)
 class WrittenFile:
@@ -177,16 +189,6 @@ def export_files(
     return write_products(
         products, out, overwrite=overwrite, dry_run=dry_run, workers=workers, on_progress=on_progress
     )
-
-
-TABLE_FILE = "plates.csv"
-OFF_PLATE = "off-plate"
-"""Problem of a plate; the others are those of files."""
-_COLUMNS = (
-    *("plate", "file", "name", "split", "label", "id"),
-    *("x_mm", "y_mm", "width_mm", "depth_mm", "height_mm", "volume_mm3"),
-)
-_EDGE_TOLERANCE_MM = 1e-3  # 3MF is written with nine digits, and no printer resolves a micrometre
 
 
 @dataclass(frozen=True, slots=True)
