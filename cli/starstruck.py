@@ -11,7 +11,7 @@ from cli import checks, options, output, previews, runs, shared
 from cli.application import command, new_app, run as run_app
 from starstruck_gen.kind import KIND
 from starstruck_gen.scene_options import SceneOptions, ScenePreviewSpec, scene_counts
-from tactile_toolkit import catalog, checked_fields, mesh, places, quantities, run, store
+from tactile_toolkit import catalog, checked_fields, mesh, places, run, store, wording
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 
@@ -60,7 +60,7 @@ def _print_made(
 ) -> None:
     found = starstruck_gen.summarise(manifest)
     rows = [
-        (split, quantities.least_to_most(each.classes), f"{each.accepted:.1%}", each.restarts)
+        (split, wording.least_to_most(each.classes), f"{each.accepted:.1%}", each.restarts)
         for split, each in found.items()
     ]
     splits = [

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 
 from starstruck_gen import acceptance, kind, scene_dataset, scene_rows, scene_spec
-from tactile_toolkit import cards, mesh, shown_text, store
+from tactile_toolkit import cards, mesh, store, wording
 from tactile_toolkit.kind import is_copy
 from tactile_toolkit.rows import meanings
 from tactile_toolkit.wording import with_count
@@ -73,7 +73,7 @@ def _placement_values(spec: scene_spec.SceneSpec) -> dict[str, str]:
         "cell_mm": " x ".join(f"{1e3 * side:g}" for side in spec.cell_m),
         "reach_x_mm": f"{1e3 * spec.half_area_m[0]:g}",
         "reach_y_mm": f"{1e3 * spec.half_area_m[1]:g}",
-        "classes": ", ".join(map(shown_text.markdown_text, spec.class_names)),
+        "classes": ", ".join(map(wording.markdown_text, spec.class_names)),
         "class_count": str(len(spec.class_names)),
         "distractors": distractors,
         "shapes": ", ".join(dict.fromkeys(shape.key for shape in spec.distractor_shapes)) or "none",

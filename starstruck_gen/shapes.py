@@ -15,7 +15,7 @@ from functools import lru_cache
 import numpy as np
 
 from starstruck_gen.shape_kinds import Outline, Proportions, kind_named
-from tactile_toolkit.builtin_values import to_builtin_number
+from tactile_toolkit.checked_fields import to_builtin_number
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict, JsonObject
 

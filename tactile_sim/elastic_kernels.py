@@ -14,7 +14,7 @@ import numpy as np
 from tactile_sim import elastic_vectors as vectors
 from tactile_sim.elastic_response import Layer, Workspace, respond, work_of
 from tactile_toolkit.array_types import Bool, Float32, Float64, Int64
-from tactile_toolkit.compiled import compiled
+from tactile_toolkit.kernels import compiled
 
 _MAX_PASSES = 5  # of pressure and shear, each with the displacement that the other one makes
 _FIRST_PASS = 10.0  # factor of the tolerance in the first pass, which only starts the others

@@ -18,7 +18,7 @@ import numpy as np
 
 from tactile_sim import elastic_vectors as vectors
 from tactile_toolkit.array_types import Float32, Int64
-from tactile_toolkit.compiled import compiled
+from tactile_toolkit.kernels import compiled
 
 LANES = vectors.LANES
 

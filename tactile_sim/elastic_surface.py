@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tactile_toolkit.array_types import Bool, Float64, Int64
-from tactile_toolkit.compiled import compiled
+from tactile_toolkit.kernels import compiled
 
 
 @compiled

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from tactile_toolkit.array_types import Float64
-from tactile_toolkit.compiled import compiled
+from tactile_toolkit.kernels import compiled
 
 
 @compiled

@@ -20,7 +20,7 @@ from numba.core.typing.templates import Signature
 from numba.extending import intrinsic
 
 from tactile_toolkit.array_types import Bool, Float32, Float64, Floating, Int32, Int64
-from tactile_toolkit.compiled import compiled
+from tactile_toolkit.kernels import compiled
 
 LANES = 16
 """Number of values that are weighted at once; a row of a map has at least as many."""

@@ -16,7 +16,7 @@ import numpy as np
 from tactile_sim.taxim_kernels import LANES
 from tactile_sim.twin.gel_vectors import mix_entries
 from tactile_toolkit.array_types import Float32, Float64, Int64
-from tactile_toolkit.compiled import compiled
+from tactile_toolkit.kernels import compiled
 
 TURNS, STEPS = 18, 10
 """Directions of both tables, and entries along steepness and along depth."""

@@ -14,7 +14,7 @@ import pytest
 
 _CALLEE = """
 from typing import NamedTuple
-from tactile_toolkit.compiled import compiled
+from tactile_toolkit.kernels import compiled
 
 class Shift{added}(NamedTuple):
     x: int
