@@ -14,7 +14,7 @@ import numpy as np
 
 from starstruck_gen import scene
 from starstruck_gen.shapes import STAR, Shape, require_fine_steps
-from tactile_toolkit import builtin_values, checked_fields, mesh, touch
+from tactile_toolkit import checked_fields, mesh, touch
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict, JsonObject
@@ -188,17 +188,17 @@ class SceneSpec:
             ("distractor_shapes", int),
             ("heights_m", float),
         ):
-            value = builtin_values.to_builtin(getattr(self, name), kind)
+            value = checked_fields.to_builtin(getattr(self, name), kind)
             object.__setattr__(self, name, value if isinstance(value, tuple) else (value,))
         stars, shapes, heights = self.stars, self.distractor_shapes, self.heights_m
         fits = (
             bool(stars)
-            and builtin_values.is_integer(*stars)
+            and checked_fields.is_integer(*stars)
             and stars[0] >= 0
             and all(a < b for a, b in pairwise(stars))
         )
         self._require("stars", fits, "integers from 0, each larger than the one before")
-        fits = len(self.distractors) == 2 and builtin_values.is_integer(*self.distractors)
+        fits = len(self.distractors) == 2 and checked_fields.is_integer(*self.distractors)
         fits = fits and 0 <= self.distractors[0] <= self.distractors[1]
         self._require("distractors", fits, "the minimum and the maximum, integers from 0")
         fits = stars[0] + self.distractors[0] > 0 and self.most_objects <= _MAX_OBJECTS

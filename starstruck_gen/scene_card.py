@@ -8,7 +8,7 @@ from functools import partial
 import pyarrow as pa
 
 from starstruck_gen import kind, sampling, scene_dataset, scene_generation
-from tactile_toolkit import cards, gallery, mesh, pictures, rows, shown_text, store
+from tactile_toolkit import cards, gallery, mesh, pictures, rows, store, wording
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import is_copy
 from tactile_toolkit.rows import meanings
@@ -77,7 +77,7 @@ def _placement_values(spec: sampling.SceneSpec) -> dict[str, str]:
         "cell_mm": " x ".join(f"{1e3 * side:g}" for side in spec.cell_m),
         "reach_x_mm": f"{1e3 * spec.half_area_m[0]:g}",
         "reach_y_mm": f"{1e3 * spec.half_area_m[1]:g}",
-        "classes": ", ".join(map(shown_text.markdown_text, spec.class_names)),
+        "classes": ", ".join(map(wording.markdown_text, spec.class_names)),
         "class_count": str(len(spec.class_names)),
         "distractors": distractors,
         "shapes": ", ".join(dict.fromkeys(shape.key for shape in spec.distractor_shapes)) or "none",

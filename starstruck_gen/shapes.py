@@ -16,7 +16,7 @@ import numpy as np
 from tactile_toolkit import mesh
 from tactile_toolkit.arithmetic import cosine_sine
 from tactile_toolkit.array_types import Float64, Int32, Int64
-from tactile_toolkit.builtin_values import to_builtin_number
+from tactile_toolkit.checked_fields import to_builtin_number
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict, JsonObject
 
