@@ -19,7 +19,7 @@ from realtouch.formats import picture_arrays, zarr_recordings
 from realtouch.formats.picture_arrays import StoredArray
 from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import AnyArray
-from tactile_toolkit.bounds import require_unpackable
+from tactile_toolkit.cache import require_unpackable
 from tactile_toolkit.columns import column_types
 from tactile_toolkit.errors import InputError, needs_extra
 

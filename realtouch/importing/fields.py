@@ -8,11 +8,12 @@ from contextlib import suppress
 
 import numpy as np
 import pyarrow as pa
+from scipy.spatial.transform import Rotation
 
 from realtouch.importing import import_columns, source_files, source_touches
 from realtouch.poses import bad_pose
 from realtouch.schema import EXTRA_PREFIX
-from tactile_toolkit import arithmetic, errors, shown_text, spatial
+from tactile_toolkit import arithmetic, errors, wording
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.columns import column_types, units
 
@@ -157,7 +158,7 @@ def poses(fields: Fields, columns: import_columns.ImportColumns) -> Float64:
     if columns.frame is not None:
         turn, shift = _frame(columns)
         place = place @ turn.T + shift
-        turns = (spatial.Rotation.from_matrix(turn) * spatial.Rotation.from_quat(turns)).as_quat()
+        turns = (Rotation.from_matrix(turn) * Rotation.from_quat(turns)).as_quat()
     _require_metres(place, "pose")
     return np.hstack([place, turns])
 
@@ -215,14 +216,14 @@ def _of_angles(numbers: Float64, columns: import_columns.ImportColumns) -> tuple
     """Return positions and quaternions of poses with Euler angles or rotation vectors in radians."""
     place, angles = numbers[:, :3], numbers[:, 3:]
     if columns.euler is not None:
-        return place, spatial.Rotation.from_euler(columns.euler, angles).as_quat()
+        return place, Rotation.from_euler(columns.euler, angles).as_quat()
     if columns.angle_unit is None and np.abs(angles).max(initial=0) > _MAX_TURN:
         raise errors.ItemError(
             "pose",
             f"the rotation vector {shown(angles[0])} has more than two turns in radians; expected radians "
             "(--angle-unit states another unit)",
         )
-    return place, spatial.Rotation.from_rotvec(angles).as_quat()
+    return place, Rotation.from_rotvec(angles).as_quat()
 
 
 def _of_matrices(numbers: Float64, _columns: import_columns.ImportColumns) -> tuple[Float64, Float64]:
@@ -234,14 +235,14 @@ def _of_matrices(numbers: Float64, _columns: import_columns.ImportColumns) -> tu
             f"the matrix {shown(numbers[0].tolist())} is no rigid transform; expected, row by row, "
             "a rotation of determinant 1 with a translation, and a last row 0 0 0 1",
         )
-    return matrices[:, :3, 3], spatial.Rotation.from_matrix(matrices[:, :3, :3]).as_quat()
+    return matrices[:, :3, 3], Rotation.from_matrix(matrices[:, :3, :3]).as_quat()
 
 
 def _frame(columns: import_columns.ImportColumns) -> tuple[Float64, Float64]:
     """Return rotation and translation, in metres, from the frame of the source to the cell frame."""
     matrix = np.array(columns.frame)
     per_metre = columns.divisors((), 2)[0]
-    return spatial.Rotation.from_matrix(matrix[:3, :3]).as_matrix(), matrix[:3, 3] / per_metre
+    return Rotation.from_matrix(matrix[:3, :3]).as_matrix(), matrix[:3, 3] / per_metre
 
 
 def _require_metres(places: Float64, reason: str) -> None:
@@ -394,6 +395,6 @@ def not_kept(
         if name not in kept:
             tables = [table for table in (touches.said, touches.per_frame) if name in table.column_names]
             count = max(len(table) - table[name].null_count for table in tables)
-            shown = shown_text.printable(name)
+            shown = wording.printable(name)
             counts[shown] = counts.get(shown, 0) + count
     return {name: count for name, count in counts.items() if count}

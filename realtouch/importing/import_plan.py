@@ -28,7 +28,7 @@ from realtouch.importing import (
     source_touches,
 )
 from realtouch.touch_options import Alignment
-from tactile_toolkit import catalog, errors, shown_text, store, touch
+from tactile_toolkit import catalog, errors, store, touch, wording
 from tactile_toolkit.columns import units
 from tactile_toolkit.json_types import JsonDict, JsonValue
 from tactile_toolkit.read import Shard
@@ -134,7 +134,7 @@ def plan_of(touches: Arranged, found: import_sources.FoundSource) -> store.Build
     if found.streams:
         spec[touch_options.STREAMS] = list(found.streams[:_MAX_STREAMS])
     if found.left_out:
-        spec[touch_options.LEFT_OUT] = list(map(shown_text.printable, found.left_out[:_MAX_LEFT_OUT]))
+        spec[touch_options.LEFT_OUT] = list(map(wording.printable, found.left_out[:_MAX_LEFT_OUT]))
     conversion = source_formats.IMPORTS[found.layout].describe(every)
     if conversion:
         spec["options"][CONVERSION] = conversion
@@ -482,9 +482,9 @@ def _in_words(value: JsonValue, touch: int) -> str:
     if isinstance(value, list):
         value = value[touch]
     if isinstance(value, list) and len(value) > _VALUES_SHOWN:
-        first = shown_text.printable(str(value[0]))[:_LONGEST_SHOWN]
+        first = wording.printable(str(value[0]))[:_LONGEST_SHOWN]
         return f"{len(value)} entries, the first {first}"
-    return shown_text.printable(str(value))[:_LONGEST_SHOWN]
+    return wording.printable(str(value))[:_LONGEST_SHOWN]
 
 
 def _pictures_in_words(found: import_sources.FoundSource, touches: Arranged) -> str:
@@ -513,5 +513,5 @@ def _uses(found: import_sources.FoundSource, extras: Iterable[str]) -> list[tupl
         unit = units.stated_unit(name) or ""
         if name in lengths:
             unit = unit or columns.length_unit or "m"
-        uses.append((shown_text.printable(name), roles.get(name, "left out"), unit))
-    return [*uses, *((shown_text.printable(each), "left out", "") for each in found.left_out)]
+        uses.append((wording.printable(name), roles.get(name, "left out"), unit))
+    return [*uses, *((wording.printable(each), "left out", "") for each in found.left_out)]
