@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 
-from mnist3d.digit_rows import REPORT_FILE, SUMMED_UP, DigitRow, classes_of
+from mnist3d.digit_records import REPORT_FILE, SUMMED_UP, DigitRow, classes_of
 from mnist3d.kind import KIND
 from mnist3d.sources.picture_folder import FolderSource
 from tactile_toolkit import cards, catalog, kind, mesh, pictures, read, shown_text, store

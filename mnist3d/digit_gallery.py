@@ -5,14 +5,14 @@ from __future__ import annotations
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from mnist3d import digit_dataset, digit_rows, kind, sources
+from mnist3d import digit_records, kind, sources
 from tactile_toolkit import catalog, gallery, mesh, places, store
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.rows import with_role
 from tactile_toolkit.wording import class_name
 
 _ROWS_PER_TASK = 8
-_SHOWN = (*with_role(digit_rows.DigitRow, "facet"), *with_role(mesh.PrintReport, "facet", "measure"))
+_SHOWN = (*with_role(digit_records.DigitRow, "facet"), *with_role(mesh.PrintReport, "facet", "measure"))
 
 
 def plan_gallery(
@@ -22,12 +22,12 @@ def plan_gallery(
     # The report of the data set, if it has one, is read instead of inspecting meshes again.
     place = places.open_place(name)
     folder = place.folder
-    has_report = folder is not None and folder.exists(digit_rows.REPORT_FILE)
+    has_report = folder is not None and folder.exists(digit_records.REPORT_FILE)
 
-    def known(rows: digit_dataset.DigitDataset, split: str) -> list[JsonObject | None]:
+    def known(rows: digit_records.DigitDataset, split: str) -> list[JsonObject | None]:
         if folder is None or not has_report:
             return [None] * len(rows)
-        report = store.read_report(folder, digit_rows.REPORT_FILE)
+        report = store.read_report(folder, digit_records.REPORT_FILE)
         chosen = pc.and_(pc.equal(report["split"], split), pc.is_in(report["id"], pa.array(rows.ids)))
         found = {row["id"]: row for row in report.filter(chosen).to_pylist()}
         return [found.get(number) for number in rows.ids.tolist()]
@@ -38,7 +38,7 @@ def plan_gallery(
 
 
 def _item(
-    record: digit_dataset.DigitRecord, split: str, names: tuple[str, ...], report: JsonObject | None
+    record: digit_records.DigitRecord, split: str, names: tuple[str, ...], report: JsonObject | None
 ) -> gallery.GalleryItem:
     gallery.require_mesh(record, split)
     vertices_m, faces = record.vertices_m, record.faces

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from mnist3d import digit_dataset, digit_options, ink, solid
+from mnist3d import digit_generation, digit_options, digit_records, ink, solid
+from mnist3d.digit_options import SolidSpec
 from mnist3d.kind import KIND
-from mnist3d.solid_spec import SolidSpec
-from mnist3d.sources import picture_files, picture_levels, source_choice
+from mnist3d.sources import picture_files
 from tactile_toolkit import catalog, mesh, pictures, store
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import InputError
@@ -31,11 +31,11 @@ def plan_previews(name: Name | Place, spec: digit_options.DigitPreviewSpec) -> p
     """
     if not isinstance(name, Place) and is_picture_or_mesh(fspath(name)):
         return _plan_file(fspath(name), spec)
-    opened: pictures.MeshPreviews[digit_dataset.DigitDataset] = pictures.MeshPreviews(KIND, name, spec)
+    opened: pictures.MeshPreviews[digit_records.DigitDataset] = pictures.MeshPreviews(KIND, name, spec)
     mesh.refuse_unit(spec.unit, opened.name)
     names = opened.chosen[0][1].label_names
 
-    def sheet_of(rows: digit_dataset.DigitDataset, title: str) -> UInt8:
+    def sheet_of(rows: digit_records.DigitDataset, title: str) -> UInt8:
         return draw_digit_sheet(list(rows), spec.per_class, title, names)
 
     plans = {
@@ -82,13 +82,13 @@ def _plan_pages(path: Path, stem: str) -> list[tuple[str, partial[UInt8]]]:
         if len(pages) > 1:
             file, title = f"{stem}-{number}-steps.png", f"{path.name}, page {number}"
         # Fitted into 500 px, as by the sources; the default specification is for that size.
-        pixels = ink.fit(picture_levels.read_picture(path, page=page, whole=True))
+        pixels = ink.fit(picture_files.read_picture(path, page=page, whole=True))
         drawings.append((file, partial(solid.draw_steps, pixels, SolidSpec(), title)))
     return drawings
 
 
 def _plan_steps(
-    opened: pictures.MeshPreviews[digit_dataset.DigitDataset],
+    opened: pictures.MeshPreviews[digit_records.DigitDataset],
     names: Sequence[str],
     spec: digit_options.DigitPreviewSpec,
 ) -> list[pictures.PlannedPicture]:
@@ -100,7 +100,7 @@ def _plan_steps(
     with catalog.specification_read(opened.name):
         files = {"images": spec.images, "writer_info": spec.writer_info}
         given = {option: str(path) for option, path in files.items() if path is not None}
-        source = source_choice.source_again(opened.made_by["source"], **given)
+        source = digit_generation.source_again(opened.made_by["source"], **given)
         solid_spec = SolidSpec(**opened.made_by["solid"])
 
     def draw(number: int, title: str) -> UInt8:
@@ -119,7 +119,7 @@ def _plan_steps(
 
 
 def draw_digit_sheet(
-    records: Sequence[digit_dataset.DigitRecord], per_row: int, title: str, names: Sequence[str]
+    records: Sequence[digit_records.DigitRecord], per_row: int, title: str, names: Sequence[str]
 ) -> UInt8:
     """Draw digits from above at one scale; ``names`` are the names of the classes."""
     solids = [mesh.Mesh(record.vertices_m, record.faces) for record in records]
