@@ -1,30 +1,117 @@
-"""The data card of a data set of digits."""
+"""The data card of a data set of digits, and summaries of its splits by the roles of columns."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from itertools import islice
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 
 from mnist3d.digit_records import REPORT_FILE, SUMMED_UP, DigitRow, classes_of
 from mnist3d.kind import KIND
 from mnist3d.sources.picture_folder import FolderSource
-from tactile_toolkit import cards, catalog, kind, mesh, pictures, read, shown_text, store
+from tactile_toolkit import cards, catalog, kind, parsed_text, shown_text, store
 from tactile_toolkit.json_types import JsonObject
-from tactile_toolkit.rows import meanings
+from tactile_toolkit.rows import Column, meanings
 from tactile_toolkit.wording import class_name, with_count
 
+_MAX_LISTED = 12
 COLUMNS = meanings(DigitRow)
-
-# Two pixels of the published scale, so that a digit is about 150 pixels tall.
-_PITCH_M = 0.0004
-# Rows mix the classes: 200 of them lack a class with a chance of 1 in 10^8.
-_ROWS_SEEN = 200
-_MAX_DRAWN = 10
 _USUAL_SIZES = {FolderSource.name: "four fifths in `train`, one fifth in `test`"}
 
 
-def summarise(folder: store.DataFolder, manifest: store.Manifest) -> list[cards.SplitSummary]:
+@dataclass(frozen=True, slots=True)
+class SplitSummary:
+    """One split: counts of the manifest, and figures of its columns by name.
+
+    Attributes
+    ----------
+    split : str
+        Name of the split.
+    counts : mapping of str to int
+        Rows, shards, bytes and skipped items.
+    facets : mapping
+        Number of rows with each value.
+    measures : mapping
+        Minimum, median and maximum; empty without rows.
+    sums : mapping
+        Totals.
+    """
+
+    split: str
+    counts: Mapping[str, int]
+    facets: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    measures: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    sums: Mapping[str, int] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, object]:
+        """Return JSON values."""
+        return {"split": self.split, **self.counts, **self.facets, **self.measures, **self.sums}
+
+    def text(self, column: Column) -> str:
+        """Return the figures of a column as text."""
+        if column.role == "sum":
+            return column.text(self.sums[column.name])
+        if column.role == "measure":
+            spread = self.measures[column.name]
+            if not spread:
+                return "-"
+            return "{0} to {2} (median {1})".format(*map(column.text, spread))
+        counts = self.facets[column.name]
+        # A row has one class, but any number of warnings, of which each is named.
+        is_even = len(counts) > 1 and len(set(counts.values())) == 1
+        if is_even and not pa.types.is_list(column.data_type):
+            return f"{next(iter(counts.values())):,} of each of {len(counts):,}"
+        if len(counts) > _MAX_LISTED:
+            return with_count(len(counts), "values")
+        return ", ".join(f"{value}: {count:,}" for value, count in counts.items()) or "none"
+
+
+def summarise_columns(
+    manifest: store.Manifest, table: pa.Table, declared: Sequence[Column]
+) -> list[SplitSummary]:
+    """Summarise the columns of a table for each split; ``table`` has a column ``split``."""
+    found = []
+    for split, counts in manifest.split_table().items():
+        rows = table.filter(pc.equal(table["split"], split))
+        found.append(
+            SplitSummary(
+                split,
+                counts,
+                {each.name: _counts(rows[each.name]) for each in declared if each.role == "facet"},
+                {each.name: _spread(rows[each.name]) for each in declared if each.role == "measure"},
+                {each.name: int(rows[each.name].to_numpy().sum()) for each in declared if each.role == "sum"},
+            )
+        )
+    return found
+
+
+def _counts(values: pa.ChunkedArray) -> dict[str, int]:
+    flat = values.combine_chunks()
+    if pa.types.is_list(flat.type):
+        flat = flat.flatten()
+    counts = {str(each["values"]): each["counts"] for each in flat.value_counts().to_pylist()}
+    return {value: counts[value] for value in sorted(counts, key=parsed_text.natural_key)}
+
+
+def _spread(values: pa.ChunkedArray) -> tuple[float, ...]:
+    numbers = values.to_numpy()
+    if not len(numbers):
+        return ()
+    return tuple(round(float(figure(numbers)), 3) for figure in (np.min, np.median, np.max))
+
+
+def facts_table(
+    summaries: Sequence[SplitSummary], declared: Sequence[Column]
+) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Return header and lines of a table of figures: a line for each column, a column for each split."""
+    header = ("", *(summary.split for summary in summaries))
+    return header, [(each.heading, *(summary.text(each) for summary in summaries)) for each in declared]
+
+
+def summarise(folder: store.DataFolder, manifest: store.Manifest) -> list[SplitSummary]:
     """Summarise each split of a data set from its manifest and its printability report.
 
     Raises IntegrityError if the report is missing or damaged.
@@ -33,7 +120,7 @@ def summarise(folder: store.DataFolder, manifest: store.Manifest) -> list[cards.
     names = classes_of(manifest)
     return [
         replace(each, facets={**each.facets, "label": _named(each.facets["label"], names)})
-        for each in cards.summarise_columns(manifest, report, SUMMED_UP)
+        for each in summarise_columns(manifest, report, SUMMED_UP)
     ]
 
 
@@ -60,14 +147,14 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     things = "handwritten digits"
     if classes_of(manifest) != KIND.class_names:
         things = "drawings"
-    columns = store.open_parquet(folder, REPORT_FILE).schema_arrow.names
+    columns = store.read_report(folder, REPORT_FILE).column_names
     joined = ", separate pieces bridged" if solid["join_bodies"] else ""
     title = shown_text.printable(catalog.short_name(folder.address())) if is_own else "MNIST 3D"
     cards.Card(
         template=KIND.card_template,
         title=title,
         columns=COLUMNS,
-        picture=("digits.png", _sheet, "The first digit of each class that is there, seen from above"),
+        picture=("digits.png", cards.draw_solids, "The first digits of each class, seen from above"),
         licence=words["licence"],
         tags=["tactile", "active-perception", "3d", "mesh", "mnist", "digits", "3d-printing"],
         figures={
@@ -82,28 +169,13 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
                 f"{solid['pixel_pitch_mm']:g} mm per pixel, about {solid['target_vertices']:,} vertices, "
                 f"{solid['smoothing_iterations']} rounds of smoothing{joined}"
             ),
-            "print_table": cards.markdown_table(*cards.facts_table(summaries, SUMMED_UP)),
+            "print_table": cards.markdown_table(*facts_table(summaries, SUMMED_UP)),
             "report_columns": ", ".join(f"`{name}`" for name in columns),
             **{name: f"{profile[name]:g}" for name in ("nozzle_mm", "min_wall_mm", "overhang_deg")},
             "things": things,
             **_terms(words),
         },
     ).write(folder, manifest, KIND)
-
-
-def _sheet(facts: cards.FolderSummary) -> bytes | None:
-    """Draw the first digit of each class as PNG, at 0.4 mm per pixel; None without rows."""
-    first: dict[int, read.Row] = {}
-    for row in islice(cards.rows_to_draw(facts, ["label", mesh.VERTICES, mesh.FACES]), _ROWS_SEEN):
-        first.setdefault(int(row.required("label")), row)
-        if len(first) == _MAX_DRAWN:
-            break
-    rows = [first[label] for label in sorted(first)]
-    tiles = [
-        pictures.Tile(pictures.relief(row.array(mesh.VERTICES), row.array(mesh.FACES), _PITCH_M))
-        for row in rows
-    ]
-    return cards.tiles_png(tiles, 5)
 
 
 def _split_rule(spec: JsonObject) -> str:
@@ -122,9 +194,7 @@ def _split_rule(spec: JsonObject) -> str:
     return ", ".join([unit, f"seed {split['seed']}", sizes, *cuts])
 
 
-def _limits(
-    manifest: store.Manifest, summaries: list[cards.SplitSummary], words: Mapping[str, str]
-) -> list[str]:
+def _limits(manifest: store.Manifest, summaries: list[SplitSummary], words: Mapping[str, str]) -> list[str]:
     rows = sum(s.counts["rows"] for s in summaries)
     pieces = rows - sum(s.facets["bodies"].get("1", 0) for s in summaries)
     warned = sum(sum(s.facets["warnings"].values()) for s in summaries)

@@ -12,7 +12,7 @@ import numpy as np
 from realtouch import sensor_images, touch_table
 from realtouch.rounds import TouchRound, TouchSingleRound
 from realtouch.touch import Touch, touch_id
-from tactile_toolkit import builtin_values, checked_fields, errors, kind, read, system, wording
+from tactile_toolkit import builtin_values, checked_fields, errors, kind, read, run, wording
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, Int64, UInt8
 
 if TYPE_CHECKING:
@@ -229,7 +229,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
                     "heights of the gel",
                     next="leave out the height, and the pictures decide",
                 )
-            contact: Bool = _contacts_by_image(self, threads=system.usable_cores()).contact
+            contact: Bool = _contacts_by_image(self, threads=run.usable_cores()).contact
             return contact
         heights_m = self.heights_m(recalibrate_z)
         if min_height_m is not None:

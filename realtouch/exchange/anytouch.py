@@ -15,7 +15,8 @@ import pyarrow as pa
 
 from realtouch import convert, importing, stored_images
 from realtouch.exchange.touch_rows import NamedImage, TouchFormat
-from tactile_toolkit import column_types, errors, read, store
+from tactile_toolkit import errors, read, store
+from tactile_toolkit.columns import column_types
 
 _FOLDER, IMAGES, FRAMES = "anytouch", "touch_and_go", "gelsight_frame"
 _BACKGROUND = "background.jpg"

@@ -12,7 +12,8 @@ import numpy as np
 
 from realtouch import importing
 from realtouch.exchange import foreign_parquet, touch_rows
-from tactile_toolkit import column_types, errors, store, touch
+from tactile_toolkit import errors, store, touch
+from tactile_toolkit.columns import column_types
 
 plan_flat = touch_rows.TouchFormat().plan
 

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import pyarrow as pa
 
 from realtouch import importing
-from tactile_toolkit import column_tables, errors, store
+from tactile_toolkit import errors, store
+from tactile_toolkit.columns import tables
 
 _IMAGES = tuple(f".{ending}" for ending in importing.IMAGE_ENDINGS)
 _SPLITS = {"train", "val", "valid", "validation", "test"}
@@ -26,24 +27,24 @@ def find_folder(
     if table is not None:
         folder, found = importing.source_of(table)
     else:
-        folder, tables = home, importing.visible_files(home, column_tables.COLUMN_TABLE_ENDINGS)
-        if not tables and not columns.image_name:
+        folder, named = home, importing.visible_files(home, tables.ENDINGS)
+        if not named and not columns.image_name:
             images = _images(home)
             if images:
                 yield _labelled(home, images)
                 return
-        if len(tables) != 1:
+        if len(named) != 1:
             raise errors.InputError(
-                f"{home.address()!r} should be a folder with one table; found {', '.join(tables) or 'none'}",
+                f"{home.address()!r} should be a folder with one table; found {', '.join(named) or 'none'}",
                 next="name it with --table",
             )
-        found = tables[0]
+        found = named[0]
     lines = importing.read_table(folder, found, columns, [columns.image])
-    wanted = [columns.image, *columns.found_in(lines.names).names()]
-    importing.require_columns(lines.names, wanted, folder.address(found))
+    wanted = [columns.image, *columns.found_in(lines.columns).names()]
+    importing.require_columns(lines.columns, wanted, folder.address(found))
     paths = list(map(importing.path_of, lines.texts(columns.image)))
-    problems = lines.problems | importing.duplicates_of(paths, importing.FILE_OF_TABLE)
-    yield importing.image_files(home, paths, lines.columns, problems)
+    duplicates = importing.duplicates_of(paths, importing.FILE_OF_TABLE)
+    yield importing.image_files(home, paths, lines.columns, duplicates)
 
 
 def _images(home: store.DataFolder) -> list[str]:

@@ -12,7 +12,8 @@ import pyarrow as pa
 
 from realtouch import importing
 from realtouch.exchange.parquet_pages import require_bounded_pages
-from tactile_toolkit import bounds, column_types, errors, read, store
+from tactile_toolkit import bounds, errors, read, store
+from tactile_toolkit.columns import column_types
 from tactile_toolkit.json_types import JsonDict
 
 if TYPE_CHECKING:

@@ -14,7 +14,8 @@ import pyarrow as pa
 
 from realtouch import convert, importing, stored_images, touch_options
 from realtouch.exchange import touch_rows, webdataset, webdataset_import
-from tactile_toolkit import column_types, store
+from tactile_toolkit import store
+from tactile_toolkit.columns import column_types
 from tactile_toolkit.json_types import JsonObject
 
 _FOLDER = "fota"

@@ -17,7 +17,8 @@ import numpy as np
 
 from realtouch import importing
 from realtouch.exchange import hdf5_arrays, picture_arrays, zarr_recordings
-from tactile_toolkit import column_types, errors, store
+from tactile_toolkit import errors, store
+from tactile_toolkit.columns import column_types
 
 _ENDINGS = (".h5", ".hdf5")
 _MAX_OBJECTS, _DEEPEST = 20_000, 16

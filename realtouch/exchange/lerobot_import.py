@@ -15,8 +15,9 @@ import pyarrow as pa
 
 from realtouch import importing, video
 from realtouch.exchange import foreign_parquet, lerobot_mark, lerobot_metadata, video_import
-from tactile_toolkit import column_types, errors, store, wording
+from tactile_toolkit import errors, store, wording
 from tactile_toolkit.array_types import Float64
+from tactile_toolkit.columns import column_types
 
 _ROWS = ".parquet"
 _INDICES = ("index", "frame_index", "episode_index", "task_index", "timestamp")

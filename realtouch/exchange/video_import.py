@@ -11,7 +11,8 @@ from pathlib import PurePosixPath
 import numpy as np
 
 from realtouch import importing, video, video_files
-from tactile_toolkit import column_tables, errors, store
+from tactile_toolkit import errors, store
+from tactile_toolkit.columns import tables
 from tactile_toolkit.json_types import JsonDict
 
 _FILE = "file"
@@ -37,7 +38,7 @@ def find_video(
             yield _recording(folder, path, {column: path, **said.get(path, {})}, None, stems)
         return
     named = list(map(importing.path_of, rows.texts(column)))
-    problems = rows.problems | importing.duplicates_of(named, importing.FILE_OF_TABLE)
+    problems = importing.duplicates_of(named, importing.FILE_OF_TABLE)
     for row, path in enumerate(named):
         yield _recording(folder, path, rows.values(row), problems.get(row), stems)
     unnamed = errors.ItemError("table", "no row of the table names this video; expected one")
@@ -94,7 +95,7 @@ def _table_of_videos(
 
     def read(folder: store.DataFolder, name: str) -> importing.SourceTable:
         found = importing.read_table(folder, name, columns, [image])
-        importing.require_columns(found.names, [image], folder.address(name))
+        importing.require_columns(found.columns, [image], folder.address(name))
         return found
 
     if table is not None:
@@ -102,7 +103,7 @@ def _table_of_videos(
     found = {}
     refused: tuple[str, str] | None = None
     streams = tuple(f"{_stem(path)}{mark}" for path in paths for mark in "._")
-    for name in importing.visible_files(home, column_tables.COLUMN_TABLE_ENDINGS):
+    for name in importing.visible_files(home, tables.ENDINGS):
         if name.startswith(streams):
             continue
         first = _first_row(home, name)
@@ -130,7 +131,7 @@ def _table_of_videos(
 def _first_row(home: store.DataFolder, name: str) -> JsonDict:
     """Return the first row of a table; empty for a file that is no table."""
     with suppress(errors.InputError):
-        return importing.column_table(home, name).first_row()
+        return tables.open_table(home, name).first_row()
     return {}
 
 

@@ -15,7 +15,8 @@ import msgspec
 import pyarrow as pa
 
 from realtouch import importing, tars
-from tactile_toolkit import column_types, errors, store
+from tactile_toolkit import errors, store
+from tactile_toolkit.columns import column_types
 from tactile_toolkit.json_types import JsonDict, JsonObject
 
 # First bytes of files of gzip, bzip2, xz and Zstandard.

@@ -17,7 +17,7 @@ from importlib import import_module
 import numpy as np
 import pyarrow as pa
 
-from tactile_toolkit import errors, store, wording
+from tactile_toolkit import errors, wording
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.json_types import JsonObject, JsonValue
 
@@ -95,7 +95,7 @@ class ZarrLayout:
                 "code, lose values or be unknown; nothing was opened"
             )
         sizes, axes = [*self.shape, *self.chunks], list(range(len(self.shape)))
-        fits = all(type(size) is int and 0 <= size <= store.LARGEST for size in sizes) and all(self.chunks)
+        fits = all(type(size) is int and 0 <= size < 1 << 63 for size in sizes) and all(self.chunks)
         fits &= axes != [] and sorted(self.axes) == axes == list(range(len(self.chunks)))
         fits &= self.dtype.kind in "biufSU" and self.dtype.itemsize > 0 and self.separator in ("/", ".")
         if not fits:

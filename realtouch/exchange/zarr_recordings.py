@@ -15,8 +15,9 @@ import pyarrow as pa
 from realtouch import importing, touch, touch_options
 from realtouch.exchange import picture_arrays, zarr_arrays, zarr_groups
 from realtouch.exchange.episodes import CONTACT
-from tactile_toolkit import column_types, errors, store
+from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import Int64
+from tactile_toolkit.columns import column_types
 
 DATA = "data"
 TIMES = ("time_s", "timestamps", "timestamp")

@@ -11,7 +11,8 @@ from typing import IO, NamedTuple
 
 from realtouch import kind, video_files
 from realtouch.importing import formats, source_files
-from tactile_toolkit import column_tables, errors, places, store, text_tables
+from tactile_toolkit import errors, places, store
+from tactile_toolkit.columns import tables
 
 _MAX_PATHS = 20_000
 _MAX_FOLDERS = 200
@@ -54,7 +55,7 @@ _MARKS: tuple[tuple[str, Callable[[str], object]], ...] = (
     ("video", _ends_with(*video_files.VIDEO_ENDINGS)),
     ("folder", _ends_with(*(f".{ending}" for ending in source_files.IMAGE_ENDINGS))),
     ("flat", _ends_with(".parquet")),
-    ("folder", _ends_with(*text_tables.TABLE_ENDINGS, ".jsonl")),
+    ("folder", _ends_with(*tables.TEXT_ENDINGS, ".jsonl")),
 )
 # Formats that contain files of other formats: LeRobot has videos, Parquet files and tables.
 _PARTS = {
@@ -64,7 +65,7 @@ _PARTS = {
     "fota": {"webdataset"},
 }
 _PICKLES = _ends_with(".pkl", ".pickle")
-_TABLES = _ends_with(*column_tables.COLUMN_TABLE_ENDINGS)
+_TABLES = _ends_with(*tables.ENDINGS)
 
 
 def recognised(place: str) -> Recognised:

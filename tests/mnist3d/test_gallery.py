@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import mnist3d
-from mnist3d.digit_gallery import plan_gallery
 from mnist3d.digit_options import SolidSpec
+from mnist3d.digit_previews import plan_gallery
 from mnist3d.digit_records import REPORT_FILE
 from mnist3d.sources.synthetic import SyntheticSource
 from mnist3d.splits import SplitSpec

@@ -45,6 +45,7 @@ _ODD = rf"{_CODE}|[0-9]{{16,}}$|[eE]\+?[0-9]{{3,}}$"  # texts that a number may 
 _SWITCHED = pa.array(["0", "1"])
 _DECIMAL_COMMA = r"^[+-]?[0-9]*,[0-9]+([eE][+-]?[0-9]+)?$"
 _POINT = r"[0-9]\.|\.[0-9]"
+_VECTOR = r"^\[[-+.,0-9eE \[\]nulNa]*\]$"  # of numbers, NaN or null, in JSON
 _NO_BRACKETS = str.maketrans("[](),;", "      ")
 _NUMBERS = (pa.int64(), pa.float64())
 
@@ -52,6 +53,11 @@ _NUMBERS = (pa.int64(), pa.float64())
 def without_blanks(texts: pa.Array) -> pa.Array:
     """Return texts as they are; null for texts of spaces only."""
     return pc.if_else(pc.equal(pc.utf8_trim_whitespace(texts), ""), pa.scalar(None, pa.string()), texts)
+
+
+def trimmed(texts: pa.Array) -> pa.Array:
+    """Return texts without spaces around them; null for texts of spaces only."""
+    return without_blanks(pc.utf8_trim_whitespace(texts))
 
 
 def words_of(texts: pa.Array, *, decimal_commas: bool = False) -> pa.Array:
@@ -110,8 +116,16 @@ def as_type(texts: pa.Array, words: pa.Array, kind: pa.DataType) -> pa.Array:
     if pa.types.is_null(kind):
         return pa.nulls(len(texts))
     if pa.types.is_string(kind):
-        return without_blanks(texts)
+        return trimmed(texts)
     return words.cast(kind)
+
+
+def vectors_of(texts: pa.Array) -> pa.Array:
+    """Return texts as vectors if each of them is one, such as ``[1.5, 2]``."""
+    if pc.all(pc.match_substring_regex(texts, _VECTOR)).as_py():
+        with suppress(ValueError):
+            return from_values([text and json.loads(text) for text in texts.to_pylist()])
+    return texts
 
 
 def from_values(values: Iterable[object]) -> pa.Array:
@@ -288,7 +302,7 @@ def values_of(column: pa.Array) -> list[JsonValue]:
 def texts_of(column: pa.Array) -> pa.Array:
     """Return the text of each value, as of a name; null for a missing one, for NaN, and for lists."""
     if pa.types.is_string(column.type):
-        return without_blanks(pc.utf8_trim_whitespace(column))
+        return trimmed(column)
     if not is_leaf(column.type):
         found = (None if isinstance(value, (dict, list)) else value for value in values_of(column))
         return without_blanks(pa.array([_name(value) for value in found], pa.string()))

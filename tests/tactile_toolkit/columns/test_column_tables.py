@@ -12,18 +12,17 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from tactile_toolkit import column_tables
-from tactile_toolkit.column_tables import ColumnTable
+from tactile_toolkit.columns import tables
+from tactile_toolkit.columns.tables import Table
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.text_tables import read_text_table
 
 
-def table(content: bytes | str, ending: str = ".csv") -> ColumnTable:
+def table(content: bytes | str, ending: str = ".csv") -> Table:
     data = content.encode() if isinstance(content, str) else content
-    return ColumnTable(f"home/table{ending}", lambda: io.BytesIO(data))
+    return Table(f"home/table{ending}", lambda: io.BytesIO(data))
 
 
-def read(found: ColumnTable, *numbers: int) -> dict[str, list[Any]]:
+def read(found: Table, *numbers: int) -> dict[str, list[Any]]:
     rows, _ = found.scan()
     result: dict[str, list[Any]] = found.rows(np.array(numbers or range(rows))).to_pydict()
     return result
@@ -42,14 +41,14 @@ def read(found: ColumnTable, *numbers: int) -> dict[str, list[Any]]:
 def test_types_follow_from_all_rows(
     text: str, encoding: str, block_bytes: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(column_tables, "_BLOCK_BYTES", block_bytes)
+    monkeypatch.setattr(tables, "_BLOCK_BYTES", block_bytes)
     expected = {"n": [1, 2, -3], "x": [0.5, 3.0, None], "ok": [True, False, True], "note": ["a", "b c", "7"]}
     assert read(table(text.encode(encoding))) == expected
     assert read(table(text.encode(encoding)), 0, 2) == {name: each[::2] for name, each in expected.items()}
 
 
 def test_quoted_lines_empty_names_and_words(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(column_tables, "_BLOCK_BYTES", 32)
+    monkeypatch.setattr(tables, "_BLOCK_BYTES", 32)
     found = read(table(',note,code\n0,"two\nlines, a comma",007\n1,NA,1e3\n2,,x\n'))
     assert found["column_1"] == [0, 1, 2]
     assert found["note"] == ["two\nlines, a comma", "NA", None]
@@ -82,7 +81,7 @@ def test_a_column_without_a_value_has_none() -> None:
 
 @pytest.mark.parametrize("block_bytes", [50, 1 << 20])
 def test_json_lines(block_bytes: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(column_tables, "_BLOCK_BYTES", block_bytes)
+    monkeypatch.setattr(tables, "_BLOCK_BYTES", block_bytes)
     lines = [{"t": number, "x": 1 if number % 2 else 0.5, "pose": [0.0, number]} for number in range(20)]
     lines[3] |= {"note": 'a "quote\nb'}
     text = "".join(f"{json.dumps(line)}\n" for line in lines)
@@ -127,10 +126,10 @@ def test_other_files_are_refused(content: bytes | str, ending: str, words: str) 
 
 
 def test_limits(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(column_tables, "MAX_ROWS", 3)
+    monkeypatch.setattr(tables, "MAX_ROWS", 3)
     with pytest.raises(InputError, match="more than 3 rows"):
         table("a\n" + "1\n" * 4).scan()
-    monkeypatch.setattr(column_tables, "_BLOCK_BYTES", 16)
+    monkeypatch.setattr(tables, "_BLOCK_BYTES", 16)
     for ending, line in ((".csv", "1" * 100), (".jsonl", f'{{"a": {"1" * 100}}}')):
         with pytest.raises(InputError, match="cannot be read as a table"):
             table(f"a\n{line}\n", ending).scan()
@@ -138,22 +137,31 @@ def test_limits(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_types_that_differ_between_blocks_of_json(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(column_tables, "_BLOCK_BYTES", 8)
+    monkeypatch.setattr(tables, "_BLOCK_BYTES", 8)
     with pytest.raises(InputError, match="Field a has incompatible types: int64 vs string"):
         table('{"a": 1}\n{"a": "b"}\n', ".jsonl").scan()
 
 
 def test_switches_after_numbers_are_text(monkeypatch: pytest.MonkeyPatch) -> None:
     """A block ends between them; each block alone would have another type."""
-    monkeypatch.setattr(column_tables, "_BLOCK_BYTES", 8)
+    monkeypatch.setattr(tables, "_BLOCK_BYTES", 8)
     values = ["1"] * 7 + ["true"] * 8
     assert read(table("\n".join(["a", *values]) + "\n")) == {"a": values}
     empty = ["NA"] * 8 + ["true"] * 8
     assert read(table("\n".join(["a", *empty]) + "\n")) == {"a": [None] * 8 + [True] * 8}
 
 
-def test_a_field_holds_as_many_numbers_as_the_file():
-    """The maps of a touch have more characters than the CSV reader of Python accepts by default."""
-    field = " ".join(["0.123456"] * 40_000)
-    table = read_text_table(f"file,map\n0.png,{field}\n".encode(), "index.csv")
-    assert (list(table.names), [list(row) for row in table.rows]) == (["file", "map"], [["0.png", field]])
+def test_a_field_holds_thousands_of_numbers() -> None:
+    """The maps of a touch are a field of a megabyte."""
+    field = " ".join(["0.123456"] * 100_000)
+    assert table(f"file,map\n0.png,{field}\n").whole()["map"].to_pylist() == [field]
+
+
+def test_a_whole_table_keeps_chosen_texts_and_reads_vectors() -> None:
+    found = table('label;x;v;bad\n007; 0,5;"[1, 2.5]";1,5\n 7 ;1,5;[];NA\n8;2;[3];high\n')
+    columns = found.whole(["label"], ["x", "bad"])
+    assert columns["label"].to_pylist() == ["007", "7", "8"]
+    assert columns["x"].to_pylist() == [0.5, 1.5, 2.0]
+    assert columns["v"].to_pylist() == [[1.0, 2.5], [], [3.0]]
+    assert columns["bad"].to_pylist() == ["1.5", None, "high"]
+    assert {name: len(column) for name, column in table("a,b\n").whole().items()} == {"a": 0, "b": 0}

@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from tactile_toolkit import column_types
+from tactile_toolkit.columns import column_types
 
 TEXT, LIST = pa.string(), pa.list_(pa.int64())
 

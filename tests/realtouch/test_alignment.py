@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
-from tactile_toolkit.alignment import TIME_TOLERANCE_S, Neighbours
+from realtouch.importing.streams import TIME_TOLERANCE_S, Neighbours
 
 # Times on a grid are often equal; others hardly ever.
 TIMES = st.lists(st.integers(0, 400).map(lambda number: number / 64), min_size=1, max_size=30)

@@ -1,4 +1,4 @@
-"""Threads for work that waits for disks and networks; and the setup of processes that use a single thread.
+"""The own process: its part of an array of jobs, its threads, memory, processor cores and working folder.
 
 Separate from the runners, because every command imports it and needs no :mod:`multiprocessing`.
 """
@@ -7,17 +7,110 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import sys
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from importlib.abc import MetaPathFinder
+from pathlib import Path
 from types import ModuleType
 from typing import TypeVar
 
-T = TypeVar("T")
-R = TypeVar("R")
+from tactile_toolkit.errors import InputError
 
+T = TypeVar("T")
+_PART = re.compile(r"(?:(?P<index>\d{1,9})|auto)(?:/(?P<count>\d{1,9}))?")
+
+
+@dataclass(frozen=True)
+class Part:
+    """Every ``count``-th shard from number ``index`` on.
+
+    Any number of parts may run at once, on any machines that share the folder; two runs of the same part
+    write the same files. When all parts have ended, a run with ``finish`` completes the data set.
+
+    Parameters
+    ----------
+    index : int
+        Which part, from 0; ``count`` means 0 again, so numbers from 1 work too.
+    count : int
+        Number of parts; other parts of the same data set may have another count.
+
+    Raises
+    ------
+    InputError
+        The part does not exist.
+    """
+
+    index: int
+    count: int
+
+    def __post_init__(self) -> None:
+        if self.count and 0 <= self.index <= self.count:
+            return
+        expected = "at least 1 part"
+        if self.count:
+            expected = f"0 to {self.count - 1} (or 1 to {self.count})"
+        raise InputError(
+            f"--part {self.index}/{self.count}: there is no part {self.index} of {self.count}; expected "
+            f"{expected}; nothing was made",
+            next="number the jobs of the array in this range",
+        )
+
+    def of(self, tasks: Sequence[T]) -> Sequence[T]:
+        """Return the tasks of this part."""
+        return tasks[self.index % self.count :: self.count]
+
+
+def parse_part(text: str, environment: Mapping[str, str] = os.environ) -> Part:
+    """Read ``--part``: ``K/N``, or ``auto`` for the number that Slurm or Kubernetes give to this process.
+
+    ``auto`` takes N from an array that was submitted whole; for a part of an array, give ``auto/N``. Raises
+    InputError for anything else.
+    """
+    match = _PART.fullmatch(text.strip())
+    if match is None or (match["index"] and not match["count"]):
+        raise InputError(
+            f"--part is {text!r}; expected K/N, such as 17/500, with K from 0, or auto, or auto/N"
+        )
+    index, count = (None if match[name] is None else int(match[name]) for name in ("index", "count"))
+    if index is None:
+        index, length = _place_in_array(environment)
+        if count is None:
+            count = length
+    if count is None:
+        found = "neither a whole Slurm array from 0 or 1 on nor JOB_COMPLETION_COUNT"
+        raise InputError(f"--part auto: the number of parts is unknown, {found}", next="give --part auto/N")
+    return Part(index, count)
+
+
+def _place_in_array(environment: Mapping[str, str]) -> tuple[int, int | None]:
+    """Return the number of this process in its array, and the length of an array that was submitted whole."""
+    names = ("ID", "COUNT", "MIN", "MAX")
+    index, count, first, last = (_number(environment, f"SLURM_ARRAY_TASK_{name}") for name in names)
+    if index is not None:
+        is_whole = count is not None and first in (0, 1) and last == first + count - 1
+        return index, count if is_whole else None
+    index = _number(environment, "JOB_COMPLETION_INDEX")
+    if index is None:
+        raise InputError(
+            "--part auto: neither SLURM_ARRAY_TASK_ID nor JOB_COMPLETION_INDEX is a number in the "
+            "environment",
+            next="run it in an array of Slurm or an indexed job of Kubernetes, or give K/N",
+        )
+    return index, _number(environment, "JOB_COMPLETION_COUNT")
+
+
+def _number(environment: Mapping[str, str], name: str) -> int | None:
+    text = environment.get(name, "")
+    if re.fullmatch("[0-9]{1,9}", text):
+        return int(text)
+    return None
+
+
+R = TypeVar("R")
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 
 
@@ -132,3 +225,22 @@ class _NoPandas(MetaPathFinder):
     def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> None:
         if name == "pandas":
             raise ModuleNotFoundError("pandas is hidden in this process", name=name)
+
+
+def usable_cores() -> int:
+    """Return the number of processor cores that this process may use.
+
+    A scheduler, a container or `taskset` may allow fewer cores than the machine has.
+    """
+    count = os.cpu_count() or 1
+    if hasattr(os, "sched_getaffinity"):
+        return min(count, len(os.sched_getaffinity(0)))
+    return count
+
+
+def working_folder() -> Path:
+    """Return the working folder; InputError if it was deleted."""
+    try:
+        return Path.cwd()
+    except FileNotFoundError as error:
+        raise InputError("the working folder was deleted", next="change to a folder that exists") from error
