@@ -14,8 +14,7 @@ from cli.output import Sink
 from mnist3d.digit_options import PROFILES, SolidSize
 from tactile_toolkit import mesh
 from tactile_toolkit.checked_fields import choice, integer, real, switch, text
-from tactile_toolkit.quantities import bytes_text
-from tactile_toolkit.wording import with_count
+from tactile_toolkit.wording import bytes_text, with_count
 
 _DOING = {True: "checking", False: "making"}
 _DONE = {True: "would write", False: "wrote"}

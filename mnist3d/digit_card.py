@@ -12,7 +12,7 @@ import pyarrow.compute as pc
 from mnist3d.digit_records import REPORT_FILE, SUMMED_UP, DigitRow, classes_of
 from mnist3d.kind import KIND
 from mnist3d.sources.picture_folder import FolderSource
-from tactile_toolkit import cards, catalog, kind, parsed_text, shown_text, store
+from tactile_toolkit import cards, catalog, kind, store, wording
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.rows import Column, meanings
 from tactile_toolkit.wording import class_name, with_count
@@ -93,7 +93,7 @@ def _counts(values: pa.ChunkedArray) -> dict[str, int]:
     if pa.types.is_list(flat.type):
         flat = flat.flatten()
     counts = {str(each["values"]): each["counts"] for each in flat.value_counts().to_pylist()}
-    return {value: counts[value] for value in sorted(counts, key=parsed_text.natural_key)}
+    return {value: counts[value] for value in sorted(counts, key=wording.natural_key)}
 
 
 def _spread(values: pa.ChunkedArray) -> tuple[float, ...]:
@@ -149,7 +149,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         things = "drawings"
     columns = store.read_report(folder, REPORT_FILE).column_names
     joined = ", separate pieces bridged" if solid["join_bodies"] else ""
-    title = shown_text.printable(catalog.short_name(folder.address())) if is_own else "MNIST 3D"
+    title = wording.printable(catalog.short_name(folder.address())) if is_own else "MNIST 3D"
     cards.Card(
         template=KIND.card_template,
         title=title,

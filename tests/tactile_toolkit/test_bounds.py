@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from mnist3d.sources.digit_arrays import IMAGES_MAGIC, open_npy, read_idx
-from tactile_toolkit.bounds import UNPACKED_VARIABLE, require_unpackable
+from tactile_toolkit.cache import UNPACKED_VARIABLE, require_unpackable
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import BuildItem, Mesh, read_mesh, write_build
 from tactile_toolkit.read import Shard, ShardedTable
