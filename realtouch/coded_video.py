@@ -1,27 +1,27 @@
 """Videos that FFmpeg decodes (PyAV, extra ``video``): the times of their pictures, and random access to them.
 
-Each picture is decoded from the keyframe before it, so that its bytes do not depend on which others are read.
+Decoding begins at the keyframe before that of a picture, so that its bytes do not depend on which others are
+read.
 """
 
 from __future__ import annotations
 
+import math
 from array import array
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from fractions import Fraction
 from itertools import chain, islice
-from typing import IO, cast
+from typing import IO, NamedTuple, cast
 
 import av
 import numpy as np
 from av import Packet, VideoFrame
-from av.video.reformatter import VideoReformatter
 from av.video.stream import VideoStream
 
 from realtouch.video_files import CUT_SHORT, MAX_PICTURES, Video, kept_jpeg, seconds_of
 from tactile_toolkit import wording
-from tactile_toolkit.array_types import Int64, UInt8
+from tactile_toolkit.array_types import Int64
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS, ImageFormat, encode_image
 
@@ -45,7 +45,7 @@ _OPTIONS = {
 _DECODER_OPTIONS = {"max_pixels": str(MAX_IMAGE_PIXELS), "err_detect": "explode"}
 _BUFFER_BYTES = 1 << 16
 _PICTURES_TRIED = 100  # until one can be decoded
-_PICTURES_PASSED = 32  # a picture this many further on is reached by decoding, one beyond by seeking
+_PICTURES_PASSED = 256  # a picture up to this far on is reached by decoding, one beyond by seeking
 _MAX_READ = 4  # the packets of a file may take this many times its size
 _SPARE_BYTES = 1 << 20
 _MAX_PIXELS = 1 << 40  # of all pictures: an hour of 4096 x 2160 at 30 Hz
@@ -58,70 +58,60 @@ _UPRIGHT = np.array([1 << 16, 0, 0, 0, 1 << 16, 0, 0, 0, 1 << 30], np.int32)
 _TURN = np.array([0, 1, 3, 4])  # entries that turn, mirror or scale the picture; the others move it
 
 
+class _Packets(NamedTuple):
+    """The packets of a video stream.
+
+    Attributes
+    ----------
+    shown_pts : ndarray of int64, shape (m,)
+        Presentation time of each picture that is shown, increasing, in ticks of ``tick_s`` seconds.
+    tick_s : Fraction
+        Time base of the stream, seconds.
+    picture_bytes : int
+        Size of a packet, on average.
+    ends_early : bool
+        Whether the file is cut short.
+    """
+
+    shown_pts: Int64
+    tick_s: Fraction
+    picture_bytes: int
+    ends_early: bool
+
+
 def coded_video(stream: IO[bytes], demuxer: str, is_cut: bool) -> Video:
     """Find the pictures of a video by a demuxer; ``is_cut`` states that the file is known to be truncated."""
     file_bytes = stream.seek(0, 2)
     reader = _Reader(stream, demuxer)
-    packets, ends_early = reader.read_packets(file_bytes)
-    words = reader.check_first(packets)
-    if is_cut or ends_early:
-        words.append(CUT_SHORT)
-    count, pixels = len(packets.shown), reader.video.height * reader.video.width
+    packets = reader.read_packets(file_bytes)
+    count, pixels = len(packets.shown_pts), reader.video.height * reader.video.width
+    notes = reader.check_first()
+    if is_cut or packets.ends_early:
+        notes.append(CUT_SHORT)
     if count * pixels > _MAX_PIXELS:
         raise ItemError(
             "length",
             f"{wording.with_count(count, 'pictures')} of {pixels:,} pixels; the limit is {_MAX_PIXELS:,} "
             "in all",
         )
-    picture_bytes = packets.total_bytes // len(packets.pts)
+    picture_bytes = packets.picture_bytes
     if not reader.is_kept:
         stored = "PNG" if reader.kind == "png" else f"JPEG of quality {JPEG_QUALITY}"
-        words.insert(0, f"{reader.codec} decoded, stored as {stored}")
+        notes.insert(0, f"{reader.codec} decoded, stored as {stored}")
         picture_bytes = int(_BYTES_PER_PIXEL[reader.kind] * pixels)
 
     def read(stream: IO[bytes], numbers: Iterable[int]) -> Iterator[bytes | ItemError]:
-        return _Reader(stream, demuxer).pictures(packets, numbers)
+        return _Reader(stream, demuxer).pictures(packets.shown_pts, numbers)
 
-    return Video(seconds_of(packets.shown_pts, packets.tick_s), picture_bytes, ", ".join(words), read)
-
-
-@dataclass(frozen=True, eq=False)
-class _Packets:
-    """The packets of a video stream, numbered in the order of the file.
-
-    Attributes
-    ----------
-    pts : ndarray of int64, shape (n,)
-        Presentation time of each packet, in ticks of ``tick_s`` seconds.
-    shown, shown_pts : ndarray of int64, shape (m,)
-        Packets whose pictures are shown, in the order of presentation, and their times.
-    keys, key_pts : ndarray of int64, shape (k,)
-        Packets of keyframes, from which decoding can begin, and their times.
-    tick_s : Fraction
-        Time base of the stream, seconds.
-    total_bytes : int
-        Size of all packets.
-    """
-
-    pts: Int64
-    shown: Int64
-    shown_pts: Int64
-    keys: Int64
-    key_pts: Int64
-    tick_s: Fraction
-    total_bytes: int
-
-    def key_of(self, number: int) -> int:
-        """Return the group of a picture: the index of the last keyframe that is not shown after it."""
-        return max(0, int(np.searchsorted(self.key_pts, self.shown_pts[number], "right")) - 1)
+    return Video(seconds_of(packets.shown_pts, packets.tick_s), picture_bytes, ", ".join(notes), read)
 
 
 class _Reader:
     """The video stream of a file, which must have exactly one, and its decoder."""
 
     def __init__(self, stream: IO[bytes], demuxer: str) -> None:
-        self._stream, self._demuxer = stream, demuxer
-        self._reformatter = VideoReformatter()
+        self._stream = stream
+        self._demuxer = demuxer
         self.open()
         self.codec = self.video.codec_context.codec.canonical_name
         if self.codec not in (*_LOSSLESS, *_LOSSY):
@@ -165,157 +155,117 @@ class _Reader:
                 raise _untimed()
             yield packet
 
-    def read_packets(self, file_bytes: int) -> tuple[_Packets, bool]:
-        """Read all packets without decoding them; return them, and whether the file ends early."""
-        pts, shown, keys = array("q"), array("q"), array("q")
-        total_bytes, is_cut = 0, False
+    def read_packets(self, file_bytes: int) -> _Packets:
+        """Read all packets without decoding them."""
+        shown = array("q")
+        number = total_bytes = 0
+        is_cut = False
         try:
-            for number, packet in enumerate(self._packets()):
+            for number, packet in enumerate(self._packets(), 1):
                 total_bytes += packet.size
-                if number >= MAX_PICTURES or total_bytes > _MAX_READ * file_bytes + _SPARE_BYTES:
+                if number > MAX_PICTURES or total_bytes > _MAX_READ * file_bytes + _SPARE_BYTES:
                     raise ItemError(
                         "length",
                         f"{number:,} pictures or more, which take {total_bytes:,} bytes; "
                         f"the limits are {MAX_PICTURES:,} and {_MAX_READ} times the size of the file",
                     )
-                pts.append(cast(int, packet.pts))
                 is_cut = packet.is_corrupt
                 if not packet.is_discard:
-                    shown.append(number)
-                if packet.is_keyframe:
-                    keys.append(number)
+                    shown.append(cast(int, packet.pts))
         except av.FFmpegError:
             is_cut = True
-        times, order, starts = (np.frombuffer(each, np.int64) for each in (pts, shown, keys))
-        order = order[np.argsort(times[order], kind="stable")]
-        if not len(order) or not len(starts):
+        shown_pts = np.sort(np.frombuffer(shown, np.int64))
+        if not len(shown_pts):
             raise ItemError("length", "a video without pictures from which decoding could begin")
-        same = int(np.count_nonzero(np.diff(times[order]) == 0))
+        same = int(np.count_nonzero(np.diff(shown_pts) == 0))
         if same:
             raise ItemError(
                 "time", f"{same:,} pictures are shown at the same time as another; expected increasing times"
             )
         tick_s = Fraction(cast(Fraction, self.video.time_base))
-        return _Packets(times, order, times[order], starts, times[starts], tick_s, total_bytes), is_cut
+        return _Packets(shown_pts, tick_s, total_bytes // number, is_cut)
 
-    def check_first(self, packets: _Packets) -> list[str]:
+    def check_first(self) -> list[str]:
         """Decode the first picture; return the changes that are made to pictures, as text.
 
         Raises ItemError if none can be decoded, if 8 bits would lose most of it, or if it must be turned.
         """
-        run = _Run(self, packets, 0, _PICTURES_TRIED, is_kept=False)
-        if run.frame is None:
+        frames = list(self._decoded(islice(self._first_packets(), _PICTURES_TRIED)))
+        if not frames:
             raise ItemError(
                 "frame", f"none of the first {_PICTURES_TRIED} pictures can be decoded ({self.codec})"
             )
-        first = cast("VideoFrame", run.frame)
-        words = [] if self.is_kept else _words_of(first)
-        _require_upright(first)
-        if self._demuxer == "avi":
-            at = [cast(int, each.pts) for each in chain([first], run.frames)]
-            if at != sorted(at) and not run.damaged:
-                raise _untimed()
-        return words
+        _require_upright(frames[0])
+        at = [cast(int, each.pts) for each in frames]
+        if self._demuxer == "avi" and at != sorted(at):
+            raise _untimed()
+        return [] if self.is_kept else _changes_of(frames[0])
 
-    def packets_from(self, packets: _Packets, key: int) -> Iterator[Packet[VideoStream]]:
-        """Yield the packets from a keyframe on; ``key`` is its index in ``packets.keys``."""
-        place, at = int(packets.keys[key]), int(packets.key_pts[key])
-        if key > 1:  # seek one keyframe early: some demuxers seek by decoding time
-            with suppress(av.FFmpegError):
-                self._container.seek(int(packets.key_pts[key - 1]), stream=self.video)
-                rest = self._packets()
-                first = next((each for each in rest if each.is_keyframe and cast(int, each.pts) >= at), None)
-                if first is not None and first.pts == at:
-                    return chain([first], rest)
+    def _first_packets(self) -> Iterator[Packet[VideoStream]]:
         self.open()
-        return islice(self._packets(), place, None)
+        return self._packets()
 
-    def pictures(self, packets: _Packets, numbers: Iterable[int]) -> Iterator[bytes | ItemError]:
+    def _packets_before(self, pts: int) -> Iterator[Packet[VideoStream]]:
+        """Yield the packets from the keyframe before that of a picture on, or all where seeking fails.
+
+        One keyframe is not enough: with intra refresh pictures build up gradually, and with open groups they
+        refer to pictures before the keyframe.
+        """
+        with suppress(av.FFmpegError):
+            for _ in range(2):
+                self._container.seek(pts, stream=self.video)
+                rest = self._packets()
+                first = next((each for each in rest if each.is_keyframe), None)
+                if first is None or cast(int, first.pts) > pts:
+                    return self._first_packets()
+                pts = cast(int, first.pts) - 1
+            return chain([cast("Packet[VideoStream]", first)], rest)
+        return self._first_packets()
+
+    def _decoded(self, packets: Iterable[Packet[VideoStream]]) -> Iterator[VideoFrame]:
+        """Decode packets in sequence; what depends on a damaged packet is left out, up to a keyframe."""
+        decoder = self.video.codec_context
+        if decoder.is_open:
+            decoder.flush_buffers()
+        intact_from = -math.inf
+        lost: set[int] = set()
+        for packet in packets:
+            pts, frames = cast(int, packet.pts), list[VideoFrame]()
+            if packet.is_keyframe:
+                intact_from = min(intact_from, pts)
+            try:
+                frames = decoder.decode(packet)
+            except av.FFmpegError:
+                intact_from = math.inf
+            if packet.is_corrupt:
+                intact_from = math.inf
+            if pts < intact_from:
+                lost.add(pts)
+            yield from (each for each in frames if each.pts not in lost)
+        with suppress(av.FFmpegError):
+            yield from (each for each in decoder.decode(None) if each.pts not in lost)
+
+    def pictures(self, shown_pts: Int64, numbers: Iterable[int]) -> Iterator[bytes | ItemError]:
         """Yield the pictures of these numbers, encoded; increasing numbers are decoded without seeking."""
-        run = None
+        frames: Iterator[VideoFrame | Packet[VideoStream]] = iter(())
+        frame: VideoFrame | Packet[VideoStream] | None = None
+        last = -1 - _PICTURES_PASSED
         for number in numbers:
-            key = packets.key_of(number)
-            if run is None or not run.reaches(number, key):
-                run = _Run(self, packets, key)
-            frame = run.picture(number, key)
-            if frame is None:
+            wanted = int(shown_pts[number])
+            if not 0 < number - last <= _PICTURES_PASSED:
+                packets = self._packets_before(wanted)
+                frames = packets if self.is_kept else self._decoded(packets)
+                frame = next(frames, None)
+            last = number
+            while frame is not None and cast(int, frame.pts) < wanted:
+                frame = next(frames, None)
+            if frame is None or frame.pts != wanted or frame.is_corrupt:
                 yield ItemError("frame", _LOST)
             elif self.is_kept:
                 yield kept_jpeg(bytes(cast("Packet[VideoStream]", frame)))
             else:
-                yield encode_image(self._pixels(cast("VideoFrame", frame)), self.kind, JPEG_QUALITY)
-
-    def _pixels(self, frame: VideoFrame) -> UInt8:
-        """Return a picture as RGB, shape (H, W, 3)."""
-        scaled = self._reformatter.reformat(frame, format="rgb24", interpolation=_SCALING)
-        return np.asarray(scaled.to_ndarray(), np.uint8)
-
-
-class _Run:
-    """Pictures decoded in sequence, or packets kept as they are, from the keyframe before a group on.
-
-    Decoding begins one keyframe earlier because pictures after the first one may be incomplete: with intra
-    refresh they build up gradually, and with open groups they refer to pictures before the keyframe.
-    ``damaged`` are the packets of this and later groups that could not be decoded.
-    """
-
-    def __init__(
-        self,
-        reader: _Reader,
-        packets: _Packets,
-        key: int,
-        count: int = MAX_PICTURES,
-        is_kept: bool | None = None,
-    ) -> None:
-        self._packets, self._key, self._last, self.damaged = packets, key, -1, array("q")
-        start = max(0, key - 1)
-        numbers = range(int(packets.keys[start]), len(packets.pts))[:count]
-        found = zip(numbers, reader.packets_from(packets, start), strict=False)
-        if is_kept is None:
-            is_kept = reader.is_kept
-        if is_kept:
-            self.frames: Iterator[VideoFrame | Packet[VideoStream]] = (packet for _, packet in found)
-        else:
-            self.frames = self._decoded(reader, found, int(packets.keys[key]))
-        self.frame = next(self.frames, None)
-
-    def _decoded(
-        self, reader: _Reader, found: Iterable[tuple[int, Packet[VideoStream]]], counted_from: int
-    ) -> Iterator[VideoFrame]:
-        decoder = reader.video.codec_context
-        if decoder.is_open:
-            decoder.flush_buffers()
-        for number, packet in found:
-            frames: list[VideoFrame] | None = None
-            if not packet.is_corrupt:
-                with suppress(av.FFmpegError):
-                    frames = decoder.decode(packet)
-            if frames is None and number >= counted_from:
-                self.damaged.append(number)
-            yield from frames or ()
-        with suppress(av.FFmpegError):
-            yield from decoder.decode(None)
-
-    def reaches(self, number: int, key: int) -> bool:
-        """Return whether going on gives the same picture as decoding from the keyframe before its group."""
-        if number <= self._last or (self.damaged and key != self._key):
-            return False
-        return key <= self._key + 1 or number - self._last <= _PICTURES_PASSED
-
-    def picture(self, number: int, key: int) -> VideoFrame | Packet[VideoStream] | None:
-        """Return a picture; None for one that is damaged, or depends on a damaged one."""
-        packets = self._packets
-        wanted = int(packets.shown_pts[number])
-        place = int(packets.shown[number])
-        start = int(packets.keys[key])
-        self._last, self._key = number, key
-        while self.frame is not None and cast(int, self.frame.pts) < wanted:
-            self.frame = next(self.frames, None)
-        # Pictures shown before a keyframe refer to packets before it, and later ones do not refer to them.
-        is_lost = any(start <= at <= place and packets.pts[at] >= packets.pts[start] for at in self.damaged)
-        if is_lost or self.frame is None or cast(int, self.frame.pts) > wanted or self.frame.is_corrupt:
-            return None
-        return self.frame
+                pixels = cast("VideoFrame", frame).to_ndarray(format="rgb24", interpolation=_SCALING)
+                yield encode_image(np.asarray(pixels, np.uint8), self.kind, JPEG_QUALITY)
 
 
 def _untimed() -> ItemError:
@@ -339,7 +289,7 @@ def _require_upright(frame: VideoFrame) -> None:
         )
 
 
-def _words_of(frame: VideoFrame) -> list[str]:
+def _changes_of(frame: VideoFrame) -> list[str]:
     """Return the changes to pictures of this format, as text; ItemError if 8 bits would lose most of them."""
     parts = frame.format.components
     bits = max(each.bits for each in parts)
