@@ -67,9 +67,9 @@ BENCHMARKS = {
     "starstruck": Benchmark(("starstruck_gen", *_STORE)),
     "real_touches": Benchmark(
         (
-            "realtouch/touch_clips.py",
-            "realtouch/stored_columns.py",
-            "realtouch/touch_dataset.py",
+            "realtouch/media.py",
+            "realtouch/stored_round.py",
+            "realtouch/datasets.py",
             "tactile_toolkit/touch",
             *_READ,
         )

@@ -10,7 +10,7 @@ import typer
 
 import realtouch
 from cli import application, options, output
-from realtouch import finding, touch_options
+from realtouch import damage, touch_options
 from tactile_toolkit import catalog, pictures, store
 from tactile_toolkit.checked_fields import choice, text
 from tactile_toolkit.errors import InputError
@@ -94,7 +94,7 @@ def _report(
     for each in findings:
         sink.warn(f"{each.rule} in {each.where}: {each.found}; expected {each.expected}")
         named = ", ".join(each.touches)
-        if len(each.touches) == finding.MAX_NAMED:
+        if len(each.touches) == damage.MAX_NAMED:
             named = f"{named}, ..."
         if each.count:
             sink.warn(f"  {with_count(each.count, 'touches')}: {named}")

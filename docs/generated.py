@@ -56,7 +56,7 @@ SHARED = (
     "tactile_toolkit.read.RecordDataset",
     "tactile_toolkit.store.Progress",
     "tactile_toolkit.store.RunOptions",
-    "realtouch.sensor_images.MAX_BATCH_PIXELS",
+    "realtouch.media.MAX_BATCH_PIXELS",
 )
 """What users inherit from several packages, and what public names refer to."""
 

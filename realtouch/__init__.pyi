@@ -21,10 +21,13 @@ from .convert.media_conversions import (
 from .convert.picture_files import frames as frames
 from .convert.reading_depth import add_depth as add_depth
 from .convert.selection import select as select
-from .finding import RecordingFinding as RecordingFinding
+from .damage import RecordingFinding as RecordingFinding
 from .faults.check_results import CheckResult as CheckResult
 from .faults.checking import check as check
-from .depth_maps import DepthMaps as DepthMaps
+from .media import (
+    DepthMaps as DepthMaps,
+    TouchClip as TouchClip,
+)
 from .exchange.exporting import export as export
 from .importing.import_preview import ImportPreview as ImportPreview, preview_import as preview_import
 from .importing.import_shards import NOT_IMPORTED as NOT_IMPORTED
@@ -32,6 +35,7 @@ from .importing.touch_import import CONVERSION as CONVERSION, import_touches as 
 from .opening import SHORT_NAMES as SHORT_NAMES, load as load
 from .poses import Poses as Poses, PoseSequences as PoseSequences
 from .rounds import (
+    Touch as Touch,
     TouchRound as TouchRound,
     TouchSeqRound as TouchSeqRound,
     TouchSingleRound as TouchSingleRound,
@@ -41,17 +45,15 @@ from .summary import (
     paper_numbers as paper_numbers,
     summarise as summarise,
 )
-from .touch import Touch as Touch
-from .touch_clips import TouchClip as TouchClip
-from .touch_dataset import (
+from .datasets import (
+    dataset_of as dataset_of,
     TouchDataset as TouchDataset,
+    Touches as Touches,
     TouchSeqDataset as TouchSeqDataset,
     TouchSingleDataset as TouchSingleDataset,
     TouchStream as TouchStream,
-    dataset_of as dataset_of,
 )
 from .importing.import_columns import ImportColumns as ImportColumns
-from .touches import Touches as Touches
 from .verification import TouchVerification as TouchVerification, verify as verify
 
 __version__: str

@@ -8,9 +8,9 @@ from itertools import islice
 
 import numpy as np
 
-from realtouch import contact_picture, rounds, schema, sensor_images, touch_clips
+from realtouch import contact_picture, media, rounds, schema
 from realtouch.contact import ContactHeight
-from realtouch.touches import AnyTouches, Touches, with_no_contact
+from realtouch.datasets import AnyTouches, Touches, with_no_contact
 from tactile_toolkit.array_types import Bool, Float64, Int64, UInt8
 from tactile_toolkit.errors import InputError
 
@@ -65,7 +65,7 @@ def _batches(pictures: object) -> Iterator[UInt8]:
     """Yield pictures a few at a time, shape (n, H, W, 3)."""
     if isinstance(pictures, rounds.TouchSingleRound):
         pictures = pictures.sensor_image
-    if isinstance(pictures, (touch_clips.TouchClip, sensor_images.SensorImages)):
+    if isinstance(pictures, (media.TouchClip, media.SensorImages)):
         yield from _pieces(len(pictures), pictures.__getitem__)
     elif isinstance(pictures, rounds.TouchSeqRound):
         for clip in pictures.sensor_video:
@@ -91,7 +91,7 @@ def _pieces(count: int, read: Callable[[slice], UInt8]) -> Iterator[UInt8]:
 
 
 def best_frame(
-    clip: touch_clips.TouchClip | UInt8,
+    clip: media.TouchClip | UInt8,
     rule: contact_picture.ContactRule | None = None,
     *,
     base: UInt8 | None = None,
@@ -120,7 +120,7 @@ def best_frame(
     IntegrityError
         A frame is damaged.
     """
-    if not isinstance(clip, touch_clips.TouchClip):
+    if not isinstance(clip, media.TouchClip):
         return contact_picture.best_of(contact_picture.as_pictures(clip), rule, base)
     pieces = list(islice(_batches(clip), 2)) or [clip.frames()]
     if len(pieces) == 1:
@@ -251,7 +251,7 @@ def _measure_clips(
         frame[index], found = best_frame(touches[index].clip, rule)
         score.area_px[index], score.intensity[index] = found.area_px, found.intensity
 
-    sensor_images.in_parallel(measure, len(touches), threads)
+    media.in_parallel(measure, len(touches), threads)
 
 
 def _measure_images(
@@ -277,4 +277,4 @@ def _measure_images(
             score.area_px[part], score.intensity[part] = found.area_px, found.intensity
             done += len(images)
 
-    sensor_images.in_parallel(measure, len(by_round), threads)
+    media.in_parallel(measure, len(by_round), threads)

@@ -7,71 +7,9 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import partial
 
-from realtouch import schema, sensor_images, stored_columns, stored_round, touch_clips
+from realtouch import damage, media, schema, stored_round
 from tactile_toolkit import catalog, errors, read, run, wording
-from tactile_toolkit.touch import CLASS_NAMES, MEDIA_COLUMN, decode_image, image_size
-
-_NAMES_SHOWN = 12
-
-
-def agreeing_files(
-    shards: Iterable[read.Shard], where: str, left_out: list[stored_columns.Damage] | None = None
-) -> list[read.Shard]:
-    """Return the files of a data set that can be read and agree with the first of them.
-
-    The damage of the other files is added to ``left_out``. Without such a list it is raised: InputError for a
-    file without touches, IntegrityError for a file that is damaged or differs.
-    """
-    files: list[read.Shard] = []
-    for shard in shards:
-        try:
-            if not files:
-                schema.media_kind(shard.schema, where)
-            schema.require_types(shard)
-            if files:
-                _require_agreement(shard, files)
-            files.append(shard)
-        except (errors.InputError, errors.IntegrityError) as error:
-            if left_out is None or (isinstance(error, errors.InputError) and not files):
-                raise
-            left_out.append(stored_columns.unreadable_file(shard.path, error))
-    return files
-
-
-def _require_agreement(shard: read.Shard, files: Sequence[read.Shard]) -> None:
-    """Refuse a file of another kind, or with other classes, than those before it; IntegrityError."""
-    first = schema.media_kind(files[0].schema, files[0].path)
-    if schema.media_kind(shard.schema, shard.path) != first:
-        raise errors.IntegrityError(
-            f"{shard.path!r}, field {MEDIA_COLUMN[first]!r}: the column is not there; expected it as in "
-            f"{files[0].path!r}",
-            next="open files of one data set together",
-        )
-    names, expected = shard.class_names, stated_class_names(files)
-    if names is not None and expected is not None and names != expected:
-        found, wanted = (", ".join(each[:_NAMES_SHOWN]) for each in (names, expected))
-        raise errors.IntegrityError(
-            f"{shard.path!r}, field 'label': the classes are named {found}; expected {wanted} as in the "
-            "files before it",
-            next="open them apart, or make them again",
-        )
-
-
-def stated_class_names(shards: Iterable[read.RowSource]) -> tuple[str, ...] | None:
-    """Return the names of the classes of the first file that states any, or None."""
-    return next((shard.class_names for shard in shards if shard.class_names is not None), None)
-
-
-def class_names_of(shards: Iterable[read.RowSource]) -> tuple[str, ...]:
-    """Return the names of the classes as the first file states them, or else those of the digits.
-
-    Empty for data sets without labels.
-    """
-    files = list(shards)
-    stated = stated_class_names(files)
-    if stated is None and any("label" in shard.schema.names for shard in files):
-        return CLASS_NAMES
-    return stated or ()
+from tactile_toolkit.touch import MEDIA_COLUMN, decode_image, image_size
 
 
 def modal_touch_count(shards: Sequence[read.Shard]) -> int | None:
@@ -96,16 +34,16 @@ def checked_rows(
     *,
     decode: bool = True,
     workers: int = 1,
-) -> Iterator[tuple[stored_round.StoredRound | None, list[stored_columns.Damage]]]:
+) -> Iterator[tuple[stored_round.StoredRound | None, list[damage.Damage]]]:
     """Yield all rows of row groups with the faults of each; None for unreadable rows.
 
     Arguments are as for :func:`check_round`; the result does not depend on the number of threads.
     """
 
     def checked(
-        found: stored_round.StoredRound | stored_columns.Damage,
-    ) -> tuple[stored_round.StoredRound | None, list[stored_columns.Damage]]:
-        if isinstance(found, stored_columns.Damage):
+        found: stored_round.StoredRound | damage.Damage,
+    ) -> tuple[stored_round.StoredRound | None, list[damage.Damage]]:
+        if isinstance(found, damage.Damage):
             return None, [found]
         return found, check_round(found, expected_touches, decode=decode, class_names=class_names)
 
@@ -114,13 +52,13 @@ def checked_rows(
 
 def readable_rows(
     groups: Iterable[tuple[read.Shard, int]],
-) -> Iterator[stored_round.StoredRound | stored_columns.Damage]:
+) -> Iterator[stored_round.StoredRound | damage.Damage]:
     """Yield all rows; the damage stands for rows that cannot be read."""
     for shard, index in groups:
         try:
             yield from stored_round.rows_of(shard.blocks(index))
         except errors.IntegrityError as error:
-            yield stored_columns.unreadable_rows(shard, index, error)
+            yield damage.unreadable_rows(shard, index, error)
 
 
 def check_round(
@@ -129,13 +67,13 @@ def check_round(
     *,
     decode: bool = True,
     class_names: Sequence[str] | None = None,
-) -> list[stored_columns.Damage]:
+) -> list[damage.Damage]:
     """List the damage of one round: one entry per field of it, and one per field of each touch.
 
     ``expected_touches`` is the T that it must have, where that is known; the label must be one of
     ``class_names``, where those are stated. Without ``decode``, only headers of images and frames are read.
     """
-    found: list[stored_columns.Damage] = []
+    found: list[damage.Damage] = []
     noted = partial(_noted, found, row)
     scalars: dict[str, Callable[[], object]] = {
         "id": row.name,
@@ -157,7 +95,7 @@ def check_round(
     count = row.touch_total()
     if expected_touches is not None and count != expected_touches:
         found.append(
-            stored_columns.Damage(
+            damage.Damage(
                 row.path,
                 row.number,
                 None,
@@ -200,16 +138,16 @@ def _check_touches(
 
 
 @contextmanager
-def _noted(found: list[stored_columns.Damage], row: stored_round.StoredRound) -> Iterator[None]:
+def _noted(found: list[damage.Damage], row: stored_round.StoredRound) -> Iterator[None]:
     """Add the damage to a list instead of raising it."""
     try:
         yield
-    except stored_columns.DamagedRoundError as error:
+    except damage.DamagedRoundError as error:
         found.append(error.damage)
     except (errors.InputError, errors.IntegrityError) as error:
-        found.append(stored_columns.Damage(row.path, row.number, None, "", error.what))
+        found.append(damage.Damage(row.path, row.number, None, "", error.what))
     except ValueError as error:
-        found.append(stored_columns.Damage(row.path, row.number, None, "", str(error)))
+        found.append(damage.Damage(row.path, row.number, None, "", str(error)))
 
 
 def _decoded_size(data: bytes | memoryview) -> tuple[int, int]:
@@ -227,12 +165,12 @@ def _image_size(
 ) -> tuple[int, ...]:
     """Return height and width of an image."""
     with row.naming("sensor_image", touch):
-        return size_of(sensor_images.SensorImages(row).encoded(touch))
+        return size_of(media.SensorImages(row).encoded(touch))
 
 
 def _clip_size(row: stored_round.StoredRound, touch: int, size_of: _SizeOf, noted: _Noted) -> tuple[int, ...]:
     """Return height and width of all frames of a clip; empty for a clip without frames."""
-    clip = touch_clips.TouchClip(row, touch)
+    clip = media.TouchClip(row, touch)
     with noted():
         if row.has("touch_start_time_rel") and row.has("touch_end_time_rel"):
             _ = clip.contact_window
@@ -250,13 +188,13 @@ def _clip_size(row: stored_round.StoredRound, touch: int, size_of: _SizeOf, note
 
 def _odd_sizes(
     row: stored_round.StoredRound, sizes: dict[int, tuple[int, ...]], media: str
-) -> Iterator[stored_columns.Damage]:
+) -> Iterator[damage.Damage]:
     """List the touches whose pictures differ in size from most of the round; on a tie, from the first."""
     known = {touch: size for touch, size in sizes.items() if size}
     modal = max(known.values(), key=list(known.values()).count, default=())
     for touch, size in known.items():
         if size != modal:
-            yield stored_columns.Damage(
+            yield damage.Damage(
                 row.path,
                 row.number,
                 touch,

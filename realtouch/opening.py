@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Literal, overload
 
-from realtouch import integrity, kind, schema, touch_dataset
-from tactile_toolkit import places
+from realtouch import damage, datasets, kind, schema
+from tactile_toolkit import errors, places, read
+from tactile_toolkit.touch import MEDIA_COLUMN
+
+_NAMES_SHOWN = 12
 
 SHORT_NAMES = {
     name: entry.repo_id.partition("/")[2]
@@ -24,7 +27,7 @@ def load(
     revision: str | None = None,
     *,
     config: str | None = None,
-) -> touch_dataset.TouchSeqDataset | touch_dataset.TouchSingleDataset: ...
+) -> datasets.TouchSeqDataset | datasets.TouchSingleDataset: ...
 @overload
 def load(
     name: places.Name | places.Place | Sequence[places.Name],
@@ -33,7 +36,7 @@ def load(
     streaming: Literal[True],
     revision: str | None = None,
     config: str | None = None,
-) -> touch_dataset.TouchStream: ...
+) -> datasets.TouchStream: ...
 @overload
 def load(
     name: places.Name | places.Place | Sequence[places.Name],
@@ -42,7 +45,7 @@ def load(
     revision: str | None = None,
     *,
     config: str | None = None,
-) -> touch_dataset.TouchSeqDataset | touch_dataset.TouchSingleDataset | touch_dataset.TouchStream: ...
+) -> datasets.TouchSeqDataset | datasets.TouchSingleDataset | datasets.TouchStream: ...
 def load(
     name: places.Name | places.Place | Sequence[places.Name],
     split: str | None = None,
@@ -50,7 +53,7 @@ def load(
     revision: str | None = None,
     *,
     config: str | None = None,
-) -> touch_dataset.TouchSeqDataset | touch_dataset.TouchSingleDataset | touch_dataset.TouchStream:
+) -> datasets.TouchSeqDataset | datasets.TouchSingleDataset | datasets.TouchStream:
     """Open a data set of real touches.
 
     Parameters
@@ -83,7 +86,50 @@ def load(
         The repository cannot be reached or does not exist.
     """
     place = places.open_place(name, revision=revision, config=config)
-    files = integrity.agreeing_files(place.shards(split, kind=kind.KIND, streaming=streaming), place.name)
+    files = agreeing_files(place.shards(split, kind=kind.KIND, streaming=streaming), place.name)
     if streaming:
-        return touch_dataset.TouchStream(tuple(files), schema.media_kind(files[0].schema, files[0].path))
-    return touch_dataset.dataset_of(files)
+        return datasets.TouchStream(tuple(files), schema.media_kind(files[0].schema, files[0].path))
+    return datasets.dataset_of(files)
+
+
+def agreeing_files(
+    shards: Iterable[read.Shard], where: str, left_out: list[damage.Damage] | None = None
+) -> list[read.Shard]:
+    """Return the files of a data set that can be read and agree with the first of them.
+
+    The damage of the other files is added to ``left_out``. Without such a list it is raised: InputError for a
+    file without touches, IntegrityError for a file that is damaged or differs.
+    """
+    files: list[read.Shard] = []
+    for shard in shards:
+        try:
+            if not files:
+                schema.media_kind(shard.schema, where)
+            schema.require_types(shard)
+            if files:
+                _require_agreement(shard, files)
+            files.append(shard)
+        except (errors.InputError, errors.IntegrityError) as error:
+            if left_out is None or (isinstance(error, errors.InputError) and not files):
+                raise
+            left_out.append(damage.unreadable_file(shard.path, error))
+    return files
+
+
+def _require_agreement(shard: read.Shard, files: Sequence[read.Shard]) -> None:
+    """Refuse a file of another kind, or with other classes, than those before it; IntegrityError."""
+    first = schema.media_kind(files[0].schema, files[0].path)
+    if schema.media_kind(shard.schema, shard.path) != first:
+        raise errors.IntegrityError(
+            f"{shard.path!r}, field {MEDIA_COLUMN[first]!r}: the column is not there; expected it as in "
+            f"{files[0].path!r}",
+            next="open files of one data set together",
+        )
+    names, expected = shard.class_names, schema.stated_class_names(files)
+    if names is not None and expected is not None and names != expected:
+        found, wanted = (", ".join(each[:_NAMES_SHOWN]) for each in (names, expected))
+        raise errors.IntegrityError(
+            f"{shard.path!r}, field 'label': the classes are named {found}; expected {wanted} as in the "
+            "files before it",
+            next="open them apart, or make them again",
+        )

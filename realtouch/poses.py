@@ -166,3 +166,27 @@ def bad_pose(position_m: AnyArray, quaternion: AnyArray) -> tuple[int, str] | No
             f"a pose that is not finite: position {position_m[index]}, quaternion {quaternion[index]}"
         )
     return index, f"a quaternion of length {float(np.sqrt(squares[index])):.4g}; expected length one"
+
+
+def pose_of(position_m: object, quaternion: object) -> Pose | Poses:
+    """Make the pose of a stored position and quaternion, or the poses of lists of them.
+
+    Raises ValueError for anything else than one or several poses.
+    """
+    try:
+        positions = np.asarray(position_m, np.float64)
+        quaternions = np.asarray(quaternion, np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            "values that are not numbers, or vectors of several lengths; expected a pose's numbers"
+        ) from error
+    outer = positions.shape[:-1]
+    if len(outer) > 1 or positions.shape != (*outer, 3) or quaternions.shape != (*outer, 4):
+        raise ValueError(
+            f"position {positions.shape} and quaternion {quaternions.shape}; "
+            "expected (3,) and (4,), or (n, 3) and (n, 4)"
+        )
+    wrong = bad_pose(positions.reshape(-1, 3), quaternions.reshape(-1, 4))
+    if wrong is not None:  # one invalid pose makes the metadata of the round unreadable
+        raise ValueError(f"pose {wrong[0]}: {wrong[1]}" if outer else wrong[1])
+    return Poses(positions, quaternions) if outer else rigid_transform(positions, quaternions)

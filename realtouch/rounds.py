@@ -1,30 +1,32 @@
-"""Rounds: typed, frozen records of all touches of one object."""
+"""Rounds, typed records of all touches of one object, and single touches."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import hashlib
+from collections.abc import Callable, Collection, Sequence
+from contextlib import suppress
 from functools import partial
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 
-from realtouch import (
-    contact,
-    depth_maps,
-    extras,
-    picture_views,
-    poses,
-    schema,
-    sensor_images,
-    stored_round,
-    touch_clips,
-)
+from realtouch import contact, media, picture_views, poses, schema, stored_round
 from tactile_toolkit import errors, read, system, wording
-from tactile_toolkit.array_types import Floating, Int64, UInt8
+from tactile_toolkit.array_types import Float32, Floating, Int64, UInt8
 from tactile_toolkit.json_types import JsonDict
 
+if TYPE_CHECKING:
+    from datasets import Dataset
+
+    from realtouch.pose import Pose
+
+
 _MAX_THREADS = 4
+
+INDEX = "touch_index"
+"""Column of the number of a touch in its round, in tables of touches."""
 
 
 class TouchRound(read.Record):
@@ -58,14 +60,14 @@ class TouchRound(read.Record):
         return dict(self._once("info", lambda: self.row.read_info()))
 
     @property
-    def extra(self) -> extras.Extras:
+    def extra(self) -> schema.Extras:
         """Further columns by their own names, such as ``extra["force_n"]``; each is read on first use.
 
         A column with an entry per touch is an array of shape (T,), or (T, k) of vectors; one with an entry
         per frame is a tuple of T arrays, shapes (N_i,) or (N_i, k). Missing values are NaN, or None for texts
         and booleans; integers with missing values are floats.
         """
-        return extras.Extras(tuple(schema.extra_columns(self.row.group.names)), self._extra)
+        return schema.Extras(tuple(schema.extra_columns(self.row.group.names)), self._extra)
 
     def _extra(self, name: str) -> object:
         return self._once(f"extra {name}", lambda: self.row.extra_values(name))
@@ -149,26 +151,24 @@ class TouchSingleRound(TouchRound):
         return self._once("gel_pose_cell_frame", lambda: self.row.poses())
 
     @property
-    def sensor_image(self) -> sensor_images.SensorImages:
+    def sensor_image(self) -> media.SensorImages:
         """Images, T of them, decoded on demand: int -> (H, W, 3) uint8, else (n, H, W, 3)."""
 
-        def images() -> sensor_images.SensorImages:
+        def images() -> media.SensorImages:
             self.row.entries_of("sensor_image")  # refuses a round with more or less than T images
-            return sensor_images.SensorImages(self.row)
+            return media.SensorImages(self.row)
 
         return self._once("sensor_image", images)
 
     @property
-    def depth_m(self) -> depth_maps.DepthMaps:
+    def depth_m(self) -> media.DepthMaps:
         """Maps of how far the gel is pressed in, T of them, metres, in sets that `realtouch depth` wrote."""
-        return self._once(depth_maps.DEPTH, lambda: depth_maps.DepthMaps(self.row, depth_maps.DEPTH))
+        return self._once(media.DEPTH, lambda: media.DepthMaps(self.row, media.DEPTH))
 
     @property
-    def depth_error_m(self) -> depth_maps.DepthMaps:
+    def depth_error_m(self) -> media.DepthMaps:
         """Maps of the expected error of :attr:`depth_m`, T of them, metres."""
-        return self._once(
-            depth_maps.DEPTH_ERROR, lambda: depth_maps.DepthMaps(self.row, depth_maps.DEPTH_ERROR)
-        )
+        return self._once(media.DEPTH_ERROR, lambda: media.DepthMaps(self.row, media.DEPTH_ERROR))
 
     def contact_image(self, touch: int) -> UInt8:
         """As :meth:`TouchRound.contact_image`."""
@@ -210,9 +210,9 @@ class TouchSeqRound(TouchRound):
         return self.row.touch_durations("touch_end_time_rel")
 
     @property
-    def sensor_video(self) -> touch_clips.SensorClips:
+    def sensor_video(self) -> media.SensorClips:
         """Clips, T of them, opened on demand."""
-        return self._once("sensor_video", lambda: touch_clips.SensorClips(self.row))
+        return self._once("sensor_video", lambda: media.SensorClips(self.row))
 
     def contact_image(self, touch: int) -> UInt8:
         """As :meth:`TouchRound.contact_image`."""
@@ -248,10 +248,10 @@ class TouchSeqRound(TouchRound):
                 clip = clips[touch]
                 clip.decode_into(pixels[touch], clip.contact_index(chosen))
 
-            sensor_images.in_parallel(decode, len(clips), cores)
+            media.in_parallel(decode, len(clips), cores)
         else:
-            touch_clips.decode_frames(
-                clips, range(len(clips)), touch_clips.contact_frames_of(self.row, chosen), pixels, cores
+            media.decode_frames(
+                clips, range(len(clips)), media.contact_frames_of(self.row, chosen), pixels, cores
             )
         return pixels
 
@@ -274,14 +274,225 @@ class TouchSeqRound(TouchRound):
         """
         clips = self.sensor_video
         wanted = read.positions(touches, len(clips))
-        windows = [touch_clips.contact_windows(self.row, touch)[0] for touch in wanted.tolist()]
+        windows = [media.contact_windows(self.row, touch)[0] for touch in wanted.tolist()]
         counts = [window.stop - window.start for window in windows]
         pixels = clips.room(sum(counts))
         frames = [frame for window in windows for frame in range(window.start, window.stop)]
         owners = np.repeat(wanted, counts)
-        touch_clips.decode_frames(clips, owners.tolist(), frames, pixels, _cores(threads))
+        media.decode_frames(clips, owners.tolist(), frames, pixels, _cores(threads))
         return tuple(np.split(pixels, np.cumsum(counts)))[: len(counts)]
 
 
 def _cores(threads: int | None) -> int:
     return threads or min(system.usable_cores(), _MAX_THREADS)
+
+
+def touch_id(round_id: str, touch_index: int) -> str:
+    """Return the id of a touch."""
+    return f"{round_id}_{touch_index:03d}"
+
+
+class Touch:
+    """One touch of a round; frozen, fields are read on access.
+
+    Attributes
+    ----------
+    round : TouchRound
+        The round it belongs to.
+    touch_index : int
+        Its number in the round, from 0.
+
+    Notes
+    -----
+    Pickles with its own image or clip only: the ``round`` of a touch that came back from another process
+    holds this one touch.
+    """
+
+    __slots__ = ("_index_in_row", "round", "touch_index")
+    round: TouchRound
+    touch_index: int
+    _index_in_row: int
+
+    def __init__(self, round: TouchRound, touch_index: int, index_in_row: int | None = None) -> None:
+        object.__setattr__(self, "round", round)
+        object.__setattr__(self, "touch_index", touch_index)
+        if index_in_row is None:
+            index_in_row = touch_index
+        object.__setattr__(self, "_index_in_row", index_in_row)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError(f"Touch is frozen; {name!r} cannot be set")
+
+    @property
+    def id(self) -> str:
+        """Id of the round and number of the touch, as exports name it: ``2023-09-28_15-50-43_7-0_012``."""
+        return touch_id(self.round_id, self.touch_index)
+
+    @property
+    def round_id(self) -> str:
+        """Id of the round."""
+        return self.round.id
+
+    @property
+    def label(self) -> int:
+        """Class of the object."""
+        return self.round.label
+
+    @property
+    def object_id(self) -> int:
+        """Id of the touched mesh."""
+        return self.round.object_id
+
+    @property
+    def pos_in_cell_m(self) -> Floating:
+        """Intended position, shape (2,), metres, cell frame."""
+        position: Floating = self.round.row.intended_positions(self._index_in_row)[0]
+        return position
+
+    @property
+    def extra(self) -> schema.Extras:
+        """Further columns by their own names: a value, a vector, or an array with an entry per frame.
+
+        See :attr:`realtouch.TouchRound.extra`.
+        """
+        return schema.Extras(tuple(self.round.extra), self._extra)
+
+    def _extra(self, name: str) -> object:
+        return self.round.extra[name][self._index_in_row]
+
+    @property
+    def gel_pose(self) -> Pose:
+        """Pose of the gel at contact, metres, cell frame; of a clip, that of the last frame of contact.
+
+        Reads this touch only, and opens no clip where the times of its frames are stored.
+        """
+        row, touch = self.round.row, self._index_in_row
+        if isinstance(self.round, TouchSingleRound):
+            return row.poses(touch)[0]
+        (frame,) = media.contact_frames_of(row, "contact_end", touch)
+        return row.pose_sequences(touch)[0][frame]
+
+    @property
+    def image(self) -> UInt8:
+        """Picture of the contact, shape (H, W, 3), uint8; of a clip, its last frame of contact."""
+        return self.round.contact_image(self._index_in_row)
+
+    @property
+    def depth_m(self) -> Float32:
+        """How far each point of the gel is pressed in, shape (H, W), metres; 0 where nothing touches it.
+
+        Raises
+        ------
+        InputError
+            `realtouch depth` did not write the data set.
+        """
+        return self._map(media.DEPTH)
+
+    @property
+    def depth_error_m(self) -> Float32:
+        """Expected error of each pixel of :attr:`depth_m`, shape (H, W), metres."""
+        return self._map(media.DEPTH_ERROR)
+
+    def _map(self, column: str) -> Float32:
+        return media.DepthMaps(self.round.row, column)[self._index_in_row]
+
+    @property
+    def clip(self) -> media.TouchClip:
+        """The clip of a touch of a ``seq`` set.
+
+        Raises
+        ------
+        InputError
+            The data set holds images.
+        """
+        if not isinstance(self.round, TouchSeqRound):
+            raise self.round.row.missing_column("sensor_video")
+        return self.round.sensor_video[self._index_in_row]
+
+    def _alone(self) -> Touch:
+        """Return the touch with a copy of its own bytes only."""
+        return Touch(self.round.with_touches([self._index_in_row]), self.touch_index, 0)
+
+    def __eq__(self, other: object) -> bool:
+        """Return whether the other is the same touch of an equal round."""
+        if not isinstance(other, Touch):
+            return NotImplemented
+        if hash(self) != hash(other):  # the number in the round, and the round's id
+            return False
+        mine, theirs = self.round.row, other.round.row
+        if mine.group is theirs.group and mine.index == theirs.index:
+            return self._index_in_row == other._index_in_row
+        return self._alone().round == other._alone().round
+
+    def __hash__(self) -> int:
+        return hash((self.touch_index, self.round))
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # A round of clips takes about 50 MB; a touch is pickled with its own bytes only.
+        alone = self._alone()
+        return (Touch, (alone.round, alone.touch_index, 0))
+
+    def __repr__(self) -> str:
+        shown = {
+            "round_id": self.round.describe_field("id"),
+            "touch_index": f"{self.touch_index}",
+            "label": self.round.describe_field("label"),
+        }
+        words = [f"{name}={value}" for name, value in shown.items() if value is not None]
+        return f"Touch({', '.join(words)})"
+
+    def _repr_html_(self) -> str:
+        """Show the picture of the contact in a notebook."""
+        words = [*self.round.label_words(), f"touch {self.touch_index}"]
+        with suppress(errors.InputError):  # without positions
+            x_mm, y_mm = (1000.0 * float(value) for value in self.pos_in_cell_m)
+            words.append(f"x {x_mm:.1f} mm, y {y_mm:.1f} mm")
+        return picture_views.touch_html(self.image, ", ".join(words))
+
+    tile_html = _repr_html_
+
+
+def hf_touches(
+    rows: Sequence[stored_round.StoredRound], places: Int64, touches: Int64, content: str
+) -> Dataset:
+    """Return touches as a data set of the library `datasets`; see :meth:`realtouch.Touches.to_hf`.
+
+    ``rows`` are the rounds, ``places`` and ``touches``, shape (n,), the round of each touch and its number
+    in it; ``content`` identifies all of them.
+    """
+    from datasets import Dataset, DatasetInfo, Features  # an extra
+
+    if not rows:
+        return Dataset.from_dict({})
+    first, total = schema.flat_row(rows[0]), rows[0].touch_total()
+    names = [
+        each.name
+        for each in first.schema
+        if schema.is_per_touch(each.name, each.type)
+        and len(first.column(each.name).chunk(0).flatten()) == total
+    ]
+    parts = [_row_of_each_touch(row, names) for row in rows]
+    features = Features.from_arrow_schema(parts[0].schema)
+    for name, feature in Features.from_arrow_schema(rows[0].group.table.schema).flatten().items():
+        features[name] = feature.feature if name in names else feature
+    whole = Dataset(
+        pa.concat_tables(parts),
+        info=DatasetInfo(features=features),
+        fingerprint=hashlib.sha256(content.encode()).hexdigest()[:16],
+    )
+    starts = np.cumsum([0, *map(len, parts)])
+    return whole.select(starts[places] + touches)
+
+
+def _row_of_each_touch(row: stored_round.StoredRound, per_touch: Collection[str]) -> pa.Table:
+    """Return a table with a row for each touch of a round; other columns repeat the value of the round."""
+    table, count = schema.flat_row(row), row.touch_total()
+    columns = {}
+    for name in table.column_names:
+        array = table.column(name).chunk(0)
+        if name in per_touch:
+            row.entries_of(name)  # refuses a round with more or less of them
+            columns[name] = array.flatten()
+        else:
+            columns[name] = array.take(pa.array(np.zeros(count, np.int64)))
+    return pa.table({**columns, INDEX: np.arange(count)})

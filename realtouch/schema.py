@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Mapping, Sequence
-from typing import Literal
+from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping, Sequence
+from typing import Any, Literal
 
+import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from realtouch.contact import CONTACT_METHODS, PLATE_COLUMN, ContactMethod
-from tactile_toolkit import errors, read, store
-from tactile_toolkit.touch import MEDIA_COLUMN, Kind
+from tactile_toolkit import errors, read, store, wording
+from tactile_toolkit.array_types import AnyArray
+from tactile_toolkit.touch import CLASS_NAMES, MEDIA_COLUMN, Kind
 
 POSE_COLUMN: dict[Kind, str] = {"seq": "gel_pose_cell_frame_seq", "single": "gel_pose_cell_frame"}
 """The columns ``.position`` and ``.quaternion`` below it hold the pose of the gel, of each frame or touch."""
-
 Origin = Literal["real", "synthetic", "imported"]
 """Origins of touches; manifests of conversions state them as the option ``touches``."""
-
 _FLOAT = (pa.types.is_floating,)
 _WHOLE = (pa.types.is_integer, *_FLOAT)  # of floats, each value must be one
 _TEXT = (pa.types.is_string, *_WHOLE)
@@ -42,10 +43,9 @@ KNOWN_COLUMNS: dict[str, read.Expected] = {
     "sensor_video": (1, _BYTES, "a struct of bytes and path per touch"),
 }
 """Depth, types and description of the columns of a set of touches."""
-
 EXTRA_PREFIX: dict[Literal["touch", "frame"], str] = {"touch": "extra.", "frame": "extra_seq."}
 """Prefixes of further columns with an entry for each touch, or for each frame of each touch."""
-
+_MAX_EXACT = 1 << 53  # below which float64 holds every integer
 _EXTRA_LEAVES = (pa.types.is_boolean, pa.types.is_integer, *_FLOAT, pa.types.is_string)
 _EXTRA_ENTRIES = {1: "one per touch", 2: "one per frame of each touch"}  # by the least depth of the lists
 
@@ -173,6 +173,23 @@ def _expected_extras(types: Mapping[str, pa.DataType]) -> dict[str, read.Expecte
     return expected
 
 
+def stated_class_names(shards: Iterable[read.RowSource]) -> tuple[str, ...] | None:
+    """Return the names of the classes of the first file that states any, or None."""
+    return next((shard.class_names for shard in shards if shard.class_names is not None), None)
+
+
+def class_names_of(shards: Iterable[read.RowSource]) -> tuple[str, ...]:
+    """Return the names of the classes as the first file states them, or else those of the digits.
+
+    Empty for data sets without labels.
+    """
+    files = list(shards)
+    stated = stated_class_names(files)
+    if stated is None and any("label" in shard.schema.names for shard in files):
+        return CLASS_NAMES
+    return stated or ()
+
+
 def column_type(schema: pa.Schema, name: str) -> pa.DataType:
     """Return the Arrow type of a column by dotted name, flat or inside structs; None when it is not there."""
     return read.column_types(schema).get(name)
@@ -180,7 +197,7 @@ def column_type(schema: pa.Schema, name: str) -> pa.DataType:
 
 def flat_schema(schema: pa.Schema) -> pa.Schema:
     """Return the fields of a schema with structs ``a{b, c}`` as flat columns ``a.b``, ``a.c``."""
-    flat = _without_structs(schema.empty_table()).schema
+    flat = read.RowGroup(schema.empty_table()).flat_table.schema
     return pa.schema([pa.field(field.name, _plain_type(field.type)) for field in flat])
 
 
@@ -195,14 +212,7 @@ def _plain_type(data_type: pa.DataType) -> pa.DataType:
 
 def flat_row(row: read.Row) -> pa.Table:
     """Return a stored row as a table with structs ``a{b, c}`` as flat columns ``a.b``, ``a.c``."""
-    return _without_structs(row.group.table.slice(row.index, 1))
-
-
-def _without_structs(table: pa.Table) -> pa.Table:
-    # Unpacks one level of structs at a time.
-    while any(pa.types.is_struct(field.type) for field in table.schema):
-        table = table.flatten()
-    return table
+    return row.group.flat_table.slice(row.index, 1)
 
 
 def row_with(flat: pa.Table, made: Mapping[str, pa.Array], schema: pa.Schema) -> pa.Table:
@@ -231,3 +241,82 @@ def take_touches(table: pa.Table, touches: Sequence[int], count: int) -> pa.Tabl
             array = _as_list(values, pa.list_(array.type.value_type))
         columns.append(array)
     return pa.table(columns, names=table.column_names)
+
+
+class UnknownExtraError(errors.InputError, KeyError):
+    """A further column that a data set does not have; also a KeyError, as mappings raise."""
+
+    def __init__(self, name: object, path: str, known: Collection[str]) -> None:
+        found = ", ".join(map(repr, known)) or "none"
+        super().__init__(
+            f"{path!r} has no further column {name!r}; it has {found}"
+            f"{wording.did_you_mean(str(name), known)}",
+            next="name one of these, or import it again with that column",
+        )
+        self.args = (name, path, tuple(known))  # pickling calls the constructor with these
+
+
+class Extras(Mapping[str, Any]):
+    """The further columns of a round or touch, by their own names; each is read on first use.
+
+    Numbers are arrays of their stored type. If a value of the round is missing, integers become float64
+    and the value NaN, as in pandas. Texts, booleans with a missing value, and integers with a missing value
+    and one of 2**53 or more, are arrays of objects, in which a missing value is None. Arrays are read-only.
+    """
+
+    __slots__ = ("_names", "_read")
+
+    def __init__(self, names: Collection[str], read: Callable[[str], object]) -> None:
+        self._names = names
+        self._read = read
+
+    def __getitem__(self, name: str) -> Any:
+        """Read a column; UnknownExtraError for an unknown name."""
+        return self._read(name)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._names
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def __repr__(self) -> str:
+        return f"Extras({', '.join(self._names)})"
+
+
+def _is_rounded(array: pa.Array) -> bool:
+    """Return whether float64 does not hold all integers of an array."""
+    ends = pc.min_max(array).as_py()
+    return ends["min"] is not None and max(-ends["min"], ends["max"]) >= _MAX_EXACT
+
+
+def array_with_gaps(array: pa.Array) -> AnyArray:
+    """Return n numbers, texts or lists of them as an array with an axis for each level; see :class:`Extras`.
+
+    Raises ValueError for lists of several lengths on a level.
+    """
+    if isinstance(array, pa.ExtensionArray):
+        array = array.storage
+    if not read.list_depth(array.type)[0]:
+        if array.null_count and pa.types.is_integer(array.type) and _is_rounded(array):
+            return np.array(array.to_pylist(), object)
+        return read.numpy_values(array)
+    present = array.drop_null()
+    widths = [getattr(array.type, "list_size", 0)]
+    if len(present):
+        widths = np.unique(present.value_lengths()).tolist()
+    if len(widths) > 1:
+        raise ValueError(f"vectors of {widths[0]} and of {widths[-1]} values; expected one length")
+    inner = array_with_gaps(present.flatten())
+    vectors = inner.reshape(len(present), widths[0], *inner.shape[1:])
+    if len(present) == len(array):
+        return vectors
+    values: AnyArray = np.full((len(array), *vectors.shape[1:]), None, object)
+    if inner.dtype.kind in "iuf":
+        values = np.full(values.shape, np.nan, inner.dtype if inner.dtype.kind == "f" else np.float64)
+    values[array.is_valid().to_numpy(zero_copy_only=False)] = vectors
+    values.setflags(write=False)
+    return values

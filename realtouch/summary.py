@@ -10,8 +10,8 @@ from operator import itemgetter
 
 import numpy as np
 
-from realtouch import contacts, schema, touch_dataset
-from realtouch.touches import AnyTouches
+from realtouch import contacts, datasets, schema
+from realtouch.datasets import AnyTouches
 from tactile_toolkit import errors, read
 from tactile_toolkit.touch import CELL_M
 
@@ -74,7 +74,7 @@ class Summary:
         return asdict(self)
 
 
-def summarise(dataset: touch_dataset.AnyDataset) -> Summary:
+def summarise(dataset: datasets.AnyDataset) -> Summary:
     """Count what a data set holds; reads small columns and one image or clip.
 
     Parameters
@@ -124,7 +124,7 @@ def summarise(dataset: touch_dataset.AnyDataset) -> Summary:
     return found
 
 
-def _extra_types(dataset: touch_dataset.AnyDataset) -> dict[str, str]:
+def _extra_types(dataset: datasets.AnyDataset) -> dict[str, str]:
     types = read.column_types(dataset.table.schemas[0])
     columns = schema.extra_columns(dataset.column_names)
     return {name: schema.extra_type_text(stored, types[stored]) for name, stored in columns.items()}
@@ -168,7 +168,7 @@ class PaperNumber:
         return asdict(self)
 
 
-def paper_numbers(splits: Mapping[str, touch_dataset.AnyDataset]) -> list[PaperNumber]:
+def paper_numbers(splits: Mapping[str, datasets.AnyDataset]) -> list[PaperNumber]:
     """Measure what the paper states about real touches; reads one picture only.
 
     Parameters
@@ -216,7 +216,7 @@ def paper_numbers(splits: Mapping[str, touch_dataset.AnyDataset]) -> list[PaperN
 
 
 def _rounds_in_order(
-    splits: Mapping[str, touch_dataset.AnyDataset],
+    splits: Mapping[str, datasets.AnyDataset],
 ) -> list[tuple[str, int, object, float]]:
     """Return id, touches, gel and greatest distance from the middle, metres, of each round.
 

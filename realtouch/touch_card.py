@@ -11,9 +11,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from realtouch import contact, contacts, picture_views, rounds, schema, stored_round, touch_dataset
+from realtouch import contact, contacts, datasets, picture_views, rounds, schema, stored_round
 from realtouch.kind import KIND
-from realtouch.touch import Touch
+from realtouch.rounds import Touch
 from tactile_toolkit import cards, errors, read, shown_text, store, touch
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.json_types import JsonDict
@@ -171,9 +171,9 @@ def _stored_content(
     words: JsonDict,
 ) -> _Content:
     """Return the content of a card about rounds; reads small columns and a few rounds."""
-    datasets = [touch_dataset.dataset_of(split.shards) if split.rows else None for split in facts.splits]
+    datasets = [datasets.dataset_of(split.shards) if split.rows else None for split in facts.splits]
 
-    def of_each(count: Callable[[touch_dataset.AnyDataset], Any], empty: Any = None) -> list[Any]:
+    def of_each(count: Callable[[datasets.AnyDataset], Any], empty: Any = None) -> list[Any]:
         return [empty if dataset is None else _or_none(count, dataset) for dataset in datasets]
 
     touches = of_each(lambda dataset: int(dataset.touch_counts.sum()), 0)

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image
 
-from realtouch import contact, opening, picture_views, rounds, sensor_images, touch_options
+from realtouch import contact, media, opening, picture_views, rounds, touch_options
 from realtouch.kind import KIND
-from realtouch.touch import Touch
+from realtouch.rounds import Touch
 from tactile_toolkit import arithmetic, errors, pictures, places, wording
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, UInt8
 from tactile_toolkit.touch import CELL_M, height_text
@@ -159,7 +159,7 @@ def placed_touches(record: rounds.TouchRound, touches: Sequence[int]) -> list[Pl
         centre_m = np.asarray(pose.translation[:2], np.float64)
         placed[number] = PlacedTouch(touch.image, centre_m, np.asarray(turned[:, :2]))
 
-    sensor_images.in_parallel(read, len(touches), _MAX_THREADS)
+    media.in_parallel(read, len(touches), _MAX_THREADS)
     return [placed[number] for number in range(len(touches))]
 
 

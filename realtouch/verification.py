@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
-from realtouch import convert, integrity, kind, stored_columns, stored_round, tars
+from realtouch import convert, damage, integrity, kind, opening, schema, stored_round, tars
 from tactile_toolkit import cards, errors, places, read, store, touch
 
 INDEXED = ("frames", "export")
@@ -22,7 +22,7 @@ _CHECKED_PAGE = re.compile(rb"(?:\x15[\x80-\xff]*[\x00-\x7f]){4}", re.DOTALL)
 def check_index(
     folder: store.DataFolder,
     manifest: store.Manifest,
-    findings: list[stored_columns.Damage],
+    findings: list[damage.Damage],
     on_progress: Callable[[int, int], None],
     *,
     decode: bool,
@@ -54,13 +54,13 @@ def check_index(
 
 def _damage_in_file(
     folder: store.DataFolder, path: str, sha256: str | None, *, decode: bool
-) -> Iterator[stored_columns.Damage]:
+) -> Iterator[damage.Damage]:
     """Compare a file with its checksum, if given, and check its images; yield the damage."""
     if sha256 is not None and not store.is_unchanged(folder, path, sha256):
         problem = f"its sha256 differs from the index, which has {sha256}"
         if not folder.exists(path):
             problem = "is missing"
-        yield stored_columns.Damage(path, None, None, "", problem)
+        yield damage.Damage(path, None, None, "", problem)
         return
     look: Callable[[bytes], object] = touch.image_size
     if decode:
@@ -70,9 +70,9 @@ def _damage_in_file(
             try:
                 look(image)
             except ValueError as error:
-                yield stored_columns.Damage(path, number, None, name, str(error))
+                yield damage.Damage(path, number, None, name, str(error))
     except tarfile.TarError as error:
-        yield stored_columns.Damage(path, None, None, "", f"not an intact tar: {error}")
+        yield damage.Damage(path, None, None, "", f"not an intact tar: {error}")
 
 
 def _images_in(folder: store.DataFolder, path: str) -> Iterator[tuple[str, bytes]]:
@@ -109,7 +109,7 @@ class TouchVerification:
 
     rounds: int
     touches: int
-    findings: tuple[stored_columns.Damage, ...]
+    findings: tuple[damage.Damage, ...]
     unprotected: tuple[str, ...] = ()
 
     @property
@@ -149,7 +149,7 @@ def verify(
         Nothing of that name, or no data set of touches.
     """
     place = replace(places.open_place(name), allow_incomplete=True).require(kind.KIND, "verify")
-    findings: list[stored_columns.Damage] = []
+    findings: list[damage.Damage] = []
     has_checksums = _compare_files(place, findings, workers)
     if place.folder is not None and place.manifest is not None and place.spec.get("operation") in INDEXED:
         counts = (0, 0)
@@ -158,7 +158,7 @@ def verify(
         return TouchVerification(*counts, tuple(findings))
     splits = []
     for part in convert.parts_of(place, split):
-        splits.append(integrity.agreeing_files(place.shards(part), place.name, findings))
+        splits.append(opening.agreeing_files(place.shards(part), place.name, findings))
         findings += _lacking_columns(splits[-1])
     rounds, touches = _check_rounds(splits, findings, on_progress, decode=not quick, workers=workers)
     unprotected: list[str] = []
@@ -169,24 +169,24 @@ def verify(
     return TouchVerification(rounds, touches, tuple(findings), tuple(unprotected))
 
 
-def _compare_files(place: places.Place, findings: list[stored_columns.Damage], workers: int) -> bool:
+def _compare_files(place: places.Place, findings: list[damage.Damage], workers: int) -> bool:
     """Compare the files of a folder with its manifest or download record; return whether it has one."""
     folder, manifest = place.folder, place.manifest
     if folder is None or (manifest is None and store.read_download_record(folder) is None):
         return False
     listed = store.verify(folder, check_card=cards.check_card, workers=workers).findings
-    findings += [stored_columns.Damage(each.file, None, None, "", each.problem) for each in listed]
+    findings += [damage.Damage(each.file, None, None, "", each.problem) for each in listed]
     if manifest is not None:
         try:
             store.convert_json(place.spec.get("operation"), str, store.MANIFEST_FILE, "spec.operation")
         except errors.IntegrityError as error:
-            findings.append(stored_columns.Damage(store.MANIFEST_FILE, None, None, "", str(error)))
+            findings.append(damage.Damage(store.MANIFEST_FILE, None, None, "", str(error)))
     return True
 
 
 def _check_rounds(
     splits: Sequence[Sequence[read.Shard]],
-    findings: list[stored_columns.Damage],
+    findings: list[damage.Damage],
     on_progress: Callable[[int, int], None],
     *,
     decode: bool,
@@ -197,7 +197,7 @@ def _check_rounds(
     rounds = touches = 0
     seen: dict[str, str] = {}
     for files in splits:
-        expected, names = integrity.modal_touch_count(files), integrity.stated_class_names(files)
+        expected, names = integrity.modal_touch_count(files), schema.stated_class_names(files)
         for row, problems in integrity.checked_rows(
             read.row_groups(files), expected, names, decode=decode, workers=workers
         ):
@@ -217,20 +217,20 @@ def list_findings(folder: store.DataFolder, workers: int = 1) -> list[store.Find
     return [store.Finding(damage.file, f"({damage})") for damage in found] or list(cards.check_card(folder))
 
 
-def _lacking_columns(shards: Sequence[read.Shard]) -> list[stored_columns.Damage]:
+def _lacking_columns(shards: Sequence[read.Shard]) -> list[damage.Damage]:
     """List the columns that some files of a split lack; they cannot be read from the whole split."""
     names = {shard.path: read.column_names(shard.schema) for shard in shards}
     known = dict.fromkeys(name for columns in names.values() for name in columns)
     problem = "the column is not there; expected it as in other files of the split"
     return [
-        stored_columns.Damage(path, None, None, name, problem)
+        damage.Damage(path, None, None, name, problem)
         for path, columns in names.items()
         for name in known
         if name not in columns
     ]
 
 
-def _repeated_id(row: stored_round.StoredRound, seen: dict[str, str]) -> list[stored_columns.Damage]:
+def _repeated_id(row: stored_round.StoredRound, seen: dict[str, str]) -> list[damage.Damage]:
     try:
         name = row.name()
     except (errors.InputError, errors.IntegrityError):
@@ -240,7 +240,7 @@ def _repeated_id(row: stored_round.StoredRound, seen: dict[str, str]) -> list[st
     if first == here:
         return []
     return [
-        stored_columns.Damage(
+        damage.Damage(
             row.path, row.number, None, "id", f"{name!r} is not unique, it is also the id in {first}"
         )
     ]

@@ -38,7 +38,7 @@ _CONTEXT.set_forkserver_preload(
         "pandas",
         "pyarrow.parquet",
         "pytest",
-        "realtouch.touch_dataset",
+        "realtouch.datasets",
         "realtouch.contacts",
         "skimage.measure",
         "starstruck_gen.scene_dataset",

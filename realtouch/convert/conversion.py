@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol
 
 import pyarrow as pa
 
-from realtouch import contact, integrity, schema, stored_round, touch_dataset
+from realtouch import contact, datasets, schema, stored_round
 from realtouch.kind import KIND
 from tactile_toolkit import catalog, errors, places, read, run, store, touch
 from tactile_toolkit.json_types import JsonObject
@@ -72,7 +72,7 @@ class Source:
     @property
     def class_names(self) -> tuple[str, ...]:
         """Name of each class; empty without labels."""
-        return integrity.class_names_of(self._files())
+        return schema.class_names_of(self._files())
 
     def require_frame(self, method: contact.ContactMethod) -> None:
         """Raise InputError unless the frames of clips can be chosen by a method."""
@@ -192,7 +192,7 @@ def marked_repetitions(source: Source, choices: Choices) -> Choices:
     """Mark rows with a duplicate id in their split; reads the column of ids only."""
     marked = {}
     for split, chosen in choices.items():
-        ids = touch_dataset.dataset_of(source.shards[split]).ids
+        ids = datasets.dataset_of(source.shards[split]).ids
         first: dict[object, int] = {}
         rows = (first.setdefault(ids[each.row], each.row) for each in chosen)
         marked[split] = [

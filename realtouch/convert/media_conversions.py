@@ -14,12 +14,10 @@ from PIL import Image
 from realtouch import (
     avi,
     contact,
-    depth_maps,
+    media,
     schema,
-    sensor_images,
     stored_images,
     stored_round,
-    touch_clips,
 )
 from realtouch.convert import conversion, shard_tasks, touch_pictures
 from tactile_toolkit import errors, places, read, store
@@ -237,16 +235,16 @@ class ResizeMedia:
         """Resize the images or clips of a row; pictures that have the size are copied."""
         flat, kind = schema.flat_row(row), row.kind
         if kind == "single":
-            images = sensor_images.SensorImages(row)
+            images = media.SensorImages(row)
             sizes = list(map(images.size, range(len(images))))
             blobs = [self._image(images, touch) for touch in range(len(images))]
         else:
-            sizes = [clip.size for clip in touch_clips.SensorClips(row)]
-            blobs = [self._clip(clip) for clip in touch_clips.SensorClips(row)]
+            sizes = [clip.size for clip in media.SensorClips(row)]
+            blobs = [self._clip(clip) for clip in media.SensorClips(row)]
         made = {MEDIA_COLUMN[kind]: stored_images.numbered_media(blobs, _SUFFIX[kind])}
-        for name in filter(row.has, (depth_maps.DEPTH, depth_maps.DEPTH_ERROR)):
-            maps = [depth_maps.encode_map(self._map(each)) for each in depth_maps.DepthMaps(row, name)]
-            made[name] = stored_images.numbered_media(maps, depth_maps.SUFFIX)
+        for name in filter(row.has, (media.DEPTH, media.DEPTH_ERROR)):
+            maps = [media.encode_map(self._map(each)) for each in media.DepthMaps(row, name)]
+            made[name] = stored_images.numbered_media(maps, media.SUFFIX)
         for name, stored in schema.extra_columns(flat.column_names).items():
             if name in _MIDDLE_OF_FIRST_PX:
                 entries = row.extra_entries(stored).to_pylist()
@@ -272,12 +270,12 @@ class ResizeMedia:
         method = Image.Resampling.BOX if smaller else Image.Resampling.BILINEAR
         return np.asarray(Image.fromarray(depth_m).resize((self.width, self.height), method))
 
-    def _image(self, images: sensor_images.SensorImages, touch: int) -> bytes | memoryview:
+    def _image(self, images: media.SensorImages, touch: int) -> bytes | memoryview:
         if images.size(touch) == (self.height, self.width):
             return images.encoded(touch)
         return self._encode(images[touch])
 
-    def _clip(self, clip: touch_clips.TouchClip) -> bytes | memoryview:
+    def _clip(self, clip: media.TouchClip) -> bytes | memoryview:
         if clip.size == (self.height, self.width):
             return clip.data
         return avi.write_avi(

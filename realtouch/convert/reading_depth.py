@@ -10,7 +10,7 @@ from typing import Protocol, Unpack
 import numpy as np
 import pyarrow as pa
 
-from realtouch import depth_maps, schema, sensor_images, stored_images, stored_round
+from realtouch import media, schema, stored_images, stored_round
 from realtouch.convert import conversion, shard_tasks
 from tactile_toolkit import errors, kind, places, store, touch
 from tactile_toolkit.array_types import Float32, UInt8
@@ -111,8 +111,8 @@ class AddDepth:
         """Return the schema of the source with columns of depth, which replace others of the same name."""
         count = getattr(schema.column_type(source, "sensor_image"), "list_size", -1)
         added = {
-            depth_maps.DEPTH: touch.MEDIA_TYPE,
-            depth_maps.DEPTH_ERROR: touch.MEDIA_TYPE,
+            media.DEPTH: touch.MEDIA_TYPE,
+            media.DEPTH_ERROR: touch.MEDIA_TYPE,
             DEEPEST: pa.float32(),
             MEAN_ERROR: pa.float32(),
         }
@@ -123,18 +123,18 @@ class AddDepth:
         self, row: stored_round.StoredRound, choice: conversion.RowChoice, split: str
     ) -> conversion.Made:
         """Read the depth of each image of a row; the images are copied."""
-        flat, images = schema.flat_row(row), sensor_images.SensorImages(row)
-        maps: dict[str, list[bytes]] = {depth_maps.DEPTH: [], depth_maps.DEPTH_ERROR: []}
+        flat, images = schema.flat_row(row), media.SensorImages(row)
+        maps: dict[str, list[bytes]] = {media.DEPTH: [], media.DEPTH_ERROR: []}
         numbers: dict[str, list[float]] = {DEEPEST: [], MEAN_ERROR: []}
         for start in range(0, len(images), _BATCH):
             found = _reader(self.sensor).read_depth(
                 images.batch(slice(start, start + _BATCH)), fast=self.fast
             )
             for depth_m, error_m in zip(found.depth_m, found.error_m, strict=True):
-                maps[depth_maps.DEPTH].append(depth_maps.encode_map(depth_m))
-                maps[depth_maps.DEPTH_ERROR].append(depth_maps.encode_map(error_m))
+                maps[media.DEPTH].append(media.encode_map(depth_m))
+                maps[media.DEPTH_ERROR].append(media.encode_map(error_m))
                 numbers[DEEPEST].append(float(depth_m.max()))
                 numbers[MEAN_ERROR].append(float(error_m.mean(dtype=np.float64)))
-        made = {name: stored_images.numbered_media(blobs, depth_maps.SUFFIX) for name, blobs in maps.items()}
+        made = {name: stored_images.numbered_media(blobs, media.SUFFIX) for name, blobs in maps.items()}
         made |= {name: pa.array(values, pa.float32()) for name, values in numbers.items()}
         return schema.row_with(flat, made, self.schema(flat.schema)), {}

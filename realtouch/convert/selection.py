@@ -15,7 +15,7 @@ from typing import SupportsIndex, Unpack
 import numpy as np
 import pyarrow as pa
 
-from realtouch import contacts, schema, stored_round, touch_dataset
+from realtouch import contacts, datasets, schema, stored_round
 from realtouch.contact import MIN_CONTACT_HEIGHT_M, PLATE_COLUMN, ContactHeight
 from realtouch.convert import conversion, shard_tasks
 from tactile_toolkit import catalog, errors, places, read, store
@@ -108,7 +108,7 @@ def _selection(chosen: JsonObject, opened: conversion.Source, limit: int | None)
 
 
 def _no_contact(source: conversion.Source, height_m: float) -> errors.InputError:
-    heights_m = [touch_dataset.dataset_of(shards).touches().heights_m() for shards in source.shards.values()]
+    heights_m = [datasets.dataset_of(shards).touches().heights_m() for shards in source.shards.values()]
     return errors.InputError(
         f"no chosen touch of {source.name!r} is a contact (a touch is one if "
         f"{height_text(height_m)}); the highest of all touches is "
@@ -119,7 +119,7 @@ def _no_contact(source: conversion.Source, height_m: float) -> errors.InputError
 
 def _chosen_rows(source: conversion.Source, split: str, options: JsonObject) -> list[conversion.RowChoice]:
     """Decide which rows and touches of a split :func:`select` keeps; reads small columns only."""
-    dataset, limit = touch_dataset.dataset_of(source.shards[split]), options["limit"]
+    dataset, limit = datasets.dataset_of(source.shards[split]), options["limit"]
     if (options["labels"] or "per_class" in options) and not dataset.label_names:
         raise errors.InputError(
             f"the touches of {source.name!r} have no labels, by which some could be chosen",

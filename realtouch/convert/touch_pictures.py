@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow as pa
 
-from realtouch import contact, rounds, schema, sensor_images, stored_round, touch_clips, touch_options
+from realtouch import contact, media, rounds, schema, stored_round, touch_options
 from realtouch.poses import Poses
 from tactile_toolkit import read
 from tactile_toolkit.array_types import AnyArray, Float64, Floating, UInt8
@@ -37,7 +37,7 @@ class TouchPicture:
 
     touch: int
     frame: int
-    images: sensor_images.SensorImages | touch_clips.TouchClip
+    images: media.SensorImages | media.TouchClip
     place: int
     pose: Floating
 
@@ -62,7 +62,7 @@ def shown_touches(row: stored_round.StoredRound, method: contact.ContactMethod) 
         for touch in range(len(images)):
             yield TouchPicture(touch, 0, images, touch, poses[touch])
         return
-    for touch, clip in enumerate(touch_clips.SensorClips(row)):
+    for touch, clip in enumerate(media.SensorClips(row)):
         frame, pose = clip.contact_index(method), np.empty(0)
         if row.has_poses:
             pose = _pose_values(row.pose_sequences(touch)[0], frame)

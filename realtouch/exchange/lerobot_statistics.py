@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 from PIL import Image
 
-from realtouch import extras
+from realtouch import schema
 from realtouch.exchange import lerobot_depth
 from realtouch.exchange.episodes import DEPTH
 from realtouch.stored_images import decoded
@@ -140,5 +140,5 @@ def _flat_rows(values: pa.Array | pa.ChunkedArray) -> Float64:
     """Return lists of equal length and any depth as an array with a row for each."""
     if isinstance(values, pa.ChunkedArray):
         values = values.combine_chunks()
-    rows = extras.array_with_gaps(values)
+    rows = schema.array_with_gaps(values)
     return rows.reshape(len(rows), -1).astype(np.float64, copy=False)

@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 import pyarrow as pa
 
-from realtouch import importing, touch, touch_options
+from realtouch import importing, touch_options
 from realtouch.exchange import picture_arrays, zarr_arrays, zarr_groups
 from realtouch.exchange.episodes import CONTACT
 from tactile_toolkit import column_types, errors, store
@@ -90,7 +90,7 @@ def recordings_of(
     rounds = ids = list(map(str, said[zarr_groups.ROUND].tolist()))
     if zarr_groups.TOUCH in said:
         whole = replace(whole, cut="whole")
-        ids = list(map(touch.touch_id, rounds, said[zarr_groups.TOUCH].astype(int).tolist()))
+        ids = list(map(rounds.touch_id, rounds, said[zarr_groups.TOUCH].astype(int).tolist()))
     episodes = episodes_of(whole, ends, ids, {*_OUR_VALUES, *_texts(stated, zarr_groups.PER_CLIP)})
     return (replace(with_contact(each), round=name) for each, name in zip(episodes, rounds, strict=True))
 

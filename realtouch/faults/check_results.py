@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from realtouch import (
+    datasets,
     picture_views,
-    touch_dataset,
     touch_options,
 )
+from realtouch.damage import MAX_NAMED, RecordingFinding
 from realtouch.faults import rules
 from realtouch.faults.sections import RoundSeen
-from realtouch.finding import MAX_NAMED, RecordingFinding
 from realtouch.rounds import TouchSingleRound
 from tactile_toolkit import errors, pictures, read, wording
 from tactile_toolkit.array_types import UInt8
@@ -52,7 +52,7 @@ class CheckResult:
 
     def pictures(self) -> pictures.PicturePlan:
         """Plan a picture of each finding: its first touches."""
-        datasets = {split: touch_dataset.dataset_of(files) for split, files in self._files.items()}
+        datasets = {split: datasets.dataset_of(files) for split, files in self._files.items()}
         planned = [
             pictures.PlannedPicture(
                 f"{finding.rule}.png",
@@ -92,7 +92,7 @@ def finding_of(
 
 
 def _draw(
-    finding: RecordingFinding, faults: Sequence[rules.Fault], datasets: Mapping[str, touch_dataset.AnyDataset]
+    finding: RecordingFinding, faults: Sequence[rules.Fault], datasets: Mapping[str, datasets.AnyDataset]
 ) -> UInt8:
     """Draw the first touches of a finding; those that cannot be read are left out."""
     tiles: list[pictures.Tile] = []

@@ -11,10 +11,11 @@ import numpy as np
 
 from realtouch import (
     convert,
+    damage,
     integrity,
     kind,
+    opening,
     schema,
-    stored_columns,
     stored_round,
     touch_options,
 )
@@ -70,7 +71,7 @@ def check(
     chosen = limits or touch_options.CheckLimits()
     place = places.open_place(name).require(kind.KIND, "check").require_complete(split)
     files = {
-        each: integrity.agreeing_files(place.shards(each, kind=kind.KIND), place.name)
+        each: opening.agreeing_files(place.shards(each, kind=kind.KIND), place.name)
         for each in convert.parts_of(place, split)
     }
     damaged: list[rules.Fault] = []
@@ -126,7 +127,7 @@ def _placed_rows(
             zip((shard.path for shard in shards), np.cumsum([0, *map(len, shards)]).tolist(), strict=False)
         )
         for found in integrity.readable_rows(read.row_groups(shards)):
-            if isinstance(found, stored_columns.Damage):
+            if isinstance(found, damage.Damage):
                 number = starts[found.file] + (found.row or 0)
                 damaged.append(
                     rules.Fault("unreadable-touches", rules.Spot(split, number, rules.WHOLE_ROUND), 0.0)

@@ -16,11 +16,10 @@ import xxhash
 
 from realtouch import (
     contact_picture,
+    media,
     picture_views,
     schema,
-    sensor_images,
     stored_round,
-    touch_clips,
     touch_options,
 )
 from realtouch.faults import rules, seen, strips
@@ -146,12 +145,12 @@ def _strip(
     poses, time_s, spots, at = None, np.zeros(0), touches, touches[0]
     try:
         if stored.kind == "seq":
-            clip = touch_clips.TouchClip(stored, at.touch)
+            clip = media.TouchClip(stored, at.touch)
             encoded = [clip.encoded(frame) for frame in range(len(clip))]
             spots = [at._replace(frame=frame) for frame in range(len(clip))]
         else:
             at, frames = at._replace(touch=rules.WHOLE_ROUND), len(touches)
-            encoded = list(map(sensor_images.SensorImages(stored).encoded, (spot.touch for spot in touches)))
+            encoded = list(map(media.SensorImages(stored).encoded, (spot.touch for spot in touches)))
         poses, time_s = _motion(stored, touches)
     except IntegrityError:
         section.faults.append(rules.Fault("unreadable-touches", at, 0.0))

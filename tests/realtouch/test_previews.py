@@ -10,7 +10,7 @@ from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import Rotation
 
 import realtouch
-from realtouch.touch import Touch
+from realtouch.rounds import Touch
 from realtouch.touch_options import TouchPreviewSpec
 from realtouch.touch_previews import (
     CONTACT,

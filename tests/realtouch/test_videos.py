@@ -18,7 +18,7 @@ from realtouch.avi import Avi
 from realtouch.exchange.video_import import describe_conversion, find_video
 from realtouch.importing.formats import IMPORTS
 from realtouch.importing.recordings import Recording, touches_of
-from realtouch.video import open_video, pictures_of_video
+from realtouch.videos import open_video, pictures_of_video
 from tactile_toolkit.errors import InputError, ItemError, MissingExtraError
 from tactile_toolkit.store import open_folder
 from tactile_toolkit.touch import decode_image

@@ -1,11 +1,10 @@
-"""The clips of a round; frames are found by the headers of the file and decoded one by one.
-
-An AVI of MJPEG frames is a sequence of JPEGs, which libjpeg decodes.
-"""
+"""Images, depth maps and clips of a round, decoded on access."""
 
 from __future__ import annotations
 
+import io
 import operator
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
@@ -13,15 +12,231 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import DTypeLike
+from PIL import Image
 
-from realtouch import avi, contact, contact_picture, picture_views, schema, sensor_images, stored_round
+from realtouch import avi, contact, contact_picture, picture_views, schema, stored_round
 from realtouch.poses import Poses
+from realtouch.stored_round import StoredRound
 from tactile_toolkit import errors, read, wording
-from tactile_toolkit.array_types import AnyArray, Float64, UInt8
-from tactile_toolkit.touch import decode_image, image_size
+from tactile_toolkit.array_types import AnyArray, Float32, Float64, Floating, UInt8
+from tactile_toolkit.run import in_threads
+from tactile_toolkit.touch import MAX_IMAGE_PIXELS, decode_image, image_size
 
 if TYPE_CHECKING:
     from torchcodec.decoders import VideoDecoder
+
+
+# Long enough that overhead is small, short enough that threads end together.
+_LONGEST_RUN = 16
+MAX_BATCH_PIXELS = 1 << 31
+"""Most pixels that are decoded into one new array (6 GiB): every frame of 256 clips of 90 frames fits."""
+
+
+def in_parallel(work: Callable[[int], object], count: int, threads: int) -> None:
+    """Process items 0 to ``count`` - 1 in threads; the first error ends all of them.
+
+    A thread takes a run of items at a time, as neighbours share pages of the array that they are written to.
+    """
+    length = max(1, min(_LONGEST_RUN, count // max(1, 4 * threads)))
+    runs = (range(start, min(start + length, count)) for start in range(0, count, length))
+    deque(in_threads(lambda run: deque(map(work, run), maxlen=0), runs, max(1, threads)), maxlen=0)
+
+
+def room_for(count: int, size: tuple[int, int], out: UInt8 | None = None) -> UInt8:
+    """Return an array for images of one size, shape (n, H, W, 3), uint8: new, or ``out`` if it fits.
+
+    ``size`` is (height, width), pixels; in ``out``, n may be larger than ``count``. Raises InputError when
+    ``out`` cannot take the images, ValueError when a new array would exceed :data:`MAX_BATCH_PIXELS`.
+    """
+    height, width = size
+    if out is None:
+        if count * height * width > MAX_BATCH_PIXELS:
+            raise ValueError(
+                f"{wording.with_count(count, 'images')} of {width} x {height} pixels at once; the limit is "
+                f"{MAX_BATCH_PIXELS:,} pixels"
+            )
+        return np.empty((count, height, width, 3), np.uint8)
+    if not count:
+        return out
+    fits = isinstance(out, np.ndarray) and out.dtype == np.uint8 and out.ndim == 4 and len(out) >= count
+    # Images need not be adjacent; the pixels of each must be contiguous.
+    if fits and out.shape[1:] == (height, width, 3) and out[0].flags.c_contiguous and out.flags.writeable:
+        return out
+    shape = (count, height, width, 3)
+    found = f"{out.dtype} of shape {out.shape}" if isinstance(out, np.ndarray) else type(out).__name__
+    raise errors.InputError(
+        f"out is {found}; expected a writable array of uint8 and shape {shape} with C-contiguous images",
+        next=f"make one with numpy.empty({shape}, numpy.uint8), or leave `out` out",
+    )
+
+
+class SensorImages(Sequence[UInt8]):
+    """The images of one round; each is decoded on every access and not kept.
+
+    ``images[i]`` gives (H, W, 3) uint8; a slice, list or array of ints, or boolean mask gives (n, H, W, 3).
+    Safe to share between threads and to pickle.
+    """
+
+    __slots__ = ("_blobs", "_count", "_start", "row")
+
+    def __init__(self, row: StoredRound) -> None:
+        column = row.group.nested("sensor_image")
+        start, stop = column.inside(0, row.index, row.index + 1)
+        self.row = row
+        self._blobs: read.BytesColumn = column.values
+        self._start, self._count = start, stop - start
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, index: Any) -> UInt8:  # type: ignore[override]
+        """Decode one image, or some into one array.
+
+        Raises IntegrityError, which names file, row and touch, if an image is damaged, or differs in size
+        from the other requested ones.
+        """
+        if read.picks_several(index):
+            return self.batch(index)
+        return self._decode(read.checked_index(operator.index(index), self._count, "touch", "touches"))
+
+    def __iter__(self) -> Iterator[UInt8]:
+        return (self._decode(touch) for touch in range(self._count))
+
+    def batch(self, index: object = slice(None), *, threads: int = 1, out: UInt8 | None = None) -> UInt8:
+        """Decode several images into one array.
+
+        Parameters
+        ----------
+        index : slice, sequence of int, or boolean mask
+            Which touches; all by default.
+        threads : int
+            Number of images to decode at a time.
+        out : ndarray, shape (n, H, W, 3), uint8, optional
+            Array to write to, which saves a new array for each batch; each image must be C-contiguous.
+
+        Returns
+        -------
+        ndarray, shape (n, H, W, 3), uint8
+
+        Raises
+        ------
+        InputError
+            ``out`` is not such an array.
+        IntegrityError
+            As for indexing; or the images exceed :data:`realtouch.media.MAX_BATCH_PIXELS`.
+        """
+        touches = read.positions(index, self._count).tolist()
+        first, size = [*touches, 0][0], (0, 0)
+        if self._count:
+            size = self.size(first)
+        with self.row.naming("sensor_image", first):
+            pixels = room_for(len(touches), size, out)
+        self.decode_into(pixels, touches, threads=threads)
+        return pixels
+
+    def decode_into(self, out: UInt8, touches: Sequence[int], *, threads: int = 1) -> None:
+        """Decode several images into an array of their size, such as ``room_for`` gives."""
+        in_parallel(lambda index: self._decode(touches[index], out[index]), len(touches), threads)
+
+    def encoded(self, touch: int) -> memoryview:
+        """Return the stored bytes of one image, without a copy; IntegrityError if no bytes are stored."""
+        place = read.checked_index(touch, self._count, "touch", "touches")
+        blob = self._blobs[self._start + place]
+        if blob is None or len(blob) == 0:
+            raise self.row.damaged("sensor_image", "no bytes are stored; expected a JPEG", place)
+        return blob
+
+    def size(self, touch: int = 0) -> tuple[int, int]:
+        """Return height and width of one image from its header."""
+        with self.row.naming("sensor_image", touch):
+            return image_size(self.encoded(touch))
+
+    def _decode(self, touch: int, out: UInt8 | None = None) -> UInt8:
+        with self.row.naming("sensor_image", touch):
+            return decode_image(self.encoded(touch), out)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (SensorImages, (self.row,))
+
+    def __repr__(self) -> str:
+        return f"SensorImages({wording.with_count(self._count, 'touches')})"
+
+
+DEPTH, DEPTH_ERROR = "depth_um", "depth_error_um"
+"""Columns of the maps of a round of images, with an entry for each touch."""
+SUFFIX = "png"
+_PER_M, _MOST = 1e6, 65_535
+_MODES = ("I;16", "I;16B")
+
+
+def encode_map(depth_m: Floating) -> bytes:
+    """Encode a depth map, (H, W), metres, as PNG; negative values become 0.
+
+    Raises InputError for values that are not finite, or exceed 65.535 mm.
+    """
+    if not np.isfinite(depth_m).all() or depth_m.max(initial=0) * _PER_M > _MOST:
+        raise errors.InputError(
+            f"depth of {np.max(depth_m):g} m; expected finite numbers of at most {_MOST / _PER_M} m"
+        )
+    counts = np.rint(np.maximum(depth_m, 0) * _PER_M).astype(np.uint16)
+    stream = io.BytesIO()
+    # A fixed level, as for images: the default may change with a release.
+    Image.fromarray(counts).save(stream, "PNG", compress_level=6)
+    return stream.getvalue()
+
+
+def decode_map(data: memoryview | bytes) -> Float32:
+    """Decode a depth map, shape (H, W), float32, metres; ValueError for any other file."""
+    try:
+        image = Image.open(io.BytesIO(data), formats=["PNG"])
+        is_depth = image.mode in _MODES and image.width * image.height <= MAX_IMAGE_PIXELS
+        counts = np.asarray(image) if is_depth else None
+    except Exception as error:  # Pillow raises many kinds on damaged files
+        raise ValueError("a depth map that cannot be decoded; expected a PNG of 16 bits") from error
+    if counts is None:
+        raise ValueError(
+            f"{image.width} x {image.height} pixels ({image.mode}); expected a grey PNG of 16 bits and "
+            f"at most {MAX_IMAGE_PIXELS:,} pixels"
+        )
+    return counts.astype(np.float32) / np.float32(_PER_M)
+
+
+class DepthMaps(Sequence[Float32]):
+    """The maps of one round; each is decoded on every access and not kept.
+
+    ``maps[i]`` gives (H, W), float32, metres; a slice, list or array of ints, or boolean mask (n, H, W).
+    """
+
+    __slots__ = ("_blobs", "_column", "_count", "_start", "row")
+
+    def __init__(self, row: StoredRound, column: str) -> None:
+        found, start, stop = row.entries_of(column)  # refuses a round with more or less than T maps
+        self.row = row
+        self._column, self._start, self._count = column, start, stop - start
+        self._blobs: read.BytesColumn = found.values
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, index: Any) -> Float32:  # type: ignore[override]
+        """Decode one map, or several of the same size; IntegrityError if one is damaged."""
+        if read.picks_several(index):
+            return np.stack([self._decode(touch) for touch in read.positions(index, self._count).tolist()])
+        return self._decode(read.checked_index(operator.index(index), self._count, "touch", "touches"))
+
+    def __iter__(self) -> Iterator[Float32]:
+        return map(self._decode, range(self._count))
+
+    def _decode(self, touch: int) -> Float32:
+        with self.row.naming(self._column, touch):
+            return decode_map(self._blobs[self._start + touch] or b"")
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (DepthMaps, (self.row, self._column))
+
+    def __repr__(self) -> str:
+        return f"DepthMaps({wording.with_count(self._count, 'touches')})"
+
 
 _SHOWN_FRAMES = 8
 
@@ -104,14 +319,12 @@ class TouchClip(Sequence[UInt8]):
         Raises
         ------
         IntegrityError
-            A frame is damaged, or they exceed :data:`realtouch.sensor_images.MAX_BATCH_PIXELS`.
+            A frame is damaged, or they exceed :data:`realtouch.media.MAX_BATCH_PIXELS`.
         """
         wanted = read.positions(index, len(self)).tolist()
         with self.row.naming("sensor_video", self.touch):
-            pixels = sensor_images.room_for(len(wanted), self.size)
-        sensor_images.in_parallel(
-            lambda number: self._decode(wanted[number], pixels[number]), len(wanted), threads
-        )
+            pixels = room_for(len(wanted), self.size)
+        in_parallel(lambda number: self._decode(wanted[number], pixels[number]), len(wanted), threads)
         return pixels
 
     def __iter__(self) -> Iterator[dict[str, object]]:  # type: ignore[override]
@@ -290,11 +503,11 @@ class SensorClips(Sequence[TouchClip]):
         """Return an array for ``count`` frames of the first clip's size: a new one, or ``out`` if it fits.
 
         Raises InputError when ``out`` cannot take them, IntegrityError when they exceed
-        :data:`realtouch.sensor_images.MAX_BATCH_PIXELS`.
+        :data:`realtouch.media.MAX_BATCH_PIXELS`.
         """
         size = self[0].size if self._count else (0, 0)
         with self.row.naming("sensor_video"):
-            return sensor_images.room_for(count, size, out)
+            return room_for(count, size, out)
 
     def __reduce__(self) -> tuple[object, ...]:
         return (SensorClips, (self.row,))
@@ -357,4 +570,4 @@ def decode_frames(
                 "sensor_video", f"frame {frames[number]}: {error}", touches[number]
             ) from error
 
-    sensor_images.in_parallel(decode, len(encoded), threads)
+    in_parallel(decode, len(encoded), threads)
