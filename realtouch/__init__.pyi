@@ -1,7 +1,7 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
 from .touch_options import Alignment as Alignment, CheckLimits as CheckLimits
-from .contact_picture import (
+from .contact import (
     ContactRule as ContactRule,
     ContactScore as ContactScore,
     contact_score as contact_score,
@@ -15,15 +15,17 @@ from .contacts import (
 )
 from .convert.conversion import Source as Source
 from .convert.media_conversions import (
+    add_depth as add_depth,
     clips_to_images as clips_to_images,
     resize as resize,
 )
 from .convert.picture_files import frames as frames
-from .convert.reading_depth import add_depth as add_depth
 from .convert.selection import select as select
 from .damage import RecordingFinding as RecordingFinding
-from .faults.check_results import CheckResult as CheckResult
-from .faults.checking import check as check
+from .faults.checking import (
+    check as check,
+    CheckResult as CheckResult,
+)
 from .media import (
     DepthMaps as DepthMaps,
     TouchClip as TouchClip,

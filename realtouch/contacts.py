@@ -8,7 +8,7 @@ from itertools import islice
 
 import numpy as np
 
-from realtouch import contact_picture, media, rounds, schema
+from realtouch import contact, media, rounds, schema
 from realtouch.contact import ContactHeight
 from realtouch.datasets import AnyTouches, Touches, with_no_contact
 from tactile_toolkit.array_types import Bool, Float64, Int64, UInt8
@@ -57,8 +57,8 @@ def _with_median(pictures: object) -> tuple[UInt8, Iterable[UInt8]]:
             "no pictures to take a background of; expected a clip, a round or touches that hold any"
         )
     if len(first) == 1:
-        return contact_picture.median_in_memory(first[0]), first
-    return contact_picture.median_of(lambda: _batches(pictures)), _batches(pictures)
+        return contact.median_in_memory(first[0]), first
+    return contact.median_of(lambda: _batches(pictures)), _batches(pictures)
 
 
 def _batches(pictures: object) -> Iterator[UInt8]:
@@ -78,7 +78,7 @@ def _batches(pictures: object) -> Iterator[UInt8]:
                 yield from _batches(touch.clip)
     elif hasattr(pictures, "touches"):
         yield from _batches(pictures.touches())
-    elif not isinstance(pictures, Touches) and len(found := contact_picture.as_pictures(pictures)):
+    elif not isinstance(pictures, Touches) and len(found := contact.as_pictures(pictures)):
         yield found
 
 
@@ -92,10 +92,10 @@ def _pieces(count: int, read: Callable[[slice], UInt8]) -> Iterator[UInt8]:
 
 def best_frame(
     clip: media.TouchClip | UInt8,
-    rule: contact_picture.ContactRule | None = None,
+    rule: contact.ContactRule | None = None,
     *,
     base: UInt8 | None = None,
-) -> tuple[int, contact_picture.ContactScore]:
+) -> tuple[int, contact.ContactScore]:
     """Return the frame that shows the contact best, and its score.
 
     Parameters
@@ -121,16 +121,16 @@ def best_frame(
         A frame is damaged.
     """
     if not isinstance(clip, media.TouchClip):
-        return contact_picture.best_of(contact_picture.as_pictures(clip), rule, base)
+        return contact.best_of(contact.as_pictures(clip), rule, base)
     pieces = list(islice(_batches(clip), 2)) or [clip.frames()]
     if len(pieces) == 1:
-        return contact_picture.best_of(pieces[0], rule, base)
+        return contact.best_of(pieces[0], rule, base)
     # A clip that does not fit in memory is processed a few frames at a time.
     if base is None:
         base = background(clip)
-    start, best = 0, (0, contact_picture.ContactScore(0, 0.0))
+    start, best = 0, (0, contact.ContactScore(0, 0.0))
     for piece in _batches(clip):
-        frame, score = contact_picture.best_of(piece, rule, base)
+        frame, score = contact.best_of(piece, rule, base)
         if start == 0 or score.total_change > best[1].total_change:
             best = start + frame, score
         start += len(piece)
@@ -194,7 +194,7 @@ class Contacts:
 
 
 def contacts_by_image(
-    touches: AnyTouches, rule: contact_picture.ContactRule | None = None, *, threads: int = 1
+    touches: AnyTouches, rule: contact.ContactRule | None = None, *, threads: int = 1
 ) -> Contacts:
     """Find the image of each touch that shows contact best, and decide whether there was contact.
 
@@ -228,9 +228,9 @@ def contacts_by_image(
         raise InputError(
             f"a {type(given).__name__} was given; expected touches, such as `realtouch.load(...).touches()`"
         )
-    rule = rule or contact_picture.ContactRule()
+    rule = rule or contact.ContactRule()
     frame, area = np.zeros((2, len(touches)), np.int64)
-    score = contact_picture.ContactScore(area, np.zeros(len(touches)))
+    score = contact.ContactScore(area, np.zeros(len(touches)))
     if len(touches) and isinstance(touches[0].round, rounds.TouchSingleRound):
         _measure_images(touches, rule, threads, score)
     else:
@@ -240,10 +240,10 @@ def contacts_by_image(
 
 def _measure_clips(
     touches: AnyTouches,
-    rule: contact_picture.ContactRule,
+    rule: contact.ContactRule,
     threads: int,
     frame: Int64,
-    score: contact_picture.ContactScore,
+    score: contact.ContactScore,
 ) -> None:
     """Fill in the best frame of each clip and its score."""
 
@@ -255,7 +255,7 @@ def _measure_clips(
 
 
 def _measure_images(
-    touches: AnyTouches, rule: contact_picture.ContactRule, threads: int, score: contact_picture.ContactScore
+    touches: AnyTouches, rule: contact.ContactRule, threads: int, score: contact.ContactScore
 ) -> None:
     """Fill in the score of each image; images of a round share their background."""
     places = touches.round_positions
@@ -273,7 +273,7 @@ def _measure_images(
             base = shared
         done = 0
         for images in batches:
-            found, part = contact_picture.contact_score(images, base, rule), chosen[done : done + len(images)]
+            found, part = contact.contact_score(images, base, rule), chosen[done : done + len(images)]
             score.area_px[part], score.intensity[part] = found.area_px, found.intensity
             done += len(images)
 

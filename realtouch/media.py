@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 from PIL import Image
 
-from realtouch import avi, contact, contact_picture, picture_views, schema, stored_round
+from realtouch import avi, contact, picture_views, schema, stored_round
 from realtouch.poses import Poses
 from realtouch.stored_round import StoredRound
 from tactile_toolkit import errors, read, wording
@@ -437,7 +437,7 @@ class TouchClip(Sequence[UInt8]):
         """
         chosen = contact.require_method(method)
         if chosen == "best":
-            return contact_picture.best_of(self.frames())[0]
+            return contact.best_of(self.frames())[0]
         return contact_frames_of(self.row, chosen, self.touch)[0]
 
     def contact_frame(self, method: str = "contact_end") -> UInt8:

@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 from PIL import Image
 
-from realtouch.contact_picture import median_in_memory
+from realtouch.contact import median_in_memory
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 from tactile_toolkit.touch import MEDIA_TYPE, decode_image, encode_image, image_size, is_jpeg

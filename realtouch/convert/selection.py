@@ -17,7 +17,7 @@ import pyarrow as pa
 
 from realtouch import contacts, datasets, schema, stored_round
 from realtouch.contact import MIN_CONTACT_HEIGHT_M, PLATE_COLUMN, ContactHeight
-from realtouch.convert import conversion, shard_tasks
+from realtouch.convert import conversion
 from tactile_toolkit import catalog, errors, places, read, store
 from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.touch import height_text
@@ -33,7 +33,7 @@ def select(
     labels: Iterable[int | str] = (),
     objects: Iterable[int | tuple[int, int]] = (),
     per_class: int | None = None,
-    **job: Unpack[shard_tasks.JobOptions],
+    **job: Unpack[conversion.JobOptions],
 ) -> store.Manifest:
     """Write some rounds and touches of a data set; images and clips are copied byte for byte.
 
@@ -79,7 +79,7 @@ def select(
     }
     if per_class is not None:
         chosen["per_class"] = conversion.require_limit(per_class, "per_class")
-    return shard_tasks.write_conversion(source, out, partial(_selection, chosen), **job)
+    return conversion.write_conversion(source, out, partial(_selection, chosen), **job)
 
 
 def _selection(chosen: JsonObject, opened: conversion.Source, limit: int | None) -> conversion.Conversion:

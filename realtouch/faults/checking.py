@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
@@ -12,21 +13,25 @@ import numpy as np
 from realtouch import (
     convert,
     damage,
-    integrity,
+    datasets,
     kind,
     opening,
+    picture_views,
     schema,
     stored_round,
     touch_options,
+    verification,
 )
-from realtouch.faults import check_results, comparisons, rules
-from realtouch.faults.sections import PlacedRow, Section, check_section
-from tactile_toolkit import catalog, errors, places, read, run
+from realtouch.damage import MAX_NAMED, RecordingFinding
+from realtouch.faults import comparisons, rules
+from realtouch.faults.sections import PlacedRow, RoundSeen, Section, check_section
+from realtouch.rounds import TouchSingleRound
+from tactile_toolkit import catalog, errors, pictures, places, read, run, wording
+from tactile_toolkit.array_types import UInt8
 
 MAX_PICTURES = 1_000_000
 """About how many pictures of a set are decoded, at an eighth of their size, which takes a minute or two. All
 single images are decoded; of each clip, at least eight evenly spaced frames."""
-
 _MIN_FRAMES = 8
 _MIN_TOUCHES = 4  # shorter rounds are checked together with the ones after them
 
@@ -38,7 +43,7 @@ def check(
     limits: touch_options.CheckLimits | None = None,
     workers: int = 1,
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
-) -> check_results.CheckResult:
+) -> CheckResult:
     """Find what is wrong with the recordings of a data set whose files are intact.
 
     Frozen and dropped frames, steps of the exposure, red and blue exchanged, drift and markers of the gel,
@@ -85,12 +90,10 @@ def check(
         by_rule[fault.rule].append(fault)
     rounds = {each.spot: each for section in sections for each in section.rounds}
     findings = tuple(
-        check_results.finding_of(rule, by_rule[rule], rounds, chosen)
-        for rule in rules.RULES
-        if rule in by_rule
+        finding_of(rule, by_rule[rule], rounds, chosen) for rule in rules.RULES if rule in by_rule
     )
     decoded = sum(section.decoded for section in sections)
-    return check_results.CheckResult(len(rounds), touches, decoded, findings, by_rule, files)
+    return CheckResult(len(rounds), touches, decoded, findings, by_rule, files)
 
 
 def _sections_of(
@@ -126,7 +129,7 @@ def _placed_rows(
         starts = dict(
             zip((shard.path for shard in shards), np.cumsum([0, *map(len, shards)]).tolist(), strict=False)
         )
-        for found in integrity.readable_rows(read.row_groups(shards)):
+        for found in verification.readable_rows(read.row_groups(shards)):
             if isinstance(found, damage.Damage):
                 number = starts[found.file] + (found.row or 0)
                 damaged.append(
@@ -149,3 +152,100 @@ def _in_sections(rows: Iterable[PlacedRow]) -> Iterator[list[PlacedRow]]:
             touches += _MIN_TOUCHES if row.stored.kind == "seq" else row.stored.touch_total()
     if gathered:
         yield gathered
+
+
+_MAX_DRAWN = 8
+_TILE_PX = 240
+_NAME_CHARACTERS = 20  # at the end of the name of a round, which fit below a picture
+
+
+@dataclass(frozen=True, eq=False)
+class CheckResult:
+    """Result of :func:`check`.
+
+    Attributes
+    ----------
+    rounds, touches : int
+        How many were checked.
+    decoded : int
+        How many pictures were decoded; the stored bytes of all were compared.
+    findings : tuple of RecordingFinding
+        Findings, in the order of the rules.
+    """
+
+    rounds: int
+    touches: int
+    decoded: int
+    findings: tuple[RecordingFinding, ...]
+    _faults: Mapping[str, Sequence[rules.Fault]] = field(repr=False)
+    _files: Mapping[str, Sequence[read.Shard]] = field(repr=False)
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing was found."""
+        return not self.findings
+
+    def pictures(self) -> pictures.PicturePlan:
+        """Plan a picture of each finding: its first touches."""
+        datasets = {split: datasets.dataset_of(files) for split, files in self._files.items()}
+        planned = [
+            pictures.PlannedPicture(
+                f"{finding.rule}.png",
+                f"{finding.rule}: {finding.found}",
+                partial(_draw, finding, self._faults[finding.rule], datasets),
+            )
+            for finding in self.findings
+        ]
+        return pictures.PicturePlan(tuple(planned))
+
+
+def finding_of(
+    rule: str,
+    faults: Sequence[rules.Fault],
+    rounds: Mapping[rules.Spot, RoundSeen],
+    limits: touch_options.CheckLimits,
+) -> RecordingFinding:
+    """Return the finding of a rule in all splits."""
+    splits = list(dict.fromkeys(fault.at.split for fault in faults))
+    names: list[str] = []
+    total = 0
+    for spot in sorted({fault.at._replace(frame=0) for fault in faults}):
+        whole = spot._replace(touch=rules.WHOLE_ROUND)
+        known = rounds.get(whole, RoundSeen(whole, f"row {spot.row}", 1, None, None))
+        named, count = f"{known.name}:{spot.touch}", 1
+        if spot == whole:
+            count = max(known.touches, 1)
+            named = f"{known.name}:0-{count - 1}"
+        names.append(f"{spot.split}/{named}" if len(splits) > 1 else named)
+        total += count
+    message = rules.RULES[rule]
+    found = message.found.format(value=max(fault.value for fault in faults))
+    where = " and ".join(splits)
+    return RecordingFinding(
+        rule, found, message.expected_text(limits), where, tuple(names[:MAX_NAMED]), total, message.next
+    )
+
+
+def _draw(
+    finding: RecordingFinding, faults: Sequence[rules.Fault], datasets: Mapping[str, datasets.AnyDataset]
+) -> UInt8:
+    """Draw the first touches of a finding; those that cannot be read are left out."""
+    tiles: list[pictures.Tile] = []
+    for spot in list({fault.at[:3]: fault.at for fault in faults}.values())[:_MAX_DRAWN]:
+        with suppress(errors.IntegrityError, ValueError, IndexError):
+            record, touch = datasets[spot.split][spot.row], max(spot.touch, 0)
+            if isinstance(record, TouchSingleRound):
+                pixels = record.sensor_image[touch]
+            else:
+                pixels = record.sensor_video[touch][spot.frame]
+            tiles.append(
+                pictures.Tile(
+                    picture_views.fitted(pixels, _TILE_PX), f"{record.id[-_NAME_CHARACTERS:]}:{touch}"
+                )
+            )
+    title = f"{rules.RULES[finding.rule].title}: {finding.found}"
+    lines = (
+        f"expected: {finding.expected}",
+        f"{finding.where}: {wording.with_count(finding.count, 'touches')}",
+    )
+    return pictures.sheet(tiles, 4, title, lines)

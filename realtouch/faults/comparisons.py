@@ -10,7 +10,7 @@ from itertools import groupby
 import numpy as np
 from scipy import stats
 
-from realtouch.faults import rules, seen
+from realtouch.faults import picture_measures, rules
 from realtouch.faults.sections import Section
 from realtouch.touch_options import CheckLimits
 from tactile_toolkit.array_types import Float32, Float64, Int64
@@ -73,7 +73,9 @@ def _swapped_channels(sections: Sequence[Section]) -> Iterator[rules.Fault]:
     if not touches:
         return
     patterns = np.array([touch.pattern for touch in touches])
-    known = seen.colour_pattern(np.repeat(np.repeat(np.array(GELSIGHT_MINI).reshape(4, 4, 3), 3, 0), 4, 1))
+    known = picture_measures.colour_pattern(
+        np.repeat(np.repeat(np.array(GELSIGHT_MINI).reshape(4, 4, 3), 3, 0), 4, 1)
+    )
     reference = _most_common(patterns)
     _, order = _gain(reference[None], known, rules.MIN_KNOWN)
     if order[0]:
@@ -98,7 +100,7 @@ def _gain(
     The order is 1 as stored, -1 with red and blue exchanged, and 0 if neither fits.
     """
     as_is = (patterns @ reference / len(reference)).astype(np.float64)
-    swapped = (seen.with_red_as_blue(patterns) @ reference / len(reference)).astype(np.float64)
+    swapped = (picture_measures.with_red_as_blue(patterns) @ reference / len(reference)).astype(np.float64)
     gain = swapped - as_is
     is_swapped = (swapped >= least) & (gain >= rules.MIN_GAIN)
     is_usual = (as_is >= least) & (-gain >= rules.MIN_GAIN)
@@ -111,7 +113,7 @@ def _most_common(patterns: Float32) -> Float32:
     most = -1 if np.count_nonzero(order == -1) > np.count_nonzero(order == 1) else 1
     if (order == most).any():
         patterns = patterns[order == most]
-    return seen.normalised(np.median(patterns, axis=0))
+    return picture_measures.normalised(np.median(patterns, axis=0))
 
 
 def _mixed_markers(sections: Sequence[Section]) -> Iterator[rules.Fault]:
@@ -140,7 +142,7 @@ def _changes_of_gel(session: Sequence[Section], limits: CheckLimits) -> Iterator
     """Yield the steps of the bare gel from round to round, and its drift."""
     gels = np.stack([section.gel for section in session if section.gel is not None])
     rounds = [section.rounds[0].spot for section in session]
-    for index, step in seen.outlying_steps(gels, limits.exposure):
+    for index, step in picture_measures.outlying_steps(gels, limits.exposure):
         # A step inside a round also changes the average of its gel; it is reported for its touch.
         around = (fault.rule for each in session[index - 1 : index + 1] for fault in each.faults)
         if "exposure-jumps" not in around:

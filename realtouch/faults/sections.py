@@ -1,28 +1,30 @@
 """Sections of a session: one round, or several short ones in a row, each checked in one pass.
 
-A section keeps what other sections are compared with: a digest and a colour pattern of each touch, and the
-bare gel. It keeps no pictures.
+A strip is a sequence of pictures with poses and times: the images of a round, or the frames of a clip. A
+section keeps what other sections are compared with: a digest and a colour pattern of each touch, and the bare
+gel. It keeps no pictures.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import groupby
+from itertools import groupby, pairwise
 from typing import NamedTuple
 
 import numpy as np
 import xxhash
 
 from realtouch import (
-    contact_picture,
+    contact,
     media,
     picture_views,
     schema,
     stored_round,
     touch_options,
 )
-from realtouch.faults import rules, seen, strips
+from realtouch.faults import picture_measures, rules
+from realtouch.faults.picture_measures import spans_of
 from realtouch.poses import Poses
 from tactile_toolkit.array_types import Float32, Float64
 from tactile_toolkit.errors import IntegrityError
@@ -30,7 +32,6 @@ from tactile_toolkit.touch import MEDIA_COLUMN, decode_image
 
 GEL_PICTURES = 32
 """Pictures of a section whose median shows its bare gel; at each pixel, fewer than half have contact."""
-
 _FIRST_FRAMES = 8  # of a clip, before the contact
 _MIN_BARE = 5  # pictures whose median shows the gel and not a touched object
 _TIMES = "time_stamp_rel_seq"
@@ -83,7 +84,7 @@ def check_section(
     the gel is also at the same place.
     """
     section = Section()
-    pictures: list[strips.Picture] = []
+    pictures: list[Picture] = []
     for row in rows:
         at = rules.Spot(row.split, row.number, rules.WHOLE_ROUND)
         try:
@@ -95,12 +96,12 @@ def check_section(
         parts = [present] if row.stored.kind == "single" else [[spot] for spot in present]
         for part in filter(None, parts):
             strip = _strip(section, row.stored, part, frames, is_rendered=is_rendered)
-            for rule in strips.STRIP_RULES:
+            for rule in STRIP_RULES:
                 section.faults += rule(strip, limits)
             section.touches += _touches(strip)
             pictures += strip.seen.values()
     if pictures and not is_rendered:  # no light that could change
-        steps = seen.outlying_steps(np.stack([each.cells for each in pictures]), limits.exposure)
+        steps = picture_measures.outlying_steps(np.stack([each.cells for each in pictures]), limits.exposure)
         section.faults += [rules.Fault("exposure-jumps", pictures[index].spot, step) for index, step in steps]
         _add_bare_gel(section, pictures)
     return section
@@ -139,7 +140,7 @@ def _strip(
     frames: int,
     *,
     is_rendered: bool,
-) -> strips.Strip:
+) -> Strip:
     """Read the images of a round, or the frames of one touch; add unreadable ones to the faults."""
     encoded: list[memoryview] = []
     poses, time_s, spots, at = None, np.zeros(0), touches, touches[0]
@@ -155,13 +156,13 @@ def _strip(
     except IntegrityError:
         section.faults.append(rules.Fault("unreadable-touches", at, 0.0))
     digests = list(map(xxhash.xxh3_128_digest, encoded))
-    pictures: dict[int, strips.Picture] = {}
+    pictures: dict[int, Picture] = {}
     empty: dict[int, rules.Fault] = {}
     for number in picture_views.evenly_spaced(len(encoded), frames):
         spot, picture = spots[number], encoded[number]
         try:
-            cells = seen.cells_of(picture)
-            share = seen.share_of_one_value(picture, cells)
+            cells = picture_measures.cells_of(picture)
+            share = picture_measures.share_of_one_value(picture, cells)
         except ValueError:
             section.faults.append(rules.Fault("unreadable-touches", spot, 0.0))
             continue
@@ -170,11 +171,11 @@ def _strip(
             empty[spot.touch] = rules.Fault("empty-pictures", spot, share)
             digests = [b"" if each == digests[number] else each for each in digests]
         else:
-            pictures[number] = strips.Picture(spot, cells, picture)
+            pictures[number] = Picture(spot, cells, picture)
     section.faults += empty.values()
     if is_rendered and poses is not None:  # the bare plate looks the same everywhere
         digests = [digest + poses.position_m[number].tobytes() for number, digest in enumerate(digests)]
-    return strips.Strip(at, spots, digests, pictures, poses, time_s)
+    return Strip(at, spots, digests, pictures, poses, time_s)
 
 
 def _motion(stored: stored_round.StoredRound, touches: Sequence[rules.Spot]) -> tuple[Poses | None, Float64]:
@@ -189,7 +190,7 @@ def _motion(stored: stored_round.StoredRound, touches: Sequence[rules.Spot]) -> 
     return poses, time_s
 
 
-def _touches(strip: strips.Strip) -> Iterator[TouchSeen]:
+def _touches(strip: Strip) -> Iterator[TouchSeen]:
     """Yield the touches of a strip, all pictures of which have content."""
     numbers = range(len(strip.spots))
     for _, group in groupby(numbers, key=lambda number: strip.spots[number].touch):
@@ -198,10 +199,10 @@ def _touches(strip: strips.Strip) -> Iterator[TouchSeen]:
         if cells and all(strip.digests[number] for number in of_touch):
             digest = xxhash.xxh3_128_digest(b"".join(strip.digests[number] for number in of_touch))
             spot = strip.spots[of_touch[0]]._replace(frame=0)
-            yield TouchSeen(spot, digest, seen.colour_pattern(np.median(cells, axis=0)))
+            yield TouchSeen(spot, digest, picture_measures.colour_pattern(np.median(cells, axis=0)))
 
 
-def _add_bare_gel(section: Section, pictures: Sequence[strips.Picture]) -> None:
+def _add_bare_gel(section: Section, pictures: Sequence[Picture]) -> None:
     """Add the bare gel: the median of the images, or of the first frames of the clips."""
     by_touch = [list(group) for _, group in groupby(pictures, key=lambda each: each.spot[:3])]
     section.gel = np.median([touch[0].cells for touch in by_touch], axis=0).astype(np.float32)
@@ -211,4 +212,112 @@ def _add_bare_gel(section: Section, pictures: Sequence[strips.Picture]) -> None:
     same = [each for each in decoded if each.shape == decoded[0].shape]
     section.decoded += len(decoded)
     if len(same) >= _MIN_BARE:
-        section.markers = seen.count_markers(contact_picture.median_in_memory(np.stack(same)))
+        section.markers = picture_measures.count_markers(contact.median_in_memory(np.stack(same)))
+
+
+_MIN_STEPS = 4  # fewer have no usual step
+_SAME_M, _SAME_QUATERNION = 1e-7, 1e-6  # a robot at rest measures noise beyond these
+_FAR = 10.0  # touches of a round are about this many times farther apart than frames
+
+
+class Picture(NamedTuple):
+    """A picture with content that was decoded to the averages of its cells, shape (12, 16, 3)."""
+
+    spot: rules.Spot
+    cells: Float32
+    encoded: memoryview
+
+
+@dataclass(frozen=True, eq=False)
+class Strip:
+    """The images of a round, or the frames of a clip.
+
+    ``at`` stands for all of them; ``spots``, ``digests`` and ``poses`` have an entry for each picture, whose
+    digest is empty if it has no content. ``seen`` are pictures by their numbers. ``time_s`` are the times of
+    frames, NaN where missing; empty for images.
+    """
+
+    at: rules.Spot
+    spots: Sequence[rules.Spot]
+    digests: Sequence[bytes]
+    seen: Mapping[int, Picture]
+    poses: Poses | None
+    time_s: Float64
+
+
+def frozen(strip: Strip, limits: touch_options.CheckLimits) -> Iterator[rules.Fault]:
+    """Yield runs of equal pictures, and the motion of the gel during them."""
+    same = [one == other != b"" for one, other in pairwise(strip.digests)]
+    for start, length in spans_of(same, limits.frozen):
+        # A clip is named once, by the last of its frozen frames.
+        repeats = {spot.touch: spot for spot in strip.spots[start + 1 : start + length]}.values()
+        yield from (rules.Fault("frozen-frames", spot, length) for spot in repeats)
+        if strip.poses is None:
+            continue
+        moved_mm = 1e3 * float(np.linalg.norm(np.ptp(strip.poses.position_m[start : start + length], axis=0)))
+        if moved_mm >= limits.motion_mm:
+            yield from (rules.Fault("moving-poses", spot, moved_mm) for spot in repeats)
+
+
+def still(strip: Strip, limits: touch_options.CheckLimits) -> Iterator[rules.Fault]:
+    """Yield the runs of equal poses over which pictures change."""
+    if strip.poses is None:
+        return
+    moved = np.abs(np.diff(strip.poses.position_m, axis=0)).max(axis=1, initial=0)
+    turned = np.abs(np.diff(strip.poses.quaternion, axis=0)).max(axis=1, initial=0)
+    for start, length in spans_of((moved <= _SAME_M) & (turned <= _SAME_QUATERNION), rules.MIN_STILL):
+        inside = [each for number, each in strip.seen.items() if start <= number < start + length]
+        if len(inside) < 2:
+            continue
+        cells = np.stack([each.cells for each in inside])
+        # An even step of brightness is not a contact.
+        cells -= np.median(cells, axis=(1, 2), keepdims=True)
+        if np.ptp(cells, axis=0).max() >= rules.MIN_CHANGE:
+            concerned = {each.spot.touch: each.spot for each in inside}
+            yield from (rules.Fault("still-poses", spot, length) for spot in concerned.values())
+
+
+def wrong_times(strip: Strip, limits: touch_options.CheckLimits) -> Iterator[rules.Fault]:
+    """Yield times that are missing or decrease, or otherwise the longest gap between them."""
+    steps = np.diff(strip.time_s)
+    if not np.isfinite(strip.time_s).all() or (steps < 0).any():
+        known = np.where(np.isfinite(steps), steps, 0.0)
+        frame = int(known.argmin()) + 1 if len(steps) else 0
+        yield rules.Fault("times-run-back", strip.at._replace(frame=frame), -float(known.min(initial=0.0)))
+        return
+    usual = float(np.median(steps)) if len(steps) >= _MIN_STEPS else 0.0
+    if usual > 0 and steps.max() >= limits.gap * usual:
+        after = strip.at._replace(frame=int(steps.argmax()) + 1)
+        yield rules.Fault("dropped-frames", after, float(steps.max()) / usual)
+
+
+def jumps(strip: Strip, limits: touch_options.CheckLimits) -> Iterator[rules.Fault]:
+    """Yield the worst step of the poses of a clip, or the images that are far away from all others."""
+    if strip.poses is None or len(strip.spots) <= _MIN_STEPS:
+        return
+    position_mm = 1e3 * strip.poses.position_m
+    if strip.at.touch == rules.WHOLE_ROUND:
+        far_mm = np.linalg.norm(position_mm - np.median(position_mm, axis=0), axis=1)
+        limit = max(_FAR * limits.jump_mm, rules.JUMP_FACTOR * float(np.median(far_mm)))
+        for number in np.flatnonzero(far_mm > limit).tolist():
+            yield rules.Fault("pose-jumps", strip.spots[number], float(far_mm[number]) / limit)
+        return
+    quaternion = strip.poses.quaternion / np.linalg.norm(strip.poses.quaternion, axis=1, keepdims=True)
+    # A quaternion and its negative are one rotation.
+    cosine = np.abs((quaternion[1:] * quaternion[:-1]).sum(axis=1)).clip(0, 1)
+    turned_deg = np.degrees(2 * np.arccos(cosine))
+    moved_mm = np.linalg.norm(np.diff(position_mm, axis=0), axis=1)
+    for steps, least in ((moved_mm, limits.jump_mm), (turned_deg, rules.MIN_TURN_DEG)):
+        limit = max(least, rules.JUMP_FACTOR * float(np.percentile(steps, 90)))
+        if steps.max() > limit:
+            yield rules.Fault("pose-jumps", strip.spots[int(steps.argmax()) + 1], float(steps.max()) / limit)
+            return
+
+
+STRIP_RULES: tuple[Callable[[Strip, touch_options.CheckLimits], Iterator[rules.Fault]], ...] = (
+    frozen,
+    still,
+    wrong_times,
+    jumps,
+)
+"""Rules for a single strip."""

@@ -7,7 +7,7 @@ from pathlib import PurePosixPath
 
 import numpy as np
 
-from realtouch.contact_picture import ContactRule
+from realtouch.contact import ContactRule
 from realtouch.importing import contact_cuts, fields, found_touches, import_columns, recordings, source_files
 from tactile_toolkit import column_types, errors, units, wording
 

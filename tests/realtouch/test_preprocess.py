@@ -13,7 +13,7 @@ from PIL import Image
 
 import realtouch
 from realtouch import contacts
-from realtouch.contact_picture import median_of
+from realtouch.contact import median_of
 from tactile_toolkit.errors import InputError
 from tests.realtouch import factories
 

@@ -20,13 +20,14 @@ from tactile_toolkit.touch import decode_image, decode_small
 
 ROWS, COLUMNS = 12, 16
 """Cells of a picture whose averages are compared: 16 x 16 mm of a GelSight Mini in cells of 1.2 mm."""
-
 _UNEVEN = 3.0  # levels; the cells of a constant JPEG differ by up to 2
 _BLOCK_PX = 16  # side of a block of JPEG with subsampled colours
 _PATCHES = 4  # per side of the coarse pattern by which colours are recognised
 _OTHER_WAY = 10  # percent of the cells that may change in the other direction
+
 # Least contrast of a dot: levels, share of the brightness around it, standard deviations of noise.
 _DOT_CONTRAST, _DOT_SHARE, _DOT_NOISE = 6.0, 0.06, 4.0
+
 # Dots of GelSight, DIGIT and similar sensors are 1/14 to 1/8 of the width of the picture apart. As shares of
 # this width: the side of the surroundings of a dot, the least distance of two dots, the blur.
 _SURROUNDINGS, _APART, _BLUR = 1 / 8, 1 / 24, 1 / 320
