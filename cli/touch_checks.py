@@ -10,7 +10,8 @@ import typer
 
 import realtouch
 from cli import application, options, output
-from realtouch import damage, touch_options
+from realtouch import touch_options
+from realtouch.touches import damage
 from tactile_toolkit import catalog, pictures, store
 from tactile_toolkit.checked_fields import choice, text
 from tactile_toolkit.errors import InputError

@@ -7,7 +7,7 @@ from .contact import (
     contact_score as contact_score,
     difference as difference,
 )
-from .contacts import (
+from .touches.image_contacts import (
     Contacts as Contacts,
     background as background,
     best_frame as best_frame,
@@ -21,12 +21,12 @@ from .convert.media_conversions import (
 )
 from .convert.picture_files import frames as frames
 from .convert.selection import select as select
-from .damage import RecordingFinding as RecordingFinding
-from .faults.checking import (
+from .touches.damage import RecordingFinding as RecordingFinding
+from .checks.checking import (
     check as check,
     CheckResult as CheckResult,
 )
-from .media import (
+from .touches.media import (
     DepthMaps as DepthMaps,
     TouchClip as TouchClip,
 )
@@ -34,20 +34,20 @@ from .exchange.exporting import export as export
 from .importing.import_preview import ImportPreview as ImportPreview, preview_import as preview_import
 from .importing.import_shards import NOT_IMPORTED as NOT_IMPORTED
 from .importing.touch_import import CONVERSION as CONVERSION, import_touches as import_touches
-from .opening import SHORT_NAMES as SHORT_NAMES, load as load
-from .poses import Poses as Poses, PoseSequences as PoseSequences
-from .rounds import (
+from .touches.opening import SHORT_NAMES as SHORT_NAMES, load as load
+from .touches.poses import Poses as Poses, PoseSequences as PoseSequences
+from .touches.rounds import (
     Touch as Touch,
     TouchRound as TouchRound,
     TouchSeqRound as TouchSeqRound,
     TouchSingleRound as TouchSingleRound,
 )
-from .summary import (
+from .touches.summary import (
     Summary as Summary,
     paper_numbers as paper_numbers,
     summarise as summarise,
 )
-from .datasets import (
+from .touches.datasets import (
     dataset_of as dataset_of,
     TouchDataset as TouchDataset,
     Touches as Touches,
@@ -56,6 +56,6 @@ from .datasets import (
     TouchStream as TouchStream,
 )
 from .importing.import_columns import ImportColumns as ImportColumns
-from .verification import TouchVerification as TouchVerification, verify as verify
+from .checks.verification import TouchVerification as TouchVerification, verify as verify
 
 __version__: str

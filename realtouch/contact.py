@@ -4,8 +4,8 @@ Which frames of a clip show contact follows from the registered times (:func:`co
 paper. Whether a touch met an object follows from the height at which the gel stopped
 (:func:`contact_heights_m`), the rule of the paper's authors. If frames are equal, the earlier one is chosen.
 
-By pictures, contact follows from how much of a picture differs from a background, by default the median. Grey is
-what OpenCV and JPEG call luma (ITU-R BT.601), in integers: (4899 R + 9617 G + 1868 B + 8192) >> 14.
+By pictures, contact follows from how much of a picture differs from a background, by default the median.
+Grey is what OpenCV and JPEG call luma (ITU-R BT.601), in integers: (4899 R + 9617 G + 1868 B + 8192) >> 14.
 
 The results are exact, the same on every machine.
 """

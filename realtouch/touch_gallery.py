@@ -8,9 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 import pyarrow as pa
 
-from realtouch import datasets, force_pictures, kind, media, picture_views, rounds
-from realtouch.rounds import Touch
-from realtouch.schema import origin_of
+from realtouch import force_pictures, kind, picture_views
+from realtouch.touches import datasets, media, rounds
+from realtouch.touches.rounds import Touch
+from realtouch.touches.schema import origin_of
 from tactile_toolkit import catalog, errors, gallery, mesh, places, wording
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, UInt8
 from tactile_toolkit.json_types import JsonDict

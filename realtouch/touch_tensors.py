@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyarrow as pa
 
-from realtouch import contact, datasets, media, schema
-from realtouch.datasets import AnyTouches, Touches
-from realtouch.rounds import Touch, TouchSingleRound
+from realtouch import contact
+from realtouch.touches import datasets, media, schema
+from realtouch.touches.datasets import AnyTouches, Touches
+from realtouch.touches.rounds import Touch, TouchSingleRound
 from tactile_toolkit import cache, errors, read
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.read import TrainingBatches

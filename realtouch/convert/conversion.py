@@ -14,9 +14,9 @@ from typing import Any, NamedTuple, Protocol, Unpack
 
 import pyarrow as pa
 
-from realtouch import contact, datasets, kind, schema, stored_round, touch_card
+from realtouch import contact, kind, touch_card
 from realtouch.kind import KIND
-from realtouch.schema import flat_schema, origin_of
+from realtouch.touches import datasets, schema, stored_round
 from tactile_toolkit import catalog, errors, places, read, run, store, touch
 from tactile_toolkit.json_types import JsonObject
 
@@ -337,7 +337,7 @@ def plan_conversion(conversion: Conversion) -> store.BuildPlan:
     """Divide rows into shards; reads footers only. InputError if nothing is left to convert."""
     source, step = conversion.source, conversion.step
     names = source.class_names
-    schema = touch.with_features(step.schema(flat_schema(source.schema)), names)
+    wanted = touch.with_features(step.schema(schema.flat_schema(source.schema)), names)
     row_bytes = source.row_bytes()
     per_shard = conversion.rows_per_shard or max(1, min(_MAX_ROWS_PER_SHARD, _SHARD_BYTES // row_bytes))
     per_group = conversion.rows_per_group or max(1, min(per_shard, _GROUP_BYTES // row_bytes))
@@ -352,7 +352,7 @@ def plan_conversion(conversion: Conversion) -> store.BuildPlan:
         chunks = [choices[start : start + size] for start in range(0, len(choices), size)]
         for index, chunk in enumerate(chunks):
             first, last = (bisect_right(starts, chunk[end].row) - 1 for end in (0, -1))
-            work = _ConvertRows(shards[first : last + 1], starts[first], step, schema, conversion.pack)
+            work = _ConvertRows(shards[first : last + 1], starts[first], step, wanted, conversion.pack)
             tasks.append(store.ShardTask(store.ShardName(split, index, len(chunks)), chunk, work))
     if not tasks:
         raise errors.InputError(
@@ -368,8 +368,8 @@ def plan_conversion(conversion: Conversion) -> store.BuildPlan:
     encodings: tuple[tuple[str, str], ...] = ()
     per_page = None
     if conversion.pack is None:
-        lists = [f"{name}.list.element" for name in touch.MEDIA_COLUMN.values() if name in schema.names]
-        single = [name for name in schema.names if schema.field(name).type == touch.MEDIA_TYPE]
+        lists = [f"{name}.list.element" for name in touch.MEDIA_COLUMN.values() if name in wanted.names]
+        single = [name for name in wanted.names if wanted.field(name).type == touch.MEDIA_TYPE]
         encodings = tuple((f"{name}.bytes", "PLAIN") for name in [*lists, *single])
         if lists:
             per_page = max(1, _PAGE_BYTES // source.media_bytes())
@@ -409,7 +409,7 @@ def write_conversion(
     opened, folder = Source.open(source, split=split), store.open_folder(fspath(out))
     conversion = plan(opened, require_limit(limit))
     catalog.refuse_source(folder, opened.name, chain.from_iterable(opened.shards.values()))
-    origin = origin_of(opened.schema, opened.manifest())
+    origin = schema.origin_of(opened.schema, opened.manifest())
     # Recorded here, as pictures do not show whether touches were imported or rendered; rounds do.
     if opened.unfinished:
         conversion = replace(conversion, options={**conversion.options, "unfinished": opened.unfinished})

@@ -11,15 +11,10 @@ import numpy as np
 import pyarrow as pa
 from PIL import Image
 
-from realtouch import (
-    avi,
-    contact,
-    media,
-    schema,
-    stored_images,
-    stored_round,
-)
+from realtouch import contact
 from realtouch.convert import conversion, picture_files
+from realtouch.touches import media, schema, stored_images, stored_round
+from realtouch.video import avi
 from tactile_toolkit import errors, kind, places, read, store, touch
 from tactile_toolkit.array_types import Float32, UInt8
 from tactile_toolkit.json_types import JsonDict

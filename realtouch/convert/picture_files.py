@@ -16,10 +16,11 @@ from urllib.parse import unquote
 import numpy as np
 import pyarrow as pa
 
-from realtouch import contact, contacts, media, rounds, schema, stored_round, touch_options
+from realtouch import contact, touch_options
 from realtouch.contact import difference
 from realtouch.convert import conversion
-from realtouch.poses import Poses
+from realtouch.touches import image_contacts, media, rounds, schema, stored_round
+from realtouch.touches.poses import Poses
 from tactile_toolkit import errors, places, read, store, touch
 from tactile_toolkit.array_types import AnyArray, Float64, Floating, UInt8
 from tactile_toolkit.json_types import JsonDict
@@ -148,7 +149,7 @@ class WritePictures:
         base = None
         if self.difference is not None and row.has("sensor_image") and shown:
             # A round of images shares one background; each clip has its own.
-            base = contacts.background(rounds.TouchSingleRound(row))
+            base = image_contacts.background(rounds.TouchSingleRound(row))
         folder, suffix = f"{IMAGE_FOLDER}/{split}/{name}", touch.IMAGE_SUFFIX[self.kind]
         files = {f"{folder}/{each.touch:03d}.{suffix}": self._encoded(each, base) for each in shown}
         columns = {
@@ -164,7 +165,7 @@ class WritePictures:
         pixels, stored = shown.pixels, shown.stored
         if self.difference is not None:
             if base is None:
-                base = contacts.background(shown.images)
+                base = image_contacts.background(shown.images)
             return touch.encode_image(difference(pixels, base, self.difference), self.kind)
         if self.kind == "jpeg" and touch.is_jpeg(stored):
             return bytes(stored)

@@ -15,9 +15,9 @@ from typing import SupportsIndex, Unpack
 import numpy as np
 import pyarrow as pa
 
-from realtouch import contacts, datasets, schema, stored_round
 from realtouch.contact import MIN_CONTACT_HEIGHT_M, PLATE_COLUMN, ContactHeight
 from realtouch.convert import conversion
+from realtouch.touches import datasets, image_contacts, schema, stored_round
 from tactile_toolkit import catalog, errors, places, read, store
 from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.touch import height_text
@@ -91,7 +91,7 @@ def _selection(chosen: JsonObject, opened: conversion.Source, limit: int | None)
         )
     by_image = options["contact"] and not schema.has_poses(read.column_types(opened.schema))
     if by_image:
-        options["contact_rule"] = contacts.BY_IMAGE
+        options["contact_rule"] = image_contacts.BY_IMAGE
     elif options["min_height_m"] is None:
         options["min_height_m"] = MIN_CONTACT_HEIGHT_M
         if options["contact"]:
@@ -100,7 +100,8 @@ def _selection(chosen: JsonObject, opened: conversion.Source, limit: int | None)
     if options["contact"] and not any(choices.values()):
         if by_image:
             raise errors.InputError(
-                f"no chosen touch of {opened.name!r} is a contact (a touch is one if {contacts.BY_IMAGE})",
+                f"no chosen touch of {opened.name!r} is a contact (a touch is one if "
+                f"{image_contacts.BY_IMAGE})",
                 next="leave out --contact, or give fewer filters",
             )
         raise _no_contact(opened, options["min_height_m"])
@@ -194,7 +195,7 @@ class KeepTouches:
         kept = schema.take_touches(flat, choice.touches, row.touch_total())
         if row.has(PLATE_COLUMN) or not row.has_poses:
             return kept, {}
-        plate_m = row.plate_z_m()
+        plate_m = row.plate_z_m(ContactHeight.of(row.group.names))
         if math.isnan(plate_m):
             plate_m = row.contact_z_m(row.kind).min(initial=np.inf)
         return kept.append_column(PLATE_COLUMN, pa.array([plate_m], pa.float64())), {}

@@ -13,8 +13,9 @@ from operator import itemgetter
 
 import pyarrow as pa
 
-from realtouch import convert, importing, stored_images
+from realtouch import convert, importing
 from realtouch.exchange.touch_rows import NamedImage, TouchFormat
+from realtouch.touches import stored_images
 from tactile_toolkit import column_types, errors, read, store
 
 _FOLDER, IMAGES, FRAMES = "anytouch", "touch_and_go", "gelsight_frame"

@@ -12,16 +12,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import pyarrow as pa
 
-from realtouch import (
-    convert,
-    datasets,
-    media,
-    poses,
-    stored_images,
-    stored_round,
-)
+from realtouch import convert
 from realtouch.exchange.episode_extras import ExtraColumn, extra_columns_of
-from realtouch.schema import POSE_COLUMN
+from realtouch.touches import datasets, media, poses, stored_images, stored_round
+from realtouch.touches.schema import POSE_COLUMN
 from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import AnyArray, Int64
 from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE

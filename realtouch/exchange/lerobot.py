@@ -13,9 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pyarrow as pa
 
-from realtouch import contact, convert, datasets
+from realtouch import contact, convert
 from realtouch.exchange import lerobot_depth, lerobot_info, lerobot_statistics
 from realtouch.exchange.episodes import DEPTH, EpisodeNumbers, Episodes
+from realtouch.touches import datasets
 from tactile_toolkit import store, touch
 from tactile_toolkit.array_types import Int64
 

@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 from PIL import Image
 
-from realtouch import media, stored_round
+from realtouch.touches import media, stored_round
 from tactile_toolkit.array_types import Float32, Float64, Int64
 from tactile_toolkit.touch import MEDIA_TYPE
 

@@ -13,8 +13,9 @@ from dataclasses import replace
 import numpy as np
 import pyarrow as pa
 
-from realtouch import importing, videos
+from realtouch import importing
 from realtouch.exchange import foreign_parquet, lerobot_mark, lerobot_metadata, video_import
+from realtouch.video import videos
 from tactile_toolkit import column_types, errors, store, wording
 from tactile_toolkit.array_types import Float64
 

@@ -13,10 +13,10 @@ import numpy as np
 import pyarrow as pa
 from PIL import Image
 
-from realtouch import schema
 from realtouch.exchange import lerobot_depth
 from realtouch.exchange.episodes import DEPTH
-from realtouch.stored_images import decoded
+from realtouch.touches import schema
+from realtouch.touches.stored_images import decoded
 from tactile_toolkit import read, touch
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.json_types import JsonDict

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from realtouch.damage import RecordingFinding
 from realtouch.exchange import oxt, picture_arrays, zarr_arrays, zarr_groups, zarr_recordings
+from realtouch.touches.damage import RecordingFinding
 from tactile_toolkit import errors, store, wording
 from tactile_toolkit.array_types import AnyArray, Int64
 

@@ -17,8 +17,9 @@ from typing import IO
 import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
-from realtouch import convert, importing, stored_images
+from realtouch import convert, importing
 from realtouch.exchange.touch_rows import NamedImage, TouchFormat
+from realtouch.touches import stored_images
 from tactile_toolkit import column_types, errors, store
 
 # No image is smaller; a million empty ones would take long to check.

@@ -12,8 +12,9 @@ from functools import partial
 
 import pyarrow as pa
 
-from realtouch import contact, convert, rounds, stored_images, stored_round, touch_options
-from realtouch.schema import POSE_COLUMN
+from realtouch import contact, convert, touch_options
+from realtouch.touches import rounds, stored_images, stored_round
+from realtouch.touches.schema import POSE_COLUMN
 from tactile_toolkit import errors, store
 from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE
 

@@ -10,7 +10,8 @@ from pathlib import PurePosixPath
 
 import numpy as np
 
-from realtouch import importing, video_files, videos
+from realtouch import importing
+from realtouch.video import video_files, videos
 from tactile_toolkit import column_tables, errors, store
 from tactile_toolkit.json_types import JsonDict
 

@@ -12,8 +12,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.ndimage import median_filter
 
-from realtouch import avi, contact
+from realtouch import contact
 from realtouch.importing import recordings, source_files
+from realtouch.video import avi
 from tactile_toolkit import errors, pictures, touch, wording
 from tactile_toolkit.array_types import Bool, Float64, Int64, UInt8
 

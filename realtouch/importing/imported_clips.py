@@ -7,8 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from realtouch import avi, contact, stored_images
+from realtouch import contact
 from realtouch.importing import found_touches, import_columns
+from realtouch.touches import stored_images
+from realtouch.video import avi
 from tactile_toolkit.array_types import Float64, Int64, UInt8
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.touch import decode_image, is_jpeg

@@ -10,8 +10,8 @@ import pyarrow as pa
 
 from realtouch.importing import found_touches, import_columns, imported_clips
 from realtouch.importing.extra_columns import extra_arrays, extra_types
-from realtouch.schema import POSE_COLUMN, extra_columns
-from realtouch.stored_images import media_array
+from realtouch.touches.schema import POSE_COLUMN, extra_columns
+from realtouch.touches.stored_images import media_array
 from tactile_toolkit import column_types
 from tactile_toolkit.array_types import AnyArray, Float64, Int64
 from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE, Kind, with_features

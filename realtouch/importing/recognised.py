@@ -9,8 +9,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO, NamedTuple
 
-from realtouch import kind, video_files
+from realtouch import kind
 from realtouch.importing import formats, source_files
+from realtouch.video import video_files
 from tactile_toolkit import column_tables, errors, places, store, text_tables
 
 _MAX_PATHS = 20_000

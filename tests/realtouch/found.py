@@ -12,7 +12,7 @@ import pyarrow as pa
 from realtouch.importing.cuts import Cutter
 from realtouch.importing.found_touches import FoundTouches, PicturePlace, one_chunk
 from realtouch.importing.recordings import Recording
-from realtouch.schema import array_with_gaps
+from realtouch.touches.schema import array_with_gaps
 from tactile_toolkit import column_types
 
 

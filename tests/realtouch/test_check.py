@@ -19,9 +19,9 @@ from PIL import Image
 import realtouch
 import starstruck_gen
 import tactile_sim
-from realtouch.faults.comparisons import GELSIGHT_MINI
-from realtouch.faults.picture_measures import count_markers
-from realtouch.faults.rules import RULES
+from realtouch.checks.comparisons import GELSIGHT_MINI
+from realtouch.checks.picture_measures import count_markers
+from realtouch.checks.rules import RULES
 from tactile_sim.taxim import taxim_package
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError

@@ -15,7 +15,7 @@ from PIL import Image
 
 import realtouch
 from realtouch.convert import media_conversions
-from realtouch.media import decode_map, encode_map
+from realtouch.touches.media import decode_map, encode_map
 from tactile_toolkit.errors import InputError
 from tests.command_line import call
 from tests.realtouch import factories

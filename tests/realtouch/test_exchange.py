@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
+from realtouch.convert import conversion
 from realtouch.exchange import lerobot_info, touch_rows
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.run import Part

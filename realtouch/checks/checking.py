@@ -10,22 +10,12 @@ from functools import partial
 
 import numpy as np
 
-from realtouch import (
-    convert,
-    damage,
-    datasets,
-    kind,
-    opening,
-    picture_views,
-    schema,
-    stored_round,
-    touch_options,
-    verification,
-)
-from realtouch.damage import MAX_NAMED, RecordingFinding
-from realtouch.faults import comparisons, rules
-from realtouch.faults.sections import PlacedRow, RoundSeen, Section, check_section
-from realtouch.rounds import TouchSingleRound
+from realtouch import convert, kind, picture_views, touch_options
+from realtouch.checks import comparisons, rules, verification
+from realtouch.checks.sections import PlacedRow, RoundSeen, Section, check_section
+from realtouch.touches import damage, datasets, opening, schema, stored_round
+from realtouch.touches.damage import MAX_NAMED, RecordingFinding
+from realtouch.touches.rounds import TouchSingleRound
 from tactile_toolkit import catalog, errors, pictures, places, read, run, wording
 from tactile_toolkit.array_types import UInt8
 
@@ -187,12 +177,12 @@ class CheckResult:
 
     def pictures(self) -> pictures.PicturePlan:
         """Plan a picture of each finding: its first touches."""
-        datasets = {split: datasets.dataset_of(files) for split, files in self._files.items()}
+        by_split = {split: datasets.dataset_of(files) for split, files in self._files.items()}
         planned = [
             pictures.PlannedPicture(
                 f"{finding.rule}.png",
                 f"{finding.rule}: {finding.found}",
-                partial(_draw, finding, self._faults[finding.rule], datasets),
+                partial(_draw, finding, self._faults[finding.rule], by_split),
             )
             for finding in self.findings
         ]
@@ -227,13 +217,14 @@ def finding_of(
 
 
 def _draw(
-    finding: RecordingFinding, faults: Sequence[rules.Fault], datasets: Mapping[str, datasets.AnyDataset]
+    finding: RecordingFinding, faults: Sequence[rules.Fault], by_split: Mapping[str, datasets.AnyDataset]
 ) -> UInt8:
     """Draw the first touches of a finding; those that cannot be read are left out."""
     tiles: list[pictures.Tile] = []
     for spot in list({fault.at[:3]: fault.at for fault in faults}.values())[:_MAX_DRAWN]:
         with suppress(errors.IntegrityError, ValueError, IndexError):
-            record, touch = datasets[spot.split][spot.row], max(spot.touch, 0)
+            record = by_split[spot.split][spot.row]
+            touch = max(spot.touch, 0)
             if isinstance(record, TouchSingleRound):
                 pixels = record.sensor_image[touch]
             else:

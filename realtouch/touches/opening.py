@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Literal, overload
 
-from realtouch import damage, datasets, kind, schema
+from realtouch import kind
+from realtouch.touches import damage, datasets, schema
 from tactile_toolkit import errors, places, read
 from tactile_toolkit.touch import MEDIA_COLUMN
 
@@ -59,7 +60,7 @@ def load(
     Parameters
     ----------
     name : str, path, or sequence of them
-        A short name (see :data:`realtouch.opening.SHORT_NAMES`), any repository of the Hub
+        A short name (see :data:`realtouch.touches.opening.SHORT_NAMES`), any repository of the Hub
         (``USER/NAME[@REVISION]``, ``hf://datasets/USER/NAME[@REVISION]/PATH``), a local folder, a Parquet
         file, or several that belong together. Local data of the same name comes first.
     split : str, optional

@@ -1,7 +1,7 @@
 """Videos as sequences of JPEG or PNG: their times, and any of their pictures.
 
 The JPEGs of MJPEG stay as they are. Everything else is decoded by FFmpeg (PyAV, extra ``video``) and encoded
-again (:mod:`realtouch.coded_video`).
+again (:mod:`realtouch.video.coded_video`).
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from typing import IO
 
 import numpy as np
 
-from realtouch import video_files
-from realtouch.avi import CHUNK, CHUNK_BYTES, STREAM_HEADER
+from realtouch.video import video_files
+from realtouch.video.avi import CHUNK, CHUNK_BYTES, STREAM_HEADER
 from tactile_toolkit import errors, store, touch
 from tactile_toolkit.array_types import Int64
 
@@ -38,8 +38,8 @@ def open_video(folder: store.DataFolder, path: str) -> video_files.Video:
     Raises
     ------
     ItemError
-        The file cannot be read, is damaged, exceeds the limits of :mod:`realtouch.video_files`, has several
-        streams of pictures, or asks to turn its pictures.
+        The file cannot be read, is damaged, exceeds the limits of :mod:`realtouch.video.video_files`, has
+        several streams of pictures, or asks to turn its pictures.
     MissingExtraError
         PyAV is needed and not installed.
     """
@@ -92,7 +92,7 @@ def _found_video(stream: IO[bytes]) -> video_files.Video:
         if found.is_jpeg:
             return _video_of_jpegs(found)
     with errors.needs_extra("reading this video", "av", "video"):
-        from realtouch.coded_video import coded_video  # PyAV, an extra
+        from realtouch.video.coded_video import coded_video  # PyAV, an extra
     return coded_video(stream, demuxer, is_cut=demuxer == "mov" and video_files.check_boxes(stream))
 
 

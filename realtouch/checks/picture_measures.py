@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image
 from scipy import ndimage
 
-from realtouch.faults.rules import (
+from realtouch.checks.rules import (
     MAX_SPECKS,
     MAX_UNEVENNESS,
     MIN_BRIGHTEST,

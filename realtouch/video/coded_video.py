@@ -19,7 +19,7 @@ import numpy as np
 from av import Packet, VideoFrame
 from av.video.stream import VideoStream
 
-from realtouch.video_files import CUT_SHORT, MAX_PICTURES, Video, kept_jpeg, seconds_of
+from realtouch.video.video_files import CUT_SHORT, MAX_PICTURES, Video, kept_jpeg, seconds_of
 from tactile_toolkit import wording
 from tactile_toolkit.array_types import Int64
 from tactile_toolkit.errors import ItemError

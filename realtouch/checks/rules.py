@@ -1,4 +1,4 @@
-"""The rules of a check: thresholds with their reasons, and messages; :mod:`realtouch.faults` applies them."""
+"""The rules of a check: thresholds with their reasons, and messages; :mod:`realtouch.checks` applies them."""
 
 from __future__ import annotations
 

@@ -10,8 +10,8 @@ from operator import itemgetter
 
 import numpy as np
 
-from realtouch import contacts, datasets, schema
-from realtouch.datasets import AnyTouches
+from realtouch.touches import datasets, image_contacts, schema
+from realtouch.touches.datasets import AnyTouches
 from tactile_toolkit import errors, read
 from tactile_toolkit.touch import CELL_M
 
@@ -103,7 +103,7 @@ def summarise(dataset: datasets.AnyDataset) -> Summary:
         rounds=len(dataset),
         touches=int(counts.sum()),
         touches_per_round=(int(counts.min()), int(counts.max())),
-        contact_rule=contacts.contact_rule_text(dataset.column_names),
+        contact_rule=image_contacts.contact_rule_text(dataset.column_names),
         extra=_extra_types(dataset),
         image_size=first.round.picture_size(first.touch_index),
     )

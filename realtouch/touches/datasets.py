@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar
 import numpy as np
 import pyarrow as pa
 
-from realtouch import contact, media, rounds, schema, stored_round
-from realtouch.rounds import Touch, TouchRound, TouchSingleRound, touch_id
+from realtouch import contact
+from realtouch.touches import media, rounds, schema, stored_round
+from realtouch.touches.rounds import Touch, TouchRound, TouchSingleRound, touch_id
 from tactile_toolkit import builtin_values, checked_fields, errors, kind, read, system, touch, wording
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, Int64, UInt8
 
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 _POSITION = ("x_m", "y_m")
 
 # Imported on use: it measures touches.
-_contacts_by_image = kind.lazy("realtouch.contacts:contacts_by_image")
+_contacts_by_image = kind.lazy("realtouch.touches.image_contacts:contacts_by_image")
 R = TypeVar("R", bound=TouchRound)
 
 
@@ -356,13 +357,13 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         IntegrityError
             A file is damaged, or a column has not one entry per touch.
         """
-        places = self.round_positions
+        positions = self.round_positions
         # Without touches, the first round defines the columns.
-        rounds = np.unique(places).tolist() or list(range(min(1, len(self.dataset))))
-        rows = [self.dataset[place].row for place in rounds]
+        chosen = np.unique(positions).tolist() or list(range(min(1, len(self.dataset))))
+        rows = [self.dataset[position].row for position in chosen]
         # The library's own fingerprint would be that of all bytes.
-        content = repr([self.dataset.identity, rounds, places.tobytes(), self.row_numbers.tobytes()])
-        return rounds.hf_touches(rows, np.searchsorted(rounds, places), self.touch_indices, content)
+        content = repr([self.dataset.identity, chosen, positions.tobytes(), self.row_numbers.tobytes()])
+        return rounds.hf_touches(rows, np.searchsorted(chosen, positions), self.touch_indices, content)
 
     @property
     def object_ids(self) -> Int64:
@@ -547,8 +548,8 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
     @property
     def identity(self) -> str:
         """Identifies these touches; differs if the files change."""
-        rounds = hashlib.sha256(self.dataset.row_numbers.tobytes()).hexdigest()
-        return f"{self.dataset.identity} {rounds}"
+        row_digest = hashlib.sha256(self.dataset.row_numbers.tobytes()).hexdigest()
+        return f"{self.dataset.identity} {row_digest}"
 
     def each_record(self) -> Iterator[tuple[int, Touch]]:
         """Yield position and touch, in the fastest order; images and clips are not read."""
@@ -562,15 +563,15 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
 
     def stored_parts(self) -> read.StoredParts:
         """Return which touches are stored together."""
-        rounds = self.dataset.stored_parts()
-        if rounds.order is None and isinstance(self._rows, range) and self._rows == range(self._starts[-1]):
-            return read.StoredParts(np.unique(self._starts[rounds.starts]))
+        parts = self.dataset.stored_parts()
+        if parts.order is None and isinstance(self._rows, range) and self._rows == range(self._starts[-1]):
+            return read.StoredParts(np.unique(self._starts[parts.starts]))
         turn = np.arange(len(self.dataset))  # of each round, among all as they are stored
-        if rounds.order is not None:
-            turn[rounds.order] = np.arange(len(turn))
+        if parts.order is not None:
+            turn[parts.order] = np.arange(len(turn))
         turns = turn[self.round_positions]
         order = np.lexsort((self.touch_indices, turns))
-        return read.StoredParts(np.unique(np.searchsorted(turns[order], rounds.starts)), order)
+        return read.StoredParts(np.unique(np.searchsorted(turns[order], parts.starts)), order)
 
     def row_groups(self, chosen: Int64) -> list[tuple[read.RowSource, int]]:
         """Return the row groups of touches at positions (n,), each once."""

@@ -10,8 +10,8 @@ from itertools import groupby
 import numpy as np
 from scipy import stats
 
-from realtouch.faults import picture_measures, rules
-from realtouch.faults.sections import Section
+from realtouch.checks import picture_measures, rules
+from realtouch.checks.sections import Section
 from realtouch.touch_options import CheckLimits
 from tactile_toolkit.array_types import Float32, Float64, Int64
 

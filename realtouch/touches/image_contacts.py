@@ -8,9 +8,10 @@ from itertools import islice
 
 import numpy as np
 
-from realtouch import contact, media, rounds, schema
+from realtouch import contact
 from realtouch.contact import ContactHeight
-from realtouch.datasets import AnyTouches, Touches, with_no_contact
+from realtouch.touches import media, rounds, schema
+from realtouch.touches.datasets import AnyTouches, Touches, with_no_contact
 from tactile_toolkit.array_types import Bool, Float64, Int64, UInt8
 from tactile_toolkit.errors import InputError
 

@@ -10,7 +10,8 @@ from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 
-from realtouch import convert, damage, kind, media, opening, schema, stored_round, tars
+from realtouch import convert, kind, tars
+from realtouch.touches import damage, media, opening, schema, stored_round
 from tactile_toolkit import cards, catalog, errors, places, read, run, store, wording
 from tactile_toolkit.touch import MEDIA_COLUMN, decode_image, image_size
 
@@ -217,7 +218,7 @@ def _check_rounds(
 def list_findings(folder: store.DataFolder, workers: int = 1) -> list[store.Finding]:
     """List the problems of a folder before it is uploaded; decodes no picture."""
     found = verify(folder.address(), quick=True, workers=workers).findings
-    return [store.Finding(damage.file, f"({damage})") for damage in found] or list(cards.check_card(folder))
+    return [store.Finding(each.file, f"({each})") for each in found] or list(cards.check_card(folder))
 
 
 def _lacking_columns(shards: Sequence[read.Shard]) -> list[damage.Damage]:

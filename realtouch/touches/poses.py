@@ -13,7 +13,7 @@ from tactile_toolkit import read, spatial, wording
 from tactile_toolkit.array_types import AnyArray, Float64, Floating
 
 if TYPE_CHECKING:
-    from realtouch.pose import Pose
+    from realtouch.touches.pose import Pose
 
 
 # How far the length of a quaternion may be from one; other data, such as joint angles, fail this.
@@ -142,7 +142,7 @@ class PoseSequences(Sequence[Poses]):
 
 def rigid_transform(position_m: AnyArray, quaternion: AnyArray) -> Pose:
     """Make rigid transforms of positions (..., 3) in metres and quaternions (..., 4) x, y, z, w."""
-    from realtouch.pose import Pose  # scipy.spatial, which takes long to import
+    from realtouch.touches.pose import Pose  # scipy.spatial, which takes long to import
 
     return Pose.of(position_m, quaternion)
 

@@ -1,7 +1,7 @@
 """A stored round: its columns are checked where they are read.
 
 T is the number of touches of the round, N_i the number of frames of touch i: the stated length of its clip,
-to which entries per frame are cut. What is wrong with a value is a :class:`realtouch.damage.Damage`.
+to which entries per frame are cut. What is wrong with a value is a :class:`realtouch.touches.damage.Damage`.
 """
 
 from __future__ import annotations
@@ -15,9 +15,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from realtouch import avi, contact, schema
-from realtouch.damage import Damage, DamagedRoundError
-from realtouch.poses import Poses, PoseSequences, bad_pose, pose_of
+from realtouch import contact
+from realtouch.touches import schema
+from realtouch.touches.damage import Damage, DamagedRoundError
+from realtouch.touches.poses import Poses, PoseSequences, bad_pose, pose_of
+from realtouch.video import avi
 from tactile_toolkit import errors, read, wording
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, Floating, Int64
 from tactile_toolkit.json_types import JsonDict, JsonValue
@@ -232,7 +234,7 @@ class StoredRound(read.Row):
         return frames.slice(0, count)
 
     def extra_values(self, name: str) -> AnyArray | tuple[AnyArray, ...]:
-        """Return a further column by its own name; see :class:`realtouch.schema.Extras`.
+        """Return a further column by its own name; see :class:`realtouch.touches.schema.Extras`.
 
         Raises InputError, which is a KeyError too, without such a column, IntegrityError if it is damaged.
         """

@@ -15,17 +15,11 @@ from typing import NamedTuple
 import numpy as np
 import xxhash
 
-from realtouch import (
-    contact,
-    media,
-    picture_views,
-    schema,
-    stored_round,
-    touch_options,
-)
-from realtouch.faults import picture_measures, rules
-from realtouch.faults.picture_measures import spans_of
-from realtouch.poses import Poses
+from realtouch import contact, picture_views, touch_options
+from realtouch.checks import picture_measures, rules
+from realtouch.checks.picture_measures import spans_of
+from realtouch.touches import media, schema, stored_round
+from realtouch.touches.poses import Poses
 from tactile_toolkit.array_types import Float32, Float64
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.touch import MEDIA_COLUMN, decode_image

@@ -14,9 +14,11 @@ import numpy as np
 from numpy.typing import DTypeLike
 from PIL import Image
 
-from realtouch import avi, contact, picture_views, schema, stored_round
-from realtouch.poses import Poses
-from realtouch.stored_round import StoredRound
+from realtouch import contact, picture_views
+from realtouch.touches import schema, stored_round
+from realtouch.touches.poses import Poses
+from realtouch.touches.stored_round import StoredRound
+from realtouch.video import avi
 from tactile_toolkit import errors, read, wording
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Floating, UInt8
 from tactile_toolkit.run import in_threads
@@ -123,7 +125,7 @@ class SensorImages(Sequence[UInt8]):
         InputError
             ``out`` is not such an array.
         IntegrityError
-            As for indexing; or the images exceed :data:`realtouch.media.MAX_BATCH_PIXELS`.
+            As for indexing; or the images exceed :data:`realtouch.touches.media.MAX_BATCH_PIXELS`.
         """
         touches = read.positions(index, self._count).tolist()
         first, size = [*touches, 0][0], (0, 0)
@@ -319,7 +321,7 @@ class TouchClip(Sequence[UInt8]):
         Raises
         ------
         IntegrityError
-            A frame is damaged, or they exceed :data:`realtouch.media.MAX_BATCH_PIXELS`.
+            A frame is damaged, or they exceed :data:`realtouch.touches.media.MAX_BATCH_PIXELS`.
         """
         wanted = read.positions(index, len(self)).tolist()
         with self.row.naming("sensor_video", self.touch):
@@ -503,7 +505,7 @@ class SensorClips(Sequence[TouchClip]):
         """Return an array for ``count`` frames of the first clip's size: a new one, or ``out`` if it fits.
 
         Raises InputError when ``out`` cannot take them, IntegrityError when they exceed
-        :data:`realtouch.media.MAX_BATCH_PIXELS`.
+        :data:`realtouch.touches.media.MAX_BATCH_PIXELS`.
         """
         size = self[0].size if self._count else (0, 0)
         with self.row.naming("sensor_video"):

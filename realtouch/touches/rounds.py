@@ -12,7 +12,8 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from realtouch import contact, media, picture_views, poses, schema, stored_round
+from realtouch import contact, picture_views
+from realtouch.touches import media, poses, schema, stored_round
 from tactile_toolkit import errors, read, system, wording
 from tactile_toolkit.array_types import Float32, Floating, Int64, UInt8
 from tactile_toolkit.json_types import JsonDict
@@ -20,7 +21,7 @@ from tactile_toolkit.json_types import JsonDict
 if TYPE_CHECKING:
     from datasets import Dataset
 
-    from realtouch.pose import Pose
+    from realtouch.touches.pose import Pose
 
 
 _MAX_THREADS = 4
