@@ -52,7 +52,7 @@ def generate(
         per_class=per_class,
         limit=limit,
     )
-    making_of = mnist3d.DigitMaking.of(spec, None if split is None else published_splits.SPLITS)
+    making_of = mnist3d.DigitGenerator.of(spec, None if split is None else published_splits.SPLITS)
     splits: Sequence[str] | None = None
     if split == "all":
         splits = tuple(making_of.items())

@@ -51,7 +51,7 @@ def generate(
     # Tried before anything is made or forecast, as it may take minutes.
     with sink.progress("trying the fullest scene", "failed layouts") as on_failure:
         require = partial(starstruck_gen.require_feasible, spec.scene, spec.seed, on_failure)
-        rows = starstruck_gen.SceneMaking(spec)
+        rows = starstruck_gen.SceneGenerator(spec)
         runs.generate_set(sink, "making scenes", rows, out, splits, making, _print_made, require)
 
 

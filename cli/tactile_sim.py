@@ -101,7 +101,7 @@ def _print_made(
 
 command(app)(touch_rendering.render)
 command(app, asks_hub=True)(learned_sensors.pairs)
-for _command in (learned_sensors.train, learned_sensors.evaluate, calibration.calibrate, sensor_twins.check):
+for _command in (learned_sensors.train, calibration.calibrate, sensor_twins.check):
     command(app)(_command)
 shared.add_shared(
     app,

@@ -4,23 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import islice
 
 from mnist3d.digit_rows import REPORT_FILE, SUMMED_UP, DigitRow, classes_of
 from mnist3d.kind import KIND
 from mnist3d.sources.picture_folder import FolderSource
-from tactile_toolkit import cards, catalog, kind, mesh, pictures, read, shown_text, store
+from tactile_toolkit import cards, catalog, kind, shown_text, store
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.rows import meanings
 from tactile_toolkit.wording import class_name, with_count
 
 COLUMNS = meanings(DigitRow)
 
-# Two pixels of the published scale, so that a digit is about 150 pixels tall.
-_PITCH_M = 0.0004
-# Rows mix the classes: 200 of them lack a class with a chance of 1 in 10^8.
-_ROWS_SEEN = 200
-_MAX_DRAWN = 10
 _USUAL_SIZES = {FolderSource.name: "four fifths in `train`, one fifth in `test`"}
 
 
@@ -67,7 +61,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         template=KIND.card_template,
         title=title,
         columns=COLUMNS,
-        picture=("digits.png", _sheet, "The first digit of each class that is there, seen from above"),
+        picture=("digits.png", cards.draw_solids, "The first digits of each class, seen from above"),
         licence=words["licence"],
         tags=["tactile", "active-perception", "3d", "mesh", "mnist", "digits", "3d-printing"],
         figures={
@@ -89,21 +83,6 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
             **_terms(words),
         },
     ).write(folder, manifest, KIND)
-
-
-def _sheet(facts: cards.FolderSummary) -> bytes | None:
-    """Draw the first digit of each class as PNG, at 0.4 mm per pixel; None without rows."""
-    first: dict[int, read.Row] = {}
-    for row in islice(cards.rows_to_draw(facts, ["label", mesh.VERTICES, mesh.FACES]), _ROWS_SEEN):
-        first.setdefault(int(row.required("label")), row)
-        if len(first) == _MAX_DRAWN:
-            break
-    rows = [first[label] for label in sorted(first)]
-    tiles = [
-        pictures.Tile(pictures.relief(row.array(mesh.VERTICES), row.array(mesh.FACES), _PITCH_M))
-        for row in rows
-    ]
-    return cards.tiles_png(tiles, 5)
 
 
 def _split_rule(spec: JsonObject) -> str:

@@ -20,7 +20,6 @@ IMPORT_LAYOUTS = (
     "replay",
     "hdf5",
     "fota",
-    "sparsh",
     "anytouch",
 )
 """Formats of recordings, each a module of ``realtouch.exchange``."""

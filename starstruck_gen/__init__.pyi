@@ -20,7 +20,7 @@ from .scene_dataset import (
 )
 from .scene_generation import (
     PUBLISHED_SIZES as PUBLISHED_SIZES,
-    SceneMaking as SceneMaking,
+    SceneGenerator as SceneGenerator,
     SceneSetSpec as SceneSetSpec,
     generate as generate,
 )

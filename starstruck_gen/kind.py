@@ -19,6 +19,6 @@ KIND = DatasetKind(
     splits=("train", "test"),
     published=(tactile_mnist_set("starstruck", "starstruck", "3,300 scenes with one to three stars"),),
     plan_previews=lazy("starstruck_gen.scene_previews:plan_previews"),
-    plan_gallery=lazy("starstruck_gen.scene_gallery:plan_gallery"),
+    plan_gallery=lazy("starstruck_gen.scene_previews:plan_gallery"),
     recipe=lazy("starstruck_gen.scene_generation:scene_recipe"),
 )

@@ -4,19 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from functools import partial
-from itertools import islice
 
-import numpy as np
-
-from starstruck_gen import acceptance, kind, placement, scene_drawing, scene_rows, scene_spec
-from tactile_toolkit import cards, pictures, shown_text, store
+from starstruck_gen import acceptance, kind, scene_dataset, scene_rows, scene_spec
+from tactile_toolkit import cards, mesh, shown_text, store
 from tactile_toolkit.kind import is_copy
 from tactile_toolkit.rows import meanings
 from tactile_toolkit.wording import with_count
 
-_SCENES_SHOWN = 12
-_TILE_PX = 140
 _RULES = {
     "circles": "the circumscribed circles of two objects do not meet",
     "exact": "the outlines of two objects do not touch",
@@ -48,7 +42,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         template=kind.KIND.card_template,
         title="Starstruck",
         columns=COLUMNS,
-        picture=("scenes.png", partial(_sheet, spec.cell_m), "The first scenes from above; stars are orange"),
+        picture=("scenes.png", _draw_scenes, "The first scenes of each class from above; stars are orange"),
         licence="mit",
         tags=["tactile", "active-perception", "3d", "mesh", "counting"],
         figures={"per class": [", ".join(f"{count:,}" for count in each.classes) for each in found.values()]},
@@ -91,16 +85,9 @@ def _placement_values(spec: scene_spec.SceneSpec) -> dict[str, str]:
     }
 
 
-def _sheet(cell_m: tuple[float, float], facts: cards.FolderSummary) -> bytes | None:
-    """Draw the first scenes as PNG, 140 pixels on the longer side of each; None without rows."""
-    px_per_mm = _TILE_PX / (1e3 * max(cell_m))
-    tiles = []
-    for row in islice(cards.rows_to_draw(facts, ["placements"]), _SCENES_SHOWN):
-        # As Python objects: numpy arrays of structs need pandas, whose import takes a second.
-        (stored,) = row.group.table.slice(row.index, 1).to_pylist()
-        placements = [placement.Placement(**entry) for entry in stored["placements"]]
-        tiles.append(pictures.Tile(np.asarray(scene_drawing.draw_scene(placements, cell_m, px_per_mm))))
-    return cards.tiles_png(tiles, 6)
+def _draw_scenes(facts: cards.FolderSummary) -> bytes | None:
+    columns = (mesh.VERTICES, mesh.FACES, "star_count", "placements")
+    return cards.draw_solids(facts, scene_dataset.SceneRecord, columns)
 
 
 def _acceptance_table(found: Mapping[str, acceptance.Acceptance]) -> str:

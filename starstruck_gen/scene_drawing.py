@@ -10,6 +10,7 @@ from PIL import Image, ImageDraw
 from starstruck_gen.placement import Placement
 from starstruck_gen.shapes import outline
 from tactile_toolkit.arithmetic import cosine_sine, moved
+from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import InputError
 
 STAR_COLOUR = (214, 140, 20)
@@ -18,6 +19,7 @@ DISTRACTOR_COLOUR = (92, 110, 132)
 _SUPERSAMPLING = 4
 _PLATE = (245, 243, 238)
 _EDGE = (40, 40, 40)
+_OPAQUE_FROM = 150  # each object is at least this many levels darker than the plate
 # Largest enlarged drawing: 300 MB at three bytes for each pixel.
 _MAX_PIXELS = 100_000_000
 
@@ -39,6 +41,16 @@ def draw_scene(placements: Iterable[Placement], cell_m: tuple[float, float], px_
     for placement in placements:
         _paint_object(picture, placement, px_per_mm * 1e3 * _SUPERSAMPLING)
     return picture.resize((width, height), Image.Resampling.LANCZOS)
+
+
+def without_plate(pixels: UInt8) -> UInt8:
+    """Return a picture of a scene with opacity, (H, W, 4): the plate is transparent."""
+    levels = pixels.astype(np.float32)
+    plate = np.array(_PLATE, np.float32)
+    opacity = np.clip((plate - levels).max(axis=-1) / _OPAQUE_FROM, 0, 1)[..., None]
+    # The share of the plate in smooth edges is removed, so that no light rim shows on dark pages.
+    ink = np.clip((levels - (1 - opacity) * plate) / np.maximum(opacity, 1 / 255), 0, 255)
+    return np.concatenate([np.where(opacity > 0, ink, 0), 255 * opacity], axis=-1).round().astype(np.uint8)
 
 
 def _paint_object(picture: Image.Image, placement: Placement, px_per_m: float) -> None:

@@ -97,7 +97,7 @@ class SceneSetSpec:
 
 
 @dataclass(frozen=True)
-class SceneMaking(generation.RowGenerator):
+class SceneGenerator(generation.RowGenerator):
     """Generator of scenes: samples layouts by rejection and makes their solids."""
 
     spec: SceneSetSpec
@@ -173,7 +173,7 @@ def generate(
         The folder has a data set of another specification, or cannot be written. Finished shards stay.
     """
     require = partial(rejection.require_feasible, spec.scene, spec.seed, on_failure)
-    return generation.generate(SceneMaking(spec), out, splits, require=require, **run)
+    return generation.generate(SceneGenerator(spec), out, splits, require=require, **run)
 
 
 def scene_recipe(seed: int, per_class: int | None) -> generation.Recipe:
@@ -184,4 +184,4 @@ def scene_recipe(seed: int, per_class: int | None) -> generation.Recipe:
         scenes = {split: min(size, most) for split, size in scenes.items()}
         sizes = ",".join(f"{split}={size}" for split, size in scenes.items())
     spec = SceneSetSpec(scenes=tuple(scenes.items()), seed=seed)
-    return generation.Recipe(SceneMaking(spec), {"scenes": sizes, "seed": seed})
+    return generation.Recipe(SceneGenerator(spec), {"scenes": sizes, "seed": seed})

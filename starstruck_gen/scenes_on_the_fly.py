@@ -110,6 +110,7 @@ class MadeScene(read.Rows):
     def __init__(self, source: MadeScenes, row: int) -> None:
         super().__init__("", row)
         self._source = source
+        self.once("cell_m", lambda: source.spec.cell_m)
 
     @cached_property
     def table(self) -> pa.Table:

@@ -18,9 +18,6 @@ from tactile_toolkit.kind import lazy
 if TYPE_CHECKING:
     from tactile_sim.sensor_noise import SensorNoise
 
-BASELINES = ("taxim", "untrained")
-"""Methods with which trained weights are compared."""
-
 _SIDES_PX = range(16, 2049, 4)
 
 # Five convolutions of 4 x 4, three of them halving, leave a patch of 2 x 2.

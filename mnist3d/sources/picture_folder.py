@@ -73,7 +73,7 @@ class FolderSource:
         pictures = listing.pictures
         labels = np.array([picture.label for picture in pictures], np.int64)
         writers = np.array([picture.writer for picture in pictures], np.int64)
-        return DigitCatalog(np.arange(len(pictures)), labels, writers, listing.class_names)
+        return DigitCatalog(np.arange(len(pictures)), labels, writers, listing.class_names, True)
 
     def image(self, digit_id: int) -> DigitImage:
         """Read one picture and fit it into 500 x 500 px.

@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from realtouch import convert, kind, picture_views, touch_options
+from realtouch import convert, kind, touch_options
 from realtouch.checks import comparisons, rules, verification
 from realtouch.checks.sections import PlacedRow, RoundSeen, Section, check_section
 from realtouch.touches import damage, datasets, opening, schema, stored_round
@@ -230,9 +230,7 @@ def _draw(
             else:
                 pixels = record.sensor_video[touch][spot.frame]
             tiles.append(
-                pictures.Tile(
-                    picture_views.fitted(pixels, _TILE_PX), f"{record.id[-_NAME_CHARACTERS:]}:{touch}"
-                )
+                pictures.Tile(pictures.fitted(pixels, _TILE_PX), f"{record.id[-_NAME_CHARACTERS:]}:{touch}")
             )
     title = f"{rules.RULES[finding.rule].title}: {finding.found}"
     lines = (

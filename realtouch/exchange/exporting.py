@@ -8,7 +8,7 @@ from typing import Literal, Unpack, get_args
 from realtouch import contact, convert, touch_options
 from tactile_toolkit import kind, places, store
 
-ExportLayout = Literal["flat", "webdataset", "lerobot", "oxt", "replay", "fota", "sparsh", "anytouch"]
+ExportLayout = Literal["flat", "webdataset", "lerobot", "oxt", "replay", "fota", "anytouch"]
 EXPORTS = {
     layout: kind.lazy(f"realtouch.exchange.{layout}:plan_{layout}") for layout in get_args(ExportLayout)
 }
@@ -35,8 +35,7 @@ def export(
         with depth maps if there are some; it holds one split. ``"oxt"``: Open-X-Tactile, the Zarr of
         FTP-1, with the same frames as pixels. ``"replay"``: the same frames as pixels in the Zarr group that
         Diffusion Policy reads; they need much space. ``"fota"``: the tars of T3, with poses in mm.
-        ``"sparsh"``: pickled lists of encoded images, with a background. ``"anytouch"``: images and list
-        files of AnyTouch 2.
+        ``"anytouch"``: images and list files of AnyTouch 2.
     frame : str
         Which frame of a clip a touch shows, as for :func:`realtouch.clips_to_images`; ``"lerobot"``,
         ``"oxt"`` and ``"replay"`` take all.

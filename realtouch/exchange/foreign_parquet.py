@@ -54,7 +54,7 @@ class ForeignParquet:
     """
 
     def __init__(self, home: store.DataFolder, path: str) -> None:
-        self.size_bytes = store.size_inside(home, path)
+        self.size_bytes = home.size_inside(path)
         self._home, self._path = home, path
         self.place = home.address(path)
         with _named_values(self.place):
@@ -140,7 +140,7 @@ class ForeignParquet:
                 yield table
 
     def _require_bounded_pages(self, chunks: Sequence[_Chunk]) -> None:
-        with _named_values(self.place), store.open_inside(self._home, self._path) as stream:
+        with _named_values(self.place), self._home.open_inside(self._path) as stream:
             for each in chunks:
                 require_bounded_pages(stream, each.start, each.stored_bytes, _BYTES_AT_ONCE)
 

@@ -89,7 +89,7 @@ class _Episodes:
         found = replace(found, frames=len(time_s), values=values, per_frame=per_frame, time_s=time_s)
         if self.info.features[self.camera].dtype == "image":
             return replace(found, first=rows.start, frame_bytes=self._picture_bytes)
-        store.size_inside(self.home, episode.video_path)
+        self.home.size_inside(episode.video_path)
         opened = videos.open_video(self.home, episode.video_path)
         first = _first_picture(opened.time_s, episode.video_start_s + time_s, self.info.fps)
         return replace(found, path=episode.video_path, first=first, frame_bytes=opened.picture_bytes)

@@ -60,7 +60,7 @@ def _recording(
     try:
         if problem is not None:
             raise problem
-        store.size_inside(folder, path)
+        folder.size_inside(path)
         found = videos.open_video(folder, path)
     except errors.ItemError as error:
         return replace(whole, problem=error)

@@ -36,7 +36,7 @@ class ZarrGroup:
     @cached_property
     def _archive(self) -> zipfile.ZipFile:
         try:
-            stream = store.open_inside(self.home, self.path)
+            stream = self.home.open_inside(self.path)
             weakref.finalize(self, stream.close)
             archive = zipfile.ZipFile(stream)
             bounds.require_plain_archive(archive)
@@ -46,7 +46,7 @@ class ZarrGroup:
 
     def _open(self, path: str) -> IO[bytes]:
         if not self.is_zip:
-            return store.open_inside(self.home, self._below(path))
+            return self.home.open_inside(self._below(path))
         if path not in self._archive.NameToInfo:
             raise errors.ItemError("missing", "")
         return self._archive.open(path)

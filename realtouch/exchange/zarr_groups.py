@@ -158,7 +158,7 @@ class GroupFormat:
             self._write(step, made, shards)
             made.seek(0)
             digest = hashlib.file_digest(made, "sha256").hexdigest()
-            if not store.is_unchanged(folder, path, digest):
+            if not folder.has_sha256(path, digest):
                 folder.write(path, lambda stream: _copy(made, stream))
         return {path: digest}
 

@@ -64,7 +64,6 @@ IMPORTS: dict[str, ImportFormat] = {
     "replay": _recordings("replay", "replay", "zarr_recordings"),
     "hdf5": _recordings("hdf5", "hdf5_import", "hdf5_import"),
     "fota": _images("fota"),
-    "sparsh": _images("sparsh"),
     "anytouch": _images("anytouch"),
 }
 """Formats that can be imported; :mod:`realtouch.importing.recognised` recognises them by their content."""

@@ -23,7 +23,7 @@ from realtouch.importing.streams import Aligner, StreamReport
 from realtouch.touch_options import Alignment, require_layout
 from tactile_toolkit import column_types, errors, store, touch
 
-_SPLIT_FOLDERS = ("fota", "sparsh")  # formats whose exports have a folder for each split, with its name
+_SPLIT_FOLDERS = ("fota",)  # formats whose exports have a folder for each split, with its name
 
 Version = tuple[object, ...] | None
 

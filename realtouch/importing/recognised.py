@@ -50,7 +50,6 @@ _MARKS: tuple[tuple[str, Callable[[str], object]], ...] = (
     ("replay", _ends_with(".zarr.zip")),
     ("anytouch", re.compile(r"^\w+_bg\.txt\Z").search),
     ("fota", re.compile(r"^(\w+/)?count\.txt\Z").search),
-    ("sparsh", re.compile(r"^(\w+/)?[^/]+\.pkl\Z").search),
     ("webdataset", re.compile(r"^[^/]+\.tar\Z", re.IGNORECASE).search),
     ("hdf5", _ends_with(".h5", ".hdf5")),
     ("video", _ends_with(*video_files.VIDEO_ENDINGS)),
@@ -64,8 +63,8 @@ _PARTS = {
     "oxt": {"replay"},
     "anytouch": {"folder"},
     "fota": {"webdataset"},
-    "sparsh": {"folder"},
 }
+_PICKLES = _ends_with(".pkl", ".pickle")
 _TABLES = _ends_with(*column_tables.COLUMN_TABLE_ENDINGS)
 
 
@@ -92,6 +91,7 @@ def recognised(place: str) -> Recognised:
     if len(found) > 1:  # a table describes the files beside it
         found = {layout: first for layout, first in found.items() if not _TABLES(first)} or found
     if not found:
+        _refuse_pickles(paths)
         shown = ", ".join(paths[:_PATHS_SHOWN]) or "nothing"
         raise errors.InputError(
             f"{place!r} holds no recordings of a known format (found {shown})",
@@ -106,9 +106,20 @@ def recognised(place: str) -> Recognised:
     return Recognised(layout, first)
 
 
+def _refuse_pickles(paths: Sequence[str]) -> None:
+    """Raise InputError if one of the paths is a pickle."""
+    pickle = next(filter(_PICKLES, paths), None)
+    if pickle is not None:
+        raise errors.InputError(
+            f"{pickle!r} is a pickle, as Sparsh stores images; pickles are not read, because reading one can "
+            "run any program",
+            next="write each image to a file, with the program that made the pickle, and import the folder",
+        )
+
+
 def _of_file(place: str) -> Recognised:
     folder, name = source_files.source_of(place)
-    with store.open_inside(folder, name) as stream:
+    with folder.open_inside(name) as stream:
         head = video_files.read_start(stream)
         if head.startswith(_ZIP) and _is_oxt(stream):
             return Recognised("oxt", name)
@@ -117,6 +128,7 @@ def _of_file(place: str) -> Recognised:
     for layout, marks in _FIRST_BYTES.items():
         if any(head[at : at + len(mark)] == mark for at, mark in marks):
             return Recognised(layout, name)
+    _refuse_pickles([name])
     found = "is empty"
     if head:
         found = f"begins with {head[:8].hex(' ')}"

@@ -51,7 +51,7 @@ def source_of(place: str) -> tuple[store.DataFolder, str]:
 def open_source(folder: store.DataFolder, name: str) -> IO[bytes]:
     """Open a table or archive of a source; an InputError names it if it cannot be read."""
     try:
-        return store.open_inside(folder, name)
+        return folder.open_inside(name)
     except errors.ItemError as error:
         raise errors.InputError(f"{folder.address(name)!r} cannot be read: {error.what}") from error
 
@@ -285,8 +285,8 @@ def _contents(
     try:
         folder, known = open_folder(places[0].home)
         if len(places) == 1 and not places[0].start:
-            return [store.read_inside(folder, places[0].path, places[0].size, known)]
-        with store.open_inside(folder, places[0].path, known) as stream:
+            return [folder.read_inside(places[0].path, places[0].size, known)]
+        with folder.open_inside(places[0].path, known) as stream:
             at = 0
             for place in places:
                 if place.start != at:

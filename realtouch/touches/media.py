@@ -19,7 +19,7 @@ from realtouch.touches import schema, stored_round
 from realtouch.touches.poses import Poses
 from realtouch.touches.stored_round import StoredRound
 from realtouch.video import avi
-from tactile_toolkit import errors, read, wording
+from tactile_toolkit import errors, pictures, read, wording
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Floating, UInt8
 from tactile_toolkit.run import in_threads
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS, decode_image, image_size
@@ -473,10 +473,8 @@ class TouchClip(Sequence[UInt8]):
     def _repr_html_(self) -> str:
         """Show frames from first to last in a notebook; those that are damaged are left out."""
         frames = picture_views.evenly_spaced(len(self), _SHOWN_FRAMES)
-        pictures = [(f"frame {frame}", partial(self.__getitem__, frame)) for frame in frames]
-        return picture_views.round_html(
-            f"Touch {self.touch}", [wording.with_count(len(self), "frames")], pictures
-        )
+        images = [(f"frame {frame}", partial(self.__getitem__, frame)) for frame in frames]
+        return pictures.grid_html(f"Touch {self.touch}", [wording.with_count(len(self), "frames")], images)
 
 
 class SensorClips(Sequence[TouchClip]):

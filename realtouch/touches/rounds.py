@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from realtouch import contact, picture_views
 from realtouch.touches import media, poses, schema, stored_round
-from tactile_toolkit import errors, read, system, wording
+from tactile_toolkit import errors, pictures, read, system, wording
 from tactile_toolkit.array_types import Float32, Floating, Int64, UInt8
 from tactile_toolkit.json_types import JsonDict
 
@@ -30,7 +30,7 @@ INDEX = "touch_index"
 """Column of the number of a touch in its round, in tables of touches."""
 
 
-class TouchRound(read.Record):
+class TouchRound(pictures.Drawn, read.Record):
     """T touches of one object; fields are loaded on first use.
 
     Poses and positions are metres in the cell frame: origin at the cell centre, x right of the robot, y away
@@ -116,16 +116,17 @@ class TouchRound(read.Record):
         words = self.label_words()
         words += filter(None, [self.describe_field("object_id", "object {}".format)])
         touches = picture_views.evenly_spaced(self.touch_count, picture_views.MAX_TILES)
-        pictures = [(f"{touch}", partial(self.contact_image, touch)) for touch in touches]
+        images = [(f"{touch}", partial(self.contact_image, touch)) for touch in touches]
         title = self.describe_field("id", str) or "Round"
-        return picture_views.round_html(
-            title, [*words, wording.with_count(self.touch_count, "touches")], pictures
-        )
+        return pictures.grid_html(title, [*words, wording.with_count(self.touch_count, "touches")], images)
 
-    def tile_html(self) -> str:
-        """Return HTML of a small picture with a caption, for notebooks."""
-        words = [*self.label_words(), wording.with_count(self.touch_count, "touches")]
-        return picture_views.touch_html(self.contact_image(self.touch_count // 2), ", ".join(words))
+    def caption(self, label_names: Sequence[str] = ()) -> str:
+        """Return the label, if there is one, and the number of touches."""
+        return ", ".join([*self.label_words(), wording.with_count(self.touch_count, "touches")])
+
+    def picture(self, width_px: float) -> UInt8:
+        """Return the picture of the contact in the middle of the round."""
+        return pictures.fitted(self.contact_image(self.touch_count // 2), width_px)
 
     def label_words(self) -> list[str]:
         """Return the label as text; empty for a data set without labels."""
@@ -293,7 +294,7 @@ def touch_id(round_id: str, touch_index: int) -> str:
     return f"{round_id}_{touch_index:03d}"
 
 
-class Touch:
+class Touch(pictures.Drawn):
     """One touch of a round; frozen, fields are read on access.
 
     Attributes
@@ -442,15 +443,17 @@ class Touch:
         words = [f"{name}={value}" for name, value in shown.items() if value is not None]
         return f"Touch({', '.join(words)})"
 
-    def _repr_html_(self) -> str:
-        """Show the picture of the contact in a notebook."""
+    def caption(self, label_names: Sequence[str] = ()) -> str:
+        """Return the label, the number and the position of the touch, as far as they are known."""
         words = [*self.round.label_words(), f"touch {self.touch_index}"]
         with suppress(errors.InputError):  # without positions
             x_mm, y_mm = (1000.0 * float(value) for value in self.pos_in_cell_m)
             words.append(f"x {x_mm:.1f} mm, y {y_mm:.1f} mm")
-        return picture_views.touch_html(self.image, ", ".join(words))
+        return ", ".join(words)
 
-    tile_html = _repr_html_
+    def picture(self, width_px: float) -> UInt8:
+        """Return the picture of the contact at another width."""
+        return pictures.fitted(self.image, width_px)
 
 
 def hf_touches(

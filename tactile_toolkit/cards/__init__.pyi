@@ -6,13 +6,12 @@ from .card import (
     bibtex as bibtex,
     card_words as card_words,
     render_card as render_card,
+    draw_solids as draw_solids,
     rows_to_draw as rows_to_draw,
-    tiles_png as tiles_png,
     with_repo_name as with_repo_name,
 )
 from .card_check import (
     check_card as check_card,
-    pictures_in as pictures_in,
 )
 from .owner_options import (
     LICENCES as LICENCES,

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from itertools import islice
+from collections.abc import Mapping
 
 import numpy as np
 
 from tactile_toolkit import mesh, pictures, read, store
-from tactile_toolkit.array_types import Floating, Integers
-from tactile_toolkit.cards.card import Card, rows_to_draw, tiles_png
+from tactile_toolkit.array_types import Float32, Int32
+from tactile_toolkit.cards.card import Card, draw_solids
 from tactile_toolkit.cards.card_tables import ColumnWords
 from tactile_toolkit.cards.folder_facts import FolderSummary
 from tactile_toolkit.kind import DatasetKind, is_export
@@ -19,8 +18,7 @@ _TABLE_COLUMNS: dict[str, ColumnWords] = {
     **{name: ("m", f"extent along {name[5]}") for name in mesh.SIZES},
     f"{mesh.MESH}": ("GLB file, m, frame below", "the solid, its vertices and faces in their order"),
 }
-_SHOWN = 10
-_TILE_PX = 120
+_GLB = f"{mesh.MESH}.bytes"
 
 
 def write_table_card(
@@ -48,7 +46,7 @@ def write_table_card(
         template=template,
         title=title,
         columns=columns,
-        picture=(picture, _table_sheet, f"The first {kind.nouns}, seen from above"),
+        picture=(picture, _draw_tables, f"The first {kind.nouns}, seen from above"),
         licence=licence,
         tags=["tactile", "active-perception", "3d", "mesh"],
         made=[
@@ -60,21 +58,28 @@ def write_table_card(
     ).write(folder, manifest, kind)
 
 
-def _table_sheet(facts: FolderSummary) -> bytes | None:
-    """Draw the first objects as PNG; None without rows."""
-    tiles = []
-    for vertices_m, faces in islice(_surfaces(facts), _SHOWN):
-        pitch_m = max(float(np.ptp(vertices_m, axis=0)[:2].max()) / _TILE_PX, 1e-6)
-        tiles.append(pictures.Tile(pictures.relief(vertices_m, faces, pitch_m)))
-    return tiles_png(tiles, 5)
-
-
-def _surfaces(facts: FolderSummary) -> Iterator[tuple[Floating, Integers]]:
-    """Yield the stored surfaces: in columns of a mesh, or in GLB files."""
+def _draw_tables(facts: FolderSummary) -> bytes | None:
+    """Draw the first solids of tables as PNG: in columns of a mesh, or in GLB files."""
     if mesh.VERTICES in read.column_names(facts.schema):
-        for row in rows_to_draw(facts, [mesh.VERTICES, mesh.FACES]):
-            yield row.array(mesh.VERTICES), row.array(mesh.FACES)
-        return
-    for row in rows_to_draw(facts, [f"{mesh.MESH}.bytes"]):
-        solid = mesh.unpack_mesh(row.value(f"{mesh.MESH}.bytes"), ".glb")
-        yield solid.vertices_m, solid.faces
+        return draw_solids(facts)
+    return draw_solids(facts, _PackedSolid, [_GLB])
+
+
+class _PackedSolid(pictures.DrawnSolid):
+    """A solid in a GLB file."""
+
+    __slots__ = ()
+
+    @property
+    def vertices_m(self) -> Float32:
+        """Vertices, shape (V, 3), metres."""
+        return np.asarray(self._unpacked.vertices_m, np.float32)
+
+    @property
+    def faces(self) -> Int32:
+        """Triangles, shape (F, 3)."""
+        return np.asarray(self._unpacked.faces, np.int32)
+
+    @property
+    def _unpacked(self) -> mesh.Mesh:
+        return self._once("surface", lambda: mesh.unpack_mesh(self.row.value(_GLB), ".glb"))

@@ -7,12 +7,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Protocol
 
-from tactile_toolkit import read, store
+from tactile_toolkit import store
 from tactile_toolkit.errors import InputError
 
 
 class Located(Protocol):
-    """A file of a source."""
+    """A file of a source, or a row in it."""
 
     @property
     def path(self) -> str:
@@ -29,8 +29,8 @@ def specification_read(where: str) -> Iterator[None]:
         raise store.damaged_error(where, problem) from error
 
 
-def manifest_beside(shard: read.Shard) -> store.Manifest | None:
-    """Return the manifest of the data set folder of a shard; None if there is none."""
+def manifest_beside(shard: Located) -> store.Manifest | None:
+    """Return the manifest of the data set folder of a file or a row; None if there is none."""
     data, _ = store.split_uri(shard.path)
     folder, name = store.split_uri(data.address())
     if name == store.DATA_FOLDER:

@@ -2,13 +2,18 @@
 
 from . import remote as remote
 from .addresses import (
+    expanded as expanded,
     is_remote as is_remote,
+    local_folder_path as local_folder_path,
     normalize_uri as normalize_uri,
+    open_folder as open_folder,
     scheme_of as scheme_of,
+    split_uri as split_uri,
 )
 from .building import build as build
-from .data_folder import (
+from .folder import (
     DataFolder as DataFolder,
+    LocalFolder as LocalFolder,
     PENDING_FOLDER as PENDING_FOLDER,
     VERSION_KEYS as VERSION_KEYS,
 )
@@ -24,10 +29,12 @@ from .download_record import (
 from .files import (
     DRAFT as DRAFT,
     draft_of as draft_of,
-    expanded as expanded,
+    is_hidden as is_hidden,
     named_failures as named_failures,
+    names_inside as names_inside,
     open_regular as open_regular,
     path_exists as path_exists,
+    problem_of_name as problem_of_name,
     readable as readable,
     remove_drafts as remove_drafts,
     resource_shortage as resource_shortage,
@@ -35,23 +42,11 @@ from .files import (
     sync_file as sync_file,
     write_file as write_file,
 )
-from .foreign_files import (
-    open_inside as open_inside,
-    problem_of_place as problem_of_place,
-    read_inside as read_inside,
-    size_inside as size_inside,
-)
-from .fsspec_folder import (
-    FsspecFolder as FsspecFolder,
-)
 from .job import (
     BuildJob as BuildJob,
     MissingPartsError as MissingPartsError,
     inspect_job as inspect_job,
     refuse_unknown_files as refuse_unknown_files,
-)
-from .local_folder import (
-    LocalFolder as LocalFolder,
 )
 from .locks import (
     LOCK_FILE as LOCK_FILE,
@@ -65,20 +60,9 @@ from .manifest import (
     without_collecting as without_collecting,
     write_manifest as write_manifest,
 )
-from .names import (
-    is_hidden as is_hidden,
-    names_inside as names_inside,
-    problem_of_name as problem_of_name,
-)
-from .opening import (
-    local_folder_path as local_folder_path,
-    open_folder as open_folder,
-    split_uri as split_uri,
-)
 from .parquet import (
     ParquetStyle as ParquetStyle,
     encode_parquet as encode_parquet,
-    is_unchanged as is_unchanged,
     named_damage as named_damage,
     open_checked as open_checked,
     require_sound_columns as require_sound_columns,
@@ -94,6 +78,7 @@ from .plan import (
 )
 from .remote import (
     CallFailure as CallFailure,
+    FsspecFolder as FsspecFolder,
     cause_chain as cause_chain,
     in_time as in_time,
     with_retry as with_retry,

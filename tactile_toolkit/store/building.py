@@ -16,15 +16,15 @@ from dataclasses import dataclass, field, replace
 from typing import Unpack
 
 from tactile_toolkit import errors, run
-from tactile_toolkit.store import data_folder, locks, parquet, pending, replacing, reports, run_options
+from tactile_toolkit.store import locks, parquet, pending, replacing, reports, run_options
+from tactile_toolkit.store.folder import NEXT_FOLDER, PENDING_FOLDER, DataFolder, LocalFolder
 from tactile_toolkit.store.job import BuildJob, begin_job, require_parts, require_same_job
-from tactile_toolkit.store.local_folder import LocalFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, write_manifest
 from tactile_toolkit.store.plan import BuildPlan
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardRecord, require_rows
 from tactile_toolkit.store.task import AnyTask
 
-WriteCard = Callable[[data_folder.DataFolder, Manifest], None]
+WriteCard = Callable[[DataFolder, Manifest], None]
 """Writes the card of a finished folder, after its report."""
 
 
@@ -32,7 +32,7 @@ WriteCard = Callable[[data_folder.DataFolder, Manifest], None]
 class _WriteShard:
     """Make one shard of a job, and write it with its record; picklable."""
 
-    folder: data_folder.DataFolder
+    folder: DataFolder
     identity: str
     style: parquet.ParquetStyle = field(repr=False)
     libraries: tuple[str, ...]
@@ -70,7 +70,7 @@ class _WriteShard:
 
 
 def build(
-    folder: data_folder.DataFolder,
+    folder: DataFolder,
     plan: BuildPlan,
     *,
     write_card: WriteCard | None = None,
@@ -108,7 +108,7 @@ def build(
 
 @contextlib.contextmanager
 def _begun(
-    folder: data_folder.DataFolder, plan: BuildPlan, options: run_options.RunOptions
+    folder: DataFolder, plan: BuildPlan, options: run_options.RunOptions
 ) -> Iterator[tuple[BuildJob, contextlib.ExitStack]]:
     """Begin a job, in ``.next`` where it replaces a data set, and roll it back if it fails without a row.
 
@@ -126,7 +126,7 @@ def _begun(
                 if is_replaced and isinstance(folder, LocalFolder):
                     target, existed = replacing.prepare_next(folder, plan), False
                     hold.enter_context(
-                        locks.locked(folder.local_path(data_folder.NEXT_FOLDER), shared=True, patience_s=0.0)
+                        locks.locked(folder.local_path(NEXT_FOLDER), shared=True, patience_s=0.0)
                     )
                 had_manifest = target.exists(MANIFEST_FILE)
                 job = begin_job(target, plan, options)
@@ -148,7 +148,7 @@ def _needs_no_lock(job: BuildJob, options: run_options.RunOptions) -> bool:
     """Return whether a set in a store is finished, by names and sizes only; manifests are written last."""
     if job.folder.is_local or options.check or job.remaining:
         return False
-    return job.manifest.complete and not job.folder.names(data_folder.PENDING_FOLDER)
+    return job.manifest.complete and not job.folder.names(PENDING_FOLDER)
 
 
 def _work(job: BuildJob, options: run_options.RunOptions) -> Iterator[ShardRecord]:
@@ -180,7 +180,7 @@ def _finish(
     job: BuildJob,
     records: Sequence[ShardRecord],
     write_card: WriteCard | None,
-    replaced: data_folder.DataFolder,
+    replaced: DataFolder,
 ) -> Manifest:
     """Write what follows from all shards, and the manifest last; the caller holds the lock."""
     folder, plan = job.folder, job.plan
@@ -216,7 +216,7 @@ def _finish(
     return finished
 
 
-def _roll_back(folder: data_folder.DataFolder, plan: BuildPlan, had_manifest: bool) -> None:
+def _roll_back(folder: DataFolder, plan: BuildPlan, had_manifest: bool) -> None:
     """Roll back a run that failed before any row was written.
 
     Otherwise a run that cannot finish (scenes that do not fit, an unreadable source) would leave an empty
@@ -239,7 +239,7 @@ def _roll_back(folder: data_folder.DataFolder, plan: BuildPlan, had_manifest: bo
     if not had_manifest and not folder.names(DATA_FOLDER):
         folder.remove(MANIFEST_FILE)
         pending.remove_pending(folder)
-    folder.remove_empty(data_folder.PENDING_FOLDER)
+    folder.remove_empty(PENDING_FOLDER)
 
 
 def _require_records(job: BuildJob, records: Sequence[ShardRecord]) -> None:

@@ -14,9 +14,8 @@ from typing import IO
 
 import msgspec
 
-from tactile_toolkit.store.data_folder import DataFolder
-from tactile_toolkit.store.files import open_regular
-from tactile_toolkit.store.names import names_inside
+from tactile_toolkit.store.files import names_inside, open_regular
+from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.sealed_json import Count, decode, require_seal, seal
 
 RECORD_FILE = ".download.json"

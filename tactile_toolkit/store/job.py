@@ -13,11 +13,11 @@ from functools import lru_cache
 from itertools import groupby
 
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
-from tactile_toolkit.store.data_folder import PENDING_FOLDER, DataFolder
+from tactile_toolkit.store.addresses import open_folder
+from tactile_toolkit.store.files import is_hidden
+from tactile_toolkit.store.folder import PENDING_FOLDER, DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, write_manifest
-from tactile_toolkit.store.names import is_hidden
-from tactile_toolkit.store.opening import open_folder
-from tactile_toolkit.store.parquet import file_sha256, sha256_hex
+from tactile_toolkit.store.parquet import sha256_hex
 from tactile_toolkit.store.pending import pending_records, pending_shards
 from tactile_toolkit.store.plan import BuildPlan
 from tactile_toolkit.store.run_options import RunOptions
@@ -194,7 +194,7 @@ def _intact_records(
     has_report = report is not None and folder.exists(report)
     listed = manifest.files.get(report) if report is not None else None  # none while it is written again
     if report is not None and has_report and (check or (listed and folder.is_local)):
-        has_report = file_sha256(folder, report) == listed
+        has_report = folder.sha256(report) == listed
 
     def is_intact(record: ShardRecord, digests: Mapping[str, str | None]) -> bool:
         if not record.is_size_of(sizes):  # first: most damage shows there, and costs no reading
@@ -204,7 +204,7 @@ def _intact_records(
             if not check:
                 return all(map(folder.exists, files))
             for path, sha256 in {**digests, **files}.items():
-                if sha256 is not None and file_sha256(folder, path) != sha256:
+                if sha256 is not None and folder.sha256(path) != sha256:
                     return False
             return tasks[record.shard].source_digest() == record.source_digest
         except (IntegrityError, FileNotFoundError):  # damaged without a change of size, or just removed

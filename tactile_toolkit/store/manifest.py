@@ -17,8 +17,8 @@ from dataclasses import dataclass, field, replace
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.shown_text import printable_json
-from tactile_toolkit.store.data_folder import DataFolder
-from tactile_toolkit.store.names import names_inside
+from tactile_toolkit.store.files import names_inside
+from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.sealed_json import Count, Sha256, damaged_error, decode, require_seal, seal
 from tactile_toolkit.store.shards import ShardRecord, add_up
 from tactile_toolkit.wording import with_count

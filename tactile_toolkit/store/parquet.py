@@ -17,8 +17,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.store.data_folder import DataFolder
 from tactile_toolkit.store.files import readable
+from tactile_toolkit.store.folder import DataFolder
 
 if TYPE_CHECKING:
     from typing_extensions import Buffer
@@ -239,17 +239,6 @@ def _require_checked_footer(source: str | IO[bytes]) -> None:
 def sha256_hex(content: Buffer) -> str:
     """Return the SHA-256 of bytes in hexadecimal."""
     return hashlib.sha256(content).hexdigest()
-
-
-def file_sha256(folder: DataFolder, path: str) -> str:
-    """Return the SHA-256 of a stored file, read in pieces."""
-    with folder.open(path) as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()  # type: ignore[arg-type]
-
-
-def is_unchanged(folder: DataFolder, path: str, sha256: str) -> bool:
-    """Return whether a file exists and has this checksum."""
-    return folder.exists(path) and file_sha256(folder, path) == sha256
 
 
 def _paths(schema: pa.Schema) -> list[str]:

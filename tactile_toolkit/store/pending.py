@@ -11,7 +11,7 @@ from dataclasses import replace
 import msgspec
 
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.store.data_folder import PENDING_FOLDER, TEMPORARY, DataFolder
+from tactile_toolkit.store.folder import PENDING_FOLDER, TEMPORARY, DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, is_of_others, read_manifest
 from tactile_toolkit.store.sealed_json import Count, decode, require_seal, seal
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName, ShardRecord

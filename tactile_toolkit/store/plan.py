@@ -11,7 +11,7 @@ from importlib.metadata import version
 from tactile_toolkit import __version__
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonObject
-from tactile_toolkit.store.data_folder import DataFolder
+from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import ParquetStyle
 from tactile_toolkit.store.shards import ShardRecord

@@ -8,13 +8,12 @@ from dataclasses import replace
 import msgspec
 
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.store.data_folder import NEXT_FOLDER, PENDING_FOLDER, DataFolder
 from tactile_toolkit.store.download_record import RECORD_FILE
+from tactile_toolkit.store.files import is_hidden
+from tactile_toolkit.store.folder import NEXT_FOLDER, PENDING_FOLDER, DataFolder, LocalFolder
 from tactile_toolkit.store.job import refuse_unknown_files
-from tactile_toolkit.store.local_folder import LocalFolder
 from tactile_toolkit.store.locks import locked
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, write_manifest
-from tactile_toolkit.store.names import is_hidden
 from tactile_toolkit.store.owned_files import CARD_FILE, extra_files, is_ours
 from tactile_toolkit.store.plan import BuildPlan
 from tactile_toolkit.store.sealed_json import decode

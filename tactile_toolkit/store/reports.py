@@ -11,11 +11,10 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.store.data_folder import PENDING_FOLDER, DataFolder
+from tactile_toolkit.store.folder import PENDING_FOLDER, DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import (
     REPORT_STYLE,
-    is_unchanged,
     named_damage,
     open_checked,
     sha256_hex,
@@ -55,7 +54,7 @@ def merge_reports(folder: DataFolder, path: str, manifest: Manifest) -> str | No
     stored = {f"{PENDING_FOLDER}/{name}" for name in folder.names(PENDING_FOLDER)}
     pending = {record.shard for record in records if record.shard.report_path in stored}
     known = manifest.files.get(path)
-    if known and not pending and is_unchanged(folder, path, known):
+    if known and not pending and folder.has_sha256(path, known):
         return known
 
     def write(stream: IO[bytes]) -> str:

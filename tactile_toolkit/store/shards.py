@@ -14,7 +14,7 @@ import msgspec
 from tactile_toolkit import redaction, shown_text
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.json_types import JsonDict, JsonObject, JsonValue
-from tactile_toolkit.store.data_folder import PENDING_FOLDER
+from tactile_toolkit.store.folder import PENDING_FOLDER
 from tactile_toolkit.store.sealed_json import LARGEST, Count, Sha256
 
 DAMAGED = "damaged"

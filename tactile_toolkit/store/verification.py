@@ -14,7 +14,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from tactile_toolkit import errors, run, wording
-from tactile_toolkit.store import data_folder, download_record, foreign_files, names, pending
+from tactile_toolkit.store import download_record, pending
+from tactile_toolkit.store.files import is_hidden
+from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest
 from tactile_toolkit.store.parquet import named_damage, open_checked
 from tactile_toolkit.store.shards import DATA_FOLDER, VIEWER_FOLDER, Finding, ShardName, ShardRecord
@@ -37,11 +39,11 @@ class Verification:
 
 
 def verify(
-    folder: data_folder.DataFolder,
+    folder: DataFolder,
     schema: pa.Schema | None = None,
     on_file: Callable[[str], None] = lambda _: None,
     *,
-    check_card: Callable[[data_folder.DataFolder], Iterable[Finding]] | None = None,
+    check_card: Callable[[DataFolder], Iterable[Finding]] | None = None,
     workers: int = 1,
 ) -> Verification:
     """Check every checksum, row count, schema and the uniqueness of ids over all splits.
@@ -96,7 +98,7 @@ def verify(
     return Verification(len(files), rows, size, tuple(findings), reference)
 
 
-def _recorded_files(folder: data_folder.DataFolder, manifest: Manifest) -> dict[str, download_record.HubFile]:
+def _recorded_files(folder: DataFolder, manifest: Manifest) -> dict[str, download_record.HubFile]:
     """Return the files that a manifest lists, by path."""
     files = {
         each.file: download_record.HubFile(each.file, each.bytes, each.sha256) for each in manifest.shards
@@ -110,7 +112,7 @@ def _recorded_files(folder: data_folder.DataFolder, manifest: Manifest) -> dict[
 
 
 def _downloaded_files(
-    folder: data_folder.DataFolder,
+    folder: DataFolder,
 ) -> tuple[dict[str, download_record.HubFile], list[Finding], str]:
     """Return the files that a download recorded, further files among the shards, and the commit."""
     record = download_record.read_download_record(folder)
@@ -132,7 +134,7 @@ class _Checked(NamedTuple):
 
 
 def _check_file(
-    folder: data_folder.DataFolder,
+    folder: DataFolder,
     schema: pa.Schema | None,
     shards: Mapping[str, ShardRecord],
     file: download_record.HubFile,
@@ -170,7 +172,7 @@ def _check_file(
     return _Checked(findings, record.rows, ids)
 
 
-def _incomplete(folder: data_folder.DataFolder, manifest: Manifest) -> list[Finding]:
+def _incomplete(folder: DataFolder, manifest: Manifest) -> list[Finding]:
     """Find shards that a manifest lacks, and files that it does not list."""
     if not manifest.complete:  # a run may be about to record further shards
         return [Finding(MANIFEST_FILE, _not_finished(folder, manifest))]
@@ -185,14 +187,14 @@ def _incomplete(folder: data_folder.DataFolder, manifest: Manifest) -> list[Find
     return findings + _unlisted(folder, {record.file for record in manifest.shards}, MANIFEST_FILE, others)
 
 
-def require_finished(folder: data_folder.DataFolder) -> None:
+def require_finished(folder: DataFolder) -> None:
     """Raise UnfinishedError if the run that makes a data set is under way or was interrupted."""
     manifest = pending.manifest_so_far(folder)
     if manifest is not None and not manifest.complete:
         raise errors.UnfinishedError(f"{folder.address()!r} is {_not_finished(folder, manifest)}")
 
 
-def _not_finished(folder: data_folder.DataFolder, manifest: Manifest) -> str:
+def _not_finished(folder: DataFolder, manifest: Manifest) -> str:
     record = download_record.read_download_record(folder)
     if record is not None:
         return f"not finished; next: download {record.repo_id} there again, it continues where it stopped"
@@ -200,22 +202,22 @@ def _not_finished(folder: data_folder.DataFolder, manifest: Manifest) -> str:
 
 
 def _unlisted(
-    folder: data_folder.DataFolder, listed: Collection[str], where: str, others: Collection[str] = ()
+    folder: DataFolder, listed: Collection[str], where: str, others: Collection[str] = ()
 ) -> list[Finding]:
     """Find files in the data folder that are not listed, except those of other splits and hidden ones."""
     findings = []
     for name in folder.names(DATA_FOLDER):
         path, shard = f"{DATA_FOLDER}/{name}", ShardName.parse(name)
         is_begun = shard is not None and shard.split in others
-        if not (path in listed or is_begun or names.is_hidden(name)):
+        if not (path in listed or is_begun or is_hidden(name)):
             findings.append(Finding(path, f"is not listed in {where}; next: move it to another folder"))
     return findings
 
 
 @contextlib.contextmanager
-def _intact(folder: data_folder.DataFolder, file: download_record.HubFile) -> Iterator[IO[bytes]]:
+def _intact(folder: DataFolder, file: download_record.HubFile) -> Iterator[IO[bytes]]:
     """Open a file with this digest or size; IntegrityError states the problem of any other."""
-    problem = foreign_files.problem_of_place(folder, file.path)
+    problem = folder.problem_of_file(file.path)
     if problem:
         raise errors.IntegrityError(problem)
     # A file of a store is fetched as a whole, because it is read twice.

@@ -70,7 +70,7 @@ def test_record_gives_typed_fields(scenes):
     assert record.mesh is record.mesh
     assert len(record.mesh.vertices) == len(record.vertices_m)
     assert repr(record) == "SceneRecord(id=6, label=2, star_count=3)"
-    assert "scene 6: 3 stars" in record._repr_html_()
+    assert "3 stars, id 6: size" in record._repr_html_()
     with pytest.raises(AttributeError, match="frozen"):
         record.id = 3
 

@@ -15,7 +15,7 @@ from starstruck_gen.placement import Placement
 from starstruck_gen.rejection import SamplingExhausted
 from starstruck_gen.scene_card import summarise
 from starstruck_gen.scene_checks import validate_folder
-from starstruck_gen.scene_generation import SceneMaking, SceneSetSpec, generate, make_rows
+from starstruck_gen.scene_generation import SceneGenerator, SceneSetSpec, generate, make_rows
 from starstruck_gen.scene_meshes import build_meshes
 from starstruck_gen.scene_rows import scene_schema
 from starstruck_gen.scene_spec import SceneSpec
@@ -71,8 +71,8 @@ def test_folder_has_the_documented_files(whole):
 def test_published_size_is_3000_and_300_balanced():
     spec = SceneSetSpec()
     assert (spec.rows("train"), spec.rows("test")) == (3_000, 300)
-    sizes = {task.shard.split: 0 for task in plan_build(SceneMaking(spec), ("train", "test")).tasks}
-    for task in plan_build(SceneMaking(spec), ("train", "test")).tasks:
+    sizes = {task.shard.split: 0 for task in plan_build(SceneGenerator(spec), ("train", "test")).tasks}
+    for task in plan_build(SceneGenerator(spec), ("train", "test")).tasks:
         sizes[task.shard.split] += task.size
     assert sizes == {"train": 3_000, "test": 300}
 
@@ -159,7 +159,9 @@ def test_ordinary_values_of_other_types_are_the_same_specification(tmp_path):
     generate(plain, str(tmp_path / "text"), ("train",))
     assert folder_hashes(tmp_path / "path") == folder_hashes(tmp_path / "text")
     assert (
-        inspect_job(open_folder(str(tmp_path / "path")), plan_build(SceneMaking(given), ("train",))).remaining
+        inspect_job(
+            open_folder(str(tmp_path / "path")), plan_build(SceneGenerator(given), ("train",))
+        ).remaining
         == ()
     )
 

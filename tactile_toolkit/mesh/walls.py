@@ -1,4 +1,4 @@
-"""Pairs of triangles that lie near each other, and the thinnest wall of a solid.
+"""Measures of a print, in compiled loops: thinnest wall, widths of a section, overhanging area.
 
 The thinnest wall is the diameter of the smallest ball between parts of the surface that face each other. Two
 parts face each other where the segment between them enters the solid nearly at right angles to the surface at
@@ -18,9 +18,20 @@ from typing import TypeAlias
 
 import numpy as np
 
-from tactile_toolkit.array_types import Float64, Int64
+from tactile_toolkit.array_types import Float32, Float64, Int64
 from tactile_toolkit.compiled import part, planned
-from tactile_toolkit.mesh.vectors import Vector, corner_of, cross, dot, normalized, row_of, sub
+from tactile_toolkit.mesh.box_tree import (
+    DEEPEST,
+    Vector,
+    corner_of,
+    cross,
+    curve_order,
+    dot,
+    normalized,
+    row_of,
+    sub,
+    tree_of,
+)
 
 Solid: TypeAlias = tuple[Float64, Int64, Float64, Float64, Int64]
 """The result of :func:`_surface_of`."""
@@ -50,27 +61,12 @@ _OPPOSED = 1 - 2 * _STRAIGHT**2 + 1e-9
 # Along an axis, a segment exceeds the directions by at most this: the distance of the ends of two of them.
 _ASLANT = math.sqrt(2 - 2 * _STRAIGHT) + 1e-9
 
-# Size of the stack of node pairs: three for each level of the trees, which have at most 63 levels.
-_DEEPEST = 256
-
-
-def near_pairs(corners_mm: Float64, reach_mm: float) -> Int64:
-    """Return pairs of triangles, or other objects of shape (F, corners, 3), whose boxes are within reach.
-
-    The reach counts along each axis. The result has shape (2, pairs), each pair once.
-    """
-    if not len(corners_mm):
-        return np.zeros((2, 0), np.int64)
-    corners_mm = np.ascontiguousarray(corners_mm.swapaxes(0, 1))  # numpy is slow along short rows
-    low, high = corners_mm.min(axis=0) - reach_mm / 2, corners_mm.max(axis=0) + reach_mm / 2
-    numbered = _along_a_curve((low + high) / 2)
-    boxes, held = _tree_of(numbered, low, high)
-    pairs, count, stack, top = np.empty((1024, 2), np.int64), 0, np.ones((_DEEPEST, 2), np.int64), 1
-    while True:
-        count, top = _meeting(numbered, boxes, held, stack, top, pairs, count)
-        if not top:
-            return np.ascontiguousarray(pairs[:count].T & 0xFFFFFFFF)
-        pairs = np.concatenate([pairs, np.empty_like(pairs)])
+_BLOCK = 16
+# A point, at distance 0 from itself, must not limit its own disc.
+_MIN_SQUARED_MM2 = np.float32(1e-3)
+# More than the rounding of single precision.
+_NEARLY = np.float32(1 - 1e-5)
+_FLATTEST = np.float32(1e-9)
 
 
 def thinnest_wall_mm(vertices_mm: Float64, faces: Int64, reach_mm: float) -> float:
@@ -81,13 +77,33 @@ def thinnest_wall_mm(vertices_mm: Float64, faces: Int64, reach_mm: float) -> flo
     vertices_mm = np.ascontiguousarray(vertices_mm, dtype=np.float64)
     faces = np.ascontiguousarray(faces, dtype=np.int64)
     # One corner of each triangle is close enough to its centre.
-    numbered = _along_a_curve(vertices_mm.take(faces[:, 0], axis=0))
+    numbered = curve_order(vertices_mm.take(faces[:, 0], axis=0))
     solid = _surface_of(vertices_mm, faces)
     low, high = np.full((len(faces), 9), np.inf), np.full((len(faces), 9), -np.inf)
     _boxes(*solid, reach_mm, low, high)
-    boxes, held = _tree_of(numbered, low, high)
-    best = _thinnest_wall(*solid, numbered, boxes, held, np.ones((_DEEPEST, 2), np.int64), reach_mm)
+    boxes, held = tree_of(numbered, low, high)
+    best = _thinnest_wall(*solid, numbered, boxes, held, np.ones((DEEPEST, 2), np.int64), reach_mm)
     return round(best, 6) if best < reach_mm else math.inf
+
+
+def leaning_out(points: Float64, faces: Int64, bed: float, sine: float) -> Float64:
+    """Return twice the areas of triangles above a bed that face down by an angle of more than this sine."""
+    doubled = np.empty(len(faces))
+    return doubled[: _leaning_out(points, faces, bed, sine, doubled)]
+
+
+def largest_discs(points: Float32, inward: Float32) -> tuple[Float32, Float32]:
+    """Return the radius of the largest disc at each point of outlines, and the distance of its contact.
+
+    A disc that touches here and passes through a point at distance d and depth h has the curvature
+    2 h / d^2. A block of points farther away than the best diameter so far cannot tighten it.
+    """
+    count = len(points)
+    radii, contacts = np.empty(count, np.float32), np.empty(count, np.float32)
+    # The middles of the blocks, and how far each reaches.
+    blocks = np.zeros(((count + _BLOCK - 1) // _BLOCK, 3), np.float32)
+    _find_largest(points, inward, blocks, radii, contacts)
+    return radii, contacts
 
 
 def _surface_of(points: Float64, faces: Int64) -> Solid:
@@ -101,123 +117,6 @@ def _surface_of(points: Float64, faces: Int64) -> Solid:
     np.cumsum(np.bincount(faces.ravel(), minlength=len(points)), out=begun[1:])
     _surface(points, faces, begun, begun.copy(), leaving, inward, at_corner, twin)
     return points, faces, inward, at_corner, twin
-
-
-def _tree_of(numbered: Int64, low: Float64, high: Float64) -> tuple[Float64, Int64]:
-    """Return the boxes of a binary tree, shape (2 N, 2, columns), low and high ends, and the two children.
-
-    The root is node 1. The last N nodes are the boxes themselves, in order; they are their own children. Each
-    node is a cell of Morton's curve, because boxes across the jumps of the curve would be wide.
-    """
-    boxes = np.empty((2 * len(numbered), 2, low.shape[1]))
-    held = np.empty((2 * len(numbered), 2), np.int64)
-    _tree(numbered, low, high, np.empty((2, 64), np.int64), boxes, held)
-    return boxes, held
-
-
-def _along_a_curve(points: Float64) -> Int64:
-    """Return :func:`_numbered`, sorted: points along a curve on which neighbours are near."""
-    # Axis by axis: along rows of three numpy takes thirteen times as long.
-    low = np.array([axis.min() for axis in points.T])
-    span = max(*(axis.max() - least for axis, least in zip(points.T, low, strict=True)), 1e-300)
-    numbered = np.arange(len(points))
-    _write_codes(np.ascontiguousarray(points), low, 1023.0 / span, numbered)
-    # Sorted together with their numbers: equal places stay in order, and numpy sorts integers fast.
-    numbered.sort()
-    return numbered
-
-
-@planned("(float64[:,::1], float64[::1], float64, int64[::1])")
-def _write_codes(points: Float64, low: Float64, scale: float, numbered: Int64) -> None:
-    """Write the Morton code of each point, ten bits for each axis, above its number in the lower bits."""
-    for point in range(len(points)):
-        for axis in range(3):
-            cell = np.int64((points[point, axis] - low[axis]) * scale)
-            # Spread the bits to every third place.
-            cell = (cell | (cell << 16)) & 0x30000FF
-            cell = (cell | (cell << 8)) & 0x300F00F
-            cell = (cell | (cell << 4)) & 0x30C30C3
-            cell = (cell | (cell << 2)) & 0x9249249
-            numbered[point] |= cell << (32 + axis)
-
-
-@planned("(int64[::1], float64[:,::1], float64[:,::1], int64[:,::1], float64[:,:,::1], int64[:,::1])")
-def _tree(numbered: Int64, low: Float64, high: Float64, waiting: Int64, boxes: Float64, held: Int64) -> None:
-    """Write the nodes of :func:`_tree_of`.
-
-    ``waiting`` (2, 64) is scratch: nodes whose cells may hold more, and the bits in which the next object
-    differs from each.
-    """
-    count, columns, top, last = len(numbered), low.shape[1], 0, len(numbered)
-    for leaf in range(count):
-        thing, node, bits = numbered[leaf] & 0xFFFFFFFF, count + leaf, 1 << 62
-        held[node, 0] = held[node, 1] = node
-        for axis in range(columns):
-            boxes[node, 0, axis], boxes[node, 1, axis] = low[thing, axis], high[thing, axis]
-        if leaf + 1 < count:
-            bits = numbered[leaf] ^ numbered[leaf + 1]
-        while top and waiting[1, top - 1] < bits:
-            top -= 1
-            last -= 1
-            other = waiting[0, top]
-            held[last, 0], held[last, 1] = other, node
-            for axis in range(columns):
-                boxes[last, 0, axis] = min(boxes[other, 0, axis], boxes[node, 0, axis])
-                boxes[last, 1, axis] = max(boxes[other, 1, axis], boxes[node, 1, axis])
-            node = last
-        waiting[0, top], waiting[1, top] = node, bits
-        top += 1
-
-
-@planned("(int64[::1], float64[:,:,::1], int64[:,::1], int64[:,::1], int64, int64[:,::1], int64)")
-def _meeting(
-    numbered: Int64, boxes: Float64, held: Int64, stack: Int64, top: int, pairs: Int64, count: int
-) -> tuple[int, int]:
-    """Write the pairs of boxes that overlap, each pair once; boxes as in ``numbered``.
-
-    Return the number of pairs, and that of node pairs on the stack: those left when ``pairs`` is full.
-    """
-    things, columns = len(numbered), boxes.shape[2]
-    while top and count < len(pairs):
-        top -= 1
-        one, other = stack[top, 0], stack[top, 1]
-        if one >= things and other >= things:
-            if one != other:
-                pairs[count, 0], pairs[count, 1] = numbered[one - things], numbered[other - things]
-                count += 1
-            continue
-        for first in range(2 if one < things else 1):
-            for second in range(first if one == other else 0, 2 if other < things else 1):
-                left, right, meet = held[one, first], held[other, second], True
-                for axis in range(columns):
-                    meet &= boxes[left, 0, axis] <= boxes[right, 1, axis]
-                    meet &= boxes[right, 0, axis] <= boxes[left, 1, axis]
-                if meet:
-                    stack[top, 0], stack[top, 1] = left, right
-                    top += 1
-    return count, top
-
-
-def connected(ends: Int64, others: Int64, count: int) -> Int64:
-    """Return the number of the connected component of each object, shape (count,)."""
-    least = np.arange(count)
-    _connect(np.ascontiguousarray(ends), np.ascontiguousarray(others), least)
-    return least
-
-
-@planned("(int64[::1], int64[::1], int64[::1])")
-def _connect(ends: Int64, others: Int64, least: Int64) -> None:
-    for pair in range(len(ends)):
-        one, other = ends[pair], others[pair]
-        while least[one] < one:
-            least[one] = least[least[one]]
-            one = least[one]
-        while least[other] < other:
-            least[other] = least[least[other]]
-            other = least[other]
-        least[max(one, other)] = min(one, other)
-    for thing in range(len(least)):
-        least[thing] = least[least[thing]]
 
 
 @planned(
@@ -470,3 +369,66 @@ def _cosine_in(points: Float64, faces: Int64, inward: Float64, twin: Int64, half
     # At a flat edge the ball touches faces and must not be oblique to them.
     is_hollow = dot(ours, cross(theirs, along)) < -_LEVEL
     return 1.0 if is_hollow else math.sqrt(1 - lengthwise * lengthwise)
+
+
+@planned("(float64[:,::1], int64[:,::1], float64, float64, float64[::1])")
+def _leaning_out(points: Float64, faces: Int64, bed: float, sine: float, doubled: Float64) -> int:
+    count = 0
+    for face in range(len(faces)):
+        a, b, c = (
+            corner_of(points, faces, face, 0),
+            corner_of(points, faces, face, 1),
+            corner_of(points, faces, face, 2),
+        )
+        normal = cross(sub(b, a), sub(c, a))
+        size = math.sqrt(dot(normal, normal))
+        if normal[2] < 0 and normal[2] < -sine * size and max(max(a[2], b[2]), c[2]) > bed:
+            doubled[count] = size
+            count += 1
+    return count
+
+
+@planned("(float32[:,::1], float32[:,::1], float32[:,::1], float32[::1], float32[::1])")
+def _find_largest(
+    points: Float32, inward: Float32, blocks: Float32, radii: Float32, contacts: Float32
+) -> None:
+    count = len(points)
+    for block in range(len(blocks)):
+        first, last = block * _BLOCK, min((block + 1) * _BLOCK, count)
+        middle = (first + last) // 2
+        blocks[block, 0], blocks[block, 1] = points[middle, 0], points[middle, 1]
+        for point in range(first, last):
+            reach = _apart(points, point, blocks, block)
+            if reach > blocks[block, 2]:
+                blocks[block, 2] = reach
+    sharpest = count - count  # not the literal 0, for which numba compiles another version
+    for point in range(count):
+        # The contact of the disc before is close to that of this one, so nearly all blocks are pruned.
+        before, contact = _bend(points, inward, point, sharpest)[0], np.float32(0)
+        best = (before if before > contact else contact) * _NEARLY - np.float32(1e-30)
+        for block in range(len(blocks)):
+            if (_apart(points, point, blocks, block) - blocks[block, 2]) * best > 1 / _NEARLY:
+                continue
+            for other in range(block * _BLOCK, min((block + 1) * _BLOCK, count)):
+                bend, squared = _bend(points, inward, point, other)
+                if bend > best:
+                    best, contact, sharpest = bend, squared, other
+        radii[point] = np.float32(0.5) / (best if best > _FLATTEST else _FLATTEST)
+        contacts[point] = np.sqrt(contact)
+
+
+@part
+def _apart(points: Float32, point: int, blocks: Float32, block: int) -> np.float32:
+    """Return the distance of a point from the middle of a block."""
+    x, y = points[point, 0] - blocks[block, 0], points[point, 1] - blocks[block, 1]
+    distance: np.float32 = np.sqrt(x * x + y * y)
+    return distance
+
+
+@part
+def _bend(points: Float32, inward: Float32, here: int, there: int) -> tuple[np.float32, np.float32]:
+    away_x, away_y = points[there, 0] - points[here, 0], points[there, 1] - points[here, 1]
+    squared = away_x * away_x + away_y * away_y
+    if squared < _MIN_SQUARED_MM2:
+        squared = _MIN_SQUARED_MM2
+    return (inward[here, 0] * away_x + inward[here, 1] * away_y) / squared, squared
