@@ -254,7 +254,7 @@ class _Reader:
             wanted = int(shown_pts[number])
             if not 0 < number - last <= _PICTURES_PASSED:
                 packets = self._packets_before(wanted)
-                frames = packets if self.is_kept else self._decoded(packets)
+                frames = iter(packets) if self.is_kept else self._decoded(packets)
                 frame = next(frames, None)
             last = number
             while frame is not None and cast(int, frame.pts) < wanted:
