@@ -245,6 +245,10 @@ class _Reader:
         with suppress(av.FFmpegError):
             yield from (each for each in decoder.decode(None) if each.pts not in lost)
 
+    def _pictures_before(self, pts: int) -> Iterator[VideoFrame | Packet[VideoStream]]:
+        packets = self._packets_before(pts)
+        return packets if self.is_kept else self._decoded(packets)
+
     def pictures(self, shown_pts: Int64, numbers: Iterable[int]) -> Iterator[bytes | ItemError]:
         """Yield the pictures of these numbers, encoded; increasing numbers are decoded without seeking."""
         frames: Iterator[VideoFrame | Packet[VideoStream]] = iter(())
@@ -253,8 +257,7 @@ class _Reader:
         for number in numbers:
             wanted = int(shown_pts[number])
             if not 0 < number - last <= _PICTURES_PASSED:
-                packets = self._packets_before(wanted)
-                frames = iter(packets) if self.is_kept else self._decoded(packets)
+                frames = self._pictures_before(wanted)
                 frame = next(frames, None)
             last = number
             while frame is not None and cast(int, frame.pts) < wanted:
