@@ -12,7 +12,7 @@ from typing import Annotated
 import tactile_sim
 from cli import declared_options, options, output, runs
 from tactile_sim import PairsSpec, TrainConfig
-from tactile_toolkit import catalog, checked_fields, kind, run
+from tactile_toolkit import checked_fields, kind, run
 from tactile_toolkit.wording import with_count
 
 # Imported when they are called: they import torch, which takes seconds and is an extra.
@@ -24,7 +24,7 @@ def pairs(
     objects: str = options.argument("DIGITS", "Digits or other meshes."),
     real: str = checked_fields.text(MISSING, metavar="TOUCHES", help="Real touches: name or folder."),
     split: str = checked_fields.text("train", metavar="NAME", help="Split of both data sets."),
-    allow_incomplete: bool = catalog.INCOMPLETE,
+    allow_incomplete: bool = options.INCOMPLETE,
     out: str = options.out_folder("pairs"),
     spec: PairsSpec,
     making: options.Making,

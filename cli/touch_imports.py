@@ -125,7 +125,7 @@ def _print_imported(
     if touch_options.LEFT_OUT in manifest.spec:
         sink.info(f"not read: {', '.join(manifest.spec[touch_options.LEFT_OUT])}")
     runs.print_left_out(sink, manifest)
-    counted = store.add_up(list(manifest.statistics().values()))
+    counted = manifest.total_statistics()
     for note, count in counted.get(touch_options.CLIPS, {}).items():
         sink.info(f"{with_count(count, 'clips')}: {note}")
     fields = counted.get(realtouch.NOT_IMPORTED, {})

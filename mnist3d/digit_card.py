@@ -8,6 +8,7 @@ from dataclasses import replace
 from mnist3d.digit_rows import REPORT_FILE, SUMMED_UP, DigitRow, classes_of
 from mnist3d.kind import KIND
 from mnist3d.sources.picture_folder import FolderSource
+from mnist3d.split_summary import SplitSummary, facts_table, summarise_columns
 from tactile_toolkit import cards, catalog, kind, shown_text, store
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.rows import meanings
@@ -18,7 +19,7 @@ COLUMNS = meanings(DigitRow)
 _USUAL_SIZES = {FolderSource.name: "four fifths in `train`, one fifth in `test`"}
 
 
-def summarise(folder: store.DataFolder, manifest: store.Manifest) -> list[cards.SplitSummary]:
+def summarise(folder: store.DataFolder, manifest: store.Manifest) -> list[SplitSummary]:
     """Summarise each split of a data set from its manifest and its printability report.
 
     Raises IntegrityError if the report is missing or damaged.
@@ -27,7 +28,7 @@ def summarise(folder: store.DataFolder, manifest: store.Manifest) -> list[cards.
     names = classes_of(manifest)
     return [
         replace(each, facets={**each.facets, "label": _named(each.facets["label"], names)})
-        for each in cards.summarise_columns(manifest, report, SUMMED_UP)
+        for each in summarise_columns(manifest, report, SUMMED_UP)
     ]
 
 
@@ -54,7 +55,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     things = "handwritten digits"
     if classes_of(manifest) != KIND.class_names:
         things = "drawings"
-    columns = store.open_parquet(folder, REPORT_FILE).schema_arrow.names
+    columns = store.read_report(folder, REPORT_FILE).column_names
     joined = ", separate pieces bridged" if solid["join_bodies"] else ""
     title = shown_text.printable(catalog.short_name(folder.address())) if is_own else "MNIST 3D"
     cards.Card(
@@ -76,7 +77,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
                 f"{solid['pixel_pitch_mm']:g} mm per pixel, about {solid['target_vertices']:,} vertices, "
                 f"{solid['smoothing_iterations']} rounds of smoothing{joined}"
             ),
-            "print_table": cards.markdown_table(*cards.facts_table(summaries, SUMMED_UP)),
+            "print_table": cards.markdown_table(*facts_table(summaries, SUMMED_UP)),
             "report_columns": ", ".join(f"`{name}`" for name in columns),
             **{name: f"{profile[name]:g}" for name in ("nozzle_mm", "min_wall_mm", "overhang_deg")},
             "things": things,
@@ -101,9 +102,7 @@ def _split_rule(spec: JsonObject) -> str:
     return ", ".join([unit, f"seed {split['seed']}", sizes, *cuts])
 
 
-def _limits(
-    manifest: store.Manifest, summaries: list[cards.SplitSummary], words: Mapping[str, str]
-) -> list[str]:
+def _limits(manifest: store.Manifest, summaries: list[SplitSummary], words: Mapping[str, str]) -> list[str]:
     rows = sum(s.counts["rows"] for s in summaries)
     pieces = rows - sum(s.facets["bodies"].get("1", 0) for s in summaries)
     warned = sum(sum(s.facets["warnings"].values()) for s in summaries)

@@ -30,7 +30,7 @@ from .touches.media import (
     DepthMaps as DepthMaps,
     TouchClip as TouchClip,
 )
-from .exchange.exporting import export as export
+from .formats.exporting import export as export
 from .importing.import_preview import ImportPreview as ImportPreview, preview_import as preview_import
 from .importing.import_shards import NOT_IMPORTED as NOT_IMPORTED
 from .importing.touch_import import CONVERSION as CONVERSION, import_touches as import_touches

@@ -43,7 +43,7 @@ class _Content:
     """Content of a card that depends on the rows: texts, columns and counts."""
 
     words: JsonDict
-    columns: dict[str, cards.ColumnWords]
+    columns: dict[str, tuple[str, str]]
     nouns: str
     pictures: Iterable[UInt8 | None]
     values: dict[str, str]
@@ -210,7 +210,7 @@ def _stored_content(
     )
 
 
-def _extra_words(facts: cards.FolderSummary) -> dict[str, cards.ColumnWords]:
+def _extra_words(facts: cards.FolderSummary) -> dict[str, tuple[str, str]]:
     """Describe the further columns of rounds, with the range of their numbers as the footers state it."""
     ends: dict[str, list[Any]] = {}
     for shard in (shard for split in facts.splits for shard in split.shards):

@@ -17,7 +17,7 @@ from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import lazy
 
 if TYPE_CHECKING:
-    from tactile_sim.elastic import Gel
+    from tactile_sim.elastic.contact import Gel
 
 FORCE_N = 5.0
 """Normal force of a press unless one is given, newtons: at which the authors of Tactile MNIST stopped."""
@@ -37,7 +37,7 @@ _GELS = "none|elastic|FILE"
 _SHOWN_IN = {"force_n": (1.0, "N"), "twist_rad": (180 / math.pi, "degrees")}
 _SHOWN_LENGTH = (1e3, "mm")
 
-_gel = lazy("tactile_sim.elastic:Gel")
+_gel = lazy("tactile_sim.elastic.contact:Gel")
 _read_gel = lazy("tactile_sim.elastic_press:read_gel")
 
 

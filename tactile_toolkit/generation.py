@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, Unpack
 
 import pyarrow as pa
 
-from tactile_toolkit import store, system
+from tactile_toolkit import store
 from tactile_toolkit.array_types import Int64
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.rows import table_of
+from tactile_toolkit.run import usable_cores
 
 if TYPE_CHECKING:
     from tactile_toolkit.mesh import Mesh
@@ -250,7 +251,7 @@ def forecast(
     processes = (
         options.workers if isinstance(options.workers, int) else getattr(options.workers, "workers", 1)
     )
-    processes = processes or system.usable_cores()
+    processes = processes or usable_cores()
     seconds = 0.0
     if left:
         seconds = round(left.total() * item_s / processes + _START_S, 1)

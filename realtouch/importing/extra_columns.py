@@ -11,7 +11,8 @@ import pyarrow as pa
 
 from realtouch.importing import found_touches, import_columns, recordings, source_files
 from realtouch.touches.schema import EXTRA_PREFIX
-from tactile_toolkit import column_types, errors, shown_text
+from tactile_toolkit import errors, shown_text
+from tactile_toolkit.columns import column_types
 
 BOOKKEEPING = frozenset(
     {"id", "round_id", "touch", "frame", "file", "image", "key", "sha256", "meta_file", "meta_sha256"}

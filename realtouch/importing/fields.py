@@ -11,8 +11,9 @@ import pyarrow as pa
 
 from realtouch.importing import found_touches, import_columns, source_files
 from realtouch.touches.poses import bad_pose
-from tactile_toolkit import arithmetic, column_types, errors, spatial, units
+from tactile_toolkit import arithmetic, errors, spatial
 from tactile_toolkit.array_types import Float64, Int64
+from tactile_toolkit.columns import column_types, units
 
 UNKNOWN = ("-1", "-1.0")
 """Numbers of an unknown class, as in `datasets`."""

@@ -8,7 +8,8 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 from realtouch.touch_options import FOTA_POSE_COLUMNS, POSE_COLUMNS, POSITION_COLUMNS
-from tactile_toolkit import checked_fields, errors, parsed_text, units
+from tactile_toolkit import checked_fields, errors, parsed_text
+from tactile_toolkit.columns import units
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import lazy
 

@@ -19,7 +19,8 @@ from realtouch.importing import (
     imported_rows,
 )
 from realtouch.touch_options import Alignment
-from tactile_toolkit import shown_text, store, units
+from tactile_toolkit import shown_text, store
+from tactile_toolkit.columns import units
 from tactile_toolkit.json_types import JsonValue
 from tactile_toolkit.touch import MEDIA_TYPE
 

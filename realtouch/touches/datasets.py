@@ -14,7 +14,7 @@ import pyarrow as pa
 from realtouch import contact
 from realtouch.touches import media, rounds, schema, stored_round
 from realtouch.touches.rounds import Touch, TouchRound, TouchSingleRound, touch_id
-from tactile_toolkit import builtin_values, checked_fields, errors, kind, read, system, touch, wording
+from tactile_toolkit import builtin_values, checked_fields, errors, kind, read, run, touch, wording
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, Int64, UInt8
 
 if TYPE_CHECKING:
@@ -427,7 +427,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
                     "heights of the gel",
                     next="leave out the height, and the pictures decide",
                 )
-            contact: Bool = _contacts_by_image(self, threads=system.usable_cores()).contact
+            contact: Bool = _contacts_by_image(self, threads=run.usable_cores()).contact
             return contact
         heights_m = self.heights_m(recalibrate_z)
         if min_height_m is not None:

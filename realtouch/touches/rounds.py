@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from realtouch import contact, picture_views
 from realtouch.touches import media, poses, schema, stored_round
-from tactile_toolkit import errors, pictures, read, system, wording
+from tactile_toolkit import errors, pictures, read, run, wording
 from tactile_toolkit.array_types import Float32, Floating, Int64, UInt8
 from tactile_toolkit.json_types import JsonDict
 
@@ -286,7 +286,7 @@ class TouchSeqRound(TouchRound):
 
 
 def _cores(threads: int | None) -> int:
-    return threads or min(system.usable_cores(), _MAX_THREADS)
+    return threads or min(run.usable_cores(), _MAX_THREADS)
 
 
 def touch_id(round_id: str, touch_index: int) -> str:

@@ -15,7 +15,8 @@ from xml.parsers import expat
 
 import numpy as np
 
-from tactile_toolkit import parsed_text, quantities, store, units
+from tactile_toolkit import parsed_text, quantities, store
+from tactile_toolkit.columns import units
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.mesh import gltf, mesh_options, plain_formats, threemf
 from tactile_toolkit.mesh.mesh import (

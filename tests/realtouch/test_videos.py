@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import realtouch
-from realtouch.exchange.video_import import describe_conversion, find_video
+from realtouch.formats.video_import import describe_conversion, find_video
 from realtouch.importing.formats import IMPORTS
 from realtouch.importing.recordings import Recording, touches_of
 from realtouch.video.avi import Avi
