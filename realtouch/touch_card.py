@@ -15,7 +15,7 @@ from realtouch import contact, picture_views
 from realtouch.kind import KIND
 from realtouch.touches import datasets, image_contacts, rounds, schema, stored_round
 from realtouch.touches.rounds import Touch
-from tactile_toolkit import cards, errors, read, shown_text, store, touch
+from tactile_toolkit import cards, errors, read, store, touch, wording
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.pictures import png_bytes
@@ -227,7 +227,7 @@ def _extra_words(facts: cards.FolderSummary) -> dict[str, tuple[str, str]]:
         is_known = all(isinstance(each, (int, float)) for each in found)
         # Parquet may state 0 as -0, so 0 is added.
         between = f", {min(found) + 0:g} to {max(found) + 0:g}" if is_known else ""
-        words[stored] = (shape, f"{shown_text.markdown_code(name)} of the source{between}")
+        words[stored] = (shape, f"{wording.markdown_code(name)} of the source{between}")
     return words
 
 

@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from realtouch import importing
 from realtouch.formats.parquet_pages import require_bounded_pages
-from tactile_toolkit import bounds, errors, read, store
+from tactile_toolkit import cache, errors, read, store
 from tactile_toolkit.columns import column_types
 from tactile_toolkit.json_types import JsonDict
 
@@ -132,12 +132,12 @@ class ForeignParquet:
         """Yield some columns of all rows, a few rows at a time; InputError for more than may be unpacked."""
         stated = [each for group in self._chunks for each in _of_columns(group, names)]
         unpacked = sum(max(each.size_bytes, _VALUE_BYTES * each.values) for each in stated)
-        bounds.require_unpackable(unpacked, f"{self.place!r}:", self.size_bytes)
+        cache.require_unpackable(unpacked, f"{self.place!r}:", self.size_bytes)
         unpacked = 0
         for group in range(len(self._chunks)):
             for table in self._tables(group, names):
                 unpacked += table.nbytes
-                bounds.require_unpackable(unpacked, f"{self.place!r}:", self.size_bytes)
+                cache.require_unpackable(unpacked, f"{self.place!r}:", self.size_bytes)
                 yield table
 
     def _require_bounded_pages(self, chunks: Sequence[_Chunk]) -> None:

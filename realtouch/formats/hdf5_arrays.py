@@ -18,7 +18,7 @@ import numpy as np
 
 from realtouch.formats.picture_arrays import StoredArray
 from tactile_toolkit.array_types import AnyArray
-from tactile_toolkit.bounds import require_unpackable
+from tactile_toolkit.cache import require_unpackable
 from tactile_toolkit.errors import InputError, needs_extra
 
 H5Object = Any

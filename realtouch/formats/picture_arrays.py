@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from realtouch import importing
-from tactile_toolkit import bounds, errors, touch, wording
+from tactile_toolkit import cache, errors, touch, wording
 from tactile_toolkit.array_types import AnyArray, Floating, UInt8
 
 _CHANNELS = (1, 3)
@@ -56,7 +56,7 @@ class StoredArray:
 
     def rows(self) -> AnyArray:
         """Return all rows."""
-        bounds.require_unpackable(math.prod(self.shape) * self.dtype.itemsize, f"{self.place}: {self.shape}")
+        cache.require_unpackable(math.prod(self.shape) * self.dtype.itemsize, f"{self.place}: {self.shape}")
         return np.concatenate([np.empty((0, *self.shape[1:]), self.dtype), *self.blocks()])
 
 
@@ -76,7 +76,7 @@ class PictureArray:
         """Check an array; InputError unless it holds pictures that 8 bits can hold."""
         pictures, stored = cls(array, sensor=sensor), array.stored_bytes()
         count = math.prod(array.shape)
-        bounds.require_unpackable(
+        cache.require_unpackable(
             count * array.dtype.itemsize,
             f"{array.place}: {array.shape}, {array.dtype},",
             _COMPRESSION * stored,
@@ -210,7 +210,7 @@ def columns_of(
         width = math.prod(array.shape[1:])
         if array.shape[:1] == (frames,) and 0 < width <= _MAX_NUMBERS:
             size += frames * width * array.dtype.itemsize
-            bounds.require_unpackable(size, f"{array.place}, with all arrays before it,")
+            cache.require_unpackable(size, f"{array.place}, with all arrays before it,")
             rows = _rows_with_checked_text(array).reshape(frames, width)
             found[name] = rows[:, 0] if width == 1 else rows
         elif name in wanted:

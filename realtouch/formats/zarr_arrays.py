@@ -16,7 +16,7 @@ from typing import IO
 import numpy as np
 
 from realtouch.formats import picture_arrays, zarr_layouts
-from tactile_toolkit import bounds, errors, store
+from tactile_toolkit import cache, errors, store
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.json_types import JsonDict
 
@@ -39,7 +39,7 @@ class ZarrGroup:
             stream = self.home.open_inside(self.path)
             weakref.finalize(self, stream.close)
             archive = zipfile.ZipFile(stream)
-            bounds.require_plain_archive(archive)
+            cache.require_plain_archive(archive)
         except (*zarr_layouts.UNREADABLE, errors.ItemError) as error:
             raise self.refused("", "not an intact zip of Zarr") from error
         return archive
@@ -101,7 +101,7 @@ class ZarrGroup:
         problem, place = layout.problem(), f"{self.place}/{path}"
         if problem:
             raise self.refused(path, problem)
-        bounds.require_unpackable(layout.chunk_bytes, f"{place}: a chunk")
+        cache.require_unpackable(layout.chunk_bytes, f"{place}: a chunk")
         read, size = partial(self._block, path, layout), partial(self._stored_bytes, path)
         return picture_arrays.StoredArray(place, layout.shape, layout.dtype, layout.chunks[0], read, size)
 
@@ -120,7 +120,7 @@ class ZarrGroup:
         step, *parts = layout.chunks
         size = (min(step, layout.shape[0] - number * step), *layout.shape[1:])
         dtype = layout.dtype.newbyteorder("=")
-        bounds.require_unpackable(math.prod(size) * dtype.itemsize, f"{self.place}/{path}: {size} values")
+        cache.require_unpackable(math.prod(size) * dtype.itemsize, f"{self.place}/{path}: {size} values")
         found: AnyArray = np.broadcast_to(layout.fill, size)  # the value where no chunk is stored
         for index in product(*map(range, layout.counts[1:])):
             chunk = self._chunk(path, layout, (number, *index))

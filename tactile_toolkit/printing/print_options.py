@@ -1,4 +1,4 @@
-"""Build plates, as options; light, because --help imports it."""
+"""Options of printing: build plates, and materials of bodies for simulators."""
 
 from __future__ import annotations
 
@@ -23,11 +23,12 @@ BEDS_MM = {
     "ultimaker-s5": (330.0, 240.0),
 }
 """Width and depth of the area that printers reach, as their makers state it."""
-
 _CORNERS_MM = dict.fromkeys(("bambu-p1", "bambu-x1"), (18.0, 28.0))
 """Width and depth of the unusable corner at the front left, where the filament is wiped or cut."""
-
 _PLATE_TEXT = re.compile(r"(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)")
+
+MODELS = {"mjcf": ".xml", "urdf": ".urdf", "usd": ".usda"}
+"""Formats of bodies for simulators, and the endings of their files."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,3 +83,20 @@ class PlateSpec:
     def inner_mm(self) -> tuple[float, float]:
         """Width and depth of the area within the margins."""
         return self.width_mm - 2 * self.margin_mm, self.depth_mm - 2 * self.margin_mm
+
+
+@dataclass(frozen=True, slots=True)
+class Physics:
+    """Material of a body.
+
+    ``density_kg_m3`` is that of the filled body, by default of PLA; a print with infill is lighter.
+    ``friction`` is the coefficient of sliding friction; its default is not measured.
+    """
+
+    density_kg_m3: float = real(
+        1240.0, above=0, most=1e5, help="Density of bodies for simulators; PLA by default."
+    )
+    friction: float = real(0.5, above=0, most=100, help="Sliding friction of bodies for simulators.")
+
+    def __post_init__(self) -> None:
+        check_fields(self, "the material")
