@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from mnist3d.splits import MAX_DIGITS
 from tactile_toolkit import catalog, checked_fields, mesh
 from tactile_toolkit.checked_fields import (
     check_fields,
@@ -21,6 +20,9 @@ EROSIONS = ("outline", "disc")
 
 LARGEST_HALF_THICKNESS_PX = 100
 """Squares of distances in pixels have to fit into 16 bits (:mod:`mnist3d.compiled_loops`)."""
+
+MAX_DIGITS = 1_000_000_000
+"""Largest number of digits of a source or a split."""
 
 SOURCES = ("synthetic", "hwdplus", "mnist", "folder")
 

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from mnist3d.digit_options import MAX_DIGITS
 from mnist3d.sources.digit_source import NO_WRITER, DigitCatalog
 from tactile_toolkit.array_types import Int64, Integers
 from tactile_toolkit.checked_fields import (
@@ -37,9 +38,6 @@ PUBLISHED_SIZES: dict[str, int] = {
 
 OWN_SIZES: dict[str, int] = {"train": 4, "test": 1}
 """Proportions of the splits of pictures in a folder, which have not been printed."""
-
-MAX_DIGITS = 1_000_000_000
-"""Largest number of digits of a source or a split."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from mnist3d.digit_options import MAX_DIGITS
 from mnist3d.handwriting import allographs, writers
 from mnist3d.handwriting.curves import Stroke, Vary, resample, smooth_path, through
 from mnist3d.handwriting.writers import (
@@ -20,7 +21,6 @@ from mnist3d.handwriting.writers import (
     variation,
 )
 from mnist3d.sources.digit_source import DigitCatalog, DigitImage, require_known
-from mnist3d.splits import MAX_DIGITS
 from tactile_toolkit.array_types import Float32, Float64, UInt8
 from tactile_toolkit.checked_fields import check_fields, integer
 
