@@ -67,9 +67,9 @@ BENCHMARKS = {
     "starstruck": Benchmark(("starstruck_gen", *_STORE)),
     "real_touches": Benchmark(
         (
-            "realtouch/touch_clips.py",
-            "realtouch/stored_columns.py",
-            "realtouch/touch_dataset.py",
+            "realtouch/touches/media.py",
+            "realtouch/touches/stored_round.py",
+            "realtouch/touches/datasets.py",
             "tactile_toolkit/touch",
             *_READ,
         )
