@@ -1,4 +1,4 @@
-"""Text from data is shown literally in messages, tables, JSON, cards and reprs, and never interpreted."""
+"""Texts: numbers with what they count, and text from data, which is shown literally and never interpreted."""
 
 from __future__ import annotations
 
@@ -15,7 +15,14 @@ from cli.output import Sink
 from tactile_toolkit.cards.card import column_type_text, markdown_table
 from tactile_toolkit.cards.yaml_head import head_text, yaml_features
 from tactile_toolkit.errors import InputError, ItemError, UnfinishedError
-from tactile_toolkit.wording import markdown_code, markdown_text, printable, printable_json
+from tactile_toolkit.wording import (
+    class_name,
+    markdown_code,
+    markdown_text,
+    printable,
+    printable_json,
+    with_count,
+)
 
 WILD = [
     "[/b0]",
@@ -133,3 +140,26 @@ def test_classes_in_a_card_are_text(name):
     assert told == f"ClassLabel: {markdown_text(name)}, b|c"
     assert told.isprintable()
     assert len(markdown_table(("type",), [(told,)]).splitlines()) == 3
+
+
+@pytest.mark.parametrize(
+    ("count", "things", "words"),
+    [
+        (1, "digits", "1 digit"),
+        (1, "touches", "1 touch"),
+        (1, "boxes", "1 box"),
+        (1, "classes", "1 class"),
+        (1, "other objects", "1 other object"),
+        (1, "vertices", "1 vertex"),
+        (1, "such entries", "1 such entry"),
+        (1, "bodies", "1 body"),
+        (0, "rounds", "0 rounds"),
+        (2_000, "scenes", "2,000 scenes"),
+    ],
+)
+def test_one_thing_is_one(count, things, words):
+    assert with_count(count, things) == words
+
+
+def test_a_class_without_a_name_is_its_number():
+    assert [class_name(("zero", "one"), label) for label in (0, 1, 2, -1)] == ["zero", "one", "2", "-1"]
