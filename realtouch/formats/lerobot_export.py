@@ -11,9 +11,10 @@ import numpy as np
 import pyarrow as pa
 from PIL import Image
 
-from realtouch import contact, convert, depth_maps, stored_round, touch_dataset
+from realtouch import contact, convert
 from realtouch.formats import lerobot_metadata, lerobot_statistics
 from realtouch.formats.episodes import DEPTH, EpisodeNumbers, Episodes
+from realtouch.touches import datasets, media, stored_round
 from tactile_toolkit import store, touch
 from tactile_toolkit.array_types import Float32, Int64
 from tactile_toolkit.touch import MEDIA_TYPE
@@ -38,7 +39,7 @@ def plan_lerobot(
     step = replace(step, depth_of=depth_of)
     numbers = EpisodeNumbers.of(source, step, choices[step.split], rows_per_shard)
     tasks = tuple(f"touch an object of class {name}" for name in step.names)
-    if (touch_dataset.dataset_of(source.shards[step.split]).labels < 0).any():
+    if (datasets.dataset_of(source.shards[step.split]).labels < 0).any():
         tasks += ("touch an object",)  # the last, as -1 counts from the end
     frame_bytes = source.image_bytes()
     if DEPTH in step.schema(source.schema).names:
@@ -129,11 +130,9 @@ NUMBER_BYTES = 4  # of float32
 def depth_of(row: stored_round.StoredRound, size: tuple[int, int]) -> pa.Array:
     """Return the encoded depth maps of a round; IntegrityError for a map of another size."""
     files = []
-    for number, depth_m in enumerate(depth_maps.DepthMaps(row, depth_maps.DEPTH)):
+    for number, depth_m in enumerate(media.DepthMaps(row, media.DEPTH)):
         if depth_m.shape != size:
-            raise row.damaged(
-                depth_maps.DEPTH, f"a map {depth_m.shape}; expected {size} as the images", number
-            )
+            raise row.damaged(media.DEPTH, f"a map {depth_m.shape}; expected {size} as the images", number)
         files.append({"bytes": _tiff(depth_m), "path": f"{row.name()}_{number:03d}.tiff"})
     return pa.array(files, MEDIA_TYPE)
 

@@ -13,9 +13,10 @@ from dataclasses import replace
 import numpy as np
 import pyarrow as pa
 
-from realtouch import importing, touch_options, video
+from realtouch import importing, touch_options
 from realtouch.formats import episodes, flat_parquet, lerobot_metadata, media_files, zarr_recordings
-from realtouch.touch import touch_id
+from realtouch.touches.rounds import touch_id
+from realtouch.video import videos
 from tactile_toolkit import errors, store, wording
 from tactile_toolkit.array_types import Float64
 from tactile_toolkit.columns import column_types
@@ -45,7 +46,7 @@ def describe_conversion(touches: importing.FoundTouches) -> str:
     if not len(places) or places[0].path.endswith(_ROWS):
         return ""
     usable = places[0]
-    return video.open_video(store.open_folder(usable.home), usable.path).conversion
+    return videos.open_video(store.open_folder(usable.home), usable.path).conversion
 
 
 def read_frames(place: importing.PicturePlace, numbers: Sequence[int]) -> Iterator[bytes | errors.ItemError]:
@@ -93,7 +94,7 @@ class _Episodes:
         if self.info.features[self.camera].dtype == "image":
             return replace(found, first=rows.start, frame_bytes=self._picture_bytes)
         self.home.size_inside(episode.video_path)
-        opened = video.open_video(self.home, episode.video_path)
+        opened = videos.open_video(self.home, episode.video_path)
         first = _first_picture(opened.time_s, episode.video_start_s + time_s, self.info.fps)
         return replace(found, path=episode.video_path, first=first, frame_bytes=opened.picture_bytes)
 

@@ -17,9 +17,10 @@ from typing import NamedTuple
 import msgspec
 import pyarrow as pa
 
-from realtouch import convert, importing, stored_images, tars, touch_options
+from realtouch import convert, importing, tars, touch_options
 from realtouch.formats import exports
 from realtouch.formats.exports import NamedImage, TouchFormat
+from realtouch.touches import stored_images
 from tactile_toolkit import errors, store
 from tactile_toolkit.columns import column_types
 from tactile_toolkit.json_types import JsonDict, JsonObject

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 import pyarrow as pa
 
-from realtouch import importing, touch, touch_options
+from realtouch import importing, touch_options
 from realtouch.formats import picture_arrays, zarr_arrays
 from realtouch.formats.episodes import CONTACT
 from tactile_toolkit import errors, store
@@ -134,12 +134,12 @@ def recordings_of(
     per_frame = {str(kept[name]): values for name, values in per_frame.items() if name in kept}
     whole = replace(whole, per_frame=per_frame, left_out=())
     whole = name_ours(whole, _OUR_VECTORS, _texts(stated, CLASSES))
-    rounds = ids = list(map(str, said[ROUND].tolist()))
+    round_ids = ids = list(map(str, said[ROUND].tolist()))
     if TOUCH in said:
         whole = replace(whole, cut="whole")
-        ids = list(map(touch.touch_id, rounds, said[TOUCH].astype(int).tolist()))
+        ids = list(map(rounds.touch_id, round_ids, said[TOUCH].astype(int).tolist()))
     episodes = episodes_of(whole, ends, ids, {*_OUR_VALUES, *_texts(stated, PER_CLIP)})
-    return (replace(with_contact(each), round=name) for each, name in zip(episodes, rounds, strict=True))
+    return (replace(with_contact(each), round=name) for each, name in zip(episodes, round_ids, strict=True))
 
 
 def _open_pictures(home: str, path: str, part: str) -> picture_arrays.PictureArray:

@@ -11,8 +11,8 @@ import pyarrow as pa
 from scipy.spatial.transform import Rotation
 
 from realtouch.importing import import_columns, source_files, source_touches
-from realtouch.poses import bad_pose
-from realtouch.schema import EXTRA_PREFIX
+from realtouch.touches.poses import bad_pose
+from realtouch.touches.schema import EXTRA_PREFIX
 from tactile_toolkit import arithmetic, errors, wording
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.columns import column_types, units

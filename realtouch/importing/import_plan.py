@@ -17,7 +17,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from realtouch import convert, kind, stored_images, touch_card, touch_options
+from realtouch import convert, kind, touch_card, touch_options
 from realtouch.importing import (
     fields,
     import_columns,
@@ -28,6 +28,7 @@ from realtouch.importing import (
     source_touches,
 )
 from realtouch.touch_options import Alignment
+from realtouch.touches import stored_images
 from tactile_toolkit import catalog, errors, store, touch, wording
 from tactile_toolkit.columns import units
 from tactile_toolkit.json_types import JsonDict, JsonValue

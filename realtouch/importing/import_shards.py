@@ -12,11 +12,13 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 import pyarrow as pa
 
-from realtouch import avi, contact_picture, schema as stored_schema, stored_images, touch_options
+from realtouch import contact, touch_options
 from realtouch.importing import fields, import_columns, import_sources, source_formats, source_touches
 from realtouch.importing.fields import extra_arrays, extra_types
-from realtouch.schema import POSE_COLUMN
-from realtouch.stored_images import media_array
+from realtouch.touches import schema as stored_schema, stored_images
+from realtouch.touches.schema import POSE_COLUMN
+from realtouch.touches.stored_images import media_array
+from realtouch.video import avi
 from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import AnyArray, Float64, Int64, UInt8
 from tactile_toolkit.columns import column_types
@@ -427,14 +429,14 @@ def clip_times_s(
 
 
 def contact_by_pictures(
-    pictures: Sequence[bytes], size: tuple[int, int], rule: contact_picture.ContactRule | None = None
+    pictures: Sequence[bytes], size: tuple[int, int], rule: contact.ContactRule | None = None
 ) -> tuple[tuple[int, int], bool]:
     """Return the first and last picture that show contact, and True; else the best picture twice, and False.
 
     The background is the median of the clip: of at most 64 pictures, spread evenly over the clip, so that a
     long clip takes little time and memory. Raises ItemError for a damaged picture.
     """
-    rule = rule or contact_picture.ContactRule()
+    rule = rule or contact.ContactRule()
     rows, columns = rule.window(*size)
     uncropped = replace(rule, crop=1.0)
     height, width = rows.stop - rows.start, columns.stop - columns.start
@@ -447,9 +449,9 @@ def contact_by_pictures(
         return made
 
     try:
-        base = contact_picture.median_in_memory(decoded(pictures[:: -(-len(pictures) // of_median)]))
+        base = contact.median_in_memory(decoded(pictures[:: -(-len(pictures) // of_median)]))
         scores = [
-            contact_picture.contact_score(decoded(pictures[start : start + _SCORED_AT_ONCE]), base, uncropped)
+            contact.contact_score(decoded(pictures[start : start + _SCORED_AT_ONCE]), base, uncropped)
             for start in range(0, len(pictures), _SCORED_AT_ONCE)
         ]
     except ValueError as error:

@@ -11,9 +11,9 @@ from functools import partial
 from pathlib import Path
 from typing import IO, NamedTuple
 
-from realtouch import video_files
 from realtouch.importing import import_columns, source_files, source_touches
 from realtouch.kind import KIND
+from realtouch.video import video_files
 from tactile_toolkit import errors, kind, places, store
 from tactile_toolkit.columns import tables
 

@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from realtouch.avi import MAX_CLIP_FRAMES
+from realtouch.video.avi import MAX_CLIP_FRAMES
 from tactile_toolkit import errors, wording
 from tactile_toolkit.array_types import Bool, Float64, Int64
 from tactile_toolkit.columns import column_types

@@ -55,11 +55,6 @@ def without_blanks(texts: pa.Array) -> pa.Array:
     return pc.if_else(pc.equal(pc.utf8_trim_whitespace(texts), ""), pa.scalar(None, pa.string()), texts)
 
 
-def trimmed(texts: pa.Array) -> pa.Array:
-    """Return texts without spaces around them; null for texts of spaces only."""
-    return without_blanks(pc.utf8_trim_whitespace(texts))
-
-
 def words_of(texts: pa.Array, *, decimal_commas: bool = False) -> pa.Array:
     """Return texts in the form in which numbers are read; null for words that mean a missing value.
 
@@ -116,7 +111,7 @@ def as_type(texts: pa.Array, words: pa.Array, kind: pa.DataType) -> pa.Array:
     if pa.types.is_null(kind):
         return pa.nulls(len(texts))
     if pa.types.is_string(kind):
-        return trimmed(texts)
+        return without_blanks(texts)
     return words.cast(kind)
 
 
@@ -302,7 +297,7 @@ def values_of(column: pa.Array) -> list[JsonValue]:
 def texts_of(column: pa.Array) -> pa.Array:
     """Return the text of each value, as of a name; null for a missing one, for NaN, and for lists."""
     if pa.types.is_string(column.type):
-        return trimmed(column)
+        return without_blanks(pc.utf8_trim_whitespace(column))
     if not is_leaf(column.type):
         found = (None if isinstance(value, (dict, list)) else value for value in values_of(column))
         return without_blanks(pa.array([_name(value) for value in found], pa.string()))

@@ -1,7 +1,7 @@
 """Tables of any length, read a few rows at a time: text, JSON lines, Parquet; no table is held in memory.
 
 A text table has commas, semicolons or tabs between values, in UTF-8, or UTF-16 with a BOM. Its rows have a
-value for each column. Spaces around values and empty lines do not count.
+value for each column. Spaces around numbers and empty lines do not count.
 """
 
 from __future__ import annotations
@@ -139,11 +139,12 @@ class Table:
                 return {name: column_types.from_arrow(table[name]) for name in self.names}
             found = {}
             for name in self.names:
-                column, words = column_types.trimmed(table[name].combine_chunks()), self._words(table[name])
+                column = column_types.without_blanks(table[name].combine_chunks())
                 if name not in texts:
+                    words = self._words(table[name])
                     column = column_types.as_type(column, words, column_types.text_type(words))
-                if name not in texts and pa.types.is_string(column.type):
-                    column = words if name in numbers else column_types.vectors_of(column)
+                    if pa.types.is_string(column.type):
+                        column = words if name in numbers else column_types.vectors_of(column)
                 found[name] = column
             return found
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from realtouch.extras import array_with_gaps
 from realtouch.importing.cuts import Cutter
 from realtouch.importing.source_touches import FoundTouches, PicturePlace, Recording, one_chunk
+from realtouch.touches.schema import array_with_gaps
 from tactile_toolkit.columns import column_types
 
 

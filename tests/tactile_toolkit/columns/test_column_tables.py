@@ -160,7 +160,7 @@ def test_a_field_holds_thousands_of_numbers() -> None:
 def test_a_whole_table_keeps_chosen_texts_and_reads_vectors() -> None:
     found = table('label;x;v;bad\n007; 0,5;"[1, 2.5]";1,5\n 7 ;1,5;[];NA\n8;2;[3];high\n')
     columns = found.whole(["label"], ["x", "bad"])
-    assert columns["label"].to_pylist() == ["007", "7", "8"]
+    assert columns["label"].to_pylist() == ["007", " 7 ", "8"]
     assert columns["x"].to_pylist() == [0.5, 1.5, 2.0]
     assert columns["v"].to_pylist() == [[1.0, 2.5], [], [3.0]]
     assert columns["bad"].to_pylist() == ["1.5", None, "high"]
