@@ -16,6 +16,7 @@ import pyarrow as pa
 from realtouch import importing, touch_options
 from realtouch.formats import picture_arrays, zarr_arrays
 from realtouch.formats.episodes import CONTACT
+from realtouch.touches.rounds import touch_id
 from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import Int64
 from tactile_toolkit.columns import column_types
@@ -137,7 +138,7 @@ def recordings_of(
     round_ids = ids = list(map(str, said[ROUND].tolist()))
     if TOUCH in said:
         whole = replace(whole, cut="whole")
-        ids = list(map(rounds.touch_id, round_ids, said[TOUCH].astype(int).tolist()))
+        ids = list(map(touch_id, round_ids, said[TOUCH].astype(int).tolist()))
     episodes = episodes_of(whole, ends, ids, {*_OUR_VALUES, *_texts(stated, PER_CLIP)})
     return (replace(with_contact(each), round=name) for each, name in zip(episodes, round_ids, strict=True))
 
