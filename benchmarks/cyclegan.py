@@ -2,9 +2,9 @@
 
 No real touch is involved: pictures of the published generator, with sensor noise, stand for real touches. The
 depth of each of them is known, though no training sees it. A small CycleGAN is trained on them, without
-pairs, on one core. Then ``tactile-sim evaluate`` compares it with Taxim and with weights that were never
-trained, and what both generators make is compared with the truth. The published inverse reads pictures of the
-published generator in their own size, 256 pixels. After an interruption, the same command continues.
+pairs, on one core. Then it is compared with Taxim and with weights that were never trained, and what both
+generators make is compared with the truth. The published inverse reads pictures of the published generator in
+their own size, 256 pixels. After an interruption, the same command continues.
 
     python benchmarks/cyclegan.py WORK [--steps N]
 """
@@ -19,13 +19,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from learned_measures import add_noise_per_object, depth_from, print_measures, two_sample_test
 from numpy.typing import NDArray
 from PIL import Image
 
 import realtouch
 from tactile_sim import center_view
-from tactile_sim.learned.channels import depth_from
-from tactile_sim.learned.classifiers import two_sample_test
 from tactile_sim.learned.cyclegan_optics import CycleganOptics
 from tactile_sim.learned.generators import make_generator
 from tactile_sim.learned.networks import GeneratorNetwork, initialise
@@ -41,7 +40,7 @@ from tactile_sim.learned.weights import (
 from tactile_sim.learning_specs import TrainConfig
 from tactile_sim.optics import scaled
 from tactile_sim.pairs import Pairs
-from tactile_sim.sensor_noise import SensorNoise, add_noise_per_object
+from tactile_sim.sensor_noise import SensorNoise
 from tactile_sim.taxim import TaximOptics
 from tactile_toolkit.store import open_folder
 
@@ -78,8 +77,7 @@ PEER_OBJECTS = 24
 
 def run(module: str, *arguments: object) -> None:
     """Run a command of the toolkit."""
-    workers = () if "evaluate" in arguments else ("-w", "1")
-    subprocess.run([sys.executable, "-m", module, *map(str, arguments), *workers, "-q"], check=True)
+    subprocess.run([sys.executable, "-m", module, *map(str, arguments), "-w", "1", "-q"], check=True)
 
 
 def make(work: Path, split: str, objects: int, touches: int, count: int) -> None:
@@ -234,12 +232,9 @@ def main() -> None:
     done = train(str(work / "pairs-train"), work / "weights", config, device="cpu", deterministic=True)
     taken_s, computed_s = time.perf_counter() - started[0], time.process_time() - started[1]
     print(f"{done.taken} steps: {taken_s:.0f} s, {computed_s:.0f} s of processor time; {done.losses}")
-    for noise in ("calibrated", "none"):
-        run(
-            "tactile_sim", "evaluate", work / "weights", "--pairs", work / "pairs-test",
-            "--sensor-noise", noise, "--out", work / f"evaluation-{noise}",
-        )  # fmt: skip
-        print((work / f"evaluation-{noise}" / "evaluation.md").read_text())
+    for name, noise in (("calibrated", SensorNoise.calibrated()), ("no", None)):
+        print(f"generated images with {name} noise:")
+        print_measures(work / "weights", str(work / "pairs-test"), noise)
     untrained = GeneratorNetwork(config.filters, config.blocks)
     initialise(untrained, 0)
     write_weights(open_folder(str(work)), "untrained.npz", weights_of(untrained, SIZE))

@@ -76,13 +76,13 @@ def fabricate_groups(folder: Path, groups: int) -> None:
     import pyarrow as pa
 
     from mnist3d import SolidSpec
-    from mnist3d.digit_generation import DigitMaking, DigitSetSpec
+    from mnist3d.digit_generation import DigitGenerator, DigitSetSpec
     from mnist3d.sources.synthetic import SyntheticSource
     from tactile_toolkit.generation import plan_build
     from tactile_toolkit.store import ShardName, encode_parquet
 
     small = SolidSpec(target_vertices=600)
-    plan = plan_build(DigitMaking(DigitSetSpec(SyntheticSource(), small, limit=1)), ("train",))
+    plan = plan_build(DigitGenerator(DigitSetSpec(SyntheticSource(), small, limit=1)), ("train",))
     rows = pa.concat_tables([plan.tasks[0].make().table] * GROUPS_OF_SHARD).combine_chunks()
     first, *others = [
         folder / ShardName("train", index, groups // GROUPS_OF_SHARD).data_path
@@ -217,12 +217,12 @@ def merging(folder: Path) -> dict[str, float]:
     from mnist3d.digit_card import summarise
     from mnist3d.digit_rows import REPORT_FILE
     from tactile_toolkit.store import Manifest, ShardName, ShardRecord, open_folder
-    from tactile_toolkit.store.reports import merge_reports
+    from tactile_toolkit.store.parquet import merge_reports
 
     where, names = open_folder(str(folder)), [ShardName("train", i, REPORTS) for i in range(REPORTS)]
     each, digest = REPORT_ROWS // REPORTS, "0" * 64
     more = {"report_sha256": digest, "unpacked_bytes": 1}
-    records = [ShardRecord.of(name, each, 1, digest, **more) for name in names]
+    records = [ShardRecord(name.data_path, name.split, each, 1, digest, **more) for name in names]
     manifest = Manifest("mnist3d", "0", {}, ("train",), tuple(records))
     before_mb, start_s = peak_mb(), time.process_time()
     merge_reports(where, REPORT_FILE, manifest)
@@ -240,7 +240,7 @@ def merging(folder: Path) -> dict[str, float]:
 
 
 def planning_digits(_: Path) -> dict[str, float]:
-    from mnist3d.digit_generation import DigitMaking, DigitSetSpec
+    from mnist3d.digit_generation import DigitGenerator, DigitSetSpec
     from mnist3d.published_splits import SplitSpec
     from mnist3d.sources.synthetic import SyntheticSource
     from tactile_toolkit.generation import plan_build
@@ -248,17 +248,17 @@ def planning_digits(_: Path) -> dict[str, float]:
     sizes = (("train", 95 * ROWS // 1000), ("test", ROWS // 1000))
     start_s, start_cpu_s = time.perf_counter(), time.process_time()
     spec = DigitSetSpec(SyntheticSource(count=ROWS), split=SplitSpec(sizes=sizes))
-    plan = plan_build(DigitMaking(spec))
+    plan = plan_build(DigitGenerator(spec))
     elapsed_s, cpu_s = time.perf_counter() - start_s, time.process_time() - start_cpu_s
     return {"s": elapsed_s, "s of the processor": cpu_s, "MB": peak_mb(), "shards": len(plan.tasks)}
 
 
 def planning_scenes(_: Path) -> dict[str, float]:
-    from starstruck_gen.scene_generation import SceneMaking, SceneSetSpec
+    from starstruck_gen.scene_generation import SceneGenerator, SceneSetSpec
     from tactile_toolkit.generation import plan_build
 
     start_s = time.perf_counter()
-    plan = plan_build(SceneMaking(SceneSetSpec(scenes=(("train", SCENES), ("test", SCENES // 100)))))
+    plan = plan_build(SceneGenerator(SceneSetSpec(scenes=(("train", SCENES), ("test", SCENES // 100)))))
     return {"s": time.perf_counter() - start_s, "MB": peak_mb(), "shards": len(plan.tasks)}
 
 

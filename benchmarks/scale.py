@@ -31,7 +31,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from figures import tell
 
-from mnist3d.digit_generation import DigitMaking, DigitSetSpec, generate
+from mnist3d.digit_generation import DigitGenerator, DigitSetSpec, generate
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.generation import plan_build
 from tactile_toolkit.run import InlineRunner, ProcessRunner, RayRunner, Runner
@@ -82,7 +82,7 @@ def nodes() -> None:
 @row
 def overhead() -> None:
     """What Ray adds to a shard, from many shards that cost nothing, as a share of a shard of digits."""
-    plan = plan_build(DigitMaking(DigitSetSpec(SyntheticSource())), ("train",))
+    plan = plan_build(DigitGenerator(DigitSetSpec(SyntheticSource())), ("train",))
     with scratch() as folder:
         shard_s = median_s(lambda: plan.tasks[0].make(), 3)
         size = plan.tasks[0].size

@@ -9,13 +9,12 @@ from functools import partial
 
 import typer
 
-from cli.options import FOLDER, WORKERS, argument, parse_address, process_count
+from cli.options import CONFIG, FOLDER, REVISION, WORKERS, argument, parse_address, process_count
 from cli.output import Sink
-from tactile_toolkit import catalog, checked_fields, exchange, places
+from tactile_toolkit import checked_fields, exchange, places
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind, lazy
-from tactile_toolkit.quantities import BYTES, bytes_text
-from tactile_toolkit.wording import with_count
+from tactile_toolkit.wording import BYTES, bytes_text, with_count
 
 REPOSITORY = argument("USER/NAME", "Repository of the Hub.")
 SENDS_NOTHING = checked_fields.switch(False, help="Print what would be sent; send nothing.")
@@ -99,8 +98,8 @@ def download(
     kind: DatasetKind,
     name: str = PUBLISHED,
     split: list[str] | None = SPLITS,
-    revision: str | None = catalog.REVISION,
-    config_name: str | None = catalog.CONFIG,
+    revision: str | None = REVISION,
+    config_name: str | None = CONFIG,
     out: str | None = FETCHED_TO,
     dry_run: bool = FETCHES_NOTHING,
     yes: bool = FETCHES_UNASKED,

@@ -1,4 +1,4 @@
-"""Commands of learned rendering: training sets, training, and evaluation."""
+"""Commands of learned rendering: training sets and training."""
 
 from __future__ import annotations
 
@@ -11,13 +11,12 @@ from typing import Annotated
 
 import tactile_sim
 from cli import declared_options, options, output, runs
-from tactile_sim import SENSOR_NOISE, PairsSpec, TrainConfig, learning_specs
-from tactile_toolkit import catalog, checked_fields, kind, run
+from tactile_sim import PairsSpec, TrainConfig
+from tactile_toolkit import checked_fields, kind, run
 from tactile_toolkit.wording import with_count
 
 # Imported when they are called: they import torch, which takes seconds and is an extra.
 _train = kind.lazy("tactile_sim.learned.training:train")
-_evaluate = kind.lazy("tactile_sim.learned.evaluation:evaluate")
 
 
 def pairs(
@@ -25,7 +24,7 @@ def pairs(
     objects: str = options.argument("DIGITS", "Digits or other meshes."),
     real: str = checked_fields.text(MISSING, metavar="TOUCHES", help="Real touches: name or folder."),
     split: str = checked_fields.text("train", metavar="NAME", help="Split of both data sets."),
-    allow_incomplete: bool = catalog.INCOMPLETE,
+    allow_incomplete: bool = options.INCOMPLETE,
     out: str = options.out_folder("pairs"),
     spec: PairsSpec,
     making: options.Making,
@@ -91,45 +90,3 @@ def train(
     losses |= {name: loss for name, loss in done.losses.items() if math.isfinite(loss)}
     sink.document({"folder": done.folder, "steps": done.steps, "taken": done.taken, "losses": losses})
     sink.line(f"{with_count(done.taken, 'steps')} taken, {done.steps:,} in all; the weights are in {out}")
-    sink.line(f"next: tactile-sim evaluate {out} --pairs {pairs}")
-
-
-def evaluate(
-    *,
-    weights: Path = options.argument(
-        "WEIGHTS", "Folder that `tactile-sim train` wrote.", read=options.local_place
-    ),
-    pairs: str = checked_fields.text(MISSING, metavar="PAIRS", help="Pairs that the training did not use."),
-    out: Path = options.local_out_folder("evaluation"),
-    count: int = checked_fields.integer(2000, 1, help="Maximum number of images of each kind."),
-    taxim: bool = checked_fields.switch(True, help="Compare with Taxim (extra sim)."),
-    sensor_noise: str = checked_fields.text(
-        "none",
-        metavar=SENSOR_NOISE,
-        help="Sensor noise that is added to all generated images, as for `generate --sensor-noise`.",
-    ),
-    seed: int = checked_fields.integer(0, help="Random seed."),
-    device: str = checked_fields.choice("auto", ("auto", "cpu", "cuda"), help="Where to compute."),
-    sink: output.Sink,
-) -> None:
-    """Measure trained weights on touches that the training did not use: a table and a sheet of images.
-
-    Example: tactile-sim evaluate weights --pairs pairs-test --out evaluation
-    """
-    baselines = tuple(name for name in learning_specs.BASELINES if taxim or name != "taxim")
-    noise = tactile_sim.SensorNoise.named(sensor_noise)
-    with sink.progress("measuring", "methods") as update:
-        found = _evaluate(
-            weights,
-            pairs,
-            baselines=baselines,
-            count=count,
-            noise=noise,
-            seed=seed,
-            device=device,
-            on_progress=update,
-        )
-    found.write(out)
-    sink.document(found.to_dict())
-    sink.line(found.to_markdown())
-    sink.line(f"table and pictures are in {out}")

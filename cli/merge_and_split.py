@@ -6,7 +6,7 @@ from functools import partial
 
 from cli import output, runs
 from cli.options import ANY_SET, Opening, Work, argument, out_folder
-from tactile_toolkit import catalog, checked_fields, exchange, parsed_text
+from tactile_toolkit import catalog, checked_fields, exchange, wording
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import DatasetKind
@@ -19,7 +19,7 @@ def _given(chosen: catalog.RowFilter) -> JsonDict:
 
 def _fractions(words: str) -> tuple[float, ...]:
     try:
-        shares = tuple(map(float, parsed_text.comma_separated(words)))
+        shares = tuple(map(float, wording.comma_separated(words)))
     except ValueError:
         shares = ()
     if not shares or not all(0 < share <= 1 for share in shares) or sum(shares) > 1 + 1e-9:
@@ -34,7 +34,6 @@ def merge(
     kind: DatasetKind,
     names: list[str] = argument("DIR...", "Data sets of one kind.", several=True),
     opening: Opening,
-    renumber: bool = checked_fields.switch(False, help="Give a new id to each row whose id occurred before."),
     source_column: str | None = checked_fields.text(
         metavar="NAME", read=str, help="Add a column with the name of the data set that each row is from."
     ),
@@ -44,12 +43,13 @@ def merge(
 ) -> None:
     """Merge data sets into one; shards are copied unchanged if no id changes and no column is added.
 
-    Columns and classes must be the same. References to other data sets, such as object_id, are not changed.
+    Columns and classes must be the same. If an id occurs again, the later row gets a new one. References to
+    other data sets, such as object_id, are not changed.
 
-    Examples: merge DIR OTHER --out both;  merge DIR OTHER --renumber --source-column source --out both
+    Examples: merge DIR OTHER --out both;  merge DIR OTHER --source-column source --out both
     """
     places = [opening.open(sink, name) for name in names]
-    make = partial(exchange.merge_sets, kind, places, out, renumber=renumber, source_column=source_column)
+    make = partial(exchange.merge_sets, kind, places, out, source_column=source_column)
     manifest = runs.make_with_progress(sink, "copying", kind, make, work, out, runs.print_set)
     if manifest is None:
         return

@@ -52,7 +52,7 @@ def generate(
         per_class=per_class,
         limit=limit,
     )
-    making_of = mnist3d.DigitMaking.of(spec, None if split is None else published_splits.SPLITS)
+    making_of = mnist3d.DigitGenerator.of(spec, None if split is None else published_splits.SPLITS)
     splits: Sequence[str] | None = None
     if split == "all":
         splits = tuple(making_of.items())
@@ -62,29 +62,27 @@ def generate(
     run.prepare_batch_process()
     runs.generate_set(sink, "making digits", making_of, out, splits, making, _print_made)
     if words.given() and not making.dry_run:
-        _state_owner(sink, out, words)
-
-
-def _state_owner(sink: output.Sink, out: str, words: cards.OwnerWords) -> None:
-    """Write words of the owner into the card of a finished data set."""
-    folder = store.open_folder(out)
-    manifest = store.read_manifest(folder)
-    if manifest is None or not manifest.complete:
-        sink.info(f"note: {out} is unfinished; next: state the licence and other words when it is finished")
-        return
-    cards.state_owner(KIND, folder, manifest, words)
+        folder = store.open_folder(out)
+        manifest = store.read_manifest(folder)
+        if manifest is not None and manifest.complete:
+            cards.rewrite_card(KIND, folder, manifest, words)
+        else:
+            next_step = "state the licence and other words when it is finished"
+            sink.info(f"note: {out} is unfinished; next: {next_step}")
 
 
 def _print_made(
     sink: output.Sink, kind: DatasetKind, manifest: store.Manifest, out: str, elapsed_s: float | None
 ) -> None:
+    from mnist3d.split_summary import facts_table  # pyarrow
+
     # The report that the figures come from is written at the end of a run.
     summaries = []
     if manifest.complete:
         summaries = mnist3d.summarise(store.open_folder(out), manifest)
     splits = [summary.to_dict() for summary in summaries] or manifest.split_table()
     skipped = manifest.skipped_reasons()
-    facts = cards.facts_table(summaries, mnist3d.SUMMED_UP)
+    facts = facts_table(summaries, mnist3d.SUMMED_UP)
     runs.print_left_out(sink, manifest)
     runs.print_set(sink, kind, manifest, out, elapsed_s, *facts, splits=splits, skipped=skipped)
     for line in mesh.print_advice(word for each in summaries for word in each.facets["warnings"]):

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from cli.output import Sink
-from tactile_toolkit import catalog, places, run, store, system
+from tactile_toolkit import places, run, store
 from tactile_toolkit.checked_fields import integer, switch, text
 from tactile_toolkit.errors import InputError
 
@@ -62,6 +62,9 @@ FOLDER = argument("DIR", "Folder of a generated data set.", read=parse_address)
 FOLDERS = argument("DIR|FILE...", "Data set folders, or files of meshes.", read=parse_address, several=True)
 ANY_SET = argument("DIR", "Data set: a folder, a Parquet file or a Hub repository.")
 TOUCH_SET = argument("NAME|DIR", "Short name (real-single-64x64), Hub id, folder or file.")
+REVISION = text(metavar="REV", help="Branch, tag or commit of a Hub data set.")
+CONFIG = text(metavar="NAME", help="Configuration, if the card of the data set has several.")
+INCOMPLETE = switch(False, help="Use the finished shards of an unfinished data set.")
 WORKERS = integer(
     0, name="--workers -w", panel=JOB, help="Number of workers; 0 means one per processor core."
 )
@@ -73,9 +76,9 @@ OVERWRITE = switch(False, panel=JOB, help="Replace another data set in the folde
 class Opening:
     """Options of all commands that open a data set by its name."""
 
-    revision: str | None = catalog.REVISION
-    config_name: str | None = catalog.CONFIG
-    allow_incomplete: bool = catalog.INCOMPLETE
+    revision: str | None = REVISION
+    config_name: str | None = CONFIG
+    allow_incomplete: bool = INCOMPLETE
 
     def open(self, sink: Sink, name: str, *, shows_all: bool = False) -> places.Place:
         """Open a data set by its name; print a note if an unfinished one is accepted.
@@ -142,7 +145,7 @@ class Making(Work):
 
 def process_count(workers: int) -> int:
     """Return the number of processes for ``--workers``; 0 means one per processor core."""
-    return workers or system.usable_cores()
+    return workers or run.usable_cores()
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import asdict, replace
 from functools import partial
-from pathlib import Path
 
 import typer
 
@@ -23,7 +22,7 @@ from cli import (
 )
 from cli.touch_checks import check
 from realtouch.kind import KIND
-from tactile_toolkit import catalog, checked_fields, kind, places, quantities, store
+from tactile_toolkit import catalog, checked_fields, kind, places, store, wording
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.wording import with_count
 
@@ -31,8 +30,6 @@ app = application.new_app(
     "realtouch", "Real touches: load, check, import, filter and convert recordings of tactile sensors."
 )
 
-
-_calibrate_published = kind.lazy("cli.touch_calibration:calibrate_published")  # which imports numpy
 
 # How thoroughly `verify` checked images, by --quick.
 _DEPTHS = {True: "every header was read", False: "every picture was decoded"}
@@ -152,26 +149,16 @@ def reproduce(
     *,
     name: str = options.TOUCH_SET,
     opening: options.Opening,
-    calibrate: Path | None = checked_fields.text(
-        metavar="DIR",
-        read=options.local_place,
-        help="Instead, calibrate a twin with touches of printed digits; folder for the twin and its figures.",
-    ),
-    solids: str = checked_fields.text("mnist3d", metavar="SET", help="The printed digits, for --calibrate."),
     sink: output.Sink,
 ) -> None:
     """Compare the published touches with what the Tactile MNIST paper states about them.
 
     Exit code 1 if a number differs.
 
-    Examples: realtouch reproduce real-single-64x64;
-    realtouch reproduce real-single-320x240 --calibrate twin-of-the-mini
+    Example: realtouch reproduce real-single-64x64
     """
     place = opening.open(sink, name).require(KIND, "reproduce")
     touch_conversions.announce_fetching(sink, place, None)
-    if calibrate is not None:
-        _calibrate_published(sink, place, solids, calibrate)
-        return
     source = realtouch.Source.open(place)
     numbers = realtouch.paper_numbers(
         {split: realtouch.dataset_of(shards) for split, shards in source.shards.items()}
@@ -213,7 +200,7 @@ def _print_summary(sink: output.Sink, split: str, summary: realtouch.Summary) ->
     gels = ", ".join(f"{gel}: {with_count(n, 'rounds')}" for gel, n in summary.gel_ids.items())
     rows: list[tuple[str, object]] = [
         ("rounds", f"{summary.rounds:,}"),
-        ("touches", f"{summary.touches:,} ({quantities.least_to_most(summary.touches_per_round)} per round)"),
+        ("touches", f"{summary.touches:,} ({wording.least_to_most(summary.touches_per_round)} per round)"),
         ("objects", f"{summary.objects:,}" if summary.objects else "unknown"),
         ("with contact", contact),
         ("labels", ", ".join(f"{name}: {count}" for name, count in summary.labels.items()) or "none"),

@@ -11,14 +11,13 @@ import typer
 import tactile_sim
 from cli import contents, hub as hub_commands
 from cli.application import EXIT_FAILED
-from cli.options import ANY_SET, FOLDER, WORKERS, Opening, argument, local_place
+from cli.options import ANY_SET, CONFIG, FOLDER, REVISION, WORKERS, Opening, argument, local_place
 from cli.output import Sink
 from tactile_sim.sensor_models import SENSORS, SensorModel
 from tactile_toolkit import __version__, cards, catalog, exchange, hub, places, store
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.shown_text import markdown_text
-from tactile_toolkit.wording import with_count
+from tactile_toolkit.wording import markdown_text, with_count
 
 SENSOR_FILE = "sensor.json"
 _FILES = (SENSOR_FILE, "arrays.npz")
@@ -148,8 +147,8 @@ def download_sensor(
     kind: DatasetKind,
     name: str = hub_commands.PUBLISHED,
     split: list[str] | None = hub_commands.SPLITS,
-    revision: str | None = catalog.REVISION,
-    config_name: str | None = catalog.CONFIG,
+    revision: str | None = REVISION,
+    config_name: str | None = CONFIG,
     out: str | None = hub_commands.FETCHED_TO,
     dry_run: bool = hub_commands.FETCHES_NOTHING,
     yes: bool = hub_commands.FETCHES_UNASKED,

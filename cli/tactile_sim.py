@@ -23,7 +23,7 @@ from cli import (
 from cli.application import command, new_app, run as run_app
 from tactile_sim import ElasticPress, GenerateSpec, TouchPlan
 from tactile_sim.kind import KIND
-from tactile_toolkit import catalog, mesh, quantities, run, store
+from tactile_toolkit import catalog, mesh, run, store, wording
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 
@@ -92,16 +92,14 @@ def _print_made(
         share = "-"
         if touches:
             share = f"{100 * contact / touches:.1f} %"
-        rows.append(
-            (split, held["rows"], touches, share, held["skipped"], quantities.bytes_text(held["bytes"]))
-        )
+        rows.append((split, held["rows"], touches, share, held["skipped"], wording.bytes_text(held["bytes"])))
     header = ("split", "rounds", "touches", "on the object", "objects left out", "Parquet")
     runs.print_set(sink, kind, manifest, out, elapsed_s, header, rows)
 
 
 command(app)(touch_rendering.render)
 command(app, asks_hub=True)(learned_sensors.pairs)
-for _command in (learned_sensors.train, learned_sensors.evaluate, calibration.calibrate, sensor_twins.check):
+for _command in (learned_sensors.train, calibration.calibrate, sensor_twins.check):
     command(app)(_command)
 shared.add_shared(
     app,

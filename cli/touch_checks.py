@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -12,14 +11,8 @@ import realtouch
 from cli import application, options, output
 from realtouch import finding, touch_options
 from tactile_toolkit import catalog, pictures, store
-from tactile_toolkit.checked_fields import choice, text
-from tactile_toolkit.errors import InputError
-from tactile_toolkit.kind import lazy
+from tactile_toolkit.checked_fields import text
 from tactile_toolkit.wording import with_count
-
-_OXT_FINDINGS: Callable[[store.DataFolder, str], list[realtouch.RecordingFinding]] = lazy(
-    "realtouch.exchange.oxt_check:oxt_findings"
-)
 
 
 def check(
@@ -34,14 +27,6 @@ def check(
         read=options.local_place,
         help="Folder for a picture of each finding.",
     ),
-    layout: str | None = choice(
-        None,
-        ("oxt",),
-        name="--format",
-        optional=True,
-        shown="a set of touches",
-        help="Check a folder or zip of another format against its contract.",
-    ),
     workers: int = options.WORKERS,
     sink: output.Sink,
 ) -> None:
@@ -50,13 +35,8 @@ def check(
     `verify` checks the files of a data set. Import other recordings first, with `import`. Exit code 1 if
     something is found.
 
-    Examples: realtouch check touches --pictures found;  realtouch check --format oxt task.zarr.zip
+    Examples: realtouch check touches --pictures found
     """
-    if layout is not None:
-        if split is not None or drawn is not None:
-            raise InputError("--split and --pictures are for sets of touches, not for --format oxt")
-        _report(sink, name, _oxt_findings(options.local_place(name)), {})
-        return
     place = opening.open(sink, name)
     with sink.progress("checking", "rounds") as update:
         result = realtouch.check(
@@ -73,33 +53,26 @@ def check(
     )
     for path in made:
         sink.line(f"drawn: {path}")
-    counts = {"rounds": result.rounds, "touches": result.touches, "decoded": result.decoded}
-    _report(sink, name, result.findings, {**counts, "pictures": made})
-
-
-def _oxt_findings(path: Path) -> Sequence[realtouch.RecordingFinding]:
-    """Check a folder, or a zip in one."""
-    if not path.exists():
-        raise InputError(f"{str(path)!r} does not exist; expected a folder or a zip", next="check the path")
-    if path.is_file():
-        return _OXT_FINDINGS(store.open_folder(str(path.parent)), path.name)
-    return _OXT_FINDINGS(store.open_folder(str(path)), "")
-
-
-def _report(
-    sink: output.Sink, name: str, findings: Sequence[realtouch.RecordingFinding], counts: Mapping[str, object]
-) -> None:
-    """Print findings; exit code 1 if there are any."""
-    sink.document({"name": name, "ok": not findings, **counts, "findings": list(map(asdict, findings))})
-    for each in findings:
-        sink.warn(f"{each.rule} in {each.where}: {each.found}; expected {each.expected}")
-        named = ", ".join(each.touches)
-        if len(each.touches) == finding.MAX_NAMED:
+    sink.document(
+        {
+            "name": name,
+            "ok": result.ok,
+            "rounds": result.rounds,
+            "touches": result.touches,
+            "decoded": result.decoded,
+            "findings": list(map(asdict, result.findings)),
+            "pictures": made,
+        }
+    )
+    for fault in result.findings:
+        sink.warn(f"{fault.rule} in {fault.where}: {fault.found}; expected {fault.expected}")
+        named = ", ".join(fault.touches)
+        if len(fault.touches) == finding.MAX_NAMED:
             named = f"{named}, ..."
-        if each.count:
-            sink.warn(f"  {with_count(each.count, 'touches')}: {named}")
-        sink.warn(f"  next: {each.next}")
-    if findings:
-        sink.line(f"{with_count(len(findings), 'findings')} in {name}")
+        if fault.count:
+            sink.warn(f"  {with_count(fault.count, 'touches')}: {named}")
+        sink.warn(f"  next: {fault.next}")
+    if not result.ok:
+        sink.line(f"{with_count(len(result.findings), 'findings')} in {name}")
         raise typer.Exit(application.EXIT_FAILED)
     sink.line(f"{name}: nothing was found")

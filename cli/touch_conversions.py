@@ -148,11 +148,11 @@ class Export(_Options):
 
     layout: str = checked_fields.choice(
         MISSING,
-        ("flat", "webdataset", "lerobot", "oxt", "replay", "fota", "sparsh", "anytouch"),
+        ("flat", "webdataset", "lerobot", "oxt", "replay", "fota", "anytouch"),
         name="--format",
         help="flat: Parquet, a row for each touch; webdataset: tars; lerobot: LeRobotDataset v3.0; oxt: Zarr "
-        "of FTP-1; replay: Zarr of Diffusion Policy; fota: tars of T3; sparsh: pickled images; anytouch: "
-        "list files. lerobot, oxt and replay hold one split.",
+        "of FTP-1; replay: Zarr of Diffusion Policy; fota: tars of T3; anytouch: list "
+        "files. lerobot, oxt and replay hold one split.",
     )
     frame: str = _FRAME
 

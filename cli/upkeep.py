@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from cli import options, output
-from tactile_toolkit import cards, catalog, checked_fields, places, quantities, store
+from tactile_toolkit import cards, checked_fields, places, store, wording
 from tactile_toolkit.cache import cache_folder, cached_files, prune_cache
-from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.wording import with_count
 
@@ -28,17 +27,9 @@ def card(
     manifest = opened.manifest
     if kind.needs_manifest:
         manifest = opened.require_manifest(kind)
-    place = store.open_folder(folder)
-    with catalog.specification_read(place.address()):
-        cards.state_owner(kind, place, manifest, words)
-    findings = cards.check_card(place)
-    if findings:
-        raise IntegrityError(f"{findings[0].file} of {folder!r}: {findings[0].problem}")
-    names = [name for name in place.names(cards.PREVIEW_FOLDER) if name.endswith(".png")]
-    pictures = [f"{cards.PREVIEW_FOLDER}/{name}" for name in names]
-    sink.document({"folder": folder, "card": cards.CARD_FILE, "previews": pictures})
-    made = ", ".join([cards.CARD_FILE, *pictures])
-    sink.line(f"{folder}: wrote {made}; all of it matches the data")
+    files = cards.rewrite_card(kind, store.open_folder(folder), manifest, words)
+    sink.document({"folder": folder, "card": files[0], "previews": files[1:]})
+    sink.line(f"{folder}: wrote {', '.join(files)}; all of it matches the data")
 
 
 def cache(
@@ -68,6 +59,6 @@ def cache(
         sink.line(f"removed {with_count(len(removed), 'files')} of {cache_folder()}")
         return
     sink.table(
-        ("what", "files", "size"), [(name, count, quantities.bytes_text(size)) for name, count, size in rows]
+        ("what", "files", "size"), [(name, count, wording.bytes_text(size)) for name, count, size in rows]
     )
     sink.line(f"these files are in {cache_folder()}; next: `cache prune` removes them")

@@ -21,7 +21,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 import tactile_sim
-from tactile_toolkit.cards.card_tables import markdown_table
+from tactile_toolkit.cards.card import markdown_table
 from tests.tactile_sim import elastic_formulas as formulas, test_elastic_elements as elements
 from tests.tactile_sim.elastic_bodies import (
     E_PA,

@@ -42,7 +42,7 @@ SHARED = (
     "realtouch.contact.CLOCK_TOLERANCE_S",
     "realtouch.contact.contact_heights_m",
     "realtouch.contact.contact_window",
-    "starstruck_gen.scene_spec.COLLISION_RULES",
+    "starstruck_gen.sampling.COLLISION_RULES",
     "tactile_sim.sensor.MESA_SAMPLE_PX",
     "tactile_toolkit.mesh.FORMATS",
     "tactile_toolkit.mesh.UNREADABLE",
@@ -307,7 +307,7 @@ def _plain_pages(docs: Path, written: Mapping[str, str]) -> dict[str, str]:
 def _environments_table() -> str:
     """Write a table with a row for each family of environments; an id begins with its name."""
     from tactile_envs import ids
-    from tactile_toolkit.cards.card_tables import markdown_table
+    from tactile_toolkit.cards.card import markdown_table
 
     families: dict[str, list[Any]] = {}
     for each in ids():
@@ -349,7 +349,7 @@ def _settings_table() -> str:
 
     from tactile_envs import Config
     from tactile_envs.config import EpisodeConfig, RecordedConfig
-    from tactile_toolkit.cards.card_tables import markdown_table
+    from tactile_toolkit.cards.card import markdown_table
 
     rows = []
     for kind, where in ((EpisodeConfig, "all"), (Config, "simulated"), (RecordedConfig, "RealSnap")):
@@ -425,13 +425,12 @@ def _formats_page() -> str:
     from mnist3d.digit_rows import DigitRow, digit_schema
     from realtouch.schema import KNOWN_COLUMNS
     from realtouch.touch_card import WORDS
-    from starstruck_gen.scene_rows import SceneRow, scene_schema
+    from starstruck_gen.scene_generation import SceneRow, scene_schema
     from tactile_sim import ElasticPress
     from tactile_sim.elastic_rows import elastic_types
     from tactile_sim.touch_rows import SyntheticRound, synthetic_schema
     from tactile_toolkit.cards import FolderSummary
-    from tactile_toolkit.cards.card import card_words
-    from tactile_toolkit.cards.card_tables import field_table, markdown_table
+    from tactile_toolkit.cards.card import card_words, field_table, markdown_table
     from tactile_toolkit.rows import meanings
 
     def table(schema: Any, row_type: type) -> str:

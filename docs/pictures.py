@@ -17,8 +17,7 @@ import tactile_sim
 from mnist3d.solid.algorithm import solidify
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.mesh import Mesh
-from tactile_toolkit.pictures import DrawnBody, draw_bodies
-from tactile_toolkit.pictures.oblique_views import View
+from tactile_toolkit.pictures import DrawnBody, View, draw_bodies
 
 HEIGHT_PX, MARGIN_PX = 480, 60
 DIGITS, SCENE = (1000, HEIGHT_PX), (360, HEIGHT_PX)

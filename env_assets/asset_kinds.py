@@ -7,18 +7,12 @@ from typing import Any
 
 import pyarrow as pa
 
-from env_assets.wrench.kind import KIND as WRENCH
-from env_assets.wrench.records import WrenchDataset
-from mnist3d import DigitDataset
-from mnist3d.kind import KIND as DIGITS
-from starstruck_gen import SceneMeshDataset
-from starstruck_gen.kind import KIND as SCENES
 from tactile_toolkit import mesh, places, read
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.kind import DatasetKind, kinds
 from tactile_toolkit.mesh import SolidDataset as SolidDataset
 
-KINDS: dict[str, DatasetKind] = {kind.name: kind for kind in (DIGITS, SCENES, WRENCH)}
+KINDS: dict[str, DatasetKind] = {kind.name: kind for kind in kinds() if kind.recipe is not None}
 """Assets that the toolkit can make without any input, by name."""
 
 _ABC = "TimSchneider42/tactile-mnist-abc-dataset-small"
@@ -30,12 +24,8 @@ THIRD_PARTY_ASSETS: dict[str, str] = {
 }
 """Assets that this toolkit does not make, and where the published ones are from."""
 
-MeshSet = DigitDataset | SceneMeshDataset | WrenchDataset | SolidDataset[Any]
-_DATASETS: dict[str, type[MeshSet]] = {
-    DIGITS.name: DigitDataset,
-    SCENES.name: SceneMeshDataset,
-    WRENCH.name: WrenchDataset,
-}
+MeshSet = SolidDataset[Any]
+"""A data set of meshes of any kind."""
 
 
 def published_meshes(name: str) -> str | None:
@@ -60,7 +50,7 @@ def open_meshes(shards: tuple[read.Shard, ...], name: str) -> MeshSet:
         import_module(module)
     pa.array([0]).to_numpy()
     table = read.ShardedTable(shards)
-    mesh.require_mesh_columns(table.schema, name, DIGITS.made_by)
+    mesh.require_mesh_columns(table.schema, name, KINDS["mnist3d"].made_by)
     kind, expected = places.kind_of_rows(table.schema), KINDS.get(name)
     names = read.class_names(table.schema, getattr(kind, "class_names", ()))
     if expected is not None and kind is not expected and (kind is not None or expected.published):
@@ -69,6 +59,6 @@ def open_meshes(shards: tuple[read.Shard, ...], name: str) -> MeshSet:
             f"{getattr(kind, 'nouns', 'other meshes')} (classes {', '.join(names) or 'without names'})",
             next=f"give this data set another name, or give a data set of {expected.nouns}",
         )
-    dataset = _DATASETS.get(getattr(kind, "name", ""), SolidDataset)
+    dataset = SolidDataset if kind is None else kind.dataset
     opened: MeshSet = dataset(table, label_names=names)
     return opened

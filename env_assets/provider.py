@@ -169,8 +169,10 @@ class AssetProvider:
             return True
 
     def _recipe(self, name: str) -> Recipe:
-        found: Recipe = asset_kinds.KINDS[name].recipe(self._seed, self._per_class)
-        return found
+        make = asset_kinds.KINDS[name].recipe
+        assert make is not None, "all KINDS have one"
+        recipe: Recipe = make(self._seed, self._per_class)
+        return recipe
 
     def _lock_of(self, name: str) -> Path:
         """Return the file that is locked while splits of a kind are made; it is created."""

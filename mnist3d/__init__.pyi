@@ -8,7 +8,7 @@ from .digit_dataset import (
     load as load,
 )
 from .digit_generation import (
-    DigitMaking as DigitMaking,
+    DigitGenerator as DigitGenerator,
     DigitSetSpec as DigitSetSpec,
     generate as generate,
 )

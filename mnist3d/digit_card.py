@@ -4,27 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import islice
 
 from mnist3d.digit_rows import REPORT_FILE, SUMMED_UP, DigitRow, classes_of
 from mnist3d.kind import KIND
 from mnist3d.sources.picture_folder import FolderSource
-from tactile_toolkit import cards, catalog, kind, mesh, pictures, read, shown_text, store
+from mnist3d.split_summary import SplitSummary, facts_table, summarise_columns
+from tactile_toolkit import cards, catalog, kind, store, wording
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.rows import meanings
 from tactile_toolkit.wording import class_name, with_count
 
 COLUMNS = meanings(DigitRow)
 
-# Two pixels of the published scale, so that a digit is about 150 pixels tall.
-_PITCH_M = 0.0004
-# Rows mix the classes: 200 of them lack a class with a chance of 1 in 10^8.
-_ROWS_SEEN = 200
-_MAX_DRAWN = 10
 _USUAL_SIZES = {FolderSource.name: "four fifths in `train`, one fifth in `test`"}
 
 
-def summarise(folder: store.DataFolder, manifest: store.Manifest) -> list[cards.SplitSummary]:
+def summarise(folder: store.DataFolder, manifest: store.Manifest) -> list[SplitSummary]:
     """Summarise each split of a data set from its manifest and its printability report.
 
     Raises IntegrityError if the report is missing or damaged.
@@ -33,7 +28,7 @@ def summarise(folder: store.DataFolder, manifest: store.Manifest) -> list[cards.
     names = classes_of(manifest)
     return [
         replace(each, facets={**each.facets, "label": _named(each.facets["label"], names)})
-        for each in cards.summarise_columns(manifest, report, SUMMED_UP)
+        for each in summarise_columns(manifest, report, SUMMED_UP)
     ]
 
 
@@ -60,14 +55,14 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     things = "handwritten digits"
     if classes_of(manifest) != KIND.class_names:
         things = "drawings"
-    columns = store.open_parquet(folder, REPORT_FILE).schema_arrow.names
+    columns = store.read_report(folder, REPORT_FILE).column_names
     joined = ", separate pieces bridged" if solid["join_bodies"] else ""
-    title = shown_text.printable(catalog.short_name(folder.address())) if is_own else "MNIST 3D"
+    title = wording.printable(catalog.short_name(folder.address())) if is_own else "MNIST 3D"
     cards.Card(
         template=KIND.card_template,
         title=title,
         columns=COLUMNS,
-        picture=("digits.png", _sheet, "The first digit of each class that is there, seen from above"),
+        picture=("digits.png", cards.draw_solids, "The first digits of each class, seen from above"),
         licence=words["licence"],
         tags=["tactile", "active-perception", "3d", "mesh", "mnist", "digits", "3d-printing"],
         figures={
@@ -82,28 +77,13 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
                 f"{solid['pixel_pitch_mm']:g} mm per pixel, about {solid['target_vertices']:,} vertices, "
                 f"{solid['smoothing_iterations']} rounds of smoothing{joined}"
             ),
-            "print_table": cards.markdown_table(*cards.facts_table(summaries, SUMMED_UP)),
+            "print_table": cards.markdown_table(*facts_table(summaries, SUMMED_UP)),
             "report_columns": ", ".join(f"`{name}`" for name in columns),
             **{name: f"{profile[name]:g}" for name in ("nozzle_mm", "min_wall_mm", "overhang_deg")},
             "things": things,
             **_terms(words),
         },
     ).write(folder, manifest, KIND)
-
-
-def _sheet(facts: cards.FolderSummary) -> bytes | None:
-    """Draw the first digit of each class as PNG, at 0.4 mm per pixel; None without rows."""
-    first: dict[int, read.Row] = {}
-    for row in islice(cards.rows_to_draw(facts, ["label", mesh.VERTICES, mesh.FACES]), _ROWS_SEEN):
-        first.setdefault(int(row.required("label")), row)
-        if len(first) == _MAX_DRAWN:
-            break
-    rows = [first[label] for label in sorted(first)]
-    tiles = [
-        pictures.Tile(pictures.relief(row.array(mesh.VERTICES), row.array(mesh.FACES), _PITCH_M))
-        for row in rows
-    ]
-    return cards.tiles_png(tiles, 5)
 
 
 def _split_rule(spec: JsonObject) -> str:
@@ -122,9 +102,7 @@ def _split_rule(spec: JsonObject) -> str:
     return ", ".join([unit, f"seed {split['seed']}", sizes, *cuts])
 
 
-def _limits(
-    manifest: store.Manifest, summaries: list[cards.SplitSummary], words: Mapping[str, str]
-) -> list[str]:
+def _limits(manifest: store.Manifest, summaries: list[SplitSummary], words: Mapping[str, str]) -> list[str]:
     rows = sum(s.counts["rows"] for s in summaries)
     pieces = rows - sum(s.facets["bodies"].get("1", 0) for s in summaries)
     warned = sum(sum(s.facets["warnings"].values()) for s in summaries)

@@ -100,12 +100,16 @@ class CheckedMeshes:
         return header, [item.table_row() for item in shown], title
 
 
+def _unreadable(detail: str) -> mesh.PrintReport:
+    return mesh.PrintReport(False, "NotTried", mesh.UNREADABLE, detail, 0, 0)
+
+
 def _inspect_row(row: read.Row, profile: mesh.PrintProfile) -> mesh.PrintReport:
     try:
         row.integer("label")
         return mesh.inspect(mesh.Mesh(row.array(mesh.VERTICES), row.array(mesh.FACES)), profile)
     except IntegrityError as error:
-        return mesh.unreadable(str(error))
+        return _unreadable(str(error))
 
 
 def validate_paths(
@@ -164,7 +168,7 @@ def _check_file(path: str, unit: str | None, profile: mesh.PrintProfile) -> Chec
     try:
         report = mesh.inspect(mesh.read_mesh(path, unit=unit), profile)
     except InputError as error:
-        report = mesh.unreadable(str(error))
+        report = _unreadable(str(error))
     return CheckedMeshes(path, (CheckedMesh(Path(path).name, report),))
 
 
@@ -183,7 +187,7 @@ def _check_data_set(
         report = row.found
         if report is None:
             where = f"split {row.split!r}, row {row.row} of {row.file}"
-            report = mesh.unreadable(f"{where}: field {row.null_field!r} is null; expected a value")
+            report = _unreadable(f"{where}: field {row.null_field!r} is null; expected a value")
         number = f"row {row.row}" if row.id is None else row.id
         items.append(CheckedMesh(f"{row.split} {number}", report))
     return CheckedMeshes(place.name, tuple(items))

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from mnist3d.kind import KIND
 from mnist3d.sources.digit_source import NO_WRITER
 from tactile_toolkit import mesh, pictures, places
 from tactile_toolkit.array_types import Int64
+from tactile_toolkit.wording import class_name
 
 
-class DigitRecord(mesh.SolidRecord):
+class DigitRecord(pictures.DrawnSolid):
     """One 3D digit: ``id``, ``label``, ``vertices_m``, ``faces``, ``mesh``, ``writer`` and ``source``.
 
     Frame of the mesh: origin at the image centre, x right and y up as the digit is read, z out of the plate,
@@ -39,19 +42,19 @@ class DigitRecord(mesh.SolidRecord):
             f"DigitRecord(id={self.id}, label={self.label}, writer={self.writer}, {len(self.faces):,} faces)"
         )
 
-    def _repr_html_(self) -> str:
-        """Show the digit from above in a notebook."""
-        size_mm = np.ptp(self.vertices_m, axis=0) * mesh.MM_PER_M
-        caption = (
-            f"digit {self.label}, id {self.id}, writer {self.writer}: "
-            f"{size_mm[0]:.1f} x {size_mm[1]:.1f} x {size_mm[2]:.1f} mm, "
-            f"{self.volume_m3 * mesh.MM_PER_M**3:.0f} mm³, {len(self.faces):,} triangles"
-        )
-        return pictures.figure_html(pictures.relief(self.vertices_m, self.faces), caption)
+    def caption(self, label_names: Sequence[str] = ()) -> str:
+        """Return the name of the digit."""
+        return f"digit {class_name(label_names, self.label)}"
 
-    def tile_html(self) -> str:
-        """Return HTML of a small picture with a caption, for notebooks."""
-        return pictures.relief_tile_html(self.vertices_m, self.faces, f"{self.label}, id {self.id}")
+    @property
+    def notes(self) -> list[tuple[str, str]]:
+        """Size and source."""
+        return [*super().notes, ("Source", self.source)] if self.source else super().notes
+
+    @property
+    def details(self) -> str:
+        """Text below a large picture."""
+        return f"{super().details}, writer {self.writer}"
 
 
 class DigitDataset(mesh.SolidDataset[DigitRecord]):

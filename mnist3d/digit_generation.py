@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from mnist3d import digit_rows, published_splits, solid, solid_spec
 from mnist3d.kind import KIND
-from mnist3d.sources import digit_source, picture_folder, source_choice
+from mnist3d.sources import digit_source, source_choice
 from mnist3d.splits import plan_splits
 from tactile_toolkit import generation, mesh, store
 from tactile_toolkit.array_types import Int64
@@ -25,7 +25,7 @@ _ROW_S = 0.016
 
 _ADD_PICTURES = (
     "to add pictures, put the new ones into a folder with the same classes, make another data set of it, and "
-    "join both by `mnist3d merge OLD NEW --renumber --out BOTH`; to make all again, add --overwrite"
+    "join both by `mnist3d merge OLD NEW --out BOTH`; to make all again, add --overwrite"
 )
 
 
@@ -77,23 +77,23 @@ class DigitSetSpec:
 
 
 @dataclass(frozen=True)
-class DigitMaking(generation.RowGenerator):
+class DigitGenerator(generation.RowGenerator):
     """Generator of digits: divides the source into splits and makes a checked solid of each image."""
 
     spec: DigitSetSpec
     kind = KIND
     kernels = (
-        "tactile_toolkit.mesh.nearness",
-        "tactile_toolkit.mesh.surface_kernels",
+        "tactile_toolkit.mesh.box_tree",
+        "tactile_toolkit.mesh.crossings",
         "mnist3d.compiled_loops",
-        "tactile_toolkit.mesh.section_kernels",
+        "tactile_toolkit.mesh.walls",
     )
 
     @classmethod
-    def of(cls, spec: DigitSetSpec, splits: Sequence[str] | None) -> DigitMaking:
+    def of(cls, spec: DigitSetSpec, splits: Sequence[str] | None) -> DigitGenerator:
         """Return a generator; a folder of pictures is divided only if ``spec`` or ``splits`` ask for it."""
         is_divided = splits is not None or spec.split.by is not None or spec.split.sizes is not None
-        if is_divided or not isinstance(spec.source, picture_folder.FolderSource):
+        if is_divided or not spec.source.catalog().has_files:
             return cls(spec)
         return cls(replace(spec, split=replace(spec.split, by="none")))
 
@@ -101,11 +101,12 @@ class DigitMaking(generation.RowGenerator):
         """Return the ids of each split; reads the catalog of the source only."""
         sizes: Mapping[str, int] = published_splits.PUBLISHED_SIZES
         splits: tuple[str, ...] = published_splits.SPLITS
-        if isinstance(self.spec.source, picture_folder.FolderSource):
+        catalog = self.spec.source.catalog()
+        if catalog.has_files:
             sizes = published_splits.OWN_SIZES
             named = dict(self.spec.split.sizes or sizes)
             splits = tuple(split for split in published_splits.SPLITS if split in named)
-        plan = plan_splits(self.spec.source.catalog(), self.spec.split, sizes)
+        plan = plan_splits(catalog, self.spec.split, sizes)
         return {split: plan.rows(split, self.spec.per_class, self.spec.limit) for split in splits}
 
     def layout(self) -> generation.StorageLayout:
@@ -122,10 +123,8 @@ class DigitMaking(generation.RowGenerator):
 
     def schema(self, split: str) -> pa.Schema:
         """Return the Arrow schema of a shard."""
-        names = self.spec.source.catalog().class_names
-        return digit_rows.stored_schema(
-            names, has_files=isinstance(self.spec.source, picture_folder.FolderSource)
-        )
+        catalog = self.spec.source.catalog()
+        return digit_rows.stored_schema(catalog.class_names, has_files=catalog.has_files)
 
     def make(self, split: str, items: Any) -> Iterator[digit_rows.DigitRow | store.Skipped]:
         """Yield the row of each digit, or the reason why it gives no solid."""
@@ -141,7 +140,7 @@ class DigitMaking(generation.RowGenerator):
 
     def next_if_other(self) -> str:
         """Return the advice on adding pictures to a data set of a folder; empty for other sources."""
-        if not isinstance(self.spec.source, picture_folder.FolderSource):
+        if not self.spec.source.catalog().has_files:
             return ""
         return _ADD_PICTURES
 
@@ -225,7 +224,7 @@ def generate(
     StorageError
         The folder cannot be written. Finished shards stay.
     """
-    return generation.generate(DigitMaking.of(spec, splits), out, splits, **run)
+    return generation.generate(DigitGenerator.of(spec, splits), out, splits, **run)
 
 
 def digit_recipe(seed: int, per_class: int | None) -> generation.Recipe:
@@ -235,5 +234,5 @@ def digit_recipe(seed: int, per_class: int | None) -> generation.Recipe:
         split=published_splits.SplitSpec(seed=seed),
         per_class=per_class,
     )
-    making = DigitMaking(spec)
+    making = DigitGenerator(spec)
     return generation.Recipe(making, {"per-class": per_class, "seed": seed}, making.planned)

@@ -1,46 +1,43 @@
-"""Pictures of digits: contact sheets, single meshes, and the steps from an image to a solid."""
+"""Previews of digits, single meshes and the steps from an image to a solid; the gallery of digits."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 from os import fspath
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 
-from mnist3d import digit_dataset, digit_options, ink, solid
+from mnist3d import digit_dataset, digit_options, digit_rows, ink, solid, sources
 from mnist3d.kind import KIND
 from mnist3d.solid_spec import SolidSpec
 from mnist3d.sources import picture_files, picture_levels, source_choice
-from tactile_toolkit import catalog, mesh, pictures, store
+from tactile_toolkit import catalog, gallery, mesh, pictures, store
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.places import Name, Place
-from tactile_toolkit.wording import class_name, with_count
+from tactile_toolkit.json_types import JsonDict, JsonObject
+from tactile_toolkit.places import Name, Place, open_place
+from tactile_toolkit.rows import with_role
 
-_TILE_PX = 132
 _VIEW_PX = 520
+_SHOWN = (*with_role(digit_rows.DigitRow, "facet"), *with_role(mesh.PrintReport, "facet", "measure"))
 
 
 def plan_previews(name: Name | Place, spec: digit_options.DigitPreviewSpec) -> pictures.PicturePlan:
     """Plan the pictures of a data set, a mesh file or an image of a digit; nothing is drawn yet.
 
-    Kinds are sheet and steps. Raises InputError as :class:`~tactile_toolkit.pictures.MeshPreviews` does and
-    if a file cannot be read, and IntegrityError if the data set is damaged or unfinished.
+    Kinds are sheet and steps. Raises InputError as :meth:`~tactile_toolkit.pictures.ChosenRows.of`
+    does and if a file cannot be read, and IntegrityError if the data set is damaged or unfinished.
     """
     if not isinstance(name, Place) and is_picture_or_mesh(fspath(name)):
         return _plan_file(fspath(name), spec)
-    opened: pictures.MeshPreviews[digit_dataset.DigitDataset] = pictures.MeshPreviews(KIND, name, spec)
-    mesh.refuse_unit(spec.unit, opened.name)
-    names = opened.chosen[0][1].label_names
-
-    def sheet_of(rows: digit_dataset.DigitDataset, title: str) -> UInt8:
-        return draw_digit_sheet(list(rows), spec.per_class, title, names)
-
+    chosen = pictures.ChosenRows.of(KIND, name, spec, "preview")
+    mesh.refuse_unit(spec.unit, chosen.place.name)
     plans = {
-        "sheet": lambda: opened.plan_sheets(sheet_of),
-        "steps": lambda: _plan_steps(opened, names, spec),
+        "sheet": partial(chosen.plan_sheets, spec.per_class),
+        "steps": partial(_plan_steps, chosen, spec),
     }
     return pictures.plan_kinds(spec.kinds, plans)
 
@@ -88,67 +85,75 @@ def _plan_pages(path: Path, stem: str) -> list[tuple[str, partial[UInt8]]]:
 
 
 def _plan_steps(
-    opened: pictures.MeshPreviews[digit_dataset.DigitDataset],
-    names: Sequence[str],
-    spec: digit_options.DigitPreviewSpec,
+    chosen: pictures.ChosenRows, spec: digit_options.DigitPreviewSpec
 ) -> list[pictures.PlannedPicture]:
     """Plan the steps of the digits with given ids, or of the first digit."""
-    if "source" not in opened.made_by:
+    made_by, set_name = chosen.place.made_by, chosen.place.name
+    if "source" not in made_by:
         raise InputError(
-            f"{opened.name!r} does not name the source of its images", next="draw --kind sheet only"
+            f"{set_name!r} does not name the source of its images", next="draw --kind sheet only"
         )
-    with catalog.specification_read(opened.name):
+    with catalog.specification_read(set_name):
         files = {"images": spec.images, "writer_info": spec.writer_info}
-        given = {option: str(path) for option, path in files.items() if path is not None}
-        source = source_choice.source_again(opened.made_by["source"], **given)
-        solid_spec = SolidSpec(**opened.made_by["solid"])
+        options = {option: str(path) for option, path in files.items() if path is not None}
+        source = source_choice.source_again(made_by["source"], **options)
+        solid_spec = SolidSpec(**made_by["solid"])
 
     def draw(number: int, title: str) -> UInt8:
         return solid.draw_steps(source.image(number).pixels, solid_spec, title)
 
-    found = [(split, rows[row]) for split, rows, places in opened.chosen for row in places.tolist()]
-    if not spec.ids:
-        found = found[:1]
     planned = []
-    for split, record in found:
-        file = f"{opened.stem}-{split}-{record.id}-steps.png"
-        title = f"Digit {class_name(names, record.label)}, id {record.id} ({opened.stem}, {split})"
-        drawing = partial(draw, record.id, title)
-        planned.append(pictures.PlannedPicture(file, f"digit {record.id}, step by step", drawing))
-    return planned
-
-
-def draw_digit_sheet(
-    records: Sequence[digit_dataset.DigitRecord], per_row: int, title: str, names: Sequence[str]
-) -> UInt8:
-    """Draw digits from above at one scale; ``names`` are the names of the classes."""
-    solids = [mesh.Mesh(record.vertices_m, record.faces) for record in records]
-    widest_m = max(float(np.ptp(each.vertices_m[:, :2], axis=0).max()) for each in solids)
-    px_per_mm = _TILE_PX / (mesh.MM_PER_M * widest_m)
-    tiles = [
-        (class_name(names, record.label), pictures.Tile(pictures.relief_of(each, px_per_mm), f"{record.id}"))
-        for each, record in zip(solids, records, strict=True)
-    ]
-    words = f"{with_count(len(records), 'digits')} from above, at one scale; the id of each below it"
-    return pictures.draw_by_class(tiles, per_row, title, words, px_per_mm)
+    for split, digits in chosen.splits.items():
+        for digit in digits if spec.ids else digits[:1]:
+            file = f"{chosen.stem}-{split}-{digit.id}-steps.png"
+            title = f"{digit.caption(digits.label_names)}, id {digit.id} ({chosen.stem}, {split})"
+            drawing = partial(draw, digit.id, title.capitalize())
+            planned.append(pictures.PlannedPicture(file, f"digit {digit.id}, step by step", drawing))
+    return planned if spec.ids else planned[:1]
 
 
 def draw_mesh(part: mesh.Mesh, title: str) -> UInt8:
     """Draw a mesh from above, with a scale bar and its measures."""
     widest_m = float(np.ptp(part.vertices_m[:, :2], axis=0).max())
-    px_per_mm = _VIEW_PX / max(mesh.MM_PER_M * widest_m, 1e-6)
-    tile = pictures.Tile(pictures.relief_of(part, px_per_mm))
-    drawn = pictures.sheet([tile], 1, title, object_facts(part), bar_room=True)
-    return pictures.with_scale_bar(drawn, px_per_mm)
+    px_per_m = _VIEW_PX / max(widest_m, 1e-9)
+    tile = pictures.Tile(pictures.relief(part.vertices_m, part.faces, px_per_m))
+    return pictures.sheet([tile], 1, title, object_facts(part), px_per_mm=px_per_m / mesh.MM_PER_M)
 
 
 def object_facts(part: mesh.Mesh) -> tuple[str, ...]:
     """Return the measures of a mesh as text, and the reason if it is not a solid."""
-    x_mm, y_mm, z_mm = (np.ptp(part.vertices_m, axis=0) * mesh.MM_PER_M).tolist()
-    size = f"{x_mm:.1f} x {y_mm:.1f} x {z_mm:.1f} mm"
+    size = pictures.size_text(part)
     parts = f"{len(part.vertices_m):,} vertices, {len(part.faces):,} triangles"
-    found = mesh.check_manifold(part)
-    if found.problem is not None:
-        return f"{size}; {parts}", f"not a solid: {found.detail}"
-    bodies = "one body" if found.bodies == 1 else f"{found.bodies} bodies"
-    return (f"{size}; volume {found.volume_mm3:,.0f} mm³; {parts}; {bodies}",)
+    verdict = mesh.check_manifold(part)
+    if verdict.problem is not None:
+        return f"{size}; {parts}", f"not a solid: {verdict.detail}"
+    bodies = "one body" if verdict.bodies == 1 else f"{verdict.bodies} bodies"
+    return (f"{size}; volume {verdict.volume_mm3:,.0f} mm³; {parts}; {bodies}",)
+
+
+def plan_gallery(name: Name | Place, chosen: catalog.RowFilter = catalog.NO_FILTER) -> gallery.Gallery:
+    """Plan a gallery of digits; see :func:`~tactile_toolkit.gallery.gallery_of_rows`."""
+    # The report of the data set, if it has one, is read instead of inspecting meshes again.
+    place = open_place(name)
+    folder = place.folder
+    has_report = folder is not None and folder.exists(digit_rows.REPORT_FILE)
+
+    def reports(rows: digit_dataset.DigitDataset, split: str) -> list[JsonObject | None]:
+        if folder is None or not has_report:
+            return [None] * len(rows)
+        report = store.read_report(folder, digit_rows.REPORT_FILE)
+        of_rows = pc.and_(pc.equal(report["split"], split), pc.is_in(report["id"], pa.array(rows.ids)))
+        by_id = {row["id"]: row for row in report.filter(of_rows).to_pylist()}
+        return [by_id.get(number) for number in rows.ids.tolist()]
+
+    return gallery.gallery_of_solids(
+        KIND, place, chosen, title="3D digits", columns=_SHOWN, facts=_facts, known=reports
+    )
+
+
+def _facts(record: digit_dataset.DigitRecord, report: JsonObject | None) -> JsonDict:
+    if report is None:
+        inspected = mesh.inspect(mesh.Mesh(record.vertices_m, record.faces))
+        problem = [] if inspected.problem is None else [inspected.problem]
+        report = {**inspected.to_row(), "warnings": [*problem, *inspected.warnings]}
+    return {**report, "writer": None if record.writer == sources.NO_WRITER else record.writer}

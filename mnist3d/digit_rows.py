@@ -75,11 +75,7 @@ def _source_of(manifest: kind.Specified | None) -> JsonDict:
 @cache
 def stored_schema(class_names: tuple[str, ...], *, has_files: bool = False) -> pa.Schema:
     """Return the Arrow schema of a shard; only the rows of pictures in a folder name their files."""
-    schema = mesh.mesh_schema(DigitRow, class_names)
-    if has_files:
-        return schema
-    plain = schema.remove(schema.get_field_index("file"))
-    return plain.with_metadata(mesh.mesh_metadata(plain, class_names))
+    return mesh.mesh_schema(DigitRow, class_names, without=() if has_files else ("file",))
 
 
 def report_table(shard: store.ShardName, rows: Sequence[DigitRow]) -> pa.Table:

@@ -20,6 +20,6 @@ KIND = DatasetKind(
     # Counts here and in the other kinds: Tactile MNIST paper and the documentation of the published loaders.
     published=(tactile_mnist_set("mnist3d", "mnist3d", "13,580 meshes of digits in 5 splits"),),
     plan_previews=lazy("mnist3d.digit_previews:plan_previews"),
-    plan_gallery=lazy("mnist3d.digit_gallery:plan_gallery"),
+    plan_gallery=lazy("mnist3d.digit_previews:plan_gallery"),
     recipe=lazy("mnist3d.digit_generation:digit_recipe"),
 )

@@ -35,8 +35,6 @@ _EXCHANGED = (
     "lerobot/meta/*/*/*.parquet",
     "fota/*/data-*.tar",
     "fota/*/count.txt",
-    "sparsh/*/dataset_*.*",
-    "sparsh/*/bgs/bg_gs.jpg",
     "anytouch/*_bg.txt",
     "oxt/touches.zarr.zip",
     "replay/touches.zarr.zip",

@@ -20,14 +20,14 @@ from realtouch import (
     stored_round,
     touch_clips,
 )
-from tactile_toolkit import errors, read, system, wording
+from tactile_toolkit import errors, pictures, read, run, wording
 from tactile_toolkit.array_types import Floating, Int64, UInt8
 from tactile_toolkit.json_types import JsonDict
 
 _MAX_THREADS = 4
 
 
-class TouchRound(read.Record):
+class TouchRound(pictures.Drawn, read.Record):
     """T touches of one object; fields are loaded on first use.
 
     Poses and positions are metres in the cell frame: origin at the cell centre, x right of the robot, y away
@@ -113,16 +113,17 @@ class TouchRound(read.Record):
         words = self.label_words()
         words += filter(None, [self.describe_field("object_id", "object {}".format)])
         touches = picture_views.evenly_spaced(self.touch_count, picture_views.MAX_TILES)
-        pictures = [(f"{touch}", partial(self.contact_image, touch)) for touch in touches]
+        images = [(f"{touch}", partial(self.contact_image, touch)) for touch in touches]
         title = self.describe_field("id", str) or "Round"
-        return picture_views.round_html(
-            title, [*words, wording.with_count(self.touch_count, "touches")], pictures
-        )
+        return pictures.grid_html(title, [*words, wording.with_count(self.touch_count, "touches")], images)
 
-    def tile_html(self) -> str:
-        """Return HTML of a small picture with a caption, for notebooks."""
-        words = [*self.label_words(), wording.with_count(self.touch_count, "touches")]
-        return picture_views.touch_html(self.contact_image(self.touch_count // 2), ", ".join(words))
+    def caption(self, label_names: Sequence[str] = ()) -> str:
+        """Return the label, if there is one, and the number of touches."""
+        return ", ".join([*self.label_words(), wording.with_count(self.touch_count, "touches")])
+
+    def picture(self, width_px: float) -> UInt8:
+        """Return the picture of the contact in the middle of the round."""
+        return pictures.fitted(self.contact_image(self.touch_count // 2), width_px)
 
     def label_words(self) -> list[str]:
         """Return the label as text; empty for a data set without labels."""
@@ -284,4 +285,4 @@ class TouchSeqRound(TouchRound):
 
 
 def _cores(threads: int | None) -> int:
-    return threads or min(system.usable_cores(), _MAX_THREADS)
+    return threads or min(run.usable_cores(), _MAX_THREADS)

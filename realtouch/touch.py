@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from realtouch import depth_maps, extras, picture_views, rounds, touch_clips
+from realtouch import depth_maps, extras, rounds, touch_clips
+from tactile_toolkit import pictures
 from tactile_toolkit.array_types import Float32, Floating, UInt8
 from tactile_toolkit.errors import InputError
 
@@ -18,7 +20,7 @@ def touch_id(round_id: str, touch_index: int) -> str:
     return f"{round_id}_{touch_index:03d}"
 
 
-class Touch:
+class Touch(pictures.Drawn):
     """One touch of a round; frozen, fields are read on access.
 
     Attributes
@@ -167,12 +169,14 @@ class Touch:
         words = [f"{name}={value}" for name, value in shown.items() if value is not None]
         return f"Touch({', '.join(words)})"
 
-    def _repr_html_(self) -> str:
-        """Show the picture of the contact in a notebook."""
+    def caption(self, label_names: Sequence[str] = ()) -> str:
+        """Return the label, the number and the position of the touch, as far as they are known."""
         words = [*self.round.label_words(), f"touch {self.touch_index}"]
         with suppress(InputError):  # without positions
             x_mm, y_mm = (1000.0 * float(value) for value in self.pos_in_cell_m)
             words.append(f"x {x_mm:.1f} mm, y {y_mm:.1f} mm")
-        return picture_views.touch_html(self.image, ", ".join(words))
+        return ", ".join(words)
 
-    tile_html = _repr_html_
+    def picture(self, width_px: float) -> UInt8:
+        """Return the picture of the contact at another width."""
+        return pictures.fitted(self.image, width_px)

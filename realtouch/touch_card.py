@@ -14,7 +14,7 @@ import numpy as np
 from realtouch import contact, contacts, picture_views, rounds, schema, stored_round, touch_dataset
 from realtouch.kind import KIND
 from realtouch.touch import Touch
-from tactile_toolkit import cards, errors, read, shown_text, store, touch
+from tactile_toolkit import cards, errors, read, store, touch, wording
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.pictures import png_bytes
@@ -42,7 +42,7 @@ class _Content:
     """Content of a card that depends on the rows: texts, columns and counts."""
 
     words: JsonDict
-    columns: dict[str, cards.ColumnWords]
+    columns: dict[str, tuple[str, str]]
     nouns: str
     pictures: Iterable[UInt8 | None]
     values: dict[str, str]
@@ -209,7 +209,7 @@ def _stored_content(
     )
 
 
-def _extra_words(facts: cards.FolderSummary) -> dict[str, cards.ColumnWords]:
+def _extra_words(facts: cards.FolderSummary) -> dict[str, tuple[str, str]]:
     """Describe the further columns of rounds, with the range of their numbers as the footers state it."""
     ends: dict[str, list[Any]] = {}
     for shard in (shard for split in facts.splits for shard in split.shards):
@@ -226,7 +226,7 @@ def _extra_words(facts: cards.FolderSummary) -> dict[str, cards.ColumnWords]:
         is_known = all(isinstance(each, (int, float)) for each in found)
         # Parquet may state 0 as -0, so 0 is added.
         between = f", {min(found) + 0:g} to {max(found) + 0:g}" if is_known else ""
-        words[stored] = (shape, f"{shown_text.markdown_code(name)} of the source{between}")
+        words[stored] = (shape, f"{wording.markdown_code(name)} of the source{between}")
     return words
 
 

@@ -16,7 +16,7 @@ from numpy.typing import DTypeLike
 
 from realtouch import avi, contact, contact_picture, picture_views, schema, sensor_images, stored_round
 from realtouch.poses import Poses
-from tactile_toolkit import errors, read, wording
+from tactile_toolkit import errors, pictures, read, wording
 from tactile_toolkit.array_types import AnyArray, Float64, UInt8
 from tactile_toolkit.touch import decode_image, image_size
 
@@ -258,10 +258,8 @@ class TouchClip(Sequence[UInt8]):
     def _repr_html_(self) -> str:
         """Show frames from first to last in a notebook; those that are damaged are left out."""
         frames = picture_views.evenly_spaced(len(self), _SHOWN_FRAMES)
-        pictures = [(f"frame {frame}", partial(self.__getitem__, frame)) for frame in frames]
-        return picture_views.round_html(
-            f"Touch {self.touch}", [wording.with_count(len(self), "frames")], pictures
-        )
+        images = [(f"frame {frame}", partial(self.__getitem__, frame)) for frame in frames]
+        return pictures.grid_html(f"Touch {self.touch}", [wording.with_count(len(self), "frames")], images)
 
 
 class SensorClips(Sequence[TouchClip]):

@@ -20,10 +20,9 @@ IMPORT_LAYOUTS = (
     "replay",
     "hdf5",
     "fota",
-    "sparsh",
     "anytouch",
 )
-"""Formats of recordings, each a module of ``realtouch.exchange``."""
+"""Formats of recordings, each a module of ``realtouch.formats``."""
 
 STREAM_HEADER = (
     "recording",

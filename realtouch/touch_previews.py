@@ -82,9 +82,7 @@ def draw_grid(record: rounds.TouchRound, most: int) -> UInt8:
         if heights_m is not None:
             caption = f"{touch}: {heights_m[touch] * 1e3:.1f} mm"
             frame = CONTACT if heights_m[touch] >= rule.min_height_m else pictures.PAPER
-        tiles.append(
-            pictures.Tile(picture_views.fitted(Touch(record, touch).image, _TILE_PX), caption, frame)
-        )
+        tiles.append(pictures.Tile(pictures.fitted(Touch(record, touch).image, _TILE_PX), caption, frame))
     words = [f"{len(tiles)} of {_touches_in_words(record)}"]
     if heights_m is not None:
         words += [f"framed: {height_text(rule.min_height_m)}; its height next to the number"]

@@ -56,7 +56,7 @@ def _damage_in_file(
     folder: store.DataFolder, path: str, sha256: str | None, *, decode: bool
 ) -> Iterator[stored_columns.Damage]:
     """Compare a file with its checksum, if given, and check its images; yield the damage."""
-    if sha256 is not None and not store.is_unchanged(folder, path, sha256):
+    if sha256 is not None and not folder.has_sha256(path, sha256):
         problem = f"its sha256 differs from the index, which has {sha256}"
         if not folder.exists(path):
             problem = "is missing"

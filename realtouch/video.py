@@ -63,13 +63,13 @@ def pictures_of_video(
         As :func:`open_video`.
     """
     video = open_video(folder, path)
-    with store.open_inside(folder, path) as stream, video_files.named_problems():
+    with folder.open_inside(path) as stream, video_files.named_problems():
         yield from video.read(stream, numbers)
 
 
 @lru_cache(_KEPT_VIDEOS)
 def _open_video(address: str, path: str, version: object) -> video_files.Video:
-    with store.open_inside(store.open_folder(address), path) as stream, video_files.named_problems():
+    with store.open_folder(address).open_inside(path) as stream, video_files.named_problems():
         return _found_video(stream)
 
 

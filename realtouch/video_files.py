@@ -84,7 +84,7 @@ def is_video(folder: store.DataFolder, path: str) -> bool:
     if path.lower().endswith(VIDEO_ENDINGS):
         return True
     try:
-        with store.open_inside(folder, path) as stream:
+        with folder.open_inside(path) as stream:
             return bool(demuxer_of(read_start(stream)))
     except errors.InputError:
         return False

@@ -1,18 +1,31 @@
-"""Loading Starstruck: typed and lazy."""
+"""Records of scenes: loaded from a data set, or made from a seed when they are requested."""
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Iterator, Sequence
+from functools import cached_property, partial
 
-from starstruck_gen import kind, placement, scene_drawing
+import numpy as np
+import pyarrow as pa
+
+from starstruck_gen import kind, sampling, scene, scene_generation, shapes
 from starstruck_gen.scene import Scene
-from tactile_toolkit import mesh, pictures, places, read, touch
+from tactile_toolkit import catalog, checked_fields, mesh, pictures, places, read, touch
 from tactile_toolkit.array_types import Int64, UInt8
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.rows import table_of
 from tactile_toolkit.wording import with_count
 
+DEFAULT_SIZE = 300_000
+"""Default number of scenes of a split on the fly (package tactile-mnist 0.13.0)."""
 
-class SceneRecord(mesh.SolidRecord):
+_MADE_TOGETHER = 4096  # rows that training shuffles as it does those of a shard
+
+# Columns that follow from the number of a scene.
+_KNOWN = ("id", "label", "star_count", "seed")
+
+
+class SceneRecord(pictures.DrawnSolid):
     """One scene; fields are loaded on first use.
 
     Frame of the mesh: origin at the centre of the cell, x right, y away from the robot, z up, objects on
@@ -21,6 +34,7 @@ class SceneRecord(mesh.SolidRecord):
     """
 
     __slots__ = ()
+    is_faceted = True
 
     @property
     def star_count(self) -> int:
@@ -38,12 +52,12 @@ class SceneRecord(mesh.SolidRecord):
         return self.row.has("placements")
 
     @property
-    def placements(self) -> tuple[placement.Placement, ...]:
+    def placements(self) -> tuple[scene.Placement, ...]:
         """Objects in the order of placing, stars first; InputError if they are not stored."""
         return self._once(
             "placements",
             lambda: tuple(
-                placement.Placement(**entry) for entry in self._stated("placements").required("placements")
+                scene.Placement(**entry) for entry in self._stated("placements").required("placements")
             ),
         )
 
@@ -69,26 +83,82 @@ class SceneRecord(mesh.SolidRecord):
     def __repr__(self) -> str:
         return f"SceneRecord(id={self.id}, label={self.label}, star_count={self.star_count})"
 
-    def _repr_html_(self) -> str:
-        """Show the scene from above in a notebook."""
+    def caption(self, label_names: Sequence[str] = ()) -> str:
+        """Return the number of stars."""
+        return with_count(self.star_count, "stars")
+
+    @property
+    def notes(self) -> list[tuple[str, str]]:
+        """Size and seed."""
+        return [*super().notes, ("Seed", str(self.seed))] if self.has_placements else super().notes
+
+    @property
+    def details(self) -> str:
+        """Text below a large picture."""
         if not self.has_placements:
-            return pictures.figure_html(pictures.relief(self.vertices_m, self.faces), repr(self))
-        stars, others = with_count(self.star_count, "stars"), with_count(self.distractor_count, "distractors")
-        return pictures.figure_html(self._drawn(2.0), f"scene {self.id}: {stars}, {others}")
+            return super().details
+        return f"{super().details}, {with_count(self.distractor_count, 'distractors')}"
 
-    def tile_html(self) -> str:
-        """Return HTML of a small picture with a caption, for notebooks."""
-        caption = f"{with_count(self.star_count, 'stars')}, id {self.id}"
+    @property
+    def legend(self) -> str:
+        """Meaning of the colours of a picture."""
+        return "stars are yellow" if self.has_placements else "it is not stored which objects are stars"
+
+    @property
+    def cell_m(self) -> tuple[float, float]:
+        """Width and depth of the cell, metres: those of the specification, or larger if the scene is.
+
+        Rows without a manifest beside them are taken to have the published cell.
+        """
+        width_m, depth_m = self.row.group.once("cell_m", partial(_stored_cell_m, self.row))
+        # Twice the distance of the farthest corner, and a margin.
+        reach_m = 2.05 * np.abs(self.vertices_m[:, :2]).max(axis=0)
+        return max(width_m, float(reach_m[0])), max(depth_m, float(reach_m[1]))
+
+    @property
+    def extent_m(self) -> float:
+        """Longer side of what a picture shows, metres."""
+        return max(self.cell_m) if self.has_placements else super().extent_m
+
+    @property
+    def parts(self) -> list[tuple[int, str]]:
+        """Runs of triangles of stars and of other objects.
+
+        Without placements, all objects are others. Empty if the triangles are not those of the declared
+        objects.
+        """
         if not self.has_placements:
-            return pictures.relief_tile_html(self.vertices_m, self.faces, caption)
-        return pictures.figure_html(self._drawn(0.8), caption, pictures.TILE_STYLE)
+            return [(len(self.faces), "other")]
+        runs = [
+            (len(shapes.prism(placed.shape).faces), "main" if placed.is_star else "other")
+            for placed in self.placements
+        ]
+        return runs if sum(count for count, _ in runs) == len(self.faces) else []
 
-    def _drawn(self, px_per_mm: float) -> UInt8:
-        # A record does not know its specification; most scenes have the published cell.
-        return np.asarray(scene_drawing.draw_scene(self.placements, touch.CELL_M, px_per_mm))
+    def picture(self, width_px: float) -> UInt8:
+        """Draw the cell from above, stars in their own colour; without placements, the mesh in relief."""
+        if not self.has_placements:
+            return super().picture(width_px)
+        px_per_mm = width_px / self.extent_m / mesh.MM_PER_M
+        return np.asarray(scene.draw_scene(self.placements, self.cell_m, px_per_mm))
+
+    def cutout(self, width_px: float) -> UInt8:
+        """Draw the objects with opacity, (H, W, 4); without placements, the mesh in relief, (H, W, 2)."""
+        if not self.has_placements:
+            return super().cutout(width_px)
+        return scene.without_plate(self.picture(width_px))
 
 
-class SceneMeshDataset(read.RecordDataset[SceneRecord]):
+def _stored_cell_m(row: read.Row) -> tuple[float, float]:
+    """Return the cell of the specification beside the file of a row; without one, the published cell."""
+    manifest = catalog.manifest_beside(row)
+    made_by = {} if manifest is None else manifest.spec.get("source_spec", manifest.spec) or {}
+    with catalog.specification_read(row.path):
+        width_m, depth_m = made_by.get("scene", {}).get("cell_m", touch.CELL_M)
+    return width_m, depth_m
+
+
+class SceneMeshDataset(mesh.SolidDataset[SceneRecord]):
     """A lazy sequence of :class:`SceneRecord`; see :class:`tactile_toolkit.read.RecordDataset`."""
 
     record_class = SceneRecord
@@ -101,3 +171,182 @@ class SceneMeshDataset(read.RecordDataset[SceneRecord]):
 
 
 load = places.loader(kind.KIND, SceneMeshDataset, mesh.RecordStream[SceneRecord])
+
+
+class MadeScenes:
+    """A source of rows without a file: each scene of a split is made when it is requested."""
+
+    path = ""
+
+    def __init__(self, spec: sampling.SceneSpec, split: str, size: int, seed: int) -> None:
+        self.spec = spec
+        self.split = split
+        self.size = size
+        self.seed = seed
+        self.identity = (spec, split, size, seed)
+        self.origin = self.set_name = (f"seed {seed}", split)
+        self.class_names = spec.class_names
+        self.group_starts = (0, size)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return type(self), (self.spec, self.split, self.size, self.seed)
+
+    @cached_property
+    def schema(self) -> pa.Schema:
+        """Arrow schema of the rows."""
+        return scene_generation.scene_schema(self.spec.class_names)
+
+    @property
+    def part_sizes(self) -> Sequence[int]:
+        """Rows of the parts that training mixes."""
+        return [min(_MADE_TOGETHER, self.size - row) for row in range(0, self.size, _MADE_TOGETHER)]
+
+    def __len__(self) -> int:
+        return self.size
+
+    def unpack(self, _index: int) -> int:
+        """Return 0: nothing is unpacked."""
+        return 0
+
+    def locate(self, row: int) -> tuple[read.Rows, int]:
+        """Return a single row, which is not made yet."""
+        return MadeScene(self, row), 0
+
+    def blocks(self, _index: int, columns: Sequence[str] | None = None) -> Iterator[read.RowGroup]:
+        """Make all rows, which form one row group, in blocks."""
+        start = 0
+        for count in self.part_sizes:
+            table = self.made(start, count)
+            yield read.RowGroup(table if columns is None else table.select(columns), first_row=start)
+            start += count
+
+    def made(self, start: int, count: int) -> pa.Table:
+        """Make a block of rows as an Arrow table."""
+        return table_of(
+            scene_generation.make_rows(self.spec, self.split, self.seed, start, count), self.schema
+        )
+
+    def column(self, name: str) -> pa.Array:
+        """Return one column of all rows, which must be known without the scenes."""
+        return pa.array(self.known(name, range(self.size)))
+
+    def known(self, name: str, rows: range) -> Int64:
+        """Return a column that follows from row numbers; KeyError for any other column."""
+        numbers = np.arange(rows.start, rows.stop, dtype=np.int64)
+        classes = numbers % len(self.spec.stars)
+        if name == "id":
+            return numbers + sampling.scene_id(self.split, 0)
+        if name == "label":
+            return classes
+        if name == "star_count":
+            return np.array(self.spec.stars, dtype=np.int64)[classes]
+        if name == "seed":
+            return np.array([sampling.scene_seed(self.seed, self.split, row) for row in rows], dtype=np.int64)
+        raise KeyError(name)
+
+
+class MadeScene(read.Rows):
+    """One row, whose scene and mesh are made on first use."""
+
+    def __init__(self, source: MadeScenes, row: int) -> None:
+        super().__init__("", row)
+        self._source = source
+        self.once("cell_m", lambda: source.spec.cell_m)
+
+    @cached_property
+    def table(self) -> pa.Table:
+        """The row as an Arrow table, for pickling."""
+        return self._source.made(self.first_row, 1)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Columns by dotted name."""
+        return read.column_names(self._source.schema)
+
+    # Not cached properties, whose locks take 1/20 of the time of a scene and its mesh.
+    @property
+    def _scene(self) -> scene.Scene:
+        source, row = self._source, self.first_row
+        return self.once(
+            "scene", lambda: sampling.sample_scenes(source.spec, source.split, source.seed, row, 1)[0]
+        )
+
+    def _built(self) -> scene.SceneMeshes:
+        meshes = scene.build_meshes([self._scene.placements])
+        for column in (meshes.vertices_m, meshes.faces):
+            column.values.setflags(write=False)
+        return meshes
+
+    def ragged(self, name: str) -> read.RaggedColumn:
+        """Return the vertices or the faces."""
+        if name not in (mesh.VERTICES, mesh.FACES):
+            return super().ragged(name)
+        meshes = self.once("meshes", self._built)
+        return meshes.vertices_m if name == mesh.VERTICES else meshes.faces
+
+    def flat(self, name: str) -> pa.ArrayArray:
+        """Return a plain column of one value."""
+        if name in _KNOWN:
+            return self._source.known(name, range(self.first_row, self.first_row + 1))
+        # Assigned by index: numpy would convert a list to an array.
+        values = np.empty(1, dtype=object)
+        values[0] = getattr(self._scene, name)
+        if name == "placements":
+            values[0] = [placement._asdict() for placement in values[0]]
+        return values
+
+
+class SceneDataset(SceneMeshDataset):
+    """Scenes on the fly: the records that ``starstruck generate`` writes, without files.
+
+    Parameters
+    ----------
+    spec : SceneSpec, optional
+        How scenes are made; as published by default.
+    split : str
+        One of :data:`starstruck_gen.SPLITS`. Splits never share a scene.
+    size : int
+        Number of scenes; a scene does not depend on it.
+    seed : int
+        Seed of the data set.
+
+    Raises
+    ------
+    InputError
+        Unknown split, a size outside 0 to 1,000,000,000, or a negative seed.
+
+    Examples
+    --------
+    >>> scenes = SceneDataset(size=1_000_000, seed=3)
+    >>> scenes[123_456].star_count
+    1
+    >>> scenes[123_456].mesh.is_watertight
+    True
+    """
+
+    def __init__(
+        self,
+        spec: sampling.SceneSpec | None = None,
+        split: str = "train",
+        size: int = DEFAULT_SIZE,
+        seed: int = 0,
+    ) -> None:
+        spec = spec or sampling.SceneSpec()
+        size = checked_fields.checked_integer(size, "size", 0, sampling.MAX_SCENES)
+        seed = checked_fields.checked_integer(seed, "seed")
+        sampling.scene_seed(seed, split, 0)  # refuses an unknown split
+        super().__init__(
+            read.ShardedTable((MadeScenes(spec, split, size, seed),)), label_names=spec.class_names
+        )
+
+    def column(self, name: str) -> pa.ArrayArray:
+        """Return one plain column, shape (len,); all but id, label, star_count and seed need the scenes.
+
+        Raises
+        ------
+        InputError
+            The records have no such column.
+        """
+        if name in _KNOWN or name not in self.plain_columns:
+            return super().column(name)
+        return np.array([record.row.value(name) for record in self], np.int64)

@@ -13,7 +13,7 @@ from PIL import Image, ImageDraw
 from tactile_envs import mesh_pool, touch_kernels
 from tactile_sim import center_view
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int64, UInt8
-from tactile_toolkit.pictures.lettering import INK, draw_text, text_size
+from tactile_toolkit.pictures import INK, draw_text, text_size
 
 Colour: TypeAlias = tuple[float, float, float]
 

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int32, Int64
-from tactile_toolkit.compiled import compiled
+from tactile_toolkit.kernels import compiled
 
 _BLOCK = 4  # rows and columns of pixels that are drawn at once; few triangles cover more
 PADDING = _BLOCK

@@ -15,10 +15,10 @@ from tactile_sim.sensor import sensor_of_model
 from tactile_sim.sensor_models import GELSIGHT_MINI, SensorModel
 from tactile_sim.touch_rows import SyntheticRound
 from tactile_sim.touch_spec import WINDOWS
-from tactile_toolkit import cards, shown_text, store, touch
+from tactile_toolkit import cards, store, touch, wording
 from tactile_toolkit.array_types import AnyArray, UInt8
 from tactile_toolkit.json_types import JsonObject
-from tactile_toolkit.pictures import Tile, in_rows, png_bytes, sheet
+from tactile_toolkit.pictures import Tile, png_bytes, sheet
 from tactile_toolkit.rows import meanings
 from tactile_toolkit.wording import with_count
 
@@ -127,7 +127,7 @@ def _sensor_of(spec: JsonObject) -> _CardSensor:
         (window,) = (name for name, stored in WINDOWS.items() if stored == like)
         sides_mm = [1e3 * side_m for side_m in sensor_of_model(model, window, tuple(size_px)).window_m]
         shown = " x ".join(f"{side_mm:.4g}" for side_mm in sides_mm)
-        name, source = map(shown_text.markdown_text, (model.name, model.source or "no source is stated"))
+        name, source = map(wording.markdown_text, (model.name, model.source or "no source is stated"))
         area = f"{shown} mm of the {model.width_mm:g} x {model.height_mm:g} mm of the gel"
         lines = [("sensor", f"{name}, by its geometry; {source}"), ("window", area)]
         return _CardSensor(model, f"sensor ({name})", shown, lines)
@@ -170,7 +170,10 @@ def _touches_sheet(facts: cards.FolderSummary) -> bytes | None:
     """Draw the first touches of the first rounds as PNG, a row for each round."""
     rounds = islice(cards.rows_to_draw(facts, ["sensor_image"]), _ROUNDS_SHOWN)
     shown = (row.value("sensor_image")[:_COLUMNS_SHOWN] for row in rounds)
-    rows = [("", [touch.decode_image(each["bytes"]) for each in images]) for images in shown]
+    rows = [
+        (f"round {number}", [touch.decode_image(stored["bytes"]) for stored in images])
+        for number, images in enumerate(shown)
+    ]
     if not rows:
         return None
     return sheet_png(rows)
@@ -217,9 +220,8 @@ def sheet_png(rows: Sequence[tuple[str, Sequence[AnyArray] | AnyArray]]) -> byte
 
     Shows every n-th pixel, or each pixel n times; nothing is smoothed.
     """
-    groups = [(word, [Tile(_shown(picture)) for picture in pictures]) for word, pictures in rows]
-    columns, tiles, words = in_rows(groups, max(len(tiles) for _, tiles in groups))
-    return png_bytes(sheet(tiles, columns, row_labels=words, gap_px=2, margin_px=2))
+    tiles = [Tile(_shown(picture), group=word) for word, pictures in rows for picture in pictures]
+    return png_bytes(sheet(tiles, max(len(pictures) for _, pictures in rows), gap_px=2, margin_px=2))
 
 
 def _shown(picture: AnyArray) -> UInt8:

@@ -11,13 +11,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import DTypeLike
 
-from tactile_sim.random_numbers import keyed_rng
 from tactile_sim.value_files import read_values
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int64, UInt8
 from tactile_toolkit.checked_fields import check_fields, real
@@ -129,16 +128,6 @@ def add_noise(
         mean = shown.mean()
         shown = (shown - mean) * gain + mean + (pattern + field + offset)
         noisy[touch] = np.rint(255 * shown.clip(0, 1))
-    return noisy
-
-
-def add_noise_per_object(pictures: UInt8, objects: Int64, noise: SensorNoise, seed: int) -> UInt8:
-    """Return images with the noise of a sensor, a round for each object as in real touches."""
-    noisy = np.empty_like(pictures)
-    for each in np.unique(objects):
-        of_object = np.flatnonzero(objects == each)
-        draw = partial(keyed_rng, seed, "evaluation", int(each), 0)
-        noisy[of_object] = add_noise(pictures[of_object], noise, draw(), draw)
     return noisy
 
 

@@ -124,6 +124,9 @@ def tactile_mnist_set(
     return PublishedSet(name, repo_id, content, citation, licence, aliases)
 
 
+_SOLIDS = lazy("tactile_toolkit.mesh:SolidDataset")
+
+
 def _not_offered(*_: object, **__: object) -> Any:
     raise NotImplementedError
 
@@ -178,9 +181,11 @@ class DatasetKind:
         folders are a user's to ``--overwrite``.
     plan_previews, plan_gallery : callable
         Plan pictures, or a page, of a data set, if the command line offers that.
-    recipe : callable
+    dataset : callable
+        Class that opens the shards of a split: takes a ``ShardedTable`` and ``label_names``.
+    recipe : callable or None
         Takes a seed and a number per class, returns the :class:`tactile_toolkit.generation.Recipe` of
-        what needs no input, if any does.
+        what needs no input; None if all need some.
     """
 
     name: str
@@ -205,7 +210,8 @@ class DatasetKind:
     extra_files: tuple[str, ...] = ()
     plan_previews: AnyCall = _not_offered
     plan_gallery: AnyCall = _not_offered
-    recipe: AnyCall = _not_offered
+    dataset: AnyCall = _SOLIDS
+    recipe: AnyCall | None = None
 
     def __post_init__(self) -> None:
         if not self.content:

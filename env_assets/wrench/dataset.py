@@ -10,13 +10,10 @@ import pyarrow as pa
 
 from env_assets.wrench import shape, wrench_spec
 from env_assets.wrench.kind import KIND
-from tactile_toolkit import cards, generation, pictures, rows, store
+from tactile_toolkit import cards, generation, rows, store
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import is_copy
 from tactile_toolkit.mesh import MeshRow, PrintReport, inspect, mesh_schema, write_mesh
-
-# Side of a pixel of the picture: the default wrench of 157.5 mm is 790 pixels long.
-_PITCH_M = 0.0002
 
 
 @rows.row
@@ -147,12 +144,11 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     spec = wrench_spec.WrenchSpec(**manifest.spec)
     mesh = shape.wrench_mesh(spec)
     report = inspect(mesh)
-    drawn = pictures.png_bytes(pictures.relief(mesh.vertices_m, mesh.faces, _PITCH_M))
     cards.Card(
         template=KIND.card_template,
         title=title,
         columns=columns,
-        picture=("wrench.png", lambda _: drawn, "The wrench from above, the first jaw on the right"),
+        picture=("wrench.png", cards.draw_solids, "The wrench from above, the first jaw on the right"),
         licence="mit",
         tags=["tactile", "active-perception", "3d", "mesh", "pose-estimation", "3d-printing"],
         values={

@@ -19,5 +19,6 @@ KIND = DatasetKind(
     missing_commands=(
         *("info", "validate", "preview", "card", "upload", "download", "gallery", "list", "select"),
     ),
+    dataset=lazy("env_assets:WrenchDataset"),
     recipe=lazy("env_assets.wrench.dataset:wrench_recipe"),
 )

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from env_assets.wrench.kind import KIND
 from tactile_toolkit import mesh, pictures, places
 
 
-class WrenchRecord(mesh.SolidRecord):
+class WrenchRecord(pictures.DrawnSolid):
     """One wrench.
 
     Frame of the mesh: origin on the axis of the handle, halfway along the length, x along the handle towards
@@ -28,13 +30,9 @@ class WrenchRecord(mesh.SolidRecord):
     def __repr__(self) -> str:
         return f"WrenchRecord(id={self.id}, {self.opening_mm:g} mm, {len(self.faces):,} faces)"
 
-    def _repr_html_(self) -> str:
-        """Show the wrench from above in a notebook."""
-        return pictures.figure_html(pictures.relief(self.vertices_m, self.faces), repr(self))
-
-    def tile_html(self) -> str:
-        """Return HTML of a small picture with a caption, for notebooks."""
-        return pictures.relief_tile_html(self.vertices_m, self.faces, f"{self.opening_mm:g} mm, id {self.id}")
+    def caption(self, label_names: Sequence[str] = ()) -> str:
+        """Return the width of the first jaw."""
+        return f"wrench, {self.opening_mm:g} mm"
 
 
 class WrenchDataset(mesh.SolidDataset[WrenchRecord]):

@@ -54,12 +54,15 @@ class DigitCatalog:
         Writer of each id, or :data:`NO_WRITER`.
     class_names : tuple of str
         Names of the classes, the ten digits by default.
+    has_files : bool
+        Whether these are a user's own pictures: each has the name of its file, and no splits are published.
     """
 
     ids: Int64
     labels: Int64
     writers: Int64
     class_names: tuple[str, ...] = DIGITS
+    has_files: bool = False
 
     def __len__(self) -> int:
         """Return the number of digits."""

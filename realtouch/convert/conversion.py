@@ -259,6 +259,6 @@ def write_changed(folder: store.DataFolder, files: Mapping[str, bytes]) -> dict[
     """Write the files that changed and return the checksums of all; unchanged files are not rewritten."""
     digests = {path: store.sha256_hex(content) for path, content in files.items()}
     for path, content in files.items():
-        if not store.is_unchanged(folder, path, digests[path]):
+        if not folder.has_sha256(path, digests[path]):
             folder.write_bytes(path, content)
     return digests

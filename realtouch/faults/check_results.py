@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from realtouch import (
-    picture_views,
     touch_dataset,
     touch_options,
 )
@@ -104,9 +103,7 @@ def _draw(
             else:
                 pixels = record.sensor_video[touch][spot.frame]
             tiles.append(
-                pictures.Tile(
-                    picture_views.fitted(pixels, _TILE_PX), f"{record.id[-_NAME_CHARACTERS:]}:{touch}"
-                )
+                pictures.Tile(pictures.fitted(pixels, _TILE_PX), f"{record.id[-_NAME_CHARACTERS:]}:{touch}")
             )
     title = f"{rules.RULES[finding.rule].title}: {finding.found}"
     lines = (

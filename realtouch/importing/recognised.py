@@ -9,9 +9,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO, NamedTuple
 
-from realtouch import kind, video_files
+from realtouch import video_files
 from realtouch.importing import formats, source_files
-from tactile_toolkit import column_tables, errors, places, store, text_tables
+from realtouch.kind import KIND
+from tactile_toolkit import errors, places, store
+from tactile_toolkit.columns import tables
 
 _MAX_PATHS = 20_000
 _MAX_FOLDERS = 200
@@ -49,13 +51,12 @@ _MARKS: tuple[tuple[str, Callable[[str], object]], ...] = (
     ("replay", _ends_with(".zarr.zip")),
     ("anytouch", re.compile(r"^\w+_bg\.txt\Z").search),
     ("fota", re.compile(r"^(\w+/)?count\.txt\Z").search),
-    ("sparsh", re.compile(r"^(\w+/)?[^/]+\.pkl\Z").search),
     ("webdataset", re.compile(r"^[^/]+\.tar\Z", re.IGNORECASE).search),
     ("hdf5", _ends_with(".h5", ".hdf5")),
     ("video", _ends_with(*video_files.VIDEO_ENDINGS)),
     ("folder", _ends_with(*(f".{ending}" for ending in source_files.IMAGE_ENDINGS))),
     ("flat", _ends_with(".parquet")),
-    ("folder", _ends_with(*text_tables.TABLE_ENDINGS, ".jsonl")),
+    ("folder", _ends_with(*tables.TEXT_ENDINGS, ".jsonl")),
 )
 # Formats that contain files of other formats: LeRobot has videos, Parquet files and tables.
 _PARTS = {
@@ -63,9 +64,9 @@ _PARTS = {
     "oxt": {"replay"},
     "anytouch": {"folder"},
     "fota": {"webdataset"},
-    "sparsh": {"folder"},
 }
-_TABLES = _ends_with(*column_tables.COLUMN_TABLE_ENDINGS)
+_PICKLES = _ends_with(".pkl", ".pickle")
+_TABLES = _ends_with(*tables.ENDINGS)
 
 
 def recognised(place: str) -> Recognised:
@@ -91,6 +92,7 @@ def recognised(place: str) -> Recognised:
     if len(found) > 1:  # a table describes the files beside it
         found = {layout: first for layout, first in found.items() if not _TABLES(first)} or found
     if not found:
+        _refuse_pickles(paths)
         shown = ", ".join(paths[:_PATHS_SHOWN]) or "nothing"
         raise errors.InputError(
             f"{place!r} holds no recordings of a known format (found {shown})",
@@ -105,9 +107,20 @@ def recognised(place: str) -> Recognised:
     return Recognised(layout, first)
 
 
+def _refuse_pickles(paths: Sequence[str]) -> None:
+    """Raise InputError if one of the paths is a pickle."""
+    pickle = next(filter(_PICKLES, paths), None)
+    if pickle is not None:
+        raise errors.InputError(
+            f"{pickle!r} is a pickle, as Sparsh stores images; pickles are not read, because reading one can "
+            "run any program",
+            next="write each image to a file, with the program that made the pickle, and import the folder",
+        )
+
+
 def _of_file(place: str) -> Recognised:
     folder, name = source_files.source_of(place)
-    with store.open_inside(folder, name) as stream:
+    with folder.open_inside(name) as stream:
         head = video_files.read_start(stream)
         if head.startswith(_ZIP) and _is_oxt(stream):
             return Recognised("oxt", name)
@@ -116,6 +129,7 @@ def _of_file(place: str) -> Recognised:
     for layout, marks in _FIRST_BYTES.items():
         if any(head[at : at + len(mark)] == mark for at, mark in marks):
             return Recognised(layout, name)
+    _refuse_pickles([name])
     found = "is empty"
     if head:
         found = f"begins with {head[:8].hex(' ')}"
@@ -135,7 +149,7 @@ def _of_export(home: store.DataFolder) -> Recognised | None:
     """Return the format of an export of this toolkit, as its manifest states it; None for other folders."""
     if store.manifest_so_far(home) is None:
         return None
-    place = places.folder_place(home).require(kind.KIND, "import")
+    place = places.folder_place(home).require(KIND, "import")
     if place.spec.get("operation") not in ("export", "frames"):
         raise errors.InputError(
             f"{home.address()!r} is a data set already; it needs no import",

@@ -65,15 +65,6 @@ def pictures_from(channels: Tensor, size_px: tuple[int, int]) -> UInt8:
     return np.asarray(np.rint(shades.numpy() * np.float32(255)), np.uint8)
 
 
-def depth_from(generator: Generator, pictures: UInt8) -> Float32:
-    """Return the depth images (n, H, W), 0 deepest to 1 no contact, that a generator recovers from touches.
-
-    Touches (n, H, W, 3) have the size that it was trained at.
-    """
-    made = generated(generator, picture_channels, pictures)[:, 2]
-    return np.asarray(((made + 1) / 2).clip(0, 1).numpy(), np.float32)
-
-
 def generated(generator: Generator, channels: Callable[[AnyArray], Tensor], images: AnyArray) -> Tensor:
     """Return the output (n, 3, H, W) of a generator for images, a few at a time.
 

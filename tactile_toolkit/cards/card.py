@@ -7,13 +7,19 @@ import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
+from itertools import islice
 from string import Template
 
-from tactile_toolkit import pictures, read, shown_text, store
-from tactile_toolkit.cards import card_tables, owner_words, yaml_head
-from tactile_toolkit.cards.folder_facts import FolderSummary, folder_summary
+import numpy as np
+
+from tactile_toolkit import catalog, mesh, pictures, read, store, wording
+from tactile_toolkit.array_types import Float32, Int32
+from tactile_toolkit.cards import owner, yaml_head
+from tactile_toolkit.cards.yaml_head import FolderSummary, folder_summary
+from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.json_types import JsonDict, JsonObject, JsonValue
-from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.kind import DatasetKind, is_export
+from tactile_toolkit.wording import markdown_code, markdown_text
 
 PREVIEW_FOLDER = "previews"
 MESH_TASKS = {
@@ -21,11 +27,19 @@ MESH_TASKS = {
     "task_ids": ["task-planning"],
 }
 """Tasks of meshes, in terms of the Hub."""
-
 _MAX_ENTRIES = 100  # of a list of the specification
-
+# Rows mix the classes: 200 of digits lack a class with a chance of 1 in 10^8.
+_ROWS_READ, _MAX_DRAWN, _COLUMNS = 200, 12, 6
+_PICTURE_PX, _MAX_TILE_PX = 780, 480
 # Templates have "FOLDER" there, because others cannot load a folder by name.
 _LOADED_NAME = re.compile(r'datasets\.load_dataset\("(?P<name>[^"]+)"')
+_UNKNOWN = ("", "a column of this copy; not in the published schema")
+_TABLE_COLUMNS: dict[str, tuple[str, str]] = {
+    "label_name": ("", "name of the class"),
+    **{name: ("m", f"extent along {name[5]}") for name in mesh.SIZES},
+    f"{mesh.MESH}": ("GLB file, m, frame below", "the solid, its vertices and faces in their order"),
+}
+_GLB = f"{mesh.MESH}.bytes"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +78,7 @@ class Card:
 
     template: str
     title: str
-    columns: Mapping[str, card_tables.ColumnWords]
+    columns: Mapping[str, tuple[str, str]]
     picture: tuple[str, Callable[[FolderSummary], bytes | None], str]
     licence: str
     tags: Sequence[str]
@@ -91,24 +105,24 @@ class Card:
         facts = facts or folder_summary(folder, manifest)
         name, draw, caption = self.picture
         values = {
-            "title": shown_text.markdown_text(self.title),
+            "title": wording.markdown_text(self.title),
             "noun": kind.noun,
             "nouns": kind.nouns,
             "rows": f"{facts.rows:,}",
             "first_split": facts.splits[0].split,
             "picture": "There is nothing to draw.",
             "bibtex": bibtex("tactile_mnist"),
-            "split_table": card_tables.split_table(facts, self.nouns or kind.nouns, self.figures),
-            "field_table": card_tables.field_table(facts, {**self.columns, **_source_column(manifest)}),
+            "split_table": split_table(facts, self.nouns or kind.nouns, self.figures),
+            "field_table": field_table(facts, {**self.columns, **_source_column(manifest)}),
             "limits": "\n".join(f"- {line}" for line in self.limits),
         }
         if manifest is not None:
-            spec = f"```json\n{shown_text.printable_json(_shortened(self.spec or manifest.spec))}\n```"
+            spec = f"```json\n{wording.printable_json(_shortened(self.spec or manifest.spec))}\n```"
             reasons = manifest.skipped_reasons().items()
-            listed = ", ".join(f"{count:,} {shown_text.markdown_text(reason)}" for reason, count in reasons)
+            listed = ", ".join(f"{count:,} {wording.markdown_text(reason)}" for reason, count in reasons)
             skipped = f"{listed}; `manifest.json` names each" if listed else "none"
             by = f"tactile-toolkit {manifest.toolkit_version} (schema {manifest.schema_version})"
-            made = card_tables.markdown_table(("", ""), [("made by", by), *self.made, ("left out", skipped)])
+            made = markdown_table(("", ""), [("made by", by), *self.made, ("left out", skipped)])
             values |= {
                 "spec": spec,
                 "made": f"{made}\n\n{spec}",
@@ -122,18 +136,107 @@ class Card:
             values["picture"] = f"![{caption}]({path})\n\n*{caption}*"
             _write_changed(folder, path, content)
         head = {"license": self.licence, "pretty_name": self.title, **self.tasks, "tags": list(self.tags)}
-        body = shown_text.printable(render_card(self.template, {**values, **self.values}), keep="\n")
-        head, body = owner_words.with_owner(head, body, owner_words.read_owner(folder))
+        body = wording.printable(render_card(self.template, {**values, **self.values}), keep="\n")
+        words = owner.read_owner(yaml_head.stored_head(folder), folder.address())
+        head, body = owner.with_owner(head, body, words)
         text = yaml_head.head_text(yaml_head.card_head(facts, **head)) + "\n" + body
         _write_changed(folder, yaml_head.CARD_FILE, text.encode())
 
 
-def _source_column(manifest: store.Manifest | None) -> dict[str, card_tables.ColumnWords]:
+def rewrite_card(
+    kind: DatasetKind, folder: store.DataFolder, manifest: store.Manifest | None, words: owner.OwnerWords
+) -> list[str]:
+    """Write the card of a finished folder again; return its path and those of its pictures.
+
+    Words of the owner that the card states stay, unless ``words`` replace them. Raises InputError if those in
+    the card cannot be used, IntegrityError if the data are damaged.
+    """
+    with catalog.specification_read(folder.address()):
+        if words.given():
+            head = yaml_head.stored_head(folder)
+            stated = {**owner.read_owner(head, folder.address()).given(), **words.given()}
+            card = yaml_head.head_text({owner.KEY: stated})
+            if head:
+                stored = folder.read_bytes(yaml_head.CARD_FILE).decode("utf-8", errors="replace")
+                card = yaml_head.with_head(stored, lambda head: head.update({owner.KEY: stated}))
+            folder.write_bytes(yaml_head.CARD_FILE, card.encode())
+        kind.write_card(folder, manifest)
+    for finding in yaml_head.check_card(folder):
+        raise IntegrityError(f"{finding.file} of {folder.address()!r}: {finding.problem}")
+    names = [name for name in folder.names(PREVIEW_FOLDER) if name.endswith(".png")]
+    return [yaml_head.CARD_FILE, *(f"{PREVIEW_FOLDER}/{name}" for name in names)]
+
+
+def _source_column(manifest: store.Manifest | None) -> dict[str, tuple[str, str]]:
     """Return the meaning of the column that `merge --source-column` adds, by its name."""
     options = (manifest and manifest.spec.get("options")) or {}
     if "source_column" not in options:
         return {}
     return {str(options["source_column"]): ("", "name of the merged data set that the row is from")}
+
+
+def write_table_card(
+    folder: store.DataFolder,
+    manifest: store.Manifest,
+    kind: DatasetKind,
+    title: str,
+    columns: Mapping[str, tuple[str, str]],
+    licence: str,
+    **terms: str,
+) -> None:
+    """Write the card of a copy of a data set of meshes; IntegrityError for a damaged one.
+
+    A copy consists of tables for other libraries, merged sets, or some of the rows. ``columns`` and ``title``
+    are those of its source. ``terms`` are ``licence_text``, ``citation_text`` and ``bibtex`` of the template,
+    the last one that of the paper by default.
+    """
+    command, picture, template = manifest.spec["operation"], "objects.png", "mesh_copy.md"
+    if is_export(manifest):
+        command, picture, template = "export --format flat", "tables.png", "mesh_tables.md"
+        title, columns = f"{title} as tables", {**columns, **_TABLE_COLUMNS}
+    sources = manifest.spec["source"].items()
+    rows = ", ".join(f"{split}: {sum(file['rows'] for file in files):,}" for split, files in sources)
+    Card(
+        template=template,
+        title=title,
+        columns=columns,
+        picture=(picture, _draw_tables, f"The first {kind.nouns}, seen from above"),
+        licence=licence,
+        tags=["tactile", "active-perception", "3d", "mesh"],
+        made=[
+            ("command", f"`{kind.command} {command}`"),
+            ("source", f"{kind.nouns} {rows}; `manifest.json` names and fingerprints each file"),
+        ],
+        spec=manifest.spec["options"],
+        values={**terms, "package": kind.package},
+    ).write(folder, manifest, kind)
+
+
+def _draw_tables(facts: FolderSummary) -> bytes | None:
+    """Draw the first solids of tables as PNG: in columns of a mesh, or in GLB files."""
+    if mesh.VERTICES in read.column_names(facts.schema):
+        return draw_solids(facts)
+    return draw_solids(facts, _PackedSolid, [_GLB])
+
+
+class _PackedSolid(pictures.DrawnSolid):
+    """A solid in a GLB file."""
+
+    __slots__ = ()
+
+    @property
+    def vertices_m(self) -> Float32:
+        """Vertices, shape (V, 3), metres."""
+        return np.asarray(self._unpacked.vertices_m, np.float32)
+
+    @property
+    def faces(self) -> Int32:
+        """Triangles, shape (F, 3)."""
+        return np.asarray(self._unpacked.faces, np.int32)
+
+    @property
+    def _unpacked(self) -> mesh.Mesh:
+        return self._once("surface", lambda: mesh.unpack_mesh(self.row.value(_GLB), ".glb"))
 
 
 def _shortened(values: JsonValue) -> JsonValue:
@@ -149,11 +252,25 @@ def _shortened(values: JsonValue) -> JsonValue:
     return shown
 
 
-def tiles_png(tiles: Sequence[pictures.Tile], columns: int) -> bytes | None:
-    """Arrange pictures for a card, as PNG; None without pictures."""
-    if not tiles:
+def draw_solids(
+    facts: FolderSummary,
+    record: type[pictures.DrawnSolid] = pictures.DrawnSolid,
+    columns: Sequence[str] = (mesh.VERTICES, mesh.FACES),
+) -> bytes | None:
+    """Draw the first solids of each class as PNG, class by class; None without rows.
+
+    ``record`` draws a row, of which it needs ``columns``.
+    """
+    by_class: dict[int, list[pictures.DrawnSolid]] = {}
+    for row in islice(rows_to_draw(facts, ["label", *columns]), _ROWS_READ):
+        by_class.setdefault(row.integer("label"), []).append(record(row))
+    if not by_class:
         return None
-    return pictures.png_bytes(pictures.sheet(tiles, columns, margin_px=8))
+    per_class = max(1, _MAX_DRAWN // len(by_class))
+    solids = [solid for label in sorted(by_class) for solid in by_class[label][:per_class]][:_MAX_DRAWN]
+    across = min(len(solids), _COLUMNS)
+    tile_px = min(_PICTURE_PX // across, _MAX_TILE_PX)
+    return pictures.png_bytes(pictures.solid_sheet(solids, tile_px, across))
 
 
 def card_words(file: str) -> JsonDict:
@@ -189,3 +306,73 @@ def bibtex(*names: str) -> str:
     """Return entries of ``data_cards``, such as ``"tactile_mnist"``, as a BibTeX block in Markdown."""
     entries = (files("data_cards").joinpath(f"{name}.bib").read_text(encoding="utf-8") for name in names)
     return "```bibtex\n" + "\n".join(entries) + "```"
+
+
+def split_table(facts: FolderSummary, nouns: str, figures: Mapping[str, Sequence[object]]) -> str:
+    """Return a table of splits: rows, further ``figures`` of each, and file sizes."""
+    rows = [
+        (s.split, f"{s.rows:,}", *more, len(s.paths), megabytes(s.file_bytes), megabytes(s.unpacked_bytes))
+        for s, *more in zip(facts.splits, *figures.values(), strict=True)
+    ]
+    return markdown_table(("split", nouns, *figures, "shards", "Parquet", "unpacked"), rows)
+
+
+def markdown_table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """Return a table in Markdown; bars inside cells are escaped."""
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join(
+        "| " + " | ".join(str(cell).replace("|", "\\|") for cell in line) + " |" for line in lines
+    )
+
+
+def field_table(facts: FolderSummary, known: Mapping[str, tuple[str, str]]) -> str:
+    """Return a table of the columns of a folder: name, stored type, shape and unit, meaning.
+
+    ``known`` is by name; a name that ends with a dot stands for all fields of a struct.
+    """
+    rows = []
+    for entry in _flat(facts.features):
+        name = entry["name"]
+        column = known.get(name) or known.get(f"{name.partition('.')[0]}.", _UNKNOWN)
+        rows.append((markdown_code(name), column_type_text(entry), *column))
+    return markdown_table(("column", "type", "shape, unit, frame", "meaning"), rows)
+
+
+def _flat(features: Sequence[JsonObject], above: str = "") -> list[JsonDict]:
+    """List columns by dotted name, including fields of structs."""
+    flat = []
+    for entry in features:
+        name = f"{above}{entry['name']}"
+        flat += _flat(entry["struct"], f"{name}.") if "struct" in entry else [{**entry, "name": name}]
+    return flat
+
+
+def column_type_text(entry: JsonValue) -> str:
+    """Return the type of a column as text, such as ``list of float32[3]``."""
+    if isinstance(entry, str):
+        return entry
+    if isinstance(entry, list):
+        return "struct of " + ", ".join(markdown_text(field["name"]) for field in entry)
+    if "list" in entry:
+        inner = column_type_text(entry["list"])
+        if "length" not in entry:
+            return f"list of {inner}"
+        if " " in inner:
+            inner = f"({inner})"
+        return f"{inner}[{entry['length']}]"
+    dtype = entry["dtype"]
+    if isinstance(dtype, dict):
+        return "ClassLabel: " + ", ".join(map(markdown_text, dtype["class_label"]["names"].values()))
+    return str(dtype)
+
+
+def megabytes(size: int) -> str:
+    """Return a size as text: ``"12.30 MB"``, or in kB if it is small."""
+    if size < 1e5:
+        return f"{size / 1e3:,.1f} kB"
+    return f"{size / 1e6:,.2f} MB"
+
+
+def between(least: int, most: int) -> str:
+    """Return a range of counts as text: ``"3 to 5"``, or one count."""
+    return " to ".join(f"{count:,}" for count in dict.fromkeys((least, most)))

@@ -1,24 +1,163 @@
 """The YAML head of a data card, which the Hub and ``datasets.load_dataset`` read.
 
-It follows from the summary of the folder: splits, files, rows, bytes and columns.
+It follows from the summary of the folder: splits, files, rows, bytes and columns. A head that says otherwise
+is found by comparison.
 """
 
 from __future__ import annotations
 
 import copy
 import fnmatch
-from collections.abc import Callable, Sequence
+import reprlib
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from pathlib import PurePosixPath
 
+import pyarrow as pa
 import yaml
 
-from tactile_toolkit import shown_text, store
-from tactile_toolkit.cards.folder_facts import FolderSummary
-from tactile_toolkit.json_types import JsonDict, JsonValue
+from tactile_toolkit import places, read, run, store, wording
+from tactile_toolkit.errors import InputError, ToolkitError
+from tactile_toolkit.json_types import JsonDict, JsonObject, JsonValue
 
 CARD_FILE = "README.md"
-
 _LIMITS = ("1K", "10K", "100K", "1M", "10M", "100M", "1B", "10B", "100B", "1T")
 _FENCE = "---\n"
+_MEDIA = {"Image": "image", "Video": "video", "Audio": "audio", "Mesh": "mesh"}
+_MAX_SHOWN = 300
+_AGAIN = "write it again with the command `card`"
+# Errors of invalid YAML content, whose values may have any type.
+_UNREADABLE = (ValueError, TypeError, KeyError, AttributeError, RecursionError)
+
+
+@dataclass(frozen=True)
+class SplitFiles:
+    """One split: its files, which are opened when needed, their paths in the folder, and sizes.
+
+    ``unpacked_bytes`` is the size of the rows in memory, an estimate unless the manifest states it.
+    """
+
+    split: str
+    shards: tuple[read.Shard, ...]
+    paths: tuple[str, ...]
+    rows: int
+    file_bytes: int
+    unpacked_bytes: int
+
+
+@dataclass(frozen=True)
+class FolderSummary:
+    """An entire folder: its splits in canonical order, and their schema.
+
+    With ``recorded``, the values come from the manifest, without opening files. ``viewer`` are files that
+    repeat the rows of a split for the page of the Hub, if the manifest lists any.
+    """
+
+    splits: tuple[SplitFiles, ...]
+    schema: pa.Schema
+    recorded: bool = False
+    viewer: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    @property
+    def rows(self) -> int:
+        """Rows of all splits."""
+        return sum(split.rows for split in self.splits)
+
+    @cached_property
+    def features(self) -> list[JsonDict]:
+        """Columns as `datasets` describes them in a card."""
+        first = next((shard.path for split in self.splits for shard in split.shards), "")
+        return yaml_features(self.schema, first)
+
+
+def folder_summary(
+    folder: store.DataFolder, manifest: store.Manifest | None = None, place: places.Place | None = None
+) -> FolderSummary:
+    """Summarise a folder from its manifest, or else from the footers of its files.
+
+    ``manifest`` is one that will be written there, ``place`` the opened folder if it has none. Raises
+    InputError when the folder holds no Parquet files, and IntegrityError when one is missing or damaged.
+    """
+    manifest = manifest or store.manifest_so_far(folder)
+    if manifest is None:
+        held = (place or places.folder_place(folder)).all_shards()
+        splits = [_measured(folder, split, shards) for split, shards in held.items()]
+    else:
+        splits = [_recorded(folder, split, manifest.shards_of(split)) for split in manifest.splits]
+    if not splits:
+        raise InputError(folder.missing_message("Parquet files"), next="give the folder of a data set")
+    schema = splits[0].shards[0].schema
+    return FolderSummary(tuple(splits), schema, manifest is not None, viewer_files(manifest))
+
+
+def _recorded(folder: store.DataFolder, split: str, records: Sequence[store.ShardRecord]) -> SplitFiles:
+    """Return the files of a split and their sizes as a manifest states them."""
+    paths = tuple(each.shard.data_path for each in records)
+    shards = (read.Shard(folder.address(path), each.rows) for path, each in zip(paths, records, strict=True))
+    sizes = ((each.rows, each.bytes, each.unpacked_bytes) for each in records)
+    return SplitFiles(split, tuple(shards), paths, *map(sum, zip(*sizes, strict=True)))
+
+
+def _measured(folder: store.DataFolder, split: str, shards: tuple[read.Shard, ...]) -> SplitFiles:
+    """Return the files of a split and their sizes as their footers state them."""
+    paths = tuple(shard.path.removeprefix(f"{folder.address()}/") for shard in shards)
+    files = zip(shards, paths, strict=True)
+    sizes = run.in_threads(partial(_sizes, folder), files, run.usable_cores())
+    return SplitFiles(split, shards, paths, *map(sum, zip(*sizes, strict=True)))
+
+
+def _sizes(folder: store.DataFolder, file: tuple[read.Shard, str]) -> tuple[int, int, int]:
+    """Return rows, bytes and unpacked bytes of a file."""
+    shard, path = file
+    groups = map(shard.metadata.row_group, range(shard.metadata.num_row_groups))
+    return len(shard), folder.size_bytes(path), sum(group.total_byte_size for group in groups)
+
+
+def viewer_files(manifest: store.Manifest | None) -> dict[str, tuple[str, ...]]:
+    """Return the files of each split that a manifest lists for the page of the Hub."""
+    if manifest is None:
+        return {}
+    listed = [path for path in manifest.files or () if path.startswith(f"{store.VIEWER_FOLDER}/")]
+    names = sorted(filter(None, (store.ShardName.parse(PurePosixPath(path).name) for path in listed)))
+    found: dict[str, tuple[str, ...]] = {}
+    for split in manifest.splits:
+        if paths := tuple(f"{store.VIEWER_FOLDER}/{name}.parquet" for name in names if name.split == split):
+            found[split] = paths
+    return found
+
+
+def yaml_features(schema: pa.Schema, where: str = "") -> list[JsonDict]:
+    """Describe each column of a schema as `datasets` does in ``dataset_info.features``.
+
+    Classes, images and videos follow from the metadata of `datasets`. A column with a dotted name, such as
+    ``mesh.vertices``, is not a struct. Raises IntegrityError, which names the file ``where``, for
+    metadata that cannot be read.
+    """
+    # Not by `datasets`, whose import takes longer than making a small data set.
+    features = read.stored_features(schema, where)
+    return [{"name": each.name, **_entry(each.type, features.get(each.name))} for each in schema]
+
+
+def _entry(data_type: pa.DataType, feature: JsonValue) -> JsonDict:
+    """Describe a column or list element by its Arrow type and metadata."""
+    known = feature if isinstance(feature, dict) else {}
+    if known.get("_type") == "ClassLabel" and isinstance(known.get("names"), list):
+        return {"dtype": {"class_label": {"names": {str(n): name for n, name in enumerate(known["names"])}}}}
+    if isinstance(known.get("_type"), str) and known["_type"] in _MEDIA:
+        return {"dtype": _MEDIA[known["_type"]]}
+    types = pa.types
+    if types.is_list(data_type) or types.is_fixed_size_list(data_type):
+        # Metadata of the elements, in the forms of all releases.
+        element = next(iter(feature), None) if isinstance(feature, list) else known.get("feature")
+        inner = _entry(data_type.value_type, element)
+        fixed = {"length": data_type.list_size} if types.is_fixed_size_list(data_type) else {}
+        is_short = set(inner) in ({"dtype"}, {"struct"})
+        return {"list": next(iter(inner.values())) if is_short else inner, **fixed}
+    if types.is_struct(data_type):
+        return {"struct": [{"name": f.name, **_entry(f.type, known.get(f.name))} for f in data_type]}
+    return {"dtype": read.dtype_name(data_type)}
 
 
 def card_head(facts: FolderSummary, **fields: JsonValue) -> JsonDict:
@@ -89,9 +228,17 @@ def head_text(head: JsonDict) -> str:
     """Write a head between two lines of dashes."""
     text: str = yaml.safe_dump(head, sort_keys=False, allow_unicode=True, width=110)
     # YAML escapes control characters, but not those that change the direction of text.
-    if text != shown_text.printable(text, keep="\n"):
+    if text != wording.printable(text, keep="\n"):
         text = yaml.safe_dump(head, sort_keys=False, width=110)
     return f"{_FENCE}{text}{_FENCE}"
+
+
+def stored_head(folder: store.DataFolder) -> JsonDict:
+    """Return the head of the card of a folder; empty if there is none, or if it cannot be read."""
+    with suppress(ValueError):
+        if folder.exists(CARD_FILE):
+            return parsed_head(folder.read_bytes(CARD_FILE).decode("utf-8", errors="replace"))
+    return {}
 
 
 def parsed_head(card: str) -> JsonDict:
@@ -114,3 +261,55 @@ def with_head(card: str, change: Callable[[JsonDict], object], note: str = "") -
     if changed == head and not note:
         return card
     return head_text(changed) + note + body
+
+
+def check_card(folder: store.DataFolder) -> list[store.Finding]:
+    """List what the head of a card states and the finished folder contradicts."""
+    if not folder.exists(CARD_FILE):
+        return [store.Finding(CARD_FILE, f"is missing; next: {_AGAIN}")]
+    text = folder.read_bytes(CARD_FILE).decode("utf-8", errors="replace")
+    try:
+        facts = folder_summary(folder)
+        files = [path for split in facts.splits for path in split.paths]
+        files += [path for paths in facts.viewer.values() for path in paths]
+        expected = _statements(card_head(facts), files)
+        stated = _statements(parsed_head(text), files)
+    except ToolkitError as error:
+        return [store.Finding(CARD_FILE, f"cannot be compared with the data: {error}")]
+    except _UNREADABLE as error:
+        problem = f"{type(error).__name__}: {error}".partition("\n")[0][:_MAX_SHOWN]
+        return [store.Finding(CARD_FILE, f"its YAML head cannot be read ({problem}); next: {_AGAIN}")]
+    differing = (name for name in {**expected, **stated} if stated.get(name) != expected.get(name))
+    return [
+        store.Finding(
+            CARD_FILE, f"{name} is {_abridged(stated.get(name))}, expected {_abridged(expected.get(name))}"
+        )
+        for name in differing
+    ]
+
+
+def _statements(head: JsonObject, files: Sequence[str]) -> dict[str, JsonValue]:
+    """Return the statements of a head by subject; patterns are replaced by the ``files`` that they match."""
+    info = head["dataset_info"]
+    # Without sizes in memory, which may be estimates.
+    found = {"download_size": info["download_size"], "size_categories": head["size_categories"]}
+    for config in head["configs"]:
+        for entry in config["data_files"]:
+            patterns = [entry["path"]] if isinstance(entry["path"], str) else entry["path"]
+            matches = sorted({path for pattern in patterns for path in fnmatch.filter(files, pattern)})
+            split, name = _abridged(entry["split"]), _abridged(config["config_name"])
+            found[f"files of split {split} in configuration {name}"] = matches
+    for split in info["splits"]:
+        found[f"num_examples of split {_abridged(split['name'])}"] = split["num_examples"]
+    for column in info["features"]:
+        found[f"column {_abridged(column['name'])}"] = {key: column[key] for key in column if key != "name"}
+    return found
+
+
+def _abridged(value: object) -> str:
+    """Return the beginning of a value's repr: aliases in a short head may expand to any size."""
+    if value is None:
+        return "missing"
+    short = reprlib.Repr()
+    short.maxstring = short.maxother = _MAX_SHOWN
+    return short.repr(value)[:_MAX_SHOWN]

@@ -81,40 +81,38 @@ def merge_sets(
     names: Sequence[places.Name | places.Place],
     out: str,
     *,
-    renumber: bool = False,
     source_column: str | None = None,
     **run: Unpack[store.RunKeywords],
 ) -> store.Manifest:
     """Merge data sets; shards without changes are copied byte for byte.
 
-    With ``renumber``, the first row with an id keeps it, and others get new ones, which the specification
-    lists. ``source_column`` is a new column with the name of the data set that each row is from. ``run`` are
-    fields of ``store.RunOptions``.
+    The first row with an id keeps it; rows with the same id get new ones, which the specification lists.
+    ``source_column`` is a new column with the name of the data set that each row is from. ``run`` are fields
+    of ``store.RunOptions``.
 
-    Raises InputError for data sets of another kind, with other columns or classes, or with an id in common.
+    Raises InputError for data sets of another kind, or with other columns or classes.
     """
     sources = [_open_source(kind, name, MERGE) for name in names]
     schema = _common_schema(sources)
     options: JsonDict = {}
-    renumbered = merge_changes.Renumbering({}, {})
-    if renumber and "id" in schema.names:
-        renumbered = merge_changes.renumber([source.table.files for source in sources])
-        options["renumbered"] = [
-            {"source": catalog.short_name(sources[place].name), "ids": list(map(list, pairs))}
-            for place, pairs in renumbered.pairs.items()
-        ]
-    elif "id" in schema.names:
-        _refuse_common_ids(sources)
+    ids: dict[str, list[int | str]] = {}
+    if "id" in schema.names:
+        ids, pairs = merge_changes.new_ids([source.table.files for source in sources])
+        if pairs:
+            options["renumbered"] = [
+                {"source": catalog.short_name(sources[index].name), "ids": list(map(list, changed))}
+                for index, changed in pairs.items()
+            ]
     titles = [""] * len(sources)
     if source_column is not None:
         merge_changes.require_new_column(source_column, schema)
         titles = merge_changes.source_names([source.name for source in sources])
         options |= {"source_column": source_column, "sources": titles}
     changes = {
-        shard.path: RowChanges(renumbered.ids.get(shard.path), source_column or "", title)
+        shard.path: RowChanges(ids.get(shard.path), source_column or "", title)
         for title, source in zip(titles, sources, strict=True)
         for shard in source.table.files
-        if source_column is not None or shard.path in renumbered.ids
+        if source_column is not None or shard.path in ids
     }
     return _build(kind, sources, None, MERGE, options, out, run, changes)
 
@@ -131,17 +129,6 @@ def _common_schema(sources: Sequence[_Source]) -> pa.Schema:
         if differs:
             raise InputError(f"{differs}; expected data sets made alike")
     return schema
-
-
-def _refuse_common_ids(sources: Sequence[_Source]) -> None:
-    ids = np.concatenate([source.table.column("id") for source in sources])
-    values, counts = np.unique(ids, return_counts=True)
-    if (counts > 1).any():
-        raise InputError(
-            f"{', '.join(source.name for source in sources)} have {(counts > 1).sum():,} ids in common, the "
-            f"first is {values[counts > 1][0]}; expected different ids",
-            next="add --renumber, or take rows out of a data set with `split --ids`",
-        )
 
 
 def divide(

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from tactile_toolkit import catalog, mesh, read, run, store, system
+from tactile_toolkit import catalog, mesh, read, run, store
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.exchange.copies import copy_plan, unfinished_counts
@@ -84,4 +84,4 @@ def viewer_tables(folder: store.DataFolder, manifest: store.Manifest, out: Path)
         (out / path).write_bytes(content)
         return path, store.sha256_hex(content)
 
-    return dict(run.in_threads(make, manifest.shards, min(system.usable_cores(), _MAX_AT_ONCE)))
+    return dict(run.in_threads(make, manifest.shards, min(run.usable_cores(), _MAX_AT_ONCE)))

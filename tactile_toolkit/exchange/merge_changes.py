@@ -1,8 +1,8 @@
-"""Optional changes of rows by a merge: new ids for duplicates, and a column with the name of the source."""
+"""Changes of rows by a merge: new ids for duplicates, and a column with the name of the source."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import count, zip_longest
 
@@ -45,60 +45,45 @@ class RowChanges:
         return table.append_column(self.column, values).replace_schema_metadata(metadata)
 
 
-@dataclass(frozen=True)
-class Renumbering:
-    """New ids of rows whose id occurs before.
+def new_ids(
+    sources: Sequence[Sequence[read.Shard]],
+) -> tuple[dict[str, list[int | str]], dict[int, list[tuple[int | str, int | str]]]]:
+    """Find ids for rows whose id occurs before; the first row with an id keeps it.
 
-    ``ids`` has those of all rows of each shard with such rows, by the path of the shard; ``pairs`` the old
-    and the new ids of each source, by its position.
+    New ids are numbers after the largest one, or texts that end with ``_2``, ``_3`` and so on. Returns the
+    ids of all rows of each shard with such rows, by the path of the shard; and the old and the new ids of
+    each source, by its position. InputError: an id is missing, or no number is left.
     """
-
-    ids: Mapping[str, Sequence[int | str]]
-    pairs: Mapping[int, Sequence[tuple[int | str, int | str]]]
-
-
-def renumber(sources: Sequence[Sequence[read.Shard]]) -> Renumbering:
-    """Find new ids: numbers after the largest one; texts with ``_`` and the number of the source, from 1.
-
-    The first row with an id keeps it. InputError: an id is missing, or no number is left.
-    """
-    stored = [[(shard.path, _ids_of(shard)) for shard in shards] for shards in sources]
-    every = [each for shards in stored for _, ids in shards for each in ids]
-    taken, seen = set(every), set[int | str]()
-    largest = max((each for each in taken if isinstance(each, int)), default=0)
+    stored = [(index, shard.path, _ids_of(shard)) for index, shards in enumerate(sources) for shard in shards]
+    taken = {value for _, _, ids in stored for value in ids}
+    largest = max((value for value in taken if isinstance(value, int)), default=0)
     numbers = count(largest + 1)
-    changed: dict[str, Sequence[int | str]] = {}
+    known = set[int | str]()
+    changed: dict[str, list[int | str]] = {}
     pairs: dict[int, list[tuple[int | str, int | str]]] = {}
-    for position, shards in enumerate(stored):
-        for path, ids in shards:
-            made = list(ids)
-            for row, each in enumerate(ids):
-                if each in seen:
-                    free = _texts_like(each, position) if isinstance(each, str) else numbers
-                    made[row] = next(new for new in free if new not in taken)
-                    taken.add(made[row])
-                    pairs.setdefault(position, []).append((each, made[row]))
-                seen.add(made[row])
-            if made != ids:
-                changed[path] = made
-    if pairs and isinstance(every[0], int) and next(numbers) > _LARGEST_ID:
+    for index, path, ids in stored:
+        for row, old in enumerate(ids):
+            if old in known:
+                texts = (f"{old}_{number}" for number in count(2))
+                candidates = texts if isinstance(old, str) else numbers
+                ids[row] = next(value for value in candidates if value not in taken)
+                taken.add(ids[row])
+                pairs.setdefault(index, []).append((old, ids[row]))
+                changed[path] = ids
+            known.add(ids[row])
+    if next(numbers) > _LARGEST_ID:
         raise InputError(f"no number is left for new ids: the largest is {largest}")
-    return Renumbering(changed, pairs)
-
-
-def _texts_like(text: str, position: int) -> Iterator[str]:
-    return (f"{text}_{number}" for number in count(position + 1))
+    return changed, pairs
 
 
 def _ids_of(shard: read.Shard) -> list[int | str]:
     values = read.ShardedTable((shard,)).column("id")
     if values.dtype.kind in "iuf" and whole_numbers(values).all():
-        found: list[int | str] = values.astype(np.int64).tolist()
-        return found
-    found = values.tolist()
-    if not all(isinstance(each, str) for each in found):
+        values = values.astype(np.int64)
+    ids: list[int | str] = values.tolist()
+    if not all(isinstance(value, (int, str)) for value in ids):
         raise InputError(f"an id of {shard.path!r} is missing; expected an id in each row")
-    return found
+    return ids
 
 
 def source_names(names: Sequence[str]) -> list[str]:

@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from posixpath import normpath
 from typing import Any, TypeAlias
 
 import huggingface_hub
@@ -112,9 +111,7 @@ def collect(root: Path, manifest: store.Manifest) -> list[str]:
         paths = [path.relative_to(root).as_posix() for path in sorted((root / folder).rglob("*"))]
         # Names with a leading dot are unfinished files; links may lead to any file.
         found += [
-            path
-            for path in paths
-            if not store.problem_of_name(path) and not store.problem_of_place(place, path)
+            path for path in paths if not store.problem_of_name(path) and not place.problem_of_file(path)
         ]
     shards = (record.shard.data_path for record in manifest.shards)
     return list(dict.fromkeys([*found, *shards, *(manifest.files or ())]))
@@ -202,7 +199,7 @@ def prepare_upload(
         raise InputError(message, next="give the folder of a data set made by this toolkit")
     with contextlib.ExitStack() as stack:
         scratch = stack.enter_context(store.scratch_folder())
-        if not place.is_local:
+        if isinstance(place, store.FsspecFolder):
             place = local_copy(place, scratch / "copy")
         _require_sound(check(place) if check else store.verify(place, check_card=cards.check_card).findings)
         state, unasked = _asked_state(ask, repo_id, chosen.branch, dry_run=dry_run)
@@ -314,7 +311,7 @@ def _state(repo_id: str, branch: str) -> _State:
     return hub.listing(repo_id, branch if exists else MAIN_BRANCH), tags, exists
 
 
-def local_copy(folder: store.DataFolder, root: Path) -> store.DataFolder:
+def local_copy(folder: store.FsspecFolder, root: Path) -> store.DataFolder:
     """Copy all visible files of a folder to this machine.
 
     Raises IntegrityError for names that lead out of a folder, StorageError if the disk is full, and
@@ -357,12 +354,6 @@ def _files_to_send(
     others, _ = _other_files(paths, held, options.delete)
     stored = cards.with_repo_name(place.read_bytes(cards.CARD_FILE).decode(), repo_id)
     card = cards.with_head(stored, lambda head: head.update(configs=cards.configs(facts, others)))
-    there = {*paths, *others}
-    _require_sound(
-        store.Finding(path, f"is shown by {cards.CARD_FILE} and is not uploaded (only previews/ is)")
-        for path in cards.pictures_in(card)
-        if normpath(path) not in there
-    )
     rendered = {cards.CARD_FILE: card}
     if made:
         rendered[store.MANIFEST_FILE] = manifest.to_json()

@@ -1,24 +1,43 @@
-"""Items of a gallery, and the tasks that make them.
+"""Items of a gallery, the tasks that make them, and their meshes and thumbnails.
 
 The page filters by columns that rows declare as facets, and sorts by those declared as measures.
 """
 
 from __future__ import annotations
 
+import base64
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, TypeAlias
 
+import numpy as np
 import pyarrow as pa
+from PIL import Image
 
-from tactile_toolkit import catalog, places, read
-from tactile_toolkit.json_types import JsonObject
+from tactile_toolkit import catalog, mesh, pictures, places, read, touch
+from tactile_toolkit.array_types import Floating, Int64, Integers, UInt8
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.json_types import JsonDict, JsonObject, JsonValue
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.rows import Column
 from tactile_toolkit.wording import class_name
 
 SPLIT = "split"
 """Name of the facet of splits, which all galleries of rows have."""
+
+THUMBNAIL_PX = 144
+"""Longer side of a thumbnail."""
+
+STEP_MM = 0.01
+"""Grid to which vertices are rounded, a twentieth of a printed layer; coarser for meshes above 655 mm, finer
+for those below 10 mm."""
+
+_SOLIDS_PER_TASK = 16
+_MIN_STEPS = 1_000
+_MIN_STEP_MM = 1e-6
+_MAX_STEPS = np.iinfo(np.uint16).max
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,11 +83,12 @@ class RowsTask:
 
     def make(self) -> list[GalleryItem]:
         """Make the items, in order; their split and class are added to the values."""
-        names, made = self.dataset.label_names, []
+        names = self.dataset.label_names
+        made = []
         for record, known in zip(self.dataset, self.known, strict=True):
             item = self.item(record, self.split, names, known)
-            given = {SPLIT: self.split, "label": class_name(names, record.label), **item.values}
-            made.append(replace(item, values=given))
+            label = class_name(names, record.label) if record.label >= 0 else None
+            made.append(replace(item, values={**item.values, SPLIT: self.split, "label": label}))
         return made
 
 
@@ -107,21 +127,124 @@ def gallery_of_rows(
     Raises InputError for an unknown data set or split, or another kind; IntegrityError for a damaged or
     unfinished one; HubError where the repository cannot be reached or does not exist.
     """
-    among = chosen.given()
-    only = among.pop("split")
-    place = places.open_place(name).require(kind, "gallery")
-    opened = catalog.open_splits(place, only, kind.load, kind.nouns)
+    picked = pictures.ChosenRows.of(kind, name, chosen, "gallery")
     tasks: list[RowsTask] = []
-    shown: dict[str, int] = {}
-    for split, dataset, positions in catalog.choose_rows(opened.items(), **among):
-        rows = dataset[positions]
-        shown[split] = len(rows)
-        given = known(rows, split)
+    for split, rows in picked.splits.items():
+        known_values = tuple(known(rows, split))
         for start in range(0, len(rows), rows_per_task):
             part = slice(start, start + rows_per_task)
-            tasks.append(RowsTask(rows[part], split, item, tuple(given[part])))
-    heading = f"{title} · {catalog.short_name(place.name)}"
-    if place.unfinished:
-        heading = f"{heading} (unfinished, {place.unfinished})"
+            tasks.append(RowsTask(rows[part], split, item, known_values[part]))
+    shown = {split: len(rows) for split, rows in picked.splits.items()}
+    heading = picked.titled(f"{title} · {catalog.short_name(picked.place.name)}")
     of_split = Column(pa.string(), name=SPLIT, role="facet", title="Split", values=tuple(shown))
     return Gallery(kind.name, heading, (kind.noun, kind.nouns), (*columns, of_split), tuple(tasks), shown)
+
+
+def gallery_of_solids(
+    kind: DatasetKind,
+    name: places.Name | places.Place,
+    chosen: catalog.RowFilter = catalog.NO_FILTER,
+    *,
+    title: str,
+    columns: Sequence[Column],
+    facts: Callable[[Any, Any], JsonObject] = lambda _record, _known: {},
+    known: Callable[[Any, str], Sequence[object]] = lambda rows, _: [None] * len(rows),
+) -> Gallery:
+    """Plan a gallery of solids that draw themselves; as :func:`gallery_of_rows`.
+
+    ``facts`` takes a record and its entry of ``known``, and returns values of columns that are neither stored
+    nor a property of the record.
+    """
+    item = partial(_solid_item, tuple(column.name for column in columns), facts)
+    return gallery_of_rows(kind, name, chosen, title, columns, item, _SOLIDS_PER_TASK, known)
+
+
+def _solid_item(
+    shown: Sequence[str],
+    facts: Callable[[Any, Any], JsonObject],
+    record: pictures.DrawnSolid,
+    split: str,
+    label_names: Sequence[str],
+    known: object,
+) -> GalleryItem:
+    """Show a solid. IntegrityError for a stored mesh that cannot be drawn."""
+    surface = mesh.Mesh(record.vertices_m, record.faces)
+    problem = mesh.array_problem(surface)
+    if problem is not None:
+        raise IntegrityError(
+            f"the mesh of id {record.id} in split {split!r} cannot be drawn: {problem[1]}",
+            next="run `verify` and `validate` on the data set, then generate or download it again",
+        )
+    values: JsonDict = {
+        "volume_mm3": surface.volume_m3 * mesh.MM_PER_M**3,
+        "vertices": len(surface.vertices_m),
+        "faces": len(surface.faces),
+        **facts(record, known),
+    }
+    for name in shown:
+        if name not in values and (hasattr(type(record), name) or record.row.has(name)):
+            values[name] = _value(record, name)
+    content = packed_mesh(surface.vertices_m, surface.faces, record.parts, flat=record.is_faceted)
+    return GalleryItem(
+        id=str(record.id),
+        title=record.caption(label_names),
+        values=values,
+        thumbnail=thumbnail(record.cutout(THUMBNAIL_PX)),
+        content={"notes": record.notes, "mesh": content},
+    )
+
+
+def _value(record: pictures.DrawnSolid, name: str) -> JsonValue:
+    """Return a property of a record, or a stored value; None if the data set does not have it."""
+    try:
+        value: JsonValue = getattr(record, name) if hasattr(type(record), name) else record.row.value(name)
+    except InputError:
+        return None
+    return value
+
+
+def thumbnail(pixels: UInt8) -> bytes:
+    """Make a PNG thumbnail of grey levels or colours, with or without opacity: (H, W) or (H, W, 2 to 4)."""
+    picture = Image.fromarray(np.ascontiguousarray(pixels))
+    picture.thumbnail((THUMBNAIL_PX, THUMBNAIL_PX), Image.Resampling.BOX)
+    return touch.encode_png(picture)
+
+
+def packed_mesh(
+    vertices_m: Floating,
+    faces: Integers,
+    parts: Sequence[tuple[int, str]] = (),
+    *,
+    flat: bool = False,
+) -> dict[str, object]:
+    """Pack a mesh, (V, 3) in metres with z up and (F, 3), as JSON values for the viewer of the page.
+
+    ``parts`` are runs of triangles with their colour, ``"main"`` or ``"other"``; all are ``"main"`` by
+    default. ``flat`` shows sharp edges instead of smooth shading. ``vertices`` and ``faces`` become base64 of
+    zlib of four planes of bytes (lowest first) of zigzag numbers, each the difference to the number before;
+    vertices are all x, all y, all z, in steps of ``step_mm`` above ``low_mm``.
+    """
+    vertices_mm = np.asarray(vertices_m, np.float64) * mesh.MM_PER_M
+    low_mm = vertices_mm.min(axis=0)
+    extent_mm = float((vertices_mm.max(axis=0) - low_mm).max())
+    step_mm = max(min(STEP_MM, max(extent_mm / _MIN_STEPS, _MIN_STEP_MM)), extent_mm / _MAX_STEPS)
+    steps = np.round((vertices_mm - low_mm) / step_mm).astype(np.int64)
+    return {
+        "vertices": _packed(steps.T.reshape(-1)),
+        "faces": _packed(np.asarray(faces, np.int64).reshape(-1)),
+        "vertex_count": len(vertices_mm),
+        "face_count": len(faces),
+        "step_mm": step_mm,
+        "low_mm": [round(float(value), 6) for value in low_mm],
+        "parts": [list(part) for part in parts] or [[len(faces), "main"]],
+        "flat": flat,
+    }
+
+
+def _packed(numbers: Int64) -> str:
+    # Neighbours differ little, so the upper planes of bytes are nearly all zero and compress well.
+    change = np.diff(numbers, prepend=0)
+    # Small differences of either sign become small numbers (as in Protocol Buffers).
+    zigzag = ((change << 1) ^ (change >> 63)).astype("<u4")
+    planes = zigzag.view(np.uint8).reshape(-1, 4).T
+    return base64.b64encode(zlib.compress(planes.tobytes(), 6)).decode("ascii")

@@ -1,27 +1,33 @@
-"""Writing the site of a gallery: its page, and a folder of files whose name is a digest of its content.
+"""The site of a gallery: its page, and a folder of files whose name is a digest of its content.
 
 The files are written under a temporary name. The page, which names their folder, is replaced atomically, so
 it shows one gallery at any time. A folder whose name matches its content was written by a gallery; no other
 folder is ever removed.
+
+Pages opened from a file system may not fetch files, but they may load scripts. Data are therefore written as
+scripts that call a function of the page.
 """
 
 from __future__ import annotations
 
 import hashlib
+import html
+import json
 import os
 import re
 import shutil
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
+from importlib import resources
 from itertools import accumulate
 from pathlib import Path
 from typing import cast
 
-from tactile_toolkit import run, store
+from tactile_toolkit import __version__, run, store, wording
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.gallery.items import Gallery, GalleryItem, RowsTask
-from tactile_toolkit.gallery.page import ASSETS, FOLDER_MARK, THREE, asset, index_of, page, script_json
+from tactile_toolkit.rows import Column
 
 PAGE_FILE = "index.html"
 
@@ -34,6 +40,20 @@ MAX_BYTES = 2_000_000_000
 # The page in its folder of files, before the name of that folder is known.
 _TEMPLATE_FILE = "page.template"
 _FOLDER_PREFIX = "files-"
+
+# Values of a facet for items without a value, and for items with an unknown value.
+_NONE, _UNKNOWN = "none", "unknown"
+
+FOLDER_MARK = "{{files}}"
+"""Placeholder in the page for the name of the folder of its files."""
+
+_SCRIPTS = ("state.js", "filters.js", "grid.js", "viewer.js", "film.js", "dialog.js", "page.js")
+
+ASSETS = ("page.css", "theme.js", *_SCRIPTS)
+"""Own files of the page, in the folder ``assets`` next to this module."""
+
+THREE = "three.js"
+"""The library that draws meshes; its licence file states version and digest."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,3 +248,63 @@ def _former_folders(path: Path, *, overwrite: bool) -> list[Path]:
                 next="choose an empty or new folder with --out",
             )
     return former
+
+
+def asset(name: str) -> str:
+    """Read a file of the page."""
+    return (resources.files("tactile_toolkit.gallery") / "assets" / name).read_text(encoding="utf-8")
+
+
+def page(title: str) -> str:
+    """Return the page, with a placeholder for the folder of its files."""
+    scripts = "\n".join(f'<script src="{FOLDER_MARK}/assets/{name}" defer></script>' for name in _SCRIPTS)
+    filled = asset("page.html").replace("<!-- scripts -->", scripts)
+    return filled.replace("{{title}}", html.escape(title))
+
+
+def script_json(value: object) -> str:
+    """Write JSON that is safe in scripts and pages: ASCII without ``<``, ``>`` and ``&``."""
+    text = json.dumps(value, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def index_of(gallery: Gallery, items: Sequence[GalleryItem]) -> dict[str, object]:
+    """Return the columns by which the page filters and sorts, as JSON values with one entry for each item."""
+    return {
+        "kind": gallery.kind,
+        "title": gallery.title,
+        "nouns": list(gallery.nouns),
+        "version": __version__,
+        "ids": [item.id for item in items],
+        "titles": [item.title for item in items],
+        "facets": [_facet(each, items) for each in gallery.columns if each.role == "facet"],
+        "measures": [_measure(each, items) for each in gallery.columns if each.role == "measure"],
+    }
+
+
+def _facet(column: Column, items: Sequence[GalleryItem]) -> dict[str, object]:
+    rows = [_words(item.values[column.name]) if column.name in item.values else () for item in items]
+    found = {value for row in rows for value in row}
+    known = [value for value in column.values if value in found]
+    values = known + sorted(found.difference(known), key=wording.natural_key)
+    numbers = {value: number for number, value in enumerate(values)}
+    chosen = [[numbers[value] for value in row] for row in rows]
+    return {"title": column.title, "values": values, "rows": chosen}
+
+
+def _words(value: object) -> tuple[str, ...]:
+    if isinstance(value, (list, tuple)):
+        return tuple(map(str, value)) or (_NONE,)
+    return (_UNKNOWN if value is None else str(value),)
+
+
+def _measure(column: Column, items: Sequence[GalleryItem]) -> dict[str, object]:
+    values = [_rounded(item.values.get(column.name), column.decimals) for item in items]
+    return {"title": column.title, "unit": column.unit, "decimals": column.decimals, "values": values}
+
+
+def _rounded(value: float | None, decimals: int) -> float | None:
+    # NaN means "not measured" in reports; JSON has no NaN.
+    if value is None or value != value:
+        return None
+    return round(float(value), decimals or None)

@@ -244,7 +244,7 @@ class HubRepository:
 
         def fetch_one(file: store.HubFile) -> str:
             place = self._fetch_checked(file, stage, partial(count, file))
-            if folder is not None and not folder.is_local:
+            if isinstance(folder, store.FsspecFolder):
                 folder.upload(file.path, place)
                 place.unlink()
             return file.path

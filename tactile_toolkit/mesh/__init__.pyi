@@ -1,48 +1,51 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
-from .base_plate import on_base_plate as on_base_plate
+from .solid_check import (
+    array_problem as array_problem,
+    check_manifold as check_manifold,
+    ManifoldCheck as ManifoldCheck,
+    on_base_plate as on_base_plate,
+    PROBLEMS as PROBLEMS,
+    require_solid as require_solid,
+)
 from .files import (
-    FORMATS as FORMATS,
     file_content as file_content,
     file_ending as file_ending,
+    find_mesh_files as find_mesh_files,
+    FORMATS as FORMATS,
+    MeshFiles as MeshFiles,
     pack_mesh as pack_mesh,
     parse_mesh as parse_mesh,
     read_mesh as read_mesh,
-    unpack_mesh as unpack_mesh,
     unit_of_file as unit_of_file,
+    unpack_mesh as unpack_mesh,
     write_mesh as write_mesh,
 )
-from .welding import merge_equal_vertices as merge_equal_vertices
-from .mesh_folders import (
-    MeshFiles as MeshFiles,
-    find_mesh_files as find_mesh_files,
-)
 from .mesh import (
-    MM_PER_M as MM_PER_M,
-    Mesh as Mesh,
-    MeshLike as MeshLike,
     as_mesh as as_mesh,
     join_surfaces as join_surfaces,
+    merge_equal_vertices as merge_equal_vertices,
+    Mesh as Mesh,
+    MeshLike as MeshLike,
+    MM_PER_M as MM_PER_M,
 )
-from .nearness import (
+from .box_tree import (
     connected as connected,
 )
-from .print_cures import (
-    WARNINGS_PAGE as WARNINGS_PAGE,
+from .printability import (
     explained as explained,
+    inspect as inspect,
     print_advice as print_advice,
-)
-from .print_profile import (
-    PrintProfile as PrintProfile,
-)
-from .print_report import (
     PrintReport as PrintReport,
     UNREADABLE as UNREADABLE,
     WARNINGS as WARNINGS,
-    unreadable as unreadable,
+    WARNINGS_PAGE as WARNINGS_PAGE,
 )
-from .printability import (
-    inspect as inspect,
+from .mesh_options import (
+    PrintProfile as PrintProfile,
+    refuse_unit as refuse_unit,
+    require_unit as require_unit,
+    UNIT as UNIT,
 )
 from .raster import (
     MAX_PIXELS as MAX_PIXELS,
@@ -50,39 +53,25 @@ from .raster import (
     highest_values as highest_values,
     positions_in_runs as positions_in_runs,
 )
-from .mesh_columns import (
-    FACES as FACES,
-    MeshRow as MeshRow,
-    VERTICES as VERTICES,
-    mesh_metadata as mesh_metadata,
-    mesh_schema as mesh_schema,
-    require_mesh_columns as require_mesh_columns,
-)
-from .mesh_tables import (
-    MESH as MESH,
-    SIZES as SIZES,
-    flat_table as flat_table,
-)
 from .records import (
+    FACES as FACES,
+    flat_table as flat_table,
+    MESH as MESH,
+    mesh_schema as mesh_schema,
+    MeshRow as MeshRow,
     RecordStream as RecordStream,
+    require_mesh_columns as require_mesh_columns,
+    SIZES as SIZES,
     SolidDataset as SolidDataset,
     SolidRecord as SolidRecord,
+    VERTICES as VERTICES,
 )
 from .crossings import (
     self_crossing as self_crossing,
 )
-from .solid_check import (
-    PROBLEMS as PROBLEMS,
-    ManifoldCheck as ManifoldCheck,
-    array_problem as array_problem,
-    check_manifold as check_manifold,
-    require_solid as require_solid,
-)
 from .threemf import (
-    read_build as read_build,
-)
-from .threemf_writing import (
     BuildItem as BuildItem,
+    read_build as read_build,
     write_build as write_build,
 )
 from .solid_tensors import (
@@ -92,9 +81,4 @@ from .solid_tensors import (
     SolidTensors as SolidTensors,
     TARGETS as TARGETS,
     collate_meshes as collate_meshes,
-)
-from .file_units import (
-    UNIT as UNIT,
-    refuse_unit as refuse_unit,
-    require_unit as require_unit,
 )

@@ -3,30 +3,42 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from os import PathLike, fspath
 from pathlib import Path
 from typing import IO
 from xml.parsers import expat
 
 import numpy as np
 
-from tactile_toolkit import quantities, store, units
+from tactile_toolkit import store, wording
+from tactile_toolkit.columns import units
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.mesh import file_units, gltf, obj, ply, stl, threemf, threemf_writing, welding
-from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, MeshLike, Surface, as_mesh, join_surfaces
+from tactile_toolkit.mesh import gltf, mesh_options, plain_formats, threemf
+from tactile_toolkit.mesh.mesh import (
+    MM_PER_M,
+    Mesh,
+    MeshLike,
+    Surface,
+    as_mesh,
+    join_surfaces,
+    merge_equal_vertices,
+    welded,
+)
 
 FORMATS = (".stl", ".3mf", ".ply", ".obj", ".glb")
 """All are in millimetres, except GLB, which is in metres, and 3MF, which states its unit."""
 
 # Readers of formats that state no unit.
 _PLAIN: dict[str, Callable[[bytes], Surface]] = {
-    ".stl": stl.read_stl,
-    ".ply": ply.read_ply,
-    ".obj": obj.read_obj,
+    ".stl": plain_formats.read_stl,
+    ".ply": plain_formats.read_ply,
+    ".obj": plain_formats.read_obj,
 }
-
 _MAX_BYTES = 2 << 30  # an STL of 43 million triangles
 _USUAL_UNIT = "mm"  # slicers assume it, too
 
@@ -35,6 +47,14 @@ _MARKS = {b"PK\3\4": ("a zip archive", ".3mf"), b"glTF": ("binary glTF", ".glb")
 
 # Parser errors whose messages state where a file is damaged.
 _TELLING = (zipfile.BadZipFile, expat.ExpatError, json.JSONDecodeError)
+_LOG = logging.getLogger(__name__)
+_SPLITS = ("train", "test")
+
+# Formats of meshes that are not read.
+_OTHER_FORMATS = (
+    *(".gltf", ".dae", ".fbx", ".off", ".amf", ".wrl", ".x3d", ".3ds", ".blend"),
+    *(".step", ".stp", ".iges", ".igs", ".usd", ".usda", ".usdc", ".usdz"),
+)
 
 
 def read_mesh(path: str | Path, *, unit: str | None = None, below: Path | None = None) -> Mesh:
@@ -72,9 +92,9 @@ def read_mesh(path: str | Path, *, unit: str | None = None, below: Path | None =
 
 def parse_mesh(data: bytes, ending: str, unit: str | None) -> Mesh:
     """Read a mesh from the content of a file; raises as :func:`read_mesh`, without the name of the file."""
-    file_units.require_unit(unit)
+    mesh_options.require_unit(unit)
     mesh, stated = _unpacked(data, ending, unit)
-    file_units.require_likely_size(float(np.ptp(mesh.bounds_m, axis=0).max()) * MM_PER_M, unit, stated)
+    mesh_options.require_likely_size(float(np.ptp(mesh.bounds_m, axis=0).max()) * MM_PER_M, unit, stated)
     return mesh
 
 
@@ -89,9 +109,8 @@ def file_content(path: Path, below: Path | None = None) -> bytes:
     """Return the content of a mesh file; InputError, without its name, if it cannot be read."""
     try:
         if below is not None:
-            with store.open_inside(
-                store.open_folder(str(below)), path.relative_to(below).as_posix()
-            ) as stream:
+            name = path.relative_to(below).as_posix()
+            with store.open_folder(str(below)).open_inside(name) as stream:
                 return _bounded(stream)
         with store.open_regular(path) as stream:
             return _bounded(stream)
@@ -105,8 +124,7 @@ def _bounded(stream: IO[bytes]) -> bytes:
     size = stream.seek(0, os.SEEK_END)
     if size > _MAX_BYTES:
         raise InputError(
-            f"the file has {quantities.bytes_text(size)}; expected at most "
-            f"{quantities.bytes_text(_MAX_BYTES)}",
+            f"the file has {wording.bytes_text(size)}; expected at most {wording.bytes_text(_MAX_BYTES)}",
             next="reduce the number of its triangles",
         )
     stream.seek(0)
@@ -134,10 +152,10 @@ def _unpacked(data: bytes, ending: str, unit: str | None) -> tuple[Mesh, str | N
             items, notes, stated = threemf.read_build(data)
             mesh = Mesh(*join_surfaces([(item.mesh.vertices_m, item.mesh.faces) for item in items]), notes)
         elif ending == ".glb":
-            stated, mesh = "m", welding.welded(*welding.merge_equal_vertices(*gltf.read_glb(data)))
+            stated, mesh = "m", welded(*merge_equal_vertices(*gltf.read_glb(data)))
         else:
-            vertices, faces = welding.merge_equal_vertices(*_PLAIN[ending](data))
-            mesh = welding.welded(vertices / (MM_PER_M / units.MM_PER_UNIT[unit or _USUAL_UNIT]), faces)
+            vertices, faces = merge_equal_vertices(*_PLAIN[ending](data))
+            mesh = welded(vertices / (MM_PER_M / units.MM_PER_UNIT[unit or _USUAL_UNIT]), faces)
     except (InputError, MemoryError):  # more than the limit
         raise
     except Exception as error:
@@ -181,7 +199,7 @@ def pack_mesh(mesh: Mesh, ending: str, name: str = "") -> bytes:
     ``name`` is the name that slicers show, in formats that store names (3MF).
     """
     if ending == ".3mf":
-        return threemf_writing.write_build([threemf_writing.BuildItem(name, mesh)])
+        return threemf.write_build([threemf.BuildItem(name, mesh)])
     # GLB is in metres by its specification; the others state no unit, and slicers assume millimetres.
     if ending == ".glb":
         return gltf.pack_glb(np.ascontiguousarray(mesh.vertices_m, "<f4"), mesh.faces)
@@ -198,3 +216,106 @@ def file_ending(path: Path) -> str:
         found = f"files ending in {ending!r}" if ending else "files without an ending"
         raise InputError(f"{path}: {found} are not known; expected one of {', '.join(FORMATS)}")
     return ending
+
+
+@dataclass(frozen=True, slots=True)
+class MeshFiles:
+    """Mesh files, numbered in the natural order of their names (2 before 10).
+
+    Attributes
+    ----------
+    splits : dict of str to tuple of Path
+        Files of each split; of the split ``""`` if the place has none.
+    classes : dict of Path to str
+        Class of each file.
+    class_names : tuple of str
+        All classes, in order; those of several splits are numbered together.
+    root : Path or None
+        Folder in which the targets of links must be; None for a single file.
+    """
+
+    splits: dict[str, tuple[Path, ...]]
+    classes: dict[Path, str]
+    class_names: tuple[str, ...]
+    root: Path | None = None
+
+    def name_of(self, file: Path) -> str:
+        """Return the path of a file inside the folder, with slashes."""
+        if self.root is None:
+            return file.name
+        return file.relative_to(self.root).as_posix()
+
+
+def find_mesh_files(place: str | PathLike[str]) -> MeshFiles | None:
+    """List a mesh file, or a folder of them; None for a data set, or if there are none.
+
+    Sub-folders called ``train`` and ``test`` are splits. Other sub-folders are classes; a file outside
+    them is a class of its own, called by its name. InputError if there are files next to classes, or files or
+    classes next to splits.
+    """
+    root = store.expanded(fspath(place))
+    with store.readable(str(root)):
+        if not store.path_exists(root):
+            return None
+        if root.is_dir():
+            return _in_folder(root)
+    if root.suffix.lower() not in FORMATS:
+        return None
+    return MeshFiles({"": (root,)}, {root: root.stem}, (root.stem,))
+
+
+def _in_folder(root: Path) -> MeshFiles | None:
+    has_rows = any(next(root.glob(pattern), None) for pattern in ("*.parquet", "*/*.parquet"))
+    if has_rows or store.manifest_so_far(store.open_folder(str(root))) is not None:
+        return None  # a data set
+    here = _classes_of(root, besides=_SPLITS)
+    splits = {name: _classes_of(root / name) for name in _SPLITS if (root / name).is_dir()}
+    splits = {name: found for name, found in splits.items() if found}
+    if splits and here:
+        raise InputError(
+            f"{str(root)!r} holds {next(iter(here)).relative_to(root).as_posix()} next to the splits "
+            f"{' and '.join(splits)}",
+            next="put it into the folder of a split",
+        )
+    splits = splits or {"": here}
+    classes = {file: name for found in splits.values() for file, name in found.items()}
+    if not classes:
+        return None
+    names = list(dict.fromkeys(classes.values()))
+    if len(splits) > 1:
+        names.sort(key=wording.natural_key)
+    return MeshFiles({name: tuple(found) for name, found in splits.items()}, classes, tuple(names), root)
+
+
+def _classes_of(root: Path, besides: tuple[str, ...] = ()) -> dict[Path, str]:
+    """Return the class of each mesh file of a folder, in order."""
+    loose = _files_in(root)
+    folders = (each.name for each in root.iterdir() if each.is_dir() and not store.is_hidden(each.name))
+    names = sorted((name for name in folders if name not in besides), key=wording.natural_key)
+    in_folders = {file: name for name in names for file in _files_in(root / name)}
+    if loose and in_folders:
+        raise InputError(
+            f"{str(root)!r} holds mesh files ({loose[0].name}) next to folders of them "
+            f"({next(iter(in_folders.values()))})",
+            next="put each file into the folder of its class, or give a folder with only files",
+        )
+    return in_folders or {file: file.stem for file in loose}
+
+
+def _files_in(folder: Path) -> list[Path]:
+    """Return the mesh files of a folder; a warning names meshes of formats that are not read."""
+    found = list(_sorted_by_name(folder, FORMATS))
+    # A drawing may lie next to the mesh that was made from it.
+    known = {file.stem for file in found}
+    others = [each for each in _sorted_by_name(folder, _OTHER_FORMATS) if each.stem not in known]
+    if found:
+        for file in others:
+            _LOG.warning("%s: left out; expected one of %s", file, ", ".join(FORMATS))
+    return found
+
+
+def _sorted_by_name(folder: Path, endings: tuple[str, ...]) -> Iterator[Path]:
+    # Hidden files may be incomplete. In natural order, so that numbers are the same on every machine.
+    for file in sorted(folder.iterdir(), key=lambda each: wording.natural_key(each.name)):
+        if file.suffix.lower() in endings and not (store.is_hidden(file.name) or file.is_dir()):
+            yield file

@@ -1,4 +1,4 @@
-"""Typed records of stored meshes, and data sets and streams of them."""
+"""Stored meshes: their columns, typed records, and data sets and streams of them."""
 
 from __future__ import annotations
 
@@ -7,18 +7,91 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 import numpy as np
+import pyarrow as pa
 
-from tactile_toolkit import read
-from tactile_toolkit.array_types import Float32, Float64, Int32
-from tactile_toolkit.mesh.files import write_mesh
+from tactile_toolkit import read, rows
+from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int32
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonValue
+from tactile_toolkit.mesh.files import pack_mesh, write_mesh
 from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.mesh.mesh_columns import FACES, VERTICES
 
 if TYPE_CHECKING:
     import trimesh
 
+VERTICES = "mesh.vertices"
+"""Column of corner positions: ``list<float32[3]>``, metres."""
+
+FACES = "mesh.faces"
+"""Column of triangles: ``list<int32[3]>``, rows of the vertices."""
+
+# Ids and labels are checked row by row: a float may hold an integer.
+_MESH_TYPES: dict[str, read.Expected] = {
+    VERTICES: (2, (pa.types.is_floating,), "three floats per vertex"),
+    FACES: (2, (pa.types.is_integer,), "three integers per triangle"),
+}
 R = TypeVar("R", bound=read.Record)
 S = TypeVar("S", bound="SolidRecord")
+
+MESH = "mesh"
+"""Column of GLB files, in metres; `datasets` reads it as its feature ``Mesh``."""
+
+SIZES = ("size_x_m", "size_y_m", "size_z_m")
+
+
+def require_mesh_columns(schema: pa.Schema, name: str, made_by: str) -> None:
+    """Raise InputError if the data set ``name`` lacks a column of the published mesh layout.
+
+    ``made_by`` is the command that writes such data sets, for the message.
+    """
+    found = read.column_names(schema)
+    missing = [each for each in ("id", "label", VERTICES, FACES) if each not in found]
+    problem = f"column {missing[0]!r} is missing (found {', '.join(found)})" if missing else ""
+    problem = problem or read.wrong_type(read.column_types(schema), _MESH_TYPES)
+    if problem:
+        raise InputError(
+            f"{name!r} is not a data set of meshes: {problem}",
+            next=f"name a data set such as one written by `{made_by}`",
+        )
+
+
+@rows.row
+class MeshRow:
+    """A row with a mesh; row classes of each kind add their own columns after these."""
+
+    id: int = rows.column(pa.int64())
+    label: int = rows.column(pa.int64())
+    vertices_m: AnyArray = rows.column(
+        read.vectors_type(pa.float32()), "V x 3, m, frame below", "corner positions", name=VERTICES
+    )
+    faces: AnyArray = rows.column(
+        read.vectors_type(pa.int32()),
+        "F x 3",
+        "triangles: rows of the corners, counter-clockwise seen from outside",
+        name=FACES,
+    )
+
+
+def mesh_schema(
+    row_type: type[MeshRow], class_names: tuple[str, ...], without: tuple[str, ...] = ()
+) -> pa.Schema:
+    """Return the Arrow schema of rows with a mesh, except some columns; its metadata suit `datasets`."""
+    schema = pa.schema([field for field in rows.plain_schema(row_type) if field.name not in without])
+    features = {field.name: _feature(field.type) for field in schema}
+    features["label"] = read.label_feature(class_names)
+    return schema.with_metadata(read.feature_metadata(features))
+
+
+def _feature(data_type: pa.DataType) -> JsonValue:
+    """Describe a column to `datasets`, in a form that both old and new releases read."""
+    if pa.types.is_list(data_type) and pa.types.is_struct(data_type.value_type):
+        return [{field.name: _feature(field.type) for field in data_type.value_type}]
+    if pa.types.is_fixed_size_list(data_type):
+        inner = _feature(data_type.value_type)
+        return {"feature": inner, "length": data_type.list_size, "_type": "Sequence"}
+    if pa.types.is_list(data_type):
+        return {"feature": _feature(data_type.value_type), "_type": "Sequence"}
+    return {"dtype": read.dtype_name(data_type), "_type": "Value"}
 
 
 class SolidRecord(read.Record):
@@ -124,3 +197,30 @@ class RecordStream(read.RowStream[read.RowSource], Generic[R]):
         for shard, index in self.row_groups():
             for block in shard.blocks(index):
                 yield from (self._record(read.Row(block, row)) for row in range(len(block.table)))
+
+
+def flat_table(rows: read.AnyRecords) -> pa.Table:
+    """Return an Arrow table: all stored columns but the mesh, then class name, size and GLB file."""
+    stored = rows.to_hf()
+    kept = [name for name in stored.column_names if name not in (VERTICES, FACES)]
+    table = stored.select_columns(kept).with_format("arrow")[:]
+    features = stored.features.to_dict()
+    classes = dict(enumerate(rows.label_names))
+    names = [classes.get(label, str(label)) for label in rows.labels.tolist()]
+    table = table.add_column(kept.index("label") + 1, "label_name", pa.array(names, pa.string()))
+    sizes, files = [], []
+    for number, record in enumerate(rows):
+        mesh = Mesh(record.vertices_m, record.faces)
+        sizes.append(np.ptp(np.asarray(mesh.vertices_m, np.float64), axis=0))
+        # `datasets` infers the file format from the name.
+        files.append({"bytes": pack_mesh(mesh, ".glb"), "path": f"{number:05d}.glb"})
+    for name, values in zip(SIZES, np.reshape(sizes, (-1, 3)).T, strict=True):
+        table = table.append_column(name, pa.array(values, pa.float64()))
+    table = table.append_column(
+        MESH, pa.array(files, pa.struct([("bytes", pa.binary()), ("path", pa.string())]))
+    )
+    described = {
+        name: features.get(name, {"dtype": "float64", "_type": "Value"}) for name in table.column_names
+    }
+    described |= {"label_name": {"dtype": "string", "_type": "Value"}, MESH: {"_type": "Mesh"}}
+    return table.replace_schema_metadata(read.feature_metadata(described))

@@ -1,4 +1,4 @@
-"""Check whether triangles bound a solid: the status of manifold3d, and conditions beyond it.
+"""Checks whether triangles bound a solid, by manifold3d and conditions beyond it; solids on a base plate.
 
 manifold3d checks how triangles are joined. It accepts meshes that are inside out, that cross themselves or
 whose bodies overlap; these are refused here.
@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tactile_toolkit.errors import ItemError
-from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.mesh.mesh import Mesh, MeshLike, as_mesh
 from tactile_toolkit.wording import with_count
 
 if TYPE_CHECKING:
@@ -33,8 +33,16 @@ PROBLEMS = (
 """Reasons why a mesh is refused, in the order of the checks."""
 
 OVERLAP_MM3 = 1e-6
+
 FLAT_MM3 = 1e-6
 """A smaller volume, that of a cube of 10 um, may be rounding of bodies that touch, or of a flat sheet."""
+
+# The plate is wider than the solid on each side, and its corners are round.
+_MARGIN_MM, _CORNER_MM = 3.0, 2.0
+
+# The solid reaches so far into the plate that both become one body.
+_SUNK_MM = 0.2
+_SEGMENTS = 32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,7 +119,7 @@ def _overlap_problem(parts: list[Manifold]) -> tuple[str, str] | None:
     if len(parts) == 1:
         return None
     # numba takes half a second to import.
-    from tactile_toolkit.mesh.nearness import near_pairs
+    from tactile_toolkit.mesh.box_tree import near_pairs
 
     bodies = [part for part in parts if part.volume() > 0]
     cavities = [part for part in parts if part.volume() < 0]
@@ -165,3 +173,44 @@ def _edge_problem(mesh: Mesh) -> str:
     if crowded:
         return f"{crowded} edges border more than two triangles"
     return "neighbouring triangles are turned against each other"
+
+
+def on_base_plate(solid: MeshLike, base_mm: float) -> Mesh:
+    """Put the upper half of a solid on a plate with round corners, 3 mm wider than it on each side.
+
+    Digits are symmetric, so their upper half is a relief with a flat underside. All parts of the solid become
+    one body with the plate.
+
+    Parameters
+    ----------
+    solid : Mesh, record of a data set, or trimesh.Trimesh
+        In metres, z pointing away from the plate. It must bound a solid.
+    base_mm : float
+        Thickness of the plate.
+
+    Returns
+    -------
+    Mesh
+        Metres, float64, lowest point at z = 0; x and y are those of the solid.
+
+    Raises
+    ------
+    InputError
+        ``base_mm`` is not positive.
+    ItemError
+        The mesh does not bound a solid.
+    """
+    import manifold3d  # few meshes get a plate
+
+    if not base_mm > 0:
+        raise InputError(f"base_mm is {base_mm!r}; expected a thickness above 0 mm")
+    body = require_solid(as_mesh(solid)).manifold
+    left, front, low, right, back, high = body.bounding_box()
+    middle, sunk = (low + high) / 2, min(_SUNK_MM, base_mm / 2)
+    upper = body.trim_by_plane((0.0, 0.0, 1.0), middle - sunk).translate((0.0, 0.0, base_mm - middle))
+    inner = _MARGIN_MM - _CORNER_MM
+    sides = (right - left + 2 * inner, back - front + 2 * inner)
+    outline = manifold3d.CrossSection.square(sides).translate((left - inner, front - inner))
+    outline = outline.offset(_CORNER_MM, manifold3d.JoinType.Round, circular_segments=_SEGMENTS)
+    plate = manifold3d.Manifold.extrude(outline, base_mm)
+    return Mesh.from_manifold(upper + plate)

@@ -1,8 +1,8 @@
-"""Reading 3MF, the preferred format of slicers: a zip archive of XML models (3MF core specification 1.3).
+"""3MF, the preferred format of slicers: a zip archive of XML models (3MF core specification 1.3).
 
-trimesh is not used, because it skips missing objects, accepts malformed numbers and has no limits, so that a
-damaged file becomes another solid without a warning. lib3mf has no wheels for Linux on aarch64, and does not
-know the volumes of slicers.
+trimesh is not used for reading, because it skips missing objects, accepts malformed numbers and has no
+limits, so that a damaged file becomes another solid without a warning. lib3mf has no wheels for Linux on
+aarch64, and does not know the volumes of slicers.
 """
 
 from __future__ import annotations
@@ -11,28 +11,43 @@ import io
 import zipfile
 from array import array
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 from xml.parsers import expat
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from tactile_toolkit import bounds, units
+from tactile_toolkit import cache
 from tactile_toolkit.array_types import Float64
+from tactile_toolkit.columns import units
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, Surface, join_surfaces, placed
-from tactile_toolkit.mesh.text import numbers_of
-from tactile_toolkit.mesh.threemf_writing import (
-    CORE,
-    MODEL_PATH,
-    MODEL_RELATION,
-    RELATIONS_PATH,
-    SCHEMAS,
-    BuildItem,
-)
+from tactile_toolkit.mesh.plain_formats import numbers_of
 from tactile_toolkit.wording import with_count
 
+SCHEMAS = "http://schemas.microsoft.com/3dmanufacturing"
+CORE = f"{SCHEMAS}/core/2015/02"
+MODEL_PATH = "3D/3dmodel.model"
+RELATIONS_PATH = "_rels/.rels"
+MODEL_RELATION = f"{SCHEMAS}/2013/01/3dmodel"
+_CONTENT_TYPES = (
+    '<?xml version="1.0" encoding="UTF-8"?>'
+    '<Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types">'
+    '<Default Extension="rels" ContentType="application/vnd.openxmlformats-package.relationships+xml"/>'
+    '<Default Extension="model" ContentType="application/vnd.ms-package.3dmanufacturing-3dmodel+xml"/>'
+    "</Types>"
+)
+_RELATIONS = (
+    '<?xml version="1.0" encoding="UTF-8"?>'
+    '<Relationships xmlns="http://schemas.openxmlformats.org/package/2006/relationships">'
+    '<Relationship Target="/3D/3dmodel.model" Id="model" '
+    f'Type="{MODEL_RELATION}"/></Relationships>'
+)
+
+# The earliest date of a zip archive; with the time of writing, equal items would give different files.
+_EPOCH = (1980, 1, 1, 0, 0, 0)
 _UNITS = {
     "micron": "um",
     "millimeter": "mm",
@@ -43,10 +58,13 @@ _UNITS = {
 }
 _PRODUCTION = f"{SCHEMAS}/production/2015/06"
 _PATH = f"{_PRODUCTION} path"
+
 # Extensions that a file may require: paths between models, and those without shapes.
 _KNOWN = (CORE, _PRODUCTION, f"{SCHEMAS}/material/2015/02", f"{SCHEMAS}/trianglesets/2021/07")
+
 # Shapes of other extensions, which a file need not require.
 _SHAPES = ("beamlattice", "booleanshape", "displacementmesh", "levelset", "slicestack")
+
 # Slicers describe the volumes of an object: PrusaSlicer as ranges of triangles, Bambu Studio and OrcaSlicer
 # as its components.
 _VOLUMES_PATHS = ("metadata/slic3r_pe_model.config", "metadata/model_settings.config")
@@ -56,6 +74,7 @@ _NEGATIVE_VOLUMES = ("negativevolume", "negative_part")
 # A file of a few bytes can contain itself, or unpack to any size.
 _DEEPEST = 32
 _MAX_PARTS = 20_000
+
 # Upper bounds of the memory for each byte of XML and of the result, and for each element.
 _PER_BYTE, _PER_ELEMENT = 4, 160
 _PIECE_BYTES = 1 << 20
@@ -113,7 +132,7 @@ class _Package:
             raise InputError("the archive holds no .model file")
         known = [path for path in (RELATIONS_PATH, *_VOLUMES_PATHS) if path in entries]
         size = sum(entries[path].file_size for path in (*models, *known))
-        bounds.require_unpackable(_PER_BYTE * size, f"3MF file: XML of {size:,} bytes", file_bytes)
+        cache.require_unpackable(_PER_BYTE * size, f"3MF file: XML of {size:,} bytes", file_bytes)
         for path in known:
             self._read(archive, entries[path], self._begin_other)
         self._root = self._target
@@ -217,7 +236,7 @@ class _Package:
         self._tags += cost
         if self._tags % 1024 < 3:
             what = f"3MF file: XML of more than {self._tags:,} elements"
-            bounds.require_unpackable(_PER_ELEMENT * self._tags, what, self._file_bytes)
+            cache.require_unpackable(_PER_ELEMENT * self._tags, what, self._file_bytes)
 
     def _end(self, tag: str) -> None:
         if tag == f"{CORE} mesh":
@@ -264,7 +283,7 @@ class _Package:
         self._built_bytes += sum(each.nbytes for each in thing.surface or ())
         if depth > _DEEPEST or self._placed_parts > _MAX_PARTS:
             raise InputError(f"object {named[1]!r} holds itself, or more than {_MAX_PARTS:,} parts")
-        bounds.require_unpackable(
+        cache.require_unpackable(
             _PER_BYTE * self._built_bytes, "3MF file: the content of its objects", self._file_bytes
         )
         own = None
@@ -313,7 +332,54 @@ def read_build(data: bytes) -> Build:
     """
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         try:
-            bounds.require_plain_archive(archive)
+            cache.require_plain_archive(archive)
         except ValueError as error:
             raise InputError(str(error)) from error
         return _Package(archive, len(data)).build()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BuildItem:
+    """An object on the plate, with the name that slicers show.
+
+    ``offset_mm`` is where the origin of its vertices lies on the plate: x right, y back, z up.
+    """
+
+    name: str
+    mesh: Mesh
+    offset_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+def write_build(items: Sequence[BuildItem]) -> bytes:
+    """Return the bytes of a 3MF file with objects, in the order in which slicers list them."""
+    build = ""
+    for number, item in enumerate(items, 1):
+        x, y, z = (f"{value:.9g}" for value in item.offset_mm)
+        moved = f' transform="1 0 0 0 1 0 0 0 1 {x} {y} {z}"' * any(item.offset_mm)
+        build += f'<item objectid="{number}"{moved}/>'
+    resources = "".join(_object(item, number) for number, item in enumerate(items, 1))
+    model = (
+        f'<?xml version="1.0" encoding="UTF-8"?><model unit="millimeter" xml:lang="en-US" xmlns="{CORE}">'
+        f"<resources>{resources}</resources><build>{build}</build></model>"
+    )
+    files = {"[Content_Types].xml": _CONTENT_TYPES, RELATIONS_PATH: _RELATIONS, MODEL_PATH: model}
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, text in files.items():
+            archive.writestr(zipfile.ZipInfo(name, _EPOCH), text, zipfile.ZIP_DEFLATED)
+    return buffer.getvalue()
+
+
+def _object(item: BuildItem, number: int) -> str:
+    # Nine digits represent each float32 exactly, and stored meshes are float32; -0 becomes 0.
+    places = (item.mesh.vertices_mm + 0.0).tolist()
+    corners = "".join(f'<vertex x="{x:.9g}" y="{y:.9g}" z="{z:.9g}"/>' for x, y, z in places)
+    faces = item.mesh.faces.tolist()
+    triangles = "".join(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in faces)
+    name = ""
+    if item.name:
+        name = f" name={quoteattr(item.name)}"
+    return (
+        f'<object id="{number}" type="model"{name}><mesh><vertices>{corners}</vertices>'
+        f"<triangles>{triangles}</triangles></mesh></object>"
+    )

@@ -1,40 +1,40 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
-from .lettering import (
-    ACCENTS as ACCENTS,
-    PAPER as PAPER,
-    draw_text as draw_text,
-    text_size as text_size,
-)
-from .oblique_views import (
-    DrawnBody as DrawnBody,
-    OBLIQUE as OBLIQUE,
-    draw_bodies as draw_bodies,
-)
-from .picture_files import (
-    PicturePlan as PicturePlan,
-    PlannedPicture as PlannedPicture,
-    TILE_STYLE as TILE_STYLE,
+from .drawn_records import (
+    Drawn as Drawn,
     figure_html as figure_html,
-    file_stem as file_stem,
-    plan_kinds as plan_kinds,
+    grid_html as grid_html,
     png_bytes as png_bytes,
-    write_pictures as write_pictures,
 )
 from .previews import (
-    MeshPreviews as MeshPreviews,
-    draw_by_class as draw_by_class,
-)
-from .relief_views import (
-    box_downsample as box_downsample,
-    relief as relief,
-    relief_of as relief_of,
-    relief_tile_html as relief_tile_html,
+    ChosenRows as ChosenRows,
+    PicturePlan as PicturePlan,
+    PlannedPicture as PlannedPicture,
+    file_stem as file_stem,
+    plan_kinds as plan_kinds,
+    plan_sheets as plan_sheets,
+    write_pictures as write_pictures,
 )
 from .sheets import (
+    ACCENTS as ACCENTS,
+    INK as INK,
+    PAPER as PAPER,
     Tile as Tile,
     bar_length_mm as bar_length_mm,
-    in_rows as in_rows,
+    draw_text as draw_text,
+    fitted as fitted,
     sheet as sheet,
+    text_size as text_size,
     with_scale_bar as with_scale_bar,
+)
+from .solid_views import (
+    DrawnBody as DrawnBody,
+    DrawnSolid as DrawnSolid,
+    OBLIQUE as OBLIQUE,
+    View as View,
+    box_downsample as box_downsample,
+    draw_bodies as draw_bodies,
+    relief as relief,
+    size_text as size_text,
+    solid_sheet as solid_sheet,
 )

@@ -1,65 +1,172 @@
-"""Previews of data sets of meshes: sheets of chosen rows, class by class."""
+"""Previews in files: pictures of chosen rows, planned first, then drawn one by one."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
-from typing import Generic, TypeVar
+from typing import Any
 
 import numpy as np
 
-from tactile_toolkit import catalog, places, read
+from tactile_toolkit import catalog, places, store
 from tactile_toolkit.array_types import UInt8
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.pictures.picture_files import PlannedPicture, file_stem
-from tactile_toolkit.pictures.sheets import Tile, bar_length_mm, in_rows, sheet, with_scale_bar
+from tactile_toolkit.pictures.drawn_records import png_bytes
+from tactile_toolkit.pictures.solid_views import solid_sheet
 from tactile_toolkit.wording import with_count
 
-D = TypeVar("D", bound=read.AnyRecords)
+_TILE_PX = 140  # of the largest object of a sheet
 
 
-class MeshPreviews(Generic[D]):
-    """A data set to draw: its splits with the chosen rows, and its specification.
+@dataclass(frozen=True, slots=True)
+class PlannedPicture:
+    """A picture that is not drawn yet: its file name (``.png``) and a short description."""
 
-    Raises InputError if a split or id does not exist, a split is empty, or the data have another kind.
+    name: str
+    what: str
+    draw: Callable[[], UInt8]
+
+
+@dataclass(frozen=True, slots=True)
+class PicturePlan:
+    """The pictures to draw, in order, and why some kinds are left out."""
+
+    pictures: tuple[PlannedPicture, ...]
+    left_out: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenPicture:
+    """A picture on disk: name and description as planned, size in pixels and bytes."""
+
+    file: str
+    what: str
+    width: int
+    height: int
+    bytes: int
+
+
+def plan_kinds(
+    asked: Sequence[str], plans: Mapping[str, Callable[[], Sequence[PlannedPicture]]]
+) -> PicturePlan:
+    """Plan the pictures of each requested kind, or of the first one.
+
+    ``"all"`` stands for all kinds. Kinds that cannot be drawn are left out with the reason, unless they were
+    named. Raises InputError for an unknown kind, for a named kind that cannot be drawn, and where no kind can
+    be drawn.
     """
+    unknown = [kind for kind in asked if kind not in (*plans, "all")]
+    if unknown:
+        raise InputError(f"no pictures of kind {unknown[0]!r}; expected {', '.join(plans)} or all")
+    named = bool(asked) and "all" not in asked
+    wanted = plans if "all" in asked else asked or next(iter(plans))
+    pictures: list[PlannedPicture] = []
+    reasons: list[InputError] = []
+    for kind in filter(wanted.__contains__, plans):
+        try:
+            pictures += plans[kind]()
+        except InputError as error:
+            if named:
+                raise
+            reasons.append(error)
+    if not pictures and reasons:
+        raise reasons[0]
+    # Several kinds may need the same missing package.
+    return PicturePlan(tuple(pictures), tuple(dict.fromkeys(str(reason) for reason in reasons)))
 
-    def __init__(
-        self, kind: DatasetKind, name: places.Name | places.Place, spec: catalog.PreviewSpec
-    ) -> None:
-        place = places.open_place(name).require(kind, "preview")
-        self.name, self.item_noun, self.stem = place.name, kind.nouns, file_stem(place.name)
-        self.unfinished = place.unfinished
-        among = spec.given()
-        datasets: dict[str, D] = catalog.open_splits(place, among.pop("split"), kind.load, kind.nouns)
-        if spec.ids:
-            among["per_class"] = None
-        self.chosen = catalog.choose_rows(datasets.items(), **among)
-        self.made_by = place.made_by
 
-    def plan_sheets(self, draw: Callable[[D, str], UInt8]) -> list[PlannedPicture]:
-        """Plan a sheet for each split; ``draw`` takes the rows, sorted by class, and the heading."""
+def write_pictures(
+    folder: store.DataFolder,
+    pictures: Sequence[PlannedPicture],
+    on_progress: Callable[[int, int], None] = lambda _done, _all: None,
+) -> list[WrittenPicture]:
+    """Draw and write pictures; existing ones of the same name are replaced.
+
+    Each is written completely or not at all. If one fails, those before it are kept.
+    """
+    written = []
+    for done, planned in enumerate(pictures, start=1):
+        pixels = planned.draw()
+        content = png_bytes(pixels)
+        folder.write_bytes(planned.name, content)
+        height, width = pixels.shape[:2]
+        written.append(WrittenPicture(planned.name, planned.what, width, height, len(content)))
+        on_progress(done, len(pictures))
+    return written
+
+
+def file_stem(name: str) -> str:
+    """Return the beginning of the names of pictures of a data set: the last part of its path, made safe."""
+    path = store.expanded(name)
+    last = path.name
+    if path.is_dir():
+        last = path.resolve().name
+    elif path.is_file():
+        last = path.stem
+    plain = "".join(letter if letter.isalnum() or letter in "-_." else "-" for letter in last)
+    # A leading dot would hide the file, and a leading dash make it an option.
+    return plain.strip("-.") or "pictures"
+
+
+@dataclass(frozen=True)
+class ChosenRows:
+    """Rows of a data set to draw, by split."""
+
+    place: places.Place
+    kind: DatasetKind
+    splits: Mapping[str, Any]  # data sets, which hold the chosen rows only
+
+    @classmethod
+    def of(
+        cls, kind: DatasetKind, name: places.Name | places.Place, chosen: catalog.RowFilter, command: str
+    ) -> ChosenRows:
+        """Open a data set for a command and choose rows.
+
+        Raises InputError if the data set, a split or an id does not exist, a split is empty, or the data have
+        another kind; IntegrityError for a damaged or unfinished one.
+        """
+        place = places.open_place(name).require(kind, command)
+        among = chosen.given()
+        if isinstance(chosen, catalog.PreviewSpec) and chosen.ids:
+            among["per_class"] = None  # it has a default, which must not hide ids that were asked for
+        datasets: dict[str, Any] = catalog.open_splits(place, among.pop("split"), kind.load, kind.nouns)
+        picked = catalog.choose_rows(datasets.items(), **among)
+        return cls(place, kind, {split: dataset[rows] for split, dataset, rows in picked})
+
+    @property
+    def stem(self) -> str:
+        """Beginning of the names of pictures."""
+        return file_stem(self.place.name)
+
+    def titled(self, title: str) -> str:
+        """Return a title, with a note about unfinished data."""
+        if not self.place.unfinished:
+            return title
+        return f"{title} (unfinished, {self.place.unfinished})"
+
+    def plan_sheets(self, per_row: int) -> list[PlannedPicture]:
+        """Plan a sheet of solids for each split, its rows sorted by class."""
         planned = []
-        for split, dataset, found in self.chosen:
-            rows = dataset[found[np.argsort(dataset.labels[found], kind="stable")]]
+        for split, dataset in self.splits.items():
+            rows = dataset[np.argsort(dataset.labels, kind="stable")]
             if len(rows):
-                what = f"{with_count(len(rows), self.item_noun)} of {split} from above"
-                heading = f"{self.stem}: {split}"
-                if self.unfinished:
-                    heading = f"{heading} (unfinished, {self.unfinished})"
-                drawing = partial(draw, rows, heading)
-                planned.append(PlannedPicture(f"{self.stem}-{split}-sheet.png", what, drawing))
+                draw = partial(
+                    _draw_rows, rows, per_row, self.titled(f"{self.stem}: {split}"), self.kind.nouns
+                )
+                what = f"{with_count(len(rows), self.kind.nouns)} of {split} from above"
+                planned.append(PlannedPicture(f"{self.stem}-{split}-sheet.png", what, draw))
         return planned
 
 
-def draw_by_class(
-    tiles: Sequence[tuple[str, Tile]], per_row: int, title: str, words: str, px_per_mm: float
-) -> UInt8:
-    """Draw pictures at one scale, each given with its class, in one or more rows for each class."""
-    groups: dict[str, list[Tile]] = {}
-    for name, tile in tiles:
-        groups.setdefault(name, []).append(tile)
-    columns, cells, row_labels = in_rows(list(groups.items()), per_row)
-    drawn = sheet(cells, columns, title, (words,), row_labels, gap_px=12, bar_room=True)
-    widest = max(tile.pixels.shape[1] for _, tile in tiles)
-    return with_scale_bar(drawn, px_per_mm, bar_length_mm(4 * widest, px_per_mm))
+def _draw_rows(rows: Any, per_row: int, title: str, nouns: str) -> UInt8:
+    return solid_sheet(list(rows), _TILE_PX, per_row, title, rows.label_names, nouns)
+
+
+def plan_sheets(
+    kind: DatasetKind, name: places.Name | places.Place, spec: catalog.PreviewSpec
+) -> PicturePlan:
+    """Plan sheets of solids of a data set; nothing is drawn yet. Raises as :meth:`ChosenRows.of`."""
+    rows = ChosenRows.of(kind, name, spec, "preview")
+    return plan_kinds(spec.kinds, {"sheet": partial(rows.plan_sheets, spec.per_class)})

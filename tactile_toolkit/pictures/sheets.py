@@ -1,156 +1,201 @@
-"""Sheets of pictures, with text and scale bars."""
+"""Sheets of pictures, their text and scale bars, with equal pixels on all machines."""
 
 from __future__ import annotations
 
+import io
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from itertools import groupby
+from typing import TypeAlias
 
 import numpy as np
-from PIL import Image, ImageDraw, ImageOps
+from PIL import Image, ImageDraw, ImageFont, ImageOps
 
+from tactile_toolkit import touch
 from tactile_toolkit.array_types import UInt8
-from tactile_toolkit.pictures.lettering import (
-    CAPTION_PX,
-    INK,
-    MUTED,
-    PAPER,
-    TEXT_PX,
-    TITLE_PX,
-    Colour,
-    draw_text,
-    text_size,
-)
 
+Colour: TypeAlias = tuple[int, int, int]
+
+INK: Colour = (32, 36, 42)
+MUTED: Colour = (98, 106, 116)
+PAPER: Colour = (255, 255, 255)
+ACCENTS: tuple[Colour, ...] = (
+    (0, 114, 178),
+    (230, 159, 0),
+    (0, 158, 115),
+    (213, 94, 0),
+    (204, 121, 167),
+    (86, 180, 233),
+)
+"""Colours that people with any kind of colour vision distinguish (Okabe and Ito 2008)."""
+
+_TITLE_PX, _TEXT_PX, _CAPTION_PX = 20, 14, 12
 _LINE_GAP_PX = 4
+_LABEL_GAP_PX = 12
 _FRAME_PX = 3
 _BAR_PX = 5
 _HALO_PX = 2
 _NICE_LENGTHS_MM = tuple(base * 10.0**power for power in range(-3, 4) for base in (1, 2, 5))
 
+# Shipped with its licence. It has Latin, Greek, Cyrillic, Arabic and symbols; other characters become its box
+# for missing glyphs.
+_FONT_FILE = "DejaVuSans.ttf"
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tile:
-    """A picture on a sheet, (H, W) or (H, W, 3), with a caption below and a frame."""
+    """A picture on a sheet, (H, W) or (H, W, 3), with a caption below and a frame.
+
+    Tiles of one group follow one another; its name is left of its first row.
+    """
 
     pixels: UInt8
     caption: str = ""
     frame: Colour | None = None
+    group: str = ""
 
 
 def sheet(
-    tiles: Sequence[Tile | None],
+    tiles: Sequence[Tile],
     columns: int,
     title: str = "",
     lines: Sequence[str] = (),
-    row_labels: Sequence[str] = (),
     *,
+    px_per_mm: float | None = None,
     gap_px: int = 8,
     margin_px: int = 16,
-    bar_room: bool = False,
 ) -> UInt8:
-    """Arrange pictures row by row in cells of equal size, each centred in its cell; None is an empty cell.
+    """Arrange pictures row by row in cells of equal size, each centred in its cell.
 
-    Title and lines are above them, labels left of each row; ``bar_room`` leaves room for a scale bar below.
-    Returns colours of shape (H, W, 3).
+    Title and lines are above them. Each group starts a row of at most ``columns`` pictures. ``px_per_mm``
+    adds a scale bar below. Returns colours of shape (H, W, 3).
     """
-    columns = min(columns, max(len(tiles), 1))
-    rows = -(-len(tiles) // columns)
-    shown = [tile for tile in tiles if tile is not None]
+    cells, labels, columns = _in_rows(tiles, columns)
     frame_px = 0
-    if any(tile.frame for tile in shown):
+    if any(tile.frame for tile in tiles):
         frame_px = 2 * _FRAME_PX
-    cell_height = max((tile.pixels.shape[0] for tile in shown), default=1) + frame_px
-    cell_width = max((tile.pixels.shape[1] for tile in shown), default=1) + frame_px
+    cell_height = max((tile.pixels.shape[0] for tile in tiles), default=1) + frame_px
+    cell_width = max((tile.pixels.shape[1] for tile in tiles), default=1) + frame_px
     row_step = cell_height + gap_px
-    if any(tile.caption for tile in shown):
-        row_step += _line_px(CAPTION_PX)
-    label_px = max((round(text_size(label, TEXT_PX)[0]) for label in row_labels), default=0)
-    head_px = _line_px(TEXT_PX) * len(lines)
-    if title:
-        head_px += _line_px(TITLE_PX)
+    if any(tile.caption for tile in tiles):
+        row_step += _line_px(_CAPTION_PX)
+    label_px = max((round(text_size(label, _TEXT_PX)[0]) for label in labels), default=0)
+    heading = [(title, _TITLE_PX, INK)] * bool(title) + [(line, _TEXT_PX, MUTED) for line in lines]
     left_px = top_px = margin_px
     if label_px:
-        left_px += label_px + gap_px + 4
-    if head_px:
-        top_px += head_px + gap_px
-    words_px = max([text_size(line, TEXT_PX)[0] for line in lines] + [text_size(title, TITLE_PX)[0]])
-    width = max(left_px + columns * (cell_width + gap_px) - gap_px, round(words_px) + margin_px) + margin_px
-    height = top_px + rows * row_step - gap_px + margin_px
-    if bar_room:
-        height += gap_px + _line_px(TEXT_PX)
+        left_px += label_px + _LABEL_GAP_PX
+    if heading:
+        top_px += sum(_line_px(size_px) for _, size_px, _ in heading) + gap_px
+    words_px = max((round(text_size(text, size_px)[0]) for text, size_px, _ in heading), default=0)
+    width = max(left_px + columns * (cell_width + gap_px) - gap_px, words_px + margin_px) + margin_px
+    height = top_px + len(labels) * row_step - gap_px + margin_px
+    if px_per_mm is not None:
+        height += gap_px + _line_px(_TEXT_PX)
     picture = Image.new("RGB", (width, height), PAPER)
     pen = ImageDraw.Draw(picture)
-    _draw_heading(pen, title, lines, margin_px)
-    for row, label in enumerate(row_labels):
-        middle = (left_px - gap_px - 4, top_px + row * row_step + cell_height // 2)
-        draw_text(pen, middle, label, TEXT_PX, anchor="rm")
-    for index, tile in enumerate(tiles):
-        if tile is None:
-            continue
-        row, column = divmod(index, columns)
-        cell_x, cell_y = left_px + column * (cell_width + gap_px), top_px + row * row_step
-        image = _framed(tile)
-        x, y = cell_x + (cell_width - image.width) // 2, cell_y + (cell_height - image.height) // 2
-        picture.paste(image, (x, y))
-        below = (cell_x + cell_width / 2, cell_y + cell_height + _LINE_GAP_PX)
-        draw_text(pen, below, tile.caption, CAPTION_PX, MUTED, anchor="ma")
-    return np.asarray(picture)
-
-
-def _draw_heading(pen: ImageDraw.ImageDraw, title: str, lines: Sequence[str], margin_px: int) -> None:
     y_px = margin_px
-    if title:
-        draw_text(pen, (margin_px, y_px), title, TITLE_PX)
-        y_px += _line_px(TITLE_PX)
-    for line in lines:
-        draw_text(pen, (margin_px, y_px), line, TEXT_PX, MUTED)
-        y_px += _line_px(TEXT_PX)
+    for text, size_px, colour in heading:
+        draw_text(pen, (margin_px, y_px), text, size_px, colour)
+        y_px += _line_px(size_px)
+    for row, label in enumerate(labels):
+        middle = (left_px - _LABEL_GAP_PX, top_px + row * row_step + cell_height // 2)
+        draw_text(pen, middle, label, _TEXT_PX, anchor="rm")
+    for tile, row, column in cells:
+        image = Image.fromarray(tile.pixels).convert("RGB")
+        if tile.frame is not None:
+            image = ImageOps.expand(image, _FRAME_PX, tile.frame)
+        x, y = left_px + column * (cell_width + gap_px), top_px + row * row_step
+        picture.paste(image, (x + (cell_width - image.width) // 2, y + (cell_height - image.height) // 2))
+        below = (x + cell_width / 2, y + cell_height + _LINE_GAP_PX)
+        draw_text(pen, below, tile.caption, _CAPTION_PX, MUTED, anchor="ma")
+    if px_per_mm is None:
+        return np.asarray(picture)
+    length_mm = bar_length_mm(min(cell_width, width // 4), px_per_mm)  # not longer than a tile
+    return with_scale_bar(np.asarray(picture), px_per_mm, length_mm)
 
 
-def _framed(tile: Tile) -> Image.Image:
-    """Return the picture of a tile with its frame."""
-    image = Image.fromarray(tile.pixels).convert("RGB")
-    if tile.frame is not None:
-        image = ImageOps.expand(image, _FRAME_PX, tile.frame)
-    return image
+def _in_rows(tiles: Sequence[Tile], most: int) -> tuple[list[tuple[Tile, int, int]], list[str], int]:
+    """Return the tiles with their row and column, the label of each row, and the number of columns."""
+    cells: list[tuple[Tile, int, int]] = []
+    labels: list[str] = []
+    for name, members in groupby(tiles, key=lambda tile: tile.group):
+        for number, tile in enumerate(members):
+            if number % most == 0:
+                labels.append("" if number else name)
+            cells.append((tile, len(labels) - 1, number % most))
+    columns = max((column + 1 for _, _, column in cells), default=1)
+    return cells, labels or [""], columns
 
 
 def _line_px(size_px: int) -> int:
     return text_size("", size_px)[1] + _LINE_GAP_PX
 
 
-def in_rows(
-    groups: Sequence[tuple[str, Sequence[Tile]]], most: int
-) -> tuple[int, list[Tile | None], tuple[str, ...]]:
-    """Arrange named groups in rows of at most ``most`` pictures; each group starts a row.
-
-    Returns the number of columns, the tiles for :func:`sheet`, and a label for each row: the name of the
-    group at its first row.
-    """
-    columns = min(most, max(len(tiles) for _, tiles in groups))
-    cells: list[Tile | None] = []
-    labels: list[str] = []
-    for name, tiles in groups:
-        cells += [*tiles, *[None] * (-len(tiles) % columns)]
-        labels += [name, *[""] * (len(cells) // columns - len(labels) - 1)]
-    return columns, cells, tuple(labels)
+def fitted(pixels: UInt8, width_px: float) -> UInt8:
+    """Return an image, (H, W, 3), at another width, its proportions kept."""
+    width = max(1, round(width_px))
+    return touch.resized(pixels, width, max(1, round(width * pixels.shape[0] / pixels.shape[1])))
 
 
-def bar_length_mm(width_px: int, px_per_mm: float) -> float:
-    """Return the largest round length of at most a quarter of the width of a picture."""
-    fitting = (mm for mm in _NICE_LENGTHS_MM if mm * px_per_mm <= width_px / 4)
+def bar_length_mm(most_px: float, px_per_mm: float) -> float:
+    """Return the largest round length of at most this many pixels."""
+    fitting = (mm for mm in _NICE_LENGTHS_MM if mm * px_per_mm <= most_px)
     return max(fitting, default=_NICE_LENGTHS_MM[0])
 
 
 def with_scale_bar(pixels: UInt8, px_per_mm: float, length_mm: float | None = None) -> UInt8:
-    """Add a scale bar to a picture, (H, W, 3), in its lower left corner; of a fitting length by default."""
+    """Add a scale bar to a picture, (H, W, 3), in its lower left corner.
+
+    It is at most a quarter of the width by default.
+    """
     picture = Image.fromarray(pixels).convert("RGB")
-    length_mm = length_mm or bar_length_mm(picture.width, px_per_mm)
+    length_mm = length_mm or bar_length_mm(picture.width // 4, px_per_mm)
     pen = ImageDraw.Draw(picture)
     left, top = 10, picture.height - 10 - _BAR_PX
     right, bottom = left + max(1, round(length_mm * px_per_mm)) - 1, top + _BAR_PX - 1
     # A halo keeps the bar readable on any background.
     pen.rectangle((left - _HALO_PX, top - _HALO_PX, right + _HALO_PX, bottom + _HALO_PX), fill=PAPER)
     pen.rectangle((left, top, right, bottom), fill=INK)
-    draw_text(pen, (left, top - 6), f"{length_mm:g} mm", CAPTION_PX, anchor="ls", halo_px=_HALO_PX)
+    draw_text(pen, (left, top - 6), f"{length_mm:g} mm", _CAPTION_PX, anchor="ls", halo_px=_HALO_PX)
     return np.asarray(picture)
+
+
+def draw_text(
+    pen: ImageDraw.ImageDraw,
+    at_px: tuple[float, float],
+    text: str,
+    size_px: int,
+    colour: Colour = INK,
+    anchor: str = "la",
+    halo_px: int = 0,
+) -> None:
+    """Write a line at a column and row; ``anchor`` is an anchor of Pillow.
+
+    ``halo_px`` is the width of an outline in the colour of the paper.
+    """
+    text, font = _one_line(text), _font(size_px)
+    if halo_px:
+        pen.text(at_px, text, PAPER, font, anchor, stroke_width=halo_px, stroke_fill=PAPER)
+    pen.text(at_px, text, colour, font, anchor)
+
+
+def text_size(text: str, size_px: int) -> tuple[float, int]:
+    """Return the width and height of a line, pixels."""
+    return _font(size_px).getlength(_one_line(text)), round(size_px * 1.3)
+
+
+def _one_line(text: str) -> str:
+    # Pillow places letters one by one, so accents must be composed. It breaks lines at control characters,
+    # and fails on lone surrogates, which file names that are not UTF-8 have.
+    joined = unicodedata.normalize("NFC", text)
+    return "".join(letter if letter.isprintable() else "?" for letter in joined)
+
+
+@cache
+def _font(size_px: int) -> ImageFont.FreeTypeFont:
+    content = resources.files("tactile_toolkit.pictures").joinpath(_FONT_FILE).read_bytes()
+    # Basic layout, because the other one needs libraqm and spaces letters differently.
+    return ImageFont.truetype(io.BytesIO(content), size_px, layout_engine=ImageFont.Layout.BASIC)

@@ -26,7 +26,7 @@ _FILLS = (
 _FINER = 2
 _LONGER_SIDE_PX, _LONGEST_SIDE_PX, _MIN_PX_PER_MM = 2_400, 8_000, 8.0
 _EDGE_PX, _TITLE_PX, _NUMBER_PX, _WORD_PX, _LINE_PX = 120, 40, 30, 24, 30
-_LINES_TO_A_BAR = 3  # grid lines along the length of a scale bar
+_LINES = 12  # least number of grid lines across the longer side
 
 
 def draw_map(layout: PlateLayout, number: int) -> bytes:
@@ -46,7 +46,7 @@ def draw_map(layout: PlateLayout, number: int) -> bytes:
     sheet_px = max(width_px, round(pictures.text_size(title, _TITLE_PX)[0])) + 2 * _EDGE_PX
     picture = Image.new("RGB", (sheet_px, depth_px + 2 * _EDGE_PX), pictures.PAPER)
     chart = _Chart(ImageDraw.Draw(picture), scale, depth_px)
-    _draw_plate(chart, spec, pictures.bar_length_mm(round(longer_px / _LINES_TO_A_BAR), scale))
+    _draw_plate(chart, spec, pictures.bar_length_mm(longer_px / _LINES, scale))
     for placed in plate:
         _draw_object(chart, placed, _FILLS[labels.index(placed.item.label) % len(_FILLS)])
     missing = len(plate) - _draw_words(chart, plate, ids)

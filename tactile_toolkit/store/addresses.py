@@ -1,53 +1,111 @@
-"""Places as users write them: local paths, and addresses of stores."""
+"""Folders as users name them: local paths, and addresses of stores."""
 
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
+from tactile_toolkit import run
 from tactile_toolkit.errors import InputError, require_public
+from tactile_toolkit.store.folder import DataFolder, LocalFolder
+from tactile_toolkit.store.remote import FsspecFolder
 
-_SCHEME = re.compile(r"(?P<scheme>[A-Za-z][A-Za-z0-9+.-]*)://(?P<rest>.*)", re.DOTALL)
+_SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://")
 _LOST_SLASH = re.compile(r"(?:s3a?|gs|gcs|hf|abfs|az):/(?!/)")
-_LOCAL_SCHEMES = ("file", "local")
+_OTHER_NAMES = {"s3a": "s3", "gcs": "gs", "file": "", "local": ""}
 _WEB_SCHEMES = ("http", "https")
-_OTHER_NAMES = {"s3a": "s3", "gcs": "gs"}
 
 
-def scheme_of(place: str) -> str:
+def scheme_of(address: str) -> str:
     """Return the scheme of an address, such as ``s3``; empty for a local path or a ``file://`` address."""
-    match = _SCHEME.fullmatch(place)
-    if match is None or match["scheme"].lower() in _LOCAL_SCHEMES:
-        return ""
-    scheme = match["scheme"].lower()
+    match = _SCHEME.match(address)
+    scheme = match[1].lower() if match else ""
     return _OTHER_NAMES.get(scheme, scheme)
 
 
-def is_remote(place: str) -> bool:
-    """Return whether a place is not on a local file system."""
-    return bool(scheme_of(place))
+def is_remote(address: str) -> bool:
+    """Return whether an address is not that of a local file system."""
+    return bool(scheme_of(address))
 
 
-def normalize_uri(place: str) -> str:
+def normalize_uri(address: str) -> str:
     """Return a local path without ``file://``, or an address in canonical form, without a trailing slash.
 
     Raises InputError for an address that names no bucket, is of the web, or may hold a key or a signature.
     """
-    require_public(place)
-    match, scheme = _SCHEME.fullmatch(place), scheme_of(place)
-    if match is None and not _LOST_SLASH.match(place):
-        return place
-    rest = ""
-    if match:
-        rest = match["rest"].rstrip("/")
-    if match and not scheme and match["rest"].startswith("/"):
-        return rest or "/"
+    if ":/" not in address:  # a path, as most are
+        return address
+    require_public(address)
+    match = _SCHEME.match(address)
+    if match is None and not _LOST_SLASH.match(address):
+        return address
+    scheme = scheme_of(address)
+    rest = address.partition("://")[2]
+    if match and not scheme and rest.startswith("/"):
+        return rest.rstrip("/") or "/"
+    rest = rest.rstrip("/")
     bucket, *parts = rest.split("/")
     is_plain = rest.isprintable() and not {".", ".."} & {bucket, *parts}
     if not scheme or not bucket or scheme in _WEB_SCHEMES or not is_plain:
         raise InputError(
-            f"{place!r} is not the address of a data set; expected a folder, file:///FOLDER, "
+            f"{address!r} is not the address of a data set; expected a folder, file:///FOLDER, "
             "s3://BUCKET/FOLDER or the like, of names without '.', '..' and control characters, "
             "and not of the web",
             next="write it so, as text (pathlib.Path drops a slash; a local folder of that name is ./NAME)",
         )
     return f"{scheme}://{rest}"
+
+
+def expanded(path: str | Path, what: str = "path") -> Path:
+    """Return a local path in which a leading ``~`` is expanded; InputError if no home folder is known.
+
+    An address that may contain a key is an InputError, too. For ``./~``, a folder that is called ``~``, the
+    absolute path is returned: pathlib drops the ``./``, and a second expansion would give the home folder.
+    """
+    text, local = str(path), Path(path)
+    if ":/" in text:
+        require_public(text)
+    if not str(local).startswith("~"):
+        return local
+    if not text.startswith("~"):
+        return local.absolute()
+    try:
+        return local.expanduser()
+    except RuntimeError as error:
+        raise InputError(
+            f"{what} {text!r}: no home folder is known ({error})", next="write the path in full"
+        ) from error
+
+
+def open_folder(address: str) -> DataFolder:
+    """Return the data set folder at a path or any fsspec address; it need not exist.
+
+    Raises InputError for a web address, and for one that names no bucket or may hold a key.
+    """
+    normalized = normalize_uri(address)
+    if is_remote(address):
+        return FsspecFolder(normalized)
+    path = expanded(normalized)
+    if not path.is_absolute():  # only then is the working folder needed, which may have been deleted
+        path = run.working_folder() / path
+    return LocalFolder(str(path))
+
+
+def split_uri(address: str) -> tuple[DataFolder, str]:
+    """Return the folder of a file, local or at an address, and its name in it."""
+    normalized = normalize_uri(address)
+    if is_remote(address):
+        parent, _, name = normalized.rpartition("/")
+        return open_folder(parent), name
+    path = Path(normalized)
+    return open_folder(str(path.parent)), path.name
+
+
+def local_folder_path(address: str) -> Path:
+    """Return the path of a folder, which need not exist; InputError if it is a file or not local."""
+    folder = open_folder(address)
+    path = Path(folder.root)
+    if folder.is_local and not path.is_file():
+        return path
+    problem = "is a file; expected a folder" if folder.is_local else "is not a local folder"
+    raise InputError(f"{address!r} {problem}; nothing was changed", next="give a local folder as --out")

@@ -1,4 +1,7 @@
-"""Single local files: written completely or not at all; and plain-language messages for OS errors."""
+"""Names of files, and single local files: written completely or not at all, with plain-language errors.
+
+A name from outside decides what is read, overwritten or deleted.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +11,15 @@ import os
 import re
 import stat
 import tempfile
+import unicodedata
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from functools import lru_cache
 from pathlib import Path
 from typing import IO, TypeVar
 
-from tactile_toolkit.errors import InputError, IntegrityError, StorageError, require_public
+from tactile_toolkit.errors import InputError, IntegrityError, StorageError
+from tactile_toolkit.wording import shortened
 
 TEMPORARY_PREFIX = ".writing-"
 DRAFT = re.escape(TEMPORARY_PREFIX) + "[0-9a-f]{32}-"
@@ -25,7 +31,95 @@ _TRIES = 10
 _BUFFER_BYTES = 1 << 13
 # Flags to open a file for flushing: Windows flushes only files that are open for writing.
 _FLUSHABLE = {"nt": os.O_RDWR}.get(os.name, os.O_RDONLY)
-_OF_THE_PROCESS = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EINTR)
+_RESOURCE_ERRNOS = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EINTR)
+
+_LONGEST_BYTES = 1024
+# File systems take 255 bytes; while a file is written, its name has a prefix.
+_LONGEST_PART_BYTES = 150
+_DEVICE = r"(?:con|prn|aux|nul|conin\$|conout\$|(?:com|lpt)[0-9¹²³])\s*(?:[.:/]|\Z)"
+_SHOWN = 80
+_STEPS = frozenset({".", ".."})
+# Files that systems leave in folders and archives, in lower case; names with a leading dot are hidden anyway.
+_LEFT_BY_SYSTEMS = frozenset(
+    {
+        "__macosx",
+        "@eadir",
+        "#recycle",
+        "$recycle.bin",
+        "system volume information",
+        "thumbs.db",
+        "ehthumbs.db",
+        "desktop.ini",
+    }
+)
+
+# One search for the whole path: an import asks for 50,000 of them.
+leads_elsewhere = re.compile(rf"\A/|[\0\\]|(?:\A|/)(?:\.\.(?:/|\Z)|[a-z]:|{_DEVICE})", re.IGNORECASE).search
+"""Matches a path with slashes that leads out of a folder, or to a drive or a device, on any system.
+
+Windows takes a backslash for a slash, and some names for devices, in every folder and with every ending.
+"""
+
+
+def is_hidden(path: str) -> bool:
+    """Return whether listings skip a relative path, with slashes.
+
+    They do if a part of the path begins with a dot (``._a.png``, ``.DS_Store``) or is one that systems
+    leave in folders and archives (``__MACOSX``, ``@eaDir``, ``Thumbs.db``, ``desktop.ini``, ...). A path that
+    leads elsewhere (``../a.png``) is not hidden, but wrong.
+    """
+    return any(map(_is_hidden_part, path.split("/")))
+
+
+@lru_cache(maxsize=1024)
+def _is_hidden_part(part: str) -> bool:
+    return (part[:1] == "." and part not in _STEPS) or part.lower() in _LEFT_BY_SYSTEMS
+
+
+def problem_of_name(name: object) -> str:
+    """Return why a path with slashes cannot name a file of a data set; empty if it can."""
+    is_plain = (
+        isinstance(name, str)
+        and name.isprintable()
+        and len(name.encode(errors="replace")) <= _LONGEST_BYTES
+        and all(map(_is_plain_part, name.split("/")))
+    )
+    if is_plain:
+        return ""
+    return "is not the plain relative path of a visible file on every system"
+
+
+@lru_cache(maxsize=1024)  # most files of a folder have its name in common
+def _is_plain_part(part: str) -> bool:
+    return not (
+        part.startswith(".")
+        or part.endswith((".", " "))
+        or leads_elsewhere(part)
+        or not 0 < len(part.encode(errors="replace")) <= _LONGEST_PART_BYTES
+    )
+
+
+def names_inside(names: Iterable[object], where: str) -> tuple[str, ...]:
+    """Return names of files without repetition, if each can name a file in a data set folder.
+
+    ``where`` says in the message who gave the names. Raises IntegrityError for a name that leads out of the
+    folder, is hidden, or is not valid on every system, and for two names of one file where case does not
+    count.
+    """
+    names_by_key: dict[str, str] = {}
+    for name in names:
+        problem = problem_of_name(name)
+        if not problem:
+            text = str(name)
+            first = names_by_key.setdefault(unicodedata.normalize("NFC", text).casefold(), text)
+            problem = "" if first == text else f"is the same file as {first!r} where case does not count"
+        if problem:
+            raise IntegrityError(
+                f"{where} names the file {shortened(ascii(name), _SHOWN)}, which {problem}; "
+                "nothing was done with it",
+                next="do not use this data set, or ask who made it",
+            )
+    return tuple(names_by_key.values())
 
 
 @contextlib.contextmanager
@@ -46,12 +140,20 @@ def resource_shortage(error: Exception) -> str | None:
     """Return a message for an error of scarce resources (memory, file handles); None for other errors."""
     if isinstance(error, MemoryError):
         error = OSError(errno.ENOMEM, os.strerror(errno.ENOMEM))
-    if not isinstance(error, OSError) or error.errno not in _OF_THE_PROCESS:
+    if not isinstance(error, OSError) or error.errno not in _RESOURCE_ERRNOS:
         return None
     return (
         f"{error.strerror}; next: end programs that are not needed, raise the limit of open files "
         "(ulimit -n) or use fewer --workers, and run it again"
     )
+
+
+def unreadable(address: str, error: Exception) -> InputError | None:
+    """Return the error for a file or folder that cannot be read for another reason than its content."""
+    reason = resource_shortage(error)
+    if isinstance(error, PermissionError):
+        reason = "permission denied; next: change its permissions, or ask its owner to"
+    return None if reason is None else InputError(f"{address!r} cannot be read: {reason}")
 
 
 @contextlib.contextmanager
@@ -60,12 +162,10 @@ def readable(address: str) -> Iterator[None]:
     try:
         yield
     except (OSError, MemoryError) as error:
-        reason = resource_shortage(error)
-        if isinstance(error, PermissionError):
-            reason = "permission denied; next: change its permissions, or ask its owner to"
-        if reason is None:
+        refused = unreadable(address, error)
+        if refused is None:
             raise
-        raise InputError(f"{address!r} cannot be read: {reason}") from error
+        raise refused from error
 
 
 def path_exists(path: Path) -> bool:
@@ -80,26 +180,6 @@ def path_exists(path: Path) -> bool:
     except (OSError, ValueError):  # too long a name, a circle of links, a null byte
         return False
     return True
-
-
-def expanded(place: str | Path, what: str = "path") -> Path:
-    """Return a local path in which a leading ``~`` is expanded; InputError if no home folder is known.
-
-    An address that may contain a key is an InputError, too. For ``./~``, a folder that is called ``~``, the
-    absolute path is returned: pathlib drops the ``./``, and a second expansion would give the home folder.
-    """
-    require_public(str(place))
-    path = Path(place)
-    if not str(path).startswith("~"):
-        return path
-    if not str(place).startswith("~"):
-        return path.absolute()
-    try:
-        return path.expanduser()
-    except RuntimeError as error:
-        raise InputError(
-            f"{what} {str(place)!r}: no home folder is known ({error})", next="write the path in full"
-        ) from error
 
 
 def open_regular(path: str | Path, below: Path | None = None) -> IO[bytes]:
@@ -135,13 +215,8 @@ def sync_file(path: Path) -> None:
 
 def sync_folder(folder: Path) -> None:
     """Flush the entries of a folder to the disk, so that a rename survives a power cut."""
-    if os.name == "nt":  # Windows cannot open folders
-        return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
+    if os.name != "nt":  # Windows cannot open folders
+        sync_file(folder)
 
 
 def make_folder(path: Path) -> None:
@@ -152,16 +227,6 @@ def make_folder(path: Path) -> None:
             path.mkdir(parents=True, exist_ok=True)
             return
     path.mkdir(parents=True, exist_ok=True)
-
-
-def new_file(path: Path) -> IO[bytes]:
-    """Create a file and its folder, and open it for writing."""
-    for _ in range(_TRIES):
-        # Another run that ends may remove an empty folder in between.
-        with contextlib.suppress(FileNotFoundError):
-            return path.open("xb")
-        make_folder(path.parent)
-    return path.open("xb")
 
 
 def write_file(
@@ -181,7 +246,8 @@ def write_file(
     draft = draft or draft_of(path)
     for tries_left in reversed(range(_TRIES)):
         try:
-            with new_file(draft) as stream:
+            make_folder(draft.parent)
+            with draft.open("xb") as stream:
                 filled = fill(stream)
                 stream.flush()
                 if durable:

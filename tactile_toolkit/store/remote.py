@@ -1,4 +1,6 @@
-"""Calls of servers (object stores, the Hub): retries, and one sentence for each failure.
+"""Data set folders in stores of objects, and calls of servers: retries, and one sentence for each failure.
+
+Objects appear whole; nothing is moved or locked, and no bucket is ever made.
 
 A failure becomes one error that states the next step, without keys and signatures, which clients may quote.
 The clients' own exceptions are recognised by name, so none of their packages has to be installed; several
@@ -7,6 +9,7 @@ clients wrap the cause in a builtin exception without naming it.
 
 from __future__ import annotations
 
+import contextlib
 import io
 import logging
 import re
@@ -14,14 +17,22 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, wait
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
+from pathlib import Path
 from threading import Thread
-from typing import IO, TYPE_CHECKING, TypeVar, cast
+from typing import IO, TYPE_CHECKING, ClassVar, TypeVar, cast
 
-from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError, RemoteError, ToolkitError
+from tactile_toolkit.errors import (
+    InputError,
+    IntegrityError,
+    MissingExtraError,
+    RemoteError,
+    ToolkitError,
+    redact,
+)
 from tactile_toolkit.json_types import JsonDict, JsonObject, JsonValue
-from tactile_toolkit.redaction import redact
-from tactile_toolkit.store.addresses import scheme_of
+from tactile_toolkit.store.files import named_failures, scratch_folder
+from tactile_toolkit.store.folder import DataFolder
 
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem
@@ -34,7 +45,8 @@ ANSWER_S = 60.0
 MIN_BYTES_PER_S = 10_000
 """Further time is allowed by the size of an answer; slower transfers are given up."""
 
-_READ_AHEAD_BYTES = 1 << 20
+_READ_AHEAD = 1 << 20  # bytes
+_UPLOAD_OPTIONS = {"s3": {"max_concurrency": 2}}
 _WAITS_S = (0.5, 1.0, 2.0, 4.0, 8.0)
 # No request is repeated after this time, which allows two requests without an answer.
 _PATIENCE_S = 45.0
@@ -166,16 +178,16 @@ def cause_chain(error: BaseException) -> list[BaseException]:
     return chain
 
 
-def has_buckets(address: str) -> bool:
-    """Return whether a kind of store has buckets."""
-    return scheme_of(address) in _PACKAGES
+def _scheme(address: str) -> str:
+    """Return the kind of store of an address in canonical form."""
+    return address.partition("://")[0]
 
 
-def client_of(address: str) -> AbstractFileSystem:
+def _client_of(address: str) -> AbstractFileSystem:
     """Return the client of a store; folders in the same kind of store share it in this process."""
     import fsspec  # takes a tenth of a second to import, and few data sets lie in stores
 
-    scheme = scheme_of(address)
+    scheme = _scheme(address)
     try:
         client = fsspec.filesystem(scheme, **_options(scheme, fsspec.config.conf))
     except ImportError as error:
@@ -215,13 +227,6 @@ def ask_store(action: Callable[[], T], doing: str, address: str, size_bytes: int
     """
     failure = partial(_store_failure, doing=doing, address=address)
     return with_retry(partial(in_time, action, size_bytes), failure, _WAITS_S, patience_s=_PATIENCE_S)
-
-
-def open_in_store(client: AbstractFileSystem, key: str, address: str) -> IO[bytes]:
-    """Open a file for reading piece by piece; FileNotFoundError if there is none."""
-    stream = ask_store(lambda: client.open(key, "rb", block_size=_READ_AHEAD_BYTES), "reading", address)
-    # `tactile_toolkit.hub` has the messages for failures of the Hub.
-    return cast(IO[bytes], stream if scheme_of(address) == "hf" else _Stream(stream, address))
 
 
 class _Stream(io.BufferedIOBase):
@@ -306,3 +311,157 @@ def _is_of_client(link: BaseException) -> bool:
     if type(link).__module__ == "aiohttp.http_exceptions":
         return False
     return any(kind.__module__.partition(".")[0] in _CLIENTS for kind in type(link).__mro__)
+
+
+@dataclass(frozen=True)
+class FsspecFolder(DataFolder):
+    """A data set folder in a store of objects, by its address."""
+
+    root: str
+    is_local: ClassVar[bool] = False
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return FsspecFolder, (self.root,)  # without open connections
+
+    @cached_property
+    def _client(self) -> AbstractFileSystem:
+        return _client_of(self.root)
+
+    def _ask(self, action: Callable[[], T], doing: str, path: str, size_bytes: int = 0) -> T:
+        return ask_store(action, doing, self.address(path), size_bytes)
+
+    def _key(self, path: str = "") -> str:
+        """Return the key of a file, as the client names it."""
+        return str(self._client._strip_protocol(self.address(path))).rstrip("/")
+
+    def problem(self) -> str:
+        """Return why the folder cannot hold files, or ``""`` if it can."""
+        bucket = self._key().partition("/")[0]
+        if _scheme(self.root) in _PACKAGES and self._info(bucket, "") is None:
+            return f"the bucket {bucket!r} of {self.root!r} does not exist"
+        return ""
+
+    def info(self, path: str) -> JsonObject | None:
+        """Return type and size of a file or folder, and values that change with it; None if there is none."""
+        return self._info(self._key(path), path)
+
+    def _info(self, key: str, path: str) -> JsonObject | None:
+        with contextlib.suppress(FileNotFoundError):
+            facts: JsonObject = self._ask(lambda: self._client.info(key), "reading", path)
+            return facts
+        return None
+
+    def entries(self, folder: str = "") -> dict[str, int | None]:
+        """List names directly in a sub-folder, sorted, with sizes in bytes, None for what is not a file."""
+        key = self._key(folder)
+        sizes = dict[str, int | None]()
+        with contextlib.suppress(FileNotFoundError):
+            for entry in self._ask(lambda: self._client.ls(key, detail=True), "listing", folder):
+                name = entry["name"].strip("/")
+                # A file, and the mark of an empty folder, are listed in themselves.
+                if name != key.strip("/"):
+                    is_file = entry["type"] != "directory"
+                    sizes[name.rpartition("/")[2]] = int(entry["size"]) if is_file else None
+        return dict(sorted(sizes.items()))
+
+    def open(self, path: str) -> IO[bytes]:
+        """Open a file for reading piece by piece; a file that is replaced is not read on."""
+        key = self._key(path)
+        stream = self._ask(lambda: self._client.open(key, "rb", block_size=_READ_AHEAD), "reading", path)
+        # `tactile_toolkit.hub` has the messages for failures of the Hub.
+        return cast(IO[bytes], stream if _scheme(self.root) == "hf" else _Stream(stream, self.address(path)))
+
+    def read_bytes(self, path: str) -> bytes:
+        """Read a whole (small) file; IntegrityError when it is missing."""
+        key = self._key(path)
+        try:
+            return bytes(self._ask(lambda: self._client.cat_file(key), "reading", path))
+        except FileNotFoundError as error:
+            raise IntegrityError(f"cannot read {self.address(path)!r}: {error.strerror or error}") from error
+
+    def write_bytes(self, path: str, content: bytes) -> None:
+        """Write a file in one request."""
+        options = self._in_one_request(content)
+        self._put(path, len(content), lambda key: self._client.pipe_file(key, content, **options))
+
+    def create_bytes(self, path: str, content: bytes) -> None:
+        """Write a file in one request unless there is one of that name, where the store can tell."""
+        options = self._in_one_request(content) | {"mode": "create"}
+        with contextlib.suppress(FileExistsError):
+            self._put(path, len(content), lambda key: self._client.pipe_file(key, content, **options))
+
+    def _in_one_request(self, content: bytes) -> JsonDict:
+        """Return what keeps a killed writer from leaving pieces, which cost money and are not listed."""
+        if _scheme(self.root) == "s3":
+            return {"chunksize": len(content) + 1}
+        return {}
+
+    def upload(self, path: str, source: Path) -> None:
+        """Write a copy of a file of this machine in pieces."""
+        options = _UPLOAD_OPTIONS.get(_scheme(self.root), {})
+        size_bytes = source.stat().st_size
+        self._put(path, size_bytes, lambda key: self._client.put_file(str(source), key, **options))
+
+    def write(self, path: str, fill: Callable[[IO[bytes]], T]) -> T:
+        """Write a file in pieces, which are put together in ``$TMPDIR``; return what ``fill`` returns."""
+        with scratch_folder() as scratch:
+            file = scratch / "file"
+            with named_failures(str(file)), file.open("wb") as stream:
+                filled = fill(stream)
+            self.upload(path, file)
+        return filled
+
+    def _put(self, path: str, size_bytes: int, put: Callable[[str], object]) -> None:
+        self._require_writable(path)
+        key = self._key(path)
+        try:
+            self._ask(lambda: put(key), "writing", path, size_bytes)
+        except FileNotFoundError as error:
+            if _scheme(self.root) in _PACKAGES:
+                raise self._no_bucket() from error
+            parent = key.rpartition("/")[0]
+            self._ask(lambda: self._client.makedirs(parent, exist_ok=True), "writing", path)
+            self._ask(lambda: put(key), "writing", path, size_bytes)
+
+    def download(self, path: str, target: Path) -> None:
+        """Copy a file to a local one; FileNotFoundError where there is none."""
+        target.parent.mkdir(parents=True, exist_ok=True)
+        key = self._key(path)
+        size_bytes = self.size_bytes(path)
+        self._ask(lambda: self._client.get_file(key, str(target)), "reading", path, size_bytes)
+
+    def remove(self, path: str) -> None:
+        """Remove a file, if it exists."""
+        self._require_writable(path)
+        with contextlib.suppress(FileNotFoundError):
+            self._ask(lambda: self._client.rm_file(self._key(path)), "removing", path)
+
+    def require_folder(self) -> None:
+        """Raise InputError if there is a file of that name, or if the bucket does not exist."""
+        self._require_writable("")
+        facts = self.info("")
+        if facts is not None and facts["type"] == "file":
+            raise InputError(
+                f"{self.root!r} is a file; expected a folder", next="choose another path (--out or OUT)"
+            )
+        if facts is None and self.problem():
+            raise self._no_bucket()
+
+    def remove_temporaries(self) -> None:
+        """Do nothing: an unfinished file is not in the store."""
+
+    def refresh(self, folder: str) -> None:
+        """Do nothing: listings are never kept."""
+
+    def _no_bucket(self) -> InputError:
+        return InputError(
+            f"{self.problem()}; nothing was written, and no bucket was made",
+            next="check its name, or make it with the store's own tools",
+        )
+
+    def _require_writable(self, path: str) -> None:
+        if _scheme(self.root) == "hf":
+            raise InputError(
+                f"{self.address(path)!r} cannot be written to: the Hub takes whole commits",
+                next="write to a folder or to s3://BUCKET/FOLDER, then send it with the command `upload`",
+            )

@@ -104,10 +104,10 @@ def test_pictures_that_are_added_need_another_command_which_works(
     capsys.readouterr()
     assert make(old) == 2
     assert "next: to add pictures" in (printed := capsys.readouterr().err)
-    assert "mnist3d merge OLD NEW --renumber --out BOTH" in printed
+    assert "mnist3d merge OLD NEW --out BOTH" in printed
     sets = (tmp_path / "old-set", tmp_path / "new-set")
     both = tmp_path / "both"
-    assert call("mnist3d", "merge", *sets, "--renumber", "--out", both) == 0
+    assert call("mnist3d", "merge", *sets, "--out", both) == 0
     assert [row.file for row in mnist3d.load(both, "train")] == ["li/a.png", "li/b.png"]
 
 

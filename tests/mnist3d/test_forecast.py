@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from mnist3d.digit_generation import DigitMaking, DigitSetSpec, generate
+from mnist3d.digit_generation import DigitGenerator, DigitSetSpec, generate
 from mnist3d.published_splits import SplitSpec
 from mnist3d.solid_spec import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
@@ -39,14 +39,14 @@ def test_values_of_numpy_and_mappings_are_the_same_specification():
 def test_forecast_with_overwrite_names_what_would_be_replaced(folder):
     other = _spec(limit=2)
     with pytest.raises(SpecMismatchError):
-        forecast(DigitMaking(other), folder, ("train", "test"))
+        forecast(DigitGenerator(other), folder, ("train", "test"))
     before = (folder / "manifest.json").read_bytes()
-    view = forecast(DigitMaking(other), folder, ("train", "test"), overwrite=True)
+    view = forecast(DigitGenerator(other), folder, ("train", "test"), overwrite=True)
     assert view.replaced == {"train": 3, "test": 3}
     assert (view.rows_to_make, [entry["finished"] for entry in view.splits]) == (4, [0, 0])
     for mode in ({"part": Part(0, 2)}, {"finish": True}, {"finish": True, "check": True}):
         with pytest.raises(InputError, match="--overwrite was given with --part or --finish"):
-            forecast(DigitMaking(other), folder, ("train", "test"), **mode, overwrite=True)
-    checked = forecast(DigitMaking(other), folder, ("train", "test"), check=True, overwrite=True)
+            forecast(DigitGenerator(other), folder, ("train", "test"), **mode, overwrite=True)
+    checked = forecast(DigitGenerator(other), folder, ("train", "test"), check=True, overwrite=True)
     assert (checked.replaced, checked.splits) == (view.replaced, view.splits)
     assert (folder / "manifest.json").read_bytes() == before

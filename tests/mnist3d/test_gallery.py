@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import mnist3d
-from mnist3d.digit_gallery import plan_gallery
+from mnist3d.digit_previews import plan_gallery
 from mnist3d.digit_rows import REPORT_FILE
 from mnist3d.published_splits import SplitSpec
 from mnist3d.solid_spec import SolidSpec

@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import mnist3d
-from mnist3d.digit_generation import DigitMaking, DigitSetSpec, generate
+from mnist3d.digit_generation import DigitGenerator, DigitSetSpec, generate
 from mnist3d.digit_rows import digit_schema
 from mnist3d.published_splits import SPLITS, SplitSpec
 from mnist3d.solid_spec import SolidSpec
@@ -53,7 +53,7 @@ def test_every_digit_is_a_row_or_skipped_with_its_reason(flawed):
 
 def test_failures_do_not_move_other_digits(flawed, tmp_path):
     folder, _ = flawed
-    plan = plan_build(DigitMaking(DigitSetSpec(FlawedSource(), COARSE)))
+    plan = plan_build(DigitGenerator(DigitSetSpec(FlawedSource(), COARSE)))
     for split in ("train", "test", "holdout"):
         planned = [i for task in plan.tasks if task.shard.split == split for i in task.items]
         made = mnist3d.load(str(folder), split).ids.tolist()
@@ -84,7 +84,7 @@ def test_empty_selections_are_named(tmp_path):
 
 
 def test_shard_sizes_follow_from_the_split_alone():
-    plan = plan_build(DigitMaking(DigitSetSpec(SyntheticSource())))
+    plan = plan_build(DigitGenerator(DigitSetSpec(SyntheticSource())))
     counts = {split: [t.size for t in plan.tasks if t.shard.split == split] for split in SPLITS}
     assert {split: sum(sizes) for split, sizes in counts.items()} == {
         "train": 11_480,
@@ -95,7 +95,7 @@ def test_shard_sizes_follow_from_the_split_alone():
     }
     assert all(max(sizes) <= 128 for sizes in counts.values())
     assert len(counts["train"]) == 90
-    alone = plan_build(DigitMaking(DigitSetSpec(SyntheticSource())), ("test",))
+    alone = plan_build(DigitGenerator(DigitSetSpec(SyntheticSource())), ("test",))
     among_all = [task for task in plan.tasks if task.shard.split == "test"]
     assert [task.shard for task in alone.tasks] == [task.shard for task in among_all]
     for one, other in zip(alone.tasks, among_all, strict=True):
@@ -179,6 +179,6 @@ def test_real_digits_in_the_layout_of_hwd(shared, tmp_path, per_class, splits, r
 
 def test_a_task_takes_along_its_own_ids_only():
     spec = DigitSetSpec(SyntheticSource(count=100_000), split=SplitSpec(sizes=(("train", 9_000),)))
-    task = plan_build(DigitMaking(spec), ("train",)).tasks[3]
+    task = plan_build(DigitGenerator(spec), ("train",)).tasks[3]
     assert task.items.base is not None  # a view of the ids of the split
     assert len(pickle.dumps(task)) < 8 * task.size + 2_000

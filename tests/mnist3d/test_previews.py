@@ -25,8 +25,7 @@ from mnist3d.sources.picture_folder import FolderSource
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.mesh import Mesh, write_mesh
-from tactile_toolkit.pictures import OBLIQUE, DrawnBody, bar_length_mm, draw_bodies, relief, relief_of
-from tactile_toolkit.pictures.lettering import INK
+from tactile_toolkit.pictures import INK, OBLIQUE, DrawnBody, bar_length_mm, draw_bodies, relief
 from tests.sealed import edit
 
 THIN = SolidSpec(target_vertices=2_000, half_thickness_mm=1.2)
@@ -63,23 +62,25 @@ def find(pixels: np.ndarray, part: np.ndarray) -> list[tuple[int, int]]:
 
 def relief_tiles(records: list) -> list[np.ndarray]:
     """Draw digits as they appear in a sheet of only these."""
-    largest_m = max(float(np.ptp(record.vertices_m[:, :2], axis=0).max()) for record in records)
-    tiles = (relief_of(Mesh(each.vertices_m, each.faces), 132 / (1000.0 * largest_m)) for each in records)
+    px_per_m = 140 / max(record.extent_m for record in records)
+    tiles = (record.picture(px_per_m * record.extent_m) for record in records)
     return [np.repeat(tile[:, :, None], 3, axis=2) for tile in tiles]
 
 
 def test_relief_has_the_size_of_the_mesh_and_keeps_paper_white():
     record = SolidSpec(target_vertices=2_000)
     mesh = mnist3d.solidify(SyntheticSource().image(0).pixels, record)
-    pixels = relief(mesh.vertices_m, mesh.faces, 1e-4)
-    size_px = np.ptp(mesh.vertices_m, axis=0)[:2] / 1e-4
+    pixels = relief(mesh.vertices_m, mesh.faces, 1e4)
+    size_px = np.ptp(mesh.vertices_m, axis=0)[:2] * 1e4
     rows, columns = np.nonzero(pixels < 255)
     assert (np.ptp(columns) + 1, np.ptp(rows) + 1) == pytest.approx(tuple(size_px), abs=2.5)
-    assert (pixels[:3] == 255).all()
+    assert (pixels[:1] == 255).all()
     assert pixels[rows, columns].min() >= 60
-    assert pixels[rows, columns].max() <= 240
-    smooth = relief_of(mesh, 5.0)
-    assert smooth.shape == pytest.approx((size_px[1] / 2, size_px[0] / 2), abs=5)
+    levels, opacity = np.moveaxis(relief(mesh.vertices_m, mesh.faces, 1e4, with_opacity=True), 2, 0)
+    assert np.array_equal(opacity > 0, pixels < 255)
+    assert levels[opacity > 0].max() <= 241, "no light rim"
+    on_paper = 255 + (levels.astype(float) - 255) * opacity / 255
+    assert np.abs(on_paper - pixels).max() <= 2
 
 
 def test_a_sheet_shows_the_first_of_each_class_in_the_row_of_the_class(folder):
@@ -133,7 +134,7 @@ def test_the_scale_bar_fits_a_box_of_known_size(ending, tmp_path):
     block = (pixels == pixels[len(pixels) // 2, pixels.shape[1] // 2]).all(axis=2)
     width_px = int(block.sum(axis=1).max())
     scale = width_px / 30.0
-    assert bar_px == pytest.approx(bar_length_mm(width_px, scale) * scale, abs=1.5)
+    assert bar_px == pytest.approx(bar_length_mm(len(pixels[0]) // 4, scale) * scale, abs=1.5)
     assert block.sum(axis=0).max() == pytest.approx(20 * scale, abs=2)
 
 

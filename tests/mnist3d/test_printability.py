@@ -13,7 +13,7 @@ from hypothesis import given, strategies as st
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import WARNINGS, Mesh, PrintProfile, PrintReport, inspect
-from tactile_toolkit.mesh.section import section_area_mm2, thinnest_width_mm
+from tactile_toolkit.mesh.printability import section_area_mm2, thinnest_width_mm
 from tactile_toolkit.mesh.solid_check import PROBLEMS
 from tactile_toolkit.rows import columns
 

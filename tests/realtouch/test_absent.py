@@ -19,7 +19,7 @@ KINDS = ("single", "seq")
 LABELS = (None, -1)
 """Without the column, and with the value that imports give to touches without a class."""
 
-EXPORTS = ("flat", "webdataset", "lerobot", "replay", "oxt", "fota", "sparsh")
+EXPORTS = ("flat", "webdataset", "lerobot", "replay", "oxt", "fota")
 _TRAIN = ["--split", "train"]
 COMMANDS: dict[str, list[str]] = {
     "load": ["load", "SET", *_TRAIN],

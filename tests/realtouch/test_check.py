@@ -23,7 +23,6 @@ from realtouch.faults.comparisons import GELSIGHT_MINI
 from realtouch.faults.rules import RULES
 from realtouch.faults.seen import count_markers
 from tactile_sim.taxim import taxim_package
-from tactile_toolkit import store
 from tactile_toolkit.errors import InputError
 from tests.command_line import call
 from tests.real_input import SHARED, needs_shared
@@ -455,27 +454,6 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert "nothing was found" in capsys.readouterr().out
     assert call("realtouch", "check", tmp_path / "drawn") == 2
     assert "realtouch import" in capsys.readouterr().err
-
-
-def test_other_formats(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked: list[tuple[str, str]] = []
-
-    def findings(home: store.DataFolder, file: str) -> list[realtouch.RecordingFinding]:
-        asked.append((Path(home.address()).name, file))
-        return [realtouch.RecordingFinding("dtype", "uint8", "float32", "data/x", next="correct it")] * bool(
-            file
-        )
-
-    monkeypatch.setattr("cli.touch_checks._OXT_FINDINGS", findings)
-    (tmp_path / "task.zip").write_bytes(b"zip")
-    assert call("realtouch", "check", "--format", "oxt", tmp_path / "task.zip") == 1
-    assert "dtype in data/x: uint8; expected float32\n  next: correct it" in capsys.readouterr().err
-    assert call("realtouch", "check", "--format", "oxt", tmp_path) == 0
-    assert asked == [(tmp_path.name, "task.zip"), (tmp_path.name, "")]
-    for wrong in ((tmp_path, "--split", "test"), (tmp_path / "absent",)):
-        assert call("realtouch", "check", "--format", "oxt", *wrong) == 2
 
 
 def test_each_rule_is_documented() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import pickle
 import re
 import sys
 import tarfile
@@ -18,9 +17,8 @@ import pytest
 from PIL import Image
 
 import realtouch
-from realtouch.exchange.zarr_groups import ZarrWriter
+from realtouch.formats.zarr_groups import ZarrWriter
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
-from tactile_toolkit.touch import decode_image
 from tests.command_line import call
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
@@ -83,24 +81,6 @@ def test_t3_reads_fota(source: Path, tmp_path: Path, small_shards: None) -> None
         assert [fields[f"quat_{axis}"] for axis in "xyzw"] == touch["pose"][3:]
 
 
-def test_sparsh_reads_its_pickles(source: Path, tmp_path: Path, small_shards: None) -> None:
-    """Read like ``tactile_ssl.data.vision_tactile``: a list of bytes, minus the background, around grey."""
-    realtouch.export(source, tmp_path, "sparsh")
-    home = tmp_path / "sparsh" / "train"
-    frames = []
-    for path in sorted(home.glob("dataset_*.pkl")):
-        with path.open("rb") as stream:
-            frames += pickle.load(stream)
-    assert frames == [touch["image"] for touch in touches_of(source)]
-    with Image.open(home / "bgs" / "bg_gs.jpg") as image:
-        background = np.asarray(image.convert("RGB"), np.int32)
-    first = np.stack([decode_image(each) for each in frames[:5]])
-    assert np.abs(background - np.median(first, axis=0)).mean() < 3
-    image = np.asarray(Image.open(io.BytesIO(frames[1])), np.int32)
-    change = np.uint8(np.clip((image - background) / 255.0 + 0.5, 0.0, 1.0) * 255.0)
-    assert change.shape == (72, 96, 3)
-
-
 def test_anytouch_reads_its_lists(source: Path, tmp_path: Path, small_shards: None) -> None:
     """Read like ``data.downstream_dataset.TAGDataset_video``: a line per image, earlier frames by number."""
     realtouch.export(source, tmp_path, "anytouch")
@@ -137,7 +117,7 @@ def test_diffusion_policy_reads_the_replay_buffer(
     source: Path, tmp_path: Path, small_shards: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Read like ``ReplayBuffer.copy_from_path``: all arrays of data are as long as the last end states."""
-    monkeypatch.setattr("realtouch.exchange.zarr_groups.CHUNK_BYTES", 4 * 72 * 96 * 3)
+    monkeypatch.setattr("realtouch.formats.zarr_groups.CHUNK_BYTES", 4 * 72 * 96 * 3)
     realtouch.export(source, tmp_path, "replay", split="train")
     with zipfile.ZipFile(tmp_path / "replay" / "touches.zarr.zip") as group:
         for path in ("", "data/", "meta/"):
@@ -198,55 +178,7 @@ def test_foreign_fota_has_poses_in_millimetres(tmp_path: Path) -> None:
     assert realtouch.load(tmp_path / "out", "val").label_names == ("wood",)
 
 
-def test_no_pickle_is_executed(tmp_path: Path) -> None:
-    home, mark = tmp_path / "home", tmp_path / "mark"
-    home.mkdir()
-
-    class Evil:
-        def __reduce__(self) -> tuple[Any, ...]:
-            return (Path.touch, (mark,))
-
-    for content, words in (
-        (pickle.dumps([Evil()]), "does not hold one list of encoded images"),
-        (pickle.dumps([np.zeros((4, 4, 3), np.uint8)]), "does not hold one list of encoded images"),
-        (pickle.dumps([b"a" * 300])[:-40], "not an intact pickle"),
-        (b"no pickle", "does not hold one list|not an intact pickle"),
-        # An opcode may state any length, and a line may never end.
-        (b"\x80\x04]\x8e" + (1 << 45).to_bytes(8, "little"), "is not an intact pickle"),
-        (b"I" + b"9" * 5000, "is not an intact pickle"),
-        (pickle.dumps([b"", b"a" * 300]), "dataset.pkl' holds 0 bytes at .*; expected an encoded image"),
-    ):
-        (home / "dataset.pkl").write_bytes(content)
-        with pytest.raises(InputError, match=words):
-            realtouch.import_touches(home, tmp_path / "out", "sparsh")
-    assert not mark.exists()
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize(
-    ("table", "words"),
-    [
-        (b"label\n0\n1\n", r"has 2 rows; expected 3, one for each image of 'dataset.pkl'"),
-        (b"label\n0\n1\n2\n3\n", "has 4 rows; expected 3"),
-        (b"label\n\xff\n1\n2\n", "cannot be read as UTF-8"),
-        (b'label\n0\n"1\n2\n', "line 3: unexpected end of data"),
-    ],
-)
-def test_a_table_that_is_not_of_the_pickle(
-    table: bytes, words: str, single_rows: list[dict], tmp_path: Path
-) -> None:
-    images = [bytes(each["bytes"]) for each in single_rows[0]["sensor_image"][:3]]
-    (tmp_path / "home").mkdir()
-    (tmp_path / "home" / "dataset.pkl").write_bytes(pickle.dumps(images))
-    (tmp_path / "home" / "dataset.csv").write_bytes(table)
-    with pytest.raises(InputError, match=words):
-        realtouch.import_touches(tmp_path / "home", tmp_path / "out", "sparsh")
-    with pytest.raises(InputError, match=r"other\.csv"):
-        realtouch.import_touches(tmp_path / "home", tmp_path / "out", "sparsh", table="other.csv")
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize("layout", ["replay", "sparsh", "anytouch", "lerobot"])
+@pytest.mark.parametrize("layout", ["replay", "anytouch", "lerobot"])
 def test_an_image_damaged_in_its_middle_is_named(
     layout: Any, single_rows: list[dict], tmp_path: Path
 ) -> None:

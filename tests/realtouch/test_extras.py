@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import pickle
 import re
@@ -258,7 +257,7 @@ FLAT = {
 }
 
 
-@pytest.mark.parametrize("layout", ["flat", "sparsh", "frames"])
+@pytest.mark.parametrize("layout", ["flat", "frames"])
 def test_tables_of_exports_have_them_as_plain_columns(layout: Any, images: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     if layout == "frames":
@@ -303,19 +302,6 @@ def test_exports_of_clips_have_the_values_of_the_shown_frame(clips: Path, tmp_pa
     assert table["time.ms"].to_pylist() == expected
     assert table["vector"].to_pylist() == [[each, -each] for each in expected]
     assert table["force_n"].to_pylist() == FLAT["force_n"]
-
-
-def test_sparsh_writes_vectors_as_texts(images: Path, tmp_path: Path) -> None:
-    realtouch.export(images, tmp_path / "out", "sparsh", split="train")
-    with (tmp_path / "out/sparsh/train/dataset_00000.csv").open(newline="") as stream:
-        lines = list(csv.DictReader(stream))
-    assert [line["wrench"] for line in lines][:2] == ["[1.0, 2.0]", ""]
-    assert "operator.note" in lines[0]
-    realtouch.import_touches(tmp_path / "out", tmp_path / "back")  # and reads them as vectors
-    for one, other in zip(
-        realtouch.load(images, "train"), realtouch.load(tmp_path / "back", "train"), strict=True
-    ):
-        np.testing.assert_array_equal(one.extra["wrench"], other.extra["wrench"])
 
 
 def test_a_new_size_of_pictures_needs_pixels_that_are_known(tmp_path: Path) -> None:

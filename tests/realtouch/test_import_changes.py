@@ -152,7 +152,7 @@ def test_a_table_of_videos_has_any_ending(ending: str, tmp_path: Path) -> None:
 POSE = {"x_m": 0.01, "y_m": 0.02, "z_m": 0.001, "qx": 0, "qy": 0, "qz": 0, "qw": 1}
 
 
-@pytest.mark.parametrize("layout", ["lerobot", "oxt", "fota", "sparsh", "webdataset", "flat"])
+@pytest.mark.parametrize("layout", ["lerobot", "oxt", "fota", "webdataset", "flat"])
 def test_extra_columns_called_like_those_of_a_format_come_back(layout: str, tmp_path: Path) -> None:
     said = {
         name: f"{name} of the user" for name in ("observation.state", "action", "in_contact", "index", "a/b")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import zipfile
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,6 @@ import numpy as np
 import pytest
 
 import realtouch
-from realtouch.exchange.oxt_check import oxt_findings
 from realtouch.importing.formats import IMPORTS
 from realtouch.importing.recordings import Recording
 from tactile_toolkit import store
@@ -86,7 +84,7 @@ def test_exports_follow_the_specification(
     source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Opened as by the loader of FTP-1, with zarr: a row for each frame, four members of each group."""
-    monkeypatch.setattr("realtouch.exchange.zarr_groups.CHUNK_BYTES", 4 * 72 * 96 * 3)
+    monkeypatch.setattr("realtouch.formats.zarr_groups.CHUNK_BYTES", 4 * 72 * 96 * 3)
     realtouch.export(source, tmp_path / "a", "oxt", split="train")
     path = tmp_path / "a" / "oxt" / "touches.zarr.zip"
     with zipfile.ZipFile(path) as archive:
@@ -223,97 +221,6 @@ def test_invalid_text_is_refused(tmp_path: Path) -> None:
         recordings(source, "right_tactile_data_gripper[0]")
 
 
-def findings(source: Path) -> dict[str, str]:
-    """Return what the check finds: rule and array, and the values found."""
-    found = oxt_findings(store.open_folder(str(source.parent)), source.name)
-    assert all(each.next and each.expected for each in found)
-    return {f"{each.rule} {each.where}": each.found for each in found}
-
-
-def test_the_check_accepts_valid_sets(source: Path, tmp_path: Path) -> None:
-    realtouch.export(source, tmp_path / "out", "oxt", split="train")
-    made = tmp_path / "out" / "oxt" / "touches.zarr.zip"
-    assert findings(made) == {}
-    assert call("realtouch", "check", "--format", "oxt", made) == 0
-    for name in ("a.zarr", "a.zarr.zip"):
-        assert findings(write(tmp_path / name, arrays())) == {}
-
-
-@pytest.mark.parametrize(
-    ("changes", "found"),
-    [
-        ({"timestamps": None}, {"members timestamps": "no such array"}),
-        ({"sub_task_instruction": None}, {"members sub_task_instruction": "no such array"}),
-        ({"camera_ego_rgb": None}, {"camera data": "no such array"}),
-        ({"camera_ego_rgb": np.zeros((T, 3, 5, 5), np.uint8)}, {"form camera_ego_rgb": "uint8 (7, 3, 5, 5)"}),
-        ({"camera_ego_rgb": np.zeros((T, 5, 5, 3), "f4")}, {"form camera_ego_rgb": "float32 (7, 5, 5, 3)"}),
-        (
-            {"right_wrist_pose": None, "right_hand_joints": None, "right_hand_joints_idx": None},
-            {"state data": "no such array"},
-        ),
-        ({"right_wrist_pose": np.zeros((T, 7))}, {"form right_wrist_pose": "float64 (7, 7)"}),
-        (
-            {"right_wrist_pose": np.full((T, 6), np.nan)},
-            {"finite right_wrist_pose": "42 values such as nan"},
-        ),
-        ({"right_hand_joints_idx": None}, {"joints right_hand_joints_idx": "no such array"}),
-        (
-            {"right_hand_joints_idx": np.full((T, 1), 32)},
-            {"joints right_hand_joints_idx": "7 values such as 32"},
-        ),
-        ({"left_tactile_area_force": None}, {"tactile left_tactile_area_force": "no such array"}),
-        (
-            {"right_tactile_area_gripper": np.zeros((T, 3), int)},
-            {"form right_tactile_area_gripper": "int64 (7, 3)"},
-        ),
-        (
-            {"right_tactile_data_gripper": PADS.astype(np.float32)},
-            {"form right_tactile_data_gripper": "float32 (7, 2, 12, 16, 3)"},
-        ),
-        ({"right_tactile_type_gripper": np.full(T, "rgb")}, {"type right_tactile_type_gripper": "'rgb'"}),
-        (
-            {"right_tactile_type_gripper": np.array(["image"] * 6 + ["state"])},
-            {"type right_tactile_type_gripper": "'image', 'state'"},
-        ),
-        (
-            {"right_tactile_sensor_gripper": np.full(T, "gelsight mini")},
-            {"sensor right_tactile_sensor_gripper": "'gelsight mini'"},
-        ),
-        ({"right_tactile_sensor_gripper": np.full(T, "DIGIT")}, {}),
-        (
-            {"timestamps": np.array([0, 1, 1, 2, 0, 1, 2])},
-            {"times timestamps": "1 and then 1 in frame 2; 1 such frame"},
-        ),
-        (
-            {"timestamps": np.array([0, 1, 2, np.nan, 0, 1, 2])},
-            {"times timestamps": "2.0 and then nan in frame 3; 1 such frame"},
-        ),
-        ({"right_wrist_pose": np.zeros((T - 1, 6))}, {"length right_wrist_pose": "(6, 6)"}),
-        ({"extra": np.zeros((T, 99))}, {}),
-        ({name: None for name in arrays() if "tactile" in name}, {"tactile data": "no such array"}),
-    ],
-)  # fmt: skip
-def test_the_check_names_violations(changes: dict[str, Any], found: dict[str, str], tmp_path: Path) -> None:
-    assert findings(write(tmp_path / "a.zarr", arrays(**changes))) == found
-
-
-def test_the_check_reads_every_chunk_and_the_ends(tmp_path: Path) -> None:
-    source = write(tmp_path / "a.zarr", arrays(), np.array([4, 3, 7]))
-    (source / "data" / "right_tactile_data_gripper" / "2.0.0.0.0").write_bytes(b"damaged")
-    stated = source / "data" / "left_tactile_data_force" / ".zarray"
-    stated.write_text(json.dumps(json.loads(stated.read_text()) | {"filters": [{"id": "pickle"}]}))
-    rules = findings(source)
-    assert {*rules} == {
-        "readable right_tactile_data_gripper",
-        "readable left_tactile_data_force",
-        "episodes meta/episode_ends",
-    }
-    assert "damaged chunk" in rules["readable right_tactile_data_gripper"]
-    assert "'pickle'" in rules["readable left_tactile_data_force"]
-    with pytest.raises(InputError, match="should hold one Zarr group"):
-        findings(tmp_path / "empty" / "b.zarr")
-
-
 @pytest.mark.thorough
 @pytest.mark.parametrize("layout", ["oxt", "replay"])
 def test_any_damage_of_a_group_gives_recordings_or_a_message(layout: str, tmp_path: Path) -> None:
@@ -337,7 +244,5 @@ def test_any_damage_of_a_group_gives_recordings_or_a_message(layout: str, tmp_pa
                 list(IMPORTS[layout].contents([found.place(0, found.frames)]))
         except ToolkitError:
             refused += 1
-        with suppress(ToolkitError):
-            findings(source)
         path.write_bytes(whole[path])
     assert 0 < refused < 600

@@ -9,7 +9,7 @@ from typing import get_args
 import pytest
 
 import realtouch
-from realtouch.exchange.exporting import ExportLayout
+from realtouch.formats.exporting import ExportLayout
 from realtouch.importing.formats import IMPORTS
 from realtouch.importing.recognised import recognised
 from realtouch.touch_options import IMPORT_LAYOUTS
@@ -26,7 +26,6 @@ FILES = {
     "oxt": ("b.zarr/data/left_tactile_type_gel/.zarray", b"{}"),
     "anytouch": ("train_bg.txt", b""),
     "fota": ("train/count.txt", b"1"),
-    "sparsh": ("train/dataset_0.pkl", b"\x80\x04"),
 }
 
 
@@ -99,3 +98,10 @@ def test_a_set_needs_no_import(single_folder: Path, tmp_path: Path) -> None:
     realtouch.select(single_folder, tmp_path / "out", split="train", limit=1)
     with pytest.raises(InputError, match=r"is a data set already; it needs no import"):
         realtouch.import_touches(tmp_path / "out", tmp_path / "again")
+
+
+@pytest.mark.parametrize("name", ["", "dataset_0.pkl"])
+def test_pickles_are_refused_by_name(name: str, tmp_path: Path) -> None:
+    (tmp_path / "dataset_0.pkl").write_bytes(b"\x80\x04")
+    with pytest.raises(InputError, match=r"'dataset_0.pkl' is a pickle, as Sparsh .*next: write each"):
+        recognised(str(tmp_path / name))

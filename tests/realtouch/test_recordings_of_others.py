@@ -6,7 +6,6 @@ import gzip
 import io
 import json
 import os
-import pickle
 import re
 from pathlib import Path
 from typing import Any
@@ -200,7 +199,7 @@ def test_a_recording_without_labels_is_a_set(home: Path, tmp_path: Path) -> None
     assert realtouch.verify(tmp_path / "out").ok
     rows = datasets.load_dataset(str(tmp_path / "out"), split="train", cache_dir=str(tmp_path / "cache"))
     assert (rows["label"][0], rows.features["label"].names) == (-1, [])
-    for layout in ("webdataset", "sparsh", "fota"):
+    for layout in ("webdataset", "fota"):
         realtouch.export(tmp_path / "out", tmp_path / layout, layout)  # type: ignore[arg-type]
         back = imported(tmp_path / layout, tmp_path / f"{layout}-back", layout=layout)
         assert (back.ids.tolist(), back.labels.tolist(), back.label_names) == (["a.b"], [-1], ())
@@ -229,14 +228,6 @@ def test_an_empty_label_column_means_none(
     assert "not imported" not in said
     rows = pq.read_table(tmp_path / "out" / "data")
     assert rows["extra.class"].to_pylist() == [[0], [1], [2], [3]]
-
-
-def test_pictures_of_sparsh_never_have_labels(tmp_path: Path) -> None:
-    (tmp_path / "set").mkdir()
-    (tmp_path / "set" / "DATASET.PKL").write_bytes(pickle.dumps([picture(9), picture(99)]))
-    (tmp_path / "set" / "._DATASET.pkl").write_bytes(b"no pickle")
-    found = imported(tmp_path / "set", tmp_path / "out", layout="sparsh")
-    assert (found.labels.tolist(), found.touch_counts.tolist()) == ([-1, -1], [1, 1])
 
 
 def test_files_of_operating_systems_in_folders_and_tars_are_ignored(home: Path, tmp_path: Path) -> None:
@@ -285,21 +276,6 @@ def test_tars_that_lead_elsewhere_or_are_packed_are_named(tmp_path: Path) -> Non
     (tmp_path / "tars" / "a.tar").write_bytes(gzip.compress(whole))
     with pytest.raises(InputError, match=r"a\.tar' is compressed; expected a tar; next: unpack it"):
         imported(tmp_path / "tars", tmp_path / "none", layout="webdataset")
-
-
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [
-        (pickle.dumps([[picture(1)], [picture(2)]]), "does not hold one list of encoded images"),
-        (pickle.dumps([picture(1)], 2), "with pickle protocol 3 or higher"),
-        (pickle.dumps([picture(1)]) + pickle.dumps([picture(2)]), "holds more than one pickle"),
-    ],
-)
-def test_pickles_are_one_list(content: bytes, words: str, tmp_path: Path) -> None:
-    (tmp_path / "set").mkdir()
-    (tmp_path / "set" / "a.pkl").write_bytes(content)
-    with pytest.raises(InputError, match=words):
-        imported(tmp_path / "set", tmp_path / "out", layout="sparsh")
 
 
 @pytest.mark.parametrize("ending", ["png", "webp"])
@@ -356,7 +332,6 @@ def test_importers_open_only_regular_files_below_the_source(home: Path, tmp_path
     assert reasons == [(0, "name"), (1, "file"), (3, "name"), (4, "file")]
     for layout, name in (
         ("webdataset", "a.tar"),
-        ("sparsh", "a.pkl"),
         ("anytouch", "a_bg.txt"),
         ("folder", "a.csv"),
     ):

@@ -63,7 +63,7 @@ def test_before_an_upload_damage_or_errors_of_the_card_are_listed(
     realtouch.select(str(single_folder), str(tmp_path), contact=True)
     assert list_findings(open_folder(str(tmp_path))) == []
     card, (shard,) = tmp_path / "README.md", (tmp_path / "data").glob("train-*")
-    card.write_text(card.read_text().replace("license", "licence"))
+    card.write_text(card.read_text().replace("dataset_info", "info"))
     assert [each.file for each in list_findings(open_folder(str(tmp_path)))] == ["README.md"]
     shard.write_bytes(shard.read_bytes()[:-1])
     assert {Path(each.file).name for each in list_findings(open_folder(str(tmp_path)))} == {shard.name}

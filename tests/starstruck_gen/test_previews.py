@@ -10,9 +10,8 @@ import pytest
 
 import starstruck_gen
 from starstruck_gen import SceneSpec
-from starstruck_gen.scene_drawing import draw_scene
+from starstruck_gen.scene_card import plan_previews
 from starstruck_gen.scene_generation import SceneSetSpec, generate
-from starstruck_gen.scene_previews import plan_previews
 from tactile_toolkit.catalog import PreviewSpec
 from tactile_toolkit.errors import InputError
 
@@ -54,13 +53,13 @@ def test_sheets_show_each_scene_in_the_row_of_its_class(tmp_path):
     pixels = planned.draw()
     places = []
     for record in list(starstruck_gen.load(str(out)))[:9]:
-        tile = np.asarray(draw_scene(record.placements, (0.12, 0.12), 1.25))
-        windows = np.lib.stride_tricks.sliding_window_view(pixels, (150,), axis=1)
-        rows, columns = np.nonzero((windows[75:] == tile[75].T).all(axis=(2, 3))[: pixels.shape[0] - 150 + 1])
+        tile = record.picture(140)
+        windows = np.lib.stride_tricks.sliding_window_view(pixels, (140,), axis=1)
+        rows, columns = np.nonzero((windows[70:] == tile[70].T).all(axis=(2, 3))[: pixels.shape[0] - 140 + 1])
         (place,) = [
             (row, column)
             for row, column in zip(rows, columns, strict=True)
-            if np.array_equal(pixels[row : row + 150, column : column + 150], tile)
+            if np.array_equal(pixels[row : row + 140, column : column + 140], tile)
         ]
         places.append((record.star_count, place))
     tops = {count: {row for each, (row, _) in places if each == count} for count in (1, 2, 3)}

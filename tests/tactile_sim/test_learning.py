@@ -43,15 +43,13 @@ torch = pytest.importorskip("torch", reason="needs torch, of the extra torch")
 
 from tactile_sim.learned import channels  # noqa: E402
 from tactile_sim.learned.batches import Batch  # noqa: E402
-from tactile_sim.learned.channels import depth_from, noisy_channels, picture_channels, shades_of  # noqa: E402
+from tactile_sim.learned.channels import generated, noisy_channels, picture_channels, shades_of  # noqa: E402
 from tactile_sim.learned.cyclegan import CycleGan  # noqa: E402
-from tactile_sim.learned.evaluation import evaluate  # noqa: E402
 from tactile_sim.learned.generators import make_generator  # noqa: E402
 from tactile_sim.learned.networks import GeneratorNetwork, initialise  # noqa: E402
 from tactile_sim.learned.training import train  # noqa: E402
-from tactile_sim.learned.weights import GeneratorWeights, read_weights, write_weights  # noqa: E402
+from tactile_sim.learned.weights import read_weights  # noqa: E402
 from tactile_sim.learning_specs import TrainConfig  # noqa: E402
-from tactile_toolkit.store import open_folder  # noqa: E402
 from tests.sealed import edit  # noqa: E402
 
 FILES = ("depth_to_touch.npz", "touch_to_depth.npz", "losses.parquet")
@@ -130,16 +128,12 @@ def test_impossible_pairs_are_named(sources, tmp_path):
     for spec, text in cases:
         with pytest.raises(InputError, match=text):
             make_pairs(*sources, "train", spec, tmp_path / "out")
-    with pytest.raises(InputError, match="baselines has 'paint'; expected some of taxim, untrained"):
-        evaluate(tmp_path, sources[0], baselines=("taxim", "paint"))
     assert list(tmp_path.iterdir()) == []
 
 
-def test_pairs_that_are_not_finished_or_too_few_are_no_training_set(sources, pairs, trained, tmp_path):
+def test_pairs_that_are_not_finished_or_without_contact_are_no_training_set(sources, tmp_path):
     few = PairsSpec((32, 32), 12, without_contact=0.2, window="center")
     make_pairs(*sources, "train", few, tmp_path / "few")
-    with pytest.raises(InputError, match=r"few' holds 12 images .*, 10 with contact, .*at least 40.*--count"):
-        evaluate(trained, str(tmp_path / "few"), baselines=())
     make_pairs(*sources, "train", PairsSpec((32, 32), 4, 1.0, window="center"), tmp_path / "untouched")
     with pytest.raises(InputError, match=r"'depth' of .*untouched' holds no image with contact"):
         train(str(tmp_path / "untouched"), tmp_path / "out", CONFIG, device="cpu")
@@ -257,7 +251,7 @@ def test_a_training_that_runs_away_keeps_its_last_checkpoint(pairs, trained, tmp
     assert _weights(out) == _weights(trained)
 
 
-def test_the_chain_from_the_command_line(sources, pairs, trained, tmp_path, monkeypatch):
+def test_the_chain_from_the_command_line(sources, pairs, trained, tmp_path):
     from cli.tactile_sim import app
 
     run = CliRunner()
@@ -271,36 +265,8 @@ def test_the_chain_from_the_command_line(sources, pairs, trained, tmp_path, monk
     part = run.invoke(app, [*words, str(tmp_path / "parts"), "--part", "0/1"])
     assert "images in" in part.output
     assert "tactile-sim train" not in part.output, "there is nothing to train with before --finish"
-    monkeypatch.setattr("tactile_sim.learned.classifiers.STEPS", 60)
     verified = run.invoke(app, ["verify", pairs])
     assert verified.exit_code == 0, verified.output
-    noise = tmp_path / "noise.json"
-    noise.write_text(json.dumps(NOISE.to_dict()))
-    options = ["--pairs", pairs, "--out", str(tmp_path / "found"), "--sensor-noise", str(noise), "--json"]
-    found = run.invoke(app, ["evaluate", str(trained), *options])
-    assert found.exit_code == 0, found.output
-    told = json.loads(found.stdout)
-    assert told["noise"] == NOISE.to_dict()
-    assert "with a sensor's noise" in (tmp_path / "found" / "evaluation.md").read_text()
-    rows = {row["name"]: row for row in told["measured"]}
-    assert list(rows) == ["real", "trained", "taxim", "untrained"]
-    assert [rows[name]["depth_um"] for name in ("trained", "taxim", "untrained")] == pytest.approx(
-        [939.82, 929.20, 940.52], rel=1e-4
-    )
-    # On all processors, classifiers that learn for 60 steps give about the same results.
-    assert [row["contact_accuracy"] for row in rows.values()] == pytest.approx(
-        [0.841, 0.5, 0.773, 0.5], abs=0.05
-    )
-    assert [row["two_sample"] for row in rows.values()] == pytest.approx([0.493, 1.0, 0.499, 1.0], abs=0.05)
-    assert [row["two_sample_error"] for row in rows.values()] == pytest.approx(
-        [0.0928, 0.0085, 0.0651, 0.0085], abs=1e-3
-    )
-    assert rows["untrained"]["two_sample"] > 0.9  # noise is not a touch
-    # These real touches are those of Taxim, with noise.
-    assert rows["taxim"]["two_sample"] < rows["untrained"]["two_sample"]
-    assert sorted(file.name for file in (tmp_path / "found").iterdir()) == [
-        "evaluation.json", "evaluation.md", "evaluation.png",
-    ]  # fmt: skip
     weights = trained / "depth_to_touch.npz"
     made = run.invoke(
         app,
@@ -310,35 +276,14 @@ def test_the_chain_from_the_command_line(sources, pairs, trained, tmp_path, monk
     )  # fmt: skip
     assert made.exit_code == 0, made.output
     assert realtouch.load(tmp_path / "touches", "train").touches().images().shape == (2, 32, 32, 3)
-    larger = GeneratorWeights(read_weights(weights).arrays, (36, 36))
-    write_weights(open_folder(str(tmp_path)), weights.name, larger)
-    with pytest.raises(InputError, match="weights were trained with 36 x 36"):
-        evaluate(tmp_path, pairs)
 
 
-def test_an_evaluation_is_the_same_of_one_picture_at_a_time(pairs, trained, monkeypatch):
-    monkeypatch.setattr("tactile_sim.learned.classifiers.STEPS", 20)
-    steps: list[tuple[int, int]] = []
-    found = []
-    for together in (1, 64):
-        monkeypatch.setattr(channels, "_TOGETHER", together)
-        steps.clear()
-        found.append(
-            evaluate(trained, pairs, baselines=("untrained",), on_progress=lambda *at: steps.append(at))
-        )
-        assert [done for done, _ in steps] == sorted({done for done, _ in steps})
-        assert {total for _, total in steps} == {steps[-1][0]}
-    for one, together in zip(found[0].measures, found[1].measures, strict=True):
-        assert one.depth_um == pytest.approx(together.depth_um, rel=1e-5, nan_ok=True)
-        assert one.contact_accuracy == pytest.approx(together.contact_accuracy, abs=0.02)
-        assert one.two_sample == pytest.approx(together.two_sample, abs=0.02)
+def test_a_generator_takes_images_a_few_at_a_time(pairs, trained, monkeypatch):
     network = make_generator(read_weights(trained / "touch_to_depth.npz"))
     pictures = Pairs.open(pairs).real.images(np.arange(7))
     monkeypatch.setattr(channels, "_TOGETHER", 3)
-    alone = np.concatenate([depth_from(network, each[None]) for each in pictures])
-    np.testing.assert_allclose(depth_from(network, pictures), alone, atol=1e-5)
-    with pytest.raises(InputError, match="device is 'tpu'"):
-        evaluate(trained, pairs, device="tpu")
+    alone = np.concatenate([generated(network, picture_channels, each[None]) for each in pictures])
+    np.testing.assert_allclose(generated(network, picture_channels, pictures), alone, atol=1e-5)
 
 
 def test_two_processes_of_torchrun_train_together(pairs, tmp_path, monkeypatch):

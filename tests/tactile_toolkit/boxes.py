@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from functools import partial
 
 import numpy as np
 import pyarrow as pa
 
-from tactile_toolkit.cards import Card
+from tactile_toolkit.cards import Card, draw_solids
 from tactile_toolkit.checked_fields import check_fields, integer, real
+from tactile_toolkit.gallery import gallery_of_solids
 from tactile_toolkit.generation import Recipe, RowGenerator, StorageLayout
 from tactile_toolkit.kind import DatasetKind, lazy
 from tactile_toolkit.mesh import MeshRow, RecordStream, SolidDataset, mesh_schema
+from tactile_toolkit.pictures import DrawnSolid, plan_sheets
 from tactile_toolkit.places import loader
-from tactile_toolkit.rows import column, meanings, row
+from tactile_toolkit.rows import column, meanings, row, with_role
 from tactile_toolkit.store import ParquetStyle, Skipped
 
 KIND = DatasetKind(
@@ -27,6 +30,8 @@ KIND = DatasetKind(
     write_card=lazy("tests.tactile_toolkit.boxes:write_card"),
     schema=lazy("tests.tactile_toolkit.boxes:schema"),
     class_names=("box",),
+    plan_previews=lazy("tests.tactile_toolkit.boxes:plan_previews"),
+    plan_gallery=lazy("tests.tactile_toolkit.boxes:plan_gallery"),
     recipe=lazy("tests.tactile_toolkit.boxes:recipe"),
 )
 
@@ -34,7 +39,7 @@ KIND = DatasetKind(
 @row
 class BoxRow(MeshRow):
     id: int = column(pa.int64(), "", "number of the box")
-    width_m: float = column(pa.float64(), "m", "extent along x")
+    width_m: float = column(pa.float64(), "m", "extent along x", role="measure", title="Width", decimals=3)
 
 
 def schema(_manifest=None):
@@ -90,11 +95,24 @@ def write_card(folder, manifest):
         template="mesh_tables.md",
         title="Boxes",
         columns=meanings(BoxRow),
-        picture=("boxes.png", lambda _: None, ""),
+        picture=("boxes.png", draw_solids, "The first boxes from above"),
         licence="cc0-1.0",
         tags=["3d"],
         values={"licence_text": "Anybody may use them.", "citation_text": "Nobody need be cited."},
     ).write(folder, manifest, KIND)
 
 
-load = loader(KIND, SolidDataset, RecordStream)
+class BoxRecord(DrawnSolid):
+    __slots__ = ()
+
+    def caption(self, label_names=()):
+        return f"{1e3 * self.row.value('width_m'):.1f} mm wide"
+
+
+class BoxDataset(SolidDataset):
+    record_class = BoxRecord
+
+
+load = loader(KIND, BoxDataset, RecordStream)
+plan_previews = partial(plan_sheets, KIND)
+plan_gallery = partial(gallery_of_solids, KIND, title="Boxes", columns=with_role(BoxRow, "measure"))

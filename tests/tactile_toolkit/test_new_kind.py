@@ -8,11 +8,14 @@ import datasets
 import numpy as np
 import pytest
 
+from tactile_toolkit.catalog import PreviewSpec
 from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.exchange.upload import check_folder, collect
+from tactile_toolkit.gallery import build_site
 from tactile_toolkit.generation import forecast, generate
 from tactile_toolkit.run import Part
 from tactile_toolkit.store import open_folder, read_manifest
+from tests.gallery_files import index_of
 from tests.tactile_toolkit import boxes
 from tests.tactile_toolkit.toy import folder_bytes
 
@@ -60,6 +63,15 @@ def test_generate_resume_parts_verify_card_load_upload_and_forecast(tmp_path: Pa
     assert rows["id"] == records.ids.tolist()
     assert rows.features["label"].names == ["box"]
     assert rows["width_m"] == pytest.approx([float(np.ptp(each.vertices_m[:, 0])) for each in records])
+    # pictures in notebooks, previews, the card and the gallery
+    assert "mm wide" in records[0]._repr_html_()
+    assert records._repr_html_().count("<img") == len(records)
+    (sheet,) = boxes.KIND.plan_previews(str(whole), PreviewSpec()).pictures
+    assert sheet.draw().std() > 10
+    assert "![The first boxes from above](previews/boxes.png)" in card
+    build_site(boxes.KIND.plan_gallery(str(whole)), str(tmp_path / "site"))
+    (width, *_) = index_of(tmp_path / "site")["measures"]
+    assert width["values"] == [round(record.row.value("width_m"), 3) for record in records]
     # upload
     manifest = read_manifest(folder)
     assert manifest is not None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -17,9 +18,8 @@ from mnist3d.digit_generation import DigitSetSpec, generate
 from mnist3d.solid_spec import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.cards import check_card, folder_summary, with_head, with_repo_name
-from tactile_toolkit.cards.card_features import yaml_features
-from tactile_toolkit.cards.card_tables import column_type_text
-from tactile_toolkit.cards.yaml_head import size_category
+from tactile_toolkit.cards.card import column_type_text
+from tactile_toolkit.cards.yaml_head import size_category, yaml_features
 from tactile_toolkit.store import open_folder, verify
 
 
@@ -107,22 +107,20 @@ def _wrong_class(head: dict) -> None:
     [
         (
             _drop_split,
-            "files of split 'holdout' in configuration 'default' is missing, expected {'count': 1",
+            "files of split 'holdout' in configuration 'default' is missing, expected ['data/holdout-",
         ),
         (
             _wrong_pattern,
-            "files of split 'test' in configuration 'default' is {'count': 2, 'files': ['data/holdout-",
+            "files of split 'test' in configuration 'default' is ['data/holdout-",
         ),
         (_more_rows, "num_examples of split 'test' is 11, expected 10"),
-        (_further_split, "num_examples of split 'train' is 1, expected none"),
+        (_further_split, "num_examples of split 'train' is 1, expected missing"),
         (_wrong_column, "column 'id' is {'dtype': 'string'}, expected {'dtype': 'int64'}"),
         (_lost_column, "column 'source' is missing, expected {'dtype': 'string'}"),
         (_wrong_class, "column 'label' is {'dtype': {'class_label'"),
-        (lambda head: head.pop("dataset_info"), "has no 'dataset_info'"),
-        (lambda head: head.pop("configs"), "files of split 'test' in configuration 'default' is missing"),
-        (lambda head: head.pop("license"), "has no 'license'"),
+        (lambda head: head.pop("dataset_info"), "its YAML head cannot be read (KeyError: 'dataset_info')"),
         (lambda head: head.update(size_categories=["n>1T"]), "expected ['n<1K']"),
-        (lambda head: head["dataset_info"].update(download_size=1), "'download_size' is 1, expected"),
+        (lambda head: head["dataset_info"].update(download_size=1), "download_size is 1, expected"),
     ],
 )
 def test_a_lie_in_the_head_is_named(folder, lie, words):
@@ -133,37 +131,32 @@ def test_a_lie_in_the_head_is_named(folder, lie, words):
     assert verify(open_folder(str(folder))).ok, "the rows are fine"
 
 
-def show(folder: Path, picture: str) -> None:
-    with (folder / "README.md").open("a") as card:
-        card.write(f"\n![a picture]({picture})\n")
-
-
-def test_pictures_that_lie_elsewhere_are_left_alone(folder):
-    show(folder, "https://example.org/a.png")
-    show(folder, "data:image/png;base64,AAAA")
-    assert problems(folder) == []
-
-
 @pytest.mark.parametrize(
-    ("harm", "file", "words"),
+    ("card", "words"),
     [
-        (lambda f: (f / "README.md").unlink(), "README.md", "is missing; next: write it with"),
-        (lambda f: show(f, "datasheet.png"), "datasheet.png", "README.md shows it"),
-        (lambda f: (f / "README.md").write_text("# No head"), "README.md", "has no 'license'"),
-        (lambda f: (f / "README.md").write_text("---\na: [\n---\n"), "README.md", "head cannot be read"),
-        (lambda f: (f / "previews" / "digits.png").unlink(), "previews/digits.png", "README.md shows it"),
+        (None, "is missing; next: write it again with the command `card`"),
+        ("# No head", "its YAML head cannot be read (ValueError"),
+        ("---\na: [\n---\n", "its YAML head cannot be read (ValueError"),
     ],
 )
-def test_missing_entries_are_named(folder, harm, file, words):
-    harm(folder)
-    assert any(problem.startswith(f"{file}: ") and words in problem for problem in problems(folder))
+def test_a_card_that_cannot_be_read_is_named(folder, card, words):
+    (folder / "README.md").unlink()
+    if card is not None:
+        (folder / "README.md").write_text(card)
+    (found,) = problems(folder)
+    assert found.startswith(f"README.md: {words}")
 
 
 def test_a_head_that_repeats_itself_is_shown_in_part(folder):
     lines = [f"x{level}: &x{level} [{', '.join([f'*x{level - 1}'] * 9)}]" for level in range(1, 12)]
-    text = "\n".join(["x0: &x0 [a]", *lines, "dataset_info: {download_size: *x11}"])
-    (folder / "README.md").write_text(f"---\n{text}\n---\n")
-    (found,) = [problem for problem in problems(folder) if "'download_size' is" in problem]
+    head = "\n".join(["x0: &x0 [a]", *lines])
+
+    def repeat(text: str) -> str:
+        return re.sub("download_size: [0-9]+", "download_size: *x11", text)
+
+    card = folder / "README.md"
+    card.write_text(repeat(card.read_text()).replace("---\n", f"---\n{head}\n", 1))
+    (found,) = [problem for problem in problems(folder) if "download_size is" in problem]
     assert len(found) < 1000
 
 
@@ -173,23 +166,6 @@ def test_columns_that_are_described_wrongly_are_named(folder, stored):
     table = pq.read_table(path)
     pq.write_table(table.replace_schema_metadata({"huggingface": stored}), path, write_page_checksum=True)
     assert any(f"{path.name!r}"[1:-1] in problem and "huggingface" in problem for problem in problems(folder))
-
-
-def test_a_damaged_picture_is_named(folder):
-    picture = folder / "previews" / "digits.png"
-    content = bytearray(picture.read_bytes())
-    content[len(content) // 2] ^= 1
-    picture.write_bytes(content)
-    assert problems(folder) == [
-        "previews/digits.png: is not an intact picture; next: write it again with the command `card`"
-    ]
-
-
-@pytest.mark.parametrize("gap", ["[More Information Needed]", "TODO"])
-def test_a_gap_is_named(folder, gap):
-    with (folder / "README.md").open("a") as card:
-        card.write(f"\n{gap}\n")
-    assert ["expected text in its place" in problem for problem in problems(folder)] == [True]
 
 
 def test_the_card_takes_another_name(digits_set):

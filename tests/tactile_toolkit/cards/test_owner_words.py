@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 import starstruck_gen
-from tactile_toolkit.cards.owner_options import LICENCES, read_licence
+from tactile_toolkit.cards.owner import LICENCES, read_licence
 from tests.command_line import call
 
 BIBTEX = "@misc{mine, title={My digits}, author={Lovelace, Ada}}"

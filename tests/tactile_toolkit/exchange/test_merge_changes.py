@@ -1,4 +1,4 @@
-"""Options of merging: duplicate ids get new ones, and a column names the data set of each row."""
+"""Merging: duplicate ids get new ones, and a column names the data set of each row."""
 
 from __future__ import annotations
 
@@ -48,9 +48,7 @@ def test_rows_get_new_ids_and_a_source_and_are_otherwise_unchanged(
 ) -> None:
     one, other = make(tmp_path / "a" / "set", 1), make(tmp_path / "b" / "set", 2)
     words = ("--out", tmp_path / "out", "-w", 1)
-    assert call(program, "merge", one, other, *words) == 2
-    assert "next: add --renumber, or take rows out" in capsys.readouterr().err
-    assert call(program, "merge", one, other, *words, "--renumber", "--source-column", "origin") == 0
+    assert call(program, "merge", one, other, *words, "--source-column", "origin") == 0
     said = capsys.readouterr().out
     spec = json.loads((tmp_path / "out" / "manifest.json").read_text())["spec"]["options"]
     assert (spec["source_column"], spec["sources"]) == ("origin", ["a/set", "b/set"])
@@ -85,7 +83,7 @@ def test_rows_get_new_ids_and_a_source_and_are_otherwise_unchanged(
     # The same bytes with two workers.
     kind = {"starstruck": SCENES, "realtouch": TOUCHES}[program]
     again = tmp_path / "again"
-    merge_sets(kind, [one, other], str(again), renumber=True, source_column="origin", workers=2)
+    merge_sets(kind, [one, other], str(again), source_column="origin", workers=2)
     for file in (out / "data").iterdir():
         assert file.read_bytes() == (again / "data" / file.name).read_bytes()
 
@@ -95,19 +93,19 @@ def test_shards_without_changes_are_copied_byte_for_byte(tmp_path: Path) -> None
     for number, rows in enumerate(divide(SCENES, whole, (0.5, 0.5), 7, {})):
         write_part(SCENES, whole, rows, {"part": number}, str(tmp_path / f"part-{number}"))
     parts = [tmp_path / "part-0", tmp_path / "part-1"]
-    plain = merge_sets(SCENES, parts, str(tmp_path / "plain"))
-    renumbered = merge_sets(SCENES, parts, str(tmp_path / "renumbered"), renumber=True)
-    assert [shard.sha256 for shard in plain.shards] == [shard.sha256 for shard in renumbered.shards]
-    assert renumbered.spec["options"]["renumbered"] == []
+    merged = merge_sets(SCENES, parts, str(tmp_path / "merged"))
+    copied = {file.read_bytes() for part in parts for file in (part / "data").iterdir()}
+    assert {file.read_bytes() for file in (tmp_path / "merged" / "data").iterdir()} == copied
+    assert merged.spec["options"] == {}
 
 
 def test_impossible_merges_are_refused(tmp_path: Path) -> None:
     one, other = scenes(tmp_path / "one", 1), scenes(tmp_path / "other", 2)
     for name in ("id", "mesh", "a.b", "", " ", "a\nb"):
         with pytest.raises(InputError, match=r"--source-column is .*expected the name of a new column"):
-            merge_sets(SCENES, [one, other], str(tmp_path / "out"), renumber=True, source_column=name)
+            merge_sets(SCENES, [one, other], str(tmp_path / "out"), source_column=name)
     with pytest.raises(InputError, match="a data set is given twice"):
-        merge_sets(SCENES, [one, one], str(tmp_path / "out"), renumber=True, source_column="from")
+        merge_sets(SCENES, [one, one], str(tmp_path / "out"), source_column="from")
     assert not (tmp_path / "out").exists()
 
 
@@ -128,7 +126,7 @@ def test_new_ids_are_new_in_all_sources(tmp_path: Path) -> None:
             place / "train-00000-of-00001.parquet",
         )
         folders.append(place.parent)
-    merged = merge_sets(TOUCHES, folders, str(tmp_path / "out"), renumber=True)
+    merged = merge_sets(TOUCHES, folders, str(tmp_path / "out"))
     found = [row["id"] for row in rows_of(tmp_path / "out")]
     assert found == ["a", "a_2", "b", "a_4", "a_5", "b_2", "a_6", "a_3"]
     pairs = {each["source"]: each["ids"] for each in merged.spec["options"]["renumbered"]}

@@ -15,8 +15,7 @@ from tactile_toolkit.errors import (
     StorageError,
 )
 from tactile_toolkit.gallery import PAGE_FILE, Gallery, build_site, site as site_module
-from tactile_toolkit.gallery.page import ASSETS, THREE, asset
-from tactile_toolkit.gallery.site import MAX_ITEMS
+from tactile_toolkit.gallery.site import ASSETS, MAX_ITEMS, THREE, asset
 from tactile_toolkit.run import InlineRunner, ProcessRunner
 from tests.forked import run_forked, start_forked
 from tests.gallery_files import files_of, index_of

@@ -19,7 +19,7 @@ import trimesh
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh, inspect, pack_mesh, read_mesh, unpack_mesh
-from tactile_toolkit.mesh.polygons import cut_polygons
+from tactile_toolkit.mesh.plain_formats import cut_polygons
 from tests.real_input import SHARED
 from tests.tactile_toolkit.mesh.solid_files import cube, outcome_of
 

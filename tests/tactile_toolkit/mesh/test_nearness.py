@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from tactile_toolkit.mesh.nearness import FACING, near_pairs, thinnest_wall_mm
+from tactile_toolkit.mesh.box_tree import near_pairs
+from tactile_toolkit.mesh.walls import FACING, thinnest_wall_mm
 
 REACH_MM = 2.5
 # Limits of the definition: along the surface, along an edge, in a plane, on round surfaces.

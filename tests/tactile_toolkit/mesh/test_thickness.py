@@ -15,7 +15,7 @@ from PIL import Image, ImageDraw
 
 from mnist3d.solid.algorithm import solidify
 from tactile_toolkit.mesh import Mesh, PrintReport, inspect
-from tactile_toolkit.mesh.nearness import thinnest_wall_mm
+from tactile_toolkit.mesh.walls import thinnest_wall_mm
 
 Solid = manifold3d.Manifold
 ANGLES = st.floats(0, 360)

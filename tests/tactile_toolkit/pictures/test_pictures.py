@@ -13,10 +13,10 @@ from PIL import Image
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh
 from tactile_toolkit.pictures import (
+    INK,
     PlannedPicture,
     Tile,
     bar_length_mm,
-    in_rows,
     plan_kinds,
     png_bytes,
     sheet,
@@ -24,7 +24,6 @@ from tactile_toolkit.pictures import (
     with_scale_bar,
     write_pictures,
 )
-from tactile_toolkit.pictures.lettering import INK
 from tactile_toolkit.store import open_folder
 
 
@@ -59,7 +58,7 @@ def ink(pixels: np.ndarray) -> np.ndarray:
 
 def test_letters_of_many_languages_differ_from_the_box_of_a_letter_that_is_missing():
     def drawn(text: str) -> bytes:
-        return sheet([None], 1, text).tobytes()
+        return sheet([], 1, text).tobytes()
 
     absent = drawn("\N{CJK UNIFIED IDEOGRAPH-6570}")
     letters = "aßéŁłøæþđğīΩπЖ²³µ°·\N{EN DASH}\N{MULTIPLICATION SIGN}\N{MINUS SIGN}«»™"
@@ -72,7 +71,7 @@ def test_letters_of_many_languages_differ_from_the_box_of_a_letter_that_is_missi
     ("written", "as_if"), [("u\u0308ber", "über"), ("a\nb\tc\x00", "a?b?c?"), ("\udcff.png", "?.png")]
 )
 def test_a_line_of_text_stays_one_line(written, as_if):
-    titled = [sheet([None], 1, title, (title,)) for title in (written, as_if)]
+    titled = [sheet([], 1, title, (title,)) for title in (written, as_if)]
     assert np.array_equal(*titled)
     assert text_size(written, 16) == text_size(as_if, 16)
 
@@ -131,15 +130,15 @@ def test_a_scale_bar_has_the_stated_length(width_px, px_per_mm):
     length_mm = bar_length_mm(width_px, px_per_mm)
     first = int(f"{length_mm:e}"[0])
     assert first in (1, 2, 5)
-    if 0.002 < width_px / 4 / px_per_mm < 5000:
-        assert width_px / 4 / 2.6 < length_mm * px_per_mm <= width_px / 4
+    if 0.002 < width_px / px_per_mm < 5000:
+        assert width_px / 2.6 < length_mm * px_per_mm <= width_px
 
 
 @pytest.mark.parametrize("px_per_mm", [3.3, 7.0, 12.4])
 def test_the_drawn_bar_has_that_many_pixels(px_per_mm):
     grey = np.full((120, 300, 3), 128, np.uint8)
     drawn = with_scale_bar(grey, px_per_mm)
-    bar_px = round(bar_length_mm(300, px_per_mm) * px_per_mm)
+    bar_px = round(bar_length_mm(75, px_per_mm) * px_per_mm)
     rows = ink(drawn).sum(axis=1)
     assert (rows == bar_px).sum() == 5
     assert np.flatnonzero(rows == bar_px).max() == 120 - 11
@@ -149,9 +148,13 @@ def test_the_drawn_bar_has_that_many_pixels(px_per_mm):
 
 def test_tiles_lie_in_rows_of_one_height_with_any_text_around_them():
     colours = [(255, 0, 0), (0, 255, 0), (0, 0, 255), (255, 255, 0)]
-    tiles = [Tile(np.full((20 + n, 30, 3), colours[n], np.uint8), f"caption {n}") for n in range(3)]
-    framed = Tile(np.full((20, 30, 3), colours[3], np.uint8), "", (1, 2, 3))
-    drawn = sheet([*tiles, None, framed], 2, "A title", ("a line",), ("one", "two", "three"))
+    groups = ("one", "one", "two")
+    tiles = [
+        Tile(np.full((20 + n, 30, 3), colours[n], np.uint8), f"caption {n}", group=groups[n])
+        for n in range(3)
+    ]
+    framed = Tile(np.full((20, 30, 3), colours[3], np.uint8), "", (1, 2, 3), "three")
+    drawn = sheet([*tiles, framed], 2, "A title", ("a line",))
     for colour, tile in zip(colours, [*tiles, framed], strict=True):
         rows, columns = np.nonzero((drawn == colour).all(axis=2))
         height, width = tile.pixels.shape[:2]
@@ -168,18 +171,27 @@ def test_tiles_lie_in_rows_of_one_height_with_any_text_around_them():
     assert (np.ptp(rows) + 1, np.ptp(columns) + 1) == (26, 36)
     assert len(rows) == 26 * 36 - 20 * 30
     assert sheet(tiles, 2, "A title").shape[1] >= text_size("A title", 20)[0]
-    lengths = [len(sheet(tiles, 2, gap_px=6, bar_room=bar_room)) for bar_room in (False, True)]
-    assert lengths[1] - lengths[0] == 6 + 22, "the room of a line"
+    lengths = [len(sheet(tiles, 2, gap_px=6, px_per_mm=scale)) for scale in (None, 2.0)]
+    assert lengths[1] - lengths[0] == 6 + 22, "the height of a line for the scale bar"
 
 
 @given(st.lists(st.integers(1, 9), min_size=1, max_size=6), st.integers(1, 5))
-def test_each_group_begins_a_row(sizes, most):
-    tile = Tile(np.zeros((1, 1), np.uint8))
-    columns, cells, labels = in_rows([(f"g{n}", [tile] * size) for n, size in enumerate(sizes)], most)
-    assert columns == min(most, max(sizes))
-    assert len(cells) == columns * len(labels)
-    assert sum(cell is not None for cell in cells) == sum(sizes)
-    starts = [place for place, label in enumerate(labels) if label]
-    assert [labels[start] for start in starts] == [f"g{n}" for n in range(len(sizes))]
-    for start, size in zip(starts, sizes, strict=True):
-        assert all(cells[start * columns : start * columns + size])
+def test_each_group_starts_a_row(sizes, most):
+    shade = iter(range(1, 200))
+    tiles = [
+        Tile(np.full((3, 3, 3), (255, 0, next(shade)), np.uint8), group=f"g{group}")
+        for group, size in enumerate(sizes)
+        for _ in range(size)
+    ]
+    drawn = sheet(tiles, most)
+    corners = [
+        tuple(np.argwhere((drawn == tile.pixels[0, 0]).all(axis=2)).min(axis=0).tolist()) for tile in tiles
+    ]
+    tops, lefts = (sorted(set(side)) for side in zip(*corners, strict=True))
+    cells = [(tops.index(top), lefts.index(left)) for top, left in corners]
+    expected = []
+    row = 0
+    for size in sizes:
+        expected += [(row + number // most, number % most) for number in range(size)]
+        row += -(-size // most)
+    assert cells == expected

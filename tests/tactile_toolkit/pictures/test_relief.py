@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from tactile_toolkit.mesh import Mesh
-from tactile_toolkit.pictures import DrawnBody, box_downsample, draw_bodies
-from tactile_toolkit.pictures.oblique_views import View
+from tactile_toolkit.pictures import DrawnBody, View, box_downsample, draw_bodies
 from tests.processes import printed_by
 
 CLAY = (200, 120, 40)
@@ -107,14 +106,14 @@ def test_a_mesh_that_is_inside_out_is_lit_all_the_same():
 DRAW = """
 import hashlib, numpy as np
 from tactile_toolkit.pictures import ACCENTS
-from tactile_toolkit.pictures import DrawnBody, draw_bodies
+from tactile_toolkit.pictures import DrawnBody, View, draw_bodies
 from tactile_toolkit.pictures import png_bytes
 from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.pictures.sheets import Tile, sheet, with_scale_bar
+from tactile_toolkit.pictures import Tile, sheet, with_scale_bar
 corners = np.array([(0, 0, 0), (.02, 0, 0), (0, .01, 0), (0, 0, .01)])
 mesh = Mesh(corners, np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)], np.int32))
 view = with_scale_bar(draw_bodies((DrawnBody(mesh, (200, 120, 40)),), (120, 90), 4000.0), 4.0)
-drawn = sheet([Tile(view, "20 mm²", ACCENTS[0])] * 3, 2, "Title", ("line",), ("a", "b"))
+drawn = sheet([Tile(view, "20 mm²", ACCENTS[0], "a")] * 3, 2, "Title", ("line",))
 print(hashlib.sha256(png_bytes(drawn)).hexdigest())
 """
 

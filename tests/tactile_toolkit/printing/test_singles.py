@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactile_toolkit.catalog.ids import id_range, id_text, parse_ids
+from tactile_toolkit.catalog.row_options import id_range, id_text, parse_ids
 from tactile_toolkit.errors import InputError, ItemError, StorageError
 from tactile_toolkit.mesh import FORMATS, Mesh, check_manifold, read_mesh, require_solid
 from tactile_toolkit.printing import export_files

@@ -15,15 +15,15 @@ torch = pytest.importorskip("torch", reason="torch (extra `torch`) is not instal
 pytest.importorskip("s3fs")
 pytest.importorskip("moto")
 
-from starstruck_gen.scene_generation import SceneMaking  # noqa: E402
+from starstruck_gen.scene_generation import SceneGenerator  # noqa: E402
 from starstruck_gen.scene_tensors import SceneTensors  # noqa: E402
 from tactile_toolkit.read import TrainingBatches  # noqa: E402
 
 
 def test_training_from_a_store_is_training_from_a_folder(s3, bucket, tmp_path, monkeypatch):
     monkeypatch.setenv("TACTILE_TOOLKIT_CACHE", str(tmp_path / "cache"))
-    layout = SceneMaking.layout
-    monkeypatch.setattr(SceneMaking, "layout", lambda self: replace(layout(self), largest=8))
+    layout = SceneGenerator.layout
+    monkeypatch.setattr(SceneGenerator, "layout", lambda self: replace(layout(self), largest=8))
     spec = starstruck_gen.SceneSetSpec(scenes=(("train", 60), ("test", 1)))
     starstruck_gen.generate(spec, tmp_path / "scenes")
     place = open_folder(f"s3://{bucket}/scenes")

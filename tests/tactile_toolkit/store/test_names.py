@@ -10,11 +10,10 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 import pytest
 from hypothesis import given, strategies as st
 
-from tactile_toolkit.cards import check_card
-from tactile_toolkit.errors import InputError, IntegrityError, StorageError, ToolkitError
+from tactile_toolkit.errors import InputError, IntegrityError, StorageError
 from tactile_toolkit.places import open_place
 from tactile_toolkit.store import build, is_hidden, names_inside, open_folder, problem_of_name, verify
-from tactile_toolkit.store.download_record import RECORD_FILE, read_download_record
+from tactile_toolkit.store.verification import RECORD_FILE, read_download_record
 from tests.sealed import sealed
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
 
@@ -283,16 +282,6 @@ def test_links_inside_the_folder_and_of_the_hubs_cache_are_files(finished, tmp_p
     (snapshot / SHARD).unlink()
     (snapshot / SHARD).symlink_to("../../../blobs/of-the-hub")
     assert findings(snapshot) == {}
-
-
-@pytest.mark.parametrize("path", ["../../victim.png", "/etc/passwd", "previews/../../victim.png"])
-def test_a_card_shows_only_pictures_of_its_folder(finished, path):
-    (finished / "README.md").write_text(f"---\nlicense: mit\n---\n![a picture]({path})\n")
-    try:
-        problems = [each.problem for each in check_card(open_folder(str(finished)))]
-    except ToolkitError as error:  # pragma: no cover - said so below
-        problems = [str(error)]
-    assert any(problem.startswith(f"shows the picture '{path}', which ") for problem in problems)
 
 
 @pytest.mark.skipif(not hasattr(os, "pathconf"), reason="needs a system that states its longest path")

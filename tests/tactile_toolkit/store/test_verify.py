@@ -11,7 +11,7 @@ import pytest
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store import DownloadRecord, HubFile, build, open_folder, verify, write_download_record
-from tactile_toolkit.store.parquet import encode_parquet, file_sha256
+from tactile_toolkit.store.parquet import encode_parquet
 from tests.sealed import edit
 from tests.tactile_toolkit.toy import SCHEMA, STYLE, toy_plan
 
@@ -63,7 +63,7 @@ def rewritten(folder, path, change):
 
     def vouch(values):
         (record,) = (each for each in values["shards"] if each["file"] == path)
-        record |= {"bytes": folder.size_bytes(path), "sha256": file_sha256(folder, path)}
+        record |= {"bytes": folder.size_bytes(path), "sha256": folder.sha256(path)}
 
     edited(folder, vouch)
 

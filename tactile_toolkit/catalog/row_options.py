@@ -1,0 +1,108 @@
+"""Options of commands that choose rows of a data set; imports nothing heavy."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import TypeAlias
+
+from tactile_toolkit.checked_fields import check_fields, integer, text
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.wording import comma_separated
+
+_IDS = re.compile(r"(-?\d{1,20})(?:-(\d{1,20}))?", re.ASCII)
+GivenId: TypeAlias = int | str | tuple[int, int]
+"""An id, or the first and the last id of a range."""
+IdChoice: TypeAlias = Sequence[GivenId]
+
+
+def parse_ids(text: str) -> list[GivenId]:
+    """Read ids such as ``3,17,40-60``: numbers, ranges, and other words unchanged.
+
+    Ranges are not expanded, because most of their numbers may belong to no row. Raises InputError for an
+    empty id.
+    """
+    return [_as_id(word.strip()) for word in text.split(",")]
+
+
+def _as_id(word: str) -> GivenId:
+    if not word:
+        raise InputError("--ids has ''; expected ids such as 3,17,40-60")
+    try:
+        low, high = id_range(word)
+    except InputError:
+        return word
+    given: GivenId = low
+    if "-" in word[1:]:
+        given = (low, high)
+    # 007 is the number 7, but a different text.
+    if id_text(given) == word:
+        return given
+    return word
+
+
+def id_range(given: GivenId) -> tuple[int, int]:
+    """Return the first and the last number of a given id; InputError for other text."""
+    if not isinstance(given, str):
+        if isinstance(given, tuple):
+            return given
+        return (given, given)
+    match = _IDS.fullmatch(given)
+    if match is None or int(match[2] or match[1]) < int(match[1]):
+        raise InputError(
+            f"--ids has {given!r}, and these ids are numbers; expected numbers and ranges such as 3,17,40-60"
+        )
+    return int(match[1]), int(match[2] or match[1])
+
+
+def id_text(given: GivenId) -> str:
+    """Return a given id as text: where ids are texts, ``2024-01`` is not a range."""
+    if isinstance(given, tuple):
+        return "-".join(map(str, given))
+    return str(given)
+
+
+# Each is the default of all parameters and fields of its name: `dataclasses` notes the name in it.
+SPLIT = text(metavar="NAME", help="Only this split; all by default.")
+ONE_SPLIT = text(metavar="NAME", help="Split to open; required if there are several.")
+IDS = text(name="--ids", metavar="3,17,40-60", read=parse_ids, help="Only the objects with these ids.")
+LABELS = text(metavar="3,7", read=comma_separated, help="Only the objects of these classes.")
+LIMIT = integer(None, 1, optional=True, help="Only the first N rows of each split.")
+PER_CLASS = integer(None, 1, optional=True, help="Only the first N of each class, in each split.")
+
+
+@dataclass(frozen=True, slots=True)
+class RowFilter:
+    """Options of commands that take some of the objects of a data set."""
+
+    split: str | None = SPLIT
+    ids: IdChoice | None = IDS
+    labels: Sequence[str] | None = LABELS
+    per_class: int | None = PER_CLASS
+    limit: int | None = LIMIT
+
+    def given(self) -> JsonDict:
+        """Return the options by name; the split ``all`` becomes None."""
+        named = {each.name: getattr(self, each.name) for each in fields(RowFilter)}
+        return {**named, "split": None if self.split == "all" else self.split}
+
+
+NO_FILTER = RowFilter()
+
+
+@dataclass(frozen=True, slots=True)
+class PreviewSpec(RowFilter):
+    """Options of the previews of a data set of meshes.
+
+    Without ``kinds`` a sheet is drawn; without ``split`` all splits; without ``ids`` the first ``per_class``
+    rows of each class on a sheet, or the first row in a single picture. With ``labels`` only rows of these
+    classes are taken. Finally, the first ``limit`` of each split are taken.
+    """
+
+    per_class: int = integer(10, 1, help="Objects of each class on a sheet.")
+    kinds: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_fields(self, "the previews")

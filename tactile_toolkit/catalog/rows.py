@@ -1,0 +1,286 @@
+"""Rows of a data set, chosen by split, id and class, or checked in several processes; and their files."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import Generic, NamedTuple, Protocol, TypeVar
+
+import numpy as np
+
+from tactile_toolkit import mesh, places, read, run, store
+from tactile_toolkit.array_types import AnyArray, Bool, Int64
+from tactile_toolkit.catalog.row_options import GivenId, IdChoice, id_range, id_text
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.kind import DatasetKind
+
+D = TypeVar("D", bound=read.AnyRecords)
+C = TypeVar("C", bound="Classified")
+
+
+class Classified(Protocol):
+    """Rows with ids of objects and classes."""
+
+    @property
+    def ids(self) -> AnyArray:
+        """Id of each row."""
+
+    @property
+    def object_ids(self) -> AnyArray:
+        """Id of the object of each row."""
+
+    @property
+    def labels(self) -> Int64:
+        """Class of each row."""
+
+    @property
+    def label_names(self) -> tuple[str, ...]:
+        """Name of each class."""
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+
+
+def open_splits(
+    place: places.Place, split: str | None, load: Callable[[places.Place, str], D], item_nouns: str
+) -> dict[str, D]:
+    """Open one split of a data set, or all of them; those without rows are left out.
+
+    ``load`` opens a split; ``item_nouns`` says in messages what the rows are, such as ``"digits"``. Raises
+    InputError if the split does not exist or is empty, IntegrityError if it is not finished.
+    """
+    place.require_complete(split)
+    chosen = place.chosen_splits(split)
+    opened = {each: load(place, each) for each in chosen}
+    filled = {each: rows for each, rows in opened.items() if len(rows)}
+    if not filled:
+        raise InputError(
+            f"{', '.join(chosen)} of {place.name!r}: no {item_nouns}",
+            next="generate some, or choose another split",
+        )
+    return filled
+
+
+def choose_rows(
+    datasets: Iterable[tuple[str, C]],
+    *,
+    ids: IdChoice | None = None,
+    labels: Sequence[str] | None = None,
+    per_class: int | None = None,
+    limit: int | None = None,
+) -> list[tuple[str, C, Int64]]:
+    """Choose rows of splits, each with its name; return those with their positions, in order.
+
+    The object of a row must have one of these ``ids`` and one of these classes. A pair of ids means all
+    numbers from its first to its last; a text is also the id of a row, such as a round of touches. Among
+    these rows, the first ``per_class`` of each class are taken, then the first ``limit`` of each split.
+    Raises InputError if an id, a range or a class matches no row, or no row is left.
+    """
+    asked = list(ids or ())
+    seen, found = np.zeros(len(asked), bool), []
+    for split, rows in datasets:
+        wanted = np.ones(len(rows), bool)
+        if ids is not None:
+            inside = np.zeros((len(asked), len(rows)), bool)
+            for number, each in enumerate(asked):
+                inside[number] = _with_id(rows, each)
+            wanted, seen = np.any(inside, axis=0), seen | np.any(inside, axis=1)
+        if labels is not None:
+            classes = list(rows.label_names)
+            unknown = [label for label in labels if label not in classes]
+            if unknown:
+                known = ", ".join(classes) or "none: it has no labels"
+                raise InputError(f"no class {unknown[0]!r} in split {split!r}; expected one of {known}")
+            wanted &= np.isin(rows.labels, [classes.index(label) for label in labels])
+        chosen = np.flatnonzero(wanted)
+        if per_class is not None:
+            kinds = rows.labels[chosen]
+            kept = [chosen[kinds == label][:per_class] for label in np.unique(kinds)]
+            chosen = np.sort(np.concatenate([chosen[:0], *kept]))
+        found.append((split, rows, chosen[:limit]))
+    absent = [asked[index] for index in np.flatnonzero(~seen)]
+    if absent:
+        what = f"id {id_text(absent[0])}"
+        if isinstance(absent[0], tuple) and absent[0][0] != absent[0][1]:
+            what = f"an id from {absent[0][0]} to {absent[0][1]}"
+        raise InputError(
+            f"no object with {what} in what was chosen",
+            next="check the ids of the split, or name another --split",
+        )
+    if not any(len(chosen) for _, _, chosen in found):
+        raise InputError(
+            "no object is chosen; expected rows of the split with the ids and classes that were asked for"
+        )
+    return found
+
+
+def _with_id(rows: Classified, given: GivenId) -> Bool:
+    """Return a mask of the rows with a given id, or one in a given range: of the object, or of the row."""
+    values = rows.object_ids
+    if isinstance(given, str) and rows.ids.dtype.kind not in "iuf":
+        values = rows.ids
+    if values.dtype.kind not in "iuf":
+        return np.asarray(values == id_text(given), bool)
+    low, high = id_range(given)
+    return np.asarray((values >= low) & (values <= high))
+
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedRow(Generic[T]):
+    """The result of the check of one row, with its number in the file, and its id if it has one.
+
+    ``found`` is the result, or None if ``null_field`` is null.
+    """
+
+    split: str
+    file: str
+    row: int
+    id: int | None
+    found: T | None
+    null_field: str = ""
+
+
+def shards_to_check(
+    name: places.Name | places.Place, split: str | None, kind: DatasetKind
+) -> list[tuple[str, read.Shard]]:
+    """Return the files of a data set of meshes of a kind, each with its split.
+
+    Raises InputError if there is none, IntegrityError if a shard is damaged or missing, or if the data set is
+    unfinished: a check of the rest must not look like one of all.
+    """
+    place = places.open_place(name).require(kind, "validate").require_complete(split)
+    shards = [(each, shard) for each in place.chosen_splits(split) for shard in place.shards(each, kind=kind)]
+    for _, shard in shards:
+        mesh.require_mesh_columns(shard.schema, place.name, kind.made_by)
+    return shards
+
+
+class _Part(NamedTuple):
+    """The first rows of a row group, and its number among all."""
+
+    number: int
+    split: str
+    shard: read.Shard
+    group: int
+    rows: int
+
+
+def check_rows(
+    shards: Sequence[tuple[str, read.Shard]],
+    check: Callable[[read.Row], T],
+    columns: Sequence[str],
+    limit: int | None = None,
+    workers: int = 1,
+    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
+) -> list[CheckedRow[T]]:
+    """Check rows in several processes and return the results, in the order of the rows.
+
+    ``check``, which must be picklable, takes each row in which none of ``columns`` is null at any depth. With
+    ``limit`` only the first rows of each split are checked. ``on_progress`` gets the number of checked rows
+    and the total.
+    """
+    parts: list[_Part] = []
+    left = dict.fromkeys((split for split, _ in shards), limit or math.inf)
+    for split, shard in shards:
+        for group, (start, stop) in enumerate(pairwise(shard.group_starts)):
+            rows = int(min(stop - start, left[split]))
+            left[split] -= rows
+            if rows:
+                parts.append(_Part(len(parts), split, shard, group, rows))
+    total, done = sum(part.rows for part in parts), 0
+    results: dict[int, list[CheckedRow[T]]] = {}
+    for number, found in run.runner_for(workers).run(partial(_check_part, check, tuple(columns)), parts):
+        results[number] = found
+        done += len(found)
+        on_progress(done, total)
+    return [row for number in sorted(results) for row in results[number]]
+
+
+def _check_part(
+    check: Callable[[read.Row], T], columns: Sequence[str], part: _Part
+) -> tuple[int, list[CheckedRow[T]]]:
+    """Check the first rows of a row group; return its number and the results."""
+    file = Path(part.shard.path).name
+    checked: list[CheckedRow[T]] = []
+    for block in part.shard.blocks(part.group):
+        nulls = read.null_fields(block.table, columns)
+        for index, row_id in enumerate(block.table["id"].to_pylist()[: part.rows - len(checked)]):
+            # In data sets of others an id may be null, or a text.
+            known_id = read.whole_number(row_id)
+            found = None if index in nulls else check(read.Row(block, index))
+            row, null_field = block.first_row + index, nulls.get(index, "")
+            checked.append(CheckedRow(part.split, file, row, known_id, found, null_field))
+        if len(checked) == part.rows:
+            break
+    return part.number, checked
+
+
+class Located(Protocol):
+    """A file of a source, or a row in it."""
+
+    @property
+    def path(self) -> str:
+        """Its path or address."""
+
+
+@contextmanager
+def specification_read(where: str) -> Iterator[None]:
+    """Raise IntegrityError for a manifest whose specification has an unexpected form."""
+    try:
+        yield
+    except (KeyError, TypeError, AttributeError) as error:
+        problem = f"its specification is not that of this kind of data set ({type(error).__name__}: {error})"
+        raise store.damaged_error(where, problem) from error
+
+
+def manifest_beside(shard: Located) -> store.Manifest | None:
+    """Return the manifest of the data set folder of a file or a row; None if there is none."""
+    data, _ = store.split_uri(shard.path)
+    folder, name = store.split_uri(data.address())
+    if name == store.DATA_FOLDER:
+        return store.manifest_so_far(folder)
+    return None
+
+
+def refuse_source(folder: store.DataFolder, name: str, source_files: Iterable[Located]) -> None:
+    """Raise InputError if the folder to write holds or lies in the source, also through links.
+
+    ``name`` is the data set as the user gave it.
+    """
+    out, files = folder.address(), [each.path for each in source_files]
+    if not folder.is_local:
+        inside = f"{out}/"
+        holds = any(file.startswith(inside) for file in files)
+        lies_in = inside.startswith(f"{name.rstrip('/')}/")
+    else:
+        place, home = Path(out).resolve(), store.expanded(name).resolve()
+        # By both paths: files of the Hub's cache are links into another folder.
+        named = [Path(file).absolute() for file in files]
+        real = [file.resolve() for file in named]
+        holds = any(file.is_relative_to(place) for file in real)
+        ours = home.is_dir() and place.is_relative_to(home)
+        lies_in = ours and any(file.is_relative_to(home) for file in [*real, *named])
+    if holds or lies_in:
+        raise InputError(
+            f"{out!r}, the folder to write, {'holds' if holds else 'lies in'} the source {name!r}; "
+            "nothing was changed",
+            next="choose a folder outside it",
+        )
+
+
+def short_name(name: str) -> str:
+    """Return the name of a data set without its parent folders, which a published page must not show."""
+    if store.is_remote(name):
+        return name.rstrip("/").rpartition("/")[2]
+    place = store.expanded(store.normalize_uri(name))
+    if place.exists():
+        return place.resolve().name
+    return name
