@@ -77,7 +77,7 @@ BENCHMARKS = {
     "exchange": Benchmark(
         (
             "benchmarks/exchange.py",
-            "realtouch/exchange",
+            "realtouch/formats",
             "realtouch/importing",
             "realtouch/convert",
             "tactile_toolkit/touch",

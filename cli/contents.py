@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from cli import nested_values, options, output, runs
-from tactile_toolkit import catalog, checked_fields, hub, places, quantities, read, store
+from tactile_toolkit import catalog, checked_fields, hub, places, read, store, wording
 from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import DatasetKind, is_copy
@@ -56,7 +56,7 @@ def _print_without_manifest(sink: output.Sink, place: places.Place, kind: Datase
         counts = {"split": split, "rows": len(dataset), "shards": len(paths), "bytes": size}
         entries.append({**counts, "per_class": per_class})
         classes = ", ".join(f"{name}: {count:,}" for name, count in per_class.items())
-        rows.append((split, len(dataset), len(paths), quantities.bytes_text(size), classes))
+        rows.append((split, len(dataset), len(paths), wording.bytes_text(size), classes))
     source: dict[str, str | None] = {"repository": None, "commit": None}
     origin = "no manifest"
     if repository:
@@ -121,7 +121,7 @@ def list_sets(
         return
     found = _sets_in(options.local_place(folder))
     sink.document(found)
-    rows = [list({**each, "bytes": quantities.bytes_text(each["bytes"])}.values()) for each in found]
+    rows = [list({**each, "bytes": wording.bytes_text(each["bytes"])}.values()) for each in found]
     sink.table(("name", "kind", "splits", "rows", "Parquet", "state"), rows)
     sink.line(f"{with_count(len(found), 'data sets')} in {folder}")
 
@@ -162,11 +162,11 @@ def print_sets(sink: output.Sink, kind: DatasetKind) -> None:
         licence, size, there = known.licence, None, "?"
         if on_hub is not None:
             licence, size = licence or on_hub.licence, on_hub.size_bytes
-            there = quantities.bytes_text(size)
+            there = wording.bytes_text(size)
         splits, local_bytes, here = list[str](), 0, "-"
         if local is not None and local.size_bytes:
             splits, local_bytes = list(places.splits_by_name(local.remote, known.repo_id)), local.size_bytes
-            here = f"{quantities.bytes_text(local_bytes)} ({', '.join(splits)})"
+            here = f"{wording.bytes_text(local_bytes)} ({', '.join(splits)})"
         names = {"name": known.name, "repository": known.repo_id, "content": known.content}
         facts = {"licence": licence, "hub_bytes": size, "local_bytes": local_bytes, "local_splits": splits}
         documents.append({**names, "citation": known.citation, **facts})

@@ -14,8 +14,7 @@ from realtouch.kind import KIND
 from tactile_toolkit import store
 from tactile_toolkit.checked_fields import choice, text
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.parsed_text import comma_separated
-from tactile_toolkit.wording import with_count
+from tactile_toolkit.wording import comma_separated, with_count
 
 _MAPPED = text(
     name="--map",

@@ -25,10 +25,8 @@ from tactile_envs import env_specs, mesh_pool
 from tactile_envs.config import Config
 from tactile_toolkit import mesh, run, store
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.quantities import duration_text
 from tactile_toolkit.read import AnyRecords, RecordDataset
-from tactile_toolkit.shown_text import printable
-from tactile_toolkit.wording import with_count
+from tactile_toolkit.wording import duration_text, printable, with_count
 
 PUBLISHED = "published"
 

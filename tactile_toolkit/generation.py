@@ -73,7 +73,7 @@ class RowGenerator(ABC):
     kind: DatasetKind
     spec: Any  # has `to_dict`
     kernels: ClassVar[tuple[str, ...]] = ()
-    """Modules with planned kernels (``tactile_toolkit.compiled.planned``) that all rows need."""
+    """Modules with planned kernels (``tactile_toolkit.kernels.planned``) that all rows need."""
 
     def manifest(self) -> JsonObject:
         """Return JSON values that identify the rows; two equal values give equal Parquet."""
@@ -112,7 +112,7 @@ class RowGenerator(ABC):
 def make_shard(generator: RowGenerator, shard: store.ShardName, items: AnyRows) -> store.ShardContent:
     """Make the rows of a shard, and list items that give none."""
     if generator.kernels:
-        from tactile_toolkit.compiled import prepare  # numba
+        from tactile_toolkit.kernels import prepare  # numba
 
         prepare(*generator.kernels)
     made = list(generator.make(shard.split, items))

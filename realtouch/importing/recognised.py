@@ -9,8 +9,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO, NamedTuple
 
-from realtouch import kind, video_files
+from realtouch import video_files
 from realtouch.importing import formats, source_files
+from realtouch.kind import KIND
 from tactile_toolkit import errors, places, store
 from tactile_toolkit.columns import tables
 
@@ -148,7 +149,7 @@ def _of_export(home: store.DataFolder) -> Recognised | None:
     """Return the format of an export of this toolkit, as its manifest states it; None for other folders."""
     if store.manifest_so_far(home) is None:
         return None
-    place = places.folder_place(home).require(kind.KIND, "import")
+    place = places.folder_place(home).require(KIND, "import")
     if place.spec.get("operation") not in ("export", "frames"):
         raise errors.InputError(
             f"{home.address()!r} is a data set already; it needs no import",

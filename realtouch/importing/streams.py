@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from realtouch.importing import fields, found_touches, import_columns, recordings, source_files
 from realtouch.touch_options import Alignment
-from tactile_toolkit import errors, spatial, store
+from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import Bool, Float64, Floating, Int64
 from tactile_toolkit.columns import column_types, tables, units
 
@@ -471,9 +471,11 @@ class Neighbours:
         The angular velocity is constant (slerp); the real part may come first or last. Lengths other than one
         are interpolated, so that a check of lengths still fails.
         """
+        from scipy.spatial.transform import Rotation
+
         lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
         lengths[lengths == 0] = np.nan  # no rotation
-        turns = spatial.Rotation.from_quat(np.where(np.isfinite(lengths), quaternions, _NO_TURN))
+        turns = Rotation.from_quat(np.where(np.isfinite(lengths), quaternions, _NO_TURN))
         way = (turns[self.before].inv() * turns[self.after]).as_rotvec() * self.share[:, np.newaxis]
-        found: Float64 = (turns[self.before] * spatial.Rotation.from_rotvec(way)).as_quat()
+        found: Float64 = (turns[self.before] * Rotation.from_rotvec(way)).as_quat()
         return found * self.interpolated(lengths)

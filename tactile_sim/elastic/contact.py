@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tactile_toolkit import builtin_values, touch
+from tactile_toolkit import checked_fields, touch
 from tactile_toolkit.array_types import Bool, Float64
 from tactile_toolkit.checked_fields import check_fields, real
 from tactile_toolkit.errors import InputError
@@ -268,7 +268,7 @@ def _require(fits: bool, what: str) -> None:
 
 
 def _checked_number(name: str, value: object, least: float, most: float) -> float:
-    number = builtin_values.to_builtin(value, float)
+    number = checked_fields.to_builtin(value, float)
     _require(
         isinstance(number, float) and least <= number <= most,
         f"{name} is {value!r}; expected a number from {least:.3g} to {most:.3g}",
@@ -296,7 +296,7 @@ def _checked_heights(height_m: ArrayLike) -> Float64:
 
 
 def _checked_pixel(pixel_m: float | tuple[float, float]) -> tuple[float, float]:
-    pixel = builtin_values.to_builtin(pixel_m, float)
+    pixel = checked_fields.to_builtin(pixel_m, float)
     width, height = pixel if isinstance(pixel, tuple) and len(pixel) == 2 else (pixel, pixel)
     _require(
         all(isinstance(each, float) and _MIN_PIXEL_M <= each <= _MAX_PIXEL_M for each in (width, height))
@@ -308,9 +308,9 @@ def _checked_pixel(pixel_m: float | tuple[float, float]) -> tuple[float, float]:
 
 
 def _checked_block(block_px: int, heights: Float64, pixel_m: tuple[float, float], thickness_m: float) -> int:
-    block = builtin_values.to_builtin(block_px)
+    block = checked_fields.to_builtin(block_px)
     _require(
-        builtin_values.is_integer(block) and block >= 1 and not any(count % block for count in heights.shape),
+        checked_fields.is_integer(block) and block >= 1 and not any(count % block for count in heights.shape),
         f"block_px is {block_px!r}; expected an integer of which {heights.shape[0]} rows and "
         f"{heights.shape[1]} columns are multiples",
     )
@@ -333,7 +333,7 @@ def _checked_target(depth_m: float | None, force_n: float | None) -> tuple[float
 
 
 def _checked_motion(slide_m: tuple[float, float], twist_rad: float) -> tuple[float, float, float]:
-    slide = builtin_values.to_builtin(slide_m, float)
+    slide = checked_fields.to_builtin(slide_m, float)
     _require(
         isinstance(slide, tuple) and len(slide) == 2, f"slide_m is {slide_m!r}; expected two numbers, metres"
     )

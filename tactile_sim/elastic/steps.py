@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from tactile_toolkit.array_types import Bool, Float32, Float64
-from tactile_toolkit.compiled import compiled, part
+from tactile_toolkit.kernels import compiled, part
 
 FIRST_CONTROL = (0.3, 0.0, math.inf)
 """State of the steps of one load: share, product of last step and error, last error."""

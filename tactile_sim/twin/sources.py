@@ -21,7 +21,7 @@ from tactile_toolkit.array_types import Float64, UInt8
 from tactile_toolkit.columns import tables, units
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh, as_mesh
-from tactile_toolkit.parsed_text import natural_key
+from tactile_toolkit.wording import natural_key
 
 MAX_TOUCHES = 60
 """Greatest number of touches that are used, evenly spaced; 20 are enough, and time grows with the number."""

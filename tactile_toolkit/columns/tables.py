@@ -18,7 +18,7 @@ import pyarrow.csv
 import pyarrow.json
 import pyarrow.parquet as pq
 
-from tactile_toolkit import bounds, shown_text, store
+from tactile_toolkit import cache, store, wording
 from tactile_toolkit.array_types import Int64
 from tactile_toolkit.columns import column_types
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
@@ -56,7 +56,7 @@ def open_table(folder: store.DataFolder, name: str) -> Table:
                 f"{address!r} was replaced or changed while it was read", next="run the same command again"
             )
         try:
-            return store.open_inside(folder, name)
+            return folder.open_inside(name)
         except ItemError as error:
             raise InputError(f"{address!r} cannot be read: {error.what}") from error
 
@@ -184,7 +184,7 @@ class Table:
         try:
             yield
         except (pa.ArrowException, OSError, ValueError) as error:
-            found = shown_text.printable(str(error))[:_LONGEST_SHOWN]
+            found = wording.printable(str(error))[:_LONGEST_SHOWN]
             advice = (
                 "save it as UTF-8 text, with commas, semicolons or tabs between the values of each row"
                 if self._is_text
@@ -242,7 +242,7 @@ def _parquet_batches(stream: IO[bytes], path: str) -> Iterator[pa.RecordBatch]:
     # As dictionaries: repeated texts are stored once, and could take any space if they were expanded.
     file = pq.ParquetFile(stream, read_dictionary=texts, pre_buffer=False, page_checksum_verification=True)
     for number in range(file.metadata.num_row_groups):
-        bounds.require_unpackable(file.metadata.row_group(number).total_byte_size, path, size)
+        cache.require_unpackable(file.metadata.row_group(number).total_byte_size, path, size)
     yield from file.iter_batches(_ROWS_AT_ONCE, use_threads=False)
 
 

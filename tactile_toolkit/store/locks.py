@@ -19,8 +19,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
 
-from tactile_toolkit.errors import BusyError, IntegrityError
-from tactile_toolkit.redaction import redact
+from tactile_toolkit.errors import BusyError, IntegrityError, redact
 from tactile_toolkit.store.files import open_regular
 
 LOCK_FILE = ".lock"

@@ -16,13 +16,11 @@ from typing import Annotated, Any, ClassVar, TypeVar, cast
 
 import msgspec
 
-from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.errors import InputError, IntegrityError, redact
 from tactile_toolkit.json_types import JsonDict, JsonObject
-from tactile_toolkit.redaction import redact
-from tactile_toolkit.shown_text import printable, printable_json
 from tactile_toolkit.store.files import names_inside
 from tactile_toolkit.store.folder import PENDING_FOLDER, DataFolder
-from tactile_toolkit.wording import with_count
+from tactile_toolkit.wording import printable, printable_json, with_count
 
 MANIFEST_FILE = "manifest.json"
 DATA_FOLDER = "data"

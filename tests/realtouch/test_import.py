@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import realtouch
-from realtouch.exchange.exporting import ExportLayout
+from realtouch.formats.exporting import ExportLayout
 from realtouch.touch_options import IMPORT_LAYOUTS
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import MAX_IMAGE_BYTES
