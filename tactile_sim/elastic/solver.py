@@ -233,7 +233,7 @@ class _State:
         rows, columns = self._shape
         waves = ifft(spectra, axis=-2, overwrite_x=True)[..., :rows, :]
         displacement = irfft(waves, self._layer.lengths[1])[..., :columns]
-        return displacement.reshape(*spectra.shape[:-2], rows * columns)  # type: ignore[no-any-return]
+        return displacement.reshape(*spectra.shape[:-2], rows * columns)
 
 
 def _first_guess(below: Float32, target: float, is_force: bool, start: float) -> Float32:
