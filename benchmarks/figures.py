@@ -53,8 +53,8 @@ _STORE = ("tactile_toolkit/store", "tactile_toolkit/run")
 _READ = ("tactile_toolkit/read", "tactile_toolkit/cache.py")
 _DIGIT = (
     "mnist3d/solid",
-    "mnist3d/solid_spec.py",
-    "mnist3d/digit_rows.py",
+    "mnist3d/digit_options.py",
+    "mnist3d/digit_records.py",
     "mnist3d/digit_generation.py",
 )
 BENCHMARKS = {

@@ -422,7 +422,7 @@ def _formats_page() -> str:
     import pyarrow as pa
 
     from env_assets.wrench.dataset import WrenchRow, wrench_schema
-    from mnist3d.digit_rows import DigitRow, digit_schema
+    from mnist3d.digit_records import DigitRow, digit_schema
     from realtouch.touch_card import WORDS
     from realtouch.touches.schema import KNOWN_COLUMNS
     from starstruck_gen.scene_generation import SceneRow, scene_schema

@@ -1,19 +1,22 @@
-"""Decimation of meshes to a vertex budget, with their bodies and holes kept."""
+"""Surfaces: bodies and holes that they bound, and decimation that keeps these."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
 
 import manifold3d
 import numpy as np
 
-from mnist3d.ink.refusals import refuse
-from mnist3d.solid.surface import bodies_and_holes
-from tactile_toolkit.mesh import Mesh, self_crossing
+from mnist3d.ink.grey_levels import refuse
+from tactile_toolkit.array_types import AnyArray, Float32, Int32, Int64
+from tactile_toolkit.mesh import Mesh, connected, self_crossing
 
 FIRST_TOLERANCE_MM = 0.01
+
 # Several passes of growing tolerance leave fewer and better placed vertices than one with a wide tolerance.
 TOLERANCE_GROWTH = 1.25
+
 # A single pass is tried for meshes of up to this many times the allowed vertices.
 MAX_FOR_ONE_PASS = 2.0
 
@@ -25,6 +28,48 @@ FLAT_MM = 0.005
 
 BUDGET_SLACK = 1.5
 """Largest number of vertices, as a multiple of the budget."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """A whole surface in pixels, or the upper half of one, whose rim lies in the mid-plane.
+
+    Attributes
+    ----------
+    vertices_px : ndarray of float32, shape (V, 3)
+        Row, column and height, counted from ``corner_px``.
+    faces : ndarray of int32, shape (F, 3)
+        Rows of the vertices, counter-clockwise seen from outside.
+    corner_px : tuple
+        Row, column and height.
+    rim, still : ndarray of int
+        Rows of the vertices that smoothing keeps in the mid-plane, and of those that it does not move.
+    least_px : float
+        Least height of all other vertices after smoothing.
+    """
+
+    vertices_px: Float32
+    faces: Int32
+    corner_px: tuple[int, int, int] = (0, 0, 0)
+    rim: Int64 = field(default_factory=lambda: np.zeros(0, np.intp))
+    still: Int64 = field(default_factory=lambda: np.zeros(0, np.intp))
+    least_px: float = -math.inf
+
+
+def bodies_and_holes(vertices: int, faces: AnyArray, rim: int = 0) -> tuple[int, int]:
+    """Count the bodies of a closed surface and the holes through them.
+
+    ``vertices`` is the number of vertices. For the upper half of a surface, ``rim`` is the number of those in
+    the mid-plane.
+    """
+    corners = faces.astype(np.int64)
+    least = connected(corners[:, :2].ravel(), corners[:, 1:].ravel(), vertices)
+    bodies = int(np.count_nonzero(least == np.arange(vertices)))
+    # Every edge of a closed surface borders two triangles, so V - E + F is V - F / 2.
+    euler = vertices - len(faces) // 2
+    if rim:
+        euler = 2 * vertices - rim - len(faces)
+    return bodies, bodies - euler // 2
 
 
 def decimate(mesh: Mesh, target_vertices: int) -> Mesh:

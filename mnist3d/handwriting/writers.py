@@ -1,11 +1,21 @@
-"""The style of a writer, and how it varies from digit to digit."""
+"""Writers: their styles, and streams of random numbers that are the same on every platform."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from mnist3d.handwriting import allographs, curves, keyed_random
+import numpy as np
+
+from mnist3d.handwriting import allographs, curves
+from tactile_toolkit.array_types import Float64, UInt8
+
+_BLOCK = 64
+_UNIT = 2.0**-53
+
+# The sum of four uniform numbers has the variance 1/3.
+_ROOT_3 = 1.7320508075688772
 
 DIGIT_STYLES = (
     (0.93, 0.12, 1.1),
@@ -25,8 +35,71 @@ _ASPECT, _SLANT, _TILT, _BOW = 0.10, 0.10, 0.04, 0.02
 """Spread of the traits of a writer from digit to digit."""
 
 _BETWEEN_WRITERS = 0.68
+
 # Fractions of the square roots of the first ten primes, so that no two digits repeat in step.
 _STRIDES = tuple(round(math.sqrt(prime) % 1.0, 8) for prime in (2, 3, 5, 7, 11, 13, 17, 19, 23, 29))
+
+
+class KeyedRng:
+    """A stream of numbers for a key of non-negative integers; streams of different keys are independent.
+
+    Only the raw words of PCG64 and :class:`numpy.random.SeedSequence` are used, whose streams numpy promises
+    to keep (NEP 19). The methods of ``Generator`` may change between versions. The rest is addition and
+    multiplication, which IEEE 754 rounds the same way everywhere.
+    """
+
+    __slots__ = ("_bits", "_left")
+
+    def __init__(self, *key: int) -> None:
+        # With the length of the key, because SeedSequence pads short keys with zeros.
+        self._bits = np.random.PCG64(np.random.SeedSequence((len(key), *key)))
+        self._left: list[float] = []
+
+    def unit(self) -> float:
+        """Return the next number, uniform in [0, 1)."""
+        if not self._left:
+            self._left = self.units(_BLOCK).tolist()
+        return self._left.pop()
+
+    def units(self, number: int) -> Float64:
+        """Return new numbers, uniform in [0, 1), shape (number,)."""
+        return (self._bits.random_raw(number) >> np.uint64(11)).astype(np.float64) * _UNIT
+
+    def uniform(self, low: float, high: float) -> float:
+        """Return a number, uniform between `low` and `high`."""
+        return low + (high - low) * self.unit()
+
+    def approx_normal(self) -> float:
+        """Return a nearly normal number: mean 0, standard deviation 1, never beyond 3.5.
+
+        It is the sum of four uniform numbers. A normal number needs a logarithm, whose last bit differs
+        between platforms, and has a tail that would tear glyphs apart.
+        """
+        return (self.unit() + self.unit() + self.unit() + self.unit() - 2.0) * _ROOT_3
+
+    def approx_normals(self, number: int) -> Float64:
+        """Return nearly normal numbers, shape (number,)."""
+        units = self.units(4 * number)
+        return (units[0::4] + units[1::4] + units[2::4] + units[3::4] - 2.0) * _ROOT_3
+
+    def bytes(self, number: int) -> UInt8:
+        """Return uniform bytes, shape (number,)."""
+        words = self._bits.random_raw(-(-number // 8)).astype("<u8")
+        return words.view(np.uint8)[:number]
+
+    def pick(self, weights: Sequence[float]) -> int:
+        """Return a random index, with chances in proportion to the weights."""
+        return index_at(weights, self.unit())
+
+
+def index_at(weights: Sequence[float], mark: float) -> int:
+    """Return the index under `mark` when the weights divide [0, 1) in their proportions."""
+    left = mark * sum(weights)
+    for index, weight in enumerate(weights):
+        left -= weight
+        if left < 0.0:
+            return index
+    return len(weights) - 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +124,7 @@ class WriterStyle:
     fidelity: float  # chance that a digit takes the writer's preferred shape
 
 
-def draw_style(rng: keyed_random.KeyedRng) -> WriterStyle:
+def draw_style(rng: KeyedRng) -> WriterStyle:
     """Draw a writer's traits.
 
     The ranges of height and pen width are those of HWD+ (Beaulac and Rosenthal 2022): ink 250 to 330 px
@@ -77,9 +150,7 @@ def draw_style(rng: keyed_random.KeyedRng) -> WriterStyle:
     )
 
 
-def variation(
-    writer: keyed_random.KeyedRng, digit: keyed_random.KeyedRng, jitter: float, freedom: float = 1.0
-) -> curves.Vary:
+def variation(writer: KeyedRng, digit: KeyedRng, jitter: float, freedom: float = 1.0) -> curves.Vary:
     """Return the function that gives each number of a shape its value for one writer and one digit.
 
     `writer` is the stream of this writer and shape, which all digits of this shape share. `jitter` is the
@@ -107,9 +178,7 @@ def style_for_digit(style: WriterStyle, label: int, vary: curves.Vary) -> Writer
     )
 
 
-def choose_allograph(
-    label: int, writer: int, class_noise: keyed_random.KeyedRng, digit: keyed_random.KeyedRng, fidelity: float
-) -> int:
+def choose_allograph(label: int, writer: int, class_noise: KeyedRng, digit: KeyedRng, fidelity: float) -> int:
     """Return the shape of `label` to draw: the writer's own with chance `fidelity`, else any.
 
     Writers take their shapes along a low-discrepancy sequence, so that a few dozen writers show every shape
@@ -117,5 +186,5 @@ def choose_allograph(
     """
     weights = [weight for _, weight in allographs.ALLOGRAPHS[label]]
     mark = (class_noise.unit() + writer * _STRIDES[label]) % 1.0
-    preferred, other = keyed_random.index_at(weights, mark), keyed_random.index_at(weights, digit.unit())
+    preferred, other = index_at(weights, mark), index_at(weights, digit.unit())
     return preferred if digit.unit() < fidelity else other
