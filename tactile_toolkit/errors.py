@@ -14,9 +14,10 @@
     +-- RemoteError              an object store or the network failed                (4)
         +-- HubError             the Hub failed
 
-Every message names the file, row or option, what was found, what was expected, and the next step. Keys, tokens
-and passwords are redacted: an address from a user that may hold one is refused and not repeated; messages, which
-may quote clients and servers, are searched for anything that looks like a secret.
+Every message names the file, row or option, what was found, what was expected, and the next step.
+
+Keys, tokens and passwords are redacted. An address from a user that may hold one is refused, not repeated.
+Messages, which may quote clients and servers, are searched for anything that looks like a secret.
 """
 
 from __future__ import annotations
