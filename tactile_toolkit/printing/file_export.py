@@ -95,7 +95,7 @@ def choose(
         for row, number, label in zip(*columns, strict=True):
             word = class_name(classes, label)
             name = "-".join(part for part in (_safe(split), _safe(word), f"{number:0{_ID_DIGITS}d}") if part)
-            load = partial(rows.__getitem__, row)
+            load: Callable[[], mesh.Mesh | SolidRecord] = partial(rows.__getitem__, row)
             if base_mm is not None:
                 load = partial(_on_plate, load, base_mm)
             objects.append(PrintObject(name, split, word, number, load))
