@@ -45,7 +45,7 @@ class ExportOptions:
     )
     plate: str | None = checked_fields.text(
         metavar="256x256|prusa-mk4",
-        complete=tuple(printing.BEDS_MM),
+        complete=printing.PlateSpec.printers(),
         help="Pack the objects on build plates of this size, in mm, or of this printer.",
     )
     calibration_plate: bool = checked_fields.switch(
@@ -95,7 +95,7 @@ def export(
     spec = None
     if form.plate is not None:
         spec = printing.PlateSpec.parse(form.plate, **distances)
-    objects = printing.on_plates(printing.choose(datasets, **filters), form.base_mm)
+    objects = printing.choose(datasets, form.base_mm, **filters)
     if form.calibration_plate:
         _export_calibration_plate(sink, objects, form.file_format or "3mf", str(out), job)
     elif spec is not None:
@@ -235,7 +235,7 @@ def _export_plates(
 ) -> None:
     with sink.progress("measuring", "objects") as update:
         layout = printing.arrange(objects, spec, scale, bodies, update)
-    wrote, removed, ending = "wrote", "removed", f"{printing.TABLE_FILE} lists where each object lies"
+    wrote, removed, ending = "wrote", "removed", "plates.csv lists where each object lies"
     if job.dry_run:
         wrote, removed, ending = "would write", "would remove", "nothing was written"
     with sink.progress(_DOING[job.dry_run], "plates") as update:

@@ -6,7 +6,6 @@ from functools import partial
 from os import fspath
 from pathlib import Path
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
@@ -21,7 +20,6 @@ from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.places import Name, Place, open_place
 from tactile_toolkit.rows import with_role
 
-_VIEW_PX = 520
 _SHOWN = (*with_role(digit_records.DigitRow, "facet"), *with_role(mesh.PrintReport, "facet", "measure"))
 
 
@@ -44,10 +42,10 @@ def plan_previews(name: Name | Place, spec: digit_options.DigitPreviewSpec) -> p
 
 def is_picture_or_mesh(name: str) -> bool:
     """Return whether a name is the path of a local picture or mesh file rather than a data set."""
-    if store.is_remote(name):
+    path = store.local_path(name)
+    if path is None or not path.is_file():
         return False
-    path = store.expanded(name)
-    return path.suffix.lower() in (*mesh.FORMATS, *picture_files.ENDINGS) and path.is_file()
+    return path.suffix.lower() in (*mesh.FORMATS, *picture_files.ENDINGS)
 
 
 def _plan_file(name: str, spec: digit_options.DigitPreviewSpec) -> pictures.PicturePlan:
@@ -62,7 +60,7 @@ def _plan_file(name: str, spec: digit_options.DigitPreviewSpec) -> pictures.Pict
     stem = pictures.file_stem(name)
     if kind == "sheet":
         part = mesh.read_mesh(path, unit=spec.unit)
-        drawings = [(f"{stem}-sheet.png", partial(draw_mesh, part, path.name))]
+        drawings = [(f"{stem}-sheet.png", partial(pictures.draw_mesh, part, path.name))]
     else:
         mesh.refuse_unit(spec.unit, name)
         drawings = _plan_pages(path, stem)
@@ -110,25 +108,6 @@ def _plan_steps(
             drawing = partial(draw, digit.id, title.capitalize())
             planned.append(pictures.PlannedPicture(file, f"digit {digit.id}, step by step", drawing))
     return planned if spec.ids else planned[:1]
-
-
-def draw_mesh(part: mesh.Mesh, title: str) -> UInt8:
-    """Draw a mesh from above, with a scale bar and its measures."""
-    widest_m = float(np.ptp(part.vertices_m[:, :2], axis=0).max())
-    px_per_m = _VIEW_PX / max(widest_m, 1e-9)
-    tile = pictures.Tile(pictures.relief(part.vertices_m, part.faces, px_per_m))
-    return pictures.sheet([tile], 1, title, object_facts(part), px_per_mm=px_per_m / mesh.MM_PER_M)
-
-
-def object_facts(part: mesh.Mesh) -> tuple[str, ...]:
-    """Return the measures of a mesh as text, and the reason if it is not a solid."""
-    size = pictures.size_text(part)
-    parts = f"{len(part.vertices_m):,} vertices, {len(part.faces):,} triangles"
-    verdict = mesh.check_manifold(part)
-    if verdict.problem is not None:
-        return f"{size}; {parts}", f"not a solid: {verdict.detail}"
-    bodies = "one body" if verdict.bodies == 1 else f"{verdict.bodies} bodies"
-    return (f"{size}; volume {verdict.volume_mm3:,.0f} mm³; {parts}; {bodies}",)
 
 
 def plan_gallery(name: Name | Place, chosen: catalog.RowFilter = catalog.NO_FILTER) -> gallery.Gallery:

@@ -82,7 +82,8 @@ def draw_grid(record: rounds.TouchRound, most: int) -> UInt8:
         caption, frame = f"{touch}", None
         if heights_m is not None:
             caption = f"{touch}: {heights_m[touch] * 1e3:.1f} mm"
-            frame = CONTACT if heights_m[touch] >= rule.min_height_m else pictures.PAPER
+            if heights_m[touch] >= rule.min_height_m:
+                frame = CONTACT
         tiles.append(pictures.Tile(pictures.fitted(Touch(record, touch).image, _TILE_PX), caption, frame))
     words = [f"{len(tiles)} of {_touches_in_words(record)}"]
     if heights_m is not None:
