@@ -7,7 +7,7 @@ Importing the module registers them with gymnasium: ``gymnasium.make``, ``gymnas
 
 from lazy_loader import attach_stub
 
-from tactile_envs.registration import register
+from tactile_envs.env_specs import register
 from tactile_toolkit import __version__ as __version__
 
 __getattr__, __dir__, __all__ = attach_stub(__name__, __file__)
