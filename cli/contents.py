@@ -12,7 +12,6 @@ from tactile_toolkit.kind import DatasetKind, is_copy
 from tactile_toolkit.wording import with_count
 
 ROW = checked_fields.integer(0, help="Number of the row in its split, from 0.")
-_STATES = {True: "finished", False: "unfinished"}
 
 
 def info(
@@ -149,7 +148,7 @@ def _sets_in(folder: Path) -> list[JsonDict]:
             if manifest is None:
                 continue
             kind, table = manifest.kind, manifest.split_table()
-            state = _STATES[manifest.complete]
+            state = "finished" if manifest.complete else "unfinished"
         sums = {each: sum(split[each] for split in table.values()) for each in ("rows", "bytes")}
         found.append({"name": name, "kind": kind, "splits": ", ".join(table), **sums, "state": state})
     return found

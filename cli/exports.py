@@ -19,7 +19,6 @@ from tactile_toolkit.wording import with_count
 
 _ROWS_SHOWN = 20
 _UNCHANGED = {"scale": 1, "base_mm": None}
-_DOING = {True: "checking", False: "writing"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +164,8 @@ def _export_files(
     out: str,
     job: options.Job,
 ) -> None:
-    with sink.progress(_DOING[job.dry_run], "files") as update:
+    doing = "checking" if job.dry_run else "writing"
+    with sink.progress(doing, "files") as update:
         made = printing.export_files(
             objects,
             out,
@@ -238,7 +238,8 @@ def _export_plates(
     wrote, removed, ending = "wrote", "removed", "plates.csv lists where each object lies"
     if job.dry_run:
         wrote, removed, ending = "would write", "would remove", "nothing was written"
-    with sink.progress(_DOING[job.dry_run], "plates") as update:
+    doing = "checking" if job.dry_run else "writing"
+    with sink.progress(doing, "plates") as update:
         made = printing.write_plates(
             layout, out, overwrite=job.overwrite, dry_run=job.dry_run, on_progress=update
         )

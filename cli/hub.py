@@ -33,7 +33,6 @@ _LARGE_BYTES = 1_000_000_000
 # Number of files that are named if a list is longer.
 _FILES_SHOWN = 8
 _disable_progress_bars = lazy("huggingface_hub.utils.tqdm:disable_progress_bars")  # takes 0.2 s to import
-_VISIBLE = {True: "private", False: "public"}
 
 
 def upload(
@@ -166,7 +165,8 @@ def _print_upload_plan(sink: Sink, prepared: exchange.PreparedUpload) -> None:
     if prepared.unasked:
         sink.info(f"note: {prepared.unasked}; all files are listed, as for a new repository")
     elif held is None:
-        sink.line(f"{_VISIBLE[prepared.options.private]} repository to create: {where}")
+        visibility = "private" if prepared.options.private else "public"
+        sink.line(f"{visibility} repository to create: {where}")
     elif not prepared.has_branch:
         sink.line(f"branch to create at the head of main: {prepared.options.branch}")
     if plan.is_done:

@@ -32,7 +32,7 @@ def _value_text(value: JsonValue) -> str:
     if isinstance(value, list):
         return ", ".join(map(_value_text, value))
     if isinstance(value, bool):
-        return {True: "yes", False: "no"}[value]
+        return "yes" if value else "no"
     return str(value)
 
 

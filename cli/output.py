@@ -17,9 +17,6 @@ from tactile_toolkit.json_types import JsonValue
 from tactile_toolkit.progress import shown_progress
 
 _GAP = "  "
-_ANSWERS = {True: "yes", False: "-"}
-# Alignment of a column by whether it holds numbers.
-_SIDES = {True: ">", False: "<"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,12 +98,13 @@ def _encodable(document: str) -> str:
 
 def _cell(value: object) -> str:
     if isinstance(value, bool):
-        return _ANSWERS[value]
+        return "yes" if value else "-"
     if isinstance(value, int):
         return f"{value:,}"
     return str(value)
 
 
 def _aligned(row: Sequence[str], widths: Sequence[int], is_number: Sequence[bool]) -> str:
-    cells = zip(row, map(_SIDES.__getitem__, is_number), widths, strict=True)
-    return _GAP.join(f"{cell:{side}{width}}" for cell, side, width in cells).rstrip()
+    cells = zip(row, is_number, widths, strict=True)
+    aligned = (cell.rjust(width) if right else cell.ljust(width) for cell, right, width in cells)
+    return _GAP.join(aligned).rstrip()

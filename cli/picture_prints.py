@@ -16,12 +16,10 @@ from tactile_toolkit import mesh
 from tactile_toolkit.checked_fields import choice, integer, real, switch, text
 from tactile_toolkit.wording import bytes_text, with_count
 
-_DOING = {True: "checking", False: "making"}
-_DONE = {True: "would write", False: "wrote"}
 _FORMATS = ("stl", "3mf", "ply", "obj", "glb")
-_INK = {True: "light", False: "auto"}
 # A relief on a plate is as thick as the upper half of a solid without one.
-_THICKNESS_MM = {True: 4.0, False: 8.0}
+_THICKNESS_MM = 8.0
+_THICKNESS_ON_BASE_MM = 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,12 +52,10 @@ class PrintShape:
 
     def changes(self) -> dict[str, object]:
         """Return the parameters of the algorithm that differ from the usual ones."""
-        thickness_mm = self.thickness_mm or _THICKNESS_MM[self.base_mm is not None]
-        halves = 1 if self.base_mm is not None else 2
-        changed: dict[str, object] = {
-            "half_thickness_mm": thickness_mm / halves,
-            "profile": self.edge_profile,
-        }
+        half_thickness_mm = (self.thickness_mm or _THICKNESS_MM) / 2
+        if self.base_mm is not None:
+            half_thickness_mm = self.thickness_mm or _THICKNESS_ON_BASE_MM
+        changed: dict[str, object] = {"half_thickness_mm": half_thickness_mm, "profile": self.edge_profile}
         if self.bridge_mm is not None:
             changed |= {"join_bodies": True, "bridge_width_mm": self.bridge_mm}
         if self.vertices is not None:
@@ -111,13 +107,14 @@ def solidify(
         changes=shape.changes(),
         size=size,
         base_mm=shape.base_mm,
-        ink=_INK[reading.invert],
+        ink="light" if reading.invert else "auto",
         threshold=reading.threshold,
         profile=mesh.PrintProfile(nozzle_mm=nozzle_mm),
         ending=f".{file_format}",
         preview=preview,
     )
-    with sink.progress(_DOING[job.dry_run], "files") as update:
+    doing = "checking" if job.dry_run else "making"
+    with sink.progress(doing, "files") as update:
         made = mnist3d.print_pictures(
             *(pictures, out, spec),
             overwrite=job.overwrite,
@@ -132,7 +129,8 @@ def solidify(
     if made.files:
         size_text = bytes_text(sum(file.bytes for file in made.files))
         counted = with_count(len(made.files), "files")
-        sink.line(f"{_DONE[job.dry_run]} {counted} ({size_text}), each checked to be a solid")
+        done = "would write" if job.dry_run else "wrote"
+        sink.line(f"{done} {counted} ({size_text}), each checked to be a solid")
     for each in made.failed:
         sink.warn(f"failed: {each.name}: {each.detail}")
     if made.failed:

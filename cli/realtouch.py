@@ -31,12 +31,6 @@ app = application.new_app(
 )
 
 
-# How thoroughly `verify` checked images, by --quick.
-_DEPTHS = {True: "every header was read", False: "every picture was decoded"}
-# Whether a number of the paper agrees with the data.
-_ANSWERS = {True: "yes", False: "NO"}
-
-
 @application.command(app)
 def load(
     *,
@@ -133,7 +127,7 @@ def verify(
     if place.folder is not None and [finding.file for finding in result.findings] == [store.MANIFEST_FILE]:
         store.require_finished(place.folder)  # else damage is reported
     _require_intact(sink, result, name, unfinished=bool(place.unfinished))
-    how = _DEPTHS[quick]
+    how = "every header was read" if quick else "every picture was decoded"
     counts = f"{with_count(result.rounds, 'rounds')}, {with_count(result.touches, 'touches')}"
     sink.line(f"{name}: {counts}: nothing is wrong; {how}")
     if result.unprotected:
@@ -164,7 +158,7 @@ def reproduce(
         {split: realtouch.dataset_of(shards) for split, shards in source.shards.items()}
     )
     sink.document([number.to_dict() for number in numbers])
-    rows = [(each.what, each.paper, each.found, _ANSWERS[each.agrees]) for each in numbers]
+    rows = [(each.what, each.paper, each.found, "yes" if each.agrees else "NO") for each in numbers]
     sink.table(("what", "paper", "data", "agrees"), rows)
     if not all(number.agrees for number in numbers):
         raise typer.Exit(application.EXIT_FAILED)

@@ -22,8 +22,6 @@ from tactile_toolkit.wording import markdown_text, with_count
 SENSOR_FILE = "sensor.json"
 _FILES = (SENSOR_FILE, "arrays.npz")
 _CARD_TEMPLATE = "sensor.md"
-_SIGNS = {True: "ok", False: "CHANGED"}
-_STATES = {True: "the sensor is as it was calibrated", False: "the sensor has changed: calibrate it again"}
 
 
 def is_sensor(name: str) -> bool:
@@ -96,11 +94,14 @@ def check(
     found = tactile_sim.check_sensor(model, tactile_sim.images_of(source))
     sink.document({"sensor": model.name, **found.to_dict()})
     rows = [
-        (each.name, f"{each.value:.3g}", f"{each.limit:g}", _SIGNS[each.ok], each.meaning)
+        (each.name, f"{each.value:.3g}", f"{each.limit:g}", "ok" if each.ok else "CHANGED", each.meaning)
         for each in found.figures
     ]
     sink.table(("figure", "found", "limit", "", "what it is"), rows)
-    sink.line(f"{with_count(found.images, 'images')} compared with {sensor}; {_STATES[found.ok]}")
+    state = "the sensor is as it was calibrated"
+    if not found.ok:
+        state = "the sensor has changed: calibrate it again"
+    sink.line(f"{with_count(found.images, 'images')} compared with {sensor}; {state}")
     if not found.ok:
         raise typer.Exit(EXIT_FAILED)
 
