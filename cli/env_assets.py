@@ -77,7 +77,7 @@ def list_environments(
     sink.document([asdict(each) for each in found])
     names = [field.name for field in fields(found[0])]
     sink.table(names, [[_shown(getattr(each, name)) for name in names] for each in found])
-    sink.line(f"{with_count(len(found), 'environments')}; `tactile_envs:ID` is the name for gymnasium.make")
+    sink.line(f"{with_count(len(found), 'environments')}; the name for gymnasium.make is `tactile_envs/ID`")
     for assets in dict.fromkeys(each.assets for each in found):
         if assets in env_assets.THIRD_PARTY_ASSETS:
             sink.line(f"{assets}: give `assets`, a folder of meshes; {env_assets.THIRD_PARTY_ASSETS[assets]}")

@@ -42,10 +42,10 @@ def plan_previews(name: Name | Place, spec: digit_options.DigitPreviewSpec) -> p
 
 def is_picture_or_mesh(name: str) -> bool:
     """Return whether a name is the path of a local picture or mesh file rather than a data set."""
-    if store.is_remote(name):
+    path = store.local_path(name)
+    if path is None or not path.is_file():
         return False
-    path = store.expanded(name)
-    return path.suffix.lower() in (*mesh.FORMATS, *picture_files.ENDINGS) and path.is_file()
+    return path.suffix.lower() in (*mesh.FORMATS, *picture_files.ENDINGS)
 
 
 def _plan_file(name: str, spec: digit_options.DigitPreviewSpec) -> pictures.PicturePlan:
