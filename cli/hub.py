@@ -57,9 +57,14 @@ def upload(
     place.require_manifest(kind)
     kind = place.kind or kind
     sink.info(f"checking {folder}")
-    check = partial(exchange.check_folder, kind, workers=process_count(workers))
     prepared = exchange.prepare_upload(
-        folder, repository, options, check=check, dry_run=dry_run, on_wait=sink.info
+        folder,
+        repository,
+        options,
+        kind=kind,
+        workers=process_count(workers),
+        dry_run=dry_run,
+        on_wait=sink.info,
     )
     finish_upload(sink, prepared, partial(_loading_lines, kind, prepared), dry_run=dry_run, yes=yes)
 

@@ -23,7 +23,7 @@ DAMAGED = "damaged"
 _CAUSES_SHOWN = 3
 DATA_FOLDER = "data"
 VIEWER_FOLDER = "viewer"
-"""Repeats the rows for the Hub's page (`tactile_toolkit.exchange.flat_tables`); copies may leave it out."""
+"""Repeats the rows for the Hub's page (`tactile_toolkit.exchange.copies`); copies may leave it out."""
 MAX_ROWS = 1 << 40
 """Largest number of rows that a shard may state, more than any disk holds."""
 
