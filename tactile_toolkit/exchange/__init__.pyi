@@ -4,6 +4,7 @@ from .copies import (
     Choices as Choices,
     divide as divide,
     merge_sets as merge_sets,
+    plan_parts as plan_parts,
     plan_tables as plan_tables,
     select_rows as select_rows,
     write_part as write_part,
@@ -14,7 +15,6 @@ from .download import (
     run_download as run_download,
 )
 from .upload import (
-    MAIN_BRANCH as MAIN_BRANCH,
     prepare_files as prepare_files,
     prepare_upload as prepare_upload,
     PreparedUpload as PreparedUpload,

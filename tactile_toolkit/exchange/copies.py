@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import accumulate, chain, count, pairwise, zip_longest
@@ -116,6 +116,26 @@ def write_part(
 ) -> store.Manifest:
     """Write rows of a data set as a data set of the same kind; ``options`` are JSON values that name them."""
     return _build(kind, [_open_source(kind, name, SPLIT)], rows, SPLIT, options, out, run)
+
+
+def plan_parts(
+    kind: DatasetKind,
+    name: places.Name | places.Place,
+    out: str,
+    fractions: Sequence[float],
+    seed: int,
+    chosen: JsonObject,
+) -> list[tuple[str, Callable[..., store.Manifest]]]:
+    """Divide a data set as :func:`divide` does; return the folder of each part and what writes it.
+
+    Folders are ``part-1``, ``part-2`` and so on in ``out``. The functions take those of ``RunOptions``.
+    """
+    options = chosen or {"fractions": fractions, "seed": seed}
+    parts: list[tuple[str, Callable[..., store.Manifest]]] = []
+    for number, rows in enumerate(divide(kind, name, fractions, seed, chosen), 1):
+        folder = f"{out.rstrip('/')}/part-{number}"
+        parts.append((folder, partial(write_part, kind, name, rows, {**options, "part": number}, folder)))
+    return parts
 
 
 def select_rows(

@@ -70,8 +70,13 @@ class UploadOptions:
         """Name of the branch, or of the pull request, to write to."""
         return self.revision or MAIN_BRANCH
 
+    @property
+    def is_main(self) -> bool:
+        """Whether the main branch is written to."""
+        return self.branch == MAIN_BRANCH
+
     def __post_init__(self) -> None:
-        if self.create_pr and (self.tag or self.branch != MAIN_BRANCH):
+        if self.create_pr and (self.tag or not self.is_main):
             raise InputError(
                 "--create-pr and another --revision or a --tag exclude each other",
                 next="leave one of them out",
@@ -187,6 +192,13 @@ class PreparedUpload:
     def page(self) -> str:
         """Address of the web page of the repository."""
         return hub.page_of(self.repo_id)
+
+    @property
+    def where(self) -> str:
+        """The repository, and its branch unless this is the main one."""
+        if self.options.is_main:
+            return self.repo_id
+        return f"{self.repo_id} ({self.options.branch})"
 
     @property
     def is_private(self) -> bool:
@@ -427,7 +439,7 @@ def run_upload(prepared: PreparedUpload) -> UploadResult:
     # exist_ok: another upload may have made them meanwhile, or an answer was lost.
     if held is None:
         ask(partial(api.create_repo, **here, private=options.private, exist_ok=True))
-    if not prepared.has_branch and options.branch != MAIN_BRANCH:
+    if not (prepared.has_branch or options.is_main):
         start = None if held is None else held.commit
         ask(partial(api.create_branch, **here, branch=options.branch, revision=start, exist_ok=True))
     # If only the answer was lost, a second attempt would open a second pull request.

@@ -9,18 +9,17 @@ from .opening import (
     repository_place as repository_place,
 )
 from .place import (
-    hub_states as hub_states,
+    find_repository as find_repository,
     kind_of_published as kind_of_published,
     kind_of_rows as kind_of_rows,
     Place as Place,
     published_set as published_set,
-    repository_named as repository_named,
+    published_states as published_states,
     require_kind as require_kind,
 )
 from .other_files import (
     is_parquet_file as is_parquet_file,
 )
 from .split_files import (
-    splits_by_name as splits_by_name,
     unknown_split as unknown_split,
 )

@@ -95,7 +95,13 @@ def _several(names: object, revision: str | None) -> Place | None:
         raise InputError("no files given; expected Parquet files of one data set")
     opened: dict[tuple[str, str | None], hub.HubRepository] = {}
     places = []
-    for file in [_require_name(file) for file in files]:
+    for file in files:
+        if not isinstance(file, (str, os.PathLike)):
+            raise InputError(
+                f"{file!r} ({type(file).__name__}) is not a name of a data set; expected a short name such "
+                "as 'real-single-64x64', USER/NAME on the Hub, a folder, a Parquet file, or several of these "
+                "files"
+            )
         place = open_place(file, revision=revision)
         if not place.is_file:
             raise InputError(f"{place.name!r} is not a file; expected Parquet files of one data set")
@@ -105,15 +111,6 @@ def _several(names: object, revision: str | None) -> Place | None:
         places.append(place)
     name = ", ".join(place.name for place in places)
     return Place(name, tuple(places), {USUAL_SPLIT: ("",)}, is_file=True)
-
-
-def _require_name(name: object) -> Name:
-    if isinstance(name, (str, os.PathLike)):
-        return name
-    raise InputError(
-        f"{name!r} ({type(name).__name__}) is not a name of a data set; expected a short name such as "
-        "'real-single-64x64', USER/NAME on the Hub, a folder, a Parquet file, or several of these files"
-    )
 
 
 def _without_short_name(name: str) -> str:
@@ -254,8 +251,8 @@ def repository_place(
     return Place(name, repository, found)
 
 
-D = TypeVar("D", bound=read.AnyRecords, covariant=True)
-S = TypeVar("S", bound=mesh.RecordStream[Any], covariant=True)
+D = TypeVar("D", bound="read.AnyRecords", covariant=True)
+S = TypeVar("S", bound="mesh.RecordStream[Any]", covariant=True)
 _DOC = """Open a data set of {nouns}.
 
     Parameters

@@ -7,7 +7,7 @@ All that takes the name of a data set (loaders, commands, copies, environments) 
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -18,7 +18,13 @@ from tactile_toolkit import hub, mesh, read, run, store
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.kind import DatasetKind, PublishedSet, is_for_others, kinds
-from tactile_toolkit.places.split_files import USUAL_SPLIT, files_of_split, split_of_file, unknown_split
+from tactile_toolkit.places.split_files import (
+    USUAL_SPLIT,
+    files_of_split,
+    split_of_file,
+    splits_by_name,
+    unknown_split,
+)
 from tactile_toolkit.wording import did_you_mean, shortened, with_count
 
 _COLUMNS_SHOWN = 8
@@ -456,17 +462,19 @@ def kind_of_published(name: str) -> DatasetKind | None:
     return next((kind for kind in kinds() if known in kind.published), None)
 
 
-def repository_named(name: str, revision: str | None = None) -> hub.HubName:
-    """Resolve a name of the Hub, or the short name of a published set, to a repository.
+def find_repository(
+    name: str, revision: str | None = None, on_wait: Callable[[str], None] = lambda _: None
+) -> hub.HubRepository:
+    """Look up a repository by its name, or the short name of a published set; asks the Hub patiently.
 
-    Raises InputError for other names, and for a part of a repository.
+    Raises InputError for other names, and for a part of a repository; HubError as the Hub answers.
     """
     named = named_on_hub(name, revision)
     if named.path:
         raise InputError(
             f"{name!r} is a part of a repository; expected all of it", next=f"leave {named.path!r} out"
         )
-    return named
+    return hub.open_repository(named.repo_id, named.revision, patient=True, on_wait=on_wait)
 
 
 def named_on_hub(name: str, revision: str | None) -> hub.HubName:
@@ -487,19 +495,33 @@ def named_on_hub(name: str, revision: str | None) -> hub.HubName:
     return named
 
 
-def hub_states(
-    sets: Iterable[PublishedSet],
-) -> Iterator[tuple[hub.HubRepository | None, hub.HubRepository | None]]:
-    """Ask the Hub for all sets at once; yield the repository and the cached files of each.
+@dataclass(frozen=True, slots=True)
+class PublishedState:
+    """A published set, the size of its files on the Hub, and those in the cache.
 
-    The first is None if the Hub does not answer, the second if the cache has no file of the last resolved
-    commit.
+    ``hub_bytes`` is None if the Hub does not answer. ``local_splits`` have files in the cache.
     """
 
-    def state(entry: PublishedSet) -> tuple[hub.HubRepository | None, hub.HubRepository | None]:
-        found = None
-        with suppress(ToolkitError):
-            found = hub.open_repository(entry.repo_id)
-        return None if found is None or found.is_cache else found, hub.find_cached(entry.repo_id)
+    known: PublishedSet
+    licence: str | None
+    hub_bytes: int | None
+    local_bytes: int
+    local_splits: list[str]
 
-    return run.in_threads(state, sets, _THREADS)
+
+def published_states(kind: DatasetKind) -> Iterator[PublishedState]:
+    """Ask the Hub for all published sets of a kind at once."""
+
+    def state(known: PublishedSet) -> PublishedState:
+        licence, hub_bytes = known.licence, None
+        with suppress(ToolkitError):
+            answer = hub.open_repository(known.repo_id)
+            if not answer.is_cache:
+                licence, hub_bytes = licence or answer.licence, answer.size_bytes
+        cached = hub.find_cached(known.repo_id)
+        if cached is None or not cached.size_bytes:
+            return PublishedState(known, licence, hub_bytes, 0, [])
+        splits = list(splits_by_name(cached.remote, known.repo_id))
+        return PublishedState(known, licence, hub_bytes, cached.size_bytes, splits)
+
+    return run.in_threads(state, kind.published, _THREADS)
