@@ -17,9 +17,7 @@ from .place import (
     published_states as published_states,
     require_kind as require_kind,
 )
-from .other_files import (
-    is_parquet_file as is_parquet_file,
-)
 from .split_files import (
+    is_parquet_file as is_parquet_file,
     unknown_split as unknown_split,
 )

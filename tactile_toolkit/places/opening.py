@@ -11,13 +11,15 @@ from typing import Any, Literal, Protocol, TypeAlias, TypeVar, cast, overload
 from tactile_toolkit import hub, mesh, read, store
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.places.other_files import is_interrupted, is_parquet_file, not_a_set
 from tactile_toolkit.places.place import Place, named_on_hub, published_set, shards_by_split
 from tactile_toolkit.places.split_files import (
     CARD_FILE,
     PARQUET,
     USUAL_SPLIT,
     has_shards,
+    is_interrupted,
+    is_parquet_file,
+    not_a_set,
     parquet_paths,
     require_some,
     split_of_file,
