@@ -29,7 +29,7 @@ from figures import tell
 import mnist3d
 import tactile_sim
 from mnist3d.sources.synthetic import SyntheticSource
-from tactile_sim import elastic, elastic_layer
+from tactile_sim.elastic import contact as contacts, layer
 from tests.tactile_sim.elastic_reference import PlainSolver
 
 FORCE_N, ROUNDS, DIGITS = 5.0, 5, 10
@@ -71,7 +71,7 @@ def main() -> None:
         target="at most 0.1",
     )
     large, pixels_of_large = touches_of(LARGE, count), pixels_of(LARGE)
-    blocks = elastic.block_px(*LARGE[::-1])
+    blocks = contacts.block_px(*LARGE[::-1])
     for name, gel in (("press_320", FREE), ("press_320_rough", ROUGH)):
         seconds = timed(lambda h, gel=gel: solve(h, pixels_of_large, gel, block_px=blocks), large)
         words = f"320 x 240 pixels, 5 N, friction {gel.friction:g}"
@@ -150,7 +150,7 @@ def kernel_s(pixels: tuple[float, float]) -> float:
     start = time.process_time()
     for number in range(ROUNDS):
         shear_pa = ROUGH.shear_modulus_pa * (1 + 1e-3 * number)
-        elastic_layer.layer_of(SMALL[::-1], pixels, shear_pa, 0.48, tactile_sim.full_view().gel_m)
+        layer.layer_of(SMALL[::-1], pixels, shear_pa, 0.48, tactile_sim.full_view().gel_m)
     return (time.process_time() - start) / ROUNDS
 
 

@@ -77,7 +77,7 @@ BENCHMARKS = {
     "exchange": Benchmark(
         (
             "benchmarks/exchange.py",
-            "realtouch/exchange",
+            "realtouch/formats",
             "realtouch/importing",
             "realtouch/convert",
             "tactile_toolkit/touch",
@@ -103,15 +103,7 @@ BENCHMARKS = {
             "tactile_sim/taxim_kernels.py",
         )
     ),
-    "elastic": Benchmark(
-        (
-            "tactile_sim/elastic.py",
-            "tactile_sim/elastic_kernels.py",
-            "tactile_sim/elastic_layer.py",
-            "tactile_sim/elastic_response.py",
-            "tactile_sim/elastic_vectors.py",
-        )
-    ),
+    "elastic": Benchmark(("tactile_sim/elastic",)),
     "training_order": Benchmark(("realtouch/touch_tensors.py", "tactile_toolkit/touch", *_READ)),
     "scale": Benchmark((*_STORE, "mnist3d/digit_generation.py")),
 }

@@ -217,12 +217,12 @@ def merging(folder: Path) -> dict[str, float]:
     from mnist3d.digit_card import summarise
     from mnist3d.digit_rows import REPORT_FILE
     from tactile_toolkit.store import Manifest, ShardName, ShardRecord, open_folder
-    from tactile_toolkit.store.reports import merge_reports
+    from tactile_toolkit.store.parquet import merge_reports
 
     where, names = open_folder(str(folder)), [ShardName("train", i, REPORTS) for i in range(REPORTS)]
     each, digest = REPORT_ROWS // REPORTS, "0" * 64
     more = {"report_sha256": digest, "unpacked_bytes": 1}
-    records = [ShardRecord.of(name, each, 1, digest, **more) for name in names]
+    records = [ShardRecord(name.data_path, name.split, each, 1, digest, **more) for name in names]
     manifest = Manifest("mnist3d", "0", {}, ("train",), tuple(records))
     before_mb, start_s = peak_mb(), time.process_time()
     merge_reports(where, REPORT_FILE, manifest)

@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import Any
 
 from tactile_toolkit.rows import table_of
-from tactile_toolkit.run.threads import keep_memory, limit_threads
+from tactile_toolkit.run.this_process import keep_memory, limit_threads
 
 limit_threads()
 keep_memory()

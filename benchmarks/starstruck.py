@@ -26,7 +26,7 @@ from pathlib import Path
 from figures import tell
 
 from starstruck_gen import SceneDataset, SceneSpec, build_meshes, load, sample_scenes
-from starstruck_gen.rejection import require_feasible
+from starstruck_gen.sampling import require_feasible
 
 __all__ = ["main"]
 

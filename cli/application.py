@@ -14,7 +14,7 @@ from typer.core import TyperCommand
 
 from cli.declared_options import DEBUG_VARIABLE, Debug, Version, with_options
 from cli.streams import Output
-from tactile_toolkit import shown_text, store
+from tactile_toolkit import store, wording
 from tactile_toolkit.errors import InputError, SpecMismatchError, ToolkitError, require_public
 from tactile_toolkit.json_types import JsonValue
 
@@ -95,7 +95,7 @@ class _Command(TyperCommand):
                 message, code = f"{str(error.filename)!r}: {reason}", InputError.exit_code
             else:
                 raise
-            sys.stderr.write(f"error: {shown_text.printable(message)}\n")
+            sys.stderr.write(f"error: {wording.printable(message)}\n")
             raise typer.Exit(code) from error
         except KeyboardInterrupt as error:
             default = "interrupted; finished work is kept, and the same command continues from there"

@@ -15,8 +15,7 @@ from tactile_toolkit.checked_fields import real, switch
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.json_types import JsonDict, JsonValue
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.quantities import bytes_text
-from tactile_toolkit.wording import with_count
+from tactile_toolkit.wording import bytes_text, with_count
 
 
 class Checked(Protocol):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from cli import nested_values, options, output, runs
-from tactile_toolkit import catalog, checked_fields, places, quantities, read, store
+from tactile_toolkit import catalog, checked_fields, places, read, store, wording
 from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import DatasetKind, is_copy
@@ -55,7 +55,7 @@ def _print_without_manifest(sink: output.Sink, place: places.Place, kind: Datase
         counts = {"split": split, "rows": len(dataset), "shards": len(paths), "bytes": size}
         entries.append({**counts, "per_class": per_class})
         classes = ", ".join(f"{name}: {count:,}" for name, count in per_class.items())
-        rows.append((split, len(dataset), len(paths), quantities.bytes_text(size), classes))
+        rows.append((split, len(dataset), len(paths), wording.bytes_text(size), classes))
     source: dict[str, str | None] = {"repository": None, "commit": None}
     origin = "no manifest"
     if repository:
@@ -120,7 +120,7 @@ def list_sets(
         return
     found = _sets_in(options.local_place(folder))
     sink.document(found)
-    rows = [list({**each, "bytes": quantities.bytes_text(each["bytes"])}.values()) for each in found]
+    rows = [list({**each, "bytes": wording.bytes_text(each["bytes"])}.values()) for each in found]
     sink.table(("name", "kind", "splits", "rows", "Parquet", "state"), rows)
     sink.line(f"{with_count(len(found), 'data sets')} in {folder}")
 
@@ -168,10 +168,10 @@ def print_sets(sink: output.Sink, kind: DatasetKind) -> None:
             "local_splits": state.local_splits,
         }
         documents.append({**names, **facts})
-        there = "?" if state.hub_bytes is None else quantities.bytes_text(state.hub_bytes)
+        there = "?" if state.hub_bytes is None else wording.bytes_text(state.hub_bytes)
         here = "-"
         if state.local_bytes:
-            here = f"{quantities.bytes_text(state.local_bytes)} ({', '.join(state.local_splits)})"
+            here = f"{wording.bytes_text(state.local_bytes)} ({', '.join(state.local_splits)})"
         rows.append((known.name, known.content, state.licence or "see its card", there, here))
     sink.document(documents)
     if not rows:

@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from cli import application, declared_options, options, output, runs
-from tactile_toolkit import catalog, checked_fields, exchange, places, printing, quantities, store
+from tactile_toolkit import catalog, checked_fields, exchange, places, printing, store, wording
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.kind import DatasetKind
@@ -191,7 +191,7 @@ def _export_files(
         ]
         sink.table(("file", "size mm", "volume mm³", "bytes", ""), rows)
     kept = _kept(sum(file.state == "kept" for file in made.files))
-    size = quantities.bytes_text(sum(file.bytes for file in made.files))
+    size = wording.bytes_text(sum(file.bytes for file in made.files))
     if job.dry_run:
         count = with_count(len(made.files), f"{ending} files")
         sink.line(f"would write {count} to {out} ({size}){kept}; nothing was written")
@@ -247,7 +247,7 @@ def _export_plates(
     if made.removed:
         sink.info(f"{removed} plates of an earlier export: {', '.join(made.removed)}")
     rows = [
-        (plate.file, plate.objects, f"{plate.share:.0%}", quantities.bytes_text(plate.bytes))
+        (plate.file, plate.objects, f"{plate.share:.0%}", wording.bytes_text(plate.bytes))
         for plate in made.files
     ]
     sink.table(("plate", "objects", "share of the plate", "size"), rows)

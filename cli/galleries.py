@@ -7,7 +7,7 @@ from pathlib import Path
 
 from cli import options, output
 from realtouch.kind import KIND
-from tactile_toolkit import catalog, checked_fields, gallery, quantities
+from tactile_toolkit import catalog, checked_fields, gallery, wording
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.wording import with_count
 
@@ -36,9 +36,9 @@ def _make_page(sink: output.Sink, page: gallery.Gallery, out: Path, job: options
     made = {"items": site.items, "files": site.files, "bytes": site.bytes, "splits": site.splits}
     sink.document({"page": index, **made})
     sink.table(("split", nouns), list(site.splits.items()))
-    took = quantities.duration_text(time.monotonic() - start_s)
+    took = wording.duration_text(time.monotonic() - start_s)
     items, files = with_count(site.items, nouns), with_count(site.files, "files")
-    sink.line(f"made {out} in {took}: {items}, {files}, {quantities.bytes_text(site.bytes)}")
+    sink.line(f"made {out} in {took}: {items}, {files}, {wording.bytes_text(site.bytes)}")
     sink.line(f"next: open {index} in a browser")
 
 

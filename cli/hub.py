@@ -14,8 +14,7 @@ from cli.output import Sink
 from tactile_toolkit import checked_fields, exchange, places
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind, lazy
-from tactile_toolkit.quantities import BYTES, bytes_text
-from tactile_toolkit.wording import with_count
+from tactile_toolkit.wording import BYTES, bytes_text, with_count
 
 REPOSITORY = argument("USER/NAME", "Repository of the Hub.")
 SENDS_NOTHING = checked_fields.switch(False, help="Print what would be sent; send nothing.")

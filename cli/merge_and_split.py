@@ -6,7 +6,7 @@ from functools import partial
 
 from cli import output, runs
 from cli.options import ANY_SET, Opening, Work, argument, out_folder
-from tactile_toolkit import catalog, checked_fields, exchange, parsed_text
+from tactile_toolkit import catalog, checked_fields, exchange, wording
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import DatasetKind
@@ -19,7 +19,7 @@ def _given(chosen: catalog.RowFilter) -> JsonDict:
 
 def _fractions(words: str) -> tuple[float, ...]:
     try:
-        shares = tuple(map(float, parsed_text.comma_separated(words)))
+        shares = tuple(map(float, wording.comma_separated(words)))
     except ValueError:
         shares = ()
     if not shares or not all(0 < share <= 1 for share in shares) or sum(shares) > 1 + 1e-9:

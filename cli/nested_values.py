@@ -6,8 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
 from tactile_toolkit.json_types import JsonValue
-from tactile_toolkit.quantities import bytes_text
-from tactile_toolkit.wording import with_count
+from tactile_toolkit.wording import bytes_text, with_count
 
 if TYPE_CHECKING:
     import pyarrow as pa

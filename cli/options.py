@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from cli.output import Sink
-from tactile_toolkit import places, run, store, system
+from tactile_toolkit import places, run, store
 from tactile_toolkit.checked_fields import integer, switch, text
 from tactile_toolkit.errors import InputError
 
@@ -145,7 +145,7 @@ class Making(Work):
 
 def process_count(workers: int) -> int:
     """Return the number of processes for ``--workers``; 0 means one per processor core."""
-    return workers or system.usable_cores()
+    return workers or run.usable_cores()
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import zip_longest
 
-from tactile_toolkit import checked_fields, redaction, shown_text
+from tactile_toolkit import checked_fields, errors, wording
 from tactile_toolkit.json_types import JsonValue
 from tactile_toolkit.progress import shown_progress
 
@@ -37,12 +37,12 @@ class Sink:
     def document(self, content: JsonValue) -> None:
         """Print the JSON document of the command, if ``--json`` was given."""
         if self.as_json:
-            sys.stdout.write(_encodable(shown_text.printable_json(content)) + "\n")
+            sys.stdout.write(_encodable(wording.printable_json(content)) + "\n")
 
     def line(self, text: str = "") -> None:
         """Print a line of the result."""
         if not (self.as_json or self.quiet):
-            sys.stdout.write(shown_text.printable(text, keep="\n") + "\n")
+            sys.stdout.write(wording.printable(text, keep="\n") + "\n")
 
     def info(self, text: str) -> None:
         """Print a message on stderr, unless ``--quiet`` was given."""
@@ -52,7 +52,7 @@ class Sink:
     def warn(self, text: str) -> None:
         """Print a message on stderr even with ``--quiet``, such as the name of a damaged file."""
         # It may quote a source, and with it an address that holds a secret.
-        sys.stderr.write(redaction.redact(shown_text.printable(text, keep="\n")) + "\n")
+        sys.stderr.write(errors.redact(wording.printable(text, keep="\n")) + "\n")
 
     def table(self, header: Sequence[str], rows: Sequence[Sequence[object]], title: str = "") -> None:
         """Print a table of the result."""
@@ -61,7 +61,7 @@ class Sink:
         if not rows:
             return
         is_number = [isinstance(cell, (int, float)) and not isinstance(cell, bool) for cell in rows[0]]
-        cells = [[shown_text.printable(_cell(cell)).rstrip() for cell in row] for row in rows]
+        cells = [[wording.printable(_cell(cell)).rstrip() for cell in row] for row in rows]
         # In a file or pipe, a table keeps its columns, however wide it is.
         width = sys.maxsize
         if sys.stdout.isatty():

@@ -15,8 +15,7 @@ from mnist3d.solid.solid_size import SolidSize
 from mnist3d.solid_spec import PROFILES
 from tactile_toolkit import mesh
 from tactile_toolkit.checked_fields import choice, integer, real, switch, text
-from tactile_toolkit.quantities import bytes_text
-from tactile_toolkit.wording import with_count
+from tactile_toolkit.wording import bytes_text, with_count
 
 _DOING = {True: "checking", False: "making"}
 _DONE = {True: "would write", False: "wrote"}

@@ -8,7 +8,7 @@ from pathlib import Path
 from cli import options, output
 from realtouch.kind import KIND
 from realtouch.touch_options import TouchPreviewSpec
-from tactile_toolkit import checked_fields, pictures, quantities, store
+from tactile_toolkit import checked_fields, pictures, store, wording
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 
@@ -47,7 +47,7 @@ class Pictures:
             written = pictures.write_pictures(store.open_folder(str(folder.absolute())), drawn, update)
         sink.document({"folder": str(folder), "pictures": [asdict(made) for made in written], **left_out})
         for made in written:
-            size = f"{made.width:,} x {made.height:,} pixels, {quantities.bytes_text(made.bytes)}"
+            size = f"{made.width:,} x {made.height:,} pixels, {wording.bytes_text(made.bytes)}"
             sink.line(f"{folder / made.file}: {made.what} ({size})")
 
 

@@ -10,7 +10,7 @@ from itertools import chain, islice
 from typing import TYPE_CHECKING
 
 from cli import options, output
-from tactile_toolkit import quantities, shown_text, store
+from tactile_toolkit import store, wording
 from tactile_toolkit.json_types import JsonValue
 from tactile_toolkit.kind import DatasetKind, lazy
 from tactile_toolkit.wording import with_count
@@ -91,7 +91,7 @@ def make_with_progress(
     elapsed_s = time.monotonic() - start_s
     made = "nothing was left to make"
     if rows or skipped:
-        made = f"made {with_count(rows, kind.nouns)} in {quantities.duration_text(elapsed_s)}"
+        made = f"made {with_count(rows, kind.nouns)} in {wording.duration_text(elapsed_s)}"
     if skipped:
         made += f", left out {with_count(skipped, unit or kind.nouns)}"
     if work.part is not None:
@@ -122,7 +122,7 @@ def _print_forecast(
         part = f" (part {making.part})"
     sink.line(
         f"would make {with_count(view.rows_to_make, kind.nouns)}{part} in {out}: about "
-        f"{quantities.bytes_text(view.bytes)} of Parquet, about {quantities.duration_text(view.seconds)} "
+        f"{wording.bytes_text(view.bytes)} of Parquet, about {wording.duration_text(view.seconds)} "
         f"with {with_count(options.process_count(making.workers), 'workers')} (measured on "
         f"{with_count(view.sampled, kind.nouns)}); nothing was written"
     )
@@ -173,7 +173,7 @@ def print_set(
             name,
             e["rows"],
             f"{e['shards']:,} of {planned[name]:,}",
-            quantities.bytes_text(e["bytes"]),
+            wording.bytes_text(e["bytes"]),
             e["skipped"],
         )
         for name, e in table.items()
@@ -193,4 +193,4 @@ def print_left_out(sink: output.Sink, manifest: store.Manifest) -> None:
     files = source.get("left_out", {}) if isinstance(source, dict) else {}
     named = (f"{name} ({reason})" for name, reason in files.items())
     for line in islice(chain(named, skipped), _LEFT_OUT_SHOWN):
-        sink.info(shown_text.printable(f"left out: {line}"))
+        sink.info(wording.printable(f"left out: {line}"))

@@ -17,8 +17,7 @@ from tactile_sim.sensor_models import SENSORS, SensorModel
 from tactile_toolkit import __version__, cards, catalog, exchange, places, store
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.shown_text import markdown_text
-from tactile_toolkit.wording import with_count
+from tactile_toolkit.wording import markdown_text, with_count
 
 SENSOR_FILE = "sensor.json"
 _FILES = (SENSOR_FILE, "arrays.npz")

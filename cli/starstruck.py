@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
 from functools import partial
 
 import starstruck_gen
@@ -11,7 +10,7 @@ from cli import checks, options, output, previews, runs, shared
 from cli.application import command, new_app, run as run_app
 from starstruck_gen.kind import KIND
 from starstruck_gen.scene_options import SceneOptions, ScenePreviewSpec, scene_counts
-from tactile_toolkit import catalog, checked_fields, mesh, places, quantities, run, store
+from tactile_toolkit import catalog, checked_fields, mesh, places, run, store
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 
@@ -58,17 +57,8 @@ def generate(
 def _print_made(
     sink: output.Sink, kind: DatasetKind, manifest: store.Manifest, out: str, elapsed_s: float | None
 ) -> None:
-    found = starstruck_gen.summarise(manifest)
-    rows = [
-        (split, quantities.least_to_most(each.classes), f"{each.accepted:.1%}", each.restarts)
-        for split, each in found.items()
-    ]
-    splits = [
-        {"split": split, **counts, "acceptance": asdict(found[split])}
-        for split, counts in manifest.split_table().items()
-    ]
-    header = ("split", "per class", "accepted", "started over")
-    runs.print_set(sink, kind, manifest, out, elapsed_s, header, rows, splits=splits)
+    splits = [{"split": split, **counts} for split, counts in manifest.split_table().items()]
+    runs.print_set(sink, kind, manifest, out, elapsed_s, splits=splits)
 
 
 def _check(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from importlib import import_module
 
-from tactile_toolkit import __version__, shown_text
+from tactile_toolkit import __version__, wording
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import did_you_mean
 
@@ -34,7 +34,7 @@ def main() -> None:
             return
     hint = did_you_mean(word, list(_COMMANDS))
     sys.stderr.write(
-        f"error: there is no command {shown_text.printable(word)!r}{hint}; next: see tactile --help\n"
+        f"error: there is no command {wording.printable(word)!r}{hint}; next: see tactile --help\n"
     )
     raise SystemExit(InputError.exit_code)
 

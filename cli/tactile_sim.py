@@ -23,7 +23,7 @@ from cli import (
 from cli.application import command, new_app, run as run_app
 from tactile_sim import ElasticPress, GenerateSpec, TouchPlan
 from tactile_sim.kind import KIND
-from tactile_toolkit import catalog, mesh, quantities, run, store
+from tactile_toolkit import catalog, mesh, run, store, wording
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 
@@ -92,9 +92,7 @@ def _print_made(
         share = "-"
         if touches:
             share = f"{100 * contact / touches:.1f} %"
-        rows.append(
-            (split, held["rows"], touches, share, held["skipped"], quantities.bytes_text(held["bytes"]))
-        )
+        rows.append((split, held["rows"], touches, share, held["skipped"], wording.bytes_text(held["bytes"])))
     header = ("split", "rounds", "touches", "on the object", "objects left out", "Parquet")
     runs.print_set(sink, kind, manifest, out, elapsed_s, header, rows)
 

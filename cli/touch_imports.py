@@ -14,8 +14,7 @@ from realtouch.kind import KIND
 from tactile_toolkit import store
 from tactile_toolkit.checked_fields import choice, text
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.parsed_text import comma_separated
-from tactile_toolkit.wording import with_count
+from tactile_toolkit.wording import comma_separated, with_count
 
 _MAPPED = text(
     name="--map",
@@ -125,7 +124,7 @@ def _print_imported(
     if touch_options.LEFT_OUT in manifest.spec:
         sink.info(f"not read: {', '.join(manifest.spec[touch_options.LEFT_OUT])}")
     runs.print_left_out(sink, manifest)
-    counted = store.add_up(list(manifest.statistics().values()))
+    counted = manifest.total_statistics()
     for note, count in counted.get(touch_options.CLIPS, {}).items():
         sink.info(f"{with_count(count, 'clips')}: {note}")
     fields = counted.get(realtouch.NOT_IMPORTED, {})

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from cli import options, output
-from tactile_toolkit import cards, checked_fields, places, quantities, store
+from tactile_toolkit import cards, checked_fields, places, store, wording
 from tactile_toolkit.cache import cache_folder, cached_files, prune_cache
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.wording import with_count
@@ -59,6 +59,6 @@ def cache(
         sink.line(f"removed {with_count(len(removed), 'files')} of {cache_folder()}")
         return
     sink.table(
-        ("what", "files", "size"), [(name, count, quantities.bytes_text(size)) for name, count, size in rows]
+        ("what", "files", "size"), [(name, count, wording.bytes_text(size)) for name, count, size in rows]
     )
     sink.line(f"these files are in {cache_folder()}; next: `cache prune` removes them")

@@ -42,7 +42,7 @@ SHARED = (
     "realtouch.contact.CLOCK_TOLERANCE_S",
     "realtouch.contact.contact_heights_m",
     "realtouch.contact.contact_window",
-    "starstruck_gen.scene_spec.COLLISION_RULES",
+    "starstruck_gen.sampling.COLLISION_RULES",
     "tactile_sim.sensor.MESA_SAMPLE_PX",
     "tactile_toolkit.mesh.FORMATS",
     "tactile_toolkit.mesh.UNREADABLE",
@@ -425,7 +425,7 @@ def _formats_page() -> str:
     from mnist3d.digit_rows import DigitRow, digit_schema
     from realtouch.schema import KNOWN_COLUMNS
     from realtouch.touch_card import WORDS
-    from starstruck_gen.scene_rows import SceneRow, scene_schema
+    from starstruck_gen.scene_generation import SceneRow, scene_schema
     from tactile_sim import ElasticPress
     from tactile_sim.elastic_rows import elastic_types
     from tactile_sim.touch_rows import SyntheticRound, synthetic_schema

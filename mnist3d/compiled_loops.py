@@ -1,4 +1,4 @@
-"""Loops for which numpy would need many passes, compiled by numba (:mod:`tactile_toolkit.compiled`).
+"""Loops for which numpy would need many passes, compiled by numba (:mod:`tactile_toolkit.kernels`).
 
 Floating-point operations run in the order in which they are written, so results do not depend on the
 processor. Arrays are made by numpy, and kernels have plain loops over single elements: for numba, making or
@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from tactile_toolkit.array_types import Bool, Float32, Float64, Floating, Int16, Int32, Int64
-from tactile_toolkit.compiled import planned
+from tactile_toolkit.kernels import planned
 
 _ROOT_2 = 2**0.5
 

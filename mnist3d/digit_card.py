@@ -9,7 +9,7 @@ from mnist3d.digit_rows import REPORT_FILE, SUMMED_UP, DigitRow, classes_of
 from mnist3d.kind import KIND
 from mnist3d.sources.picture_folder import FolderSource
 from mnist3d.split_summary import SplitSummary, facts_table, summarise_columns
-from tactile_toolkit import cards, catalog, kind, shown_text, store
+from tactile_toolkit import cards, catalog, kind, store, wording
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.rows import meanings
 from tactile_toolkit.wording import class_name, with_count
@@ -55,9 +55,9 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     things = "handwritten digits"
     if classes_of(manifest) != KIND.class_names:
         things = "drawings"
-    columns = store.open_parquet(folder, REPORT_FILE).schema_arrow.names
+    columns = store.read_report(folder, REPORT_FILE).column_names
     joined = ", separate pieces bridged" if solid["join_bodies"] else ""
-    title = shown_text.printable(catalog.short_name(folder.address())) if is_own else "MNIST 3D"
+    title = wording.printable(catalog.short_name(folder.address())) if is_own else "MNIST 3D"
     cards.Card(
         template=KIND.card_template,
         title=title,

@@ -21,5 +21,6 @@ KIND = DatasetKind(
     published=(tactile_mnist_set("mnist3d", "mnist3d", "13,580 meshes of digits in 5 splits"),),
     plan_previews=lazy("mnist3d.digit_previews:plan_previews"),
     plan_gallery=lazy("mnist3d.digit_previews:plan_gallery"),
+    dataset=lazy("mnist3d:DigitDataset"),
     recipe=lazy("mnist3d.digit_generation:digit_recipe"),
 )

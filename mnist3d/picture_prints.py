@@ -17,7 +17,7 @@ from mnist3d.sources.picture_files import is_picture_name, pages_of
 from tactile_toolkit import mesh, pictures, printing, store
 from tactile_toolkit.array_types import Bool, UInt8
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.parsed_text import natural_key
+from tactile_toolkit.wording import natural_key
 
 _VIEW_PX = (760, 560)
 _PREVIEW = "-preview.png"

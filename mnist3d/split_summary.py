@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from tactile_toolkit import parsed_text, store
+from tactile_toolkit import store, wording
 from tactile_toolkit.rows import Column
 from tactile_toolkit.wording import with_count
 
@@ -87,7 +87,7 @@ def _counts(values: pa.ChunkedArray) -> dict[str, int]:
     if pa.types.is_list(flat.type):
         flat = flat.flatten()
     counts = {str(each["values"]): each["counts"] for each in flat.value_counts().to_pylist()}
-    return {value: counts[value] for value in sorted(counts, key=parsed_text.natural_key)}
+    return {value: counts[value] for value in sorted(counts, key=wording.natural_key)}
 
 
 def _spread(values: pa.ChunkedArray) -> tuple[float, ...]:

@@ -25,7 +25,7 @@ from .finding import RecordingFinding as RecordingFinding
 from .faults.check_results import CheckResult as CheckResult
 from .faults.checking import check as check
 from .depth_maps import DepthMaps as DepthMaps
-from .exchange.exporting import export as export
+from .formats.exporting import export as export
 from .importing.import_preview import ImportPreview as ImportPreview, preview_import as preview_import
 from .importing.import_shards import NOT_IMPORTED as NOT_IMPORTED
 from .importing.touch_import import CONVERSION as CONVERSION, import_touches as import_touches

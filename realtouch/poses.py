@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
-from tactile_toolkit import read, spatial, wording
+from tactile_toolkit import read, wording
 from tactile_toolkit.array_types import AnyArray, Float64, Floating
 
 if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
+
     from realtouch.pose import Pose
 
 
@@ -69,9 +71,11 @@ class Poses(Sequence["Pose"]):
         return self.position_m
 
     @property
-    def rotation(self) -> spatial.Rotation:
+    def rotation(self) -> Rotation:
         """All orientations as one rotation of length n."""
-        return spatial.Rotation.from_quat(np.array(self.quaternion))
+        from scipy.spatial.transform import Rotation
+
+        return Rotation.from_quat(np.array(self.quaternion))
 
     @property
     def matrix(self) -> Float64:

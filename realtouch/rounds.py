@@ -20,7 +20,7 @@ from realtouch import (
     stored_round,
     touch_clips,
 )
-from tactile_toolkit import errors, pictures, read, system, wording
+from tactile_toolkit import errors, pictures, read, run, wording
 from tactile_toolkit.array_types import Floating, Int64, UInt8
 from tactile_toolkit.json_types import JsonDict
 
@@ -285,4 +285,4 @@ class TouchSeqRound(TouchRound):
 
 
 def _cores(threads: int | None) -> int:
-    return threads or min(system.usable_cores(), _MAX_THREADS)
+    return threads or min(run.usable_cores(), _MAX_THREADS)

@@ -14,7 +14,7 @@ import numpy as np
 from realtouch import contact, contacts, picture_views, rounds, schema, stored_round, touch_dataset
 from realtouch.kind import KIND
 from realtouch.touch import Touch
-from tactile_toolkit import cards, errors, read, shown_text, store, touch
+from tactile_toolkit import cards, errors, read, store, touch, wording
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.pictures import png_bytes
@@ -226,7 +226,7 @@ def _extra_words(facts: cards.FolderSummary) -> dict[str, tuple[str, str]]:
         is_known = all(isinstance(each, (int, float)) for each in found)
         # Parquet may state 0 as -0, so 0 is added.
         between = f", {min(found) + 0:g} to {max(found) + 0:g}" if is_known else ""
-        words[stored] = (shape, f"{shown_text.markdown_code(name)} of the source{between}")
+        words[stored] = (shape, f"{wording.markdown_code(name)} of the source{between}")
     return words
 
 

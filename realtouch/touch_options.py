@@ -22,7 +22,7 @@ IMPORT_LAYOUTS = (
     "fota",
     "anytouch",
 )
-"""Formats of recordings, each a module of ``realtouch.exchange``."""
+"""Formats of recordings, each a module of ``realtouch.formats``."""
 
 STREAM_HEADER = (
     "recording",

@@ -12,7 +12,7 @@ import numpy as np
 from realtouch import sensor_images, touch_table
 from realtouch.rounds import TouchRound, TouchSingleRound
 from realtouch.touch import Touch, touch_id
-from tactile_toolkit import builtin_values, checked_fields, errors, kind, read, system, wording
+from tactile_toolkit import checked_fields, errors, kind, read, run, wording
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, Int64, UInt8
 
 if TYPE_CHECKING:
@@ -229,7 +229,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
                     "heights of the gel",
                     next="leave out the height, and the pictures decide",
                 )
-            contact: Bool = _contacts_by_image(self, threads=system.usable_cores()).contact
+            contact: Bool = _contacts_by_image(self, threads=run.usable_cores()).contact
             return contact
         heights_m = self.heights_m(recalibrate_z)
         if min_height_m is not None:
@@ -245,8 +245,8 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         InputError
             Something else than integers is given.
         """
-        numbers = list(map(builtin_values.to_builtin_number, read.flattened(wanted)))
-        if not builtin_values.is_integer(*numbers):
+        numbers = list(map(checked_fields.to_builtin_number, read.flattened(wanted)))
+        if not checked_fields.is_integer(*numbers):
             raise errors.InputError(f"{wanted!r} was given; expected object ids as integers")
         ids = self.object_ids
         return self[np.isin(ids, sorted(set(numbers) & set(ids.tolist())))]
@@ -395,7 +395,7 @@ def with_no_contact(touches: AnyTouches, contact: Bool, fraction: float, seed: i
     Raises InputError for an invalid fraction, seed or mask.
     """
     wanted, number, mask = (
-        builtin_values.to_builtin_number(fraction, float),
+        checked_fields.to_builtin_number(fraction, float),
         checked_fields.checked_integer(seed, "the seed"),
         np.asarray(contact),
     )

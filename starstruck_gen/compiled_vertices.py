@@ -6,7 +6,7 @@ import numpy as np
 
 from tactile_toolkit.arithmetic import cosine_sine
 from tactile_toolkit.array_types import Float32, Float64, Int64
-from tactile_toolkit.compiled import compiled
+from tactile_toolkit.kernels import compiled
 
 _cosine_sine = compiled(cosine_sine)
 

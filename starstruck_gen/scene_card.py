@@ -1,12 +1,15 @@
-"""The data card of a data set of scenes."""
+"""The data card, previews and the gallery of scenes."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from functools import partial
 
-from starstruck_gen import acceptance, kind, scene_dataset, scene_rows, scene_spec
-from tactile_toolkit import cards, mesh, shown_text, store
+import pyarrow as pa
+
+from starstruck_gen import kind, sampling, scene_dataset, scene_generation
+from tactile_toolkit import cards, gallery, mesh, pictures, rows, store, wording
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import is_copy
 from tactile_toolkit.rows import meanings
 from tactile_toolkit.wording import with_count
@@ -15,13 +18,17 @@ _RULES = {
     "circles": "the circumscribed circles of two objects do not meet",
     "exact": "the outlines of two objects do not touch",
 }
+COLUMNS = meanings(scene_generation.SceneRow)
 
-COLUMNS = meanings(scene_rows.SceneRow)
+_SHOWN = (
+    *rows.with_role(scene_generation.SceneRow, "facet", "measure"),
+    rows.Column(pa.list_(pa.string()), name="shapes", role="facet", title="Shapes"),
+    rows.Column(pa.int64(), name="objects", role="measure", title="Objects"),
+    rows.Column(pa.int64(), name="positions", role="measure", title="Positions drawn"),
+    *(rows.columns(mesh.PrintReport)[name] for name in ("volume_mm3", "vertices", "faces")),
+)
 
-
-def summarise(manifest: store.Manifest) -> dict[str, acceptance.Acceptance]:
-    """Return the acceptance of each split; of an unfinished run, that of its finished shards."""
-    return {split: acceptance.Acceptance(**counts) for split, counts in manifest.statistics().items()}
+plan_previews = partial(pictures.plan_sheets, kind.KIND)
 
 
 def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
@@ -36,8 +43,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         terms = {"licence_text": text, "citation_text": "The task: Schneider et al. 2025."}
         cards.write_table_card(folder, manifest, kind.KIND, "Starstruck", COLUMNS, licence, **terms)
         return
-    spec = scene_spec.SceneSpec.from_dict(manifest.spec["scene"])
-    found = summarise(manifest)
+    spec = sampling.SceneSpec.from_dict(manifest.spec["scene"])
     cards.Card(
         template=kind.KIND.card_template,
         title="Starstruck",
@@ -45,17 +51,15 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         picture=("scenes.png", _draw_scenes, "The first scenes of each class from above; stars are orange"),
         licence="mit",
         tags=["tactile", "active-perception", "3d", "mesh", "counting"],
-        figures={"per class": [", ".join(f"{count:,}" for count in each.classes) for each in found.values()]},
         limits=_limits(manifest, spec),
         values={
             **_placement_values(spec),
             "seed": str(manifest.spec["seed"]),
-            "acceptance_table": _acceptance_table(found),
         },
     ).write(folder, manifest, kind.KIND)
 
 
-def _placement_values(spec: scene_spec.SceneSpec) -> dict[str, str]:
+def _placement_values(spec: sampling.SceneSpec) -> dict[str, str]:
     """Describe the specification in words, with sizes in millimetres."""
     least, most = spec.distractors
     turned = math.degrees(spec.rotation_rad)
@@ -73,7 +77,7 @@ def _placement_values(spec: scene_spec.SceneSpec) -> dict[str, str]:
         "cell_mm": " x ".join(f"{1e3 * side:g}" for side in spec.cell_m),
         "reach_x_mm": f"{1e3 * spec.half_area_m[0]:g}",
         "reach_y_mm": f"{1e3 * spec.half_area_m[1]:g}",
-        "classes": ", ".join(map(shown_text.markdown_text, spec.class_names)),
+        "classes": ", ".join(map(wording.markdown_text, spec.class_names)),
         "class_count": str(len(spec.class_names)),
         "distractors": distractors,
         "shapes": ", ".join(dict.fromkeys(shape.key for shape in spec.distractor_shapes)) or "none",
@@ -90,27 +94,28 @@ def _draw_scenes(facts: cards.FolderSummary) -> bytes | None:
     return cards.draw_solids(facts, scene_dataset.SceneRecord, columns)
 
 
-def _acceptance_table(found: Mapping[str, acceptance.Acceptance]) -> str:
-    header = ("split", "positions drawn per object (first, second, ...)", "accepted", "scenes started over")
-    rows = [
-        (
-            split,
-            ", ".join(f"{mean:.2f}" for mean in each.attempts_per_object),
-            f"{each.accepted:.1%}",
-            f"{each.restarts:,}",
-        )
-        for split, each in found.items()
-    ]
-    return cards.markdown_table(header, rows)
-
-
-def _limits(manifest: store.Manifest, spec: scene_spec.SceneSpec) -> list[str]:
+def _limits(manifest: store.Manifest, spec: sampling.SceneSpec) -> list[str]:
     lines = [
         "Objects lie flat and are of one height each; nothing is stacked.",
         "Scenes are drawn from the seed: they are not the published scenes, only made by the same rule.",
     ]
-    if spec.to_dict() != scene_spec.SceneSpec().to_dict():
+    if spec.to_dict() != sampling.SceneSpec().to_dict():
         lines.append("The specification is not the published one; results do not compare with the paper's.")
     if manifest.spec["limit"] is not None:
         lines.append(f"Splits are cut to their first {manifest.spec['limit']:,} scenes.")
     return lines
+
+
+def _facts(record: scene_dataset.SceneRecord, _known: None) -> JsonDict:
+    if not record.has_placements:
+        return {}
+    return {
+        "shapes": sorted({placement.shape for placement in record.placements}),
+        "objects": len(record.placements),
+        "positions": sum(record.scene.attempts),
+    }
+
+
+plan_gallery = partial(
+    gallery.gallery_of_solids, kind.KIND, title="Starstruck scenes", columns=_SHOWN, facts=_facts
+)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from starstruck_gen import scene_dataset, scene_meshes, shape_kinds
+from starstruck_gen import scene, scene_dataset
 from starstruck_gen.kind import KIND
 from tactile_toolkit import catalog, places, read
 from tactile_toolkit.errors import ToolkitError
@@ -100,7 +100,7 @@ def validate_folder(
     names = {shard.path: read.class_names(shard.schema, KIND.class_names) for _, shard in shards}
     rows = catalog.check_rows(
         shards,
-        partial(_check_row, names=names, shapes=[kind() for kind in shape_kinds.KINDS.values()]),
+        partial(_check_row, names=names),
         _COLUMNS,
         limit,
         workers,
@@ -119,13 +119,8 @@ def validate_folder(
     return CheckedScenes(place.name, len(rows), bodies, stars, tuple(failures), declares)
 
 
-def _check_row(
-    row: read.Row, names: Mapping[str, Sequence[str]], shapes: Sequence[shape_kinds.Proportions]
-) -> tuple[str | None, int, int]:
-    """Return the problem of a scene (or None), its number of bodies, and that of its declared stars.
-
-    ``shapes`` has one shape of each kind: unpickling it registers the kinds of the user in a new process.
-    """
+def _check_row(row: read.Row, names: Mapping[str, Sequence[str]]) -> tuple[str | None, int, int]:
+    """Return the problem of a scene (or None), its number of bodies, and that of its declared stars."""
     record, stars = scene_dataset.SceneRecord(row), 0
     try:
         problem, bodies = check_scene(record, names[row.path])
@@ -170,7 +165,7 @@ def _check_on_plate(mesh: Mesh, bodies: Sequence[manifold3d.Manifold]) -> str | 
 
 
 def _check_placements(mesh: Mesh, bodies: int, record: scene_dataset.SceneRecord) -> str | None:
-    declared = scene_meshes.build_meshes([record.placements])[0]
+    declared = scene.build_meshes([record.placements])[0]
     if bodies != len(record.placements):
         return f"found {with_count(bodies, 'solids')}; expected {len(record.placements)}, one for each object"
     same = declared.vertices_m.shape == mesh.vertices_m.shape and np.array_equal(declared.faces, mesh.faces)

@@ -1,44 +1,95 @@
-"""Generation of a data set folder of scenes from a specification."""
+"""Data sets of scenes: their columns, published ones first, and generation from a specification."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from functools import partial
+from dataclasses import dataclass, field
+from functools import cache, partial
 from typing import Any, Unpack
 
 import pyarrow as pa
 
-from starstruck_gen import acceptance, rejection, scene_meshes, scene_rows, scene_seeds, scene_spec
+from starstruck_gen import kind, sampling, scene
 from starstruck_gen.kind import KIND
-from tactile_toolkit import checked_fields, generation, store
+from tactile_toolkit import checked_fields, generation, mesh, rows, store
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.json_types import JsonDict, JsonObject
+from tactile_toolkit.json_types import JsonDict
+
+PARQUET_STYLE = store.ParquetStyle(
+    rows_per_group=1_000,
+    compression="zstd",
+    # Level 9: scenes are small and repeat the triangles of their shapes.
+    compression_level=9,
+    encodings=(
+        # Each corner occurs twice, on the plate and above it. zstd finds the pair in plain bytes; encodings
+        # that split numbers hide it.
+        (f"{mesh.VERTICES}.list.element.list.element", "PLAIN"),
+        (f"{mesh.FACES}.list.element.list.element", "DELTA_BINARY_PACKED"),
+    ),
+)
+"""1,000 scenes are about 5 MB unpacked, enough for the codec to find repeated triangles."""
+_NUMBERS = [(name, pa.float64()) for name in scene.Placement._fields if name != "shape"]
+_PLACEMENTS = pa.list_(pa.struct([("shape", pa.string()), *_NUMBERS]))
+_IDS = f"number of the scene: from 0 in train, from {sampling.scene_id(sampling.SPLITS[1], 0):,} in test"
+_OBJECTS = (
+    "each object in the order of placing, stars first: `shape`, centre `x_m` and `y_m`, `angle_rad` about z, "
+    "`radius_m` of the circumscribed circle, `height_m`"
+)
+_SEED = "seed of the scene: with the specification and the star count it makes the scene again"
 
 PUBLISHED_SIZES = (("train", 3_000), ("test", 300))
 """Scenes of each split (Tactile MNIST paper, section Starstruck)."""
 
 
-def make_rows(
-    spec: scene_spec.SceneSpec, split: str, seed: int, start: int, count: int
-) -> list[scene_rows.SceneRow]:
+@rows.row
+class SceneRow(mesh.MeshRow):
+    """One scene."""
+
+    id: int = rows.column(pa.int64(), "", _IDS)
+    label: int = rows.column(pa.int64(), "", "the class, named by the number of stars")
+    star_count: int = rows.column(pa.int64(), "", "number of stars", role="facet", title="Stars")
+    distractor_count: int = rows.column(
+        pa.int64(), "", "number of objects that are not stars", role="facet", title="Distractors"
+    )
+    placements: Sequence[scene.Placement] = rows.column(
+        _PLACEMENTS, "one per object: m, rad, frame below", _OBJECTS
+    )
+    seed: int = rows.column(pa.int64(), "", _SEED)
+    attempts: Sequence[int] = rows.column(pa.list_(pa.int32()), "one per object", "positions drawn for it")
+    restarts: int = rows.column(
+        pa.int32(), "", "how often the scene was started over", role="measure", title="Restarts"
+    )
+
+
+def published_schema(_manifest: object = None) -> pa.Schema:
+    """Return the Arrow schema of scenes with the published classes; other names do not change its columns."""
+    return scene_schema()
+
+
+@cache
+def scene_schema(class_names: tuple[str, ...] = kind.KIND.class_names) -> pa.Schema:
+    """Return the Arrow schema of a shard."""
+    return mesh.mesh_schema(SceneRow, class_names)
+
+
+def make_rows(spec: sampling.SceneSpec, split: str, seed: int, start: int, count: int) -> list[SceneRow]:
     """Make rows ``start`` to ``start + count - 1`` of a split; each depends on its number only.
 
     Raises SamplingExhausted if a scene cannot be made.
     """
-    scenes = rejection.sample_scenes(spec, split, seed, start, count)
-    meshes = scene_meshes.build_meshes([scene.placements for scene in scenes])
+    scenes = sampling.sample_scenes(spec, split, seed, start, count)
+    meshes = scene.build_meshes([scene.placements for scene in scenes])
     return [
-        scene_rows.SceneRow(
-            id=scene_seeds.scene_id(split, number),
+        SceneRow(
+            id=sampling.scene_id(split, number),
             label=number % len(spec.stars),
             vertices_m=meshes.vertices_m[index],
             faces=meshes.faces[index],
             star_count=scene.star_count,
             distractor_count=scene.distractor_count,
             placements=scene.placements,
-            seed=scene_seeds.scene_seed(seed, split, number),
+            seed=sampling.scene_seed(seed, split, number),
             attempts=scene.attempts,
             restarts=scene.restarts,
         )
@@ -67,7 +118,7 @@ class SceneSetSpec:
     on any machine.
     """
 
-    scene: scene_spec.SceneSpec = field(default_factory=scene_spec.SceneSpec)
+    scene: sampling.SceneSpec = field(default_factory=sampling.SceneSpec)
     scenes: tuple[tuple[str, int], ...] = PUBLISHED_SIZES
     seed: int = checked_fields.integer(0)
     limit: int | None = checked_fields.integer(None, 1, optional=True)
@@ -75,10 +126,10 @@ class SceneSetSpec:
     def __post_init__(self) -> None:
         checked_fields.check_fields(self, "the data set's specification")
         scenes = checked_fields.split_counts(
-            self.scenes, "scenes of the data set's specification", scene_seeds.SPLITS, scene_seeds.MAX_SCENES
+            self.scenes, "scenes of the data set's specification", sampling.SPLITS, sampling.MAX_SCENES
         )
         object.__setattr__(self, "scenes", scenes)
-        if not isinstance(self.scene, scene_spec.SceneSpec):
+        if not isinstance(self.scene, sampling.SceneSpec):
             raise InputError(f"scene of the data set's specification is {self.scene!r}; expected a SceneSpec")
 
     def rows(self, split: str) -> int:
@@ -105,12 +156,12 @@ class SceneGenerator(generation.RowGenerator):
 
     def items(self) -> Mapping[str, range]:
         """Return the numbers of the scenes of each split."""
-        return {split: range(self.spec.rows(split)) for split in scene_seeds.SPLITS}
+        return {split: range(self.spec.rows(split)) for split in sampling.SPLITS}
 
     def layout(self) -> generation.StorageLayout:
         """Return the storage layout of rows."""
         return generation.StorageLayout(
-            scene_rows.PARQUET_STYLE,
+            PARQUET_STYLE,
             libraries=("manifold3d", "numpy", "pillow", "pyarrow"),
             smallest=1_000,
             largest=10_000,
@@ -120,24 +171,20 @@ class SceneGenerator(generation.RowGenerator):
 
     def schema(self, split: str) -> pa.Schema:
         """Return the Arrow schema of a shard."""
-        return scene_rows.scene_schema(self.spec.scene.class_names)
+        return scene_schema(self.spec.scene.class_names)
 
-    def make(self, split: str, items: Any) -> list[scene_rows.SceneRow]:
+    def make(self, split: str, items: Any) -> list[SceneRow]:
         """Return the rows of some scenes; SamplingExhausted if a scene cannot be made."""
         with store.without_collecting():
             return make_rows(self.spec.scene, split, self.spec.seed, items.start, len(items))
-
-    def statistics(self, rows: Sequence[scene_rows.SceneRow]) -> JsonObject:
-        """Count positions drawn and scenes started over."""
-        return asdict(acceptance.count_scenes(self.spec.scene, rows))
 
 
 def generate(
     spec: SceneSetSpec,
     out: str | os.PathLike[str],
-    splits: Sequence[str] = scene_seeds.SPLITS,
+    splits: Sequence[str] = sampling.SPLITS,
     *,
-    on_failure: rejection.LayoutFailed = lambda _failed, _allowed: None,
+    on_failure: sampling.LayoutFailed = lambda _failed, _allowed: None,
     **run: Unpack[store.RunKeywords],
 ) -> store.Manifest:
     """Make a data set of scenes.
@@ -172,7 +219,7 @@ def generate(
     SpecMismatchError, StorageError
         The folder has a data set of another specification, or cannot be written. Finished shards stay.
     """
-    require = partial(rejection.require_feasible, spec.scene, spec.seed, on_failure)
+    require = partial(sampling.require_feasible, spec.scene, spec.seed, on_failure)
     return generation.generate(SceneGenerator(spec), out, splits, require=require, **run)
 
 

@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 
 import starstruck_gen
-from tactile_toolkit import catalog, checked_fields, parsed_text
+from tactile_toolkit import catalog, checked_fields, wording
 from tactile_toolkit.errors import InputError
 
 _BETWEEN_SHAPES = re.compile(r",(?![^(]*\))")  # a comma within brackets belongs to a shape
@@ -18,10 +18,10 @@ def _counts(option: str, words: str) -> tuple[int, ...]:
     """Read a range such as ``1-3``, or numbers such as ``1,2,5``."""
     least, _, most = (part.strip() for part in words.partition("-"))
     # The range is bounded before it becomes a tuple; `SceneSpec` checks the rest.
-    if parsed_text.is_count(least) and parsed_text.is_count(most) and int(least) <= int(most) < 10_000:
+    if wording.is_count(least) and wording.is_count(most) and int(least) <= int(most) < 10_000:
         return tuple(range(int(least), int(most) + 1))
-    numbers = parsed_text.comma_separated(words)
-    if not numbers or not all(map(parsed_text.is_count, numbers)):
+    numbers = wording.comma_separated(words)
+    if not numbers or not all(map(wording.is_count, numbers)):
         raise InputError(f"{option} is {words!r}; expected a range such as 1-3, or numbers such as 1,2,5")
     return tuple(map(int, numbers))
 
@@ -39,7 +39,7 @@ def _lengths_m(option: str, words: str, most: int) -> tuple[float, ...]:
 
 def scene_counts(words: str) -> tuple[tuple[str, int], ...]:
     """Read ``5000`` or ``train=5000,test=500``."""
-    if parsed_text.is_count(words.strip()):
+    if wording.is_count(words.strip()):
         return tuple((split, int(words)) for split in starstruck_gen.SPLITS)
     return checked_fields.read_split_counts("--scenes", words)
 
@@ -83,7 +83,7 @@ class SceneOptions:
     def spec(self) -> starstruck_gen.SceneSpec:
         """Return the specification of scenes; InputError for options that cannot be read or satisfied."""
         others = _counts("--distractors", self.distractors)
-        if len(parsed_text.comma_separated(self.distractors)) > 2:
+        if len(wording.comma_separated(self.distractors)) > 2:
             raise InputError(
                 f"--distractors is {self.distractors!r}; expected the minimum and the maximum, such as 0-5"
             )

@@ -22,7 +22,7 @@ import numpy as np
 import xxhash
 
 from env_assets import mesh_view
-from tactile_toolkit import cache, mesh, progress, read, run, spatial, store
+from tactile_toolkit import cache, mesh, progress, read, run, store
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int32, Int64
 from tactile_toolkit.errors import BusyError, IntegrityError
 
@@ -301,6 +301,8 @@ def _is_small(faces: AnyArray) -> bool:
 
 def _packed(vertices_m: Float32, faces: AnyArray, tilt_rad: float) -> Parts:
     """Return vertices, faces, starts, hull and grid of one mesh."""
+    from scipy.spatial import ConvexHull
+
     corners = [vertices_m[faces[:, corner]].astype(np.float64) for corner in range(3)]
     normals = np.cross(corners[1] - corners[0], corners[2] - corners[0])
     steepest = -np.sin(tilt_rad) * np.linalg.norm(normals, axis=1)
@@ -327,7 +329,7 @@ def _packed(vertices_m: Float32, faces: AnyArray, tilt_rad: float) -> Parts:
     kept = vertices_m[used[by_use]].copy()
     kept[:, 2] -= vertices_m[:, 2].min()
     height_m = vertices_m[:, 2].max() - vertices_m[:, 2].min()
-    hull = vertices_m[spatial.ConvexHull(flat).vertices, :2]
+    hull = vertices_m[ConvexHull(flat).vertices, :2]
     grid = np.array([0, 0, large, 0, across, up, *origin, CELL_M, reach_m, 0, 0, height_m], np.float64)
     return [kept, rank[number].reshape(-1, 3), starts, hull, grid]
 

@@ -21,7 +21,6 @@ from tactile_envs import (
 from tactile_envs.camera import Camera
 from tactile_envs.config import Config
 from tactile_envs.drawing import EnvDrawing
-from tactile_toolkit import spatial
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int64
 from tactile_toolkit.errors import InputError
 
@@ -252,7 +251,9 @@ class MeshScene(scene.TouchScene):
     @property
     def target_poses(self) -> Poses:
         """Targets of the sensors, metres, cell frame."""
-        return Poses(self._targets.copy(), spatial.Rotation.from_matrix(self._axes).as_quat())
+        from scipy.spatial.transform import Rotation
+
+        return Poses(self._targets.copy(), Rotation.from_matrix(self._axes).as_quat())
 
     def drawing(self, row: int) -> EnvDrawing:
         """Return the content of a picture of one cell: the object in its pose for the next touch."""

@@ -23,7 +23,7 @@ from tactile_envs.touch_kernels import (
     raise_within,
 )
 from tactile_toolkit.array_types import Bool, Float32, Float64, Int64
-from tactile_toolkit.compiled import compiled
+from tactile_toolkit.kernels import compiled
 
 
 @compiled

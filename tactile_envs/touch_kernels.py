@@ -13,7 +13,7 @@ import numpy as np
 
 from tactile_envs.pixel_blocks import LANES, ROWS, raise_block
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int32, Int64
-from tactile_toolkit.compiled import compiled
+from tactile_toolkit.kernels import compiled
 
 PADDING = LANES
 """Spare pixels of a row of heights, so that a block of eight can begin at its last pixel; never shown."""

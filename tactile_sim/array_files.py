@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tactile_toolkit import bounds, store
+from tactile_toolkit import cache, store
 from tactile_toolkit.array_types import AnyArray
 
 
@@ -29,7 +29,7 @@ def npz_bytes(arrays: Mapping[str, AnyArray], comment: bytes = b"") -> bytes:
 def read_npz(path: Path) -> tuple[dict[str, AnyArray], bytes]:
     """Read the arrays and the comment of a file; numpy and zipfile raise many kinds of errors for others."""
     with store.open_regular(path) as stream, zipfile.ZipFile(stream) as archive:
-        bounds.require_unpackable(sum(entry.file_size for entry in archive.infolist()), repr(str(path)))
+        cache.require_unpackable(sum(entry.file_size for entry in archive.infolist()), repr(str(path)))
         comment = archive.comment
         stream.seek(0)
         with np.load(stream, allow_pickle=False) as stored:

@@ -15,7 +15,7 @@ from tactile_sim.sensor import sensor_of_model
 from tactile_sim.sensor_models import GELSIGHT_MINI, SensorModel
 from tactile_sim.touch_rows import SyntheticRound
 from tactile_sim.touch_spec import WINDOWS
-from tactile_toolkit import cards, shown_text, store, touch
+from tactile_toolkit import cards, store, touch, wording
 from tactile_toolkit.array_types import AnyArray, UInt8
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.pictures import Tile, png_bytes, sheet
@@ -127,7 +127,7 @@ def _sensor_of(spec: JsonObject) -> _CardSensor:
         (window,) = (name for name, stored in WINDOWS.items() if stored == like)
         sides_mm = [1e3 * side_m for side_m in sensor_of_model(model, window, tuple(size_px)).window_m]
         shown = " x ".join(f"{side_mm:.4g}" for side_mm in sides_mm)
-        name, source = map(shown_text.markdown_text, (model.name, model.source or "no source is stated"))
+        name, source = map(wording.markdown_text, (model.name, model.source or "no source is stated"))
         area = f"{shown} mm of the {model.width_mm:g} x {model.height_mm:g} mm of the gel"
         lines = [("sensor", f"{name}, by its geometry; {source}"), ("window", area)]
         return _CardSensor(model, f"sensor ({name})", shown, lines)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tactile_sim.elastic import Contact, Gel, solve_contact
+from tactile_sim.elastic.contact import Contact, Gel, solve_contact
 from tactile_sim.press_spec import MAX_FORCE_N, MAX_SLIDE_M, MAX_TWIST_RAD
 from tactile_sim.sensor import Sensor
 from tactile_sim.value_files import read_values

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tactile_sim.elastic import Gel
+from tactile_sim.elastic.contact import Gel
 from tactile_sim.elastic_press import Load, plate_z_m
 from tactile_sim.sensor import Sensor, full_view
 from tactile_toolkit.errors import InputError

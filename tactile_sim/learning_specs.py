@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from tactile_sim.touch_spec import SENSOR_NOISE, WINDOWS
-from tactile_toolkit import builtin_values, touch
+from tactile_toolkit import checked_fields, touch
 from tactile_toolkit.checked_fields import check_fields, choice, integer, real, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict, JsonObject
@@ -81,7 +81,7 @@ class PairsSpec:
     seed: int = integer(0, help="Random seed.")
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "size_px", builtin_values.to_builtin(self.size_px))
+        object.__setattr__(self, "size_px", checked_fields.to_builtin(self.size_px))
         check_fields(self, "the training set")
         if len(self.size_px) != 2 or not all(side in _SIDES_PX for side in self.size_px):
             raise InputError(

@@ -10,14 +10,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
-from tactile_toolkit import builtin_values, parsed_text
+from tactile_toolkit import checked_fields, wording
 from tactile_toolkit.checked_fields import check_fields, switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import lazy
 
 if TYPE_CHECKING:
-    from tactile_sim.elastic import Gel
+    from tactile_sim.elastic.contact import Gel
 
 FORCE_N = 5.0
 """Normal force of a press unless one is given, newtons: at which the authors of Tactile MNIST stopped."""
@@ -37,7 +37,7 @@ _GELS = "none|elastic|FILE"
 _SHOWN_IN = {"force_n": (1.0, "N"), "twist_rad": (180 / math.pi, "degrees")}
 _SHOWN_LENGTH = (1e3, "mm")
 
-_gel = lazy("tactile_sim.elastic:Gel")
+_gel = lazy("tactile_sim.elastic.contact:Gel")
 _read_gel = lazy("tactile_sim.elastic_press:read_gel")
 
 
@@ -73,7 +73,7 @@ def _span_of(option: str, per_unit: float) -> Callable[[str], Span]:
 
 def _markers_of(words: str) -> tuple[int, int]:
     columns, _, rows = words.strip().lower().partition("x")
-    if not (parsed_text.is_count(columns) and parsed_text.is_count(rows)):
+    if not (wording.is_count(columns) and wording.is_count(rows)):
         raise InputError(f"--markers is {words!r}; expected COLUMNSxROWS, such as 7x9")
     return int(columns), int(rows)
 
@@ -178,8 +178,8 @@ class ElasticPress:
                 "markers are drawn, but there are none", next="give markers, such as --markers 7x9"
             )
         if self.markers is not None:
-            grid = builtin_values.to_builtin(self.markers)
-            if not (isinstance(grid, tuple) and len(grid) == 2 and builtin_values.is_integer(*grid)) or not (
+            grid = checked_fields.to_builtin(self.markers)
+            if not (isinstance(grid, tuple) and len(grid) == 2 and checked_fields.is_integer(*grid)) or not (
                 1 <= min(grid) <= max(grid) <= _MAX_MARKERS
             ):
                 raise InputError(
@@ -192,7 +192,7 @@ class ElasticPress:
         self, name: str, value: object, most: float, *, least: float = 0.0, above: float = -math.inf
     ) -> None:
         """Normalize a number or a pair to a span; InputError unless it ascends and lies within bounds."""
-        ends = builtin_values.to_builtin(value, float)
+        ends = checked_fields.to_builtin(value, float)
         if isinstance(ends, float):
             ends = (ends, ends)
         is_pair = isinstance(ends, tuple) and len(ends) == 2 and all(isinstance(end, float) for end in ends)

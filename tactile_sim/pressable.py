@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 import xxhash
 
-from tactile_toolkit import builtin_values, cache
+from tactile_toolkit import cache, checked_fields
 from tactile_toolkit.array_types import AnyArray, Float64, Int32
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh, MeshLike, as_mesh, check_manifold, merge_equal_vertices
@@ -40,7 +40,7 @@ _CACHE_BYTES = 64 << 20
 
 def checked_layer_m(layer_m: object) -> float:
     """Return the height of layers as a Python float, metres; 0 for none. InputError for other values."""
-    found = builtin_values.to_builtin_number(layer_m, float)
+    found = checked_fields.to_builtin_number(layer_m, float)
     if isinstance(found, float) and (found == 0 or _MIN_LAYER_M <= found <= _MAX_LAYER_M):
         return found
     raise InputError(

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tactile_sim import elastic_press
-from tactile_sim.elastic import Contact, Gel
+from tactile_sim.elastic.contact import Contact, Gel
 from tactile_sim.optics import depth_image
 from tactile_sim.poses import PoseLike, as_matrices, inverse_times
 from tactile_sim.pressable import Pressable

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from tactile_sim.sensor_parts import FlatGel
-from tactile_toolkit import builtin_values, touch
+from tactile_toolkit import checked_fields, touch
 from tactile_toolkit.checked_fields import check_fields, real
 from tactile_toolkit.errors import InputError
 
@@ -70,9 +70,9 @@ class Sensor:
 
 def checked_size_px(size_px: object) -> tuple[int, int]:
     """Return width and height of an image as Python's own integers, pixels; InputError for anything else."""
-    size = builtin_values.to_builtin(size_px)
+    size = checked_fields.to_builtin(size_px)
     if not (
-        isinstance(size, tuple) and len(size) == 2 and builtin_values.is_integer(*size) and min(size) >= 1
+        isinstance(size, tuple) and len(size) == 2 and checked_fields.is_integer(*size) and min(size) >= 1
     ):
         raise InputError(f"size of the image is {size_px!r}; expected width and height in whole pixels")
     if size[0] * size[1] > touch.MAX_IMAGE_PIXELS:

@@ -83,7 +83,7 @@ def taxim_package() -> TaximPackage:
     colours = np.stack([gradients[f"grad_{colour}"] / 255 for colour in "bgr"], axis=3)
     directions = np.asarray(stored["shadowDirections"], np.float64)
     calibration = Calibration(
-        np.append(colours, 0.0),  # colours are read by four
+        np.ascontiguousarray(colours.reshape(-1, 18)),
         *_shadow_tables(simulator, directions, stored["shadowTable"][::-1]),
         len(colours),
         sensor["pixmm"],

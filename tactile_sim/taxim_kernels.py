@@ -1,42 +1,19 @@
 """Kernels of Taxim, in numba: the surface of the pressed gel, its colours, and shadows.
 
-Sums of a pixel stay in a vector register while LLVM's vector instructions add to them, which numba does not
-do by itself: a picture takes two fifths of the time. The order of operations is that of plain loops. All
-kernels lie in this one file, because numba's cache on disk checks only the file of a kernel.
+All kernels lie in this one file, because numba's cache on disk checks only the file of a kernel.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from types import ModuleType
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from llvmlite import ir
-from numba import types
-from numba.core import cgutils
-from numba.core.typing.templates import Signature
-from numba.extending import intrinsic
 
 from tactile_toolkit.array_types import Bool, Float32, Float64, Floating, Int32, Int64
-from tactile_toolkit.compiled import compiled
-
-LANES = 16
-"""Number of values that are weighted at once; a row of a map has at least as many."""
+from tactile_toolkit.kernels import compiled
 
 _FOLDED = 0.41421356237309503  # tan(pi / 8)
-
-_BUILD: ModuleType = cgutils
-_MASK = ir.VectorType(ir.IntType(8), LANES)
-
-_COLOURS = ir.VectorType(ir.DoubleType(), 4)
-
-Context: TypeAlias = Any
-"""A numba context, which has no types."""
-
-Build: TypeAlias = Callable[[Context, ir.IRBuilder, Signature, Sequence[ir.Value]], ir.Value]
-"""Writes the instructions of a function for LLVM."""
 
 Pair: TypeAlias = tuple[Float64, Float64]
 """Halves of Gaussian kernels across and down, from the middle outwards."""
@@ -45,11 +22,10 @@ Pair: TypeAlias = tuple[Float64, Float64]
 class Calibration(NamedTuple):
     """Tables of Taxim that do not depend on the size of the picture; lengths in mm.
 
-    ``colours`` (bins * bins * 18 + 1,): six coefficients of three colours, by slope and direction, with one
-    value more; ``fan`` (63, rays, 2) float32: cosine and sine of the rays of each direction; ``shadows``
-    (63, 25, steps, 3) and ``shadow_lengths`` (63, 25); then the bins of slopes and of directions, the pixel,
-    width and height of the calibration, the scale of contacts, the steps of directions and heights, and where
-    heights begin.
+    ``colours`` (bins * bins, 18): six coefficients of three colours, by slope and direction; ``fan`` (63,
+    rays, 2) float32: cosine and sine of the rays of each direction; ``shadows`` (63, 25, steps, 3) and
+    ``shadow_lengths`` (63, 25); then the bins of slopes and of directions, the pixel, width and height of the
+    calibration, the scale of contacts, the steps of directions and heights, and where heights begin.
     """
 
     colours: Float64
@@ -79,179 +55,6 @@ class PictureTables(NamedTuple):
     shadow_step: Float32
 
 
-def _build_weighing(
-    context: Context, builder: ir.IRBuilder, signature: Signature, given: Sequence[ir.Value]
-) -> ir.Value:
-    """Build the code of :func:`_weigh_pixels`."""
-    arrays = [context.make_array(signature.args[n])(context, builder, given[n]) for n in (0, 2, 5)]
-    written, read, weighed = (array.data for array in arrays)
-    count = _BUILD.unpack_tuple(builder, arrays[2].shape, 1)[0]
-    one, size = ir.Constant(count.type, 1), signature.args[0].dtype.bitwidth // 8
-    pixels = ir.VectorType(context.get_data_type(signature.args[0].dtype), LANES)
-
-    def values(place: ir.Value) -> ir.Value:
-        return builder.load(builder.bitcast(builder.gep(read, [place]), pixels.as_pointer()), align=size)
-
-    def weight(tap: ir.Value) -> ir.Value:
-        return spread(builder, builder.load(builder.gep(weighed, [tap])), pixels)
-
-    def total() -> ir.Value:
-        held = _BUILD.alloca_once_value(
-            builder, builder.fmul(weight(ir.Constant(count.type, 0)), values(given[3]))
-        )
-        with _BUILD.for_range_slice(builder, one, count, one) as (tap, _):
-            far = builder.mul(tap, given[4])
-            pair = builder.fadd(values(builder.sub(given[3], far)), values(builder.add(given[3], far)))
-            builder.store(builder.fadd(builder.load(held), builder.fmul(weight(tap), pair)), held)
-        return builder.load(held)
-
-    target = builder.bitcast(builder.gep(written, [given[1]]), pixels.as_pointer())
-    if isinstance(signature.args[6], types.NoneType):
-        builder.store(total(), target, align=size)
-        return context.get_dummy_value()
-    mask = context.make_array(signature.args[6])(context, builder, given[6]).data
-    stays = builder.bitcast(builder.gep(mask, [given[7]]), _MASK.as_pointer())
-    stays = builder.icmp_unsigned("!=", builder.load(stays, align=1), ir.Constant(_MASK, [0] * LANES))
-    as_number = builder.bitcast(stays, ir.IntType(LANES))
-    with builder.if_then(builder.icmp_unsigned("!=", as_number, ir.Constant(ir.IntType(LANES), -1))):
-        found = total()
-        builder.store(builder.select(stays, builder.load(target, align=size), found), target, align=size)
-    return context.get_dummy_value()
-
-
-def _weigh_pixels(
-    _typing: object,
-    out: types.Type,
-    at: types.Type,
-    source: types.Type,
-    middle: types.Type,
-    step: types.Type,
-    weights: types.Type,
-    kept: types.Type,
-    kept_at: types.Type,
-) -> tuple[Signature, Build]:
-    """Weigh :data:`LANES` neighbouring values of ``source`` and those on both sides of each.
-
-    ``out``, ``source`` and ``weights`` are contiguous, all of single or of double precision; ``kept``, bool,
-    says which values of ``out`` stay as they are, from ``kept_at`` on, or is None. In plain numba::
-
-        for lane in range(LANES):
-            total = weights[0] * source[middle + lane]
-            for tap in range(1, len(weights)):
-                pair = source[middle + lane - tap * step] + source[middle + lane + tap * step]
-                total += weights[tap] * pair
-            if kept is None or not kept[kept_at + lane]:
-                out[at + lane] = total
-    """
-    place = types.int64
-    signature = types.void(out, place, source, place, place, weights, kept, place)
-    return signature, _build_weighing
-
-
-weigh_pixels: Callable[..., None] = intrinsic(_weigh_pixels)
-
-
-def _colour_pixel(
-    _typing: object,
-    out: types.Type,
-    at: types.Type,
-    tables: types.Type,
-    first: types.Type,
-    x: types.Type,
-    y: types.Type,
-) -> tuple[Signature, Build]:
-    """Write three colours of a pixel, from six coefficients of each, and a fourth value.
-
-    In plain numba::
-
-        for colour in range(4):
-            c = tables[first + colour :: 3]
-            squares = (x * x * c[0] + y * y * c[1]) + x * y * c[2]
-            out[at + colour] = ((squares + x * c[3]) + y * c[4]) + c[5]
-    """
-    signature = types.void(out, types.int64, tables, types.int64, types.float64, types.float64)
-
-    def build(
-        context: Context, builder: ir.IRBuilder, signature: Signature, given: Sequence[ir.Value]
-    ) -> ir.Value:
-        written, read = (
-            context.make_array(signature.args[n])(context, builder, given[n]).data for n in (0, 2)
-        )
-        x, y = (spread(builder, value, _COLOURS) for value in given[4:])
-        places = [builder.add(given[3], ir.Constant(given[3].type, 3 * number)) for number in range(6)]
-        c = [builder.load(_colours_at(builder, read, place), align=8) for place in places]
-        terms = [
-            builder.fmul(factor, each)
-            for factor, each in zip(
-                (builder.fmul(x, x), builder.fmul(y, y), builder.fmul(x, y), x, y), c, strict=False
-            )
-        ]
-        total = terms[0]
-        for term in (*terms[1:], c[5]):
-            total = builder.fadd(total, term)
-        builder.store(total, _colours_at(builder, written, given[1]), align=8)
-        return context.get_dummy_value()
-
-    return signature, build
-
-
-colour_pixel: Callable[..., None] = intrinsic(_colour_pixel)
-
-
-def _colours_at(builder: ir.IRBuilder, values: ir.Value, place: ir.Value) -> ir.Value:
-    return builder.bitcast(builder.gep(values, [place]), _COLOURS.as_pointer())
-
-
-def spread(builder: ir.IRBuilder, value: ir.Value, lanes: ir.VectorType) -> ir.Value:
-    """Broadcast a number to all lanes."""
-    empty, first = ir.Constant(lanes, ir.Undefined), ir.Constant(ir.IntType(32), 0)
-    single = builder.insert_element(empty, value, first)
-    return builder.shuffle_vector(single, empty, ir.Constant(ir.VectorType(first.type, lanes.count), None))
-
-
-@compiled
-def _blur_room(rows: int, width: int, like: Floating) -> Floating:
-    """Return room for a map of so many rows, margins included, in strips; of the type of another array.
-
-    It begins with a line of the processor's cache.
-    """
-    room = np.empty((width + LANES - 1) // LANES * (rows | 1) * LANES + 64 // like.itemsize, like.dtype)
-    return room[(-(room.ctypes.data // like.itemsize)) % (64 // like.itemsize) :]
-
-
-@compiled
-def _blur_across(
-    image: Floating, room: Floating, across: Floating, margin: int, step: int, inset: int
-) -> None:
-    """Blur the rows of a map (H, W) without an edge of ``inset``; neighbours are ``step`` values apart.
-
-    ``room`` gets its columns in strips of :data:`LANES`, which stay in the processor's cache, each with
-    ``margin`` mirrored rows above and below; an odd number of rows apart, so that neighbours do not push each
-    other out of it. The last strip begins early enough to be full.
-    """
-    rows, width = image.shape[0] - 2 * inset, image.shape[1] - 2 * inset * step
-    high, reach = (rows + 2 * margin) | 1, (len(across) - 1) * step
-    line = np.empty(width + 2 * reach, image.dtype)
-    middle = line[reach:]
-    for row in range(rows):
-        pixels = image[row + inset, inset * step :]
-        for place in range(width):
-            middle[place] = pixels[place]
-        for far in range(step, reach + step, step):
-            for place in range(step):
-                line[reach - far + place] = pixels[far + place]
-                middle[width - step + far + place] = pixels[width - step - far + place]
-        for begin in range(0, width, LANES):
-            at = (begin // LANES * high + margin + row) * LANES
-            weigh_pixels(room, at, line, min(begin, width - LANES) + reach, step, across, None, 0)
-    for top in range(0, (width + LANES - 1) // LANES * high, high):
-        for far in range(1, margin + 1):
-            for place in range(LANES):
-                first, last = (top + margin) * LANES + place, (top + margin + rows - 1) * LANES + place
-                room[first - far * LANES] = room[first + far * LANES]
-                room[last + far * LANES] = room[last - far * LANES]
-
-
 @compiled
 def blur(
     image: Floating,
@@ -264,21 +67,57 @@ def blur(
 ) -> None:
     """Blur a map (H, W) by halves of symmetric kernels; beyond its edge it is mirrored, without the edge.
 
-    Neighbours in a row are ``step`` values apart. Pairs are added from the middle outwards, so the sums of a
-    pixel have one order however many are done at once. Pixels of ``out``, which may be the map itself, stay
-    as they are where ``kept`` (H, W), and at an edge of ``inset``, without which the map is blurred. All
-    numbers are of one precision.
+    Neighbours in a row are ``step`` values apart. Pixels of ``out``, which may be the map itself, stay as
+    they are where ``kept`` (H, W), and at an edge of ``inset``, without which the map is blurred. All numbers
+    are of one precision.
     """
-    whole, margin = image.shape[1], len(down) - 1
-    rows, width = image.shape[0] - 2 * inset, whole - 2 * inset * step
-    high, pixels = (rows + 2 * margin) | 1, out.reshape(out.size)
-    room = _blur_room(rows + 2 * margin, width, image)
-    _blur_across(image, room, across, margin, step, inset)
-    for strip in range((width + LANES - 1) // LANES):
-        begin = min(strip * LANES, width - LANES) + inset * step
-        for row in range(rows):
-            at, middle = (row + inset) * whole + begin, (strip * high + margin + row) * LANES
-            weigh_pixels(pixels, at, room, middle, LANES, down, kept, at)
+    rows, width = image.shape[0] - 2 * inset, image.shape[1] - 2 * inset * step
+    margin, reach = len(down) - 1, (len(across) - 1) * step
+    line = np.empty(width + 2 * reach, image.dtype)
+    middle, total = line[reach:], line[:width]
+    wide = np.empty((rows + 2 * margin, width), image.dtype)
+    for row in range(rows):
+        pixels = image[row + inset, inset * step :]
+        for k in range(width):
+            middle[k] = pixels[k]
+        for far in range(step, reach + step, step):
+            for k in range(step):
+                line[reach - far + k] = pixels[far + k]
+                middle[width - step + far + k] = pixels[width - step - far + k]
+        _weigh(wide[margin + row], line, reach, step, across)
+    for far in range(1, margin + 1):
+        wide[margin - far] = wide[margin + far]
+        wide[margin + rows - 1 + far] = wide[margin + rows - 1 - far]
+    flat = wide.reshape(wide.size)
+    for row in range(rows):
+        target = out[row + inset, inset * step :]
+        if kept is None:
+            _weigh(target[:width], flat, (margin + row) * width, width, down)
+        else:
+            stays = kept[row + inset, inset * step :]
+            _weigh(total, flat, (margin + row) * width, width, down)
+            for k in range(width):
+                target[k] = target[k] if stays[k] else total[k]
+
+
+@compiled
+def _weigh(out: Floating, source: Floating, begin: int, step: int, weights: Floating) -> None:
+    """Weigh the values from ``begin`` on, and those at multiples of ``step`` on both sides of each."""
+    here, first, count = source[begin:], weights[0], len(weights)
+    for k in range(len(out)):
+        out[k] = first * here[k]
+    # Two pairs at a time: sums are loaded and stored half as often.
+    for tap in range(1, count - 1, 2):
+        near, far = weights[tap], weights[tap + 1]
+        a, b = source[begin - tap * step :], source[begin + tap * step :]
+        c, d = source[begin - (tap + 1) * step :], source[begin + (tap + 1) * step :]
+        for k in range(len(out)):
+            out[k] = (out[k] + near * (a[k] + b[k])) + far * (c[k] + d[k])
+    if count % 2 == 0:
+        last, reach = weights[count - 1], (count - 1) * step
+        a, b = source[begin - reach :], source[begin + reach :]
+        for k in range(len(out)):
+            out[k] += last * (a[k] + b[k])
 
 
 @compiled
@@ -391,7 +230,7 @@ def _slopes(soft: Float64, per_row: float, per_column: float, flat_slope: float)
 
 @compiled
 def _shades(slope: Float64, direction: Float64, tables: Calibration) -> Float64:
-    """Return the colours (H, 3 W + 1) of the calibration for slopes in their place.
+    """Return the colours (H, W, 3) of the calibration for slopes in their place.
 
     Directions are rounded up as in single precision: the last bin of the package holds only those of pi, and
     that of a flat pixel is the middle of the table exactly.
@@ -399,18 +238,20 @@ def _shades(slope: Float64, direction: Float64, tables: Calibration) -> Float64:
     rows, columns = slope.shape
     bins = tables.bins
     per_slope, per_direction = (bins - 1) / (0.5 * math.pi), (bins - 1) / (2.0 * math.pi)
-    # One spare value: colours are written four values at a time.
-    shade = np.empty(rows * columns * 3 + 1)
+    shade = np.empty((rows, columns, 3))
     chosen = np.empty(columns, np.int64)
     for row in range(rows):
         y = row * (float(tables.height) / rows)
         steep, turned = slope[row], direction[row]
         for column in range(columns):
             last = min(int(turned[column] * per_direction + 4e-6), bins - 1)
-            chosen[column] = (int(steep[column] * per_slope) * bins + last) * 18
+            chosen[column] = int(steep[column] * per_slope) * bins + last
         for column in range(columns):
             x = column * (float(tables.width) / columns)
-            colour_pixel(shade, (row * columns + column) * 3, tables.colours, chosen[column], x, y)
+            c, pixel = tables.colours[chosen[column]], shade[row, column]
+            for k in range(3):
+                squares = (x * x * c[k] + y * y * c[3 + k]) + x * y * c[6 + k]
+                pixel[k] = ((squares + x * c[9 + k]) + y * c[12 + k]) + c[15 + k]
     return shade
 
 
@@ -425,7 +266,8 @@ def _cast_shadows(
 ) -> None:
     """Darken lower pixels behind each pixel at the rim of the contact, along a fan of rays."""
     rows, columns = soft.shape
-    surface, places = soft.reshape(soft.size), np.empty(tables.shadows.shape[2], np.int32)
+    surface, colours = soft.reshape(soft.size), shade.reshape(shade.size)
+    places = np.empty(tables.shadows.shape[2], np.int32)
     for row in range(rows):
         for column in range(columns):
             if not sources[row, column]:
@@ -444,8 +286,8 @@ def _cast_shadows(
                     at = met[step]
                     if at >= 0 and here < surface[at]:
                         for colour in range(3):
-                            held = shade[3 * at + colour]
-                            shade[3 * at + colour] = dark[step, colour] if dark[step, colour] < held else held
+                            held, darker = colours[3 * at + colour], dark[step, colour]
+                            colours[3 * at + colour] = darker if darker < held else held
 
 
 @compiled
@@ -496,7 +338,7 @@ def render_taxim(
         slope, direction = _slopes(soft, per_row, per_column, tables.flat_slope)
         shade = _shades(slope, direction, tables)
         _cast_shadows(shade, soft, direction, _rim(contact, picture.windows), tables, picture)
-        plane = shade[: 3 * soft.size].reshape((rows, 3 * columns))
+        plane = shade.reshape((rows, 3 * columns))
         for across, down in (picture.shadow_blur, pyramid[len(pyramid) - 1]):
             blur(plane, across, down, 3, None, plane)
         _lay_over(plane, picture.background, out[number])

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import ArrayLike
 
-from tactile_toolkit import bounds, column_types, store, text_tables, touch, units
+from tactile_toolkit import store, touch
 from tactile_toolkit.array_types import AnyArray, Float64
+from tactile_toolkit.columns import column_types, tables, units
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.json_types import JsonDict
 
@@ -21,9 +22,7 @@ _POSITIONS = ("x_m", "y_m")
 _NUMBERS = ("object_id", "round")
 _POSES = ("object_x_m", "object_y_m", "object_turn_rad")
 _COLUMNS = (*_POSITIONS, *_NUMBERS, *_POSES)
-_INDEX_NAMES = ("", "Unnamed: 0", "__index_level_0__")
-# Memory for reading a row, bytes.
-_BYTES_PER_ROW = 512
+_INDEX_NAMES = ("column_1", "Unnamed: 0", "__index_level_0__")
 # Larger values mean a wrong unit or column.
 _MAX_TURNS_RAD = 1e4
 # An object may be larger than the cell, and its origin off it.
@@ -100,10 +99,8 @@ class TouchTable:
             The file does not exist, is not such a table, or holds values that the class refuses.
         """
         file = store.expanded(path)
-        if file.suffix.lower() not in text_tables.TABLE_ENDINGS:
-            raise InputError(
-                f"given touches in {str(path)!r}: expected a file {', '.join(text_tables.TABLE_ENDINGS)}"
-            )
+        if file.suffix.lower() not in tables.ENDINGS:
+            raise InputError(f"given touches in {str(path)!r}: expected a file {', '.join(tables.ENDINGS)}")
         try:
             return cls(**_read_columns(file))
         except OSError as error:
@@ -192,24 +189,15 @@ def _column(name: str, value: ArrayLike) -> AnyArray:
 
 
 def _read_columns(file: Path) -> dict[str, AnyArray]:
-    """Read the columns of a text table; InputError for other columns, or too many rows."""
-    with store.open_regular(file) as stream:
-        content = stream.read()
-    rows = content.count(b"\n")
-    bounds.require_unpackable(_BYTES_PER_ROW * rows, f"a table of {rows:,} rows", len(content))
-    table = text_tables.read_text_table(content, str(file))
-    texts = dict(zip(table.names, table.columns(), strict=True))
+    """Read the columns of a table; InputError for other columns."""
+    table = tables.open_table(*store.split_uri(os.path.realpath(file)))
+    read = table.whole(numbers=table.names)
     columns = {}
     for name, (ours, divisor) in _meanings(table.names).items():
-        # Missing values become NaN, which is refused.
-        try:
-            column = pa.array(texts[name], pa.string())
-            values = column_types.floats_of(
-                column_types.from_text(column, decimal_commas=table.separator != ",")
-            )
+        try:  # missing values become NaN, which is refused
+            columns[ours] = column_types.floats_of(read[name]) / divisor
         except ValueError as error:
             raise InputError(f"column {name}: {error}; expected numbers") from error
-        columns[ours] = values / divisor
     return columns
 
 

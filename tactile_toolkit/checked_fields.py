@@ -8,22 +8,22 @@ tuples. A field with ``help`` is an option of the commands that take the specifi
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+import numbers
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields
 from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict, Unpack
 
-from tactile_toolkit import builtin_values, parsed_text
+from tactile_toolkit import wording
 from tactile_toolkit.errors import InputError
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
+
 _RULE = "rule"
 _MAX_INTEGER = (1 << 63) - 1
 _UNITS = {"_mm": "MM", "_mm2": "MM2", "_deg": "DEG", "_px": "PX", "_m3": "KG/M3"}
 _PLACEHOLDERS: dict[type, str] = {float: "X"}
-
-
 Declared: TypeAlias = Any
 """A field of a dataclass as it is declared: of whatever type it is annotated with."""
 
@@ -80,7 +80,7 @@ def _integer_rule(least: int, most: int | None, optional: bool, option: OptionTe
     def fits(value: object) -> bool:
         if value is None:
             return optional
-        return isinstance(value, int) and builtin_values.is_integer(value) and least <= value <= limit
+        return isinstance(value, int) and is_integer(value) and least <= value <= limit
 
     return Rule(int, fits, f"an integer {span}", option)
 
@@ -169,7 +169,7 @@ def metavar_of(name: str, rule: Rule) -> str:
 
 def check_value(rule: Rule, value: object, name: str) -> Any:
     """Return a normalized value; InputError, which begins with ``name``, if it is not valid."""
-    spelled = builtin_values.to_builtin(value, rule.kind)
+    spelled = to_builtin(value, rule.kind)
     if not rule.fits(spelled):
         raise InputError(f"{name} is {value!r}; expected {rule.expected}")
     return spelled
@@ -198,12 +198,9 @@ def checked_integer(value: object, name: str, least: int = 0, most: int | None =
 
 def split_counts(value: object, name: str, splits: Sequence[str], most: int) -> tuple[tuple[str, int], ...]:
     """Return counts by split from a mapping or pairs; InputError for anything else."""
-    pairs = builtin_values.to_builtin_pairs(value)
+    pairs = to_builtin_pairs(value)
     fits = isinstance(pairs, tuple) and all(
-        isinstance(pair, tuple)
-        and len(pair) == 2
-        and pair[0] in splits
-        and builtin_values.is_integer(pair[1])
+        isinstance(pair, tuple) and len(pair) == 2 and pair[0] in splits and is_integer(pair[1])
         for pair in pairs
     )
     if not fits or len(dict(pairs)) < len(pairs) or not all(0 <= count <= most for _, count in pairs):
@@ -217,6 +214,44 @@ def split_counts(value: object, name: str, splits: Sequence[str], most: int) -> 
 def read_split_counts(option: str, words: str) -> tuple[tuple[str, int], ...]:
     """Read ``train=8,test=2``; :func:`split_counts` checks the names of splits."""
     pairs = [tuple(piece.strip() for piece in part.partition("=")) for part in words.split(",")]
-    if not all(parsed_text.is_count(count) for _, _, count in pairs):
+    if not all(wording.is_count(count) for _, _, count in pairs):
         raise InputError(f"{option} is {words!r}; expected SPLIT=N once per split, such as train=8,test=2")
     return tuple((split, int(count)) for split, _, count in pairs)
+
+
+def to_builtin(value: object, kind: type[int] | type[float] = int) -> Any:
+    """Return a value with tuples for all iterables and Python's numbers for all numbers.
+
+    With ``kind`` ``float``, integers become floats; with ``int`` numbers keep their kind. A value that is
+    neither a number nor an iterable is returned unchanged, for the checks that follow.
+    """
+    if isinstance(value, (str, bytes, Mapping)):
+        return value
+    # An array without dimensions is a number, although its type is iterable.
+    if isinstance(value, Iterable) and getattr(value, "ndim", None) != 0:
+        return tuple(to_builtin(entry, kind) for entry in value)
+    return to_builtin_number(value, kind)
+
+
+def to_builtin_number(value: Any, kind: type[int] | type[float] = int) -> Any:
+    """Return a number as Python's own; see :func:`to_builtin`."""
+    if getattr(value, "ndim", None) == 0:
+        value = value.item()
+    if isinstance(value, bool) or not isinstance(value, numbers.Real):
+        return value
+    if kind is not float and isinstance(value, numbers.Integral):
+        return int(value)
+    try:
+        return float(value)
+    except OverflowError:
+        return value
+
+
+def to_builtin_pairs(values: object) -> Any:
+    """Return pairs of a name and a number, or a mapping, as a tuple of tuples."""
+    return to_builtin(values.items() if isinstance(values, Mapping) else values)
+
+
+def is_integer(*values: object) -> bool:
+    """Return whether all values are integers; True and False are not."""
+    return all(isinstance(value, int) and not isinstance(value, bool) for value in values)

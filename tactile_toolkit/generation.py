@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, Unpack
 
 import pyarrow as pa
 
-from tactile_toolkit import store, system
+from tactile_toolkit import store
 from tactile_toolkit.array_types import Int64
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.rows import table_of
+from tactile_toolkit.run import usable_cores
 
 if TYPE_CHECKING:
     from tactile_toolkit.mesh import Mesh
@@ -72,7 +73,7 @@ class RowGenerator(ABC):
     kind: DatasetKind
     spec: Any  # has `to_dict`
     kernels: ClassVar[tuple[str, ...]] = ()
-    """Modules with planned kernels (``tactile_toolkit.compiled.planned``) that all rows need."""
+    """Modules with planned kernels (``tactile_toolkit.kernels.planned``) that all rows need."""
 
     def manifest(self) -> JsonObject:
         """Return JSON values that identify the rows; two equal values give equal Parquet."""
@@ -111,7 +112,7 @@ class RowGenerator(ABC):
 def make_shard(generator: RowGenerator, shard: store.ShardName, items: AnyRows) -> store.ShardContent:
     """Make the rows of a shard, and list items that give none."""
     if generator.kernels:
-        from tactile_toolkit.compiled import prepare  # numba
+        from tactile_toolkit.kernels import prepare  # numba
 
         prepare(*generator.kernels)
     made = list(generator.make(shard.split, items))
@@ -250,7 +251,7 @@ def forecast(
     processes = (
         options.workers if isinstance(options.workers, int) else getattr(options.workers, "workers", 1)
     )
-    processes = processes or system.usable_cores()
+    processes = processes or usable_cores()
     seconds = 0.0
     if left:
         seconds = round(left.total() * item_s / processes + _START_S, 1)

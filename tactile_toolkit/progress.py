@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from tactile_toolkit import quantities, shown_text
+from tactile_toolkit import wording
 
 # Without a terminal, each line is kept: a job of one day writes about 17,000 of them, 1 MB of log.
 _LINE_INTERVAL_S = 5.0
@@ -39,7 +39,7 @@ def shown_progress(what: str, unit: str, quiet_s: float = 0.0) -> Iterator[Calla
         if not done or (done < total and not is_due) or now_s - start_s < quiet_s:
             return
         last_s = now_s
-        state = shown_text.printable(f"{what}: {_state(done, total, unit, now_s - start_s)}")
+        state = wording.printable(f"{what}: {_state(done, total, unit, now_s - start_s)}")
         if is_bar:
             bar = f"{'━' * (_BAR * done // total):<{_BAR}} {state}"
             sys.stderr.write(f"\r{bar[: shutil.get_terminal_size().columns - 1]}\x1b[K")
@@ -58,7 +58,7 @@ def _state(done: int, total: int, unit: str, elapsed_s: float) -> str:
     """Return the progress as text: counts, the mean rate, and the time left."""
     # Shards come in bursts: the rate of the last seconds would jump.
     amount: Callable[[int], str] = "{:,}".format
-    if unit == quantities.BYTES:
-        amount = quantities.bytes_text
-    left = quantities.duration_text(elapsed_s / done * (total - done))
-    return f"{amount(done)} of {amount(total)}, {quantities.rate_text(done, elapsed_s, unit)}, {left} left"
+    if unit == wording.BYTES:
+        amount = wording.bytes_text
+    left = wording.duration_text(elapsed_s / done * (total - done))
+    return f"{amount(done)} of {amount(total)}, {wording.rate_text(done, elapsed_s, unit)}, {left} left"

@@ -48,7 +48,7 @@ _CONTEXT.set_forkserver_preload(
         "tactile_toolkit.mesh.raster",
         "tactile_toolkit.mesh.crossings",
         "tactile_toolkit.mesh.walls",
-        "tactile_toolkit.printing.objects",
+        "tactile_toolkit.printing.file_export",
         "tactile_toolkit.run.processes",
         "tactile_toolkit.store.building",
         "trimesh",

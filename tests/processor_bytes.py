@@ -6,6 +6,8 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
+
 import mnist3d
 import realtouch
 import starstruck_gen
@@ -14,6 +16,9 @@ from mnist3d.ink.sheet import enlarge
 from mnist3d.sources.synthetic import SyntheticSource
 from tests.tactile_sim.elastic_bodies import LAYER_M, PIXEL_M, bumps
 from tests.tactile_sim.sets import touch_sets
+
+CONTACT = "contact.npz"
+"""A contact of an elastic gel, whose last digits may differ between processors."""
 
 
 def main(folder: Path, touches: Path) -> None:
@@ -36,8 +41,8 @@ def main(folder: Path, touches: Path) -> None:
         slide_m=(2e-4, 1e-4),
         twist_rad=0.03,
     )
-    fields = (contact.pressure_pa, contact.traction_pa, contact.displacement_m, contact.is_stick)
-    (folder / "contact").write_bytes(b"".join(field.tobytes() for field in fields))
+    loads = np.dstack([contact.pressure_pa, contact.traction_pa])
+    np.savez(folder / CONTACT, loads_pa=loads, displacement_m=contact.displacement_m)
     small = source.image(1234).pixels[::8, ::8]
     (folder / "enlarged").write_bytes(enlarge(small, (8 * small.shape[0], 8 * small.shape[1])).tobytes())
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from tactile_toolkit.store.sealed_json import seal
+from tactile_toolkit.store.manifest import seal
 
 
 def sealed(values: Any) -> str:

@@ -1,4 +1,4 @@
-"""Data sets, reports, cards and pictures have the same bytes on every processor.
+"""Data sets, reports, cards and pictures have the same bytes on every processor; an elastic gel, nearly.
 
 Libraries select code at their start by the available instructions. Their own switches make them use that of
 another processor.
@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.processor_bytes import CONTACT
 from tests.realtouch.factories import make_round, seq_rows, single_rows, write_set
 
 ROOT = Path(__file__).parents[1]
@@ -41,14 +42,19 @@ PROCESSORS = {
 }
 
 
-def made_on(settings: dict[str, str], folder: Path, touches: Path) -> dict[str, str]:
+def made_on(
+    settings: dict[str, str], folder: Path, touches: Path
+) -> tuple[dict[str, str], dict[str, np.ndarray]]:
+    """Return digests of files, and the fields of a contact."""
     environment = {**os.environ, **settings, "TACTILE_TOOLKIT_CACHE": str(folder.with_suffix(".cache"))}
     # Features that a processor lacks cannot be switched off: NumPy warns, and continues.
     command = [sys.executable, "-W", "ignore", "-m", "tests.processor_bytes", str(folder), str(touches)]
     result = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr
-    files = sorted(file for file in folder.rglob("*") if file.is_file())
-    return {str(file.relative_to(folder)): hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
+    files = sorted(file for file in folder.rglob("*") if file.is_file() and file.name != CONTACT)
+    digests = {str(file.relative_to(folder)): hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
+    with np.load(folder / CONTACT) as contact:
+        return digests, dict(contact)
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +67,9 @@ def touches(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def made_here(tmp_path_factory: pytest.TempPathFactory, touches: Path) -> dict[str, str]:
+def made_here(
+    tmp_path_factory: pytest.TempPathFactory, touches: Path
+) -> tuple[dict[str, str], dict[str, np.ndarray]]:
     return made_on({}, tmp_path_factory.mktemp("here") / "made", touches)
 
 
@@ -69,11 +77,15 @@ def made_here(tmp_path_factory: pytest.TempPathFactory, touches: Path) -> dict[s
 @pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="the switches are those of x86-64")
 @pytest.mark.parametrize("processor", PROCESSORS)
 def test_another_processor_writes_the_same(
-    processor: str, made_here: dict[str, str], touches: Path, tmp_path: Path
+    processor: str, made_here: tuple[dict[str, str], dict[str, np.ndarray]], touches: Path, tmp_path: Path
 ) -> None:
     needs_avx512 = PROCESSORS[processor]["OPENBLAS_CORETYPE"] == "SkylakeX"
     if needs_avx512 and "avx512f" not in Path("/proc/cpuinfo").read_text():
         pytest.skip("this processor has no AVX-512, which kernels for SkylakeX are made of")
-    assert find_spec("taxim") is None or "touches-taxim/data/train-00000-of-00001.parquet" in made_here
-    assert {"digits/reports/printability.parquet", "digits/previews/digits.png"} <= set(made_here)
-    assert made_on(PROCESSORS[processor], tmp_path / "made", touches) == made_here
+    here, contact_here = made_here
+    assert find_spec("taxim") is None or "touches-taxim/data/train-00000-of-00001.parquet" in here
+    assert {"digits/reports/printability.parquet", "digits/previews/digits.png"} <= set(here)
+    there, contact_there = made_on(PROCESSORS[processor], tmp_path / "made", touches)
+    assert there == here
+    for name, field in contact_here.items():
+        np.testing.assert_allclose(contact_there[name], field, rtol=0, atol=1e-6 * np.abs(field).max())

@@ -20,7 +20,7 @@ import numpy as np
 
 import mnist3d.ink
 from mnist3d.sources.digit_source import NO_WRITER, DigitCatalog, DigitImage, require_known
-from tactile_toolkit import bounds, store
+from tactile_toolkit import cache, store
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import HubError, InputError, needs_extra
 from tactile_toolkit.wording import with_count
@@ -175,7 +175,7 @@ def read_idx(path: Path, magic: int) -> UInt8:
 
     The first number of the file must be ``magic``, whose last byte is the number of dimensions. Raises
     InputError when the file cannot be read, is damaged, cut off or too long, or is of another kind. The size
-    in the header is bounded (:mod:`tactile_toolkit.bounds`), and nothing beyond it is unpacked.
+    in the header is bounded (:mod:`tactile_toolkit.cache`), and nothing beyond it is unpacked.
     """
     start = 4 + 4 * (magic & 0xFF)
     try:
@@ -189,7 +189,7 @@ def read_idx(path: Path, magic: int) -> UInt8:
             found, *shape = struct.unpack(f">{start // 4}I", header)
             if found != magic:
                 raise _unusable(path, f"magic number {found}", magic)
-            bounds.require_unpackable(prod(shape), str(path))
+            cache.require_unpackable(prod(shape), str(path))
             data = stream.read(prod(shape) + 1)
     except (EOFError, OSError, zlib.error) as error:
         problem = getattr(error, "strerror", None) or "damaged or cut off"

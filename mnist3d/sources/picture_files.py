@@ -10,7 +10,8 @@ from pathlib import Path
 
 from PIL import Image, ImageOps, UnidentifiedImageError, features
 
-from tactile_toolkit import bounds, store, touch
+from tactile_toolkit import store, touch
+from tactile_toolkit.cache import require_unpackable
 from tactile_toolkit.errors import InputError, ItemError, ToolkitError, install_line
 
 _ENDINGS = {
@@ -123,7 +124,7 @@ def _problem(error: Exception) -> str:
 def decode_page(path: Path, page: int) -> Image.Image:
     """Read a page of a file upright, in mode L, RGB, RGBA, or one of more than 8 bits (F, I).
 
-    A picture that would not fit into the memory that is allowed (:mod:`tactile_toolkit.bounds`) is reduced to
+    A picture that would not fit into the memory that is allowed (:mod:`tactile_toolkit.cache`) is reduced to
     a longer side of 2,000 to 4,000 pixels while it is read. Raises ItemError ``"unreadable"``.
     """
     with _opened(path) as picture:
@@ -166,12 +167,12 @@ def _reduced(picture: Image.Image) -> Image.Image:
     width, height = picture.size
     what = f"a picture of {width} x {height} pixels"
     try:
-        bounds.require_unpackable(width * height * _BYTES_PER_PIXEL.get(picture.mode, 24), what)
+        require_unpackable(width * height * _BYTES_PER_PIXEL.get(picture.mode, 24), what)
     except InputError:
         # JPEG is decoded at 1/2, 1/4 or 1/8 of its size.
         picture.draft(None, (_REDUCED_PX // 2, _REDUCED_PX // 2))
         width, height = picture.size
-        bounds.require_unpackable(width * height * _BYTES_HELD.get(picture.mode, 4), what)
+        require_unpackable(width * height * _BYTES_HELD.get(picture.mode, 4), what)
         factor = -(-max(width, height) // _REDUCED_PX)
         if picture.mode == "1":
             picture = picture.convert("L")

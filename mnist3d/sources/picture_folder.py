@@ -19,8 +19,7 @@ from mnist3d.sources import picture_files, picture_levels
 from mnist3d.sources.digit_source import DIGITS, NO_WRITER, DigitCatalog, DigitImage, require_known
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
-from tactile_toolkit.parsed_text import natural_key
-from tactile_toolkit.shown_text import printable
+from tactile_toolkit.wording import natural_key, printable
 
 _CHOICES = {"ink": ("auto", "dark", "light"), "threshold": ("auto", "local", "global")}
 _LABEL = re.compile(r"(?<![a-z])label[_=-]?([0-9])(?![0-9])", re.IGNORECASE)

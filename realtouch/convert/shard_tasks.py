@@ -63,7 +63,7 @@ class _ConvertRows:
                 message = str(error)
                 for each in self.shards:  # as the manifest names them: their folder may be private
                     message = message.replace(each.path, each.path.rpartition("/")[2])
-                skipped.append(store.Skipped(choice.row, store.DAMAGED, message))
+                skipped.append(store.Skipped(choice.row, store.Skipped.DAMAGED, message))
         kept = pa.concat_tables(tables)
         if self.pack is not None:
             kept, packed = self.pack(shard, kept, skipped)

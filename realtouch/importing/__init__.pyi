@@ -24,7 +24,6 @@ from .source_files import (
     ReadContents as ReadContents,
     SourceTable as SourceTable,
     chosen_pictures as chosen_pictures,
-    column_table as column_table,
     files_to_read as files_to_read,
     image_files as image_files,
     natural_order as natural_order,

@@ -9,7 +9,8 @@ import numpy as np
 
 from realtouch.contact_picture import ContactRule
 from realtouch.importing import contact_cuts, fields, found_touches, import_columns, recordings, source_files
-from tactile_toolkit import column_types, errors, units, wording
+from tactile_toolkit import errors, wording
+from tactile_toolkit.columns import column_types, units
 
 RECORDING_COLUMNS = ("recording", "file")
 _FRAME = "start_frame"
@@ -37,7 +38,7 @@ class CutTable:
             )
         self._place = home.address(name)
         self._table = source_files.read_table(home, name, columns, RECORDING_COLUMNS)
-        names, time_unit = self._table.names, columns.time_unit
+        names, time_unit = [*self._table.columns], columns.time_unit
         known = [_FRAME, *(f"start_{unit}" for unit in units.PER_SECOND)]
         if time_unit:
             known.append("start")
@@ -120,7 +121,7 @@ class CutTable:
 
         Raises ItemError if the row or the recording cannot be used.
         """
-        problem = recording.problem or self._table.problems.get(row)
+        problem = recording.problem
         if problem is not None:
             raise problem
         times = recording.time_s

@@ -11,7 +11,8 @@ import pyarrow as pa
 
 from realtouch.importing import found_touches, import_columns, recordings, source_files
 from realtouch.schema import EXTRA_PREFIX
-from tactile_toolkit import column_types, errors, shown_text
+from tactile_toolkit import errors, wording
+from tactile_toolkit.columns import column_types
 
 BOOKKEEPING = frozenset(
     {"id", "round_id", "touch", "frame", "file", "image", "key", "sha256", "meta_file", "meta_sha256"}
@@ -128,6 +129,6 @@ def not_kept(
         if name not in kept:
             tables = [table for table in (touches.said, touches.per_frame) if name in table.column_names]
             count = max(len(table) - table[name].null_count for table in tables)
-            shown = shown_text.printable(name)
+            shown = wording.printable(name)
             counts[shown] = counts.get(shown, 0) + count
     return {name: count for name, count in counts.items() if count}

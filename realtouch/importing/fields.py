@@ -11,8 +11,9 @@ import pyarrow as pa
 
 from realtouch.importing import found_touches, import_columns, source_files
 from realtouch.poses import bad_pose
-from tactile_toolkit import arithmetic, column_types, errors, spatial, units
+from tactile_toolkit import arithmetic, errors
 from tactile_toolkit.array_types import Float64, Int64
+from tactile_toolkit.columns import column_types, units
 
 UNKNOWN = ("-1", "-1.0")
 """Numbers of an unknown class, as in `datasets`."""
@@ -147,6 +148,8 @@ def poses(fields: Fields, columns: import_columns.ImportColumns) -> Float64:
 
     Raises ItemError for other values.
     """
+    from scipy.spatial.transform import Rotation
+
     numbers = _numbers(fields, columns, columns.pose or (), columns.pose_sizes, "pose")
     read = {6: _of_angles, 7: _of_quaternions}.get(numbers.shape[1], _of_matrices)
     place, turns = read(numbers, columns)
@@ -156,7 +159,7 @@ def poses(fields: Fields, columns: import_columns.ImportColumns) -> Float64:
     if columns.frame is not None:
         turn, shift = _frame(columns)
         place = place @ turn.T + shift
-        turns = (spatial.Rotation.from_matrix(turn) * spatial.Rotation.from_quat(turns)).as_quat()
+        turns = (Rotation.from_matrix(turn) * Rotation.from_quat(turns)).as_quat()
     _require_metres(place, "pose")
     return np.hstack([place, turns])
 
@@ -212,20 +215,24 @@ def _of_quaternions(numbers: Float64, columns: import_columns.ImportColumns) -> 
 
 def _of_angles(numbers: Float64, columns: import_columns.ImportColumns) -> tuple[Float64, Float64]:
     """Return positions and quaternions of poses with Euler angles or rotation vectors in radians."""
+    from scipy.spatial.transform import Rotation
+
     place, angles = numbers[:, :3], numbers[:, 3:]
     if columns.euler is not None:
-        return place, spatial.Rotation.from_euler(columns.euler, angles).as_quat()
+        return place, Rotation.from_euler(columns.euler, angles).as_quat()
     if columns.angle_unit is None and np.abs(angles).max(initial=0) > _MAX_TURN:
         raise errors.ItemError(
             "pose",
             f"the rotation vector {shown(angles[0])} has more than two turns in radians; expected radians "
             "(--angle-unit states another unit)",
         )
-    return place, spatial.Rotation.from_rotvec(angles).as_quat()
+    return place, Rotation.from_rotvec(angles).as_quat()
 
 
 def _of_matrices(numbers: Float64, _columns: import_columns.ImportColumns) -> tuple[Float64, Float64]:
     """Return positions and quaternions of matrices, (n, 12) or (n, 16); ItemError if one is not rigid."""
+    from scipy.spatial.transform import Rotation
+
     matrices = numbers.reshape(len(numbers), -1, 4)
     if not arithmetic.are_rigid(matrices):
         raise errors.ItemError(
@@ -233,14 +240,16 @@ def _of_matrices(numbers: Float64, _columns: import_columns.ImportColumns) -> tu
             f"the matrix {shown(numbers[0].tolist())} is no rigid transform; expected, row by row, "
             "a rotation of determinant 1 with a translation, and a last row 0 0 0 1",
         )
-    return matrices[:, :3, 3], spatial.Rotation.from_matrix(matrices[:, :3, :3]).as_quat()
+    return matrices[:, :3, 3], Rotation.from_matrix(matrices[:, :3, :3]).as_quat()
 
 
 def _frame(columns: import_columns.ImportColumns) -> tuple[Float64, Float64]:
     """Return rotation and translation, in metres, from the frame of the source to the cell frame."""
+    from scipy.spatial.transform import Rotation
+
     matrix = np.array(columns.frame)
     per_metre = columns.divisors((), 2)[0]
-    return spatial.Rotation.from_matrix(matrix[:3, :3]).as_matrix(), matrix[:3, 3] / per_metre
+    return Rotation.from_matrix(matrix[:3, :3]).as_matrix(), matrix[:3, 3] / per_metre
 
 
 def _require_metres(places: Float64, reason: str) -> None:

@@ -1,4 +1,4 @@
-"""The formats of recordings that can be imported; a module of ``realtouch.exchange`` reads each of them."""
+"""The formats of recordings that can be imported; a module of ``realtouch.formats`` reads each of them."""
 
 from __future__ import annotations
 
@@ -38,20 +38,20 @@ def _images(
     layout: str, module: str = "", contents: source_files.ReadContents = source_files.contents_of
 ) -> ImportFormat:
     """Return a format of images, each of which is a file or a part of one."""
-    return ImportFormat(kind.lazy(f"realtouch.exchange.{module or layout}:find_{layout}"), contents)
+    return ImportFormat(kind.lazy(f"realtouch.formats.{module or layout}:find_{layout}"), contents)
 
 
 def _recordings(
     layout: str, module: str, reader: str, cut: str = "frames", *, rotvec: bool = False
 ) -> ImportFormat:
     """Return a format of recordings whose files have pictures of one size; ``reader`` is a module."""
-    find = kind.lazy(f"realtouch.exchange.{module}:find_{layout}")
-    describe = kind.lazy(f"realtouch.exchange.{reader}:describe_conversion")
+    find = kind.lazy(f"realtouch.formats.{module}:find_{layout}")
+    describe = kind.lazy(f"realtouch.formats.{reader}:describe_conversion")
     return ImportFormat(find, _contents(f"{reader}:read_frames"), cut, True, describe, rotvec)
 
 
 def _contents(reader: str) -> source_files.ReadContents:
-    return partial(source_files.pictures_by_file, kind.lazy(f"realtouch.exchange.{reader}"))
+    return partial(source_files.pictures_by_file, kind.lazy(f"realtouch.formats.{reader}"))
 
 
 IMPORTS: dict[str, ImportFormat] = {

@@ -10,8 +10,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from tactile_toolkit import column_types, errors
+from tactile_toolkit import errors
 from tactile_toolkit.array_types import Bool, Int64
+from tactile_toolkit.columns import column_types
 
 _WHERE = pa.schema(
     {

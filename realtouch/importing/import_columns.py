@@ -8,7 +8,8 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 from realtouch.touch_options import FOTA_POSE_COLUMNS, POSE_COLUMNS, POSITION_COLUMNS
-from tactile_toolkit import checked_fields, errors, parsed_text, units
+from tactile_toolkit import checked_fields, errors, wording
+from tactile_toolkit.columns import units
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import lazy
 
@@ -231,7 +232,7 @@ class ImportColumns:
         changes: JsonDict = {MAPPED[name]: column for name, column in found.items() if name in MAPPED}
         for several in ("position", "pose"):
             if several in found:
-                changes[several] = tuple(parsed_text.comma_separated(found[several]))
+                changes[several] = tuple(wording.comma_separated(found[several]))
         extra = {**dict(self.extra), **{name: found[name] for name in found if name not in MAPPED}}
         return replace(self, **changes, extra=tuple(extra.items()))
 

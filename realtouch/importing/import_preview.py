@@ -19,7 +19,8 @@ from realtouch.importing import (
     imported_rows,
 )
 from realtouch.touch_options import Alignment
-from tactile_toolkit import shown_text, store, units
+from tactile_toolkit import store, wording
+from tactile_toolkit.columns import units
 from tactile_toolkit.json_types import JsonValue
 from tactile_toolkit.touch import MEDIA_TYPE
 
@@ -138,9 +139,9 @@ def _in_words(value: JsonValue, touch: int) -> str:
     if isinstance(value, list):
         value = value[touch]
     if isinstance(value, list) and len(value) > _VALUES_SHOWN:
-        first = shown_text.printable(str(value[0]))[:_LONGEST_SHOWN]
+        first = wording.printable(str(value[0]))[:_LONGEST_SHOWN]
         return f"{len(value)} entries, the first {first}"
-    return shown_text.printable(str(value))[:_LONGEST_SHOWN]
+    return wording.printable(str(value))[:_LONGEST_SHOWN]
 
 
 def _pictures_in_words(found: import_sources.FoundSource, touches: arranging.Arranged) -> str:
@@ -169,5 +170,5 @@ def _uses(found: import_sources.FoundSource, extras: Iterable[str]) -> list[tupl
         unit = units.stated_unit(name) or ""
         if name in lengths:
             unit = unit or columns.length_unit or "m"
-        uses.append((shown_text.printable(name), roles.get(name, "left out"), unit))
-    return [*uses, *((shown_text.printable(each), "left out", "") for each in found.left_out)]
+        uses.append((wording.printable(name), roles.get(name, "left out"), unit))
+    return [*uses, *((wording.printable(each), "left out", "") for each in found.left_out)]

@@ -21,7 +21,8 @@ from realtouch.importing import (
 from realtouch.importing.fields import each_of, times_s
 from realtouch.importing.streams import Aligner, StreamReport
 from realtouch.touch_options import Alignment, require_layout
-from tactile_toolkit import column_types, errors, store, touch
+from tactile_toolkit import errors, store, touch
+from tactile_toolkit.columns import column_types
 
 _SPLIT_FOLDERS = ("fota",)  # formats whose exports have a folder for each split, with its name
 

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow as pa
 
+from realtouch import schema as stored_schema
 from realtouch.importing import found_touches, import_columns, imported_clips
 from realtouch.importing.extra_columns import extra_arrays, extra_types
-from realtouch.schema import POSE_COLUMN, extra_columns
+from realtouch.schema import POSE_COLUMN
 from realtouch.stored_images import media_array
-from tactile_toolkit import column_types
 from tactile_toolkit.array_types import AnyArray, Float64, Int64
+from tactile_toolkit.columns import column_types
 from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE, Kind, with_features
 
 _TIME = pa.duration("us")
@@ -67,7 +68,10 @@ def touch_schema(
 
 def extras_in(schema: pa.Schema) -> dict[str, pa.DataType]:
     """Return the type of the value of a touch in each extra column of a schema."""
-    return {name: schema.field(name).type.value_type for name in extra_columns(schema.names).values()}
+    return {
+        name: schema.field(name).type.value_type
+        for name in stored_schema.extra_columns(schema.names).values()
+    }
 
 
 def table_of_touches(

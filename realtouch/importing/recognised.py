@@ -9,9 +9,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO, NamedTuple
 
-from realtouch import kind, video_files
+from realtouch import video_files
 from realtouch.importing import formats, source_files
-from tactile_toolkit import column_tables, errors, places, store, text_tables
+from realtouch.kind import KIND
+from tactile_toolkit import errors, places, store
+from tactile_toolkit.columns import tables
 
 _MAX_PATHS = 20_000
 _MAX_FOLDERS = 200
@@ -54,7 +56,7 @@ _MARKS: tuple[tuple[str, Callable[[str], object]], ...] = (
     ("video", _ends_with(*video_files.VIDEO_ENDINGS)),
     ("folder", _ends_with(*(f".{ending}" for ending in source_files.IMAGE_ENDINGS))),
     ("flat", _ends_with(".parquet")),
-    ("folder", _ends_with(*text_tables.TABLE_ENDINGS, ".jsonl")),
+    ("folder", _ends_with(*tables.TEXT_ENDINGS, ".jsonl")),
 )
 # Formats that contain files of other formats: LeRobot has videos, Parquet files and tables.
 _PARTS = {
@@ -64,7 +66,7 @@ _PARTS = {
     "fota": {"webdataset"},
 }
 _PICKLES = _ends_with(".pkl", ".pickle")
-_TABLES = _ends_with(*column_tables.COLUMN_TABLE_ENDINGS)
+_TABLES = _ends_with(*tables.ENDINGS)
 
 
 def recognised(place: str) -> Recognised:
@@ -147,7 +149,7 @@ def _of_export(home: store.DataFolder) -> Recognised | None:
     """Return the format of an export of this toolkit, as its manifest states it; None for other folders."""
     if store.manifest_so_far(home) is None:
         return None
-    place = places.folder_place(home).require(kind.KIND, "import")
+    place = places.folder_place(home).require(KIND, "import")
     if place.spec.get("operation") not in ("export", "frames"):
         raise errors.InputError(
             f"{home.address()!r} is a data set already; it needs no import",

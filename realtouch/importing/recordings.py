@@ -10,8 +10,9 @@ import pyarrow as pa
 
 from realtouch.avi import MAX_CLIP_FRAMES
 from realtouch.importing.found_touches import FoundTouches, PicturePlace
-from tactile_toolkit import column_types, errors, wording
+from tactile_toolkit import errors, wording
 from tactile_toolkit.array_types import Float64
+from tactile_toolkit.columns import column_types
 
 CUTS = ("frames", "whole", "contact")
 """How recordings become touches without a table: each picture, the whole, or clips found by contact."""

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from functools import cache, partial
 from itertools import chain, groupby, repeat
 from typing import IO, NamedTuple
 
-import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from realtouch.importing import found_touches, import_columns
-from tactile_toolkit import column_tables, column_types, errors, run, store, text_tables, wording
+from tactile_toolkit import errors, run, store, wording
+from tactile_toolkit.columns import column_types, tables
 from tactile_toolkit.json_types import JsonDict
 
 IMAGE_ENDINGS = ("jpg", "jpeg", "png", "webp")
@@ -30,8 +27,6 @@ NUMBERED = "label"
 # Images that are requested from a store at a time: images are small, so latency dominates.
 _REMOTE_READERS = 16
 _CURRENT_FOLDER = re.compile(r"^(?:\./+)+")
-_MAX_ROWS = 1 << 21  # of a table of touches
-_VECTOR = r"^\[[-+.,0-9eE \[\]nulNa]*\]$"  # of numbers, NaN or null, in JSON
 _DIGITS = re.compile(r"([0-9]{1,18})")
 
 
@@ -83,27 +78,11 @@ def natural_order(path: str) -> list[tuple[int, str]]:
     return [(int(each), "") if each.isdecimal() else (-1, each) for each in _DIGITS.split(path)]
 
 
-def column_table(folder: store.DataFolder, name: str) -> column_tables.ColumnTable:
-    """Return a table that is read in passes; a pass raises IntegrityError if the file has changed."""
-    place, version = folder.address(name), folder.version(name)
-
-    def opened() -> IO[bytes]:
-        if folder.version(name) != version:
-            raise errors.IntegrityError(
-                f"{place!r} was replaced or changed while it was read", next="run the same command again"
-            )
-        return open_source(folder, name)
-
-    return column_tables.ColumnTable(place, opened)
-
-
 class SourceTable(NamedTuple):
-    """A table of touches, a row for each, with the problems of some rows by their numbers."""
+    """A table of touches, a row for each."""
 
-    names: list[str]
     columns: Mapping[str, pa.Array]
     rows: int
-    problems: dict[int, errors.ItemError]
 
     def texts(self, name: str) -> list[str]:
         """Return a column as text; empty where there is no value."""
@@ -127,50 +106,21 @@ def read_table(
     In text tables, the columns of labels, rounds, objects and splits stay text, and so do those in ``names``.
     Other columns get types, and lists of numbers in brackets become vectors.
     """
-    if name.lower().endswith(column_tables.TYPED_ENDINGS):
-        table = column_table(folder, name)
-        rows, _ = table.scan()
-        if rows > _MAX_ROWS:
-            raise errors.InputError(f"{table.path!r} has {rows:,} rows; expected at most {_MAX_ROWS:,}")
-        found = table.rows(np.arange(rows)) if rows else pa.table({})
-        typed = {each: column_types.from_arrow(found[each]) for each in found.column_names}
-        return SourceTable(table.names, typed, rows, {})
-    with open_source(folder, name) as stream:
-        text = text_tables.read_text_table(stream.read(), folder.address(name))
-    known, commas = columns.found_in(text.names), text.separator != ","
-    kept = {NUMBERED, known.label, known.round, known.object_id, known.split, *names}
+    table = tables.open_table(folder, name)
+    known = columns.found_in(table.names)
+    texts = {NUMBERED, known.label, known.round, known.object_id, known.split, *names}
     numbers = {*(known.position or ()), *(known.pose or ()), known.time}
-    made = {}
-    for each, values in zip(text.names, text.columns(), strict=True):
-        column = column_types.without_blanks(pa.array(values, pa.string()))
-        if each not in kept:
-            column = _vectors_in(column_types.from_text(column, decimal_commas=commas))
-        if each in numbers and pa.types.is_string(column.type):  # some values are not numbers
-            column = column_types.words_of(column, decimal_commas=commas)
-        made[each] = column
-    too_long = errors.ItemError("columns", "the line has more values than the table has columns")
-    return SourceTable(text.names, made, len(text.rows), dict.fromkeys(text.too_long(), too_long))
+    read = table.whole({*filter(None, texts)}, {*filter(None, numbers)})
+    return SourceTable(read, len(next(iter(read.values()), ())))
 
 
-def _vectors_in(column: pa.Array) -> pa.Array:
-    """Return a column of text as vectors if each text is one, such as ``[1.5, 2]``."""
-    if not pa.types.is_string(column.type) or not pc.all(pc.match_substring_regex(column, _VECTOR)).as_py():
-        return column
-    with suppress(ValueError):
-        return column_types.from_values([text and json.loads(text) for text in column.to_pylist()])
-    return column
-
-
-def require_columns(known: Sequence[str], wanted: Iterable[str], where: str) -> None:
-    """Raise InputError for missing or duplicate columns."""
+def require_columns(known: Collection[str], wanted: Iterable[str], where: str) -> None:
+    """Raise InputError for a missing column."""
     for name in wanted:
-        count = known.count(name)
-        if count != 1:
-            found = f"{wording.with_count(count, 'columns')} {name!r}; expected one"
-            if not count:
-                found = f"no column {name!r}{wording.did_you_mean(name, known)}"
+        if name not in known:
             raise errors.InputError(
-                f"{where!r} has {found}; found {', '.join(known) or 'none'}",
+                f"{where!r} has no column {name!r}{wording.did_you_mean(name, known)}; "
+                f"found {', '.join(known) or 'none'}",
                 next="name the column with --map, such as --map image=COLUMN for the pictures",
             )
 

@@ -12,12 +12,17 @@ import pyarrow as pa
 
 from realtouch.importing import fields, found_touches, import_columns, recordings, source_files
 from realtouch.touch_options import Alignment
-from tactile_toolkit import alignment, column_tables, column_types, errors, store, units
-from tactile_toolkit.array_types import Float64
+from tactile_toolkit import errors, store
+from tactile_toolkit.array_types import Bool, Float64, Floating, Int64
+from tactile_toolkit.columns import column_types, tables, units
 
 TIME_NAMES = ("time", "times", "timestamp", "timestamps", "time_stamp", "t", "stamp")
 """Names of the column of times, with or without a unit such as in ``time_ms``, unless one is named."""
 
+TIME_TOLERANCE_S = 1e-6
+"""Gaps longer than the limit by at most this much are not too long, seconds: rounding of decimal times."""
+
+_NO_TURN = (0.0, 0.0, 0.0, 1.0)
 _JOINTS = "._"  # between the name of a recording and that of a stream
 
 
@@ -43,7 +48,7 @@ class Stream:
         Name in the summary, and prefix of columns whose names are taken.
     place : str
         Address, for messages.
-    table : ColumnTable
+    table : Table
         The table, which is read again for the samples that are used.
     rows : int
         Number of rows.
@@ -55,7 +60,7 @@ class Stream:
 
     name: str
     place: str
-    table: column_tables.ColumnTable = field(repr=False)
+    table: tables.Table = field(repr=False)
     rows: int
     time_column: str = ""
     time_s: Float64 | None = field(default=None, repr=False)
@@ -84,7 +89,7 @@ def open_stream(
         backwards or have no known unit.
     """
     place = folder.address(name)
-    table = source_files.column_table(folder, name)
+    table = tables.open_table(folder, name)
     column = _time_column(table.names, columns.time, place)
     rows, values = table.scan(column)
     if not rows:
@@ -142,10 +147,10 @@ def tables_by_stem(names: Iterable[str]) -> dict[str, list[str]]:
     several files fit, a table belongs to the longest one, such as ``take1_force.mp4``.
     """
     seen = [name for name in names if not store.is_hidden(name)]
-    tables = [name for name in seen if name.lower().endswith(column_tables.COLUMN_TABLE_ENDINGS)]
-    stems = {PurePosixPath(name).stem for name in {*seen} - {*tables}}
+    table_names = [name for name in seen if name.lower().endswith(tables.ENDINGS)]
+    stems = {PurePosixPath(name).stem for name in {*seen} - {*table_names}}
     found: dict[str, list[str]] = {}
-    for name in sorted(tables):
+    for name in sorted(table_names):
         whole = PurePosixPath(name).stem
         fitting = [end for end in range(len(whole), 0, -1) if whole[end:][:1] in _JOINTS]
         owner = next((whole[:end] for end in fitting if whole[:end] in stems), None)
@@ -315,7 +320,7 @@ def _by_time(
             next="add --time-offset-s with the seconds to add to the times of the stream",
         )
     steps, max_gap_s = np.diff(sample_s), how.max_gap_ms * _PER_MS
-    around = alignment.Neighbours.of(time_s, sample_s, max_gap_s)
+    around = Neighbours.of(time_s, sample_s, max_gap_s)
     step_s = float(np.median(steps[steps > 0], overwrite_input=True)) if steps.any() else np.inf
     if around.missing.all():
         raise errors.InputError(
@@ -324,7 +329,7 @@ def _by_time(
             next=f"check the unit of {stream.time_column!r} (`--time-unit`), or add a larger --max-gap-ms",
         )
     used = np.unique([around.before, around.after])
-    around = alignment.Neighbours.of(time_s, sample_s[used], max_gap_s)
+    around = Neighbours.of(time_s, sample_s[used], max_gap_s)
     samples = _columns(stream.table.rows(used), stream)
     nearest = pa.array(around.nearest, mask=around.missing)
     found = {name: column.take(nearest) for name, column in samples.items()}
@@ -336,9 +341,7 @@ def _by_time(
     return found, (*counts, *(f"{number:.4g}" for number in clocks))
 
 
-def _between(
-    samples: Mapping[str, pa.Array], around: alignment.Neighbours, pose: Sequence[str]
-) -> dict[str, pa.Array]:
+def _between(samples: Mapping[str, pa.Array], around: Neighbours, pose: Sequence[str]) -> dict[str, pa.Array]:
     """Return columns of floats interpolated between samples, and a pose with an interpolated rotation.
 
     Columns whose names state a unit of angles are interpolated on the shorter way around the circle.
@@ -366,7 +369,7 @@ def _is_number(column: pa.Array) -> bool:
     return column.type in _NUMBERS
 
 
-def _with_gaps(values: Float64, around: alignment.Neighbours) -> pa.Array:
+def _with_gaps(values: Float64, around: Neighbours) -> pa.Array:
     """Return interpolated values, null where a picture has no value."""
     column = column_types.from_numpy(np.ascontiguousarray(values))
     numbers = np.arange(len(values))
@@ -389,3 +392,90 @@ def _columns(table: pa.Table, stream: Stream) -> dict[str, pa.Array]:
             )
         found[name] = column
     return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Neighbours:
+    """The samples around each of n times.
+
+    Attributes
+    ----------
+    nearest : ndarray of int64, shape (n,)
+        Number of the nearest sample, the earlier of two equally near.
+    before, after : ndarray of int64, shape (n,)
+        The last sample at or before a time and the first at or after it; before the first sample and after
+        the last one, both are that sample. If samples have the same time, it is the first of them.
+    share : ndarray of float64, shape (n,)
+        Where a time lies from ``before`` (0) to ``after`` (1).
+    missing : ndarray of bool, shape (n,)
+        Whether the nearest sample is too far away, or both are too far apart.
+    """
+
+    nearest: Int64
+    before: Int64
+    after: Int64
+    share: Float64
+    missing: Bool
+
+    @classmethod
+    def of(cls, time_s: Float64, sample_s: Float64, max_gap_s: float) -> Neighbours:
+        """Find the samples around times.
+
+        Parameters
+        ----------
+        time_s : ndarray of float64, shape (n,)
+            Times, seconds.
+        sample_s : ndarray of float64, shape (m,), m >= 1
+            Times of the samples, seconds of the same clock, not decreasing.
+        max_gap_s : float
+            A time has no value if its nearest sample is farther away than this, or if it lies between two
+            samples that are farther apart, seconds.
+        """
+        after = np.searchsorted(sample_s, time_s).clip(max=len(sample_s) - 1)
+        last = (np.searchsorted(sample_s, time_s, side="right") - 1).clip(min=0)
+        before = np.searchsorted(sample_s, sample_s[last])
+        since, until = np.abs(time_s - sample_s[before]), np.abs(sample_s[after] - time_s)
+        gap = sample_s[after] - sample_s[before]
+        share = np.divide(since, gap, out=np.zeros(len(gap)), where=gap > 0)
+        longest = max_gap_s + TIME_TOLERANCE_S
+        missing = (np.minimum(since, until) > longest) | (gap > longest)
+        return cls(np.where(since <= until, before, after), before, after, share, missing)
+
+    def interpolated(self, values: Floating) -> Float64:
+        """Return values, shape (m, ...), on a straight line between two samples, shape (n, ...)."""
+        first, second = (values[each].astype(np.float64, copy=False) for each in (self.before, self.after))
+        share = self.share.reshape(-1, *[1] * (values.ndim - 1))
+        with np.errstate(invalid="ignore", over="ignore"):  # the source checks its samples
+            return np.where(share == 0, first, first + (second - first) * share)
+
+    def on_circle(self, angles: Floating, turn: float) -> Float64:
+        """Return angles, shape (m, ...), on the shorter way around the circle, shape (n, ...).
+
+        ``turn`` is a full turn in their unit. Samples within one turn from 0, or from half a turn before it,
+        as most devices state angles, give values within that turn; others may count turns.
+        """
+        first, second = (angles[each].astype(np.float64, copy=False) for each in (self.before, self.after))
+        share = self.share.reshape(-1, *[1] * (angles.ndim - 1))
+        with np.errstate(invalid="ignore"):
+            found = first + ((second - first + turn / 2) % turn - turn / 2) * share
+            for start in (0.0, -turn / 2):
+                inside = np.nan_to_num(angles, nan=start)
+                if inside.min() >= start and inside.max() <= start + turn:
+                    found = (found - start) % turn + start
+                    break
+            return np.where(share == 0, first, found)
+
+    def turned(self, quaternions: Floating) -> Float64:
+        """Return quaternions, shape (m, 4), on the shorter turn from one to the next, shape (n, 4).
+
+        The angular velocity is constant (slerp); the real part may come first or last. Lengths other than one
+        are interpolated, so that a check of lengths still fails.
+        """
+        from scipy.spatial.transform import Rotation
+
+        lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
+        lengths[lengths == 0] = np.nan  # no rotation
+        turns = Rotation.from_quat(np.where(np.isfinite(lengths), quaternions, _NO_TURN))
+        way = (turns[self.before].inv() * turns[self.after]).as_rotvec() * self.share[:, np.newaxis]
+        found: Float64 = (turns[self.before] * Rotation.from_rotvec(way)).as_quat()
+        return found * self.interpolated(lengths)

@@ -19,7 +19,7 @@ from realtouch.importing import (
     import_columns,
     import_sources,
 )
-from tactile_toolkit import catalog, shown_text, store
+from tactile_toolkit import catalog, store, wording
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.read import Shard
 
@@ -124,7 +124,7 @@ def plan_of(touches: arranging.Arranged, found: import_sources.FoundSource) -> s
     if found.streams:
         spec[touch_options.STREAMS] = list(found.streams[:_MAX_STREAMS])
     if found.left_out:
-        spec[touch_options.LEFT_OUT] = list(map(shown_text.printable, found.left_out[:_MAX_LEFT_OUT]))
+        spec[touch_options.LEFT_OUT] = list(map(wording.printable, found.left_out[:_MAX_LEFT_OUT]))
     conversion = formats.IMPORTS[found.layout].describe(every)
     if conversion:
         spec["options"][CONVERSION] = conversion

@@ -27,6 +27,7 @@ _REACH = 4.0  # of the gel's kernels, in standard deviations
 # Standard deviations in pixels from which a map is halved before it is blurred, and from which it is halved
 # again: a smaller map is mirrored at an edge that lies farther away.
 _HALVED_PX = (3.7, 7.0)
+_MIN_HALVED_PX = 32  # width of maps that are halved
 _CAMERA_REACH = 3.0
 _MIN_RIM_M = 1e-6
 _MARGIN = 0.12  # of the width of an image
@@ -137,7 +138,7 @@ def _across_of(pitch_m: Float64, size: tuple[int, ...], span: Float64) -> float:
 @lru_cache(maxsize=256)
 def _blur(sigma_px: tuple[float, float], size: tuple[int, int], reach: float, halved_px: float) -> Blur:
     (sigma_x, sigma_y), (rows, columns), halvings = sigma_px, size, 0
-    while min(sigma_x, sigma_y) >= halved_px and columns >= 2 * taxim_kernels.LANES:
+    while min(sigma_x, sigma_y) >= halved_px and columns >= _MIN_HALVED_PX:
         # Halving and doubling blur too: each has a variance of 3 / 4 square pixels.
         sigma_x, sigma_y = (np.sqrt(sigma * sigma - 1.5) / 2 for sigma in (sigma_x, sigma_y))
         rows, columns, halvings = (rows + 1) // 2, (columns + 1) // 2, halvings + 1
@@ -168,21 +169,20 @@ def seen_features(soft: Float32, pitch_m: Float64, shape: Float64) -> Seen:
 
 
 def response_table(coefficients: Floating) -> Float32:
-    """Return coefficients (ENTRIES, PLACES, 3) in the layout of :func:`response`, (3, ENTRIES * LANES)."""
-    table = np.zeros((3, len(coefficients), taxim_kernels.LANES), np.float32)
+    """Return coefficients (ENTRIES, PLACES, 3) in the layout of :func:`response`."""
+    table = np.zeros((3, len(coefficients), gel_kernels.ENTRY_VALUES), np.float32)
     # Terms are 1, x, y, x^2, x y, y^2: by the power of y first, then by that of x, then by colour.
     for place, (power_y, power_x) in enumerate(((0, 0), (0, 1), (1, 0), (0, 2), (1, 1), (2, 0))):
         table[power_y, :, 4 * power_x : 4 * power_x + 3] = coefficients[:, place]
-    return table.reshape(3, -1)
+    return table
 
 
 def response(
     soft: Float32, pitch_m: Float64, shape: Float64, table: Float32, span: Float64 = WHOLE
 ) -> Float32:
     """Return how a surface changes the image, levels, shape (H, W, 3); see :func:`response_table`."""
-    flat = np.empty(3 * soft.size + 1, np.float32)
-    gel_kernels.render_response(flat, soft, view_of(soft, pitch_m, shape, span), table)
-    out = flat[:-1].reshape(*soft.shape, 3)
+    out = np.empty((*soft.shape, 3), np.float32)
+    gel_kernels.render_response(out, soft, view_of(soft, pitch_m, shape, span), table)
     blur_colours(out, shape[Fitted.BLUR] / pitch_m)
     return out
 

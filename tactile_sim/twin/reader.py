@@ -114,7 +114,7 @@ def _blurred(image: Float32, sigma_px: float) -> Float32:
     rows, columns, many = image.shape
     plane = image.reshape(rows, columns * many).astype(np.float64)
     across, down = gel.half_kernel(sigma_px, columns), gel.half_kernel(sigma_px, rows)
-    blur(plane, across, down, many, np.zeros(plane.shape, np.bool_), plane)
+    blur(plane, across, down, many, None, plane)
     return plane.reshape(image.shape).astype(np.float32)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike, fspath
@@ -9,20 +10,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 
 from tactile_sim.given_solids import given_solids
 from tactile_sim.kind import KIND
 from tactile_sim.touch_sources import open_split
 from tactile_sim.touch_table import meaning_of
 from tactile_sim.twin.recordings import Recordings
-from tactile_toolkit import column_types, places, store, touch
+from tactile_toolkit import places, store, touch
 from tactile_toolkit.array_types import Float64, UInt8
+from tactile_toolkit.columns import tables, units
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh, as_mesh
-from tactile_toolkit.parsed_text import natural_key
-from tactile_toolkit.text_tables import TABLE_ENDINGS, read_text_table
-from tactile_toolkit.units import stated_unit
+from tactile_toolkit.wording import natural_key
 
 MAX_TOUCHES = 60
 """Greatest number of touches that are used, evenly spaced; 20 are enough, and time grows with the number."""
@@ -139,28 +138,21 @@ def read_image(file: Path, root: Path | None = None) -> UInt8:
 
 def _of_folder(root: Path, images: list[Path], table: str | PathLike[str] | None) -> list[_Touched]:
     """Read the images of a folder, with the solids and poses that a table states for them."""
-    tables = [each for each in sorted(root.iterdir()) if each.suffix.lower() in TABLE_ENDINGS]
-    if table is None and len(tables) > 1:
-        names = ", ".join(each.name for each in tables[:4])
+    beside = [file for file in sorted(root.iterdir()) if file.suffix.lower() in tables.TEXT_ENDINGS]
+    if table is None and len(beside) > 1:
+        names = ", ".join(file.name for file in beside[:4])
         raise InputError(f"{str(root)!r} holds the tables {names}", next="choose one with --table")
-    file = tables[0] if table is None and tables else table
+    file = beside[0] if table is None and beside else table
     if file is None:
         return [_Touched(each.name, read_image(each, root), None, {}) for each in images]
     where = store.expanded(fspath(file))
-    try:
-        with store.open_regular(where) as stream:
-            read = read_text_table(stream.read(), str(where))
-    except OSError as error:
-        raise InputError(f"{str(where)!r} cannot be read ({error.strerror})") from error
+    read = tables.open_table(*store.split_uri(os.path.realpath(where)))
     columns = read.names
-    lines: list[dict[str, Any]] = [
-        dict(zip(columns, row, strict=True)) for row in zip(*read.columns(), strict=True)
-    ]
-    for name in columns:
-        if name in _OBJECT_NAMES or stated_unit(name):
-            numbers = _numbers([line[name] for line in lines], name, repr(str(where)), read.separator)
-            for line, number in zip(lines, numbers, strict=True):
-                line[name] = number
+    numeric = [name for name in columns if name in _OBJECT_NAMES or units.stated_unit(name)]
+    values = {name: column.to_pylist() for name, column in read.whole(["file"], numeric).items()}
+    for name in numeric:
+        values[name] = _numbers(values[name], name, repr(str(where)))
+    lines = [dict(zip(values, row, strict=True)) for row in zip(*values.values(), strict=True)]
     if "file" not in columns:
         raise InputError(
             f"{str(where)!r} has the columns {', '.join(columns)[:200]}; expected file, and of each touch "
@@ -187,18 +179,14 @@ def _of_line(root: Path, line: Mapping[str, Any], where: str) -> _Touched:
     return _Touched(name, read_image(root / name, root), object_id, numbers)
 
 
-def _numbers(texts: Sequence[str], name: str, where: str, separator: str) -> list[float | None]:
-    """Return the numbers of a column, None for an empty cell; InputError for anything else."""
-    column = column_types.from_text(pa.array(texts, pa.string()), decimal_commas=separator != ",")
-    try:
-        numbers = column_types.floats_of(column)
-    except ValueError:
-        numbers = np.full((len(texts), 0), np.nan)
-    is_number = np.isfinite(numbers) if numbers.ndim == 1 else np.zeros(len(texts), bool)
-    for row, text in enumerate(texts):
-        if text.strip() and not is_number[row]:
-            raise InputError(f"{where}, line {row + 2}: {name} is {text!r}; expected a number")
-    return [float(number) if text.strip() else None for number, text in zip(numbers, texts, strict=True)]
+def _numbers(values: Sequence[Any], name: str, where: str) -> list[float | None]:
+    """Return the numbers of a column, None for a missing one; InputError for anything else."""
+    numbers: list[float | None] = []
+    for row, value in enumerate(values):
+        if isinstance(value, str) or (value is not None and not np.isfinite(value)):
+            raise InputError(f"{where}, line {row + 2}: {name} is {value!r}; expected a number")
+        numbers.append(value)
+    return numbers
 
 
 def spaced(count: int, most: int) -> list[int]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from tactile_sim import taxim_kernels
 from tactile_toolkit.array_types import Float32, Float64, Floating
-from tactile_toolkit.compiled import compiled
+from tactile_toolkit.kernels import compiled
 
 _RUN = 3  # pixels from which the slope at an edge is computed
 

@@ -12,14 +12,14 @@ from string import Template
 
 import numpy as np
 
-from tactile_toolkit import catalog, mesh, pictures, read, shown_text, store
+from tactile_toolkit import catalog, mesh, pictures, read, store, wording
 from tactile_toolkit.array_types import Float32, Int32
 from tactile_toolkit.cards import owner, yaml_head
 from tactile_toolkit.cards.yaml_head import FolderSummary, folder_summary
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.json_types import JsonDict, JsonObject, JsonValue
 from tactile_toolkit.kind import DatasetKind, is_export
-from tactile_toolkit.shown_text import markdown_code, markdown_text
+from tactile_toolkit.wording import markdown_code, markdown_text
 
 PREVIEW_FOLDER = "previews"
 MESH_TASKS = {
@@ -105,7 +105,7 @@ class Card:
         facts = facts or folder_summary(folder, manifest)
         name, draw, caption = self.picture
         values = {
-            "title": shown_text.markdown_text(self.title),
+            "title": wording.markdown_text(self.title),
             "noun": kind.noun,
             "nouns": kind.nouns,
             "rows": f"{facts.rows:,}",
@@ -117,9 +117,9 @@ class Card:
             "limits": "\n".join(f"- {line}" for line in self.limits),
         }
         if manifest is not None:
-            spec = f"```json\n{shown_text.printable_json(_shortened(self.spec or manifest.spec))}\n```"
+            spec = f"```json\n{wording.printable_json(_shortened(self.spec or manifest.spec))}\n```"
             reasons = manifest.skipped_reasons().items()
-            listed = ", ".join(f"{count:,} {shown_text.markdown_text(reason)}" for reason, count in reasons)
+            listed = ", ".join(f"{count:,} {wording.markdown_text(reason)}" for reason, count in reasons)
             skipped = f"{listed}; `manifest.json` names each" if listed else "none"
             by = f"tactile-toolkit {manifest.toolkit_version} (schema {manifest.schema_version})"
             made = markdown_table(("", ""), [("made by", by), *self.made, ("left out", skipped)])
@@ -136,7 +136,7 @@ class Card:
             values["picture"] = f"![{caption}]({path})\n\n*{caption}*"
             _write_changed(folder, path, content)
         head = {"license": self.licence, "pretty_name": self.title, **self.tasks, "tags": list(self.tags)}
-        body = shown_text.printable(render_card(self.template, {**values, **self.values}), keep="\n")
+        body = wording.printable(render_card(self.template, {**values, **self.values}), keep="\n")
         words = owner.read_owner(yaml_head.stored_head(folder), folder.address())
         head, body = owner.with_owner(head, body, words)
         text = yaml_head.head_text(yaml_head.card_head(facts, **head)) + "\n" + body

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from functools import partial
 
-from tactile_toolkit import shown_text, store
+from tactile_toolkit import store, wording
 from tactile_toolkit.checked_fields import text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict, JsonObject
@@ -46,7 +46,7 @@ def read_licence(word: str) -> str:
 
 def _read_line(option: str, words: str) -> str:
     line = words.strip()
-    if not line or len(line) > _MAX_LINE or shown_text.printable(line) != line:
+    if not line or len(line) > _MAX_LINE or wording.printable(line) != line:
         raise InputError(f"{option} is {words[:80]!r}; expected one line of 1 to {_MAX_LINE} characters")
     return line
 
@@ -63,7 +63,7 @@ def read_citation(words: str) -> str:
                 f"--citation {words!r} cannot be read ({problem})", next="check the file"
             ) from error
     citation = words.strip()
-    if not citation or len(citation) > _MAX_CITATION or shown_text.printable(citation, keep="\n") != citation:
+    if not citation or len(citation) > _MAX_CITATION or wording.printable(citation, keep="\n") != citation:
         raise InputError(
             f"--citation has {len(citation):,} characters; expected 1 to {_MAX_CITATION:,} of text"
         )
@@ -138,13 +138,13 @@ def with_owner(head: JsonDict, body: str, words: OwnerWords) -> tuple[JsonDict, 
         body = _with_section(body, "Licence", f"{words.license}, as the owner of the data set states.\n\n")
     if words.title:
         changed["pretty_name"] = words.title
-        title = f"# {shown_text.markdown_text(words.title)}"
+        title = f"# {wording.markdown_text(words.title)}"
         body = re.sub(r"\A# .*", lambda _: title, body, count=1)
     if words.author:
-        names = ", ".join(map(shown_text.markdown_text, words.author))
+        names = ", ".join(map(wording.markdown_text, words.author))
         body = re.sub(r"\A# .*\n", lambda line: f"{line[0]}\nBy {names}.\n", body, count=1)
     if words.citation:
-        citation = shown_text.markdown_text(words.citation)
+        citation = wording.markdown_text(words.citation)
         if words.citation.startswith("@"):
             citation = f"```bibtex\n{words.citation.replace('```', '')}\n```"
         former = re.search(_SECTION.format("Citation"), body)

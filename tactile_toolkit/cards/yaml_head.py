@@ -18,7 +18,7 @@ from pathlib import PurePosixPath
 import pyarrow as pa
 import yaml
 
-from tactile_toolkit import places, read, run, shown_text, store, system
+from tactile_toolkit import places, read, run, store, wording
 from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.json_types import JsonDict, JsonObject, JsonValue
 
@@ -104,7 +104,7 @@ def _measured(folder: store.DataFolder, split: str, shards: tuple[read.Shard, ..
     """Return the files of a split and their sizes as their footers state them."""
     paths = tuple(shard.path.removeprefix(f"{folder.address()}/") for shard in shards)
     files = zip(shards, paths, strict=True)
-    sizes = run.in_threads(partial(_sizes, folder), files, system.usable_cores())
+    sizes = run.in_threads(partial(_sizes, folder), files, run.usable_cores())
     return SplitFiles(split, shards, paths, *map(sum, zip(*sizes, strict=True)))
 
 
@@ -228,7 +228,7 @@ def head_text(head: JsonDict) -> str:
     """Write a head between two lines of dashes."""
     text: str = yaml.safe_dump(head, sort_keys=False, allow_unicode=True, width=110)
     # YAML escapes control characters, but not those that change the direction of text.
-    if text != shown_text.printable(text, keep="\n"):
+    if text != wording.printable(text, keep="\n"):
         text = yaml.safe_dump(head, sort_keys=False, width=110)
     return f"{_FENCE}{text}{_FENCE}"
 

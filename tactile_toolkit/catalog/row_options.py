@@ -10,7 +10,7 @@ from typing import TypeAlias
 from tactile_toolkit.checked_fields import check_fields, integer, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict
-from tactile_toolkit.parsed_text import comma_separated
+from tactile_toolkit.wording import comma_separated
 
 _IDS = re.compile(r"(-?\d{1,20})(?:-(\d{1,20}))?", re.ASCII)
 GivenId: TypeAlias = int | str | tuple[int, int]

@@ -13,7 +13,7 @@ from typing import Any, TypeAlias, Unpack
 import numpy as np
 import pyarrow as pa
 
-from tactile_toolkit import catalog, mesh, places, read, run, store, system
+from tactile_toolkit import catalog, mesh, places, read, run, store
 from tactile_toolkit.array_types import AnyArray, Int64
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict, JsonObject
@@ -205,7 +205,7 @@ def viewer_tables(folder: store.DataFolder, manifest: store.Manifest, out: Path)
         (out / path).write_bytes(content)
         return path, store.sha256_hex(content)
 
-    return dict(run.in_threads(make, manifest.shards, min(system.usable_cores(), _MAX_AT_ONCE)))
+    return dict(run.in_threads(make, manifest.shards, min(run.usable_cores(), _MAX_AT_ONCE)))
 
 
 @dataclass(frozen=True)

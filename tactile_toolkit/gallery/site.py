@@ -24,7 +24,7 @@ from itertools import accumulate
 from pathlib import Path
 from typing import cast
 
-from tactile_toolkit import __version__, parsed_text, run, store
+from tactile_toolkit import __version__, run, store, wording
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.gallery.items import Gallery, GalleryItem, RowsTask
 from tactile_toolkit.rows import Column
@@ -286,7 +286,7 @@ def _facet(column: Column, items: Sequence[GalleryItem]) -> dict[str, object]:
     rows = [_words(item.values[column.name]) if column.name in item.values else () for item in items]
     found = {value for row in rows for value in row}
     known = [value for value in column.values if value in found]
-    values = known + sorted(found.difference(known), key=parsed_text.natural_key)
+    values = known + sorted(found.difference(known), key=wording.natural_key)
     numbers = {value: number for number, value in enumerate(values)}
     chosen = [[numbers[value] for value in row] for row in rows]
     return {"title": column.title, "values": values, "rows": chosen}

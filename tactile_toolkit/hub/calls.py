@@ -21,7 +21,7 @@ from urllib.parse import urlsplit
 
 import huggingface_hub
 
-from tactile_toolkit import redaction, store
+from tactile_toolkit import errors, store
 from tactile_toolkit.errors import HubError, InputError, StorageError, ToolkitError
 from tactile_toolkit.json_types import JsonDict
 
@@ -207,7 +207,7 @@ def failure_of(
                 "wait": f"in {wait_s:.0f} s" if wait_s else "in some minutes",
             }
             what, then = (
-                redaction.redact(part.format(**values), huggingface_hub.get_token()) for part in sentence
+                errors.redact(part.format(**values), huggingface_hub.get_token()) for part in sentence
             )
             raised = _CLASSES.get(pattern, HubError)(what, next=then)
             met = " ".join(traits)

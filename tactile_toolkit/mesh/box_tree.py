@@ -8,7 +8,7 @@ from typing import TypeAlias
 import numpy as np
 
 from tactile_toolkit.array_types import Float64, Int64
-from tactile_toolkit.compiled import part, planned
+from tactile_toolkit.kernels import part, planned
 
 Vector: TypeAlias = tuple[float, float, float]
 

@@ -16,7 +16,7 @@ from itertools import product
 import numpy as np
 
 from tactile_toolkit.array_types import Float64, Int64
-from tactile_toolkit.compiled import part, planned
+from tactile_toolkit.kernels import part, planned
 from tactile_toolkit.mesh.box_tree import (
     Vector,
     connected,

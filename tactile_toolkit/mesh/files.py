@@ -15,7 +15,8 @@ from xml.parsers import expat
 
 import numpy as np
 
-from tactile_toolkit import parsed_text, quantities, store, units
+from tactile_toolkit import store, wording
+from tactile_toolkit.columns import units
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.mesh import gltf, mesh_options, plain_formats, threemf
 from tactile_toolkit.mesh.mesh import (
@@ -123,8 +124,7 @@ def _bounded(stream: IO[bytes]) -> bytes:
     size = stream.seek(0, os.SEEK_END)
     if size > _MAX_BYTES:
         raise InputError(
-            f"the file has {quantities.bytes_text(size)}; expected at most "
-            f"{quantities.bytes_text(_MAX_BYTES)}",
+            f"the file has {wording.bytes_text(size)}; expected at most {wording.bytes_text(_MAX_BYTES)}",
             next="reduce the number of its triangles",
         )
     stream.seek(0)
@@ -283,7 +283,7 @@ def _in_folder(root: Path) -> MeshFiles | None:
         return None
     names = list(dict.fromkeys(classes.values()))
     if len(splits) > 1:
-        names.sort(key=parsed_text.natural_key)
+        names.sort(key=wording.natural_key)
     return MeshFiles({name: tuple(found) for name, found in splits.items()}, classes, tuple(names), root)
 
 
@@ -291,7 +291,7 @@ def _classes_of(root: Path, besides: tuple[str, ...] = ()) -> dict[Path, str]:
     """Return the class of each mesh file of a folder, in order."""
     loose = _files_in(root)
     folders = (each.name for each in root.iterdir() if each.is_dir() and not store.is_hidden(each.name))
-    names = sorted((name for name in folders if name not in besides), key=parsed_text.natural_key)
+    names = sorted((name for name in folders if name not in besides), key=wording.natural_key)
     in_folders = {file: name for name in names for file in _files_in(root / name)}
     if loose and in_folders:
         raise InputError(
@@ -316,6 +316,6 @@ def _files_in(folder: Path) -> list[Path]:
 
 def _sorted_by_name(folder: Path, endings: tuple[str, ...]) -> Iterator[Path]:
     # Hidden files may be incomplete. In natural order, so that numbers are the same on every machine.
-    for file in sorted(folder.iterdir(), key=lambda each: parsed_text.natural_key(each.name)):
+    for file in sorted(folder.iterdir(), key=lambda each: wording.natural_key(each.name)):
         if file.suffix.lower() in endings and not (store.is_hidden(file.name) or file.is_dir()):
             yield file

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from tactile_toolkit import arithmetic, bounds, spatial
+from tactile_toolkit import arithmetic, cache
 from tactile_toolkit.array_types import AnyArray, AnyDtype, Float32, Float64, Int32
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonValue
@@ -115,9 +115,7 @@ class _Document:
             vertices, faces = self._triangles(primitive)
             # The same surface can be placed any number of times.
             self._placed_bytes += vertices.nbytes + faces.nbytes
-            bounds.require_unpackable(
-                _PER_BYTE * self._placed_bytes, "what the file places", self._file_bytes
-            )
+            cache.require_unpackable(_PER_BYTE * self._placed_bytes, "what the file places", self._file_bytes)
             yield placed((vertices, faces), matrix[:3, :3].T, matrix[:3, 3])
 
     def _triangles(self, primitive: JsonValue) -> Surface:
@@ -149,7 +147,7 @@ class _Document:
         if "bufferView" in accessor:
             found = self._view(accessor, count, component, _WIDTHS[kind])
         elif "sparse" in accessor:
-            bounds.require_unpackable(
+            cache.require_unpackable(
                 _WIDTHS[kind] * 8 * count, f"accessor of {count:,} values", self._file_bytes
             )
             found = np.zeros((count, _WIDTHS[kind]), component)
@@ -184,6 +182,8 @@ class _Document:
 
 def _matrix(node: JsonValue) -> Float64:
     """Return the transform of a node, shape (4, 4), for column vectors."""
+    from scipy.spatial.transform import Rotation
+
     found = np.eye(4)
     if "matrix" in node:
         found = np.array(node["matrix"], np.float64).reshape(4, 4).T
@@ -194,7 +194,7 @@ def _matrix(node: JsonValue) -> Float64:
         length = math.hypot(*node["rotation"])
         if not abs(length - 1) <= _LENGTH_TOLERANCE:
             raise InputError(f"a node is turned by a quaternion of length {length:.4g}; expected length one")
-        found[:3, :3] = spatial.Rotation.from_quat(node["rotation"]).as_matrix()
+        found[:3, :3] = Rotation.from_quat(node["rotation"]).as_matrix()
     found[:3, :3] *= np.array(node.get("scale", (1, 1, 1)), np.float64)
     found[:3, 3] = node.get("translation", (0, 0, 0))
     return found

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, TypeAlias, cast
 
 import numpy as np
 
-from tactile_toolkit import spatial
 from tactile_toolkit.arithmetic import moved
 from tactile_toolkit.array_types import AnyArray, Float64, Floating, Int32, Integers
 from tactile_toolkit.errors import InputError
@@ -190,6 +189,8 @@ def merge_equal_vertices(vertices: Float64, faces: Integers) -> Surface:
 
 def welded(vertices: Float64, faces: Int32) -> Mesh:
     """Weld corners that rounding has separated, where that closes the surface; metres."""
+    from scipy.spatial import cKDTree
+
     if not len(faces) or not np.isfinite(vertices).all() or _is_closed(faces, len(vertices)):
         return Mesh(vertices, faces)
     from scipy.sparse import coo_array, csgraph  # takes a tenth of a second to import
@@ -201,7 +202,7 @@ def welded(vertices: Float64, faces: Int32) -> Mesh:
     if len(torn) < 2:
         return Mesh(vertices, faces)
     reach_m = _WELDED * float(np.ptp(vertices, axis=0).max())
-    tree, count = spatial.cKDTree(vertices[torn]), min(_NEIGHBOURS, len(torn))
+    tree, count = cKDTree(vertices[torn]), min(_NEIGHBOURS, len(torn))
     away_m, near = map(np.asarray, tree.query(vertices[torn], count, distance_upper_bound=reach_m))
     row, column = np.nonzero(np.isfinite(away_m))
     graph = coo_array((np.ones(len(row)), (row, near[row, column])), (len(torn), len(torn)))

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 from tactile_toolkit.checked_fields import check_fields, choice, real
+from tactile_toolkit.columns.units import MM_PER_UNIT
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.units import MM_PER_UNIT
 
 UNITS = ("mm", "cm", "m", "in")
 

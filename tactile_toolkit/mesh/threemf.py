@@ -19,8 +19,9 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from tactile_toolkit import bounds, units
+from tactile_toolkit import cache
 from tactile_toolkit.array_types import Float64
+from tactile_toolkit.columns import units
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, Surface, join_surfaces, placed
 from tactile_toolkit.mesh.plain_formats import numbers_of
@@ -131,7 +132,7 @@ class _Package:
             raise InputError("the archive holds no .model file")
         known = [path for path in (RELATIONS_PATH, *_VOLUMES_PATHS) if path in entries]
         size = sum(entries[path].file_size for path in (*models, *known))
-        bounds.require_unpackable(_PER_BYTE * size, f"3MF file: XML of {size:,} bytes", file_bytes)
+        cache.require_unpackable(_PER_BYTE * size, f"3MF file: XML of {size:,} bytes", file_bytes)
         for path in known:
             self._read(archive, entries[path], self._begin_other)
         self._root = self._target
@@ -235,7 +236,7 @@ class _Package:
         self._tags += cost
         if self._tags % 1024 < 3:
             what = f"3MF file: XML of more than {self._tags:,} elements"
-            bounds.require_unpackable(_PER_ELEMENT * self._tags, what, self._file_bytes)
+            cache.require_unpackable(_PER_ELEMENT * self._tags, what, self._file_bytes)
 
     def _end(self, tag: str) -> None:
         if tag == f"{CORE} mesh":
@@ -282,7 +283,7 @@ class _Package:
         self._built_bytes += sum(each.nbytes for each in thing.surface or ())
         if depth > _DEEPEST or self._placed_parts > _MAX_PARTS:
             raise InputError(f"object {named[1]!r} holds itself, or more than {_MAX_PARTS:,} parts")
-        bounds.require_unpackable(
+        cache.require_unpackable(
             _PER_BYTE * self._built_bytes, "3MF file: the content of its objects", self._file_bytes
         )
         own = None
@@ -331,7 +332,7 @@ def read_build(data: bytes) -> Build:
     """
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         try:
-            bounds.require_plain_archive(archive)
+            cache.require_plain_archive(archive)
         except ValueError as error:
             raise InputError(str(error)) from error
         return _Package(archive, len(data)).build()

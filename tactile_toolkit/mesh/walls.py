@@ -19,7 +19,7 @@ from typing import TypeAlias
 import numpy as np
 
 from tactile_toolkit.array_types import Float32, Float64, Int64
-from tactile_toolkit.compiled import part, planned
+from tactile_toolkit.kernels import part, planned
 from tactile_toolkit.mesh.box_tree import (
     DEEPEST,
     Vector,

@@ -10,7 +10,7 @@ from functools import cache
 from pathlib import PurePosixPath
 from typing import TypeAlias
 
-from tactile_toolkit import parsed_text, store
+from tactile_toolkit import store, wording
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.kind import kinds
@@ -74,7 +74,7 @@ def parquet_paths(paths: Iterable[str]) -> list[str]:
     """Return the paths of visible Parquet files in natural order."""
     # A path that leads out of the folder is kept here and refused later, by name.
     found = [path for path in paths if path.endswith(PARQUET) and (".." in path or not store.is_hidden(path))]
-    return sorted(found, key=parsed_text.natural_key)
+    return sorted(found, key=wording.natural_key)
 
 
 def splits_by_name(paths: Iterable[str], where: str) -> Splits:

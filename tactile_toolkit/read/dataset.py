@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeAlias, TypeV
 
 import numpy as np
 
-from tactile_toolkit import builtin_values, checked_fields, shown_text, wording
+from tactile_toolkit import checked_fields, wording
 from tactile_toolkit.array_types import AnyArray, Int64
 from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.read import (
@@ -111,7 +111,7 @@ class RecordDataset(RowColumns, Sequence[T], Generic[T]):
         InputError
             No item has this id, or the items have no ids.
         """
-        number = builtin_values.to_builtin_number(id)
+        number = checked_fields.to_builtin_number(id)
         places = np.flatnonzero(self.ids == number)
         if not len(places):
             # Ids of items, because touches have other ids than their rounds.
@@ -235,7 +235,7 @@ class RecordDataset(RowColumns, Sequence[T], Generic[T]):
         """
         labels = self.labels if stratify else None
         parts_of = random_parts.random_parts(
-            [builtin_values.to_builtin_number(part) for part in parts], len(self), seed, labels
+            [checked_fields.to_builtin_number(part) for part in parts], len(self), seed, labels
         )
         return tuple(self._select(part) for part in parts_of)
 
@@ -279,7 +279,7 @@ class RecordDataset(RowColumns, Sequence[T], Generic[T]):
         return hash((type(self), len(self), self.label_names))
 
     def __repr__(self) -> str:
-        return shown_text.printable(
+        return wording.printable(
             f"{type(self).__name__}({', '.join([*self.description(), self._classes_in_words()])})"
         )
 
@@ -292,7 +292,7 @@ class RecordDataset(RowColumns, Sequence[T], Generic[T]):
                 item: Any = self._item(int(position))
                 pictures.append(item.tile_html())
             except (ToolkitError, ValueError, OSError) as error:
-                problems[f"<div>{html.escape(shown_text.printable(str(error)))}</div>"] = None  # each once
+                problems[f"<div>{html.escape(wording.printable(str(error)))}</div>"] = None  # each once
         tiles = f'<div style="display:flex;flex-wrap:wrap;gap:4px">{"".join(pictures)}</div>'
         return f"<div>{html.escape(repr(self))}{tiles * any(pictures)}{''.join(problems)}</div>"
 
@@ -314,10 +314,10 @@ class RecordDataset(RowColumns, Sequence[T], Generic[T]):
         return enumerate(self)
 
     def _label_number(self, label: int | str) -> int:
-        known, number = self.label_names, builtin_values.to_builtin_number(label)
+        known, number = self.label_names, checked_fields.to_builtin_number(label)
         if number in known:
             return known.index(number)
-        if builtin_values.is_integer(number) and 0 <= number < len(known):
+        if checked_fields.is_integer(number) and 0 <= number < len(known):
             return int(number)
         if not known:
             raise InputError(f"no class {label!r}; the data set has no labels")

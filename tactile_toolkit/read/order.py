@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from tactile_toolkit.array_types import Int64
-from tactile_toolkit.bounds import cache_limit_bytes
+from tactile_toolkit.cache import cache_limit_bytes
 from tactile_toolkit.errors import ToolkitError
 
 _KEPT_WINDOWS = 2  # a batch may extend over the end of one

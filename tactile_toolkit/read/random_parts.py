@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.array_types import Int64
-from tactile_toolkit.builtin_values import is_integer
-from tactile_toolkit.checked_fields import checked_integer
+from tactile_toolkit.checked_fields import checked_integer, is_integer
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import with_count
 

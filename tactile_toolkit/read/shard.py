@@ -24,7 +24,7 @@ from typing import IO, TYPE_CHECKING, TypeAlias
 
 import pyarrow as pa
 
-from tactile_toolkit import bounds, cache, errors, store
+from tactile_toolkit import cache, errors, store
 from tactile_toolkit.read import blocks, supported_types
 from tactile_toolkit.read.features import class_names
 from tactile_toolkit.read.row_group import RowGroup
@@ -203,7 +203,7 @@ class Shard:
                     )
                 blocks.HELD_UP.add(lock)
             # Read each time, because a notebook may set the variable at any time.
-            blocks.UNPACKED.limit_bytes = bounds.cache_limit_bytes()
+            blocks.UNPACKED.limit_bytes = cache.cache_limit_bytes()
             # The previous holder of the lock may have unpacked all or part of it.
             return blocks.are_kept(files) or all(
                 file.exists()
@@ -258,7 +258,7 @@ class Shard:
         stored = sum(column.total_compressed_size for column in columns)
         if size_bytes <= _MAX_EXPANSION * stored:
             size_bytes //= max(group.num_rows, 1)
-        bounds.require_unpackable(size_bytes, f"{self.path!r}, rows from {self.group_starts[index]}:")
+        cache.require_unpackable(size_bytes, f"{self.path!r}, rows from {self.group_starts[index]}:")
 
     def _block_tables(self, index: int, columns: Sequence[str] | None) -> Iterator[pa.Table]:
         rows = self.block_rows[index]

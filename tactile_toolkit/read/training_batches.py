@@ -10,8 +10,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from tactile_toolkit.builtin_values import is_integer, to_builtin_number
-from tactile_toolkit.checked_fields import checked_integer
+from tactile_toolkit.checked_fields import checked_integer, is_integer, to_builtin_number
 from tactile_toolkit.errors import InputError, needs_extra
 from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.read.dataset import RecordDataset

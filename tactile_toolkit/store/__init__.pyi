@@ -10,20 +10,26 @@ from .addresses import (
     scheme_of as scheme_of,
     split_uri as split_uri,
 )
-from .building import build as build
+from .building import (
+    build as build,
+    require_replaceable as require_replaceable,
+    resume_promotion as resume_promotion,
+)
 from .folder import (
     DataFolder as DataFolder,
     LocalFolder as LocalFolder,
     PENDING_FOLDER as PENDING_FOLDER,
     VERSION_KEYS as VERSION_KEYS,
 )
-from .download_record import (
+from .verification import (
     DIGEST as DIGEST,
-    DownloadRecord as DownloadRecord,
-    HubFile as HubFile,
     digest_like as digest_like,
+    DownloadRecord as DownloadRecord,
     has_digest as has_digest,
+    HubFile as HubFile,
     read_download_record as read_download_record,
+    require_finished as require_finished,
+    verify as verify,
     write_download_record as write_download_record,
 )
 from .files import (
@@ -44,8 +50,10 @@ from .files import (
 )
 from .job import (
     BuildJob as BuildJob,
-    MissingPartsError as MissingPartsError,
     inspect_job as inspect_job,
+    manifest_so_far as manifest_so_far,
+    MissingPartsError as MissingPartsError,
+    pending_shards as pending_shards,
     refuse_unknown_files as refuse_unknown_files,
 )
 from .locks import (
@@ -53,28 +61,44 @@ from .locks import (
     locked as locked,
 )
 from .manifest import (
-    MANIFEST_FILE as MANIFEST_FILE,
-    Manifest as Manifest,
+    add_up as add_up,
+    convert_json as convert_json,
+    Count as Count,
+    damaged_error as damaged_error,
+    DATA_FOLDER as DATA_FOLDER,
+    decode as decode,
+    Finding as Finding,
     is_of_others as is_of_others,
+    Manifest as Manifest,
+    MANIFEST_FILE as MANIFEST_FILE,
     read_manifest as read_manifest,
+    require_rows as require_rows,
+    rows_per_shard as rows_per_shard,
+    shard_ranges as shard_ranges,
+    ShardName as ShardName,
+    ShardRecord as ShardRecord,
+    Skipped as Skipped,
+    VIEWER_FOLDER as VIEWER_FOLDER,
     without_collecting as without_collecting,
     write_manifest as write_manifest,
 )
 from .parquet import (
-    ParquetStyle as ParquetStyle,
     encode_parquet as encode_parquet,
     named_damage as named_damage,
     open_checked as open_checked,
+    ParquetStyle as ParquetStyle,
+    read_report as read_report,
     require_sound_columns as require_sound_columns,
-    open_parquet as open_parquet,
     sha256_hex as sha256_hex,
 )
-from .pending import (
-    manifest_so_far as manifest_so_far,
-    pending_shards as pending_shards,
-)
 from .plan import (
+    AnyTask as AnyTask,
     BuildPlan as BuildPlan,
+    Progress as Progress,
+    RunKeywords as RunKeywords,
+    RunOptions as RunOptions,
+    ShardContent as ShardContent,
+    ShardTask as ShardTask,
 )
 from .remote import (
     CallFailure as CallFailure,
@@ -82,45 +106,4 @@ from .remote import (
     cause_chain as cause_chain,
     in_time as in_time,
     with_retry as with_retry,
-)
-from .replacing import (
-    require_replaceable as require_replaceable,
-    resume_promotion as resume_promotion,
-)
-from .reports import (
-    read_report as read_report,
-)
-from .run_options import (
-    Progress as Progress,
-    RunKeywords as RunKeywords,
-    RunOptions as RunOptions,
-)
-from .sealed_json import (
-    Count as Count,
-    LARGEST as LARGEST,
-    convert_json as convert_json,
-    damaged_error as damaged_error,
-    decode as decode,
-)
-from .shards import (
-    DAMAGED as DAMAGED,
-    DATA_FOLDER as DATA_FOLDER,
-    Finding as Finding,
-    ShardName as ShardName,
-    ShardRecord as ShardRecord,
-    Skipped as Skipped,
-    VIEWER_FOLDER as VIEWER_FOLDER,
-    add_up as add_up,
-    require_rows as require_rows,
-    rows_per_shard as rows_per_shard,
-    shard_ranges as shard_ranges,
-)
-from .task import (
-    AnyTask as AnyTask,
-    ShardContent as ShardContent,
-    ShardTask as ShardTask,
-)
-from .verification import (
-    require_finished as require_finished,
-    verify as verify,
 )

@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from tactile_toolkit import run
 from tactile_toolkit.errors import InputError, require_public
 from tactile_toolkit.store.folder import DataFolder, LocalFolder
 from tactile_toolkit.store.remote import FsspecFolder
-from tactile_toolkit.system import working_folder
 
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://")
 _LOST_SLASH = re.compile(r"(?:s3a?|gs|gcs|hf|abfs|az):/(?!/)")
@@ -87,7 +87,7 @@ def open_folder(address: str) -> DataFolder:
         return FsspecFolder(normalized)
     path = expanded(normalized)
     if not path.is_absolute():  # only then is the working folder needed, which may have been deleted
-        path = working_folder() / path
+        path = run.working_folder() / path
     return LocalFolder(str(path))
 
 

@@ -11,21 +11,54 @@ same data set is requested again: a task with an intact record is done.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import PurePosixPath
 from typing import Unpack
 
-from tactile_toolkit import errors, run
-from tactile_toolkit.store import locks, parquet, pending, replacing, reports, run_options
+import msgspec
+
+from tactile_toolkit import run
+from tactile_toolkit.errors import BusyError, InputError, IntegrityError, StorageError, ToolkitError
+from tactile_toolkit.kind import kinds
+from tactile_toolkit.store import parquet
+from tactile_toolkit.store.files import DRAFT, is_hidden
 from tactile_toolkit.store.folder import NEXT_FOLDER, PENDING_FOLDER, DataFolder, LocalFolder
-from tactile_toolkit.store.job import BuildJob, begin_job, require_parts, require_same_job
-from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, write_manifest
-from tactile_toolkit.store.plan import BuildPlan
-from tactile_toolkit.store.shards import DATA_FOLDER, ShardRecord, require_rows
-from tactile_toolkit.store.task import AnyTask
+from tactile_toolkit.store.job import (
+    BuildJob,
+    begin_job,
+    is_pending,
+    pending_records,
+    refuse_unknown_files,
+    remove_leftovers,
+    remove_pending,
+    require_parts,
+    require_same_job,
+    write_shard_record,
+)
+from tactile_toolkit.store.locks import locked
+from tactile_toolkit.store.manifest import (
+    DATA_FOLDER,
+    MANIFEST_FILE,
+    Manifest,
+    ShardName,
+    ShardRecord,
+    decode,
+    read_manifest,
+    require_rows,
+    write_manifest,
+)
+from tactile_toolkit.store.plan import AnyTask, BuildPlan, Progress, RunKeywords, RunOptions
+from tactile_toolkit.store.verification import RECORD_FILE
 
 WriteCard = Callable[[DataFolder, Manifest], None]
 """Writes the card of a finished folder, after its report."""
+PROMOTION_FILE = f"{NEXT_FOLDER}/.promotion.json"
+"""Lists the files of the former data set that the next one lacks."""
+CARD_FILE = "README.md"
+"""The data card."""
+_USUAL = ("reports/*.parquet", "previews/*.png", CARD_FILE, RECORD_FILE, MANIFEST_FILE)
 
 
 @dataclass(frozen=True)
@@ -46,8 +79,9 @@ class _WriteShard:
         if content.report is not None:
             report = parquet.encode_parquet(content.report, parquet.REPORT_STYLE)
             report_sha256, report_bytes = parquet.sha256_hex(report), len(report)
-        record = ShardRecord.of(
-            shard,
+        record = ShardRecord(
+            shard.data_path,
+            shard.split,
             len(content.table),
             len(data),
             parquet.sha256_hex(data),
@@ -65,7 +99,7 @@ class _WriteShard:
                 folder.write_bytes(shard.report_path, report)
             for path, further in content.files.items():
                 folder.write_bytes(path, further)
-            pending.write_shard_record(folder, record, self.identity, report_bytes)
+            write_shard_record(folder, record, self.identity, report_bytes)
         return record
 
 
@@ -74,7 +108,7 @@ def build(
     plan: BuildPlan,
     *,
     write_card: WriteCard | None = None,
-    **run: Unpack[run_options.RunKeywords],
+    **run: Unpack[RunKeywords],
 ) -> Manifest:
     """Make what is missing in the folder of the plan and return the manifest.
 
@@ -91,7 +125,7 @@ def build(
     MissingPartsError
         The set cannot be finished yet, or the runner has not made all shards; those that it made stay.
     """
-    options = run_options.RunOptions(**run)
+    options = RunOptions(**run)
     with _begun(folder, plan, options) as (job, hold):
         if _needs_no_lock(job, options):
             return job.manifest
@@ -102,13 +136,13 @@ def build(
             manifest = _finish(job, records, write_card, folder)
             if job.folder is not folder and isinstance(folder, LocalFolder):
                 hold.close()
-                replacing.promote(folder)
+                promote(folder)
         return manifest
 
 
 @contextlib.contextmanager
 def _begun(
-    folder: DataFolder, plan: BuildPlan, options: run_options.RunOptions
+    folder: DataFolder, plan: BuildPlan, options: RunOptions
 ) -> Iterator[tuple[BuildJob, contextlib.ExitStack]]:
     """Begin a job, in ``.next`` where it replaces a data set, and roll it back if it fails without a row.
 
@@ -119,23 +153,21 @@ def _begun(
     target, had_manifest = folder, True
     with contextlib.ExitStack() as hold:
         try:
-            replacing.resume_promotion(folder)
+            resume_promotion(folder)
             # Parts begin under the lock for shards: with many at once, the folder would never be free.
             with folder.locked(shared=options.part is not None):
-                is_replaced = options.overwrite and replacing.require_replaceable(folder, plan)
+                is_replaced = options.overwrite and require_replaceable(folder, plan)
                 if is_replaced and isinstance(folder, LocalFolder):
-                    target, existed = replacing.prepare_next(folder, plan), False
-                    hold.enter_context(
-                        locks.locked(folder.local_path(NEXT_FOLDER), shared=True, patience_s=0.0)
-                    )
+                    target, existed = prepare_next(folder, plan), False
+                    hold.enter_context(locked(folder.local_path(NEXT_FOLDER), shared=True, patience_s=0.0))
                 had_manifest = target.exists(MANIFEST_FILE)
                 job = begin_job(target, plan, options)
             yield job, hold
         except BaseException as error:
             # A run that waited in vain does not wait again.
-            patience_s = 0.0 if isinstance(error, errors.BusyError) else None
+            patience_s = 0.0 if isinstance(error, BusyError) else None
             # The first error is the one to report, even if the disk does not let us remove anything.
-            with contextlib.suppress(errors.ToolkitError, OSError), folder.locked(patience_s=patience_s):
+            with contextlib.suppress(ToolkitError, OSError), folder.locked(patience_s=patience_s):
                 if options.is_whole:
                     _roll_back(target, plan, had_manifest)
                 hold.close()
@@ -144,22 +176,22 @@ def _begun(
             raise
 
 
-def _needs_no_lock(job: BuildJob, options: run_options.RunOptions) -> bool:
+def _needs_no_lock(job: BuildJob, options: RunOptions) -> bool:
     """Return whether a set in a store is finished, by names and sizes only; manifests are written last."""
     if job.folder.is_local or options.check or job.remaining:
         return False
     return job.manifest.complete and not job.folder.names(PENDING_FOLDER)
 
 
-def _work(job: BuildJob, options: run_options.RunOptions) -> Iterator[ShardRecord]:
+def _work(job: BuildJob, options: RunOptions) -> Iterator[ShardRecord]:
     tasks = job.remaining
     sizes = {task.shard: task.size for task in tasks}
     done, total = 0, sum(sizes.values())
-    options.on_progress(run_options.Progress(done, total))
+    options.on_progress(Progress(done, total))
     work = _WriteShard(job.folder, job.manifest.identity, job.plan.style, job.plan.libraries)
     for record in run.runner_for(options.workers).run(work, tasks):
         done += sizes[record.shard]
-        options.on_progress(run_options.Progress(done, total, record))
+        options.on_progress(Progress(done, total, record))
         yield record
 
 
@@ -170,7 +202,7 @@ def _finish_partial_run(job: BuildJob, records: Sequence[ShardRecord]) -> Manife
         listed = {record.shard for record in current.shards}
         if current.complete and all(task.shard in listed for task in job.tasks):
             with job.folder.locked(is_patient=True):
-                pending.remove_leftovers(job.folder, require_same_job(job.folder, job.manifest.identity))
+                remove_leftovers(job.folder, require_same_job(job.folder, job.manifest.identity))
             return current
     _require_records(job, records)
     return replace(job.manifest.with_shards(records), complete=False)
@@ -195,24 +227,24 @@ def _finish(
         others = {path: checksum for path, checksum in files.items() if path != plan.report_file}
         write_manifest(folder, replace(current, complete=False, files=others))
     if plan.report_file is not None:
-        checksum = reports.merge_reports(folder, plan.report_file, manifest)
+        checksum = parquet.merge_reports(folder, plan.report_file, manifest)
         if checksum is not None:
             files[plan.report_file] = checksum
     files |= plan.write_files(folder, manifest)
     finished = replace(manifest, files=files, complete=True, planned={})
     if write_card is not None:
         if folder is not replaced and isinstance(replaced, LocalFolder):
-            replacing.keep_card(replaced)
+            keep_card(replaced)
         write_card(folder, finished)
     # A run that had nothing to do leaves the file unchanged.
     if current != finished:
         write_manifest(folder, finished)
         if read_manifest(folder) != finished:
-            raise errors.StorageError(
+            raise StorageError(
                 f"{folder.address(MANIFEST_FILE)!r} is not what was written there a moment ago",
                 next="run the same command again, and check the disk",
             )
-    pending.remove_leftovers(folder, finished)
+    remove_leftovers(folder, finished)
     return finished
 
 
@@ -223,12 +255,10 @@ def _roll_back(folder: DataFolder, plan: BuildPlan, had_manifest: bool) -> None:
     folder that refuses every other specification.
     """
     manifest = read_manifest(folder)
-    if manifest is None:
-        return
-    if manifest.identity != plan.new_manifest().identity:
+    if manifest is None or manifest.identity != plan.new_manifest().identity:
         return
     listed = {record.shard for record in manifest.shards}
-    recorded = pending.pending_records(folder, manifest.identity)
+    recorded = pending_records(folder, manifest.identity)
     if any(record.rows for shard, record in recorded.items() if shard not in listed):
         return
     # Shards without rows are quickly made again.
@@ -238,7 +268,7 @@ def _roll_back(folder: DataFolder, plan: BuildPlan, had_manifest: bool) -> None:
     folder.remove_empty(DATA_FOLDER)
     if not had_manifest and not folder.names(DATA_FOLDER):
         folder.remove(MANIFEST_FILE)
-        pending.remove_pending(folder)
+        remove_pending(folder)
     folder.remove_empty(PENDING_FOLDER)
 
 
@@ -247,3 +277,155 @@ def _require_records(job: BuildJob, records: Sequence[ShardRecord]) -> None:
     job.folder.refresh(DATA_FOLDER)
     sizes = job.folder.sizes(DATA_FOLDER)
     require_parts(job, [record for record in records if record.is_size_of(sizes)])
+
+
+def require_replaceable(folder: DataFolder, plan: BuildPlan | None = None) -> list[str]:
+    """Return the files of the data set that a run may replace; empty if there is none. Changes nothing.
+
+    Files of a data set are known by their names; other hidden files stay. An interrupted run of the plan is
+    continued, not replaced. Raises InputError for any other file or symbolic link, and for a set in an object
+    store, where files cannot be moved.
+    """
+    if not folder.exists(MANIFEST_FILE):
+        refuse_unknown_files(folder, plan)
+        return []
+    if not isinstance(folder, LocalFolder):
+        raise InputError(
+            f"{folder.address()!r} holds a data set, and --overwrite does not work in an object store: the "
+            "data set could not be restored if the new run fails; nothing was changed",
+            next="choose another folder (--out or OUT), or remove that one with the store's own tools",
+        )
+    manifest = _manifest(folder)
+    # Anyone may have written the manifest: folders that it names count only if a kind declares them.
+    named = manifest.trees if manifest is not None else ()
+    further = [pattern for pattern in extra_files() if pattern.partition("/")[0] in named]
+    names = set(folder.names())
+    shown = {name for name in names if name in (PENDING_FOLDER, RECORD_FILE) or not is_hidden(name)}
+    found = [path for path in folder.walk() if path.partition("/")[0] in shown]
+    unknown = [path for path in found if folder.local_path(path) and not is_ours(path, further)]
+    # Other programs use that file name, too: a damaged manifest of a data set has shards next to it.
+    if manifest is None and not {DATA_FOLDER, PENDING_FOLDER} & names:
+        unknown = [MANIFEST_FILE]
+    if unknown:
+        raise InputError(
+            f"{folder.address()!r} holds more than a data set of this toolkit (found {unknown[0]!r}); "
+            "nothing was changed",
+            next="move that file away, or choose an empty or new folder (--out or OUT)",
+        )
+    return found
+
+
+def _manifest(folder: DataFolder) -> Manifest | None:
+    try:
+        return read_manifest(folder)
+    except IntegrityError:
+        return None
+
+
+def _next(folder: LocalFolder) -> LocalFolder:
+    return LocalFolder(folder.address(NEXT_FOLDER))
+
+
+def prepare_next(folder: LocalFolder, plan: BuildPlan) -> LocalFolder:
+    """Return the folder in which the next data set is made, without files of any other one.
+
+    A run holds the lock of that folder, shared with other runs of the same job. Raises BusyError if another
+    data set is being made there.
+    """
+    after = _next(folder)
+    after.require_folder()
+    begun = _manifest(after)
+    if begun is None or begun.identity != plan.new_manifest().identity:
+        with locked(folder.local_path(NEXT_FOLDER), patience_s=0.0):
+            folder.remove(f"{NEXT_FOLDER}/{MANIFEST_FILE}")  # first: without it no other file counts
+            remove_next(folder)
+        after.require_folder()
+    return after
+
+
+def keep_card(folder: LocalFolder) -> None:
+    """Copy the card to the next data set, whose card keeps the statements of the owner."""
+    after = _next(folder)
+    if folder.exists(CARD_FILE) and not after.exists(CARD_FILE):
+        after.write_bytes(CARD_FILE, folder.read_bytes(CARD_FILE))
+
+
+def resume_promotion(folder: DataFolder) -> None:
+    """Complete a replacement that was begun; raises BusyError while another run does so."""
+    if isinstance(folder, LocalFolder) and folder.exists(PROMOTION_FILE):
+        with folder.locked():
+            if folder.exists(PROMOTION_FILE):
+                _move_files(folder)
+
+
+def promote(folder: LocalFolder) -> None:
+    """Move the finished data set in ``.next`` into its place; the caller holds the lock.
+
+    Raises InputError if the folder holds more than a data set by now; then nothing was changed.
+    """
+    former = sorted({*require_replaceable(folder)}.difference(_arriving(folder)))
+    # From here on, the replacement can only be completed.
+    folder.write_bytes(PROMOTION_FILE, msgspec.json.encode(former))
+    _move_files(folder)
+
+
+def _arriving(folder: LocalFolder) -> list[str]:
+    """Return the files of the next data set that have not been moved yet."""
+    return [path for path in _next(folder).walk() if not is_hidden(path)]
+
+
+def _move_files(folder: LocalFolder) -> None:
+    former = decode(folder.read_bytes(PROMOTION_FILE), list[str], folder.address(PROMOTION_FILE))
+    manifest = read_manifest(_next(folder))
+    if manifest is not None:  # it is the last file to move
+        write_manifest(folder, replace(manifest, complete=False))
+        # Anyone may have written the list: the folder may be a copy of another user's.
+        further = extra_files()
+        for path in former:
+            if is_ours(path, further):
+                folder.remove(path)
+        for path in _arriving(folder):
+            if path != MANIFEST_FILE:
+                folder.move(f"{NEXT_FOLDER}/{path}", path)
+        sizes = folder.sizes(DATA_FOLDER)
+        missing = [record.shard.data_path for record in manifest.shards if not record.is_size_of(sizes)]
+        if missing:
+            remove_next(folder)  # the same run makes them again in their place
+            raise IntegrityError(
+                f"{folder.address(missing[0])!r} is missing or has another size, though it was made to "
+                "replace a former file",
+                next="run the same command again without --overwrite",
+            )
+        folder.move(f"{NEXT_FOLDER}/{MANIFEST_FILE}", MANIFEST_FILE)
+    for path in former:
+        while path := path.rpartition("/")[0]:
+            folder.remove_empty(path)
+    remove_next(folder)
+
+
+def remove_next(folder: LocalFolder) -> None:
+    """Remove the data set in ``.next``."""
+    if folder.exists(NEXT_FOLDER):
+        further = extra_files()
+        folder.remove_tree(
+            NEXT_FOLDER,
+            lambda path: path == PROMOTION_FILE or is_ours(path.removeprefix(f"{NEXT_FOLDER}/"), further),
+        )
+
+
+def extra_files() -> list[str]:
+    """Return the patterns of files that any kind of data set has next to its rows."""
+    return [pattern for kind in kinds() for pattern in kind.extra_files]
+
+
+def is_ours(path: str, further: Iterable[str]) -> bool:
+    """Return whether a path is that of a file of a data set; ``further`` are patterns of its kind."""
+    pure = PurePosixPath(path)
+    if is_pending(path) or (len(pure.parts) > 1 and re.match(DRAFT, pure.name)):
+        return True
+    if str(pure.parent) == DATA_FOLDER:
+        return ShardName.parse(pure.name) is not None
+    # `match` compares from the right; the depth must agree, too.
+    return any(
+        pure.match(pattern) and len(pure.parts) == pattern.count("/") + 1 for pattern in (*_USUAL, *further)
+    )

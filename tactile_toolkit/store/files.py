@@ -148,18 +148,24 @@ def resource_shortage(error: Exception) -> str | None:
     )
 
 
+def unreadable(address: str, error: Exception) -> InputError | None:
+    """Return the error for a file or folder that cannot be read for another reason than its content."""
+    reason = resource_shortage(error)
+    if isinstance(error, PermissionError):
+        reason = "permission denied; next: change its permissions, or ask its owner to"
+    return None if reason is None else InputError(f"{address!r} cannot be read: {reason}")
+
+
 @contextlib.contextmanager
 def readable(address: str) -> Iterator[None]:
     """Turn errors that do not concern the content of a file or folder into InputError."""
     try:
         yield
     except (OSError, MemoryError) as error:
-        reason = resource_shortage(error)
-        if isinstance(error, PermissionError):
-            reason = "permission denied; next: change its permissions, or ask its owner to"
-        if reason is None:
+        refused = unreadable(address, error)
+        if refused is None:
             raise
-        raise InputError(f"{address!r} cannot be read: {reason}") from error
+        raise refused from error
 
 
 def path_exists(path: Path) -> bool:

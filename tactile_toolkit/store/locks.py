@@ -19,8 +19,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
 
-from tactile_toolkit.errors import BusyError, IntegrityError
-from tactile_toolkit.redaction import redact
+from tactile_toolkit.errors import BusyError, IntegrityError, redact
 from tactile_toolkit.store.files import open_regular
 
 LOCK_FILE = ".lock"
@@ -120,9 +119,7 @@ def _busy(path: Path, holders: list[_Holder], patience_s: float) -> BusyError:
     then = ""
     if (path / LOCK_FILE).exists() and _module("msvcrt") is None:
         then = f", or remove {str(path / LOCK_FILE)!r} if no process is at work there"
-    waited = ""
-    if patience_s:
-        waited = f", and has done so for {patience_s:.0f} s"
+    waited = f", and has done so for {patience_s:.0f} s" if patience_s else ""
     return BusyError(
         f"{who}{state} holds {str(path)!r}{waited}",
         next=f"{first}, or end it{then}, and run the same command again; what is finished stays",
@@ -131,16 +128,12 @@ def _busy(path: Path, holders: list[_Holder], patience_s: float) -> BusyError:
 
 @contextlib.contextmanager
 def _locked_now(path: Path, shared: bool) -> Iterator[None]:
-    fcntl, msvcrt, is_folder = _module("fcntl"), _module("msvcrt"), path.is_dir()
+    fcntl = _module("fcntl")
+    msvcrt = _module("msvcrt")
     with contextlib.ExitStack() as stack:
-        has_locks = True
-        if fcntl is not None:
-            has_locks = _lock_handle(path, fcntl, shared, stack)
-        elif msvcrt is not None:
+        if fcntl is None and msvcrt is not None:
             stack.enter_context(_lock_byte(path, msvcrt))
-        else:
-            has_locks = False
-        if is_folder and not has_locks:
+        elif (fcntl is None or not _lock_handle(path, fcntl, shared, stack)) and path.is_dir():
             stack.enter_context(_lock_file(path / LOCK_FILE))
         yield
 
@@ -168,9 +161,7 @@ def _lock_handle(path: Path, fcntl: ModuleType, shared: bool, stack: contextlib.
 def _lock_byte(path: Path, msvcrt: ModuleType) -> Iterator[None]:
     """Lock a byte of a file, or of one in a folder, as on Windows, which frees those of killed processes."""
     is_folder = path.is_dir()
-    file = path
-    if is_folder:
-        file = path / LOCK_FILE
+    file = path / LOCK_FILE if is_folder else path
     handle = -1
     try:
         handle = os.open(file, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOINHERIT", 0), 0o666)

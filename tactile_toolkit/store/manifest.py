@@ -1,8 +1,4 @@
-"""``manifest.json``: what made a data set folder, and what is in it.
-
-During a run, finished shards have pending records instead, one file each, so that two writers never share a
-file (:mod:`tactile_toolkit.store.pending`).
-"""
+"""Documents of a data set folder, sealed with a digest of themselves: records of shards, and the manifest."""
 
 from __future__ import annotations
 
@@ -10,26 +6,267 @@ import contextlib
 import gc
 import hashlib
 import json
+import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache, cached_property
+from itertools import zip_longest
+from typing import Annotated, Any, ClassVar, TypeVar, cast
 
-from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.json_types import JsonObject
-from tactile_toolkit.shown_text import printable_json
+import msgspec
+
+from tactile_toolkit.errors import InputError, IntegrityError, redact
+from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.store.files import names_inside
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.sealed_json import Count, Sha256, damaged_error, decode, require_seal, seal
-from tactile_toolkit.store.shards import ShardRecord, add_up
-from tactile_toolkit.wording import with_count
+from tactile_toolkit.store.folder import PENDING_FOLDER, DataFolder
+from tactile_toolkit.wording import printable, printable_json, with_count
 
 MANIFEST_FILE = "manifest.json"
+DATA_FOLDER = "data"
 SCHEMA_VERSION = 3
 """The only version that is written and read."""
+T = TypeVar("T")
+
+_FIRST_LINE = "{\n"
 # Fields that manifests have and files of that name of other programs lack.
 _FIELDS = (b'"sha256_of_all_below"', b'"schema_version"', b'"shards"')
 # Fields that are left out of the text if they are empty.
 _OPTIONAL = ("libraries", "planned", "statistics", "trees")
+
+_LARGEST = (1 << 63) - 1
+Count = Annotated[int, msgspec.Meta(ge=0, le=_LARGEST)]
+Sha256 = Annotated[str, msgspec.Meta(pattern=r"\A[0-9a-f]{64}\Z")]
+VIEWER_FOLDER = "viewer"
+"""Repeats the rows for the Hub's page (`tactile_toolkit.exchange.copies`); copies may leave it out."""
+MAX_ROWS = 1 << 40
+"""Largest number of rows that a shard may state, more than any disk holds."""
+_MANY_SHARDS = 8192
+_CAUSES_SHOWN = 3
+# Numbers have five digits, or more if five are too few; so a shard has one name.
+_NUMBER = "([0-9]{5}|[1-9][0-9]{5,11})"
+_SHARD_PATTERN = re.compile(rf"(\w+)-{_NUMBER}-of-{_NUMBER}\.parquet")
+
+
+def decode(content: str | bytes, kind: type[T], where: str) -> T:
+    """Return a JSON document as a value of a type; IntegrityError, with ``where``, for another text."""
+    try:
+        decoded: T = _decoder(cast(Any, kind)).decode(content)
+    except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
+        raise damaged_error(where, error) from error
+    return decoded
+
+
+@cache
+def _decoder(kind: object) -> msgspec.json.Decoder[Any]:
+    return msgspec.json.Decoder(kind)
+
+
+def convert_json(values: object, kind: type[T], where: str, field: str) -> T:
+    """Return a part of a decoded document as a value of a type; raises as :func:`decode`."""
+    try:
+        return msgspec.convert(values, kind)
+    except msgspec.ValidationError as error:
+        raise damaged_error(where, f"{field}: {error}") from error
+
+
+def damaged_error(where: str, problem: object) -> IntegrityError:
+    """Return the error for a document with an impossible value."""
+    return IntegrityError(
+        f"{where!r} is damaged: {problem}",
+        next="download the data set again, or generate it again with --overwrite",
+    )
+
+
+def seal(text: str) -> str:
+    """Return the text of a JSON object, a line for each field, the first one a digest of the rest."""
+    fields = text.removeprefix(_FIRST_LINE)
+    return f"{_head(fields.encode())}{fields}"
+
+
+def _head(fields: bytes) -> str:
+    digest = hashlib.sha256(fields.removesuffix(b"\n")).hexdigest()  # editors add or drop the last line break
+    return f'{_FIRST_LINE} "sha256_of_all_below": "{digest}",\n'
+
+
+def require_seal(content: str | bytes, where: str) -> None:
+    """Raise IntegrityError, which names ``where``, unless a document is as :func:`seal` returned it."""
+    if isinstance(content, str):
+        content = content.encode(errors="surrogatepass")
+    # Git may have changed line ends on Windows; JSON has no such character within a line.
+    found = content.replace(b"\r\n", b"\n")
+    length = len(_head(b""))
+    if found[:length] != _head(found[length:]).encode():
+        raise damaged_error(where, "it was changed since it was written")
+
+
+class ShardName(msgspec.Struct, frozen=True, order=True):
+    """Name of a shard: split, index from 0, and number of shards, as in ``train-00000-of-00024``."""
+
+    split: str
+    index: int
+    count: int
+
+    def __str__(self) -> str:
+        return f"{self.split}-{self.index:05d}-of-{self.count:05d}"
+
+    @property
+    def data_path(self) -> str:
+        """Path of the rows inside the data set folder."""
+        return f"{DATA_FOLDER}/{self.split}-{self.index:05d}-of-{self.count:05d}.parquet"
+
+    @property
+    def record_path(self) -> str:
+        """Path of the shard's record while a run is under way."""
+        return f"{PENDING_FOLDER}/{self}.json"
+
+    @property
+    def report_path(self) -> str:
+        """Path of the shard's report rows while a run is under way."""
+        return f"{PENDING_FOLDER}/report-{self}.parquet"
+
+    @classmethod
+    def parse(cls, file_name: str) -> ShardName | None:
+        """Read the name of a shard file; None for any other name."""
+        match = _SHARD_PATTERN.fullmatch(file_name)
+        if match is None:
+            return None
+        split, index, count = match.groups()
+        return cls(split, int(index), int(count))
+
+    @property
+    def can_be_read_back(self) -> bool:
+        """Whether parsing the name gives the same shard."""
+        return self.index < self.count and self.parse(f"{self}.parquet") == self
+
+
+def rows_per_shard(rows: int, usual: int) -> int:
+    """Return the size of the shards of a split with this many rows.
+
+    It is ``usual`` up to 8,192 shards. Larger splits have larger shards, twice the size for every factor of
+    four, because each shard costs a request and a record.
+    """
+    growth = 1
+    while rows > _MANY_SHARDS * usual * growth**2:
+        growth *= 2
+    return usual * growth
+
+
+def shard_ranges(
+    split: str, rows: int, *, smallest: int, largest: int, wanted: int, together: int = 1
+) -> list[tuple[ShardName, range]]:
+    """Divide the rows of a split into about ``wanted`` shards of ``smallest`` to ``largest`` rows.
+
+    The sizes follow from the split only, so any number of workers agrees on them. A shard is what a worker
+    holds in memory and what is lost if it is killed; even a small run has several for each worker. Shards end
+    after a multiple of ``together`` rows, if the largest size allows it.
+    """
+    size = max(smallest, -(-rows // wanted))
+    size = min(rows_per_shard(rows, largest), -(-size // together) * together)
+    starts = range(0, rows, size)
+    return [
+        (ShardName(split, index, len(starts)), range(start, min(start + size, rows)))
+        for index, start in enumerate(starts)
+    ]
+
+
+class Skipped(msgspec.Struct, frozen=True):
+    """An item of a source that gave no row: a stable word for counting, and a message without secrets."""
+
+    DAMAGED: ClassVar[str] = "damaged"
+    """Reason to leave out an item whose stored data is damaged."""
+
+    id: Annotated[int, msgspec.Meta(ge=-_LARGEST - 1, le=_LARGEST)]
+    reason: str
+    message: str
+
+    def __post_init__(self) -> None:
+        msgspec.structs.force_setattr(self, "message", printable(redact(self.message)))
+
+
+class ShardRecord(msgspec.Struct, frozen=True, dict=True):
+    """Facts about a finished shard, as manifests and pending records store them.
+
+    ``report_sha256`` is the checksum of its report rows, where there are any. ``statistics`` are counts over
+    its rows that add up over shards, see :func:`add_up`. ``unpacked_bytes`` is the size of its rows in
+    memory, for the card. ``source_digest`` is the checksum of what it was made of, where the specification
+    does not identify that.
+    """
+
+    file: str
+    split: str
+    rows: Annotated[int, msgspec.Meta(ge=0, le=MAX_ROWS)]
+    bytes: Count
+    sha256: Sha256
+    report_sha256: Sha256 | None = None
+    skipped: tuple[Skipped, ...] = ()
+    statistics: JsonObject | None = None
+    unpacked_bytes: Count = 0
+    source_digest: Sha256 | None = None
+
+    @cached_property
+    def shard(self) -> ShardName:
+        """Shard of the record; ValueError if the file does not have the name of a shard."""
+        folder, _, name = self.file.rpartition("/")
+        shard = ShardName.parse(name)
+        if shard is None or folder != DATA_FOLDER or shard.index >= shard.count or shard.split != self.split:
+            raise ValueError(f"found file {self.file[:80]!r}, expected a shard's name and split")
+        return shard
+
+    def is_size_of(self, sizes: Mapping[str, int]) -> bool:
+        """Return whether ``sizes``, those of the files in ``data``, has the shard's file with its size."""
+        return sizes.get(self.file.rpartition("/")[2]) == self.bytes
+
+    def to_dict(self) -> JsonDict:
+        """Return JSON values."""
+        values: JsonDict = msgspec.to_builtins(self)
+        for name in ("statistics", "source_digest"):
+            if values[name] is None:
+                del values[name]
+        return values
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One problem: a path inside the folder, and what was found and expected."""
+
+    file: str
+    problem: str
+
+
+def add_up(parts: Sequence[JsonObject]) -> JsonDict:
+    """Add the counts of several shards, key by key; lists add by index, a missing entry counts 0.
+
+    Values are numbers, lists of numbers, or mappings of them by name; keys keep the order of their first
+    occurrence.
+    """
+    names = dict.fromkeys(name for part in parts for name in part)
+    total: JsonDict = {}
+    for name in names:
+        values = [part[name] for part in parts if name in part]
+        if isinstance(values[0], Mapping):
+            total[name] = add_up(values)
+        elif isinstance(values[0], Sequence):
+            total[name] = [sum(column) for column in zip_longest(*values, fillvalue=0)]
+        else:
+            total[name] = sum(values)
+    return total
+
+
+def require_rows(shards: Sequence[tuple[int, Sequence[Skipped]]]) -> None:
+    """Refuse a run that left every item out: then its source is wrong, not its items.
+
+    Takes the number of rows of each shard, and its skipped items.
+    """
+    skipped = [item for _, left_out in shards for item in left_out]
+    if skipped and not any(rows for rows, _ in shards):
+        first = {item.reason: item.message for item in reversed(skipped)}
+        causes = [f"{reason}: {first[reason]}" for reason in dict.fromkeys(item.reason for item in skipped)]
+        raise (IntegrityError if set(first) == {Skipped.DAMAGED} else InputError)(
+            f"no row is left: all {len(skipped):,} were left out, nothing was written; the first of each "
+            f"reason: {'; '.join(causes[:_CAUSES_SHOWN])}",
+            next="correct the source, or choose another one",
+        )
 
 
 @dataclass(frozen=True)
@@ -107,6 +344,10 @@ class Manifest:
             if record.statistics is not None:
                 counted.setdefault(record.split, []).append(record.statistics)
         return {split: add_up(parts) for split, parts in counted.items()}
+
+    def total_statistics(self) -> JsonDict:
+        """Add up the statistics of all shards."""
+        return add_up(list(self.statistics().values()))
 
     def with_shards(self, records: Iterable[ShardRecord]) -> Manifest:
         """Return a manifest with these records next to its own, each shard once, in order."""
@@ -186,11 +427,17 @@ def is_of_others(content: bytes) -> bool:
 
 def read_manifest(folder: DataFolder) -> Manifest | None:
     """Read the manifest of a folder; None when there is no manifest, IntegrityError when it is damaged."""
+    where = folder.address(MANIFEST_FILE)
     if not folder.exists(MANIFEST_FILE):
         return None
     content = folder.read_bytes(MANIFEST_FILE)
     with without_collecting():
-        return Manifest.from_json(content, folder.address(MANIFEST_FILE))
+        return Manifest.from_json(content, where)
+
+
+def write_manifest(folder: DataFolder, manifest: Manifest) -> None:
+    """Write the manifest of a folder in one step."""
+    folder.write_bytes(MANIFEST_FILE, manifest.to_json().encode())
 
 
 @contextlib.contextmanager
@@ -203,8 +450,3 @@ def without_collecting() -> Iterator[None]:
     finally:
         if was_enabled:
             gc.enable()
-
-
-def write_manifest(folder: DataFolder, manifest: Manifest) -> None:
-    """Write the manifest of a folder in one step."""
-    folder.write_bytes(MANIFEST_FILE, manifest.to_json().encode())

@@ -22,9 +22,15 @@ from pathlib import Path
 from threading import Thread
 from typing import IO, TYPE_CHECKING, ClassVar, TypeVar, cast
 
-from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError, RemoteError, ToolkitError
+from tactile_toolkit.errors import (
+    InputError,
+    IntegrityError,
+    MissingExtraError,
+    RemoteError,
+    ToolkitError,
+    redact,
+)
 from tactile_toolkit.json_types import JsonDict, JsonObject, JsonValue
-from tactile_toolkit.redaction import redact
 from tactile_toolkit.store.files import named_failures, scratch_folder
 from tactile_toolkit.store.folder import DataFolder
 

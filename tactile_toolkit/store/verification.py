@@ -3,23 +3,43 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import io
+import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import IO, NamedTuple
 
+import msgspec
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from tactile_toolkit import errors, run, wording
-from tactile_toolkit.store import download_record, pending
-from tactile_toolkit.store.files import is_hidden
+from tactile_toolkit.store import job
+from tactile_toolkit.store.files import is_hidden, names_inside, open_regular
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest
+from tactile_toolkit.store.manifest import (
+    DATA_FOLDER,
+    MANIFEST_FILE,
+    VIEWER_FOLDER,
+    Count,
+    Finding,
+    Manifest,
+    ShardName,
+    ShardRecord,
+    decode,
+    require_seal,
+    seal,
+)
 from tactile_toolkit.store.parquet import named_damage, open_checked
-from tactile_toolkit.store.shards import DATA_FOLDER, VIEWER_FOLDER, Finding, ShardName, ShardRecord
+
+RECORD_FILE = ".download.json"
+DIGEST = re.compile("[0-9a-f]{64}|[0-9a-f]{40}")
+_SHA256_DIGITS = 64
+_STORED_NAMES = {"repo_id": "repository", "metadata_files": "labels"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +91,7 @@ def verify(
     IntegrityError
         The manifest, or the record of the download, is damaged.
     """
-    manifest = pending.manifest_so_far(folder)
+    manifest = job.manifest_so_far(folder)
     shards: dict[str, ShardRecord] = {}
     if manifest is None:
         files, findings, reference = _downloaded_files(folder)
@@ -80,7 +100,7 @@ def verify(
         files, reference = _recorded_files(folder, manifest), MANIFEST_FILE
         findings = _incomplete(folder, manifest)
 
-    def announced() -> Iterator[download_record.HubFile]:
+    def announced() -> Iterator[HubFile]:
         for path, file in files.items():
             on_file(path)
             yield file
@@ -98,30 +118,28 @@ def verify(
     return Verification(len(files), rows, size, tuple(findings), reference)
 
 
-def _recorded_files(folder: DataFolder, manifest: Manifest) -> dict[str, download_record.HubFile]:
+def _recorded_files(folder: DataFolder, manifest: Manifest) -> dict[str, HubFile]:
     """Return the files that a manifest lists, by path."""
-    files = {
-        each.file: download_record.HubFile(each.file, each.bytes, each.sha256) for each in manifest.shards
-    }
+    files = {each.file: HubFile(each.file, each.bytes, each.sha256) for each in manifest.shards}
     for path, sha256 in manifest.files.items():
         # Files for the Hub's page may be left out, as in a cache with only the rows; others may still arrive.
         is_required = manifest.complete and not path.startswith(f"{VIEWER_FOLDER}/")
         if is_required or folder.exists(path):
-            files[path] = download_record.HubFile(path, 0, sha256)
+            files[path] = HubFile(path, 0, sha256)
     return files
 
 
 def _downloaded_files(
     folder: DataFolder,
-) -> tuple[dict[str, download_record.HubFile], list[Finding], str]:
+) -> tuple[dict[str, HubFile], list[Finding], str]:
     """Return the files that a download recorded, further files among the shards, and the commit."""
-    record = download_record.read_download_record(folder)
+    record = read_download_record(folder)
     if record is None:
         raise errors.InputError(
             folder.missing_message(f"{MANIFEST_FILE} and no record of a download"),
             next="give the folder of a generated or downloaded data set",
         )
-    findings = _unlisted(folder, record.files, download_record.RECORD_FILE)
+    findings = _unlisted(folder, record.files, RECORD_FILE)
     return record.files, findings, f"{record.repo_id} at {record.commit[:12]}"
 
 
@@ -137,7 +155,7 @@ def _check_file(
     folder: DataFolder,
     schema: pa.Schema | None,
     shards: Mapping[str, ShardRecord],
-    file: download_record.HubFile,
+    file: HubFile,
 ) -> _Checked:
     """Check the content of a file, and a shard also against its record and the schema."""
     path, address = file.path, folder.address(file.path)
@@ -189,13 +207,13 @@ def _incomplete(folder: DataFolder, manifest: Manifest) -> list[Finding]:
 
 def require_finished(folder: DataFolder) -> None:
     """Raise UnfinishedError if the run that makes a data set is under way or was interrupted."""
-    manifest = pending.manifest_so_far(folder)
+    manifest = job.manifest_so_far(folder)
     if manifest is not None and not manifest.complete:
         raise errors.UnfinishedError(f"{folder.address()!r} is {_not_finished(folder, manifest)}")
 
 
 def _not_finished(folder: DataFolder, manifest: Manifest) -> str:
-    record = download_record.read_download_record(folder)
+    record = read_download_record(folder)
     if record is not None:
         return f"not finished; next: download {record.repo_id} there again, it continues where it stopped"
     return f"not finished: {manifest.progress}; the same command continues"
@@ -215,18 +233,16 @@ def _unlisted(
 
 
 @contextlib.contextmanager
-def _intact(folder: DataFolder, file: download_record.HubFile) -> Iterator[IO[bytes]]:
+def _intact(folder: DataFolder, file: HubFile) -> Iterator[IO[bytes]]:
     """Open a file with this digest or size; IntegrityError states the problem of any other."""
     problem = folder.problem_of_file(file.path)
     if problem:
         raise errors.IntegrityError(problem)
     # A file of a store is fetched as a whole, because it is read twice.
     with folder.open(file.path) if folder.is_local else io.BytesIO(folder.read_bytes(file.path)) as stream:
-        found = None if file.digest is None else download_record.digest_like(stream, file.digest)
+        found = None if file.digest is None else digest_like(stream, file.digest)
         if found != file.digest:
-            raise errors.IntegrityError(
-                f"{download_record.digest_algorithm(str(found))} is {found}, expected {file.digest}"
-            )
+            raise errors.IntegrityError(f"{digest_algorithm(str(found))} is {found}, expected {file.digest}")
         size = stream.seek(0, io.SEEK_END)
         if file.digest is None and size != file.size_bytes:
             raise errors.IntegrityError(f"has {size:,} bytes, expected {file.size_bytes:,}")
@@ -251,3 +267,74 @@ def _repeated_ids(ids: Mapping[str, pa.Array | None]) -> Iterator[Finding]:
             first, such = first_files.get(repeated[0], path), wording.with_count(len(repeated), "such ids")
             yield Finding(path, f"id {repeated[0]!r} is not unique, it is also in {first} ({such})")
         first_files.update(dict.fromkeys(held, path))
+
+
+def digest_algorithm(digest: str) -> str:
+    """Return the algorithm of a digest, for messages."""
+    return "sha256" if len(digest) == _SHA256_DIGITS else "git-sha1"
+
+
+def digest_like(stream: IO[bytes], digest: str) -> str:
+    """Return the digest of an open file in hexadecimal, by the algorithm of another digest."""
+    if len(digest) == _SHA256_DIGITS:
+        found = hashlib.sha256()
+    else:  # git hashes a header with the size before the content
+        found = hashlib.sha1(b"blob %d\0" % stream.seek(0, io.SEEK_END), usedforsecurity=False)
+    stream.seek(0)
+    hashlib.file_digest(stream, lambda: found)  # type: ignore[arg-type]
+    return found.hexdigest()
+
+
+def has_digest(path: Path, digest: str) -> bool:
+    """Return whether a local file has a digest; all of it is read."""
+    with open_regular(path) as stream:
+        return digest_like(stream, digest) == digest
+
+
+class HubFile(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A file of a repository; ``digest`` is None if only a cached copy without a digest is known."""
+
+    path: str = ""
+    size_bytes: Count = msgspec.field(name="bytes", default=0)
+    digest: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.digest is not None and not DIGEST.fullmatch(self.digest):
+            raise ValueError(f"{self.digest[:80]!r} is not a digest in hexadecimal digits")
+
+
+class DownloadRecord(msgspec.Struct, frozen=True, rename=_STORED_NAMES):
+    """Origin of a downloaded folder.
+
+    ``revision`` is the requested branch or tag; ``files`` are those of the folder; ``splits`` are
+    all of the repository, downloaded or not; ``metadata_files`` states which of card and manifest the
+    repository has. ``finished`` is False during the download or after it was interrupted.
+    """
+
+    repo_id: str
+    commit: str
+    revision: str | None
+    files: dict[str, HubFile]
+    splits: tuple[str, ...]
+    metadata_files: tuple[str, ...]
+    finished: bool = True
+
+
+def read_download_record(folder: DataFolder) -> DownloadRecord | None:
+    """Read the record of a folder; None when it was not downloaded, IntegrityError when it is damaged."""
+    if not folder.exists(RECORD_FILE):
+        return None
+    where = folder.address(RECORD_FILE)
+    content = folder.read_bytes(RECORD_FILE)
+    record = decode(content, DownloadRecord, where)
+    require_seal(content, where)
+    names_inside((*record.files, *record.metadata_files), repr(where))
+    files = {path: msgspec.structs.replace(file, path=path) for path, file in record.files.items()}
+    return msgspec.structs.replace(record, files=files)
+
+
+def write_download_record(folder: DataFolder, record: DownloadRecord) -> None:
+    """Write the record of a folder in one step."""
+    files = {path: msgspec.structs.replace(file, path="") for path, file in sorted(record.files.items())}
+    content = msgspec.json.encode(msgspec.structs.replace(record, files=files))
+    folder.write_bytes(RECORD_FILE, seal(f"{msgspec.json.format(content.decode(), indent=1)}\n").encode())

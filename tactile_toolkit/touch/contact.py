@@ -5,7 +5,7 @@ from __future__ import annotations
 from tactile_toolkit.checked_fields import Declared, real, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonValue
-from tactile_toolkit.parsed_text import is_count
+from tactile_toolkit.wording import is_count
 
 CELL_M = (0.12, 0.12)
 """Size of the cell in which objects are touched, along x and y, metres (package tactile-mnist 0.13.0)."""

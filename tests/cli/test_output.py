@@ -12,8 +12,7 @@ import pytest
 
 from cli.nested_values import flat_lines
 from cli.output import Sink
-from tactile_toolkit.quantities import BYTES, bytes_text, duration_text, rate_text
-from tactile_toolkit.wording import did_you_mean
+from tactile_toolkit.wording import BYTES, bytes_text, did_you_mean, duration_text, rate_text
 
 fcntl = pytest.importorskip("fcntl")
 pty = pytest.importorskip("pty")

@@ -14,7 +14,7 @@ from PIL import Image
 from mnist3d.sources import NO_WRITER, DigitSource
 from mnist3d.sources.picture_folder import FolderSource
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.parsed_text import natural_key
+from tactile_toolkit.wording import natural_key
 from tests.jpegs import jpeg_of_scans
 from tests.mnist3d.sources import refusal
 from tests.real_input import SHARED, needs_shared

@@ -13,7 +13,7 @@ from realtouch.extras import array_with_gaps
 from realtouch.importing.cuts import Cutter
 from realtouch.importing.found_touches import FoundTouches, PicturePlace, one_chunk
 from realtouch.importing.recordings import Recording
-from tactile_toolkit import column_types
+from tactile_toolkit.columns import column_types
 
 
 @dataclass(frozen=True)

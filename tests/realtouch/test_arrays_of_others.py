@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import realtouch
-from realtouch.exchange.zarr_groups import ZarrWriter
+from realtouch.formats.zarr_groups import ZarrWriter
 from tactile_toolkit.errors import InputError
 from tests.command_line import call
 

@@ -86,7 +86,7 @@ def test_images_whose_names_cannot_be_used_are_listed(tmp_path: Path) -> None:
 
 
 def test_the_number_of_images_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("realtouch.exchange.folder_import._MAX_IMAGES", 2)
+    monkeypatch.setattr("realtouch.formats.folder_import._MAX_IMAGES", 2)
     home = images(tmp_path / "home", "a.png", "b.png", "c.png")
     with pytest.raises(InputError, match="more than 2 images"):
         realtouch.import_touches(home, tmp_path / "out", "folder")

@@ -17,7 +17,7 @@ import pytest
 from PIL import Image
 
 import realtouch
-from realtouch.exchange.zarr_groups import ZarrWriter
+from realtouch.formats.zarr_groups import ZarrWriter
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
 from tests.command_line import call
 from tests.realtouch import factories
@@ -117,7 +117,7 @@ def test_diffusion_policy_reads_the_replay_buffer(
     source: Path, tmp_path: Path, small_shards: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Read like ``ReplayBuffer.copy_from_path``: all arrays of data are as long as the last end states."""
-    monkeypatch.setattr("realtouch.exchange.zarr_groups.CHUNK_BYTES", 4 * 72 * 96 * 3)
+    monkeypatch.setattr("realtouch.formats.zarr_groups.CHUNK_BYTES", 4 * 72 * 96 * 3)
     realtouch.export(source, tmp_path, "replay", split="train")
     with zipfile.ZipFile(tmp_path / "replay" / "touches.zarr.zip") as group:
         for path in ("", "data/", "meta/"):

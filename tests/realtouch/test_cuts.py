@@ -219,7 +219,7 @@ def test_lines_that_cannot_be_cut_are_problems_of_their_touches(tmp_path: Path) 
         "a,,1",
         "b,0,1",
         "c,0,1",
-        "d,0,1,2",
+        "d,0,1",
     ]
     path = table(tmp_path, "recording,start_s,end_s\n" + "\n".join(lines) + "\n")
     found = cut([plain(name="a"), plain(name="b", time_s=None), plain(name="e")], path)

@@ -16,9 +16,9 @@ import pytest
 from PIL import Image
 
 import realtouch
-from realtouch.exchange.lerobot_import import find_lerobot
-from realtouch.exchange.oxt import find_oxt
-from realtouch.exchange.replay import find_replay
+from realtouch.formats.lerobot_import import find_lerobot
+from realtouch.formats.oxt import find_oxt
+from realtouch.formats.replay import find_replay
 from realtouch.importing.recordings import Recording
 from tactile_toolkit import store
 from tactile_toolkit.errors import IntegrityError

@@ -16,7 +16,7 @@ import pytest
 
 import realtouch
 from realtouch.convert import shard_tasks
-from realtouch.exchange import lerobot_info, touch_rows
+from realtouch.formats import lerobot_info, touch_rows
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.run import Part
 from tactile_toolkit.touch import decode_image

@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from realtouch.exchange.flat import find_flat
+from realtouch.formats.flat import find_flat
 from realtouch.importing.formats import IMPORTS
 from realtouch.importing.found_touches import FoundTouches
 from tactile_toolkit import read, store

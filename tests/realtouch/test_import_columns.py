@@ -21,7 +21,7 @@ from realtouch.importing import fields, formats, imported_clips
 from realtouch.importing.extra_columns import extra_arrays, extra_types
 from realtouch.importing.found_touches import FoundTouches, PicturePlace
 from realtouch.importing.recordings import Recording, touches_of
-from tactile_toolkit import column_types
+from tactile_toolkit.columns import column_types
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.touch import encode_image
 from tests.command_line import call

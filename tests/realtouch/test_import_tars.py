@@ -12,7 +12,7 @@ import pytest
 from hypothesis import assume, given, settings, strategies as st
 
 import realtouch
-from realtouch.exchange.webdataset import tar_of
+from realtouch.formats.webdataset import tar_of
 from realtouch.tars import _Header
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.store import Progress

@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from realtouch.exchange.lerobot_import import describe_conversion, find_lerobot
+from realtouch.formats.lerobot_import import describe_conversion, find_lerobot
 from realtouch.importing.formats import IMPORTS
 from realtouch.importing.found_touches import FoundTouches
 from realtouch.importing.recordings import Recording, touches_of

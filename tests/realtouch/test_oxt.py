@@ -84,7 +84,7 @@ def test_exports_follow_the_specification(
     source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Opened as by the loader of FTP-1, with zarr: a row for each frame, four members of each group."""
-    monkeypatch.setattr("realtouch.exchange.zarr_groups.CHUNK_BYTES", 4 * 72 * 96 * 3)
+    monkeypatch.setattr("realtouch.formats.zarr_groups.CHUNK_BYTES", 4 * 72 * 96 * 3)
     realtouch.export(source, tmp_path / "a", "oxt", split="train")
     path = tmp_path / "a" / "oxt" / "touches.zarr.zip"
     with zipfile.ZipFile(path) as archive:

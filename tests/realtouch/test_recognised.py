@@ -9,7 +9,7 @@ from typing import get_args
 import pytest
 
 import realtouch
-from realtouch.exchange.exporting import ExportLayout
+from realtouch.formats.exporting import ExportLayout
 from realtouch.importing.formats import IMPORTS
 from realtouch.importing.recognised import recognised
 from realtouch.touch_options import IMPORT_LAYOUTS

@@ -15,7 +15,7 @@ import pytest
 
 import realtouch
 from realtouch.avi import Avi
-from realtouch.exchange.video_import import describe_conversion, find_video
+from realtouch.formats.video_import import describe_conversion, find_video
 from realtouch.importing.formats import IMPORTS
 from realtouch.importing.recordings import Recording, touches_of
 from realtouch.video import open_video, pictures_of_video

@@ -6,10 +6,9 @@ import math
 
 from hypothesis import strategies as st
 
-from starstruck_gen.placement import Placement
-from starstruck_gen.scene_spec import SceneSpec
-from starstruck_gen.shape_kinds import KINDS, STAR, Crescent, Cross, Disc, Ring, Star
-from starstruck_gen.shapes import Shape
+from starstruck_gen.sampling import SceneSpec
+from starstruck_gen.scene import Placement
+from starstruck_gen.shapes import KINDS, STAR, Crescent, Cross, Disc, Ring, Shape, Star
 
 names = st.sampled_from(sorted(KINDS))
 radii_m = st.floats(0.002, 0.012)

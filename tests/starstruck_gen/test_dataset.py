@@ -10,13 +10,10 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, strategies as st
 
-from starstruck_gen.rejection import sample_scene
+from starstruck_gen.sampling import SceneSpec, sample_scene, scene_rng
 from starstruck_gen.scene import Scene
-from starstruck_gen.scene_dataset import SceneMeshDataset, SceneRecord, load
+from starstruck_gen.scene_dataset import SceneDataset, SceneMeshDataset, SceneRecord, load
 from starstruck_gen.scene_generation import SceneSetSpec, generate
-from starstruck_gen.scene_seeds import scene_rng
-from starstruck_gen.scene_spec import SceneSpec
-from starstruck_gen.scenes_on_the_fly import SceneDataset
 from tactile_toolkit.errors import InputError
 
 

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 import starstruck_gen
-from starstruck_gen.scene_previews import plan_gallery
+from starstruck_gen.scene_card import plan_gallery
 from tactile_toolkit.catalog import RowFilter
 from tactile_toolkit.gallery import build_site
 from tests.gallery_browser import browser, opened

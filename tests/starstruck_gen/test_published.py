@@ -8,9 +8,9 @@ from scipy import stats
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from starstruck_gen.prisms import prism
+from starstruck_gen.scene_dataset import SceneDataset
 from starstruck_gen.scene_generation import SceneSetSpec, generate
-from starstruck_gen.scenes_on_the_fly import SceneDataset
+from starstruck_gen.shapes import prism
 
 # Imports of the package warn about code of others.
 pytestmark = [pytest.mark.oracle, pytest.mark.filterwarnings("ignore")]

@@ -11,18 +11,21 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy import stats
 
-from starstruck_gen.placement import Placement, circles_clear, outlines_clear
-from starstruck_gen.rejection import (
+from starstruck_gen.sampling import (
+    SPLITS,
     SamplingExhausted,
+    SceneSpec,
+    SceneStreams,
     is_infeasible,
     require_feasible,
     sample_scene,
     sample_scenes,
+    scene_id,
+    scene_rng,
+    scene_seed,
 )
-from starstruck_gen.scene_seeds import SPLITS, SceneStreams, scene_id, scene_rng, scene_seed
-from starstruck_gen.scene_spec import SceneSpec
-from starstruck_gen.shape_kinds import KINDS
-from starstruck_gen.shapes import Shape
+from starstruck_gen.scene import Placement, circles_clear, outlines_clear
+from starstruck_gen.shapes import KINDS, Shape
 from tactile_toolkit.errors import InputError
 from tests.starstruck_gen.strategies import specs
 

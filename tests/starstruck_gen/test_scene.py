@@ -6,12 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from starstruck_gen.placement import Placement
-from starstruck_gen.prisms import prism
-from starstruck_gen.rejection import sample_scenes
-from starstruck_gen.scene import Scene
-from starstruck_gen.scene_meshes import build_meshes
-from starstruck_gen.scene_spec import SceneSpec
+from starstruck_gen.sampling import SceneSpec, sample_scenes
+from starstruck_gen.scene import Placement, Scene, build_meshes
+from starstruck_gen.shapes import prism
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import check_manifold
 from tests.starstruck_gen.strategies import placements, specs

@@ -10,13 +10,10 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from starstruck_gen.prisms import prism
+from starstruck_gen.sampling import SceneSpec
 from starstruck_gen.scene_checks import check_scene
-from starstruck_gen.scene_generation import make_rows
-from starstruck_gen.scene_rows import scene_schema
-from starstruck_gen.scene_spec import SceneSpec
-from starstruck_gen.shape_kinds import KINDS, Crescent, Cross, Disc, Ring, Star
-from starstruck_gen.shapes import Shape, outline
+from starstruck_gen.scene_generation import make_rows, scene_schema
+from starstruck_gen.shapes import KINDS, Crescent, Cross, Disc, Ring, Shape, Star, outline, prism
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh, check_manifold
 from tactile_toolkit.rows import table_of
@@ -97,9 +94,7 @@ def test_unusable_radius_is_refused(radius_m):
     ],
 )
 def test_outline_that_bounds_no_area_is_refused(monkeypatch, ring, reason):
-    from starstruck_gen import prisms
-
-    monkeypatch.setattr(prisms, "outline", lambda _: (np.array(ring, dtype=float),))
+    monkeypatch.setattr("starstruck_gen.shapes.outline", lambda _: (np.array(ring, dtype=float),))
     with pytest.raises(InputError, match=reason):
         prism.__wrapped__("wrong")
 

@@ -8,12 +8,10 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
 
+from starstruck_gen.sampling import SceneSpec
 from starstruck_gen.scene_checks import validate_folder
-from starstruck_gen.scene_generation import make_rows
-from starstruck_gen.scene_rows import scene_schema
-from starstruck_gen.scene_spec import SceneSpec
-from starstruck_gen.shape_kinds import Disc
-from starstruck_gen.shapes import Shape
+from starstruck_gen.scene_generation import make_rows, scene_schema
+from starstruck_gen.shapes import Disc, Shape
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.rows import table_of
 from tests.starstruck_gen.strategies import specs

@@ -8,13 +8,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from starstruck_gen.placement import Placement
+from starstruck_gen.sampling import SceneSpec
+from starstruck_gen.scene import Placement, build_meshes
 from starstruck_gen.scene_checks import check_scene, validate_folder
 from starstruck_gen.scene_dataset import load
-from starstruck_gen.scene_generation import make_rows
-from starstruck_gen.scene_meshes import build_meshes
-from starstruck_gen.scene_rows import scene_schema
-from starstruck_gen.scene_spec import SceneSpec
+from starstruck_gen.scene_generation import make_rows, scene_schema
 from tactile_toolkit.mesh import Mesh, check_manifold
 from tactile_toolkit.rows import table_of
 

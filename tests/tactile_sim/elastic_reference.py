@@ -11,7 +11,7 @@ import math
 import numpy as np
 from scipy.fft import irfft2, next_fast_len, rfft2
 
-from tactile_sim import elastic_layer
+from tactile_sim.elastic import layer
 
 PARITY = {"zz": (1, 1), "xx": (1, 1), "yy": (1, 1), "xy": (-1, -1), "xz": (1, -1), "yz": (-1, 1)}
 PASSES, MOST_STEPS = 6, 400
@@ -33,9 +33,7 @@ class PlainSolver:
     def __init__(self, shape, pixel_m, gel, thickness_m):
         self.shape, self.gel = shape, gel
         self.area_m2 = pixel_m[0] * pixel_m[1]
-        kernels = elastic_layer.pixel_kernels(
-            shape, pixel_m, gel.shear_modulus_pa, gel.poisson_ratio, thickness_m
-        )
+        kernels = layer.pixel_kernels(shape, pixel_m, gel.shear_modulus_pa, gel.poisson_ratio, thickness_m)
         self.padded = tuple(next_fast_len(2 * count - 1, True) for count in shape)
         self.own = float(kernels["xx"][0, 0] + kernels["yy"][0, 0]) / 2
         self.spectra = {}

@@ -15,7 +15,7 @@ from unittest.mock import patch
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_sim import optics, taxim, taxim_kernels
+from tactile_sim import optics, taxim
 from tactile_sim.sensor import center_view
 
 _WIDTH, _HEIGHT, _PIXEL_MM = 24, 18, 0.4
@@ -72,25 +72,6 @@ def pictures(package: Path) -> NDArray[np.float32]:
                 cached.cache_clear()
 
 
-def plain_weigh_pixels(out, at, source, middle, step, weights, kept, kept_at):
-    """Do what the kernel of this name does."""
-    lanes = slice(middle, middle + taxim_kernels.LANES)
-    total = weights[0] * source[lanes]
-    for tap in range(1, len(weights)):
-        far = tap * step
-        total += weights[tap] * (source[middle - far :][: len(total)] + source[middle + far :][: len(total)])
-    stays = np.zeros(len(total), bool) if kept is None else kept.ravel()[kept_at : kept_at + len(total)]
-    np.copyto(out[at : at + len(total)], total, where=~stays)
-
-
-def plain_colour_pixel(out, at, tables, first, x, y):
-    """Do what the kernel of this name does."""
-    for colour in range(4):
-        c = tables[first + colour :: 3]
-        squares = (x * x * c[0] + y * y * c[1]) + x * y * c[2]
-        out[at + colour] = ((squares + x * c[3]) + y * c[4]) + c[5]
-
-
 def sums(shades: NDArray[Any]) -> list[float]:
     """Return a sum for each row and colour, weighted by column so that exchanged columns are noticed."""
     return (
@@ -104,5 +85,4 @@ def sums(shades: NDArray[Any]) -> list[float]:
 
 
 if __name__ == "__main__":
-    taxim_kernels.weigh_pixels, taxim_kernels.colour_pixel = plain_weigh_pixels, plain_colour_pixel
     sys.stdout.buffer.write(pictures(Path(sys.argv[1])).tobytes())

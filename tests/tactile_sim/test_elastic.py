@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 import tactile_sim
-from tactile_sim import elastic, elastic_layer
+from tactile_sim.elastic import contact as contacts, layer
 from tactile_toolkit.errors import InputError
 from tests.tactile_sim import elastic_formulas as formulas
 from tests.tactile_sim.elastic_bodies import (
@@ -124,21 +124,19 @@ def test_punch_on_a_thin_incompressible_layer_acts_like_a_wider_one():
 
 @given(st.floats(0.05, 8), st.sampled_from([0.0, 0.3, 0.45, 0.49, 0.4999]))
 def test_response_of_the_layer_solves_its_equations_over_depth(wave, poisson_ratio):
-    z, a, n, b = (
-        wave * float(each[0]) for each in elastic_layer.layer_response(np.array([wave]), poisson_ratio)
-    )
+    z, a, n, b = (wave * float(each[0]) for each in layer.layer_response(np.array([wave]), poisson_ratio))
     assert np.abs(formulas.layer_waves(wave, poisson_ratio) - [z, a, n, n, b]).max() < 1e-9
 
 
 def test_thick_layer_is_a_half_space():
     for poisson_ratio in (0.0, 0.3, 0.5):
-        thick = elastic_layer.layer_response(np.array([40.0]), poisson_ratio)
+        thick = layer.layer_response(np.array([40.0]), poisson_ratio)
         limits = (1 - poisson_ratio, 1 - poisson_ratio, (1 - 2 * poisson_ratio) / 2, 1.0)
         np.testing.assert_allclose(40 * np.ravel(thick), limits, atol=1e-15)
     shape, pixel_m = (20, 30), (2e-4, 1e-4)
-    near = elastic_layer.pixel_kernels(shape, pixel_m, 1.0, 0.49, math.inf)
-    far = elastic_layer.pixel_kernels(shape, pixel_m, 1.0, 0.49, 10.0)
-    for name in elastic_layer.NAMES:
+    near = layer.pixel_kernels(shape, pixel_m, 1.0, 0.49, math.inf)
+    far = layer.pixel_kernels(shape, pixel_m, 1.0, 0.49, 10.0)
+    for name in layer.NAMES:
         assert np.abs(near[name] - far[name]).max() < 1e-3 * np.abs(near["zz"]).max()
 
 
@@ -168,7 +166,7 @@ def response_to_smooth_load(poisson_ratio, count=64, width_m=2e-3):
 
 
 def waves_of(waves, poisson_ratio):
-    return elastic_layer.layer_response(np.maximum(waves, 1e-3), poisson_ratio)
+    return layer.layer_response(np.maximum(waves, 1e-3), poisson_ratio)
 
 
 @pytest.mark.parametrize("poisson_ratio", [0.3, 0.49])
@@ -360,7 +358,7 @@ def test_blocks_of_pixels_are_near_the_whole():
 
 def test_large_images_are_solved_on_blocks():
     sizes = {(64, 86): 1, (64, 64): 1, (240, 320): 4, (480, 640): 8, (96, 101): 1, (101, 103): 1, (97, 97): 1}
-    assert {size: elastic.block_px(*size) for size in sizes} == sizes
+    assert {size: contacts.block_px(*size) for size in sizes} == sizes
 
 
 def test_reciprocity_of_single_loads():
@@ -435,7 +433,7 @@ def test_a_gel_states_its_limits():
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 3), (13, 14), (5, 40)], ids=str)
 def test_results_of_small_windows_turn_with_them(shape):
-    """Fields are padded to 32 columns, more than the transforms of few columns have."""
+    """A stencil reaches over three pixels, more than some windows have."""
     height_m = 1e-3 * np.random.default_rng(3).random(shape)
     keywords = {"thickness_m": LAYER_M, "force_n": 1.0, "twist_rad": 0.02}
     one = tactile_sim.solve_contact(height_m, 1e-3, tactile_sim.Gel(), slide_m=(1e-4, 2e-4), **keywords)

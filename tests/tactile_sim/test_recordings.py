@@ -125,7 +125,7 @@ def test_images_alone_have_no_poses_and_one_solid_needs_no_name(folder: Path, re
         ("file,object,x_m\n0000.png,0,far\n", r"line 2: x_m is 'far'; expected a number"),
         ('file,object,x_m\n0000.png,0,"1,234"\n', r"line 2: x_m is '1,234'; expected a number"),
         ("file,object,x_m\n0000.png,0,1_0\n", r"line 2: x_m is '1_0'; expected a number"),
-        ("file,object,x_m\n0000.png,0,inf\n", r"line 2: x_m is 'inf'; expected a number"),
+        ("file,object,x_m\n0000.png,0,inf\n", r"line 2: x_m is inf; expected a number"),
         ("file,object\n0000.png,1.5\n", r"line 2: object is 1\.5; expected the id of a solid"),
         ("image,object\n0000.png,0\n", "expected file, and of each touch object"),
         ("file,object\n0000.png,9\n", "solids 9 were touched"),

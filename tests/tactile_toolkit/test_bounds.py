@@ -18,7 +18,7 @@ import pytest
 
 from mnist3d.sources.hwdplus import open_npy
 from mnist3d.sources.mnist import IMAGES_MAGIC, read_idx
-from tactile_toolkit.bounds import UNPACKED_VARIABLE, require_unpackable
+from tactile_toolkit.cache import UNPACKED_VARIABLE, require_unpackable
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import BuildItem, Mesh, read_mesh, write_build
 from tactile_toolkit.read import Shard, ShardedTable

@@ -14,7 +14,7 @@ import pytest
 
 _CALLEE = """
 from typing import NamedTuple
-from tactile_toolkit.compiled import compiled
+from tactile_toolkit.kernels import compiled
 
 class Shift{added}(NamedTuple):
     x: int
@@ -30,14 +30,14 @@ def part(x):
     return x + {added}
 """
 _CALLER = """
-from tactile_toolkit import compiled
+from tactile_toolkit import kernels
 from made_up_kernels import callee as parts
 
-@compiled.planned("(int64,)")
+@kernels.planned("(int64,)")
 def first(x):
     return parts.part(x) * 2
 
-@compiled.planned("(int64,)")
+@kernels.planned("(int64,)")
 def second(x):
     return x - 1
 """
@@ -104,7 +104,7 @@ def first_is_busy(tmp_path: Path) -> Iterator[Path]:
 def test_a_planned_kernel_that_another_process_compiles_is_left_to_it(first_is_busy: Path) -> None:
     code = """
         from tactile_toolkit import compiled
-        compiled.prepare("made_up_kernels.caller")
+        kernels.prepare("made_up_kernels.caller")
         from made_up_kernels import caller
         print(len(caller.first.signatures), caller.second.signatures)
         """
@@ -117,7 +117,7 @@ def test_planned_kernels_are_ready_and_are_those_of_the_first_call(tmp_path: Pat
     write_kernels(tmp_path, 1)
     code = """
         from tactile_toolkit import compiled
-        compiled.prepare("made_up_kernels.caller")
+        kernels.prepare("made_up_kernels.caller")
         from made_up_kernels import caller
         print(caller.first.signatures, caller.first(3), len(caller.first.signatures))
         """

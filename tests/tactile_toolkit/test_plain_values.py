@@ -6,7 +6,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from tactile_toolkit.builtin_values import to_builtin, to_builtin_number, to_builtin_pairs
+from tactile_toolkit.checked_fields import to_builtin, to_builtin_number, to_builtin_pairs
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from cli.output import Sink
 from tactile_toolkit.cards.card import column_type_text, markdown_table
 from tactile_toolkit.cards.yaml_head import head_text, yaml_features
 from tactile_toolkit.errors import InputError, ItemError, UnfinishedError
-from tactile_toolkit.shown_text import markdown_code, markdown_text, printable, printable_json
+from tactile_toolkit.wording import markdown_code, markdown_text, printable, printable_json
 
 WILD = [
     "[/b0]",

@@ -13,8 +13,8 @@ from cli.options import process_count
 from tactile_toolkit import cache
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.run import ProcessRunner
+from tactile_toolkit.run.this_process import usable_cores
 from tactile_toolkit.store import open_folder
-from tactile_toolkit.system import usable_cores
 
 
 def test_workers_follow_the_cores_that_the_process_may_use(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -27,7 +27,7 @@ import mnist3d.digit_previews
 import realtouch
 import realtouch.touch_previews
 import starstruck_gen
-import starstruck_gen.scene_previews
+import starstruck_gen.scene_card
 from mnist3d.digit_options import DigitPreviewSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from realtouch.touch_options import TouchPreviewSpec
@@ -35,7 +35,7 @@ from tactile_sim import make_pairs
 from tactile_toolkit.catalog import PreviewSpec
 from tactile_toolkit.errors import MissingExtraError
 from tactile_toolkit.printing import PlateSpec, arrange
-from tactile_toolkit.printing.plate_map import draw_map
+from tactile_toolkit.printing.plate_layouts import draw_map
 from tests.env_assets.factories import write_assets
 from tests.notebooks.running import main as record_notebooks
 from tests.realtouch.factories import make_round, seq_rows, single_rows, write_set
@@ -160,7 +160,7 @@ def styles() -> dict[str, str]:
     """Return the storage layouts of digits and scenes, which decide the bytes of sets of any size."""
     return {
         rows.partition(".")[0]: repr(import_module(rows).PARQUET_STYLE)
-        for rows in ("mnist3d.digit_rows", "starstruck_gen.scene_rows")
+        for rows in ("mnist3d.digit_rows", "starstruck_gen.scene_generation")
     }
 
 
@@ -170,9 +170,7 @@ def pictures(sets: Path) -> dict[str, str]:
         mnist3d.digit_previews.plan_previews(
             str(sets / "coarse"), DigitPreviewSpec(kinds=("sheet", "steps"), per_class=2)
         ),
-        starstruck_gen.scene_previews.plan_previews(
-            str(sets / "scenes"), PreviewSpec(split="test", per_class=2)
-        ),
+        starstruck_gen.scene_card.plan_previews(str(sets / "scenes"), PreviewSpec(split="test", per_class=2)),
         realtouch.touch_previews.plan_previews(str(sets / "clips"), TouchPreviewSpec(("grid", "overlay"))),
     )
     drawn = {planned.name: planned.draw() for plan in plans for planned in plan.pictures}

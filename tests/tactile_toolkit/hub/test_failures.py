@@ -10,9 +10,8 @@ from types import SimpleNamespace
 import pytest
 from huggingface_hub import constants
 
-from tactile_toolkit.errors import HubError, InputError
+from tactile_toolkit.errors import HubError, InputError, redact
 from tactile_toolkit.hub.calls import call_with_retry, failure_of, not_cached, page_of
-from tactile_toolkit.redaction import redact
 from tests.hub_server import HubServer, hub
 from tests.tactile_toolkit.hub.client import run_here, run_python, settings
 

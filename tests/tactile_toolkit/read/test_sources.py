@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import starstruck_gen
-from starstruck_gen.scenes_on_the_fly import MadeScenes
+from starstruck_gen.scene_dataset import MadeScenes
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.read import Row, RowSource, Shard, all_blocks
 from tests.realtouch import factories

@@ -12,7 +12,7 @@ import pytest
 import trimesh
 
 from tactile_toolkit.mesh import Mesh, inspect, write_mesh
-from tactile_toolkit.run import ProcessRunner, threads
+from tactile_toolkit.run import ProcessRunner, this_process
 from tactile_toolkit.store import build, open_folder
 from tests.tactile_toolkit.toy import toy_plan
 
@@ -38,10 +38,10 @@ for shard in open_place(sys.argv[1]).shards("train"):
 """,
     ),
     "report": (
-        "tactile_toolkit.store.reports",
+        "tactile_toolkit.store.parquet",
         """
 from tactile_toolkit.store import open_folder
-assert len(tactile_toolkit.store.reports.read_report(open_folder(sys.argv[1]), "reports/toy.parquet"))
+assert len(tactile_toolkit.store.parquet.read_report(open_folder(sys.argv[1]), "reports/toy.parquet"))
 """,
     ),
 }
@@ -129,5 +129,5 @@ def test_windows_limits_the_threads_of_manifold3d_and_restores_the_processors(
 
     monkeypatch.setattr(ctypes, "WinDLL", lambda name: Kernel32(), raising=False)
     monkeypatch.setattr(sys, "platform", "win32")
-    threads.limit_threads()
+    this_process.limit_threads()
     assert set_masks == ([allowed & -allowed, allowed] if allowed else [])

@@ -13,7 +13,7 @@ from hypothesis import given, strategies as st
 from tactile_toolkit.errors import InputError, IntegrityError, StorageError
 from tactile_toolkit.places import open_place
 from tactile_toolkit.store import build, is_hidden, names_inside, open_folder, problem_of_name, verify
-from tactile_toolkit.store.download_record import RECORD_FILE, read_download_record
+from tactile_toolkit.store.verification import RECORD_FILE, read_download_record
 from tests.sealed import sealed
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
 

@@ -10,8 +10,7 @@ import pytest
 from tactile_toolkit.errors import InputError, SpecMismatchError, StorageError
 from tactile_toolkit.run import Part, ProcessRunner, parse_part
 from tactile_toolkit.store import LocalFolder, build, open_folder, read_manifest, verify
-from tactile_toolkit.store.job import MissingPartsError, array_text
-from tactile_toolkit.store.pending import manifest_so_far
+from tactile_toolkit.store.job import MissingPartsError, array_text, manifest_so_far
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, make, toy_plan
 
 SHARDS = 6

@@ -11,8 +11,7 @@ import pytest
 
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.store import build, open_folder, parquet
-from tactile_toolkit.store.parquet import ParquetStyle
-from tactile_toolkit.store.reports import merge_reports, read_report
+from tactile_toolkit.store.parquet import ParquetStyle, merge_reports, read_report
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
 REPORT = "reports/toy.parquet"

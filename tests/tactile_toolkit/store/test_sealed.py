@@ -11,15 +11,15 @@ import pytest
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.run import Part
 from tactile_toolkit.store import MANIFEST_FILE, Manifest, build, open_folder, read_manifest
-from tactile_toolkit.store.download_record import (
+from tactile_toolkit.store.job import pending_records
+from tactile_toolkit.store.manifest import require_seal, seal
+from tactile_toolkit.store.verification import (
     RECORD_FILE,
     DownloadRecord,
     HubFile,
     read_download_record,
     write_download_record,
 )
-from tactile_toolkit.store.pending import pending_records
-from tactile_toolkit.store.sealed_json import require_seal, seal
 from tests.sealed import edit
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 

@@ -10,9 +10,8 @@ from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.store import ShardName, ShardRecord, Skipped, decode
 
 SKIPPED = (Skipped(3, "nine", "it ends"),)
-WHOLE = ShardRecord.of(
-    ShardName("train", 1, 3), 5, 7, "a" * 64, skipped=SKIPPED, statistics={"n": [1]}, unpacked_bytes=9
-).to_dict()
+SHARD = ShardName("train", 1, 3)
+WHOLE = ShardRecord(SHARD.data_path, "train", 5, 7, "a" * 64, None, SKIPPED, {"n": [1]}, 9).to_dict()
 
 
 def read(values: dict[str, object]) -> ShardRecord:

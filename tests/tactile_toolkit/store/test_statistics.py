@@ -7,7 +7,9 @@ from tactile_toolkit.store import Manifest, ShardName, ShardRecord, add_up
 
 
 def record(split, index, statistics, skipped=()):
-    return ShardRecord.of(ShardName(split, index, 2), 1, 10, "0" * 64, statistics=statistics, skipped=skipped)
+    return ShardRecord(
+        ShardName(split, index, 2).data_path, split, 1, 10, "0" * 64, None, skipped, statistics
+    )
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ import pytest
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.places import open_place
 from tactile_toolkit.store import MANIFEST_FILE, Manifest, build, open_folder, read_manifest, verify
-from tactile_toolkit.store.download_record import RECORD_FILE, read_download_record
+from tactile_toolkit.store.verification import RECORD_FILE, read_download_record
 from tests.sealed import sealed
 from tests.tactile_toolkit.toy import toy_plan
 

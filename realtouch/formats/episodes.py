@@ -1,0 +1,236 @@
+"""Episodes: all frames of a clip, or all single images of a round, numbered without gaps.
+
+Readers of such formats find episodes by their position. So no episode may be missing, and frames are counted
+before they are read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pyarrow as pa
+
+from realtouch import (
+    convert,
+    depth_maps,
+    poses,
+    sensor_images,
+    stored_images,
+    stored_round,
+    touch_clips,
+    touch_dataset,
+)
+from realtouch.formats.episode_extras import ExtraColumn, extra_columns_of
+from realtouch.schema import POSE_COLUMN
+from tactile_toolkit import errors, store
+from tactile_toolkit.array_types import AnyArray, Int64
+from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE
+
+IMAGE, STATE, ACTION, TIME = "observation.images.tactile", "observation.state", "action", "time_s"
+CONTACT = "in_contact"
+"""Column that marks the frames from the first to the last contact of a clip."""
+
+DEPTH = "observation.images.depth"
+"""Column of depth maps, for rounds of single images that have them."""
+
+_POSES = {kind: f"{name}.position" for kind, name in POSE_COLUMN.items()}
+
+_Episode = tuple[int | None, list[memoryview], dict[str, object]]
+"""The touch of a clip (None for all touches of a round), the images of the frames, and columns."""
+
+
+@dataclass(frozen=True)
+class Episodes:
+    """Step of the export: a round becomes the frames of its episodes, numbered within each episode.
+
+    ``split`` is the only split, ``size`` the size of all images (height, width), ``number`` the type of
+    poses. ``depth_of`` encodes the depth maps of a round, which must have that size; without it, they are
+    left out.
+    """
+
+    split: str
+    are_clips: bool
+    fps: int
+    size: tuple[int, int]
+    names: tuple[str, ...]
+    extras: tuple[ExtraColumn, ...]
+    number: pa.DataType
+    depth_of: Callable[[stored_round.StoredRound, tuple[int, int]], pa.Array] | None = None
+
+    @classmethod
+    def of(cls, source: convert.Source, choices: convert.Choices, what: str, number: pa.DataType) -> Episodes:
+        """Read the size of the first image of a split; all images must have this size.
+
+        Raises InputError for several splits, which the format ``what`` cannot hold, and for a split without
+        touches.
+        """
+        split, *others = choices
+        if others:
+            raise errors.InputError(
+                f"{source.name!r} has the splits {', '.join(choices)}; a {what} holds one",
+                next=f"add --split {split}",
+            )
+        row = next(
+            filter(stored_round.StoredRound.touch_total, stored_round.stored_rows(source.shards[split])), None
+        )
+        if row is None:
+            raise errors.InputError(
+                f"{source.name!r} has no touches in split {split!r}", next="choose another split"
+            )
+        are_clips, fps = source.kind == "seq", 1
+        if are_clips:
+            clip = touch_clips.TouchClip(row, 0)
+            fps, size = max(1, round(clip.fps)), clip.size
+        else:
+            size = sensor_images.SensorImages(row).size()
+        extras = extra_columns_of(source.shards[split])
+        return cls(split, are_clips, fps, size, source.class_names, extras, number)
+
+    def schema(self, source: pa.Schema) -> pa.Schema:
+        """Return the columns that the source can fill, and those of the index of episodes."""
+        wanted = {
+            "id": (pa.string(), ("id",)),
+            "round_id": (pa.string(), ("id",)),
+            "touch": (pa.int64(), ("sensor_video",)),
+            IMAGE: (MEDIA_TYPE, ("sensor_video", "sensor_image")),
+            STATE: (pa.list_(self.number, 7), tuple(_POSES.values())),
+            ACTION: (pa.list_(self.number, 2), ("pos_in_cell",)),
+            TIME: (pa.float64(), ("time_stamp_rel_seq",)),
+            CONTACT: (pa.bool_(), ("touch_start_time_rel",)),
+            "label": (pa.int64(), ("id",)),
+            "object_id": (pa.int64(), ("object_id",)),
+            "timestamp": (pa.float32(), ("id",)),
+            "frame_index": (pa.int64(), ("id",)),
+        }
+        if self.depth_of is not None:
+            wanted[DEPTH] = (MEDIA_TYPE, (depth_maps.DEPTH,))
+        extras = [pa.field(each.name, each.data_type) for each in self.extras]
+        return pa.schema([*convert.schema_of(source, wanted), *extras])
+
+    def apply(self, row: stored_round.StoredRound, choice: convert.RowChoice, split: str) -> convert.Made:
+        """Return all frames of a round."""
+        schema = self.schema(row.group.table.schema)
+        of_row: dict[str, object] = {"round_id": row.name(), "label": row.label_value(self.names)}
+        if row.has("object_id"):
+            of_row["object_id"] = row.integer("object_id")
+        tables = [schema.empty_table()]
+        read = self._clips if self.are_clips else self._round
+        for touch, images, columns in read(row):
+            count, start = len(images), f"{row.name()}_{touch or 0:03d}"
+            for number, image in enumerate(images):
+                self._require_size(row, number if touch is None else touch, image)
+            columns |= {name: [value] * count for name, value in (*of_row.items(), ("touch", touch))}
+            columns |= {each.name: each.of_frames(row, touch, count) for each in self.extras}
+            columns["id"] = names = [f"{start}_{frame:04d}" for frame in range(count)]
+            columns[IMAGE] = stored_images.image_column(images, names)
+            columns["frame_index"] = np.arange(count)
+            columns["timestamp"] = (np.arange(count) / self.fps).astype(np.float32)
+            tables.append(convert.table_of_columns(schema, columns))
+        return pa.concat_tables(tables), {}
+
+    def _round(self, row: stored_round.StoredRound) -> Iterator[_Episode]:
+        """Yield all touches of a round of single images as one episode; a round without touches has none."""
+        row.entries_of("sensor_image")
+        images, columns = sensor_images.SensorImages(row), dict[str, object]()
+        if not len(images):
+            return
+        if row.has_poses:
+            columns[STATE] = self._states(row.poses())
+        if row.has("pos_in_cell"):
+            columns[ACTION] = self._vectors(row.intended_positions())
+        if self.depth_of is not None and row.has(depth_maps.DEPTH):
+            columns[DEPTH] = self.depth_of(row, self.size)
+        yield None, list(map(images.encoded, range(len(images)))), columns
+
+    def _clips(self, row: stored_round.StoredRound) -> Iterator[_Episode]:
+        """Yield each clip of a round as an episode."""
+        for touch in range(row.touch_total()):
+            clip, columns, times_s = (
+                touch_clips.TouchClip(row, touch),
+                dict[str, object](),
+                row.stamps_s(touch),
+            )
+            frames = np.arange(len(clip))
+            if row.has_poses:
+                columns[STATE] = self._states(row.pose_sequences(touch)[0])
+            if row.has("pos_in_cell"):
+                columns[ACTION] = self._vectors(row.intended_positions()[np.full(len(clip), touch)])
+            if times_s is not None:
+                columns[TIME] = times_s[0]
+            if row.has("touch_start_time_rel"):
+                window = clip.contact_window
+                columns[CONTACT] = (frames >= window.start) & (frames < window.stop)
+            yield touch, list(map(clip.encoded, range(len(clip)))), columns
+
+    def _require_size(self, row: stored_round.StoredRound, touch: int, image: bytes | memoryview) -> None:
+        with row.naming(MEDIA_COLUMN[row.kind], touch):
+            height, width = stored_images.require_intact(image)
+        if (height, width) != self.size:
+            raise errors.InputError(
+                f"{row.path!r}, row {row.number}, touch {touch}: an image of {width} x {height} pixels; "
+                f"expected {self.size[1]} x {self.size[0]} as in the first touch: episodes have images of "
+                "one size",
+                next="make them alike with `realtouch resize`",
+            )
+
+    def _states(self, pose: poses.Poses) -> pa.Array:
+        return self._vectors(np.hstack([pose.position_m, pose.quaternion]))
+
+    def _vectors(self, values: AnyArray) -> pa.Array:
+        flat = np.ascontiguousarray(values, self.number.to_pandas_dtype()).reshape(-1)
+        return pa.FixedSizeListArray.from_arrays(pa.array(flat), values.shape[1])
+
+
+@dataclass(frozen=True)
+class EpisodeNumbers:
+    """Numbers of the first episode and frame of each shard, and the total numbers at the end."""
+
+    starts: Sequence[Sequence[int]] = field(repr=False)
+
+    @classmethod
+    def of(
+        cls, source: convert.Source, step: Episodes, chosen: Sequence[convert.RowChoice], rows_per_shard: int
+    ) -> EpisodeNumbers:
+        """Read the lengths of all rows; InputError for clips whose lengths are not stated."""
+        counts = _episode_lengths(source, step)[[each.row for each in chosen]]
+        ends = np.concatenate([np.zeros((1, 2), np.int64), np.cumsum(counts, axis=0)])
+        return cls(ends[[*range(0, len(chosen), rows_per_shard), len(chosen)]].tolist())
+
+    def of_shard(
+        self, shard: store.ShardName, found: Sequence[int], skipped: Sequence[store.Skipped]
+    ) -> Sequence[int]:
+        """Return the numbers of the first episode and frame of a shard with ``found`` episodes and frames.
+
+        Raises IntegrityError if the shard lacks rounds, or if its counts differ from the planned ones.
+        """
+        if skipped:
+            raise errors.IntegrityError(
+                f"{skipped[0].message}; episodes are numbered without gaps, so no episode can be left out; "
+                "nothing of this file was written",
+                next="leave the round out first (`realtouch select`)",
+            )
+        start, end = self.starts[shard.index : shard.index + 2]
+        if np.subtract(end, start).tolist() != found:
+            episodes, frames = found
+            raise errors.IntegrityError(
+                f"{shard}: {episodes:,} episodes of {frames:,} frames in all, other than "
+                "'video_length_frames' stated when the export was planned; nothing of this file was written",
+                next="run `realtouch verify` on the source",
+            )
+        return start
+
+
+def _episode_lengths(source: convert.Source, step: Episodes) -> Int64:
+    """Return the number of episodes and of frames of each row, shape (n, 2)."""
+    if not step.are_clips:
+        counts = touch_dataset.dataset_of(source.shards[step.split]).touch_counts
+        return np.column_stack([counts > 0, counts]).astype(np.int64)
+    found = []
+    for shard in source.shards[step.split]:
+        if "video_length_frames" not in shard.types:
+            raise errors.InputError(f"{shard.path!r} has no column 'video_length_frames'")
+        lengths = shard.read(columns=["video_length_frames"]).column(0).to_pylist()
+        found += [(len(each), sum(each)) for each in lengths]
+    return np.array(found, np.int64).reshape(-1, 2)

@@ -1,0 +1,236 @@
+"""Arrays from other programs: pictures with a channel axis, and columns with a row for each picture.
+
+Arrays of 8 bits are taken as they are. Every value of another array is checked before a picture is made: only
+values that 8 bits hold without loss are converted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+
+from realtouch import importing
+from tactile_toolkit import cache, errors, touch, wording
+from tactile_toolkit.array_types import AnyArray, Floating, UInt8
+
+_CHANNELS = (1, 3)
+_MAX_LEVEL = 255
+# Values may be multiples of one of these; the first that fits is taken.
+_DIVISORS = {"f": (1 / _MAX_LEVEL, 1.0), "u": (1.0, 257.0, 256.0), "i": (1.0, 257.0, 256.0)}
+_COMPRESSION = 8  # arrays of pictures may compress this many times better than other files
+_MAX_UNSTORED = 20_000  # pictures that may take almost no bytes
+_MIN_PICTURE_BYTES = 64
+_MIN_TOLERANCE = 1e-3  # levels; rounding errors of single precision
+_MAX_NUMBERS = 256  # for each picture in one array
+_LAST_CODE_POINT = 0x10FFFF
+_SURROGATES = (0xD800, 0xDFFF)
+
+
+@dataclass(frozen=True, eq=False)
+class StoredArray:
+    """An array of any format with checked metadata: numbers, or text of a fixed length.
+
+    ``block(n)`` reads ``step`` rows along the first axis from ``n * step`` on, or the remaining ones.
+    ``stored_bytes()`` returns the approximate size of the stored array in bytes.
+    """
+
+    place: str
+    shape: tuple[int, ...]
+    dtype: np.dtype[np.generic]
+    step: int
+    block: Callable[[int], AnyArray]
+    stored_bytes: Callable[[], int]
+
+    def refused(self, problem: str) -> errors.InputError:
+        """Return the error for an array that cannot be used."""
+        return errors.InputError(f"{self.place!r}: {problem}")
+
+    def blocks(self) -> Iterator[AnyArray]:
+        """Yield all rows, a block at a time."""
+        return map(self.block, range(-(-self.shape[0] // self.step)))
+
+    def rows(self) -> AnyArray:
+        """Return all rows."""
+        cache.require_unpackable(math.prod(self.shape) * self.dtype.itemsize, f"{self.place}: {self.shape}")
+        return np.concatenate([np.empty((0, *self.shape[1:]), self.dtype), *self.blocks()])
+
+
+@dataclass(frozen=True, eq=False)
+class PictureArray:
+    """Pictures along the first axis; values divided by ``divisor`` are levels from 0 to 255.
+
+    ``sensor`` is the index along the second axis, if the array has pictures of several sensors.
+    """
+
+    array: StoredArray
+    divisor: float = 1.0
+    sensor: int | None = None
+
+    @classmethod
+    def of(cls, array: StoredArray, sensor: int | None = None) -> PictureArray:
+        """Check an array; InputError unless it holds pictures that 8 bits can hold."""
+        pictures, stored = cls(array, sensor=sensor), array.stored_bytes()
+        count = math.prod(array.shape)
+        cache.require_unpackable(
+            count * array.dtype.itemsize,
+            f"{array.place}: {array.shape}, {array.dtype},",
+            _COMPRESSION * stored,
+        )
+        if not count or len(pictures.shape) != 4 or pictures.shape[3] not in _CHANNELS:
+            raise array.refused(
+                f"an array {array.shape}; expected pictures of 1 or 3 channels, first or last"
+            )
+        if array.dtype.kind not in _DIVISORS:
+            raise array.refused(f"pictures of type {array.dtype}; expected numbers from 0 to 255")
+        most = _MAX_UNSTORED + stored // _MIN_PICTURE_BYTES
+        if len(pictures) > most:  # each takes time, even if it takes no bytes
+            raise array.refused(
+                f"{wording.with_count(len(pictures), 'pictures')} in {stored:,} bytes; expected at most "
+                f"{most:,}"
+            )
+        if array.dtype == np.uint8:
+            return pictures
+        return cls(array, pictures._lossless_divisor(), sensor)
+
+    def __len__(self) -> int:
+        return self.array.shape[0]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of pictures, height, width and channels, as far as there are such axes."""
+        return self._upright(np.broadcast_to(np.uint8(0), self.array.shape)).shape
+
+    def _upright(self, values: AnyArray) -> AnyArray:
+        """Return the pictures of the sensor, with their channels last."""
+        if self.sensor is not None:
+            values = values[:, self.sensor]
+        if values.ndim == 3:
+            values = values[..., None]
+        if values.ndim == 4 and values.shape[3] not in _CHANNELS and values.shape[1] in _CHANNELS:
+            values = np.moveaxis(values, 1, -1)
+        return values
+
+    def pixels(self, number: int) -> UInt8:
+        """Return the pictures of a block of the array, shape (n, H, W, 3); uint8."""
+        found = self._upright(self.array.block(number))
+        if found.dtype != np.uint8:
+            found = np.rint(found / self.divisor).astype(np.uint8)
+        return found.repeat(3 // found.shape[3], axis=3)
+
+    def described(self) -> str:
+        """Return how the pictures are converted; empty if they are taken as they are."""
+        axes = len(self.array.shape) - (self.sensor is not None)
+        top = self.divisor * _MAX_LEVEL
+        applies = {
+            "channels first": axes == 4 and self.array.shape[-1] not in _CHANNELS,
+            "one channel": self.shape[3] == 1,
+            f"{self.array.dtype} from 0 to {top:g}, taken as levels from 0 to {_MAX_LEVEL}": (
+                self.array.dtype != np.uint8
+            ),
+        }
+        words = [text for text, is_so in applies.items() if is_so]
+        return ", ".join([*words, "without loss"]) if words else ""
+
+    def _lossless_divisor(self) -> float:
+        """Return a number of which all values are multiples; InputError if 8 bits would lose some."""
+        dtype, tolerance = self.array.dtype, _MIN_TOLERANCE
+        if dtype.kind == "f":
+            tolerance = max(tolerance, float(np.finfo(dtype.name).eps) * _MAX_LEVEL)
+        fitting = list(_DIVISORS[dtype.kind])
+        low, high = math.inf, -math.inf
+        for values in map(self._upright, self.array.blocks()):
+            low, high = np.minimum(low, values.min()), np.maximum(high, values.max())
+            fitting = [each for each in fitting if _fits(values / each, tolerance)]
+            if not fitting:
+                raise self.array.refused(
+                    f"pictures of type {dtype}, values from {low:g} to {high:g}; expected levels that 8 bits "
+                    "hold without loss: integers from 0 to 255, floats from 0 to 1 or 0 to 255 made of them, "
+                    "or 16 bits that are multiples of 256 or 257",
+                )
+        return fitting[0]
+
+
+def _fits(levels: Floating, tolerance: float) -> bool:
+    """Return whether values are integers from 0 to 255, within a tolerance; False for NaN."""
+    nearest = np.rint(levels)
+    inside = (nearest >= 0) & (nearest <= _MAX_LEVEL)
+    return bool((inside & (np.abs(levels - nearest) <= tolerance)).all())
+
+
+OpenPictures = Callable[[str, str, str], PictureArray]
+"""Opens the array with the pictures of a touch, given its ``home``, ``path`` and ``part``."""
+
+
+def read_pictures(
+    place: importing.PicturePlace, numbers: Sequence[int], opened: OpenPictures
+) -> Iterator[bytes]:
+    """Yield pictures of an array by their numbers: images as PNG, pictures of clips as JPEG.
+
+    Consecutive pictures of a block read it once.
+    """
+    pictures, pixels = opened(*place.file, place.part), lru_cache(1)(PictureArray.pixels)
+    encoding: Literal["jpeg", "png"] = "jpeg" if place.frames else "png"
+    for number in numbers:
+        block, row = divmod(number, pictures.array.step)
+        yield touch.encode_image(pixels(pictures, block)[row], encoding)
+
+
+def described_pictures(touches: importing.FoundTouches, opened: OpenPictures) -> str:
+    """Return how the pictures of some touches are converted; empty if they are taken as they are."""
+    first = touches[0]
+    words = [opened(first.home, first.path, first.part).described()]
+    if first.frames:
+        words.append("pictures of clips encoded as JPEG of quality 95")
+    return "; ".join(filter(None, words))
+
+
+def columns_of(
+    arrays: Mapping[str, Callable[[], StoredArray]], frames: int, wanted: Collection[str]
+) -> tuple[dict[str, AnyArray], list[str]]:
+    """Read fields of each picture: shape (frames,), or (frames, k) for vectors and matrices.
+
+    ``arrays`` holds functions that open arrays, by name. Also returns the names of the arrays that are left
+    out, each with its shape or the reason. Raises InputError if such an array is wanted.
+    """
+    found: dict[str, AnyArray] = {}
+    others, size = [], 0
+    for name, opened in arrays.items():
+        try:
+            array = opened()
+        except errors.InputError:  # its message, which names the place of the source, is not kept
+            if name in wanted:
+                raise
+            others.append(f"{name} (cannot be read)")
+            continue
+        width = math.prod(array.shape[1:])
+        if array.shape[:1] == (frames,) and 0 < width <= _MAX_NUMBERS:
+            size += frames * width * array.dtype.itemsize
+            cache.require_unpackable(size, f"{array.place}, with all arrays before it,")
+            rows = _rows_with_checked_text(array).reshape(frames, width)
+            found[name] = rows[:, 0] if width == 1 else rows
+        elif name in wanted:
+            raise array.refused(f"an array {array.shape}; expected {frames:,} rows of numbers, as frames")
+        else:
+            others.append(f"{name} {array.shape}")
+    return found, others
+
+
+def _rows_with_checked_text(array: StoredArray) -> AnyArray:
+    """Return all rows, text as Unicode; InputError for text that is not Unicode."""
+    rows = array.rows()
+    try:
+        if rows.dtype.kind == "S":
+            rows = np.char.decode(rows, "utf-8")
+    except UnicodeDecodeError as error:
+        raise array.refused("bytes that are not UTF-8; expected text") from error
+    if rows.dtype.kind == "U":
+        points = np.ascontiguousarray(rows).view(np.uint32)
+        low, high = _SURROGATES
+        if points.max(initial=0) > _LAST_CODE_POINT or ((points >= low) & (points <= high)).any():
+            raise array.refused("letters that are not Unicode; expected text")
+    return rows

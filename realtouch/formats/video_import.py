@@ -1,0 +1,145 @@
+"""Videos as recordings: each file is one; a table or its folder gives its fields."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import PurePosixPath
+
+import numpy as np
+
+from realtouch import importing, video, video_files
+from tactile_toolkit import errors, store
+from tactile_toolkit.columns import tables
+from tactile_toolkit.json_types import JsonDict
+
+_FILE = "file"
+
+
+def find_video(
+    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+) -> Iterator[importing.Recording]:
+    """Yield a recording for each video: the file that was named, or those of a folder and its sub-folders.
+
+    The fields of videos are in a table: the one that was named, or the only one in the folder whose column of
+    files names some videos. A video without a row has a problem then, and so has a row without a video.
+    Without a table, the folder of a video is its class if all videos are in folders, two or more.
+    """
+    folder, paths = importing.files_to_read(
+        home, "videos; expected AVI, MP4, MOV, MKV, WebM or MPEG-TS", _videos
+    )
+    stems, column = Counter(map(_stem, paths)), columns.image or _FILE
+    rows = _table_of_videos(folder, columns, column, table, paths)
+    if rows is None:
+        said = _classes(paths)
+        for path in paths:
+            yield _recording(folder, path, {column: path, **said.get(path, {})}, None, stems)
+        return
+    named = list(map(importing.path_of, rows.texts(column)))
+    problems = importing.duplicates_of(named, importing.FILE_OF_TABLE)
+    for row, path in enumerate(named):
+        yield _recording(folder, path, rows.values(row), problems.get(row), stems)
+    unnamed = errors.ItemError("table", "no row of the table names this video; expected one")
+    seen = {*named}
+    for path in [path for path in paths if path not in seen]:
+        yield _recording(folder, path, {column: path}, unnamed, stems)
+
+
+def _recording(
+    folder: store.DataFolder,
+    path: str,
+    said: Mapping[str, object],
+    problem: errors.ItemError | None,
+    stems: Mapping[str, int],
+) -> importing.Recording:
+    """Return a video with its fields; one that cannot be used has a problem and one picture."""
+    name = path if stems[_stem(path)] > 1 else _stem(path)
+    whole = importing.Recording(name, folder.address(), path, "", 0, 1, 0, said, time_s=np.zeros(1))
+    try:
+        if problem is not None:
+            raise problem
+        folder.size_inside(path)
+        found = video.open_video(folder, path)
+    except errors.ItemError as error:
+        return replace(whole, problem=error)
+    size, times = found.picture_bytes, found.time_s
+    return replace(whole, part=found.conversion, frames=len(times), frame_bytes=size, time_s=times)
+
+
+def _stem(path: str) -> str:
+    return path.removesuffix(PurePosixPath(path).suffix)
+
+
+def _videos(home: store.DataFolder) -> list[str]:
+    return [path for path in home.walk() if not store.is_hidden(path) and video_files.is_video(home, path)]
+
+
+def _classes(paths: Sequence[str]) -> dict[str, dict[str, object]]:
+    """Return the class of each video if all videos are one folder deep, in at least two folders."""
+    folders = {path: path.split("/")[0] for path in paths if path.count("/") == 1}
+    if len(folders) < len(paths) or len({*folders.values()}) < 2:
+        return {}
+    return {path: {importing.NUMBERED: name} for path, name in folders.items()}
+
+
+def _table_of_videos(
+    home: store.DataFolder,
+    columns: importing.ImportColumns,
+    image: str,
+    table: str | None,
+    paths: Sequence[str],
+) -> importing.SourceTable | None:
+    """Return the table of the videos; None if there is no such table."""
+
+    def read(folder: store.DataFolder, name: str) -> importing.SourceTable:
+        found = importing.read_table(folder, name, columns, [image])
+        importing.require_columns(found.columns, [image], folder.address(name))
+        return found
+
+    if table is not None:
+        return read(*importing.source_of(table))
+    found = {}
+    refused: tuple[str, str] | None = None
+    streams = tuple(f"{_stem(path)}{mark}" for path in paths for mark in "._")
+    for name in importing.visible_files(home, tables.ENDINGS):
+        if name.startswith(streams):
+            continue
+        first = _first_row(home, name)
+        if image in first:
+            rows = read(home, name)
+            if {*map(importing.path_of, rows.texts(image))}.intersection(paths):
+                found[name] = rows
+        elif refused is None and not {*importing.RECORDING_COLUMNS}.intersection(first):  # no table of cuts
+            values = {column: importing.path_of(str(value)) for column, value in first.items() if value}
+            refused = next(((name, column) for column, value in values.items() if value in paths), None)
+    if len(found) > 1:
+        raise errors.InputError(
+            f"{home.address()!r} has several tables of its videos: {', '.join(found)}",
+            next="name one with --table",
+        )
+    if refused and not found:
+        name, column = refused
+        raise errors.InputError(
+            f"{home.address(name)!r} names videos in its column {column!r}; expected a column {image!r}",
+            next=f"add --map image={column}, or move the table out of the folder",
+        )
+    return next(iter(found.values()), None)
+
+
+def _first_row(home: store.DataFolder, name: str) -> JsonDict:
+    """Return the first row of a table; empty for a file that is no table."""
+    with suppress(errors.InputError):
+        return tables.open_table(home, name).first_row()
+    return {}
+
+
+def describe_conversion(touches: importing.FoundTouches) -> str:
+    """Return how the pictures of videos are converted; empty if they are stored as they are."""
+    return "; ".join(sorted({*touches.where["part"].unique().to_pylist()} - {""}))
+
+
+def read_frames(place: importing.PicturePlace, numbers: Sequence[int]) -> Iterator[bytes | errors.ItemError]:
+    """Yield the pictures of a video with some numbers."""
+    return video.pictures_of_video(store.open_folder(place.home), place.path, numbers)

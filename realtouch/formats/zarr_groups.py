@@ -1,0 +1,227 @@
+"""Zipped Zarr groups with a row for each frame: what replay buffers and Open-X-Tactile have in common.
+
+Facts of the formats (Zarr version 2, which opens a path that ends in ``.zip``): ``data`` has arrays of equal
+length along time; ``meta/episode_ends`` has the number of the first frame after each episode; images are
+pixels. The rows from which the group is made stay in the folder ``data`` of the export, with images as they
+were stored. The formats have no place for ids of rounds and names of classes: they are in ``meta`` and mark
+the group as an export of this toolkit, whose poses are then known.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import IO
+
+import numpy as np
+import pyarrow as pa
+
+from realtouch import contact, convert, schema, stored_images, stored_round
+from realtouch.formats import episode_extras, episodes
+from tactile_toolkit import read, store
+from tactile_toolkit.array_types import AnyArray, UInt8
+
+CHUNK_BYTES = 2 << 20
+_LEVEL = 1
+ENDS, ATTRIBUTES = "meta/episode_ends", "meta/.zattrs"
+
+ROUND, TOUCH = "round_id", "touch"
+"""Arrays of ``meta`` with an entry for each episode; the second exists if episodes are clips."""
+
+CLASSES, COLUMNS, PER_CLIP = "class_names", "columns", "columns_of_clips"
+"""Attributes of ``meta``: classes, columns of the data set by array, those that concern whole clips."""
+
+OUR_NAMES = {
+    **{
+        episodes.STATE: "gel_pose",
+        episodes.ACTION: "pos_in_cell",
+        episodes.TIME: "time_s",
+        episodes.CONTACT: episodes.CONTACT,
+    },
+    **{name: name for name in ("label", "object_id")},
+}
+"""Names of columns of frames, as :data:`COLUMNS` states them."""
+
+_PICTURE = {episodes.IMAGE, f"{episodes.IMAGE}.bytes", f"{episodes.IMAGE}.path"}
+_IN_MEMORY_BYTES = 64 << 20
+
+AddArrays = Callable[[episodes.Episodes, pa.Table, dict[str, AnyArray]], Mapping[str, object]]
+"""Adds arrays to those of ``data``, given a table of the frames; returns attributes of ``meta``."""
+
+
+def rows_of_chunk(row_bytes: int) -> int:
+    """Return the number of rows of a chunk."""
+    return max(1, CHUNK_BYTES // row_bytes)
+
+
+class ZarrWriter(zipfile.ZipFile):
+    """A zip of arrays; chunks divide an array along its first axis."""
+
+    def __init__(self, stream: IO[bytes]) -> None:
+        super().__init__(stream, "w")
+        for path in (".zgroup", "data/.zgroup", "meta/.zgroup"):
+            self.add_json(path, {"zarr_format": 2})
+
+    def add_json(self, path: str, stated: Mapping[str, object], indent: int | None = None) -> None:
+        """Write a JSON file."""
+        self._add(path, json.dumps(stated, indent=indent).encode())
+
+    def add_array(self, path: str, values: AnyArray) -> None:
+        """Write an array; a broadcast zero has no chunks, as zero is the fill value."""
+        rows = max(1, min(len(values), rows_of_chunk(values[:1].nbytes)))
+        starts = range(0, len(values), rows)
+        if not any(values.strides):
+            starts = range(0)
+        blocks = (values[start : start + rows] for start in starts)
+        self.add_blocks(path, values.shape, values.dtype, rows, blocks)
+
+    def add_blocks(
+        self,
+        path: str,
+        shape: Sequence[int],
+        dtype: np.dtype[np.generic],
+        rows: int,
+        blocks: Iterable[AnyArray],
+    ) -> None:
+        """Write an array block by block; a block is a chunk of ``rows`` rows, the last may have fewer."""
+        stated = {
+            "zarr_format": 2,
+            "shape": list(shape),
+            "chunks": [rows, *shape[1:]],
+            "dtype": dtype.str,
+            "order": "C",
+            "compressor": {"id": "zlib", "level": _LEVEL},
+            "fill_value": "" if dtype.kind == "U" else 0,
+            "filters": None,
+        }
+        self.add_json(f"{path}/.zarray", stated, indent=4)
+        for number, block in enumerate(blocks):
+            content = block.tobytes().ljust(rows * block[:1].nbytes, b"\0")  # zeros fill the last chunk
+            name = ".".join([str(number), *"0" * (len(shape) - 1)])
+            self._add(f"{path}/{name}", zlib.compress(content, _LEVEL))
+
+    def _add(self, path: str, content: bytes) -> None:
+        self.writestr(zipfile.ZipInfo(path), content)  # without a time of writing
+
+
+@dataclass(frozen=True)
+class GroupFormat:
+    """A format of groups: its name and folder, its arrays, and the type of poses.
+
+    ``pictures`` is the array of pictures in ``data``; ``sensors`` is the length of its axis of sensors, if it
+    has one. ``arrays`` names the arrays of columns of frames; ``add`` makes all further arrays.
+    """
+
+    name: str
+    folder: str
+    pictures: str
+    arrays: Mapping[str, str]
+    add: AddArrays = lambda _step, _table, _arrays: {}
+    sensors: tuple[int, ...] = ()
+    number: pa.DataType = pa.float32()  # noqa: RUF009 - a constant
+
+    def plan(
+        self,
+        source: convert.Source,
+        choices: convert.Choices,
+        method: contact.ContactMethod,
+        options: Mapping[str, object],
+    ) -> convert.Conversion:
+        """Plan a group; reads footers and the header of one image. InputError for several splits."""
+        step = episodes.Episodes.of(source, choices, self.name, self.number)
+        options = {**options, "image_size": [step.size[1], step.size[0]]}
+        write = partial(self._write_group, step)
+        return convert.Conversion(
+            source, "export", options, step, choices, extra_dirs=(self.folder,), write_files=write
+        )
+
+    def _write_group(
+        self, step: episodes.Episodes, folder: store.DataFolder, manifest: store.Manifest
+    ) -> dict[str, str]:
+        """Write the frames of all shards as a zipped group.
+
+        Returns the checksum of the file by its path; an unchanged file is not rewritten.
+        """
+        shards = [
+            read.Shard(folder.address(record.shard.data_path)) for record in manifest.shards if record.rows
+        ]
+        path = f"{self.folder}/touches.zarr.zip"
+        with tempfile.SpooledTemporaryFile(_IN_MEMORY_BYTES) as made:
+            self._write(step, made, shards)
+            made.seek(0)
+            digest = hashlib.file_digest(made, "sha256").hexdigest()
+            if not folder.has_sha256(path, digest):
+                folder.write(path, lambda stream: _copy(made, stream))
+        return {path: digest}
+
+    def _write(self, step: episodes.Episodes, stream: IO[bytes], shards: Sequence[read.Shard]) -> None:
+        table = pa.concat_tables(
+            [shard.read(columns=[name for name in shard.types if name not in _PICTURE]) for shard in shards]
+        )
+        arrays, attributes = self._arrays(step, table)
+        path, size = f"data/{self.pictures}", step.size
+        rows, shape = rows_of_chunk(3 * size[0] * size[1]), (len(table), *self.sensors, *size, 3)
+        with ZarrWriter(stream) as group:
+            group.add_json(ATTRIBUTES, attributes)
+            for name, values in arrays.items():
+                group.add_array(name, values)
+            blocks = (each.reshape(-1, *shape[1:]) for each in _pictures(size, rows, shards))
+            group.add_blocks(path, shape, np.dtype("|u1"), rows, blocks)
+
+    def _arrays(
+        self, step: episodes.Episodes, table: pa.Table
+    ) -> tuple[dict[str, AnyArray], dict[str, object]]:
+        """Return all arrays except the pictures, and the attributes of ``meta``, which describe them."""
+        columns = {name: table[name].combine_chunks() for name in table.schema.names}
+        known = {name: array for name, array in self.arrays.items() if name in columns}
+        kept = {array: OUR_NAMES[name] for name, array in known.items()}
+        of_clips = []
+        for extra in step.extras:
+            known[extra.name] = array = extra.name.removeprefix(episode_extras.FEATURE)
+            kept[array] = own_name = extra.stored.partition(".")[2]
+            if extra.stored.startswith(schema.EXTRA_PREFIX["touch"]):
+                of_clips.append(own_name)
+        arrays = {array: _numbers(columns[name]) for name, array in known.items()}
+        stated = self.add(step, table, arrays)
+        starts = np.flatnonzero(table["frame_index"].to_numpy() == 0)
+        found = {f"data/{name}": values for name, values in arrays.items()}
+        for name in (ROUND, TOUCH):
+            if name in columns:
+                found[f"meta/{name}"] = _numbers(columns[name].take(starts))
+        found[ENDS] = np.append(starts[1:], len(table)).astype("<i8")
+        return found, {CLASSES: step.names, COLUMNS: kept, PER_CLIP: of_clips, **stated}
+
+
+def _pictures(size: tuple[int, int], rows: int, shards: Sequence[read.Shard]) -> Iterator[UInt8]:
+    """Yield the pixels of all frames in blocks of ``rows`` frames; all blocks use the same memory."""
+    block, at = np.empty((rows, *size, 3), np.uint8), 0
+    for row in stored_round.stored_rows(shards, [episodes.IMAGE]):
+        image = row.group.table[episodes.IMAGE][row.index].as_py()
+        stored_images.decoded(image["bytes"], image["path"], block[at])
+        at = (at + 1) % rows
+        if not at:
+            yield block
+    if at:
+        yield block[:at]
+
+
+def _copy(source: IO[bytes], target: IO[bytes]) -> None:
+    source.seek(0)
+    shutil.copyfileobj(source, target)
+
+
+def _numbers(values: pa.Array) -> AnyArray:
+    """Return numbers, texts or lists of equal length as a little-endian array; a missing text is empty."""
+    if pa.types.is_fixed_size_list(values.type):
+        return _numbers(values.flatten()).reshape(len(values), -1)
+    if pa.types.is_string(values.type):
+        return np.array([text or "" for text in values.to_pylist()], "<U")
+    found: AnyArray = values.to_numpy(zero_copy_only=False)
+    return found.astype(found.dtype.newbyteorder("<"))

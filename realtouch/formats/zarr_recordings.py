@@ -1,0 +1,220 @@
+"""Zarr groups as recordings: an episode is a recording, and the arrays of ``data`` are its columns."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+import pyarrow as pa
+
+from realtouch import importing, touch, touch_options
+from realtouch.formats import picture_arrays, zarr_arrays, zarr_groups
+from realtouch.formats.episodes import CONTACT
+from tactile_toolkit import errors, store
+from tactile_toolkit.array_types import Int64
+from tactile_toolkit.columns import column_types
+
+DATA = "data"
+TIMES = ("time_s", "timestamps", "timestamp")
+"""Names of the array of times of pictures, in order of preference; it has floats, in seconds."""
+
+_ENDINGS = (".zarr", ".zarr.zip")
+_ENDS_SHOWN = 8
+_MAX_ARRAYS = 500
+_OF_META = (zarr_groups.ROUND, zarr_groups.TOUCH)
+_OUR_VECTORS = {"gel_pose": touch_options.POSE_COLUMNS, "pos_in_cell": touch_options.POSITION_COLUMNS}
+_OUR_VALUES = ("label", "label_name", "object_id", *touch_options.POSITION_COLUMNS)
+
+
+def group_in(home: store.DataFolder) -> zarr_arrays.ZarrGroup:
+    """Return the group that a folder or zip is, or the only one that it holds."""
+    if home.address().lower().endswith(".zip"):
+        return zarr_arrays.ZarrGroup(*importing.source_of(home.address()))
+    if home.exists(".zgroup") or home.exists("zarr.json"):
+        return zarr_arrays.ZarrGroup(home, "")
+    names = [name for name in home.names() if name.lower().endswith(_ENDINGS) and not store.is_hidden(name)]
+    if len(names) != 1:
+        raise errors.InputError(
+            f"{home.address()!r} should hold one Zarr group; found {', '.join(names) or 'none'}"
+        )
+    return zarr_arrays.ZarrGroup(home, names[0])
+
+
+def data_arrays(group: zarr_arrays.ZarrGroup) -> dict[str, object]:
+    """Return the shapes of the arrays of ``data``, as stated; InputError without any, or for too many."""
+    names = group.arrays(DATA)
+    if not 0 < len(names) <= _MAX_ARRAYS:
+        raise errors.InputError(
+            f"{group.place!r} has {len(names) or 'no'} arrays in its group 'data'; "
+            f"expected a replay buffer or Open-X-Tactile, with at most {_MAX_ARRAYS} arrays",
+            next="give the group itself; a zip must hold what is inside the group's folder",
+        )
+    return names
+
+
+def recordings_of(
+    group: zarr_arrays.ZarrGroup,
+    names: Iterable[str],
+    pictures: tuple[str, int | None],
+    columns: importing.ImportColumns,
+) -> Iterator[importing.Recording]:
+    """Return all episodes; ``pictures`` is an array of ``data``, and the number of the sensor in it.
+
+    Columns that this toolkit wrote get their own names again. Raises InputError if the array has no pictures,
+    or if a named column cannot be used.
+    """
+    name, sensor = pictures
+    shown = picture_arrays.PictureArray.of(group.array(f"{DATA}/{name}"), sensor)
+    part = f"{shown.divisor!r} {'' if sensor is None else sensor} {DATA}/{name}"
+    arrays = {each: partial(group.array, f"{DATA}/{each}") for each in names if each != name}
+    of_meta = {
+        each: partial(group.array, f"meta/{each}") for each in group.arrays("meta") if each in _OF_META
+    }
+    wanted = {*columns.found_in(arrays).names(), importing.NUMBERED}
+    found, left_out = picture_arrays.columns_of(arrays, len(shown), wanted)
+    per_frame = {each: column_types.from_numpy(values) for each, values in found.items()}
+    where, size = (name, group.home.address(), group.path, part), math.prod(shown.shape[1:])
+    whole = importing.Recording(*where, 0, len(shown), size, per_frame=per_frame, left_out=tuple(left_out))
+    ends, stated = episode_ends(group, len(shown)), group.json(zarr_groups.ATTRIBUTES)
+    said, _ = picture_arrays.columns_of(of_meta, len(ends), ())
+    kept = stated.get(zarr_groups.COLUMNS)
+    if zarr_groups.ROUND not in said or not isinstance(kept, dict):
+        return episodes_of(whole, ends, (), of_episodes(whole, columns))
+    per_frame = {str(kept[name]): values for name, values in per_frame.items() if name in kept}
+    whole = replace(whole, per_frame=per_frame, left_out=())
+    whole = name_ours(whole, _OUR_VECTORS, _texts(stated, zarr_groups.CLASSES))
+    rounds = ids = list(map(str, said[zarr_groups.ROUND].tolist()))
+    if zarr_groups.TOUCH in said:
+        whole = replace(whole, cut="whole")
+        ids = list(map(touch.touch_id, rounds, said[zarr_groups.TOUCH].astype(int).tolist()))
+    episodes = episodes_of(whole, ends, ids, {*_OUR_VALUES, *_texts(stated, zarr_groups.PER_CLIP)})
+    return (replace(with_contact(each), round=name) for each, name in zip(episodes, rounds, strict=True))
+
+
+def _open_pictures(home: str, path: str, part: str) -> picture_arrays.PictureArray:
+    divisor, sensor, name = part.split(" ", 2)
+    array = zarr_arrays.ZarrGroup(store.open_folder(home), path).array(name)
+    return picture_arrays.PictureArray(array, float(divisor), int(sensor) if sensor else None)
+
+
+read_frames = partial(picture_arrays.read_pictures, opened=_open_pictures)
+describe_conversion = partial(picture_arrays.described_pictures, opened=_open_pictures)
+
+
+def episode_ends(group: zarr_arrays.ZarrGroup, frames: int) -> Int64:
+    """Return the number of the first frame after each episode.
+
+    Raises InputError unless the numbers rise, and the last one is the number of all frames.
+    """
+    array = group.array(zarr_groups.ENDS)
+    ends = np.zeros(0, np.int64)
+    if len(array.shape) == 1 and array.dtype.kind in "iu" and array.shape[0] <= frames:
+        ends = array.rows().astype(np.int64)
+    if not len(ends) or ends[-1] != frames or (np.diff(ends, prepend=0) <= 0).any():
+        raise array.refused(
+            f"episodes end at {array.dtype} {array.shape}: {', '.join(map(str, ends[:_ENDS_SHOWN].tolist()))}"
+            f"; expected integers that rise to {frames:,}, the number of frames"
+        )
+    return ends
+
+
+def of_episodes(whole: importing.Recording, columns: importing.ImportColumns) -> set[str]:
+    """Return the columns that may describe whole episodes: labels, objects, rounds, splits and all texts."""
+    known = columns.found_in(whole.per_frame)
+    stated = {importing.NUMBERED, known.label, known.object_id, known.round, known.split}
+    return {
+        name for name, column in whole.per_frame.items() if name in stated or pa.types.is_string(column.type)
+    }
+
+
+def episodes_of(
+    whole: importing.Recording, ends: Int64, names: Sequence[str], of_episode: Collection[str]
+) -> Iterator[importing.Recording]:
+    """Divide a recording into episodes; their default names are ``episode-000000`` and so on.
+
+    A column of ``of_episode`` becomes a value of each episode, if it does not change within any episode.
+    """
+    names = names or [f"episode-{episode:06d}" for episode in range(len(ends))]
+    starts = np.append(0, ends[:-1])
+    per_frame, lengths = dict(whole.per_frame), ends - starts
+    firsts, of_rows = pa.array(starts), pa.array(np.repeat(np.arange(len(ends)), lengths))
+    constant = {}
+    for name in [name for name in per_frame if name in of_episode]:  # in order, so that bytes are the same
+        values = per_frame[name].take(firsts)
+        if _is_same(per_frame[name], values.take(of_rows)):
+            constant[name] = values
+    time = next((name for name in TIMES if _holds_times(per_frame.get(name), starts)), None)
+    times = None if time is None else per_frame[time].to_numpy()
+    per_frame = {name: column for name, column in per_frame.items() if name not in constant}
+    if time == importing.TIME_S:
+        per_frame.pop(importing.TIME_S, None)
+    for number, (start, end) in enumerate(pairwise([0, *ends.tolist()])):
+        values = {name: each[number].as_py() for name, each in constant.items()}
+        yield replace(
+            whole,
+            name=names[number],
+            first=whole.first + start,
+            frames=end - start,
+            values={**whole.values, **values},
+            per_frame={name: column.slice(start, end - start) for name, column in per_frame.items()},
+            time_s=None if times is None else times[start:end],
+        )
+
+
+def _is_same(column: pa.Array, other: pa.Array) -> bool:
+    if pa.types.is_floating(column.type):  # NaN is a missing value, too
+        first, second = column_types.floats_of(column), column_types.floats_of(other)
+        return np.array_equal(first, second, equal_nan=True)
+    return bool(column.equals(other))
+
+
+def _holds_times(column: pa.Array | None, starts: Int64) -> bool:
+    """Return whether a column holds seconds that do not decrease within any episode."""
+    if column is None or not pa.types.is_floating(column.type) or column.null_count:
+        return False
+    times = column.to_numpy()
+    falls = np.flatnonzero(times[1:] < times[:-1]) + 1
+    return bool(np.isfinite(times).all() and np.isin(falls, starts).all())
+
+
+def _texts(stated: Mapping[str, object], name: str) -> list[str]:
+    """Return a list of texts from attributes; empty if they have no such list."""
+    found = stated.get(name)
+    return [str(each) for each in found] if isinstance(found, list) else []
+
+
+def name_ours(
+    whole: importing.Recording, vectors: Mapping[str, Sequence[str]], class_names: Sequence[str]
+) -> importing.Recording:
+    """Return a recording that this toolkit wrote, with the column names of its tables."""
+    per_frame = dict(whole.per_frame)
+    for name, names in vectors.items():
+        if name in per_frame:
+            with suppress(ValueError):
+                values = column_types.floats_of(per_frame.pop(name))
+                columns = np.atleast_2d(values.T)
+                per_frame |= {each: pa.array(part) for each, part in zip(names, columns, strict=False)}
+    label = per_frame.get(importing.NUMBERED)
+    if label is not None and pa.types.is_integer(label.type) and not label.null_count:
+        numbers, known = label.to_numpy(), pa.array([*class_names, None], pa.string())
+        is_known = (numbers >= 0) & (numbers < len(class_names))
+        per_frame[f"{importing.NUMBERED}_name"] = known.take(
+            pa.array(np.where(is_known, numbers, len(class_names)))
+        )
+    return replace(whole, per_frame=per_frame)
+
+
+def with_contact(found: importing.Recording) -> importing.Recording:
+    """Return a clip that this toolkit wrote, with its first and last picture of contact if it states them."""
+    per_frame = dict(found.per_frame)
+    stated, contact = per_frame.pop(CONTACT, None), None
+    if stated is not None:
+        in_contact = np.flatnonzero(np.array(stated.to_pylist(), object)).tolist()
+        if in_contact:
+            contact = in_contact[0], in_contact[-1]
+    return replace(found, per_frame=per_frame, contact=contact)

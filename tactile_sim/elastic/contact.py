@@ -1,0 +1,341 @@
+"""Elastic gels: pressure, shear and displacement where a rigid body is pressed in.
+
+The gel is a linear elastic layer without side faces, bonded to a rigid plate. Contact is that of Signorini
+(pressure and gap are not negative, and one of them is zero), friction that of Coulomb.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tactile_toolkit import checked_fields, touch
+from tactile_toolkit.array_types import Bool, Float64
+from tactile_toolkit.checked_fields import check_fields, real
+from tactile_toolkit.errors import InputError
+
+# Range for which single precision and the tables of the layer suffice.
+_MIN_DEPTH_M, _MAX_DEPTH_M = 1e-9, 1.0
+_MIN_FORCE_N, _MAX_FORCE_N = 1e-9, 1e6
+_MIN_PIXEL_M, _MAX_PIXEL_M, _MAX_ASPECT = 1e-6, 0.1, 100.0
+_MAX_RANGE_M, _MAX_SLIDE_M, _MAX_TWIST_RAD = 100.0, 1.0, math.pi
+_MAX_LAYERS = 60.0  # diagonal of the window, in thicknesses of the gel
+_HALF = 0.5
+_MAX_BLOCKS = 100
+
+
+@dataclass(frozen=True, slots=True)
+class Gel:
+    """Material of a gel, and its friction.
+
+    The defaults are those of no particular sensor: soft silicone, which is nearly incompressible. How to find
+    the modulus of a gel is stated in the documentation (Forces, shear, markers).
+
+    Attributes
+    ----------
+    youngs_modulus_pa : float
+        Young's modulus, Pa.
+    poisson_ratio : float
+        Poisson's ratio, 0 to 0.5.
+    friction : float
+        Coefficient of friction; 0 for a surface that slides freely.
+
+    Raises
+    ------
+    InputError
+        A value is out of range.
+    """
+
+    youngs_modulus_pa: float = real(0.2e6, least=1e2, most=1e9)
+    poisson_ratio: float = real(0.49, least=0, most=0.5)
+    friction: float = real(0.5, least=0, most=1000)
+
+    def __post_init__(self) -> None:
+        check_fields(self, "the gel")
+
+    @property
+    def shear_modulus_pa(self) -> float:
+        """Shear modulus, Pa."""
+        return self.youngs_modulus_pa / (2.0 * (1.0 + self.poisson_ratio))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contact:
+    """The state of a gel into which a body is pressed.
+
+    Axes: x along the columns, y against the rows (row 0 has the greatest y), z from the body into the gel;
+    a right-handed frame, as of :func:`tactile_sim.render_touch`. Forces are those of the body on the gel, so
+    that of a press is positive along z. Moments are about the centre of the window, on the surface.
+
+    Attributes
+    ----------
+    depth_m : float
+        How far the highest point of the body lies above the surface of the gel at rest, metres.
+    pressure_pa : ndarray of float64, shape (H, W)
+        Pressure of the body on the gel, Pa; 0 outside of the contact.
+    traction_pa : ndarray of float64, shape (H, W, 2)
+        Shear stress of the body on the gel along x and y, Pa.
+    displacement_m : ndarray of float64, shape (H, W, 3)
+        Displacement of the surface along x, y and z, metres; a negative z is a bulge.
+    is_contact : ndarray of bool, shape (H, W)
+        Where the body touches the gel.
+    is_stick : ndarray of bool, shape (H, W)
+        Where it sticks: the shear stress is below friction times pressure. Without a slide it is where
+        the gel, which the press pushes aside, is held by friction; without friction it is nowhere.
+    force_n : tuple of float
+        Force of the body on the gel along x, y and z, newtons.
+    torque_nm : tuple of float
+        Torque of the body on the gel about x, y and z, newton metres: ``(sum y f_z, -sum x f_z,
+        sum (x f_y - y f_x))``.
+    iterations : int
+        Steps of the solvers, all together.
+    residual : float
+        Largest error of the gap in the contact, relative to the depth.
+    """
+
+    depth_m: float
+    pressure_pa: Float64
+    traction_pa: Float64
+    displacement_m: Float64
+    is_contact: Bool
+    is_stick: Bool
+    force_n: tuple[float, float, float]
+    torque_nm: tuple[float, float, float]
+    iterations: int
+    residual: float
+
+
+def solve_contact(
+    height_m: ArrayLike,
+    pixel_m: float | tuple[float, float],
+    gel: Gel,
+    *,
+    thickness_m: float,
+    depth_m: float | None = None,
+    force_n: float | None = None,
+    slide_m: tuple[float, float] = (0.0, 0.0),
+    twist_rad: float = 0.0,
+    block_px: int = 1,
+) -> Contact:
+    """Press a rigid body into a gel, then slide and twist it.
+
+    Press, slide and twist are applied in one step, so the result does not depend on a history. Maps refer to
+    points of the gel at rest, and to the body before the slide. No pixel outside of the window is loaded:
+    give the heights under the whole gel, and cut out what an image shows.
+
+    Parameters
+    ----------
+    height_m : array_like, shape (H, W)
+        Height of the body, metres, towards the gel, from any zero; row 0 at the greatest y.
+    pixel_m : float or tuple of float
+        Size of a pixel, or width and height: a micrometre to 0.1 m, one at most 100 times the other.
+    gel : Gel
+        Material and friction.
+    thickness_m : float
+        Thickness of the gel, metres; infinite for a half-space. At least 1 / 60 of the diagonal of the
+        window, and the sides of its pixels or blocks.
+    depth_m : float, optional
+        How far the highest point of the body is pressed in, metres, 1e-9 to 1.
+    force_n : float, optional
+        The force of the press, newtons, 1e-9 to 1e6; exactly one of depth and force is given.
+    slide_m : tuple of float
+        How far the body then moves along x and y, metres; a slide along +x makes a force along +x.
+    twist_rad : float
+        How far it turns about the centre of the window, radians, counter-clockwise as seen in the image.
+    block_px : int
+        Side of the blocks of pixels whose mean heights are solved; 1 solves every pixel. H and W are
+        multiples of it.
+
+    Returns
+    -------
+    Contact
+        Pressure, traction, displacement, force and torque.
+
+    Raises
+    ------
+    InputError
+        A number is out of range or not finite, or not exactly one of ``depth_m`` and ``force_n`` is given.
+    """
+    heights, pixel = _checked_heights(height_m), _checked_pixel(pixel_m)
+    _require(isinstance(gel, Gel), f"gel is {gel!r}; expected a Gel, such as tactile_sim.Gel()")
+    target = _checked_target(depth_m, force_n)
+    slide = _checked_motion(slide_m, twist_rad)
+    thinnest_m = math.hypot(heights.shape[1] * pixel[0], heights.shape[0] * pixel[1]) / _MAX_LAYERS
+    thickness = _checked_number("thickness_m", thickness_m, thinnest_m, math.inf)
+    block = _checked_block(block_px, heights, pixel, thickness)
+    return _solve(heights, pixel, gel, thickness, *target, slide, block)
+
+
+def block_px(height_px: int, width_px: int) -> int:
+    """Return a size of blocks for an image: of at most 100 blocks along its longer side, 1 for small images.
+
+    Parameters
+    ----------
+    height_px, width_px : int
+        Size of the image, pixels.
+
+    Returns
+    -------
+    int
+        For :func:`solve_contact`: it divides both; 4 for 320 x 240 pixels.
+    """
+    common = math.gcd(height_px, width_px)
+    fits = (size for size in range(1, common + 1) if common % size == 0)
+    longer = max(height_px, width_px)
+    return next((size for size in fits if longer <= _MAX_BLOCKS * size), common)
+
+
+def _solve(
+    heights: Float64,
+    pixel_m: tuple[float, float],
+    gel: Gel,
+    thickness_m: float,
+    target: float,
+    is_force: bool,
+    motion: tuple[float, float, float],
+    block_px: int,
+) -> Contact:
+    # Importing numba takes half a second.
+    from tactile_sim.elastic import layer, solver, steps
+
+    coarse = heights
+    if block_px > 1:
+        blocks = heights.reshape(-1, block_px, heights.shape[1] // block_px, block_px)
+        coarse = blocks.mean(axis=(1, 3))
+    width_m, height_m = (size * block_px for size in pixel_m)
+    tables = layer.layer_of(
+        coarse.shape, (width_m, height_m), gel.shear_modulus_pa, gel.poisson_ratio, thickness_m
+    )
+    # The highest point of the body lies higher than the highest mean.
+    higher = heights.max() - coarse.max()
+    wanted = target / (width_m * height_m)
+    if not is_force:
+        wanted = max(target - higher, _MIN_DEPTH_M)
+    stiffness = gel.youngs_modulus_pa / min(thickness_m, math.sqrt(width_m * height_m) * coarse.shape[1])
+    found = solver.solve(
+        coarse.max() - coarse,
+        (width_m, height_m),
+        wanted,
+        is_force,
+        gel.friction,
+        motion,
+        tables,
+        stiffness,
+    )
+    force_n, torque_nm = _resultants(found.fields[:3], (width_m, height_m))
+    depth = found.depth_m + higher if is_force else target
+    fields, is_contact, is_stick = found.fields, found.is_contact, found.is_stick
+    if block_px > 1:
+        fields = steps.bring_up(fields, block_px)
+        masks = steps.bring_up(np.stack([is_contact, is_stick]).astype(np.float64), block_px)
+        is_contact, is_stick = masks > _HALF
+    # The surface is the body in the contact, and lies outside of it elsewhere.
+    body_m = depth - (heights.max() - heights)
+    is_contact |= body_m > fields[5]
+    np.copyto(fields[5], body_m, where=is_contact)
+    return Contact(
+        depth,
+        fields[0],
+        np.moveaxis(fields[1:3], 0, 2),
+        np.moveaxis(fields[3:], 0, 2),
+        is_contact,
+        is_stick & is_contact,
+        force_n,
+        torque_nm,
+        found.iterations,
+        found.error,
+    )
+
+
+def _resultants(
+    loads: Float64, pixel_m: tuple[float, float]
+) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """Return force (N) and torque (N m) about the centre of pressure and traction (3, R, C), Pa."""
+    p, q_x, q_y = pixel_m[0] * pixel_m[1] * loads
+    rows, columns = p.shape
+    x = (np.arange(columns) - (columns - 1) / 2) * pixel_m[0]
+    y = (((rows - 1) / 2 - np.arange(rows)) * pixel_m[1])[:, None]
+    force = (float(q_x.sum()), float(q_y.sum()), float(p.sum()))
+    return force, (float((y * p).sum()), float((-x * p).sum()), float((x * q_y - y * q_x).sum()))
+
+
+def _require(fits: bool, what: str) -> None:
+    if not fits:
+        raise InputError(what)
+
+
+def _checked_number(name: str, value: object, least: float, most: float) -> float:
+    number = checked_fields.to_builtin(value, float)
+    _require(
+        isinstance(number, float) and least <= number <= most,
+        f"{name} is {value!r}; expected a number from {least:.3g} to {most:.3g}",
+    )
+    return float(number)
+
+
+def _checked_heights(height_m: ArrayLike) -> Float64:
+    try:
+        given = np.asarray(height_m)
+    except ValueError:
+        given = np.empty(0, object)
+    _require(given.dtype.kind in "iuf", "height_m is not an array of real numbers; expected shape (H, W)")
+    heights = np.ascontiguousarray(given, np.float64)
+    _require(
+        heights.ndim == 2 and 0 < heights.size <= touch.MAX_IMAGE_PIXELS,
+        f"height_m has shape {heights.shape}; expected (H, W), at most {touch.MAX_IMAGE_PIXELS:,} pixels",
+    )
+    low, high = float(heights.min()), float(heights.max())
+    _require(
+        math.isfinite(low) and math.isfinite(high) and high - low <= _MAX_RANGE_M,
+        f"height_m goes from {low:g} to {high:g}; expected finite numbers within {_MAX_RANGE_M:g} m",
+    )
+    return heights
+
+
+def _checked_pixel(pixel_m: float | tuple[float, float]) -> tuple[float, float]:
+    pixel = checked_fields.to_builtin(pixel_m, float)
+    width, height = pixel if isinstance(pixel, tuple) and len(pixel) == 2 else (pixel, pixel)
+    _require(
+        all(isinstance(each, float) and _MIN_PIXEL_M <= each <= _MAX_PIXEL_M for each in (width, height))
+        and max(width, height) <= _MAX_ASPECT * min(width, height),
+        f"pixel_m is {pixel_m!r}; expected a number from {_MIN_PIXEL_M:g} to {_MAX_PIXEL_M:g}, metres, or "
+        f"width and height, one at most {_MAX_ASPECT:g} times the other",
+    )
+    return width, height
+
+
+def _checked_block(block_px: int, heights: Float64, pixel_m: tuple[float, float], thickness_m: float) -> int:
+    block = checked_fields.to_builtin(block_px)
+    _require(
+        checked_fields.is_integer(block) and block >= 1 and not any(count % block for count in heights.shape),
+        f"block_px is {block_px!r}; expected an integer of which {heights.shape[0]} rows and "
+        f"{heights.shape[1]} columns are multiples",
+    )
+    # The correction for the layer assumes that the load of a pixel acts at its centre. For pixels as wide as
+    # the gel is thick, forces have an error of 3 %; for wider ones, results are useless.
+    _require(
+        max(pixel_m) * block <= thickness_m,
+        f"pixels, or blocks of them, are {1e3 * max(pixel_m) * block:.3g} mm wide; expected no more than the "
+        f"gel is thick, {1e3 * thickness_m:.3g} mm",
+    )
+    return int(block)
+
+
+def _checked_target(depth_m: float | None, force_n: float | None) -> tuple[float, bool]:
+    """Return the depth or the force, and whether it is the force."""
+    _require((depth_m is None) != (force_n is None), "expected exactly one of depth_m and force_n")
+    if force_n is not None:
+        return _checked_number("force_n", force_n, _MIN_FORCE_N, _MAX_FORCE_N), True
+    return _checked_number("depth_m", depth_m, _MIN_DEPTH_M, _MAX_DEPTH_M), False
+
+
+def _checked_motion(slide_m: tuple[float, float], twist_rad: float) -> tuple[float, float, float]:
+    slide = checked_fields.to_builtin(slide_m, float)
+    _require(
+        isinstance(slide, tuple) and len(slide) == 2, f"slide_m is {slide_m!r}; expected two numbers, metres"
+    )
+    along_x, along_y = (_checked_number("slide_m", each, -_MAX_SLIDE_M, _MAX_SLIDE_M) for each in slide)
+    return along_x, along_y, _checked_number("twist_rad", twist_rad, -_MAX_TWIST_RAD, _MAX_TWIST_RAD)

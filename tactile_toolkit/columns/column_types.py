@@ -1,0 +1,357 @@
+"""The types of foreign columns, decided only here: of text tables, JSON, Parquet and numpy.
+
+A column is an Arrow array of bool, int64, float64, text or points in time, or of lists of these; matrices are
+lists, row by row. Missing values and empty texts are null. Values without a common type, such as objects,
+are kept as JSON (:data:`UNTYPED`).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from functools import partial, reduce
+from itertools import chain
+from typing import Any, TypeVar
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from tactile_toolkit import read
+from tactile_toolkit.array_types import AnyArray, Float64, Int64
+from tactile_toolkit.json_types import JsonValue
+
+T = TypeVar("T")
+
+UNTYPED = pa.binary()
+"""Type of a column whose values have no common type: each is JSON, which no reader takes for a number."""
+
+_NOTHING = pa.null()
+_LISTS = (list, tuple)
+_MAX_LEVELS = 4  # of lists in a list
+_MAX_EXACT = 1 << 53  # below which float64 holds every integer
+_NO_VALUE = pa.array(["", "NA", "N/A", "#N/A", "nan", "NaN", "null", "NULL", "None"])
+# Types that text may have, given that of earlier rows; else it stays text.
+_OF_TEXT: dict[pa.DataType, tuple[pa.DataType, ...]] = {
+    pa.null(): (pa.int64(), pa.float64(), pa.bool_()),
+    pa.int64(): (pa.int64(), pa.float64()),
+    pa.float64(): (pa.float64(),),
+    pa.bool_(): (pa.bool_(),),
+}
+_CODE = r"^[+-]?0[0-9xX]"  # 007 is a name, which a number would not reproduce
+_WHOLE = r"^[+-]?[0-9]+$"
+_ODD = rf"{_CODE}|[0-9]{{16,}}$|[eE]\+?[0-9]{{3,}}$"  # texts that a number may not reproduce
+_SWITCHED = pa.array(["0", "1"])
+_DECIMAL_COMMA = r"^[+-]?[0-9]*,[0-9]+([eE][+-]?[0-9]+)?$"
+_POINT = r"[0-9]\.|\.[0-9]"
+_VECTOR = r"^\[[-+.,0-9eE \[\]nulNa]*\]$"  # of numbers, NaN or null, in JSON
+_NO_BRACKETS = str.maketrans("[](),;", "      ")
+_NUMBERS = (pa.int64(), pa.float64())
+
+
+def without_blanks(texts: pa.Array) -> pa.Array:
+    """Return texts as they are; null for texts of spaces only."""
+    return pc.if_else(pc.equal(pc.utf8_trim_whitespace(texts), ""), pa.scalar(None, pa.string()), texts)
+
+
+def trimmed(texts: pa.Array) -> pa.Array:
+    """Return texts without spaces around them; null for texts of spaces only."""
+    return without_blanks(pc.utf8_trim_whitespace(texts))
+
+
+def words_of(texts: pa.Array, *, decimal_commas: bool = False) -> pa.Array:
+    """Return texts in the form in which numbers are read; null for words that mean a missing value.
+
+    With ``decimal_commas``, as the separator of a table shows, commas become points, unless a number of the
+    column has a point: then commas may stand between thousands.
+    """
+    words = pc.utf8_trim_whitespace(texts)
+    words = pc.if_else(pc.is_in(words, _NO_VALUE), pa.scalar(None, pa.string()), words)
+    if decimal_commas and not pc.any(pc.match_substring_regex(words, _POINT)).as_py():
+        is_comma = pc.match_substring_regex(words, _DECIMAL_COMMA)
+        words = pc.if_else(is_comma, pc.replace_substring(words, ",", "."), words)
+    return words
+
+
+def text_type(words: pa.Array, known: pa.DataType = _NOTHING, *, is_exact: bool = True) -> pa.DataType:
+    """Return the type of words, given that of earlier rows: a number, true or false, or text.
+
+    With ``is_exact``, words stay text if formatting the number would not give the same text: codes such as
+    007, and integers that float64 rounds.
+    """
+    if words.null_count == len(words):
+        return known
+    for kind in _OF_TEXT.get(known, ()):
+        with suppress(pa.ArrowException):
+            words.cast(kind)
+            if is_exact and _is_changed(words, kind):
+                break
+            return kind
+    return pa.string()
+
+
+def _is_changed(words: pa.Array, data_type: pa.DataType) -> bool:
+    """Return whether formatting values of a type would not give the same words."""
+    if pa.types.is_boolean(data_type):
+        return bool(pc.any(pc.is_in(words, _SWITCHED)).as_py())
+    odd = words.filter(pc.match_substring_regex(words, _ODD))
+    if not len(odd) or pc.any(pc.match_substring_regex(odd, _CODE)).as_py():
+        return bool(len(odd))
+    if pa.types.is_integer(data_type):
+        return False
+    numbers = odd.cast(pa.float64()).to_numpy()
+    is_whole = pc.match_substring_regex(odd, _WHOLE).to_numpy(zero_copy_only=False)
+    return bool((np.isinf(numbers) | (is_whole & (np.abs(numbers) >= _MAX_EXACT))).any())
+
+
+def from_text(texts: pa.Array, *, decimal_commas: bool = False) -> pa.Array:
+    """Convert the texts of a table to a column of the type that they state."""
+    words = words_of(texts, decimal_commas=decimal_commas)
+    return as_type(texts, words, text_type(words))
+
+
+def as_type(texts: pa.Array, words: pa.Array, kind: pa.DataType) -> pa.Array:
+    """Return texts, whose words are known, as a column of a type of :func:`text_type`."""
+    if pa.types.is_null(kind):
+        return pa.nulls(len(texts))
+    if pa.types.is_string(kind):
+        return trimmed(texts)
+    return words.cast(kind)
+
+
+def vectors_of(texts: pa.Array) -> pa.Array:
+    """Return texts as vectors if each of them is one, such as ``[1.5, 2]``."""
+    if pc.all(pc.match_substring_regex(texts, _VECTOR)).as_py():
+        with suppress(ValueError):
+            return from_values([text and json.loads(text) for text in texts.to_pylist()])
+    return texts
+
+
+def from_values(values: Iterable[object]) -> pa.Array:
+    """Return the column of values of JSON or Python; numbers beside texts or booleans become text."""
+    given = list(values)
+    with suppress(pa.ArrowException, OverflowError, UnicodeError):
+        return from_arrow(pa.array(given))
+    known = [value for value in given if value is not None]
+    if any(isinstance(value, (dict, bytes)) for value in known):
+        return _as_json(given)
+    if not any(isinstance(value, _LISTS) for value in known):
+        texts = _unless_missing(_text, given)
+        return without_blanks(pa.array(texts, pa.string()))
+    return _from_lists(given)
+
+
+def _from_lists(values: Sequence[object]) -> pa.Array:
+    """Return lists and matrices as lists; as JSON if one is neither."""
+    leaves = _unless_missing(_leaves, values)
+    if any(leaf is None for leaf, value in zip(leaves, values, strict=True) if value is not None):
+        return _as_json(values)
+    entries = from_values(chain.from_iterable(filter(None, leaves)))
+    if not is_leaf(entries.type):
+        return _as_json(values)
+    return lists_of(entries, _unless_missing(len, leaves))
+
+
+def _unless_missing(function: Callable[[Any], T], values: Iterable[Any]) -> list[T | None]:
+    """Apply a function to each value except None."""
+    return [None if value is None else function(value) for value in values]
+
+
+def _text(value: object) -> str:
+    return str(value).encode(errors="backslashreplace").decode()
+
+
+def _leaves(value: object) -> list[object] | None:
+    """Return the values of a list, or those of a matrix row by row; None for rows that differ."""
+    if not isinstance(value, _LISTS):
+        return None
+    leaves = list(value)
+    for _ in range(_MAX_LEVELS):
+        if not any(isinstance(each, _LISTS) for each in leaves):
+            return leaves
+        if len({len(each) if isinstance(each, _LISTS) else -1 for each in leaves}) > 1:
+            return None
+        leaves = list(chain.from_iterable(leaves))
+    return None
+
+
+def _as_json(values: Sequence[object]) -> pa.Array:
+    texts = _unless_missing(partial(json.dumps, default=str), values)
+    return pa.array(texts, pa.string()).cast(UNTYPED)
+
+
+def from_arrow(values: pa.Array | pa.ChunkedArray) -> pa.Array:
+    """Return the column of values of Arrow; nested lists become lists, row by row."""
+    column = _supported(values)
+    kind = column.type
+    if pa.types.is_boolean(kind) or pa.types.is_null(kind) or pa.types.is_temporal(kind):
+        return column
+    if pa.types.is_string(kind):
+        return without_blanks(column)
+    if pa.types.is_integer(kind):
+        with suppress(pa.ArrowException):
+            return column.cast(pa.int64())
+        return column.cast(pa.string())
+    if pa.types.is_floating(kind) or pa.types.is_decimal(kind):
+        return column.cast(pa.float64())
+    if pa.types.is_list(kind):
+        return _list_column(column)
+    return _as_json(column.to_pylist())
+
+
+def _supported(values: pa.Array | pa.ChunkedArray) -> pa.Array:
+    """Return values without the types that the toolkit does not read: dictionaries, views, extensions."""
+    column = values.combine_chunks() if isinstance(values, pa.ChunkedArray) else values
+    if isinstance(column, pa.ChunkedArray):  # of no chunk
+        column = pa.concat_arrays(column.chunks) if column.num_chunks else pa.array([], column.type)
+    if isinstance(column, pa.ExtensionArray):
+        column = column.storage
+    (found,) = read.supported_table(pa.table([column], ["values"])).columns
+    column = found.chunk(0) if found.num_chunks == 1 else found.combine_chunks()
+    if pa.types.is_fixed_size_list(column.type):
+        column = column.cast(pa.list_(column.type.value_type))
+    return column
+
+
+def _list_column(column: pa.Array) -> pa.Array:
+    lengths, values = pc.list_value_length(column), _supported(column.flatten())
+    while pa.types.is_list(values.type):
+        widths = lengths_of(values)
+        if len(widths) != 1 or values.null_count:
+            return _from_lists(column.to_pylist())
+        lengths, values = pc.multiply(lengths, widths[0]), _supported(values.flatten())
+    entries = from_arrow(values)
+    if not is_leaf(entries.type):
+        return _as_json(column.to_pylist())
+    return lists_of(entries, lengths)
+
+
+def from_numpy(values: AnyArray) -> pa.Array:
+    """Return the column of an array, shape (n,) of numbers, text or objects; or (n, ...) of lists."""
+    if values.ndim > 1:
+        entries = from_numpy(values.reshape(-1))
+        width = values.size // max(1, len(values))
+        return lists_of(entries, np.full(len(values), width))
+    if values.dtype.kind == "O":
+        return from_values(values.tolist())
+    return from_arrow(pa.array(values))
+
+
+def lists_of(entries: pa.Array, lengths: Sequence[int | None] | Int64 | pa.Array) -> pa.Array:
+    """Return entries as lists of some lengths, null where the length is."""
+    lengths = pa.array(lengths, pa.int32()) if not isinstance(lengths, pa.Array) else lengths
+    ends = np.cumsum(lengths.fill_null(0).to_numpy(), dtype=np.int64)
+    offsets = pa.array(np.append(0, ends).astype(np.int32))
+    mask = pc.is_null(lengths) if lengths.null_count else None
+    return pa.ListArray.from_arrays(offsets, entries, mask=mask)
+
+
+def repeated(value: object, count: int) -> pa.Array:
+    """Return a column of one value."""
+    return from_values([value]).take(pa.array(np.zeros(count, np.int64)))
+
+
+def lengths_of(column: pa.Array) -> list[int]:
+    """Return the distinct lengths of lists, sorted; empty for other values."""
+    if not pa.types.is_list(column.type):
+        return []
+    found: list[int] = pc.list_value_length(column).unique().drop_null().sort().to_pylist()
+    return found
+
+
+def is_leaf(data_type: pa.DataType) -> bool:
+    """Return whether values are numbers, booleans, texts or points in time, or all missing."""
+    return not pa.types.is_list(data_type) and data_type != UNTYPED
+
+
+def common_type(first: pa.DataType, second: pa.DataType, name: str = "values") -> pa.DataType:
+    """Return the type that holds values of both; ArrowException if there is none."""
+    if UNTYPED in (first, second) and len({first, second, pa.null()}) > 2:
+        raise pa.ArrowInvalid(f"{first} and {second}")
+    both = [pa.schema([(name, each)]) for each in (first, second)]
+    return pa.unify_schemas(both, promote_options="permissive").field(0).type
+
+
+def joined(columns: Sequence[pa.Array]) -> pa.Array:
+    """Return columns one after the other, as one column of a type that holds all of their values exactly."""
+    with suppress(pa.ArrowException):
+        kind = reduce(common_type, (column.type for column in columns), pa.null())
+        return pa.concat_arrays([pa.array([], kind), *(column.cast(kind) for column in columns)])
+    return from_values(chain.from_iterable(map(values_of, columns)))
+
+
+def joined_lists(columns: Sequence[pa.Array]) -> pa.Array:
+    """Return columns of lists one after the other, whose entries become one column."""
+    entries = joined([column.flatten() for column in columns if pa.types.is_list(column.type)])
+    lengths = [
+        pc.list_value_length(column) if pa.types.is_list(column.type) else pa.nulls(len(column), pa.int32())
+        for column in columns
+    ]
+    return lists_of(entries, pa.concat_arrays(lengths))
+
+
+def values_of(column: pa.Array) -> list[JsonValue]:
+    """Return values as objects of Python."""
+    found: list[JsonValue] = column.to_pylist()
+    if column.type != UNTYPED:
+        return found
+    return _unless_missing(json.loads, found)
+
+
+def texts_of(column: pa.Array) -> pa.Array:
+    """Return the text of each value, as of a name; null for a missing one, for NaN, and for lists."""
+    if pa.types.is_string(column.type):
+        return trimmed(column)
+    if not is_leaf(column.type):
+        found = (None if isinstance(value, (dict, list)) else value for value in values_of(column))
+        return without_blanks(pa.array([_name(value) for value in found], pa.string()))
+    encoded = column.dictionary_encode()
+    if isinstance(encoded, pa.Array) and not isinstance(encoded, pa.DictionaryArray):  # all null
+        return pa.nulls(len(column), pa.string())
+    names = pa.array(list(map(_name, encoded.dictionary.to_pylist())), pa.string())
+    return names.take(encoded.indices)
+
+
+def _name(value: object) -> str | None:
+    return None if value is None or value != value else _text(value).strip()
+
+
+def floats_of(column: pa.Array) -> Float64:
+    """Return numbers, shape (n,), or lists of them of one length, (n, k); NaN for a missing one.
+
+    Texts may hold several numbers. Raises ValueError for anything else.
+    """
+    kind = column.type
+    if kind in _NUMBERS:
+        numbers: Float64 = column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
+        return numbers
+    if pa.types.is_list(kind) and kind.value_type in _NUMBERS and len(lengths_of(column)) == 1:
+        inside = column.flatten().cast(pa.float64(), safe=False)
+        rows = np.full((len(column), *lengths_of(column)), np.nan)
+        rows[column.is_valid().to_numpy(zero_copy_only=False)] = inside.to_numpy(
+            zero_copy_only=False
+        ).reshape(-1, rows.shape[1])
+        return rows
+    try:
+        return np.array([_number(value) for value in values_of(column)], np.float64)
+    except TypeError as error:
+        raise ValueError(str(error)) from error
+
+
+def _number(value: JsonValue) -> JsonValue:
+    """Return a number, or a list of numbers; ValueError or TypeError for anything else."""
+    if isinstance(value, (list, tuple)):
+        return list(map(_number, value))
+    if not isinstance(value, str):
+        return float(value)
+    words = value.translate(_NO_BRACKETS).split()
+    if "_" in value or (len(words) > 1 and _is_one_number(value)):
+        raise ValueError(value)
+    return float(words[0]) if len(words) == 1 else [float(word) for word in words]
+
+
+def _is_one_number(text: str) -> bool:
+    """Return whether a text is a number with a comma, which may stand before decimals or thousands."""
+    left, comma, right = text.strip().partition(",")
+    return bool(comma) and left.lstrip("+-").isdecimal() and right.isdecimal()

@@ -1,0 +1,251 @@
+"""Tables of any length, read a few rows at a time: text, JSON lines, Parquet; no table is held in memory.
+
+A text table has commas, semicolons or tabs between values, in UTF-8, or UTF-16 with a BOM. Its rows have a
+value for each column. Spaces around values and empty lines do not count.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
+from typing import IO
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.json
+import pyarrow.parquet as pq
+
+from tactile_toolkit import cache, store, wording
+from tactile_toolkit.array_types import Int64
+from tactile_toolkit.columns import column_types
+from tactile_toolkit.errors import InputError, IntegrityError, ItemError
+from tactile_toolkit.json_types import JsonDict
+
+MAX_ROWS = 1 << 25
+"""Longest table that is read in parts: nine hours of 1,000 rows a second."""
+
+MAX_HELD_ROWS = 1 << 21
+"""Longest table that is held in memory."""
+
+TEXT_ENDINGS = (".csv", ".tsv")
+"""Endings of the names of text tables, in lower case."""
+
+_MAX_COLUMNS = 1000
+_HEADER_BYTES = 1 << 16
+_BLOCK_BYTES = 4 << 20  # Arrow refuses a longer line
+_ROWS_AT_ONCE = 1 << 15
+_LONGEST_SHOWN = 200  # characters of a message of Arrow
+_NO_ROWS = pa.table({})
+_UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
+_QUOTED = re.compile(r'"[^"\n]*"')
+_SEPARATORS = (",", ";", "\t")
+# A line before the header, by which spreadsheets state the separator.
+_SEPARATOR_LINE = re.compile(r"sep=([,;\t])\r?\n")
+
+
+def open_table(folder: store.DataFolder, name: str) -> Table:
+    """Return a table of a folder; a pass raises IntegrityError if the file has changed since."""
+    address, version = folder.address(name), folder.version(name)
+
+    def opened() -> IO[bytes]:
+        if folder.version(name) != version:
+            raise IntegrityError(
+                f"{address!r} was replaced or changed while it was read", next="run the same command again"
+            )
+        try:
+            return folder.open_inside(name)
+        except ItemError as error:
+            raise InputError(f"{address!r} cannot be read: {error.what}") from error
+
+    return Table(address, opened)
+
+
+class Table:
+    """A table that is read several times, a few rows at a time.
+
+    Parameters
+    ----------
+    path : str
+        Name of the table in messages; its ending gives the format.
+    open_file : callable
+        Opens the table as a binary stream.
+
+    Attributes
+    ----------
+    names : list of str
+        Names of the columns, in order; a column without a name is called ``column_1`` by its position.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, or exceeds a limit.
+    """
+
+    def __init__(self, path: str, open_file: Callable[[], IO[bytes]]) -> None:
+        self.path = path
+        self._open = open_file
+        self._types: dict[str, pa.DataType] = {}
+        self._read = _READERS.get(path[path.rfind(".") :].lower(), self._text_batches)
+        self._is_text = self._read == self._text_batches
+        self._separator = ""
+        self.names: list[str] = next(self._batches(), _NO_ROWS).column_names
+
+    def first_row(self) -> JsonDict:
+        """Return the first row, as it is stored; empty for a table without rows."""
+        return next(iter(next(self._batches(), _NO_ROWS).slice(0, 1).to_pylist()), {})
+
+    def scan(self, column: str = "") -> tuple[int, pa.Array]:
+        """Read all rows to find the types of columns; return the number of rows, and values of a column."""
+        rows, kept = 0, []
+        with self._named_errors():
+            for batch in self._batches():
+                rows += len(batch)
+                for name in batch.column_names:
+                    self._types[name] = self._common(name, batch.column(name), name != column)
+                if column in batch.column_names:  # as numbers, which take less space than text
+                    kept.append(self._typed(batch.select([column])))
+            self.names = list(self._types) or self.names
+            if not kept:
+                return rows, pa.nulls(rows)
+            return rows, column_types.joined([part.column(0).combine_chunks() for part in kept])
+
+    def rows(self, numbers: Int64) -> pa.Table:
+        """Return rows by their numbers, int64, shape (n,), n > 0, increasing; needs :meth:`scan` before."""
+        parts, start = [], 0
+        for batch in self._batches():
+            first, last = np.searchsorted(numbers, [start, start + len(batch)])
+            if first < last:
+                parts.append(batch.take(pa.array(numbers[first:last] - start)))
+            start += len(batch)
+        with self._named_errors():
+            return self._typed(pa.concat_tables(parts, promote_options="permissive"))
+
+    def whole(self, texts: Collection[str] = (), numbers: Collection[str] = ()) -> dict[str, pa.Array]:
+        """Return all columns with their types; lists of numbers in brackets become vectors.
+
+        In text tables, the columns ``texts`` stay text. If a value of the columns ``numbers`` is no number,
+        they stay text, too, in which numbers can be read and other missing values are null.
+        """
+        with self._named_errors():
+            parts = list(self._batches(MAX_HELD_ROWS))
+            if not parts:
+                return dict.fromkeys(self.names, pa.nulls(0))
+            table = pa.concat_tables(parts, promote_options="permissive")
+            self.names = table.column_names
+            if not self._is_text:
+                return {name: column_types.from_arrow(table[name]) for name in self.names}
+            found = {}
+            for name in self.names:
+                column, words = column_types.trimmed(table[name].combine_chunks()), self._words(table[name])
+                if name not in texts:
+                    column = column_types.as_type(column, words, column_types.text_type(words))
+                if name not in texts and pa.types.is_string(column.type):
+                    column = words if name in numbers else column_types.vectors_of(column)
+                found[name] = column
+            return found
+
+    def _batches(self, most_rows: int = 0) -> Iterator[pa.Table]:
+        """Yield the rows, a few at a time; values of text tables are text."""
+        rows, most_rows = 0, most_rows or MAX_ROWS
+        with self._named_errors(), self._open() as stream:
+            for batch in self._read(stream, self.path):
+                rows += len(batch)
+                if rows > most_rows:
+                    found = f"{self.path!r} has more than {most_rows:,} rows"
+                    raise InputError(found, next="divide it into several tables")
+                table = pa.Table.from_batches([batch])
+                yield table.rename_columns(_checked_names(table.column_names, self.path))
+
+    def _text_batches(self, stream: IO[bytes], path: str) -> Iterator[pa.RecordBatch]:
+        """Yield the rows of a text table, all columns as text."""
+        head = stream.read(_HEADER_BYTES)
+        encoding = "utf-16" if head.startswith(_UTF16_MARKS) else "utf-8"
+        text = head.decode(encoding, errors="ignore").removeprefix("\ufeff")
+        stated = _SEPARATOR_LINE.match(text)
+        header = text[stated.end() if stated else 0 :].lstrip("\r\n").partition("\n")[0]
+        self._separator = stated[1] if stated else max(_SEPARATORS, key=_QUOTED.sub("", header).count)
+        # Refuses a header of too many columns before Arrow parses it.
+        _checked_names([str(number) for number in range(header.count(self._separator) + 1)], path)
+        parsing = pa.csv.ParseOptions(delimiter=self._separator, newlines_in_values=True)
+        names = pa.csv.read_csv(io.BytesIO(f"{header}\n".encode()), parse_options=parsing).column_names
+        reading = pa.csv.ReadOptions(use_threads=False, block_size=_BLOCK_BYTES, encoding=encoding)
+        reading.skip_rows = int(stated is not None)
+        types = pa.csv.ConvertOptions(column_types=dict.fromkeys(names, pa.string()))
+        stream.seek(0)
+        batches = pa.csv.open_csv(stream, reading, parsing, types)
+        yield from batches
+        yield pa.RecordBatch.from_pylist([], batches.schema)  # states the columns of a table without rows
+
+    @contextmanager
+    def _named_errors(self) -> Iterator[None]:
+        try:
+            yield
+        except (pa.ArrowException, OSError, ValueError) as error:
+            found = wording.printable(str(error))[:_LONGEST_SHOWN]
+            advice = (
+                "save it as UTF-8 text, with commas, semicolons or tabs between the values of each row"
+                if self._is_text
+                else ""
+            )
+            raise InputError(f"{self.path!r} cannot be read as a table: {found}", next=advice) from error
+
+    def _common(self, name: str, values: pa.ChunkedArray, is_exact: bool) -> pa.DataType:
+        """Return the common type of some values of a column and of its earlier values.
+
+        With ``is_exact``, numbers stay text if formatting them would not give the same text.
+        """
+        known = self._types.get(name, pa.null())
+        if self._is_text:
+            return column_types.text_type(self._words(values), known, is_exact=is_exact)
+        return column_types.common_type(known, column_types.from_arrow(values).type, name)
+
+    def _words(self, values: pa.ChunkedArray) -> pa.Array:
+        return column_types.words_of(values.combine_chunks(), decimal_commas=self._separator != ",")
+
+    def _typed(self, table: pa.Table) -> pa.Table:
+        """Convert the columns of some rows to the types that hold all values of the table."""
+        columns = {}
+        for name, values in zip(table.column_names, table.columns, strict=True):
+            kind = self._types[name]
+            if self._is_text:
+                columns[name] = column_types.as_type(values.combine_chunks(), self._words(values), kind)
+            else:
+                columns[name] = column_types.from_arrow(values).cast(kind)
+        return pa.table(columns)
+
+
+def _checked_names(names: Sequence[str], path: str) -> list[str]:
+    """Return the names of columns; InputError for too many columns, or for duplicate names."""
+    found = [name.strip() or f"column_{number}" for number, name in enumerate(names, 1)]
+    if len(found) > _MAX_COLUMNS:
+        raise InputError(f"{path!r} has {len(found):,} columns; expected at most {_MAX_COLUMNS:,}")
+    twice = next((name for name in found if found.count(name) > 1), None)
+    if twice is not None:
+        raise InputError(f"{path!r} has two columns {twice!r}; expected different names")
+    return found
+
+
+def _json_batches(stream: IO[bytes], path: str) -> Iterator[pa.RecordBatch]:
+    with io.BufferedReader(stream) as lines:  # type: ignore[type-var] # files of stores have no such `readline`
+        while block := lines.read(_BLOCK_BYTES) + lines.readline(_BLOCK_BYTES):
+            reading = pa.json.ReadOptions(use_threads=False, block_size=len(block) + 1)
+            yield from pa.json.read_json(pa.BufferReader(block), reading).to_batches()
+
+
+def _parquet_batches(stream: IO[bytes], path: str) -> Iterator[pa.RecordBatch]:
+    size = stream.seek(0, io.SEEK_END)
+    is_text = (pa.types.is_string, pa.types.is_large_string, pa.types.is_string_view)
+    texts = [each.name for each in pq.read_schema(stream) if any(is_kind(each.type) for is_kind in is_text)]
+    # As dictionaries: repeated texts are stored once, and could take any space if they were expanded.
+    file = pq.ParquetFile(stream, read_dictionary=texts, pre_buffer=False, page_checksum_verification=True)
+    for number in range(file.metadata.num_row_groups):
+        cache.require_unpackable(file.metadata.row_group(number).total_byte_size, path, size)
+    yield from file.iter_batches(_ROWS_AT_ONCE, use_threads=False)
+
+
+_READERS = {".parquet": _parquet_batches, ".jsonl": _json_batches, ".ndjson": _json_batches}
+ENDINGS = (*TEXT_ENDINGS, *_READERS)
+"""Endings of the names of all tables that are read, in lower case."""

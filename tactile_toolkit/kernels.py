@@ -1,0 +1,209 @@
+"""Functions compiled by numba, which takes half a second to import: import kernels where they are called.
+
+Without fastmath each operation is an IEEE one, in the order in which it is written: values do not depend on
+the processor. By itself numba checks only the file of a kernel, and misses a change of a kernel in another
+file that was compiled into it. The locators here check the files of both.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import sys
+from collections.abc import Callable, Iterator
+from functools import cache, lru_cache
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numba
+from numba import extending
+from numba.core import caching, sigutils
+from numba.core.compiler_lock import global_compiler_lock
+
+from tactile_toolkit import store
+from tactile_toolkit.cache import LOCKS, cache_folder
+from tactile_toolkit.errors import BusyError, ToolkitError
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+# nogil: threads may work side by side. numpy's error model: a division by 0 is an infinity, not an exception
+# that every loop has to check. No wrapper for C, which would be unused: it takes a tenth of the time.
+_SETTINGS = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+_planned: dict[str, list[tuple[Any, str]]] = {}  # kernels and their types, by module
+
+
+def compiled(function: F) -> F:
+    """Compile on first use; cache the code next to the file or in the user's cache folder, if writable.
+
+    If several processes need a function, one compiles it and the others load the result. A debugger sees
+    plain Python if ``NUMBA_DISABLE_JIT`` is set.
+    """
+    jit: Any = numba.njit
+    try:
+        with all_files_watched():
+            kernel: Any = jit(cache=True, **_SETTINGS)(function)
+    except RuntimeError:  # numba finds no folder for its cache
+        return jit(**_SETTINGS)(function)  # type: ignore[no-any-return]
+    if kernel is function:  # where NUMBA_DISABLE_JIT is set
+        return function
+    kernel.compile = _CompileOnce(kernel)
+    return kernel  # type: ignore[no-any-return]
+
+
+def part(function: F) -> F:
+    """Compile into the kernels that call it; called from Python, it is plain Python."""
+    register: Any = extending.register_jitable
+    return register(**_SETTINGS, no_cpython_wrapper=True)(function)  # type: ignore[no-any-return]
+
+
+def planned(types: str) -> Callable[[F], F]:
+    """Return :func:`compiled` for a kernel that :func:`prepare` compiles, for arguments of these types.
+
+    ``types`` is a tuple in numba's notation, such as ``"(float64[:,::1], int64)"``.
+    """
+
+    def decorate(function: F) -> F:
+        kernel: Any = compiled(function)
+        if isinstance(getattr(kernel, "compile", None), _CompileOnce):
+            _planned.setdefault(function.__module__, []).append((kernel, types))
+        return kernel  # type: ignore[no-any-return]
+
+    return decorate
+
+
+@cache
+def prepare(*modules: str) -> None:
+    """Compile or load the planned kernels of modules that another process is not compiling just now.
+
+    Workers that start together thus divide the kernels among them. Later, each loads those of the others.
+    """
+    parsed: Any = sigutils.normalize_signature
+    for module in modules:
+        import_module(module)
+        for kernel, types in _planned.get(module, ()):
+            with contextlib.suppress(BusyError):
+                # The cache knows a kernel by its types, not by how they are written.
+                kernel.compile(tuple(parsed(types)[0]), patience_s=0.0)
+
+
+class _CompileOnce:
+    """Replaces a kernel's own ``compile``: only one process compiles it, and only once."""
+
+    def __init__(self, kernel: Any) -> None:
+        self._kernel, self._compile_or_load = kernel, kernel.compile
+        self._lock = f"{kernel.__module__}.{kernel.__name__}"
+
+    def __call__(self, types: Any, patience_s: float | None = None) -> Any:
+        """Return the compiled function for types; BusyError only after a ``patience_s`` that is given."""
+        known = self._kernel.overloads.get(types)
+        if known is not None:
+            return known.entry_point
+        with global_compiler_lock, contextlib.ExitStack() as stack:
+            try:
+                folder = cache_folder() / LOCKS
+                folder.mkdir(parents=True, exist_ok=True)
+                stack.enter_context(store.locked(folder / self._lock, patience_s=patience_s))
+            except BusyError:
+                if patience_s is not None:
+                    raise
+            except (OSError, ToolkitError):  # no lock: two processes may do the same work
+                pass
+            # The collector takes an eighth of the time, and finds nothing.
+            stack.enter_context(store.without_collecting())
+            return self._compile_or_load(types)
+
+
+if TYPE_CHECKING:
+    # numba has no types.
+    class _Locator:
+        @classmethod
+        def from_function(cls, py_func: Callable[..., Any], py_file: str) -> Any: ...
+        def get_disambiguator(self) -> str: ...
+
+else:
+    _Locator = object
+T = TypeVar("T")
+
+# Settings of this package affect the compiled code, its imports do not.
+_COMPILER = "tactile_toolkit.kernels"
+
+
+class _AllFiles(_Locator):
+    """Adds a digest of all files behind a kernel to the names of its files in the cache.
+
+    Numba reads a whole index before it sees that it is out of date, and fails at classes that are gone.
+    """
+
+    files_digest = ""
+
+    @classmethod
+    def from_function(cls, py_func: Callable[..., Any], py_file: str) -> Any:
+        """Return a locator, or None if it cannot write."""
+        locator = super().from_function(py_func, py_file)
+        if locator is not None:
+            locator.files_digest = _files_digest(py_func.__module__)
+        return locator
+
+    def get_disambiguator(self) -> str:
+        """Return the part of the names that differs if the source does."""
+        return f"{super().get_disambiguator()}-{self.files_digest}"
+
+
+class ChosenFolder(_AllFiles, caching.UserProvidedCacheLocator):
+    """The folder that ``NUMBA_CACHE_DIR`` names."""
+
+
+class BesideTheCode(_AllFiles, caching.InTreeCacheLocator):
+    """``__pycache__`` beside the file, where it can be written."""
+
+
+class UsersFolder(_AllFiles, caching.UserWideCacheLocator):
+    """The user's cache folder."""
+
+
+_LOCATORS = ",".join(f"{__name__}.{each.__name__}" for each in (ChosenFolder, BesideTheCode, UsersFolder))
+
+
+@contextlib.contextmanager
+def all_files_watched() -> Iterator[None]:
+    """Let numba use the locators of this file for functions that are declared meanwhile."""
+    settings: Any = numba.config
+    before = settings.CACHE_LOCATOR_CLASSES
+    settings.CACHE_LOCATOR_CLASSES = before or _LOCATORS
+    try:
+        yield
+    finally:
+        settings.CACHE_LOCATOR_CLASSES = before
+
+
+@lru_cache
+def _files_digest(module: str) -> str:
+    """Return the digest of the modules whose functions may be compiled into the kernels of a module.
+
+    Called for the first kernel of a module: it has imported by then what its kernels call.
+    """
+    found, waiting = {_COMPILER}, [module]
+    while waiting:
+        name = waiting.pop()
+        if name in found:
+            continue
+        found.add(name)
+        owners = {_owner(value) for value in vars(sys.modules[name]).values()}
+        if _COMPILER in owners or any(owner.startswith("numba") for owner in owners):
+            packages = (name.partition(".")[0], _COMPILER.partition(".")[0])
+            waiting += [owner for owner in owners if owner.partition(".")[0] in packages]
+    digest = hashlib.sha256()
+    for name in sorted(found):
+        file = getattr(sys.modules.get(name), "__file__", None)
+        with contextlib.suppress(OSError):  # a module in an archive
+            digest.update(name.encode() + b"\n" + Path(file or "").read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _owner(value: object) -> str:
+    """Return the module that a value is, or that defines it."""
+    if isinstance(value, ModuleType):
+        return value.__name__
+    return str(getattr(value, "__module__", ""))
