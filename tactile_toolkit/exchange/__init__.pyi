@@ -1,7 +1,6 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
 from .copies import (
-    Choices as Choices,
     divide as divide,
     merge_sets as merge_sets,
     plan_parts as plan_parts,

@@ -8,21 +8,19 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import accumulate, chain, count, pairwise, zip_longest
 from pathlib import Path
-from typing import Any, TypeAlias, Unpack
+from typing import Any, Unpack
 
 import numpy as np
 import pyarrow as pa
 
 from tactile_toolkit import catalog, mesh, places, read, run, store
-from tactile_toolkit.array_types import AnyArray, Int64
+from tactile_toolkit.array_types import Int64
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.kind import EXPORT, MERGE, SELECT, SPLIT, DatasetKind, kinds
-from tactile_toolkit.places import Place
 from tactile_toolkit.read.integer_columns import whole_numbers
 
 _LARGEST_ID = (1 << 63) - 1
-Choices: TypeAlias = "Iterable[tuple[str, read.RecordDataset[mesh.SolidRecord], AnyArray]]"
 _ROWS_PER_FILE = 1000
 # 100 digits are 12 MB unpacked. Level 9 makes their files 8 % smaller and takes three times as long.
 _STYLE = store.ParquetStyle(100, compression_level=3, encodings=((f"{mesh.MESH}.bytes", "PLAIN"),))
@@ -152,15 +150,17 @@ def select_rows(
 
 
 def plan_tables(
-    kind: DatasetKind, place: Place, choices: Choices, chosen: JsonObject, out: str
+    kind: DatasetKind, place: places.Place, chosen: catalog.RowFilter, out: str
 ) -> store.BuildPlan:
-    """Plan Parquet files of chosen rows of splits, which other libraries read.
+    """Plan Parquet files of chosen rows, which other libraries read.
 
-    ``chosen`` are the arguments by which :func:`~tactile_toolkit.catalog.choose_rows` chose the rows. Raises
-    InputError if ``out`` is in the source or holds something else.
+    Raises InputError if no row is chosen, or ``out`` is in the source or holds something else.
     """
-    tasks, shards = [], {}
-    for split, rows, indices in choices:
+    filters = chosen.given()
+    datasets = catalog.open_splits(place, filters.pop("split"), kind.load, kind.nouns)
+    tasks = []
+    shards = {}
+    for split, rows, indices in catalog.choose_rows(datasets.items(), **filters):
         shards[split] = rows.files
         starts = range(0, len(indices), _ROWS_PER_FILE)
         for index, start in enumerate(starts):
@@ -168,12 +168,12 @@ def plan_tables(
             tasks.append(store.ShardTask(store.ShardName(split, index, len(starts)), part, _flat_rows))
     options = {
         "layout": "flat",
-        "ids": ",".join(map(catalog.id_text, chosen["ids"] or ())) or None,
-        "labels": ",".join(chosen["labels"] or ()) or None,
-        "limit": chosen["limit"],
+        "ids": ",".join(map(catalog.id_text, chosen.ids or ())) or None,
+        "labels": ",".join(chosen.labels or ()) or None,
+        "limit": chosen.limit,
     }
-    if chosen["per_class"] is not None:
-        options["per_class"] = chosen["per_class"]
+    if chosen.per_class is not None:
+        options["per_class"] = chosen.per_class
     options |= unfinished_counts([place])
     every = [shard for found in shards.values() for shard in found]
     catalog.refuse_source(store.open_folder(out), place.name, every)
