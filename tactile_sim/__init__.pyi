@@ -1,7 +1,7 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
 from .elastic.contact import Contact as Contact, Gel as Gel, solve_contact as solve_contact
-from .gel_modulus import fit_youngs_modulus as fit_youngs_modulus
+from .elastic_press import fit_youngs_modulus as fit_youngs_modulus
 from .generation import TouchGenerator as TouchGenerator, generate as generate
 from .markers import marker_grid_px as marker_grid_px, marker_positions_px as marker_positions_px
 from .optics import make_optics as make_optics

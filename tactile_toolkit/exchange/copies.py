@@ -18,7 +18,6 @@ from tactile_toolkit.array_types import Int64
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.kind import EXPORT, MERGE, SELECT, SPLIT, DatasetKind, kinds
-from tactile_toolkit.read.integer_columns import whole_numbers
 
 _LARGEST_ID = (1 << 63) - 1
 _ROWS_PER_FILE = 1000
@@ -425,13 +424,12 @@ def new_ids(
 
 
 def _ids_of(shard: read.Shard) -> list[int | str]:
-    values = read.ShardedTable((shard,)).column("id")
-    if values.dtype.kind in "iuf" and whole_numbers(values).all():
-        values = values.astype(np.int64)
-    ids: list[int | str] = values.tolist()
-    if not all(isinstance(value, (int, str)) for value in ids):
+    values = read.ShardedTable((shard,)).column("id").tolist()
+    ids = [value if isinstance(value, str) else read.whole_number(value) for value in values]
+    known = [value for value in ids if value is not None]
+    if len(known) < len(ids):
         raise InputError(f"an id of {shard.path!r} is missing; expected an id in each row")
-    return ids
+    return known
 
 
 def source_names(names: Sequence[str]) -> list[str]:
@@ -450,10 +448,9 @@ def source_names(names: Sequence[str]) -> list[str]:
 
 
 def _parts_of(name: str) -> list[str]:
-    place = name
-    if not store.is_remote(name):
-        place = store.expanded(store.normalize_uri(name)).absolute().as_posix()
-    return [part for part in place.split("/") if part]
+    path = store.local_path(name)
+    whole = name if path is None else path.absolute().as_posix()
+    return [part for part in whole.split("/") if part]
 
 
 def require_new_column(name: str, schema: pa.Schema) -> None:
