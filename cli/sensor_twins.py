@@ -28,7 +28,8 @@ _STATES = {True: "the sensor is as it was calibrated", False: "the sensor has ch
 
 def is_sensor(name: str) -> bool:
     """Return whether a name is that of a local folder of a calibrated sensor."""
-    return not store.is_remote(name) and (store.expanded(name) / SENSOR_FILE).is_file()
+    path = store.local_path(name)
+    return path is not None and (path / SENSOR_FILE).is_file()
 
 
 def show_sensor(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import glob
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -83,7 +83,7 @@ def print_pictures(
     overwrite: bool = False,
     dry_run: bool = False,
     workers: int = 1,
-    on_progress: printing.Progress = lambda _done, _total: None,
+    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> printing.FileExport[PrintedPicture]:
     """Make a file of each picture, named after it; each page of a TIFF or GIF is a picture.
 

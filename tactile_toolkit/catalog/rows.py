@@ -278,9 +278,7 @@ def refuse_source(folder: store.DataFolder, name: str, source_files: Iterable[Lo
 
 def short_name(name: str) -> str:
     """Return the name of a data set without its parent folders, which a published page must not show."""
-    if store.is_remote(name):
+    path = store.local_path(name)
+    if path is None:
         return name.rstrip("/").rpartition("/")[2]
-    place = store.expanded(store.normalize_uri(name))
-    if place.exists():
-        return place.resolve().name
-    return name
+    return path.resolve().name if path.exists() else name

@@ -102,10 +102,9 @@ def source_names(names: Sequence[str]) -> list[str]:
 
 
 def _parts_of(name: str) -> list[str]:
-    place = name
-    if not store.is_remote(name):
-        place = store.expanded(store.normalize_uri(name)).absolute().as_posix()
-    return [part for part in place.split("/") if part]
+    path = store.local_path(name)
+    whole = name if path is None else path.absolute().as_posix()
+    return [part for part in whole.split("/") if part]
 
 
 def require_new_column(name: str, schema: pa.Schema) -> None:

@@ -136,9 +136,13 @@ def _local(name: str) -> tuple[store.DataFolder, str] | None:
     """
     if not name or store.scheme_of(name) == "hf":
         return None
-    if store.is_remote(name):
+    try:
+        path = store.local_path(name)
+    except InputError:  # an unknown user's home
+        return None
+    if path is None:
         if name.endswith(PARQUET):
-            return store.split_uri(store.normalize_uri(name))
+            return store.split_uri(name)
         folder = store.open_folder(name)
         if not folder.exists():
             raise InputError(
@@ -146,17 +150,13 @@ def _local(name: str) -> tuple[store.DataFolder, str] | None:
                 next="check the address",
             )
         return folder, ""
-    try:
-        place = store.expanded(store.normalize_uri(name))
-    except InputError:  # an unknown user's home
-        return None
     with store.readable(name):
-        if not store.path_exists(place):
+        if not store.path_exists(path):
             return None
-    if place.is_dir():
-        return store.open_folder(str(place)), ""
-    if place.is_file():
-        return store.open_folder(str(place.parent)), place.name
+    if path.is_dir():
+        return store.open_folder(str(path)), ""
+    if path.is_file():
+        return store.open_folder(str(path.parent)), path.name
     return None
 
 
