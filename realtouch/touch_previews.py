@@ -73,13 +73,15 @@ def plan_previews(
 
 def draw_grid(record: rounds.TouchRound, most: int) -> UInt8:
     """Draw touches of a round, evenly spaced, with their numbers; those that met an object are framed."""
-    row, heights_m = record.row, None
+    row = record.row
+    heights_m = None
     if row.has_poses:
         rule = contact.ContactHeight.of(row.group.names)
         heights_m = contact.contact_heights_m(row.contact_z_m(row.kind), plate_z_m=row.plate_z_m(rule))
     tiles = []
     for touch in picture_views.evenly_spaced(record.touch_count, most):
-        caption, frame = f"{touch}", None
+        caption = f"{touch}"
+        frame = None
         if heights_m is not None:
             caption = f"{touch}: {heights_m[touch] * 1e3:.1f} mm"
             if heights_m[touch] >= rule.min_height_m:
@@ -191,7 +193,8 @@ def overlay(touches: Sequence[PlacedTouch], cell: CellMap) -> UInt8:
             next="make them alike with `realtouch resize`",
         )
     width, height = cell.size_px
-    sums, weights = np.zeros((height, width, 3)), np.zeros((height, width, 1))
+    sums = np.zeros((height, width, 3))
+    weights = np.zeros((height, width, 1))
     rest = np.median([touch.pixels for touch in touches], axis=0)
     for touch in touches:
         window, back = _back_to_touch(touch, cell)

@@ -218,7 +218,8 @@ def _paint_object(picture: Image.Image, placement: Placement, px_per_m: float) -
     low, high = (
         np.clip((rings[0].min(axis=0), rings[0].max(axis=0) + 2), 0, picture.size).astype(int).tolist()
     )
-    mask, fill = Image.new("L", (high[0] - low[0], high[1] - low[1])), 255
+    mask = Image.new("L", (high[0] - low[0], high[1] - low[1]))
+    fill = 255
     for edge_px in rings:
         ImageDraw.Draw(mask).polygon((edge_px - low).ravel().tolist(), fill=fill)
         fill = 0  # rings after the first are holes

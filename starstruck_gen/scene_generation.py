@@ -225,7 +225,8 @@ def generate(
 
 def scene_recipe(seed: int, per_class: int | None) -> generation.Recipe:
     """Return the recipe that makes scenes without input: as published, or fewer."""
-    scenes, sizes = dict(PUBLISHED_SIZES), None
+    scenes = dict(PUBLISHED_SIZES)
+    sizes = None
     if per_class is not None:
         most = per_class * len(KIND.class_names)
         scenes = {split: min(size, most) for split, size in scenes.items()}

@@ -17,6 +17,7 @@ import uuid
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from operator import methodcaller
 from pathlib import Path
 from typing import IO, ClassVar, Protocol, TypeVar
 
@@ -427,7 +428,7 @@ class LocalFolder(DataFolder):
 
     def write_bytes(self, path: str, content: bytes) -> None:
         """Write a file in one step, so that readers see all of it or nothing."""
-        self.write(path, lambda stream: stream.write(content))
+        self.write(path, methodcaller("write", content))
 
     def create_bytes(self, path: str, content: bytes) -> None:
         """Write a file in one step unless there is one of that name; if several try, one of them wins."""
@@ -440,7 +441,7 @@ class LocalFolder(DataFolder):
                 if not target.exists():
                     temporary.replace(target)  # a file system without links
 
-        self._write(path, lambda stream: stream.write(content), link)
+        self._write(path, methodcaller("write", content), link)
 
     def move(self, path: str, target: str) -> None:
         """Move a file inside the folder, in place of any other."""
