@@ -140,8 +140,3 @@ def duration_text(seconds: float) -> str:
     if minutes < 60:
         return f"{minutes} min {rest} s"
     return f"{minutes // 60} h {minutes % 60} min"
-
-
-def least_to_most(counts: Sequence[int]) -> str:
-    """Return the range of counts as text: ``"10"`` if all are equal, otherwise ``"8-10"``."""
-    return "-".join(map(str, dict.fromkeys((min(counts), max(counts)))))
