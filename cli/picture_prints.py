@@ -113,8 +113,7 @@ def solidify(
         ending=f".{file_format}",
         preview=preview,
     )
-    doing = "checking" if job.dry_run else "making"
-    with sink.progress(doing, "files") as update:
+    with sink.progress("checking" if job.dry_run else "making", "files") as update:
         made = mnist3d.print_pictures(
             *(pictures, out, spec),
             overwrite=job.overwrite,

@@ -71,11 +71,14 @@ def _plan_file(name: str, spec: digit_options.DigitPreviewSpec) -> pictures.Pict
 
 def _plan_pages(path: Path, stem: str) -> list[tuple[str, partial[UInt8]]]:
     """Read the pages of a picture, one digit each; return file names and functions that draw the steps."""
-    pages, drawings = picture_files.pages_of(path), []
+    pages = picture_files.pages_of(path)
+    drawings = []
     for number, page in enumerate(pages, 1):
-        file, title = f"{stem}-steps.png", path.name
+        file = f"{stem}-steps.png"
+        title = path.name
         if len(pages) > 1:
-            file, title = f"{stem}-{number}-steps.png", f"{path.name}, page {number}"
+            file = f"{stem}-{number}-steps.png"
+            title = f"{path.name}, page {number}"
         # Fitted into 500 px, as by the sources; the default specification is for that size.
         pixels = ink.fit(picture_files.read_picture(path, page=page, whole=True))
         drawings.append((file, partial(solid.draw_steps, pixels, SolidSpec(), title)))
@@ -86,7 +89,8 @@ def _plan_steps(
     chosen: pictures.ChosenRows, spec: digit_options.DigitPreviewSpec
 ) -> list[pictures.PlannedPicture]:
     """Plan the steps of the digits with given ids, or of the first digit."""
-    made_by, set_name = chosen.place.made_by, chosen.place.name
+    made_by = chosen.place.made_by
+    set_name = chosen.place.name
     if "source" not in made_by:
         raise InputError(
             f"{set_name!r} does not name the source of its images", next="draw --kind sheet only"

@@ -6,10 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from tactile_toolkit import read, rows, touch
-from tactile_toolkit.array_types import Float16, Float32, Float64
+from tactile_toolkit.array_types import Float32, Float64
 
 EXTRA = "extra."
 """Prefix of columns that only some sets have: ``touch.extra["force_n"]`` reads them."""
@@ -95,10 +97,10 @@ class SyntheticRound:
     marker_flow_px: Float32 | None = _extra(
         "marker_flow_px", "T x 2 M, px", "how far each marker moved: column, row"
     )
-    pressure_kpa: Float16 | None = _extra(
+    pressure_kpa: NDArray[np.float16] | None = _extra(
         "pressure_kpa", "T x H W, kPa", "pressure on the gel under each pixel, row after row"
     )
-    displacement_mm: Float16 | None = _extra(
+    displacement_mm: NDArray[np.float16] | None = _extra(
         "displacement_mm",
         "T x 3 H W, mm",
         "displacement of its surface under each pixel: along x, along y, into the gel",

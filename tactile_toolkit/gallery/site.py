@@ -42,7 +42,8 @@ _TEMPLATE_FILE = "page.template"
 _FOLDER_PREFIX = "files-"
 
 # Values of a facet for items without a value, and for items with an unknown value.
-_NONE, _UNKNOWN = "none", "unknown"
+_NONE = "none"
+_UNKNOWN = "unknown"
 
 FOLDER_MARK = "{{files}}"
 """Placeholder in the page for the name of the folder of its files."""
@@ -103,7 +104,8 @@ def build_site(
         items = _write_items(gallery, files, runner, on_progress)
         files.write("items.js", f"gallery.start({script_json(index_of(gallery, items))});\n")
         # Checked again, because hours may have passed.
-        former, named = _former_folders(path, overwrite=overwrite), path / _name_of(folder)
+        former = _former_folders(path, overwrite=overwrite)
+        named = path / _name_of(folder)
         if named not in former:
             folder.rename(named)
         draft = store.draft_of(path / PAGE_FILE)

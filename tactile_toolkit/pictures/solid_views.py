@@ -25,7 +25,8 @@ _AMBIENT, _DIFFUSE, _SPECULAR = 0.22, 0.78, 0.12
 
 # Direction of the light of reliefs: right, up and out of the picture; and their grey levels.
 _RELIEF_LIGHT = np.array([-0.45, 0.55, 0.70])
-_DARKEST, _RANGE = 60, 180
+_DARKEST = 60
+_RANGE = 180
 _MARGIN_PX = 2
 _MAX_RELIEF_PX = 2_048
 
@@ -96,7 +97,8 @@ def draw_bodies(
 
     levels = np.repeat(np.array([body.colour for body in bodies], float), counts, axis=0)[face]
     lit = np.flatnonzero(np.repeat([body.lit for body in bodies], counts)[face])
-    corners, normals = points_px[faces[face[lit]]], _corner_normals(projected, faces)[face[lit]]
+    corners = points_px[faces[face[lit]]]
+    normals = _corner_normals(projected, faces)[face[lit]]
     levels[lit] = _lit(levels[lit], _normals_at(column[lit], row[lit], corners, normals))
     pixels = np.full((height, width, 3), paper, np.uint8)
     pixels[row, column] = np.clip(np.round(levels), 0, 255)
@@ -106,7 +108,8 @@ def draw_bodies(
 def _corner_normals(points: Float64, faces: Integers) -> Float64:
     """Return normals at the corners of triangles, (F, 3, 3): sums over triangles that meet smoothly."""
     across = _face_normals(points, faces)
-    own, corners = _unit_vectors(across), faces.ravel()
+    own = _unit_vectors(across)
+    corners = faces.ravel()
     by_vertex = np.argsort(corners, kind="stable")
     first = np.searchsorted(corners[by_vertex], corners)
     meeting = np.bincount(corners)[corners]

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 import tactile_sim
-from tactile_sim.elastic import contact as contacts, layer
+from tactile_sim.elastic import layer
 from tactile_toolkit.errors import InputError
 from tests.tactile_sim import elastic_formulas as formulas
 from tests.tactile_sim.elastic_bodies import (
@@ -354,11 +354,6 @@ def test_blocks_of_pixels_are_near_the_whole():
     assert abs(blocks.depth_m - whole.depth_m) < 1e-5
     assert np.abs(blocks.displacement_m - whole.displacement_m).mean() < 3e-6
     assert blocks.force_n[2] == pytest.approx(5.0, rel=1e-5)
-
-
-def test_large_images_are_solved_on_blocks():
-    sizes = {(64, 86): 1, (64, 64): 1, (240, 320): 4, (480, 640): 8, (96, 101): 1, (101, 103): 1, (97, 97): 1}
-    assert {size: contacts.block_px(*size) for size in sizes} == sizes
 
 
 def test_reciprocity_of_single_loads():
