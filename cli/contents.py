@@ -1,15 +1,21 @@
-"""The commands ``info``, ``show`` and ``list``, which print the content of data sets, rows and folders."""
+"""The commands that show what a data set holds: its facts, its rows, and the data sets of a folder."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from cli import nested_values, options, output, runs
+from cli import options, output, runs
 from tactile_toolkit import catalog, checked_fields, places, read, store, wording
 from tactile_toolkit.errors import InputError, ToolkitError
-from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.json_types import JsonDict, JsonValue
 from tactile_toolkit.kind import DatasetKind, is_copy
-from tactile_toolkit.wording import with_count
+from tactile_toolkit.wording import bytes_text, with_count
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
 
 ROW = checked_fields.integer(0, help="Number of the row in its split, from 0.")
 
@@ -36,7 +42,7 @@ def info(
         return
     print_made(sink, kind, manifest, folder.address(), None)
     sink.line(f"made by tactile-toolkit {manifest.toolkit_version}; source and spec:")
-    for line in nested_values.flat_lines(manifest.spec):
+    for line in flat_lines(manifest.spec):
         sink.line(f"  {line}")
 
 
@@ -88,15 +94,13 @@ def show(
         )
     group, index = rows.locate(row)
     stored = group.table.slice(index, 1)
-    values = {
-        name: nested_values.brief(nested_values.stored_value(stored[name][0])) for name in stored.column_names
-    }
+    values = {name: brief(stored_value(stored[name][0])) for name in stored.column_names}
     sink.document({"data_set": name, "split": chosen, "row": row, "values": values})
     sink.line(f"{name}: row {row:,} of the {with_count(len(rows), 'rows')} in {chosen}")
     lines = []
     for field in stored.schema:
         type_text = str(field.type).replace("element: ", "").replace("fixed_size_list", "list")
-        for line in nested_values.flat_lines({field.name: values[field.name]}):
+        for line in flat_lines({field.name: values[field.name]}):
             column, _, value = line.partition(" = ")
             lines.append((column, type_text, value))
     sink.table(("column", "type", "value"), lines)
@@ -181,3 +185,56 @@ def print_sets(sink: output.Sink, kind: DatasetKind) -> None:
     if any(row[3] == "?" for row in rows):
         sink.info("?: the Hub did not answer for this one (no network, or no access)")
     sink.line(f"next: {kind.command} download NAME [--split SPLIT] [--out DIR]")
+
+
+# Length of the longest list whose values are shown.
+_SHOWN = 6
+
+
+def flat_lines(values: JsonValue, path: str = "") -> list[str]:
+    """Return nested values as lines such as ``solid.profile = round``."""
+    if isinstance(values, dict) and values:
+        inner = values.items()
+    elif isinstance(values, list) and any(isinstance(value, (dict, list)) for value in values):
+        inner = dict(enumerate(values, 1)).items()
+    else:
+        return [f"{path} = {_value_text(values)}"]
+    return [line for key, value in inner for line in flat_lines(value, f"{path}.{key}".lstrip("."))]
+
+
+def _value_text(value: JsonValue) -> str:
+    if value is None or value in ([], {}):
+        return "none"
+    if isinstance(value, list):
+        return ", ".join(map(_value_text, value))
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return str(value)
+
+
+def stored_value(scalar: pa.Scalar) -> object:
+    """Convert a scalar of Arrow to Python, or to text if Python has no such type (nanoseconds)."""
+    try:
+        return scalar.as_py()
+    except ValueError:
+        # Its text needs pandas, which no command imports.
+        if isinstance(scalar, Mapping):
+            return {name: stored_value(each) for name, each in scalar.items()}
+        if isinstance(scalar, Iterable):
+            return list(map(stored_value, scalar))
+        return scalar.cast("string").as_py()
+
+
+def brief(value: object) -> JsonValue:
+    """Shorten a value for JSON: a long list becomes its number of values, bytes become their size."""
+    if isinstance(value, dict):
+        return {name: brief(each) for name, each in value.items()}
+    if isinstance(value, bytes):
+        return bytes_text(len(value))
+    if isinstance(value, list) and len(value) > _SHOWN:
+        return with_count(len(value), "values")
+    if isinstance(value, list):
+        return [brief(each) for each in value]
+    if isinstance(value, (bool, int, float, str, type(None))):
+        return value
+    return str(value)

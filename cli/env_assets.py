@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 import env_assets
-from cli import application, checks, contents, exports, merge_and_split, options, output, upkeep
+from cli import application, checks, contents, exports, options, output, sets
 from env_assets import WrenchSpec
 from env_assets.wrench.kind import KIND
 from tactile_toolkit import checked_fields, kind, mesh
@@ -93,10 +93,10 @@ def _shown(value: object) -> object:
 for _shared in (
     exports.export,
     checks.verify,
-    merge_and_split.merge,
-    merge_and_split.split,
+    sets.merge,
+    sets.split,
     contents.show,
-    upkeep.cache,
+    sets.cache,
 ):
     application.command(app, kind=KIND, checks=None, objects=checks.Objects())(_shared)
 

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from cli import application, declared_options, options, output, runs
+from cli import application, options, output, runs
 from tactile_toolkit import catalog, checked_fields, exchange, printing, store, wording
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
@@ -60,8 +60,8 @@ def export(
     opening: options.Opening,
     form: ExportOptions,
     chosen: catalog.RowFilter,
-    distances: Annotated[declared_options.Given, declared_options.OptionsOf(printing.PlateSpec)],
-    material: Annotated[declared_options.Given, declared_options.OptionsOf(printing.Physics)],
+    distances: Annotated[options.Given, options.OptionsOf(printing.PlateSpec)],
+    material: Annotated[options.Given, options.OptionsOf(printing.Physics)],
     out: Path = options.local_out_folder("prints"),
     job: options.Job,
     sink: output.Sink,

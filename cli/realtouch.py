@@ -10,17 +10,15 @@ import typer
 import realtouch
 from cli import (
     application,
-    galleries,
-    nested_values,
+    contents,
     options,
     output,
-    previews,
+    pictures,
     runs,
     shared,
     touch_conversions,
-    touch_imports,
 )
-from cli.touch_checks import check
+from cli.touch_conversions import check
 from realtouch.kind import KIND
 from tactile_toolkit import catalog, checked_fields, kind, places, store
 from tactile_toolkit.errors import IntegrityError
@@ -98,7 +96,7 @@ def info(
         _print_summary(sink, each, summary)
     if manifest is not None:
         sink.line(f"made by tactile-toolkit {manifest.toolkit_version}; {operation} with")
-        for line in nested_values.flat_lines(manifest.spec.get("options")):
+        for line in contents.flat_lines(manifest.spec.get("options")):
             sink.line(f"  {line}")
 
 
@@ -216,11 +214,11 @@ _convert("depth", touch_conversions.Depth, kind.lazy("realtouch:add_depth"))
 _convert("frames", touch_conversions.Frames, kind.lazy("realtouch:frames"), nouns="touches")
 _convert("select", touch_conversions.Select, kind.lazy("realtouch:select"))
 _convert("export", touch_conversions.Export, kind.lazy("realtouch:export"), nouns="rows")
-application.command(app, "import")(touch_imports.import_touches)
+application.command(app, "import")(touch_conversions.import_touches)
 application.command(app)(check)
 _left_out = dict.fromkeys(("info", "verify", "validate", "export", "select"))
 shared.add_shared(
-    app, KIND, {**_left_out, "preview": previews.preview_touches, "gallery": galleries.gallery_of_touches}
+    app, KIND, {**_left_out, "preview": pictures.preview_touches, "gallery": pictures.gallery_of_touches}
 )
 
 main = partial(application.run, app)
