@@ -11,9 +11,8 @@ from typing import Annotated
 import typer
 
 from cli import application, declared_options, options, output, runs
-from tactile_toolkit import catalog, checked_fields, exchange, places, printing, store, wording
+from tactile_toolkit import catalog, checked_fields, exchange, printing, store, wording
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.wording import with_count
 
@@ -83,13 +82,13 @@ def export(
 
     Exit code 1 if an object or plate could not be written as a solid.
     """
-    filters = chosen.given()
     _refuse_without_effect(form, distances, material)
     place = opening.open(sink, name).require(kind, "export")
-    datasets = catalog.open_splits(place, filters.pop("split"), kind.load, kind.nouns).items()
     if form.file_format == "flat":
-        _export_flat(sink, kind, place, catalog.choose_rows(datasets, **filters), filters, str(out), job)
+        _export_flat(sink, kind, exchange.plan_tables(kind, place, chosen, str(out)), str(out), job)
         return
+    filters = chosen.given()
+    datasets = catalog.open_splits(place, filters.pop("split"), kind.load, kind.nouns).items()
     bodies = printing.Physics(**material)
     spec = None
     if form.plate is not None:
@@ -202,15 +201,8 @@ def _export_files(
 
 
 def _export_flat(
-    sink: output.Sink,
-    kind: DatasetKind,
-    place: places.Place,
-    choices: exchange.Choices,
-    filters: JsonObject,
-    out: str,
-    job: options.Job,
+    sink: output.Sink, kind: DatasetKind, plan: store.BuildPlan, out: str, job: options.Job
 ) -> None:
-    plan = exchange.plan_tables(kind, place, choices, filters, out)
     if job.dry_run:
         if not job.overwrite:
             store.inspect_job(store.open_folder(out), plan)
