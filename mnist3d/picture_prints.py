@@ -150,15 +150,12 @@ def _pages_of(path: Path) -> Iterator[tuple[Path, int]]:
     elif not path.is_file():
         raise InputError(f"{path}: there is no such file; expected a picture", next="check the path")
     for file in files:
-        for page in _readable_pages(file):
+        try:
+            pages = pages_of(file)
+        except ItemError:
+            pages = (0,)  # the reason is stated when it is read
+        for page in pages:
             yield file, page
-
-
-def _readable_pages(file: Path) -> tuple[int, ...]:
-    try:
-        return pages_of(file)
-    except ItemError:
-        return (0,)  # the reason is stated when it is read
 
 
 def _file_names(found: Sequence[tuple[Path, int]], out: str, ending: str) -> tuple[str, str, Sequence[str]]:

@@ -46,11 +46,13 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         cards.write_table_card(folder, manifest, kind.KIND, "Starstruck", COLUMNS, licence, **terms)
         return
     spec = sampling.SceneSpec.from_dict(manifest.spec["scene"])
+    drawn = (mesh.VERTICES, mesh.FACES, "star_count", "placements")
+    draw = partial(cards.draw_solids, record=scene_dataset.SceneRecord, columns=drawn)
     cards.Card(
         template=kind.KIND.card_template,
         title="Starstruck",
         columns=COLUMNS,
-        picture=("scenes.png", _draw_scenes, "The first scenes of each class from above; stars are orange"),
+        picture=("scenes.png", draw, "The first scenes of each class from above; stars are orange"),
         licence="mit",
         tags=["tactile", "active-perception", "3d", "mesh", "counting"],
         limits=_limits(manifest, spec),
@@ -90,11 +92,6 @@ def _placement_values(spec: sampling.SceneSpec) -> dict[str, str]:
         "attempts": f"{spec.attempts:,}",
         "print_text": f"The circles around them are {widths} mm wide; a scene prints as loose objects.",
     }
-
-
-def _draw_scenes(facts: cards.FolderSummary) -> bytes | None:
-    columns = (mesh.VERTICES, mesh.FACES, "star_count", "placements")
-    return cards.draw_solids(facts, scene_dataset.SceneRecord, columns)
 
 
 def _limits(manifest: store.Manifest, spec: sampling.SceneSpec) -> list[str]:

@@ -33,16 +33,12 @@ def with_count(count: int, nouns: str) -> str:
 
 def shortened(text: str, length: int) -> str:
     """Return a text, cut with ``...`` if it has more than ``length`` characters."""
-    if len(text) <= length:
-        return text
-    return f"{text[:length]}..."
+    return text if len(text) <= length else f"{text[:length]}..."
 
 
 def class_name(names: Sequence[str], label: int) -> str:
     """Return the name of a class, or its number if it has no name."""
-    if 0 <= label < len(names):
-        return names[label]
-    return str(label)
+    return names[label] if 0 <= label < len(names) else str(label)
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
@@ -51,9 +47,7 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 
     lowered = {each.lower(): each for each in known}
     close = difflib.get_close_matches(name.lower(), lowered, n=1)
-    if close:
-        return f"; did you mean {lowered[close[0]]!r}?"
-    return ""
+    return f"; did you mean {lowered[close[0]]!r}?" if close else ""
 
 
 def printable(text: str, keep: str = "") -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import hashlib
+import io
 import os
 import re
 import stat
@@ -212,13 +213,8 @@ class DataFolder(Protocol):
         problem = problem_of_name(path)
         if problem:
             raise ItemError("name", f"the name {problem}; expected a path below the folder")
-        self._require_inside(path)
-        facts = self.info(path)
-        if facts is None:
-            raise ItemError("missing", "the file does not exist")
-        if facts["type"] != "file" or (self.is_local and not Path(self.address(path)).is_file()):
-            raise ItemError("file", "it is not a regular file, or cannot be read")
-        return int(facts["size"])
+        with self.open_inside(path) as stream:
+            return stream.seek(0, io.SEEK_END)
 
     def problem_of_file(self, path: str) -> str:
         """Return why a path is not a file of the folder itself; empty if it is."""
