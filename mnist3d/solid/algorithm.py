@@ -1,8 +1,8 @@
 """Algorithm 1 of the Tactile MNIST paper: a printable solid from a digit image.
 
 Most users need :func:`solidify` only. After :func:`mnist3d.ink.binarise`, :func:`solid_steps` takes the steps
-in order: :func:`erode`, :func:`stack`, :func:`half_surface`, :func:`smooth`, :func:`mirror` and :func:`scale`.
-:func:`literal_solid` takes them as they are printed.
+in order: :func:`erode`, :func:`stack`, :func:`half_surface`, :func:`smooth`, :func:`mirror` and
+:func:`scale`. :func:`literal_solid` takes them as they are printed.
 
 The printed algorithm erodes the ink with one kernel after another and stacks the binary layers. Here the
 distance of each pixel from the outline holds all erosions at once: a kernel of radius r leaves the pixels
