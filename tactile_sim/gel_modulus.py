@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tactile_sim.elastic.contact import Gel
-from tactile_sim.elastic_press import Load, plate_z_m
-from tactile_sim.sensor import Sensor, full_view
+from tactile_sim.press.elastic_press import Load, plate_z_m
+from tactile_sim.press.sensors import Sensor, full_view
 from tactile_toolkit.errors import InputError
 
 _REFERENCE_PA, _REFERENCE_N = 1e6, 1.0

@@ -21,7 +21,7 @@ DEEPEST, MEAN_ERROR = "extra.depth_max_m", "extra.depth_error_m"
 
 _BATCH = 8  # images of 320 x 240 pixels take 5 MB as numbers
 
-_load_sensor = kind.lazy("tactile_sim.sensor_models:SensorModel.load")
+_load_sensor = kind.lazy("tactile_sim.press.sensors:SensorModel.load")
 
 
 class DepthAndError(Protocol):

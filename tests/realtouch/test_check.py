@@ -22,7 +22,7 @@ import tactile_sim
 from realtouch.faults.comparisons import GELSIGHT_MINI
 from realtouch.faults.rules import RULES
 from realtouch.faults.seen import count_markers
-from tactile_sim.taxim import taxim_package
+from tactile_sim.optics.taxim import taxim_package
 from tactile_toolkit.errors import InputError
 from tests.command_line import call
 from tests.real_input import SHARED, needs_shared
