@@ -53,8 +53,8 @@ _STORE = ("tactile_toolkit/store", "tactile_toolkit/run")
 _READ = ("tactile_toolkit/read", "tactile_toolkit/cache.py")
 _DIGIT = (
     "mnist3d/solid",
-    "mnist3d/solid_spec.py",
-    "mnist3d/digit_rows.py",
+    "mnist3d/digit_options.py",
+    "mnist3d/digit_records.py",
     "mnist3d/digit_generation.py",
 )
 BENCHMARKS = {
@@ -67,9 +67,9 @@ BENCHMARKS = {
     "starstruck": Benchmark(("starstruck_gen", *_STORE)),
     "real_touches": Benchmark(
         (
-            "realtouch/touch_clips.py",
-            "realtouch/stored_columns.py",
-            "realtouch/touch_dataset.py",
+            "realtouch/touches/media.py",
+            "realtouch/touches/stored_round.py",
+            "realtouch/touches/datasets.py",
             "tactile_toolkit/touch",
             *_READ,
         )

@@ -16,8 +16,7 @@ from figures import tell
 import mnist3d
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.printing import Physics
-from tactile_toolkit.printing.convex import convex_parts
-from tactile_toolkit.printing.simulator import model_files
+from tactile_toolkit.printing.simulator import convex_parts, model_files
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 _LOOKED_AT = 25  # for the distance: every corner and face is compared with every part

@@ -83,7 +83,7 @@ def streamed(folder: Path) -> Iterator[Any]:
 def decoded(folder: Path) -> Iterator[Any]:
     """What any way to read these JPEGs does at least: each is decoded, into the same memory."""
     import realtouch
-    from realtouch.sensor_images import room_for
+    from realtouch.touches.media import room_for
     from tactile_toolkit.touch import decode_image
 
     pixels = room_for(1, (64, 64))[0]

@@ -11,8 +11,7 @@ import mnist3d
 from cli.application import EXIT_FAILED
 from cli.options import Job, argument, local_place, process_count
 from cli.output import Sink
-from mnist3d.solid.solid_size import SolidSize
-from mnist3d.solid_spec import PROFILES
+from mnist3d.digit_options import PROFILES, SolidSize
 from tactile_toolkit import mesh
 from tactile_toolkit.checked_fields import choice, integer, real, switch, text
 from tactile_toolkit.wording import bytes_text, with_count

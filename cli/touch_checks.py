@@ -9,7 +9,8 @@ import typer
 
 import realtouch
 from cli import application, options, output
-from realtouch import finding, touch_options
+from realtouch import touch_options
+from realtouch.touches import damage
 from tactile_toolkit import catalog, pictures, store
 from tactile_toolkit.checked_fields import text
 from tactile_toolkit.wording import with_count
@@ -67,7 +68,7 @@ def check(
     for fault in result.findings:
         sink.warn(f"{fault.rule} in {fault.where}: {fault.found}; expected {fault.expected}")
         named = ", ".join(fault.touches)
-        if len(fault.touches) == finding.MAX_NAMED:
+        if len(fault.touches) == damage.MAX_NAMED:
             named = f"{named}, ..."
         if fault.count:
             sink.warn(f"  {with_count(fault.count, 'touches')}: {named}")

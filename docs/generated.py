@@ -56,7 +56,7 @@ SHARED = (
     "tactile_toolkit.read.RecordDataset",
     "tactile_toolkit.store.Progress",
     "tactile_toolkit.store.RunOptions",
-    "realtouch.sensor_images.MAX_BATCH_PIXELS",
+    "realtouch.touches.media.MAX_BATCH_PIXELS",
 )
 """What users inherit from several packages, and what public names refer to."""
 
@@ -422,9 +422,9 @@ def _formats_page() -> str:
     import pyarrow as pa
 
     from env_assets.wrench.dataset import WrenchRow, wrench_schema
-    from mnist3d.digit_rows import DigitRow, digit_schema
-    from realtouch.schema import KNOWN_COLUMNS
+    from mnist3d.digit_records import DigitRow, digit_schema
     from realtouch.touch_card import WORDS
+    from realtouch.touches.schema import KNOWN_COLUMNS
     from starstruck_gen.scene_generation import SceneRow, scene_schema
     from tactile_sim import ElasticPress
     from tactile_sim.sets.elastic_rows import elastic_types

@@ -1,20 +1,24 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
-from .asset_kinds import (
-    KINDS as KINDS,
-    THIRD_PARTY_ASSETS as THIRD_PARTY_ASSETS,
-    SolidDataset as SolidDataset,
-)
-from .fitting import require_fitting_meshes as require_fitting_meshes
-from .height_map import HeightMap as HeightMap, top_surface as top_surface
-from .mesh_view import MeshView as MeshView
 from .provider import (
     AssetProvider as AssetProvider,
+    KINDS as KINDS,
     meshes_at as meshes_at,
+    SolidDataset as SolidDataset,
+    THIRD_PARTY_ASSETS as THIRD_PARTY_ASSETS,
 )
-from .wrench.dataset import wrench_facts as wrench_facts, write_wrench as write_wrench
-from .wrench.records import WrenchDataset as WrenchDataset, WrenchRecord as WrenchRecord
+from .mesh_view import (
+    MeshView as MeshView,
+    require_fitting_meshes as require_fitting_meshes,
+)
+from .height_map import HeightMap as HeightMap, top_surface as top_surface
+from .wrench.dataset import (
+    wrench_facts as wrench_facts,
+    WrenchDataset as WrenchDataset,
+    WrenchRecord as WrenchRecord,
+    write_wrench as write_wrench,
+)
 from .wrench.shape import wrench_mesh as wrench_mesh
-from .wrench.wrench_spec import WrenchSpec as WrenchSpec
+from .wrench.kind import WrenchSpec as WrenchSpec
 
 __version__: str

@@ -1,13 +1,16 @@
-"""Meshes as environments use them, whether they come from a data set, from files or from memory."""
+"""Meshes as environments use them, from a data set, files or memory, and checks that they fit."""
 
 from __future__ import annotations
 
 import contextlib
+import logging
 import math
 import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
+from os import PathLike
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
@@ -15,11 +18,17 @@ import numpy as np
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Floating, Int32
 from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import Mesh, SolidRecord
+from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.mesh import MM_PER_M, Mesh, SolidRecord, find_mesh_files, read_mesh, require_unit
 from tactile_toolkit.read import AnyRecords, RecordDataset, picks_several, positions
 
 if TYPE_CHECKING:
     import trimesh
+
+_LOG = logging.getLogger(__name__)
+
+# Distance by which a scene may protrude from its cell: less than the gel of the sensor is pressed in.
+_SLACK_MM = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +58,6 @@ class LazyMesh:
 
 MeshRecord = SolidRecord | LazyMesh
 """A mesh with its number, unique among the meshes of a split, and its class."""
-
 _MESHES = MemoryCache[LazyMesh, "trimesh.Trimesh"](64)
 
 
@@ -173,3 +181,94 @@ def _laid_flat(record: MeshRecord) -> trimesh.Trimesh:
     turned = record.mesh.copy()
     turned.vertices = turned.vertices @ flat_turn(record.mesh).T
     return turned
+
+
+def mesh_files(place: str | PathLike[str], split: str, unit: str | None = None) -> MeshView | None:
+    """Open a mesh file, or a folder of them, as the meshes of a split; None if there is no such file.
+
+    Files, splits and classes are those of :func:`tactile_toolkit.mesh.find_mesh_files`; a folder without
+    splits is the same for all. Ids count files in the order of their names. ``unit`` is as
+    :func:`tactile_toolkit.mesh.read_mesh` takes it. InputError: the folder holds only another split.
+    """
+    require_unit(unit)
+    found = find_mesh_files(place)
+    if found is None:
+        return None
+    files = found.splits.get(split, found.splits.get(""))
+    if files is None:
+        others = list(found.splits)
+        raise InputError(
+            f"{str(found.root)!r} has no split {split!r}, only {' and '.join(map(repr, others))}",
+            next=f"put meshes into a sub-folder {split!r}, or give a folder without splits, such as "
+            f"'{found.root}/{others[0]}'",
+        )
+    read = partial(_mesh_of_file, unit=unit, below=found.root)
+    records = [
+        LazyMesh(number, found.class_names.index(found.classes[file]), partial(read, file), file.name)
+        for number, file in enumerate(files)
+    ]
+    return MeshView(records, found.class_names)
+
+
+def _mesh_of_file(path: Path, unit: str | None, below: Path | None = None) -> trimesh.Trimesh:
+    found = read_mesh(path, unit=unit, below=below)
+    for note in found.notes:
+        _LOG.warning("%s: %s", path, note)
+    return Mesh(np.asarray(found.vertices_m, np.float32), found.faces).to_trimesh()
+
+
+def require_fitting_meshes(
+    meshes: MeshView, kind: DatasetKind | None, where: str, cell_m: tuple[float, float]
+) -> None:
+    """Refuse meshes of other classes than the environment's, too large for its cell, or inside out.
+
+    Reads all meshes once. ``cell_m`` is (width, depth), metres; ``kind`` is None if any kind will do, and
+    ``where`` is the data set and its split in the user's words. Raises InputError.
+    """
+    if not len(meshes):
+        raise InputError(f"{where} holds no mesh", next="choose another split, or generate it")
+    labels, names = meshes.column("label"), meshes.label_names
+    if kind is not None and kind.published and names != kind.class_names:  # others may be called anything
+        raise InputError(
+            f"{where} has classes {', '.join(names) or 'without names'}; expected "
+            f"{', '.join(kind.class_names)}",
+            next="give a data set with those classes",
+        )
+    corners_mm, cell_mm = meshes.bounds_m * MM_PER_M, np.array(cell_m) * MM_PER_M
+    size_mm = corners_mm[:, 1] - corners_mm[:, 0]
+    # Scenes are not moved: their size is twice their extent from the origin.
+    if kind is not None and kind.name == "starstruck":
+        size_mm = 2 * np.maximum(np.abs(corners_mm).max(axis=1) - _SLACK_MM, 0)
+    # Turned onto the broadest side, the shortest one stands upright.
+    if meshes.flat:
+        size_mm = np.sort(size_mm, axis=1)[:, ::-1]
+    size_mm = size_mm[:, :2]
+    checks: tuple[tuple[AnyArray, str, AnyArray, str], ...] = (
+        (
+            (labels >= 0) & (labels < len(names)),
+            f"has label {{}}, expected 0 to {len(names) - 1}",
+            labels,
+            "give a data set whose labels are numbers of its classes",
+        ),
+        (
+            np.all(size_mm <= cell_mm, axis=1),
+            f"needs {{0[0]:.1f}} x {{0[1]:.1f}} mm, the cell has {cell_mm[0]:.0f} x {cell_mm[1]:.0f} mm",
+            size_mm,
+            "see that vertices are metres and the origin of a scene is its middle, or choose a larger cell",
+        ),
+        (
+            meshes.volumes_m3 > 0,
+            "has a volume of {:.3g} m³, expected more than 0: its triangles face inwards, or it is open",
+            meshes.volumes_m3,
+            "run `validate` on the data set and generate it again",
+        ),
+    )
+    for fits, found, values, step in checks:
+        wrong = np.flatnonzero(~fits)  # comparisons with NaN are false, so it does not fit
+        if len(wrong):
+            row = int(wrong[0])
+            named = f"mesh {meshes.column('id')[row]}"
+            if name := getattr(meshes.records[row], "name", ""):  # of its file; the ids are ours
+                named += f" ({name!r})"
+            what = f"{named} of {where} {found.format(values[row])}"
+            raise InputError(f"{what} ({len(wrong):,} of {len(meshes):,} do not fit)", next=step)

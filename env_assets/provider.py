@@ -6,16 +6,22 @@ import os
 import shlex
 from collections.abc import Callable, Mapping
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, overload
+
+import pyarrow as pa
 
 import mnist3d
 import realtouch
 import starstruck_gen
-from env_assets import asset_kinds, mesh_files, mesh_view
-from env_assets.wrench.records import WrenchDataset
-from tactile_toolkit import checked_fields, errors, hub, mesh, read, store
+from env_assets import mesh_view
+from env_assets.wrench.dataset import WrenchDataset
+from tactile_toolkit import checked_fields, errors, hub, mesh, places, read, store
 from tactile_toolkit.array_types import Float64
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.kind import DatasetKind, kinds
+from tactile_toolkit.mesh import SolidDataset as SolidDataset
 from tactile_toolkit.places import open_place
 from tactile_toolkit.progress import shown_progress
 from tactile_toolkit.wording import did_you_mean
@@ -25,10 +31,59 @@ if TYPE_CHECKING:
 
     from tactile_toolkit.generation import Recipe
 
+
+KINDS: dict[str, DatasetKind] = {kind.name: kind for kind in kinds() if kind.recipe is not None}
+"""Assets that the toolkit can make without any input, by name."""
+_ABC = "TimSchneider42/tactile-mnist-abc-dataset-small"
+THIRD_PARTY_ASSETS: dict[str, str] = {
+    "abc": f"CAD models of the ABC data set; the published selection is {_ABC} on the Hub",
+    "minecraft": "items that the package shapes from textures on Mojang's servers, which must not be "
+    "redistributed",
+}
+"""Assets that this toolkit does not make, and where the published ones are from."""
+MeshSet = SolidDataset[Any]
+"""A data set of meshes of any kind."""
+
 T = TypeVar("T")
 
 # Shorter work shows no progress, seconds.
 _QUIET_S = 2.0
+
+
+def published_meshes(name: str) -> str | None:
+    """Return the data set on the Hub that has the published meshes of a kind; None if there is none."""
+    if name == "abc":
+        return _ABC
+    kind = KINDS.get(name)
+    if kind is None or not kind.published:
+        return None
+    return kind.published[0].repo_id
+
+
+def open_meshes(shards: tuple[read.Shard, ...], name: str) -> MeshSet:
+    """Open the shards of one split as a data set of their kind.
+
+    Raises InputError if they hold no meshes, or meshes of another kind than ``name`` states. The published
+    wrench has none of our columns, so meshes of an unknown kind are accepted for it.
+    """
+    # Imported now: a process that is forked while another thread imports something waits forever for the lock
+    # of that import. Arrow imports pandas, if it is there, when it first makes an array of numpy.
+    for module in ("pyarrow.parquet", "pyarrow.compute", "trimesh"):
+        import_module(module)
+    pa.array([0]).to_numpy()
+    table = read.ShardedTable(shards)
+    mesh.require_mesh_columns(table.schema, name, KINDS["mnist3d"].made_by)
+    kind, expected = places.kind_of_rows(table.schema), KINDS.get(name)
+    names = read.class_names(table.schema, getattr(kind, "class_names", ()))
+    if expected is not None and kind is not expected and (kind is not None or expected.published):
+        raise InputError(
+            f"{name!r} was expected to hold {expected.nouns}, found "
+            f"{getattr(kind, 'nouns', 'other meshes')} (classes {', '.join(names) or 'without names'})",
+            next=f"give this data set another name, or give a data set of {expected.nouns}",
+        )
+    dataset = SolidDataset if kind is None else kind.dataset
+    opened: MeshSet = dataset(table, label_names=names)
+    return opened
 
 
 class AssetProvider:
@@ -103,8 +158,8 @@ class AssetProvider:
     @overload
     def meshes(self, name: Literal["wrench"], split: str = "train") -> WrenchDataset: ...
     @overload
-    def meshes(self, name: str | os.PathLike[str], split: str = "train") -> asset_kinds.MeshSet: ...
-    def meshes(self, name: str | os.PathLike[str], split: str = "train") -> asset_kinds.MeshSet:
+    def meshes(self, name: str | os.PathLike[str], split: str = "train") -> MeshSet: ...
+    def meshes(self, name: str | os.PathLike[str], split: str = "train") -> MeshSet:
         """Return the meshes of a split, as a lazy sequence of records.
 
         Parameters
@@ -129,18 +184,16 @@ class AssetProvider:
             The repository cannot be reached or does not exist.
         """
         name = os.fspath(name)
-        return self._once(
-            ("meshes", name, split), lambda: asset_kinds.open_meshes(self._shards(name, split), name)
-        )
+        return self._once(("meshes", name, split), lambda: open_meshes(self._shards(name, split), name))
 
-    def finished(self, name: str, split: str = "train") -> asset_kinds.MeshSet | None:
+    def finished(self, name: str, split: str = "train") -> MeshSet | None:
         """Return the meshes of a split, or None if they are missing or unfinished; does not make them."""
         place = self._place(name)
         try:
             shards = open_place(place, revision=self._commit_of(place)).shards(split)
         except (errors.InputError, errors.IntegrityError):
             return None
-        return asset_kinds.open_meshes(shards, name)
+        return open_meshes(shards, name)
 
     def planned(self, name: str, split: str = "train") -> mesh_view.PlannedView | None:
         """Return the meshes that :meth:`meshes` would make, each of which is made on first use.
@@ -157,7 +210,7 @@ class AssetProvider:
         ]
         finished = partial(self.finished, name, split)
         return mesh_view.PlannedView(
-            records, asset_kinds.KINDS[name].class_names, False, finished, left, left * plan.row_s
+            records, KINDS[name].class_names, False, finished, left, left * plan.row_s
         )
 
     def is_being_made(self, name: str) -> bool:
@@ -169,7 +222,7 @@ class AssetProvider:
             return True
 
     def _recipe(self, name: str) -> Recipe:
-        make = asset_kinds.KINDS[name].recipe
+        make = KINDS[name].recipe
         assert make is not None, "all KINDS have one"
         recipe: Recipe = make(self._seed, self._per_class)
         return recipe
@@ -244,7 +297,7 @@ class AssetProvider:
         # The toolkit's own names are inside the root even before anything is there, so that it is made there;
         # a folder of that name in the current folder is not used.
         inside = self.root / name
-        if name in asset_kinds.KINDS or (store.path_exists(inside) and inside.is_dir()):
+        if name in KINDS or (store.path_exists(inside) and inside.is_dir()):
             return str(inside)
         return name
 
@@ -269,7 +322,7 @@ class AssetProvider:
             return found.require_meshes("AssetProvider.meshes").shards(split)
         # IntegrityError also means an interrupted run.
         except (errors.InputError, errors.IntegrityError) as error:
-            if name not in asset_kinds.KINDS or name in self._places:
+            if name not in KINDS or name in self._places:
                 raise
             recipe = self._recipe(name)
             if isinstance(error, errors.InputError):
@@ -286,7 +339,7 @@ class AssetProvider:
         return open_place(place).shards(split)
 
     def _make(self, name: str, split: str, recipe: Recipe, place: str) -> None:
-        nouns = asset_kinds.KINDS[name].nouns
+        nouns = KINDS[name].nouns
         what = f"making {nouns} (split {split}) in {place}"
         with shown_progress(what, nouns, _QUIET_S) as update:
 
@@ -312,7 +365,7 @@ class AssetProvider:
             if not place.is_dir():
                 found = "it does not exist"
             out = f"--out {shlex.quote(str(place))}"
-            command = " ".join(filter(None, (asset_kinds.KINDS[name].made_by, recipe.arguments(split), out)))
+            command = " ".join(filter(None, (KINDS[name].made_by, recipe.arguments(split), out)))
             raise errors.InputError(
                 f"no split {split!r} of {name!r} in {str(self.root)!r}: {found}",
                 next=f"run `{command}`, or make the AssetProvider with generate=True",
@@ -324,7 +377,7 @@ def _planned_mesh(make: Callable[[int], mesh.Mesh], number: int) -> trimesh.Trim
 
 
 def _checked_places(places: object) -> dict[str, str]:
-    known = (*asset_kinds.KINDS, *asset_kinds.THIRD_PARTY_ASSETS, *realtouch.SHORT_NAMES)
+    known = (*KINDS, *THIRD_PARTY_ASSETS, *realtouch.SHORT_NAMES)
     if not isinstance(places, Mapping):
         raise errors.InputError(
             f"places of the AssetProvider are {places!r}; expected a mapping, such as {{'mnist3d': 'digits'}}"
@@ -353,14 +406,14 @@ def _absolute_path(place: str) -> str:
 
 def meshes_at(
     place: str | os.PathLike[str], split: str, unit: str | None = None
-) -> mesh_view.MeshView | asset_kinds.MeshSet:
+) -> mesh_view.MeshView | MeshSet:
     """Open mesh files, or a data set by folder or name on the Hub; raises as :meth:`AssetProvider.meshes`.
 
     ``unit`` is that of mesh files; InputError if the place holds none.
     """
     # An existing place in full: a name would first be looked for among the assets of the toolkit.
     named = _absolute_path(os.fspath(place))
-    files = mesh_files.mesh_files(named, split, unit)
+    files = mesh_view.mesh_files(named, split, unit)
     if files is not None:
         return files
     mesh.refuse_unit(unit, os.fspath(place))

@@ -1,14 +1,160 @@
-"""Options of commands for digits: source of images, and previews."""
+"""Options for digits: parameters and size of solids, sources of images, and previews."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
-from mnist3d.published_splits import MAX_DIGITS
 from tactile_toolkit import catalog, checked_fields, mesh
+from tactile_toolkit.checked_fields import (
+    check_fields,
+    choice,
+    integer,
+    real,
+    switch,
+)
+from tactile_toolkit.errors import InputError
+
+PROFILES = ("round", "linear", "flat")
+EROSIONS = ("outline", "disc")
+
+LARGEST_HALF_THICKNESS_PX = 100
+"""Squares of distances in pixels have to fit into 16 bits (:mod:`mnist3d.compiled_loops`)."""
+
+MAX_DIGITS = 1_000_000_000
+"""Largest number of digits of a source or a split."""
 
 SOURCES = ("synthetic", "hwdplus", "mnist", "folder")
+
+
+@dataclass(frozen=True, slots=True)
+class SolidSpec:
+    """Parameters by which a digit image becomes a solid.
+
+    Attributes
+    ----------
+    pixel_pitch_mm : float
+        Side of a pixel. 0.2 is the published scale, five pixels to a millimetre (Tactile MNIST paper,
+        appendix on MNIST 3D).
+    half_thickness_mm : float
+        Half of the thickness of a digit where its strokes are wide enough. 4.0 gives the heights of the
+        published meshes.
+    profile : {"round", "linear", "flat"}
+        How the erosion radius grows with the height: along a quarter circle, along a slope of 45 degrees, or
+        not at all.
+    erosion : {"outline", "disc"}
+        How a radius is measured. ``"outline"`` moves the outline of the ink inwards by the radius: a pixel
+        stays if its centre is at least the radius and half a pixel from the next pixel of paper. ``"disc"``
+        erodes with a disc of pixels, as image libraries do: a pixel stays if it is farther than the radius
+        from paper, so every layer is half a pixel (0.1 mm) wider on each side. The paper does not state which
+        one was used. On 473 pen digits both give a height of 8.0 mm before smoothing (published: 6.5 to
+        8.2 mm), and median volumes of 5,422 and 5,564 mm^3 (1.9 to 3.3 % more, not published). The outline
+        is the default because its solids do not depend on the sampling of the image.
+    threshold : float or None
+        Grey level up to which a pixel is ink; None takes Otsu's threshold of each image.
+    min_speck_mm2, min_pinhole_mm2 : float
+        Smaller pieces of ink are removed, even if they touch a stroke by up to three pixels; smaller spots of
+        paper inside the ink are filled.
+    join_bodies : bool
+        Bridge separate pieces of ink, so that every digit prints in one piece.
+    bridge_width_mm : float
+        Largest width of these bridges; they are never wider than the strokes.
+    lattice_pitch_mm : float or None
+        Distance of the nodes at which the fast method evaluates the solid; the number of vertices follows
+        from it. None chooses the pitch that meets the vertex budget.
+    target_vertices : int
+        Vertex budget of a mesh. A digit that needs more than 1.5 times as many is refused.
+    smoothing_iterations : int
+        Rounds of smoothing of the fast mesh.
+    literal_smoothing_iterations : int
+        Rounds of smoothing of the literal mesh, whose triangles are about four times shorter.
+    smoothing_factor : float
+        Share of the way from a vertex to the mean of its neighbours in one round.
+    vertex_quantum_mm : float
+        Pitch of the grid on which vertices are stored; 0 for no grid. The default is 2**-18 m, which shortens
+        the binary fraction of each coordinate, so that Parquet compresses it.
+    """
+
+    pixel_pitch_mm: float = real(0.2, above=0)
+    half_thickness_mm: float = real(
+        4.0, above=0, help="Half of the thickness of a digit, where its strokes are wide enough."
+    )
+    profile: str = choice("round", PROFILES, name="--edge-profile", help="Shape of the edges of a digit.")
+    erosion: str = choice(
+        "outline",
+        EROSIONS,
+        help="Move the outline inwards by each radius, or erode with a disc of pixels.",
+    )
+    threshold: float | None = real(None, 0, 255, optional=True)
+    min_speck_mm2: float = real(4.0, 0)
+    min_pinhole_mm2: float = real(2.0, 0)
+    join_bodies: bool = switch(False, help="Connect separate pieces, so that a digit prints as one.")
+    bridge_width_mm: float = real(3.0, above=0)
+    lattice_pitch_mm: float | None = real(None, above=0, optional=True)
+    target_vertices: int = integer(
+        5000,
+        100,
+        name="--vertices",
+        help="Approximate number of vertices of a mesh; never more than 1.5 times as many.",
+    )
+    smoothing_iterations: int = integer(2)
+    literal_smoothing_iterations: int = integer(20)
+    smoothing_factor: float = real(0.5, above=0, below=1)
+    vertex_quantum_mm: float = real(1000.0 / 2**18, 0)
+
+    def __post_init__(self) -> None:
+        """Check the parameters."""
+        check_fields(self, "the solid's specification")
+        # Below a pixel of thickness there is no layer; a storage grid above 1/10 pixel would show as steps.
+        thinnest_mm, coarsest_mm = self.pixel_pitch_mm, self.pixel_pitch_mm / 10
+        thickest_mm = thinnest_mm * LARGEST_HALF_THICKNESS_PX
+        if not 1 <= self.half_thickness_px <= LARGEST_HALF_THICKNESS_PX:
+            raise InputError(
+                f"half_thickness_mm of the solid's specification is {self.half_thickness_mm!r}; expected "
+                f"{thinnest_mm:g} to {thickest_mm:g} mm at this pixel_pitch_mm"
+            )
+        if self.vertex_quantum_mm > coarsest_mm:
+            raise InputError(
+                f"vertex_quantum_mm of the solid's specification is {self.vertex_quantum_mm!r}; expected "
+                f"{coarsest_mm:g} mm or less at this pixel_pitch_mm"
+            )
+
+    @property
+    def half_thickness_px(self) -> float:
+        """Half thickness in pixels."""
+        return self.half_thickness_mm / self.pixel_pitch_mm
+
+
+@dataclass(frozen=True, slots=True)
+class SolidSize:
+    """Size of the solid of a picture; at most one of the lengths is given.
+
+    Without a length, the longer side of the picture is 100 mm, as for the digits of a data set.
+
+    Attributes
+    ----------
+    height_mm, width_mm : float, optional
+        Size of the solid along y or x, as the picture is seen.
+    pixel_mm : float, optional
+        Side of a pixel of the picture.
+    """
+
+    height_mm: float | None = real(
+        None, above=0, optional=True, help="Height of the solid, as the picture is seen, without its plate."
+    )
+    width_mm: float | None = real(
+        None, above=0, optional=True, help="Width of the solid, as the picture is seen, without its plate."
+    )
+    pixel_mm: float | None = real(None, above=0, optional=True, help="Side of a pixel of the picture.")
+
+    def __post_init__(self) -> None:
+        check_fields(self, "the size of the solid")
+        given = [each.name for each in fields(self) if getattr(self, each.name) is not None]
+        if len(given) > 1:
+            raise InputError(
+                f"two sizes are given, {given[0]} and {given[1]}; expected one: pictures keep their shape",
+                next=f"leave out {given[1]}",
+            )
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,10 +10,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from mnist3d import digit_dataset, digit_options, digit_rows, ink, solid, sources
+from mnist3d import digit_generation, digit_options, digit_records, ink, solid, sources
+from mnist3d.digit_options import SolidSpec
 from mnist3d.kind import KIND
-from mnist3d.solid_spec import SolidSpec
-from mnist3d.sources import picture_files, picture_levels, source_choice
+from mnist3d.sources import picture_files
 from tactile_toolkit import catalog, gallery, mesh, pictures, store
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import InputError
@@ -22,7 +22,7 @@ from tactile_toolkit.places import Name, Place, open_place
 from tactile_toolkit.rows import with_role
 
 _VIEW_PX = 520
-_SHOWN = (*with_role(digit_rows.DigitRow, "facet"), *with_role(mesh.PrintReport, "facet", "measure"))
+_SHOWN = (*with_role(digit_records.DigitRow, "facet"), *with_role(mesh.PrintReport, "facet", "measure"))
 
 
 def plan_previews(name: Name | Place, spec: digit_options.DigitPreviewSpec) -> pictures.PicturePlan:
@@ -79,7 +79,7 @@ def _plan_pages(path: Path, stem: str) -> list[tuple[str, partial[UInt8]]]:
         if len(pages) > 1:
             file, title = f"{stem}-{number}-steps.png", f"{path.name}, page {number}"
         # Fitted into 500 px, as by the sources; the default specification is for that size.
-        pixels = ink.fit(picture_levels.read_picture(path, page=page, whole=True))
+        pixels = ink.fit(picture_files.read_picture(path, page=page, whole=True))
         drawings.append((file, partial(solid.draw_steps, pixels, SolidSpec(), title)))
     return drawings
 
@@ -96,7 +96,7 @@ def _plan_steps(
     with catalog.specification_read(set_name):
         files = {"images": spec.images, "writer_info": spec.writer_info}
         options = {option: str(path) for option, path in files.items() if path is not None}
-        source = source_choice.source_again(made_by["source"], **options)
+        source = digit_generation.source_again(made_by["source"], **options)
         solid_spec = SolidSpec(**made_by["solid"])
 
     def draw(number: int, title: str) -> UInt8:
@@ -136,12 +136,12 @@ def plan_gallery(name: Name | Place, chosen: catalog.RowFilter = catalog.NO_FILT
     # The report of the data set, if it has one, is read instead of inspecting meshes again.
     place = open_place(name)
     folder = place.folder
-    has_report = folder is not None and folder.exists(digit_rows.REPORT_FILE)
+    has_report = folder is not None and folder.exists(digit_records.REPORT_FILE)
 
-    def reports(rows: digit_dataset.DigitDataset, split: str) -> list[JsonObject | None]:
+    def reports(rows: digit_records.DigitDataset, split: str) -> list[JsonObject | None]:
         if folder is None or not has_report:
             return [None] * len(rows)
-        report = store.read_report(folder, digit_rows.REPORT_FILE)
+        report = store.read_report(folder, digit_records.REPORT_FILE)
         of_rows = pc.and_(pc.equal(report["split"], split), pc.is_in(report["id"], pa.array(rows.ids)))
         by_id = {row["id"]: row for row in report.filter(of_rows).to_pylist()}
         return [by_id.get(number) for number in rows.ids.tolist()]
@@ -151,7 +151,7 @@ def plan_gallery(name: Name | Place, chosen: catalog.RowFilter = catalog.NO_FILT
     )
 
 
-def _facts(record: digit_dataset.DigitRecord, report: JsonObject | None) -> JsonDict:
+def _facts(record: digit_records.DigitRecord, report: JsonObject | None) -> JsonDict:
     if report is None:
         inspected = mesh.inspect(mesh.Mesh(record.vertices_m, record.faces))
         problem = [] if inspected.problem is None else [inspected.problem]

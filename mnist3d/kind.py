@@ -13,7 +13,7 @@ KIND = DatasetKind(
     made_by="mnist3d generate",
     card_template="mnist3d.md",
     write_card=lazy("mnist3d.digit_card:write_card"),
-    schema=lazy("mnist3d.digit_rows:digit_schema"),
+    schema=lazy("mnist3d.digit_records:digit_schema"),
     class_names=tuple(map(str, range(10))),
     columns=("writer",),
     splits=("train", "test", "holdout", "printed_train", "printed_test"),
@@ -21,5 +21,6 @@ KIND = DatasetKind(
     published=(tactile_mnist_set("mnist3d", "mnist3d", "13,580 meshes of digits in 5 splits"),),
     plan_previews=lazy("mnist3d.digit_previews:plan_previews"),
     plan_gallery=lazy("mnist3d.digit_previews:plan_gallery"),
+    dataset=lazy("mnist3d:DigitDataset"),
     recipe=lazy("mnist3d.digit_generation:digit_recipe"),
 )

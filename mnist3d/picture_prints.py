@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from mnist3d import solid
+from mnist3d import digit_options, solid
 from mnist3d.solid.step_pictures import CLAY
 from mnist3d.sources.picture_files import is_picture_name, pages_of
 from tactile_toolkit import mesh, pictures, printing, store
@@ -46,7 +46,7 @@ class PrintSpec:
     """
 
     changes: Mapping[str, Any] = field(default_factory=dict)
-    size: solid.SolidSize = field(default_factory=solid.SolidSize)
+    size: digit_options.SolidSize = field(default_factory=digit_options.SolidSize)
     base_mm: float | None = None
     ink: str = "auto"
     threshold: str = "auto"

@@ -1,13 +1,13 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
 from .touch_options import Alignment as Alignment, CheckLimits as CheckLimits
-from .contact_picture import (
+from .contact import (
     ContactRule as ContactRule,
     ContactScore as ContactScore,
     contact_score as contact_score,
     difference as difference,
 )
-from .contacts import (
+from .touches.image_contacts import (
     Contacts as Contacts,
     background as background,
     best_frame as best_frame,
@@ -15,43 +15,47 @@ from .contacts import (
 )
 from .convert.conversion import Source as Source
 from .convert.media_conversions import (
+    add_depth as add_depth,
     clips_to_images as clips_to_images,
     resize as resize,
 )
 from .convert.picture_files import frames as frames
-from .convert.reading_depth import add_depth as add_depth
 from .convert.selection import select as select
-from .finding import RecordingFinding as RecordingFinding
-from .faults.check_results import CheckResult as CheckResult
-from .faults.checking import check as check
-from .depth_maps import DepthMaps as DepthMaps
+from .touches.damage import RecordingFinding as RecordingFinding
+from .checks.checking import (
+    check as check,
+    CheckResult as CheckResult,
+)
+from .touches.media import (
+    DepthMaps as DepthMaps,
+    TouchClip as TouchClip,
+)
 from .formats.exporting import export as export
 from .importing.import_preview import ImportPreview as ImportPreview, preview_import as preview_import
 from .importing.import_shards import NOT_IMPORTED as NOT_IMPORTED
 from .importing.touch_import import CONVERSION as CONVERSION, import_touches as import_touches
-from .opening import SHORT_NAMES as SHORT_NAMES, load as load
-from .poses import Poses as Poses, PoseSequences as PoseSequences
-from .rounds import (
+from .touches.opening import SHORT_NAMES as SHORT_NAMES, load as load
+from .touches.poses import Poses as Poses, PoseSequences as PoseSequences
+from .touches.rounds import (
+    Touch as Touch,
     TouchRound as TouchRound,
     TouchSeqRound as TouchSeqRound,
     TouchSingleRound as TouchSingleRound,
 )
-from .summary import (
+from .touches.summary import (
     Summary as Summary,
     paper_numbers as paper_numbers,
     summarise as summarise,
 )
-from .touch import Touch as Touch
-from .touch_clips import TouchClip as TouchClip
-from .touch_dataset import (
+from .touches.datasets import (
+    dataset_of as dataset_of,
     TouchDataset as TouchDataset,
+    Touches as Touches,
     TouchSeqDataset as TouchSeqDataset,
     TouchSingleDataset as TouchSingleDataset,
     TouchStream as TouchStream,
-    dataset_of as dataset_of,
 )
 from .importing.import_columns import ImportColumns as ImportColumns
-from .touches import Touches as Touches
-from .verification import TouchVerification as TouchVerification, verify as verify
+from .checks.verification import TouchVerification as TouchVerification, verify as verify
 
 __version__: str

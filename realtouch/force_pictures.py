@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from PIL import Image, ImageDraw
 
-from realtouch.touch import Touch
+from realtouch.touches.rounds import Touch
 from tactile_toolkit.array_types import AnyArray, Float64, UInt8
 from tactile_toolkit.touch import resized
 

@@ -11,9 +11,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from realtouch import contact, contacts, picture_views, rounds, schema, stored_round, touch_dataset
+from realtouch import contact, picture_views
 from realtouch.kind import KIND
-from realtouch.touch import Touch
+from realtouch.touches import datasets, image_contacts, rounds, schema, stored_round
+from realtouch.touches.rounds import Touch
 from tactile_toolkit import cards, errors, read, store, touch, wording
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.json_types import JsonDict
@@ -104,7 +105,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
             **content.values,
             **unknown,
             "rounds": f"{facts.rows:,}",
-            "contact_rule": contacts.contact_rule_text(read.column_types(facts.schema)),
+            "contact_rule": image_contacts.contact_rule_text(read.column_types(facts.schema)),
             **_values_of_origin(of_origin, words["frames"]["cell"], heights),
             "licence_text": licence_text,
         },
@@ -171,13 +172,13 @@ def _stored_content(
     words: JsonDict,
 ) -> _Content:
     """Return the content of a card about rounds; reads small columns and a few rounds."""
-    datasets = [touch_dataset.dataset_of(split.shards) if split.rows else None for split in facts.splits]
+    by_split = [datasets.dataset_of(split.shards) if split.rows else None for split in facts.splits]
 
-    def of_each(count: Callable[[touch_dataset.AnyDataset], Any], empty: Any = None) -> list[Any]:
-        return [empty if dataset is None else _or_none(count, dataset) for dataset in datasets]
+    def of_each(count: Callable[[datasets.AnyDataset], Any], empty: Any = None) -> list[Any]:
+        return [empty if dataset is None else _or_none(count, dataset) for dataset in by_split]
 
     touches = of_each(lambda dataset: int(dataset.touch_counts.sum()), 0)
-    shares: list[float | None] = [None] * len(datasets)
+    shares: list[float | None] = [None] * len(by_split)
     if schema.has_poses(read.column_types(facts.schema)):  # without poses, all pictures would be decoded
         shares = of_each(lambda dataset: float(dataset.touches().in_contact().mean()))
     sizes = (_or_none(record.picture_size, 0) for record in _first_rounds(facts, kind))

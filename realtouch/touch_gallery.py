@@ -8,9 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 import pyarrow as pa
 
-from realtouch import force_pictures, kind, picture_views, rounds, touch_clips, touch_dataset
-from realtouch.schema import origin_of
-from realtouch.touch import Touch
+from realtouch import force_pictures, kind, picture_views
+from realtouch.touches import datasets, media, rounds
+from realtouch.touches.rounds import Touch
+from realtouch.touches.schema import origin_of
 from tactile_toolkit import catalog, errors, gallery, mesh, places, wording
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, UInt8
 from tactile_toolkit.json_types import JsonDict
@@ -60,7 +61,7 @@ def plan_gallery(
     if touches < 1:
         raise errors.InputError(f"--touches is {touches}; expected 1 or more")
 
-    def known(rows: touch_dataset.AnyDataset, _split: str) -> list[_Known]:
+    def known(rows: datasets.AnyDataset, _split: str) -> list[_Known]:
         if not len(rows):
             return []
         try:
@@ -181,7 +182,7 @@ def sheet_of(
     return encode_image(np.vstack(rows), "jpeg", _QUALITY), columns, (tile_width, tile_height)
 
 
-def film_of(clip: touch_clips.TouchClip, name: str) -> tuple[bytes, JsonDict]:
+def film_of(clip: media.TouchClip, name: str) -> tuple[bytes, JsonDict]:
     """Choose frames of a clip, evenly spaced and with both ends of the contact: a JPEG of tiles, JSON values.
 
     The values are the frames and times (seconds) that are shown, and the first and last tile in contact.

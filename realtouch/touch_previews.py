@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image
 
-from realtouch import contact, opening, picture_views, rounds, sensor_images, touch_options
+from realtouch import contact, picture_views, touch_options
 from realtouch.kind import KIND
-from realtouch.touch import Touch
+from realtouch.touches import media, opening, rounds
+from realtouch.touches.rounds import Touch
 from tactile_toolkit import arithmetic, errors, pictures, places, wording
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, UInt8
 from tactile_toolkit.touch import CELL_M, height_text
@@ -75,7 +76,7 @@ def draw_grid(record: rounds.TouchRound, most: int) -> UInt8:
     row, heights_m = record.row, None
     if row.has_poses:
         rule = contact.ContactHeight.of(row.group.names)
-        heights_m = contact.contact_heights_m(row.contact_z_m(row.kind), plate_z_m=row.plate_z_m())
+        heights_m = contact.contact_heights_m(row.contact_z_m(row.kind), plate_z_m=row.plate_z_m(rule))
     tiles = []
     for touch in picture_views.evenly_spaced(record.touch_count, most):
         caption, frame = f"{touch}", None
@@ -157,7 +158,7 @@ def placed_touches(record: rounds.TouchRound, touches: Sequence[int]) -> list[Pl
         centre_m = np.asarray(pose.translation[:2], np.float64)
         placed[number] = PlacedTouch(touch.image, centre_m, np.asarray(turned[:, :2]))
 
-    sensor_images.in_parallel(read, len(touches), _MAX_THREADS)
+    media.in_parallel(read, len(touches), _MAX_THREADS)
     return [placed[number] for number in range(len(touches))]
 
 

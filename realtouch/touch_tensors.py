@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyarrow as pa
 
-from realtouch import contact, schema, sensor_images, touch_dataset
-from realtouch.rounds import TouchSingleRound
-from realtouch.touch import Touch
-from realtouch.touches import AnyTouches, Touches
+from realtouch import contact
+from realtouch.touches import datasets, media, schema
+from realtouch.touches.datasets import AnyTouches, Touches
+from realtouch.touches.rounds import Touch, TouchSingleRound
 from tactile_toolkit import cache, errors, read
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.read import TrainingBatches
@@ -82,7 +82,7 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
 
     def __init__(
         self,
-        dataset: touch_dataset.AnyDataset | touch_dataset.TouchStream | AnyTouches,
+        dataset: datasets.AnyDataset | datasets.TouchStream | AnyTouches,
         transform: Transform | None = None,
         target: Target = "label",
         frames: str | None = None,
@@ -196,11 +196,11 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         try:
             size = self._images(wanted[0][0])[1].size(wanted[0][1])
             # Decoders write colour by colour for each pixel. One picture stays in the processor's cache.
-            pixels = sensor_images.room_for(len(wanted), size)
+            pixels = media.room_for(len(wanted), size)
             planes = pixels.transpose(0, 3, 1, 2)
             if not self.channels_last:
                 planes = pixels.reshape(planes.shape)
-                one = sensor_images.room_for(1, size)[0]
+                one = media.room_for(1, size)[0]
             for position, number, slot in wanted:
                 if position != last:
                     last, (record, images) = position, self._images(position)
@@ -213,7 +213,7 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
             return None
         return torch.from_numpy(planes), [touches[slot] for slot in range(len(wanted))]
 
-    def _images(self, position: int) -> tuple[TouchSingleRound, sensor_images.SensorImages]:
+    def _images(self, position: int) -> tuple[TouchSingleRound, media.SensorImages]:
         """Return a round and its images; the rounds used last are cached."""
         found = self._rounds.get(position)
         if found is None:
@@ -222,7 +222,7 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         return found, found.sensor_image
 
 
-def _numbers_of(rounds: touch_dataset.AnyDataset) -> list[str]:
+def _numbers_of(rounds: datasets.AnyDataset) -> list[str]:
     """Return the targets that are further columns of numbers."""
     types = read.column_types(rounds.table.schemas[0]) if rounds.table.schemas else {}
     columns = schema.extra_columns(rounds.column_names).items()

@@ -16,9 +16,9 @@ from env_assets import (
     KINDS,
     AssetProvider,
     MeshView,
-    asset_kinds,
     mesh_view,
     meshes_at,
+    provider,
     require_fitting_meshes,
 )
 from tactile_envs import env_specs, mesh_pool
@@ -30,7 +30,7 @@ from tactile_toolkit.wording import duration_text, printable, with_count
 
 PUBLISHED = "published"
 
-Objects = MeshView | asset_kinds.MeshSet
+Objects = MeshView | provider.MeshSet
 
 # Packing more meshes than this takes seconds.
 _MANY = 1000
@@ -89,15 +89,15 @@ def _records(
     if assets is None:
         if name not in KINDS:
             step = "give `assets`, a folder of meshes"
-            if asset_kinds.published_meshes(name) is not None:
+            if provider.published_meshes(name) is not None:
                 step += ', or "published"'
             raise InputError(
-                f"meshes of {name!r} are not made here: they are {asset_kinds.THIRD_PARTY_ASSETS[name]}",
+                f"meshes of {name!r} are not made here: they are {provider.THIRD_PARTY_ASSETS[name]}",
                 next=step,
             )
         return _default_set(name, split, may_begin=may_begin)
     if assets == PUBLISHED:
-        repo_id = asset_kinds.published_meshes(name)
+        repo_id = provider.published_meshes(name)
         if repo_id is None:
             raise InputError(f"no meshes of {name!r} are published", next="give `assets`, a folder of meshes")
         return AssetProvider().meshes(repo_id, split)

@@ -1,7 +1,7 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
 from .elastic.contact import Contact as Contact, Gel as Gel, solve_contact as solve_contact
-from .gel_modulus import fit_youngs_modulus as fit_youngs_modulus
+from .press.elastic_press import fit_youngs_modulus as fit_youngs_modulus
 from .sets.generation import (
     generate as generate,
     synthetic_schema as synthetic_schema,

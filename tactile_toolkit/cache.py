@@ -178,7 +178,9 @@ class DiskCache:
 
 def _files(folder: Path, names: str) -> list[tuple[float, int, Path]]:
     """Return the files of a cache, least recently used first: seconds since the epoch, bytes, path."""
-    files, paths, ours = [], list[Path](), re.compile(f"(?:{store.DRAFT})?(?:{names})")
+    files = []
+    paths = list[Path]()
+    ours = re.compile(f"(?:{store.DRAFT})?(?:{names})")
     with contextlib.suppress(OSError):
         paths += [] if folder.is_symlink() else folder.iterdir()
     for path in paths:

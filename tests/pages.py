@@ -41,7 +41,7 @@ _IMPORTED_BEFORE = [
     *(
         "mnist3d.digit_generation",
         "starstruck_gen.scene_generation",
-        "realtouch.opening",
+        "realtouch.touches.opening",
         "tactile_sim.sets.generation",
     ),
     *("datasets", "numba", "pyarrow.parquet", "scipy.ndimage", "skimage.measure", "trimesh"),

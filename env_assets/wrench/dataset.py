@@ -1,4 +1,4 @@
-"""A wrench as a data set of one row: its columns, its generator, and its card."""
+"""A wrench as a data set of one row: its columns, records, generator and card."""
 
 from __future__ import annotations
 
@@ -8,12 +8,49 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from env_assets.wrench import shape, wrench_spec
+from env_assets.wrench import kind, shape
 from env_assets.wrench.kind import KIND
-from tactile_toolkit import cards, generation, rows, store
+from tactile_toolkit import cards, generation, mesh, pictures, places, rows, store
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import is_copy
 from tactile_toolkit.mesh import MeshRow, PrintReport, inspect, mesh_schema, write_mesh
+
+
+class WrenchRecord(pictures.DrawnSolid):
+    """One wrench.
+
+    Frame of the mesh: origin on the axis of the handle, halfway along the length, x along the handle towards
+    the first jaw, z up, lowest point at z = 0; metres.
+    """
+
+    __slots__ = ()
+
+    @property
+    def opening_mm(self) -> float:
+        """Width across flats of the first jaw, millimetres."""
+        return float(self.row.required("opening_mm"))
+
+    @property
+    def second_opening_mm(self) -> float:
+        """Width across flats of the second jaw, millimetres."""
+        return float(self.row.required("second_opening_mm"))
+
+    def __repr__(self) -> str:
+        return f"WrenchRecord(id={self.id}, {self.opening_mm:g} mm, {len(self.faces):,} faces)"
+
+    def caption(self, label_names: Sequence[str] = ()) -> str:
+        """Return the width of the first jaw."""
+        return f"wrench, {self.opening_mm:g} mm"
+
+
+class WrenchDataset(mesh.SolidDataset[WrenchRecord]):
+    """A lazy sequence of :class:`WrenchRecord`."""
+
+    record_class = WrenchRecord
+    things = "wrenches"
+
+
+load = places.loader(KIND, WrenchDataset, mesh.RecordStream[WrenchRecord])
 
 
 @rows.row
@@ -43,7 +80,7 @@ def wrench_schema(_manifest: object = None) -> pa.Schema:
 class WrenchGenerator(generation.RowGenerator):
     """Makes the row of a wrench."""
 
-    spec: wrench_spec.WrenchSpec
+    spec: kind.WrenchSpec
     kind = KIND
 
     def items(self) -> Mapping[str, range]:
@@ -75,7 +112,7 @@ class WrenchGenerator(generation.RowGenerator):
 
 
 def write_wrench(
-    spec: wrench_spec.WrenchSpec, out: str, *, mesh_file: str | Path | None = None, overwrite: bool = False
+    spec: kind.WrenchSpec, out: str, *, mesh_file: str | Path | None = None, overwrite: bool = False
 ) -> store.Manifest:
     """Write a data set of one wrench.
 
@@ -116,10 +153,10 @@ def write_wrench(
 
 def wrench_recipe(seed: int, per_class: int | None) -> generation.Recipe:
     """Return the recipe of the default wrench, which has neither a seed nor classes."""
-    return generation.Recipe(WrenchGenerator(wrench_spec.WrenchSpec()))
+    return generation.Recipe(WrenchGenerator(kind.WrenchSpec()))
 
 
-def wrench_facts(spec: wrench_spec.WrenchSpec, report: PrintReport) -> JsonDict:
+def wrench_facts(spec: kind.WrenchSpec, report: PrintReport) -> JsonDict:
     """Return lengths, solid and printability of a wrench as JSON values."""
     return {
         "spec": spec.lengths(),
@@ -141,7 +178,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         }
         cards.write_table_card(folder, manifest, KIND, title, columns, "mit", **terms)
         return
-    spec = wrench_spec.WrenchSpec(**manifest.spec)
+    spec = kind.WrenchSpec(**manifest.spec)
     mesh = shape.wrench_mesh(spec)
     report = inspect(mesh)
     cards.Card(

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from manifold3d import CrossSection, JoinType, triangulate
 
-from env_assets.wrench.wrench_spec import CHAMFER_MM, JAW_ANGLE_DEG, WrenchSpec
+from env_assets.wrench.kind import CHAMFER_MM, JAW_ANGLE_DEG, WrenchSpec
 from tactile_toolkit.arithmetic import cosine_sine
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.mesh import MM_PER_M, Mesh

@@ -14,11 +14,10 @@ from PIL import Image
 from scipy import ndimage
 
 from mnist3d import ink
-from mnist3d.ink.bridges import thinnest_stroke_px
+from mnist3d.digit_options import LARGEST_HALF_THICKNESS_PX, SolidSize, SolidSpec
+from mnist3d.ink.binarisation import thinnest_stroke_px
 from mnist3d.ink.grey_levels import MAX_DRAWN
-from mnist3d.solid.solid_size import SolidSize
-from mnist3d.solid_spec import LARGEST_HALF_THICKNESS_PX, SolidSpec
-from mnist3d.sources import picture_files, picture_levels
+from mnist3d.sources import picture_files
 from tactile_toolkit import store
 from tactile_toolkit.array_types import AnyArray, Bool, Int32, UInt8
 from tactile_toolkit.errors import InputError, ItemError
@@ -116,14 +115,14 @@ def _levels(
     if isinstance(picture, (str, os.PathLike)):
         return _levels_of_file(store.expanded(os.fspath(picture)), which, threshold, page)
     if isinstance(picture, Image.Image):
-        levels = picture_levels.picture_levels(
+        levels = picture_files.picture_levels(
             picture_files.upright_levels(picture), which, threshold, "the picture", whole=True
         )
         return levels, None, []
     array = np.asarray(picture)
     if array.ndim == 3:
         image = _image_of(array)
-        return picture_levels.picture_levels(image, which, threshold, "the picture", whole=True), None, []
+        return picture_files.picture_levels(image, which, threshold, "the picture", whole=True), None, []
     if threshold == "local":
         return ink.even_out(ink.as_levels(array), which, whole=True), None, []
     if threshold == "global" and which == "auto":
@@ -139,7 +138,7 @@ def _levels_of_file(path: Path, which: str, threshold: str, page: int) -> tuple[
             f"{path} has no page {page}; it has {with_count(len(pages), 'pages')}, counted from 0",
             next="give the number of one of them",
         )
-    levels = picture_levels.read_picture(path, which, threshold, page, whole=True)
+    levels = picture_files.read_picture(path, which, threshold, page, whole=True)
     stored, notes = picture_files.size_of_page(path, page), []
     if max(stored) > max(levels.shape):
         height, width = levels.shape

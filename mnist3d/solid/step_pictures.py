@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from PIL import Image
 
+from mnist3d.digit_options import SolidSpec
 from mnist3d.ink.binarisation import binarise
-from mnist3d.solid import algorithm, mirroring_and_scaling
+from mnist3d.solid import algorithm
 from mnist3d.solid.lattice import Lattice
-from mnist3d.solid_spec import SolidSpec
 from tactile_toolkit import pictures
 from tactile_toolkit.arithmetic import inverse_affine
 from tactile_toolkit.array_types import AnyArray, Bool, UInt8
@@ -40,7 +40,7 @@ def draw_steps(pixels: AnyArray, spec: SolidSpec, title: str) -> UInt8:
         raise ItemError(error.reason, f"{title}: {error}") from error
     window, lattice, solid = _window(ink), steps.lattice, steps.mesh
     layers = _layers_px(lattice, steps.upper_half > 0, window)
-    upper = mirroring_and_scaling.scale(steps.surface, ink.shape, spec)
+    upper = algorithm.scale(steps.surface, ink.shape, spec)
     px_per_mm = _PANEL_PX / (max(layers[0].shape) * spec.pixel_pitch_mm)
     views = [
         pictures.draw_bodies((pictures.DrawnBody(mesh, CLAY),), (_PANEL_PX, _PANEL_PX), px_per_mm * MM_PER_M)

@@ -3,33 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
-from os import PathLike
-from typing import Unpack
+from functools import lru_cache, partial
+from os import PathLike, fspath
+from typing import Protocol, Unpack
 
 import numpy as np
 import pyarrow as pa
 from PIL import Image
 
-from realtouch import (
-    avi,
-    contact,
-    depth_maps,
-    schema,
-    sensor_images,
-    stored_images,
-    stored_round,
-    touch_clips,
-)
-from realtouch.convert import conversion, shard_tasks, touch_pictures
-from tactile_toolkit import errors, places, read, store
+from realtouch import contact
+from realtouch.convert import conversion, picture_files
+from realtouch.touches import media, schema, stored_images, stored_round
+from realtouch.video import avi
+from tactile_toolkit import errors, kind, places, read, store, touch
 from tactile_toolkit.array_types import Float32, UInt8
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS, MEDIA_COLUMN, MEDIA_TYPE, Kind, encode_image, resized
 
 _CONTACT_FRAME_ROWS = 16
 _POSE, _POSE_SEQUENCE = schema.POSE_COLUMN["single"], schema.POSE_COLUMN["seq"]
 _WIDTHS = {"position": 3, "quaternion": 4}
 _SUFFIX: dict[Kind, str] = {"seq": "avi", "single": "jpg"}
+
 # Further columns of pixel coordinates, and the middle of the first pixel in them; 0 for a motion.
 _MIDDLE_OF_FIRST_PX = {"marker_positions_px": 0.5, "marker_flow_px": 0.0}
 _SEQ_ONLY = (
@@ -45,7 +40,7 @@ def clips_to_images(
     source: places.Name | places.Place,
     out: str | PathLike[str],
     frame: str = "contact_end",
-    **job: Unpack[shard_tasks.JobOptions],
+    **job: Unpack[conversion.JobOptions],
 ) -> store.Manifest:
     """Make a ``single`` data set from a ``seq`` one: one frame of each clip, with the pose at that moment.
 
@@ -84,7 +79,7 @@ def clips_to_images(
     SpecMismatchError, StorageError
         The folder holds a data set of another specification, or cannot be written: what was finished stays.
     """
-    return shard_tasks.write_conversion(
+    return conversion.write_conversion(
         source, out, partial(_plan_images, contact.require_method(frame)), **job
     )
 
@@ -138,7 +133,7 @@ class TakeContactFrames:
         """Take one frame of each clip of a row; its stored JPEG is copied."""
         flat = schema.flat_row(row)
         wanted = self.schema(flat.schema)
-        shown = list(touch_pictures.shown_touches(row, self.method))
+        shown = list(picture_files.shown_touches(row, self.method))
         for each in shown:
             _ = each.pixels  # what passes through must be intact
         pictures = [each.stored for each in shown]
@@ -149,7 +144,7 @@ class TakeContactFrames:
                 made[f"{_POSE}.{part}"] = pa.FixedSizeListArray.from_arrays(values.ravel(), width)
         for name in flat.column_names:
             if name.startswith(schema.EXTRA_PREFIX["frame"]):
-                made[_per_touch_name(name)] = touch_pictures.shown_extra(row, name, shown)
+                made[_per_touch_name(name)] = picture_files.shown_extra(row, name, shown)
         if row.has("pos_in_cell"):
             row.vectors("pos_in_cell", 2)  # checked here, passed through below
         return schema.row_with(flat, made, wanted), {}
@@ -167,7 +162,7 @@ def resize(
     height: int,
     *,
     quality: int = 95,
-    **job: Unpack[shard_tasks.JobOptions],
+    **job: Unpack[conversion.JobOptions],
 ) -> store.Manifest:
     """Write the same data set with images or clips of another size.
 
@@ -213,7 +208,7 @@ def resize(
         step = ResizeMedia(width, height, quality)
         return conversion.Conversion(opened, "resize", options, step, conversion.first_rows(opened, limit))
 
-    return shard_tasks.write_conversion(source, out, plan, **job)
+    return conversion.write_conversion(source, out, plan, **job)
 
 
 @dataclass(frozen=True)
@@ -237,16 +232,16 @@ class ResizeMedia:
         """Resize the images or clips of a row; pictures that have the size are copied."""
         flat, kind = schema.flat_row(row), row.kind
         if kind == "single":
-            images = sensor_images.SensorImages(row)
+            images = media.SensorImages(row)
             sizes = list(map(images.size, range(len(images))))
             blobs = [self._image(images, touch) for touch in range(len(images))]
         else:
-            sizes = [clip.size for clip in touch_clips.SensorClips(row)]
-            blobs = [self._clip(clip) for clip in touch_clips.SensorClips(row)]
+            sizes = [clip.size for clip in media.SensorClips(row)]
+            blobs = [self._clip(clip) for clip in media.SensorClips(row)]
         made = {MEDIA_COLUMN[kind]: stored_images.numbered_media(blobs, _SUFFIX[kind])}
-        for name in filter(row.has, (depth_maps.DEPTH, depth_maps.DEPTH_ERROR)):
-            maps = [depth_maps.encode_map(self._map(each)) for each in depth_maps.DepthMaps(row, name)]
-            made[name] = stored_images.numbered_media(maps, depth_maps.SUFFIX)
+        for name in filter(row.has, (media.DEPTH, media.DEPTH_ERROR)):
+            maps = [media.encode_map(self._map(each)) for each in media.DepthMaps(row, name)]
+            made[name] = stored_images.numbered_media(maps, media.SUFFIX)
         for name, stored in schema.extra_columns(flat.column_names).items():
             if name in _MIDDLE_OF_FIRST_PX:
                 entries = row.extra_entries(stored).to_pylist()
@@ -272,12 +267,12 @@ class ResizeMedia:
         method = Image.Resampling.BOX if smaller else Image.Resampling.BILINEAR
         return np.asarray(Image.fromarray(depth_m).resize((self.width, self.height), method))
 
-    def _image(self, images: sensor_images.SensorImages, touch: int) -> bytes | memoryview:
+    def _image(self, images: media.SensorImages, touch: int) -> bytes | memoryview:
         if images.size(touch) == (self.height, self.width):
             return images.encoded(touch)
         return self._encode(images[touch])
 
-    def _clip(self, clip: touch_clips.TouchClip) -> bytes | memoryview:
+    def _clip(self, clip: media.TouchClip) -> bytes | memoryview:
         if clip.size == (self.height, self.width):
             return clip.data
         return avi.write_avi(
@@ -286,3 +281,125 @@ class ResizeMedia:
 
     def _encode(self, pixels: UInt8) -> bytes:
         return encode_image(resized(pixels, self.width, self.height), "jpeg", self.quality)
+
+
+DEEPEST, MEAN_ERROR = "extra.depth_max_m", "extra.depth_error_m"
+"""Columns with a number for each touch: its deepest point, and the mean of the expected error, metres."""
+_BATCH = 8  # images of 320 x 240 pixels take 5 MB as numbers
+_load_sensor = kind.lazy("tactile_sim.press.sensors:SensorModel.load")
+
+
+class DepthAndError(Protocol):
+    """Depth of some images, (N, H, W), float32, metres, and its expected error."""
+
+    depth_m: Float32
+    error_m: Float32
+
+
+class DepthReader(Protocol):
+    """Reader of depth from images (N, H, W, 3), uint8, such as :class:`tactile_sim.SensorModel`."""
+
+    def read_depth(self, images: UInt8, *, fast: bool = False) -> DepthAndError:
+        """Return how far each point of the gel is pressed in."""
+        ...
+
+    def to_dict(self) -> JsonDict:
+        """Return JSON values that identify the reader by its content."""
+        ...
+
+
+def add_depth(
+    source: places.Name | places.Place,
+    out: str | PathLike[str],
+    sensor: str | PathLike[str],
+    *,
+    fast: bool = False,
+    **job: Unpack[conversion.JobOptions],
+) -> store.Manifest:
+    """Add depth maps to a data set of images, as a calibrated sensor reads them.
+
+    Each touch gains ``depth_m`` and ``depth_error_m``, maps in metres in the size of its image, stored in
+    whole micrometres; ``extra["depth_max_m"]`` and ``extra["depth_error_m"]`` are its deepest point and the
+    mean of the expected error. Everything else is copied.
+
+    Parameters
+    ----------
+    source, out, split, limit, workers, overwrite, on_progress
+        As for :func:`clips_to_images`; the source holds single images.
+    sensor : str or path
+        Folder that ``tactile-sim calibrate`` wrote.
+    fast : bool
+        Read ten times as fast, with an error about twice as large.
+
+    Returns
+    -------
+    Manifest
+
+    Raises
+    ------
+    InputError
+        The source holds clips, the folder no calibrated sensor, or as :func:`clips_to_images`.
+    IntegrityError, SpecMismatchError, StorageError
+        As :func:`clips_to_images`.
+    """
+    folder = fspath(sensor)
+    reader = _reader(folder)
+
+    def plan(opened: conversion.Source, limit: int | None) -> conversion.Conversion:
+        if opened.kind != "single":
+            raise errors.InputError(
+                f"{opened.name!r} holds clips; expected a data set of single images",
+                next="run `realtouch clips-to-images` first, which chooses a frame of each clip",
+            )
+        options = {"sensor": reader.to_dict(), "fast": fast, "limit": limit}
+        return conversion.Conversion(
+            opened, "depth", options, AddDepth(folder, fast), conversion.first_rows(opened, limit)
+        )
+
+    return conversion.write_conversion(source, out, plan, **job)
+
+
+@lru_cache(maxsize=1)
+def _reader(folder: str) -> DepthReader:
+    found: DepthReader = _load_sensor(folder)
+    return found
+
+
+@dataclass(frozen=True)
+class AddDepth:
+    """Step of ``depth``: the columns of a round, and depth maps. ``sensor`` is a folder."""
+
+    sensor: str
+    fast: bool
+
+    def schema(self, source: pa.Schema) -> pa.Schema:
+        """Return the schema of the source with columns of depth, which replace others of the same name."""
+        count = getattr(schema.column_type(source, "sensor_image"), "list_size", -1)
+        added = {
+            media.DEPTH: touch.MEDIA_TYPE,
+            media.DEPTH_ERROR: touch.MEDIA_TYPE,
+            DEEPEST: pa.float32(),
+            MEAN_ERROR: pa.float32(),
+        }
+        kept = [field for field in source if field.name not in added]
+        return pa.schema([*kept, *(pa.field(name, pa.list_(each, count)) for name, each in added.items())])
+
+    def apply(
+        self, row: stored_round.StoredRound, choice: conversion.RowChoice, split: str
+    ) -> conversion.Made:
+        """Read the depth of each image of a row; the images are copied."""
+        flat, images = schema.flat_row(row), media.SensorImages(row)
+        maps: dict[str, list[bytes]] = {media.DEPTH: [], media.DEPTH_ERROR: []}
+        numbers: dict[str, list[float]] = {DEEPEST: [], MEAN_ERROR: []}
+        for start in range(0, len(images), _BATCH):
+            found = _reader(self.sensor).read_depth(
+                images.batch(slice(start, start + _BATCH)), fast=self.fast
+            )
+            for depth_m, error_m in zip(found.depth_m, found.error_m, strict=True):
+                maps[media.DEPTH].append(media.encode_map(depth_m))
+                maps[media.DEPTH_ERROR].append(media.encode_map(error_m))
+                numbers[DEEPEST].append(float(depth_m.max()))
+                numbers[MEAN_ERROR].append(float(error_m.mean(dtype=np.float64)))
+        made = {name: stored_images.numbered_media(blobs, media.SUFFIX) for name, blobs in maps.items()}
+        made |= {name: pa.array(values, pa.float32()) for name, values in numbers.items()}
+        return schema.row_with(flat, made, self.schema(flat.schema)), {}

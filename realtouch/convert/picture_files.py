@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
+import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from os import PathLike
 from typing import Literal, Unpack
+from urllib.parse import unquote
 
+import numpy as np
 import pyarrow as pa
 
-from realtouch import contact, contacts, rounds, stored_round, touch_options
-from realtouch.contact_picture import difference
-from realtouch.convert import conversion, file_stems, shard_tasks, touch_pictures
+from realtouch import contact, touch_options
+from realtouch.contact import difference
+from realtouch.convert import conversion
+from realtouch.touches import image_contacts, media, rounds, schema, stored_round
+from realtouch.touches.poses import Poses
 from tactile_toolkit import errors, places, read, store, touch
-from tactile_toolkit.array_types import UInt8
+from tactile_toolkit.array_types import AnyArray, Float64, Floating, UInt8
 from tactile_toolkit.json_types import JsonDict
 
 IMAGE_FOLDER = "images"
@@ -43,7 +50,7 @@ def frames(
     frame: str = "contact_end",
     *,
     difference: Literal["grey", "absolute"] | None = None,
-    **job: Unpack[shard_tasks.JobOptions],
+    **job: Unpack[conversion.JobOptions],
 ) -> store.Manifest:
     """Write touches as plain image files with an index in CSV and Parquet.
 
@@ -78,7 +85,7 @@ def frames(
         raise errors.InputError(
             f"no difference {difference!r} that a picture can show; expected grey or absolute"
         )
-    return shard_tasks.write_conversion(
+    return conversion.write_conversion(
         source, out, partial(_plan_pictures, kind, contact.require_method(frame), difference), **job
     )
 
@@ -128,7 +135,7 @@ class WritePictures:
         fields = [*_INDEX_SCHEMA]
         if self.names != touch.CLASS_NAMES:
             fields.append(pa.field("label_name", pa.string()))
-        return pa.schema([*fields, *touch_pictures.plain_extras(source).values()])
+        return pa.schema([*fields, *plain_extras(source).values()])
 
     def apply(
         self, row: stored_round.StoredRound, choice: conversion.RowChoice, split: str
@@ -137,28 +144,28 @@ class WritePictures:
 
         A row with a damaged touch is left out with all of its pictures.
         """
-        name = file_stems.stem_of_id(str(row.plain_value("id")))
-        shown = list(touch_pictures.shown_touches(row, self.method))
+        name = stem_of_id(str(row.plain_value("id")))
+        shown = list(shown_touches(row, self.method))
         base = None
         if self.difference is not None and row.has("sensor_image") and shown:
             # A round of images shares one background; each clip has its own.
-            base = contacts.background(rounds.TouchSingleRound(row))
+            base = image_contacts.background(rounds.TouchSingleRound(row))
         folder, suffix = f"{IMAGE_FOLDER}/{split}/{name}", touch.IMAGE_SUFFIX[self.kind]
         files = {f"{folder}/{each.touch:03d}.{suffix}": self._encoded(each, base) for each in shown}
         columns = {
-            **touch_pictures.columns_of_touches(row, shown, self.names),
+            **columns_of_touches(row, shown, self.names),
             "id": [f"{name}/{each.touch:03d}" for each in shown],
             "file": list(files),
             "sha256": list(map(store.sha256_hex, files.values())),
         }
         return conversion.table_of_columns(self.schema(row.group.table.schema), columns), files
 
-    def _encoded(self, shown: touch_pictures.TouchPicture, base: UInt8 | None) -> bytes:
+    def _encoded(self, shown: TouchPicture, base: UInt8 | None) -> bytes:
         """Return the file of a picture; every picture is decoded, so that damage is not passed on."""
         pixels, stored = shown.pixels, shown.stored
         if self.difference is not None:
             if base is None:
-                base = contacts.background(shown.images)
+                base = image_contacts.background(shown.images)
             return touch.encode_image(difference(pixels, base, self.difference), self.kind)
         if self.kind == "jpeg" and touch.is_jpeg(stored):
             return bytes(stored)
@@ -176,3 +183,143 @@ def write_index(folder: store.DataFolder, manifest: store.Manifest) -> dict[str,
         writer.writerows([record.shard.split, *line.values()] for line in table.to_pylist())
     content = stream.getvalue().encode()
     return conversion.write_changed(folder, {INDEX_FILE: content})
+
+
+# Names that have another meaning in exports.
+_OTHER_COLUMNS = (
+    *("id", "image", "file", "sha256", "meta_file", "meta_sha256", "split", "round_id", "touch", "frame"),
+    *(
+        "label",
+        "label_name",
+        "object_id",
+        *touch_options.POSITION_COLUMNS,
+        *touch_options.POSE_COLUMNS,
+        *touch_options.FOTA_POSE_COLUMNS,
+    ),
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TouchPicture:
+    """The picture that represents a touch, and the pose of the gel at that moment.
+
+    ``images`` holds the picture at ``place``: the images of the round, or the clip whose frame it is.
+    ``pose`` has position and quaternion, seven numbers; it is empty if there are no poses.
+    """
+
+    touch: int
+    frame: int
+    images: media.SensorImages | media.TouchClip
+    place: int
+    pose: Floating
+
+    @property
+    def stored(self) -> memoryview:
+        """The picture as it is stored."""
+        return self.images.encoded(self.place)
+
+    @property
+    def pixels(self) -> UInt8:
+        """The picture, decoded."""
+        return self.images[self.place]
+
+
+def shown_touches(row: stored_round.StoredRound, method: contact.ContactMethod) -> Iterator[TouchPicture]:
+    """Yield the picture of each touch of a round: its image, or the frame of its clip by some method."""
+    if row.kind == "single":
+        images = rounds.TouchSingleRound(row).sensor_image
+        poses = np.empty((len(images), 0))
+        if row.has_poses:
+            poses = _pose_values(row.poses(), slice(None))
+        for touch in range(len(images)):
+            yield TouchPicture(touch, 0, images, touch, poses[touch])
+        return
+    for touch, clip in enumerate(media.SensorClips(row)):
+        frame, pose = clip.contact_index(method), np.empty(0)
+        if row.has_poses:
+            pose = _pose_values(row.pose_sequences(touch)[0], frame)
+        yield TouchPicture(touch, frame, clip, frame, pose)
+
+
+def _pose_values(at: Poses, index: int | slice) -> Float64:
+    return np.hstack([at.position_m[index], at.quaternion[index]])
+
+
+def columns_of_touches(
+    row: stored_round.StoredRound, shown: Sequence[TouchPicture], names: Sequence[str]
+) -> dict[str, AnyArray | list[object]]:
+    """Return the columns of a table of the touches of a round, as far as the source stores them."""
+    label, count = row.label_value(), len(shown)
+    columns: dict[str, AnyArray | list[object]] = {
+        "label": np.full(count, label),
+        "label_name": [dict(enumerate(names)).get(label)] * count,
+        "round_id": [row.name()] * count,
+        "touch": np.arange(count),
+        "frame": [each.frame for each in shown],
+    }
+    if row.has("object_id"):
+        columns["object_id"] = np.full(count, row.integer("object_id"))
+    if row.has("pos_in_cell"):
+        columns |= dict(zip(touch_options.POSITION_COLUMNS, row.intended_positions().T, strict=True))
+    if shown:
+        columns |= dict(
+            zip(touch_options.POSE_COLUMNS, np.stack([each.pose for each in shown]).T, strict=False)
+        )
+    for stored, field in plain_extras(row.group.table.schema).items():
+        columns[field.name] = shown_extra(row, stored, shown)
+    return columns
+
+
+def plain_extras(source: pa.Schema) -> dict[str, pa.Field]:
+    """Return the plain column for each further column of a source, by its stored name.
+
+    The plain column has the name of the further column, with the prefix ``extra_`` if the name is taken.
+    """
+    types, taken = read.column_types(source), {*_OTHER_COLUMNS}
+    found = {}
+    for name, stored in schema.extra_columns(types).items():
+        plain = name
+        while plain in taken:
+            plain = f"extra_{plain}"
+        taken.add(plain)
+        found[stored] = pa.field(plain, schema.extra_type(stored, types[stored]))
+    return found
+
+
+def shown_extra(row: stored_round.StoredRound, stored: str, shown: Sequence[TouchPicture]) -> pa.Array:
+    """Return an entry of a further column for each touch; for a column per frame, that of the shown frame."""
+    entries = row.extra_entries(stored)
+    if not stored.startswith(schema.EXTRA_PREFIX["frame"]):
+        return entries
+    found = [pa.nulls(0, entries.type.value_type)]
+    for each in shown:
+        frames = row.extra_of_frames(stored, entries, each.touch, each.frame + 1)
+        found.append(frames.slice(each.frame))
+    return pa.concat_arrays(found)
+
+
+_NOT_PLAIN = re.compile(rb"[^A-Za-z0-9_-]")
+_LONGEST = 100
+_KEPT = 60  # characters of a longer id, before its digest
+
+
+def stem_of_id(round_id: str) -> str:
+    """Return the stem of a file name for a round: its id, if that is plain.
+
+    Characters other than letters, digits, ``-`` and ``_`` are percent-encoded, ``a.b`` as ``a%2Eb``. So
+    different ids stay different, and no id leads to another folder on any system. A long id ends in its
+    digest.
+    """
+    content = round_id.encode()
+    stem = _NOT_PLAIN.sub(lambda found: b"%%%02X" % found[0][0], content).decode()
+    if len(stem) > _LONGEST:
+        return f"{stem[:_KEPT]}-{hashlib.sha256(content).hexdigest()[:16]}"
+    if not stem or store.problem_of_name(stem):  # empty, or a device of Windows, such as ``con``
+        return f"%{content[:1].hex().upper()}{stem[1:]}"
+    return stem
+
+
+def id_of_stem(stem: str) -> str:
+    """Return the id from which :func:`stem_of_id` made a name; other names are returned unchanged."""
+    round_id = unquote(stem)
+    return round_id if stem_of_id(round_id) == stem else stem

@@ -15,9 +15,9 @@ from typing import SupportsIndex, Unpack
 import numpy as np
 import pyarrow as pa
 
-from realtouch import contacts, schema, stored_round, touch_dataset
 from realtouch.contact import MIN_CONTACT_HEIGHT_M, PLATE_COLUMN, ContactHeight
-from realtouch.convert import conversion, shard_tasks
+from realtouch.convert import conversion
+from realtouch.touches import datasets, image_contacts, schema, stored_round
 from tactile_toolkit import catalog, errors, places, read, store
 from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.touch import height_text
@@ -33,7 +33,7 @@ def select(
     labels: Iterable[int | str] = (),
     objects: Iterable[int | tuple[int, int]] = (),
     per_class: int | None = None,
-    **job: Unpack[shard_tasks.JobOptions],
+    **job: Unpack[conversion.JobOptions],
 ) -> store.Manifest:
     """Write some rounds and touches of a data set; images and clips are copied byte for byte.
 
@@ -79,7 +79,7 @@ def select(
     }
     if per_class is not None:
         chosen["per_class"] = conversion.require_limit(per_class, "per_class")
-    return shard_tasks.write_conversion(source, out, partial(_selection, chosen), **job)
+    return conversion.write_conversion(source, out, partial(_selection, chosen), **job)
 
 
 def _selection(chosen: JsonObject, opened: conversion.Source, limit: int | None) -> conversion.Conversion:
@@ -91,7 +91,7 @@ def _selection(chosen: JsonObject, opened: conversion.Source, limit: int | None)
         )
     by_image = options["contact"] and not schema.has_poses(read.column_types(opened.schema))
     if by_image:
-        options["contact_rule"] = contacts.BY_IMAGE
+        options["contact_rule"] = image_contacts.BY_IMAGE
     elif options["min_height_m"] is None:
         options["min_height_m"] = MIN_CONTACT_HEIGHT_M
         if options["contact"]:
@@ -100,7 +100,8 @@ def _selection(chosen: JsonObject, opened: conversion.Source, limit: int | None)
     if options["contact"] and not any(choices.values()):
         if by_image:
             raise errors.InputError(
-                f"no chosen touch of {opened.name!r} is a contact (a touch is one if {contacts.BY_IMAGE})",
+                f"no chosen touch of {opened.name!r} is a contact (a touch is one if "
+                f"{image_contacts.BY_IMAGE})",
                 next="leave out --contact, or give fewer filters",
             )
         raise _no_contact(opened, options["min_height_m"])
@@ -108,7 +109,7 @@ def _selection(chosen: JsonObject, opened: conversion.Source, limit: int | None)
 
 
 def _no_contact(source: conversion.Source, height_m: float) -> errors.InputError:
-    heights_m = [touch_dataset.dataset_of(shards).touches().heights_m() for shards in source.shards.values()]
+    heights_m = [datasets.dataset_of(shards).touches().heights_m() for shards in source.shards.values()]
     return errors.InputError(
         f"no chosen touch of {source.name!r} is a contact (a touch is one if "
         f"{height_text(height_m)}); the highest of all touches is "
@@ -119,7 +120,7 @@ def _no_contact(source: conversion.Source, height_m: float) -> errors.InputError
 
 def _chosen_rows(source: conversion.Source, split: str, options: JsonObject) -> list[conversion.RowChoice]:
     """Decide which rows and touches of a split :func:`select` keeps; reads small columns only."""
-    dataset, limit = touch_dataset.dataset_of(source.shards[split]), options["limit"]
+    dataset, limit = datasets.dataset_of(source.shards[split]), options["limit"]
     if (options["labels"] or "per_class" in options) and not dataset.label_names:
         raise errors.InputError(
             f"the touches of {source.name!r} have no labels, by which some could be chosen",
@@ -194,7 +195,7 @@ class KeepTouches:
         kept = schema.take_touches(flat, choice.touches, row.touch_total())
         if row.has(PLATE_COLUMN) or not row.has_poses:
             return kept, {}
-        plate_m = row.plate_z_m()
+        plate_m = row.plate_z_m(ContactHeight.of(row.group.names))
         if math.isnan(plate_m):
             plate_m = row.contact_z_m(row.kind).min(initial=np.inf)
         return kept.append_column(PLATE_COLUMN, pa.array([plate_m], pa.float64())), {}

@@ -13,8 +13,9 @@ from operator import itemgetter
 
 import pyarrow as pa
 
-from realtouch import convert, importing, stored_images
+from realtouch import convert, importing
 from realtouch.formats.touch_rows import NamedImage, TouchFormat
+from realtouch.touches import stored_images
 from tactile_toolkit import errors, read, store
 from tactile_toolkit.columns import column_types
 

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from realtouch import schema, stored_round
+from realtouch.touches import schema, stored_round
 from tactile_toolkit import read
 
 FEATURE = "observation."

@@ -12,18 +12,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import pyarrow as pa
 
-from realtouch import (
-    convert,
-    depth_maps,
-    poses,
-    sensor_images,
-    stored_images,
-    stored_round,
-    touch_clips,
-    touch_dataset,
-)
+from realtouch import convert
 from realtouch.formats.episode_extras import ExtraColumn, extra_columns_of
-from realtouch.schema import POSE_COLUMN
+from realtouch.touches import datasets, media, poses, stored_images, stored_round
+from realtouch.touches.schema import POSE_COLUMN
 from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import AnyArray, Int64
 from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE
@@ -81,10 +73,10 @@ class Episodes:
             )
         are_clips, fps = source.kind == "seq", 1
         if are_clips:
-            clip = touch_clips.TouchClip(row, 0)
+            clip = media.TouchClip(row, 0)
             fps, size = max(1, round(clip.fps)), clip.size
         else:
-            size = sensor_images.SensorImages(row).size()
+            size = media.SensorImages(row).size()
         extras = extra_columns_of(source.shards[split])
         return cls(split, are_clips, fps, size, source.class_names, extras, number)
 
@@ -105,7 +97,7 @@ class Episodes:
             "frame_index": (pa.int64(), ("id",)),
         }
         if self.depth_of is not None:
-            wanted[DEPTH] = (MEDIA_TYPE, (depth_maps.DEPTH,))
+            wanted[DEPTH] = (MEDIA_TYPE, (media.DEPTH,))
         extras = [pa.field(each.name, each.data_type) for each in self.extras]
         return pa.schema([*convert.schema_of(source, wanted), *extras])
 
@@ -133,14 +125,14 @@ class Episodes:
     def _round(self, row: stored_round.StoredRound) -> Iterator[_Episode]:
         """Yield all touches of a round of single images as one episode; a round without touches has none."""
         row.entries_of("sensor_image")
-        images, columns = sensor_images.SensorImages(row), dict[str, object]()
+        images, columns = media.SensorImages(row), dict[str, object]()
         if not len(images):
             return
         if row.has_poses:
             columns[STATE] = self._states(row.poses())
         if row.has("pos_in_cell"):
             columns[ACTION] = self._vectors(row.intended_positions())
-        if self.depth_of is not None and row.has(depth_maps.DEPTH):
+        if self.depth_of is not None and row.has(media.DEPTH):
             columns[DEPTH] = self.depth_of(row, self.size)
         yield None, list(map(images.encoded, range(len(images)))), columns
 
@@ -148,7 +140,7 @@ class Episodes:
         """Yield each clip of a round as an episode."""
         for touch in range(row.touch_total()):
             clip, columns, times_s = (
-                touch_clips.TouchClip(row, touch),
+                media.TouchClip(row, touch),
                 dict[str, object](),
                 row.stamps_s(touch),
             )
@@ -225,7 +217,7 @@ class EpisodeNumbers:
 def _episode_lengths(source: convert.Source, step: Episodes) -> Int64:
     """Return the number of episodes and of frames of each row, shape (n, 2)."""
     if not step.are_clips:
-        counts = touch_dataset.dataset_of(source.shards[step.split]).touch_counts
+        counts = datasets.dataset_of(source.shards[step.split]).touch_counts
         return np.column_stack([counts > 0, counts]).astype(np.int64)
     found = []
     for shard in source.shards[step.split]:

@@ -12,8 +12,9 @@ from pathlib import PurePath
 
 import pyarrow as pa
 
-from realtouch import convert, importing, stored_images, touch_options
+from realtouch import convert, importing, touch_options
 from realtouch.formats import touch_rows, webdataset, webdataset_import
+from realtouch.touches import stored_images
 from tactile_toolkit import store
 from tactile_toolkit.columns import column_types
 from tactile_toolkit.json_types import JsonObject

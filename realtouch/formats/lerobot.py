@@ -13,9 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pyarrow as pa
 
-from realtouch import contact, convert, touch_dataset
+from realtouch import contact, convert
 from realtouch.formats import lerobot_depth, lerobot_info, lerobot_statistics
 from realtouch.formats.episodes import DEPTH, EpisodeNumbers, Episodes
+from realtouch.touches import datasets
 from tactile_toolkit import store, touch
 from tactile_toolkit.array_types import Int64
 
@@ -39,7 +40,7 @@ def plan_lerobot(
     step = replace(step, depth_of=lerobot_depth.depth_of)
     numbers = EpisodeNumbers.of(source, step, choices[step.split], rows_per_shard)
     tasks = tuple(f"touch an object of class {name}" for name in step.names)
-    if (touch_dataset.dataset_of(source.shards[step.split]).labels < 0).any():
+    if (datasets.dataset_of(source.shards[step.split]).labels < 0).any():
         tasks += ("touch an object",)  # the last, as -1 counts from the end
     frame_bytes = source.image_bytes()
     if DEPTH in step.schema(source.schema).names:

@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 from PIL import Image
 
-from realtouch import depth_maps, stored_round
+from realtouch.touches import media, stored_round
 from tactile_toolkit.array_types import Float32, Float64, Int64
 from tactile_toolkit.touch import MEDIA_TYPE
 
@@ -24,11 +24,9 @@ NUMBER_BYTES = 4  # of float32
 def depth_of(row: stored_round.StoredRound, size: tuple[int, int]) -> pa.Array:
     """Return the encoded depth maps of a round; IntegrityError for a map of another size."""
     files = []
-    for touch, depth_m in enumerate(depth_maps.DepthMaps(row, depth_maps.DEPTH)):
+    for touch, depth_m in enumerate(media.DepthMaps(row, media.DEPTH)):
         if depth_m.shape != size:
-            raise row.damaged(
-                depth_maps.DEPTH, f"a map {depth_m.shape}; expected {size} as the images", touch
-            )
+            raise row.damaged(media.DEPTH, f"a map {depth_m.shape}; expected {size} as the images", touch)
         files.append({"bytes": _tiff(depth_m), "path": f"{row.name()}_{touch:03d}.tiff"})
     return pa.array(files, MEDIA_TYPE)
 

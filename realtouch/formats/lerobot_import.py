@@ -13,8 +13,9 @@ from dataclasses import replace
 import numpy as np
 import pyarrow as pa
 
-from realtouch import importing, video
+from realtouch import importing
 from realtouch.formats import foreign_parquet, lerobot_mark, lerobot_metadata, video_import
+from realtouch.video import videos
 from tactile_toolkit import errors, store, wording
 from tactile_toolkit.array_types import Float64
 from tactile_toolkit.columns import column_types
@@ -42,7 +43,7 @@ def describe_conversion(touches: importing.FoundTouches) -> str:
     if not len(places) or places[0].path.endswith(_ROWS):
         return ""
     usable = places[0]
-    return video.open_video(store.open_folder(usable.home), usable.path).conversion
+    return videos.open_video(store.open_folder(usable.home), usable.path).conversion
 
 
 def read_frames(place: importing.PicturePlace, numbers: Sequence[int]) -> Iterator[bytes | errors.ItemError]:
@@ -90,7 +91,7 @@ class _Episodes:
         if self.info.features[self.camera].dtype == "image":
             return replace(found, first=rows.start, frame_bytes=self._picture_bytes)
         self.home.size_inside(episode.video_path)
-        opened = video.open_video(self.home, episode.video_path)
+        opened = videos.open_video(self.home, episode.video_path)
         first = _first_picture(opened.time_s, episode.video_start_s + time_s, self.info.fps)
         return replace(found, path=episode.video_path, first=first, frame_bytes=opened.picture_bytes)
 

@@ -9,7 +9,7 @@ import msgspec
 
 from realtouch import importing, touch_options
 from realtouch.formats import episodes, zarr_recordings
-from realtouch.touch import touch_id
+from realtouch.touches.rounds import touch_id
 
 _VECTORS = {episodes.STATE: touch_options.POSE_COLUMNS, episodes.ACTION: touch_options.POSITION_COLUMNS}
 _OF_EPISODE = ("label", "label_name", "object_id")

@@ -13,10 +13,10 @@ import numpy as np
 import pyarrow as pa
 from PIL import Image
 
-from realtouch import extras
 from realtouch.formats import lerobot_depth
 from realtouch.formats.episodes import DEPTH
-from realtouch.stored_images import decoded
+from realtouch.touches import schema
+from realtouch.touches.stored_images import decoded
 from tactile_toolkit import read, touch
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.json_types import JsonDict
@@ -140,5 +140,5 @@ def _flat_rows(values: pa.Array | pa.ChunkedArray) -> Float64:
     """Return lists of equal length and any depth as an array with a row for each."""
     if isinstance(values, pa.ChunkedArray):
         values = values.combine_chunks()
-    rows = extras.array_with_gaps(values)
+    rows = schema.array_with_gaps(values)
     return rows.reshape(len(rows), -1).astype(np.float64, copy=False)

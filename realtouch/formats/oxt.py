@@ -17,8 +17,9 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 import pyarrow as pa
 
-from realtouch import importing, poses
+from realtouch import importing
 from realtouch.formats import episodes, zarr_groups, zarr_recordings
+from realtouch.touches import poses
 from tactile_toolkit import store
 from tactile_toolkit.array_types import AnyArray
 

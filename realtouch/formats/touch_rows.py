@@ -12,8 +12,9 @@ from functools import partial
 
 import pyarrow as pa
 
-from realtouch import contact, convert, stored_images, stored_round, touch, touch_options
-from realtouch.schema import POSE_COLUMN
+from realtouch import contact, convert, touch_options
+from realtouch.touches import rounds, stored_images, stored_round
+from realtouch.touches.schema import POSE_COLUMN
 from tactile_toolkit import errors, store
 from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE
 
@@ -131,9 +132,9 @@ class _Touches:
             except ValueError:
                 with row.naming(MEDIA_COLUMN[row.kind], each.touch, where.format(each.frame)):
                     raise
-        columns["id"] = [touch.touch_id(name, each.touch) for each in shown]
+        columns["id"] = [rounds.touch_id(name, each.touch) for each in shown]
         stem = convert.stem_of_id(name)
         columns[_IMAGE] = stored_images.image_column(
-            images, [touch.touch_id(stem, each.touch) for each in shown]
+            images, [rounds.touch_id(stem, each.touch) for each in shown]
         )
         return convert.table_of_columns(self.schema(row.group.table.schema), columns), {}

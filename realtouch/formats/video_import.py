@@ -10,7 +10,8 @@ from pathlib import PurePosixPath
 
 import numpy as np
 
-from realtouch import importing, video, video_files
+from realtouch import importing
+from realtouch.video import video_files, videos
 from tactile_toolkit import errors, store
 from tactile_toolkit.columns import tables
 from tactile_toolkit.json_types import JsonDict
@@ -61,7 +62,7 @@ def _recording(
         if problem is not None:
             raise problem
         folder.size_inside(path)
-        found = video.open_video(folder, path)
+        found = videos.open_video(folder, path)
     except errors.ItemError as error:
         return replace(whole, problem=error)
     size, times = found.picture_bytes, found.time_s
@@ -142,4 +143,4 @@ def describe_conversion(touches: importing.FoundTouches) -> str:
 
 def read_frames(place: importing.PicturePlace, numbers: Sequence[int]) -> Iterator[bytes | errors.ItemError]:
     """Yield the pictures of a video with some numbers."""
-    return video.pictures_of_video(store.open_folder(place.home), place.path, numbers)
+    return videos.pictures_of_video(store.open_folder(place.home), place.path, numbers)

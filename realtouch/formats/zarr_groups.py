@@ -23,8 +23,9 @@ from typing import IO
 import numpy as np
 import pyarrow as pa
 
-from realtouch import contact, convert, schema, stored_images, stored_round
+from realtouch import contact, convert
 from realtouch.formats import episode_extras, episodes
+from realtouch.touches import schema, stored_images, stored_round
 from tactile_toolkit import read, store
 from tactile_toolkit.array_types import AnyArray, UInt8
 

@@ -12,9 +12,10 @@ from itertools import pairwise
 import numpy as np
 import pyarrow as pa
 
-from realtouch import importing, touch, touch_options
+from realtouch import importing, touch_options
 from realtouch.formats import picture_arrays, zarr_arrays, zarr_groups
 from realtouch.formats.episodes import CONTACT
+from realtouch.touches.rounds import touch_id
 from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import Int64
 from tactile_toolkit.columns import column_types
@@ -88,12 +89,12 @@ def recordings_of(
     per_frame = {str(kept[name]): values for name, values in per_frame.items() if name in kept}
     whole = replace(whole, per_frame=per_frame, left_out=())
     whole = name_ours(whole, _OUR_VECTORS, _texts(stated, zarr_groups.CLASSES))
-    rounds = ids = list(map(str, said[zarr_groups.ROUND].tolist()))
+    round_ids = ids = list(map(str, said[zarr_groups.ROUND].tolist()))
     if zarr_groups.TOUCH in said:
         whole = replace(whole, cut="whole")
-        ids = list(map(touch.touch_id, rounds, said[zarr_groups.TOUCH].astype(int).tolist()))
+        ids = list(map(touch_id, round_ids, said[zarr_groups.TOUCH].astype(int).tolist()))
     episodes = episodes_of(whole, ends, ids, {*_OUR_VALUES, *_texts(stated, zarr_groups.PER_CLIP)})
-    return (replace(with_contact(each), round=name) for each, name in zip(episodes, rounds, strict=True))
+    return (replace(with_contact(each), round=name) for each, name in zip(episodes, round_ids, strict=True))
 
 
 def _open_pictures(home: str, path: str, part: str) -> picture_arrays.PictureArray:

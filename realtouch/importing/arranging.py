@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from realtouch import stored_images
 from realtouch.importing import (
     fields,
     formats,
@@ -22,6 +21,7 @@ from realtouch.importing import (
     imported_rows,
     source_files,
 )
+from realtouch.touches import stored_images
 from tactile_toolkit import errors, touch
 
 _TOUCHES_PER_SHARD = 4096

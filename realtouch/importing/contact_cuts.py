@@ -12,8 +12,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.ndimage import median_filter
 
-from realtouch import avi, contact_picture
+from realtouch import contact
 from realtouch.importing import recordings, source_files
+from realtouch.video import avi
 from tactile_toolkit import errors, pictures, touch, wording
 from tactile_toolkit.array_types import Bool, Float64, Int64, UInt8
 
@@ -107,17 +108,17 @@ class GelAtRest:
         self,
         recording: recordings.Recording,
         contents: source_files.ReadContents,
-        rule: contact_picture.ContactRule,
+        rule: contact.ContactRule,
     ) -> None:
         self.shape: tuple[int, ...] = ()
         found = self._read_samples(recording, contents, rule)
         self._numbers, samples = list(found), np.stack(list(found.values()))
-        self._base = contact_picture.median_in_memory(samples)
+        self._base = contact.median_in_memory(samples)
         self._levels = self._levels_of(samples)
         uncropped = replace(rule, crop=1.0)
         shows_contact = np.array(
             [
-                rule.holds(contact_picture.contact_score(sample, self.at(number), uncropped))
+                rule.holds(contact.contact_score(sample, self.at(number), uncropped))
                 for number, sample in found.items()
             ]
         )
@@ -125,14 +126,14 @@ class GelAtRest:
         if at_rest.sum() >= _MIN_AT_REST:
             levels = np.float32(self._levels[at_rest, np.newaxis, np.newaxis])
             same_light = np.minimum(np.rint(samples[at_rest] / levels), 255).astype(np.uint8)
-            self._base = contact_picture.median_in_memory(same_light)
+            self._base = contact.median_in_memory(same_light)
             self._levels = self._levels_of(samples)
 
     def _read_samples(
         self,
         recording: recordings.Recording,
         contents: source_files.ReadContents,
-        rule: contact_picture.ContactRule,
+        rule: contact.ContactRule,
     ) -> dict[int, UInt8]:
         """Return samples by their number, cropped; the first readable one sets shape and window."""
         numbers = np.linspace(0, recording.frames - 1, _MAX_SAMPLES).round().astype(np.int64)
@@ -178,7 +179,7 @@ class GelAtRest:
 
 
 def find_contacts(
-    recording: recordings.Recording, contents: source_files.ReadContents, rule: contact_picture.ContactRule
+    recording: recordings.Recording, contents: source_files.ReadContents, rule: contact.ContactRule
 ) -> ContactRuns:
     """Find the touches of a recording; ItemError if it has none, or if no picture can be read."""
     area_px, change = np.zeros((2, recording.frames), np.int64)
@@ -191,7 +192,7 @@ def find_contacts(
         if seen is None:
             unreadable += 1
             continue
-        score = contact_picture.contact_score(seen, background.at(number), uncropped)
+        score = contact.contact_score(seen, background.at(number), uncropped)
         area_px[number], change[number], holds[number] = score.area_px, score.total_change, rule.holds(score)
     starts, stops = _joined(holds, recording.time_s)
     counts = [int(holds[start:stop].sum()) for start, stop in zip(starts, stops, strict=True)]
@@ -236,7 +237,7 @@ def draw_cuts(
     recording: recordings.Recording,
     found: ContactRuns,
     contents: source_files.ReadContents,
-    rule: contact_picture.ContactRule,
+    rule: contact.ContactRule,
 ) -> bytes:
     """Draw the cuts of a recording as PNG: a strip of all pictures, and the best picture of each touch.
 
@@ -272,7 +273,7 @@ def _small(picture: UInt8) -> UInt8:
     return touch.resized(picture, max(1, round(scale * width)), max(1, round(scale * height)))
 
 
-def _strip(found: ContactRuns, rule: contact_picture.ContactRule) -> UInt8:
+def _strip(found: ContactRuns, rule: contact.ContactRule) -> UInt8:
     """Draw the changed area over all pictures; a column shows the largest area of its pictures."""
     frames, colours = len(found.area_px), np.full((_WIDTH_PX, 3), _GREY, np.uint8)
     clips = [(run.start, run.stop - 1, _CLIP) for run in found.runs]

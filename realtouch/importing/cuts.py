@@ -7,7 +7,7 @@ from pathlib import PurePosixPath
 
 import numpy as np
 
-from realtouch.contact_picture import ContactRule
+from realtouch.contact import ContactRule
 from realtouch.importing import contact_cuts, fields, found_touches, import_columns, recordings, source_files
 from tactile_toolkit import errors, wording
 from tactile_toolkit.columns import column_types, units

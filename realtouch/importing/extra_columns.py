@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping
 import pyarrow as pa
 
 from realtouch.importing import found_touches, import_columns, recordings, source_files
-from realtouch.schema import EXTRA_PREFIX
+from realtouch.touches.schema import EXTRA_PREFIX
 from tactile_toolkit import errors, wording
 from tactile_toolkit.columns import column_types
 

@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 
 from realtouch.importing import found_touches, import_columns, source_files
-from realtouch.poses import bad_pose
+from realtouch.touches.poses import bad_pose
 from tactile_toolkit import arithmetic, errors
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.columns import column_types, units

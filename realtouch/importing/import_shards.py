@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 import pyarrow as pa
 
-from realtouch import stored_images, touch_options
+from realtouch import touch_options
 from realtouch.importing import (
     extra_columns,
     fields,
@@ -23,6 +23,7 @@ from realtouch.importing import (
     imported_clips,
     imported_rows,
 )
+from realtouch.touches import stored_images
 from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import Float64, Int64
 

@@ -7,8 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from realtouch import avi, contact_picture, stored_images
+from realtouch import contact
 from realtouch.importing import found_touches, import_columns
+from realtouch.touches import stored_images
+from realtouch.video import avi
 from tactile_toolkit.array_types import Float64, Int64, UInt8
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.touch import decode_image, is_jpeg
@@ -90,14 +92,14 @@ def clip_times_s(
 
 
 def contact_by_pictures(
-    pictures: Sequence[bytes], size: tuple[int, int], rule: contact_picture.ContactRule | None = None
+    pictures: Sequence[bytes], size: tuple[int, int], rule: contact.ContactRule | None = None
 ) -> tuple[tuple[int, int], bool]:
     """Return the first and last picture that show contact, and True; else the best picture twice, and False.
 
     The background is the median of the clip: of at most 64 pictures, spread evenly over the clip, so that a
     long clip takes little time and memory. Raises ItemError for a damaged picture.
     """
-    rule = rule or contact_picture.ContactRule()
+    rule = rule or contact.ContactRule()
     rows, columns = rule.window(*size)
     uncropped = replace(rule, crop=1.0)
     height, width = rows.stop - rows.start, columns.stop - columns.start
@@ -110,9 +112,9 @@ def contact_by_pictures(
         return made
 
     try:
-        base = contact_picture.median_in_memory(decoded(pictures[:: -(-len(pictures) // of_median)]))
+        base = contact.median_in_memory(decoded(pictures[:: -(-len(pictures) // of_median)]))
         scores = [
-            contact_picture.contact_score(decoded(pictures[start : start + _SCORED_AT_ONCE]), base, uncropped)
+            contact.contact_score(decoded(pictures[start : start + _SCORED_AT_ONCE]), base, uncropped)
             for start in range(0, len(pictures), _SCORED_AT_ONCE)
         ]
     except ValueError as error:

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow as pa
 
-from realtouch import schema as stored_schema
 from realtouch.importing import found_touches, import_columns, imported_clips
 from realtouch.importing.extra_columns import extra_arrays, extra_types
-from realtouch.schema import POSE_COLUMN
-from realtouch.stored_images import media_array
+from realtouch.touches.datasets import schema as stored_schema
+from realtouch.touches.schema import POSE_COLUMN
+from realtouch.touches.stored_images import media_array
 from tactile_toolkit.array_types import AnyArray, Float64, Int64
 from tactile_toolkit.columns import column_types
 from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE, Kind, with_features

@@ -9,9 +9,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO, NamedTuple
 
-from realtouch import video_files
 from realtouch.importing import formats, source_files
 from realtouch.kind import KIND
+from realtouch.video import video_files
 from tactile_toolkit import errors, places, store
 from tactile_toolkit.columns import tables
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pyarrow as pa
 
-from realtouch.avi import MAX_CLIP_FRAMES
 from realtouch.importing.found_touches import FoundTouches, PicturePlace
+from realtouch.video.avi import MAX_CLIP_FRAMES
 from tactile_toolkit import errors, wording
 from tactile_toolkit.array_types import Float64
 from tactile_toolkit.columns import column_types

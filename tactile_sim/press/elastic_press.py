@@ -1,4 +1,4 @@
-"""Pressing an elastic gel: the whole gel is solved, and the window of the image is cut out of it."""
+"""Presses of the elastic gel of a sensor: the whole gel is solved, and an image shows a window of it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from tactile_sim.elastic.contact import Contact, Gel, solve_contact
 from tactile_sim.press.press_spec import MAX_FORCE_N, MAX_SLIDE_M, MAX_TWIST_RAD
-from tactile_sim.press.sensors import Sensor
+from tactile_sim.press.sensors import Sensor, full_view
 from tactile_sim.value_files import read_values
 from tactile_toolkit.array_types import Bool, Float64
 from tactile_toolkit.errors import InputError
@@ -19,14 +19,12 @@ from tactile_toolkit.touch import MAX_IMAGE_PIXELS
 
 MAX_SHARE = 0.5
 """Greatest press depth, as a share of the thickness of the gel; there, linear theory is only indicative."""
-STILL: ArrayLike = (0.0, 0.0)
-STRAIGHT: ArrayLike = 0.0
-"""No slide, and no twist."""
 
 # Pixels of 64 x 64 images have 0.22 mm. At 80 x 60 blocks of 320 x 240 pixels the depth is off by 2 um.
 _SOLVED_M = 0.00024
 _SAME = 1 + 1e-9  # sides that differ only by rounding
 _SLIP_REACH_M = 0.003  # distance at which the slip of a contact has decayed; slides are at most a third
+_REFERENCE_PA, _REFERENCE_N = 1e6, 1.0
 _MAPS = ("pressure_pa", "traction_pa", "displacement_m", "is_contact", "is_stick")
 
 
@@ -212,19 +210,18 @@ def loads_of(
 
     InputError for numbers out of range, and unless an elastic gel has one of force and depth.
     """
-    given: dict[str, ArrayLike | None] = {"force_n": force_n, "depth_m": depth_m}
-    stops = {name: value for name, value in given.items() if value is not None}
-    if gel is None and not stops and slide_m is STILL and twist_rad is STRAIGHT:
-        return None  # returned early: most gels are not elastic
-    slides, twists = _numbers("slide_m", slide_m, (count, 2)), _numbers("twist_rad", twist_rad, (count,))
+    stops = {name: value for name, value in (("force_n", force_n), ("depth_m", depth_m)) if value is not None}
     if gel is None:
-        moved = [name for name, each in (("slide_m", slides), ("twist_rad", twists)) if each.any()]
-        if stops or moved:
+        motions = {"slide_m": slide_m, "twist_rad": twist_rad}
+        superfluous = [*stops, *(name for name, value in motions.items() if np.any(value))]
+        if superfluous:
             raise InputError(
-                f"{[*stops, *moved][0]} is given, but no elastic gel",
+                f"{superfluous[0]} is given, but no elastic gel",
                 next="give gel=tactile_sim.Gel() too, or leave it out",
             )
         return None
+    slides = _numbers("slide_m", slide_m, (count, 2))
+    twists = _numbers("twist_rad", twist_rad, (count,))
     if len(stops) != 1:
         raise InputError(
             f"an elastic gel is pressed with {' and '.join(stops) or 'neither'}; expected one of force_n and "
@@ -247,6 +244,64 @@ def loads_of(
         still._replace(**{name: number}, slide_m=(x, y), twist_rad=twist)
         for number, (x, y), twist in zip(numbers.tolist(), slides.tolist(), twists.tolist(), strict=True)
     ]
+
+
+def fit_youngs_modulus(
+    depth_m: ArrayLike,
+    force_n: ArrayLike,
+    sensor: Sensor | None = None,
+    *,
+    poisson_ratio: float = 0.49,
+    friction: float = 0.5,
+) -> float:
+    """Find Young's modulus of a gel from presses onto the bare plate.
+
+    On a plate that is larger than the gel, force is proportional to depth and to the modulus. Only the slope
+    is used, so the depth may be measured from any zero. Poisson's ratio must be known: a gel that is
+    bonded to its window is twice as stiff at 0.49 as at 0.4.
+
+    Parameters
+    ----------
+    depth_m : array_like, shape (n,)
+        How far the sensor came down, metres, from any zero; two different depths or more, each in contact
+        with the whole gel.
+    force_n : array_like, shape (n,)
+        Normal force then, newtons.
+    sensor : Sensor, optional
+        Thickness and size of the gel; a GelSight Mini by default.
+    poisson_ratio, friction : float
+        The other properties of the gel, see :class:`tactile_sim.Gel`.
+
+    Returns
+    -------
+    float
+        Young's modulus, Pa.
+
+    Raises
+    ------
+    InputError
+        Fewer than two depths, numbers that are not finite, or forces that do not grow with depth.
+    """
+    try:
+        depths, forces = np.asarray(depth_m, np.float64), np.asarray(force_n, np.float64)
+    except (TypeError, ValueError):
+        depths = forces = np.empty(0)
+    fits = depths.ndim == 1 and depths.shape == forces.shape and len(np.unique(depths)) > 1
+    if not (fits and np.isfinite(depths).all() and np.isfinite(forces).all()):
+        raise InputError(
+            f"depth_m and force_n have shapes {np.shape(depth_m)} and {np.shape(force_n)}; expected as many "
+            "finite numbers each, of two depths or more"
+        )
+    slope = float(np.polyfit(depths, forces, 1)[0])
+    if slope <= 0:
+        raise InputError(
+            "the force does not grow with the depth; expected depths that grow into the gel, metres",
+            next="change the sign of depth_m",
+        )
+    sensor = sensor or full_view()
+    gel = Gel(_REFERENCE_PA, poisson_ratio, friction)
+    deep_m = sensor.gel_m - plate_z_m(sensor, Load(gel, _REFERENCE_N, None))
+    return _REFERENCE_PA * slope * deep_m / _REFERENCE_N
 
 
 def _numbers(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Float64:

@@ -165,8 +165,8 @@ def render_touch(
     gel: Gel | None = None,
     force_n: ArrayLike | None = None,
     depth_m: ArrayLike | None = None,
-    slide_m: ArrayLike = elastic_press.STILL,
-    twist_rad: ArrayLike = elastic_press.STRAIGHT,
+    slide_m: ArrayLike = (0.0, 0.0),
+    twist_rad: ArrayLike = 0.0,
 ) -> Pressed:
     """Press the gel onto a solid that lies on the plate.
 

@@ -48,7 +48,7 @@ class PairsSpec:
         Fraction of touches without contact, 0 to 1. The paper reduces it and does not state to how much.
     min_height_m : float or None
         Height above the plate, metres, from which a touch counts as contact; None for the rule of the real
-        touches, see :meth:`realtouch.touches.Touches.in_contact`.
+        touches, see :meth:`realtouch.touches.datasets.Touches.in_contact`.
     window : str
         ``"full"``: depth of the full view of the sensor, squashed into the size like the real touches;
         ``"center"``: the window that the environments show.

@@ -2,9 +2,9 @@
 
 ::
 
-    choose() -> PrintObject -> export_files(): one STL, 3MF, ... each    objects.py, single_files.py
-       -> arrange(): positions on plates                                 packing.py
-       -> write_plates(): 3MF, map, table                                plates.py, plate_map.py
+    choose() -> PrintObject -> export_files(): one STL, 3MF, ... each    exports.py
+       -> arrange(): positions on plates, and their maps                 plate_layouts.py
+       -> write_plates(): 3MF, map, table                                exports.py
 
 Each file is read back from disk and has to be the same solid before it gets its name (file_export.py).
 """

@@ -5,35 +5,29 @@ from .calibration_plate import (
     make_plate as make_plate,
 )
 from .file_export import (
+    choose as choose,
     FailedExport as FailedExport,
     FileExport as FileExport,
     Made as Made,
+    on_plates as on_plates,
+    place_on_plate as place_on_plate,
+    PrintObject as PrintObject,
     Product as Product,
     Progress as Progress,
     require_same_solid as require_same_solid,
     write_products as write_products,
 )
-from .objects import (
-    PrintObject as PrintObject,
-    choose as choose,
-    on_plates as on_plates,
-    place_on_plate as place_on_plate,
-)
-from .packing import (
+from .plate_layouts import (
     arrange as arrange,
 )
-from .physics import (
+from .print_options import (
+    BEDS_MM as BEDS_MM,
     MODELS as MODELS,
     Physics as Physics,
-)
-from .plate_spec import (
-    BEDS_MM as BEDS_MM,
     PlateSpec as PlateSpec,
 )
-from .plates import (
+from .exports import (
+    export_files as export_files,
     TABLE_FILE as TABLE_FILE,
     write_plates as write_plates,
-)
-from .single_files import (
-    export_files as export_files,
 )

@@ -25,11 +25,12 @@ from tactile_toolkit.mesh import MM_PER_M, Mesh, pack_mesh, require_solid, unpac
 from tactile_toolkit.printing.file_export import (
     FileExport,
     Made,
+    PrintObject,
     Product,
+    place_on_plate,
     require_same_solid,
     write_products,
 )
-from tactile_toolkit.printing.objects import PrintObject, place_on_plate
 
 if TYPE_CHECKING:
     from tactile_toolkit.mesh import ManifoldCheck

@@ -292,7 +292,7 @@ class Manifest:
     trees: tuple[str, ...] = ()
     libraries: Mapping[str, str] = field(default_factory=dict)
 
-    @property
+    @cached_property
     def identity(self) -> str:
         """Digest of all that decides the rows of a data set and their bytes."""
         values = (self.kind, self.toolkit_version, dict(self.libraries), self.spec, self.schema_version)

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 import env_assets
-from env_assets.asset_kinds import KINDS
-from env_assets.fitting import require_fitting_meshes
-from env_assets.mesh_view import MeshView
+from env_assets.mesh_view import MeshView, require_fitting_meshes
+from env_assets.provider import KINDS
 from starstruck_gen.kind import KIND as SCENES
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh

@@ -19,8 +19,8 @@ import mnist3d
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.mesh import Mesh, write_mesh
 from tactile_toolkit.printing import PlateSpec, arrange, choose, export_files, write_plates
-from tactile_toolkit.printing.objects import place_on_plate
-from tactile_toolkit.printing.packing import PlacedObject
+from tactile_toolkit.printing.file_export import place_on_plate
+from tactile_toolkit.printing.plate_layouts import PlacedObject
 from tests.command_line import call
 from tests.mnist3d.drawn_pictures import child, word
 from tests.processes import PATIENCE_S

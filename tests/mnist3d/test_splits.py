@@ -5,9 +5,8 @@ import pytest
 from hypothesis import given, strategies as st
 
 from mnist3d import splits
-from mnist3d.published_splits import PUBLISHED_SIZES, SPLITS, SplitSpec
 from mnist3d.sources import NO_WRITER, DigitCatalog
-from mnist3d.splits import plan_splits
+from mnist3d.splits import PUBLISHED_SIZES, SPLITS, SplitSpec, plan_splits
 from tactile_toolkit.errors import InputError
 
 

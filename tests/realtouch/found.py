@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from realtouch.extras import array_with_gaps
 from realtouch.importing.cuts import Cutter
 from realtouch.importing.found_touches import FoundTouches, PicturePlace, one_chunk
 from realtouch.importing.recordings import Recording
+from realtouch.touches.schema import array_with_gaps
 from tactile_toolkit.columns import column_types
 
 

@@ -114,7 +114,7 @@ def test_contact_of_a_round_that_does_not_fit_in_memory(sets: Any, monkeypatch: 
     for kind in KINDS:
         touches = realtouch.load(sets(kind, -1), "train").touches()
         whole = realtouch.contacts_by_image(touches)
-        monkeypatch.setattr("realtouch.contacts._BATCH_BYTES", 2 * 36 * 48 * 3)
+        monkeypatch.setattr("realtouch.touches.image_contacts._BATCH_BYTES", 2 * 36 * 48 * 3)
         parts = realtouch.contacts_by_image(touches)
         monkeypatch.undo()
         for name in ("frame", "area_px", "intensity", "contact"):

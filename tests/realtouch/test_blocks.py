@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import realtouch
-from realtouch.touch_dataset import TouchStream
+from realtouch.touches.datasets import TouchStream
 from tactile_toolkit.cache import CACHE_VARIABLE
 from tactile_toolkit.read import Shard, ShardedTable, all_blocks, shard as shard_module
 from tactile_toolkit.read.blocks import BLOCKS

@@ -19,9 +19,9 @@ from PIL import Image
 import realtouch
 import starstruck_gen
 import tactile_sim
-from realtouch.faults.comparisons import GELSIGHT_MINI
-from realtouch.faults.rules import RULES
-from realtouch.faults.seen import count_markers
+from realtouch.checks.comparisons import GELSIGHT_MINI
+from realtouch.checks.picture_measures import count_markers
+from realtouch.checks.rules import RULES
 from tactile_sim.optics.taxim import taxim_package
 from tactile_toolkit.errors import InputError
 from tests.command_line import call

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, strategies as st
 
 import realtouch
-from realtouch.avi import MAX_CLIP_FRAMES, Avi, write_avi
 from realtouch.contact import CLOCK_TOLERANCE_S, contact_heights_m, contact_window
-from realtouch.touch_clips import TouchClip
+from realtouch.touches.media import TouchClip
+from realtouch.video.avi import MAX_CLIP_FRAMES, Avi, write_avi
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.touch import encode_image
 from tests.realtouch import factories

@@ -14,9 +14,8 @@ from datasets import Features, Image, List, Video
 from PIL import Image as Pictures
 
 import realtouch
-from realtouch.convert.conversion import Conversion, RowChoice, Source
+from realtouch.convert.conversion import Conversion, RowChoice, Source, plan_conversion
 from realtouch.convert.selection import KeepTouches
-from realtouch.convert.shard_tasks import plan_conversion
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.run import ProcessRunner
 from tactile_toolkit.store import sha256_hex

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from realtouch.convert.file_stems import id_of_stem, stem_of_id
+from realtouch.convert.picture_files import id_of_stem, stem_of_id
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.store import problem_of_name, sha256_hex
 from tests.realtouch import factories

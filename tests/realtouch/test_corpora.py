@@ -32,7 +32,7 @@ def source(request: pytest.FixtureRequest) -> Path:
 @pytest.fixture
 def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
     """Write a file for each round, so that there are several."""
-    monkeypatch.setattr("realtouch.convert.shard_tasks._MAX_ROWS_PER_SHARD", 1)
+    monkeypatch.setattr("realtouch.convert.conversion._MAX_ROWS_PER_SHARD", 1)
 
 
 def touches_of(source: Path) -> list[dict[str, Any]]:

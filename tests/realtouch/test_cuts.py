@@ -17,11 +17,11 @@ import pytest
 from PIL import Image
 
 from realtouch import ImportColumns
-from realtouch.avi import MAX_CLIP_FRAMES
-from realtouch.contact_picture import ContactRule, best_of
+from realtouch.contact import ContactRule, best_of
 from realtouch.importing.contact_cuts import MIN_MARGIN, find_contacts
 from realtouch.importing.cuts import Cutter
 from realtouch.importing.recordings import Recording
+from realtouch.video.avi import MAX_CLIP_FRAMES
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.touch import decode_image
 from tests.realtouch.found import Found, columns, cut_by

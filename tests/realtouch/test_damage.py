@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from realtouch.avi import Avi
+from realtouch.video.avi import Avi
 from tactile_toolkit.errors import IntegrityError
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout

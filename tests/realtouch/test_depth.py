@@ -14,8 +14,8 @@ import pytest
 from PIL import Image
 
 import realtouch
-from realtouch.convert import reading_depth
-from realtouch.depth_maps import decode_map, encode_map
+from realtouch.convert import media_conversions
+from realtouch.touches.media import decode_map, encode_map
 from tactile_toolkit.errors import InputError
 from tests.command_line import call
 from tests.realtouch import factories
@@ -44,8 +44,8 @@ class GreyReader:
 
 @pytest.fixture
 def images(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(reading_depth, "_load_sensor", GreyReader)
-    reading_depth._reader.cache_clear()
+    monkeypatch.setattr(media_conversions, "_load_sensor", GreyReader)
+    media_conversions._reader.cache_clear()
     return factories.bare_set(tmp_path / "images", "single")
 
 

@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from realtouch.convert import shard_tasks
+from realtouch.convert import conversion
 from realtouch.formats import lerobot_info, touch_rows
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.run import Part
@@ -36,7 +36,7 @@ def source(request: pytest.FixtureRequest) -> Path:
 @pytest.fixture
 def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
     """Write a file for each round, so that there are several."""
-    monkeypatch.setattr(shard_tasks, "_MAX_ROWS_PER_SHARD", 1)
+    monkeypatch.setattr(conversion, "_MAX_ROWS_PER_SHARD", 1)
     monkeypatch.setattr(lerobot_info, "FILE_BYTES", 1 << 10)
 
 

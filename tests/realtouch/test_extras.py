@@ -211,7 +211,7 @@ def test_some_touches_keep_theirs(
     chosen = record.with_touches([2, 0])
     alone = pickle.loads(pickle.dumps(realtouch.Touch(record, 2)))
     monkeypatch.setattr(
-        "realtouch.touches._contacts_by_image",
+        "realtouch.touches.datasets._contacts_by_image",
         lambda touches, threads: SimpleNamespace(contact=touches.touch_indices != 1),
     )
     realtouch.select(source, tmp_path / "out", contact=True, split="train")

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import realtouch
-from realtouch.avi import Avi, write_avi
+from realtouch.video.avi import Avi, write_avi
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.touch import decode_image
 from tests.jpegs import jpeg_of_scans

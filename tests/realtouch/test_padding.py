@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from realtouch.stored_round import StoredRound
+from realtouch.touches.stored_round import StoredRound
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read import RowGroup
 from tests.realtouch import factories

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from realtouch.poses import Poses, rigid_transform
+from realtouch.touches.poses import Poses, rigid_transform
 
 numbers = st.floats(-2, 2).map(lambda value: round(value, 3))
 positions = st.lists(numbers, min_size=3, max_size=3)

@@ -12,8 +12,8 @@ from hypothesis.extra import numpy as arrays
 from PIL import Image
 
 import realtouch
-from realtouch import contacts
-from realtouch.contact_picture import median_of
+from realtouch.contact import median_of
+from realtouch.touches import image_contacts
 from tactile_toolkit.errors import InputError
 from tests.realtouch import factories
 
@@ -38,7 +38,7 @@ def test_the_background_of_pictures_read_a_few_at_a_time(single_folder: Path, se
     clips = realtouch.load(seq_folder, split="train")
     images = np.concatenate([each.sensor_image.batch() for each in rounds])
     frames = np.concatenate([clip.frames() for each in clips for clip in each.sensor_video])
-    monkeypatch.setattr(contacts, "_BATCH_BYTES", 2 * images[0].nbytes)
+    monkeypatch.setattr(image_contacts, "_BATCH_BYTES", 2 * images[0].nbytes)
     for source, expected in (
         (rounds, images),
         (rounds.touches(), images),
@@ -160,10 +160,10 @@ def test_a_share_of_touches_without_contact(single_folder: Path, share: float):
     mask = np.arange(len(touches)) % 3 == 0
     chosen = touches.sample(no_contact_fraction=share, seed=3, contact=mask)
     kept = set(chosen.dataset.column("id")[chosen.round_positions] + chosen.touch_indices.astype(str))
-    contacts = set(
+    image_contacts = set(
         touches.dataset.column("id")[touches.round_positions[mask]] + touches.touch_indices[mask].astype(str)
     )
-    assert contacts <= kept
+    assert image_contacts <= kept
     expected = min((~mask).sum(), round(mask.sum() * share / (1 - share)))
     assert len(kept) == len(chosen) == mask.sum() + expected
     # In any order, and with several seeds.

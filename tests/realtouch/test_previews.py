@@ -10,7 +10,6 @@ from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import Rotation
 
 import realtouch
-from realtouch.touch import Touch
 from realtouch.touch_options import TouchPreviewSpec
 from realtouch.touch_previews import (
     CONTACT,
@@ -23,6 +22,7 @@ from realtouch.touch_previews import (
     placed_touches,
     plan_previews,
 )
+from realtouch.touches.rounds import Touch
 from tactile_toolkit.errors import InputError
 from tests.realtouch import factories
 from tests.realtouch.conftest import SIZE, TOUCHES

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 import realtouch
 from cli.realtouch import app
-from realtouch.summary import paper_numbers
+from realtouch.touches.summary import paper_numbers
 from tests.realtouch.factories import make_round, single_rows, write_set
 
 
@@ -47,7 +47,7 @@ def test_each_number_is_that_of_the_data(folder):
 
 
 def test_a_paper_sized_gel_agrees(folder, monkeypatch):
-    monkeypatch.setattr("realtouch.summary._TOUCHES_OF_A_GEL", 1024)
+    monkeypatch.setattr("realtouch.touches.summary._TOUCHES_OF_A_GEL", 1024)
     assert found(folder)["gel replaced after"] == ("1,024 of 1,536", True)
 
 

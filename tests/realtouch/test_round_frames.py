@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, strategies as st
 
 import realtouch
-from realtouch.avi import Avi, write_avi
-from realtouch.sensor_images import in_parallel
+from realtouch.touches.media import in_parallel
+from realtouch.video.avi import Avi, write_avi
 from tactile_toolkit.errors import IntegrityError
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth

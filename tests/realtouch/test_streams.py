@@ -15,11 +15,11 @@ from scipy.spatial.transform import Rotation, Slerp
 
 import realtouch
 from realtouch import ImportColumns
-from realtouch.avi import write_avi
 from realtouch.importing.cuts import Cutter
 from realtouch.importing.recordings import Recording
 from realtouch.importing.streams import Aligner, Stream, open_stream, tables_by_stem, with_streams
 from realtouch.touch_options import STREAM_HEADER, Alignment
+from realtouch.video.avi import write_avi
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.touch import encode_image

@@ -12,8 +12,8 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from realtouch.avi import write_avi
-from realtouch.verification import list_findings
+from realtouch.checks.verification import list_findings
+from realtouch.video.avi import write_avi
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.store import open_folder
 from tests.command_line import call

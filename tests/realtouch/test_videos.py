@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 import realtouch
-from realtouch.avi import Avi
 from realtouch.formats.video_import import describe_conversion, find_video
 from realtouch.importing.formats import IMPORTS
 from realtouch.importing.recordings import Recording, touches_of
-from realtouch.video import open_video, pictures_of_video
+from realtouch.video.avi import Avi
+from realtouch.video.videos import open_video, pictures_of_video
 from tactile_toolkit.errors import InputError, ItemError, MissingExtraError
 from tactile_toolkit.store import open_folder
 from tactile_toolkit.touch import decode_image
@@ -418,7 +418,7 @@ def test_conversions_of_gray_and_alpha_are_reported(tmp_path: Path) -> None:
 def test_without_a_decoder_only_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "a.mp4").write_bytes(mp4())
     monkeypatch.setitem(sys.modules, "av", None)
-    monkeypatch.delitem(sys.modules, "realtouch.coded_video", raising=False)
+    monkeypatch.delitem(sys.modules, "realtouch.video.coded_video", raising=False)
     with pytest.raises(MissingExtraError, match="the extra `video`"):
         recordings(tmp_path)
 

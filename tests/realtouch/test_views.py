@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from realtouch.touch import Touch
+from realtouch.touches.rounds import Touch
 from tactile_toolkit.errors import InputError
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout

@@ -103,7 +103,7 @@ def first_is_busy(tmp_path: Path) -> Iterator[Path]:
 
 def test_a_planned_kernel_that_another_process_compiles_is_left_to_it(first_is_busy: Path) -> None:
     code = """
-        from tactile_toolkit import compiled
+        from tactile_toolkit import kernels
         kernels.prepare("made_up_kernels.caller")
         from made_up_kernels import caller
         print(len(caller.first.signatures), caller.second.signatures)
@@ -116,7 +116,7 @@ def test_a_planned_kernel_that_another_process_compiles_is_left_to_it(first_is_b
 def test_planned_kernels_are_ready_and_are_those_of_the_first_call(tmp_path: Path) -> None:
     write_kernels(tmp_path, 1)
     code = """
-        from tactile_toolkit import compiled
+        from tactile_toolkit import kernels
         kernels.prepare("made_up_kernels.caller")
         from made_up_kernels import caller
         print(caller.first.signatures, caller.first(3), len(caller.first.signatures))

@@ -35,7 +35,7 @@ from tactile_sim import make_pairs
 from tactile_toolkit.catalog import PreviewSpec
 from tactile_toolkit.errors import MissingExtraError
 from tactile_toolkit.printing import PlateSpec, arrange
-from tactile_toolkit.printing.plate_map import draw_map
+from tactile_toolkit.printing.plate_layouts import draw_map
 from tests.env_assets.factories import write_assets
 from tests.notebooks.running import main as record_notebooks
 from tests.realtouch.factories import make_round, seq_rows, single_rows, write_set
@@ -160,7 +160,7 @@ def styles() -> dict[str, str]:
     """Return the storage layouts of digits and scenes, which decide the bytes of sets of any size."""
     return {
         rows.partition(".")[0]: repr(import_module(rows).PARQUET_STYLE)
-        for rows in ("mnist3d.digit_rows", "starstruck_gen.scene_generation")
+        for rows in ("mnist3d.digit_records", "starstruck_gen.scene_generation")
     }
 
 

@@ -9,7 +9,7 @@ from scipy.spatial import ConvexHull
 import mnist3d
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.mesh import Mesh
-from tactile_toolkit.printing.convex import convex_parts
+from tactile_toolkit.printing.simulator import convex_parts
 from tests.tactile_toolkit.printing.solids import box, ell, mesh_of, prism, ring
 
 

@@ -9,7 +9,7 @@ from hypothesis import given, strategies as st
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.printing import PlateSpec, arrange
-from tactile_toolkit.printing.packing import Outline, PlacedObject
+from tactile_toolkit.printing.plate_layouts import Outline, PlacedObject
 from tests.tactile_toolkit.printing.solids import box, ell, named, ring
 
 Box = tuple[float, float, float, float]

@@ -21,10 +21,9 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import BuildItem, Mesh, check_manifold, read_build, write_build
 from tactile_toolkit.pictures import draw_text, text_size
 from tactile_toolkit.printing import TABLE_FILE, PlateSpec, PrintObject, arrange, write_plates
-from tactile_toolkit.printing.objects import place_on_plate
-from tactile_toolkit.printing.packing import PlacedObject, PlateLayout
-from tactile_toolkit.printing.plate_map import draw_map
-from tactile_toolkit.printing.plate_spec import BEDS_MM
+from tactile_toolkit.printing.file_export import place_on_plate
+from tactile_toolkit.printing.plate_layouts import PlacedObject, PlateLayout, draw_map
+from tactile_toolkit.printing.print_options import BEDS_MM
 from tests.tactile_toolkit.printing.solids import box, ell, mesh_of, named, ring
 from tests.tactile_toolkit.toy import folder_bytes
 

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from realtouch.verification import has_page_checksums
+from realtouch.checks.verification import has_page_checksums
 from tactile_toolkit.cache import CACHE_VARIABLE
 from tactile_toolkit.errors import IntegrityError, ToolkitError
 from tactile_toolkit.read import Shard, ShardedTable

@@ -1,0 +1,1 @@
+"""Checks of data sets of touches: damage, and faults of recordings."""

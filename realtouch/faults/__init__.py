@@ -1,1 +1,0 @@
-"""Faults of recordings: rules for pictures, poses and times, and their findings."""

@@ -1,0 +1,1 @@
+"""Touches of real sensors: stored rounds, their records, and data sets of them."""

@@ -1,0 +1,110 @@
+"""Damage of stored touches, and findings of checks of recordings."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from tactile_toolkit import errors, read
+
+_NEXT = "run `realtouch verify` to list everything that is wrong, then download or convert again"
+_FIELD = re.compile(r"field '([^']+)': (.*)")
+
+MAX_NAMED = 20
+"""Touches that a finding names; it counts the others."""
+
+
+@dataclass(frozen=True, slots=True)
+class Damage:
+    """Damage of a file, round or touch.
+
+    Attributes
+    ----------
+    file : str
+        Parquet file.
+    row : int or None
+        Row in that file, the first one if the problem names several; None if the whole file is meant.
+    touch : int or None
+        Touch of the round; None if the whole round is meant.
+    field : str
+        Column; empty if no single column is meant.
+    problem : str
+        What was found, and what was expected.
+    """
+
+    file: str
+    row: int | None
+    touch: int | None
+    field: str
+    problem: str
+
+    def __str__(self) -> str:
+        named: dict[str, object] = {"row": self.row, "touch": self.touch}
+        if self.field:
+            named["field"] = repr(self.field)
+        parts = [f"{name} {value}" for name, value in named.items() if value is not None]
+        return f"{', '.join([repr(self.file), *parts])}: {self.problem}"
+
+
+class DamagedRoundError(errors.IntegrityError):
+    """An :class:`IntegrityError` that carries its :class:`Damage`; internal, catch ``IntegrityError``."""
+
+    def __init__(self, damage: Damage) -> None:
+        super().__init__(damage, next=_NEXT)
+        self.damage = damage
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (DamagedRoundError, (self.damage,))
+
+
+def unreadable_file(path: str, error: errors.ToolkitError) -> Damage:
+    """Return the damage of an entire file, from the error that opening it raised."""
+    words = _cause(path, error)
+    named = _FIELD.match(words)
+    if named is None:
+        return Damage(path, None, None, "", words)
+    return Damage(path, None, None, named[1], named[2])
+
+
+def unreadable_rows(shard: read.Shard, index: int, error: errors.IntegrityError) -> Damage:
+    """Return the damage of a row group, from the error that reading it raised; ``row`` is its first row."""
+    first, last = shard.group_starts[index], shard.group_starts[index + 1] - 1
+    rows = f"rows {first} to {last} cannot be read" if last > first else "cannot be read"
+    found = " ".join(str(error.__cause__ or _cause(shard.path, error)).split())
+    return Damage(shard.path, first, None, "", f"{rows} ({found}); expected a whole Parquet file")
+
+
+def _cause(path: str, error: errors.ToolkitError) -> str:
+    """Return the message of an error without file and next step, which a list states once."""
+    words = " ".join(error.what.split())
+    return words.removeprefix(repr(path)).lstrip(",: ")
+
+
+@dataclass(frozen=True)
+class RecordingFinding:
+    """One fault of a recording.
+
+    Attributes
+    ----------
+    rule : str
+        Name of the rule, for example ``frozen-frames``.
+    found, expected : str
+        The value found and the threshold, each with its unit.
+    where : str
+        Split, round or file concerned.
+    touches : tuple of str
+        The touches concerned, at most the first 20, as ``round:touch`` (``12:0``, or ``12:0-255`` for all) in
+        data sets, and as a path in other formats.
+    count : int
+        Number of all touches concerned.
+    next : str
+        A sentence with the next step.
+    """
+
+    rule: str
+    found: str
+    expected: str
+    where: str
+    touches: tuple[str, ...] = ()
+    count: int = 0
+    next: str = ""

@@ -1,0 +1,645 @@
+"""Data sets and streams of rounds, and their touches as one sequence."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import cached_property, partial
+from itertools import groupby
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar
+
+import numpy as np
+import pyarrow as pa
+
+from realtouch import contact
+from realtouch.touches import media, rounds, schema, stored_round
+from realtouch.touches.rounds import Touch, TouchRound, TouchSingleRound, touch_id
+from tactile_toolkit import checked_fields, errors, kind, read, run, touch, wording
+from tactile_toolkit.array_types import AnyArray, Bool, Float64, Int64, UInt8
+
+if TYPE_CHECKING:
+    from datasets import Dataset
+
+
+_POSITION = ("x_m", "y_m")
+
+# Imported on use: it measures touches.
+_contacts_by_image = kind.lazy("realtouch.touches.image_contacts:contacts_by_image")
+R = TypeVar("R", bound=TouchRound)
+
+
+class TouchDataset(read.RecordDataset[R]):
+    """A lazy sequence of rounds; see :class:`tactile_toolkit.read.RecordDataset`.
+
+    Parameters
+    ----------
+    table, rows, label_names
+        As for :class:`tactile_toolkit.read.RecordDataset`.
+    """
+
+    things = "rounds"
+    kind: touch.Kind
+
+    def touches(self) -> Touches[R]:
+        """Return the flat view: every touch of every round, in order, with random access."""
+        return Touches(self)
+
+    @property
+    def labels(self) -> Int64:
+        """Label of each round, shape (len,), int64, -1 without labels; reads the label column only."""
+        return self._integers("label", lambda: np.full(len(self), -1), lambda each: each.label)
+
+    @property
+    def pose_column(self) -> str:
+        """Column of the positions of the gel."""
+        return f"{schema.POSE_COLUMN[self.kind]}.position"
+
+    def _row_at(self, number: int) -> stored_round.StoredRound:
+        return stored_round.StoredRound(*self.table.locate(number))
+
+    @property
+    def object_ids(self) -> Int64:
+        """Id of the touched object of each round, shape (len,), int64, -1 without one."""
+        return self._integers("object_id", lambda: np.full(len(self), -1), lambda each: each.object_id)
+
+    @property
+    def touch_counts(self) -> Int64:
+        """T of each round, shape (len,), int64; reads at most the column of intended positions."""
+        return self._stored_counts[self.row_numbers]
+
+    @property
+    def _stored_counts(self) -> Int64:
+        return self.table.per_shard("touches", lambda source: [stored_round.stored_touch_counts(source)])
+
+    @property
+    def touch_starts(self) -> Int64:
+        """Number of the first touch of each stored row, shape (stored rows + 1,), int64."""
+        return np.concatenate([[0], np.cumsum(self._stored_counts)])
+
+    def known_heights_m(self, recalibrate_z: bool = True) -> Float64:
+        """Read the height of every stored touch; see :func:`realtouch.contact.contact_heights_m`.
+
+        Shape (touches of all stored rows,), metres above the plate, NaN where it cannot be read. Where the
+        height of the plate is known, it is always taken.
+        """
+
+        def heights_m(row: stored_round.StoredRound, rule: contact.ContactHeight) -> Float64:
+            z_m = row.readable(partial(row.contact_z_m, self.kind))
+            is_known = rule.plate == "known"
+            return contact.contact_heights_m(z_m, recalibrate_z or is_known, row.plate_z_m(rule))
+
+        columns = [contact.PLATE_COLUMN, "pos_in_cell", "video_length_frames", self.pose_column]
+        return self._per_touch(f"heights {recalibrate_z}", columns, heights_m)
+
+    def known_positions_m(self) -> Float64:
+        """Read the intended position of every stored touch; NaN if it cannot be read.
+
+        Shape (touches of all stored rows, 2), metres, cell frame; reads that column only.
+        """
+
+        def positions_m(row: stored_round.StoredRound, _rule: contact.ContactHeight) -> Float64:
+            return row.readable(row.intended_positions, (2,))
+
+        return self._per_touch("positions", ["pos_in_cell"], positions_m)
+
+    def _per_touch(
+        self,
+        key: str,
+        columns: Sequence[str],
+        known: Callable[[stored_round.StoredRound, contact.ContactHeight], Float64],
+    ) -> Float64:
+        """Join the values of the touches of each stored row; reads a few columns."""
+
+        def of_source(source: read.RowSource) -> list[Float64]:
+            rule = contact.ContactHeight.of(read.column_types(source.schema))
+            return [known(row, rule) for row in stored_round.stored_rows([source], columns)]
+
+        values = self.table.per_shard(key, of_source)
+        if len(values) != self.touch_starts[-1]:
+            raise errors.IntegrityError(
+                f"{wording.with_count(len(values), 'poses')} of touches for {self.touch_starts[-1]:,} "
+                "touches; expected one each",
+                next="run `realtouch verify`, which names the rounds",
+            )
+        return values
+
+    def contact_rules(self) -> list[contact.ContactHeight]:
+        """Return the rule by which touches of each round count as contact; joined sets may have several."""
+        rules = [
+            (contact.ContactHeight.of(read.column_types(each.schema)), len(each))
+            for each in self.table.shards
+        ]
+        of_rows = [rule for rule, count in rules for _ in range(count)]
+        return [of_rows[row] for row in self.row_numbers.tolist()]
+
+    def rounds_without_media(self) -> Iterator[tuple[int, R]]:
+        """Yield stored row number and round, row by row, and open images or clips only on access."""
+        number = 0
+        # In stored order, so that each block is read once, whatever the order of the view.
+        wanted = set(self.row_numbers.tolist())
+        media = touch.MEDIA_COLUMN[self.kind]
+        for source in self.table.shards:
+            columns, start = [name for name in source.schema.names if name != media], number
+            for block in read.all_blocks([source], columns):
+                rows = _RowsWithoutMedia(block, source, number - start)
+                for row in range(len(block.table)):
+                    if number + row in wanted:
+                        yield number + row, self.record_class(stored_round.StoredRound(rows, row))
+                number += len(block.table)
+
+    def each_record(self) -> Iterator[tuple[int, R]]:
+        """Yield position and round, in the fastest order; images and clips are not read."""
+        places: dict[int, list[int]] = {}
+        for place, row in enumerate(self.row_numbers.tolist()):
+            places.setdefault(row, []).append(place)
+        # A view may hold a round several times, at several places.
+        for row, record in self.rounds_without_media():
+            for place in places[row]:
+                yield place, record
+
+
+class TouchSingleDataset(TouchDataset[rounds.TouchSingleRound]):
+    """Rounds with one image per touch."""
+
+    record_class: ClassVar[type[Any]] = rounds.TouchSingleRound
+    kind = "single"
+
+
+class TouchSeqDataset(TouchDataset[rounds.TouchSeqRound]):
+    """Rounds with one clip per touch."""
+
+    record_class: ClassVar[type[Any]] = rounds.TouchSeqRound
+    kind = "seq"
+
+
+AnyDataset = TouchDataset[Any]
+"""Rounds of either kind."""
+
+
+def dataset_of(shards: Sequence[read.RowSource]) -> TouchSeqDataset | TouchSingleDataset:
+    """Return the data set of some shards of one kind."""
+    dataset = _DATASETS[schema.media_kind(shards[0].schema, shards[0].path)]
+    return dataset(read.ShardedTable(tuple(shards)), None, schema.class_names_of(shards))
+
+
+_DATASETS: dict[touch.Kind, type[TouchSingleDataset | TouchSeqDataset]] = {
+    "seq": TouchSeqDataset,
+    "single": TouchSingleDataset,
+}
+
+
+class TouchStream(read.RowStream[read.Shard]):
+    """Rounds one after another; see :class:`tactile_toolkit.read.RowStream`.
+
+    Parameters
+    ----------
+    shards : tuple of Shard
+        Shards to read in turn.
+    kind : "seq" or "single"
+        Media of the rounds.
+    """
+
+    def __init__(self, shards: tuple[read.Shard, ...], kind: touch.Kind) -> None:
+        super().__init__(shards)
+        self.kind = kind
+
+    @property
+    def label_names(self) -> tuple[str, ...]:
+        """Name of each class."""
+        return schema.class_names_of(self.shards)
+
+    def touches(self) -> AnyTouches:
+        """Return the flat view: every touch of every round, in order, with random access.
+
+        A row group is read from its address when one of its rows is first accessed, and kept in the cache.
+        """
+        return dataset_of(self.shards).touches()
+
+    def __iter__(self) -> Iterator[rounds.TouchRound]:
+        """Yield rounds; a bounded block of rows is in memory at a time."""
+        blocks = (block for shard, index in self.row_groups() for block in shard.blocks(index))
+        return map(_DATASETS[self.kind].record_class, stored_round.rows_of(blocks))
+
+    def __repr__(self) -> str:
+        return self._described(self.kind)
+
+
+class Touches(read.RecordDataset[Touch], Generic[R]):
+    """All touches of some rounds, or a selection of them; a view that copies nothing.
+
+    ``touches[i]`` gives a :class:`Touch`; a slice, ints or a boolean mask give a view. Filters give views too
+    and read only the columns that they need. :meth:`split` divides touches, so parts share rounds and
+    objects; to avoid that, divide the rounds, or use :attr:`object_ids`.
+
+    Parameters
+    ----------
+    dataset : TouchDataset
+        The rounds.
+    chosen : ndarray of int64, optional
+        Which touches, counted through all rounds of the data set; all by default.
+    """
+
+    things = "touches"
+
+    def __init__(self, dataset: TouchDataset[R], chosen: Int64 | None = None) -> None:
+        self.dataset = dataset
+        counts = dataset.touch_counts
+        self._starts = np.concatenate([[0], np.cumsum(counts)])
+        rows: range | Int64 = range(int(self._starts[-1]))
+        if chosen is not None:
+            rows = chosen
+        super().__init__(dataset.table, rows, dataset.label_names)
+        # Rounds of one length, the common case, are found by a division.
+        self._per_round = 0
+        if len(set(counts.tolist())) == 1:
+            self._per_round = int(counts[0])
+
+    def __iter__(self) -> Iterator[Touch]:
+        last, current = -1, None
+        for flat in self._rows:
+            position, touch = self._located(int(flat))
+            # Neighbours share a round, whose columns are then resolved once.
+            if position != last or current is None:
+                last, current = position, self.dataset[position]
+            yield Touch(current, touch)
+
+    def locate(self, index: int) -> tuple[int, int]:
+        """Return the number of a touch's round in the data set, and its own in the round.
+
+        Raises
+        ------
+        IndexError
+            The data set has no touch of that index.
+        """
+        return self._located(int(self._rows[read.checked_index(index, len(self), "index", self.things)]))
+
+    def _located(self, flat: int) -> tuple[int, int]:
+        if self._per_round:
+            return divmod(flat, self._per_round)
+        place = int(np.searchsorted(self._starts, flat, side="right")) - 1
+        return place, flat - int(self._starts[place])
+
+    @property
+    def round_positions(self) -> Int64:
+        """Number of the round of each touch in the data set, shape (len,), int64."""
+        return np.searchsorted(self._starts, self.row_numbers, side="right") - 1
+
+    @property
+    def touch_indices(self) -> Int64:
+        """Number of each touch in its round, shape (len,), int64."""
+        indices: Int64 = self.row_numbers - self._starts[self.round_positions]
+        return indices
+
+    @property
+    def _stored_places(self) -> Int64:
+        """Number of each touch among all that are stored, shape (len,), int64."""
+        rows = self.dataset.row_numbers[self.round_positions]
+        places: Int64 = self.dataset.touch_starts[rows] + self.touch_indices
+        return places
+
+    @property
+    def labels(self) -> Int64:
+        """Label of each touch, shape (len,), int64, -1 without labels; reads the label column only."""
+        return self.dataset.labels[self.round_positions]
+
+    def int_column(self, name: str) -> Int64:
+        """Read one column of integers of the rounds, shape (len,), int64."""
+        return self.dataset.int_column(name)[self.round_positions]
+
+    @property
+    def ids(self) -> AnyArray:
+        """Id of each touch, as :attr:`Touch.id`, shape (len,); reads the ids of the rounds only."""
+        pairs = zip(self.dataset.ids[self.round_positions].tolist(), self.touch_indices.tolist(), strict=True)
+        return np.array([touch_id(*pair) for pair in pairs], object)
+
+    @property
+    def column_names(self) -> tuple[str, ...]:
+        """Stored columns of the rounds, and ``touch_index``: those of :meth:`to_hf`."""
+        return (*self.dataset.column_names, rounds.INDEX)
+
+    @property
+    def plain_columns(self) -> tuple[str, ...]:
+        """Columns of numbers and texts: those of the rounds, the place in the round, and positions."""
+        names = (*self.dataset.plain_columns, rounds.INDEX)
+        if self.dataset.has_column("pos_in_cell"):
+            names += _POSITION
+        return names
+
+    def column(self, name: str) -> AnyArray:
+        """Read one plain column, shape (len,): one of the rounds, ``touch_index``, or ``x_m`` or ``y_m``.
+
+        The last two are the intended position, metres, cell frame, NaN where none can be read.
+
+        Raises
+        ------
+        InputError
+            The data set has no column of that name.
+        """
+        if name == rounds.INDEX:
+            return self.touch_indices
+        if name in _POSITION:
+            of_view: AnyArray = self.dataset.known_positions_m()[self._stored_places]
+            return of_view[:, _POSITION.index(name)]
+        return self.dataset.column(name)[self.round_positions]
+
+    def to_hf(self) -> Dataset:
+        """Return the touches as a data set of the library `datasets`, one row each, with their features.
+
+        Columns with one entry per touch give that entry, all others are repeated, and ``touch_index`` is
+        added. Pictures and clips are not copied where the cache can be written; they stay as they are stored.
+
+        Returns
+        -------
+        datasets.Dataset
+
+        Raises
+        ------
+        IntegrityError
+            A file is damaged, or a column has not one entry per touch.
+        """
+        positions = self.round_positions
+        # Without touches, the first round defines the columns.
+        chosen = np.unique(positions).tolist() or list(range(min(1, len(self.dataset))))
+        rows = [self.dataset[position].row for position in chosen]
+        # The library's own fingerprint would be that of all bytes.
+        content = repr([self.dataset.identity, chosen, positions.tobytes(), self.row_numbers.tobytes()])
+        return rounds.hf_touches(rows, np.searchsorted(chosen, positions), self.touch_indices, content)
+
+    @property
+    def object_ids(self) -> Int64:
+        """Object of each touch, shape (len,), int64; reads that column only."""
+        return self.int_column("object_id")
+
+    def heights_m(self, recalibrate_z: bool = True) -> Float64:
+        """Return the height above the plate at which the gel stopped in each touch, shape (len,), metres.
+
+        Reads the poses only; see :func:`realtouch.contact.contact_heights_m`. All touches of a round take
+        part in finding its plate, whatever was selected here. Where `realtouch select` took touches out of
+        the files, the stored height of the plate is taken. The plate of touches made by `tactile-sim
+        generate` is known and always taken.
+
+        Raises
+        ------
+        IntegrityError
+            The height of a touch of this view cannot be read; names file, row and touch.
+        """
+        chosen = self.dataset.known_heights_m(recalibrate_z)[self._stored_places]
+        unknown = np.isnan(chosen)
+        if unknown.any():
+            position, touch = self.locate(int(np.argmax(unknown)))
+            self.dataset[position].row.contact_z_m(self.dataset.kind, touch)  # states what is wrong
+        return chosen
+
+    def with_contact(self, min_height_m: float | None = None, recalibrate_z: bool = True) -> Touches[R]:
+        """Return the touches in which the gel stopped on an object; see :meth:`in_contact`.
+
+        In a set without poses, these are the touches whose pictures show contact.
+        """
+        return self[self.in_contact(min_height_m, recalibrate_z)]
+
+    def in_contact(self, min_height_m: float | None = None, recalibrate_z: bool = True) -> Bool:
+        """Return whether the gel stopped on an object in each touch, shape (len,).
+
+        Without poses, the pictures of these touches decide, by the rule of
+        :func:`realtouch.contacts_by_image`, which decodes all of them.
+
+        Parameters
+        ----------
+        min_height_m : float, optional
+            Height above the plate from which a touch counts, metres. By default that of the publisher's own
+            viewer, 6 mm; of touches that `tactile-sim generate` made, any height above the plate.
+        recalibrate_z : bool
+            Take the deepest touch of each round as the plate, where its height is not known: the zero of z
+            drifts by up to 3 mm.
+
+        Raises
+        ------
+        InputError
+            A height or ``recalibrate_z=False`` is given for touches without poses.
+        IntegrityError
+            As :meth:`heights_m`.
+        """
+        poses = self.dataset.pose_column
+        if not self.dataset.has_column(poses):
+            if min_height_m is not None or not recalibrate_z:
+                raise errors.InputError(
+                    f"{', '.join(self.dataset.description())}: no column {poses!r}, which has the "
+                    "heights of the gel",
+                    next="leave out the height, and the pictures decide",
+                )
+            contact: Bool = _contacts_by_image(self, threads=run.usable_cores()).contact
+            return contact
+        heights_m = self.heights_m(recalibrate_z)
+        if min_height_m is not None:
+            return heights_m >= min_height_m
+        least_m = np.array([rule.min_height_m for rule in self.dataset.contact_rules()])
+        return np.asarray(heights_m >= least_m[self.round_positions])
+
+    def objects(self, *wanted: int | Iterable[int]) -> Touches[R]:
+        """Return the touches of some objects, by ``object_id``, given as numbers or as sequences of them.
+
+        Raises
+        ------
+        InputError
+            Something else than integers is given.
+        """
+        numbers = list(map(checked_fields.to_builtin_number, read.flattened(wanted)))
+        if not checked_fields.is_integer(*numbers):
+            raise errors.InputError(f"{wanted!r} was given; expected object ids as integers")
+        ids = self.object_ids
+        return self[np.isin(ids, sorted(set(numbers) & set(ids.tolist())))]
+
+    def sample(
+        self,
+        n: int | None = None,
+        seed: int = 0,
+        *,
+        no_contact_fraction: float | None = None,
+        contact: Bool | None = None,
+    ) -> Self:
+        """Return touches drawn at random without repetition, or those with contact and a share of the rest.
+
+        Parameters
+        ----------
+        n : int, optional
+            How many; with ``no_contact_fraction`` all that there are by default.
+        seed : int
+            From 0.
+        no_contact_fraction : float, optional
+            Fraction of touches without contact in the result, 0 to below 1; less if there are too few. Which
+            ones follows from the seed, the id of the round and the touch's number alone, whatever else is
+            selected and in whatever order. They stay where they are among the others.
+        contact : ndarray of bool, shape (len,), optional
+            Which touches have contact; by default those that :meth:`with_contact` keeps. See also
+            :func:`realtouch.contacts_by_image`.
+
+        Raises
+        ------
+        InputError
+            There are fewer touches, or a number, fraction or mask is invalid.
+        """
+        chosen = self
+        if no_contact_fraction is not None:
+            if contact is None:
+                contact = self.in_contact()
+            chosen = self._select(with_no_contact(self, contact, no_contact_fraction, seed))
+            if n is None:
+                return chosen
+        if n is None:
+            n = len(self)
+        return super(Touches, chosen).sample(n, seed)
+
+    def images(self, index: object = slice(None), *, threads: int = 1, out: UInt8 | None = None) -> UInt8:
+        """Decode the images of several touches of a ``single`` set into one array.
+
+        Parameters
+        ----------
+        index : slice, sequence of int, or boolean mask
+            Which touches, in any order.
+        threads : int
+            Number of images to decode at a time.
+        out : ndarray, shape (n, H, W, 3), uint8, optional
+            Array to write to.
+
+        Returns
+        -------
+        ndarray, shape (n, H, W, 3), uint8
+
+        Raises
+        ------
+        InputError
+            ``out`` is not a writable array of that shape and dtype, each image C-contiguous.
+        IntegrityError
+            An image is damaged or of another size; names file, row and touch.
+        """
+        wanted = [self.locate(each) for each in read.positions(index, len(self)).tolist()]
+        size = (0, 0)
+        if wanted or (len(self.dataset) and self.dataset[0].touch_count):
+            first, number = [*wanted, (0, 0)][0]
+            size = self._images_of(first).size(number)
+        if out is None:
+            out = np.empty((len(wanted), *size, 3), np.uint8)
+        else:
+            out = media.room_for(len(wanted), size, out)
+        start = 0
+        for position, of_round in groupby(wanted, key=lambda place: place[0]):
+            touches = [touch for _, touch in of_round]
+            stop = start + len(touches)
+            self._images_of(position).decode_into(out[start:stop], touches, threads=threads)
+            start = stop
+        return out
+
+    def _images_of(self, position: int) -> media.SensorImages:
+        record = self.dataset[position]
+        if not isinstance(record, TouchSingleRound):
+            raise record.row.missing_column("sensor_image")
+        return record.sensor_image
+
+    def _stored(self, row: int) -> Touch:
+        place, touch = self._located(row)
+        return Touch(self.dataset[place], touch)
+
+    def _concat(self, other: Self) -> Self:
+        if self.dataset is other.dataset:
+            return self._view(np.concatenate([self.row_numbers, other.row_numbers]))
+        moved = other.row_numbers + self._starts[-1]
+        return type(self)(self.dataset + other.dataset, np.concatenate([self.row_numbers, moved]))
+
+    @property
+    def identity(self) -> str:
+        """Identifies these touches; differs if the files change."""
+        row_digest = hashlib.sha256(self.dataset.row_numbers.tobytes()).hexdigest()
+        return f"{self.dataset.identity} {row_digest}"
+
+    def each_record(self) -> Iterator[tuple[int, Touch]]:
+        """Yield position and touch, in the fastest order; images and clips are not read."""
+        touches = self.touch_indices.tolist()
+        by_round: dict[int, list[int]] = {}
+        for index, place in enumerate(self.round_positions.tolist()):
+            by_round.setdefault(place, []).append(index)
+        for place, record in self.dataset.each_record():
+            for index in by_round.get(place, ()):
+                yield index, Touch(record, touches[index])
+
+    def stored_parts(self) -> read.StoredParts:
+        """Return which touches are stored together."""
+        parts = self.dataset.stored_parts()
+        if parts.order is None and isinstance(self._rows, range) and self._rows == range(self._starts[-1]):
+            return read.StoredParts(np.unique(self._starts[parts.starts]))
+        turn = np.arange(len(self.dataset))  # of each round, among all as they are stored
+        if parts.order is not None:
+            turn[parts.order] = np.arange(len(turn))
+        turns = turn[self.round_positions]
+        order = np.lexsort((self.touch_indices, turns))
+        return read.StoredParts(np.unique(np.searchsorted(turns[order], parts.starts)), order)
+
+    def row_groups(self, chosen: Int64) -> list[tuple[read.RowSource, int]]:
+        """Return the row groups of touches at positions (n,), each once."""
+        return self.dataset.row_groups(np.unique(self.round_positions[chosen]))
+
+    def description(self) -> list[str]:
+        """Return a description of the data set and its origin."""
+        of_rounds, *further = self.dataset.description()
+        return [f"{wording.with_count(len(self), self.things)} of {of_rounds}", *further]
+
+
+AnyTouches = Touches[Any]
+"""Touches of rounds of either kind."""
+
+
+def with_no_contact(touches: AnyTouches, contact: Bool, fraction: float, seed: int) -> Int64:
+    """Return the positions of all touches with contact, and of a share of those without.
+
+    Raises InputError for an invalid fraction, seed or mask.
+    """
+    wanted, number, mask = (
+        checked_fields.to_builtin_number(fraction, float),
+        checked_fields.checked_integer(seed, "the seed"),
+        np.asarray(contact),
+    )
+    if not isinstance(wanted, float) or not 0 <= wanted < 1:
+        raise errors.InputError(f"no_contact_fraction is {fraction!r}; expected 0 to below 1")
+    if mask.dtype != bool or mask.shape != (len(touches),):
+        raise errors.InputError(
+            f"contact is {mask.dtype} of shape {mask.shape}; expected bool of shape ({len(touches)},)"
+        )
+    (empty,) = np.nonzero(~mask)
+    count = min(len(empty), round((len(touches) - len(empty)) * wanted / (1 - wanted)))
+    if not count:
+        return np.flatnonzero(mask)
+    ids = touches.dataset.ids[touches.round_positions[empty]].tolist()
+    texts = zip(ids, touches.touch_indices[empty].tolist(), strict=True)
+    keys = [f"{number} {name} {touch}".encode() for name, touch in texts]
+    drawn = [hashlib.blake2b(key, digest_size=16).digest() for key in keys]
+    order = sorted(range(len(drawn)), key=drawn.__getitem__)[:count]
+    return np.sort(np.concatenate([np.flatnonzero(mask), empty[order]]))
+
+
+class _RowsWithoutMedia(read.Rows):
+    """A block of rows without images or clips, which are read on first use.
+
+    ``number`` is the number of the first row in the source.
+    """
+
+    def __init__(self, block: read.RowGroup, source: read.RowSource, number: int) -> None:
+        super().__init__(block.path, block.first_row)
+        self._block = block
+        self._source = source
+        self._number = number
+
+    @cached_property
+    def table(self) -> pa.Table:
+        """The rows with all columns; reads the whole block."""
+        return self._source.locate(self._number)[0].table
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Columns by dotted name, including those not read yet."""
+        return read.column_names(self._source.schema)
+
+    def arrow(self, name: str) -> pa.Array:
+        """Return a column; reads the complete rows if it was left out."""
+        try:
+            return self._block.arrow(name)
+        except KeyError:
+            return super().arrow(name)

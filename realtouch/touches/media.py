@@ -1,0 +1,573 @@
+"""Images, depth maps and clips of a round, decoded on access."""
+
+from __future__ import annotations
+
+import io
+import operator
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from functools import partial
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
+from numpy.typing import DTypeLike
+from PIL import Image
+
+from realtouch import contact, picture_views
+from realtouch.touches import schema, stored_round
+from realtouch.touches.poses import Poses
+from realtouch.touches.stored_round import StoredRound
+from realtouch.video import avi
+from tactile_toolkit import errors, pictures, read, wording
+from tactile_toolkit.array_types import AnyArray, Float32, Float64, Floating, UInt8
+from tactile_toolkit.run import in_threads
+from tactile_toolkit.touch import MAX_IMAGE_PIXELS, decode_image, image_size
+
+if TYPE_CHECKING:
+    from torchcodec.decoders import VideoDecoder
+
+
+# Long enough that overhead is small, short enough that threads end together.
+_LONGEST_RUN = 16
+MAX_BATCH_PIXELS = 1 << 31
+"""Most pixels that are decoded into one new array (6 GiB): every frame of 256 clips of 90 frames fits."""
+
+
+def in_parallel(work: Callable[[int], object], count: int, threads: int) -> None:
+    """Process items 0 to ``count`` - 1 in threads; the first error ends all of them.
+
+    A thread takes a run of items at a time, as neighbours share pages of the array that they are written to.
+    """
+    length = max(1, min(_LONGEST_RUN, count // max(1, 4 * threads)))
+    runs = (range(start, min(start + length, count)) for start in range(0, count, length))
+    deque(in_threads(lambda run: deque(map(work, run), maxlen=0), runs, max(1, threads)), maxlen=0)
+
+
+def room_for(count: int, size: tuple[int, int], out: UInt8 | None = None) -> UInt8:
+    """Return an array for images of one size, shape (n, H, W, 3), uint8: new, or ``out`` if it fits.
+
+    ``size`` is (height, width), pixels; in ``out``, n may be larger than ``count``. Raises InputError when
+    ``out`` cannot take the images, ValueError when a new array would exceed :data:`MAX_BATCH_PIXELS`.
+    """
+    height, width = size
+    if out is None:
+        if count * height * width > MAX_BATCH_PIXELS:
+            raise ValueError(
+                f"{wording.with_count(count, 'images')} of {width} x {height} pixels at once; the limit is "
+                f"{MAX_BATCH_PIXELS:,} pixels"
+            )
+        return np.empty((count, height, width, 3), np.uint8)
+    if not count:
+        return out
+    fits = isinstance(out, np.ndarray) and out.dtype == np.uint8 and out.ndim == 4 and len(out) >= count
+    # Images need not be adjacent; the pixels of each must be contiguous.
+    if fits and out.shape[1:] == (height, width, 3) and out[0].flags.c_contiguous and out.flags.writeable:
+        return out
+    shape = (count, height, width, 3)
+    found = f"{out.dtype} of shape {out.shape}" if isinstance(out, np.ndarray) else type(out).__name__
+    raise errors.InputError(
+        f"out is {found}; expected a writable array of uint8 and shape {shape} with C-contiguous images",
+        next=f"make one with numpy.empty({shape}, numpy.uint8), or leave `out` out",
+    )
+
+
+class SensorImages(Sequence[UInt8]):
+    """The images of one round; each is decoded on every access and not kept.
+
+    ``images[i]`` gives (H, W, 3) uint8; a slice, list or array of ints, or boolean mask gives (n, H, W, 3).
+    Safe to share between threads and to pickle.
+    """
+
+    __slots__ = ("_blobs", "_count", "_start", "row")
+
+    def __init__(self, row: StoredRound) -> None:
+        column = row.group.nested("sensor_image")
+        start, stop = column.inside(0, row.index, row.index + 1)
+        self.row = row
+        self._blobs: read.BytesColumn = column.values
+        self._start, self._count = start, stop - start
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, index: Any) -> UInt8:  # type: ignore[override]
+        """Decode one image, or some into one array.
+
+        Raises IntegrityError, which names file, row and touch, if an image is damaged, or differs in size
+        from the other requested ones.
+        """
+        if read.picks_several(index):
+            return self.batch(index)
+        return self._decode(read.checked_index(operator.index(index), self._count, "touch", "touches"))
+
+    def __iter__(self) -> Iterator[UInt8]:
+        return (self._decode(touch) for touch in range(self._count))
+
+    def batch(self, index: object = slice(None), *, threads: int = 1, out: UInt8 | None = None) -> UInt8:
+        """Decode several images into one array.
+
+        Parameters
+        ----------
+        index : slice, sequence of int, or boolean mask
+            Which touches; all by default.
+        threads : int
+            Number of images to decode at a time.
+        out : ndarray, shape (n, H, W, 3), uint8, optional
+            Array to write to, which saves a new array for each batch; each image must be C-contiguous.
+
+        Returns
+        -------
+        ndarray, shape (n, H, W, 3), uint8
+
+        Raises
+        ------
+        InputError
+            ``out`` is not such an array.
+        IntegrityError
+            As for indexing; or the images exceed :data:`realtouch.touches.media.MAX_BATCH_PIXELS`.
+        """
+        touches = read.positions(index, self._count).tolist()
+        first, size = [*touches, 0][0], (0, 0)
+        if self._count:
+            size = self.size(first)
+        with self.row.naming("sensor_image", first):
+            pixels = room_for(len(touches), size, out)
+        self.decode_into(pixels, touches, threads=threads)
+        return pixels
+
+    def decode_into(self, out: UInt8, touches: Sequence[int], *, threads: int = 1) -> None:
+        """Decode several images into an array of their size, such as ``room_for`` gives."""
+        in_parallel(lambda index: self._decode(touches[index], out[index]), len(touches), threads)
+
+    def encoded(self, touch: int) -> memoryview:
+        """Return the stored bytes of one image, without a copy; IntegrityError if no bytes are stored."""
+        place = read.checked_index(touch, self._count, "touch", "touches")
+        blob = self._blobs[self._start + place]
+        if blob is None or len(blob) == 0:
+            raise self.row.damaged("sensor_image", "no bytes are stored; expected a JPEG", place)
+        return blob
+
+    def size(self, touch: int = 0) -> tuple[int, int]:
+        """Return height and width of one image from its header."""
+        with self.row.naming("sensor_image", touch):
+            return image_size(self.encoded(touch))
+
+    def _decode(self, touch: int, out: UInt8 | None = None) -> UInt8:
+        with self.row.naming("sensor_image", touch):
+            return decode_image(self.encoded(touch), out)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (SensorImages, (self.row,))
+
+    def __repr__(self) -> str:
+        return f"SensorImages({wording.with_count(self._count, 'touches')})"
+
+
+DEPTH, DEPTH_ERROR = "depth_um", "depth_error_um"
+"""Columns of the maps of a round of images, with an entry for each touch."""
+SUFFIX = "png"
+_PER_M, _MOST = 1e6, 65_535
+_MODES = ("I;16", "I;16B")
+
+
+def encode_map(depth_m: Floating) -> bytes:
+    """Encode a depth map, (H, W), metres, as PNG; negative values become 0.
+
+    Raises InputError for values that are not finite, or exceed 65.535 mm.
+    """
+    if not np.isfinite(depth_m).all() or depth_m.max(initial=0) * _PER_M > _MOST:
+        raise errors.InputError(
+            f"depth of {np.max(depth_m):g} m; expected finite numbers of at most {_MOST / _PER_M} m"
+        )
+    counts = np.rint(np.maximum(depth_m, 0) * _PER_M).astype(np.uint16)
+    stream = io.BytesIO()
+    # A fixed level, as for images: the default may change with a release.
+    Image.fromarray(counts).save(stream, "PNG", compress_level=6)
+    return stream.getvalue()
+
+
+def decode_map(data: memoryview | bytes) -> Float32:
+    """Decode a depth map, shape (H, W), float32, metres; ValueError for any other file."""
+    try:
+        image = Image.open(io.BytesIO(data), formats=["PNG"])
+        is_depth = image.mode in _MODES and image.width * image.height <= MAX_IMAGE_PIXELS
+        counts = np.asarray(image) if is_depth else None
+    except Exception as error:  # Pillow raises many kinds on damaged files
+        raise ValueError("a depth map that cannot be decoded; expected a PNG of 16 bits") from error
+    if counts is None:
+        raise ValueError(
+            f"{image.width} x {image.height} pixels ({image.mode}); expected a grey PNG of 16 bits and "
+            f"at most {MAX_IMAGE_PIXELS:,} pixels"
+        )
+    return counts.astype(np.float32) / np.float32(_PER_M)
+
+
+class DepthMaps(Sequence[Float32]):
+    """The maps of one round; each is decoded on every access and not kept.
+
+    ``maps[i]`` gives (H, W), float32, metres; a slice, list or array of ints, or boolean mask (n, H, W).
+    """
+
+    __slots__ = ("_blobs", "_column", "_count", "_start", "row")
+
+    def __init__(self, row: StoredRound, column: str) -> None:
+        found, start, stop = row.entries_of(column)  # refuses a round with more or less than T maps
+        self.row = row
+        self._column, self._start, self._count = column, start, stop - start
+        self._blobs: read.BytesColumn = found.values
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, index: Any) -> Float32:  # type: ignore[override]
+        """Decode one map, or several of the same size; IntegrityError if one is damaged."""
+        if read.picks_several(index):
+            return np.stack([self._decode(touch) for touch in read.positions(index, self._count).tolist()])
+        return self._decode(read.checked_index(operator.index(index), self._count, "touch", "touches"))
+
+    def __iter__(self) -> Iterator[Float32]:
+        return map(self._decode, range(self._count))
+
+    def _decode(self, touch: int) -> Float32:
+        with self.row.naming(self._column, touch):
+            return decode_map(self._blobs[self._start + touch] or b"")
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (DepthMaps, (self.row, self._column))
+
+    def __repr__(self) -> str:
+        return f"DepthMaps({wording.with_count(self._count, 'touches')})"
+
+
+_SHOWN_FRAMES = 8
+
+
+class TouchClip(Sequence[UInt8]):
+    """The clip of one touch.
+
+    ``clip[i]`` gives (H, W, 3) uint8; a slice, ints or a boolean mask give (n, H, W, 3). No frame is kept.
+    Iterating yields ``{"data": (3, H, W) uint8, "pts": seconds}`` per frame, as the ``VideoReader`` of
+    torchvision did; use :meth:`frames`, or ``numpy.asarray``, for arrays. Safe to share between threads and
+    to pickle.
+
+    Parameters
+    ----------
+    row : StoredRound
+        The round.
+    touch : int
+        Number of the touch in it.
+
+    Attributes
+    ----------
+    data : memoryview
+        The file as it is stored.
+    touch : int
+        Number of the touch in its round.
+
+    Raises
+    ------
+    IntegrityError
+        The clip is not an AVI of JPEGs, cut short, damaged, exceeds the limits or has another length
+        than the round states; names file, row and touch.
+    """
+
+    __slots__ = ("_avi", "data", "row", "touch")
+
+    def __init__(self, row: stored_round.StoredRound, touch: int) -> None:
+        self.row, self.touch = row, touch
+        self.data = row.stored_clip(touch)
+        stated = row.clip_length(touch)
+        try:
+            self._avi = avi.Avi(self.data)
+        except ValueError as error:
+            raise row.damaged("sensor_video", str(error), touch) from error
+        if len(self._avi) != stated:
+            raise row.damaged(
+                "sensor_video",
+                f"a clip of {len(self._avi)} frames; expected {stated} by 'video_length_frames'",
+                touch,
+            )
+
+    def __len__(self) -> int:
+        return len(self._avi)
+
+    def __getitem__(self, index: Any) -> UInt8:  # type: ignore[override]
+        """Decode one frame, or some into one array.
+
+        Raises
+        ------
+        IntegrityError
+            A frame is damaged; names file, row and touch.
+        """
+        if read.picks_several(index):
+            return self.frames(index)
+        return self._decode(read.checked_index(operator.index(index), len(self), "frame", "frames"))
+
+    def frames(self, index: object = slice(None), *, threads: int = 1) -> UInt8:
+        """Decode frames into one array.
+
+        Parameters
+        ----------
+        index : slice, sequence of int, or boolean mask
+            Which frames; all by default.
+        threads : int
+            How many frames to decode at a time.
+
+        Returns
+        -------
+        ndarray, shape (n, H, W, 3), uint8
+
+        Raises
+        ------
+        IntegrityError
+            A frame is damaged, or they exceed :data:`realtouch.touches.media.MAX_BATCH_PIXELS`.
+        """
+        wanted = read.positions(index, len(self)).tolist()
+        with self.row.naming("sensor_video", self.touch):
+            pixels = room_for(len(wanted), self.size)
+        in_parallel(lambda number: self._decode(wanted[number], pixels[number]), len(wanted), threads)
+        return pixels
+
+    def __iter__(self) -> Iterator[dict[str, object]]:  # type: ignore[override]
+        """Yield ``{"data", "pts"}``: a (3, H, W) uint8 tensor (without torch an array), and seconds."""
+        to_data: Callable[[UInt8], object] = np.asarray
+        # Users of torchvision's reader expect tensors; without torch, arrays are returned.
+        with suppress(ImportError):
+            import torch  # an extra
+
+            to_data = torch.from_numpy
+        for frame, time_s in enumerate(self.media_times_s):
+            pixels = np.ascontiguousarray(self[frame].transpose(2, 0, 1))
+            yield {"data": to_data(pixels), "pts": float(time_s)}
+
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> AnyArray:
+        """Return all frames, shape (N, H, W, 3), for numpy: the items of an iteration are not arrays."""
+        if copy is False:
+            raise ValueError("frames are decoded into a new array; a clip cannot be an array without a copy")
+        return np.asarray(self.frames(), dtype)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width of a frame, pixels."""
+        data = self.encoded(0)
+        with self.row.naming("sensor_video", self.touch):
+            return image_size(data)
+
+    @property
+    def fps(self) -> float:
+        """Frames per second that the file states; 25 in the published sets."""
+        return self._avi.fps
+
+    @property
+    def media_times_s(self) -> Float64:
+        """Time of each frame on the file's own clock, shape (N,), seconds from its first frame."""
+        return self._avi.slots / self.fps  # a repeated frame takes a slot of time
+
+    def encoded(self, frame: int) -> memoryview:
+        """Return the JPEG of one frame as it is stored.
+
+        Parameters
+        ----------
+        frame : int
+            Which frame; from the end where negative.
+
+        Returns
+        -------
+        memoryview
+
+        Raises
+        ------
+        IntegrityError
+            The index does not lead to the frame; names file, row and touch.
+        """
+        number = read.checked_index(frame, len(self), "frame", "frames")
+        try:
+            return self._avi.frame(number)
+        except ValueError as error:
+            raise self.row.damaged("sensor_video", str(error), self.touch) from error
+
+    def decode_into(self, out: UInt8, frame: int) -> None:
+        """Decode one frame into an array of its size.
+
+        Parameters
+        ----------
+        out : ndarray, shape (H, W, 3), uint8
+            Where to put it.
+        frame : int
+            Which frame.
+        """
+        self._decode(frame, out)
+
+    @property
+    def timestamps_s(self) -> Float64:
+        """Time stamp of each frame, shape (N,), float64, seconds on the clock of the recording.
+
+        They are stored with the round; in data sets without them, they are on the file's own clock.
+        """
+        times = self.row.stamps_s(self.touch)
+        return self.media_times_s if times is None else times[0]
+
+    @property
+    def poses(self) -> Poses:
+        """Pose of the gel in each frame, N poses, metres, cell frame."""
+        return self.row.pose_sequences(self.touch)[0]
+
+    @property
+    def contact_window(self) -> slice:
+        """Frames from first to last registered contact; see :func:`realtouch.contact.contact_window`."""
+        return contact_windows(self.row, self.touch)[0]
+
+    def contact_index(self, method: str = "contact_end") -> int:
+        """Choose the frame that shows the contact.
+
+        Parameters
+        ----------
+        method : str
+            ``"contact_start"`` and ``"contact_end"``: first and last frame of :attr:`contact_window`;
+            ``"peak"``: the frame of the window with the lowest gel, the earliest of equals; ``"best"``: the
+            frame of the whole clip that changed most, see :func:`realtouch.best_frame`.
+
+        Returns
+        -------
+        int
+
+        Raises
+        ------
+        InputError
+            The method is unknown, or it is ``"peak"`` and there are no poses.
+        """
+        chosen = contact.require_method(method)
+        if chosen == "best":
+            return contact.best_of(self.frames())[0]
+        return contact_frames_of(self.row, chosen, self.touch)[0]
+
+    def contact_frame(self, method: str = "contact_end") -> UInt8:
+        """Decode the frame that shows the contact, (H, W, 3) uint8; see :meth:`contact_index`."""
+        return self[self.contact_index(method)]
+
+    def to_torchcodec(self) -> VideoDecoder:
+        """Return a ``torchcodec`` decoder of the clip, as `datasets` does.
+
+        Raises
+        ------
+        MissingExtraError
+            torchcodec is not installed.
+        """
+        with errors.needs_extra("TouchClip.to_torchcodec()", "torchcodec", "torch"):
+            from torchcodec.decoders import VideoDecoder  # an extra
+        return VideoDecoder(bytes(self.data))
+
+    def _decode(self, frame: int, out: UInt8 | None = None) -> UInt8:
+        try:
+            return decode_image(self._avi.frame(frame), out)
+        except ValueError as error:
+            raise self.row.damaged("sensor_video", f"frame {frame}: {error}", self.touch) from error
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (TouchClip, (self.row, self.touch))
+
+    def __repr__(self) -> str:
+        return f"TouchClip(touch {self.touch}, {wording.with_count(len(self), 'frames')})"
+
+    def _repr_html_(self) -> str:
+        """Show frames from first to last in a notebook; those that are damaged are left out."""
+        frames = picture_views.evenly_spaced(len(self), _SHOWN_FRAMES)
+        images = [(f"frame {frame}", partial(self.__getitem__, frame)) for frame in frames]
+        return pictures.grid_html(f"Touch {self.touch}", [wording.with_count(len(self), "frames")], images)
+
+
+class SensorClips(Sequence[TouchClip]):
+    """The clips of one round; each is opened on access."""
+
+    __slots__ = ("_count", "row")
+
+    def __init__(self, row: stored_round.StoredRound) -> None:
+        _, start, stop = row.entries_of("sensor_video")
+        self.row, self._count = row, stop - start
+
+    def __len__(self) -> int:
+        return self._count
+
+    @overload
+    def __getitem__(self, index: int) -> TouchClip: ...
+    @overload
+    def __getitem__(self, index: slice | Sequence[int]) -> list[TouchClip]: ...
+    def __getitem__(self, index: Any) -> TouchClip | list[TouchClip]:
+        """Open one clip, or some; raises as :class:`TouchClip`."""
+        if read.picks_several(index):
+            return [TouchClip(self.row, touch) for touch in read.positions(index, self._count).tolist()]
+        return TouchClip(self.row, read.checked_index(operator.index(index), self._count, "touch", "touches"))
+
+    def room(self, count: int, out: UInt8 | None = None) -> UInt8:
+        """Return an array for ``count`` frames of the first clip's size: a new one, or ``out`` if it fits.
+
+        Raises InputError when ``out`` cannot take them, IntegrityError when they exceed
+        :data:`realtouch.touches.media.MAX_BATCH_PIXELS`.
+        """
+        size = self[0].size if self._count else (0, 0)
+        with self.row.naming("sensor_video"):
+            return room_for(count, size, out)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (SensorClips, (self.row,))
+
+    def __repr__(self) -> str:
+        return f"SensorClips({wording.with_count(self._count, 'touches')})"
+
+
+def contact_windows(row: stored_round.StoredRound, touch: int | None = None) -> list[slice]:
+    """Return the frames of contact of every clip of a round, or of ``touch``: see :func:`contact_window`.
+
+    Opens clips only where the times of frames are not stored. Raises IntegrityError when times are missing or
+    impossible.
+    """
+    times = row.stamps_s(touch)
+    if times is None:
+        touches: Sequence[int] = range(row.touch_total())
+        if touch is not None:
+            touches = [touch]
+        times = [TouchClip(row, each).media_times_s for each in touches]
+    ends = (each.tolist() for each in row.times_of_touches(touch))
+    return [contact.contact_window(*each) for each in zip(times, *ends, strict=True)]
+
+
+def contact_frames_of(
+    row: stored_round.StoredRound, method: contact.ContactMethod, touch: int | None = None
+) -> list[int]:
+    """Return the frame that shows the contact, by time or pose, for every clip of a round, or for one clip.
+
+    See :meth:`TouchClip.contact_index`. Raises InputError for ``"peak"`` without poses, IntegrityError as
+    :func:`contact_windows`, and for poses.
+    """
+    windows = contact_windows(row, touch)
+    if method == "contact_start":
+        return [window.start for window in windows]
+    if method == "contact_end":
+        return [window.stop - 1 for window in windows]
+    schema.require_poses_for(method, row.group.names, row.path)
+    pressed = zip(row.pose_sequences(touch), windows, strict=True)
+    return [window.start + int(np.argmin(each.position_m[window, 2])) for each, window in pressed]
+
+
+def decode_frames(
+    clips: SensorClips, touches: Sequence[int], frames: Sequence[int], out: UInt8, threads: int
+) -> None:
+    """Decode one frame each of n clips into ``out``, shape (n, H, W, 3), uint8, in some threads.
+
+    Raises IntegrityError when a frame is damaged or of another size; it names file, row and touch.
+    """
+    opened = {touch: clips[touch] for touch in dict.fromkeys(touches)}
+    # All frames are located before the first is decoded; alternating takes a tenth longer, as each
+    # evicts the other from the caches of the processor.
+    encoded = [opened[touch].encoded(frame) for touch, frame in zip(touches, frames, strict=True)]
+
+    def decode(number: int) -> None:
+        try:
+            decode_image(encoded[number], out[number])
+        except ValueError as error:
+            raise clips.row.damaged(
+                "sensor_video", f"frame {frames[number]}: {error}", touches[number]
+            ) from error
+
+    in_parallel(decode, len(encoded), threads)

@@ -1,0 +1,322 @@
+"""The published schema of touches: columns and types, and rows packed from arrays and taken apart."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping, Sequence
+from typing import Any, Literal
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from realtouch.contact import CONTACT_METHODS, PLATE_COLUMN, ContactMethod
+from tactile_toolkit import errors, read, store, wording
+from tactile_toolkit.array_types import AnyArray
+from tactile_toolkit.touch import CLASS_NAMES, MEDIA_COLUMN, Kind
+
+POSE_COLUMN: dict[Kind, str] = {"seq": "gel_pose_cell_frame_seq", "single": "gel_pose_cell_frame"}
+"""The columns ``.position`` and ``.quaternion`` below it hold the pose of the gel, of each frame or touch."""
+Origin = Literal["real", "synthetic", "imported"]
+"""Origins of touches; manifests of conversions state them as the option ``touches``."""
+_FLOAT = (pa.types.is_floating,)
+_WHOLE = (pa.types.is_integer, *_FLOAT)  # of floats, each value must be one
+_TEXT = (pa.types.is_string, *_WHOLE)
+_TIME = (pa.types.is_duration, *_FLOAT)
+_BYTES = (pa.types.is_binary,)
+KNOWN_COLUMNS: dict[str, read.Expected] = {
+    "id": (0, _TEXT, "a string"),
+    "label": (0, _WHOLE, "an integer"),
+    "object_id": (0, _WHOLE, "an integer"),
+    PLATE_COLUMN: (0, _FLOAT, "a float: metres"),
+    "pos_in_cell": (2, _FLOAT, "two floats per touch"),
+    "gel_pose_cell_frame.position": (2, _FLOAT, "three floats per touch"),
+    "gel_pose_cell_frame.quaternion": (2, _FLOAT, "four floats per touch"),
+    "sensor_image": (1, _BYTES, "a struct of bytes and path per touch"),
+    "depth_um": (1, _BYTES, "a struct of bytes and path per touch"),
+    "depth_error_um": (1, _BYTES, "a struct of bytes and path per touch"),
+    "video_length_frames": (1, _WHOLE, "an integer per touch"),
+    "gel_pose_cell_frame_seq.position": (3, _FLOAT, "three floats per frame of each touch"),
+    "gel_pose_cell_frame_seq.quaternion": (3, _FLOAT, "four floats per frame of each touch"),
+    "time_stamp_rel_seq": (2, _TIME, "a duration or float seconds per frame of each touch"),
+    "touch_start_time_rel": (1, _TIME, "a duration or float seconds per touch"),
+    "touch_end_time_rel": (1, _TIME, "a duration or float seconds per touch"),
+    "sensor_video": (1, _BYTES, "a struct of bytes and path per touch"),
+}
+"""Depth, types and description of the columns of a set of touches."""
+EXTRA_PREFIX: dict[Literal["touch", "frame"], str] = {"touch": "extra.", "frame": "extra_seq."}
+"""Prefixes of further columns with an entry for each touch, or for each frame of each touch."""
+_MAX_EXACT = 1 << 53  # below which float64 holds every integer
+_EXTRA_LEAVES = (pa.types.is_boolean, pa.types.is_integer, *_FLOAT, pa.types.is_string)
+_EXTRA_ENTRIES = {1: "one per touch", 2: "one per frame of each touch"}  # by the least depth of the lists
+
+
+def extra_columns(names: Iterable[str]) -> dict[str, str]:
+    """Return the further columns among some dotted names, by their own names."""
+    return {
+        name.removeprefix(prefix): name
+        for name in names
+        for prefix in EXTRA_PREFIX.values()
+        if name.startswith(prefix)
+    }
+
+
+def extra_type(name: str, data_type: pa.DataType) -> pa.DataType:
+    """Return the type of one entry of a further column: a number, a text, or a list of them."""
+    entry = data_type.value_type
+    return entry.value_type if name.startswith(EXTRA_PREFIX["frame"]) else entry
+
+
+def extra_type_text(name: str, data_type: pa.DataType) -> str:
+    """Return the type of a further column: ``"float64[3] per touch"``."""
+    entry, per = extra_type(name, data_type), "touch"
+    if name.startswith(EXTRA_PREFIX["frame"]):
+        per = "frame"
+    depth, leaf = read.list_depth(entry)
+    length = ""
+    if depth:
+        length = f"[{entry.list_size if pa.types.is_fixed_size_list(entry) else ''}]"
+    return f"{read.dtype_name(leaf)}{length} per {per}"
+
+
+def per_touch_columns(names: Iterable[str]) -> list[str]:
+    """Return the columns, among some, that must have one entry per touch."""
+    there = dict.fromkeys(names)
+    known = [name for name, (depth, _, _) in KNOWN_COLUMNS.items() if depth and name in there]
+    return [*known, *extra_columns(there).values()]
+
+
+def is_per_touch(name: str, data_type: pa.DataType) -> bool:
+    """Return whether a column may have an entry per touch; lists of vectors in ``info`` may, too."""
+    depth, _ = read.list_depth(data_type)
+    return bool(depth and per_touch_columns([name])) or (name.startswith("info.") and depth >= 2)
+
+
+def has_poses(names: Container[str]) -> bool:
+    """Return whether poses of the gel are among some columns, by dotted name."""
+    return any(f"{column}.position" in names for column in POSE_COLUMN.values())
+
+
+def require_poses_for(method: ContactMethod, names: Container[str], where: str) -> None:
+    """Raise InputError if a method to choose a frame needs poses and some columns hold none."""
+    if method == "peak" and not has_poses(names):
+        others = ", ".join(other for other in CONTACT_METHODS if other != method)
+        raise errors.InputError(
+            f"{where!r} has no column '{POSE_COLUMN['seq']}.position', which 'peak' needs",
+            next=f"choose the frame by one of {others}",
+        )
+
+
+def media_kind(schema: pa.Schema | None, where: str) -> Kind:
+    """Return whether a set holds clips (``seq``) or images (``single``); InputError if neither or both."""
+    names: tuple[str, ...] = ()
+    if schema is not None:
+        names = read.column_names(schema)
+    kinds = [kind for kind, column in MEDIA_COLUMN.items() if column in names]
+    if len(kinds) != 1:
+        raise errors.InputError(
+            f"{where!r} is not a data set of touches: expected a column 'sensor_video' or 'sensor_image', "
+            f"found {', '.join(names) or 'no columns'}",
+            next="name one, such as real-single-64x64",
+        )
+    return kinds[0]
+
+
+def _is_rendered(schema: pa.Schema) -> bool:
+    """Return whether images were rendered: the object then has a pose for each touch, not for the round."""
+    pose = column_type(schema, "info.object_pose.position")
+    has_images = column_type(schema, MEDIA_COLUMN["single"]) is not None
+    return has_images and pose is not None and read.list_depth(pose)[0] == 2
+
+
+def origin_of(schema: pa.Schema, manifest: store.Manifest | None) -> Origin:
+    """Return the origin of touches: rendered ones have certain columns, for others the manifest states it."""
+    if manifest is not None:
+        options = manifest.spec.get("options")
+        stated = isinstance(options, dict) and options.get("touches")
+        if stated == "imported" or manifest.spec.get("operation") == "import":
+            return "imported"
+        if stated == "synthetic":
+            return "synthetic"
+    return "synthetic" if _is_rendered(schema) else "real"
+
+
+def require_types(shard: read.Shard) -> None:
+    """Check the type of every known column that exists, and that the class names can be read.
+
+    Raises IntegrityError, which names file and column, for a type that values cannot be read from.
+    """
+    # Read here so that an error names the file, and not only at the first label.
+    _ = shard.class_names
+    types = shard.types
+    problem = read.wrong_type(types, {**KNOWN_COLUMNS, **_expected_extras(types)})
+    for name in extra_columns(types):
+        if all(f"{prefix}{name}" in types for prefix in EXTRA_PREFIX.values()):
+            problem = f"field {name!r}: there is a column of touches and one of frames; expected one of them"
+    if problem:
+        raise errors.IntegrityError(
+            f"{shard.path!r}, {problem}", next="download or convert the data set again"
+        )
+
+
+def _expected_extras(types: Mapping[str, pa.DataType]) -> dict[str, read.Expected]:
+    """Return the required types of the further columns; their entries may be vectors."""
+    expected: dict[str, read.Expected] = {}
+    for name in per_touch_columns(types):
+        if name not in KNOWN_COLUMNS:
+            least = 1 + name.startswith(EXTRA_PREFIX["frame"])
+            depth = min(max(read.list_depth(types[name])[0], least), least + 1)
+            expected[name] = (
+                depth,
+                _EXTRA_LEAVES,
+                f"a number, a text or a list of them, {_EXTRA_ENTRIES[least]}",
+            )
+    return expected
+
+
+def stated_class_names(shards: Iterable[read.RowSource]) -> tuple[str, ...] | None:
+    """Return the names of the classes of the first file that states any, or None."""
+    return next((shard.class_names for shard in shards if shard.class_names is not None), None)
+
+
+def class_names_of(shards: Iterable[read.RowSource]) -> tuple[str, ...]:
+    """Return the names of the classes as the first file states them, or else those of the digits.
+
+    Empty for data sets without labels.
+    """
+    files = list(shards)
+    stated = stated_class_names(files)
+    if stated is None and any("label" in shard.schema.names for shard in files):
+        return CLASS_NAMES
+    return stated or ()
+
+
+def column_type(schema: pa.Schema, name: str) -> pa.DataType:
+    """Return the Arrow type of a column by dotted name, flat or inside structs; None when it is not there."""
+    return read.column_types(schema).get(name)
+
+
+def flat_schema(schema: pa.Schema) -> pa.Schema:
+    """Return the fields of a schema with structs ``a{b, c}`` as flat columns ``a.b``, ``a.c``."""
+    flat = read.RowGroup(schema.empty_table()).flat_table.schema
+    return pa.schema([pa.field(field.name, _plain_type(field.type)) for field in flat])
+
+
+def _plain_type(data_type: pa.DataType) -> pa.DataType:
+    """Return a type whose lists carry no names of their own; pickling would change those, and the bytes."""
+    if pa.types.is_fixed_size_list(data_type):
+        return pa.list_(_plain_type(data_type.value_type), data_type.list_size)
+    if read.list_depth(data_type)[0]:
+        return pa.list_(_plain_type(data_type.value_type))
+    return data_type
+
+
+def flat_row(row: read.Row) -> pa.Table:
+    """Return a stored row as a table with structs ``a{b, c}`` as flat columns ``a.b``, ``a.c``."""
+    return row.group.flat_table.slice(row.index, 1)
+
+
+def row_with(flat: pa.Table, made: Mapping[str, pa.Array], schema: pa.Schema) -> pa.Table:
+    """Return the columns of a schema: new ones with an entry for each touch, the others from a flat row."""
+    columns = dict(zip(flat.column_names, flat.columns, strict=True))
+    columns |= {name: _as_list(entries, schema.field(name).type) for name, entries in made.items()}
+    return pa.table([columns[name] for name in schema.names], schema=schema)
+
+
+def _as_list(entries: pa.Array, data_type: pa.DataType) -> pa.Array:
+    entries = entries.cast(data_type.value_type)
+    if pa.types.is_fixed_size_list(data_type):
+        return pa.FixedSizeListArray.from_arrays(entries, type=data_type)
+    return pa.ListArray.from_arrays([0, len(entries)], entries, type=data_type)
+
+
+def take_touches(table: pa.Table, touches: Sequence[int], count: int) -> pa.Table:
+    """Return a flat table of one row of ``count`` touches with some of them only, in the order given."""
+    chosen = pa.array(touches, pa.int64())
+    columns = []
+    for name in table.column_names:
+        array = table.column(name).combine_chunks()
+        # A column of another length has no entry per touch and is kept as a whole.
+        if is_per_touch(name, array.type) and len(array.flatten()) == count:
+            values = array.flatten().take(chosen)
+            array = _as_list(values, pa.list_(array.type.value_type))
+        columns.append(array)
+    return pa.table(columns, names=table.column_names)
+
+
+class UnknownExtraError(errors.InputError, KeyError):
+    """A further column that a data set does not have; also a KeyError, as mappings raise."""
+
+    def __init__(self, name: object, path: str, known: Collection[str]) -> None:
+        found = ", ".join(map(repr, known)) or "none"
+        super().__init__(
+            f"{path!r} has no further column {name!r}; it has {found}"
+            f"{wording.did_you_mean(str(name), known)}",
+            next="name one of these, or import it again with that column",
+        )
+        self.args = (name, path, tuple(known))  # pickling calls the constructor with these
+
+
+class Extras(Mapping[str, Any]):
+    """The further columns of a round or touch, by their own names; each is read on first use.
+
+    Numbers are arrays of their stored type. If a value of the round is missing, integers become float64
+    and the value NaN, as in pandas. Texts, booleans with a missing value, and integers with a missing value
+    and one of 2**53 or more, are arrays of objects, in which a missing value is None. Arrays are read-only.
+    """
+
+    __slots__ = ("_names", "_read")
+
+    def __init__(self, names: Collection[str], read: Callable[[str], object]) -> None:
+        self._names = names
+        self._read = read
+
+    def __getitem__(self, name: str) -> Any:
+        """Read a column; UnknownExtraError for an unknown name."""
+        return self._read(name)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._names
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def __repr__(self) -> str:
+        return f"Extras({', '.join(self._names)})"
+
+
+def _is_rounded(array: pa.Array) -> bool:
+    """Return whether float64 does not hold all integers of an array."""
+    ends = pc.min_max(array).as_py()
+    return ends["min"] is not None and max(-ends["min"], ends["max"]) >= _MAX_EXACT
+
+
+def array_with_gaps(array: pa.Array) -> AnyArray:
+    """Return n numbers, texts or lists of them as an array with an axis for each level; see :class:`Extras`.
+
+    Raises ValueError for lists of several lengths on a level.
+    """
+    if isinstance(array, pa.ExtensionArray):
+        array = array.storage
+    if not read.list_depth(array.type)[0]:
+        if array.null_count and pa.types.is_integer(array.type) and _is_rounded(array):
+            return np.array(array.to_pylist(), object)
+        return read.numpy_values(array)
+    present = array.drop_null()
+    widths = [getattr(array.type, "list_size", 0)]
+    if len(present):
+        widths = np.unique(present.value_lengths()).tolist()
+    if len(widths) > 1:
+        raise ValueError(f"vectors of {widths[0]} and of {widths[-1]} values; expected one length")
+    inner = array_with_gaps(present.flatten())
+    vectors = inner.reshape(len(present), widths[0], *inner.shape[1:])
+    if len(present) == len(array):
+        return vectors
+    values: AnyArray = np.full((len(array), *vectors.shape[1:]), None, object)
+    if inner.dtype.kind in "iuf":
+        values = np.full(values.shape, np.nan, inner.dtype if inner.dtype.kind == "f" else np.float64)
+    values[array.is_valid().to_numpy(zero_copy_only=False)] = vectors
+    values.setflags(write=False)
+    return values

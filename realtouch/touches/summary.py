@@ -1,0 +1,253 @@
+"""Figures of a data set of touches, also compared with those of the Tactile MNIST paper."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from itertools import accumulate, pairwise
+from operator import itemgetter
+
+import numpy as np
+
+from realtouch.touches import datasets, image_contacts, schema
+from realtouch.touches.datasets import AnyTouches
+from tactile_toolkit import errors, read
+from tactile_toolkit.touch import CELL_M
+
+# Tactile MNIST paper, section on the real data set: 600 printed digits, 256 touches each, two gels.
+_ROUNDS = {"train": 500, "test": 100}
+_CLASSES = {"train": "10 of 50 rounds", "test": "10 of 10 rounds"}
+_TOUCHES_OF_A_GEL = 76_800
+_PICTURES = "320 x 240 or 64 x 64 pixels"
+_AMOUNTS = {False: "none", True: "some"}
+_SIZES = ((320, 240), (64, 64))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Summary:
+    """Figures of one split.
+
+    Attributes
+    ----------
+    kind : str
+        ``"seq"`` or ``"single"``.
+    rounds, touches, objects : int
+        How many.
+    touches_per_round : tuple of int
+        Least and most.
+    contact_share : float or None
+        Fraction of touches in which the gel stopped on an object; None without poses, as all pictures would
+        have to be decoded.
+    contact_rule : str
+        By what a touch counts as contact: a height above the plate, or its picture.
+    labels : dict of str to int
+        Rounds of each class.
+    image_size : tuple of int
+        Width and height of the first image or frame, pixels.
+    clip_frames : tuple of int, or None
+        Minimum, median and maximum number of frames of a clip; None for images.
+    fps : float or None
+        Frames per second of the first clip.
+    gel_ids : dict of str to int
+        Rounds of each gel; empty if it is unknown.
+    extra : dict of str to str
+        Type of each further column.
+    """
+
+    kind: str
+    rounds: int
+    touches: int
+    objects: int = 0
+    touches_per_round: tuple[int, int]
+    contact_share: float | None = None
+    contact_rule: str | None = None
+    labels: dict[str, int] = field(default_factory=dict)
+    image_size: tuple[int, int]
+    clip_frames: tuple[int, int, int] | None = None
+    fps: float | None = None
+    gel_ids: dict[str, int] = field(default_factory=dict)
+    extra: dict[str, str] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, object]:
+        """Return JSON values."""
+        return asdict(self)
+
+
+def summarise(dataset: datasets.AnyDataset) -> Summary:
+    """Count what a data set holds; reads small columns and one image or clip.
+
+    Parameters
+    ----------
+    dataset : TouchDataset
+        One split, or a part of it.
+
+    Returns
+    -------
+    Summary
+
+    Raises
+    ------
+    InputError
+        The data set is empty.
+    IntegrityError
+        What is read is damaged.
+    """
+    touches = dataset.touches()
+    if not len(touches):
+        raise errors.InputError("an empty data set has no summary", next="choose other filters")
+    counts = np.bincount(touches.round_positions, minlength=len(dataset))
+    first = touches[0]
+    found = Summary(
+        kind=dataset.kind,
+        rounds=len(dataset),
+        touches=int(counts.sum()),
+        touches_per_round=(int(counts.min()), int(counts.max())),
+        contact_rule=image_contacts.contact_rule_text(dataset.column_names),
+        extra=_extra_types(dataset),
+        image_size=first.round.picture_size(first.touch_index),
+    )
+    if dataset.kind == "seq":
+        found = replace(found, clip_frames=_clip_frames(touches), fps=first.clip.fps)
+    if dataset.has_column("label"):
+        found = replace(found, labels={name: len(rows) for name, rows in dataset.by_label().items()})
+    if dataset.has_column("object_id"):
+        found = replace(found, objects=len(np.unique(dataset.int_column("object_id"))))
+    if dataset.has_column(dataset.pose_column):
+        share = float(touches.in_contact().mean())
+        rules = dict.fromkeys(map(str, dataset.contact_rules()))
+        found = replace(found, contact_share=share, contact_rule="; or ".join(rules))
+    if dataset.has_column("info.gel_id"):
+        # Through all rounds, without their pictures: the gel is not a plain column.
+        gels = Counter(str(record.info["gel_id"]) for _, record in dataset.rounds_without_media())
+        found = replace(found, gel_ids=dict(sorted(gels.items())))
+    return found
+
+
+def _extra_types(dataset: datasets.AnyDataset) -> dict[str, str]:
+    types = read.column_types(dataset.table.schemas[0])
+    columns = schema.extra_columns(dataset.column_names)
+    return {name: schema.extra_type_text(stored, types[stored]) for name, stored in columns.items()}
+
+
+def _clip_frames(touches: AnyTouches) -> tuple[int, int, int]:
+    """Return the least, the median and the largest number of frames of a clip."""
+    dataset = touches.dataset
+    rows = dataset.row_numbers[touches.round_positions].tolist()
+    shown = set(zip(rows, touches.touch_indices.tolist(), strict=True))
+    lengths = [
+        record.row.clip_length(touch)
+        for row, record in dataset.rounds_without_media()
+        for touch in range(record.touch_count)
+        if (row, touch) in shown
+    ]
+    return min(lengths), int(np.median(lengths)), max(lengths)
+
+
+@dataclass(frozen=True, slots=True)
+class PaperNumber:
+    """One statement of the paper, and the value in the data.
+
+    Attributes
+    ----------
+    what : str
+        Name of the quantity.
+    paper, found : str
+        As the paper states it, and as it is in the data.
+    agrees : bool
+        Whether they are the same.
+    """
+
+    what: str
+    paper: str
+    found: str
+    agrees: bool
+
+    def to_dict(self) -> dict[str, object]:
+        """Return JSON values."""
+        return asdict(self)
+
+
+def paper_numbers(splits: Mapping[str, datasets.AnyDataset]) -> list[PaperNumber]:
+    """Measure what the paper states about real touches; reads one picture only.
+
+    Parameters
+    ----------
+    splits : mapping of str to TouchDataset
+        The splits of one set.
+
+    Returns
+    -------
+    list of PaperNumber
+        In the order of the paper.
+
+    Raises
+    ------
+    InputError
+        The set is empty, or has no labels, objects or positions.
+    IntegrityError
+        What is read is damaged.
+    """
+    rounds = _rounds_in_order(splits)
+    _, counts, gels, reaches_m = zip(*rounds, strict=True)
+    objects = [set(data.int_column("object_id").tolist()) for data in splits.values()]
+    different = len(set().union(*objects))
+    labels: dict[str, list[int]] = {split: [] for split in _ROUNDS}
+    labels |= {split: data.labels.tolist() for split, data in splits.items()}
+    size = next(data[0] for data in splits.values() if len(data)).picture_size(0)
+    replaced, ends = _gel_replacements(gels, counts)
+    reach = f"at most {1e3 * max(reaches_m):.1f} mm from the middle"
+    counted = [
+        ("rounds", "600", f"{len(rounds):,}"),
+        ("touches", "153,600", f"{sum(counts):,}"),
+        ("touches of a round", "256", ", ".join(map(str, sorted(set(counts))))),
+        *((f"rounds in {split}", f"{count}", f"{len(labels[split]):,}") for split, count in _ROUNDS.items()),
+        *((f"classes in {split}", _CLASSES[split], _class_text(labels[split])) for split in _ROUNDS),
+        ("objects", "600", f"{different:,}"),
+        ("objects in two splits", "none", _AMOUNTS[sum(map(len, objects)) > different]),
+    ]
+    once = f"{_TOUCHES_OF_A_GEL:,} touches, once"
+    return [
+        *(PaperNumber(what, paper, found, paper == found) for what, paper, found in counted),
+        PaperNumber("intended positions", "within 12 x 12 cm", reach, max(reaches_m) <= CELL_M[0] / 2),
+        PaperNumber("gel replaced after", once, replaced, ends == [_TOUCHES_OF_A_GEL]),
+        PaperNumber("picture", _PICTURES, f"{size[0]} x {size[1]} pixels", size in _SIZES),
+    ]
+
+
+def _rounds_in_order(
+    splits: Mapping[str, datasets.AnyDataset],
+) -> list[tuple[str, int, object, float]]:
+    """Return id, touches, gel and greatest distance from the middle, metres, of each round.
+
+    Ids begin with the time of recording, so that their order is that of the gels. InputError without rounds.
+    """
+    rounds = [
+        (
+            str(record.id),
+            record.touch_count,
+            dict(record.info).get("gel_id"),
+            float(np.abs(record.pos_in_cell_m).max(initial=0.0)),
+        )
+        for data in splits.values()
+        for _, record in data.rounds_without_media()
+    ]
+    if not rounds:
+        raise errors.InputError(
+            "the set holds no rounds", next="name one that does, such as real-single-64x64"
+        )
+    return sorted(rounds, key=itemgetter(0))
+
+
+def _class_text(labels: Sequence[int]) -> str:
+    counts = Counter(labels)
+    return f"{len(counts)} of {' or '.join(map(str, sorted(set(counts.values())))) or 'no'} rounds"
+
+
+def _gel_replacements(gels: Sequence[object], counts: Sequence[int]) -> tuple[str, list[int]]:
+    """Return after how many touches the gel was replaced; rounds are in the order of recording."""
+    if any(gel is None for gel in gels):
+        return "not stated", []
+    done = accumulate(counts)
+    ends = [end for end, (before, after) in zip(done, pairwise(gels), strict=False) if before != after]
+    return f"{' and '.join(f'{end:,}' for end in ends) or 'never'} of {sum(counts):,}", ends

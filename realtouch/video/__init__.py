@@ -1,0 +1,1 @@
+"""Videos: the clips of touches, and files of other programs."""

@@ -1,0 +1,348 @@
+"""Exports: one file for each object, or build plates with maps and a table."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from tactile_toolkit import store
+from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.mesh import (
+    FORMATS,
+    MM_PER_M,
+    BuildItem,
+    Mesh,
+    pack_mesh,
+    read_build,
+    require_solid,
+    unpack_mesh,
+    write_build,
+)
+from tactile_toolkit.printing.file_export import (
+    CHANGED,
+    FileExport,
+    Made,
+    PrintObject,
+    Product,
+    Progress,
+    content_of,
+    place_on_plate,
+    require_same_solid,
+    require_scale,
+    write_products,
+)
+from tactile_toolkit.printing.plate_layouts import PlateLayout, draw_map
+from tactile_toolkit.printing.print_options import MODELS, Physics
+from tactile_toolkit.printing.simulator import body_of, model_files, pack_mjcf
+from tactile_toolkit.wording import with_count
+
+# Meshes that a file for simulators refers to; other files next to them are never replaced.
+_MESHES = ("visual", "part-[0-9][0-9]", "part-[0-9][0-9][0-9]")
+
+TABLE_FILE = "plates.csv"
+
+OFF_PLATE = "off-plate"
+"""Problem of a plate; the others are those of files."""
+
+_COLUMNS = (
+    *("plate", "file", "name", "split", "label", "id"),
+    *("x_mm", "y_mm", "width_mm", "depth_mm", "height_mm", "volume_mm3"),
+)
+
+_EDGE_TOLERANCE_MM = 1e-3  # 3MF is written with nine digits, and no printer resolves a micrometre
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenFile:
+    """A file with the solid of an object, and its sizes; ``state`` is as in :class:`Made`."""
+
+    name: str
+    file: str
+    split: str
+    label: str
+    id: int
+    width_mm: float
+    depth_mm: float
+    height_mm: float
+    volume_mm3: float
+    bytes: int
+    state: str
+
+    @property
+    def size_mm(self) -> tuple[float, float, float]:
+        """Width, depth and height."""
+        return self.width_mm, self.depth_mm, self.height_mm
+
+
+def _made_file(item: PrintObject, ending: str, scale: float, physics: Physics) -> Made[WrittenFile]:
+    """Make the file of an object; a model for simulators has meshes beside it."""
+    is_mesh_file = ending in FORMATS
+    mesh = place_on_plate(item.load(), scale)
+    verdict = require_solid(mesh)
+    if is_mesh_file:
+        files = {f"{item.name}{ending}": pack_mesh(mesh, ending, item.name)}
+    else:
+        files = model_files(item.name, mesh, ending, physics)
+    sides_mm = (np.ptp(mesh.bounds_m, axis=0) * MM_PER_M).tolist()
+    width_mm, depth_mm, height_mm = (round(side_mm, 3) for side_mm in sides_mm)
+
+    def record(state: str) -> WrittenFile:
+        return WrittenFile(
+            name=item.name,
+            file=list(files)[-1],  # the model follows its meshes
+            split=item.split,
+            label=item.label,
+            id=item.id,
+            width_mm=width_mm,
+            depth_mm=depth_mm,
+            height_mm=height_mm,
+            volume_mm3=round(verdict.volume_mm3, 3),
+            bytes=sum(map(len, files.values())),
+            state=state,
+        )
+
+    def check() -> None:
+        if is_mesh_file:
+            for content in files.values():
+                require_same_solid(unpack_mesh(content, ending), mesh, verdict)
+
+    return Made(files, record, check)
+
+
+def _product(item: PrintObject, ending: str, scale: float, physics: Physics) -> Product[WrittenFile]:
+    paths = (f"{item.name}{ending}", *(f"{item.name}/{part}.obj" for part in _MESHES))
+    return Product(item.name, paths, partial(_made_file, item, ending, scale, physics))
+
+
+def _ending_of(kind: str) -> str:
+    """Return the ending of files of a format; InputError for an unknown one."""
+    name = kind.lower().removeprefix(".")
+    ending = MODELS.get(name, f".{name}")
+    if ending not in FORMATS and name not in MODELS:
+        formats = ", ".join([*(known[1:] for known in FORMATS), *MODELS])
+        raise InputError(f"--format is {kind!r}; expected one of {formats}")
+    return ending
+
+
+def export_files(
+    objects: Sequence[PrintObject],
+    out: str,
+    kind: str = "stl",
+    *,
+    scale: float = 1.0,
+    physics: Physics | None = None,
+    overwrite: bool = False,
+    dry_run: bool = False,
+    workers: int = 1,
+    on_progress: Progress = lambda _done, _total: None,
+) -> FileExport[WrittenFile]:
+    """Write one file for each object, without rotation, with its lowest point at z = 0.
+
+    A file gets its name when it holds the same solid and reads back as it was written. Existing files with
+    the same bytes are kept, so an interrupted export continues. Objects that are not solids are listed in the
+    result.
+
+    Parameters
+    ----------
+    objects : sequence of PrintObject
+        What to write.
+    out : str
+        Folder of the files.
+    kind : str
+        Format: ``"stl"``, ``"3mf"``, ``"ply"`` or ``"obj"`` (millimetres), ``"glb"`` (metres), or for
+        simulators ``"mjcf"``, ``"urdf"`` or ``"usd"`` (metres).
+    scale : float
+        Factor for all lengths.
+    physics : Physics, optional
+        Density and friction of models for simulators.
+    overwrite : bool
+        Replace files with other content, and remove those of objects that fail.
+    dry_run : bool
+        Make and check the files without writing them.
+    workers : int
+        Number of processes.
+    on_progress : callable
+        Called with the numbers of finished and of all objects.
+
+    Returns
+    -------
+    FileExport
+        Written, kept and failed files.
+
+    Raises
+    ------
+    InputError
+        The format is unknown, the scale is not positive, or files are in the way; nothing was written.
+    StorageError
+        The folder cannot be written; finished files are kept.
+    """
+    ending = _ending_of(kind)
+    require_scale(scale)
+    products = [_product(item, ending, scale, physics or Physics()) for item in objects]
+    return write_products(
+        products, out, overwrite=overwrite, dry_run=dry_run, workers=workers, on_progress=on_progress
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class PlateFile:
+    """A plate: its file (3MF or MJCF), its PNG map, the number of objects, and the fraction that they take.
+
+    ``bytes`` is the size of the file; ``state`` is as in :class:`~tactile_toolkit.printing.file_export.Made`.
+    """
+
+    file: str
+    map: str
+    objects: int
+    share: float
+    bytes: int
+    state: str
+
+
+@dataclass(frozen=True, slots=True)
+class PlateExport(FileExport[PlateFile]):
+    """Result of an export of plates: the plates and the rows of the table.
+
+    ``failed`` are objects that were left out and plates that could not be written. ``removed`` are files of
+    an earlier export that this one does not have.
+    """
+
+    objects: tuple[dict[str, object], ...]
+    removed: tuple[str, ...] = ()
+
+
+def write_plates(
+    layout: PlateLayout,
+    out: str,
+    *,
+    overwrite: bool = False,
+    dry_run: bool = False,
+    on_progress: Progress = lambda _done, _total: None,
+) -> PlateExport:
+    """Write the plates of a layout into a folder, which is created if needed.
+
+    Each object of a 3MF file must be read back as the same solid with the same name, inside the plate, before
+    the file gets its name. Existing files with the same bytes are kept. With ``overwrite``, the plates of
+    another export are replaced, and further plates listed in its table are removed, but no other files. A
+    ``dry_run`` makes and checks the plates without writing.
+
+    Raises InputError, before anything is written, where the folder holds plates of another export, and
+    StorageError where the folder cannot be written; finished files are kept.
+    """
+    unknown = _unknown_files(layout, store.local_folder_path(out))
+    # The table first, because it shows whether the folder holds another export.
+    write_products([_table_product(tuple(_rows(layout)), unknown)], out, overwrite=overwrite, dry_run=True)
+    plates = [
+        Product(solid, (solid, picture), partial(_made_plate, layout, number))
+        for number, (solid, picture) in enumerate(_names(layout), 1)
+    ]
+    made = write_products(plates, out, overwrite=overwrite, dry_run=dry_run, on_progress=on_progress)
+    written = {plate.file for plate in made.files}
+    rows = tuple(row for row in _rows(layout) if row["file"] in written)
+    if not dry_run:
+        # Last, so that it lists only files that exist and were checked.
+        write_products([_table_product(rows, unknown)], out, overwrite=True)
+    return PlateExport(made.files, (*layout.failures, *made.failed), rows, unknown)
+
+
+def _names(layout: PlateLayout) -> list[tuple[str, str]]:
+    """Return the file names of each plate: solids and map."""
+    ending = "3mf" if layout.physics is None else "xml"
+    plates = [f"plate-{number:02d}" for number in range(1, len(layout.plates) + 1)]
+    return [(f"{plate}.{ending}", f"{plate}.png") for plate in plates]
+
+
+def _made_plate(layout: PlateLayout, number: int) -> Made[PlateFile]:
+    (solid, picture), plate = _names(layout)[number - 1], layout.plates[number - 1]
+    items = [
+        BuildItem(each.item.name, place_on_plate(each.item.load(), layout.scale), each.offset_mm)
+        for each in plate
+    ]
+    if layout.physics is None:
+        content = write_build(items)
+    else:
+        # A scene: positions on the plate are positions on the ground.
+        places_m = [(each.offset_mm[0] / MM_PER_M, each.offset_mm[1] / MM_PER_M) for each in items]
+        bodies = [body_of(each.name, each.mesh, layout.physics) for each in items]
+        content = pack_mjcf(list(zip(bodies, places_m, strict=True)), "plate", floor=True)
+    share = round(layout.shares[number - 1], 4)
+    return Made(
+        {picture: draw_map(layout, number), solid: content},
+        partial(PlateFile, solid, picture, len(plate), share, len(content)),
+        partial(_check_plate, content, items, layout),
+    )
+
+
+def _check_plate(content: bytes, items: Sequence[BuildItem], layout: PlateLayout) -> None:
+    """Raise ItemError unless a plate holds these objects as the same solids, within its margins."""
+    meant = {
+        each.name: Mesh(each.mesh.vertices_m + np.divide(each.offset_mm, MM_PER_M), each.mesh.faces)
+        for each in items
+    }
+    found = meant
+    if layout.physics is None:
+        found = {each.name: each.mesh for each in read_build(content).items}
+    if found.keys() != meant.keys():
+        raise ItemError(
+            CHANGED, f"it names {with_count(len(found), 'objects')}; {len(meant)} others were written"
+        )
+    edge_mm = layout.spec.margin_mm - _EDGE_TOLERANCE_MM
+    for name, mesh in found.items():
+        try:
+            require_same_solid(mesh, meant[name], require_solid(meant[name]))
+        except ItemError as error:
+            raise ItemError(error.reason, f"{name}: {error}") from error
+        low, high = mesh.bounds_m * MM_PER_M
+        in_corner = (mesh.vertices_mm[:, :2] < layout.spec.corner_mm).all(axis=1).any()
+        outside = (
+            in_corner
+            or (low[:2] < edge_mm).any()
+            or (high[:2] > np.subtract(layout.spec.sides_mm, edge_mm)).any()
+        )
+        if outside or low[2] < -_EDGE_TOLERANCE_MM:
+            raise ItemError(OFF_PLATE, f"{name} reaches beyond the plate or its margin, or into its corner")
+
+
+def _rows(layout: PlateLayout) -> Iterator[dict[str, object]]:
+    """Yield the rows of the table; x and y are the lower left corner of the bounding box."""
+    for number, (plate, (solid, _)) in enumerate(zip(layout.plates, _names(layout), strict=True), 1):
+        for placed in plate:
+            item = placed.item
+            named = (number, solid, item.name, item.split, item.label, item.id)
+            sizes_mm = (*placed.outline.size_mm, placed.height_mm)
+            measured = (placed.x_mm, placed.y_mm, *sizes_mm, placed.volume_mm3)
+            values = (*named, *(round(value, 3) for value in measured))
+            yield dict(zip(_COLUMNS, values, strict=True))
+
+
+def _table_product(rows: Sequence[dict[str, object]], unknown: Sequence[str]) -> Product[str]:
+    """Return the table as a product; ``unknown`` are plates that it does not list, which are removed."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({name: _no_formula(value) for name, value in row.items()} for row in rows)
+    made = Made({TABLE_FILE: text.getvalue().encode()}, str)
+    return Product(TABLE_FILE, (TABLE_FILE, *unknown), lambda: made)
+
+
+def _no_formula(value: object) -> object:
+    """Quote text that a spreadsheet would run as a formula."""
+    is_formula = isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r"))
+    return f"'{value}" if is_formula else value
+
+
+def _unknown_files(layout: PlateLayout, folder: Path) -> tuple[str, ...]:
+    """List plates and maps of an earlier export in the folder that this layout does not have."""
+    # Only those in its table: other files with such names may belong to the user.
+    table = (content_of(folder / TABLE_FILE) or b"").decode(errors="replace")
+    listed = re.findall(r"^\d+,(plate-\d{2,})\.(3mf|xml),", table, re.ASCII | re.MULTILINE)
+    before = {f"{plate}.{each}" for plate, ending in listed for each in (ending, "png")}
+    ours = {name for names in _names(layout) for name in names}
+    return tuple(sorted(name for name in before - ours if (folder / name).exists()))

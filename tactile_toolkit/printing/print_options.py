@@ -1,0 +1,102 @@
+"""Options of printing: build plates, and materials of bodies for simulators."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from tactile_toolkit.checked_fields import check_fields, real
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.wording import did_you_mean
+
+BEDS_MM = {
+    "bambu-a1": (256.0, 256.0),
+    "bambu-a1-mini": (180.0, 180.0),
+    "bambu-p1": (256.0, 256.0),
+    "bambu-x1": (256.0, 256.0),
+    "ender-3": (220.0, 220.0),
+    "prusa-core-one": (250.0, 220.0),
+    "prusa-mini": (180.0, 180.0),
+    "prusa-mk3": (250.0, 210.0),
+    "prusa-mk4": (250.0, 210.0),
+    "prusa-xl": (360.0, 360.0),
+    "ultimaker-s5": (330.0, 240.0),
+}
+"""Width and depth of the area that printers reach, as their makers state it."""
+_CORNERS_MM = dict.fromkeys(("bambu-p1", "bambu-x1"), (18.0, 28.0))
+"""Width and depth of the unusable corner at the front left, where the filament is wiped or cut."""
+_PLATE_TEXT = re.compile(r"(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)")
+
+MODELS = {"mjcf": ".xml", "urdf": ".urdf", "usd": ".usda"}
+"""Formats of bodies for simulators, and the endings of their files."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlateSpec:
+    """Build plates: their size, the gap between bounding boxes of objects, the margin at the edges."""
+
+    width_mm: float = real(256.0, 1, 10_000)
+    depth_mm: float = real(256.0, 1, 10_000)
+    gap_mm: float = real(3.0, 0, 1_000, help="Distance between objects on a plate.")
+    # Room for the default skirt of PrusaSlicer: one loop, under 1 mm wide, 6 mm around objects.
+    margin_mm: float = real(7.0, 0, help="Margin at the edges of a plate, for a skirt.")
+    # The front left corner, which some printers cannot use; the margin applies to it too.
+    corner_mm: tuple[float, float] = real((0.0, 0.0), 0, many=2)
+
+    def __post_init__(self) -> None:
+        """Raise InputError for impossible plates."""
+        check_fields(self, "the plate")
+        if min(self.inner_mm) < 1:
+            raise InputError(
+                f"margin_mm is {self.margin_mm:g}; expected 0 or more, and 1 mm left of the plate of "
+                f"{self.width_mm:g} x {self.depth_mm:g} mm"
+            )
+
+    @classmethod
+    def parse(cls, plate: str, **distances: float) -> PlateSpec:
+        """Read a name of :data:`BEDS_MM` or sides such as ``256x256``; raises InputError for other text.
+
+        ``distances`` are ``gap_mm`` and ``margin_mm``.
+        """
+        text = plate.strip().lower()
+        match = _PLATE_TEXT.fullmatch(text)
+        if match is None and text not in BEDS_MM:
+            raise InputError(
+                f"--plate is {plate!r}; expected width x depth in mm, such as 256x256, or one of "
+                f"{', '.join(BEDS_MM)}{did_you_mean(plate, BEDS_MM)}"
+            )
+        sides_mm = BEDS_MM[text] if match is None else (float(match[1]), float(match[2]))
+        return cls(*sides_mm, corner_mm=_CORNERS_MM.get(text, (0.0, 0.0)), **distances)
+
+    @property
+    def text(self) -> str:
+        """Plate, gap and margin for people."""
+        distances = f"gap {self.gap_mm:g} mm, margin {self.margin_mm:g} mm"
+        return f"{self.width_mm:g} x {self.depth_mm:g} mm, {distances}"
+
+    @property
+    def sides_mm(self) -> tuple[float, float]:
+        """Width and depth."""
+        return self.width_mm, self.depth_mm
+
+    @property
+    def inner_mm(self) -> tuple[float, float]:
+        """Width and depth of the area within the margins."""
+        return self.width_mm - 2 * self.margin_mm, self.depth_mm - 2 * self.margin_mm
+
+
+@dataclass(frozen=True, slots=True)
+class Physics:
+    """Material of a body.
+
+    ``density_kg_m3`` is that of the filled body, by default of PLA; a print with infill is lighter.
+    ``friction`` is the coefficient of sliding friction; its default is not measured.
+    """
+
+    density_kg_m3: float = real(
+        1240.0, above=0, most=1e5, help="Density of bodies for simulators; PLA by default."
+    )
+    friction: float = real(0.5, above=0, most=100, help="Sliding friction of bodies for simulators.")
+
+    def __post_init__(self) -> None:
+        check_fields(self, "the material")
