@@ -56,9 +56,14 @@ def upload(
     place.require_manifest(kind)
     kind = place.kind or kind
     sink.info(f"checking {folder}")
-    check = partial(exchange.check_folder, kind, workers=process_count(workers))
     prepared = exchange.prepare_upload(
-        folder, repository, options, check=check, dry_run=dry_run, on_wait=sink.info
+        folder,
+        repository,
+        options,
+        kind=kind,
+        workers=process_count(workers),
+        dry_run=dry_run,
+        on_wait=sink.info,
     )
     finish_upload(sink, prepared, partial(_loading_lines, kind, prepared), dry_run=dry_run, yes=yes)
 
@@ -119,7 +124,7 @@ def download(
         out=out,
         on_wait=sink.info,
     )
-    _print_download_plan(sink, name, plan)
+    _print_download_plan(sink, plan)
     place = ""
     if not dry_run:
         size = bytes_text(plan.missing_bytes)
@@ -156,7 +161,7 @@ def _listed(paths: Sequence[str]) -> str:
 
 
 def _print_upload_plan(sink: Sink, prepared: exchange.PreparedUpload) -> None:
-    plan, held, where = prepared.plan, prepared.held, _where(prepared)
+    plan, held, where = prepared.plan, prepared.held, prepared.where
     for paths, words in (
         (prepared.left_out, "left out, not part of the data set: {}"),
         (plan.kept, "kept on the Hub, though not in the folder: {} (--delete removes these)"),
@@ -191,12 +196,12 @@ def _print_upload(
     result: exchange.UploadResult | None,
     lines_of: Callable[[str | None], list[str]],
 ) -> None:
-    plan, held, where = prepared.plan, prepared.held, _where(prepared)
+    plan, held, where = prepared.plan, prepared.held, prepared.where
     name, done = prepared.options.branch, result or exchange.UploadResult("")
     address, revision = prepared.page, None
     if done.pull:  # the page of its branch (refs/pr/N) has no button to merge it
         address, revision = f"{address}/discussions/{done.pull.rpartition('/')[2]}", done.pull
-    elif name != exchange.MAIN_BRANCH:
+    elif not prepared.options.is_main:
         address, revision = f"{address}/tree/{name}", name
     lines = lines_of(revision)
     sink.document(
@@ -237,17 +242,10 @@ def _print_upload(
         sink.line("\n  ".join([address, *lines]))
 
 
-def _where(prepared: exchange.PreparedUpload) -> str:
-    """Name the repository, and its branch unless this is the main one."""
-    name = prepared.options.branch
-    if name == exchange.MAIN_BRANCH:
-        return prepared.repo_id
-    return f"{prepared.repo_id} ({name})"
-
-
-def _print_download_plan(sink: Sink, name: str, plan: exchange.DownloadPlan) -> None:
+def _print_download_plan(sink: Sink, plan: exchange.DownloadPlan) -> None:
     """Print which files will be fetched, their size and their licence."""
-    known, files = places.published_set(name), plan.record.files.values()
+    known = plan.published
+    files = plan.record.files.values()
     sink.info(
         f"{plan.repository.repo_id} at {plan.record.commit[:12]}: {', '.join(plan.splits)}; "
         f"{with_count(len(files), 'files')}, {bytes_text(sum(file.size_bytes for file in files))}, of which "

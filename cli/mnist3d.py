@@ -10,8 +10,8 @@ import mnist3d
 from cli import checks, declared_options, options, output, picture_prints, previews, runs, shared
 from cli.application import command, new_app, run as run_app
 from mnist3d import digit_options
+from mnist3d.digit_options import SPLITS, SplitSpec
 from mnist3d.kind import KIND
-from mnist3d.splits import SPLITS, SplitSpec
 from tactile_toolkit import cards, catalog, checked_fields, mesh, places, run, store
 from tactile_toolkit.kind import DatasetKind, lazy
 

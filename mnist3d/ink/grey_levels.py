@@ -270,12 +270,8 @@ def ink_of_colours(away: UInt8) -> UInt8:
     # Between a light part and its dark outline, the edge of the outline belongs to neither.
     inked = even | (levels < 128)
     filled = ndimage.binary_closing(inked, iterations=_EDGE_PX) & (away >= DIFFERENT)
-    levels[filled & ~(levels < 128) & _beside(even)] = 0
+    levels[filled & ~(levels < 128) & ndimage.binary_dilation(even, iterations=_EDGE_PX)] = 0
     return levels
-
-
-def _beside(mask: Bool) -> Bool:
-    return np.asarray(ndimage.binary_dilation(mask, iterations=_EDGE_PX))
 
 
 def coloured_ink(reflectances: Float32) -> Bool:

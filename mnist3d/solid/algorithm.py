@@ -39,12 +39,12 @@ TAUBIN_RATIO = -1.06
 """Ratio of the outward to the inward step that keeps the volume (Taubin 1995: slightly above one)."""
 
 
-def erode(lattice: Lattice, height_px: Float32, spec: SolidSpec) -> Float32:
-    """Return the depth of each node in the layer at a height, pixels, shape (R, C).
+def erode(lattice: Lattice, heights_px: Float32, spec: SolidSpec) -> Float32:
+    """Return the depth of each node in the layers at heights, shape (L, 1, 1): pixels, shape (L, R, C).
 
     It is positive where binary erosion with the kernel of this height keeps the node, and 0 on the surface.
     """
-    depth = depth_px(lattice.s_px, height_px, spec)
+    depth = depth_px(lattice.s_px, heights_px, spec)
     depth += np.float32(CHORD_LOSS * lattice.pitch_px**2 / spec.half_thickness_px)
     # A node on the surface itself would give triangles without area.
     nudged = np.where(depth > 0, lattice.least_px, -lattice.least_px)
@@ -336,8 +336,8 @@ def solid_steps(ink: Bool, spec: SolidSpec) -> SolidSteps:
     lattice = lattice_of(ink, spec)
     counts = binarisation.count_bodies_and_holes(lattice.ink)
     while True:
-        layers = [erode(lattice, height_px, spec) for height_px in lattice.heights_px(spec)]
-        upper_half = stack(layers)
+        layers = erode(lattice, lattice.heights_px(spec), spec)
+        upper_half = stack(list(layers))
         surface = half_surface(upper_half, lattice)
         smoothed = smooth(surface, spec.smoothing_iterations, spec.smoothing_factor)
         found = bodies_and_holes(len(smoothed.vertices_px), smoothed.faces, len(smoothed.rim))

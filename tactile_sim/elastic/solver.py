@@ -14,7 +14,7 @@ from scipy.fft import fft, ifft, irfft, rfft
 
 from tactile_sim.elastic import steps
 from tactile_sim.elastic.layer import Complex64, Layer
-from tactile_toolkit.array_types import Bool, Float32, Float64
+from tactile_toolkit.array_types import Float32, Float64
 
 _PRESS_TOLERANCE = 7e-4  # largest error of the gap, relative to the depth
 _SHEAR_TOLERANCE = 1e-4  # root mean square of the error along the surface, relative to the largest motion
@@ -29,10 +29,9 @@ class Solution(NamedTuple):
 
     Attributes
     ----------
-    fields : ndarray of float64, shape (6, R, C)
-        Pressure, traction along x and y, Pa; displacement along x, y and z, metres; row 0 at the greatest y.
-    is_contact, is_stick : ndarray of bool, shape (R, C)
-        Where the body touches the gel, and where it sticks.
+    fields : ndarray of float64, shape (8, R, C)
+        Pressure, traction along x and y, Pa; displacement along x, y and z, metres; 1 where the body touches
+        the gel, and where it sticks; row 0 at the greatest y.
     depth_m : float
         How far the highest point is pressed in.
     error : float
@@ -42,8 +41,6 @@ class Solution(NamedTuple):
     """
 
     fields: Float64
-    is_contact: Bool
-    is_stick: Bool
     depth_m: float
     error: float
     iterations: int
@@ -95,13 +92,12 @@ def solve(
     else:
         state.press(math.inf)  # only the error
     rows, columns = below_m.shape
-    whole = np.concatenate([[state.p], state.q, state.bend + state.aside, [state.u + state.lifted]])
-    inside = (..., slice(-2, 0, -1), slice(1, -1))
-    fields = whole.reshape(6, rows + 2, columns + 2)[inside].astype(np.float64)
-    is_stick = ((state.bound > 0.0) & ~state.slips).reshape(rows + 2, columns + 2)[inside]
-    return Solution(
-        fields, fields[0] > 0.0, is_stick, state.depth_m, state.worst_m / state.depth_m, iterations
-    )
+    is_stick = (state.bound > 0.0) & ~state.slips
+    along = state.bend + state.aside
+    fields = np.vstack([state.p, state.q, along, state.u + state.lifted, state.p > 0.0, is_stick])
+    fields = fields.reshape(-1, rows + 2, columns + 2)
+    inside = fields[:, -2:0:-1, 1:-1].astype(np.float64)
+    return Solution(inside, state.depth_m, state.worst_m / state.depth_m, iterations)
 
 
 class _State:
@@ -132,7 +128,10 @@ class _State:
         layer: Layer,
         start: float,
     ) -> None:
-        self._layer, self._target, self._is_force, self._friction = layer, target, is_force, friction
+        self._layer = layer
+        self._target = target
+        self._is_force = is_force
+        self._friction = friction
         self._shape = (below_m.shape[0] + 2, below_m.shape[1] + 2)
         self._below = np.pad(below_m[::-1], 1, constant_values=_FAR_M).astype(np.float32).ravel()
         y, x = (
@@ -184,7 +183,8 @@ class _State:
 
     def shear(self, tolerance: float) -> int:
         """Solve for the traction, and find how far it lifts the surface; return the number of steps."""
-        spectra, bound = self._layer.spectra, self.bound
+        spectra = self._layer.spectra
+        bound = self.bound
         wanted = self._motion - self.aside
         # Pixels that slipped before start on the new limit.
         size = np.hypot(*self.q)

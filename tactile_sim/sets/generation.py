@@ -11,6 +11,7 @@ from typing import Any, Unpack
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from tactile_sim.kind import KIND
 from tactile_sim.press.pressable import Pressable
@@ -18,7 +19,7 @@ from tactile_sim.sets import round_press, touched_solids
 from tactile_sim.sets.round_plan import plan_round
 from tactile_sim.sets.touch_spec import GenerateSpec
 from tactile_toolkit import catalog, generation, places, read, rows, store, touch
-from tactile_toolkit.array_types import Float16, Float32, Float64, Int64
+from tactile_toolkit.array_types import Float32, Float64, Int64
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.json_types import JsonObject
 
@@ -105,10 +106,10 @@ class SyntheticRound:
     marker_flow_px: Float32 | None = _extra(
         "marker_flow_px", "T x 2 M, px", "how far each marker moved: column, row"
     )
-    pressure_kpa: Float16 | None = _extra(
+    pressure_kpa: NDArray[np.float16] | None = _extra(
         "pressure_kpa", "T x H W, kPa", "pressure on the gel under each pixel, row after row"
     )
-    displacement_mm: Float16 | None = _extra(
+    displacement_mm: NDArray[np.float16] | None = _extra(
         "displacement_mm",
         "T x 3 H W, mm",
         "displacement of its surface under each pixel: along x, along y, into the gel",

@@ -51,13 +51,11 @@ class SplitFiles:
 class FolderSummary:
     """An entire folder: its splits in canonical order, and their schema.
 
-    With ``recorded``, the values come from the manifest, without opening files. ``viewer`` are files that
-    repeat the rows of a split for the page of the Hub, if the manifest lists any.
+    ``viewer`` are files that repeat the rows of a split for the page of the Hub, if the manifest lists any.
     """
 
     splits: tuple[SplitFiles, ...]
     schema: pa.Schema
-    recorded: bool = False
     viewer: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
@@ -89,7 +87,7 @@ def folder_summary(
     if not splits:
         raise InputError(folder.missing_message("Parquet files"), next="give the folder of a data set")
     schema = splits[0].shards[0].schema
-    return FolderSummary(tuple(splits), schema, manifest is not None, viewer_files(manifest))
+    return FolderSummary(tuple(splits), schema, viewer_files(manifest))
 
 
 def _recorded(folder: store.DataFolder, split: str, records: Sequence[store.ShardRecord]) -> SplitFiles:

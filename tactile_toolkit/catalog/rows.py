@@ -9,41 +9,19 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
 from tactile_toolkit import mesh, places, read, run, store
-from tactile_toolkit.array_types import AnyArray, Bool, Int64
+from tactile_toolkit.array_types import Bool, Int64
 from tactile_toolkit.catalog.row_options import GivenId, IdChoice, id_range, id_text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 
 D = TypeVar("D", bound=read.AnyRecords)
-C = TypeVar("C", bound="Classified")
-
-
-class Classified(Protocol):
-    """Rows with ids of objects and classes."""
-
-    @property
-    def ids(self) -> AnyArray:
-        """Id of each row."""
-
-    @property
-    def object_ids(self) -> AnyArray:
-        """Id of the object of each row."""
-
-    @property
-    def labels(self) -> Int64:
-        """Class of each row."""
-
-    @property
-    def label_names(self) -> tuple[str, ...]:
-        """Name of each class."""
-
-    def __len__(self) -> int:
-        """Return the number of rows."""
+# Rows with ids, object_ids, labels and label_names, such as a RecordDataset.
+C = TypeVar("C", bound=Any)
 
 
 def open_splits(
@@ -119,7 +97,7 @@ def choose_rows(
     return found
 
 
-def _with_id(rows: Classified, given: GivenId) -> Bool:
+def _with_id(rows: Any, given: GivenId) -> Bool:
     """Return a mask of the rows with a given id, or one in a given range: of the object, or of the row."""
     values = rows.object_ids
     if isinstance(given, str) and rows.ids.dtype.kind not in "iuf":
@@ -278,9 +256,7 @@ def refuse_source(folder: store.DataFolder, name: str, source_files: Iterable[Lo
 
 def short_name(name: str) -> str:
     """Return the name of a data set without its parent folders, which a published page must not show."""
-    if store.is_remote(name):
+    path = store.local_path(name)
+    if path is None:
         return name.rstrip("/").rpartition("/")[2]
-    place = store.expanded(store.normalize_uri(name))
-    if place.exists():
-        return place.resolve().name
-    return name
+    return path.resolve().name if path.exists() else name

@@ -15,7 +15,7 @@ import msgspec
 from tactile_toolkit import cards, hub, places, run, store
 from tactile_toolkit.errors import BusyError, InputError, IntegrityError, SpecMismatchError, ToolkitError
 from tactile_toolkit.json_types import JsonDict
-from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.kind import DatasetKind, PublishedSet
 
 # Files that are adapted to the splits of the folder.
 _METADATA_FILES = (cards.CARD_FILE, store.MANIFEST_FILE)
@@ -34,8 +34,8 @@ class DownloadPlan:
     ----------
     repository : HubRepository
         Source.
-    held : dict of str to tuple of str
-        Files of each split of the repository.
+    place : Place
+        The splits of the repository and their files.
     folder : DataFolder or None
         Target; None for the Hub's own cache.
     splits : tuple of str
@@ -54,7 +54,7 @@ class DownloadPlan:
     """
 
     repository: hub.HubRepository
-    held: Mapping[str, tuple[str, ...]]
+    place: places.Place
     folder: store.DataFolder | None
     splits: tuple[str, ...]
     missing: tuple[store.HubFile, ...]
@@ -62,6 +62,11 @@ class DownloadPlan:
     is_done: bool
     record: store.DownloadRecord
     earlier: store.DownloadRecord | None
+
+    @property
+    def published(self) -> PublishedSet | None:
+        """The published data set that is downloaded; None for others."""
+        return places.published_set(self.repository.repo_id)
 
     @property
     def missing_bytes(self) -> int:
@@ -93,28 +98,27 @@ def plan_download(
     published = places.kind_of_published(name)
     if kind is not None and published is not None:
         places.require_kind(published, kind, name, "download")
-    named = places.repository_named(name, revision)
-    repository = hub.open_repository(named.repo_id, named.revision, patient=True, on_wait=on_wait)
+    repository = places.find_repository(name, revision, on_wait)
     if out is not None and repository.is_cache:  # which may list a part of the files only
         raise hub.not_cached(repository.repo_id, "the present list of files")
     place = places.repository_place(repository, repository.repo_id, config=config).require_config(config)
     if kind is not None and place.is_kind_stated:
         place.require(kind, "download")
-    return _plan(repository, place.files, splits, None if out is None else store.open_folder(out))
+    return _plan(repository, place, splits, None if out is None else store.open_folder(out))
 
 
 def _plan(
     repository: hub.HubRepository,
-    held: Mapping[str, tuple[str, ...]],
+    place: places.Place,
     splits: Sequence[str],
     folder: store.DataFolder | None,
 ) -> DownloadPlan:
-    """Compare the files of a repository (``held`` by split) with those of the target."""
+    """Compare the files of a repository with those of the target."""
     earlier = None if folder is None else _earlier_record(folder, repository)
     recorded: Mapping[str, store.HubFile] = {}
     if earlier is not None:
         recorded = earlier.files
-    manifest, place = repository.manifest, places.Place(repository.repo_id, repository, held)
+    manifest = repository.manifest
     # Other tools write files of that name, too.
     metadata = tuple(
         path
@@ -124,7 +128,8 @@ def _plan(
     all_splits = place.splits
     wanted = set(all_splits)
     if splits:
-        wanted = {*splits, *(each for each in all_splits if not recorded.keys().isdisjoint(held[each]))}
+        wanted = {split for split in all_splits if not recorded.keys().isdisjoint(place.files[split])}
+        wanted.update(splits)
     chosen = tuple(split for split in all_splits if split in wanted)
     paths = _accompanying_files(repository, chosen, metadata * (folder is None))
     for split in dict.fromkeys([*chosen, *splits]):
@@ -151,7 +156,7 @@ def _plan(
     elif missing and repository.is_cache:
         raise hub.not_cached(repository.repo_id, repr(missing[0].path))
     leftover = [path for path in recorded if path not in files]
-    return DownloadPlan(repository, held, folder, chosen, missing, leftover, is_done, record, earlier)
+    return DownloadPlan(repository, place, folder, chosen, missing, leftover, is_done, record, earlier)
 
 
 def _is_intact(folder: store.DataFolder, earlier: store.DownloadRecord | None, file: store.HubFile) -> bool:
@@ -240,7 +245,7 @@ def run_download(
                 repository.on_wait(f"{error.what}; this download begins when it has ended")
                 stack.enter_context(folder.locked(is_patient=True))
             if store.read_download_record(folder) != plan.earlier:  # another download has changed the folder
-                plan = _plan(repository, plan.held, plan.splits, folder)
+                plan = _plan(repository, plan.place, plan.splits, folder)
             if not plan.is_done:
                 _execute(plan, folder, on_progress)
     return folder.address()
@@ -301,8 +306,8 @@ def _fitted_card(plan: DownloadPlan, folder: store.DataFolder, is_part: bool, ca
     Shards and manifest must be in place.
     """
     # ``datasets.load_dataset(folder)`` fails if the head names a split that is not in the folder.
-    held = {split: plan.held[split] for split in plan.splits}
-    here = cards.card_head(cards.folder_summary(folder, place=places.Place(folder.address(), folder, held)))
+    files = {split: plan.place.files[split] for split in plan.splits}
+    here = cards.card_head(cards.folder_summary(folder, place=places.Place(folder.address(), folder, files)))
     note = ""
     if is_part:
         note = (

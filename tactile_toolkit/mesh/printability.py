@@ -272,27 +272,16 @@ def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
     wall_mm = min(wall_mm, thinnest_wall_mm(vertices_mm, faces, WALL_REACH_MM))
     overhang_share = overhang_mm2 / max(section_area_mm2(outlines), 1e-9)
     mass_g = check.volume_mm3 * profile.density_g_cm3 / 1000.0
-    warnings = _warnings(profile, check.bodies, size_mm, wall_mm, overhang_share, contact_mm2)
-    measured = (mass_g, *size_mm, wall_mm, overhang_mm2, contact_mm2)
-    return PrintReport(True, check.status, None, None, *counts, *measured, warnings, mesh.notes)
-
-
-def _warnings(
-    profile: PrintProfile,
-    bodies: int,
-    size_mm: tuple[float, float, float],
-    wall_mm: float,
-    overhang_share: float,
-    contact_mm2: float,
-) -> tuple[str, ...]:
     # The print may be rotated, so its longer side lies along the longer side of the plate.
-    sides = zip(sorted(size_mm[:2]), sorted(profile.plate_mm), strict=True)
-    found = {
+    sides_mm = zip(sorted(size_mm[:2]), sorted(profile.plate_mm), strict=True)
+    is_raised = {
         "thin-wall": wall_mm < profile.min_wall_mm,
-        "separate-bodies": bodies > 1,
+        "separate-bodies": check.bodies > 1,
         "overhang": overhang_share > profile.max_overhang_share,
         "small-contact": contact_mm2 < profile.min_contact_mm2,
-        "larger-than-plate": any(side > room for side, room in sides),
+        "larger-than-plate": any(side > plate for side, plate in sides_mm),
         "too-tall": size_mm[2] > profile.max_height_mm,
     }
-    return tuple(name for name in WARNINGS if found[name])
+    warnings = tuple(word for word in WARNINGS if is_raised[word])
+    measured = (mass_g, *size_mm, wall_mm, overhang_mm2, contact_mm2)
+    return PrintReport(True, check.status, None, None, *counts, *measured, warnings, mesh.notes)

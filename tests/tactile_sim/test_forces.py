@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import realtouch
 import tactile_sim
@@ -330,7 +331,7 @@ def test_forces_and_markers_come_back_from_lerobot(touches, tmp_path):
             np.testing.assert_array_equal(one.extra[name], other.extra[name], err_msg=name)
 
 
-def test_a_gallery_shows_pressure_and_flow(touches, tmp_path):
+def test_galleries_and_previews_show_pressure_and_flow(touches, tmp_path):
     touch = realtouch.load(touches, "train").touches()[0]
     image, pressure, flow = force_views(touch)
     assert image.shape == pressure.shape == flow.shape == (24 * 5, 32 * 5, 3)
@@ -341,6 +342,10 @@ def test_a_gallery_shows_pressure_and_flow(touches, tmp_path):
     assert 0.001 < (flow.sum(axis=2) < 600).mean() < 0.2
     assert call("realtouch", "gallery", touches, "--out", tmp_path / "site", "-q") == 0
     assert list(tmp_path.rglob("*stills.jpg"))
+    assert call("realtouch", "preview", touches, "--out", tmp_path / "grid.png", "-q") == 0
+    grid = np.asarray(Image.open(tmp_path / "grid.png"))
+    found = (grid == pressure[2 * 5 + 2, 2 * 5 + 2]).all(axis=2).any(axis=0)
+    assert found.any(), "pressure is beside the image"
 
 
 @pytest.mark.parametrize(("width", "height"), [(16, 12), (64, 24)])

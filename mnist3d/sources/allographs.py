@@ -8,7 +8,7 @@ edge near x = 0. A run may reach a little beyond, as the page scales the digit.
 
 from __future__ import annotations
 
-from mnist3d.handwriting.curves import CLEAR, Allographs, Point, Ring, Run, Stroke, Vary, arc, lean
+from mnist3d.sources.curves import CLEAR, Allographs, Point, Ring, Run, Stroke, Vary, arc, lean
 
 
 def _oval(vary: Vary, pen: float, half: float, start_deg: float, over_deg: float) -> list[Stroke]:
@@ -468,8 +468,6 @@ FIVE_TO_NINE: Allographs = (
     ((eight_s_first, 0.40), (eight_two_rings, 0.10), (eight_open, 0.28), (eight_unclosed, 0.22)),
     ((nine_straight, 0.50), (nine_curved, 0.27), (nine_g_shaped, 0.08), (nine_open, 0.15)),
 )
-
-
 ALLOGRAPHS = ZERO_TO_FOUR + FIVE_TO_NINE
 """For each digit its shapes, and the share of writers who prefer them; seeded digits depend on their order.
 

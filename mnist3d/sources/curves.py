@@ -11,20 +11,15 @@ from tactile_toolkit.array_types import Float64
 
 Point = tuple[float, float]
 """x to the right, y down."""
-
 Vary = Callable[[float, float], float]
 """(mean, spread) -> value for this writer and this digit."""
-
 Run = list[Point]
 Stroke = list[Run]
 Shape = Callable[[Vary, float], list[Stroke]]
-
 Allographs = tuple[tuple[tuple[Shape, float], ...], ...]
 """For each digit its shapes, and the share of writers who prefer them."""
-
 Ring = tuple[Point, Point]
 """Centre and half axes."""
-
 CLEAR = 0.06
 """Half width of the paper inside a ring, as a share of the height: thick pens write larger rings."""
 
