@@ -144,7 +144,8 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         cards.write_table_card(folder, manifest, KIND, title, COLUMNS, words["licence"], **_terms(words))
         return
     summaries = summarise(folder, manifest)
-    profile, solid = spec["print_profile"], spec["solid"]
+    profile = spec["print_profile"]
+    solid = spec["solid"]
     things = "handwritten digits"
     if classes_of(manifest) != KIND.class_names:
         things = "drawings"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image
 
-from realtouch import contact, picture_views, touch_options
+from realtouch import contact, force_pictures, picture_views, touch_options
 from realtouch.kind import KIND
 from realtouch.touches import media, opening, rounds
 from realtouch.touches.rounds import Touch
@@ -72,7 +72,10 @@ def plan_previews(
 
 
 def draw_grid(record: rounds.TouchRound, most: int) -> UInt8:
-    """Draw touches of a round, evenly spaced, with their numbers; those that met an object are framed."""
+    """Draw touches of a round, evenly spaced, with their numbers; those that met an object are framed.
+
+    Pressure and moving markers are beside the picture of a touch that has them.
+    """
     row = record.row
     heights_m = None
     if row.has_poses:
@@ -86,11 +89,13 @@ def draw_grid(record: rounds.TouchRound, most: int) -> UInt8:
             caption = f"{touch}: {heights_m[touch] * 1e3:.1f} mm"
             if heights_m[touch] >= rule.min_height_m:
                 frame = CONTACT
-        tiles.append(pictures.Tile(pictures.fitted(Touch(record, touch).image, _TILE_PX), caption, frame))
+        views = force_pictures.force_views(Touch(record, touch))
+        pixels = np.hstack([pictures.fitted(view, _TILE_PX) for view in views])
+        tiles.append(pictures.Tile(pixels, caption, frame))
     words = [f"{len(tiles)} of {_touches_in_words(record)}"]
     if heights_m is not None:
         words += [f"framed: {height_text(rule.min_height_m)}; its height next to the number"]
-    return pictures.sheet(tiles, _COLUMNS, _title(record), ("; ".join(words),))
+    return pictures.sheet(tiles, _COLUMNS // len(views), _title(record), ("; ".join(words),))
 
 
 def draw_overlay(record: rounds.TouchRound) -> UInt8:
