@@ -33,7 +33,8 @@ def info(
     Example: info DIR --json
     """
     place = opening.open(sink, name, shows_all=True).require(kind, "info")
-    manifest, folder = place.manifest, place.folder
+    manifest = place.manifest
+    folder = place.folder
     if manifest is None:
         _print_without_manifest(sink, place, kind)
         return
@@ -50,7 +51,8 @@ def _print_without_manifest(sink: output.Sink, place: places.Place, kind: Datase
     """Print the content of the splits of a data set without a manifest, and its repository."""
     record = None if place.folder is None else store.read_download_record(place.folder)
     repository = record or place.repository
-    entries, rows = [], []
+    entries = []
+    rows = []
     for split, dataset in catalog.open_splits(place, None, kind.load, kind.nouns).items():
         paths = [shard.path for shard in place.shards(split)]
         size = sum(folder.size_bytes(name) for folder, name in map(store.split_uri, paths))
@@ -142,7 +144,9 @@ def _sets_in(folder: Path) -> list[JsonDict]:
     found = []
     inner = sorted(each.name for each in folder.iterdir() if each.is_dir() and not store.is_hidden(each.name))
     for name in [".", *inner]:
-        kind, table, state = "", dict[str, dict[str, int]](), ""
+        kind = ""
+        table = dict[str, dict[str, int]]()
+        state = ""
         try:
             manifest = store.manifest_so_far(store.open_folder(str(folder / name)))
         except ToolkitError as error:
@@ -150,7 +154,8 @@ def _sets_in(folder: Path) -> list[JsonDict]:
         else:
             if manifest is None:
                 continue
-            kind, table = manifest.kind, manifest.split_table()
+            kind = manifest.kind
+            table = manifest.split_table()
             state = "finished" if manifest.complete else "unfinished"
         sums = {each: sum(split[each] for split in table.values()) for each in ("rows", "bytes")}
         found.append({"name": name, "kind": kind, "splits": ", ".join(table), **sums, "state": state})
@@ -159,7 +164,8 @@ def _sets_in(folder: Path) -> list[JsonDict]:
 
 def print_sets(sink: output.Sink, kind: DatasetKind) -> None:
     """Print the published data sets: content, licence, size, and which splits are on this machine."""
-    documents, rows = [], []
+    documents = []
+    rows = []
     for state in places.published_states(kind):
         known = state.known
         names = {"name": known.name, "repository": known.repo_id, "content": known.content}

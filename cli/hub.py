@@ -160,7 +160,9 @@ def _listed(paths: Sequence[str]) -> str:
 
 
 def _print_upload_plan(sink: Sink, prepared: exchange.PreparedUpload) -> None:
-    plan, held, where = prepared.plan, prepared.held, prepared.where
+    plan = prepared.plan
+    held = prepared.held
+    where = prepared.where
     for paths, words in (
         (prepared.left_out, "left out, not part of the data set: {}"),
         (plan.kept, "kept on the Hub, though not in the folder: {} (--delete removes these)"),
@@ -170,8 +172,8 @@ def _print_upload_plan(sink: Sink, prepared: exchange.PreparedUpload) -> None:
     if prepared.unasked:
         sink.info(f"note: {prepared.unasked}; all files are listed, as for a new repository")
     elif held is None:
-        visibility = "private" if prepared.options.private else "public"
-        sink.line(f"{visibility} repository to create: {where}")
+        visible = "private" if prepared.options.private else "public"
+        sink.line(f"{visible} repository to create: {where}")
     elif not prepared.has_branch:
         sink.line(f"branch to create at the head of main: {prepared.options.branch}")
     if plan.is_done:
@@ -196,13 +198,19 @@ def _print_upload(
     result: exchange.UploadResult | None,
     lines_of: Callable[[str | None], list[str]],
 ) -> None:
-    plan, held, where = prepared.plan, prepared.held, prepared.where
-    name, done = prepared.options.branch, result or exchange.UploadResult("")
-    address, revision = prepared.page, None
+    plan = prepared.plan
+    held = prepared.held
+    where = prepared.where
+    name = prepared.options.branch
+    done = result or exchange.UploadResult("")
+    address = prepared.page
+    revision = None
     if done.pull:  # the page of its branch (refs/pr/N) has no button to merge it
-        address, revision = f"{address}/discussions/{done.pull.rpartition('/')[2]}", done.pull
+        address = f"{address}/discussions/{done.pull.rpartition('/')[2]}"
+        revision = done.pull
     elif not prepared.options.is_main:
-        address, revision = f"{address}/tree/{name}", name
+        address = f"{address}/tree/{name}"
+        revision = name
     lines = lines_of(revision)
     sink.document(
         {
@@ -261,7 +269,8 @@ def _print_download_plan(sink: Sink, plan: exchange.DownloadPlan) -> None:
 
 
 def _print_download(sink: Sink, plan: exchange.DownloadPlan, place: str, kind: DatasetKind) -> None:
-    absent, files = {file.path for file in plan.missing}, plan.record.files.values()
+    absent = {file.path for file in plan.missing}
+    files = plan.record.files.values()
     sink.document(
         {
             "repository": plan.repository.repo_id,
@@ -278,7 +287,8 @@ def _print_download(sink: Sink, plan: exchange.DownloadPlan, place: str, kind: D
             "folder": place or None,
         }
     )
-    missing, leftover = with_count(len(plan.missing), "files"), with_count(len(plan.leftover), "files")
+    missing = with_count(len(plan.missing), "files")
+    leftover = with_count(len(plan.leftover), "files")
     if not place:
         size = bytes_text(plan.missing_bytes)
         sink.line(f"would fetch {missing}, {size}, and remove {leftover}; nothing was fetched or removed")
@@ -288,8 +298,10 @@ def _print_download(sink: Sink, plan: exchange.DownloadPlan, place: str, kind: D
         done = "nothing was left to fetch"
     sink.line(f"{done}; all {with_count(len(files), 'files')} are intact, in {place}")
     # Files in the Hub's cache are found by the name of the repository and the requested revision.
-    name, revision = plan.repository.repo_id, plan.repository.revision
+    name = plan.repository.repo_id
+    revision = plan.repository.revision
     if plan.folder is not None:
-        name, revision = place, None
+        name = place
+        revision = None
     line = kind.loading_lines(plan.repository.manifest, name, plan.splits[0], revision)[1]
     sink.line(f"next in Python: {line}")

@@ -13,7 +13,7 @@ from cli import contents, hub as hub_commands
 from cli.application import EXIT_FAILED
 from cli.options import ANY_SET, CONFIG, FOLDER, REVISION, WORKERS, Opening, argument, local_place
 from cli.output import Sink
-from tactile_sim.sensor_models import SENSORS, SensorModel
+from tactile_sim.press.sensors import SENSORS, SensorModel
 from tactile_toolkit import __version__, cards, catalog, exchange, places, store
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind

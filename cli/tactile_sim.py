@@ -15,9 +15,10 @@ from cli.application import command, new_app, run as run_app
 from cli.options import Opening, argument, local_out_folder, local_place
 from cli.output import Sink
 from cli.sensor_twins import print_sensor
-from tactile_sim import ElasticPress, GenerateSpec, PairsSpec, TouchPlan, TrainConfig, sensor_models
+from tactile_sim import ElasticPress, GenerateSpec, PairsSpec, TouchPlan, TrainConfig
 from tactile_sim.kind import KIND
-from tactile_sim.sensor_models import GELSIGHT_MINI, SensorModel
+from tactile_sim.press import sensors
+from tactile_sim.press.sensors import GELSIGHT_MINI, SensorModel
 from tactile_toolkit import catalog, checked_fields, kind, mesh, run, store, touch, wording
 from tactile_toolkit.checked_fields import text
 from tactile_toolkit.errors import InputError
@@ -98,8 +99,8 @@ def _print_made(
 def spec_of(sink: output.Sink, picture: options.Given, **others: object) -> GenerateSpec:
     """Return the specification of the options that were given."""
     known, optics = "optics" in picture, tactile_sim.default_optics()
-    sensor = picture.get("sensor", sensor_models.GELSIGHT_MINI)
-    if sensor != sensor_models.GELSIGHT_MINI:
+    sensor = picture.get("sensor", sensors.GELSIGHT_MINI)
+    if sensor != sensors.GELSIGHT_MINI:
         known, optics = True, sensor.optics_name
     spec = GenerateSpec(**{"optics": optics, **picture, **others})
     if not known and spec.optics == "depth":

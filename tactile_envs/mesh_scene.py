@@ -17,9 +17,8 @@ from tactile_envs.motion import Motion, Rows
 from tactile_envs.scene import Camera
 from tactile_envs.toucher import SensorReadings
 from tactile_sim import Sensor
-from tactile_sim.elastic_press import WholeGel, loads_of
-from tactile_sim.optics import depth_image
-from tactile_sim.sensor_noise import EpisodeNoise
+from tactile_sim.optics.sensor_noise import EpisodeNoise
+from tactile_sim.press.elastic_press import WholeGel, loads_of
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int64
 from tactile_toolkit.errors import InputError
 
@@ -313,7 +312,7 @@ class ElasticGel:
             sensors[row] += (stop_m - self._shown.press_m) * axes[row, :, 2]
         share = (sensors - motion.low_m) / (motion.high_m - motion.low_m) * 2.0 - 1.0
         readings = SensorReadings(
-            depth_image(depths_m, self._shown),
+            self._shown.depth_image(depths_m),
             depths_m.astype(np.float32),
             np.clip(share, -1.0, 1.0).astype(np.float32),
             np.zeros(count, np.bool_),  # an elastic gel is solved for touches of the plate, too

@@ -15,7 +15,7 @@ from tactile_envs import motion
 from tactile_envs.config import Action, Config, EpisodeConfig, Space
 from tactile_envs.drawing import EnvDrawing
 from tactile_envs.toucher import SensorReadings
-from tactile_sim.optics import depth_image, make_optics
+from tactile_sim.optics.rendering import Optics, make_optics
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Floating, Int64
 from tactile_toolkit.errors import InputError
 
@@ -160,7 +160,7 @@ class Camera:
 
     def __init__(self, config: Config, weights: str | Path | None = None) -> None:
         if config.optics_name == "twin" and weights is None:
-            self._optics = config.sensor_model.optics
+            self._optics: Optics = config.sensor_model.optics
         else:
             self._optics = make_optics(config.optics_name, weights, **config.optics_options)
         self.sees_depth = config.sensor_type != "depth"
@@ -176,7 +176,7 @@ class Camera:
         """Set depth maps (k, h, w), metres, that show where a touch presses the gel in less than they do."""
         self._behind = bases_m
         if not self.sees_depth:
-            self._behind = depth_image(bases_m.astype(np.float64), self.sensor)
+            self._behind = self.sensor.depth_image(bases_m.astype(np.float64))
 
     @property
     def bases(self) -> int:

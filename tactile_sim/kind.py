@@ -13,7 +13,7 @@ KIND = DatasetKind(
     content="synthetic touches",
     made_by="tactile-sim generate",
     card_template="tactile_sim.md",
-    write_card=lazy("tactile_sim.data_cards:write_card"),
+    write_card=lazy("tactile_sim.sets.data_cards:write_card"),
     needs=("sensor_image", "sensor_video"),
     missing_commands=("validate", "export"),
 )

@@ -19,7 +19,10 @@ from tactile_toolkit.json_types import JsonObject
 if TYPE_CHECKING:
     import pyarrow as pa
 
-EXPORT, MERGE, SPLIT, SELECT = "export", "merge", "split", "select"
+EXPORT = "export"
+MERGE = "merge"
+SPLIT = "split"
+SELECT = "select"
 """Operations of a manifest that made a copy: for other libraries, of several data sets, of some rows."""
 
 SHARED_COMMANDS = (

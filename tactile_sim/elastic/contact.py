@@ -158,7 +158,8 @@ def solve_contact(
     InputError
         A number is out of range or not finite, or not exactly one of ``depth_m`` and ``force_n`` is given.
     """
-    heights, pixel = _checked_heights(height_m), _checked_pixel(pixel_m)
+    heights = _checked_heights(height_m)
+    pixel = _checked_pixel(pixel_m)
     _require(isinstance(gel, Gel), f"gel is {gel!r}; expected a Gel, such as tactile_sim.Gel()")
     target = _checked_target(depth_m, force_n)
     slide = _checked_motion(slide_m, twist_rad)
@@ -265,7 +266,8 @@ def _checked_heights(height_m: ArrayLike) -> Float64:
         heights.ndim == 2 and 0 < heights.size <= touch.MAX_IMAGE_PIXELS,
         f"height_m has shape {heights.shape}; expected (H, W), at most {touch.MAX_IMAGE_PIXELS:,} pixels",
     )
-    low, high = float(heights.min()), float(heights.max())
+    low = float(heights.min())
+    high = float(heights.max())
     _require(
         math.isfinite(low) and math.isfinite(high) and high - low <= _MAX_RANGE_M,
         f"height_m goes from {low:g} to {high:g}; expected finite numbers within {_MAX_RANGE_M:g} m",

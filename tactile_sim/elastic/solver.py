@@ -128,7 +128,10 @@ class _State:
         layer: Layer,
         start: float,
     ) -> None:
-        self._layer, self._target, self._is_force, self._friction = layer, target, is_force, friction
+        self._layer = layer
+        self._target = target
+        self._is_force = is_force
+        self._friction = friction
         self._shape = (below_m.shape[0] + 2, below_m.shape[1] + 2)
         self._below = np.pad(below_m[::-1], 1, constant_values=_FAR_M).astype(np.float32).ravel()
         y, x = (
@@ -180,7 +183,8 @@ class _State:
 
     def shear(self, tolerance: float) -> int:
         """Solve for the traction, and find how far it lifts the surface; return the number of steps."""
-        spectra, bound = self._layer.spectra, self.bound
+        spectra = self._layer.spectra
+        bound = self.bound
         wanted = self._motion - self.aside
         # Pixels that slipped before start on the new limit.
         size = np.hypot(*self.q)

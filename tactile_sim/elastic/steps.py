@@ -68,13 +68,15 @@ def press_step(
     """
     depth = target
     if is_force:
-        total, count = 0.0, 0
+        total = 0.0
+        count = 0
         for at in range(len(p)):
             if p[at] > 0.0:
                 total += u[at] + below[at]
                 count += 1
         depth = total / count
-    worst, product = 0.0, 0.0
+    worst = 0.0
+    product = 0.0
     for at in range(len(p)):
         missing = np.float32(depth) - below[at] - u[at]
         if p[at] == 0.0:
@@ -85,7 +87,8 @@ def press_step(
     if worst <= tolerance * abs(depth):
         return depth, worst
     share = np.float32(_next_share(control, product, worst))
-    total, count = 0.0, 0
+    total = 0.0
+    count = 0
     for at in range(len(p)):
         step[at] = 0.0
         if p[at] > 0.0 or error[at] > 0.0:
@@ -93,7 +96,8 @@ def press_step(
             total += step[at]
             count += 1
     mean = np.float32(total / count if is_force else 0.0)
-    total, product = 0.0, 0.0
+    total = 0.0
+    product = 0.0
     for at in range(len(p)):
         if p[at] > 0.0 or error[at] > 0.0:
             step[at] -= mean
@@ -131,7 +135,10 @@ def shear_step(
     is curved: multiplier / bound is added to the stiffness (Nocedal and Wright, Numerical Optimization, 2006,
     section 12.5). ``bend`` is the displacement, ``own`` that of a pixel by its own traction.
     """
-    left, largest, product, count = 0.0, 0.0, 0.0, 0
+    left = 0.0
+    largest = 0.0
+    product = 0.0
+    count = 0
     for at in range(len(bound)):
         if bound[at] > 0.0:
             x, y = wanted[0, at] - bend[0, at], wanted[1, at] - bend[1, at]
@@ -182,11 +189,13 @@ def shear_step(
 def bring_up(fields: Float64, block_px: int) -> Float64:
     """Return fields (n, h, w) of blocks in the size of their pixels, linear between the centres of blocks."""
     count, rows, columns = fields.shape
-    out, line = np.empty((count, rows * block_px, columns * block_px)), np.empty(columns)
+    out = np.empty((count, rows * block_px, columns * block_px))
+    line = np.empty(columns)
     for field in range(count):
         for row in range(rows * block_px):
             above, down = _between(row, rows, block_px)
-            first, second = fields[field, above], fields[field, min(above + 1, rows - 1)]
+            first = fields[field, above]
+            second = fields[field, min(above + 1, rows - 1)]
             for column in range(columns):
                 line[column] = first[column] + down * (second[column] - first[column])
             for column in range(columns * block_px):

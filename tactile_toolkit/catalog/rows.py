@@ -60,14 +60,16 @@ def choose_rows(
     Raises InputError if an id, a range or a class matches no row, or no row is left.
     """
     asked = list(ids or ())
-    seen, found = np.zeros(len(asked), bool), []
+    seen = np.zeros(len(asked), bool)
+    found = []
     for split, rows in datasets:
         wanted = np.ones(len(rows), bool)
         if ids is not None:
             inside = np.zeros((len(asked), len(rows)), bool)
             for number, each in enumerate(asked):
                 inside[number] = _with_id(rows, each)
-            wanted, seen = np.any(inside, axis=0), seen | np.any(inside, axis=1)
+            wanted = np.any(inside, axis=0)
+            seen = seen | np.any(inside, axis=1)
         if labels is not None:
             classes = list(rows.label_names)
             unknown = [label for label in labels if label not in classes]
@@ -173,7 +175,8 @@ def check_rows(
             left[split] -= rows
             if rows:
                 parts.append(_Part(len(parts), split, shard, group, rows))
-    total, done = sum(part.rows for part in parts), 0
+    total = sum(part.rows for part in parts)
+    done = 0
     results: dict[int, list[CheckedRow[T]]] = {}
     for number, found in run.runner_for(workers).run(partial(_check_part, check, tuple(columns)), parts):
         results[number] = found
@@ -194,7 +197,8 @@ def _check_part(
             # In data sets of others an id may be null, or a text.
             known_id = read.whole_number(row_id)
             found = None if index in nulls else check(read.Row(block, index))
-            row, null_field = block.first_row + index, nulls.get(index, "")
+            row = block.first_row + index
+            null_field = nulls.get(index, "")
             checked.append(CheckedRow(part.split, file, row, known_id, found, null_field))
         if len(checked) == part.rows:
             break
@@ -233,13 +237,15 @@ def refuse_source(folder: store.DataFolder, name: str, source_files: Iterable[Lo
 
     ``name`` is the data set as the user gave it.
     """
-    out, files = folder.address(), [each.path for each in source_files]
+    out = folder.address()
+    files = [each.path for each in source_files]
     if not folder.is_local:
         inside = f"{out}/"
         holds = any(file.startswith(inside) for file in files)
         lies_in = inside.startswith(f"{name.rstrip('/')}/")
     else:
-        place, home = Path(out).resolve(), store.expanded(name).resolve()
+        place = Path(out).resolve()
+        home = store.expanded(name).resolve()
         # By both paths: files of the Hub's cache are links into another folder.
         named = [Path(file).absolute() for file in files]
         real = [file.resolve() for file in named]

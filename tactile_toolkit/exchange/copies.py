@@ -286,7 +286,9 @@ def _build(
     run: store.RunKeywords,
     changes: Mapping[str, RowChanges] | None = None,
 ) -> store.Manifest:
-    folder, tasks, found = store.open_folder(out), [], {}
+    folder = store.open_folder(out)
+    tasks = []
+    found = {}
     for source in sources:
         catalog.refuse_source(folder, source.name, source.table.files)
     for split in dict.fromkeys(split for source in sources for split in source.shards):

@@ -140,8 +140,9 @@ def _plan(
     is_intact = partial(_is_intact, folder or repository.folder, earlier)
     here = run.in_threads(is_intact, files.values(), _THREADS)
     missing = tuple(file for file, is_here in zip(files.values(), here, strict=True) if not is_here)
-    commit, revision = repository.commit, repository.revision
-    record = store.DownloadRecord(repository.repo_id, commit, revision, files, all_splits, metadata)
+    record = store.DownloadRecord(
+        repository.repo_id, repository.commit, repository.revision, files, all_splits, metadata
+    )
     is_done = not missing
     if folder is not None:
         own = [file.path for file in missing if file.path not in recorded and folder.exists(file.path)]
@@ -161,7 +162,8 @@ def _plan(
 
 def _is_intact(folder: store.DataFolder, earlier: store.DownloadRecord | None, file: store.HubFile) -> bool:
     """Return whether a file of a folder is intact; it is read, because a flipped bit changes no time."""
-    path, digest = file.path, file.digest
+    path = file.path
+    digest = file.digest
     if not folder.exists(path) or folder.size_bytes(path) != file.size_bytes:
         return False
     # Stores do not flip bits: a file of a finished download there is known by its size.
@@ -232,7 +234,8 @@ def run_download(
     arrived damaged twice; nothing of it is kept, intact files are), HubError (the same call continues) or
     StorageError.
     """
-    repository, folder = plan.repository, plan.folder
+    repository = plan.repository
+    folder = plan.folder
     if folder is None:
         repository.fetch(plan.missing, on_bytes=lambda done: on_progress(done, plan.missing_bytes))
         return repository.folder.address()
@@ -253,7 +256,9 @@ def run_download(
 
 def _execute(plan: DownloadPlan, folder: store.DataFolder, on_progress: Callable[[int, int], None]) -> None:
     """Bring a folder to the commit of the plan; meanwhile readers see that it is not finished."""
-    repository, record, leftover = plan.repository, plan.record, plan.leftover
+    repository = plan.repository
+    record = plan.record
+    leftover = plan.leftover
     manifest = repository.manifest
     if isinstance(folder, store.LocalFolder):  # links, which lead out of the folder, are refused first
         for path in (store.PENDING_FOLDER, store.MANIFEST_FILE, *leftover, *record.files):
@@ -279,7 +284,8 @@ def _write_metadata(plan: DownloadPlan, folder: store.DataFolder, manifest: stor
     """Write manifest and card, adapted to the splits of the folder."""
     names = plan.record.metadata_files
     found = [place.read_bytes() for place in plan.repository.local_paths(names)]
-    contents, shown = dict(zip(names, found, strict=True)), _shown(manifest)
+    contents = dict(zip(names, found, strict=True))
+    shown = _shown(manifest)
     is_part = set(plan.splits) < set(plan.record.splits)
     is_fitted = is_part or bool(shown)
     if manifest is not None and is_fitted:

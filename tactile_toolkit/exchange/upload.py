@@ -122,7 +122,8 @@ def compare(
     files: Iterable[LocalFile], held: hub.HubRepository | None, *, delete: bool = False
 ) -> UploadPlan:
     """Compare the files for a repository with those of a commit, by path and checksum."""
-    local, remote = {file.path: file for file in files}, _remote_files(held)
+    local = {file.path: file for file in files}
+    remote = _remote_files(held)
     missing = tuple(local[path] for path in sorted(local) if not local[path].has_content_of(remote.get(path)))
     return UploadPlan(missing, *_other_files(local, held, delete))
 
@@ -153,7 +154,8 @@ def _is_for_page(path: str) -> bool:
 
 def collect(root: Path, manifest: store.Manifest) -> list[str]:
     """List the files of a verified folder that are sent: files of the manifest, card, pictures."""
-    place, found = store.open_folder(str(root)), [cards.CARD_FILE, store.MANIFEST_FILE]
+    place = store.open_folder(str(root))
+    found = [cards.CARD_FILE, store.MANIFEST_FILE]
     for folder in (cards.PREVIEW_FOLDER, _PICTURE_FOLDER):
         paths = [path.relative_to(root).as_posix() for path in sorted((root / folder).rglob("*"))]
         # Names with a leading dot are unfinished files; links may lead to any file.
@@ -250,7 +252,8 @@ def prepare_upload(
     finished data set, an unusable option), IntegrityError (damage, a card that does not match the data) or
     HubError.
     """
-    chosen, place = options or UploadOptions(), store.open_folder(folder)
+    chosen = options or UploadOptions()
+    place = store.open_folder(folder)
     manifest = store.read_manifest(place)
     ask = _asking(repo_id, on_wait)
     if manifest is None:
@@ -284,7 +287,8 @@ def prepare_files(
 
     ``what`` names them in the commit. Raises InputError (an unusable option) or HubError.
     """
-    chosen, ask = options or UploadOptions(), _asking(repo_id, on_wait)
+    chosen = options or UploadOptions()
+    ask = _asking(repo_id, on_wait)
     with contextlib.ExitStack() as stack:
         scratch = stack.enter_context(store.scratch_folder())
         for path, content in files.items():
@@ -404,13 +408,15 @@ def _files_to_send(
     scratch: Path,
 ) -> tuple[store.Manifest, tuple[LocalFile, ...]]:
     """Collect the files to send, with the card for the Hub."""
-    root, made = Path(place.address()), dict[str, str]()
+    root = Path(place.address())
+    made = dict[str, str]()
     if options.viewer:
         from tactile_toolkit.exchange.copies import viewer_tables  # meshes
 
         made = viewer_tables(place, manifest, scratch)
         manifest = replace(manifest, files={**manifest.files, **made})
-    paths, facts = collect(root, manifest), cards.folder_summary(place, manifest)
+    paths = collect(root, manifest)
+    facts = cards.folder_summary(place, manifest)
     # If the pattern of a split would match another file of the repository, its files are listed one by one.
     others, _ = _other_files(paths, held, options.delete)
     stored = cards.with_repo_name(place.read_bytes(cards.CARD_FILE).decode(), repo_id)
@@ -434,7 +440,10 @@ def run_upload(prepared: PreparedUpload) -> UploadResult:
     was lost. Raises HubError (files that were sent stay on the Hub, and the same call continues) or
     IntegrityError (afterwards the Hub does not hold what the folder has).
     """
-    api, ask, options, held = huggingface_hub.HfApi(), prepared.ask, prepared.options, prepared.held
+    api = huggingface_hub.HfApi()
+    ask = prepared.ask
+    options = prepared.options
+    held = prepared.held
     here: JsonDict = {"repo_id": prepared.repo_id, "repo_type": "dataset"}
     # exist_ok: another upload may have made them meanwhile, or an answer was lost.
     if held is None:

@@ -121,7 +121,8 @@ def _without_short_name(name: str) -> str:
     if "/" in name or published_set(name) is None:
         return name
     # The folder must hold data: a checkout of the toolkit has a folder called ``mnist3d``, too.
-    place, patterns = Path(name), (store.MANIFEST_FILE, "*.parquet", f"{store.DATA_FOLDER}/*.parquet")
+    place = Path(name)
+    patterns = (store.MANIFEST_FILE, "*.parquet", f"{store.DATA_FOLDER}/*.parquet")
     is_data = place.is_file() or any(next(place.glob(pattern), None) for pattern in patterns)
     if is_data:
         return name
@@ -345,7 +346,8 @@ def loader(kind: DatasetKind, dataset: type[D], stream: type[S]) -> MeshLoader[D
     published = "".join(f", or ``{each.name}`` for the published one" for each in kind.published)
     words = {"nouns": kind.nouns, "made_by": kind.made_by, "published": published}
     load.__doc__ = _DOC.format(**words, dataset=dataset.__name__, stream=stream.__name__)
-    load.__module__, load.__qualname__ = dataset.__module__, "load"
+    load.__module__ = dataset.__module__
+    load.__qualname__ = "load"
     return load
 
 

@@ -258,7 +258,8 @@ class Place:
         otherwise = ""
         if may_take and not self.allow_incomplete:
             otherwise = _TAKE_FINISHED
-        again, record = "run the same command again", self.folder and store.read_download_record(self.folder)
+        again = "run the same command again"
+        record = self.folder and store.read_download_record(self.folder)
         if record:
             again = f"download {record.repo_id} there again"
         return IntegrityError(
@@ -357,7 +358,8 @@ class Place:
     def _recorded_shards(
         self, folder: store.DataFolder, manifest: store.Manifest, split: str
     ) -> tuple[read.Shard, ...]:
-        root, records = folder.address(), manifest.shards_of(split)
+        root = folder.address()
+        records = manifest.shards_of(split)
         if not self._is_whole(split) and not (records and self.allow_incomplete):
             if not records and self.complete:
                 raise unknown_split(split, manifest.splits, self.name)
@@ -513,11 +515,13 @@ def published_states(kind: DatasetKind) -> Iterator[PublishedState]:
     """Ask the Hub for all published sets of a kind at once."""
 
     def state(known: PublishedSet) -> PublishedState:
-        licence, hub_bytes = known.licence, None
+        licence = known.licence
+        hub_bytes = None
         with suppress(ToolkitError):
             answer = hub.open_repository(known.repo_id)
             if not answer.is_cache:
-                licence, hub_bytes = licence or answer.licence, answer.size_bytes
+                licence = licence or answer.licence
+                hub_bytes = answer.size_bytes
         cached = hub.find_cached(known.repo_id)
         if cached is None or not cached.size_bytes:
             return PublishedState(known, licence, hub_bytes, 0, [])

@@ -130,7 +130,8 @@ def _is_shard_in_data(path: str) -> bool:
 def _split_of(path: str) -> tuple[str, str]:
     """Return the split that a path states, and the folder that states it or holds the file."""
     *folders, name = path.split("/")
-    stem, parent = name.removesuffix(PARQUET), "/".join(folders)
+    stem = name.removesuffix(PARQUET)
+    parent = "/".join(folders)
     if folders != [store.DATA_FOLDER]:
         for depth, folder in enumerate(folders):
             stated = _split_in(folder)

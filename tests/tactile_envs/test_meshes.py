@@ -12,10 +12,9 @@ import env_assets
 import mnist3d
 from tactile_envs.mesh_pool import MeshPool
 from tactile_envs.touch_kernels import PADDING, raise_object
-from tactile_sim.poses import pose
-from tactile_sim.pressable import Pressable
-from tactile_sim.pressing import render_touch
-from tactile_sim.sensor import center_view
+from tactile_sim.press.pressable import Pressable
+from tactile_sim.press.pressing import pose, render_touch
+from tactile_sim.press.sensors import center_view
 from tests.env_assets.shapes import box
 
 

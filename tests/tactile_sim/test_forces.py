@@ -15,8 +15,8 @@ import realtouch
 import tactile_sim
 from realtouch.force_pictures import force_views
 from tactile_sim import ElasticPress, Gel, GenerateSpec, TouchPlan, center_view, full_view, pose
-from tactile_sim.markers import draw_markers
-from tactile_sim.optics import make_optics
+from tactile_sim.optics.rendering import make_optics
+from tactile_sim.press.markers import draw_markers
 from tactile_toolkit.errors import InputError
 from tests.command_line import call
 from tests.tactile_sim.solids import ball, block
@@ -293,13 +293,13 @@ def test_touches_of_the_plate_count_as_such(tmp_path):
 
 @pytest.mark.thorough
 def test_the_same_bytes_for_any_workers_and_after_an_interruption(tmp_path, monkeypatch):
-    monkeypatch.setattr("tactile_sim.generation._SHARD_BYTES", 1)
-    monkeypatch.setattr("tactile_sim.generation._SMALLEST_SHARD_BYTES", 1)
+    monkeypatch.setattr("tactile_sim.sets.generation._SHARD_BYTES", 1)
+    monkeypatch.setattr("tactile_sim.sets.generation._SMALLEST_SHARD_BYTES", 1)
     tactile_sim.generate(SOLIDS, SPEC, tmp_path / "one")
     tactile_sim.generate(SOLIDS, SPEC, tmp_path / "two", workers=2)
     assert _bytes(tmp_path / "one") == _bytes(tmp_path / "two")
     assert len([name for name in _bytes(tmp_path / "one") if name.startswith("data")]) == 4
-    make, made = tactile_sim.generation._make_row, []
+    make, made = tactile_sim.sets.generation._make_row, []
 
     def stopped(*arguments):
         if len(made) == 2:
@@ -308,7 +308,7 @@ def test_the_same_bytes_for_any_workers_and_after_an_interruption(tmp_path, monk
         return make(*arguments)
 
     with monkeypatch.context() as patch:
-        patch.setattr("tactile_sim.generation._make_row", stopped)
+        patch.setattr("tactile_sim.sets.generation._make_row", stopped)
         with pytest.raises(KeyboardInterrupt):
             tactile_sim.generate(SOLIDS, SPEC, tmp_path / "three")
     assert 0 < len(list((tmp_path / "three" / "data").glob("*.parquet"))) < 4
