@@ -61,7 +61,7 @@ def calibrate(
     Notes
     -----
     The fit and the networks of the reader use BLAS: on another processor, the twin may differ in the last
-    bits. A given twin renders the same bytes everywhere.
+    bits. A given twin renders the same bytes on one kind of processor.
     """
     mistakes = find_mistakes(recordings, start)
     fatal = [each for each in mistakes if each.is_fatal]
