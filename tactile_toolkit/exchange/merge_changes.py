@@ -11,7 +11,7 @@ import pyarrow as pa
 
 from tactile_toolkit import read, store
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.read.integer_columns import whole_numbers
+from tactile_toolkit.read.columns import whole_numbers
 
 _LARGEST_ID = (1 << 63) - 1
 
