@@ -53,8 +53,8 @@ _STORE = ("tactile_toolkit/store", "tactile_toolkit/run")
 _READ = ("tactile_toolkit/read", "tactile_toolkit/cache.py")
 _DIGIT = (
     "mnist3d/solid",
-    "mnist3d/solid_spec.py",
-    "mnist3d/digit_rows.py",
+    "mnist3d/digit_options.py",
+    "mnist3d/digit_records.py",
     "mnist3d/digit_generation.py",
 )
 BENCHMARKS = {
@@ -99,8 +99,8 @@ BENCHMARKS = {
         (
             "benchmarks/twin_speed.py",
             "tactile_sim/twin",
-            "tactile_sim/optics.py",
-            "tactile_sim/taxim_kernels.py",
+            "tactile_sim/optics/rendering.py",
+            "tactile_sim/optics/taxim_kernels.py",
         )
     ),
     "elastic": Benchmark(("tactile_sim/elastic",)),

@@ -24,7 +24,7 @@ from figures import tell
 
 import env_assets
 from env_assets.height_map import HeightMap, top_surface
-from mnist3d.digit_dataset import DigitRecord
+from mnist3d.digit_records import DigitRecord
 
 
 def main() -> None:

@@ -103,7 +103,7 @@ def fabricate(folder: Path, shards: int) -> None:
     import pyarrow.parquet as pq
 
     from mnist3d.digit_generation import DigitSetSpec, generate
-    from mnist3d.digit_rows import REPORT_FILE
+    from mnist3d.digit_records import REPORT_FILE
     from mnist3d.sources.synthetic import SyntheticSource
     from tactile_toolkit.store import ShardName, open_folder, write_manifest
     from tactile_toolkit.store.parquet import REPORT_STYLE, encode_parquet, sha256_hex
@@ -187,7 +187,7 @@ def fabricate_reports(folder: Path, rows: int, shards: int) -> None:
     import numpy as np
     import pyarrow as pa
 
-    from mnist3d.digit_rows import report_table
+    from mnist3d.digit_records import report_table
     from tactile_toolkit.store import ShardName
     from tactile_toolkit.store.parquet import REPORT_STYLE, encode_parquet
 
@@ -215,7 +215,7 @@ def merging(folder: Path) -> dict[str, float]:
     import pyarrow.parquet  # noqa: F401
 
     from mnist3d.digit_card import summarise
-    from mnist3d.digit_rows import REPORT_FILE
+    from mnist3d.digit_records import REPORT_FILE
     from tactile_toolkit.store import Manifest, ShardName, ShardRecord, open_folder
     from tactile_toolkit.store.parquet import merge_reports
 
@@ -241,7 +241,7 @@ def merging(folder: Path) -> dict[str, float]:
 
 def planning_digits(_: Path) -> dict[str, float]:
     from mnist3d.digit_generation import DigitGenerator, DigitSetSpec
-    from mnist3d.published_splits import SplitSpec
+    from mnist3d.digit_options import SplitSpec
     from mnist3d.sources.synthetic import SyntheticSource
     from tactile_toolkit.generation import plan_build
 

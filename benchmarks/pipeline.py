@@ -39,7 +39,7 @@ from figures import tell
 from plain_digit import NAME, plain_row
 
 from mnist3d.digit_generation import DigitSetSpec, generate, make_row
-from mnist3d.digit_rows import PARQUET_STYLE, digit_schema
+from mnist3d.digit_records import PARQUET_STYLE, digit_schema
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.store import encode_parquet
 

@@ -25,12 +25,10 @@ from scipy import ndimage
 from skimage.filters import threshold_otsu
 from skimage.measure import marching_cubes
 
-from mnist3d.digit_rows import PARQUET_STYLE, DigitRow, digit_schema
-from mnist3d.ink.binarisation import binarise
-from mnist3d.ink.cleaning import count_bodies_and_holes
-from mnist3d.solid.algorithm import solidify
-from mnist3d.solid.literal import literal_solid
-from mnist3d.solid_spec import SolidSpec
+from mnist3d.digit_options import SolidSpec
+from mnist3d.digit_records import PARQUET_STYLE, DigitRow, digit_schema
+from mnist3d.ink.binarisation import binarise, count_bodies_and_holes
+from mnist3d.solid.algorithm import literal_solid, solidify
 from tactile_toolkit.mesh import MM_PER_M, Mesh, PrintProfile, PrintReport, inspect
 from tactile_toolkit.rows import table_of
 from tactile_toolkit.store import encode_parquet

@@ -10,7 +10,7 @@ import tactile_sim
 from cli.options import Opening, argument, local_out_folder, local_place
 from cli.output import Sink
 from cli.sensor_twins import print_sensor
-from tactile_sim.sensor_models import GELSIGHT_MINI, SensorModel
+from tactile_sim.press.sensors import GELSIGHT_MINI, SensorModel
 from tactile_toolkit import mesh
 from tactile_toolkit.checked_fields import text
 from tactile_toolkit.errors import InputError

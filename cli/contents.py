@@ -5,14 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from cli import nested_values, options, output, runs
-from tactile_toolkit import catalog, checked_fields, hub, places, read, store, wording
+from tactile_toolkit import catalog, checked_fields, places, read, store, wording
 from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import DatasetKind, is_copy
 from tactile_toolkit.wording import with_count
 
 ROW = checked_fields.integer(0, help="Number of the row in its split, from 0.")
-_STATES = {True: "finished", False: "unfinished"}
 
 
 def info(
@@ -28,7 +27,8 @@ def info(
     Example: info DIR --json
     """
     place = opening.open(sink, name, shows_all=True).require(kind, "info")
-    manifest, folder = place.manifest, place.folder
+    manifest = place.manifest
+    folder = place.folder
     if manifest is None:
         _print_without_manifest(sink, place, kind)
         return
@@ -43,10 +43,10 @@ def info(
 
 def _print_without_manifest(sink: output.Sink, place: places.Place, kind: DatasetKind) -> None:
     """Print the content of the splits of a data set without a manifest, and its repository."""
-    repository: store.DownloadRecord | hub.HubRepository | None = place.repository
-    if place.folder is not None:
-        repository = store.read_download_record(place.folder) or repository
-    entries, rows = [], []
+    record = None if place.folder is None else store.read_download_record(place.folder)
+    repository = record or place.repository
+    entries = []
+    rows = []
     for split, dataset in catalog.open_splits(place, None, kind.load, kind.nouns).items():
         paths = [shard.path for shard in place.shards(split)]
         size = sum(folder.size_bytes(name) for folder, name in map(store.split_uri, paths))
@@ -140,7 +140,9 @@ def _sets_in(folder: Path) -> list[JsonDict]:
     found = []
     inner = sorted(each.name for each in folder.iterdir() if each.is_dir() and not store.is_hidden(each.name))
     for name in [".", *inner]:
-        kind, table, state = "", dict[str, dict[str, int]](), ""
+        kind = ""
+        table = dict[str, dict[str, int]]()
+        state = ""
         try:
             manifest = store.manifest_so_far(store.open_folder(str(folder / name)))
         except ToolkitError as error:
@@ -148,8 +150,9 @@ def _sets_in(folder: Path) -> list[JsonDict]:
         else:
             if manifest is None:
                 continue
-            kind, table = manifest.kind, manifest.split_table()
-            state = _STATES[manifest.complete]
+            kind = manifest.kind
+            table = manifest.split_table()
+            state = "finished" if manifest.complete else "unfinished"
         sums = {each: sum(split[each] for split in table.values()) for each in ("rows", "bytes")}
         found.append({"name": name, "kind": kind, "splits": ", ".join(table), **sums, "state": state})
     return found
@@ -157,20 +160,24 @@ def _sets_in(folder: Path) -> list[JsonDict]:
 
 def print_sets(sink: output.Sink, kind: DatasetKind) -> None:
     """Print the published data sets: content, licence, size, and which splits are on this machine."""
-    documents, rows = [], []
-    for known, (on_hub, local) in zip(kind.published, places.hub_states(kind.published), strict=True):
-        licence, size, there = known.licence, None, "?"
-        if on_hub is not None:
-            licence, size = licence or on_hub.licence, on_hub.size_bytes
-            there = wording.bytes_text(size)
-        splits, local_bytes, here = list[str](), 0, "-"
-        if local is not None and local.size_bytes:
-            splits, local_bytes = list(places.splits_by_name(local.remote, known.repo_id)), local.size_bytes
-            here = f"{wording.bytes_text(local_bytes)} ({', '.join(splits)})"
+    documents = []
+    rows = []
+    for state in places.published_states(kind):
+        known = state.known
         names = {"name": known.name, "repository": known.repo_id, "content": known.content}
-        facts = {"licence": licence, "hub_bytes": size, "local_bytes": local_bytes, "local_splits": splits}
-        documents.append({**names, "citation": known.citation, **facts})
-        rows.append((known.name, known.content, licence or "see its card", there, here))
+        facts = {
+            "citation": known.citation,
+            "licence": state.licence,
+            "hub_bytes": state.hub_bytes,
+            "local_bytes": state.local_bytes,
+            "local_splits": state.local_splits,
+        }
+        documents.append({**names, **facts})
+        there = "?" if state.hub_bytes is None else wording.bytes_text(state.hub_bytes)
+        here = "-"
+        if state.local_bytes:
+            here = f"{wording.bytes_text(state.local_bytes)} ({', '.join(state.local_splits)})"
+        rows.append((known.name, known.content, state.licence or "see its card", there, here))
     sink.document(documents)
     if not rows:
         next_step = f"`{kind.package} list` lists the published data sets that {kind.package} opens"

@@ -14,32 +14,34 @@ from tactile_toolkit.wording import with_count
 
 def _make_page(sink: output.Sink, page: gallery.Gallery, out: Path, job: options.Job) -> None:
     """Make a gallery with progress and print what was made, or only what would be made."""
-    nouns, workers = page.nouns[1], options.process_count(job.workers)
-    if job.dry_run:
-        path = gallery.site_folder(page, str(out), overwrite=job.overwrite)
-        items, splits = with_count(page.size, nouns), dict(page.splits)
-        sink.document({"path": str(path), "items": page.size, "splits": splits})
-        sink.table(("split", nouns), list(splits.items()))
-        verb = "make"
-        if (path / gallery.PAGE_FILE).exists():
-            verb = "replace the gallery in"
-        sink.line(f"would {verb} {out}: {items}; nothing was written")
-        return
+    nouns = page.nouns[1]
     start_s = time.monotonic()
     try:
         with sink.progress("making the gallery", nouns) as update:
-            site = gallery.build_site(page, str(out), workers, overwrite=job.overwrite, on_progress=update)
+            site = gallery.build_site(
+                page,
+                str(out),
+                options.process_count(job.workers),
+                overwrite=job.overwrite,
+                dry_run=job.dry_run,
+                on_progress=update,
+            )
     except KeyboardInterrupt as error:
         # The default message says that finished work is kept; half a gallery is not.
         raise KeyboardInterrupt(f"interrupted; {out} is unchanged") from error
-    index = str(Path(site.path) / gallery.PAGE_FILE)
-    made = {"items": site.items, "files": site.files, "bytes": site.bytes, "splits": site.splits}
-    sink.document({"page": index, **made})
+    items = with_count(site.items, nouns)
+    content = {"items": site.items, "splits": site.splits}
     sink.table(("split", nouns), list(site.splits.items()))
+    if job.dry_run:
+        sink.document({"path": site.path, **content})
+        verb = "replace the gallery in" if site.is_replaced else "make"
+        sink.line(f"would {verb} {out}: {items}; nothing was written")
+        return
+    sink.document({"page": site.page, "files": site.files, "bytes": site.bytes, **content})
     took = wording.duration_text(time.monotonic() - start_s)
-    items, files = with_count(site.items, nouns), with_count(site.files, "files")
-    sink.line(f"made {out} in {took}: {items}, {files}, {wording.bytes_text(site.bytes)}")
-    sink.line(f"next: open {index} in a browser")
+    size = f"{with_count(site.files, 'files')}, {wording.bytes_text(site.bytes)}"
+    sink.line(f"made {out} in {took}: {items}, {size}")
+    sink.line(f"next: open {site.page} in a browser")
 
 
 def gallery_of_meshes(

@@ -93,12 +93,9 @@ def split(
         )
     if not given and not fractions:
         raise InputError("expected --fractions, or filters such as --ids", next="add --fractions 0.8,0.2")
-    options = given or {"fractions": fractions, "seed": seed}
     source = opening.open(sink, name)
-    for number, rows in enumerate(exchange.divide(kind, source, fractions, seed, given), 1):
-        place = f"{out.rstrip('/')}/part-{number}"
-        make = partial(exchange.write_part, kind, source, rows, {**options, "part": number}, place)
-        runs.make_with_progress(sink, "copying", kind, make, work, place, runs.print_set)
+    for folder, make in exchange.plan_parts(kind, source, out, fractions, seed, given):
+        runs.make_with_progress(sink, "copying", kind, make, work, folder, runs.print_set)
 
 
 def select(

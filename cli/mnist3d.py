@@ -9,7 +9,8 @@ from typing import Annotated
 import mnist3d
 from cli import checks, declared_options, options, output, picture_prints, previews, runs, shared
 from cli.application import command, new_app, run as run_app
-from mnist3d import digit_options, published_splits, solid_spec
+from mnist3d import digit_options
+from mnist3d.digit_options import SPLITS, SplitSpec
 from mnist3d.kind import KIND
 from tactile_toolkit import cards, catalog, checked_fields, mesh, places, run, store
 from tactile_toolkit.kind import DatasetKind, lazy
@@ -22,7 +23,7 @@ def generate(
     *,
     split: str | None = checked_fields.choice(
         None,
-        (*published_splits.SPLITS, "all"),
+        (*SPLITS, "all"),
         shown="all",
         help="Split to make. By default, all images of a folder are in train.",
     ),
@@ -31,10 +32,10 @@ def generate(
         "synthetic", digit_options.SOURCES, help="Where the images come from."
     ),
     images: Annotated[declared_options.Given, declared_options.OptionsOf(digit_options.SourceOptions)],
-    division: published_splits.SplitSpec,
+    division: SplitSpec,
     per_class: int | None = catalog.PER_CLASS,
     limit: int | None = catalog.LIMIT,
-    solid: solid_spec.SolidSpec,
+    solid: digit_options.SolidSpec,
     words: cards.OwnerWords,
     making: options.Making,
     sink: output.Sink,
@@ -52,7 +53,7 @@ def generate(
         per_class=per_class,
         limit=limit,
     )
-    making_of = mnist3d.DigitGenerator.of(spec, None if split is None else published_splits.SPLITS)
+    making_of = mnist3d.DigitGenerator.of(spec, None if split is None else SPLITS)
     splits: Sequence[str] | None = None
     if split == "all":
         splits = tuple(making_of.items())
@@ -74,7 +75,7 @@ def generate(
 def _print_made(
     sink: output.Sink, kind: DatasetKind, manifest: store.Manifest, out: str, elapsed_s: float | None
 ) -> None:
-    from mnist3d.split_summary import facts_table  # pyarrow
+    from mnist3d.digit_card import facts_table  # pyarrow
 
     # The report that the figures come from is written at the end of a run.
     summaries = []

@@ -37,10 +37,8 @@ def _runner_name(text: str) -> str:
 
 def parse_address(text: str | Path) -> str:
     """Read a folder or file, local (``~`` is the home folder) or in a store (``s3://BUCKET/FOLDER``)."""
-    place = store.normalize_uri(str(text))
-    if store.is_remote(place):
-        return place
-    return str(store.expanded(place))
+    path = store.local_path(str(text))
+    return store.open_folder(str(text)).root if path is None else str(path)
 
 
 def argument(metavar: str, help: str, **option: Any) -> Any:

@@ -11,13 +11,11 @@ import mnist3d
 from cli.application import EXIT_FAILED
 from cli.options import Job, argument, local_place, process_count
 from cli.output import Sink
-from mnist3d.solid.solid_size import SolidSize
-from mnist3d.solid_spec import PROFILES
+from mnist3d.digit_options import PROFILES, SolidSize
 from tactile_toolkit import mesh
 from tactile_toolkit.checked_fields import choice, integer, real, switch, text
 from tactile_toolkit.wording import bytes_text, with_count
 
-_DOING = {True: "checking", False: "making"}
 _DONE = {True: "would write", False: "wrote"}
 _FORMATS = ("stl", "3mf", "ply", "obj", "glb")
 _INK = {True: "light", False: "auto"}
@@ -118,7 +116,7 @@ def solidify(
         ending=f".{file_format}",
         preview=preview,
     )
-    with sink.progress(_DOING[job.dry_run], "files") as update:
+    with sink.progress("checking" if job.dry_run else "making", "files") as update:
         made = mnist3d.print_pictures(
             *(pictures, out, spec),
             overwrite=job.overwrite,

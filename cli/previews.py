@@ -28,7 +28,8 @@ class Pictures:
 
     def write(self, sink: output.Sink, plan: pictures.PicturePlan, usual: str = "previews") -> None:
         """Draw planned pictures and print where they are, or print only what would be drawn."""
-        folder, drawn = self.out or Path(usual), plan.pictures
+        folder = self.out or Path(usual)
+        drawn = plan.pictures
         if folder.suffix.lower() == ".png":
             if len(drawn) != 1:
                 what = f"--out is the file {str(folder)!r}, but there are {len(drawn)} pictures"

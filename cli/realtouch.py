@@ -22,7 +22,7 @@ from cli import (
 )
 from cli.touch_checks import check
 from realtouch.kind import KIND
-from tactile_toolkit import catalog, checked_fields, kind, places, store, wording
+from tactile_toolkit import catalog, checked_fields, kind, places, store
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.wording import with_count
 
@@ -198,9 +198,10 @@ def _print_summary(sink: output.Sink, split: str, summary: realtouch.Summary) ->
     if summary.contact_share is not None:
         contact = f"{summary.contact_share:.1%} ({summary.contact_rule})"
     gels = ", ".join(f"{gel}: {with_count(n, 'rounds')}" for gel, n in summary.gel_ids.items())
+    per_round = "-".join(map(str, sorted({min(summary.touches_per_round), max(summary.touches_per_round)})))
     rows: list[tuple[str, object]] = [
         ("rounds", f"{summary.rounds:,}"),
-        ("touches", f"{summary.touches:,} ({wording.least_to_most(summary.touches_per_round)} per round)"),
+        ("touches", f"{summary.touches:,} ({per_round} per round)"),
         ("objects", f"{summary.objects:,}" if summary.objects else "unknown"),
         ("with contact", contact),
         ("labels", ", ".join(f"{name}: {count}" for name, count in summary.labels.items()) or "none"),

@@ -9,7 +9,8 @@ from typing import Annotated, Literal
 
 import tactile_sim
 from cli import declared_options, options, output
-from tactile_sim import GenerateSpec, sensor_models
+from tactile_sim import GenerateSpec
+from tactile_sim.press import sensors
 from tactile_toolkit import checked_fields, mesh, store, touch
 from tactile_toolkit.errors import InputError
 
@@ -19,8 +20,8 @@ _ENDINGS: dict[str, Literal["jpeg", "png"]] = {".png": "png", ".jpg": "jpeg", ".
 def spec_of(sink: output.Sink, picture: declared_options.Given, **others: object) -> GenerateSpec:
     """Return the specification of the options that were given."""
     known, optics = "optics" in picture, tactile_sim.default_optics()
-    sensor = picture.get("sensor", sensor_models.GELSIGHT_MINI)
-    if sensor != sensor_models.GELSIGHT_MINI:
+    sensor = picture.get("sensor", sensors.GELSIGHT_MINI)
+    if sensor != sensors.GELSIGHT_MINI:
         known, optics = True, sensor.optics_name
     spec = GenerateSpec(**{"optics": optics, **picture, **others})
     if not known and spec.optics == "depth":

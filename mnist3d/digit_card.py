@@ -1,22 +1,118 @@
-"""The data card of a data set of digits."""
+"""The data card of a data set of digits, and summaries of its splits by the roles of columns."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
-from mnist3d.digit_rows import REPORT_FILE, SUMMED_UP, DigitRow, classes_of
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from mnist3d.digit_records import REPORT_FILE, SUMMED_UP, DigitRow, classes_of
 from mnist3d.kind import KIND
 from mnist3d.sources.picture_folder import FolderSource
-from mnist3d.split_summary import SplitSummary, facts_table, summarise_columns
 from tactile_toolkit import cards, catalog, kind, store, wording
 from tactile_toolkit.json_types import JsonObject
-from tactile_toolkit.rows import meanings
+from tactile_toolkit.rows import Column, meanings
 from tactile_toolkit.wording import class_name, with_count
 
+_MAX_LISTED = 12
 COLUMNS = meanings(DigitRow)
-
 _USUAL_SIZES = {FolderSource.name: "four fifths in `train`, one fifth in `test`"}
+
+
+@dataclass(frozen=True, slots=True)
+class SplitSummary:
+    """One split: counts of the manifest, and figures of its columns by name.
+
+    Attributes
+    ----------
+    split : str
+        Name of the split.
+    counts : mapping of str to int
+        Rows, shards, bytes and skipped items.
+    facets : mapping
+        Number of rows with each value.
+    measures : mapping
+        Minimum, median and maximum; empty without rows.
+    sums : mapping
+        Totals.
+    """
+
+    split: str
+    counts: Mapping[str, int]
+    facets: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    measures: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    sums: Mapping[str, int] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, object]:
+        """Return JSON values."""
+        return {"split": self.split, **self.counts, **self.facets, **self.measures, **self.sums}
+
+    def text(self, column: Column) -> str:
+        """Return the figures of a column as text."""
+        if column.role == "sum":
+            return column.text(self.sums[column.name])
+        if column.role == "measure":
+            spread = self.measures[column.name]
+            if not spread:
+                return "-"
+            return "{0} to {2} (median {1})".format(*map(column.text, spread))
+        counts = self.facets[column.name]
+        # A row has one class, but any number of warnings, of which each is named.
+        is_even = len(counts) > 1 and len(set(counts.values())) == 1
+        if is_even and not pa.types.is_list(column.data_type):
+            return f"{next(iter(counts.values())):,} of each of {len(counts):,}"
+        if len(counts) > _MAX_LISTED:
+            return with_count(len(counts), "values")
+        return ", ".join(f"{value}: {count:,}" for value, count in counts.items()) or "none"
+
+
+def summarise_columns(
+    manifest: store.Manifest, table: pa.Table, declared: Sequence[Column]
+) -> list[SplitSummary]:
+    """Summarise the columns of a table for each split; ``table`` has a column ``split``."""
+    found = []
+    for split, counts in manifest.split_table().items():
+        rows = table.filter(pc.equal(table["split"], split))
+        found.append(
+            SplitSummary(
+                split,
+                counts,
+                {each.name: _counts(rows[each.name]) for each in declared if each.role == "facet"},
+                {each.name: _spread(rows[each.name]) for each in declared if each.role == "measure"},
+                {each.name: int(rows[each.name].to_numpy().sum()) for each in declared if each.role == "sum"},
+            )
+        )
+    return found
+
+
+def _counts(values: pa.ChunkedArray) -> dict[str, int]:
+    flat = values.combine_chunks()
+    if pa.types.is_list(flat.type):
+        flat = flat.flatten()
+    counts = {str(each["values"]): each["counts"] for each in flat.value_counts().to_pylist()}
+    return {value: counts[value] for value in sorted(counts, key=wording.natural_key)}
+
+
+def _spread(values: pa.ChunkedArray) -> tuple[float, ...]:
+    numbers = values.to_numpy()
+    if not len(numbers):
+        return ()
+    return tuple(round(float(figure(numbers)), 3) for figure in (np.min, np.median, np.max))
+
+
+def facts_table(
+    summaries: Sequence[SplitSummary], declared: Sequence[Column]
+) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Return header and lines of a table of figures: a line for each column, a column for each split."""
+    headings = [column.heading for column in declared]
+    lines = [
+        (heading, *(summary.text(column) for summary in summaries))
+        for heading, column in zip(headings, declared, strict=True)
+    ]
+    return ("", *(summary.split for summary in summaries)), lines
 
 
 def summarise(folder: store.DataFolder, manifest: store.Manifest) -> list[SplitSummary]:
@@ -26,14 +122,11 @@ def summarise(folder: store.DataFolder, manifest: store.Manifest) -> list[SplitS
     """
     report = store.read_report(folder, REPORT_FILE, ["split", *(each.name for each in SUMMED_UP)])
     names = classes_of(manifest)
-    return [
-        replace(each, facets={**each.facets, "label": _named(each.facets["label"], names)})
-        for each in summarise_columns(manifest, report, SUMMED_UP)
-    ]
-
-
-def _named(counts: Mapping[str, int], names: Sequence[str]) -> dict[str, int]:
-    return {class_name(names, int(label)): count for label, count in counts.items()}
+    summaries = []
+    for summary in summarise_columns(manifest, report, SUMMED_UP):
+        labels = {class_name(names, int(label)): count for label, count in summary.facets["label"].items()}
+        summaries.append(replace(summary, facets={**summary.facets, "label": labels}))
+    return summaries
 
 
 def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
@@ -51,7 +144,8 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         cards.write_table_card(folder, manifest, KIND, title, COLUMNS, words["licence"], **_terms(words))
         return
     summaries = summarise(folder, manifest)
-    profile, solid = spec["print_profile"], spec["solid"]
+    profile = spec["print_profile"]
+    solid = spec["solid"]
     things = "handwritten digits"
     if classes_of(manifest) != KIND.class_names:
         things = "drawings"

@@ -1,4 +1,4 @@
-"""Checks of the meshes of data sets and of single files."""
+"""Checks of the meshes of data sets and of single files, and what users of digits need for it."""
 
 from __future__ import annotations
 
@@ -13,6 +13,14 @@ from mnist3d.kind import KIND
 from tactile_toolkit import catalog, mesh, places, read, rows, store
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.mesh import (
+    Mesh as Mesh,
+    PrintProfile as PrintProfile,
+    PrintReport as PrintReport,
+    inspect as inspect,
+    read_mesh as read_mesh,
+    write_mesh as write_mesh,
+)
 
 _ROWS_SHOWN = 20
 _COLUMNS = ("id", "label", mesh.VERTICES, mesh.FACES)
@@ -195,7 +203,7 @@ def _check_data_set(
 
 def _is_single_file(path: str) -> bool:
     """Return whether a path is a local file that is not Parquet, and so is read as a mesh."""
-    if store.is_remote(path):
+    file = store.local_path(path)
+    if file is None or not file.is_file():
         return False
-    place = Path(store.normalize_uri(path))
-    return place.is_file() and not places.is_parquet_file(store.open_folder(str(place.parent)), place.name)
+    return not places.is_parquet_file(store.open_folder(str(file.parent)), file.name)

@@ -1,4 +1,4 @@
-"""Generation of a data set folder from a source of digit images."""
+"""Generation of a data set folder from a source of digit images, and the choice of the source."""
 
 from __future__ import annotations
 
@@ -10,23 +10,100 @@ from typing import Any, Unpack
 import numpy as np
 import pyarrow as pa
 
-from mnist3d import digit_rows, published_splits, solid, solid_spec
+from mnist3d import digit_options, digit_records, solid
+from mnist3d.digit_options import OWN_SIZES, PUBLISHED_SIZES, SPLITS, SplitSpec
 from mnist3d.kind import KIND
-from mnist3d.sources import digit_source, source_choice
+from mnist3d.sources import digit_arrays, digit_source, picture_folder, synthetic
 from mnist3d.splits import plan_splits
 from tactile_toolkit import generation, mesh, store
 from tactile_toolkit.array_types import Int64
 from tactile_toolkit.checked_fields import check_fields, integer
-from tactile_toolkit.errors import ItemError
-from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.json_types import JsonDict, JsonObject
+
+_NEEDED = {
+    "synthetic": (),
+    "hwdplus": ("images", "writer_info"),
+    "mnist": ("images",),
+    "folder": ("images",),
+}
+"""Options without which a source cannot be made."""
+
+_TAKEN = {
+    "synthetic": ("digits",),
+    "hwdplus": (*_NEEDED["hwdplus"], "writer_column"),
+    "mnist": (*_NEEDED["mnist"], "download"),
+    "folder": (*_NEEDED["folder"], "foreground", "threshold"),
+}
+"""All options of a source."""
+
+_UNCOMPARED = ("writers_sha256", "left_out")
+"""Parts of a fingerprint that do not affect solids."""
 
 # Time for a digit and its report on one core, seconds (AMD EPYC).
 _ROW_S = 0.016
-
 _ADD_PICTURES = (
     "to add pictures, put the new ones into a folder with the same classes, make another data set of it, and "
     "join both by `mnist3d merge OLD NEW --out BOTH`; to make all again, add --overwrite"
 )
+
+
+def chosen_source(name: str, given: JsonObject, seed: int) -> digit_source.DigitSource:
+    """Return the source that options choose; InputError for a missing option, or one of another source."""
+    for option in _NEEDED[name]:
+        if option not in given:
+            flag = f"--{option.replace('_', '-')}"
+            raise InputError(f"--source {name} needs {flag}, which was not given", next=f"add {flag}")
+    for option in given:
+        if option not in _TAKEN[name]:
+            owners = " or ".join(each for each, taken in _TAKEN.items() if option in taken)
+            raise InputError(
+                f"--{option.replace('_', '-')} does not belong to --source {name}",
+                next=f"leave it out, or name its source (--source {owners})",
+            )
+    if name == "synthetic":
+        return synthetic.SyntheticSource(seed, given.get("digits", synthetic.HWD_PLUS_COUNT))
+    if name == "hwdplus":
+        return digit_arrays.HwdPlusSource(**given)
+    if name == "folder":
+        return picture_folder.FolderSource(
+            given["images"], given.get("foreground", "auto"), given.get("threshold", "auto")
+        )
+    if given.get("download"):
+        digit_arrays.download_mnist(given["images"])
+    return digit_arrays.MnistSource(given["images"])
+
+
+def source_again(described: JsonObject, **files: str | None) -> digit_source.DigitSource:
+    """Return the source that a fingerprint describes; ``files`` are the current paths of its files.
+
+    Raises InputError if files are missing, or differ from those that the data set was made from.
+    """
+    name = described["name"]
+    if name not in _TAKEN:
+        raise InputError(
+            f"the data set was made from the unknown source {name!r}", next="draw --kind sheet only"
+        )
+    known = {
+        **files,
+        "digits": described.get("count"),
+        "foreground": described.get("ink"),
+        "threshold": described.get("threshold"),
+    }
+    given = {option: known[option] for option in _TAKEN[name] if known.get(option) is not None}
+    source = chosen_source(name, given, int(described.get("seed", 0)))
+    found = {key: value for key, value in source.fingerprint().items() if key not in _UNCOMPARED}
+    if found != {key: value for key, value in described.items() if key not in _UNCOMPARED}:
+        if files.get("images") is None:
+            raise InputError(
+                f"source {name!r} now makes other images than the data set was made from",
+                next="use the version of the toolkit that its manifest names",
+            )
+        raise InputError(
+            f"--images {files.get('images')!r} holds other images than the data set was made from",
+            next="give the same files as when it was made",
+        )
+    return source
 
 
 @dataclass(frozen=True)
@@ -55,8 +132,8 @@ class DigitSetSpec:
     """
 
     source: digit_source.DigitSource
-    solid: solid_spec.SolidSpec = field(default_factory=solid_spec.SolidSpec)
-    split: published_splits.SplitSpec = field(default_factory=published_splits.SplitSpec)
+    solid: digit_options.SolidSpec = field(default_factory=digit_options.SolidSpec)
+    split: SplitSpec = field(default_factory=SplitSpec)
     profile: mesh.PrintProfile = field(default_factory=mesh.PrintProfile)
     per_class: int | None = integer(None, 1, optional=True)
     limit: int | None = integer(None, 1, optional=True)
@@ -99,34 +176,34 @@ class DigitGenerator(generation.RowGenerator):
 
     def items(self) -> Mapping[str, Int64]:
         """Return the ids of each split; reads the catalog of the source only."""
-        sizes: Mapping[str, int] = published_splits.PUBLISHED_SIZES
-        splits: tuple[str, ...] = published_splits.SPLITS
+        sizes: Mapping[str, int] = PUBLISHED_SIZES
+        splits: tuple[str, ...] = SPLITS
         catalog = self.spec.source.catalog()
         if catalog.has_files:
-            sizes = published_splits.OWN_SIZES
+            sizes = OWN_SIZES
             named = dict(self.spec.split.sizes or sizes)
-            splits = tuple(split for split in published_splits.SPLITS if split in named)
+            splits = tuple(split for split in SPLITS if split in named)
         plan = plan_splits(catalog, self.spec.split, sizes)
         return {split: plan.rows(split, self.spec.per_class, self.spec.limit) for split in splits}
 
     def layout(self) -> generation.StorageLayout:
         """Return the storage layout of rows."""
         return generation.StorageLayout(
-            digit_rows.PARQUET_STYLE,
+            digit_records.PARQUET_STYLE,
             libraries=("manifold3d", "numpy", "pillow", "pyarrow", "scikit-image", "scipy"),
             smallest=50,
             largest=128,  # 7 MB at 52.6 kB per mesh: a kill loses seconds of work
             wanted=16,
             sampled=8,
-            report_file=digit_rows.REPORT_FILE,
+            report_file=digit_records.REPORT_FILE,
         )
 
     def schema(self, split: str) -> pa.Schema:
         """Return the Arrow schema of a shard."""
         catalog = self.spec.source.catalog()
-        return digit_rows.stored_schema(catalog.class_names, has_files=catalog.has_files)
+        return digit_records.stored_schema(catalog.class_names, has_files=catalog.has_files)
 
-    def make(self, split: str, items: Any) -> Iterator[digit_rows.DigitRow | store.Skipped]:
+    def make(self, split: str, items: Any) -> Iterator[digit_records.DigitRow | store.Skipped]:
         """Yield the row of each digit, or the reason why it gives no solid."""
         for digit_id in items.tolist():
             try:
@@ -134,9 +211,9 @@ class DigitGenerator(generation.RowGenerator):
             except ItemError as error:
                 yield store.Skipped(digit_id, error.reason, error.message)
 
-    def report(self, shard: store.ShardName, rows: Sequence[digit_rows.DigitRow]) -> pa.Table:
+    def report(self, shard: store.ShardName, rows: Sequence[digit_records.DigitRow]) -> pa.Table:
         """Return the printability report of the meshes."""
-        return digit_rows.report_table(shard, rows)
+        return digit_records.report_table(shard, rows)
 
     def next_if_other(self) -> str:
         """Return the advice on adding pictures to a data set of a folder; empty for other sources."""
@@ -154,7 +231,7 @@ class DigitGenerator(generation.RowGenerator):
         return _solid_of(self.spec.source.image(digit_id), self.spec)
 
 
-def make_row(digit_id: int, spec: DigitSetSpec) -> digit_rows.DigitRow:
+def make_row(digit_id: int, spec: DigitSetSpec) -> digit_records.DigitRow:
     """Read one digit, make its solid and inspect it.
 
     Raises ItemError when the image cannot be used, or the mesh does not bound a solid (the reason is one of
@@ -169,7 +246,7 @@ def make_row(digit_id: int, spec: DigitSetSpec) -> digit_rows.DigitRow:
     # Only meshes that bound a solid are stored.
     if report.problem is not None:
         raise ItemError(report.problem, f"{where} gives no valid solid: {report.detail}")
-    return digit_rows.DigitRow(
+    return digit_records.DigitRow(
         id=digit.id,
         label=digit.label,
         vertices_m=made.vertices_m,
@@ -230,8 +307,8 @@ def generate(
 def digit_recipe(seed: int, per_class: int | None) -> generation.Recipe:
     """Return the recipe that makes digits without input, from the embedded synthetic source."""
     spec = DigitSetSpec(
-        source_choice.chosen_source("synthetic", {}, seed),
-        split=published_splits.SplitSpec(seed=seed),
+        chosen_source("synthetic", {}, seed),
+        split=SplitSpec(seed=seed),
         per_class=per_class,
     )
     making = DigitGenerator(spec)

@@ -6,14 +6,13 @@ from functools import partial
 from os import fspath
 from pathlib import Path
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from mnist3d import digit_dataset, digit_options, digit_rows, ink, solid, sources
+from mnist3d import digit_generation, digit_options, digit_records, ink, solid, sources
+from mnist3d.digit_options import SolidSpec
 from mnist3d.kind import KIND
-from mnist3d.solid_spec import SolidSpec
-from mnist3d.sources import picture_files, picture_levels, source_choice
+from mnist3d.sources import picture_files
 from tactile_toolkit import catalog, gallery, mesh, pictures, store
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import InputError
@@ -21,8 +20,7 @@ from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.places import Name, Place, open_place
 from tactile_toolkit.rows import with_role
 
-_VIEW_PX = 520
-_SHOWN = (*with_role(digit_rows.DigitRow, "facet"), *with_role(mesh.PrintReport, "facet", "measure"))
+_SHOWN = (*with_role(digit_records.DigitRow, "facet"), *with_role(mesh.PrintReport, "facet", "measure"))
 
 
 def plan_previews(name: Name | Place, spec: digit_options.DigitPreviewSpec) -> pictures.PicturePlan:
@@ -44,10 +42,10 @@ def plan_previews(name: Name | Place, spec: digit_options.DigitPreviewSpec) -> p
 
 def is_picture_or_mesh(name: str) -> bool:
     """Return whether a name is the path of a local picture or mesh file rather than a data set."""
-    if store.is_remote(name):
+    path = store.local_path(name)
+    if path is None or not path.is_file():
         return False
-    path = store.expanded(name)
-    return path.suffix.lower() in (*mesh.FORMATS, *picture_files.ENDINGS) and path.is_file()
+    return path.suffix.lower() in (*mesh.FORMATS, *picture_files.ENDINGS)
 
 
 def _plan_file(name: str, spec: digit_options.DigitPreviewSpec) -> pictures.PicturePlan:
@@ -62,7 +60,7 @@ def _plan_file(name: str, spec: digit_options.DigitPreviewSpec) -> pictures.Pict
     stem = pictures.file_stem(name)
     if kind == "sheet":
         part = mesh.read_mesh(path, unit=spec.unit)
-        drawings = [(f"{stem}-sheet.png", partial(draw_mesh, part, path.name))]
+        drawings = [(f"{stem}-sheet.png", partial(pictures.draw_mesh, part, path.name))]
     else:
         mesh.refuse_unit(spec.unit, name)
         drawings = _plan_pages(path, stem)
@@ -73,13 +71,16 @@ def _plan_file(name: str, spec: digit_options.DigitPreviewSpec) -> pictures.Pict
 
 def _plan_pages(path: Path, stem: str) -> list[tuple[str, partial[UInt8]]]:
     """Read the pages of a picture, one digit each; return file names and functions that draw the steps."""
-    pages, drawings = picture_files.pages_of(path), []
+    pages = picture_files.pages_of(path)
+    drawings = []
     for number, page in enumerate(pages, 1):
-        file, title = f"{stem}-steps.png", path.name
+        file = f"{stem}-steps.png"
+        title = path.name
         if len(pages) > 1:
-            file, title = f"{stem}-{number}-steps.png", f"{path.name}, page {number}"
+            file = f"{stem}-{number}-steps.png"
+            title = f"{path.name}, page {number}"
         # Fitted into 500 px, as by the sources; the default specification is for that size.
-        pixels = ink.fit(picture_levels.read_picture(path, page=page, whole=True))
+        pixels = ink.fit(picture_files.read_picture(path, page=page, whole=True))
         drawings.append((file, partial(solid.draw_steps, pixels, SolidSpec(), title)))
     return drawings
 
@@ -88,7 +89,8 @@ def _plan_steps(
     chosen: pictures.ChosenRows, spec: digit_options.DigitPreviewSpec
 ) -> list[pictures.PlannedPicture]:
     """Plan the steps of the digits with given ids, or of the first digit."""
-    made_by, set_name = chosen.place.made_by, chosen.place.name
+    made_by = chosen.place.made_by
+    set_name = chosen.place.name
     if "source" not in made_by:
         raise InputError(
             f"{set_name!r} does not name the source of its images", next="draw --kind sheet only"
@@ -96,7 +98,7 @@ def _plan_steps(
     with catalog.specification_read(set_name):
         files = {"images": spec.images, "writer_info": spec.writer_info}
         options = {option: str(path) for option, path in files.items() if path is not None}
-        source = source_choice.source_again(made_by["source"], **options)
+        source = digit_generation.source_again(made_by["source"], **options)
         solid_spec = SolidSpec(**made_by["solid"])
 
     def draw(number: int, title: str) -> UInt8:
@@ -112,36 +114,17 @@ def _plan_steps(
     return planned if spec.ids else planned[:1]
 
 
-def draw_mesh(part: mesh.Mesh, title: str) -> UInt8:
-    """Draw a mesh from above, with a scale bar and its measures."""
-    widest_m = float(np.ptp(part.vertices_m[:, :2], axis=0).max())
-    px_per_m = _VIEW_PX / max(widest_m, 1e-9)
-    tile = pictures.Tile(pictures.relief(part.vertices_m, part.faces, px_per_m))
-    return pictures.sheet([tile], 1, title, object_facts(part), px_per_mm=px_per_m / mesh.MM_PER_M)
-
-
-def object_facts(part: mesh.Mesh) -> tuple[str, ...]:
-    """Return the measures of a mesh as text, and the reason if it is not a solid."""
-    size = pictures.size_text(part)
-    parts = f"{len(part.vertices_m):,} vertices, {len(part.faces):,} triangles"
-    verdict = mesh.check_manifold(part)
-    if verdict.problem is not None:
-        return f"{size}; {parts}", f"not a solid: {verdict.detail}"
-    bodies = "one body" if verdict.bodies == 1 else f"{verdict.bodies} bodies"
-    return (f"{size}; volume {verdict.volume_mm3:,.0f} mm³; {parts}; {bodies}",)
-
-
 def plan_gallery(name: Name | Place, chosen: catalog.RowFilter = catalog.NO_FILTER) -> gallery.Gallery:
     """Plan a gallery of digits; see :func:`~tactile_toolkit.gallery.gallery_of_rows`."""
     # The report of the data set, if it has one, is read instead of inspecting meshes again.
     place = open_place(name)
     folder = place.folder
-    has_report = folder is not None and folder.exists(digit_rows.REPORT_FILE)
+    has_report = folder is not None and folder.exists(digit_records.REPORT_FILE)
 
-    def reports(rows: digit_dataset.DigitDataset, split: str) -> list[JsonObject | None]:
+    def reports(rows: digit_records.DigitDataset, split: str) -> list[JsonObject | None]:
         if folder is None or not has_report:
             return [None] * len(rows)
-        report = store.read_report(folder, digit_rows.REPORT_FILE)
+        report = store.read_report(folder, digit_records.REPORT_FILE)
         of_rows = pc.and_(pc.equal(report["split"], split), pc.is_in(report["id"], pa.array(rows.ids)))
         by_id = {row["id"]: row for row in report.filter(of_rows).to_pylist()}
         return [by_id.get(number) for number in rows.ids.tolist()]
@@ -151,7 +134,7 @@ def plan_gallery(name: Name | Place, chosen: catalog.RowFilter = catalog.NO_FILT
     )
 
 
-def _facts(record: digit_dataset.DigitRecord, report: JsonObject | None) -> JsonDict:
+def _facts(record: digit_records.DigitRecord, report: JsonObject | None) -> JsonDict:
     if report is None:
         inspected = mesh.inspect(mesh.Mesh(record.vertices_m, record.faces))
         problem = [] if inspected.problem is None else [inspected.problem]

@@ -1,8 +1,4 @@
-"""The split of each digit: a pure function of seed and ids.
-
-The five splits and their sizes are those of MNIST 3D (Tactile MNIST paper, table of the MNIST 3D splits; the
-table prints the name of the last one as ``printed_train`` a second time).
-"""
+"""Division of digits into splits: a pure function of seed and ids."""
 
 from __future__ import annotations
 
@@ -12,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mnist3d.published_splits import PUBLISHED_SIZES, SPLITS, SplitSpec
+from mnist3d.digit_options import PUBLISHED_SIZES, SPLITS, SplitSpec
 from mnist3d.sources.digit_source import NO_WRITER, DigitCatalog
 from tactile_toolkit.array_types import Int64, Integers
 from tactile_toolkit.errors import InputError

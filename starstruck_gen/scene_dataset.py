@@ -266,7 +266,8 @@ class MadeScene(read.RowGroup):
     # Not cached properties, whose locks take 1/20 of the time of a scene and its mesh.
     @property
     def _scene(self) -> scene.Scene:
-        source, row = self._source, self.first_row
+        source = self._source
+        row = self.first_row
         return self.once(
             "scene", lambda: sampling.sample_scenes(source.spec, source.split, source.seed, row, 1)[0]
         )

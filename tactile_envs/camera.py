@@ -8,7 +8,7 @@ import numpy as np
 
 from tactile_envs.config import Config
 from tactile_envs.toucher import SensorReadings
-from tactile_sim.optics import depth_image, make_optics
+from tactile_sim.optics.rendering import Optics, make_optics
 from tactile_toolkit.array_types import Float32, Floating, Int64
 
 
@@ -39,7 +39,7 @@ class Camera:
 
     def __init__(self, config: Config, weights: str | Path | None = None) -> None:
         if config.optics_name == "twin" and weights is None:
-            self._optics = config.sensor_model.optics
+            self._optics: Optics = config.sensor_model.optics
         else:
             self._optics = make_optics(config.optics_name, weights, **config.optics_options)
         self.sees_depth = config.sensor_type != "depth"
@@ -55,7 +55,7 @@ class Camera:
         """Set depth maps (k, h, w), metres, that show where a touch presses the gel in less than they do."""
         self._behind = bases_m
         if not self.sees_depth:
-            self._behind = depth_image(bases_m.astype(np.float64), self.sensor)
+            self._behind = self.sensor.depth_image(bases_m.astype(np.float64))
 
     @property
     def bases(self) -> int:

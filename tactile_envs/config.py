@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, TypedDict, TypeVar
 
 import tactile_sim
 from tactile_envs.gym_types import Options
-from tactile_sim.press_spec import gel_named
-from tactile_sim.sensor import GEL_M, sensor_of_model
-from tactile_sim.sensor_models import GELSIGHT_MINI, checked_sensor
-from tactile_sim.sensor_noise import checked_noise
+from tactile_sim.optics.sensor_noise import checked_noise
+from tactile_sim.press.press_spec import gel_named
+from tactile_sim.press.sensors import GEL_M, GELSIGHT_MINI, checked_sensor, sensor_of_model
 from tactile_toolkit import checked_fields, touch
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import did_you_mean

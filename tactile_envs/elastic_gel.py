@@ -8,8 +8,7 @@ from tactile_envs.config import Config
 from tactile_envs.motion import Motion
 from tactile_envs.toucher import SensorReadings
 from tactile_sim import Sensor
-from tactile_sim.elastic_press import WholeGel, loads_of
-from tactile_sim.optics import depth_image
+from tactile_sim.press.elastic_press import WholeGel, loads_of
 from tactile_toolkit.array_types import Float32, Float64
 
 
@@ -55,7 +54,7 @@ class ElasticGel:
             sensors[row] += (stop_m - self._shown.press_m) * axes[row, :, 2]
         share = (sensors - motion.low_m) / (motion.high_m - motion.low_m) * 2.0 - 1.0
         readings = SensorReadings(
-            depth_image(depths_m, self._shown),
+            self._shown.depth_image(depths_m),
             depths_m.astype(np.float32),
             np.clip(share, -1.0, 1.0).astype(np.float32),
             np.zeros(count, np.bool_),  # an elastic gel is solved for touches of the plate, too

@@ -8,7 +8,7 @@ import numpy as np
 
 from tactile_envs.config import Config
 from tactile_envs.reset_options import Rows
-from tactile_sim.sensor_noise import EpisodeNoise
+from tactile_sim.optics.sensor_noise import EpisodeNoise
 from tactile_toolkit.array_types import Float32, Float64, Int64
 
 

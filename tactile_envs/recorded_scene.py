@@ -15,7 +15,7 @@ import realtouch
 import tactile_sim
 from tactile_envs import drawing, recorded_sets, reset_options, scene
 from tactile_envs.config import DIRECT, OPTICS, RecordedConfig
-from tactile_sim import optics
+from tactile_sim.optics import rendering
 from tactile_toolkit import cache, errors, kind, run
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, Int64, UInt8
 
@@ -197,7 +197,7 @@ class RecordedImages:
         self._kept: cache.MemoryCache[TouchKey, UInt8] = cache.MemoryCache(_KEPT_BYTES, attrgetter("nbytes"))
         self._size_px = self._recorded_px = config.sensor_output_size
         self.channels = 3
-        self._optics: optics.Optics | None = None
+        self._optics: rendering.Optics | None = None
         if config.sensor_type != DIRECT:
             self._optics = tactile_sim.make_optics(
                 OPTICS[config.sensor_type], weights, **config.optics_options

@@ -12,7 +12,7 @@ import mnist3d
 import realtouch
 import starstruck_gen
 import tactile_sim
-from mnist3d.ink.sheet import enlarge
+from mnist3d.ink.grey_levels import enlarge
 from mnist3d.sources.synthetic import SyntheticSource
 from tests.tactile_sim.elastic_bodies import LAYER_M, PIXEL_M, bumps
 from tests.tactile_sim.sets import touch_sets

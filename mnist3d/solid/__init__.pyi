@@ -1,15 +1,14 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
 from .algorithm import (
+    literal_solid as literal_solid,
     solid_of_ink as solid_of_ink,
     solid_of_sheet as solid_of_sheet,
     solidify as solidify,
 )
-from .literal import literal_solid as literal_solid
 from .picture_ink import (
     SizedInk as SizedInk,
     THRESHOLDS as THRESHOLDS,
     sized_ink as sized_ink,
 )
-from .solid_size import SolidSize as SolidSize
 from .step_pictures import draw_steps as draw_steps

@@ -8,16 +8,44 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from mnist3d import compiled_loops, solid_spec
-from mnist3d.solid.node_sampling import FACTOR_GRAIN_PX, linear, on_grid, sampled
-from mnist3d.solid.profile import half_height_px
-from tactile_toolkit.array_types import Bool, Float32, Float64, Int64
+from mnist3d import compiled_loops, digit_options
+from mnist3d.compiled_loops import blurred
+from mnist3d.digit_options import SolidSpec
+from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Floating, Int64
+
+_DISC_OFFSETS_PX = {"outline": 0.0, "disc": 0.5}
+F = TypeVar("F", np.float32, np.float64)
+
+BLUR_PER_PITCH = 0.25
+"""Standard deviation of the blur near the outline, in pitches."""
+
+RIDGE_BLUR_PER_PITCH = 0.6
+"""Standard deviation of the blur far inside, in pitches.
+
+Distances grow evenly with the depth, so a blur changes only the ridge of a narrow stroke, whose height would
+otherwise depend on the positions of the nodes.
+"""
+
+RIDGE_DEPTH_PER_PITCH = 1.0
+"""Depth from which, and over which, the first blur passes into the second, in pitches."""
+
+BELL_REACH = 11**0.5
+"""Half width r of a bell in standard deviations: (1 - (x / r)^2)^4 has the deviation r / sqrt(11)."""
+
+GRAIN_PX = 2.0**-12
+"""Grid to which sampled distances are rounded."""
+
+FACTOR_GRAIN_PX, _WEIGHT_GRAIN = 2.0**-16, 2.0**-24
+"""Grids of distances, below 2^7 px, and of weights, below 2: their sums need at most 50 bits."""
 
 # The default budget needs 3.9 to 5.7 px, so two rounds are enough.
 FIRST_PITCH_PX = 4.0
+
 # Half the published thickness is 20 px: at a larger pitch, only two layers would show the shoulder.
 LARGEST_PITCH_PX = 8.0
 
@@ -32,6 +60,86 @@ NARROW_ERROR_PX = 0.25
 
 MIN_NODE_DEPTH = 0.03
 """Least depth of a node, in pitches: it keeps the vertices on the edges around a node apart."""
+
+
+def erosion_radius_px(z_px: Floating, spec: SolidSpec) -> Floating:
+    """Return how far the outline moves inwards at heights from 0 to the half thickness, pixels."""
+    half_px = spec.half_thickness_px
+    if spec.profile == "flat":
+        return np.zeros_like(z_px)
+    radius = z_px
+    if spec.profile == "round":
+        radius = np.asarray(half_px - np.sqrt(np.maximum(half_px**2 - z_px**2, 0)))
+    return np.asarray(np.maximum(radius - disc_offset_px(spec), 0))
+
+
+def disc_offset_px(spec: SolidSpec) -> np.float32:
+    """Return by how much an erosion is less than its radius: a disc keeps the pixels that it touches."""
+    return np.float32(_DISC_OFFSETS_PX[spec.erosion])
+
+
+def half_height_px(s_px: Floating, spec: SolidSpec) -> Floating:
+    """Return the height of the solid above the mid-plane, pixels; 0 outside the ink."""
+    half_px = spec.half_thickness_px
+    depth = np.where(s_px > 0, np.clip(s_px + disc_offset_px(spec), 0, half_px), 0)
+    if spec.profile == "round":
+        # The same quarter circle as in `erosion_radius_px`, solved for the height.
+        return np.asarray(np.sqrt(depth * (2 * half_px - depth)))
+    if spec.profile == "linear":
+        return depth
+    return np.where(s_px > 0, np.float32(half_px), np.float32(0))
+
+
+def depth_px(s_px: Floating, z_px: Floating, spec: SolidSpec) -> Floating:
+    """Return the depth of points in the solid, pixels, positive inside; the two shapes broadcast.
+
+    Values are true distances wherever one side of the solid is nearest, so their zero between two nodes is
+    exact. A stack of binary layers would place it half-way.
+    """
+    half_px = spec.half_thickness_px
+    if spec.profile == "flat":
+        return np.asarray(np.minimum(s_px, half_px - z_px))
+    kept_px = s_px + disc_offset_px(spec)
+    if spec.profile == "round":
+        depth = np.asarray(half_px - np.sqrt(np.maximum(half_px - kept_px, 0) ** 2 + z_px**2))
+    else:
+        # The side of a linear profile is a plane at 45 degrees.
+        depth = np.asarray(np.minimum((kept_px - z_px) * np.float32(0.5**0.5), half_px - z_px))
+    if spec.erosion == "disc":
+        depth = np.minimum(depth, s_px)
+    return depth
+
+
+def sampled(distance: Float32, rows: Float64, columns: Float64, pitch_px: float) -> Float32:
+    """Return the distances from the outline at nodes; those near a ridge are blurred more."""
+    s, ridge = (_blurred(distance, rows, columns, blur) for blur in (BLUR_PER_PITCH, RIDGE_BLUR_PER_PITCH))
+    share = np.clip(s / np.float32(RIDGE_DEPTH_PER_PITCH * pitch_px) - 1, 0, 1)
+    return np.asarray(s + share * (ridge - s))
+
+
+def _blurred(values: Float32, rows: Float64, columns: Float64, sigma_per_pitch: float) -> Float32:
+    """Return values at nodes after a blur in proportion to the distance of the nodes.
+
+    Values and weights lie on such coarse grids that every product and sum is exact in double precision, with
+    the same bits on every processor.
+    """
+    blur = sigma_per_pitch, BELL_REACH, _WEIGHT_GRAIN
+    halfway = on_grid(blurred(values, rows, *blur), FACTOR_GRAIN_PX)
+    across = blurred(np.ascontiguousarray(halfway.T), columns, *blur)
+    return on_grid(across.T, GRAIN_PX).astype(np.float32)
+
+
+def on_grid(values: NDArray[F], grain: float) -> NDArray[F]:
+    """Round values to multiples of a power of two."""
+    # Multiplication by powers of two is exact.
+    return np.asarray(np.round(values * values.dtype.type(1 / grain)) * values.dtype.type(grain))
+
+
+def linear(nodes: Float64, pixels: Int64) -> tuple[AnyArray, ...]:
+    """Return the nodes before pixels, and the weights of these and of the next nodes."""
+    before = np.searchsorted(nodes[1:-1], pixels, side="right")
+    share = np.clip((pixels - nodes[before]) / (nodes[before + 1] - nodes[before]), 0, 1)
+    return before, on_grid(1 - share, _WEIGHT_GRAIN), on_grid(share, _WEIGHT_GRAIN)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,13 +178,13 @@ class Lattice:
         """Least depth of a node, pixels."""
         return np.float32(MIN_NODE_DEPTH * self.pitch_px)
 
-    def heights_px(self, spec: solid_spec.SolidSpec) -> Float32:
-        """Return the heights of the layers from the mid-plane to beyond the top of the solid, shape (L, 1).
+    def heights_px(self, spec: digit_options.SolidSpec) -> Float32:
+        """Return the heights of layers from the mid-plane to beyond the top of the solid, shape (L, 1, 1).
 
         Each height is an array: numpy squares scalars by another function, whose last bit may differ.
         """
         top_px = spec.half_thickness_px + 2 * self.pitch_px
-        return np.arange(0, top_px, self.pitch_px).astype(np.float32)[:, None]
+        return np.arange(0, top_px, self.pitch_px).astype(np.float32)[:, None, None]
 
     def finer(self, inside: Bool) -> Lattice | None:
         """Return a lattice with more nodes where bodies or holes are lost; None if each pixel is a node.
@@ -126,7 +234,7 @@ class Lattice:
         return np.stack(np.nonzero(contacts[np.ix_(*cells)]))
 
     def between_nodes(self, rows: Int64, columns: Int64) -> Float64:
-        """Interpolate the lattice at pixels; exact, as :func:`~mnist3d.solid.node_sampling.sampled` is."""
+        """Interpolate the lattice at pixels; exact, as :func:`~mnist3d.solid.lattice.sampled` is."""
         s = on_grid(self.s_px, FACTOR_GRAIN_PX).astype(np.float64)
         row, above, below = linear(self.rows_px, rows)
         column, left, right = linear(self.columns_px, columns)
@@ -137,7 +245,7 @@ class Lattice:
         return np.asarray(left * before + right * after)
 
 
-def lattice_of(ink: Bool, spec: solid_spec.SolidSpec) -> Lattice:
+def lattice_of(ink: Bool, spec: digit_options.SolidSpec) -> Lattice:
     """Lay a lattice over clean ink (:func:`mnist3d.ink.clean`) that shows all narrow parts."""
     # Two nodes of paper on each side even at the coarsest pitch, so that the surface closes.
     margin_px = math.ceil(2 * LARGEST_PITCH_PX)
@@ -156,7 +264,7 @@ def lattice_of(ink: Bool, spec: solid_spec.SolidSpec) -> Lattice:
     return Lattice(crop, corner_px, distance, narrow, rows, columns, pitch_px, s_px).fitted()
 
 
-def _first_pitch_px(distance: Float32, spec: solid_spec.SolidSpec) -> float:
+def _first_pitch_px(distance: Float32, spec: digit_options.SolidSpec) -> float:
     """Return the given pitch, or the one at which marching cubes meet the vertex budget.
 
     A vertex lies on every edge of the lattice that crosses the surface, so their number is known before the
@@ -172,7 +280,7 @@ def _first_pitch_px(distance: Float32, spec: solid_spec.SolidSpec) -> float:
     return pitch
 
 
-def _crossed_edges(s_px: Float32, pitch_px: float, spec: solid_spec.SolidSpec) -> int:
+def _crossed_edges(s_px: Float32, pitch_px: float, spec: digit_options.SolidSpec) -> int:
     """Count the edges that cross the whole surface, beside and above the nodes; those of the rim once."""
     layers = np.ceil(half_height_px(s_px, spec) / np.float32(pitch_px)).astype(np.int32)
     beside = np.abs(np.diff(layers, axis=0)).sum() + np.abs(np.diff(layers, axis=1)).sum()

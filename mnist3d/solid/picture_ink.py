@@ -14,11 +14,10 @@ from PIL import Image
 from scipy import ndimage
 
 from mnist3d import ink
-from mnist3d.ink.bridges import thinnest_stroke_px
+from mnist3d.digit_options import LARGEST_HALF_THICKNESS_PX, SolidSize, SolidSpec
+from mnist3d.ink.binarisation import thinnest_stroke_px
 from mnist3d.ink.grey_levels import MAX_DRAWN
-from mnist3d.solid.solid_size import SolidSize
-from mnist3d.solid_spec import LARGEST_HALF_THICKNESS_PX, SolidSpec
-from mnist3d.sources import picture_files, picture_levels
+from mnist3d.sources import picture_files
 from tactile_toolkit import store
 from tactile_toolkit.array_types import AnyArray, Bool, Int32, UInt8
 from tactile_toolkit.errors import InputError, ItemError
@@ -90,7 +89,8 @@ def sized_ink(
     quantum_mm = min(asked.vertex_quantum_mm, pitch_mm / 10)
     fitted = replace(asked, pixel_pitch_mm=pitch_mm, vertex_quantum_mm=quantum_mm)
     ink.require_large(sheet, fitted)
-    if spec is not None or _is_grey(picture):
+    is_grey = isinstance(picture, np.ndarray) and picture.ndim == 2
+    if spec is not None or is_grey:
         return SizedInk(ink.cleaned_ink(sheet, fitted, level, MAX_DRAWN), fitted, tuple(notes), size=size)
     before = ink.ink_of_levels(sheet, fitted.threshold, MAX_DRAWN)
     fitted = for_strokes(before, fitted)
@@ -99,14 +99,10 @@ def sized_ink(
     if is_fine:
         fitted = replace(fitted, lattice_pitch_mm=_lattice_pitch_mm(mask, fitted))
     drawn = ink.ink_of_levels(levels, fitted.threshold, MAX_DRAWN)
-    count = _count(drawn) - len(np.unique(_labels(before)[mask & before]))
+    count = int(_labels(drawn).max()) - len(np.unique(_labels(before)[mask & before]))
     if count > 0:
         notes.append(f"left out {with_count(count, 'specks')} of ink below {fitted.min_speck_mm2:.2g} mm²")
     return SizedInk(mask, fitted, tuple(notes), is_fine, size)
-
-
-def _is_grey(picture: PictureLike) -> bool:
-    return isinstance(picture, np.ndarray) and picture.ndim == 2
 
 
 def _levels(
@@ -116,14 +112,14 @@ def _levels(
     if isinstance(picture, (str, os.PathLike)):
         return _levels_of_file(store.expanded(os.fspath(picture)), which, threshold, page)
     if isinstance(picture, Image.Image):
-        levels = picture_levels.picture_levels(
+        levels = picture_files.picture_levels(
             picture_files.upright_levels(picture), which, threshold, "the picture", whole=True
         )
         return levels, None, []
     array = np.asarray(picture)
     if array.ndim == 3:
         image = _image_of(array)
-        return picture_levels.picture_levels(image, which, threshold, "the picture", whole=True), None, []
+        return picture_files.picture_levels(image, which, threshold, "the picture", whole=True), None, []
     if threshold == "local":
         return ink.even_out(ink.as_levels(array), which, whole=True), None, []
     if threshold == "global" and which == "auto":
@@ -139,7 +135,7 @@ def _levels_of_file(path: Path, which: str, threshold: str, page: int) -> tuple[
             f"{path} has no page {page}; it has {with_count(len(pages), 'pages')}, counted from 0",
             next="give the number of one of them",
         )
-    levels = picture_levels.read_picture(path, which, threshold, page, whole=True)
+    levels = picture_files.read_picture(path, which, threshold, page, whole=True)
     stored, notes = picture_files.size_of_page(path, page), []
     if max(stored) > max(levels.shape):
         height, width = levels.shape
@@ -227,7 +223,3 @@ def _lattice_pitch_mm(mask: Bool, spec: SolidSpec) -> float:
 
 def _labels(mask: Bool) -> Int32:
     return np.asarray(ndimage.label(mask, np.ones((3, 3)))[0])
-
-
-def _count(mask: Bool) -> int:
-    return int(_labels(mask).max())

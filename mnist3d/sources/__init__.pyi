@@ -6,7 +6,9 @@ from .digit_source import (
     DigitImage as DigitImage,
     DigitSource as DigitSource,
 )
-from .hwdplus import HwdPlusSource as HwdPlusSource
-from .mnist import MnistSource as MnistSource
+from .digit_arrays import (
+    HwdPlusSource as HwdPlusSource,
+    MnistSource as MnistSource,
+)
 from .picture_folder import FolderSource as FolderSource
 from .synthetic import SyntheticSource as SyntheticSource

@@ -15,7 +15,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 import mnist3d.ink
-from mnist3d.sources import picture_files, picture_levels
+from mnist3d.sources import picture_files
 from mnist3d.sources.digit_source import DIGITS, NO_WRITER, DigitCatalog, DigitImage, require_known
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
@@ -85,7 +85,7 @@ class FolderSource:
         is_whole = listing.class_names != DIGITS
         path = Path(self.root, picture.name)
         pixels = mnist3d.ink.fit(
-            picture_levels.read_picture(path, self.ink, self.threshold, picture.page, whole=is_whole)
+            picture_files.read_picture(path, self.ink, self.threshold, picture.page, whole=is_whole)
         )
         return DigitImage(digit_id, picture.label, pixels, picture.writer, picture.file)
 

@@ -11,11 +11,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tactile_sim.learned.channels import depth_channels, picture_channels
-from tactile_sim.learning_specs import TrainConfig
-from tactile_sim.optics import make_optics
-from tactile_sim.pairs import Pairs
-from tactile_sim.random_numbers import keyed_rng
+from tactile_sim.learned.inference import depth_channels, picture_channels
+from tactile_sim.optics.rendering import make_optics
+from tactile_sim.sets.learning_specs import TrainConfig
+from tactile_sim.sets.pairs import Pairs
+from tactile_sim.sets.round_plan import keyed_rng
 from tactile_toolkit.array_types import Float32, UInt8
 
 # Enough for a median without noise, and 100 MB at 256 x 256 pixels.

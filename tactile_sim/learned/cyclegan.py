@@ -9,9 +9,9 @@ import torch
 from torch import Tensor, nn
 
 from tactile_sim.learned.batches import Batch
-from tactile_sim.learned.channels import noisy_channels
+from tactile_sim.learned.inference import noisy_channels
 from tactile_sim.learned.networks import GeneratorNetwork, discriminator, initialise
-from tactile_sim.learning_specs import TrainConfig
+from tactile_sim.sets.learning_specs import TrainConfig
 from tactile_toolkit.json_types import JsonDict
 
 LOSSES = tuple(

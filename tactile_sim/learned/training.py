@@ -14,26 +14,80 @@ from __future__ import annotations
 
 import hashlib
 import io
+import json
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 import pyarrow as pa
 import torch
 
-from tactile_sim.data_cards import sheet_png
-from tactile_sim.learned import cyclegan, processes, training_folder
+from tactile_sim.learned import cyclegan, processes
 from tactile_sim.learned.batches import Batches, by_taxim
-from tactile_sim.learned.channels import depth_channels, picture_channels, pictures_from, shades_of
-from tactile_sim.learned.weights import weights_of, write_weights
-from tactile_sim.learning_specs import TrainConfig
-from tactile_sim.pairs import SPLITS, Pairs
-from tactile_sim.random_numbers import keyed_rng
+from tactile_sim.learned.inference import depth_channels, picture_channels, pictures_from, shades_of
+from tactile_sim.learned.networks import weights_of, write_weights
+from tactile_sim.learned.processes import Process
+from tactile_sim.sets.data_cards import sheet_png
+from tactile_sim.sets.learning_specs import TrainConfig
+from tactile_sim.sets.pairs import SPLITS, Pairs
+from tactile_sim.sets.round_plan import keyed_rng
 from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import Float32, UInt8
+from tactile_toolkit.errors import InputError, SpecMismatchError
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.wording import with_count
+
+SETTINGS = "training.json"
+
+
+class _Settings(msgspec.Struct):
+    config: JsonDict
+    pairs: str
+
+
+def claim(folder: store.DataFolder, config: TrainConfig, pairs: str, *, resume: bool) -> None:
+    """Begin a training in a folder, or continue an existing one with the same settings."""
+    folder.require_folder()
+    settings = {"config": config.to_dict(), "pairs": pairs}
+    if folder.exists(SETTINGS):
+        there = store.decode(folder.read_bytes(SETTINGS), _Settings, folder.address(SETTINGS))
+        # Compared as they would be read back: tuples become lists.
+        wanted = json.loads(json.dumps(settings))
+        found = {**there.config, "pairs": there.pairs}
+        for name, value in {**wanted["config"], "pairs": wanted["pairs"]}.items():
+            if found.get(name) != value:
+                raise SpecMismatchError(
+                    f"{folder.address()!r} holds a training with other settings: {name} is "
+                    f"{found.get(name)!r:.60} there, {value!r:.60} was asked for; nothing was changed",
+                    next="choose another folder (--out)",
+                )
+        folder.remove_temporaries()
+        return
+    others = [name for name in folder.names() if not store.is_hidden(name)]
+    if resume or others:
+        held = "".join(f" (found {name!r})" for name in others[:1])
+        raise InputError(
+            f"{folder.address()!r} holds no training to continue{held}; nothing was changed",
+            next="leave out --resume, and choose an empty or new folder (--out)",
+        )
+    folder.write_bytes(SETTINGS, (json.dumps(settings, indent=1) + "\n").encode())
+
+
+@contextmanager
+def held(folder: store.DataFolder, process: Process) -> Iterator[None]:
+    """Lock the folder, so that no other training writes there; BusyError if one does."""
+    # Object stores have no locks; the other processes of torchrun belong to the first.
+    if process.rank or not folder.is_local:
+        yield
+        return
+    folder.require_folder()
+    with folder.locked(patience_s=0):
+        yield
+
 
 TOUCH_WEIGHTS = "depth_to_touch.npz"
 DEPTH_WEIGHTS = "touch_to_depth.npz"
@@ -103,10 +157,10 @@ def train(
     data, folder = _trainable(pairs, config), store.open_folder(os.fspath(out))
     with (
         processes.joined_processes(device, deterministic=deterministic) as process,
-        training_folder.held(folder, process),
+        held(folder, process),
     ):
         if process.rank == 0:
-            training_folder.claim(folder, config, data.fingerprint, resume=resume)
+            claim(folder, config, data.fingerprint, resume=resume)
         process.wait()
         # After the folder is claimed: a refusal should not wait for networks to be built.
         model = cyclegan.CycleGan(config, process.device, compiled=compiled)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tactile_sim.sensor_models import GELSIGHT_MINI, SensorModel
+from tactile_sim.press.sensors import GELSIGHT_MINI, SensorModel
 from tactile_sim.twin import matching, rounds_of_fit
 from tactile_sim.twin.fitting import Fit
 from tactile_sim.twin.gel import Fitted

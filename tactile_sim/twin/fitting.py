@@ -20,8 +20,7 @@ from tactile_sim.twin.gel import Fitted
 from tactile_sim.twin.recordings import unsaturated
 
 if TYPE_CHECKING:
-    from tactile_sim.twin.recordings import Recordings
-    from tactile_sim.twin.relief import Relief
+    from tactile_sim.twin.recordings import Recordings, Relief
     from tactile_toolkit.array_types import Bool, Float32, Float64
 
 COEFFICIENTS = gel_kernels.ENTRIES * gel_kernels.PLACES

@@ -15,7 +15,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from tactile_sim import taxim_kernels
+from tactile_sim.optics import taxim_kernels
 from tactile_sim.twin import gel_kernels, surface_kernels
 from tactile_sim.twin.gel_kernels import SurfaceView
 from tactile_sim.twin.surface_kernels import Blur

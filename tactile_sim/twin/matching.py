@@ -15,7 +15,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from tactile_sim.sensor_models import SensorModel
+from tactile_sim.press.sensors import SensorModel
 from tactile_sim.twin import gel
 from tactile_sim.twin.fitting import Fit
 from tactile_sim.twin.gel import Fitted

@@ -14,10 +14,9 @@ from itertools import permutations
 import numpy as np
 import scipy
 
-from tactile_sim.sensor_models import GELSIGHT_MINI, SensorModel
+from tactile_sim.press.sensors import GELSIGHT_MINI, SensorModel
 from tactile_sim.twin import gel_kernels
-from tactile_sim.twin.recordings import MIN_UNSATURATED, Recordings
-from tactile_sim.twin.relief import Relief
+from tactile_sim.twin.recordings import MIN_UNSATURATED, Recordings, Relief
 from tactile_toolkit.array_types import Bool, Float64, Int64, UInt8
 from tactile_toolkit.wording import with_count
 

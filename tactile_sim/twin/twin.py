@@ -10,11 +10,11 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from tactile_sim.array_files import npz_bytes
-from tactile_sim.optics import Optics
-from tactile_sim.sensor import Sensor
+from tactile_sim.optics.rendering import Optics
+from tactile_sim.press.sensors import Sensor
 from tactile_sim.twin import gel, surface_kernels
 from tactile_sim.twin.gel import Fitted
+from tactile_sim.value_files import npz_bytes
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Floating, UInt8
 from tactile_toolkit.errors import InputError
 

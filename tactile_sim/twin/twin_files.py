@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tactile_sim.array_files import npz_bytes, read_npz
 from tactile_sim.twin import gel, gel_kernels
 from tactile_sim.twin.reader import reader_shapes
 from tactile_sim.twin.twin import Twin
+from tactile_sim.value_files import npz_bytes, read_npz
 from tactile_toolkit import __version__, store
 from tactile_toolkit.errors import InputError
 
 if TYPE_CHECKING:
-    from tactile_sim.sensor_models import SensorModel
+    from tactile_sim.press.sensors import SensorModel
     from tactile_toolkit.array_types import AnyArray
 
 SENSOR_FILE, ARRAYS_FILE = "sensor.json", "arrays.npz"

@@ -120,9 +120,10 @@ def _remove_outdated_records(folder: DataFolder, plan: BuildPlan, manifest: Mani
     Another set may have been begun on top of them, and removed. From here on only sizes are compared.
     """
     records = pending_records(folder, manifest.identity)
-    intact = _intact_records(folder, plan, manifest, {task.shard: task for task in plan.tasks}, check=True)
-    for shard in records.keys() - intact.keys():
-        folder.remove(shard.record_path)
+    if records:
+        tasks = {task.shard: task for task in plan.tasks}
+        for shard in records.keys() - _intact_records(folder, plan, manifest, tasks, check=True).keys():
+            folder.remove(shard.record_path)
 
 
 def inspect_job(folder: DataFolder, plan: BuildPlan, options: RunOptions | None = None) -> BuildJob:
@@ -133,10 +134,10 @@ def inspect_job(folder: DataFolder, plan: BuildPlan, options: RunOptions | None 
     MissingPartsError where shards are missing that ``finish`` needs.
     """
     options = options or RunOptions()
-    manifest, new, check = read_manifest(folder), plan.new_manifest(), options.check
-    tasks = plan.tasks
-    if options.part is not None:
-        tasks = tuple(options.part.of(tasks))
+    manifest = read_manifest(folder)
+    new = plan.new_manifest()
+    check = options.check
+    tasks = plan.tasks if options.part is None else tuple(options.part.of(plan.tasks))
     if manifest is None:
         refuse_unknown_files(folder, plan)
         manifest, check = new, True  # as in `_remove_outdated_records`
@@ -244,10 +245,10 @@ def refuse_unknown_files(folder: DataFolder, plan: BuildPlan | None = None) -> N
 
     If there are records of a run of the plan, the files belong to that run, and its manifest was removed.
     """
-    if plan is not None and pending_records(folder, plan.new_manifest().identity):
-        return
     unknown = [name for name in folder.names() if not is_hidden(name)]
-    if unknown and MANIFEST_FILE not in unknown:  # another run may have begun at this moment
+    if not unknown or MANIFEST_FILE in unknown:  # another run may have begun at this moment
+        return
+    if plan is None or not pending_records(folder, plan.new_manifest().identity):
         raise InputError(
             f"{folder.address()!r} is not empty and holds no {MANIFEST_FILE} (found {unknown[0]!r}); nothing "
             "was changed",

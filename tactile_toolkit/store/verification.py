@@ -159,7 +159,9 @@ def _check_file(
 ) -> _Checked:
     """Check the content of a file, and a shard also against its record and the schema."""
     path, address = file.path, folder.address(file.path)
-    record, ids, findings = shards.get(path), None, list[Finding]()
+    record = shards.get(path)
+    ids = None
+    findings = list[Finding]()
     try:
         with _intact(folder, file) as stream, named_damage(address):
             if not path.endswith(".parquet"):

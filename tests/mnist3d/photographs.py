@@ -16,8 +16,8 @@ from PIL import Image, ImageDraw
 from scipy import ndimage
 from skimage.morphology import skeletonize
 
-from mnist3d.ink.cleaning import clean
-from mnist3d.solid_spec import SolidSpec
+from mnist3d.digit_options import SolidSpec
+from mnist3d.ink.binarisation import clean
 from mnist3d.sources.synthetic import SyntheticSource
 
 Floats = NDArray[np.float64]

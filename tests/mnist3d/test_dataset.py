@@ -7,7 +7,7 @@ import pytest
 
 import mnist3d
 from mnist3d.digit_generation import DigitSetSpec, generate
-from mnist3d.solid_spec import SolidSpec
+from mnist3d.digit_options import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import InputError
 

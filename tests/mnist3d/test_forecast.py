@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from mnist3d.digit_generation import DigitGenerator, DigitSetSpec, generate
-from mnist3d.published_splits import SplitSpec
-from mnist3d.solid_spec import SolidSpec
+from mnist3d.digit_options import SolidSpec, SplitSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.generation import forecast

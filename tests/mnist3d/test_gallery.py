@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 import mnist3d
+from mnist3d.digit_options import SolidSpec, SplitSpec
 from mnist3d.digit_previews import plan_gallery
-from mnist3d.digit_rows import REPORT_FILE
-from mnist3d.published_splits import SplitSpec
-from mnist3d.solid_spec import SolidSpec
+from mnist3d.digit_records import REPORT_FILE
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.catalog import RowFilter
 from tactile_toolkit.errors import InputError, IntegrityError

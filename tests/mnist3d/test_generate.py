@@ -10,9 +10,8 @@ import pytest
 
 import mnist3d
 from mnist3d.digit_generation import DigitGenerator, DigitSetSpec, generate
-from mnist3d.digit_rows import digit_schema
-from mnist3d.published_splits import SPLITS, SplitSpec
-from mnist3d.solid_spec import SolidSpec
+from mnist3d.digit_options import SPLITS, SolidSpec, SplitSpec
+from mnist3d.digit_records import digit_schema
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.generation import plan_build
@@ -162,7 +161,7 @@ def test_writer_splits_share_no_writer(tmp_path):
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(("per_class", "splits", "rows"), [(1, ("train", "test"), 20), (None, SPLITS, 100)])
 def test_real_digits_in_the_layout_of_hwd(shared, tmp_path, per_class, splits, rows):
-    from mnist3d.sources.hwdplus import HwdPlusSource
+    from mnist3d.sources.digit_arrays import HwdPlusSource
 
     layout = shared / "digits" / "hwd_layout"
     source = HwdPlusSource(str(layout / "Images(500x500).npy"), str(layout / "WriterInfo.npy"), 1)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from mnist3d.digit_generation import DigitSetSpec, generate
-from mnist3d.solid_spec import SolidSpec
+from mnist3d.digit_options import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from tests.hub_server import hub
 from tests.tactile_toolkit.hub.client import run_here, settings

@@ -10,7 +10,7 @@ from hypothesis import given, strategies as st
 from numpy.typing import NDArray
 
 from mnist3d.sources import NO_WRITER, DigitSource
-from mnist3d.sources.hwdplus import HwdPlusSource
+from mnist3d.sources.digit_arrays import HwdPlusSource
 from tactile_toolkit.errors import ItemError
 from tests.mnist3d.sources import refusal
 from tests.processes import printed_by
@@ -291,7 +291,7 @@ def _sparse_source(folder: Path, count: int) -> HwdPlusSource:
 
 _READ_WITHIN_LIMITS = """
     import resource, sys
-    from mnist3d.sources.hwdplus import HwdPlusSource
+    from mnist3d.sources.digit_arrays import HwdPlusSource
     made = HwdPlusSource(*sys.argv[1:3])
     made.catalog(), made.image(0)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

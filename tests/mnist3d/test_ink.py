@@ -8,11 +8,16 @@ from hypothesis import given, strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy import ndimage
 
-from mnist3d.ink.binarisation import ink_of_levels
-from mnist3d.ink.bridges import join_bodies
-from mnist3d.ink.cleaning import _pieces, clean, count_bodies_and_holes, repair_corners
+from mnist3d.digit_options import SolidSpec
+from mnist3d.ink.binarisation import (
+    _pieces,
+    clean,
+    count_bodies_and_holes,
+    ink_of_levels,
+    join_bodies,
+    repair_corners,
+)
 from mnist3d.ink.grey_levels import dark_on_light, otsu_threshold
-from mnist3d.solid_spec import SolidSpec
 from tactile_toolkit.errors import ItemError
 
 MASKS = hnp.arrays(bool, st.tuples(st.integers(8, 40), st.integers(8, 40)))

@@ -10,12 +10,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from mnist3d.ink.binarisation import binarise
-from mnist3d.ink.cleaning import count_bodies_and_holes
+from mnist3d.digit_options import SolidSpec
+from mnist3d.ink.binarisation import binarise, count_bodies_and_holes
+from mnist3d.ink.grey_levels import fit
+from mnist3d.ink.pages import without_lines
 from mnist3d.ink.photographs import even_out, is_clean
-from mnist3d.ink.printed_lines import without_lines
-from mnist3d.ink.sheet import fit
-from mnist3d.solid_spec import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import ItemError
 from tests.mnist3d.photographs import (

@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw
 from scipy import ndimage
 
 import mnist3d
-from mnist3d.ink.bridges import join_bodies, stroke_width_px, thinnest_stroke_px
+from mnist3d.ink.binarisation import join_bodies, stroke_width_px, thinnest_stroke_px
 from mnist3d.sources import SyntheticSource
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh import WARNINGS, Mesh, check_manifold, inspect, on_base_plate, print_advice

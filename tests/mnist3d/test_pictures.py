@@ -11,14 +11,11 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from mnist3d.digit_generation import DigitSetSpec, generate
-from mnist3d.digit_options import DigitPreviewSpec
+from mnist3d.digit_generation import DigitSetSpec, generate, source_again
+from mnist3d.digit_options import DigitPreviewSpec, SolidSpec
 from mnist3d.digit_previews import plan_previews
-from mnist3d.solid_spec import SolidSpec
-from mnist3d.sources.picture_files import ENDINGS, is_picture_name, pages_of
+from mnist3d.sources.picture_files import ENDINGS, is_picture_name, pages_of, read_picture
 from mnist3d.sources.picture_folder import FolderSource
-from mnist3d.sources.picture_levels import read_picture
-from mnist3d.sources.source_choice import source_again
 from tactile_toolkit.errors import ItemError
 from tests.mnist3d.photographs import likeness, page, seven
 from tests.mnist3d.test_folder import BOX, bar, ink_box, save

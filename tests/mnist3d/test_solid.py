@@ -17,11 +17,9 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy import ndimage
 
-from mnist3d.ink.binarisation import binarise
-from mnist3d.ink.cleaning import count_bodies_and_holes
-from mnist3d.solid.algorithm import solid_steps, solidify
-from mnist3d.solid.literal import literal_solid
-from mnist3d.solid_spec import EROSIONS, PROFILES, SolidSpec
+from mnist3d.digit_options import EROSIONS, PROFILES, SolidSpec
+from mnist3d.ink.binarisation import binarise, count_bodies_and_holes
+from mnist3d.solid.algorithm import literal_solid, solid_steps, solidify
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh import inspect
 from tests.mnist3d.drawings import (

@@ -11,17 +11,21 @@ from hypothesis.extra import numpy as hnp
 from scipy import ndimage
 
 from mnist3d.compiled_loops import signed_distance_px
+from mnist3d.digit_options import SolidSpec
 from mnist3d.ink.binarisation import binarise
-from mnist3d.solid.algorithm import solidify
-from mnist3d.solid.decimation import decimate
-from mnist3d.solid.erosion_and_stacking import erode, stack
+from mnist3d.solid.algorithm import (
+    erode,
+    eroded_by_disc,
+    erosion_radii_px,
+    isosurface,
+    mirror,
+    scale,
+    smooth,
+    solidify,
+    stack,
+)
 from mnist3d.solid.lattice import lattice_of
-from mnist3d.solid.literal import eroded_by_disc, erosion_radii_px
-from mnist3d.solid.marching_cubes import isosurface
-from mnist3d.solid.mirroring_and_scaling import mirror, scale
-from mnist3d.solid.smoothing import smooth
-from mnist3d.solid.surface import Surface
-from mnist3d.solid_spec import SolidSpec
+from mnist3d.solid.surfaces import Surface, decimate
 from tactile_toolkit.mesh import Mesh, inspect
 from tests.mnist3d.drawings import six
 

@@ -14,15 +14,18 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy import ndimage
 
-from mnist3d.handwriting.allographs import ALLOGRAPHS
-from mnist3d.handwriting.curves import CLEAR, through
-from mnist3d.handwriting.five_to_nine import nine_g_shaped
-from mnist3d.handwriting.inking import ink_paths
-from mnist3d.handwriting.keyed_random import KeyedRng, index_at
-from mnist3d.handwriting.page_layout import PAGE_PX
-from mnist3d.handwriting.writer_style import choose_allograph
 from mnist3d.sources import DigitImage
-from mnist3d.sources.synthetic import DRAWING_VERSION, SyntheticSource
+from mnist3d.sources.allographs import ALLOGRAPHS, nine_g_shaped
+from mnist3d.sources.curves import CLEAR, through
+from mnist3d.sources.synthetic import (
+    DRAWING_VERSION,
+    PAGE_PX,
+    KeyedRng,
+    SyntheticSource,
+    choose_allograph,
+    index_at,
+    ink_paths,
+)
 from tactile_toolkit.errors import InputError
 
 MARGIN_PX = 8

@@ -12,7 +12,7 @@ import trimesh
 
 from mnist3d.digit_checks import validate_paths
 from mnist3d.digit_generation import DigitSetSpec, generate
-from mnist3d.solid_spec import SolidSpec
+from mnist3d.digit_options import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import InputError
 

@@ -16,8 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from mnist3d.sources.hwdplus import open_npy
-from mnist3d.sources.mnist import IMAGES_MAGIC, read_idx
+from mnist3d.sources.digit_arrays import IMAGES_MAGIC, open_npy, read_idx
 from tactile_toolkit.cache import UNPACKED_VARIABLE, require_unpackable
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import BuildItem, Mesh, read_mesh, write_build
@@ -45,7 +44,7 @@ def peak_mb(code: str, *arguments: str, run: Callable[..., str] = run_forked) ->
     """Return the peak memory of the code in MB, without that of its imports, and its output."""
     lines = f"""
 import resource, sys
-from mnist3d.sources.mnist import IMAGES_MAGIC, read_idx
+from mnist3d.sources.digit_arrays import IMAGES_MAGIC, read_idx
 from pathlib import Path
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.mesh.files import read_mesh

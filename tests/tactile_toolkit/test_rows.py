@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from mnist3d.split_summary import facts_table, summarise_columns
+from mnist3d.digit_card import facts_table, summarise_columns
 from tactile_toolkit.read import vectors_type
 from tactile_toolkit.rows import column, meanings, plain_schema, row, table_of, with_role
 

@@ -15,7 +15,7 @@ from huggingface_hub import DatasetCard, DatasetCardData
 from hypothesis import given, strategies as st
 
 from mnist3d.digit_generation import DigitSetSpec, generate
-from mnist3d.solid_spec import SolidSpec
+from mnist3d.digit_options import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.cards import check_card, folder_summary, with_head, with_repo_name
 from tactile_toolkit.cards.card import column_type_text

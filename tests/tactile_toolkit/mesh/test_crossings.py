@@ -13,8 +13,8 @@ import pytest
 import trimesh
 from hypothesis import assume, given, settings, strategies as st
 
+from mnist3d.digit_options import SolidSpec
 from mnist3d.solid.algorithm import solidify
-from mnist3d.solid_spec import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.mesh import Mesh, crossings, inspect, self_crossing
 

@@ -128,7 +128,7 @@ def test_invalid_arguments_are_refused() -> None:
 @pytest.mark.parametrize(
     ("dataset", "tensors"),
     [
-        ("mnist3d.digit_dataset", "mnist3d.digit_tensors"),
+        ("mnist3d.digit_records", "mnist3d.digit_tensors"),
         ("starstruck_gen.scene_dataset", "starstruck_gen.scene_tensors"),
     ],
 )

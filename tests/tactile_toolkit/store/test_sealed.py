@@ -1,16 +1,23 @@
-"""A changed byte of a manifest or record is noticed by every reader."""
+"""A changed byte or a value of another type is noticed by every reader of a manifest or record."""
 
 from __future__ import annotations
 
+import contextlib
+import copy
+import json
+import os
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.places import open_place
 from tactile_toolkit.run import Part
-from tactile_toolkit.store import MANIFEST_FILE, Manifest, build, open_folder, read_manifest
+from tactile_toolkit.store import MANIFEST_FILE, Manifest, build, open_folder, read_manifest, verify
 from tactile_toolkit.store.job import pending_records
 from tactile_toolkit.store.manifest import require_seal, seal
 from tactile_toolkit.store.verification import (
@@ -20,7 +27,7 @@ from tactile_toolkit.store.verification import (
     read_download_record,
     write_download_record,
 )
-from tests.sealed import edit
+from tests.sealed import edit, sealed
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
 
@@ -99,3 +106,147 @@ def test_another_schema_version_is_refused(tmp_path: Path, version: int) -> None
     edit(tmp_path / MANIFEST_FILE, lambda values: values.update(schema_version=version))
     with pytest.raises(IntegrityError, match=f"has schema version {version}, expected 3; next: install"):
         build(open_folder(str(tmp_path)), toy_plan())
+
+
+DEEP = json.loads("[" * 400 + "]" * 400)
+STRANGE: list[Any] = ["10", -5, 10**15, 10**400, True, 1.5, None, [], [[]], {}, {"a": DEEP}, float("nan"), ""]
+
+
+@pytest.fixture(scope="module")
+def toy_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("typed") / "set"
+    build(open_folder(str(path)), toy_plan())
+    return path
+
+
+def places(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    return [path, *(place for key, each in inner for place in places(each, (*path, key)))]
+
+
+def with_value(values: Any, place: tuple[Any, ...], other: Any) -> str:
+    values = copy.deepcopy(values)
+    if not place:
+        return sealed(other)
+    inside = values
+    for key in place[:-1]:
+        inside = inside[key]
+    inside[place[-1]] = other
+    return sealed(values)
+
+
+@pytest.mark.thorough
+def test_every_value_is_of_its_kind_or_named(toy_set: Path) -> None:
+    """Valid values are written back as the same text; any other value raises one kind of error."""
+    values = json.loads((toy_set / MANIFEST_FILE).read_text())
+    counts = {"classes": [1, 2], "sizes": {"all": 3}}
+    values["shards"][0]["statistics"] = counts
+    whole, _ = outcome(sealed(values))
+    assert whole is not None
+    named = 0
+    for place in places(values):
+        for other in STRANGE:
+            read, story = outcome(with_value(values, place, other))
+            if read is None:
+                assert "set/manifest.json" in story
+                assert len(story) < 1000
+                named += 1
+                continue
+            # Values that do not affect rows may be any of their type.
+            harmless = ("spec", "toolkit_version", "skipped", "statistics", "trees", "kind", "libraries")
+            assert place[0] in (*harmless, "shards") or read == whole or other == {}, (place, other)
+            read.to_json()
+    assert named > 100
+
+
+def outcome(text: str) -> tuple[Manifest | None, str]:
+    try:
+        return Manifest.from_json(text, "set/manifest.json"), ""
+    except IntegrityError as error:
+        return None, str(error)
+
+
+def test_a_manifest_that_agrees_with_itself_and_not_with_the_files(toy_set: Path, tmp_path: Path) -> None:
+    """State one row less than there is."""
+    values = json.loads((toy_set / MANIFEST_FILE).read_text())
+    values["shards"][0]["rows"] -= 1
+    (tmp_path / "data").symlink_to(toy_set / "data")
+    (tmp_path / MANIFEST_FILE).write_text(sealed(values))
+    shards = open_place(str(tmp_path)).shards("train")
+    with pytest.raises(IntegrityError, match=r"rows; expected \d by the manifest"):
+        _ = shards[0].metadata
+
+
+def test_a_shard_that_the_manifest_lacks_is_named(toy_set: Path, tmp_path: Path) -> None:
+    manifest = read_manifest(open_folder(str(toy_set)))
+    assert manifest is not None
+    fewer = replace(manifest, shards=(manifest.shards[0], *manifest.shards[2:]))
+    (tmp_path / "data").symlink_to(toy_set / "data")
+    (tmp_path / MANIFEST_FILE).write_text(fewer.to_json())
+    with pytest.raises(IntegrityError, match=r"manifest\.json of .* lists 3 of 4 shards"):
+        open_place(str(tmp_path)).shards("train")
+
+
+@pytest.mark.parametrize(
+    "text", ["[" * 200_000, "[" * 200_000 + "]" * 200_000, "1" * 5_000, "\ud800", "[]", ""]
+)
+def test_text_that_is_no_manifest(text: str) -> None:
+    with pytest.raises(IntegrityError, match="here' is damaged"):
+        Manifest.from_json(text, "here")
+
+
+def test_every_value_of_a_record_of_a_download(tmp_path: Path) -> None:
+    file = {"bytes": 3, "kind": "git-sha1", "digest": "0" * 40}
+    values = {
+        "repository": "a/b", "commit": "0" * 40, "revision": None, "finished": True, "splits": ["train"],
+        "labels": ["README.md"], "files": {"data/train.parquet": file},
+    }  # fmt: skip
+    folder = open_folder(str(tmp_path))
+    (tmp_path / RECORD_FILE).write_text(sealed(values))
+    assert read_download_record(folder) is not None
+    for place in places(values):
+        for other in STRANGE:
+            (tmp_path / RECORD_FILE).write_text(with_value(values, place, other))
+            with contextlib.suppress(IntegrityError):
+                read_download_record(folder)
+
+
+def test_files_without_read_permission_are_not_called_damaged(
+    toy_set: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = open_folder(str(toy_set))
+    shard = folder.address("data/train-00000-of-00004.parquet")
+    real = Path.open
+
+    def refuse(path: Path, *args: Any, **kwargs: Any) -> Any:
+        if str(path) == shard:
+            raise PermissionError(13, "Permission denied", shard)
+        return real(path, *args, **kwargs)
+
+    monkeypatch.setattr(Path, "open", refuse)
+    with pytest.raises(InputError, match="cannot be read: permission denied"):
+        _ = open_place(str(toy_set)).shards("train")[0].metadata
+
+
+@pytest.mark.skipif(
+    not hasattr(os, "seteuid") or os.geteuid() != 0, reason="only root can become another user"
+)
+def test_a_folder_that_this_user_may_not_read(toy_set: Path, tmp_path: Path) -> None:
+    import shutil
+    import tempfile
+
+    base = Path(tempfile.mkdtemp())
+    base.chmod(0o755)
+    shutil.copytree(toy_set, base / "set")
+    (base / "set").chmod(0o700)
+    os.seteuid(65534)
+    try:
+        for ask in (
+            lambda: open_place(str(base / "set")).shards("train"),
+            lambda: verify(open_folder(str(base / "set"))),
+        ):
+            with pytest.raises(InputError, match=r"set.* cannot be read: permission denied"):
+                ask()
+    finally:
+        os.seteuid(0)
+        shutil.rmtree(base)

@@ -1,0 +1,128 @@
+"""Compiled kernels: when they are compiled again, and by which of several processes."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import textwrap
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+_CALLEE = """
+from typing import NamedTuple
+from tactile_toolkit.kernels import compiled
+
+class Shift{added}(NamedTuple):
+    x: int
+
+SHIFT = Shift{added}(1)
+
+@compiled
+def moved(shift):
+    return shift.x
+
+@compiled
+def part(x):
+    return x + {added}
+"""
+_CALLER = """
+from tactile_toolkit import kernels
+from made_up_kernels import callee as parts
+
+@kernels.planned("(int64,)")
+def first(x):
+    return parts.part(x) * 2
+
+@kernels.planned("(int64,)")
+def second(x):
+    return x - 1
+"""
+
+pytestmark = pytest.mark.thorough  # each interpreter compiles what it calls
+
+
+def write_kernels(folder: Path, added: int) -> None:
+    package = folder / "made_up_kernels"
+    package.mkdir(exist_ok=True)
+    (package / "__init__.py").touch()
+    (package / "callee.py").write_text(_CALLEE.format(added=added))
+    (package / "caller.py").write_text(_CALLER)
+
+
+def start(folder: Path, code: str) -> subprocess.Popen[str]:
+    variables = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    variables["PYTHONPATH"] = os.pathsep.join([str(folder), *sys.path])
+    variables["TACTILE_TOOLKIT_CACHE"] = str(folder / "cache")
+    command = [sys.executable, "-B", "-c", textwrap.dedent(code)]
+    return subprocess.Popen(command, env=variables, stdout=subprocess.PIPE, text=True)
+
+
+def printed(folder: Path, code: str) -> str:
+    with start(folder, code) as process:
+        text, _ = process.communicate()
+    assert process.returncode == 0
+    return text.strip()
+
+
+def test_a_kernel_is_compiled_again_when_a_file_behind_it_changes(tmp_path: Path) -> None:
+    code = """
+        from made_up_kernels import callee, caller
+        print(caller.first(3), callee.moved(callee.SHIFT))
+        """
+    write_kernels(tmp_path, 1)
+    assert printed(tmp_path, code) == "8 1"
+    # The cached kernel refers to a class that no longer exists.
+    write_kernels(tmp_path, 5)
+    assert printed(tmp_path, code) == "16 1"
+
+
+@pytest.fixture
+def first_is_busy(tmp_path: Path) -> Iterator[Path]:
+    """A folder of kernels, while another process compiles the first of them."""
+    write_kernels(tmp_path, 1)
+    held = """
+        import time
+        from tactile_toolkit import cache, store
+        (cache.cache_folder() / cache.LOCKS).mkdir(parents=True)
+        with store.locked(cache.cache_folder() / cache.LOCKS / "made_up_kernels.caller.first"):
+            print("held", flush=True)
+            time.sleep(600)
+        """
+    with start(tmp_path, held) as other:
+        try:
+            assert other.stdout is not None
+            assert other.stdout.readline().strip() == "held"
+            yield tmp_path
+        finally:
+            other.kill()
+
+
+def test_a_planned_kernel_that_another_process_compiles_is_left_to_it(first_is_busy: Path) -> None:
+    code = """
+        from tactile_toolkit import kernels
+        kernels.prepare("made_up_kernels.caller")
+        from made_up_kernels import caller
+        print(len(caller.first.signatures), caller.second.signatures)
+        """
+    begun_s = time.monotonic()
+    assert printed(first_is_busy, code) == "0 [(int64,)]"
+    assert time.monotonic() - begun_s < 60  # the time that a process waits for a lock
+
+
+def test_planned_kernels_are_ready_and_are_those_of_the_first_call(tmp_path: Path) -> None:
+    write_kernels(tmp_path, 1)
+    code = """
+        from tactile_toolkit import kernels
+        kernels.prepare("made_up_kernels.caller")
+        from made_up_kernels import caller
+        print(caller.first.signatures, caller.first(3), len(caller.first.signatures))
+        """
+    assert printed(tmp_path, code) == "[(int64,)] 8 1"
+    called = (
+        "from made_up_kernels.caller import second; print(second(3), sum(second.stats.cache_hits.values()))"
+    )
+    assert printed(tmp_path, called) == "2 1"
