@@ -208,7 +208,7 @@ class MadeScenes:
         """Return 0: nothing is unpacked."""
         return 0
 
-    def locate(self, row: int) -> tuple[read.Rows, int]:
+    def locate(self, row: int) -> tuple[read.RowGroup, int]:
         """Return a single row, which is not made yet."""
         return MadeScene(self, row), 0
 
@@ -245,11 +245,11 @@ class MadeScenes:
         raise KeyError(name)
 
 
-class MadeScene(read.Rows):
+class MadeScene(read.RowGroup):
     """One row, whose scene and mesh are made on first use."""
 
     def __init__(self, source: MadeScenes, row: int) -> None:
-        super().__init__("", row)
+        super().__init__(first_row=row)
         self._source = source
         self.once("cell_m", lambda: source.spec.cell_m)
 
