@@ -266,10 +266,10 @@ class MadeScene(read.RowGroup):
     # Not cached properties, whose locks take 1/20 of the time of a scene and its mesh.
     @property
     def _scene(self) -> scene.Scene:
-        source = self._source
-        row = self.first_row
+        made = self._source
         return self.once(
-            "scene", lambda: sampling.sample_scenes(source.spec, source.split, source.seed, row, 1)[0]
+            "scene",
+            lambda: sampling.sample_scenes(made.spec, made.split, made.seed, self.first_row, 1)[0],
         )
 
     def _built(self) -> scene.SceneMeshes:
