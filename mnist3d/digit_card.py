@@ -12,7 +12,7 @@ import pyarrow.compute as pc
 from mnist3d.digit_records import REPORT_FILE, SUMMED_UP, DigitRow, classes_of
 from mnist3d.kind import KIND
 from mnist3d.sources.picture_folder import FolderSource
-from tactile_toolkit import cards, catalog, kind, store, wording
+from tactile_toolkit import cards, kind, store, wording
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.rows import Column, meanings
 from tactile_toolkit.wording import class_name, with_count
@@ -151,7 +151,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         things = "drawings"
     columns = store.read_report(folder, REPORT_FILE).column_names
     joined = ", separate pieces bridged" if solid["join_bodies"] else ""
-    title = wording.printable(catalog.short_name(folder.address())) if is_own else "MNIST 3D"
+    title = wording.printable(store.split_uri(folder.address())[1]) if is_own else "MNIST 3D"
     cards.Card(
         template=KIND.card_template,
         title=title,

@@ -31,7 +31,11 @@ PUBLISHED_SIZES: dict[str, int] = {
     "printed_train": 50,
     "printed_test": 10,
 }
-"""Digits per class in each published split, 1,358 in total."""
+"""Digits per class in each published split, 1,358 in total.
+
+The table of the MNIST 3D splits in the Tactile MNIST paper prints the name of the last one as
+``printed_train`` a second time.
+"""
 
 OWN_SIZES: dict[str, int] = {"train": 4, "test": 1}
 """Proportions of the splits of pictures in a folder, which have not been printed."""

@@ -1,4 +1,8 @@
-"""Grey levels: of images of any type and size, and of coloured drawings; and which of them are paper."""
+"""Grey levels: of images of any type and size, and of coloured drawings; and which of them are paper.
+
+Grey levels alone lose light colours: the grey of an orange sun is nearer to white paper than to a black
+outline. In coloured drawings a pixel is compared with the paper by its largest difference in a channel.
+"""
 
 from __future__ import annotations
 

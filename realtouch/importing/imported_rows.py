@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from realtouch.importing import found_touches, import_columns, imported_clips
 from realtouch.importing.extra_columns import extra_arrays, extra_types
-from realtouch.touches.datasets import schema as stored_schema
+from realtouch.touches import schema as stored_schema
 from realtouch.touches.schema import POSE_COLUMN
 from realtouch.touches.stored_images import media_array
 from tactile_toolkit.array_types import AnyArray, Float64, Int64
