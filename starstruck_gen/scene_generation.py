@@ -29,8 +29,9 @@ PARQUET_STYLE = store.ParquetStyle(
     ),
 )
 """1,000 scenes are about 5 MB unpacked, enough for the codec to find repeated triangles."""
-_NUMBERS = [(name, pa.float64()) for name in scene.Placement._fields if name != "shape"]
-_PLACEMENTS = pa.list_(pa.struct([("shape", pa.string()), *_NUMBERS]))
+_PLACEMENTS = pa.list_(
+    pa.struct([(name, pa.string() if name == "shape" else pa.float64()) for name in scene.Placement._fields])
+)
 _OBJECTS = (
     "each object in the order of placing, stars first: `shape`, centre `x_m` and `y_m`, `angle_rad` about z, "
     "`radius_m` of the circumscribed circle, `height_m`"

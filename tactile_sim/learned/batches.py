@@ -49,7 +49,8 @@ class Batch(NamedTuple):
 
 def by_taxim(pairs: Pairs) -> Renderer:
     """Return a function that renders depth images of a training set with Taxim, the extra ``sim``."""
-    sensor, taxim = pairs.sensor, make_optics("taxim")
+    sensor = pairs.sensor
+    taxim = make_optics("taxim")
 
     def render(depth: Float32) -> UInt8:
         depth_m = sensor.press_m + depth.astype(np.float64) * (sensor.gel_m - sensor.press_m)
@@ -94,7 +95,8 @@ class Batches:
 
     def _make(self, step: int) -> Batch:
         rng = keyed_rng(self._config.seed, step, self._rank, "batch")
-        depth, real = self._pairs.depth, self._pairs.real
+        depth = self._pairs.depth
+        real = self._pairs.real
         images = depth.images(rng.integers(len(depth), size=self._config.batch))
         height, width = images.shape[1:]
         parts = {"depth": depth_channels(images)}

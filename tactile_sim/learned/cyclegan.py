@@ -173,7 +173,8 @@ class CycleGan:
         for parameter in self.parameters["discriminators"]:
             parameter.requires_grad_(False)
         # Discriminators learn from the same pictures below, in a step of their own.
-        made, losses = {}, {}
+        made = {}
+        losses = {}
         for name, other in (("touch", "depth"), ("depth", "touch")):
             made[name] = self._make(name, self._add_cycle_noise(other, real[other], rng), places[other])
             seen = self._add_sensor_noise(name, made[name], rng)

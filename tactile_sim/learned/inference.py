@@ -263,5 +263,6 @@ class DepthEstimator:
             images,
         )
         share = shades_of(made[:, 2:], (width, height))[:, 0].numpy()
-        gel_m, press_m = self._sensor.gel_m, self._sensor.press_m
+        gel_m = self._sensor.gel_m
+        press_m = self._sensor.press_m
         return np.asarray(share * (gel_m - press_m) + press_m, np.float32)

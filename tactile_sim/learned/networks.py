@@ -222,7 +222,8 @@ def read_weights(file: str | Path) -> GeneratorWeights:
 
 def _require_generator(arrays: Mapping[str, AnyArray]) -> None:
     """Raise ValueError, which names the first layer that differs, for arrays that no generator has."""
-    blocks, expected = GeneratorWeights(arrays).blocks, {}
+    blocks = GeneratorWeights(arrays).blocks
+    expected = {}
     first = arrays.get("model.1.weight")
     if first is not None and first.ndim and 0 < len(first) <= _MAX_FILTERS and blocks <= _MAX_BLOCKS:
         with torch.device("meta"):  # only shapes, no memory

@@ -154,7 +154,8 @@ def train(
         cannot be written; a loss is no longer finite. The last checkpoint stays.
     """
     config = config or TrainConfig()
-    data, folder = _trainable(pairs, config), store.open_folder(os.fspath(out))
+    data = _trainable(pairs, config)
+    folder = store.open_folder(os.fspath(out))
     with (
         processes.joined_processes(device, deterministic=deterministic) as process,
         held(folder, process),
@@ -204,7 +205,8 @@ class _Run:
         """Take the remaining steps, from ``first`` on."""
         config = self.config
         self.on_progress(first, config.steps)
-        sums, losses = np.zeros(len(cyclegan.LOSSES)), dict.fromkeys(cyclegan.LOSSES, math.nan)
+        sums = np.zeros(len(cyclegan.LOSSES))
+        losses = dict.fromkeys(cyclegan.LOSSES, math.nan)
         since = first
         batches = Batches(self.data, config, self.process.rank)
         for step, batch in enumerate(batches.since(first), first):
@@ -226,8 +228,10 @@ class _Run:
         """Restore the checkpoint, if there is one; return the number of steps taken, and their log."""
         if not self.folder.exists(_CHECKPOINT):
             return 0, []
-        stored, where = self.folder.read_bytes(_CHECKPOINT), self.folder.address(_CHECKPOINT)
-        digest, content = stored[:_DIGEST_BYTES], stored[_DIGEST_BYTES:]
+        stored = self.folder.read_bytes(_CHECKPOINT)
+        where = self.folder.address(_CHECKPOINT)
+        digest = stored[:_DIGEST_BYTES]
+        content = stored[_DIGEST_BYTES:]
         again = "train again in another folder"
         if hashlib.sha256(content).digest() != digest:
             raise errors.IntegrityError(
@@ -266,7 +270,8 @@ class _Run:
             own = pools[0]
             torch.distributed.all_gather_object(pools, own)
         if self.process.rank == 0:
-            lines, stream = torch.tensor(log, dtype=torch.float64), io.BytesIO()
+            lines = torch.tensor(log, dtype=torch.float64)
+            stream = io.BytesIO()
             torch.save({**self.model.state(), "pools": pools, "step": done, "log": lines}, stream)
             content = stream.getvalue()
             self.folder.write_bytes(_CHECKPOINT, hashlib.sha256(content).digest() + content)
@@ -291,7 +296,8 @@ class _Run:
             domain.images(np.flatnonzero(domain.contact)[: 8 * _SAMPLES : 8][:_SAMPLES])
             for domain in (self.data.depth, self.data.real)
         )
-        networks, device = self.model.networks, self.process.device
+        networks = self.model.networks
+        device = self.process.device
         where = depth_channels(np.ones(touch.shape[:3], np.float32))[:, :2].to(device)
         with torch.inference_mode():
             made_touch = networks["touch"](depth_channels(depth).to(device))

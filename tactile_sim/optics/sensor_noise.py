@@ -183,7 +183,8 @@ def draw_noise(
     noise: SensorNoise, rng: np.random.Generator, shape: tuple[int, ...]
 ) -> tuple[Float32, Float32]:
     """Draw the noise of images (n, H, W, C), each of a round of its own: gains (n,), and fields to add."""
-    gains, added = [], []
+    gains = []
+    added = []
     for _ in range(shape[0]):
         gain, offset, pattern = _of_round(noise, rng, shape[1:])
         gains.append(gain)
@@ -205,7 +206,8 @@ def _of_round(
 def _of_touch(
     noise: SensorNoise, rng: np.random.Generator, shape: tuple[int, ...], dtype: DTypeLike = np.float64
 ) -> AnyArray:
-    exponent, correlation = noise.frame_noise_spectrum_exponent, noise.frame_noise_channel_correlation
+    exponent = noise.frame_noise_spectrum_exponent
+    correlation = noise.frame_noise_channel_correlation
     return noise.frame_noise_std * _field(rng, shape, exponent, correlation, dtype)
 
 
@@ -241,7 +243,8 @@ def _field(
 @cache
 def _amplitudes(height: int, width: int, exponent: float) -> Float64:
     """Return factors (H, W // 2 + 1) of the spectrum of white noise, which keep mean 0 and deviation 1."""
-    across, down = np.fft.fftfreq(width) * width, np.fft.fftfreq(height) * height
+    across = np.fft.fftfreq(width) * width
+    down = np.fft.fftfreq(height) * height
     frequency = np.hypot(down[:, None], across[None])
     factors = np.zeros_like(frequency)
     factors[frequency > 0] = frequency[frequency > 0] ** (-exponent / 2)

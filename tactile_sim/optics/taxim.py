@@ -73,7 +73,8 @@ def taxim_package() -> TaximPackage:
         raise MissingExtraError(feature="the optics 'taxim'", package="taxim", extra="sim")
     folder = Path(found.origin).parent / "calib" / "gelsight_mini"
     settings = json.loads((folder / "params.json").read_text())
-    simulator, sensor = settings["simulator"], settings["sensor"]
+    simulator = settings["simulator"]
+    sensor = settings["sensor"]
     # Pickled objects are allowed: the package's own files hold shadows as lists of Python objects.
     gradients, stored = (
         np.load(folder / f"{name}.npz", allow_pickle=True) for name in ("polycalib", "shadowTable")
@@ -183,7 +184,8 @@ def _resized_rows(image: Float64, rows: int) -> Float64:
     scale = len(image) / rows
     reach = max(scale, 1.0)
     centre = (np.arange(rows) + 0.5) * scale - 0.5
-    out, total = np.zeros((rows, image.shape[1])), np.zeros(rows)
+    out = np.zeros((rows, image.shape[1]))
+    total = np.zeros(rows)
     first = np.floor(centre - reach).astype(int)
     for tap in range(2 * int(np.ceil(reach)) + 2):
         row = first + tap

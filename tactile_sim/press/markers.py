@@ -93,8 +93,10 @@ def draw_markers(picture: UInt8, positions_px: Float64) -> UInt8:
     reach = math.ceil(radius + 1)
     light = np.ones((height, width))
     for x, y in positions_px.reshape(-1, 2).tolist():
-        left, right = max(math.floor(x) - reach, 0), min(math.ceil(x) + reach + 1, width)
-        top, bottom = max(math.floor(y) - reach, 0), min(math.ceil(y) + reach + 1, height)
+        left = max(math.floor(x) - reach, 0)
+        right = min(math.ceil(x) + reach + 1, width)
+        top = max(math.floor(y) - reach, 0)
+        bottom = min(math.ceil(y) + reach + 1, height)
         if left >= right or top >= bottom:
             continue
         far = np.hypot(np.arange(left, right)[None, :] - x, np.arange(top, bottom)[:, None] - y)

@@ -126,7 +126,8 @@ class Pressable:
                 "a solid with printed layers or its sensor is tilted; expected both upright",
                 next="layer_m=0",
             )
-        foot_m, slack_m = self.foot_m, _SLACK * self.layer_m
+        foot_m = self.foot_m
+        slack_m = _SLACK * self.layer_m
         top_m = float(self.vertices_m[:, 2].max())
         count = np.floor((top_m - foot_m + slack_m) / self.layer_m - 0.5) + 1
         return np.array([self.layer_m, slack_m, count, -affine[2, 3] - foot_m, _LEVEL])
@@ -141,7 +142,8 @@ def _face_blocks(vertices: Float64, faces: Int32) -> tuple[Int32, Float64]:
     first, second, third = (vertices[faces[:, k]] for k in range(3))
     middles = (first[:, :2] + second[:, :2] + third[:, :2]) / 3
     cells = np.floor((middles - vertices[:, :2].min(axis=0)) / _CELL_OF_FACES_M).astype(np.int64)
-    one, other = second - first, third - first
+    one = second - first
+    other = third - first
     # Faces that look down are never touched. Without them, the balls around the others are smaller.
     down = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0] <= 0
     order = np.lexsort((cells[:, 0], cells[:, 1], down))

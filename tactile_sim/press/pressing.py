@@ -233,10 +233,12 @@ class _Setup:
         sensor_pose: PoseLike,
         cell_m: tuple[float, float],
     ) -> _Setup:
-        objects, targets = as_matrices(object_pose, "object_pose"), as_matrices(sensor_pose, "sensor_pose")
+        objects = as_matrices(object_pose, "object_pose")
+        targets = as_matrices(sensor_pose, "sensor_pose")
         is_single = not isinstance(solid, Sequence) and objects.ndim == targets.ndim == 2
         solids = solid if isinstance(solid, Sequence) else [solid]
-        objects, targets = objects.reshape(-1, 4, 4), targets.reshape(-1, 4, 4)
+        objects = objects.reshape(-1, 4, 4)
+        targets = targets.reshape(-1, 4, 4)
         count = _count_of(solids=solids, object_poses=objects, sensor_poses=targets)
         _require_above_cell(targets, cell_m)
         return cls(solids, objects, targets, cell_m, count, is_single)
@@ -244,7 +246,8 @@ class _Setup:
 
 def _press_rigid(setup: _Setup, sensor: Sensor) -> Pressed:
     """Press a gel that does not deform: images show the solid. Heights are relative to the targets."""
-    scene, shape = _Scene.of(setup, sensor), (setup.count, *sensor.size_px[::-1])
+    scene = _Scene.of(setup, sensor)
+    shape = (setup.count, *sensor.size_px[::-1])
     depths_m, image, highest_m = np.empty(shape), np.empty(shape, np.float32), np.empty(setup.count)
     for touch in range(setup.count):
         scene.raise_heights(touch, depths_m[touch])
@@ -256,7 +259,8 @@ def _press_elastic(setup: _Setup, loads: Sequence[elastic_press.Load], sensor: S
     """Press an elastic gel. Heights are relative to the targets."""
     whole = elastic_press.WholeGel.of(sensor)
     scene = _Scene.of(setup, whole.sensor)
-    depths_m, stops_m = np.empty((len(loads), *sensor.size_px[::-1])), np.empty(len(loads))
+    depths_m = np.empty((len(loads), *sensor.size_px[::-1]))
+    stops_m = np.empty(len(loads))
     contacts = []
     for touch, load in enumerate(loads):
         heights_m = np.empty(whole.sensor.size_px[::-1])
@@ -298,7 +302,8 @@ class _Scene:
         out.fill(-2 * self.ball_m[0, 3])  # far end of the camera, beyond object and plate
         plate = self.plates[touch % len(self.plates)]
         self.rasterise(out, self.corners_m, _PLATE_FACES, self.ball_m, plate, None)
-        here, affine = self.solids[touch % len(self.solids)], self.affines[touch % len(self.affines)]
+        here = self.solids[touch % len(self.solids)]
+        affine = self.affines[touch % len(self.affines)]
         self.rasterise(out, here.vertices_m, here.faces, here.blocks_m, affine, here.layers(affine))
 
 

@@ -103,8 +103,10 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         return
     spec = manifest.spec["options"]
     width, height = spec["size_px"]
-    plan, layer_m = spec["plan"], spec.get("layer_m", 0.0)
-    sensor, gel = _sensor_of(spec), CardGel.of(spec)
+    plan = spec["plan"]
+    layer_m = spec.get("layer_m", 0.0)
+    sensor = _sensor_of(spec)
+    gel = CardGel.of(spec)
     statistics = manifest.statistics()  # counted while the shards were made
     counts = [statistics[split] for split in manifest.splits]
     touches, on_object = (sum(each[name] for each in counts) for name in ("touches", "on_object"))
@@ -174,7 +176,8 @@ class _CardSensor:
 
 
 def _sensor_of(spec: JsonObject) -> _CardSensor:
-    size_px, like = spec["size_px"], spec["like"]
+    size_px = spec["size_px"]
+    like = spec["like"]
     if "sensor" in spec:
         geometry = SensorModel.geometry_names()
         model = SensorModel(**{name: spec["sensor"][name] for name in geometry})

@@ -276,7 +276,8 @@ class TouchGenerator(generation.RowGenerator):
 
     def make(self, split: str, items: Sequence[int]) -> Iterator[SyntheticRound | store.Skipped]:
         """Render the rounds; for an object that does not bound a solid, yield the reason once."""
-        solids, plan = self.source[split], self.spec.plan
+        solids = self.source[split]
+        plan = self.spec.plan
         for place in range(items[0] // plan.rounds, items[-1] // plan.rounds + 1):
             record = solids[int(self.rows[split][place])]
             numbers = (item - place * plan.rounds for item in items if item // plan.rounds == place)

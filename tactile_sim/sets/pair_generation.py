@@ -40,7 +40,8 @@ _contacts_by_image = lazy("realtouch:contacts_by_image")
 
 def drawn_depth(spec: PairsSpec, solid: Pressable, object_id: int, number: int) -> Float32:
     """Return the depth image of one touch: the first of some places in the cell with contact."""
-    sensor, least_m = sensor_of_window(spec.window, spec.size_px), spec.min_height_m
+    sensor = sensor_of_window(spec.window, spec.size_px)
+    least_m = spec.min_height_m
     assert least_m is not None, "PairsGenerator.of sets it"
     if spec.is_empty(number):  # a bare plate is the same wherever it is touched
         return np.ones(spec.size_px[::-1], np.float32)
@@ -71,19 +72,21 @@ def draw_touches(touches: read.AnyRecords, spec: PairsSpec, real: str) -> list[t
     # A seed here, where `keyed_rng` has a key: the recorded sets were drawn so.
     rng = np.random.Generator(np.random.Philox(round_plan.rng_key(spec.seed, "real")))
     flags = [not spec.is_empty(number) for number in range(spec.count)]
-    wanted = {True: sum(flags), False: spec.count - sum(flags)}
-    found = {flag: np.flatnonzero(contact == flag) for flag in wanted}
-    if any(len(found[flag]) < count for flag, count in wanted.items()):
+    with_contact = sum(flags)
+    without_contact = spec.count - with_contact
+    touching = np.flatnonzero(contact)
+    free = np.flatnonzero(~contact)
+    if len(touching) < with_contact or len(free) < without_contact:
         raise InputError(
-            f"{real!r} holds {with_count(len(found[True]), 'touches')} with contact and "
-            f"{len(found[False]):,} without, {highest}; expected at least {wanted[True]:,} and "
-            f"{wanted[False]:,}; nothing was written",
+            f"{real!r} holds {with_count(len(touching), 'touches')} with contact and "
+            f"{len(free):,} without, {highest}; expected at least {with_contact:,} and "
+            f"{without_contact:,}; nothing was written",
             next="give a smaller --count, or another --without-contact or --min-height-mm",
         )
-    pools = {
-        flag: iter(np.sort(rng.permutation(found[flag])[:count]).tolist()) for flag, count in wanted.items()
-    }
-    return [(next(pools[flag]), flag) for flag in flags]
+    # Touches with contact are drawn first: the recorded sets were drawn so.
+    touching_drawn = iter(np.sort(rng.permutation(touching)[:with_contact]).tolist())
+    free_drawn = iter(np.sort(rng.permutation(free)[:without_contact]).tolist())
+    return [(next(touching_drawn if flag else free_drawn), flag) for flag in flags]
 
 
 # Images of 256 x 256 pixels take some 100 MB then.
@@ -180,7 +183,8 @@ class PairsGenerator(generation.RowGenerator):
 
     def _depth(self, items: Sequence[int]) -> Iterator[pairs.PairRow | store.Skipped]:
         """Press the gel onto the objects; for one that does not bound a solid, yield the reason once."""
-        spec, solids = self.spec, self.objects
+        spec = self.spec
+        solids = self.objects
         last, solid = -1, None
         for number in items:
             place = (

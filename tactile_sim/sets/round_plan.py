@@ -105,7 +105,8 @@ def _shifted(drawn: Float64, x_m: float, y_m: float, angle_rad: float, *, pertur
     scale = np.array([_SHIFT_M, _SHIFT_M, _SHIFT_RAD]) * perturb
     for dx_m, dy_m, turned_rad in (drawn * scale).tolist():
         cosine, sine = arithmetic.cosine_sine(angle_rad)
-        x_m, y_m = x_m + (cosine * dx_m - sine * dy_m), y_m + (sine * dx_m + cosine * dy_m)
+        x_m = x_m + (cosine * dx_m - sine * dy_m)
+        y_m = y_m + (sine * dx_m + cosine * dy_m)
         angle_rad += turned_rad
         lies.append((x_m, y_m, angle_rad))
     return np.array(lies)

@@ -90,7 +90,8 @@ def press_round(
 
 def _depth_sensor(spec: GenerateSpec, optics: Optics) -> sensors.Sensor:
     """Return the sensor whose depth maps the optics render."""
-    size_px, model = spec.size_px, spec.sensor
+    size_px = spec.size_px
+    model = spec.sensor
     if spec.window == "full":
         size_px = (model.width_px, model.height_px)
     if spec.has_other_sensor:
@@ -187,7 +188,8 @@ def preview_touch(
         stands[:2, 3] = -points_m[np.argmin((away_m**2).sum(axis=1))]
     # Noise and slides are drawn as for round 0 of object 0, so that they are the same each time.
     made = press_round(spec, solid, stands[None], pose(x_m, y_m)[None], ("look", 0, 0))
-    sensor_z_m, depth_m = float(np.ravel(made.pressed.sensor_z_m)[0]), made.pressed.depth_m[0]
+    sensor_z_m = float(np.ravel(made.pressed.sensor_z_m)[0])
+    depth_m = made.pressed.depth_m[0]
     is_contact = depth_m < made.sensor.gel_m
     if made.pressed.contacts:
         is_contact = made.pressed.contact.is_contact

@@ -110,7 +110,7 @@ class TouchPlan:
         name="--touches-from",
         metavar="FILE",
         read=lazy("tactile_sim.sets.touch_table:TouchTable.read"),
-        help="Table of touches, CSV or TSV: x_m, y_m; object_id, round; object_x_m, object_y_m, "
+        help="Table of touches, CSV or Parquet: x_m, y_m; object_id, round; object_x_m, object_y_m, "
         "object_turn_rad.",
     )
     turn_rad: float = real(
@@ -275,7 +275,8 @@ class GenerateSpec:
             return
         if not isinstance(self.press, ElasticPress):
             raise InputError(f"press of the touches is {self.press!r}; expected an ElasticPress, or None")
-        press_m, gel_m = self.press.press_m, self.sensor.gel_mm / 1e3
+        press_m = self.press.press_m
+        gel_m = self.sensor.gel_mm / 1e3
         if press_m is not None and not press_m[1] < gel_m:
             raise InputError(
                 f"the press is {press_m[1]:g} m deep; expected less than the gel is thick, {gel_m:g} m",
@@ -283,7 +284,8 @@ class GenerateSpec:
             )
         width, height = self.size_px
         if self.window == "full":
-            width, height = self.sensor.width_px, self.sensor.height_px
+            width = self.sensor.width_px
+            height = self.sensor.height_px
         most = _MAX_ELASTIC_PIXELS // (width * height)
         if self.plan.touches > most:
             raise InputError(

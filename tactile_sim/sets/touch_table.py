@@ -88,7 +88,7 @@ class TouchTable:
         Parameters
         ----------
         path : str or path
-            CSV or TSV with a header line, whose columns are named like the attributes; lengths may be in
+            CSV, TSV, JSON lines or Parquet, whose columns are named like the attributes; lengths may be in
             `_mm` or `_cm` instead of `_m`, the turn in `_deg` instead of `_rad`.
 
         Returns
@@ -177,7 +177,8 @@ def _column(name: str, value: ArrayLike) -> AnyArray:
         expected = "an integer from 0"
     elif name in _FARTHEST_M:
         most = _FARTHEST_M[name]
-        fits, expected = np.abs(numbers) <= most, f"metres from {-most:g} to {most:g}"
+        fits = np.abs(numbers) <= most
+        expected = f"metres from {-most:g} to {most:g}"
     else:
         fits, expected = np.abs(numbers) <= _MAX_TURNS_RAD, "radians"
     if not fits.all():
@@ -205,7 +206,8 @@ def _read_columns(file: Path) -> dict[str, AnyArray]:
 
 def meaning_of(name: str, known: Collection[str]) -> tuple[str, float] | None:
     """Return the known column for a name in any unit, such as ``x_mm``, and its divisor."""
-    stem, unit = name.rpartition("_")[0], units.stated_unit(name)
+    stem = name.rpartition("_")[0]
+    unit = units.stated_unit(name)
     for ours, per in ((f"{stem}_m", units.PER_METRE), (f"{stem}_rad", units.PER_RADIAN)):
         if ours in known and unit in per:
             return ours, per[unit]

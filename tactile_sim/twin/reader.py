@@ -114,7 +114,8 @@ _WIDTHS = {"full": 160, "fast": 80}  # of the images that are read, pixels
 _TOUCHES = 480  # that are rendered for the training of the networks
 _PER_TOUCH = 1500  # pixels of each touch on which the networks are trained
 _SLOPE_STEPS, _DEPTH_STEPS = 1000, 3000
-_SLOPE_HIDDEN, _DEPTH_HIDDEN = (24, 24), (64, 64)
+_SLOPE_HIDDEN = (24, 24)
+_DEPTH_HIDDEN = (64, 64)
 _BLURS = (0.01, 0.03, 0.09)  # of the width
 _NO_CONTACT_MM = 0.02  # a smaller depth counts as no contact
 _SMOOTH_MM = 0.01  # the loss is quadratic in smaller errors
@@ -132,7 +133,8 @@ def reader_shapes() -> dict[str, tuple[int, ...]]:
             ("depth", colours + 3 + 6 * len(_BLURS[1:]) + 3, _DEPTH_HIDDEN),
         )
         for kind, inputs, hidden in nets:
-            name, sizes = f"{mode}_{kind}", (inputs, *hidden, 2)
+            name = f"{mode}_{kind}"
+            sizes = (inputs, *hidden, 2)
             shapes |= {f"{name}_mean": (inputs,), f"{name}_scale": (inputs,)}
             for layer, (wide, narrow) in enumerate(pairwise(sizes)):
                 shapes |= {f"{name}_w{layer}": (wide, narrow), f"{name}_b{layer}": (narrow,)}
@@ -144,7 +146,8 @@ def read_depth(twin: Twin, images: UInt8, *, fast: bool = False) -> DepthReading
     mode = "fast" if fast else "full"
     shrink = _shrink(twin, mode)
     background = shrunk(twin.background, shrink)
-    depths, errors = [], []
+    depths = []
+    errors = []
     for image in in_size_of(twin.size_px, images):
         change = shrunk(image.astype(np.float32), shrink) - background
         depth_mm, error_mm = _read(twin.reader, mode, change)
@@ -198,7 +201,8 @@ def _surroundings(colours: Float32, slopes: Float32) -> Float32:
 def _blurred(image: Float32, sigma_px: float) -> Float32:
     rows, columns, many = image.shape
     plane = image.reshape(rows, columns * many).astype(np.float64)
-    across, down = gel.half_kernel(sigma_px, columns), gel.half_kernel(sigma_px, rows)
+    across = gel.half_kernel(sigma_px, columns)
+    down = gel.half_kernel(sigma_px, rows)
     blur(plane, across, down, many, None, plane)
     return plane.reshape(image.shape).astype(np.float32)
 
@@ -297,14 +301,16 @@ def _true_slopes(depth_mm: Float32, twin: Twin, shrink: int) -> Float32:
 
 def _samples(twin: Twin, fit: Fit, rng: np.random.Generator) -> Iterator[tuple[Float32, Float32, int]]:
     """Yield images, depth in mm, and weights, of recordings and of rendered touches."""
-    presses, residuals = [], []
+    presses = []
+    residuals = []
     for touch in np.flatnonzero(fit.used).tolist():
         depth_m = fit.indentation(touch, fit.poses[touch], fit.shape)
         presses.append(float(depth_m.max()))
         image = fit.recordings.images[touch].astype(np.float32)
         yield image, (1e3 * depth_m).astype(np.float32), _RECORDING_WEIGHT
         residuals.append(image - fit.background - fit.rendered(touch, fit.poses[touch], fit.shape))
-    optics, reliefs = TwinOptics(twin), list(fit.reliefs.values())
+    optics = TwinOptics(twin)
+    reliefs = list(fit.reliefs.values())
     for number in range(_TOUCHES):
         relief = reliefs[rng.integers(len(reliefs))]
         if rng.random() < _SIMPLE_SHARE:
@@ -327,8 +333,10 @@ def _pressed(
     chosen = rng.integers(len(rows))
     corner = relief.corner
     middle_m = corner[:2] + [columns[chosen], rows[chosen]] * corner[2:] + rng.normal(0, 2e-3, 2)
-    turn, scale = rng.uniform(0, 2 * np.pi), rng.uniform(0.75, 1.3, 2) * [rng.choice([-1, 1]), 1]
-    cosine, sine = np.cos(turn), np.sin(turn)
+    turn = rng.uniform(0, 2 * np.pi)
+    scale = rng.uniform(0.75, 1.3, 2) * [rng.choice([-1, 1]), 1]
+    cosine = np.cos(turn)
+    sine = np.sin(turn)
     half = twin.half_m * scale
     affine = np.array(
         [[cosine * half[0], -sine * half[1], middle_m[0]], [sine * half[0], cosine * half[1], middle_m[1]]]
@@ -347,7 +355,8 @@ def simple_shape(rng: np.random.Generator) -> Relief:
     y, x = np.mgrid[-1:1:320j, -1:1:320j] * (side * pitch / 2)
     height = np.zeros((side, side))
     for _ in range(int(rng.integers(1, 4))):
-        at, turn = rng.uniform(-4e-3, 4e-3, 2), rng.uniform(0, np.pi)
+        at = rng.uniform(-4e-3, 4e-3, 2)
+        turn = rng.uniform(0, np.pi)
         along = np.cos(turn) * (x - at[0]) + np.sin(turn) * (y - at[1])
         across = np.cos(turn) * (y - at[1]) - np.sin(turn) * (x - at[0])
         top = 7e-3 - rng.uniform(0, 6e-4)
@@ -359,8 +368,10 @@ def simple_shape(rng: np.random.Generator) -> Relief:
             np.maximum(np.abs(along), np.abs(across)),
         )[rng.integers(4)]
         far = np.maximum(far - rng.uniform(0, rng.choice([1e-3, 5e-3])), 0)
-        radius, slope = rng.uniform(1.5e-3, 8e-3), rng.uniform(0.15, 1.2)
-        rise, tread = 1e-4 * 50 ** rng.random(), rng.uniform(1e-3, 5e-3)
+        radius = rng.uniform(1.5e-3, 8e-3)
+        slope = rng.uniform(0.15, 1.2)
+        rise = 1e-4 * 50 ** rng.random()
+        tread = rng.uniform(1e-3, 5e-3)
         drop = (
             radius - np.sqrt(np.maximum(radius**2 - far**2, 0)),
             slope * far,

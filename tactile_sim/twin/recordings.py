@@ -174,7 +174,8 @@ class Recordings:
         assert self.object_poses is not None, "set when the recordings are made"
         x_m, y_m = (self.sensor_m[:, :2] - self.object_poses[:, :2]).T
         turn = self.object_poses[:, 2]
-        cosine, sine = np.cos(turn), np.sin(turn)
+        cosine = np.cos(turn)
+        sine = np.sin(turn)
         return np.stack([cosine * x_m + sine * y_m, cosine * y_m - sine * x_m, turn], axis=1)
 
 

@@ -110,7 +110,8 @@ def _twin_of(arrays: Mapping[str, AnyArray], report: Mapping[str, Any]) -> Twin:
         if array is None or array.dtype != kind or array.shape != sides or not np.isfinite(array).all():
             problem = f"{name} is not an array of finite {np.dtype(kind)} numbers with the shape {sides}"
             raise ValueError(problem)
-    shape, half_m = arrays["shape"], arrays["half_m"]
+    shape = arrays["shape"]
+    half_m = arrays["half_m"]
     if (shape < gel.LEAST).any() or (shape > gel.MOST).any() or not ((half_m > 1e-4) & (half_m < 0.1)).all():
         problem = "its geometry is out of bounds"
         raise ValueError(problem)

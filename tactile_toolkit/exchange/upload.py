@@ -15,8 +15,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
-import huggingface_hub
-
 from tactile_toolkit import cards, hub, places, run, store
 from tactile_toolkit.checked_fields import switch, text
 from tactile_toolkit.errors import HubError, InputError, IntegrityError
@@ -343,6 +341,8 @@ def _refuse_public(repo_id: str, options: UploadOptions, held: hub.HubRepository
 
 def _asked_state(ask: _Ask, repo_id: str, branch: str, *, dry_run: bool) -> tuple[_State, str]:
     """Return :func:`_state`; if a dry run cannot reach the Hub, the state of a new repository, and why."""
+    import huggingface_hub  # heavy, and help texts read this file
+
     state = partial(_state, repo_id, branch)
     if not dry_run:
         ask(huggingface_hub.HfApi().whoami)
@@ -358,6 +358,8 @@ def _state(repo_id: str, branch: str) -> _State:
 
     A missing repository is not an error.
     """
+    import huggingface_hub  # heavy, and help texts read this file
+
     # The client does not load this module on first use.
     from huggingface_hub import errors
 
@@ -440,6 +442,8 @@ def run_upload(prepared: PreparedUpload) -> UploadResult:
     was lost. Raises HubError (files that were sent stay on the Hub, and the same call continues) or
     IntegrityError (afterwards the Hub does not hold what the folder has).
     """
+    import huggingface_hub  # heavy, and help texts read this file
+
     api = huggingface_hub.HfApi()
     ask = prepared.ask
     options = prepared.options
@@ -476,6 +480,8 @@ def _send(prepared: PreparedUpload) -> tuple[str, str | None]:
     Not with ``upload_folder``: it may make several commits, between which readers would find a part of the
     files; and it takes all files from one folder, while the card is in another.
     """
+    import huggingface_hub  # heavy, and help texts read this file
+
     options = prepared.options
     held = _state(prepared.repo_id, options.branch)[0]
     _refuse_public(prepared.repo_id, options, held)  # another upload may have created it meanwhile

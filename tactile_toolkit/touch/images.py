@@ -1,4 +1,4 @@
-"""Decoding and encoding of pictures.
+"""Images of touches: decoding and encoding, and the columns that all sets of touches share.
 
 JPEGs are decoded by libjpeg with its exact integer transform, so every machine gets the same pixels. The
 interpreter lock is released while it works.
@@ -8,38 +8,37 @@ from __future__ import annotations
 
 import io
 import re
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import Literal
 
 import numpy as np
+import pyarrow as pa
 import simplejpeg
 from PIL import Image
 
+from tactile_toolkit import read
 from tactile_toolkit.array_types import UInt8
+from tactile_toolkit.json_types import JsonObject
 
 MAX_IMAGE_PIXELS = 1 << 24
 """Largest image that is decoded (4096 x 4096); a sensor's has 76,800 pixels."""
-
 MAX_IMAGE_BYTES = 1 << 26
 """Largest encoded image that is read."""
-
 MAX_SCANS = 100
 """Most scans of a JPEG that is decoded. Each scan costs a pass over the picture but only a few bytes of file.
 Cameras write 1, progressive files about 10."""
 
 # A file of this size holds a few hundred scans at most: under a second, even for the largest image.
 _SMALL_BYTES = 1 << 12
-
 MAX_HEADER_BYTES = 1 << 22
 """Most bytes of a JPEG before its first scan. Pillow keeps an object per segment, and 4 bytes make one."""
-
-
 ImageFormat = Literal["jpeg", "png"]
 IMAGE_SUFFIX: dict[ImageFormat, str] = {"jpeg": "jpg", "png": "png"}
 """File name suffix of each format."""
-
 _SCAN_START = re.compile(b"\xff\xda")
 _JPEG_START = b"\xff\xd8\xff"
+
 # Pillow modes whose values are clipped at 255 on conversion to RGB.
 _DEEP_MODES = ("I", "I;16", "I;16B", "I;16L", "I;16N", "F")
 
@@ -184,3 +183,33 @@ def resized(pixels: UInt8, width: int, height: int) -> UInt8:
     smaller = width <= image.width and height <= image.height
     method = Image.Resampling.BOX if smaller else Image.Resampling.BILINEAR
     return np.asarray(image.resize((width, height), method))
+
+
+Kind = Literal["seq", "single"]
+MEDIA_COLUMN: dict[Kind, str] = {"seq": "sensor_video", "single": "sensor_image"}
+"""Column of clips or images, by which the kind of a data set is recognised."""
+MEDIA_TYPE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
+"""Arrow type of an image or clip: its bytes and its original file name."""
+CLASS_NAMES = tuple(str(digit) for digit in range(10))
+
+
+def with_features(schema: pa.Schema, label_names: Sequence[str] | None) -> pa.Schema:
+    """Add the metadata from which `datasets` reads the features: classes, images, numbers.
+
+    Without ``label_names``, the class is a plain number; an empty list means that there are no classes.
+    """
+    features = {field.name: _feature(field.name, field.type, label_names) for field in schema}
+    return schema.with_metadata(read.feature_metadata(features))
+
+
+def _feature(name: str, data_type: pa.DataType, label_names: Sequence[str] | None) -> JsonObject:
+    if name == "label" and label_names is not None:
+        return read.label_feature(label_names)
+    if read.list_depth(data_type)[0]:
+        length = getattr(data_type, "list_size", -1)
+        inner = _feature(name, data_type.value_type, label_names)
+        # Both old and new releases of `datasets` read "Sequence" as a list.
+        return {"feature": inner, "length": length, "_type": "Sequence"}
+    if name in MEDIA_COLUMN.values() or data_type == MEDIA_TYPE:
+        return {"_type": "Video" if name == MEDIA_COLUMN["seq"] else "Image"}
+    return {"dtype": read.dtype_name(data_type), "_type": "Value"}
