@@ -13,8 +13,6 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-import numpy as np
-
 from tactile_toolkit import checked_fields, touch
 from tactile_toolkit.checked_fields import check_fields, integer, real, text
 from tactile_toolkit.errors import InputError
@@ -96,6 +94,8 @@ class Sensor:
 
     def depth_image(self, depth_m: Float64) -> Float32:
         """Scale a depth map to an image: 0 deepest in the gel, 1 no contact; any shape, float32."""
+        import numpy as np  # commands import this module for their options
+
         image = np.minimum(depth_m, self.gel_m)
         # In place: a round of large pictures does not stay in the processor's cache.
         np.maximum(image, self.press_m, out=image)
