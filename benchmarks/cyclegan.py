@@ -25,23 +25,23 @@ from PIL import Image
 
 import realtouch
 from tactile_sim import center_view
-from tactile_sim.learned.cyclegan_optics import CycleganOptics
-from tactile_sim.learned.generators import make_generator
-from tactile_sim.learned.networks import GeneratorNetwork, initialise
-from tactile_sim.learned.training import DEPTH_WEIGHTS, TOUCH_WEIGHTS, train
-from tactile_sim.learned.weights import (
+from tactile_sim.learned.inference import CycleganOptics, make_generator
+from tactile_sim.learned.networks import (
     PUBLISHED_SIZE_PX,
+    GeneratorNetwork,
     GeneratorWeights,
+    initialise,
     published_weights,
     read_weights,
     weights_of,
     write_weights,
 )
-from tactile_sim.learning_specs import TrainConfig
-from tactile_sim.optics import scaled
-from tactile_sim.pairs import Pairs
-from tactile_sim.sensor_noise import SensorNoise
-from tactile_sim.taxim import TaximOptics
+from tactile_sim.learned.training import DEPTH_WEIGHTS, TOUCH_WEIGHTS, train
+from tactile_sim.optics.rendering import scaled
+from tactile_sim.optics.sensor_noise import SensorNoise
+from tactile_sim.optics.taxim import TaximOptics
+from tactile_sim.sets.learning_specs import TrainConfig
+from tactile_sim.sets.pairs import Pairs
 from tactile_toolkit.store import open_folder
 
 SIZE = (64, 64)

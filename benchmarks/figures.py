@@ -99,8 +99,8 @@ BENCHMARKS = {
         (
             "benchmarks/twin_speed.py",
             "tactile_sim/twin",
-            "tactile_sim/optics.py",
-            "tactile_sim/taxim_kernels.py",
+            "tactile_sim/optics/rendering.py",
+            "tactile_sim/optics/taxim_kernels.py",
         )
     ),
     "elastic": Benchmark(("tactile_sim/elastic",)),

@@ -241,8 +241,8 @@ def merging(folder: Path) -> dict[str, float]:
 
 def planning_digits(_: Path) -> dict[str, float]:
     from mnist3d.digit_generation import DigitGenerator, DigitSetSpec
+    from mnist3d.digit_options import SplitSpec
     from mnist3d.sources.synthetic import SyntheticSource
-    from mnist3d.splits import SplitSpec
     from tactile_toolkit.generation import plan_build
 
     sizes = (("train", 95 * ROWS // 1000), ("test", ROWS // 1000))

@@ -13,15 +13,20 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from tactile_sim.learned.channels import depth_channels, generated, picture_channels, pictures_from
-from tactile_sim.learned.generators import Generator, make_generator
-from tactile_sim.learned.networks import initialise
+from tactile_sim.learned.inference import (
+    Generator,
+    depth_channels,
+    generated,
+    make_generator,
+    picture_channels,
+    pictures_from,
+)
+from tactile_sim.learned.networks import generator_of, initialise, read_weights, weights_of
 from tactile_sim.learned.training import DEPTH_WEIGHTS, TOUCH_WEIGHTS
-from tactile_sim.learned.weights import generator_of, read_weights, weights_of
-from tactile_sim.optics import make_optics
-from tactile_sim.pairs import Domain, Pairs
-from tactile_sim.random_numbers import keyed_rng
-from tactile_sim.sensor_noise import SensorNoise, add_noise
+from tactile_sim.optics.rendering import make_optics
+from tactile_sim.optics.sensor_noise import SensorNoise, add_noise
+from tactile_sim.sets.pairs import Domain, Pairs
+from tactile_sim.sets.round_plan import keyed_rng
 
 STEPS = 600  # after 120, contact was classified at chance level in images for which 400 gave 96 %
 INPUT_PX = 64  # larger images are scaled to this size

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from mnist3d.digit_records import PARQUET_STYLE
 from tactile_sim import GenerateSpec, TouchPlan
-from tactile_sim.generation import TouchGenerator
+from tactile_sim.sets.generation import TouchGenerator
 from tactile_toolkit.store import DataFolder, ParquetStyle, encode_parquet, open_folder, read_manifest
 
 # Any 256 random numbers cut alike; these are not those of the Hub.

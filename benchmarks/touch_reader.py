@@ -32,7 +32,7 @@ import mnist3d
 import realtouch
 import tactile_sim
 from mnist3d.sources.synthetic import SyntheticSource
-from tactile_sim.round_plan import plan_round
+from tactile_sim.sets.round_plan import plan_round
 from tests.tactile_sim.oracle import GEL_M, PRESS_M, Oracle
 
 TOUCHES, TEST_EVERY, EPOCHS, SEEDS = 16, 2, 5, range(3)

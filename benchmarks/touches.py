@@ -30,7 +30,7 @@ from figures import tell
 import mnist3d
 import tactile_sim
 from mnist3d.sources.synthetic import SyntheticSource
-from tactile_sim.optics import make_optics
+from tactile_sim.optics.rendering import make_optics
 from tests.tactile_sim.oracle import Oracle
 
 TOUCHES = 32

@@ -29,7 +29,7 @@ from figures import tell
 import mnist3d
 import tactile_sim
 from mnist3d.sources.synthetic import SyntheticSource
-from tactile_sim.optics import make_optics
+from tactile_sim.optics.rendering import make_optics
 from tests.tactile_sim.made_up_twin import made_up_twin
 
 SIZE_PX, TOUCHES = (320, 240), 16

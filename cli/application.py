@@ -12,8 +12,8 @@ from typing import Any, TypeVar
 import typer
 from typer.core import TyperCommand
 
-from cli.declared_options import DEBUG_VARIABLE, Debug, Version, with_options
-from cli.streams import Output
+from cli.options import DEBUG_VARIABLE, Debug, Version, with_options
+from cli.output import Output
 from tactile_toolkit import store, wording
 from tactile_toolkit.errors import InputError, SpecMismatchError, ToolkitError, require_public
 from tactile_toolkit.json_types import JsonValue

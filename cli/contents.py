@@ -1,18 +1,23 @@
-"""The commands ``info``, ``show`` and ``list``, which print the content of data sets, rows and folders."""
+"""The commands that show what a data set holds: its facts, its rows, and the data sets of a folder."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from cli import nested_values, options, output, runs
-from tactile_toolkit import catalog, checked_fields, hub, places, read, store, wording
+from cli import options, output, runs
+from tactile_toolkit import catalog, checked_fields, places, read, store, wording
 from tactile_toolkit.errors import InputError, ToolkitError
-from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.json_types import JsonDict, JsonValue
 from tactile_toolkit.kind import DatasetKind, is_copy
-from tactile_toolkit.wording import with_count
+from tactile_toolkit.wording import bytes_text, with_count
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
 
 ROW = checked_fields.integer(0, help="Number of the row in its split, from 0.")
-_STATES = {True: "finished", False: "unfinished"}
 
 
 def info(
@@ -28,7 +33,8 @@ def info(
     Example: info DIR --json
     """
     place = opening.open(sink, name, shows_all=True).require(kind, "info")
-    manifest, folder = place.manifest, place.folder
+    manifest = place.manifest
+    folder = place.folder
     if manifest is None:
         _print_without_manifest(sink, place, kind)
         return
@@ -37,16 +43,16 @@ def info(
         return
     print_made(sink, kind, manifest, folder.address(), None)
     sink.line(f"made by tactile-toolkit {manifest.toolkit_version}; source and spec:")
-    for line in nested_values.flat_lines(manifest.spec):
+    for line in flat_lines(manifest.spec):
         sink.line(f"  {line}")
 
 
 def _print_without_manifest(sink: output.Sink, place: places.Place, kind: DatasetKind) -> None:
     """Print the content of the splits of a data set without a manifest, and its repository."""
-    repository: store.DownloadRecord | hub.HubRepository | None = place.repository
-    if place.folder is not None:
-        repository = store.read_download_record(place.folder) or repository
-    entries, rows = [], []
+    record = None if place.folder is None else store.read_download_record(place.folder)
+    repository = record or place.repository
+    entries = []
+    rows = []
     for split, dataset in catalog.open_splits(place, None, kind.load, kind.nouns).items():
         paths = [shard.path for shard in place.shards(split)]
         size = sum(folder.size_bytes(name) for folder, name in map(store.split_uri, paths))
@@ -90,15 +96,13 @@ def show(
         )
     group, index = rows.locate(row)
     stored = group.table.slice(index, 1)
-    values = {
-        name: nested_values.brief(nested_values.stored_value(stored[name][0])) for name in stored.column_names
-    }
+    values = {name: brief(stored_value(stored[name][0])) for name in stored.column_names}
     sink.document({"data_set": name, "split": chosen, "row": row, "values": values})
     sink.line(f"{name}: row {row:,} of the {with_count(len(rows), 'rows')} in {chosen}")
     lines = []
     for field in stored.schema:
         type_text = str(field.type).replace("element: ", "").replace("fixed_size_list", "list")
-        for line in nested_values.flat_lines({field.name: values[field.name]}):
+        for line in flat_lines({field.name: values[field.name]}):
             column, _, value = line.partition(" = ")
             lines.append((column, type_text, value))
     sink.table(("column", "type", "value"), lines)
@@ -140,7 +144,9 @@ def _sets_in(folder: Path) -> list[JsonDict]:
     found = []
     inner = sorted(each.name for each in folder.iterdir() if each.is_dir() and not store.is_hidden(each.name))
     for name in [".", *inner]:
-        kind, table, state = "", dict[str, dict[str, int]](), ""
+        kind = ""
+        table = dict[str, dict[str, int]]()
+        state = ""
         try:
             manifest = store.manifest_so_far(store.open_folder(str(folder / name)))
         except ToolkitError as error:
@@ -148,8 +154,9 @@ def _sets_in(folder: Path) -> list[JsonDict]:
         else:
             if manifest is None:
                 continue
-            kind, table = manifest.kind, manifest.split_table()
-            state = _STATES[manifest.complete]
+            kind = manifest.kind
+            table = manifest.split_table()
+            state = "finished" if manifest.complete else "unfinished"
         sums = {each: sum(split[each] for split in table.values()) for each in ("rows", "bytes")}
         found.append({"name": name, "kind": kind, "splits": ", ".join(table), **sums, "state": state})
     return found
@@ -157,20 +164,24 @@ def _sets_in(folder: Path) -> list[JsonDict]:
 
 def print_sets(sink: output.Sink, kind: DatasetKind) -> None:
     """Print the published data sets: content, licence, size, and which splits are on this machine."""
-    documents, rows = [], []
-    for known, (on_hub, local) in zip(kind.published, places.hub_states(kind.published), strict=True):
-        licence, size, there = known.licence, None, "?"
-        if on_hub is not None:
-            licence, size = licence or on_hub.licence, on_hub.size_bytes
-            there = wording.bytes_text(size)
-        splits, local_bytes, here = list[str](), 0, "-"
-        if local is not None and local.size_bytes:
-            splits, local_bytes = list(places.splits_by_name(local.remote, known.repo_id)), local.size_bytes
-            here = f"{wording.bytes_text(local_bytes)} ({', '.join(splits)})"
+    documents = []
+    rows = []
+    for state in places.published_states(kind):
+        known = state.known
         names = {"name": known.name, "repository": known.repo_id, "content": known.content}
-        facts = {"licence": licence, "hub_bytes": size, "local_bytes": local_bytes, "local_splits": splits}
-        documents.append({**names, "citation": known.citation, **facts})
-        rows.append((known.name, known.content, licence or "see its card", there, here))
+        facts = {
+            "citation": known.citation,
+            "licence": state.licence,
+            "hub_bytes": state.hub_bytes,
+            "local_bytes": state.local_bytes,
+            "local_splits": state.local_splits,
+        }
+        documents.append({**names, **facts})
+        there = "?" if state.hub_bytes is None else wording.bytes_text(state.hub_bytes)
+        here = "-"
+        if state.local_bytes:
+            here = f"{wording.bytes_text(state.local_bytes)} ({', '.join(state.local_splits)})"
+        rows.append((known.name, known.content, state.licence or "see its card", there, here))
     sink.document(documents)
     if not rows:
         next_step = f"`{kind.package} list` lists the published data sets that {kind.package} opens"
@@ -180,3 +191,56 @@ def print_sets(sink: output.Sink, kind: DatasetKind) -> None:
     if any(row[3] == "?" for row in rows):
         sink.info("?: the Hub did not answer for this one (no network, or no access)")
     sink.line(f"next: {kind.command} download NAME [--split SPLIT] [--out DIR]")
+
+
+# Length of the longest list whose values are shown.
+_SHOWN = 6
+
+
+def flat_lines(values: JsonValue, path: str = "") -> list[str]:
+    """Return nested values as lines such as ``solid.profile = round``."""
+    if isinstance(values, dict) and values:
+        inner = values.items()
+    elif isinstance(values, list) and any(isinstance(value, (dict, list)) for value in values):
+        inner = dict(enumerate(values, 1)).items()
+    else:
+        return [f"{path} = {_value_text(values)}"]
+    return [line for key, value in inner for line in flat_lines(value, f"{path}.{key}".lstrip("."))]
+
+
+def _value_text(value: JsonValue) -> str:
+    if value is None or value in ([], {}):
+        return "none"
+    if isinstance(value, list):
+        return ", ".join(map(_value_text, value))
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return str(value)
+
+
+def stored_value(scalar: pa.Scalar) -> object:
+    """Convert a scalar of Arrow to Python, or to text if Python has no such type (nanoseconds)."""
+    try:
+        return scalar.as_py()
+    except ValueError:
+        # Its text needs pandas, which no command imports.
+        if isinstance(scalar, Mapping):
+            return {name: stored_value(each) for name, each in scalar.items()}
+        if isinstance(scalar, Iterable):
+            return list(map(stored_value, scalar))
+        return scalar.cast("string").as_py()
+
+
+def brief(value: object) -> JsonValue:
+    """Shorten a value for JSON: a long list becomes its number of values, bytes become their size."""
+    if isinstance(value, dict):
+        return {name: brief(each) for name, each in value.items()}
+    if isinstance(value, bytes):
+        return bytes_text(len(value))
+    if isinstance(value, list) and len(value) > _SHOWN:
+        return with_count(len(value), "values")
+    if isinstance(value, list):
+        return [brief(each) for each in value]
+    if isinstance(value, (bool, int, float, str, type(None))):
+        return value
+    return str(value)

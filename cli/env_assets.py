@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 import env_assets
-from cli import application, checks, contents, exports, merge_and_split, options, output, upkeep
+from cli import application, checks, contents, exports, options, output, sets
 from env_assets import WrenchSpec
 from env_assets.wrench.kind import KIND
 from tactile_toolkit import checked_fields, kind, mesh
@@ -16,7 +16,6 @@ from tactile_toolkit.wording import with_count
 
 # Imported when it is called: it registers the environments, and imports numpy.
 _environment_ids = kind.lazy("tactile_envs:ids")
-_WRITTEN = {False: "written to {}", True: "would be written to {}; nothing was written"}
 
 app = application.new_app("env-assets", "Assets of environments: the wrench, and the list of environments.")
 
@@ -59,7 +58,7 @@ def wrench(
     for warning in report.warnings:
         sink.line(f"warning: {warning}")
     files = " and ".join(map(str, filter(None, (out, stl))))
-    sink.line(_WRITTEN[dry_run].format(files))
+    sink.line(f"would be written to {files}; nothing was written" if dry_run else f"written to {files}")
 
 
 @application.command(app, name="list")
@@ -78,7 +77,7 @@ def list_environments(
     sink.document([asdict(each) for each in found])
     names = [field.name for field in fields(found[0])]
     sink.table(names, [[_shown(getattr(each, name)) for name in names] for each in found])
-    sink.line(f"{with_count(len(found), 'environments')}; `tactile_envs:ID` is the name for gymnasium.make")
+    sink.line(f"{with_count(len(found), 'environments')}; the name for gymnasium.make is `tactile_envs/ID`")
     for assets in dict.fromkeys(each.assets for each in found):
         if assets in env_assets.THIRD_PARTY_ASSETS:
             sink.line(f"{assets}: give `assets`, a folder of meshes; {env_assets.THIRD_PARTY_ASSETS[assets]}")
@@ -94,10 +93,10 @@ def _shown(value: object) -> object:
 for _shared in (
     exports.export,
     checks.verify,
-    merge_and_split.merge,
-    merge_and_split.split,
+    sets.merge,
+    sets.split,
     contents.show,
-    upkeep.cache,
+    sets.cache,
 ):
     application.command(app, kind=KIND, checks=None, objects=checks.Objects())(_shared)
 

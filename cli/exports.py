@@ -10,16 +10,14 @@ from typing import Annotated
 
 import typer
 
-from cli import application, declared_options, options, output, runs
-from tactile_toolkit import catalog, checked_fields, exchange, places, printing, store, wording
+from cli import application, options, output, runs
+from tactile_toolkit import catalog, checked_fields, exchange, printing, store, wording
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.wording import with_count
 
 _ROWS_SHOWN = 20
 _UNCHANGED = {"scale": 1, "base_mm": None}
-_DOING = {True: "checking", False: "writing"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +43,7 @@ class ExportOptions:
     )
     plate: str | None = checked_fields.text(
         metavar="256x256|prusa-mk4",
-        complete=tuple(printing.BEDS_MM),
+        complete=printing.PlateSpec.printers(),
         help="Pack the objects on build plates of this size, in mm, or of this printer.",
     )
     calibration_plate: bool = checked_fields.switch(
@@ -62,8 +60,8 @@ def export(
     opening: options.Opening,
     form: ExportOptions,
     chosen: catalog.RowFilter,
-    distances: Annotated[declared_options.Given, declared_options.OptionsOf(printing.PlateSpec)],
-    material: Annotated[declared_options.Given, declared_options.OptionsOf(printing.Physics)],
+    distances: Annotated[options.Given, options.OptionsOf(printing.PlateSpec)],
+    material: Annotated[options.Given, options.OptionsOf(printing.Physics)],
     out: Path = options.local_out_folder("prints"),
     job: options.Job,
     sink: output.Sink,
@@ -84,18 +82,18 @@ def export(
 
     Exit code 1 if an object or plate could not be written as a solid.
     """
-    filters = chosen.given()
     _refuse_without_effect(form, distances, material)
     place = opening.open(sink, name).require(kind, "export")
-    datasets = catalog.open_splits(place, filters.pop("split"), kind.load, kind.nouns).items()
     if form.file_format == "flat":
-        _export_flat(sink, kind, place, catalog.choose_rows(datasets, **filters), filters, str(out), job)
+        _export_flat(sink, kind, exchange.plan_tables(kind, place, chosen, str(out)), str(out), job)
         return
+    filters = chosen.given()
+    datasets = catalog.open_splits(place, filters.pop("split"), kind.load, kind.nouns).items()
     bodies = printing.Physics(**material)
     spec = None
     if form.plate is not None:
         spec = printing.PlateSpec.parse(form.plate, **distances)
-    objects = printing.on_plates(printing.choose(datasets, **filters), form.base_mm)
+    objects = printing.choose(datasets, form.base_mm, **filters)
     if form.calibration_plate:
         _export_calibration_plate(sink, objects, form.file_format or "3mf", str(out), job)
     elif spec is not None:
@@ -165,7 +163,7 @@ def _export_files(
     out: str,
     job: options.Job,
 ) -> None:
-    with sink.progress(_DOING[job.dry_run], "files") as update:
+    with sink.progress("checking" if job.dry_run else "writing", "files") as update:
         made = printing.export_files(
             objects,
             out,
@@ -203,15 +201,8 @@ def _export_files(
 
 
 def _export_flat(
-    sink: output.Sink,
-    kind: DatasetKind,
-    place: places.Place,
-    choices: exchange.Choices,
-    filters: JsonObject,
-    out: str,
-    job: options.Job,
+    sink: output.Sink, kind: DatasetKind, plan: store.BuildPlan, out: str, job: options.Job
 ) -> None:
-    plan = exchange.plan_tables(kind, place, choices, filters, out)
     if job.dry_run:
         if not job.overwrite:
             store.inspect_job(store.open_folder(out), plan)
@@ -235,10 +226,14 @@ def _export_plates(
 ) -> None:
     with sink.progress("measuring", "objects") as update:
         layout = printing.arrange(objects, spec, scale, bodies, update)
-    wrote, removed, ending = "wrote", "removed", f"{printing.TABLE_FILE} lists where each object lies"
+    wrote = "wrote"
+    removed = "removed"
+    ending = "plates.csv lists where each object lies"
     if job.dry_run:
-        wrote, removed, ending = "would write", "would remove", "nothing was written"
-    with sink.progress(_DOING[job.dry_run], "plates") as update:
+        wrote = "would write"
+        removed = "would remove"
+        ending = "nothing was written"
+    with sink.progress("checking" if job.dry_run else "writing", "plates") as update:
         made = printing.write_plates(
             layout, out, overwrite=job.overwrite, dry_run=job.dry_run, on_progress=update
         )
@@ -252,7 +247,8 @@ def _export_plates(
     ]
     sink.table(("plate", "objects", "share of the plate", "size"), rows)
     kept = _kept(sum(plate.state == "kept" for plate in made.files))
-    placed, plates = with_count(len(made.objects), "objects"), with_count(len(made.files), "plates")
+    placed = with_count(len(made.objects), "objects")
+    plates = with_count(len(made.files), "plates")
     sink.line(f"{wrote} {placed} on {plates} of {spec.text} to {out}{kept}; {ending}")
     _report_failures(sink, made.failed)
 

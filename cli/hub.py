@@ -33,7 +33,6 @@ _LARGE_BYTES = 1_000_000_000
 # Number of files that are named if a list is longer.
 _FILES_SHOWN = 8
 _disable_progress_bars = lazy("huggingface_hub.utils.tqdm:disable_progress_bars")  # takes 0.2 s to import
-_VISIBLE = {True: "private", False: "public"}
 
 
 def upload(
@@ -56,9 +55,14 @@ def upload(
     place.require_manifest(kind)
     kind = place.kind or kind
     sink.info(f"checking {folder}")
-    check = partial(exchange.check_folder, kind, workers=process_count(workers))
     prepared = exchange.prepare_upload(
-        folder, repository, options, check=check, dry_run=dry_run, on_wait=sink.info
+        folder,
+        repository,
+        options,
+        kind=kind,
+        workers=process_count(workers),
+        dry_run=dry_run,
+        on_wait=sink.info,
     )
     finish_upload(sink, prepared, partial(_loading_lines, kind, prepared), dry_run=dry_run, yes=yes)
 
@@ -119,7 +123,7 @@ def download(
         out=out,
         on_wait=sink.info,
     )
-    _print_download_plan(sink, name, plan)
+    _print_download_plan(sink, plan)
     place = ""
     if not dry_run:
         size = bytes_text(plan.missing_bytes)
@@ -156,7 +160,9 @@ def _listed(paths: Sequence[str]) -> str:
 
 
 def _print_upload_plan(sink: Sink, prepared: exchange.PreparedUpload) -> None:
-    plan, held, where = prepared.plan, prepared.held, _where(prepared)
+    plan = prepared.plan
+    held = prepared.held
+    where = prepared.where
     for paths, words in (
         (prepared.left_out, "left out, not part of the data set: {}"),
         (plan.kept, "kept on the Hub, though not in the folder: {} (--delete removes these)"),
@@ -166,7 +172,8 @@ def _print_upload_plan(sink: Sink, prepared: exchange.PreparedUpload) -> None:
     if prepared.unasked:
         sink.info(f"note: {prepared.unasked}; all files are listed, as for a new repository")
     elif held is None:
-        sink.line(f"{_VISIBLE[prepared.options.private]} repository to create: {where}")
+        visible = "private" if prepared.options.private else "public"
+        sink.line(f"{visible} repository to create: {where}")
     elif not prepared.has_branch:
         sink.line(f"branch to create at the head of main: {prepared.options.branch}")
     if plan.is_done:
@@ -191,13 +198,19 @@ def _print_upload(
     result: exchange.UploadResult | None,
     lines_of: Callable[[str | None], list[str]],
 ) -> None:
-    plan, held, where = prepared.plan, prepared.held, _where(prepared)
-    name, done = prepared.options.branch, result or exchange.UploadResult("")
-    address, revision = prepared.page, None
+    plan = prepared.plan
+    held = prepared.held
+    where = prepared.where
+    name = prepared.options.branch
+    done = result or exchange.UploadResult("")
+    address = prepared.page
+    revision = None
     if done.pull:  # the page of its branch (refs/pr/N) has no button to merge it
-        address, revision = f"{address}/discussions/{done.pull.rpartition('/')[2]}", done.pull
-    elif name != exchange.MAIN_BRANCH:
-        address, revision = f"{address}/tree/{name}", name
+        address = f"{address}/discussions/{done.pull.rpartition('/')[2]}"
+        revision = done.pull
+    elif not prepared.options.is_main:
+        address = f"{address}/tree/{name}"
+        revision = name
     lines = lines_of(revision)
     sink.document(
         {
@@ -237,17 +250,10 @@ def _print_upload(
         sink.line("\n  ".join([address, *lines]))
 
 
-def _where(prepared: exchange.PreparedUpload) -> str:
-    """Name the repository, and its branch unless this is the main one."""
-    name = prepared.options.branch
-    if name == exchange.MAIN_BRANCH:
-        return prepared.repo_id
-    return f"{prepared.repo_id} ({name})"
-
-
-def _print_download_plan(sink: Sink, name: str, plan: exchange.DownloadPlan) -> None:
+def _print_download_plan(sink: Sink, plan: exchange.DownloadPlan) -> None:
     """Print which files will be fetched, their size and their licence."""
-    known, files = places.published_set(name), plan.record.files.values()
+    known = plan.published
+    files = plan.record.files.values()
     sink.info(
         f"{plan.repository.repo_id} at {plan.record.commit[:12]}: {', '.join(plan.splits)}; "
         f"{with_count(len(files), 'files')}, {bytes_text(sum(file.size_bytes for file in files))}, of which "
@@ -263,7 +269,8 @@ def _print_download_plan(sink: Sink, name: str, plan: exchange.DownloadPlan) -> 
 
 
 def _print_download(sink: Sink, plan: exchange.DownloadPlan, place: str, kind: DatasetKind) -> None:
-    absent, files = {file.path for file in plan.missing}, plan.record.files.values()
+    absent = {file.path for file in plan.missing}
+    files = plan.record.files.values()
     sink.document(
         {
             "repository": plan.repository.repo_id,
@@ -280,7 +287,8 @@ def _print_download(sink: Sink, plan: exchange.DownloadPlan, place: str, kind: D
             "folder": place or None,
         }
     )
-    missing, leftover = with_count(len(plan.missing), "files"), with_count(len(plan.leftover), "files")
+    missing = with_count(len(plan.missing), "files")
+    leftover = with_count(len(plan.leftover), "files")
     if not place:
         size = bytes_text(plan.missing_bytes)
         sink.line(f"would fetch {missing}, {size}, and remove {leftover}; nothing was fetched or removed")
@@ -290,8 +298,10 @@ def _print_download(sink: Sink, plan: exchange.DownloadPlan, place: str, kind: D
         done = "nothing was left to fetch"
     sink.line(f"{done}; all {with_count(len(files), 'files')} are intact, in {place}")
     # Files in the Hub's cache are found by the name of the repository and the requested revision.
-    name, revision = plan.repository.repo_id, plan.repository.revision
+    name = plan.repository.repo_id
+    revision = plan.repository.revision
     if plan.folder is not None:
-        name, revision = place, None
+        name = place
+        revision = None
     line = kind.loading_lines(plan.repository.manifest, name, plan.splits[0], revision)[1]
     sink.line(f"next in Python: {line}")

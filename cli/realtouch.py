@@ -10,31 +10,23 @@ import typer
 import realtouch
 from cli import (
     application,
-    galleries,
-    nested_values,
+    contents,
     options,
     output,
-    previews,
+    pictures,
     runs,
     shared,
     touch_conversions,
-    touch_imports,
 )
-from cli.touch_checks import check
+from cli.touch_conversions import check
 from realtouch.kind import KIND
-from tactile_toolkit import catalog, checked_fields, kind, places, store, wording
+from tactile_toolkit import catalog, checked_fields, kind, places, store
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.wording import with_count
 
 app = application.new_app(
     "realtouch", "Real touches: load, check, import, filter and convert recordings of tactile sensors."
 )
-
-
-# How thoroughly `verify` checked images, by --quick.
-_DEPTHS = {True: "every header was read", False: "every picture was decoded"}
-# Whether a number of the paper agrees with the data.
-_ANSWERS = {True: "yes", False: "NO"}
 
 
 @application.command(app)
@@ -104,7 +96,7 @@ def info(
         _print_summary(sink, each, summary)
     if manifest is not None:
         sink.line(f"made by tactile-toolkit {manifest.toolkit_version}; {operation} with")
-        for line in nested_values.flat_lines(manifest.spec.get("options")):
+        for line in contents.flat_lines(manifest.spec.get("options")):
             sink.line(f"  {line}")
 
 
@@ -133,7 +125,7 @@ def verify(
     if place.folder is not None and [finding.file for finding in result.findings] == [store.MANIFEST_FILE]:
         store.require_finished(place.folder)  # else damage is reported
     _require_intact(sink, result, name, unfinished=bool(place.unfinished))
-    how = _DEPTHS[quick]
+    how = "every header was read" if quick else "every picture was decoded"
     counts = f"{with_count(result.rounds, 'rounds')}, {with_count(result.touches, 'touches')}"
     sink.line(f"{name}: {counts}: nothing is wrong; {how}")
     if result.unprotected:
@@ -164,7 +156,7 @@ def reproduce(
         {split: realtouch.dataset_of(shards) for split, shards in source.shards.items()}
     )
     sink.document([number.to_dict() for number in numbers])
-    rows = [(each.what, each.paper, each.found, _ANSWERS[each.agrees]) for each in numbers]
+    rows = [(each.what, each.paper, each.found, "yes" if each.agrees else "NO") for each in numbers]
     sink.table(("what", "paper", "data", "agrees"), rows)
     if not all(number.agrees for number in numbers):
         raise typer.Exit(application.EXIT_FAILED)
@@ -198,9 +190,10 @@ def _print_summary(sink: output.Sink, split: str, summary: realtouch.Summary) ->
     if summary.contact_share is not None:
         contact = f"{summary.contact_share:.1%} ({summary.contact_rule})"
     gels = ", ".join(f"{gel}: {with_count(n, 'rounds')}" for gel, n in summary.gel_ids.items())
+    per_round = "-".join(map(str, sorted({min(summary.touches_per_round), max(summary.touches_per_round)})))
     rows: list[tuple[str, object]] = [
         ("rounds", f"{summary.rounds:,}"),
-        ("touches", f"{summary.touches:,} ({wording.least_to_most(summary.touches_per_round)} per round)"),
+        ("touches", f"{summary.touches:,} ({per_round} per round)"),
         ("objects", f"{summary.objects:,}" if summary.objects else "unknown"),
         ("with contact", contact),
         ("labels", ", ".join(f"{name}: {count}" for name, count in summary.labels.items()) or "none"),
@@ -221,11 +214,11 @@ _convert("depth", touch_conversions.Depth, kind.lazy("realtouch:add_depth"))
 _convert("frames", touch_conversions.Frames, kind.lazy("realtouch:frames"), nouns="touches")
 _convert("select", touch_conversions.Select, kind.lazy("realtouch:select"))
 _convert("export", touch_conversions.Export, kind.lazy("realtouch:export"), nouns="rows")
-application.command(app, "import")(touch_imports.import_touches)
+application.command(app, "import")(touch_conversions.import_touches)
 application.command(app)(check)
 _left_out = dict.fromkeys(("info", "verify", "validate", "export", "select"))
 shared.add_shared(
-    app, KIND, {**_left_out, "preview": previews.preview_touches, "gallery": galleries.gallery_of_touches}
+    app, KIND, {**_left_out, "preview": pictures.preview_touches, "gallery": pictures.gallery_of_touches}
 )
 
 main = partial(application.run, app)

@@ -13,8 +13,8 @@ from cli import contents, hub as hub_commands
 from cli.application import EXIT_FAILED
 from cli.options import ANY_SET, CONFIG, FOLDER, REVISION, WORKERS, Opening, argument, local_place
 from cli.output import Sink
-from tactile_sim.sensor_models import SENSORS, SensorModel
-from tactile_toolkit import __version__, cards, catalog, exchange, hub, places, store
+from tactile_sim.press.sensors import SENSORS, SensorModel
+from tactile_toolkit import __version__, cards, catalog, exchange, places, store
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.wording import markdown_text, with_count
@@ -22,13 +22,12 @@ from tactile_toolkit.wording import markdown_text, with_count
 SENSOR_FILE = "sensor.json"
 _FILES = (SENSOR_FILE, "arrays.npz")
 _CARD_TEMPLATE = "sensor.md"
-_SIGNS = {True: "ok", False: "CHANGED"}
-_STATES = {True: "the sensor is as it was calibrated", False: "the sensor has changed: calibrate it again"}
 
 
 def is_sensor(name: str) -> bool:
     """Return whether a name is that of a local folder of a calibrated sensor."""
-    return not store.is_remote(name) and (store.expanded(name) / SENSOR_FILE).is_file()
+    path = store.local_path(name)
+    return path is not None and (path / SENSOR_FILE).is_file()
 
 
 def show_sensor(
@@ -95,11 +94,14 @@ def check(
     found = tactile_sim.check_sensor(model, tactile_sim.images_of(source))
     sink.document({"sensor": model.name, **found.to_dict()})
     rows = [
-        (each.name, f"{each.value:.3g}", f"{each.limit:g}", _SIGNS[each.ok], each.meaning)
+        (each.name, f"{each.value:.3g}", f"{each.limit:g}", "ok" if each.ok else "CHANGED", each.meaning)
         for each in found.figures
     ]
     sink.table(("figure", "found", "limit", "", "what it is"), rows)
-    sink.line(f"{with_count(found.images, 'images')} compared with {sensor}; {_STATES[found.ok]}")
+    state = "the sensor is as it was calibrated"
+    if not found.ok:
+        state = "the sensor has changed: calibrate it again"
+    sink.line(f"{with_count(found.images, 'images')} compared with {sensor}; {state}")
     if not found.ok:
         raise typer.Exit(EXIT_FAILED)
 
@@ -162,8 +164,7 @@ def download_sensor(
     repository = None
     if out is not None and not split and places.kind_of_published(name) is None:
         hub_commands.quiet_client(is_all=True)
-        named = places.repository_named(name, revision)
-        repository = hub.open_repository(named.repo_id, named.revision, patient=True, on_wait=sink.info)
+        repository = places.find_repository(name, revision, sink.info)
     if repository is None or out is None or SENSOR_FILE not in repository.remote:
         given: dict[str, Any] = {"kind": kind, "split": split, "out": out, "sink": sink}
         given |= {"revision": revision, "config_name": config_name}

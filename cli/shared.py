@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 
 import typer
 
-from cli import application, checks, contents, exports, galleries, hub, merge_and_split, upkeep
+from cli import application, checks, contents, exports, hub, pictures, sets
 from tactile_toolkit.kind import DatasetKind
 
 Command = Callable[..., None]
@@ -17,15 +17,15 @@ _COMMANDS: dict[str, Command | None] = {
     "validate": checks.validate,
     "show": contents.show,
     "preview": None,
-    "card": upkeep.card,
+    "card": sets.card,
     "upload": hub.upload,
     "download": hub.download,
     "list": contents.list_sets,
-    "merge": merge_and_split.merge,
-    "split": merge_and_split.split,
-    "select": merge_and_split.select,
-    "cache": upkeep.cache,
-    "gallery": galleries.gallery_of_meshes,
+    "merge": sets.merge,
+    "split": sets.split,
+    "select": sets.select,
+    "cache": sets.cache,
+    "gallery": pictures.gallery_of_meshes,
     "export": exports.export,
 }
 

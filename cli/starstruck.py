@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 import starstruck_gen
-from cli import checks, options, output, previews, runs, shared
+from cli import checks, options, output, pictures, runs, shared
 from cli.application import command, new_app, run as run_app
 from starstruck_gen.kind import KIND
 from starstruck_gen.scene_options import SceneOptions, ScenePreviewSpec, scene_counts
@@ -91,7 +91,7 @@ def _preview(
     path: str = options.argument("DIR|FILE", "Data set folder, or Parquet file of scenes."),
     opening: options.Opening,
     spec: ScenePreviewSpec,
-    pictures: previews.Pictures,
+    pictures: pictures.Pictures,
     sink: output.Sink,
 ) -> None:
     """Write pictures of scenes as PNG, without a screen: a sheet of each split.

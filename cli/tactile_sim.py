@@ -2,30 +2,31 @@
 
 from __future__ import annotations
 
+import math
+import os
+from dataclasses import MISSING, fields
 from functools import partial
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Literal
 
 import tactile_sim
-from cli import (
-    calibration,
-    checks,
-    declared_options,
-    galleries,
-    learned_sensors,
-    options,
-    output,
-    previews,
-    runs,
-    sensor_twins,
-    shared,
-    touch_rendering,
-)
+from cli import checks, options, output, pictures, runs, sensor_twins, shared
 from cli.application import command, new_app, run as run_app
-from tactile_sim import ElasticPress, GenerateSpec, TouchPlan
+from cli.options import Opening, argument, local_out_folder, local_place
+from cli.output import Sink
+from cli.sensor_twins import print_sensor
+from tactile_sim import ElasticPress, GenerateSpec, PairsSpec, TouchPlan, TrainConfig
 from tactile_sim.kind import KIND
-from tactile_toolkit import catalog, mesh, run, store, wording
+from tactile_sim.press import sensors
+from tactile_sim.press.sensors import GELSIGHT_MINI, SensorModel
+from tactile_toolkit import catalog, checked_fields, kind, mesh, run, store, touch, wording
+from tactile_toolkit.checked_fields import text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.wording import with_count
+
+_ENDINGS: dict[str, Literal["jpeg", "png"]] = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg"}
+_train = kind.lazy("tactile_sim.learned.training:train")
 
 app = new_app("tactile-sim", "Synthetic touches: press a simulated GelSight Mini onto any solid.")
 
@@ -40,9 +41,9 @@ def generate(
     chosen: catalog.RowFilter,
     unit: str | None = mesh.UNIT,
     out: str = options.out_folder("touches"),
-    plan: Annotated[declared_options.Given, declared_options.OptionsOf(TouchPlan)],
-    picture: Annotated[declared_options.Given, declared_options.OptionsOf(GenerateSpec)],
-    press: Annotated[declared_options.Given, declared_options.OptionsOf(ElasticPress)],
+    plan: Annotated[options.Given, options.OptionsOf(TouchPlan)],
+    picture: Annotated[options.Given, options.OptionsOf(GenerateSpec)],
+    press: Annotated[options.Given, options.OptionsOf(ElasticPress)],
     making: options.Making,
     sink: output.Sink,
 ) -> None:
@@ -65,9 +66,7 @@ def generate(
     given = chosen.given()
     split = given.pop("split")
     splits = split and (split,)
-    spec = touch_rendering.spec_of(
-        sink, picture, plan=TouchPlan(**plan), press=touch_rendering.press_of(press), **given
-    )
+    spec = spec_of(sink, picture, plan=TouchPlan(**plan), press=press_of(press), **given)
     if not making.dry_run:
         run.prepare_batch_process()
     touches = tactile_sim.TouchGenerator.of(objects, spec, unit, partial(opening.open, sink))
@@ -97,16 +96,249 @@ def _print_made(
     runs.print_set(sink, kind, manifest, out, elapsed_s, header, rows)
 
 
-command(app)(touch_rendering.render)
-command(app, asks_hub=True)(learned_sensors.pairs)
-for _command in (learned_sensors.train, calibration.calibrate, sensor_twins.check):
-    command(app)(_command)
+def spec_of(sink: output.Sink, picture: options.Given, **others: object) -> GenerateSpec:
+    """Return the specification of the options that were given."""
+    known, optics = "optics" in picture, tactile_sim.default_optics()
+    sensor = picture.get("sensor", sensors.GELSIGHT_MINI)
+    if sensor != sensors.GELSIGHT_MINI:
+        known, optics = True, sensor.optics_name
+    spec = GenerateSpec(**{"optics": optics, **picture, **others})
+    if not known and spec.optics == "depth":
+        sink.info("note: images are depth images; --optics taxim needs the extra `sim`")
+    return spec
+
+
+def press_of(given: options.Given) -> tactile_sim.ElasticPress | None:
+    """Return the press of the options that were given; InputError for those of a gel that is not elastic."""
+    if given.get("gel") is not None:
+        return tactile_sim.ElasticPress(**given)
+    names = {each.name: checked_fields.option_name(each) for each in fields(tactile_sim.ElasticPress)}
+    others = [names[name] for name in given if name != "gel"]
+    if others:
+        raise InputError(
+            f"{others[0]} is given, and the gel is not elastic: its presses have one depth and no force",
+            next="add --gel elastic, or leave it out",
+        )
+    return None
+
+
+def _place_m(words: str) -> tuple[float, float] | None:
+    """Read ``x,y`` in millimetres, or ``object``."""
+    if words == "object":
+        return None
+    try:
+        x_mm, y_mm = map(float, words.split(","))
+    except ValueError as error:
+        raise InputError(
+            f"--at-mm is {words!r}; expected x,y in millimetres, such as 10,20, or object"
+        ) from error
+    return x_mm / 1e3, y_mm / 1e3
+
+
+@command(app)
+def render(
+    *,
+    file: Path = options.argument("FILE", "A mesh: STL, 3MF, PLY, OBJ or GLB.", read=Path),
+    at: tuple[float, float] | None = checked_fields.text(
+        (0.0, 0.0),
+        name="--at-mm",
+        metavar="X,Y|object",
+        shown="0,0",
+        read=_place_m,
+        help="Centre of the gel, relative to the origin of the mesh; object: a place on the mesh.",
+    ),
+    turn_deg: float = checked_fields.real(0.0, help="Rotation of the object about z."),
+    unit: str | None = mesh.UNIT,
+    picture: Annotated[options.Given, options.OptionsOf(GenerateSpec)],
+    press: Annotated[options.Given, options.OptionsOf(tactile_sim.ElasticPress)],
+    out: Path = checked_fields.text(
+        Path("touch.png"), name="--out", metavar="FILE", read=options.local_place, help="Image to write."
+    ),
+    sink: output.Sink,
+) -> None:
+    """Press the gel onto a mesh once and write the image.
+
+    Example: tactile-sim render part.stl --at-mm 10,20 --turn-deg 17 --size 320x240 --out touch.png
+
+    Example: tactile-sim render part.stl --at-mm object --out touch.png
+
+    Example: tactile-sim render part.stl --gel elastic --force-n 5 --markers 7x9 --draw-markers
+    """
+    image_format = _ENDINGS.get(out.suffix.lower())
+    if image_format is None:
+        raise InputError(f"--out is {out.name!r}; expected a name that ends with {', '.join(_ENDINGS)}")
+    spec = spec_of(sink, picture, plan=tactile_sim.TouchPlan(1, 1), press=press_of(press))
+    solid = mesh.read_mesh(file, unit=unit)
+    for note in solid.notes:
+        sink.info(f"note: {file}: {note}")
+    seen = tactile_sim.preview_touch(solid, spec, at, math.radians(turn_deg))
+    encoded = touch.encode_image(seen.picture, image_format, spec.quality)
+    store.open_folder(str(out.parent.absolute())).write_bytes(out.name, encoded)
+    document = {"file": str(out), "sensor_z_m": seen.sensor_z_m, "contact": seen.contact, **seen.forces}
+    sink.document(document)
+    sink.line(
+        f"{out}: the sensor stops {1e3 * seen.sensor_z_m:.3f} mm above the plate; "
+        f"{100 * seen.contact:.1f} % of the image is in contact with the object"
+    )
+    if seen.forces:
+        x_n, y_n, z_n = seen.forces["force_n"]
+        sink.line(
+            f"the gel is pressed in by {1e3 * seen.forces['press_depth_m']:.3f} mm with {z_n:.2f} N; shear "
+            f"{x_n:.2f} N along x, {y_n:.2f} N along y, torque {1e3 * seen.forces['torque_nm'][2]:.2f} N mm"
+        )
+    if not seen.contact:
+        (low_x, low_y), (high_x, high_y) = (1e3 * seen.bounds_m).tolist()
+        sink.info(
+            f"the gel touched only the plate; the mesh is at x {low_x:.1f} to {high_x:.1f} mm, y {low_y:.1f} "
+            f"to {high_y:.1f} mm; next: add --at-mm object, or a larger --size if it is thinner than a pixel"
+        )
+
+
+@command(app)
+def calibrate(
+    *,
+    source: str = argument("SOURCE", "Touches of printed solids: a data set, or a folder of images."),
+    opening: Opening,
+    solids: str = text(
+        MISSING, metavar="SET", help="The printed solids: mesh files, or a data set of meshes."
+    ),
+    table: Path | None = text(
+        metavar="FILE",
+        read=local_place,
+        help="Table of the images, CSV or TSV: file, object; x_m, y_m, z_m of the sensor; object_x_m, "
+        "object_y_m, object_turn_rad.",
+    ),
+    background: list[str] | None = text(
+        metavar="IMAGE",
+        several=True,
+        help="Image of the gel without contact, or a folder of them; may be repeated.",
+    ),
+    unit: str | None = mesh.UNIT,
+    sensor: str = text(
+        GELSIGHT_MINI.name, metavar="NAME|FILE", help="First guess of the geometry: a sensor or JSON file."
+    ),
+    out: Path = local_out_folder("my-sensor"),
+    sink: Sink,
+) -> None:
+    """Make the twin of a sensor, a model that renders its images and reads depth from them.
+
+    Problems of the recordings are listed first. Poses may be off by a millimetre and some degrees.
+    Without any, touches are found by matching; those that look the same in several places are left out.
+
+    Example: tactile-sim calibrate recordings --solids plate --out my-sensor
+    """
+    recordings = tactile_sim.read_recordings(
+        source,
+        solids,
+        table=table,
+        backgrounds=background or (),
+        unit=unit,
+        opened=partial(opening.open, sink),
+    )
+    start = SensorModel.named(sensor)
+    mistakes = tactile_sim.find_mistakes(recordings, start)
+    for each in mistakes:
+        sink.warn(f"{each.kind}: {each}")
+    fatal = [each.kind for each in mistakes if each.is_fatal]
+    if fatal:
+        raise InputError(
+            f"{source!r} cannot be used for a calibration: {', '.join(fatal)}; nothing was written",
+            next="correct the recordings, and run the command again",
+        )
+    with sink.progress("calibrating", "steps") as update:
+        model = tactile_sim.calibrate(recordings, name=out.name, start=start, on_progress=update)
+    model.save(out)
+    sink.document({"folder": str(out), "sensor": model.to_dict(), "report": dict(model.report)})
+    print_sensor(sink, model)
+    sink.line(f"{with_count(len(recordings), 'touches')} of {source}; the sensor is in {out}")
+    sink.line(f"next: tactile-sim check {out} {source}")
+
+
+# Imported when they are called: they import torch, which takes seconds and is an extra.
+
+
+@command(app, asks_hub=True)
+def pairs(
+    *,
+    objects: str = options.argument("DIGITS", "Digits or other meshes."),
+    real: str = checked_fields.text(MISSING, metavar="TOUCHES", help="Real touches: name or folder."),
+    split: str = checked_fields.text("train", metavar="NAME", help="Split of both data sets."),
+    allow_incomplete: bool = options.INCOMPLETE,
+    out: str = options.out_folder("pairs"),
+    spec: PairsSpec,
+    making: options.Making,
+    sink: output.Sink,
+) -> None:
+    """Make the training set of a CycleGAN: unpaired depth images and real touches.
+
+    Example: tactile-sim pairs digits --real real-single-320x240 --split train --out pairs
+    """
+    run.prepare_batch_process()
+    opened = partial(options.Opening(allow_incomplete=allow_incomplete).open, sink)
+    pairs = tactile_sim.PairsGenerator.of(objects, real, split, spec, opened)
+    require = partial(pairs.refuse_sources, objects, out)
+    runs.generate_set(sink, "pressing and scaling", pairs, out, None, making, runs.print_set, require)
+
+
+@command(app)
+def train(
+    *,
+    pairs: str = options.argument("PAIRS", "Folder that `tactile-sim pairs` made."),
+    out: Path = options.local_out_folder("weights"),
+    config: Path | None = checked_fields.text(
+        metavar="FILE",
+        read=options.local_place,
+        help="TOML file with fields of `TrainConfig`, such as crop = 1.0; options override it.",
+    ),
+    given: Annotated[options.Given, options.OptionsOf(TrainConfig)],
+    device: str = checked_fields.choice("auto", ("auto", "cpu", "cuda"), help="Where to compute."),
+    deterministic: bool = checked_fields.switch(
+        False, help="Compute on the CPU so that every run gives the same weights."
+    ),
+    resume: bool = checked_fields.switch(
+        False, help="Continue the training in the folder; an error if there is none."
+    ),
+    compiled: bool = checked_fields.switch(
+        False, name="--compile", help="Compile the generators first, for GPUs."
+    ),
+    sink: output.Sink,
+) -> None:
+    """Train a CycleGAN: a generator from depth to touches, and one from touches to depth.
+
+    Example: tactile-sim train pairs --steps 7000 --config train.toml --out weights
+
+    After an interruption, the same command continues from the last checkpoint.
+    On several GPUs: torchrun --nproc-per-node 4 -m tactile_sim train pairs --out weights
+    """
+    settings = TrainConfig.read(config, given)
+    # `torchrun` starts this command once for each GPU, numbered by RANK: only the first one prints.
+    if os.environ.get("RANK", "0") != "0":
+        sink = output.Sink(quiet=True)
+    with sink.progress("training", "steps") as update:
+        done = _train(
+            pairs,
+            str(out),
+            settings,
+            device=device,
+            deterministic=deterministic,
+            resume=resume,
+            compiled=compiled,
+            on_progress=update,
+        )
+    # JSON has no NaN; losses are NaN if no step was left.
+    losses = dict.fromkeys(done.losses)
+    losses |= {name: loss for name, loss in done.losses.items() if math.isfinite(loss)}
+    sink.document({"folder": done.folder, "steps": done.steps, "taken": done.taken, "losses": losses})
+    sink.line(f"{with_count(done.taken, 'steps')} taken, {done.steps:,} in all; the weights are in {out}")
+
+
+command(app)(sensor_twins.check)
 shared.add_shared(
     app,
     KIND,
     {
-        "preview": previews.preview_touches,
-        "gallery": galleries.gallery_of_touches,
+        "preview": pictures.preview_touches,
+        "gallery": pictures.gallery_of_touches,
         "show": sensor_twins.show_sensor,
         "upload": sensor_twins.upload_sensor,
         "download": sensor_twins.download_sensor,
@@ -117,5 +349,4 @@ shared.add_shared(
     checks=None,
     objects=checks.Objects(),
 )
-
 main = partial(run_app, app)

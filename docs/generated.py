@@ -29,7 +29,7 @@ API = (
     "realtouch.touch_tensors",
     "tactile_sim",
     "tactile_sim.learned",
-    "tactile_sim.optics",
+    "tactile_sim.optics.rendering",
     "env_assets",
     "tactile_envs",
     "tactile_envs.wrappers",
@@ -43,7 +43,7 @@ SHARED = (
     "realtouch.contact.contact_heights_m",
     "realtouch.contact.contact_window",
     "starstruck_gen.sampling.COLLISION_RULES",
-    "tactile_sim.sensor.MESA_SAMPLE_PX",
+    "tactile_sim.press.sensors.MESA_SAMPLE_PX",
     "tactile_toolkit.mesh.FORMATS",
     "tactile_toolkit.mesh.UNREADABLE",
     "tactile_toolkit.mesh.WARNINGS",
@@ -427,8 +427,8 @@ def _formats_page() -> str:
     from realtouch.touches.schema import KNOWN_COLUMNS
     from starstruck_gen.scene_generation import SceneRow, scene_schema
     from tactile_sim import ElasticPress
-    from tactile_sim.elastic_rows import elastic_types
-    from tactile_sim.touch_rows import SyntheticRound, synthetic_schema
+    from tactile_sim.sets.elastic_rows import elastic_types
+    from tactile_sim.sets.generation import SyntheticRound, synthetic_schema
     from tactile_toolkit.cards import FolderSummary
     from tactile_toolkit.cards.card import card_words, field_table, markdown_table
     from tactile_toolkit.rows import meanings

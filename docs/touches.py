@@ -22,7 +22,7 @@ from matplotlib.patches import Rectangle
 import mnist3d
 import tactile_sim
 from mnist3d.sources.synthetic import SyntheticSource
-from tactile_sim.optics import make_optics
+from tactile_sim.optics.rendering import make_optics
 from tactile_toolkit.errors import InputError
 
 DIGIT, AT_M = 1234, (0.008, 0.016)

@@ -150,7 +150,8 @@ def mesh_bounds_m(vertices_m: Floating, where: str) -> Float64:
 
 
 def _volume_m3(record: MeshRecord) -> float:
-    vertices_m, faces = record.vertices_m, record.faces
+    vertices_m = record.vertices_m
+    faces = record.faces
     # numpy would raise an error of its own, or take the last vertex for -1.
     missing = faces[(faces < 0) | (faces >= len(vertices_m))]
     if len(missing):
@@ -227,14 +228,16 @@ def require_fitting_meshes(
     """
     if not len(meshes):
         raise InputError(f"{where} holds no mesh", next="choose another split, or generate it")
-    labels, names = meshes.column("label"), meshes.label_names
+    labels = meshes.column("label")
+    names = meshes.label_names
     if kind is not None and kind.published and names != kind.class_names:  # others may be called anything
         raise InputError(
             f"{where} has classes {', '.join(names) or 'without names'}; expected "
             f"{', '.join(kind.class_names)}",
             next="give a data set with those classes",
         )
-    corners_mm, cell_mm = meshes.bounds_m * MM_PER_M, np.array(cell_m) * MM_PER_M
+    corners_mm = meshes.bounds_m * MM_PER_M
+    cell_mm = np.array(cell_m) * MM_PER_M
     size_mm = corners_mm[:, 1] - corners_mm[:, 0]
     # Scenes are not moved: their size is twice their extent from the origin.
     if kind is not None and kind.name == "starstruck":

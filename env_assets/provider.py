@@ -73,7 +73,8 @@ def open_meshes(shards: tuple[read.Shard, ...], name: str) -> MeshSet:
     pa.array([0]).to_numpy()
     table = read.ShardedTable(shards)
     mesh.require_mesh_columns(table.schema, name, KINDS["mnist3d"].made_by)
-    kind, expected = places.kind_of_rows(table.schema), KINDS.get(name)
+    kind = places.kind_of_rows(table.schema)
+    expected = KINDS.get(name)
     names = read.class_names(table.schema, getattr(kind, "class_names", ()))
     if expected is not None and kind is not expected and (kind is not None or expected.published):
         raise InputError(
@@ -141,7 +142,10 @@ class AssetProvider:
         self._places = _checked_places(places or {})
         self._revision = revision
         self._commits: dict[str, str] = {}
-        self._generate, self._seed, self._per_class, self._workers = generate, seed, per_class, workers
+        self._generate = generate
+        self._seed = seed
+        self._per_class = per_class
+        self._workers = workers
         self._opened: dict[tuple[str, str, str], Any] = {}
 
     @property
@@ -203,7 +207,8 @@ class AssetProvider:
         recipe = self._recipe(name)
         if recipe.planned is None:
             return None
-        plan, left = recipe.planned(split), recipe.rows_left(self._place(name), split)
+        plan = recipe.planned(split)
+        left = recipe.rows_left(self._place(name), split)
         records = [
             mesh_view.LazyMesh(number, label, partial(_planned_mesh, plan.make, number))
             for number, label in zip(plan.ids.tolist(), plan.labels.tolist(), strict=True)

@@ -28,13 +28,13 @@ from .digit_checks import (
     read_mesh as read_mesh,
     write_mesh as write_mesh,
 )
-from .splits import (
-    plan_splits as plan_splits,
+from .splits import plan_splits as plan_splits
+from .solid import solidify as solidify
+from .digit_options import (
     SPLITS as SPLITS,
+    SolidSpec as SolidSpec,
     SplitSpec as SplitSpec,
 )
-from .solid import solidify as solidify
-from .digit_options import SolidSpec as SolidSpec
 from .sources import (
     DigitCatalog as DigitCatalog,
     DigitImage as DigitImage,

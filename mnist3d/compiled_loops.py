@@ -10,8 +10,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
-from tactile_toolkit.array_types import Bool, Float32, Float64, Floating, Int16, Int32, Int64
+from tactile_toolkit.array_types import Bool, Float32, Float64, Floating, Int32, Int64
 from tactile_toolkit.kernels import planned
 
 _ROOT_2 = 2**0.5
@@ -40,7 +41,9 @@ def signed_distance_px(mask: Bool, inside_px: float, outside_px: float) -> Float
 
 
 @planned("(int16[:,::1], int64, int64, int16[:,::1], int16[:,::1])")
-def _distances_in_rows(ink: Int16, inside: int, outside: int, paper: Int16, inked: Int16) -> None:
+def _distances_in_rows(
+    ink: NDArray[np.int16], inside: int, outside: int, paper: NDArray[np.int16], inked: NDArray[np.int16]
+) -> None:
     """Write the squared distances of paper from ink, and of ink from paper, within each row."""
     height, width = ink.shape
     far = max(inside, outside)
@@ -65,13 +68,13 @@ def _distances_in_rows(ink: Int16, inside: int, outside: int, paper: Int16, inke
     "(int16[:,::1], int16[:,::1], int16[:,::1], int64, float32, float32, int16[::1], float32[:,::1])",
 )
 def _distances(
-    ink: Int16,
-    paper: Int16,
-    inked: Int16,
+    ink: NDArray[np.int16],
+    paper: NDArray[np.int16],
+    inked: NDArray[np.int16],
     far: int,
     inside_px: np.float32,
     outside_px: np.float32,
-    least: Int16,
+    least: NDArray[np.int16],
     found: Float32,
 ) -> None:
     """Write the signed distances, from the squared ones within rows; ``least`` is a scratch row."""

@@ -12,7 +12,7 @@ import pyarrow.compute as pc
 from mnist3d.digit_records import REPORT_FILE, SUMMED_UP, DigitRow, classes_of
 from mnist3d.kind import KIND
 from mnist3d.sources.picture_folder import FolderSource
-from tactile_toolkit import cards, catalog, kind, store, wording
+from tactile_toolkit import cards, kind, store, wording
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.rows import Column, meanings
 from tactile_toolkit.wording import class_name, with_count
@@ -107,8 +107,12 @@ def facts_table(
     summaries: Sequence[SplitSummary], declared: Sequence[Column]
 ) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Return header and lines of a table of figures: a line for each column, a column for each split."""
-    header = ("", *(summary.split for summary in summaries))
-    return header, [(each.heading, *(summary.text(each) for summary in summaries)) for each in declared]
+    headings = [column.heading for column in declared]
+    lines = [
+        (heading, *(summary.text(column) for summary in summaries))
+        for heading, column in zip(headings, declared, strict=True)
+    ]
+    return ("", *(summary.split for summary in summaries)), lines
 
 
 def summarise(folder: store.DataFolder, manifest: store.Manifest) -> list[SplitSummary]:
@@ -118,14 +122,11 @@ def summarise(folder: store.DataFolder, manifest: store.Manifest) -> list[SplitS
     """
     report = store.read_report(folder, REPORT_FILE, ["split", *(each.name for each in SUMMED_UP)])
     names = classes_of(manifest)
-    return [
-        replace(each, facets={**each.facets, "label": _named(each.facets["label"], names)})
-        for each in summarise_columns(manifest, report, SUMMED_UP)
-    ]
-
-
-def _named(counts: Mapping[str, int], names: Sequence[str]) -> dict[str, int]:
-    return {class_name(names, int(label)): count for label, count in counts.items()}
+    summaries = []
+    for summary in summarise_columns(manifest, report, SUMMED_UP):
+        labels = {class_name(names, int(label)): count for label, count in summary.facets["label"].items()}
+        summaries.append(replace(summary, facets={**summary.facets, "label": labels}))
+    return summaries
 
 
 def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
@@ -143,13 +144,14 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         cards.write_table_card(folder, manifest, KIND, title, COLUMNS, words["licence"], **_terms(words))
         return
     summaries = summarise(folder, manifest)
-    profile, solid = spec["print_profile"], spec["solid"]
+    profile = spec["print_profile"]
+    solid = spec["solid"]
     things = "handwritten digits"
     if classes_of(manifest) != KIND.class_names:
         things = "drawings"
     columns = store.read_report(folder, REPORT_FILE).column_names
     joined = ", separate pieces bridged" if solid["join_bodies"] else ""
-    title = wording.printable(catalog.short_name(folder.address())) if is_own else "MNIST 3D"
+    title = wording.printable(store.split_uri(folder.address())[1]) if is_own else "MNIST 3D"
     cards.Card(
         template=KIND.card_template,
         title=title,

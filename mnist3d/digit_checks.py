@@ -203,7 +203,7 @@ def _check_data_set(
 
 def _is_single_file(path: str) -> bool:
     """Return whether a path is a local file that is not Parquet, and so is read as a mesh."""
-    if store.is_remote(path):
+    file = store.local_path(path)
+    if file is None or not file.is_file():
         return False
-    place = Path(store.normalize_uri(path))
-    return place.is_file() and not places.is_parquet_file(store.open_folder(str(place.parent)), place.name)
+    return not places.is_parquet_file(store.open_folder(str(file.parent)), file.name)

@@ -1,19 +1,44 @@
-"""Options for digits: parameters and size of solids, sources of images, and previews."""
+"""Options for digits: splits, solids and their size, sources of images, and previews; light, for --help."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
+from typing import Literal
 
-from tactile_toolkit import catalog, checked_fields, mesh
+from tactile_toolkit import catalog, mesh
 from tactile_toolkit.checked_fields import (
     check_fields,
     choice,
     integer,
+    read_split_counts,
     real,
+    split_counts,
     switch,
+    text,
 )
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonDict
+
+SPLITS = ("train", "test", "holdout", "printed_train", "printed_test")
+"""The five splits in canonical order, in which scarce digits are assigned, too."""
+
+PUBLISHED_SIZES: dict[str, int] = {
+    "train": 1148,
+    "test": 100,
+    "holdout": 50,
+    "printed_train": 50,
+    "printed_test": 10,
+}
+"""Digits per class in each published split, 1,358 in total.
+
+The table of the MNIST 3D splits in the Tactile MNIST paper prints the name of the last one as
+``printed_train`` a second time.
+"""
+
+OWN_SIZES: dict[str, int] = {"train": 4, "test": 1}
+"""Proportions of the splits of pictures in a folder, which have not been printed."""
 
 PROFILES = ("round", "linear", "flat")
 EROSIONS = ("outline", "disc")
@@ -25,6 +50,60 @@ MAX_DIGITS = 1_000_000_000
 """Largest number of digits of a source or a split."""
 
 SOURCES = ("synthetic", "hwdplus", "mnist", "folder")
+
+
+@dataclass(frozen=True, slots=True)
+class SplitSpec:
+    """Division of digits into splits.
+
+    Attributes
+    ----------
+    seed : int
+        Seed of the division.
+    by : {"digit", "writer", "none"}, or None
+        ``"digit"`` draws single digits, with exact sizes per class. ``"writer"`` assigns whole writers to
+        splits, with sizes as near as that allows. ``"none"`` divides nothing: all digits are in ``train``.
+        None means ``"none"`` for a folder of images if neither splits nor sizes are given, otherwise
+        ``"digit"``.
+    sizes : tuple of (str, int), or None
+        Digits per class of each split; a mapping is accepted, too. None means the published sizes, or their
+        proportions for a class of fewer than 1,358 digits. A folder of images is divided into four fifths
+        for ``train`` and one for ``test``.
+    """
+
+    seed: int = integer(0, help="Random seed.")
+    by: Literal["digit", "writer", "none"] | None = choice(
+        None,
+        ("digit", "writer", "none"),
+        optional=True,
+        name="--split-by",
+        shown="digit",
+        help="Divide by digit, by writer (all digits of a writer are in one split), or not at all (all "
+        "digits are in train).",
+    )
+    sizes: tuple[tuple[str, int], ...] | None = text(
+        name="--split-sizes",
+        metavar="train=8,test=2",
+        read=partial(read_split_counts, "--split-sizes"),
+        help="Digits per class in each split, instead of the published numbers.",
+    )
+
+    def __post_init__(self) -> None:
+        check_fields(self, "the division into splits")
+        if self.sizes is None:
+            return
+        if self.by == "none":
+            raise InputError(
+                "split sizes are given for digits that are not divided; expected by='digit' or 'writer'",
+                next="leave out sizes (--split-sizes), or change by (--split-by)",
+            )
+        sizes = split_counts(self.sizes, "sizes of the division into splits", SPLITS, MAX_DIGITS)
+        object.__setattr__(self, "sizes", sizes)
+
+    def to_dict(self) -> JsonDict:
+        """Return JSON values."""
+        sizes = dict(self.sizes or ())
+        return {"seed": self.seed, "by": self.by or "digit", "sizes": sizes or None}
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,51 +240,45 @@ class SolidSize:
 class SourceOptions:
     """Options of the source of images."""
 
-    images: str | None = checked_fields.text(
+    images: str | None = text(
         metavar="PATH",
         help="Images of the source: the .npy file of HWD+, the folder of the MNIST files, or a folder of "
         "pictures DIR/<class>/*.png.",
     )
-    writer_info: str | None = checked_fields.text(
-        metavar="FILE", help="WriterInfo.npy of HWD+ (column 0 is the label)."
-    )
-    writer_column: int | None = checked_fields.integer(
-        None, help="Column of WriterInfo.npy that holds the writer."
-    )
-    download: bool = checked_fields.switch(False, help="Download MNIST into --images first (extra `torch`).")
-    foreground: str = checked_fields.choice(
+    writer_info: str | None = text(metavar="FILE", help="WriterInfo.npy of HWD+ (column 0 is the label).")
+    writer_column: int | None = integer(None, help="Column of WriterInfo.npy that holds the writer.")
+    download: bool = switch(False, help="Download MNIST into --images first (extra `torch`).")
+    foreground: str = choice(
         "auto",
         ("auto", "dark", "light"),
         help="Whether the strokes in images of a folder are darker or lighter than the paper.",
     )
-    threshold: str = checked_fields.choice(
+    threshold: str = choice(
         "auto",
         ("auto", "local", "global"),
         help="Even out the light and find the page (local), or apply one threshold (global); auto takes "
         "local for pictures without clean paper.",
     )
     # As many as MNIST 3D has (Tactile MNIST paper).
-    digits: int = checked_fields.integer(
-        13_580, 1, MAX_DIGITS, help="Number of digits in the synthetic source."
-    )
+    digits: int = integer(13_580, 1, MAX_DIGITS, help="Number of digits in the synthetic source.")
 
 
 @dataclass(frozen=True, slots=True)
 class DigitPreviewSpec(catalog.PreviewSpec):
     """Options of previews of digits; the steps for a data set need the files of its source."""
 
-    kinds: tuple[str, ...] = checked_fields.choice(
+    kinds: tuple[str, ...] = choice(
         (),
         ("sheet", "steps", "all"),
         name="--kind",
         help="What to draw; may be repeated. By default sheet, or steps for a picture.",
     )
-    images: Path | None = checked_fields.text(
+    images: Path | None = text(
         metavar="PATH",
         read=Path,
         help="Images of the source of the data set, as given to `generate`; for --kind steps.",
     )
-    writer_info: Path | None = checked_fields.text(
+    writer_info: Path | None = text(
         metavar="FILE", read=Path, help="WriterInfo.npy of HWD+; for --kind steps."
     )
     unit: str | None = mesh.UNIT

@@ -6,7 +6,6 @@ from functools import partial
 from os import fspath
 from pathlib import Path
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
@@ -21,7 +20,6 @@ from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.places import Name, Place, open_place
 from tactile_toolkit.rows import with_role
 
-_VIEW_PX = 520
 _SHOWN = (*with_role(digit_records.DigitRow, "facet"), *with_role(mesh.PrintReport, "facet", "measure"))
 
 
@@ -44,10 +42,10 @@ def plan_previews(name: Name | Place, spec: digit_options.DigitPreviewSpec) -> p
 
 def is_picture_or_mesh(name: str) -> bool:
     """Return whether a name is the path of a local picture or mesh file rather than a data set."""
-    if store.is_remote(name):
+    path = store.local_path(name)
+    if path is None or not path.is_file():
         return False
-    path = store.expanded(name)
-    return path.suffix.lower() in (*mesh.FORMATS, *picture_files.ENDINGS) and path.is_file()
+    return path.suffix.lower() in (*mesh.FORMATS, *picture_files.ENDINGS)
 
 
 def _plan_file(name: str, spec: digit_options.DigitPreviewSpec) -> pictures.PicturePlan:
@@ -62,7 +60,7 @@ def _plan_file(name: str, spec: digit_options.DigitPreviewSpec) -> pictures.Pict
     stem = pictures.file_stem(name)
     if kind == "sheet":
         part = mesh.read_mesh(path, unit=spec.unit)
-        drawings = [(f"{stem}-sheet.png", partial(draw_mesh, part, path.name))]
+        drawings = [(f"{stem}-sheet.png", partial(pictures.draw_mesh, part, path.name))]
     else:
         mesh.refuse_unit(spec.unit, name)
         drawings = _plan_pages(path, stem)
@@ -73,11 +71,14 @@ def _plan_file(name: str, spec: digit_options.DigitPreviewSpec) -> pictures.Pict
 
 def _plan_pages(path: Path, stem: str) -> list[tuple[str, partial[UInt8]]]:
     """Read the pages of a picture, one digit each; return file names and functions that draw the steps."""
-    pages, drawings = picture_files.pages_of(path), []
+    pages = picture_files.pages_of(path)
+    drawings = []
     for number, page in enumerate(pages, 1):
-        file, title = f"{stem}-steps.png", path.name
+        file = f"{stem}-steps.png"
+        title = path.name
         if len(pages) > 1:
-            file, title = f"{stem}-{number}-steps.png", f"{path.name}, page {number}"
+            file = f"{stem}-{number}-steps.png"
+            title = f"{path.name}, page {number}"
         # Fitted into 500 px, as by the sources; the default specification is for that size.
         pixels = ink.fit(picture_files.read_picture(path, page=page, whole=True))
         drawings.append((file, partial(solid.draw_steps, pixels, SolidSpec(), title)))
@@ -88,7 +89,8 @@ def _plan_steps(
     chosen: pictures.ChosenRows, spec: digit_options.DigitPreviewSpec
 ) -> list[pictures.PlannedPicture]:
     """Plan the steps of the digits with given ids, or of the first digit."""
-    made_by, set_name = chosen.place.made_by, chosen.place.name
+    made_by = chosen.place.made_by
+    set_name = chosen.place.name
     if "source" not in made_by:
         raise InputError(
             f"{set_name!r} does not name the source of its images", next="draw --kind sheet only"
@@ -110,25 +112,6 @@ def _plan_steps(
             drawing = partial(draw, digit.id, title.capitalize())
             planned.append(pictures.PlannedPicture(file, f"digit {digit.id}, step by step", drawing))
     return planned if spec.ids else planned[:1]
-
-
-def draw_mesh(part: mesh.Mesh, title: str) -> UInt8:
-    """Draw a mesh from above, with a scale bar and its measures."""
-    widest_m = float(np.ptp(part.vertices_m[:, :2], axis=0).max())
-    px_per_m = _VIEW_PX / max(widest_m, 1e-9)
-    tile = pictures.Tile(pictures.relief(part.vertices_m, part.faces, px_per_m))
-    return pictures.sheet([tile], 1, title, object_facts(part), px_per_mm=px_per_m / mesh.MM_PER_M)
-
-
-def object_facts(part: mesh.Mesh) -> tuple[str, ...]:
-    """Return the measures of a mesh as text, and the reason if it is not a solid."""
-    size = pictures.size_text(part)
-    parts = f"{len(part.vertices_m):,} vertices, {len(part.faces):,} triangles"
-    verdict = mesh.check_manifold(part)
-    if verdict.problem is not None:
-        return f"{size}; {parts}", f"not a solid: {verdict.detail}"
-    bodies = "one body" if verdict.bodies == 1 else f"{verdict.bodies} bodies"
-    return (f"{size}; volume {verdict.volume_mm3:,.0f} mm³; {parts}; {bodies}",)
 
 
 def plan_gallery(name: Name | Place, chosen: catalog.RowFilter = catalog.NO_FILTER) -> gallery.Gallery:

@@ -12,7 +12,7 @@ import pyarrow as pa
 from mnist3d.kind import KIND
 from mnist3d.sources.digit_source import NO_WRITER
 from mnist3d.sources.picture_folder import FolderSource
-from tactile_toolkit import kind, mesh, pictures, places, store
+from tactile_toolkit import mesh, pictures, places, store
 from tactile_toolkit.array_types import Int64
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.rows import column, columns, plain_schema, row, table_of, with_role
@@ -60,18 +60,18 @@ SUMMED_UP = (columns(DigitRow)["label"], *with_role(mesh.PrintReport, "facet", "
 """Columns of the report that are summarised for each split."""
 
 
-def digit_schema(manifest: kind.Specified | None = None) -> pa.Schema:
+def digit_schema(manifest: store.Manifest | None = None) -> pa.Schema:
     """Return the Arrow schema of the shards that a manifest lists; by default that of MNIST 3D."""
     source = _source_of(manifest)
     return stored_schema(classes_of(manifest), has_files=source.get("name") == FolderSource.name)
 
 
-def classes_of(manifest: kind.Specified | None) -> tuple[str, ...]:
+def classes_of(manifest: store.Manifest | None) -> tuple[str, ...]:
     """Return the names of the classes of a data set, which are the digits unless its source names others."""
     return tuple(_source_of(manifest).get("classes") or KIND.class_names)
 
 
-def _source_of(manifest: kind.Specified | None) -> JsonDict:
+def _source_of(manifest: store.Manifest | None) -> JsonDict:
     source = None if manifest is None else manifest.spec.get("source")
     return source if isinstance(source, dict) else {}
 

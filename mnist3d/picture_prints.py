@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import glob
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -83,7 +83,7 @@ def print_pictures(
     overwrite: bool = False,
     dry_run: bool = False,
     workers: int = 1,
-    on_progress: printing.Progress = lambda _done, _total: None,
+    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> printing.FileExport[PrintedPicture]:
     """Make a file of each picture, named after it; each page of a TIFF or GIF is a picture.
 
@@ -150,15 +150,12 @@ def _pages_of(path: Path) -> Iterator[tuple[Path, int]]:
     elif not path.is_file():
         raise InputError(f"{path}: there is no such file; expected a picture", next="check the path")
     for file in files:
-        for page in _readable_pages(file):
+        try:
+            pages = pages_of(file)
+        except ItemError:
+            pages = (0,)  # the reason is stated when it is read
+        for page in pages:
             yield file, page
-
-
-def _readable_pages(file: Path) -> tuple[int, ...]:
-    try:
-        return pages_of(file)
-    except ItemError:
-        return (0,)  # the reason is stated when it is read
 
 
 def _file_names(found: Sequence[tuple[Path, int]], out: str, ending: str) -> tuple[str, str, Sequence[str]]:

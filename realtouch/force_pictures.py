@@ -12,13 +12,16 @@ from tactile_toolkit.touch import resized
 ARROWS = 5
 """Length of arrows relative to the motion of markers, which is a few pixels at most."""
 
-_MIN_PX, _BRIGHTEST = 160, 98
-_PAPER, _INK = (250, 250, 248), (30, 60, 110)
+_MIN_PX = 160
+_BRIGHTEST = 98
+_PAPER = (250, 250, 248)
+_INK = (30, 60, 110)
 # From no pressure to the greatest of the picture.
 _COLOURS = np.array(
     [(14, 12, 44), (110, 26, 110), (222, 73, 62), (252, 165, 40), (252, 250, 190)], np.float64
 )
-_HEAD, _HALF_HEAD_RAD = 0.35, 0.45  # of an arrow
+_HEAD = 0.35
+_HALF_HEAD_RAD = 0.45  # of an arrow
 
 
 def force_views(touch: Touch) -> list[UInt8]:
@@ -26,7 +29,8 @@ def force_views(touch: Touch) -> list[UInt8]:
 
     They have one size. Maps of another size than the image, as after `realtouch resize`, are left out.
     """
-    image, extra = touch.image, touch.extra
+    image = touch.image
+    extra = touch.extra
     height, width = image.shape[:2]
     views = []
     if "pressure_kpa" in extra and np.size(extra["pressure_kpa"]) == height * width:
@@ -78,7 +82,8 @@ def _draw_arrow(draw: ImageDraw.ImageDraw, begin: Float64, arrow: Float64) -> No
     end = begin + arrow
     draw.ellipse([*(begin - 1), *(begin + 1)], fill=_INK)
     draw.line([*begin, *end], fill=_INK, width=1)
-    cosine, sine = np.cos(_HALF_HEAD_RAD), np.sin(_HALF_HEAD_RAD)
+    cosine = np.cos(_HALF_HEAD_RAD)
+    sine = np.sin(_HALF_HEAD_RAD)
     for side in (-sine, sine):
         turned = np.array([cosine * arrow[0] - side * arrow[1], side * arrow[0] + cosine * arrow[1]])
         draw.line([*end, *(end - _HEAD * turned)], fill=_INK, width=1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tactile_toolkit.kind import DatasetKind, Specified, lazy, tactile_mnist_set
+from tactile_toolkit.kind import DatasetKind, lazy, tactile_mnist_set
 
 _REAL = (
     ("real-seq", "touch-real-seq-t256-320x240", "153,600 clips of touches of printed digits, 320 x 240 px"),
@@ -42,12 +42,6 @@ _EXCHANGED = (
 )
 
 
-def _loader(manifest: Specified | None) -> str:
-    # Plain pictures have an index only, which `datasets` opens.
-    is_plain = manifest is not None and manifest.spec.get("operation") == "frames"
-    return "datasets.load_dataset" if is_plain else "realtouch.load"
-
-
 KIND = DatasetKind(
     name="realtouch",
     command="realtouch",
@@ -64,7 +58,6 @@ KIND = DatasetKind(
     needs=("sensor_image", "sensor_video"),
     missing_commands=("validate",),
     needs_manifest=False,
-    loader=_loader,
     extra_files=("images/*/*/*.png", "images/*/*/*.jpg", "index.csv", *_EXCHANGED),
     published=(
         *(tactile_mnist_set(*each, licence="CC BY 2.0", aliases=_ALIASES.get(each[0], ())) for each in _REAL),

@@ -33,7 +33,6 @@ _TASKS = {
     "task_categories": ["robotics", "image-classification"],
     "task_ids": ["multi-class-image-classification"],
 }
-_CAPTIONS = {True: "Some touches, each at the end of contact", False: "Some touches"}
 _LIST_SUFFIX = re.compile(r"(?:\.list\.(?:element|item))+\Z")
 _WINDOW = "18.88 x 14.16 mm of gel"
 
@@ -84,15 +83,16 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
         content.columns.update(_extra_words(facts))
         if schema.has_poses(read.column_types(facts.schema)):
             heights.append(words["plates"][rule.plate])
-    is_clips = template == "seq"
     tags = [*of_origin["tags"]]
-    if is_clips:
+    caption = "Some touches"
+    if template == "seq":
         tags.append("video")
+        caption = "Some touches, each at the end of contact"
     cards.Card(
         template=KIND.card_template.format(template),
         title=f"{of_origin['title']} {content.words['title']}",
         columns=content.columns,
-        picture=("touches.png", lambda _facts: _sheet(content.pictures), _CAPTIONS[is_clips]),
+        picture=("touches.png", lambda _facts: _sheet(content.pictures), caption),
         licence=of_origin["licence"],
         tags=tags,
         nouns=content.nouns,

@@ -31,7 +31,8 @@ DEFAULT_TOUCHES = 64
 # For a round: greatest number of touches to show, height of each touch, least height that counts as contact.
 _Known = tuple[int, Float64 | None, float]
 
-_MAX_TEXTS, _LONGEST_NOTE = 8, 200  # texts shown of a further column, and characters of each
+_MAX_TEXTS = 8
+_LONGEST_NOTE = 200  # texts shown of a further column, and characters of each
 
 _SHARES = ("all touches", "more than half", "half or fewer", "none", "unknown")
 _SHOWN = (

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image
 
-from realtouch import contact, picture_views, touch_options
+from realtouch import contact, force_pictures, picture_views, touch_options
 from realtouch.kind import KIND
 from realtouch.touches import media, opening, rounds
 from realtouch.touches.rounds import Touch
@@ -72,22 +72,30 @@ def plan_previews(
 
 
 def draw_grid(record: rounds.TouchRound, most: int) -> UInt8:
-    """Draw touches of a round, evenly spaced, with their numbers; those that met an object are framed."""
-    row, heights_m = record.row, None
+    """Draw touches of a round, evenly spaced, with their numbers; those that met an object are framed.
+
+    Pressure and moving markers are beside the picture of a touch that has them.
+    """
+    row = record.row
+    heights_m = None
     if row.has_poses:
         rule = contact.ContactHeight.of(row.group.names)
         heights_m = contact.contact_heights_m(row.contact_z_m(row.kind), plate_z_m=row.plate_z_m(rule))
     tiles = []
     for touch in picture_views.evenly_spaced(record.touch_count, most):
-        caption, frame = f"{touch}", None
+        caption = f"{touch}"
+        frame = None
         if heights_m is not None:
             caption = f"{touch}: {heights_m[touch] * 1e3:.1f} mm"
-            frame = CONTACT if heights_m[touch] >= rule.min_height_m else pictures.PAPER
-        tiles.append(pictures.Tile(pictures.fitted(Touch(record, touch).image, _TILE_PX), caption, frame))
+            if heights_m[touch] >= rule.min_height_m:
+                frame = CONTACT
+        views = force_pictures.force_views(Touch(record, touch))
+        pixels = np.hstack([pictures.fitted(view, _TILE_PX) for view in views])
+        tiles.append(pictures.Tile(pixels, caption, frame))
     words = [f"{len(tiles)} of {_touches_in_words(record)}"]
     if heights_m is not None:
         words += [f"framed: {height_text(rule.min_height_m)}; its height next to the number"]
-    return pictures.sheet(tiles, _COLUMNS, _title(record), ("; ".join(words),))
+    return pictures.sheet(tiles, _COLUMNS // len(views), _title(record), ("; ".join(words),))
 
 
 def draw_overlay(record: rounds.TouchRound) -> UInt8:
@@ -190,7 +198,8 @@ def overlay(touches: Sequence[PlacedTouch], cell: CellMap) -> UInt8:
             next="make them alike with `realtouch resize`",
         )
     width, height = cell.size_px
-    sums, weights = np.zeros((height, width, 3)), np.zeros((height, width, 1))
+    sums = np.zeros((height, width, 3))
+    weights = np.zeros((height, width, 1))
     rest = np.median([touch.pixels for touch in touches], axis=0)
     for touch in touches:
         window, back = _back_to_touch(touch, cell)

@@ -18,7 +18,8 @@ def standing_vertices(poses: Float64, corners: Float64, corner_counts: Int64) ->
     Each row of ``poses`` is a placement without its shape; ``corners`` are those of all objects one after
     another. Computed in double precision and rounded once: shape (2 corners, 3), float32, metres.
     """
-    vertices, vertex = np.zeros((2 * len(corners), 3), np.float32), 0
+    vertices = np.zeros((2 * len(corners), 3), np.float32)
+    vertex = 0
     for number in range(len(poses)):
         x_m, y_m, angle_rad, radius_m, height_m = poses[number]
         cosine, sine = _cosine_sine(angle_rad)

@@ -190,7 +190,9 @@ class SceneSpec:
         ):
             value = checked_fields.to_builtin(getattr(self, name), kind)
             object.__setattr__(self, name, value if isinstance(value, tuple) else (value,))
-        stars, shapes, heights = self.stars, self.distractor_shapes, self.heights_m
+        stars = self.stars
+        shapes = self.distractor_shapes
+        heights = self.heights_m
         fits = (
             bool(stars)
             and checked_fields.is_integer(*stars)
@@ -415,7 +417,8 @@ def rejection_sampling(
     shapes += [_choice(spec.distractor_shapes, uniform) for _ in range(distractor_count)]
     attempts = [0] * len(shapes)
     reached: list[int] = []
-    clearance_m, (half_x_m, half_y_m) = spec.clearance_m, spec.half_area_m
+    clearance_m = spec.clearance_m
+    half_x_m, half_y_m = spec.half_area_m
     while len(reached) <= spec.restarts and not is_infeasible(reached, len(shapes)):
         placed: list[scene.Placement] = []
         for number, shape in enumerate(shapes):
@@ -446,10 +449,13 @@ def _choice(options: tuple[T, ...], uniform: Uniform) -> T:
 
 def _exhausted(spec: SceneSpec, shapes: list[Shape], reached: list[int]) -> SamplingExhausted:
     """Return the error for a scene; ``reached`` are the numbers of objects that its layouts held."""
-    number, restarts = reached[-1], len(reached) - 1
-    verdict, more_tries = "", ", or in Python raise attempts or restarts of SceneSpec"
+    number = reached[-1]
+    restarts = len(reached) - 1
+    verdict = ""
+    more_tries = ", or in Python raise attempts or restarts of SceneSpec"
     if is_infeasible(reached, len(shapes)):
-        verdict, more_tries = "; no layout held nearly as many objects", ""
+        verdict = "; no layout held nearly as many objects"
+        more_tries = ""
     width_mm, height_mm = (2 * mesh.MM_PER_M * half_m for half_m in spec.half_area_m)
     return SamplingExhausted(
         f"no place for object {number + 1} of {len(shapes)} (a {shapes[number].name}): {spec.attempts} "

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import accumulate
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -15,7 +14,7 @@ from starstruck_gen import shapes
 from starstruck_gen.shapes import outline, prisms
 from tactile_toolkit import mesh, read
 from tactile_toolkit.arithmetic import cosine_sine, moved
-from tactile_toolkit.array_types import Int64, UInt8
+from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh
 from tactile_toolkit.touch import CELL_M
@@ -167,14 +166,10 @@ def build_meshes(layouts: Sequence[Sequence[Placement]]) -> SceneMeshes:
     corner_counts = np.concatenate([made.corner_counts for made in parts])
     faces = np.concatenate([made.faces for made in parts])
     vertices = standing_vertices(poses.reshape(-1, 5), corners, corner_counts)
-    return SceneMeshes(
-        read.RaggedColumn(vertices, _offsets([2 * len(made.corners) for made in outlines])),
-        read.RaggedColumn(faces, _offsets([len(made.faces) for made in outlines])),
-    )
-
-
-def _offsets(counts: list[int]) -> Int64:
-    return np.array([0, *accumulate(counts)], dtype=np.int64)
+    # Where the rows of each scene begin, and the end of the last one.
+    sizes = [(2 * len(made.corners), len(made.faces)) for made in outlines]
+    first_vertices, first_faces = np.cumsum([(0, 0), *sizes], axis=0, dtype=np.int64).T.copy()
+    return SceneMeshes(read.RaggedColumn(vertices, first_vertices), read.RaggedColumn(faces, first_faces))
 
 
 def draw_scene(placements: Iterable[Placement], cell_m: tuple[float, float], px_per_mm: float) -> Image.Image:
@@ -218,7 +213,8 @@ def _paint_object(picture: Image.Image, placement: Placement, px_per_m: float) -
     low, high = (
         np.clip((rings[0].min(axis=0), rings[0].max(axis=0) + 2), 0, picture.size).astype(int).tolist()
     )
-    mask, fill = Image.new("L", (high[0] - low[0], high[1] - low[1])), 255
+    mask = Image.new("L", (high[0] - low[0], high[1] - low[1]))
+    fill = 255
     for edge_px in rings:
         ImageDraw.Draw(mask).polygon((edge_px - low).ravel().tolist(), fill=fill)
         fill = 0  # rings after the first are holes

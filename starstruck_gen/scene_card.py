@@ -37,18 +37,22 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     Raises IntegrityError when a shard is missing or damaged.
     """
     if is_copy(manifest):
-        licence, text = "mit", "MIT, as the toolkit."
+        licence = "mit"
+        text = "MIT, as the toolkit."
         if manifest.spec["source_spec"] is None:
-            licence, text = "other", "The terms of the data set that these rows come from."
+            licence = "other"
+            text = "The terms of the data set that these rows come from."
         terms = {"licence_text": text, "citation_text": "The task: Schneider et al. 2025."}
         cards.write_table_card(folder, manifest, kind.KIND, "Starstruck", COLUMNS, licence, **terms)
         return
     spec = sampling.SceneSpec.from_dict(manifest.spec["scene"])
+    drawn = (mesh.VERTICES, mesh.FACES, "star_count", "placements")
+    draw = partial(cards.draw_solids, record=scene_dataset.SceneRecord, columns=drawn)
     cards.Card(
         template=kind.KIND.card_template,
         title="Starstruck",
         columns=COLUMNS,
-        picture=("scenes.png", _draw_scenes, "The first scenes of each class from above; stars are orange"),
+        picture=("scenes.png", draw, "The first scenes of each class from above; stars are orange"),
         licence="mit",
         tags=["tactile", "active-perception", "3d", "mesh", "counting"],
         limits=_limits(manifest, spec),
@@ -65,7 +69,8 @@ def _placement_values(spec: sampling.SceneSpec) -> dict[str, str]:
     turned = math.degrees(spec.rotation_rad)
     radii = sorted({shape.radius_m for shape in (spec.star, *spec.distractor_shapes)})
     widths = " to ".join(dict.fromkeys(f"{2e3 * radius:g}" for radius in (radii[0], radii[-1])))
-    rule, rotation = _RULES[spec.collision], " by 0 degrees"
+    rule = _RULES[spec.collision]
+    rotation = " by 0 degrees"
     if spec.clearance_m:
         rule = f"{rule} and keep {1e3 * spec.clearance_m:g} mm"
     if turned:
@@ -87,11 +92,6 @@ def _placement_values(spec: sampling.SceneSpec) -> dict[str, str]:
         "attempts": f"{spec.attempts:,}",
         "print_text": f"The circles around them are {widths} mm wide; a scene prints as loose objects.",
     }
-
-
-def _draw_scenes(facts: cards.FolderSummary) -> bytes | None:
-    columns = (mesh.VERTICES, mesh.FACES, "star_count", "placements")
-    return cards.draw_solids(facts, scene_dataset.SceneRecord, columns)
 
 
 def _limits(manifest: store.Manifest, spec: sampling.SceneSpec) -> list[str]:

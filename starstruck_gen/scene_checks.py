@@ -106,12 +106,15 @@ def validate_folder(
         workers,
         on_progress,
     )
-    failures, bodies, stars = [], 0, 0
+    failures = []
+    bodies = 0
+    stars = 0
     for row in rows:
         null = f"field {row.null_field!r} of row {row.row} is null; expected a value"
         problem, standing, declared = row.found or (null, 0, 0)
         if problem is None:
-            bodies, stars = bodies + standing, stars + declared
+            bodies = bodies + standing
+            stars = stars + declared
         else:
             number = _NO_ID if row.id is None else row.id
             failures.append(InvalidScene(row.split, number, problem))
@@ -121,7 +124,8 @@ def validate_folder(
 
 def _check_row(row: read.Row, names: Mapping[str, Sequence[str]]) -> tuple[str | None, int, int]:
     """Return the problem of a scene (or None), its number of bodies, and that of its declared stars."""
-    record, stars = scene_dataset.SceneRecord(row), 0
+    record = scene_dataset.SceneRecord(row)
+    stars = 0
     try:
         problem, bodies = check_scene(record, names[row.path])
         if record.has_placements:

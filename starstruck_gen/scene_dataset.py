@@ -208,7 +208,7 @@ class MadeScenes:
         """Return 0: nothing is unpacked."""
         return 0
 
-    def locate(self, row: int) -> tuple[read.Rows, int]:
+    def locate(self, row: int) -> tuple[read.RowGroup, int]:
         """Return a single row, which is not made yet."""
         return MadeScene(self, row), 0
 
@@ -245,11 +245,11 @@ class MadeScenes:
         raise KeyError(name)
 
 
-class MadeScene(read.Rows):
+class MadeScene(read.RowGroup):
     """One row, whose scene and mesh are made on first use."""
 
     def __init__(self, source: MadeScenes, row: int) -> None:
-        super().__init__("", row)
+        super().__init__(first_row=row)
         self._source = source
         self.once("cell_m", lambda: source.spec.cell_m)
 
@@ -266,9 +266,10 @@ class MadeScene(read.Rows):
     # Not cached properties, whose locks take 1/20 of the time of a scene and its mesh.
     @property
     def _scene(self) -> scene.Scene:
-        source, row = self._source, self.first_row
+        made = self._source
         return self.once(
-            "scene", lambda: sampling.sample_scenes(source.spec, source.split, source.seed, row, 1)[0]
+            "scene",
+            lambda: sampling.sample_scenes(made.spec, made.split, made.seed, self.first_row, 1)[0],
         )
 
     def _built(self) -> scene.SceneMeshes:

@@ -29,14 +29,13 @@ PARQUET_STYLE = store.ParquetStyle(
     ),
 )
 """1,000 scenes are about 5 MB unpacked, enough for the codec to find repeated triangles."""
-_NUMBERS = [(name, pa.float64()) for name in scene.Placement._fields if name != "shape"]
-_PLACEMENTS = pa.list_(pa.struct([("shape", pa.string()), *_NUMBERS]))
-_IDS = f"number of the scene: from 0 in train, from {sampling.scene_id(sampling.SPLITS[1], 0):,} in test"
+_PLACEMENTS = pa.list_(
+    pa.struct([(name, pa.string() if name == "shape" else pa.float64()) for name in scene.Placement._fields])
+)
 _OBJECTS = (
     "each object in the order of placing, stars first: `shape`, centre `x_m` and `y_m`, `angle_rad` about z, "
     "`radius_m` of the circumscribed circle, `height_m`"
 )
-_SEED = "seed of the scene: with the specification and the star count it makes the scene again"
 
 PUBLISHED_SIZES = (("train", 3_000), ("test", 300))
 """Scenes of each split (Tactile MNIST paper, section Starstruck)."""
@@ -46,7 +45,11 @@ PUBLISHED_SIZES = (("train", 3_000), ("test", 300))
 class SceneRow(mesh.MeshRow):
     """One scene."""
 
-    id: int = rows.column(pa.int64(), "", _IDS)
+    id: int = rows.column(
+        pa.int64(),
+        "",
+        f"number of the scene: from 0 in train, from {sampling.scene_id(sampling.SPLITS[1], 0):,} in test",
+    )
     label: int = rows.column(pa.int64(), "", "the class, named by the number of stars")
     star_count: int = rows.column(pa.int64(), "", "number of stars", role="facet", title="Stars")
     distractor_count: int = rows.column(
@@ -55,7 +58,11 @@ class SceneRow(mesh.MeshRow):
     placements: Sequence[scene.Placement] = rows.column(
         _PLACEMENTS, "one per object: m, rad, frame below", _OBJECTS
     )
-    seed: int = rows.column(pa.int64(), "", _SEED)
+    seed: int = rows.column(
+        pa.int64(),
+        "",
+        "seed of the scene: with the specification and the star count it makes the scene again",
+    )
     attempts: Sequence[int] = rows.column(pa.list_(pa.int32()), "one per object", "positions drawn for it")
     restarts: int = rows.column(
         pa.int32(), "", "how often the scene was started over", role="measure", title="Restarts"
@@ -225,7 +232,8 @@ def generate(
 
 def scene_recipe(seed: int, per_class: int | None) -> generation.Recipe:
     """Return the recipe that makes scenes without input: as published, or fewer."""
-    scenes, sizes = dict(PUBLISHED_SIZES), None
+    scenes = dict(PUBLISHED_SIZES)
+    sizes = None
     if per_class is not None:
         most = per_class * len(KIND.class_names)
         scenes = {split: min(size, most) for split, size in scenes.items()}

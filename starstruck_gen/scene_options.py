@@ -11,7 +11,8 @@ from tactile_toolkit.errors import InputError
 
 _BETWEEN_SHAPES = re.compile(r",(?![^(]*\))")  # a comma within brackets belongs to a shape
 # With 3 tips, the published inner ratio of 0.5 gives straight sides: a triangle, not a star.
-_MIN_POINTS, _RATIO_OF_FEWEST = 3, 0.25
+_MIN_POINTS = 3
+_RATIO_OF_FEWEST = 0.25
 
 
 def _counts(option: str, words: str) -> tuple[int, ...]:

@@ -498,7 +498,9 @@ def prisms(keys: tuple[str, ...]) -> Prisms:
     """
     each = [prism(key) for key in keys]
     # Begins with empty arrays, since a layout may be empty.
-    corners, faces, vertices = [np.zeros((0, 2))], [np.zeros((0, 3), np.int32)], 0
+    corners = [np.zeros((0, 2))]
+    faces = [np.zeros((0, 3), np.int32)]
+    vertices = 0
     for one in each:
         corners.append(one.corners)
         faces.append(one.faces + np.int32(vertices))

@@ -3,9 +3,12 @@
 from . import wrappers as wrappers
 from .config import Config as Config
 from .env_specs import EnvId as EnvId, ids as ids
-from .entry_points import make_one as make_one, make_vector as make_vector
+from .entry_points import (
+    make_one as make_one,
+    make_vector as make_vector,
+    MakeOptions as MakeOptions,
+    TactileEnv as TactileEnv,
+)
 from .environment import TactileVectorEnv as TactileVectorEnv
-from .make_options import MakeOptions as MakeOptions
-from .single_environment import TactileEnv as TactileEnv
 
 __version__: str

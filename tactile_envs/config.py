@@ -1,4 +1,4 @@
-"""Settings of an environment."""
+"""Settings of an environment, and the types of its actions, observations and results, as in gymnasium."""
 
 from __future__ import annotations
 
@@ -6,39 +6,38 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from math import inf, pi
 from os import PathLike, fspath
-from typing import TYPE_CHECKING, TypedDict, TypeVar
+from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict, TypeVar
 
 import tactile_sim
-from tactile_envs.gym_types import Options
-from tactile_sim.press_spec import gel_named
-from tactile_sim.sensor import GEL_M, sensor_of_model
-from tactile_sim.sensor_models import GELSIGHT_MINI, checked_sensor
-from tactile_sim.sensor_noise import checked_noise
+from tactile_sim.optics.sensor_noise import checked_noise
+from tactile_sim.press.press_spec import gel_named
+from tactile_sim.press.sensors import GEL_M, GELSIGHT_MINI, checked_sensor, sensor_of_model
 from tactile_toolkit import checked_fields, touch
+from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import did_you_mean
 
 if TYPE_CHECKING:
+    import gymnasium as gym  # ids of environments are listed without it
+
     from realtouch import TouchSingleDataset
+
 
 SENSORS = {"taxim": "", "depth": "-Depth", "cycle_gan": "-CycleGAN"}
 """Simulated sensors, and the part of an id that names them."""
-
 OPTICS = {"depth": "depth", "taxim": "taxim", "cycle_gan": "cyclegan"}
 """Optics of each simulated sensor."""
-
 DIRECT = "direct"
 """The sensor that shows recorded images as they are."""
-
 GELSIGHT_M = (0.032, 0.028)
 """Width and depth of the housing of the sensor, metres (tactile-mnist 0.13.0, GELSIGHT_MINI_OUTER_SIZE)."""
-
 C = TypeVar("C", bound="EpisodeConfig")
-
 _MAX_ENVS, _MAX_THREADS = 1 << 20, 1024
+
 # Three colours and depth of a pixel, float32.
 _PIXEL_BYTES = 16
 _MAX_IMAGE_BYTES = 32 << 30
+
 # tactile-mnist 0.13.0, CELL_PADDING: a gap, half the sensor, half the border between cells.
 _PADDING_M = (0.003 + GELSIGHT_M[0] / 2 + 0.0025, 0.003 + GELSIGHT_M[1] / 2 + 0.0025)
 
@@ -346,3 +345,17 @@ def checked_counts(config: EpisodeConfig, num_envs: object, threads: object) -> 
             next="make fewer environments, or smaller images (`sensor_output_size`)",
         )
     return count, checked_fields.checked_integer(threads, "threads", 1, _MAX_THREADS)
+
+
+Space: TypeAlias = "gym.Space[Any]"
+"""The valid values of an action, an observation or a part of one."""
+Nested: TypeAlias = Any
+"""An array, or a dictionary of such values by name."""
+Action: TypeAlias = Mapping[str, Nested]
+"""Parts of an action by name: arrays, or further parts."""
+Observation: TypeAlias = dict[str, AnyArray]
+"""Parts of an observation by name."""
+Info: TypeAlias = dict[str, Nested]
+"""Further results of a step."""
+Options: TypeAlias = Mapping[str, Any]
+"""Options of a reset by name."""

@@ -1,39 +1,100 @@
-"""Entry points that gymnasium calls to make environments by their ids."""
+"""Making environments by their ids: the options, a vector of environments, and a single one."""
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import fields, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from os import PathLike
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
 from tactile_envs import env_specs, mesh_pool, object_sets
-from tactile_envs.config import Config, RecordedConfig, checked_counts, configured
+from tactile_envs.config import (
+    Action,
+    Config,
+    EpisodeConfig,
+    Info,
+    Nested,
+    Observation,
+    Options,
+    RecordedConfig,
+    checked_counts,
+    configured,
+)
 from tactile_toolkit import errors, mesh
+from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.wording import did_you_mean
 
 with errors.needs_extra("making environments", "ap-gym", "envs"):
+    import ap_gym
+    from gymnasium.envs.registration import EnvSpec
+    from gymnasium.vector import AutoresetMode
+
     from tactile_envs import (
-        base_depth,
-        camera,
         environment,
-        make_options,
         mesh_scene,
         recorded_scene,
         recorded_sets,
         scene,
-        single_environment,
         tasks,
         tilted_scene,
     )
 
 F = TypeVar("F", bound=Callable[..., Any])
-
 _OF_VECTORS = ("num_envs", "autoreset_mode", "max_episode_steps")
-_NAMES = tuple(each.name for each in fields(make_options.MakeOptions))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MakeOptions:
+    """Options of :func:`tactile_envs.make_vector`.
+
+    Parameters
+    ----------
+    num_envs : int
+        Number of environments.
+    assets : path or str, optional
+        Meshes: a folder of data sets (such as ``tactile-assets``, with ``mnist3d`` in it), one data set by
+        folder or name on the Hub, a folder of mesh files, or ``"published"`` for the published set. By
+        default they are made on first use in ``tactile-assets``; environments of classes begin meanwhile.
+        For ids with ``RealSnap``: the touched digits and, unless `touches` are given, the touches; a folder
+        of both (``mnist3d`` and ``real-single``) or a data set of touches, the published ones by default.
+    unit : "mm", "cm", "m" or "in", optional
+        Unit of mesh files that state none (STL, PLY, OBJ); millimetres by default.
+    config : mapping or Config, optional
+        Settings that differ from those of the id, or all of them; see :class:`tactile_envs.Config`.
+    render_mode : "rgb_array", optional
+        If given, ``render()`` returns pictures.
+    threads : int
+        Number of threads that share a step.
+    weights : path or str, optional
+        Weights for the sensor of CycleGAN environments, ``depth_to_touch.npz`` of ``tactile-sim train``; the
+        published ones by default.
+    touches : path or str, optional
+        Recorded touches for ids with ``RealSnap``: a data set by folder or name on the Hub, or
+        ``"published"``. Volumes need the touched digits; classes do not, but pictures show them if `assets`
+        are given.
+    autoreset_mode : gymnasium.vector.AutoresetMode or str
+        When the next episode begins; see :class:`tactile_envs.TactileVectorEnv`.
+    max_episode_steps : int, optional
+        The setting ``step_limit``, as gymnasium names it.
+    """
+
+    num_envs: int = 1
+    assets: str | PathLike[str] | None = None
+    unit: str | None = None
+    config: Options | EpisodeConfig | None = None
+    render_mode: str | None = None
+    threads: int = 1
+    weights: str | Path | None = None
+    touches: str | PathLike[str] | None = None
+    autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP
+    max_episode_steps: int | None = None
+
+
+_NAMES = tuple(field.name for field in fields(MakeOptions))
 
 
 def _shows_options(*left_out: str) -> Callable[[F], F]:
@@ -42,7 +103,7 @@ def _shows_options(*left_out: str) -> Callable[[F], F]:
     def decorate(function: F) -> F:
         own = inspect.signature(function)
         name, *_ = own.parameters.values()
-        options = inspect.signature(make_options.MakeOptions).parameters.values()
+        options = inspect.signature(MakeOptions).parameters.values()
         shown = own.replace(parameters=[name, *(each for each in options if each.name not in left_out)])
         vars(function)["__signature__"] = shown
         return function
@@ -51,10 +112,10 @@ def _shows_options(*left_out: str) -> Callable[[F], F]:
 
 
 @_shows_options(*_OF_VECTORS)
-def make_one(name: str, **options: Any) -> single_environment.TactileEnv:
+def make_one(name: str, **options: Any) -> TactileEnv:
     """Make a single environment; options as for :func:`make_vector`, except those of vectors."""
     _require_known(options, [each for each in _NAMES if each not in _OF_VECTORS])
-    return single_environment.TactileEnv(make_vector(name, **options))
+    return TactileEnv(make_vector(name, **options))
 
 
 @_shows_options()
@@ -66,7 +127,7 @@ def make_vector(name: str, **options: Any) -> environment.TactileVectorEnv:
     name : str
         Id, such as ``"TactileMNIST-Depth-train-v0"``.
     **options
-        Parameters of :class:`~tactile_envs.make_options.MakeOptions`, such as ``num_envs`` and ``config``.
+        Parameters of :class:`~tactile_envs.entry_points.MakeOptions`, such as ``num_envs`` and ``config``.
 
     Returns
     -------
@@ -81,7 +142,7 @@ def make_vector(name: str, **options: Any) -> environment.TactileVectorEnv:
         An option does not exist.
     """
     _require_known(options, _NAMES)
-    given = make_options.MakeOptions(**options)
+    given = MakeOptions(**options)
     spec = env_specs.env_specs()[name]
     settings = configured(spec.config, given.config)
     if given.max_episode_steps is not None:
@@ -116,17 +177,17 @@ def _require_known(options: Iterable[str], known: Sequence[str]) -> None:
 
 
 def _simulated(
-    spec: env_specs.EnvSpec, config: Config, given: make_options.MakeOptions
+    spec: env_specs.EnvSpec, config: Config, given: MakeOptions
 ) -> tuple[scene.TouchScene, tasks.Task]:
     """Return objects in cells, and the task of an environment; InputError if they do not fit."""
-    seen_by = camera.Camera(config, given.weights)
+    seen_by = scene.Camera(config, given.weights)
     kind_of_scene = tilted_scene.TiltedScene if config.allow_sensor_rotation else mesh_scene.MeshScene
     try:
         records = object_sets.open_objects(spec, config, given.assets, given.unit)
         if config.real_base_depth_dataset is not None:
             real = _real_touches(config.real_base_depth_dataset, given.assets)
             size_px = seen_by.sensor.size_px
-            seen_by.put_behind(base_depth.base_depths_m(real, config.real_base_depth_touches, size_px))
+            seen_by.put_behind(recorded_sets.base_depths_m(real, config.real_base_depth_touches, size_px))
         cells = kind_of_scene(config, records, given.num_envs, given.threads, seen_by)
     except KeyboardInterrupt as error:  # while objects or depth are made: without the frames of that
         raise error.with_traceback(None) from None
@@ -134,7 +195,7 @@ def _simulated(
 
 
 def _recorded(
-    spec: env_specs.EnvSpec, config: RecordedConfig, given: make_options.MakeOptions
+    spec: env_specs.EnvSpec, config: RecordedConfig, given: MakeOptions
 ) -> tuple[scene.TouchScene, tasks.Task]:
     """Return recorded touches in cells, and the task of an environment; InputError if digits are missing."""
     mesh.refuse_unit(given.unit, "recorded touches")
@@ -158,7 +219,7 @@ def _recorded(
     return cells, tasks.Volume(objects.pool.measure("volume_m3"), objects.which)
 
 
-def _real_touches(given: base_depth.Source, assets: str | PathLike[str] | None) -> base_depth.Source:
+def _real_touches(given: recorded_sets.Source, assets: str | PathLike[str] | None) -> recorded_sets.Source:
     """Return the touches of a setting; the published ones may lie in the folder of the assets."""
     if given != env_specs.REAL_TOUCHES:
         return given
@@ -174,3 +235,102 @@ def _task(
     if spec.task == "volume":
         return tasks.Volume(pool.measure("volume_m3"))
     return tasks.ObjectPose(pool, config, of_mass=spec.frame == "mass")
+
+
+class TactileEnv(ap_gym.BaseActivePerceptionEnv):  # type: ignore[misc]
+    """One environment; the step after the last touch of an episode begins the next one.
+
+    Parameters
+    ----------
+    vector_env : TactileVectorEnv
+        A vector of one, which does the work.
+
+    Attributes
+    ----------
+    vector_env : TactileVectorEnv
+        The vector, with poses of objects and sensors.
+    """
+
+    def __init__(self, vector_env: environment.TactileVectorEnv) -> None:
+        self.vector_env, self.render_mode = vector_env, vector_env.render_mode
+        self.metadata = {
+            name: value for name, value in vector_env.metadata.items() if name != "autoreset_mode"
+        }
+        self.action_space = vector_env.single_action_space
+        self.observation_space = vector_env.single_observation_space
+        self.prediction_target_space = vector_env.single_prediction_target_space
+        self.loss_fn = vector_env.loss_fn
+
+    def reset(self, *, seed: int | None = None, options: Options | None = None) -> tuple[Observation, Info]:
+        """Begin an episode.
+
+        Parameters
+        ----------
+        seed : int, optional
+            Seed of all random numbers.
+        options : mapping, optional
+            ``datapoint_idx``, ``initial_object_pose``, ``initial_sensor_target_pose``, as for
+            :meth:`TactileVectorEnv.reset` for one environment.
+
+        Returns
+        -------
+        tuple
+            Observation and info of the first touch.
+
+        Raises
+        ------
+        InputError
+            An option is unknown, or a value cannot be used.
+        gymnasium.error.ClosedEnvironmentError
+            The environment was closed.
+        """
+        super().reset(seed=seed)
+        self.vector_env.np_random = self.np_random
+        given = {name: [value] for name, value in (options or {}).items()}
+        observation, info = self.vector_env.reset(options=given)
+        return _first(observation), _first(info)
+
+    def step(self, action: Action) -> tuple[Observation, float, bool, bool, Info]:
+        """Take one touch; see :meth:`TactileVectorEnv.step` for actions and errors.
+
+        Returns
+        -------
+        tuple
+            Observation, reward, whether the episode was terminated, whether it was truncated, and info.
+        """
+        observation, reward, terminated, truncated, info = self.vector_env.step(_batched(action))
+        return _first(observation), float(reward[0]), bool(terminated[0]), bool(truncated[0]), _first(info)
+
+    def render(self) -> UInt8 | None:
+        """Return a picture, (240, 336, 3) uint8; None without a render mode."""
+        pictures = self.vector_env.render()
+        if pictures is None:
+            return None
+        return pictures[0]
+
+    def close(self) -> None:
+        """Release threads."""
+        self.vector_env.close()
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """Registration, with the length of an episode."""
+        return self.vector_env.spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec) -> None:
+        self.vector_env.spec = spec
+
+
+def _batched(action: Nested) -> Nested:
+    """Return an action, or a part of it, as that of a vector of one."""
+    if isinstance(action, Mapping):
+        return {name: _batched(part) for name, part in action.items()}
+    return np.asarray(action)[np.newaxis]
+
+
+def _first(values: Nested) -> Nested:
+    """Return the results of the first environment of a vector: arrays without their first axis."""
+    if isinstance(values, dict):
+        return {name: _first(part) for name, part in values.items()}
+    return np.asarray(values[0])

@@ -1,10 +1,11 @@
-"""Ids of environments, and their specifications."""
+"""The ids of environments: what each one stands for, and their registration with gymnasium."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
+from importlib.util import find_spec
 from math import pi
 from types import MappingProxyType
 from typing import Literal, NamedTuple
@@ -19,9 +20,9 @@ Frame = Literal["model", "mass"]
 
 # tactile-mnist 0.13.0: compute_touch_window_size(256, 16).
 _SNAP = {"": None, "Snap": 23}
+
 # The sensor of recorded touches whose image is rendered from its estimated depth, or shown as it is.
 _RECORDED = {"": DIRECT, "-Taxim": "taxim", "-CycleGAN": "cycle_gan", "-Depth": "depth"}
-
 REAL_TOUCHES = "TimSchneider42/tactile-mnist-touch-real-single-t256-320x240"
 """The published touches with one image each, 256 a round."""
 
@@ -210,3 +211,21 @@ def _row(name: str, spec: EnvSpec) -> EnvId:
         split=spec.split,
         sparse=spec.sparse,
     )
+
+
+NAMESPACE = "tactile_envs"
+
+
+def register() -> None:
+    """Register all ids as ``tactile_envs/ID``; those of `tactile-mnist` have no namespace."""
+    if find_spec("gymnasium") is None:  # reported when an environment is made
+        return
+    import gymnasium  # an extra
+
+    for name in env_specs():
+        gymnasium.register(
+            f"{NAMESPACE}/{name}",
+            entry_point="tactile_envs.entry_points:make_one",
+            vector_entry_point="tactile_envs.entry_points:make_vector",
+            kwargs={"name": name},
+        )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Mapping
 from typing import Any
 
 import ap_gym
@@ -14,14 +15,13 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from realtouch import Poses
-from tactile_envs import config, drawing, episode_log, reset_options, tasks
-from tactile_envs.gym_types import Action, Info, Observation, Options
+from tactile_envs import config, drawing, motion, tasks
+from tactile_envs.config import Action, Info, Observation, Options
 from tactile_envs.scene import TouchScene
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64, UInt8
 from tactile_toolkit.errors import InputError
 
 _NOTHING: Info = {}
-
 _NOT_RESET = "the environment was not reset yet; next: call reset()"
 _CLOSED = "the environment was closed; next: make another one"
 _OVER = "some episodes are over; next: call reset(options={'reset_mask': terminated | truncated})"
@@ -78,7 +78,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
             "render_fps": 1 / self.config.transfer_timedelta_s,
             "autoreset_mode": self.autoreset_mode,
         }
-        self._log = episode_log.EpisodeLog(self.num_envs, self.config.step_limit)
+        self._log = EpisodeLog(self.num_envs, self.config.step_limit)
         self._steps = np.zeros(self.num_envs, np.int64)
         steps = np.arange(self.config.step_limit + 1)
         self._progress = (steps / self.config.step_limit * 2 - 1).astype(np.float32)
@@ -136,27 +136,27 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
             The environment was closed.
         """
         self._require_open()
-        given = reset_options.ResetOptions.of(options or {}, self.num_envs)
-        if given.rows is not reset_options.EVERY:
+        given = motion.ResetOptions.of(options or {}, self.num_envs)
+        if given.rows is not motion.EVERY:
             self._require_reset()
         super().reset(seed=seed)
         self._scene.discard_upcoming(given.rows)
         self._begin(given.rows, given)
         return self._touched(given.rows)
 
-    def _begin(self, rows: reset_options.Rows, options: reset_options.ResetOptions) -> None:
+    def _begin(self, rows: motion.Rows, options: motion.ResetOptions) -> None:
         self._scene.begin(rows, self.np_random, options)
         self._is_over = self._is_over.copy()  # the last observation is in an info
         self._steps[rows], self._is_over[rows] = 0, False
         self._any_over = bool(self._is_over.any())
-        if rows is reset_options.EVERY:
+        if rows is motion.EVERY:
             self._predicted = None
 
-    def _touched(self, rows: reset_options.Rows, others: Info = _NOTHING) -> tuple[Observation, Info]:
+    def _touched(self, rows: motion.Rows, others: Info = _NOTHING) -> tuple[Observation, Info]:
         """Touch in some environments; return observations and infos of all, the others from ``others``."""
         readings = self._scene.touch(rows, self.np_random, self._steps[rows])
         seen, info = dict(readings.observation), dict(readings.info)
-        if rows is not reset_options.EVERY:
+        if rows is not motion.EVERY:
             seen = {name: self._observation[name].copy() for name in seen}
             for name, values in readings.observation.items():
                 seen[name][rows] = values
@@ -166,7 +166,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         self._observation = seen
         return seen, info
 
-    def _spread(self, rows: reset_options.Rows, info: dict[str, AnyArray], others: Info) -> Info:
+    def _spread(self, rows: motion.Rows, info: dict[str, AnyArray], others: Info) -> Info:
         """Extend the infos of some environments to all; those of others are 0 and masked, as in gymnasium."""
         found = dict(others)
         is_given = np.zeros(self.num_envs, np.bool_)
@@ -220,7 +220,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
             )
         costs = self._advance(moves, score)
         self._predicted = predictions, targets
-        observation, info = self._touched(reset_options.EVERY)
+        observation, info = self._touched(motion.EVERY)
         terminated, truncated = self._ends()
         self._is_over = terminated | truncated
         self._any_over = bool(self._is_over.any())
@@ -240,15 +240,15 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
     def _advance(self, moves: Action, score: tasks.Score) -> Float32:
         """Aim the sensors, or begin the next episode where one is over; return the costs of the actions."""
         if not self._any_over:
-            self._log.add(self._steps, reset_options.EVERY, score.metrics)
+            self._log.add(self._steps, motion.EVERY, score.metrics)
             self._steps += 1
-            return self._scene.aim(moves, reset_options.EVERY)
+            return self._scene.aim(moves, motion.EVERY)
         over, rows = np.flatnonzero(self._is_over), np.flatnonzero(~self._is_over)
         if not len(rows):
-            self._begin(reset_options.EVERY, reset_options.ResetOptions.drawn(self.num_envs))
+            self._begin(motion.EVERY, motion.ResetOptions.drawn(self.num_envs))
             return np.zeros(self.num_envs, np.float32)
         self._log.add(self._steps, rows, score.metrics)
-        self._begin(over, reset_options.ResetOptions.drawn(self.num_envs))
+        self._begin(over, motion.ResetOptions.drawn(self.num_envs))
         self._steps[rows] += 1
         costs = self._scene.aim(moves, rows)
         costs[over] = 0.0
@@ -258,7 +258,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         """Begin the next episodes; return their first touches, and in the info also the last ones."""
         is_over = self._is_over
         over = np.flatnonzero(is_over)
-        self._begin(over, reset_options.ResetOptions.drawn(self.num_envs))
+        self._begin(over, motion.ResetOptions.drawn(self.num_envs))
         first, begun = self._touched(over, info)
         ends = {"final_obs": observation, "_final_obs": is_over, "final_info": info, "_final_info": is_over}
         return first, {**begun, **ends}
@@ -359,3 +359,69 @@ def _parts_of(action: Action) -> tuple[Any, Any]:
             f"an action of the type {type(action).__name__} does not hold 'action' and 'prediction'",
             next="give both for every environment, as `action_space.sample()` does",
         ) from error
+
+
+class EpisodeLog:
+    """Metrics of the steps of some environments.
+
+    Gives means, last values and curves, like the log wrappers of ap-gym 0.7.1.
+    """
+
+    def __init__(self, num_envs: int, step_limit: int) -> None:
+        self._rows = np.arange(num_envs)
+        self._step_limit = step_limit
+        self._values: dict[str, Float32] = {}
+
+    def add(self, steps: Int64, active: motion.Rows, metrics: Mapping[str, AnyArray]) -> None:
+        """Add the metrics of a step of the active environments.
+
+        Each of ``metrics`` has shape (n,), one value for each environment, active or not; ``steps``, shape
+        (n,), are the numbers of their steps, from 0 on.
+        """
+        rows, at = self._rows[active], steps[active]
+        for name, values in metrics.items():
+            if name not in self._values:
+                self._values[name] = np.full((self._step_limit, len(steps)), np.nan, np.float32)
+            self._values[name][at, rows] = values[active]
+
+    def stats(self, lengths: Int64, is_over: Bool) -> config.Info:
+        """Return ``info["stats"]`` when some episodes are over.
+
+        ``lengths``, shape (n,), are the steps of the episodes so far, 1 at least where ``is_over``. Values of
+        environments whose episode is not over are NaN, and their masks False; so are steps of curves after
+        the end of a shorter episode.
+        """
+        scalar: config.Info = {}
+        vector: config.Info = {}
+        longest = int(lengths[is_over].max())
+        for name, values in self._values.items():
+            means, last = np.full((2, len(lengths)), np.nan, np.float32)
+            curves = np.full((len(lengths), longest), np.nan, np.float32)
+            for length in np.unique(lengths[is_over]):
+                rows = self._rows[is_over & (lengths == length)]
+                taken = values[:length, rows]
+                means[rows], last[rows] = taken.mean(axis=0), taken[-1]
+                curves[rows, :length] = taken.T
+            for kind, reduced in (("avg", means), ("final", last)):
+                scalar[f"{kind}_{name}"], scalar[f"_{kind}_{name}"] = reduced, is_over
+            vector[name], vector[f"_{name}"] = curves, is_over
+        if "accuracy" in self._values:
+            is_taken = np.arange(self._step_limit)[:, None] < lengths
+            scalar.update(_turning_points(self._values["accuracy"] > 0, is_taken))
+        return {"scalar": scalar, "_scalar": is_over, "vector": vector, "_vector": is_over}
+
+
+def _turning_points(is_right: Bool, is_taken: Bool) -> config.Info:
+    """Return the first right step and the last wrong step, and which environments have one.
+
+    Both arrays have shape (steps, n); those of episodes that go on count too, as in ap-gym.
+    """
+    right, wrong = is_right & is_taken, ~is_right & is_taken
+    ever, ever_wrong = right.any(axis=0), wrong.any(axis=0)
+    last_wrong = len(wrong) - 1 - np.argmax(wrong[::-1], axis=0)
+    return {
+        "first_correct": np.where(ever, np.argmax(right, axis=0), -1).astype(np.int32),
+        "_first_correct": ever,
+        "last_incorrect": np.where(ever_wrong, last_wrong, -1).astype(np.int32),
+        "_last_incorrect": ever_wrong,
+    }

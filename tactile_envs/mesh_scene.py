@@ -1,26 +1,24 @@
-"""Simulated touches: objects of a pool of meshes in cells, pressed by an upright sensor."""
+"""Scenes of meshes: objects in cells, how their touches vary, and touches of an elastic gel."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import gymnasium as gym
 import numpy as np
 
 from env_assets.mesh_view import MeshRecord
 from realtouch import Poses
-from tactile_envs import (
-    elastic_gel,
-    episode_kernels,
-    mesh_pool,
-    randomization,
-    reset_options,
-    scene,
-    toucher,
-)
-from tactile_envs.camera import Camera
+from tactile_envs import episode_kernels, mesh_pool, motion, scene, toucher
 from tactile_envs.config import Config
 from tactile_envs.drawing import EnvDrawing
+from tactile_envs.motion import Motion, Rows
+from tactile_envs.scene import Camera
+from tactile_envs.toucher import SensorReadings
+from tactile_sim import Sensor
+from tactile_sim.optics.sensor_noise import EpisodeNoise
+from tactile_sim.press.elastic_press import WholeGel, loads_of
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int64
 from tactile_toolkit.errors import InputError
 
@@ -57,10 +55,10 @@ class MeshScene(scene.TouchScene):
         super().__init__(config, num_envs, camera.channels)
         self._records, self._pool = records, mesh_pool.MeshPool.of(records, self._most_tilt_rad)
         self._camera = camera
-        self._elastic: elastic_gel.ElasticGel | None = None
+        self._elastic: ElasticGel | None = None
         met = camera.sensor
         if config.elastic_gel is not None:
-            self._elastic = elastic_gel.ElasticGel(config, camera.sensor)
+            self._elastic = ElasticGel(config, camera.sensor)
             met = self._elastic.sensor
         self._toucher = toucher.Toucher(met, config.least_height_m, num_envs, threads)
         self._upcoming, self._sensors = np.full(num_envs, -1, np.int64), np.zeros((num_envs, 3))
@@ -68,7 +66,7 @@ class MeshScene(scene.TouchScene):
         self._poses = np.tile(np.eye(4), (num_envs, 1, 1))  # of sensors, but for where they are
         width, height = config.sensor_output_size
         shape = (num_envs, height, width, camera.channels)
-        self._randomization = randomization.Randomization(config, shape, camera.bases)
+        self._randomization = Randomization(config, shape, camera.bases)
         if self._elastic is not None:
             most = np.full(3, np.inf, np.float32)
             self.observation_parts["force"] = gym.spaces.Box(-most, most)
@@ -97,9 +95,7 @@ class MeshScene(scene.TouchScene):
         """The meshes."""
         return self._pool
 
-    def begin(
-        self, rows: reset_options.Rows, rng: np.random.Generator, options: reset_options.ResetOptions
-    ) -> None:
+    def begin(self, rows: motion.Rows, rng: np.random.Generator, options: motion.ResetOptions) -> None:
         """Put the next objects into some cells, and aim at the positions of their first touches."""
         chosen = np.arange(self.num_envs)[rows].tolist()
         for row in chosen:
@@ -117,13 +113,13 @@ class MeshScene(scene.TouchScene):
             if start is not None:
                 self._aim_as_given(row, start)
 
-    def discard_upcoming(self, rows: reset_options.Rows) -> None:
+    def discard_upcoming(self, rows: motion.Rows) -> None:
         """Discard the objects that were chosen for the next episodes of some cells, as a reset does."""
         self._upcoming[rows] = -1
 
     def _place_objects(
         self,
-        rows: reset_options.Rows,
+        rows: motion.Rows,
         chosen: Sequence[int],
         rng: np.random.Generator,
         poses: Sequence[Float64 | None],
@@ -150,7 +146,7 @@ class MeshScene(scene.TouchScene):
             if pose is not None:
                 self.places[row] = pose
 
-    def _aim_at_start(self, rows: reset_options.Rows, rng: np.random.Generator) -> None:
+    def _aim_at_start(self, rows: motion.Rows, rng: np.random.Generator) -> None:
         """Send sensors to the positions of their first touches."""
         self._targets[rows] = 0.0
         if self.config.randomize_initial_sensor_pose:
@@ -158,7 +154,7 @@ class MeshScene(scene.TouchScene):
             places = self._motion.random_places(rng, self.num_envs)
             self._targets[rows, :2] = np.asarray(places[rows], np.float32)
 
-    def _aim_as_given(self, row: int, start: reset_options.SensorStart) -> None:
+    def _aim_as_given(self, row: int, start: motion.SensorStart) -> None:
         """Send one sensor to the position of its first touch; InputError if the position is out of range."""
         if np.abs(start.axes - np.eye(3)).max() > _UPRIGHT_WITHIN:
             raise InputError(
@@ -171,7 +167,7 @@ class MeshScene(scene.TouchScene):
     def _positions_m(self) -> Float64:
         return self._sensors
 
-    def touch(self, rows: reset_options.Rows, rng: np.random.Generator, steps: Int64) -> scene.Readings:
+    def touch(self, rows: motion.Rows, rng: np.random.Generator, steps: Int64) -> scene.Readings:
         """Touch in some cells, and let their objects slip."""
         config = self.config
         self._move_to_targets(rows, rng, steps)
@@ -187,7 +183,7 @@ class MeshScene(scene.TouchScene):
         felt: dict[str, AnyArray] = {}
         if self._elastic is not None:
             touches, felt["force"] = self._elastic.press(touches, sensors, self._axes[rows], self._motion)
-        if rows is not reset_options.EVERY:  # otherwise both are views
+        if rows is not motion.EVERY:  # otherwise both are views
             self._sensors[rows], self.places[rows] = sensors, places
         images = self._camera.pictures(touches, draws.bases)
         images = self._randomization.add_noise(images, rows, draws)
@@ -201,7 +197,7 @@ class MeshScene(scene.TouchScene):
 
     def _press(
         self,
-        rows: reset_options.Rows,
+        rows: motion.Rows,
         lifts_m: Float64,
         sensors: Float64,
         places: Float64,
@@ -214,15 +210,15 @@ class MeshScene(scene.TouchScene):
             self._pool, numbers, lifts_m, sensors, places, self._motion, drift, with_depth=has_depth
         )
 
-    def _keep(self, rows: reset_options.Rows, images: Float32) -> None:
+    def _keep(self, rows: motion.Rows, images: Float32) -> None:
         """Keep the last images for pictures."""
-        if rows is reset_options.EVERY:
+        if rows is motion.EVERY:
             self._felt = images
             return
         self._felt = self._felt.copy()
         self._felt[rows] = images
 
-    def _move_to_targets(self, rows: reset_options.Rows, rng: np.random.Generator, steps: Int64) -> None:
+    def _move_to_targets(self, rows: motion.Rows, rng: np.random.Generator, steps: Int64) -> None:
         """Move sensors to their targets, or to the nearest of some random positions."""
         self._sensors[rows] = self._targets[rows]
         if self.config.snap_touch_positions is None:
@@ -272,3 +268,122 @@ class MeshScene(scene.TouchScene):
     def close(self) -> None:
         """End the threads."""
         self._toucher.close()
+
+
+class ElasticGel:
+    """Presses an elastic gel onto the surfaces that the sensors of many environments met.
+
+    Parameters
+    ----------
+    config : Config
+        The gel, and the force or depth of a press.
+    sensor : Sensor
+        The sensor, with the size of depth images.
+
+    Attributes
+    ----------
+    sensor : Sensor
+        The sensor with a window that shows the whole gel.
+    """
+
+    def __init__(self, config: Config, sensor: Sensor) -> None:
+        depth_m = None
+        if config.press_force is None:
+            depth_m = sensor.gel_m - sensor.press_m
+        loads = loads_of(config.elastic_gel, 1, sensor, config.press_force, depth_m, (0.0, 0.0), 0.0)
+        assert loads is not None, "the gel of these settings is elastic"
+        self._shown, self._load, self._whole = sensor, loads[0], WholeGel.of(sensor)
+        self.sensor = self._whole.sensor
+
+    def press(
+        self, met: SensorReadings, sensors: Float64, axes: Float64, motion: Motion
+    ) -> tuple[SensorReadings, Float32]:
+        """Press onto what sensors met, depth maps of the whole gel; return what they read, and forces.
+
+        ``sensors`` (n, 3), metres, are moved along their ``axes`` (n, 3, 3), in columns, to where the gel
+        stops. Forces (n, 3), newtons, are those on the gel, in the frame of each sensor.
+        """
+        count, (width, height) = len(sensors), self._shown.size_px
+        depths_m, forces_n = np.empty((count, height, width)), np.empty((count, 3), np.float32)
+        for row, depth_m in enumerate(met.depths_m):
+            contact = self._load.press(-depth_m.astype(np.float64), self._whole, depths_m[row])
+            forces_n[row] = contact.force_n
+            stop_m = self._shown.gel_m - contact.depth_m
+            sensors[row] += (stop_m - self._shown.press_m) * axes[row, :, 2]
+        share = (sensors - motion.low_m) / (motion.high_m - motion.low_m) * 2.0 - 1.0
+        readings = SensorReadings(
+            self._shown.depth_image(depths_m),
+            depths_m.astype(np.float32),
+            np.clip(share, -1.0, 1.0).astype(np.float32),
+            np.zeros(count, np.bool_),  # an elastic gel is solved for touches of the plate, too
+        )
+        return readings, forces_n
+
+
+class TouchDraws(NamedTuple):
+    """Random numbers for a touch of n sensors.
+
+    ``lifts_m`` (n,) is added to the observed heights, metres; ``bases`` (n,) the number of
+    the depth map behind its own; ``rng`` draws the noise, None where nothing is random.
+    """
+
+    lifts_m: Float64
+    bases: Int64
+    rng: np.random.Generator | None
+
+
+class Randomization:
+    """Draws heights, noise, and maps behind those of touches for many sensors.
+
+    As published, each episode and each touch has a generator of its own, spawned from that of the
+    environment, whose other draws stay as they are.
+
+    Parameters
+    ----------
+    config : Config
+        Settings.
+    shape : tuple of int
+        Shape (n, H, W, C) of the images of all sensors.
+    bases : int
+        Number of depth maps, of which one lies behind that of each touch; 0 for none.
+    """
+
+    def __init__(self, config: Config, shape: tuple[int, int, int, int], bases: int) -> None:
+        self._std_m, self._bases = config.penetration_depth_reduction_std, bases
+        self._most_m = config.gel_thickness - config.penetration_depth
+        self._noise: EpisodeNoise | None = None
+        if config.sensor_noise is not None:
+            self._noise = EpisodeNoise(config.sensor_noise, shape)
+        # Shared by all touches: nothing writes to it.
+        self._nothing = TouchDraws(np.zeros(shape[0]), np.zeros(shape[0], np.int64), None)
+        self._is_random = bool(self._std_m or bases or self._noise is not None)
+
+    def begin(self, rows: Rows, rng: np.random.Generator) -> None:
+        """Draw the values that are constant during an episode of some sensors."""
+        if not self._is_random:
+            return
+        own = rng.spawn(1)[0]
+        if self._noise is not None:
+            self._noise.begin(rows, own)
+
+    def touch(self, count: int, rng: np.random.Generator) -> TouchDraws:
+        """Draw the values that differ from touch to touch, for ``count`` sensors."""
+        if not self._is_random and count == len(self._nothing.bases):
+            return self._nothing
+        draws = TouchDraws(self._nothing.lifts_m[:count], self._nothing.bases[:count], None)
+        if not self._is_random:
+            return draws
+        own = rng.spawn(1)[0]
+        if self._std_m:
+            lifts_m = np.abs(own.normal(scale=self._std_m, size=count))
+            draws = draws._replace(lifts_m=np.minimum(lifts_m, self._most_m))
+        if self._bases:
+            # From another generator, so that the noise is as published.
+            draws = draws._replace(bases=own.spawn(1)[0].integers(self._bases, size=count))
+        return draws._replace(rng=own)
+
+    def add_noise(self, images: Float32, rows: Rows, draws: TouchDraws) -> Float32:
+        """Return images of some sensors, (n, H, W, C), with noise; works in place."""
+        if self._noise is None or draws.rng is None:
+            return images
+        return self._noise.add(images, rows, draws.rng)

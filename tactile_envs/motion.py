@@ -1,17 +1,18 @@
-"""Limits of the motion of sensors, and costs of actions."""
+"""Limits and costs of the motion of sensors, and the options of a reset."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
-from tactile_envs.config import EpisodeConfig
+from tactile_envs.config import Action, EpisodeConfig, Options
 from tactile_envs.episode_kernels import aim
-from tactile_envs.gym_types import Action
-from tactile_toolkit.array_types import Float32, Float64
+from tactile_toolkit.array_types import Float32, Float64, Int64
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.wording import with_count
 
 # The square of this times the largest `action_regularization` is finite in single precision.
 _MAX_MOVE = 1e12
@@ -77,3 +78,115 @@ def require_move(action: Action, name: str, num_envs: int) -> Float32:
         "the cost of such an action is not finite",
         next="check the policy; longer movements than 1 are shortened to 1",
     )
+
+
+Rows = slice | Int64
+"""Numbers of environments, or a slice of them."""
+EVERY = slice(None)
+"""All environments."""
+_NUMBERS, _POSES, _STARTS = "datapoint_idx", "initial_object_pose", "initial_sensor_target_pose"
+_RESET_MASK = "reset_mask"
+_OPTIONS = (_NUMBERS, _POSES, _STARTS, _RESET_MASK)
+_ORTHONORMAL = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class SensorStart:
+    """First target of a sensor: position (3,), metres, and axes in columns (3, 3), cell frame."""
+
+    position_m: Float64
+    axes: Float64
+
+
+@dataclass(frozen=True)
+class ResetOptions:
+    """Options of a reset, one value for each environment; None if it is drawn.
+
+    ``rows`` are the environments that begin an episode; ``numbers`` are those of the meshes, ``poses``
+    position (x, y), metres, and turn, radians, of the objects, ``starts`` where the first touches go.
+    """
+
+    rows: Rows
+    numbers: list[int | None]
+    poses: list[Float64 | None]
+    starts: list[SensorStart | None]
+
+    @classmethod
+    def of(cls, options: Options, num_envs: int) -> Self:
+        """Check options; InputError for unknown ones, and for values that cannot be used."""
+        _require_options(options)
+        numbers = [None if each is None else int(each) for each in _given(options, _NUMBERS, num_envs)]
+        return cls(
+            _rows(options, num_envs),
+            numbers,
+            [None if each is None else _object_pose(each) for each in _given(options, _POSES, num_envs)],
+            [None if each is None else _sensor_start(each) for each in _given(options, _STARTS, num_envs)],
+        )
+
+    @classmethod
+    def drawn(cls, num_envs: int) -> Self:
+        """Return the options of episodes that are drawn at random."""
+        return cls.of({}, num_envs)
+
+
+def _require_options(options: Options) -> None:
+    """Refuse options of a reset that are unknown (InputError)."""
+    if unknown := [name for name in options if name not in _OPTIONS]:
+        raise InputError(f"option {unknown[0]!r} is unknown; expected {', '.join(_OPTIONS)}")
+
+
+def _rows(options: Options, num_envs: int) -> Rows:
+    """Return the environments that a mask names; all of them without one."""
+    mask = options.get(_RESET_MASK)
+    if mask is None:
+        return EVERY
+    found = np.asarray(mask)
+    if found.dtype != np.bool_ or found.shape != (num_envs,) or not found.any():
+        raise InputError(
+            f"option {_RESET_MASK!r} is {mask!r}; expected {num_envs} times True or False, and True once at "
+            "least"
+        )
+    if found.all():
+        return EVERY
+    return np.flatnonzero(found)
+
+
+def _given(options: Options, name: str, num_envs: int) -> Sequence[Any]:
+    given = list(options.get(name, [None] * num_envs))
+    if len(given) != num_envs:
+        raise InputError(f"option {name!r} has {with_count(len(given), 'entries')}; expected {num_envs}")
+    return given
+
+
+def _object_pose(given: object) -> Float64:
+    """Return position (x, y) and turn of an object."""
+    numbers = _numbers(given)
+    if numbers is None or numbers.shape != (3,):
+        raise InputError(f"option {_POSES!r} has {given!r}; expected 3 numbers: x and y, metres, and radians")
+    return numbers
+
+
+def _sensor_start(given: object) -> SensorStart:
+    """Return the target of a sensor, given as (x, y), a position, or a pose."""
+    # Transforms of scipy have `as_matrix`, those of the published environments `matrix`.
+    as_matrix = getattr(given, "as_matrix", lambda: getattr(given, "matrix", given))
+    numbers = _numbers(as_matrix())
+    if numbers is not None and numbers.shape in ((2,), (3,)):
+        return SensorStart(np.append(numbers, 0.0)[:3], np.eye(3))
+    if numbers is not None and numbers.shape == (4, 4):
+        axes = numbers[:3, :3]
+        if np.abs(axes.T @ axes - np.eye(3)).max() < _ORTHONORMAL and np.linalg.det(axes) > 0:
+            left, _, right = np.linalg.svd(axes)
+            return SensorStart(numbers[:3, 3], left @ right)
+    raise InputError(
+        f"option {_STARTS!r} has {given!r}; expected 2 numbers: x and y, metres, or a pose: a matrix of 4 x 4"
+    )
+
+
+def _numbers(given: object) -> Float64 | None:
+    """Return an array of finite numbers; None for anything else."""
+    try:
+        numbers = np.asarray(given, np.float64)
+    except (TypeError, ValueError):
+        return None
+    return numbers if np.isfinite(numbers).all() else None

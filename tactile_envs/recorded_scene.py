@@ -13,9 +13,9 @@ from PIL import Image
 
 import realtouch
 import tactile_sim
-from tactile_envs import drawing, recorded_sets, reset_options, scene
+from tactile_envs import drawing, motion, recorded_sets, scene
 from tactile_envs.config import DIRECT, OPTICS, RecordedConfig
-from tactile_sim import optics
+from tactile_sim.optics import rendering
 from tactile_toolkit import cache, errors, kind, run
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, Int64, UInt8
 
@@ -77,9 +77,7 @@ class RecordedScene(scene.TouchScene):
         self._observed = np.clip(parts, -1.0, 1.0).astype(np.float32)
         self._chosen = np.zeros(num_envs, np.int64)
 
-    def begin(
-        self, rows: reset_options.Rows, rng: np.random.Generator, options: reset_options.ResetOptions
-    ) -> None:
+    def begin(self, rows: motion.Rows, rng: np.random.Generator, options: motion.ResetOptions) -> None:
         """Begin with a round in some cells, and aim at the places of the first touches."""
         if any(pose is not None for pose in options.poses):
             raise errors.InputError(
@@ -106,7 +104,7 @@ class RecordedScene(scene.TouchScene):
     def _positions_m(self) -> Float64:
         return self._touches.poses[self.numbers, self._chosen, :3, 3]
 
-    def touch(self, rows: reset_options.Rows, rng: np.random.Generator, steps: Int64) -> scene.Readings:
+    def touch(self, rows: motion.Rows, rng: np.random.Generator, steps: Int64) -> scene.Readings:
         """Take the recorded touches nearest to the targets of some cells."""
         numbers, targets = self.numbers[rows], self._targets[rows]
         window = self._chosen[rows, None] + 1 + self._window
@@ -197,7 +195,7 @@ class RecordedImages:
         self._kept: cache.MemoryCache[TouchKey, UInt8] = cache.MemoryCache(_KEPT_BYTES, attrgetter("nbytes"))
         self._size_px = self._recorded_px = config.sensor_output_size
         self.channels = 3
-        self._optics: optics.Optics | None = None
+        self._optics: rendering.Optics | None = None
         if config.sensor_type != DIRECT:
             self._optics = tactile_sim.make_optics(
                 OPTICS[config.sensor_type], weights, **config.optics_options

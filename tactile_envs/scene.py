@@ -1,8 +1,9 @@
-"""The part of an environment that is simulated or recorded: objects, touches and motion of sensors."""
+"""The scene of an environment: what its parts have in common, and the images that its camera sees."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from pathlib import Path
 from typing import NamedTuple
 
 import ap_gym
@@ -10,10 +11,12 @@ import gymnasium as gym
 import numpy as np
 
 from realtouch import Poses
-from tactile_envs import gym_types, motion, reset_options
-from tactile_envs.config import EpisodeConfig
+from tactile_envs import motion
+from tactile_envs.config import Action, Config, EpisodeConfig, Space
 from tactile_envs.drawing import EnvDrawing
-from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64
+from tactile_envs.toucher import SensorReadings
+from tactile_sim.optics.rendering import Optics, make_optics
+from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Floating, Int64
 from tactile_toolkit.errors import InputError
 
 _MOVE = "sensor_target_pos_rel"
@@ -56,22 +59,20 @@ class TouchScene(ABC):
         self.numbers = np.full(num_envs, -1, np.int64)
         self.places, self._targets = np.zeros((2, num_envs, 3))
         corner = np.ones(3, np.float32)
-        self.action_parts: dict[str, gym_types.Space] = {_MOVE: gym.spaces.Box(-corner, corner)}
-        self.observation_parts: dict[str, gym_types.Space] = {
+        self.action_parts: dict[str, Space] = {_MOVE: gym.spaces.Box(-corner, corner)}
+        self.observation_parts: dict[str, Space] = {
             "sensor_pos": gym.spaces.Box(-corner, corner),
             "sensor_img": ap_gym.ImageSpace(*config.sensor_output_size, channels, dtype=np.float32),
         }
 
     @abstractmethod
-    def begin(
-        self, rows: reset_options.Rows, rng: np.random.Generator, options: reset_options.ResetOptions
-    ) -> None:
+    def begin(self, rows: motion.Rows, rng: np.random.Generator, options: motion.ResetOptions) -> None:
         """Begin an episode in some cells: choose objects and the places of the first touches."""
 
-    def discard_upcoming(self, rows: reset_options.Rows) -> None:  # noqa: B027
+    def discard_upcoming(self, rows: motion.Rows) -> None:  # noqa: B027
         """Discard the objects that were chosen for the next episodes of some cells, as a reset does."""
 
-    def checked_action(self, action: gym_types.Action) -> gym_types.Action:
+    def checked_action(self, action: Action) -> Action:
         """Return the arrays of an action of all cells; InputError or ValueError if it cannot be used."""
         return {_MOVE: motion.require_move(action, _MOVE, self.num_envs)}
 
@@ -80,9 +81,9 @@ class TouchScene(ABC):
     def _positions_m(self) -> Float64:
         """Positions of the sensors, shape (num_envs, 3), metres, cell frame."""
 
-    def aim(self, action: gym_types.Action, rows: reset_options.Rows) -> Float32:
+    def aim(self, action: Action, rows: motion.Rows) -> Float32:
         """Set the targets of sensors in some cells from an action; return the costs, (num_envs,)."""
-        if rows is reset_options.EVERY:
+        if rows is motion.EVERY:
             return self._motion.aim(action[_MOVE], self._positions_m, self._targets)
         targets = self._targets.copy()
         costs = self._motion.aim(action[_MOVE], self._positions_m, targets)
@@ -90,7 +91,7 @@ class TouchScene(ABC):
         return costs
 
     @abstractmethod
-    def touch(self, rows: reset_options.Rows, rng: np.random.Generator, steps: Int64) -> Readings:
+    def touch(self, rows: motion.Rows, rng: np.random.Generator, steps: Int64) -> Readings:
         """Touch in some cells; ``steps``, shape (n,), count from the first touch of their episodes."""
 
     @property
@@ -130,3 +131,86 @@ def require_number(number: int, count: int) -> None:
     """Raise InputError for the number of an object, an option of a reset, beyond a set of ``count``."""
     if not 0 <= number < count:
         raise InputError(f"datapoint_idx is {number}; expected 0 to {count - 1}")
+
+
+class Camera:
+    """Renders images of touches.
+
+    Parameters
+    ----------
+    config : Config
+        Names the sensor, the size of images, and the gel.
+    weights : str or path, optional
+        Weights of the generator of ``"cycle_gan"``; the published ones by default.
+
+    Attributes
+    ----------
+    channels : int
+        Number of colours.
+    sees_depth : bool
+        Whether it needs depth in metres in addition to the depth image.
+    sensor : Sensor
+        The sensor, with the size of the depth images that are needed.
+
+    Raises
+    ------
+    InputError, MissingExtraError
+        The weights do not fit the sensor; packages are not installed.
+    """
+
+    def __init__(self, config: Config, weights: str | Path | None = None) -> None:
+        if config.optics_name == "twin" and weights is None:
+            self._optics: Optics = config.sensor_model.optics
+        else:
+            self._optics = make_optics(config.optics_name, weights, **config.optics_options)
+        self.sees_depth = config.sensor_type != "depth"
+        self.channels = 1 + 2 * self.sees_depth
+        self._size = config.sensor_output_size
+        self.sensor = config.sensor(self._optics.depth_size(*self._size))
+        self._plate_m = max(self.sensor.press_m, config.least_height_m)
+        self._is_surface = config.elastic_gel is not None
+        self._behind: Float32 | None = None
+        self._bare: dict[int, Float32] = {}
+
+    def put_behind(self, bases_m: Float32) -> None:
+        """Set depth maps (k, h, w), metres, that show where a touch presses the gel in less than they do."""
+        self._behind = bases_m
+        if not self.sees_depth:
+            self._behind = self.sensor.depth_image(bases_m.astype(np.float64))
+
+    @property
+    def bases(self) -> int:
+        """Number of depth maps that lie behind those of touches."""
+        return 0 if self._behind is None else len(self._behind)
+
+    def pictures(self, touches: SensorReadings, bases: Int64) -> Float32:
+        """Return images (n, H, W, channels), 0 to 1; ``bases`` (n,) are the numbers of the maps behind."""
+        if not self.sees_depth:
+            images = touches.images
+            if self._behind is not None:
+                np.minimum(images, self._behind[bases], out=images)
+            return images[..., None]
+        width, height = self._size
+        found = np.empty((len(bases), height, width, self.channels), np.float32)
+        # Touches that meet only the plate share an image for each map behind them.
+        for base in np.unique(bases[touches.is_bare]).tolist():
+            found[touches.is_bare & (bases == base)] = self._bare_picture(base)
+        touched = np.flatnonzero(~touches.is_bare)
+        if len(touched):
+            found[touched] = self._shades(touches.depths_m[touched], bases[touched])
+        return found
+
+    def _bare_picture(self, base: int) -> Float32:
+        """Return the image of a touch that meets only the plate, in front of a map."""
+        if base not in self._bare:
+            width, height = self.sensor.size_px
+            # The plate is pressed in evenly.
+            plate_m = np.full((1, height, width), self._plate_m)
+            self._bare[base] = self._shades(plate_m, np.array([base]))[0]
+        return self._bare[base]
+
+    def _shades(self, depths_m: Floating, bases: Int64) -> Float32:
+        depth_m = depths_m.astype(np.float64)
+        if self._behind is not None:
+            np.minimum(depth_m, self._behind[bases], out=depth_m)
+        return self._optics.shades(depth_m, self.sensor, self._size, is_surface=self._is_surface)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtri, softmax
 
-from tactile_envs import drawing, episode_kernels, gym_types, mesh_pool
+from tactile_envs import config, drawing, episode_kernels, mesh_pool
 from tactile_envs.config import Config
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Floating, Int64
 from tactile_toolkit.errors import InputError
@@ -64,7 +64,7 @@ class Classification:
 class _Regression:
     """Mean squared error, normalised by that of the best constant prediction."""
 
-    def __init__(self, space: gym_types.Space, target_std: ArrayLike) -> None:
+    def __init__(self, space: config.Space, target_std: ArrayLike) -> None:
         self.prediction_space = self.target_space = space
         self.loss_fn = ap_gym.MSELossFn(target_std=target_std).normalized
         self._scale = 1.0 / float(np.mean(np.asarray(target_std) ** 2))

@@ -1,8 +1,6 @@
-"""Kernels of touches, in numba: triangles become heights, a block of pixels at a time.
+"""Kernels of touches, in numba: triangles become heights, a batch of them at a time.
 
-Triangles are prepared in batches, which LLVM vectorises: a touch of an object takes a third of the time of
-plain loops. Functions of :mod:`tactile_envs.pixel_blocks` are compiled into these, and numba's
-cache on disk does not notice when they change.
+LLVM vectorises the loops over the triangles of a batch, which take a third of the time of plain loops then.
 """
 
 from __future__ import annotations
@@ -11,12 +9,12 @@ import math
 
 import numpy as np
 
-from tactile_envs.pixel_blocks import LANES, ROWS, raise_block
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int32, Int64
 from tactile_toolkit.kernels import compiled
 
-PADDING = LANES
-"""Spare pixels of a row of heights, so that a block of eight can begin at its last pixel; never shown."""
+_BLOCK = 4  # rows and columns of pixels that are drawn at once; few triangles cover more
+PADDING = _BLOCK
+"""Spare pixels of a row of heights, so that a block can begin at its last pixel; never shown."""
 
 Pool = tuple[Float32, AnyArray, Int32, Float64]
 """Vertices, faces, starts and grids of a :class:`tactile_envs.mesh_pool.MeshPool`."""
@@ -24,9 +22,9 @@ Pool = tuple[Float32, AnyArray, Int32, Float64]
 ObjectPlace = tuple[float, float, float, float, float]
 """Place of an object: cosine and sine of its turn, column and row of its origin, pixels per metre."""
 
-Room = tuple[Float32, Float64, Int32, Float64]
+Room = tuple[Float32, Float64, Int32, Float64, Float32, Float32]
 """Arrays for a batch of triangles: corners, metres; weights and heights of corners; first and last columns
-and rows; edges of the window."""
+and rows; edges of the window; heights of blocks of pixels; weights and heights in single precision."""
 
 View = tuple[tuple[float, float, float, float], ...]
 """Affine map of a mesh to the image: column, row and height, metres, of its points x, y, z, 1."""
@@ -56,7 +54,9 @@ def raise_object(heights: Float32, pool: Pool, number: int, placed: ObjectPlace)
 def batch_room() -> Room:
     """Return room for a batch of triangles."""
     corners, boxes = np.empty(9 * _BATCH, np.float32), np.empty(4 * _BATCH, np.int32)
-    return corners, np.empty(11 * _BATCH), boxes, np.empty((5, _MAX_EDGES))
+    blocks = np.empty((_BLOCK * _BLOCK, _BATCH), np.float32)
+    singles = np.empty((10, _BATCH), np.float32)
+    return corners, np.empty(11 * _BATCH), boxes, np.empty((5, _MAX_EDGES)), blocks, singles
 
 
 @compiled
@@ -187,7 +187,7 @@ def _prepare(heights: Float32, room: Room, view: View) -> None:
 
     LLVM vectorises the loop, because it has a fixed length and each result its own place in an array.
     """
-    corners, weights, boxes, _ = room
+    corners, weights, boxes = room[0], room[1], room[2]
     columns, rows = heights.shape[1] - PADDING - 1.0, heights.shape[0] - 1.0
     for i in range(_BATCH):
         ax, ay, az = _seen(view, corners[i], corners[_BATCH + i], corners[2 * _BATCH + i])
@@ -235,34 +235,76 @@ def _seen(view: View, x: np.float32, y: np.float32, z: np.float32) -> tuple[floa
 @compiled
 def _raise_batch(heights: Float32, room: Room, view: View, count: int) -> None:
     """Raise pixels to the first triangles of a batch."""
-    _, weights, boxes, _ = room
+    _, weights, boxes, _, blocks, singles = room
     pixels, pitch, spare = heights.reshape(heights.size), heights.shape[1], heights.size - PADDING
     _prepare(heights, room, view)
     for i in range(count):
-        first_column, last_column = np.int64(boxes[i]), np.int64(boxes[_BATCH + i])
-        first_row, last_row = np.int64(boxes[2 * _BATCH + i]), np.int64(boxes[3 * _BATCH + i])
-        if first_column > last_column or first_row > last_row:
+        if boxes[_BATCH + i] - boxes[i] >= _BLOCK or boxes[3 * _BATCH + i] - boxes[2 * _BATCH + i] >= _BLOCK:
+            _raise_large(heights, weights, boxes, i)
+            boxes[3 * _BATCH + i] = -1
+    _draw_blocks(blocks, singles, weights)
+    for i in range(count):
+        if boxes[i] > boxes[_BATCH + i] or boxes[2 * _BATCH + i] > boxes[3 * _BATCH + i]:
             continue
-        b_row, c_row = weights[i], weights[_BATCH + i]
-        b_up, c_up = weights[2 * _BATCH + i], weights[3 * _BATCH + i]
-        b_step, c_step = weights[4 * _BATCH + i], weights[5 * _BATCH + i]
-        b_slack, c_slack = np.float32(weights[6 * _BATCH + i]), np.float32(weights[7 * _BATCH + i])
-        low = np.float32(weights[8 * _BATCH + i])
-        b_rise, c_rise = np.float32(weights[9 * _BATCH + i]), np.float32(weights[10 * _BATCH + i])
-        rest = np.float32(b_step), np.float32(c_step), b_slack, c_slack, low, b_rise, c_rise
-        for row in range(first_row, last_row + 1, ROWS):
-            b_here, c_here = b_row, c_row
-            for column in range(first_column, last_column + 1, LANES):
-                at = row * pitch + column
-                one, two, three = at + pitch, at + 2 * pitch, at + 3 * pitch
-                # Rows above the window are drawn into spare pixels.
-                places = at, min(one, spare), min(two, spare), min(three, spare)
-                raise_block(pixels, places, b_here, c_here, b_up, c_up, *rest)
-                b_here += LANES * b_step
-                c_here += LANES * c_step
-            for _ in range(ROWS):
-                b_row += b_up
-                c_row += c_up
+        first = np.int64(boxes[2 * _BATCH + i]) * pitch + np.int64(boxes[i])
+        for down in range(_BLOCK):
+            # Rows above the window are drawn into spare pixels.
+            start = np.uint64(min(first + down * pitch, spare))
+            for right in range(_BLOCK):
+                at, height = start + np.uint64(right), blocks[down * _BLOCK + right, i]
+                held = pixels[at]
+                pixels[at] = height if height > held else held
+
+
+@compiled
+def _draw_blocks(blocks: Float32, singles: Float32, weights: Float64) -> None:
+    """Write the heights of all triangles of a batch at the pixels of their blocks; -inf: not covered.
+
+    ``blocks``, shape (16, n), holds four rows of four pixels for each triangle, from the first pixel of its
+    box on. ``singles`` (10, n) is a work array; the weights are moved up by four rows. LLVM vectorises the
+    loops over triangles, because all their values are of single precision.
+    """
+    one, zero, nothing = np.float32(1.0), np.float32(0.0), np.float32(-np.inf)
+    for line in range(4, 11):
+        for i in range(_BATCH):
+            singles[line - 2, i] = weights[line * _BATCH + i]
+    b_slack, c_slack = singles[4], singles[5]
+    for i in range(_BATCH):
+        singles[9, i] = one + (b_slack[i] + c_slack[i])
+    for down in range(_BLOCK):
+        for i in range(_BATCH):
+            singles[0, i], singles[1, i] = weights[i], weights[_BATCH + i]
+            weights[i] += weights[2 * _BATCH + i]
+            weights[_BATCH + i] += weights[3 * _BATCH + i]
+        for right in range(_BLOCK):
+            drawn, along = blocks[_BLOCK * down + right], np.float32(right)
+            for i in range(_BATCH):
+                b = singles[0, i] + singles[2, i] * along
+                c = singles[1, i] + singles[3, i] * along
+                height = singles[6, i] + (b * singles[7, i] + c * singles[8, i])
+                height = height if b + b_slack[i] >= zero else nothing
+                height = height if c + c_slack[i] >= zero else nothing
+                drawn[i] = height if singles[9, i] - (b + c) >= zero else nothing
+
+
+@compiled
+def _raise_large(heights: Float32, weights: Float64, boxes: Int32, i: int) -> None:
+    """Raise pixels to a triangle that is larger than a block."""
+    b_row, c_row = weights[i], weights[_BATCH + i]
+    b_step, c_step = weights[4 * _BATCH + i], weights[5 * _BATCH + i]
+    b_slack, c_slack = weights[6 * _BATCH + i], weights[7 * _BATCH + i]
+    for row in range(boxes[2 * _BATCH + i], boxes[3 * _BATCH + i] + 1):
+        line, along = heights[row], 0.0
+        for column in range(boxes[i], boxes[_BATCH + i] + 1):
+            b, c = b_row + b_step * along, c_row + c_step * along
+            along += 1.0
+            if b + b_slack >= 0.0 and c + c_slack >= 0.0 and 1.0 + b_slack + c_slack - (b + c) >= 0.0:
+                height = weights[8 * _BATCH + i] + (
+                    b * weights[9 * _BATCH + i] + c * weights[10 * _BATCH + i]
+                )
+                line[column] = max(line[column], np.float32(height))
+        b_row += weights[2 * _BATCH + i]
+        c_row += weights[3 * _BATCH + i]
 
 
 @compiled

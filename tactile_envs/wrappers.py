@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector.utils import batch_space
 
-from tactile_envs.gym_types import Info, Observation, Space
+from tactile_envs.config import Info, Observation, Space
 from tactile_toolkit.array_types import AnyArray, Bool, Float32
 from tactile_toolkit.errors import InputError
 

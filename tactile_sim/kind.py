@@ -2,14 +2,7 @@
 
 from __future__ import annotations
 
-from tactile_toolkit.kind import DatasetKind, Specified, lazy
-
-
-def _loader(manifest: Specified | None) -> str:
-    # A training set has one picture a row, which `datasets` opens.
-    is_pairs = manifest is not None and manifest.spec.get("operation") == "pairs"
-    return "datasets.load_dataset" if is_pairs else "realtouch.load"
-
+from tactile_toolkit.kind import DatasetKind, lazy
 
 KIND = DatasetKind(
     name="tactile_sim",
@@ -20,8 +13,7 @@ KIND = DatasetKind(
     content="synthetic touches",
     made_by="tactile-sim generate",
     card_template="tactile_sim.md",
-    write_card=lazy("tactile_sim.data_cards:write_card"),
+    write_card=lazy("tactile_sim.sets.data_cards:write_card"),
     needs=("sensor_image", "sensor_video"),
     missing_commands=("validate", "export"),
-    loader=_loader,
 )

@@ -48,6 +48,16 @@ _CHANCE = random.SystemRandom()
 
 # Eviction frees at least 1/16 of the limit, so that not every scan evicts files.
 _ROOM_MADE = 16
+UNPACKED_VARIABLE = "TACTILE_TOOLKIT_UNPACKED_MIB"
+"""Environment variable that raises the limit, in MiB."""
+CACHE_LIMIT_VARIABLE = "TACTILE_TOOLKIT_CACHE_MIB"
+"""Environment variable that limits the size of unpacked row groups in the cache, in MiB."""
+_UNPACKED_MIB = 512  # ten times the largest row of the published data sets, eleven times all MNIST
+_CACHE_MIB = 32 << 10
+
+# While they are read, meshes and tables take 5 to 30 times the size of their files in memory.
+_USUAL_EXPANSION = 32
+
 _unwritable: set[Path] = set()  # folders that this process no longer tries
 K = TypeVar("K", bound=Hashable)
 V = TypeVar("V")
@@ -269,17 +279,6 @@ class MemoryCache(Generic[K, V]):
 
     def __reduce__(self) -> tuple[object, ...]:
         return (type(self), (self.limit, self._size_of))
-
-
-UNPACKED_VARIABLE = "TACTILE_TOOLKIT_UNPACKED_MIB"
-"""Environment variable that raises the limit, in MiB."""
-CACHE_LIMIT_VARIABLE = "TACTILE_TOOLKIT_CACHE_MIB"
-"""Environment variable that limits the size of unpacked row groups in the cache, in MiB."""
-_UNPACKED_MIB = 512  # ten times the largest row of the published data sets, eleven times all MNIST
-_CACHE_MIB = 32 << 10
-
-# While they are read, meshes and tables take 5 to 30 times the size of their files in memory.
-_USUAL_EXPANSION = 32
 
 
 def cache_limit_bytes() -> int:

@@ -72,10 +72,8 @@ def integer(
 
 def _integer_rule(least: int, most: int | None, optional: bool, option: OptionText) -> Rule:
     # Larger integers fit into no array, file or random number generator.
-    if most is None:
-        limit, span = _MAX_INTEGER, f"of at least {least:,}, below 2**63"
-    else:
-        limit, span = most, f"from {least:,} to {most:,}"
+    limit = _MAX_INTEGER if most is None else most
+    span = f"of at least {least:,}, below 2**63" if most is None else f"from {least:,} to {most:,}"
 
     def fits(value: object) -> bool:
         if value is None:
@@ -108,9 +106,7 @@ def real(
 
     ends = ((" from {:g}", least), (" above {:g}", above), (" to {:g}", most), (" and below {:g}", below))
     span = "".join(words.format(end) for words, end in ends if math.isfinite(end)) or ", finite"
-    what = "a number"
-    if many:
-        what = f"{many} numbers"
+    what = f"{many} numbers" if many else "a number"
     return _field(default, Rule(float, fits, f"{_or_none(optional)}{what}{span}", option))
 
 
@@ -141,9 +137,7 @@ def text(default: object = None, **option: Unpack[OptionText]) -> Declared:
 
 
 def _or_none(optional: bool) -> str:
-    if optional:
-        return "None or "
-    return ""
+    return "None or " if optional else ""
 
 
 def rule_of(declared: Field[object]) -> Rule | None:

@@ -15,6 +15,9 @@
         +-- HubError             the Hub failed
 
 Every message names the file, row or option, what was found, what was expected, and the next step.
+
+Keys, tokens and passwords are redacted. An address from a user that may hold one is refused, not repeated.
+Messages, which may quote clients and servers, are searched for anything that looks like a secret.
 """
 
 from __future__ import annotations
@@ -25,6 +28,25 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from tactile_toolkit import wording
+
+# `pathlib` leaves one slash of an address. A single letter is a drive of Windows.
+_ADDRESS = re.compile(
+    r"(?:-[A-Za-z]|--[\w-]+=)?\s*(?P<scheme>[A-Za-z][A-Za-z0-9+.-]+)://?(?P<rest>.*)", re.DOTALL
+)
+# Everything else may be a user, a key, a password, a signature or a parameter.
+_PLAIN = re.compile(r"[^/@?#;:%]*(?::[0-9]{1,5})?(?:/[^@?#;]*)?")
+_PLAIN_ON_HUB = re.compile(rf"datasets/[^/@?#;:]+/[^?#;:]*|{_PLAIN.pattern}")
+_PLAIN_LOCAL = re.compile(rf"/.*|{_PLAIN.pattern}", re.DOTALL)
+_PLAIN_BY_SCHEME = {"hf": _PLAIN_ON_HUB, "file": _PLAIN_LOCAL, "local": _PLAIN_LOCAL}
+_LOGIN = re.compile(r"(\w://)(?:[^/\s'\"<>@]*|[^/\s'\"<>@:]*:(?![0-9]+/)[^\s'\"<>]*)@")
+_SIGNED = re.compile(r"(\w://[^\s'\"<>?#;]+)[?#;](?!\.\.\.)[^\s'\"<>]+?(?=;?(?:[\s'\"<>]|$))")
+# Access keys of S3; tokens of users (hf_) and organisations (api_org_) of the Hub.
+_TOKEN = re.compile(r"\b(?:(?:AKIA|ASIA)[A-Z0-9]{12,}|(?:hf|api_org)_[A-Za-z0-9]{10,})")
+_HEADER = re.compile(
+    r"(?i)\b(authorization['\"]?\s*[:=]\s*['\"]?(?:(?:basic|bearer|digest|token)\s+)?|bearer\s+)[^\s'\";,]+"
+)
+_SECRET_VARIABLES = ("AWS_SECRET_ACCESS_KEY", "AWS_SESSION_TOKEN", "AWS_ACCESS_KEY_ID", "HF_TOKEN")
+_SHORTEST = 8  # shorter secrets are those of tests, such as the word `test`, which is also a split
 
 
 class ToolkitError(Exception):
@@ -171,28 +193,6 @@ class RemoteError(ToolkitError):
 
 class HubError(RemoteError):
     """The Hugging Face Hub, or the network on the way there, refused or failed."""
-
-
-# `pathlib` leaves one slash of an address. A single letter is a drive of Windows.
-_ADDRESS = re.compile(
-    r"(?:-[A-Za-z]|--[\w-]+=)?\s*(?P<scheme>[A-Za-z][A-Za-z0-9+.-]+)://?(?P<rest>.*)", re.DOTALL
-)
-
-# Everything else may be a user, a key, a password, a signature or a parameter.
-_PLAIN = re.compile(r"[^/@?#;:%]*(?::[0-9]{1,5})?(?:/[^@?#;]*)?")
-_PLAIN_ON_HUB = re.compile(rf"datasets/[^/@?#;:]+/[^?#;:]*|{_PLAIN.pattern}")
-_PLAIN_LOCAL = re.compile(rf"/.*|{_PLAIN.pattern}", re.DOTALL)
-_PLAIN_BY_SCHEME = {"hf": _PLAIN_ON_HUB, "file": _PLAIN_LOCAL, "local": _PLAIN_LOCAL}
-_LOGIN = re.compile(r"(\w://)(?:[^/\s'\"<>@]*|[^/\s'\"<>@:]*:(?![0-9]+/)[^\s'\"<>]*)@")
-_SIGNED = re.compile(r"(\w://[^\s'\"<>?#;]+)[?#;](?!\.\.\.)[^\s'\"<>]+?(?=;?(?:[\s'\"<>]|$))")
-
-# Access keys of S3; tokens of users (hf_) and organisations (api_org_) of the Hub.
-_TOKEN = re.compile(r"\b(?:(?:AKIA|ASIA)[A-Z0-9]{12,}|(?:hf|api_org)_[A-Za-z0-9]{10,})")
-_HEADER = re.compile(
-    r"(?i)\b(authorization['\"]?\s*[:=]\s*['\"]?(?:(?:basic|bearer|digest|token)\s+)?|bearer\s+)[^\s'\";,]+"
-)
-_SECRET_VARIABLES = ("AWS_SECRET_ACCESS_KEY", "AWS_SESSION_TOKEN", "AWS_ACCESS_KEY_ID", "HF_TOKEN")
-_SHORTEST = 8  # shorter secrets are those of tests, such as the word `test`, which is also a split
 
 
 def public_address(place: str) -> str:

@@ -125,7 +125,8 @@ def make_shard(generator: RowGenerator, shard: store.ShardName, items: AnyRows) 
 
 def plan_build(generator: RowGenerator, splits: Sequence[str] | None = None) -> store.BuildPlan:
     """Divide items into shards; writes nothing. InputError for an unknown split, or if there are no items."""
-    items, layout = generator.items(), generator.layout()
+    items = generator.items()
+    layout = generator.layout()
     known = tuple(items)
     wanted = splits or known
     for split in wanted:
@@ -240,7 +241,8 @@ def forecast(
         job = store.BuildJob(folder, plan, plan.new_manifest(), plan.tasks)
     else:
         job = store.inspect_job(folder, plan, options)
-    rows, left = Counter[str](), Counter[str]()
+    rows = Counter[str]()
+    left = Counter[str]()
     for task in job.tasks:
         rows[task.shard.split] += task.size
     for task in job.remaining:

@@ -19,7 +19,10 @@ from tactile_toolkit.json_types import JsonObject
 if TYPE_CHECKING:
     import pyarrow as pa
 
-EXPORT, MERGE, SPLIT, SELECT = "export", "merge", "split", "select"
+EXPORT = "export"
+MERGE = "merge"
+SPLIT = "split"
+SELECT = "select"
 """Operations of a manifest that made a copy: for other libraries, of several data sets, of some rows."""
 
 SHARED_COMMANDS = (
@@ -161,9 +164,6 @@ class DatasetKind:
         card are all there is to check.
     needs_manifest : bool
         Whether a folder without ``manifest.json`` can be neither uploaded nor given a card.
-    loader : callable or None
-        Takes a ``Manifest`` or None, returns the name of the function that opens such a folder;
-        ``package.load`` if None.
     class_names : tuple of str
         Classes of the published data set, in order.
     columns : tuple of str
@@ -200,7 +200,6 @@ class DatasetKind:
     schema: Callable[[Specified | None], pa.Schema | None] | None = None
     check: AnyCall | None = None
     needs_manifest: bool = True
-    loader: Callable[[Specified | None], str] | None = None
     class_names: tuple[str, ...] = ()
     columns: tuple[str, ...] = ()
     needs: tuple[str, ...] = ("mesh.faces",)
@@ -246,8 +245,8 @@ class DatasetKind:
         self, manifest: Specified | None, name: str, split: str, revision: str | None = None
     ) -> tuple[str, str]:
         """Return an import and a call that open a split of a data set of this kind in Python."""
-        function = f"{self.package}.load" if self.loader is None else self.loader(manifest)
-        if is_export(manifest):
+        function = f"{self.package}.load"
+        if is_for_others(manifest):
             function = "datasets.load_dataset"
         further = ""
         if revision:

@@ -14,6 +14,12 @@ from collections.abc import Iterable, Sequence
 # Touches, meshes, classes and boxes; in all other plurals, the e is part of the singular.
 _LONG_PLURALS = ("ches", "shes", "sses", "xes")
 _IRREGULAR = {"vertices": "vertex", "entries": "entry", "bodies": "body", "copies": "copy"}
+_MARKS = re.compile(r"([\\`*\[\]<>~&]|(?<![^\W_])_|_(?![^\W_]))")  # a _ inside a word is not markup
+_WORDS_AND_NUMBERS = re.compile("([^0-9]*)([0-9]*)")
+# More digits may not fit into 64 bits, and ``int`` fails from 4,301 digits on.
+_LONGEST_COUNT = 18
+BYTES = "bytes"
+"""Unit of progress whose counts are shown as sizes."""
 
 
 def with_count(count: int, nouns: str) -> str:
@@ -27,16 +33,12 @@ def with_count(count: int, nouns: str) -> str:
 
 def shortened(text: str, length: int) -> str:
     """Return a text, cut with ``...`` if it has more than ``length`` characters."""
-    if len(text) <= length:
-        return text
-    return f"{text[:length]}..."
+    return text if len(text) <= length else f"{text[:length]}..."
 
 
 def class_name(names: Sequence[str], label: int) -> str:
     """Return the name of a class, or its number if it has no name."""
-    if 0 <= label < len(names):
-        return names[label]
-    return str(label)
+    return names[label] if 0 <= label < len(names) else str(label)
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
@@ -45,12 +47,7 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 
     lowered = {each.lower(): each for each in known}
     close = difflib.get_close_matches(name.lower(), lowered, n=1)
-    if close:
-        return f"; did you mean {lowered[close[0]]!r}?"
-    return ""
-
-
-_MARKS = re.compile(r"([\\`*\[\]<>~&]|(?<![^\W_])_|_(?![^\W_]))")  # a _ inside a word is not markup
+    return f"; did you mean {lowered[close[0]]!r}?" if close else ""
 
 
 def printable(text: str, keep: str = "") -> str:
@@ -88,12 +85,6 @@ def markdown_code(text: str) -> str:
     return f"{fence} {shown} {fence}"
 
 
-_WORDS_AND_NUMBERS = re.compile("([^0-9]*)([0-9]*)")
-
-# More digits may not fit into 64 bits, and ``int`` fails from 4,301 digits on.
-_LONGEST_COUNT = 18
-
-
 def is_count(text: str) -> bool:
     """Return whether a text is a decimal integer of at most 18 digits."""
     return text.isdecimal() and len(text) <= _LONGEST_COUNT
@@ -109,10 +100,6 @@ def natural_key(text: str) -> tuple[list[tuple[str, int, str]], str]:
     # A number by its length and digits: texts may be any user's, and Python reads 4,300 digits at most.
     pairs = ((word, digits.lstrip("0")) for word, digits in _WORDS_AND_NUMBERS.findall(text))
     return [(word, len(digits), digits) for word, digits in pairs], text
-
-
-BYTES = "bytes"
-"""Unit of progress whose counts are shown as sizes."""
 
 
 def rate_text(done: int, elapsed_s: float, unit: str) -> str:
@@ -147,8 +134,3 @@ def duration_text(seconds: float) -> str:
     if minutes < 60:
         return f"{minutes} min {rest} s"
     return f"{minutes // 60} h {minutes % 60} min"
-
-
-def least_to_most(counts: Sequence[int]) -> str:
-    """Return the range of counts as text: ``"10"`` if all are equal, otherwise ``"8-10"``."""
-    return "-".join(map(str, dict.fromkeys((min(counts), max(counts)))))

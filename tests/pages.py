@@ -42,7 +42,7 @@ _IMPORTED_BEFORE = [
         "mnist3d.digit_generation",
         "starstruck_gen.scene_generation",
         "realtouch.touches.opening",
-        "tactile_sim.generation",
+        "tactile_sim.sets.generation",
     ),
     *("datasets", "numba", "pyarrow.parquet", "scipy.ndimage", "skimage.measure", "trimesh"),
     "tactile_sim.twin.reader",

@@ -30,8 +30,10 @@ from torch.nn import functional
 from touch_map import OBJECT_CM, TouchMaps
 
 import env_assets
+import tactile_envs
 
-ID = "tactile_envs:TactileMNIST-Depth-{}-v0"
+gymnasium.register_envs(tactile_envs)
+ID = "tactile_envs/TactileMNIST-Depth-{}-v0"
 Act = Callable[[TouchMaps], np.ndarray]
 """From what was felt to ways (n, 2), in parts of the longest."""
 

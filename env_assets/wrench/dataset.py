@@ -98,7 +98,8 @@ class WrenchGenerator(generation.RowGenerator):
 
     def make(self, split: str, items: Sequence[int]) -> list[WrenchRow]:
         """Make the row."""
-        mesh, lengths = shape.wrench_mesh(self.spec), self.spec.lengths()
+        mesh = shape.wrench_mesh(self.spec)
+        lengths = self.spec.lengths()
         return [
             WrenchRow(
                 id=0,
@@ -170,7 +171,8 @@ def wrench_facts(spec: kind.WrenchSpec, report: PrintReport) -> JsonDict:
 
 def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     """Write ``README.md`` of the folder of a wrench and its picture."""
-    columns, title = rows.meanings(WrenchRow), "Open-end wrench"
+    columns = rows.meanings(WrenchRow)
+    title = "Open-end wrench"
     if is_copy(manifest):
         terms = {
             "licence_text": "MIT, as the toolkit.",

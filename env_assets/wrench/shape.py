@@ -109,7 +109,8 @@ def _moved_in(line: Float64) -> Float64:
 def _sides(lines: Sequence[Float64], levels: int) -> list[Int64]:
     """Return the triangles between levels, two for each side of each line."""
     per_level = sum(map(len, lines))
-    triangles, start = [], 0
+    triangles = []
+    start = 0
     for line in lines:
         here = start + np.arange(len(line))
         after = np.roll(here, -1)

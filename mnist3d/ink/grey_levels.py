@@ -1,4 +1,8 @@
-"""Grey levels: of images of any type and size, and of coloured drawings; and which of them are paper."""
+"""Grey levels: of images of any type and size, and of coloured drawings; and which of them are paper.
+
+Grey levels alone lose light colours: the grey of an orange sun is nearer to white paper than to a black
+outline. In coloured drawings a pixel is compared with the paper by its largest difference in a channel.
+"""
 
 from __future__ import annotations
 
@@ -270,12 +274,8 @@ def ink_of_colours(away: UInt8) -> UInt8:
     # Between a light part and its dark outline, the edge of the outline belongs to neither.
     inked = even | (levels < 128)
     filled = ndimage.binary_closing(inked, iterations=_EDGE_PX) & (away >= DIFFERENT)
-    levels[filled & ~(levels < 128) & _beside(even)] = 0
+    levels[filled & ~(levels < 128) & ndimage.binary_dilation(even, iterations=_EDGE_PX)] = 0
     return levels
-
-
-def _beside(mask: Bool) -> Bool:
-    return np.asarray(ndimage.binary_dilation(mask, iterations=_EDGE_PX))
 
 
 def coloured_ink(reflectances: Float32) -> Bool:

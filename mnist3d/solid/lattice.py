@@ -179,12 +179,12 @@ class Lattice:
         return np.float32(MIN_NODE_DEPTH * self.pitch_px)
 
     def heights_px(self, spec: digit_options.SolidSpec) -> Float32:
-        """Return the heights of the layers from the mid-plane to beyond the top of the solid, shape (L, 1).
+        """Return the heights of layers from the mid-plane to beyond the top of the solid, shape (L, 1, 1).
 
         Each height is an array: numpy squares scalars by another function, whose last bit may differ.
         """
         top_px = spec.half_thickness_px + 2 * self.pitch_px
-        return np.arange(0, top_px, self.pitch_px).astype(np.float32)[:, None]
+        return np.arange(0, top_px, self.pitch_px).astype(np.float32)[:, None, None]
 
     def finer(self, inside: Bool) -> Lattice | None:
         """Return a lattice with more nodes where bodies or holes are lost; None if each pixel is a node.

@@ -89,7 +89,8 @@ def sized_ink(
     quantum_mm = min(asked.vertex_quantum_mm, pitch_mm / 10)
     fitted = replace(asked, pixel_pitch_mm=pitch_mm, vertex_quantum_mm=quantum_mm)
     ink.require_large(sheet, fitted)
-    if spec is not None or _is_grey(picture):
+    is_grey = isinstance(picture, np.ndarray) and picture.ndim == 2
+    if spec is not None or is_grey:
         return SizedInk(ink.cleaned_ink(sheet, fitted, level, MAX_DRAWN), fitted, tuple(notes), size=size)
     before = ink.ink_of_levels(sheet, fitted.threshold, MAX_DRAWN)
     fitted = for_strokes(before, fitted)
@@ -98,14 +99,10 @@ def sized_ink(
     if is_fine:
         fitted = replace(fitted, lattice_pitch_mm=_lattice_pitch_mm(mask, fitted))
     drawn = ink.ink_of_levels(levels, fitted.threshold, MAX_DRAWN)
-    count = _count(drawn) - len(np.unique(_labels(before)[mask & before]))
+    count = int(_labels(drawn).max()) - len(np.unique(_labels(before)[mask & before]))
     if count > 0:
         notes.append(f"left out {with_count(count, 'specks')} of ink below {fitted.min_speck_mm2:.2g} mm²")
     return SizedInk(mask, fitted, tuple(notes), is_fine, size)
-
-
-def _is_grey(picture: PictureLike) -> bool:
-    return isinstance(picture, np.ndarray) and picture.ndim == 2
 
 
 def _levels(
@@ -226,7 +223,3 @@ def _lattice_pitch_mm(mask: Bool, spec: SolidSpec) -> float:
 
 def _labels(mask: Bool) -> Int32:
     return np.asarray(ndimage.label(mask, np.ones((3, 3)))[0])
-
-
-def _count(mask: Bool) -> int:
-    return int(_labels(mask).max())

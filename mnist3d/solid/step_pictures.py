@@ -22,7 +22,8 @@ CLAY = (224, 166, 72)
 
 _PANEL_PX = 380
 _MARGIN_PX = 12
-_LIGHTEST, _DARKEST = (214, 230, 241), (8, 64, 112)
+_LIGHTEST = (214, 230, 241)
+_DARKEST = (8, 64, 112)
 _SAMPLING = 2
 # Factor by which the distance of layers is enlarged in the picture of the stack.
 _SPREAD = 4.0
@@ -38,7 +39,9 @@ def draw_steps(pixels: AnyArray, spec: SolidSpec, title: str) -> UInt8:
         steps = algorithm.solid_steps(ink, spec)
     except ItemError as error:
         raise ItemError(error.reason, f"{title}: {error}") from error
-    window, lattice, solid = _window(ink), steps.lattice, steps.mesh
+    window = _window(ink)
+    lattice = steps.lattice
+    solid = steps.mesh
     layers = _layers_px(lattice, steps.upper_half > 0, window)
     upper = algorithm.scale(steps.surface, ink.shape, spec)
     px_per_mm = _PANEL_PX / (max(layers[0].shape) * spec.pixel_pitch_mm)
@@ -46,7 +49,8 @@ def draw_steps(pixels: AnyArray, spec: SolidSpec, title: str) -> UInt8:
         pictures.draw_bodies((pictures.DrawnBody(mesh, CLAY),), (_PANEL_PX, _PANEL_PX), px_per_mm * MM_PER_M)
         for mesh in (upper, solid)
     ]
-    pitch_px, triangles = lattice.pitch_px, len(solid.faces)
+    pitch_px = lattice.pitch_px
+    triangles = len(solid.faces)
     decimated = ", decimated" if triangles != 2 * len(upper.faces) else ""
     tiles = (
         pictures.Tile(_square(np.asarray(pixels)[window].astype(np.uint8)), "1  image"),
@@ -91,7 +95,8 @@ def layer_map(layers: Sequence[Bool]) -> UInt8:
 
 def _window(mask: Bool) -> tuple[slice, slice]:
     """Return the square around the ink, with a margin, cut at the edges of the image."""
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    rows = np.flatnonzero(mask.any(axis=1))
+    columns = np.flatnonzero(mask.any(axis=0))
     half = (max(np.ptp(rows), np.ptp(columns)) + 1) // 2 + _MARGIN_PX
     spans = []
     for inked, side in ((rows, mask.shape[0]), (columns, mask.shape[1])):
@@ -106,7 +111,8 @@ def _stack_view(layers: Sequence[Bool], pitch_px: float, spec: SolidSpec, px_per
     picture = Image.new("RGB", (side, side), (255, 255, 255))
     px = px_per_mm * spec.pixel_pitch_mm * _SAMPLING
     for number, layer in enumerate(layers):
-        z, share = (number - (len(layers) - 1) / 2) * pitch_px, number / max(1, len(layers) - 1)
+        z = (number - (len(layers) - 1) / 2) * pitch_px
+        share = number / max(1, len(layers) - 1)
         mask = Image.fromarray(layer.astype(np.uint8) * 255)
         for drop_px, colour in ((_SAMPLING, (70, 80, 92)), (0, _tint(share))):
             data = _back_to_layer(layer.shape, side, px, _SPREAD * z, drop_px)

@@ -79,6 +79,98 @@ def is_picture_name(name: str) -> bool:
     return name.lower().endswith(ENDINGS)
 
 
+def read_picture(
+    path: Path, ink: str = "auto", threshold: str = "auto", page: int = 0, *, whole: bool = False
+) -> UInt8:
+    """Read a picture in its own size, with ink 0 and paper 255; see :func:`picture_levels`.
+
+    Parameters
+    ----------
+    path : Path
+        File of any type that :data:`ENDINGS` lists.
+    ink, threshold, whole
+        As for :func:`picture_levels`.
+    page : int
+        Number of the page, from 0.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H, W)
+
+    Raises
+    ------
+    ItemError
+        ``"unreadable"``, and those of :func:`picture_levels`.
+    """
+    try:
+        return picture_levels(decode_page(path, page), ink, threshold, str(path), whole=whole)
+    except ItemError as error:
+        if str(path) in error.message:
+            raise
+        raise ItemError(error.reason, f"{path}: {error.message}") from error
+
+
+def picture_levels(
+    picture: Image.Image, ink: str, threshold: str, where: str, *, whole: bool = False
+) -> UInt8:
+    """Return the ink of a picture as grey levels from 0 (ink) to 255 (paper), in its own size.
+
+    Transparency shows paper. The light of photographs and scans is evened out (``mnist3d.ink.even_out``).
+    The grey levels of clean images are stretched so that paper is white and ink black, unless there is no
+    contrast (an empty page). With ``"auto"`` the margin of a clean image is paper, on either side of Otsu's
+    threshold. Colours that grey levels lose are ink, too (:mod:`mnist3d.ink.grey_levels`).
+
+    Parameters
+    ----------
+    picture : PIL.Image.Image
+        Upright, in mode L, RGB, RGBA, or one of more than 8 bits (F, I).
+    ink : {"auto", "dark", "light"}
+        Which part is ink.
+    threshold : {"auto", "local", "global"}
+        Even out only pictures that are not clean, all pictures, or none.
+    where : str
+        Name of the picture for messages.
+    whole : bool
+        The picture is a drawing of any parts, not one digit: photographs keep all their ink.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H, W)
+
+    Raises
+    ------
+    ItemError
+        ``"not-finite"`` or ``"bad-pixels"`` for floating-point pictures; ``"unclear-ink"`` when less than
+        three quarters of the margin are on one side of the threshold; ``"all-ink"`` or ``"cut-off"`` when
+        there is too much ink; and those of ``mnist3d.ink.even_out``.
+    """
+    flat = _over_paper(picture, ink) if picture.mode == "RGBA" else picture
+    grey = _brightness(flat, where)
+    colours = np.asarray(flat) if flat.mode == "RGB" else grey
+    is_flat = np.ptp(grey) < _CONTRAST
+    # Ink and paper of different colours may have the same grey.
+    is_coloured = is_flat and np.ptp(colours, axis=(0, 1)).max() >= _CONTRAST
+    is_clean = _is_cut_out(picture) or mnist3d.ink.is_clean(grey) or (whole and is_graphic(colours))
+    most_ink = MAX_DRAWN if whole else MAX_INK
+    if threshold == "local" or (threshold == "auto" and not is_clean):
+        return mnist3d.ink.even_out(colours, ink, whole=whole)
+    level = otsu_threshold(grey)
+    if ink == "light" or (ink == "auto" and not is_flat and paper_is_dark(grey, level, where)):
+        grey, level = 255 - grey, 254 - level
+    dark = grey <= level
+    if colours.ndim == 3 and ink != "light":
+        away = unlike_paper(colours)
+        if is_coloured or loses_colours(away, dark & ~np.bool_(is_flat)):
+            grey = ink_of_colours(away)
+            require_paper_around(grey < 128, most_ink)
+            return grey
+    # Without both ink and paper there is no contrast to stretch.
+    if is_flat or dark.all() or not dark.any():
+        return grey
+    require_paper_around(dark, most_ink)
+    return _stretched(grey, dark)
+
+
 def pages_of(path: Path) -> tuple[int, ...]:
     """Return the numbers, from 0, of the pictures in a file that are pages.
 
@@ -210,98 +302,6 @@ def _reduced(picture: Image.Image) -> Image.Image:
             picture = picture.convert("RGB")
         return picture.reduce(factor)
     return picture
-
-
-def read_picture(
-    path: Path, ink: str = "auto", threshold: str = "auto", page: int = 0, *, whole: bool = False
-) -> UInt8:
-    """Read a picture in its own size, with ink 0 and paper 255; see :func:`picture_levels`.
-
-    Parameters
-    ----------
-    path : Path
-        File of any type that :data:`ENDINGS` lists.
-    ink, threshold, whole
-        As for :func:`picture_levels`.
-    page : int
-        Number of the page, from 0.
-
-    Returns
-    -------
-    ndarray of uint8, shape (H, W)
-
-    Raises
-    ------
-    ItemError
-        ``"unreadable"``, and those of :func:`picture_levels`.
-    """
-    try:
-        return picture_levels(decode_page(path, page), ink, threshold, str(path), whole=whole)
-    except ItemError as error:
-        if str(path) in error.message:
-            raise
-        raise ItemError(error.reason, f"{path}: {error.message}") from error
-
-
-def picture_levels(
-    picture: Image.Image, ink: str, threshold: str, where: str, *, whole: bool = False
-) -> UInt8:
-    """Return the ink of a picture as grey levels from 0 (ink) to 255 (paper), in its own size.
-
-    Transparency shows paper. The light of photographs and scans is evened out (``mnist3d.ink.even_out``).
-    The grey levels of clean images are stretched so that paper is white and ink black, unless there is no
-    contrast (an empty page). With ``"auto"`` the margin of a clean image is paper, on either side of Otsu's
-    threshold. Colours that grey levels lose are ink, too (:mod:`mnist3d.ink.grey_levels`).
-
-    Parameters
-    ----------
-    picture : PIL.Image.Image
-        Upright, in mode L, RGB, RGBA, or one of more than 8 bits (F, I).
-    ink : {"auto", "dark", "light"}
-        Which part is ink.
-    threshold : {"auto", "local", "global"}
-        Even out only pictures that are not clean, all pictures, or none.
-    where : str
-        Name of the picture for messages.
-    whole : bool
-        The picture is a drawing of any parts, not one digit: photographs keep all their ink.
-
-    Returns
-    -------
-    ndarray of uint8, shape (H, W)
-
-    Raises
-    ------
-    ItemError
-        ``"not-finite"`` or ``"bad-pixels"`` for floating-point pictures; ``"unclear-ink"`` when less than
-        three quarters of the margin are on one side of the threshold; ``"all-ink"`` or ``"cut-off"`` when
-        there is too much ink; and those of ``mnist3d.ink.even_out``.
-    """
-    flat = _over_paper(picture, ink) if picture.mode == "RGBA" else picture
-    grey = _brightness(flat, where)
-    colours = np.asarray(flat) if flat.mode == "RGB" else grey
-    is_flat = np.ptp(grey) < _CONTRAST
-    # Ink and paper of different colours may have the same grey.
-    is_coloured = is_flat and np.ptp(colours, axis=(0, 1)).max() >= _CONTRAST
-    is_clean = _is_cut_out(picture) or mnist3d.ink.is_clean(grey) or (whole and is_graphic(colours))
-    most_ink = MAX_DRAWN if whole else MAX_INK
-    if threshold == "local" or (threshold == "auto" and not is_clean):
-        return mnist3d.ink.even_out(colours, ink, whole=whole)
-    level = otsu_threshold(grey)
-    if ink == "light" or (ink == "auto" and not is_flat and paper_is_dark(grey, level, where)):
-        grey, level = 255 - grey, 254 - level
-    dark = grey <= level
-    if colours.ndim == 3 and ink != "light":
-        away = unlike_paper(colours)
-        if is_coloured or loses_colours(away, dark & ~np.bool_(is_flat)):
-            grey = ink_of_colours(away)
-            require_paper_around(grey < 128, most_ink)
-            return grey
-    # Without both ink and paper there is no contrast to stretch.
-    if is_flat or dark.all() or not dark.any():
-        return grey
-    require_paper_around(dark, most_ink)
-    return _stretched(grey, dark)
 
 
 def _stretched(grey: UInt8, dark: Bool) -> UInt8:

@@ -286,7 +286,7 @@ class ResizeMedia:
 DEEPEST, MEAN_ERROR = "extra.depth_max_m", "extra.depth_error_m"
 """Columns with a number for each touch: its deepest point, and the mean of the expected error, metres."""
 _BATCH = 8  # images of 320 x 240 pixels take 5 MB as numbers
-_load_sensor = kind.lazy("tactile_sim.sensor_models:SensorModel.load")
+_load_sensor = kind.lazy("tactile_sim.press.sensors:SensorModel.load")
 
 
 class DepthAndError(Protocol):

@@ -38,9 +38,8 @@ def path_of(text: str) -> str:
 
 def source_of(place: str) -> tuple[store.DataFolder, str]:
     """Return the folder of a file that the user named, and its name there; the file may be a link."""
-    if not store.is_remote(place):
-        place = os.path.realpath(place)
-    return store.split_uri(place)
+    path = store.local_path(place)
+    return store.split_uri(place if path is None else os.path.realpath(path))
 
 
 def open_source(folder: store.DataFolder, name: str) -> IO[bytes]:
@@ -221,7 +220,7 @@ def contents_of(places: Iterable[source_touches.PicturePlace]) -> Iterator[bytes
     first = next(groups, None)
     if first is None:
         return
-    threads = _REMOTE_READERS if store.is_remote(first[0].home) else 1
+    threads = 1 if store.open_folder(first[0].home).is_local else _REMOTE_READERS
     read = partial(_contents, cache(lambda home: (store.open_folder(home), set())))
     for found in run.in_threads(read, chain([first], groups), threads):
         yield from found

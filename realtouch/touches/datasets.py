@@ -615,14 +615,14 @@ def with_no_contact(touches: AnyTouches, contact: Bool, fraction: float, seed: i
     return np.sort(np.concatenate([np.flatnonzero(mask), empty[order]]))
 
 
-class _RowsWithoutMedia(read.Rows):
+class _RowsWithoutMedia(read.RowGroup):
     """A block of rows without images or clips, which are read on first use.
 
     ``number`` is the number of the first row in the source.
     """
 
     def __init__(self, block: read.RowGroup, source: read.RowSource, number: int) -> None:
-        super().__init__(block.path, block.first_row)
+        super().__init__(path=block.path, first_row=block.first_row)
         self._block = block
         self._source = source
         self._number = number

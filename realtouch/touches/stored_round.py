@@ -459,9 +459,6 @@ class StoredRound(read.Row):
                 return pose_of(value["position"], value["quaternion"])
         return {key: self._with_poses(each, f"{name}.{key}") for key, each in value.items()}
 
-    def __reduce__(self) -> tuple[object, ...]:
-        return (_unpickled, super().__reduce__())
-
 
 def _as_timedelta(values: AnyArray) -> NDArray[np.timedelta64]:
     """Return times as ``timedelta64``: numbers count seconds and are rounded to nanoseconds."""
@@ -482,11 +479,6 @@ def as_seconds(values: AnyArray) -> Float64:
         seconds: Float64 = values / _SECOND
         return seconds
     return np.asarray(values, np.float64)
-
-
-def _unpickled(make: Callable[..., read.Row], arguments: tuple[object, ...]) -> StoredRound:
-    row = make(*arguments)
-    return StoredRound(row.group, row.index)
 
 
 def stored_rows(

@@ -24,7 +24,6 @@ _MIN_PIXEL_M, _MAX_PIXEL_M, _MAX_ASPECT = 1e-6, 0.1, 100.0
 _MAX_RANGE_M, _MAX_SLIDE_M, _MAX_TWIST_RAD = 100.0, 1.0, math.pi
 _MAX_LAYERS = 60.0  # diagonal of the window, in thicknesses of the gel
 _HALF = 0.5
-_MAX_BLOCKS = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +158,8 @@ def solve_contact(
     InputError
         A number is out of range or not finite, or not exactly one of ``depth_m`` and ``force_n`` is given.
     """
-    heights, pixel = _checked_heights(height_m), _checked_pixel(pixel_m)
+    heights = _checked_heights(height_m)
+    pixel = _checked_pixel(pixel_m)
     _require(isinstance(gel, Gel), f"gel is {gel!r}; expected a Gel, such as tactile_sim.Gel()")
     target = _checked_target(depth_m, force_n)
     slide = _checked_motion(slide_m, twist_rad)
@@ -167,25 +167,6 @@ def solve_contact(
     thickness = _checked_number("thickness_m", thickness_m, thinnest_m, math.inf)
     block = _checked_block(block_px, heights, pixel, thickness)
     return _solve(heights, pixel, gel, thickness, *target, slide, block)
-
-
-def block_px(height_px: int, width_px: int) -> int:
-    """Return a size of blocks for an image: of at most 100 blocks along its longer side, 1 for small images.
-
-    Parameters
-    ----------
-    height_px, width_px : int
-        Size of the image, pixels.
-
-    Returns
-    -------
-    int
-        For :func:`solve_contact`: it divides both; 4 for 320 x 240 pixels.
-    """
-    common = math.gcd(height_px, width_px)
-    fits = (size for size in range(1, common + 1) if common % size == 0)
-    longer = max(height_px, width_px)
-    return next((size for size in fits if longer <= _MAX_BLOCKS * size), common)
 
 
 def _solve(
@@ -215,7 +196,7 @@ def _solve(
     if not is_force:
         wanted = max(target - higher, _MIN_DEPTH_M)
     stiffness = gel.youngs_modulus_pa / min(thickness_m, math.sqrt(width_m * height_m) * coarse.shape[1])
-    found = solver.solve(
+    solution = solver.solve(
         coarse.max() - coarse,
         (width_m, height_m),
         wanted,
@@ -225,28 +206,26 @@ def _solve(
         tables,
         stiffness,
     )
-    force_n, torque_nm = _resultants(found.fields[:3], (width_m, height_m))
-    depth = found.depth_m + higher if is_force else target
-    fields, is_contact, is_stick = found.fields, found.is_contact, found.is_stick
+    force_n, torque_nm = _resultants(solution.fields[:3], (width_m, height_m))
+    depth = solution.depth_m + higher if is_force else target
+    fields = solution.fields
     if block_px > 1:
         fields = steps.bring_up(fields, block_px)
-        masks = steps.bring_up(np.stack([is_contact, is_stick]).astype(np.float64), block_px)
-        is_contact, is_stick = masks > _HALF
     # The surface is the body in the contact, and lies outside of it elsewhere.
     body_m = depth - (heights.max() - heights)
-    is_contact |= body_m > fields[5]
+    is_contact = (fields[6] > _HALF) | (body_m > fields[5])
     np.copyto(fields[5], body_m, where=is_contact)
     return Contact(
         depth,
         fields[0],
         np.moveaxis(fields[1:3], 0, 2),
-        np.moveaxis(fields[3:], 0, 2),
+        np.moveaxis(fields[3:6], 0, 2),
         is_contact,
-        is_stick & is_contact,
+        (fields[7] > _HALF) & is_contact,
         force_n,
         torque_nm,
-        found.iterations,
-        found.error,
+        solution.iterations,
+        solution.error,
     )
 
 
@@ -278,16 +257,17 @@ def _checked_number(name: str, value: object, least: float, most: float) -> floa
 
 def _checked_heights(height_m: ArrayLike) -> Float64:
     try:
-        given = np.asarray(height_m)
+        heights = np.asarray(height_m)
     except ValueError:
-        given = np.empty(0, object)
-    _require(given.dtype.kind in "iuf", "height_m is not an array of real numbers; expected shape (H, W)")
-    heights = np.ascontiguousarray(given, np.float64)
+        heights = np.empty(0, object)
+    _require(heights.dtype.kind in "iuf", "height_m is not an array of real numbers; expected shape (H, W)")
+    heights = np.ascontiguousarray(heights, np.float64)
     _require(
         heights.ndim == 2 and 0 < heights.size <= touch.MAX_IMAGE_PIXELS,
         f"height_m has shape {heights.shape}; expected (H, W), at most {touch.MAX_IMAGE_PIXELS:,} pixels",
     )
-    low, high = float(heights.min()), float(heights.max())
+    low = float(heights.min())
+    high = float(heights.max())
     _require(
         math.isfinite(low) and math.isfinite(high) and high - low <= _MAX_RANGE_M,
         f"height_m goes from {low:g} to {high:g}; expected finite numbers within {_MAX_RANGE_M:g} m",
@@ -299,7 +279,7 @@ def _checked_pixel(pixel_m: float | tuple[float, float]) -> tuple[float, float]:
     pixel = checked_fields.to_builtin(pixel_m, float)
     width, height = pixel if isinstance(pixel, tuple) and len(pixel) == 2 else (pixel, pixel)
     _require(
-        all(isinstance(each, float) and _MIN_PIXEL_M <= each <= _MAX_PIXEL_M for each in (width, height))
+        all(isinstance(side, float) and _MIN_PIXEL_M <= side <= _MAX_PIXEL_M for side in (width, height))
         and max(width, height) <= _MAX_ASPECT * min(width, height),
         f"pixel_m is {pixel_m!r}; expected a number from {_MIN_PIXEL_M:g} to {_MAX_PIXEL_M:g}, metres, or "
         f"width and height, one at most {_MAX_ASPECT:g} times the other",
@@ -337,5 +317,5 @@ def _checked_motion(slide_m: tuple[float, float], twist_rad: float) -> tuple[flo
     _require(
         isinstance(slide, tuple) and len(slide) == 2, f"slide_m is {slide_m!r}; expected two numbers, metres"
     )
-    along_x, along_y = (_checked_number("slide_m", each, -_MAX_SLIDE_M, _MAX_SLIDE_M) for each in slide)
+    along_x, along_y = (_checked_number("slide_m", part, -_MAX_SLIDE_M, _MAX_SLIDE_M) for part in slide)
     return along_x, along_y, _checked_number("twist_rad", twist_rad, -_MAX_TWIST_RAD, _MAX_TWIST_RAD)

@@ -31,6 +31,7 @@ _RADII_PER_LAYER = 64
 _CACHED = 16  # windows whose tables are kept, 0.6 MB each at 86 x 64 pixels
 
 Complex64: TypeAlias = NDArray[np.complex64]
+Complex128: TypeAlias = NDArray[np.complex128]
 Kernels: TypeAlias = dict[str, Float64]
 """By name: displacement per pressure, m / Pa, shape (H, W), at offsets of 0 or more pixels along y and x."""
 
@@ -43,10 +44,9 @@ class Layer:
 
     Attributes
     ----------
-    lengths : tuple of int
-        Lengths of the Fourier transforms along y and x: a window and its kernels do not overlap.
-    spectra : dict of ndarray of complex64
-        Transforms of the kernels by name, of the real kind along x.
+    lengths, spectra
+        Lengths of the Fourier transforms along y and x, and those of the kernels by name; see
+        :func:`transforms`.
     stencils : ndarray of float32, shape (3, 4)
         Approximate pressure and tractions along x and y for a displacement: weights of a pixel, of its
         neighbours along x and along y, and of its diagonal neighbours, Pa / m.
@@ -69,7 +69,6 @@ def layer_of(
     layer_m: float,
 ) -> Layer:
     """Return the tables of a layer; the arguments are those of :func:`pixel_kernels`."""
-    from scipy.fft import next_fast_len, rfft2
     from threadpoolctl import threadpool_limits
 
     # A stencil reaches over three pixels, also in smaller windows.
@@ -78,7 +77,21 @@ def layer_of(
     with _making, threadpool_limits(1):
         kernels = pixel_kernels(shape, pixel_m, shear_pa, poisson_ratio, layer_m)
         stencils = np.array([_stencil(kernels[name]) for name in ("zz", "xx", "yy")], np.float32)
-    rows, columns = shape
+    lengths, spectra = transforms(kernels)
+    own = float(kernels["xx"][0, 0] + kernels["yy"][0, 0]) / 2
+    return Layer(
+        lengths, {name: spectrum.astype(np.complex64) for name, spectrum in spectra.items()}, stencils, own
+    )
+
+
+def transforms(kernels: Kernels) -> tuple[tuple[int, int], dict[str, Complex128]]:
+    """Return lengths of Fourier transforms along y and x, and those of the kernels, of the real kind along x.
+
+    The transforms are so long that a window and the influence of its pixels do not overlap.
+    """
+    from scipy.fft import next_fast_len, rfft2
+
+    rows, columns = kernels["zz"].shape
     lengths = (next_fast_len(2 * rows - 1, True), next_fast_len(2 * columns - 1, True))
     spectra = {}
     for name, (sign_y, sign_x) in _SIGNS.items():
@@ -86,9 +99,8 @@ def layer_of(
         whole[:rows, :columns] = kernels[name]
         whole[:rows, -columns + 1 :] = sign_x * kernels[name][:, :0:-1]
         whole[-rows + 1 :] = sign_y * whole[rows - 1 : 0 : -1]
-        spectra[name] = rfft2(whole).astype(np.complex64)
-    own = float(kernels["xx"][0, 0] + kernels["yy"][0, 0]) / 2
-    return Layer(lengths, spectra, stencils, own)
+        spectra[name] = rfft2(whole)
+    return lengths, spectra
 
 
 def pixel_kernels(
@@ -174,7 +186,8 @@ def _half_space(shape: tuple[int, int], pixel_m: tuple[float, float], poisson_ra
         "y": x * np.log(r) + y * np.arctan(x / y),
     }
     sums = {
-        name: each[1:, 1:] - each[1:, :-1] - each[:-1, 1:] + each[:-1, :-1] for name, each in corners.items()
+        name: value[1:, 1:] - value[1:, :-1] - value[:-1, 1:] + value[:-1, :-1]
+        for name, value in corners.items()
     }
     compressed = 1.0 - poisson_ratio
     turn = 1.0 / (2.0 * math.pi)

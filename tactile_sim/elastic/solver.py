@@ -1,7 +1,7 @@
 """Solution of a contact by projected gradients: pressure and traction in turn, on transforms of SciPy.
 
-Fields are of single precision and have a border of one pixel, which is not loaded; their rows are counted
-from the least y. Rows of displacements are longer, as those of the transforms.
+Fields are of single precision and flat, and have a border of one pixel, which is not loaded. Their rows are
+counted from the least y.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from scipy.fft import fft, ifft, irfft, rfft
 
 from tactile_sim.elastic import steps
 from tactile_sim.elastic.layer import Complex64, Layer
-from tactile_toolkit.array_types import Bool, Float32, Float64
+from tactile_toolkit.array_types import Float32, Float64
 
 _PRESS_TOLERANCE = 7e-4  # largest error of the gap, relative to the depth
 _SHEAR_TOLERANCE = 1e-4  # root mean square of the error along the surface, relative to the largest motion
-_MAX_PASSES = 8  # of pressure and shear, each with the displacement that the other one makes
+_MAX_PASSES = 20  # of pressure and shear, each with the displacement that the other one makes
 _FIRST_PASS = 30.0  # factor of the tolerances in the first pass, which only starts the others
 _MAX_STEPS = 300
 _FAR_M = 1e6
@@ -29,10 +29,9 @@ class Solution(NamedTuple):
 
     Attributes
     ----------
-    fields : ndarray of float64, shape (6, R, C)
-        Pressure, traction along x and y, Pa; displacement along x, y and z, metres; row 0 at the greatest y.
-    is_contact, is_stick : ndarray of bool, shape (R, C)
-        Where the body touches the gel, and where it sticks.
+    fields : ndarray of float64, shape (8, R, C)
+        Pressure, traction along x and y, Pa; displacement along x, y and z, metres; 1 where the body touches
+        the gel, and where it sticks; row 0 at the greatest y.
     depth_m : float
         How far the highest point is pressed in.
     error : float
@@ -42,8 +41,6 @@ class Solution(NamedTuple):
     """
 
     fields: Float64
-    is_contact: Bool
-    is_stick: Bool
     depth_m: float
     error: float
     iterations: int
@@ -80,48 +77,42 @@ def solve(
     start : float
         Pressure per depth of the first guess, Pa / m.
     """
-    rows, columns = below_m.shape
     state = _State(below_m, pixel_m, target, is_force, friction, motion, layer, start)
-    count = 0
+    iterations = 0
     for number in range(_MAX_PASSES):
         looseness = _FIRST_PASS if number == 0 and friction > 0.0 else 1.0
         taken = state.press(looseness * _PRESS_TOLERANCE)
-        count += taken
+        iterations += taken
         if number > 0 and taken == 0:
             break
         state.push_aside()
         if friction == 0.0:
             break
-        count += state.shear(looseness * _SHEAR_TOLERANCE)
+        iterations += state.shear(looseness * _SHEAR_TOLERANCE)
     else:
         state.press(math.inf)  # only the error
-    fields = np.empty((6, rows, columns))
-    inside = (..., slice(-2, 0, -1), slice(1, columns + 1))
-    fields[0] = state.p[inside]
-    fields[1:3] = state.q[inside]
-    fields[3:5] = (state.bend + state.aside)[inside]
-    fields[5] = (state.u + state.lifted)[inside]
+    rows, columns = below_m.shape
     is_stick = (state.bound > 0.0) & ~state.slips
-    return Solution(
-        fields, fields[0] > 0.0, is_stick[inside], state.depth_m, state.worst_m / state.depth_m, count
-    )
+    along = state.bend + state.aside
+    fields = np.vstack([state.p, state.q, along, state.u + state.lifted, state.p > 0.0, is_stick])
+    fields = fields.reshape(-1, rows + 2, columns + 2)
+    inside = fields[:, -2:0:-1, 1:-1].astype(np.float64)
+    return Solution(inside, state.depth_m, state.worst_m / state.depth_m, iterations)
 
 
 class _State:
-    """Loads and displacements of a contact, while it is solved.
+    """Loads and displacements of a contact, while it is solved; fields of n pixels.
 
     Attributes
     ----------
-    p : ndarray of float32, shape (R + 2, C + 2)
-        Pressure.
-    q : ndarray of float32, shape (2, R + 2, C + 2)
-        Traction.
-    bound, slips : ndarray, shape (R + 2, C + 2)
+    p, u : ndarray of float32, shape (n,)
+        Pressure, and the displacement along z by it.
+    q, bend, aside : ndarray of float32, shape (2, n)
+        Traction, and the displacements along x and y by it, and by the pressure.
+    lifted : ndarray of float32, shape (n,)
+        Displacement along z by the traction.
+    bound, slips : ndarray, shape (n,)
         Greatest traction, and where it is reached.
-    u, aside : ndarray of float32, shapes (R + 2, n) and (2, R + 2, n)
-        Displacement by the pressure.
-    lifted, bend : ndarray of float32, shapes (R + 2, n) and (2, R + 2, n)
-        Displacement by the traction.
     depth_m, worst_m : float
         Depth of the press, and the largest error of the gap.
     """
@@ -137,30 +128,31 @@ class _State:
         layer: Layer,
         start: float,
     ) -> None:
-        self._layer, self._target, self._is_force, self._friction = layer, target, is_force, friction
-        shape = (below_m.shape[0] + 2, below_m.shape[1] + 2)
-        self._below = np.full(shape, _FAR_M, np.float32)
-        self._below[1:-1, 1:-1] = below_m[::-1]
+        self._layer = layer
+        self._target = target
+        self._is_force = is_force
+        self._friction = friction
+        self._shape = (below_m.shape[0] + 2, below_m.shape[1] + 2)
+        self._below = np.pad(below_m[::-1], 1, constant_values=_FAR_M).astype(np.float32).ravel()
         y, x = (
             (np.arange(count) - (count - 1) / 2) * size
-            for count, size in zip(shape, pixel_m[::-1], strict=True)
+            for count, size in zip(self._shape, pixel_m[::-1], strict=True)
         )
-        self._motion = np.empty((2, *shape), np.float32)
-        self._motion[0] = (motion[0] - motion[2] * y)[:, None]
-        self._motion[1] = motion[1] + motion[2] * x
+        x, y = np.meshgrid(x, y)
+        self._motion = np.array(
+            [motion[0] - motion[2] * y.ravel(), motion[1] + motion[2] * x.ravel()], np.float32
+        )
         self.p = _first_guess(self._below, target, is_force, start)
-        self.q = np.zeros((2, *shape), np.float32)
-        self.bound = np.zeros(shape, np.float32)
-        self.slips = np.zeros(shape, np.bool_)
         self._pressed = self._transformed(self.p)
         self.u = self._displacement(self._pressed * layer.spectra["zz"])
-        self.lifted = np.zeros_like(self.u)
-        self.bend = np.zeros((2, *self.u.shape), np.float32)
+        self.q, self.bend = np.zeros((2, 2, self.p.size), np.float32)
+        self.lifted, self.bound = np.zeros((2, self.p.size), np.float32)
+        self.slips = np.zeros(self.p.size, np.bool_)
         self.depth_m = self.worst_m = 0.0
 
     def press(self, tolerance: float) -> int:
         """Solve for the pressure; return the number of steps."""
-        below = self._below + self.lifted[:, : self._below.shape[1]]
+        below = self._below + self.lifted
         error, step = np.zeros((2, *self.p.shape), np.float32)
         control = np.array(steps.FIRST_CONTROL)
         for count in range(_MAX_STEPS + 1):
@@ -170,6 +162,7 @@ class _State:
                 below,
                 error,
                 step,
+                self._shape[1],
                 self._layer.stencils[0],
                 control,
                 self._target,
@@ -190,8 +183,9 @@ class _State:
 
     def shear(self, tolerance: float) -> int:
         """Solve for the traction, and find how far it lifts the surface; return the number of steps."""
-        spectra, bound = self._layer.spectra, self.bound
-        wanted = self._motion - self.aside[..., : bound.shape[1]]
+        spectra = self._layer.spectra
+        bound = self.bound
+        wanted = self._motion - self.aside
         # Pixels that slipped before start on the new limit.
         size = np.hypot(*self.q)
         off = (size > bound) | (self.slips & (size > 0.0))
@@ -199,7 +193,7 @@ class _State:
         damping = np.ones_like(bound)
         error, step = np.zeros((2, *self.q.shape), np.float32)
         control = np.array(steps.FIRST_CONTROL)
-        self.slips = np.zeros(bound.shape, np.bool_)
+        self.slips[:] = False
         for count in range(_MAX_STEPS + 1):
             along_x, along_y = self._transformed(self.q)
             bent = np.stack(
@@ -218,6 +212,7 @@ class _State:
                 damping,
                 error,
                 step,
+                self._shape[1],
                 self._layer.stencils[1:],
                 self._layer.own_shear,
                 control,
@@ -230,14 +225,15 @@ class _State:
 
     def _transformed(self, loads: Float32) -> Complex64:
         down, across = self._layer.lengths
-        spectra: Complex64 = fft(rfft(loads, across), down, axis=-2, overwrite_x=True)
+        waves = rfft(loads.reshape(*loads.shape[:-1], *self._shape), across)
+        spectra: Complex64 = fft(waves, down, axis=-2, overwrite_x=True)
         return spectra
 
     def _displacement(self, spectra: Complex64) -> Float32:
-        rows = self.p.shape[0]
+        rows, columns = self._shape
         waves = ifft(spectra, axis=-2, overwrite_x=True)[..., :rows, :]
-        displacement: Float32 = irfft(waves, self._layer.lengths[1])
-        return displacement
+        displacement = irfft(waves, self._layer.lengths[1])[..., :columns]
+        return displacement.reshape(*spectra.shape[:-2], rows * columns)
 
 
 def _first_guess(below: Float32, target: float, is_force: bool, start: float) -> Float32:
@@ -245,7 +241,7 @@ def _first_guess(below: Float32, target: float, is_force: bool, start: float) ->
     depth = target
     if is_force:
         # The depth at which the springs of the highest pixels, whose number fits, bear the force.
-        heights = np.sort(below[1:-1, 1:-1], axis=None).astype(np.float64)
+        heights = np.sort(below).astype(np.float64)
         depths = (target / start + np.cumsum(heights)) / np.arange(1, heights.size + 1)
         depth = depths[np.count_nonzero(depths > heights) - 1]
     guess: Float32 = np.float32(start) * np.maximum(np.float32(depth) - below, np.float32(0.0))

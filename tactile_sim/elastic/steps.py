@@ -1,10 +1,10 @@
 """Steps of the solver in numba, and fields in the size of an image.
 
-Fields have a border of one pixel, which is not loaded. A step multiplies the error of the displacement by a
-stencil, which estimates the load that is missing, and by a share, whose next value follows from the change of
-the error (Barzilai and Borwein, IMA Journal of Numerical Analysis 8, 1988). A step halves the share when the
-error has doubled: with limits on the load, convergence is not guaranteed (Dai and Fletcher, Numerische
-Mathematik 100, 2005).
+Fields are flat, in rows of a ``width``, with a border of one pixel, which is not loaded. A step multiplies
+the error of the displacement by a stencil, which estimates the load that is missing, and by a share, whose
+next value follows from the change of the error (Barzilai and Borwein, IMA Journal of Numerical Analysis 8,
+1988). The share is halved when the error has doubled: with limits on the load, convergence is not guaranteed
+(Dai and Fletcher, Numerische Mathematik 100, 2005).
 """
 
 from __future__ import annotations
@@ -37,15 +37,12 @@ def _next_share(control: Float64, product: float, error: float) -> float:
 
 
 @part
-def _missing(error: Float32, row: int, column: int, stencil: Float32) -> np.float32:
+def _missing(error: Float32, at: int, width: int, stencil: Float32) -> np.float32:
     """Return the load that a stencil estimates from the error of the displacement."""
-    beside = error[row, column - 1] + error[row, column + 1]
-    along = error[row - 1, column] + error[row + 1, column]
-    across = error[row - 1, column - 1] + error[row - 1, column + 1]
-    across += error[row + 1, column - 1] + error[row + 1, column + 1]
-    load: np.float32 = (
-        stencil[0] * error[row, column] + stencil[1] * beside + stencil[2] * along + stencil[3] * across
-    )
+    beside = error[at - 1] + error[at + 1]
+    along = error[at - width] + error[at + width]
+    across = error[at - width - 1] + error[at - width + 1] + error[at + width - 1] + error[at + width + 1]
+    load: np.float32 = stencil[0] * error[at] + stencil[1] * beside + stencil[2] * along + stencil[3] * across
     return load
 
 
@@ -56,6 +53,7 @@ def press_step(
     below: Float32,
     error: Float32,
     step: Float32,
+    width: int,
     stencil: Float32,
     control: Float64,
     target: float,
@@ -68,51 +66,49 @@ def press_step(
     ``below`` how far the body is below its highest point. Returns the depth and the greatest error, of gaps
     in the contact and of overlaps beside it, both of the pressure before the step.
     """
-    rows, columns = p.shape
     depth = target
     if is_force:
-        total, count = 0.0, 0
-        for row in range(1, rows - 1):
-            for column in range(1, columns - 1):
-                if p[row, column] > 0.0:
-                    total += u[row, column] + below[row, column]
-                    count += 1
+        total = 0.0
+        count = 0
+        for at in range(len(p)):
+            if p[at] > 0.0:
+                total += u[at] + below[at]
+                count += 1
         depth = total / count
-    worst, product = 0.0, 0.0
-    for row in range(1, rows - 1):
-        for column in range(1, columns - 1):
-            missing = np.float32(depth) - below[row, column] - u[row, column]
-            if p[row, column] == 0.0:
-                missing = max(missing, np.float32(0.0))
-            worst = max(worst, float(abs(missing)))
-            product += step[row, column] * missing
-            error[row, column] = missing
+    worst = 0.0
+    product = 0.0
+    for at in range(len(p)):
+        missing = np.float32(depth) - below[at] - u[at]
+        if p[at] == 0.0:
+            missing = max(missing, np.float32(0.0))
+        worst = max(worst, float(abs(missing)))
+        product += step[at] * missing
+        error[at] = missing
     if worst <= tolerance * abs(depth):
         return depth, worst
     share = np.float32(_next_share(control, product, worst))
-    total, count = 0.0, 0
-    for row in range(1, rows - 1):
-        for column in range(1, columns - 1):
-            step[row, column] = 0.0
-            if p[row, column] > 0.0 or error[row, column] > 0.0:
-                step[row, column] = _missing(error, row, column, stencil)
-                total += step[row, column]
-                count += 1
+    total = 0.0
+    count = 0
+    for at in range(len(p)):
+        step[at] = 0.0
+        if p[at] > 0.0 or error[at] > 0.0:
+            step[at] = _missing(error, at, width, stencil)
+            total += step[at]
+            count += 1
     mean = np.float32(total / count if is_force else 0.0)
-    total, product = 0.0, 0.0
-    for row in range(1, rows - 1):
-        for column in range(1, columns - 1):
-            if p[row, column] > 0.0 or error[row, column] > 0.0:
-                step[row, column] -= mean
-                product += step[row, column] * error[row, column]
-                p[row, column] = max(p[row, column] + share * step[row, column], np.float32(0.0))
-                total += p[row, column]
+    total = 0.0
+    product = 0.0
+    for at in range(len(p)):
+        if p[at] > 0.0 or error[at] > 0.0:
+            step[at] -= mean
+            product += step[at] * error[at]
+            p[at] = max(p[at] + share * step[at], np.float32(0.0))
+            total += p[at]
     control[1] = product
     if is_force:
         scale = np.float32(target / total)
-        for row in range(1, rows - 1):
-            for column in range(1, columns - 1):
-                p[row, column] *= scale
+        for at in range(len(p)):
+            p[at] *= scale
     return depth, worst
 
 
@@ -126,6 +122,7 @@ def shear_step(
     damping: Float32,
     error: Float32,
     step: Float32,
+    width: int,
     stencils: Float32,
     own: float,
     control: Float64,
@@ -138,53 +135,52 @@ def shear_step(
     is curved: multiplier / bound is added to the stiffness (Nocedal and Wright, Numerical Optimization, 2006,
     section 12.5). ``bend`` is the displacement, ``own`` that of a pixel by its own traction.
     """
-    rows, columns = bound.shape
-    left, largest, product, count = 0.0, 0.0, 0.0, 0
-    for row in range(1, rows - 1):
-        for column in range(1, columns - 1):
-            limit = bound[row, column]
-            if limit > 0.0:
-                wanted_x, wanted_y = wanted[0, row, column], wanted[1, row, column]
-                x, y = wanted_x - bend[0, row, column], wanted_y - bend[1, row, column]
-                q_x, q_y = q[0, row, column], q[1, row, column]
-                size = np.float32(math.sqrt(q_x * q_x + q_y * q_y))
-                outward = x * q_x + y * q_y
-                slips[row, column] = size >= np.float32(_STICKS) * limit and outward > 0.0
-                damping[row, column] = 1.0
-                if slips[row, column]:
-                    outward /= size
-                    x -= outward * q_x / size
-                    y -= outward * q_y / size
-                    damping[row, column] = math.sqrt(own / (own + outward / limit))
-                left += x * x + y * y
-                largest = max(largest, wanted_x * wanted_x + wanted_y * wanted_y)
-                count += 1
-                product += step[0, row, column] * x + step[1, row, column] * y
-                error[0, row, column] = damping[row, column] * x
-                error[1, row, column] = damping[row, column] * y
+    left = 0.0
+    largest = 0.0
+    product = 0.0
+    count = 0
+    for at in range(len(bound)):
+        if bound[at] > 0.0:
+            x, y = wanted[0, at] - bend[0, at], wanted[1, at] - bend[1, at]
+            q_x, q_y = q[0, at], q[1, at]
+            size = np.float32(math.sqrt(q_x * q_x + q_y * q_y))
+            outward = x * q_x + y * q_y
+            slips[at] = size >= np.float32(_STICKS) * bound[at] and outward > 0.0
+            damping[at] = 1.0
+            if slips[at]:
+                outward /= size
+                x -= outward * q_x / size
+                y -= outward * q_y / size
+                damping[at] = math.sqrt(own / (own + outward / bound[at]))
+            left += x * x + y * y
+            largest = max(largest, wanted[0, at] ** 2 + wanted[1, at] ** 2)
+            count += 1
+            product += step[0, at] * x + step[1, at] * y
+            error[0, at] = damping[at] * x
+            error[1, at] = damping[at] * y
     relative = math.sqrt(left / (largest * count)) if left > 0.0 else 0.0
     if relative <= tolerance:
         return relative
     share = np.float32(_next_share(control, product, relative))
     product = 0.0
-    for row in range(1, rows - 1):
-        for column in range(1, columns - 1):
-            limit = bound[row, column]
-            if limit > 0.0:
-                q_x, q_y, damped = q[0, row, column], q[1, row, column], damping[row, column]
-                x = damped * _missing(error[0], row, column, stencils[0])
-                y = damped * _missing(error[1], row, column, stencils[1])
-                if slips[row, column]:
-                    outward = (x * q_x + y * q_y) / (q_x * q_x + q_y * q_y)
-                    x -= outward * q_x
-                    y -= outward * q_y
-                step[0, row, column], step[1, row, column] = x, y
-                product += (x * error[0, row, column] + y * error[1, row, column]) / damped
-                q_x += share * x
-                q_y += share * y
-                size = np.float32(math.sqrt(q_x * q_x + q_y * q_y))
-                shorter = limit / size if size > limit else np.float32(1.0)
-                q[0, row, column], q[1, row, column] = shorter * q_x, shorter * q_y
+    for at in range(len(bound)):
+        if bound[at] > 0.0:
+            q_x, q_y = q[0, at], q[1, at]
+            x = damping[at] * _missing(error[0], at, width, stencils[0])
+            y = damping[at] * _missing(error[1], at, width, stencils[1])
+            if slips[at]:
+                outward = (x * q_x + y * q_y) / (q_x * q_x + q_y * q_y)
+                x -= outward * q_x
+                y -= outward * q_y
+            step[0, at] = x
+            step[1, at] = y
+            product += (x * error[0, at] + y * error[1, at]) / damping[at]
+            q_x += share * x
+            q_y += share * y
+            size = np.float32(math.sqrt(q_x * q_x + q_y * q_y))
+            shorter = bound[at] / size if size > bound[at] else np.float32(1.0)
+            q[0, at] = shorter * q_x
+            q[1, at] = shorter * q_y
     control[1] = product
     return relative
 
@@ -193,11 +189,13 @@ def shear_step(
 def bring_up(fields: Float64, block_px: int) -> Float64:
     """Return fields (n, h, w) of blocks in the size of their pixels, linear between the centres of blocks."""
     count, rows, columns = fields.shape
-    out, line = np.empty((count, rows * block_px, columns * block_px)), np.empty(columns)
+    out = np.empty((count, rows * block_px, columns * block_px))
+    line = np.empty(columns)
     for field in range(count):
         for row in range(rows * block_px):
             above, down = _between(row, rows, block_px)
-            first, second = fields[field, above], fields[field, min(above + 1, rows - 1)]
+            first = fields[field, above]
+            second = fields[field, min(above + 1, rows - 1)]
             for column in range(columns):
                 line[column] = first[column] + down * (second[column] - first[column])
             for column in range(columns * block_px):

@@ -1,3 +1,3 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
-from .depth_estimator import DepthEstimator as DepthEstimator
+from .inference import DepthEstimator as DepthEstimator

@@ -11,11 +11,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tactile_sim.learned.channels import depth_channels, picture_channels
-from tactile_sim.learning_specs import TrainConfig
-from tactile_sim.optics import make_optics
-from tactile_sim.pairs import Pairs
-from tactile_sim.random_numbers import keyed_rng
+from tactile_sim.learned.inference import depth_channels, picture_channels
+from tactile_sim.optics.rendering import make_optics
+from tactile_sim.sets.learning_specs import TrainConfig
+from tactile_sim.sets.pairs import Pairs
+from tactile_sim.sets.round_plan import keyed_rng
 from tactile_toolkit.array_types import Float32, UInt8
 
 # Enough for a median without noise, and 100 MB at 256 x 256 pixels.
@@ -49,7 +49,8 @@ class Batch(NamedTuple):
 
 def by_taxim(pairs: Pairs) -> Renderer:
     """Return a function that renders depth images of a training set with Taxim, the extra ``sim``."""
-    sensor, taxim = pairs.sensor, make_optics("taxim")
+    sensor = pairs.sensor
+    taxim = make_optics("taxim")
 
     def render(depth: Float32) -> UInt8:
         depth_m = sensor.press_m + depth.astype(np.float64) * (sensor.gel_m - sensor.press_m)
@@ -94,7 +95,8 @@ class Batches:
 
     def _make(self, step: int) -> Batch:
         rng = keyed_rng(self._config.seed, step, self._rank, "batch")
-        depth, real = self._pairs.depth, self._pairs.real
+        depth = self._pairs.depth
+        real = self._pairs.real
         images = depth.images(rng.integers(len(depth), size=self._config.batch))
         height, width = images.shape[1:]
         parts = {"depth": depth_channels(images)}

@@ -9,9 +9,9 @@ import torch
 from torch import Tensor, nn
 
 from tactile_sim.learned.batches import Batch
-from tactile_sim.learned.channels import noisy_channels
+from tactile_sim.learned.inference import noisy_channels
 from tactile_sim.learned.networks import GeneratorNetwork, discriminator, initialise
-from tactile_sim.learning_specs import TrainConfig
+from tactile_sim.sets.learning_specs import TrainConfig
 from tactile_toolkit.json_types import JsonDict
 
 LOSSES = tuple(
@@ -173,7 +173,8 @@ class CycleGan:
         for parameter in self.parameters["discriminators"]:
             parameter.requires_grad_(False)
         # Discriminators learn from the same pictures below, in a step of their own.
-        made, losses = {}, {}
+        made = {}
+        losses = {}
         for name, other in (("touch", "depth"), ("depth", "touch")):
             made[name] = self._make(name, self._add_cycle_noise(other, real[other], rng), places[other])
             seen = self._add_sensor_noise(name, made[name], rng)

@@ -42,7 +42,8 @@ class Process:
 def joined_processes(device: str, *, deterministic: bool) -> Iterator[Process]:
     """Choose a device, and join the other processes of ``torchrun`` if there are any."""
     # torchrun names each process by these variables.
-    rank, count = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
+    rank = int(os.environ.get("RANK", "0"))
+    count = int(os.environ.get("WORLD_SIZE", "1"))
     chosen = chosen_device(device)
     if deterministic and chosen != "cpu":
         raise InputError(
@@ -67,7 +68,8 @@ def joined_processes(device: str, *, deterministic: bool) -> Iterator[Process]:
 @contextmanager
 def _determinism(*, deterministic: bool) -> Iterator[None]:
     """Make PyTorch deterministic on one thread if requested, and restore its settings afterwards."""
-    before, threads = torch.are_deterministic_algorithms_enabled(), torch.get_num_threads()
+    before = torch.are_deterministic_algorithms_enabled()
+    threads = torch.get_num_threads()
     fills = torch.utils.deterministic.fill_uninitialized_memory
     torch.use_deterministic_algorithms(deterministic)
     if deterministic:

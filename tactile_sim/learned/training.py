@@ -14,26 +14,80 @@ from __future__ import annotations
 
 import hashlib
 import io
+import json
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 import pyarrow as pa
 import torch
 
-from tactile_sim.data_cards import sheet_png
-from tactile_sim.learned import cyclegan, processes, training_folder
+from tactile_sim.learned import cyclegan, processes
 from tactile_sim.learned.batches import Batches, by_taxim
-from tactile_sim.learned.channels import depth_channels, picture_channels, pictures_from, shades_of
-from tactile_sim.learned.weights import weights_of, write_weights
-from tactile_sim.learning_specs import TrainConfig
-from tactile_sim.pairs import SPLITS, Pairs
-from tactile_sim.random_numbers import keyed_rng
+from tactile_sim.learned.inference import depth_channels, picture_channels, pictures_from, shades_of
+from tactile_sim.learned.networks import weights_of, write_weights
+from tactile_sim.learned.processes import Process
+from tactile_sim.sets.data_cards import sheet_png
+from tactile_sim.sets.learning_specs import TrainConfig
+from tactile_sim.sets.pairs import SPLITS, Pairs
+from tactile_sim.sets.round_plan import keyed_rng
 from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import Float32, UInt8
+from tactile_toolkit.errors import InputError, SpecMismatchError
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.wording import with_count
+
+SETTINGS = "training.json"
+
+
+class _Settings(msgspec.Struct):
+    config: JsonDict
+    pairs: str
+
+
+def claim(folder: store.DataFolder, config: TrainConfig, pairs: str, *, resume: bool) -> None:
+    """Begin a training in a folder, or continue an existing one with the same settings."""
+    folder.require_folder()
+    settings = {"config": config.to_dict(), "pairs": pairs}
+    if folder.exists(SETTINGS):
+        there = store.decode(folder.read_bytes(SETTINGS), _Settings, folder.address(SETTINGS))
+        # Compared as they would be read back: tuples become lists.
+        wanted = json.loads(json.dumps(settings))
+        found = {**there.config, "pairs": there.pairs}
+        for name, value in {**wanted["config"], "pairs": wanted["pairs"]}.items():
+            if found.get(name) != value:
+                raise SpecMismatchError(
+                    f"{folder.address()!r} holds a training with other settings: {name} is "
+                    f"{found.get(name)!r:.60} there, {value!r:.60} was asked for; nothing was changed",
+                    next="choose another folder (--out)",
+                )
+        folder.remove_temporaries()
+        return
+    others = [name for name in folder.names() if not store.is_hidden(name)]
+    if resume or others:
+        held = "".join(f" (found {name!r})" for name in others[:1])
+        raise InputError(
+            f"{folder.address()!r} holds no training to continue{held}; nothing was changed",
+            next="leave out --resume, and choose an empty or new folder (--out)",
+        )
+    folder.write_bytes(SETTINGS, (json.dumps(settings, indent=1) + "\n").encode())
+
+
+@contextmanager
+def held(folder: store.DataFolder, process: Process) -> Iterator[None]:
+    """Lock the folder, so that no other training writes there; BusyError if one does."""
+    # Object stores have no locks; the other processes of torchrun belong to the first.
+    if process.rank or not folder.is_local:
+        yield
+        return
+    folder.require_folder()
+    with folder.locked(patience_s=0):
+        yield
+
 
 TOUCH_WEIGHTS = "depth_to_touch.npz"
 DEPTH_WEIGHTS = "touch_to_depth.npz"
@@ -100,13 +154,14 @@ def train(
         cannot be written; a loss is no longer finite. The last checkpoint stays.
     """
     config = config or TrainConfig()
-    data, folder = _trainable(pairs, config), store.open_folder(os.fspath(out))
+    data = _trainable(pairs, config)
+    folder = store.open_folder(os.fspath(out))
     with (
         processes.joined_processes(device, deterministic=deterministic) as process,
-        training_folder.held(folder, process),
+        held(folder, process),
     ):
         if process.rank == 0:
-            training_folder.claim(folder, config, data.fingerprint, resume=resume)
+            claim(folder, config, data.fingerprint, resume=resume)
         process.wait()
         # After the folder is claimed: a refusal should not wait for networks to be built.
         model = cyclegan.CycleGan(config, process.device, compiled=compiled)
@@ -150,7 +205,8 @@ class _Run:
         """Take the remaining steps, from ``first`` on."""
         config = self.config
         self.on_progress(first, config.steps)
-        sums, losses = np.zeros(len(cyclegan.LOSSES)), dict.fromkeys(cyclegan.LOSSES, math.nan)
+        sums = np.zeros(len(cyclegan.LOSSES))
+        losses = dict.fromkeys(cyclegan.LOSSES, math.nan)
         since = first
         batches = Batches(self.data, config, self.process.rank)
         for step, batch in enumerate(batches.since(first), first):
@@ -172,8 +228,10 @@ class _Run:
         """Restore the checkpoint, if there is one; return the number of steps taken, and their log."""
         if not self.folder.exists(_CHECKPOINT):
             return 0, []
-        stored, where = self.folder.read_bytes(_CHECKPOINT), self.folder.address(_CHECKPOINT)
-        digest, content = stored[:_DIGEST_BYTES], stored[_DIGEST_BYTES:]
+        stored = self.folder.read_bytes(_CHECKPOINT)
+        where = self.folder.address(_CHECKPOINT)
+        digest = stored[:_DIGEST_BYTES]
+        content = stored[_DIGEST_BYTES:]
         again = "train again in another folder"
         if hashlib.sha256(content).digest() != digest:
             raise errors.IntegrityError(
@@ -212,7 +270,8 @@ class _Run:
             own = pools[0]
             torch.distributed.all_gather_object(pools, own)
         if self.process.rank == 0:
-            lines, stream = torch.tensor(log, dtype=torch.float64), io.BytesIO()
+            lines = torch.tensor(log, dtype=torch.float64)
+            stream = io.BytesIO()
             torch.save({**self.model.state(), "pools": pools, "step": done, "log": lines}, stream)
             content = stream.getvalue()
             self.folder.write_bytes(_CHECKPOINT, hashlib.sha256(content).digest() + content)
@@ -237,7 +296,8 @@ class _Run:
             domain.images(np.flatnonzero(domain.contact)[: 8 * _SAMPLES : 8][:_SAMPLES])
             for domain in (self.data.depth, self.data.real)
         )
-        networks, device = self.model.networks, self.process.device
+        networks = self.model.networks
+        device = self.process.device
         where = depth_channels(np.ones(touch.shape[:3], np.float32))[:, :2].to(device)
         with torch.inference_mode():
             made_touch = networks["touch"](depth_channels(depth).to(device))

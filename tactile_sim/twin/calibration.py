@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tactile_sim.sensor_models import GELSIGHT_MINI, SensorModel
+from tactile_sim.press.sensors import GELSIGHT_MINI, SensorModel
 from tactile_sim.twin import matching, rounds_of_fit
 from tactile_sim.twin.fitting import Fit
 from tactile_sim.twin.gel import Fitted
@@ -61,7 +61,7 @@ def calibrate(
     Notes
     -----
     The fit and the networks of the reader use BLAS: on another processor, the twin may differ in the last
-    bits. A given twin renders the same bytes everywhere.
+    bits. A given twin renders the same bytes on one kind of processor.
     """
     mistakes = find_mistakes(recordings, start)
     fatal = [each for each in mistakes if each.is_fatal]
@@ -171,7 +171,8 @@ def _first_fit(recordings: Recordings, start: SensorModel) -> Fit:
 
 def _residual_levels(twin: Twin, fit: Fit) -> float:
     """Return the error of images rendered from the depth read in them: RMS in levels, median over touches."""
-    optics, sensor = TwinOptics(twin, lens=False), model_of(twin, "twin").sensor
+    optics = TwinOptics(twin, lens=False)
+    sensor = model_of(twin, "twin").sensor
     errors = []
     for touch in np.flatnonzero(fit.used):
         image = fit.recordings.images[touch]

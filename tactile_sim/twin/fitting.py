@@ -20,8 +20,7 @@ from tactile_sim.twin.gel import Fitted
 from tactile_sim.twin.recordings import unsaturated
 
 if TYPE_CHECKING:
-    from tactile_sim.twin.recordings import Recordings
-    from tactile_sim.twin.relief import Relief
+    from tactile_sim.twin.recordings import Recordings, Relief
     from tactile_toolkit.array_types import Bool, Float32, Float64
 
 COEFFICIENTS = gel_kernels.ENTRIES * gel_kernels.PLACES
@@ -51,7 +50,8 @@ def _penalty(depth_cost: float) -> Float64:
     steepness; matte gels respond like this. A geometry that is fitted with a high ridge therefore suits most
     gels.
     """
-    turns, steps = gel_kernels.TURNS, gel_kernels.STEPS
+    turns = gel_kernels.TURNS
+    steps = gel_kernels.STEPS
     directions = np.eye(turns)
     around = np.roll(directions, 1, axis=0) + np.roll(directions, -1, axis=0)
     around -= 2 * np.cos(2 * np.pi / turns) * directions
@@ -137,8 +137,10 @@ class Fit:
         Without a margin, the map (H, W) is seen through the lens. With a margin, it is not, and has so many
         pixels more on each side.
         """
-        half, relief = self.half_m(shape), self.reliefs[int(self.recordings.object_ids[touch])]
-        cosine, sine = np.cos(pose[2]), np.sin(pose[2])
+        half = self.half_m(shape)
+        relief = self.reliefs[int(self.recordings.object_ids[touch])]
+        cosine = np.cos(pose[2])
+        sine = np.sin(pose[2])
         affine = np.array(
             [[cosine * half[0], sine * half[1], pose[0]], [-sine * half[0], cosine * half[1], pose[1]]]
         )
@@ -216,7 +218,8 @@ class Fit:
     def _add(self, sums: _Sums, touch: int, moving: tuple[Fitted, ...]) -> float:
         """Add a touch to the sums of a step, and return its weighted sum of squared residuals."""
         base, residuals, weights = self.residual(touch)
-        columns, places = [residuals], []
+        columns = [residuals]
+        places = []
         if moving:
             for each in moving:
                 shape = self.shape.copy()

@@ -15,7 +15,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from tactile_sim import taxim_kernels
+from tactile_sim.optics import taxim_kernels
 from tactile_sim.twin import gel_kernels, surface_kernels
 from tactile_sim.twin.gel_kernels import SurfaceView
 from tactile_sim.twin.surface_kernels import Blur
@@ -98,7 +98,8 @@ def gel_surface(
     for blur in reversed(blurs):
         seen += max(len(blur.across), len(blur.down)) << blur.halvings
         insets.append(max(margin - seen, 0))
-    share, edge_m = float(shape[Fitted.CONTACT]), _EDGE * float(pitch_m[0])
+    share = float(shape[Fitted.CONTACT])
+    edge_m = _EDGE * float(pitch_m[0])
     soft = surface_kernels.press_gel(indentation_m, margin, blurs, tuple(reversed(insets)), share, edge_m)
     return seen_through(soft, pitch_m, float(shape[Fitted.LENS]), margin, span)
 
@@ -131,7 +132,8 @@ def seen_through(
 
 def _across_of(pitch_m: Float64, size: tuple[int, ...], span: Float64) -> float:
     """Return the squared width over the squared diagonal of an image of which a part (H, W) is shown."""
-    wide, high = size[1] * pitch_m[0] / span[0], size[0] * pitch_m[1] / span[1]
+    wide = size[1] * pitch_m[0] / span[0]
+    high = size[0] * pitch_m[1] / span[1]
     return float(wide * wide / (wide * wide + high * high))
 
 
@@ -143,7 +145,8 @@ def _blur(sigma_px: tuple[float, float], size: tuple[int, int], reach: float, ha
         sigma_x, sigma_y = (np.sqrt(sigma * sigma - 1.5) / 2 for sigma in (sigma_x, sigma_y))
         rows, columns, halvings = (rows + 1) // 2, (columns + 1) // 2, halvings + 1
         halved_px = _HALVED_PX[1]
-    across, down = half_kernel(sigma_x, columns, reach), half_kernel(sigma_y, rows, reach)
+    across = half_kernel(sigma_x, columns, reach)
+    down = half_kernel(sigma_y, rows, reach)
     return Blur(halvings, across.astype(np.float32), down.astype(np.float32))
 
 

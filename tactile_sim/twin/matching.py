@@ -15,7 +15,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from tactile_sim.sensor_models import SensorModel
+from tactile_sim.press.sensors import SensorModel
 from tactile_sim.twin import gel
 from tactile_sim.twin.fitting import Fit
 from tactile_sim.twin.gel import Fitted
@@ -256,7 +256,8 @@ def _refined(fit: Fit, touch: int, places: Float64, good: int, steps: int) -> _F
     tried = []
     for at in places:
         place_touch(fit, touch, at)
-        pose, level_m = fit.poses[touch].copy(), float(fit.level_m[touch])
+        pose = fit.poses[touch].copy()
+        level_m = float(fit.level_m[touch])
         tried.append((*_stepped(fit, touch, pose, change, unsaturated, 2), level_m))
     tried = _different(tried)
     for rank, (_, pose, level_m) in enumerate(tried[:good]):

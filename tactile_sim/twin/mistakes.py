@@ -14,10 +14,9 @@ from itertools import permutations
 import numpy as np
 import scipy
 
-from tactile_sim.sensor_models import GELSIGHT_MINI, SensorModel
+from tactile_sim.press.sensors import GELSIGHT_MINI, SensorModel
 from tactile_sim.twin import gel_kernels
-from tactile_sim.twin.recordings import MIN_UNSATURATED, Recordings
-from tactile_sim.twin.relief import Relief
+from tactile_sim.twin.recordings import MIN_UNSATURATED, Recordings, Relief
 from tactile_toolkit.array_types import Bool, Float64, Int64, UInt8
 from tactile_toolkit.wording import with_count
 
@@ -112,7 +111,8 @@ def find_mistakes(recordings: Recordings, start: SensorModel = GELSIGHT_MINI) ->
 def _small(images: UInt8) -> Float64:
     """Return smaller images, at least :data:`_WIDTH_PX` wide if the given ones are: means over blocks."""
     factor = max(1, images.shape[2] // _WIDTH_PX)
-    rows, columns = images.shape[1] // factor, images.shape[2] // factor
+    rows = images.shape[1] // factor
+    columns = images.shape[2] // factor
     cut = images[:, : rows * factor, : columns * factor]
     blocks = cut.reshape(len(images), rows, factor, columns, factor, 3)
     return np.asarray(blocks.mean(axis=(2, 4)), np.float64)
@@ -162,7 +162,8 @@ def _channels(recordings: Recordings, images: Float64, rest: Float64) -> Iterato
 def _changed_gel(recordings: Recordings, images: Float64, rest: Float64) -> Iterator[Mistake]:
     """Find where the gel at rest changes in the order of the touches."""
     usable = np.flatnonzero(recordings.unsaturated_shares() >= MIN_UNSATURATED)
-    images, order = images[usable], np.arange(len(usable))
+    images = images[usable]
+    order = np.arange(len(usable))
     # The median of fewer touches would show their contacts, which move from touch to touch.
     least = max(MIN_TOUCHES, len(images) // 3)
     drifts = {cut: _drift(images, order < cut) for cut in range(least, len(images) - least + 1)}
@@ -184,7 +185,8 @@ def _changed_gel(recordings: Recordings, images: Float64, rest: Float64) -> Iter
 
 def _drift(images: Float64, part: Bool) -> float:
     """Return by how many levels most of the gel at rest differs between some images and the others."""
-    within, other = np.median(images[part], axis=0), np.median(images[~part], axis=0)
+    within = np.median(images[part], axis=0)
+    other = np.median(images[~part], axis=0)
     return float(np.median(np.abs(within - other).mean(axis=2)))
 
 
@@ -271,7 +273,8 @@ class _Comparison:
 
     def with_others(self, recordings: Recordings) -> float:
         """Return the median correlation if each touch is of the best of the other solids."""
-        places, found = recordings.places(), []
+        places = recordings.places()
+        found = []
         assert places is not None, "poses were stated"
         for touch, seen in zip(self.touches, self.change, strict=True):
             others = [key for key in self.reliefs if key != recordings.object_ids[touch]]
@@ -292,7 +295,8 @@ class _Comparison:
         return best
 
     def _slopes(self, relief: Relief, place: Float64) -> Float64:
-        cosine, sine = np.cos(place[2]), np.sin(place[2])
+        cosine = np.cos(place[2])
+        sine = np.sin(place[2])
         half = self.half_m
         affine = np.array(
             [[cosine * half[0], sine * half[1], place[0]], [-sine * half[0], cosine * half[1], place[1]]]

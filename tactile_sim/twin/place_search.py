@@ -198,7 +198,8 @@ def _solids(fit: Fit, changes: Changes) -> Iterator[tuple[int, _Windows, dict[in
 
 
 def _map_shape(fit: Fit, key: int) -> tuple[int, int]:
-    relief, pitch_m = fit.reliefs[key], float(fit.pitch_m(fit.shape).min())
+    relief = fit.reliefs[key]
+    pitch_m = float(fit.pitch_m(fit.shape).min())
     sides_m = relief.corner[2:] * relief.heights_m.shape[::-1]
     reach = int(np.hypot(*sides_m) / pitch_m / 2)
     return 2 * (reach + fit.size[0] // 2) + 1, 2 * (reach + fit.size[1] // 2) + 1
@@ -206,20 +207,25 @@ def _map_shape(fit: Fit, key: int) -> tuple[int, int]:
 
 def _turns(fit: Fit, key: int, press_m: float) -> Iterator[_Turned]:
     """Yield the whole solid in each turn, pressed into the gel by ``press_m`` everywhere."""
-    relief, pitch_m = fit.reliefs[key], fit.pitch_m(fit.shape)
+    relief = fit.reliefs[key]
+    pitch_m = fit.pitch_m(fit.shape)
     small = shrunk(relief.heights_m, max(1, round(float(pitch_m.mean() / relief.corner[2])))).astype(
         np.float64
     )
     sides_m = relief.corner[2:] * relief.heights_m.shape[::-1]
-    middle_m, per_m = relief.corner[:2] + sides_m / 2, np.array(small.shape[::-1]) / sides_m
+    middle_m = relief.corner[:2] + sides_m / 2
+    per_m = np.array(small.shape[::-1]) / sides_m
     rows, columns = _map_shape(fit, key)
-    half_y, half_x = rows // 2, columns // 2
+    half_y = rows // 2
+    half_x = columns // 2
     # Rows of an image go down.
     down, right = np.mgrid[-half_y : half_y + 1, -half_x : half_x + 1] * pitch_m[::-1, None, None]
     shape = np.where(np.arange(len(fit.shape)) == Fitted.LENS, 0.0, fit.shape)
     for turn in np.arange(TURNS) * (2 * np.pi / TURNS):
-        cosine, sine = np.cos(turn), np.sin(turn)
-        x_m, y_m = cosine * right - sine * down, -sine * right - cosine * down
+        cosine = np.cos(turn)
+        sine = np.sin(turn)
+        x_m = cosine * right - sine * down
+        y_m = -sine * right - cosine * down
         at = [y_m * per_m[1] + (small.shape[0] - 1) / 2, x_m * per_m[0] + (small.shape[1] - 1) / 2]
         heights = scipy.ndimage.map_coordinates(small, at, order=1)
         top = scipy.ndimage.maximum_filter(heights, fit.size)
@@ -239,7 +245,8 @@ def _inner(values: Float64, size: tuple[int, ...]) -> Float64:
 def _middles(values: Float64, size: tuple[int, int]) -> Float64:
     """Return the values in the middle of each window of a map that grows evenly."""
     height, width = size
-    rows, columns = values.shape[0] - height + 1, values.shape[1] - width + 1
+    rows = values.shape[0] - height + 1
+    columns = values.shape[1] - width + 1
     return np.asarray((values[:rows, :columns] + values[height - 1 :, width - 1 :]) / 2)
 
 

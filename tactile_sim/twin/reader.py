@@ -7,29 +7,115 @@ of simple shapes such as stairs. The second network also predicts its error.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 import scipy
 
-from tactile_sim.optics import in_size_of
-from tactile_sim.sensor_parts import DepthReading
-from tactile_sim.taxim_kernels import blur
-from tactile_sim.twin import gel, network
+from tactile_sim.optics.rendering import in_size_of
+from tactile_sim.optics.taxim_kernels import blur
+from tactile_sim.press.sensors import DepthReading
+from tactile_sim.twin import gel
 from tactile_sim.twin.fitting import Fit, shrunk
 from tactile_sim.twin.gel import Fitted
 from tactile_sim.twin.gel_kernels import sample_relief
-from tactile_sim.twin.relief import Relief
+from tactile_sim.twin.recordings import Relief
 from tactile_sim.twin.twin import Twin, TwinOptics, resized_depth
 from tactile_toolkit.array_types import Float32, Float64, Int64, UInt8
+
+_LEAK = np.float32(0.1)
+_RATE, _BATCH = 5e-3, 4096
+_MAX_ROWS = 100_000  # about as many give the mean and the spread of inputs
+_DECAYS = (0.9, 0.999)  # of Adam, as published (Kingma and Ba, 2015)
+_BLOCK = 1 << 14  # rows that fit into the processor's cache
+
+
+def network_output(weights: Mapping[str, Float32], name: str, inputs: Float32) -> Float32:
+    """Return the outputs (n, k) of a network for inputs (n, m)."""
+    layers = sum(key.startswith(f"{name}_w") for key in weights)
+    blocks = []
+    for start in range(0, len(inputs), _BLOCK):
+        values = (inputs[start : start + _BLOCK] - weights[f"{name}_mean"]) * weights[f"{name}_scale"]
+        for layer in range(layers):
+            values = values @ weights[f"{name}_w{layer}"]
+            values += weights[f"{name}_b{layer}"]
+            if layer < layers - 1:
+                np.maximum(values, values * _LEAK, out=values)
+        blocks.append(values)
+    return np.concatenate(blocks)
+
+
+def trained(
+    name: str,
+    inputs: Float32,
+    targets: Float32,
+    hidden: tuple[int, ...],
+    outputs: int,
+    loss_gradient: Callable[[Float32, Float32], Float32],
+    rng: np.random.Generator,
+    steps: int,
+) -> dict[str, Float32]:
+    """Train a network by Adam; ``loss_gradient`` takes outputs and targets to the derivative by outputs."""
+    # A sample of the rows: differences of all of them would double the memory.
+    sample = inputs[:: max(1, len(inputs) // _MAX_ROWS)]
+    mean = sample.mean(axis=0)
+    scale = 1 / (sample.std(axis=0) + np.float32(1e-6))
+    sizes = (inputs.shape[1], *hidden, outputs)
+    found: dict[str, Float32] = {f"{name}_mean": mean, f"{name}_scale": scale}
+    layers: list[Float32] = []
+    for wide, narrow in pairwise(sizes):
+        layers += [
+            rng.normal(0, np.sqrt(2 / wide), (wide, narrow)).astype(np.float32),
+            np.zeros(narrow, np.float32),
+        ]
+    layers[-2] *= np.float32(0.1)
+    first, second = ([np.zeros_like(each) for each in layers] for _ in range(2))
+    for step in range(steps):
+        rows = rng.integers(len(inputs), size=_BATCH)
+        gradients = _gradients(layers, (inputs[rows] - mean) * scale, targets[rows], loss_gradient)
+        # Cosine decay, from the full rate to 0.
+        rate = _RATE * 0.5 * (1 + np.cos(np.pi * step / steps))
+        rate *= np.sqrt(1 - _DECAYS[1] ** (step + 1)) / (1 - _DECAYS[0] ** (step + 1))
+        for each, gradient, mean_gradient, mean_square in zip(layers, gradients, first, second, strict=True):
+            mean_gradient += (1 - _DECAYS[0]) * (gradient - mean_gradient)
+            mean_square += (1 - _DECAYS[1]) * (gradient * gradient - mean_square)
+            each -= np.float32(rate) * mean_gradient / (np.sqrt(mean_square) + np.float32(1e-8))
+    for number in range(len(layers) // 2):
+        found[f"{name}_w{number}"], found[f"{name}_b{number}"] = layers[2 * number : 2 * number + 2]
+    return {key: np.asarray(each, np.float32) for key, each in found.items()}
+
+
+def _gradients(
+    layers: list[Float32],
+    values: Float32,
+    targets: Float32,
+    loss_gradient: Callable[[Float32, Float32], Float32],
+) -> list[Float32]:
+    """Return the derivatives of the mean loss by each array of a network."""
+    held = [values]
+    for number in range(0, len(layers), 2):
+        values = values @ layers[number] + layers[number + 1]
+        if number < len(layers) - 2:
+            values = np.maximum(values, values * _LEAK)
+        held.append(values)
+    gradient = loss_gradient(values, targets) / np.float32(len(targets))
+    gradients: list[Float32] = []
+    for number in range(len(layers) - 2, -1, -2):
+        before = held[number // 2]
+        gradients = [before.T @ gradient, gradient.sum(axis=0), *gradients]
+        if number:
+            gradient = (gradient @ layers[number].T) * np.where(before > 0, np.float32(1), _LEAK)
+    return gradients
+
 
 _WIDTHS = {"full": 160, "fast": 80}  # of the images that are read, pixels
 _TOUCHES = 480  # that are rendered for the training of the networks
 _PER_TOUCH = 1500  # pixels of each touch on which the networks are trained
 _SLOPE_STEPS, _DEPTH_STEPS = 1000, 3000
-_SLOPE_HIDDEN, _DEPTH_HIDDEN = (24, 24), (64, 64)
+_SLOPE_HIDDEN = (24, 24)
+_DEPTH_HIDDEN = (64, 64)
 _BLURS = (0.01, 0.03, 0.09)  # of the width
 _NO_CONTACT_MM = 0.02  # a smaller depth counts as no contact
 _SMOOTH_MM = 0.01  # the loss is quadratic in smaller errors
@@ -47,7 +133,8 @@ def reader_shapes() -> dict[str, tuple[int, ...]]:
             ("depth", colours + 3 + 6 * len(_BLURS[1:]) + 3, _DEPTH_HIDDEN),
         )
         for kind, inputs, hidden in nets:
-            name, sizes = f"{mode}_{kind}", (inputs, *hidden, 2)
+            name = f"{mode}_{kind}"
+            sizes = (inputs, *hidden, 2)
             shapes |= {f"{name}_mean": (inputs,), f"{name}_scale": (inputs,)}
             for layer, (wide, narrow) in enumerate(pairwise(sizes)):
                 shapes |= {f"{name}_w{layer}": (wide, narrow), f"{name}_b{layer}": (narrow,)}
@@ -59,7 +146,8 @@ def read_depth(twin: Twin, images: UInt8, *, fast: bool = False) -> DepthReading
     mode = "fast" if fast else "full"
     shrink = _shrink(twin, mode)
     background = shrunk(twin.background, shrink)
-    depths, errors = [], []
+    depths = []
+    errors = []
     for image in in_size_of(twin.size_px, images):
         change = shrunk(image.astype(np.float32), shrink) - background
         depth_mm, error_mm = _read(twin.reader, mode, change)
@@ -79,8 +167,8 @@ def _shrink(twin: Twin, mode: str) -> int:
 def _read(reader: Mapping[str, Float32], mode: str, change: Float32) -> tuple[Float32, Float32]:
     rows, columns, _ = change.shape
     colours = _colours(change)
-    slopes = network.network_output(reader, f"{mode}_slope", colours).reshape(rows, columns, 2)
-    found = network.network_output(reader, f"{mode}_depth", _surroundings(colours, slopes))
+    slopes = network_output(reader, f"{mode}_slope", colours).reshape(rows, columns, 2)
+    found = network_output(reader, f"{mode}_depth", _surroundings(colours, slopes))
     depth_mm = found[:, 0].reshape(rows, columns)
     error_mm = np.exp(np.clip(found[:, 1], -8, 2)).reshape(rows, columns)
     return np.where(depth_mm > _NO_CONTACT_MM, depth_mm, 0), error_mm
@@ -113,7 +201,8 @@ def _surroundings(colours: Float32, slopes: Float32) -> Float32:
 def _blurred(image: Float32, sigma_px: float) -> Float32:
     rows, columns, many = image.shape
     plane = image.reshape(rows, columns * many).astype(np.float64)
-    across, down = gel.half_kernel(sigma_px, columns), gel.half_kernel(sigma_px, rows)
+    across = gel.half_kernel(sigma_px, columns)
+    down = gel.half_kernel(sigma_px, rows)
     blur(plane, across, down, many, None, plane)
     return plane.reshape(image.shape).astype(np.float32)
 
@@ -172,20 +261,18 @@ def _trained(mode: str, samples: list[_Sample], rng: np.random.Generator) -> dic
     inputs = np.concatenate([_colours(each.change)[each.pixels] for each in samples])
     targets = np.concatenate([each.slopes for each in samples])
     name = f"{mode}_slope"
-    reader = network.trained(name, inputs, targets, _SLOPE_HIDDEN, 2, _slope_gradient, rng, _SLOPE_STEPS)
+    reader = trained(name, inputs, targets, _SLOPE_HIDDEN, 2, _slope_gradient, rng, _SLOPE_STEPS)
     first, targets = 0, np.concatenate([each.depth_mm for each in samples])
     for each in samples:
         colours = _colours(each.change)
-        slopes = network.network_output(reader, name, colours).reshape(*each.change.shape[:2], 2)
+        slopes = network_output(reader, name, colours).reshape(*each.change.shape[:2], 2)
         part = _surroundings(colours, slopes)[each.pixels]
         if not first:  # in place: parts and the whole would take twice the memory
             inputs = np.empty((len(targets), part.shape[1]), np.float32)
         inputs[first : first + len(part)] = part
         first += len(part)
     name = f"{mode}_depth"
-    return reader | network.trained(
-        name, inputs, targets, _DEPTH_HIDDEN, 2, _depth_gradient, rng, _DEPTH_STEPS
-    )
+    return reader | trained(name, inputs, targets, _DEPTH_HIDDEN, 2, _depth_gradient, rng, _DEPTH_STEPS)
 
 
 def _slope_gradient(found: Float32, targets: Float32) -> Float32:
@@ -214,14 +301,16 @@ def _true_slopes(depth_mm: Float32, twin: Twin, shrink: int) -> Float32:
 
 def _samples(twin: Twin, fit: Fit, rng: np.random.Generator) -> Iterator[tuple[Float32, Float32, int]]:
     """Yield images, depth in mm, and weights, of recordings and of rendered touches."""
-    presses, residuals = [], []
+    presses = []
+    residuals = []
     for touch in np.flatnonzero(fit.used).tolist():
         depth_m = fit.indentation(touch, fit.poses[touch], fit.shape)
         presses.append(float(depth_m.max()))
         image = fit.recordings.images[touch].astype(np.float32)
         yield image, (1e3 * depth_m).astype(np.float32), _RECORDING_WEIGHT
         residuals.append(image - fit.background - fit.rendered(touch, fit.poses[touch], fit.shape))
-    optics, reliefs = TwinOptics(twin), list(fit.reliefs.values())
+    optics = TwinOptics(twin)
+    reliefs = list(fit.reliefs.values())
     for number in range(_TOUCHES):
         relief = reliefs[rng.integers(len(reliefs))]
         if rng.random() < _SIMPLE_SHARE:
@@ -244,8 +333,10 @@ def _pressed(
     chosen = rng.integers(len(rows))
     corner = relief.corner
     middle_m = corner[:2] + [columns[chosen], rows[chosen]] * corner[2:] + rng.normal(0, 2e-3, 2)
-    turn, scale = rng.uniform(0, 2 * np.pi), rng.uniform(0.75, 1.3, 2) * [rng.choice([-1, 1]), 1]
-    cosine, sine = np.cos(turn), np.sin(turn)
+    turn = rng.uniform(0, 2 * np.pi)
+    scale = rng.uniform(0.75, 1.3, 2) * [rng.choice([-1, 1]), 1]
+    cosine = np.cos(turn)
+    sine = np.sin(turn)
     half = twin.half_m * scale
     affine = np.array(
         [[cosine * half[0], -sine * half[1], middle_m[0]], [sine * half[0], cosine * half[1], middle_m[1]]]
@@ -264,7 +355,8 @@ def simple_shape(rng: np.random.Generator) -> Relief:
     y, x = np.mgrid[-1:1:320j, -1:1:320j] * (side * pitch / 2)
     height = np.zeros((side, side))
     for _ in range(int(rng.integers(1, 4))):
-        at, turn = rng.uniform(-4e-3, 4e-3, 2), rng.uniform(0, np.pi)
+        at = rng.uniform(-4e-3, 4e-3, 2)
+        turn = rng.uniform(0, np.pi)
         along = np.cos(turn) * (x - at[0]) + np.sin(turn) * (y - at[1])
         across = np.cos(turn) * (y - at[1]) - np.sin(turn) * (x - at[0])
         top = 7e-3 - rng.uniform(0, 6e-4)
@@ -276,8 +368,10 @@ def simple_shape(rng: np.random.Generator) -> Relief:
             np.maximum(np.abs(along), np.abs(across)),
         )[rng.integers(4)]
         far = np.maximum(far - rng.uniform(0, rng.choice([1e-3, 5e-3])), 0)
-        radius, slope = rng.uniform(1.5e-3, 8e-3), rng.uniform(0.15, 1.2)
-        rise, tread = 1e-4 * 50 ** rng.random(), rng.uniform(1e-3, 5e-3)
+        radius = rng.uniform(1.5e-3, 8e-3)
+        slope = rng.uniform(0.15, 1.2)
+        rise = 1e-4 * 50 ** rng.random()
+        tread = rng.uniform(1e-3, 5e-3)
         drop = (
             radius - np.sqrt(np.maximum(radius**2 - far**2, 0)),
             slope * far,

@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from tactile_sim.sensor_models import SensorModel
+from tactile_sim.press.sensors import SensorModel
 from tactile_sim.twin.fitting import Fit
 from tactile_sim.twin.gel import Fitted
-from tactile_sim.twin.recordings import Recordings
-from tactile_sim.twin.relief import Relief
+from tactile_sim.twin.recordings import Recordings, Relief
 from tactile_toolkit.array_types import Float32, Float64, Int64
 
 # First guesses, close to Taxim's calibration of the GelSight Mini.

@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from tactile_sim.given_solids import given_solids
 from tactile_sim.kind import KIND
-from tactile_sim.touch_sources import open_split
-from tactile_sim.touch_table import meaning_of
+from tactile_sim.sets.touch_table import meaning_of
+from tactile_sim.sets.touched_solids import given_solids, open_split
 from tactile_sim.twin.recordings import Recordings
 from tactile_toolkit import places, store, touch
 from tactile_toolkit.array_types import Float64, UInt8

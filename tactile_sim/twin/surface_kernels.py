@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tactile_sim import taxim_kernels
+from tactile_sim.optics import taxim_kernels
 from tactile_toolkit.array_types import Float32, Float64, Floating
 from tactile_toolkit.kernels import compiled
 

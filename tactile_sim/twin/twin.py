@@ -10,11 +10,11 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from tactile_sim.array_files import npz_bytes
-from tactile_sim.optics import Optics
-from tactile_sim.sensor import Sensor
+from tactile_sim.optics.rendering import Optics
+from tactile_sim.press.sensors import Sensor
 from tactile_sim.twin import gel, surface_kernels
 from tactile_sim.twin.gel import Fitted
+from tactile_sim.value_files import npz_bytes
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Floating, UInt8
 from tactile_toolkit.errors import InputError
 
@@ -101,14 +101,16 @@ class TwinOptics(Optics):
         """Return shades of red, green and blue, in the size of the depth maps; see :class:`Optics`."""
         span = np.array(sensor.window_m) / (2 * self._twin.half_m)
         if (span > 1.0 + 1e-6).any():
-            asked_mm, shown_mm = 1e3 * np.array(sensor.window_m), 2e3 * self._twin.half_m
+            asked_mm = 1e3 * np.array(sensor.window_m)
+            shown_mm = 2e3 * self._twin.half_m
             raise InputError(
                 f"the window is {asked_mm[0]:.3f} x {asked_mm[1]:.3f} mm; expected at most what the sensor "
                 f"shows, {shown_mm[0]:.3f} x {shown_mm[1]:.3f} mm",
                 next="take the window of `model.sensor`",
             )
         size = depth_m.shape[1:]
-        behind, margin = _part_of(self._twin.background, span, size), gel.margin_px(size[1])
+        behind = _part_of(self._twin.background, span, size)
+        margin = gel.margin_px(size[1])
         out = np.empty((*depth_m.shape, 3), np.float32)
         for number, each in enumerate(depth_m):
             if is_surface:

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tactile_sim.array_files import npz_bytes, read_npz
 from tactile_sim.twin import gel, gel_kernels
 from tactile_sim.twin.reader import reader_shapes
 from tactile_sim.twin.twin import Twin
+from tactile_sim.value_files import npz_bytes, read_npz
 from tactile_toolkit import __version__, store
 from tactile_toolkit.errors import InputError
 
 if TYPE_CHECKING:
-    from tactile_sim.sensor_models import SensorModel
+    from tactile_sim.press.sensors import SensorModel
     from tactile_toolkit.array_types import AnyArray
 
 SENSOR_FILE, ARRAYS_FILE = "sensor.json", "arrays.npz"
@@ -110,7 +110,8 @@ def _twin_of(arrays: Mapping[str, AnyArray], report: Mapping[str, Any]) -> Twin:
         if array is None or array.dtype != kind or array.shape != sides or not np.isfinite(array).all():
             problem = f"{name} is not an array of finite {np.dtype(kind)} numbers with the shape {sides}"
             raise ValueError(problem)
-    shape, half_m = arrays["shape"], arrays["half_m"]
+    shape = arrays["shape"]
+    half_m = arrays["half_m"]
     if (shape < gel.LEAST).any() or (shape > gel.MOST).any() or not ((half_m > 1e-4) & (half_m < 0.1)).all():
         problem = "its geometry is out of bounds"
         raise ValueError(problem)

@@ -29,8 +29,11 @@ MESH_TASKS = {
 """Tasks of meshes, in terms of the Hub."""
 _MAX_ENTRIES = 100  # of a list of the specification
 # Rows mix the classes: 200 of digits lack a class with a chance of 1 in 10^8.
-_ROWS_READ, _MAX_DRAWN, _COLUMNS = 200, 12, 6
-_PICTURE_PX, _MAX_TILE_PX = 780, 480
+_ROWS_READ = 200
+_MAX_DRAWN = 12
+_COLUMNS = 6
+_PICTURE_PX = 780
+_MAX_TILE_PX = 480
 # Templates have "FOLDER" there, because others cannot load a folder by name.
 _LOADED_NAME = re.compile(r'datasets\.load_dataset\("(?P<name>[^"]+)"')
 _UNKNOWN = ("", "a column of this copy; not in the published schema")
@@ -190,10 +193,15 @@ def write_table_card(
     are those of its source. ``terms`` are ``licence_text``, ``citation_text`` and ``bibtex`` of the template,
     the last one that of the paper by default.
     """
-    command, picture, template = manifest.spec["operation"], "objects.png", "mesh_copy.md"
+    command = manifest.spec["operation"]
+    picture = "objects.png"
+    template = "mesh_copy.md"
     if is_export(manifest):
-        command, picture, template = "export --format flat", "tables.png", "mesh_tables.md"
-        title, columns = f"{title} as tables", {**columns, **_TABLE_COLUMNS}
+        command = "export --format flat"
+        picture = "tables.png"
+        template = "mesh_tables.md"
+        title = f"{title} as tables"
+        columns = {**columns, **_TABLE_COLUMNS}
     sources = manifest.spec["source"].items()
     rows = ", ".join(f"{split}: {sum(file['rows'] for file in files):,}" for split, files in sources)
     Card(

@@ -28,7 +28,8 @@ LICENCES = (
 )
 """Identifiers of the Hub for licences that are given to data."""
 
-_MAX_LINE, _MAX_CITATION = 200, 10_000  # characters
+_MAX_LINE = 200
+_MAX_CITATION = 10_000  # characters
 _BIBTEX = re.compile(r"\s*@\w+\s*\{")
 _SECTION = r"(?m)^## {}\n\n(?:.|\n)*?(?=^## |\Z)"
 

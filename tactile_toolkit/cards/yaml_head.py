@@ -51,13 +51,11 @@ class SplitFiles:
 class FolderSummary:
     """An entire folder: its splits in canonical order, and their schema.
 
-    With ``recorded``, the values come from the manifest, without opening files. ``viewer`` are files that
-    repeat the rows of a split for the page of the Hub, if the manifest lists any.
+    ``viewer`` are files that repeat the rows of a split for the page of the Hub, if the manifest lists any.
     """
 
     splits: tuple[SplitFiles, ...]
     schema: pa.Schema
-    recorded: bool = False
     viewer: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
@@ -89,7 +87,7 @@ def folder_summary(
     if not splits:
         raise InputError(folder.missing_message("Parquet files"), next="give the folder of a data set")
     schema = splits[0].shards[0].schema
-    return FolderSummary(tuple(splits), schema, manifest is not None, viewer_files(manifest))
+    return FolderSummary(tuple(splits), schema, viewer_files(manifest))
 
 
 def _recorded(folder: store.DataFolder, split: str, records: Sequence[store.ShardRecord]) -> SplitFiles:
@@ -255,7 +253,8 @@ def parsed_head(card: str) -> JsonDict:
 
 def with_head(card: str, change: Callable[[JsonDict], object], note: str = "") -> str:
     """Return a card with a changed head and a note before its text; ValueError for a card without a head."""
-    head, body = parsed_head(card), card.split(_FENCE, 2)[2]
+    head = parsed_head(card)
+    body = card.split(_FENCE, 2)[2]
     changed = copy.deepcopy(head)
     change(changed)
     if changed == head and not note:
@@ -297,7 +296,8 @@ def _statements(head: JsonObject, files: Sequence[str]) -> dict[str, JsonValue]:
         for entry in config["data_files"]:
             patterns = [entry["path"]] if isinstance(entry["path"], str) else entry["path"]
             matches = sorted({path for pattern in patterns for path in fnmatch.filter(files, pattern)})
-            split, name = _abridged(entry["split"]), _abridged(config["config_name"])
+            split = _abridged(entry["split"])
+            name = _abridged(config["config_name"])
             found[f"files of split {split} in configuration {name}"] = matches
     for split in info["splits"]:
         found[f"num_examples of split {_abridged(split['name'])}"] = split["num_examples"]

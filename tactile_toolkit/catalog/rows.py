@@ -9,41 +9,19 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
 from tactile_toolkit import mesh, places, read, run, store
-from tactile_toolkit.array_types import AnyArray, Bool, Int64
+from tactile_toolkit.array_types import Bool, Int64
 from tactile_toolkit.catalog.row_options import GivenId, IdChoice, id_range, id_text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 
 D = TypeVar("D", bound=read.AnyRecords)
-C = TypeVar("C", bound="Classified")
-
-
-class Classified(Protocol):
-    """Rows with ids of objects and classes."""
-
-    @property
-    def ids(self) -> AnyArray:
-        """Id of each row."""
-
-    @property
-    def object_ids(self) -> AnyArray:
-        """Id of the object of each row."""
-
-    @property
-    def labels(self) -> Int64:
-        """Class of each row."""
-
-    @property
-    def label_names(self) -> tuple[str, ...]:
-        """Name of each class."""
-
-    def __len__(self) -> int:
-        """Return the number of rows."""
+# Rows with ids, object_ids, labels and label_names, such as a RecordDataset.
+C = TypeVar("C", bound=Any)
 
 
 def open_splits(
@@ -82,14 +60,16 @@ def choose_rows(
     Raises InputError if an id, a range or a class matches no row, or no row is left.
     """
     asked = list(ids or ())
-    seen, found = np.zeros(len(asked), bool), []
+    seen = np.zeros(len(asked), bool)
+    found = []
     for split, rows in datasets:
         wanted = np.ones(len(rows), bool)
         if ids is not None:
             inside = np.zeros((len(asked), len(rows)), bool)
             for number, each in enumerate(asked):
                 inside[number] = _with_id(rows, each)
-            wanted, seen = np.any(inside, axis=0), seen | np.any(inside, axis=1)
+            wanted = np.any(inside, axis=0)
+            seen = seen | np.any(inside, axis=1)
         if labels is not None:
             classes = list(rows.label_names)
             unknown = [label for label in labels if label not in classes]
@@ -119,7 +99,7 @@ def choose_rows(
     return found
 
 
-def _with_id(rows: Classified, given: GivenId) -> Bool:
+def _with_id(rows: Any, given: GivenId) -> Bool:
     """Return a mask of the rows with a given id, or one in a given range: of the object, or of the row."""
     values = rows.object_ids
     if isinstance(given, str) and rows.ids.dtype.kind not in "iuf":
@@ -195,7 +175,8 @@ def check_rows(
             left[split] -= rows
             if rows:
                 parts.append(_Part(len(parts), split, shard, group, rows))
-    total, done = sum(part.rows for part in parts), 0
+    total = sum(part.rows for part in parts)
+    done = 0
     results: dict[int, list[CheckedRow[T]]] = {}
     for number, found in run.runner_for(workers).run(partial(_check_part, check, tuple(columns)), parts):
         results[number] = found
@@ -216,7 +197,8 @@ def _check_part(
             # In data sets of others an id may be null, or a text.
             known_id = read.whole_number(row_id)
             found = None if index in nulls else check(read.Row(block, index))
-            row, null_field = block.first_row + index, nulls.get(index, "")
+            row = block.first_row + index
+            null_field = nulls.get(index, "")
             checked.append(CheckedRow(part.split, file, row, known_id, found, null_field))
         if len(checked) == part.rows:
             break
@@ -255,13 +237,15 @@ def refuse_source(folder: store.DataFolder, name: str, source_files: Iterable[Lo
 
     ``name`` is the data set as the user gave it.
     """
-    out, files = folder.address(), [each.path for each in source_files]
+    out = folder.address()
+    files = [each.path for each in source_files]
     if not folder.is_local:
         inside = f"{out}/"
         holds = any(file.startswith(inside) for file in files)
         lies_in = inside.startswith(f"{name.rstrip('/')}/")
     else:
-        place, home = Path(out).resolve(), store.expanded(name).resolve()
+        place = Path(out).resolve()
+        home = store.expanded(name).resolve()
         # By both paths: files of the Hub's cache are links into another folder.
         named = [Path(file).absolute() for file in files]
         real = [file.resolve() for file in named]
@@ -278,9 +262,7 @@ def refuse_source(folder: store.DataFolder, name: str, source_files: Iterable[Lo
 
 def short_name(name: str) -> str:
     """Return the name of a data set without its parent folders, which a published page must not show."""
-    if store.is_remote(name):
+    path = store.local_path(name)
+    if path is None:
         return name.rstrip("/").rpartition("/")[2]
-    place = store.expanded(store.normalize_uri(name))
-    if place.exists():
-        return place.resolve().name
-    return name
+    return path.resolve().name if path.exists() else name

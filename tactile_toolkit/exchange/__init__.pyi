@@ -3,6 +3,8 @@
 from .copies import (
     divide as divide,
     merge_sets as merge_sets,
+    plan_parts as plan_parts,
+    plan_tables as plan_tables,
     select_rows as select_rows,
     write_part as write_part,
 )
@@ -11,19 +13,11 @@ from .download import (
     plan_download as plan_download,
     run_download as run_download,
 )
-from .flat_tables import (
-    Choices as Choices,
-    plan_tables as plan_tables,
-)
-from .upload_options import (
-    MAIN_BRANCH as MAIN_BRANCH,
-    UploadOptions as UploadOptions,
-)
 from .upload import (
-    PreparedUpload as PreparedUpload,
-    UploadResult as UploadResult,
-    check_folder as check_folder,
     prepare_files as prepare_files,
     prepare_upload as prepare_upload,
+    PreparedUpload as PreparedUpload,
     run_upload as run_upload,
+    UploadOptions as UploadOptions,
+    UploadResult as UploadResult,
 )

@@ -3,77 +3,30 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import accumulate, chain, pairwise
-from typing import Unpack
+from itertools import accumulate, chain, count, pairwise, zip_longest
+from pathlib import Path
+from typing import Any, Unpack
 
 import numpy as np
 import pyarrow as pa
 
-from tactile_toolkit import catalog, places, read, store
+from tactile_toolkit import catalog, mesh, places, read, run, store
 from tactile_toolkit.array_types import Int64
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.exchange import merge_changes
-from tactile_toolkit.exchange.merge_changes import RowChanges
 from tactile_toolkit.json_types import JsonDict, JsonObject
-from tactile_toolkit.kind import MERGE, SELECT, SPLIT, DatasetKind, kinds
+from tactile_toolkit.kind import EXPORT, MERGE, SELECT, SPLIT, DatasetKind, kinds
 
-
-def _copy_file(
-    source: read.Shard, changes: RowChanges | None, _shard: store.ShardName, _rows: range
-) -> store.ShardContent:
-    """Return a shard with its changes; without any, byte for byte. IntegrityError for a wrong checksum."""
-    with source.stored() as stream:
-        content = stream.read()
-        table = store.open_checked(io.BytesIO(content)).read(use_threads=False)
-    if changes is not None:
-        return store.ShardContent(changes.apply(table))
-    return store.ShardContent(table, encoded=content)
-
-
-def _take_rows(source: read.Shard, _shard: store.ShardName, rows: Int64) -> store.ShardContent:
-    """Return some rows of a shard, by their positions in order."""
-    groups = enumerate(_in_parts(rows, source.group_starts))
-    tables = [source.read(groups=[index]).take(rows) for index, rows in groups]
-    return store.ShardContent(pa.concat_tables(tables).combine_chunks())
-
-
-def _in_parts(rows: Int64, starts: Sequence[int]) -> list[Int64]:
-    """Divide row numbers, in order, by the parts that hold them, and count from the start of each.
-
-    ``starts`` ends with the number of all rows.
-    """
-    parts = np.split(rows, np.searchsorted(rows, starts[1:-1]))
-    return [part - start for part, start in zip(parts, starts, strict=False)]
-
-
-@dataclass(frozen=True)
-class _Source:
-    """A data set; ``spec`` is the specification by which its rows were first made, if it is known."""
-
-    name: str
-    spec: JsonObject | None
-    is_imported: bool
-    shards: Mapping[str, tuple[read.Shard, ...]]
-    unfinished: str = ""
-
-    @property
-    def table(self) -> read.ShardedTable:
-        return read.ShardedTable(sum(self.shards.values(), ()))
-
-
-def _open_source(kind: DatasetKind, name: places.Name | places.Place, command: str) -> _Source:
-    place = places.open_place(name).require(kind, command).require_complete()
-    manifest = place.manifest
-    shards = {split: place.shards(split, kind=kind) for split in place.splits}
-    if manifest is None:
-        return _Source(place.name, None, False, shards)
-    options = manifest.spec.get("options") or {}
-    is_imported = manifest.spec.get("operation") == "import" or options.get("touches") == "imported"
-    spec = manifest.spec.get("source_spec", manifest.spec)
-    return _Source(place.name, spec, is_imported, shards, place.unfinished)
+_LARGEST_ID = (1 << 63) - 1
+_ROWS_PER_FILE = 1000
+# 100 digits are 12 MB unpacked. Level 9 makes their files 8 % smaller and takes three times as long.
+_STYLE = store.ParquetStyle(100, compression_level=3, encodings=((f"{mesh.MESH}.bytes", "PLAIN"),))
+# Made once and read by many users; at level 9 the meshes of digits are a fifth larger.
+_VIEWER_STYLE = replace(_STYLE, compression_level=19)
+# Shards in memory at a time; compression at level 19 takes about 100 MB more for each.
+_MAX_AT_ONCE = 8
 
 
 def merge_sets(
@@ -97,7 +50,7 @@ def merge_sets(
     options: JsonDict = {}
     ids: dict[str, list[int | str]] = {}
     if "id" in schema.names:
-        ids, pairs = merge_changes.new_ids([source.table.files for source in sources])
+        ids, pairs = new_ids([source.table.files for source in sources])
         if pairs:
             options["renumbered"] = [
                 {"source": catalog.short_name(sources[index].name), "ids": list(map(list, changed))}
@@ -105,8 +58,8 @@ def merge_sets(
             ]
     titles = [""] * len(sources)
     if source_column is not None:
-        merge_changes.require_new_column(source_column, schema)
-        titles = merge_changes.source_names([source.name for source in sources])
+        require_new_column(source_column, schema)
+        titles = source_names([source.name for source in sources])
         options |= {"source_column": source_column, "sources": titles}
     changes = {
         shard.path: RowChanges(ids.get(shard.path), source_column or "", title)
@@ -115,20 +68,6 @@ def merge_sets(
         if source_column is not None or shard.path in ids
     }
     return _build(kind, sources, None, MERGE, options, out, run, changes)
-
-
-def _common_schema(sources: Sequence[_Source]) -> pa.Schema:
-    """Return the schema of all rows; InputError, which names the first difference, if there are several."""
-    (name, schema), *others = [
-        (f"{split} of {source.name!r}", shards[0].schema)
-        for source in sources
-        for split, shards in source.shards.items()
-    ]
-    for other, found in others:
-        differs = merge_changes.schema_difference(schema, found, (name, other))
-        if differs:
-            raise InputError(f"{differs}; expected data sets made alike")
-    return schema
 
 
 def divide(
@@ -176,6 +115,26 @@ def write_part(
     return _build(kind, [_open_source(kind, name, SPLIT)], rows, SPLIT, options, out, run)
 
 
+def plan_parts(
+    kind: DatasetKind,
+    name: places.Name | places.Place,
+    out: str,
+    fractions: Sequence[float],
+    seed: int,
+    chosen: JsonObject,
+) -> list[tuple[str, Callable[..., store.Manifest]]]:
+    """Divide a data set as :func:`divide` does; return the folder of each part and what writes it.
+
+    Folders are ``part-1``, ``part-2`` and so on in ``out``. The functions take those of ``RunOptions``.
+    """
+    options = chosen or {"fractions": fractions, "seed": seed}
+    parts: list[tuple[str, Callable[..., store.Manifest]]] = []
+    for number, rows in enumerate(divide(kind, name, fractions, seed, chosen), 1):
+        folder = f"{out.rstrip('/')}/part-{number}"
+        parts.append((folder, partial(write_part, kind, name, rows, {**options, "part": number}, folder)))
+    return parts
+
+
 def select_rows(
     kind: DatasetKind,
     name: places.Name | places.Place,
@@ -189,6 +148,134 @@ def select_rows(
     return _build(kind, [_open_source(kind, name, SELECT)], rows, SELECT, given, out, run)
 
 
+def plan_tables(
+    kind: DatasetKind, place: places.Place, chosen: catalog.RowFilter, out: str
+) -> store.BuildPlan:
+    """Plan Parquet files of chosen rows, which other libraries read.
+
+    Raises InputError if no row is chosen, or ``out`` is in the source or holds something else.
+    """
+    filters = chosen.given()
+    datasets = catalog.open_splits(place, filters.pop("split"), kind.load, kind.nouns)
+    tasks = []
+    shards = {}
+    for split, rows, indices in catalog.choose_rows(datasets.items(), **filters):
+        shards[split] = rows.files
+        starts = range(0, len(indices), _ROWS_PER_FILE)
+        for index, start in enumerate(starts):
+            part = rows[indices[start : start + _ROWS_PER_FILE]]
+            tasks.append(store.ShardTask(store.ShardName(split, index, len(starts)), part, _flat_rows))
+    options = {
+        "layout": "flat",
+        "ids": ",".join(map(catalog.id_text, chosen.ids or ())) or None,
+        "labels": ",".join(chosen.labels or ()) or None,
+        "limit": chosen.limit,
+    }
+    if chosen.per_class is not None:
+        options["per_class"] = chosen.per_class
+    options |= unfinished_counts([place])
+    every = [shard for found in shards.values() for shard in found]
+    catalog.refuse_source(store.open_folder(out), place.name, every)
+    return copy_plan(kind, EXPORT, options, shards, place.made_by or None, tasks, _STYLE, "trimesh")
+
+
+def viewer_tables(folder: store.DataFolder, manifest: store.Manifest, out: Path) -> dict[str, str]:
+    """Write a file for each shard that the Hub's page shows; return their digests by path in ``out``.
+
+    They hold each row with its mesh as a GLB file, as a second configuration of the repository. They repeat
+    the shards, so they are made for an upload only; loaders and downloads ignore them. Raises InputError if
+    the rows have no mesh.
+    """
+    (out / store.VIEWER_FOLDER).mkdir()
+
+    def make(record: store.ShardRecord) -> tuple[str, str]:
+        shard = read.Shard(folder.address(record.shard.data_path), record.rows)
+        if not {mesh.VERTICES, mesh.FACES} <= set(read.column_names(shard.schema)):
+            raise InputError(
+                f"--viewer shows meshes in 3D, and {folder.address()!r} holds none (the Hub shows images and "
+                "clips without it); nothing was sent",
+                next="leave --viewer out",
+            )
+        rows = mesh.SolidDataset[mesh.SolidRecord](
+            read.ShardedTable((shard,)), label_names=read.class_names(shard.schema, ())
+        )
+        content = store.encode_parquet(mesh.flat_table(rows), _VIEWER_STYLE)
+        path = f"{store.VIEWER_FOLDER}/{record.shard}.parquet"
+        (out / path).write_bytes(content)
+        return path, store.sha256_hex(content)
+
+    return dict(run.in_threads(make, manifest.shards, min(run.usable_cores(), _MAX_AT_ONCE)))
+
+
+@dataclass(frozen=True)
+class _Source:
+    """A data set; ``spec`` is the specification by which its rows were first made, if it is known."""
+
+    name: str
+    spec: JsonObject | None
+    is_imported: bool
+    shards: Mapping[str, tuple[read.Shard, ...]]
+    unfinished: str = ""
+
+    @property
+    def table(self) -> read.ShardedTable:
+        return read.ShardedTable(sum(self.shards.values(), ()))
+
+
+def _open_source(kind: DatasetKind, name: places.Name | places.Place, command: str) -> _Source:
+    place = places.open_place(name).require(kind, command).require_complete()
+    manifest = place.manifest
+    shards = {split: place.shards(split, kind=kind) for split in place.splits}
+    if manifest is None:
+        return _Source(place.name, None, False, shards)
+    options = manifest.spec.get("options") or {}
+    is_imported = manifest.spec.get("operation") == "import" or options.get("touches") == "imported"
+    spec = manifest.spec.get("source_spec", manifest.spec)
+    return _Source(place.name, spec, is_imported, shards, place.unfinished)
+
+
+def _copy_file(
+    source: read.Shard, changes: RowChanges | None, _shard: store.ShardName, _rows: range
+) -> store.ShardContent:
+    """Return a shard with its changes; without any, byte for byte. IntegrityError for a wrong checksum."""
+    with source.stored() as stream:
+        content = stream.read()
+        table = store.open_checked(io.BytesIO(content)).read(use_threads=False)
+    if changes is not None:
+        return store.ShardContent(changes.apply(table))
+    return store.ShardContent(table, encoded=content)
+
+
+def _take_rows(source: read.Shard, _shard: store.ShardName, rows: Int64) -> store.ShardContent:
+    """Return some rows of a shard, by their positions in order."""
+    groups = enumerate(_in_parts(rows, source.group_starts))
+    tables = [source.read(groups=[index]).take(rows) for index, rows in groups]
+    return store.ShardContent(pa.concat_tables(tables).combine_chunks())
+
+
+def _in_parts(rows: Int64, starts: Sequence[int]) -> list[Int64]:
+    """Divide row numbers, in order, by the parts that hold them, and count from the start of each.
+
+    ``starts`` ends with the number of all rows.
+    """
+    parts = np.split(rows, np.searchsorted(rows, starts[1:-1]))
+    return [part - start for part, start in zip(parts, starts, strict=False)]
+
+
+def _common_schema(sources: Sequence[_Source]) -> pa.Schema:
+    """Return the schema of all rows; InputError, which names the first difference, if there are several."""
+    (name, schema), *others = [
+        (f"{split} of {source.name!r}", shards[0].schema)
+        for source in sources
+        for split, shards in source.shards.items()
+    ]
+    for other, found in others:
+        differs = schema_difference(schema, found, (name, other))
+        if differs:
+            raise InputError(f"{differs}; expected data sets made alike")
+    return schema
+
+
 def _build(
     kind: DatasetKind,
     sources: Sequence[_Source],
@@ -199,7 +286,9 @@ def _build(
     run: store.RunKeywords,
     changes: Mapping[str, RowChanges] | None = None,
 ) -> store.Manifest:
-    folder, tasks, found = store.open_folder(out), [], {}
+    folder = store.open_folder(out)
+    tasks = []
+    found = {}
     for source in sources:
         catalog.refuse_source(folder, source.name, source.table.files)
     for split in dict.fromkeys(split for source in sources for split in source.shards):
@@ -274,3 +363,135 @@ def _style(shards: Iterable[read.Shard]) -> store.ParquetStyle:
         if not each.has_dictionary_page
     ]
     return store.ParquetStyle(group.num_rows, encodings=tuple(encodings))
+
+
+@dataclass(frozen=True)
+class RowChanges:
+    """Changes of the rows of one shard.
+
+    ``ids`` are the new ids of all its rows; None leaves them. ``column`` is the name of a new column, in
+    which each row has the text ``source``; an empty name adds none.
+    """
+
+    ids: Sequence[int | str] | None = field(default=None, repr=False)
+    column: str = ""
+    source: str = ""
+
+    def apply(self, table: pa.Table) -> pa.Table:
+        """Return the changed rows."""
+        if self.ids is not None:
+            place = table.schema.get_field_index("id")
+            stored = table.schema.field(place)
+            table = table.set_column(place, stored, pa.array(self.ids).cast(stored.type))
+        if not self.column:
+            return table
+        values = pa.array([self.source] * len(table), pa.string())
+        features = read.stored_features(table.schema, self.source)
+        metadata = dict(table.schema.metadata or {})
+        if features:
+            added = {**features, self.column: {"dtype": "string", "_type": "Value"}}
+            metadata |= {name.encode(): text.encode() for name, text in read.feature_metadata(added).items()}
+        return table.append_column(self.column, values).replace_schema_metadata(metadata)
+
+
+def new_ids(
+    sources: Sequence[Sequence[read.Shard]],
+) -> tuple[dict[str, list[int | str]], dict[int, list[tuple[int | str, int | str]]]]:
+    """Find ids for rows whose id occurs before; the first row with an id keeps it.
+
+    New ids are numbers after the largest one, or texts that end with ``_2``, ``_3`` and so on. Returns the
+    ids of all rows of each shard with such rows, by the path of the shard; and the old and the new ids of
+    each source, by its position. InputError: an id is missing, or no number is left.
+    """
+    stored = [(index, shard.path, _ids_of(shard)) for index, shards in enumerate(sources) for shard in shards]
+    taken = {value for _, _, ids in stored for value in ids}
+    largest = max((value for value in taken if isinstance(value, int)), default=0)
+    numbers = count(largest + 1)
+    known = set[int | str]()
+    changed: dict[str, list[int | str]] = {}
+    pairs: dict[int, list[tuple[int | str, int | str]]] = {}
+    for index, path, ids in stored:
+        for row, old in enumerate(ids):
+            if old in known:
+                texts = (f"{old}_{number}" for number in count(2))
+                candidates = texts if isinstance(old, str) else numbers
+                ids[row] = next(value for value in candidates if value not in taken)
+                taken.add(ids[row])
+                pairs.setdefault(index, []).append((old, ids[row]))
+                changed[path] = ids
+            known.add(ids[row])
+    if next(numbers) > _LARGEST_ID:
+        raise InputError(f"no number is left for new ids: the largest is {largest}")
+    return changed, pairs
+
+
+def _ids_of(shard: read.Shard) -> list[int | str]:
+    values = read.ShardedTable((shard,)).column("id").tolist()
+    ids = [value if isinstance(value, str) else read.whole_number(value) for value in values]
+    known = [value for value in ids if value is not None]
+    if len(known) < len(ids):
+        raise InputError(f"an id of {shard.path!r} is missing; expected an id in each row")
+    return known
+
+
+def source_names(names: Sequence[str]) -> list[str]:
+    """Return names of data sets without their parent folders, as far as they differ then.
+
+    InputError: a data set is named twice.
+    """
+    if len(set(names)) < len(names):
+        raise InputError(f"a data set is given twice: {', '.join(names)}", next="name each once")
+    parts = [_parts_of(name) for name in names]
+    for length in range(1, max(map(len, parts), default=0) + 1):
+        short = ["/".join(each[-length:]) for each in parts]
+        if len(set(short)) == len(short):
+            return short
+    return list(names)
+
+
+def _parts_of(name: str) -> list[str]:
+    path = store.local_path(name)
+    whole = name if path is None else path.absolute().as_posix()
+    return [part for part in whole.split("/") if part]
+
+
+def require_new_column(name: str, schema: pa.Schema) -> None:
+    """Refuse a name of the new column that rows have, or that names a field of a struct (InputError)."""
+    known = {*schema.names, *(each.partition(".")[0] for each in schema.names)}
+    if not name.strip() or "." in name or not name.isprintable() or name in known:
+        raise InputError(
+            f"--source-column is {name!r}; expected the name of a new column, without dots "
+            f"(the rows have {', '.join(schema.names)})"
+        )
+
+
+def schema_difference(one: pa.Schema, other: pa.Schema, names: tuple[str, str]) -> str:
+    """Describe how rows of two data sets differ: the first column, class or metadata; empty if alike."""
+    first, second = names
+    types = [read.column_types(schema) for schema in (one, other)]
+    for column in dict.fromkeys([*types[0], *types[1]]):
+        here, there = (each.get(column) for each in types)
+        if here is None or there is None:
+            has, lacks = (second, first) if here is None else (first, second)
+            return f"{has} has the column {column!r}, which {lacks} lacks"
+        if here != there:
+            return f"the column {column!r} is {here} in {first} and {there} in {second}"
+    if one.names != other.names:
+        return f"the columns of {first} are in another order than those of {second}"
+    classes = [read.class_names(schema, ()) for schema in (one, other)]
+    if classes[0] != classes[1]:
+        pairs = enumerate(zip_longest(*classes))
+        number, (here, there) = next((place, pair) for place, pair in pairs if pair[0] != pair[1])
+        found, other_found = ("missing" if each is None else repr(each) for each in (here, there))
+        return f"class {number} is {found} in {first} and {other_found} in {second}"
+    features = [read.stored_features(schema, name) for schema, name in zip((one, other), names, strict=True)]
+    for column in one.names:
+        if features[0].get(column) != features[1].get(column):
+            return f"the column {column!r} has other metadata of `datasets` in {first} than in {second}"
+    if not one.equals(other, check_metadata=True):
+        return f"the metadata of {first} are not those of {second}"
+    return ""
+
+
+def _flat_rows(_shard: store.ShardName, rows: Any) -> store.ShardContent:
+    return store.ShardContent(mesh.flat_table(rows))

@@ -15,7 +15,7 @@ import msgspec
 from tactile_toolkit import cards, hub, places, run, store
 from tactile_toolkit.errors import BusyError, InputError, IntegrityError, SpecMismatchError, ToolkitError
 from tactile_toolkit.json_types import JsonDict
-from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.kind import DatasetKind, PublishedSet
 
 # Files that are adapted to the splits of the folder.
 _METADATA_FILES = (cards.CARD_FILE, store.MANIFEST_FILE)
@@ -34,8 +34,8 @@ class DownloadPlan:
     ----------
     repository : HubRepository
         Source.
-    held : dict of str to tuple of str
-        Files of each split of the repository.
+    place : Place
+        The splits of the repository and their files.
     folder : DataFolder or None
         Target; None for the Hub's own cache.
     splits : tuple of str
@@ -54,7 +54,7 @@ class DownloadPlan:
     """
 
     repository: hub.HubRepository
-    held: Mapping[str, tuple[str, ...]]
+    place: places.Place
     folder: store.DataFolder | None
     splits: tuple[str, ...]
     missing: tuple[store.HubFile, ...]
@@ -62,6 +62,11 @@ class DownloadPlan:
     is_done: bool
     record: store.DownloadRecord
     earlier: store.DownloadRecord | None
+
+    @property
+    def published(self) -> PublishedSet | None:
+        """The published data set that is downloaded; None for others."""
+        return places.published_set(self.repository.repo_id)
 
     @property
     def missing_bytes(self) -> int:
@@ -93,28 +98,27 @@ def plan_download(
     published = places.kind_of_published(name)
     if kind is not None and published is not None:
         places.require_kind(published, kind, name, "download")
-    named = places.repository_named(name, revision)
-    repository = hub.open_repository(named.repo_id, named.revision, patient=True, on_wait=on_wait)
+    repository = places.find_repository(name, revision, on_wait)
     if out is not None and repository.is_cache:  # which may list a part of the files only
         raise hub.not_cached(repository.repo_id, "the present list of files")
     place = places.repository_place(repository, repository.repo_id, config=config).require_config(config)
     if kind is not None and place.is_kind_stated:
         place.require(kind, "download")
-    return _plan(repository, place.files, splits, None if out is None else store.open_folder(out))
+    return _plan(repository, place, splits, None if out is None else store.open_folder(out))
 
 
 def _plan(
     repository: hub.HubRepository,
-    held: Mapping[str, tuple[str, ...]],
+    place: places.Place,
     splits: Sequence[str],
     folder: store.DataFolder | None,
 ) -> DownloadPlan:
-    """Compare the files of a repository (``held`` by split) with those of the target."""
+    """Compare the files of a repository with those of the target."""
     earlier = None if folder is None else _earlier_record(folder, repository)
     recorded: Mapping[str, store.HubFile] = {}
     if earlier is not None:
         recorded = earlier.files
-    manifest, place = repository.manifest, places.Place(repository.repo_id, repository, held)
+    manifest = repository.manifest
     # Other tools write files of that name, too.
     metadata = tuple(
         path
@@ -124,7 +128,8 @@ def _plan(
     all_splits = place.splits
     wanted = set(all_splits)
     if splits:
-        wanted = {*splits, *(each for each in all_splits if not recorded.keys().isdisjoint(held[each]))}
+        wanted = {split for split in all_splits if not recorded.keys().isdisjoint(place.files[split])}
+        wanted.update(splits)
     chosen = tuple(split for split in all_splits if split in wanted)
     paths = _accompanying_files(repository, chosen, metadata * (folder is None))
     for split in dict.fromkeys([*chosen, *splits]):
@@ -135,8 +140,9 @@ def _plan(
     is_intact = partial(_is_intact, folder or repository.folder, earlier)
     here = run.in_threads(is_intact, files.values(), _THREADS)
     missing = tuple(file for file, is_here in zip(files.values(), here, strict=True) if not is_here)
-    commit, revision = repository.commit, repository.revision
-    record = store.DownloadRecord(repository.repo_id, commit, revision, files, all_splits, metadata)
+    record = store.DownloadRecord(
+        repository.repo_id, repository.commit, repository.revision, files, all_splits, metadata
+    )
     is_done = not missing
     if folder is not None:
         own = [file.path for file in missing if file.path not in recorded and folder.exists(file.path)]
@@ -151,12 +157,13 @@ def _plan(
     elif missing and repository.is_cache:
         raise hub.not_cached(repository.repo_id, repr(missing[0].path))
     leftover = [path for path in recorded if path not in files]
-    return DownloadPlan(repository, held, folder, chosen, missing, leftover, is_done, record, earlier)
+    return DownloadPlan(repository, place, folder, chosen, missing, leftover, is_done, record, earlier)
 
 
 def _is_intact(folder: store.DataFolder, earlier: store.DownloadRecord | None, file: store.HubFile) -> bool:
     """Return whether a file of a folder is intact; it is read, because a flipped bit changes no time."""
-    path, digest = file.path, file.digest
+    path = file.path
+    digest = file.digest
     if not folder.exists(path) or folder.size_bytes(path) != file.size_bytes:
         return False
     # Stores do not flip bits: a file of a finished download there is known by its size.
@@ -227,7 +234,8 @@ def run_download(
     arrived damaged twice; nothing of it is kept, intact files are), HubError (the same call continues) or
     StorageError.
     """
-    repository, folder = plan.repository, plan.folder
+    repository = plan.repository
+    folder = plan.folder
     if folder is None:
         repository.fetch(plan.missing, on_bytes=lambda done: on_progress(done, plan.missing_bytes))
         return repository.folder.address()
@@ -240,7 +248,7 @@ def run_download(
                 repository.on_wait(f"{error.what}; this download begins when it has ended")
                 stack.enter_context(folder.locked(is_patient=True))
             if store.read_download_record(folder) != plan.earlier:  # another download has changed the folder
-                plan = _plan(repository, plan.held, plan.splits, folder)
+                plan = _plan(repository, plan.place, plan.splits, folder)
             if not plan.is_done:
                 _execute(plan, folder, on_progress)
     return folder.address()
@@ -248,7 +256,9 @@ def run_download(
 
 def _execute(plan: DownloadPlan, folder: store.DataFolder, on_progress: Callable[[int, int], None]) -> None:
     """Bring a folder to the commit of the plan; meanwhile readers see that it is not finished."""
-    repository, record, leftover = plan.repository, plan.record, plan.leftover
+    repository = plan.repository
+    record = plan.record
+    leftover = plan.leftover
     manifest = repository.manifest
     if isinstance(folder, store.LocalFolder):  # links, which lead out of the folder, are refused first
         for path in (store.PENDING_FOLDER, store.MANIFEST_FILE, *leftover, *record.files):
@@ -274,7 +284,8 @@ def _write_metadata(plan: DownloadPlan, folder: store.DataFolder, manifest: stor
     """Write manifest and card, adapted to the splits of the folder."""
     names = plan.record.metadata_files
     found = [place.read_bytes() for place in plan.repository.local_paths(names)]
-    contents, shown = dict(zip(names, found, strict=True)), _shown(manifest)
+    contents = dict(zip(names, found, strict=True))
+    shown = _shown(manifest)
     is_part = set(plan.splits) < set(plan.record.splits)
     is_fitted = is_part or bool(shown)
     if manifest is not None and is_fitted:
@@ -301,8 +312,8 @@ def _fitted_card(plan: DownloadPlan, folder: store.DataFolder, is_part: bool, ca
     Shards and manifest must be in place.
     """
     # ``datasets.load_dataset(folder)`` fails if the head names a split that is not in the folder.
-    held = {split: plan.held[split] for split in plan.splits}
-    here = cards.card_head(cards.folder_summary(folder, place=places.Place(folder.address(), folder, held)))
+    files = {split: plan.place.files[split] for split in plan.splits}
+    here = cards.card_head(cards.folder_summary(folder, place=places.Place(folder.address(), folder, files)))
     note = ""
     if is_part:
         note = (

@@ -15,25 +15,70 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
-import huggingface_hub
-
-from tactile_toolkit import cards, hub, run, store
+from tactile_toolkit import cards, hub, places, run, store
+from tactile_toolkit.checked_fields import switch, text
 from tactile_toolkit.errors import HubError, InputError, IntegrityError
-from tactile_toolkit.exchange.flat_tables import viewer_tables
-from tactile_toolkit.exchange.upload_options import MAIN_BRANCH, UploadOptions
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.places import folder_place
 from tactile_toolkit.wording import with_count
 
 # Written by the Hub itself; every repository has them.
 _WRITTEN_BY_HUB = frozenset({".gitattributes"})
 _PICTURE_FOLDER = "images"
 _THREADS = 8
-
 # Calls the Hub, again while it is busy, and returns the answer.
 _Ask: TypeAlias = Callable[..., Any]
-_State: TypeAlias = tuple[hub.HubRepository | None, dict[str, str], bool]
+_State: TypeAlias = "tuple[hub.HubRepository | None, dict[str, str], bool]"
+MAIN_BRANCH = "main"
+
+
+@dataclass(frozen=True, slots=True)
+class UploadOptions:
+    """Options of an upload.
+
+    Attributes
+    ----------
+    private : bool
+        Create the repository so that only its owner sees it.
+    revision : str or None
+        Branch (created if missing) or pull request (``refs/pr/3``) to write to; ``main`` if None.
+    create_pr : bool
+        Open a pull request against the main branch instead of writing to it.
+    message : str or None
+        First line of the commit.
+    tag : str or None
+        Tag of the commit; not for a pull request.
+    delete : bool
+        Remove files from the repository that the folder does not have.
+    viewer : bool
+        Also send each row with its mesh as a file that the Hub's page shows; otherwise such files of former
+        uploads are removed.
+    """
+
+    private: bool = switch(False, help="Create a private repository.")
+    revision: str | None = text(metavar="BRANCH", help="Branch to write to; created if it does not exist.")
+    create_pr: bool = switch(False, help="Open a pull request instead of writing to main.")
+    message: str | None = text(metavar="TEXT", help="First line of the commit.")
+    tag: str | None = text(metavar="NAME", help="Tag of this version, such as v1.")
+    delete: bool = switch(False, help="Remove files from the repository that are not in the folder.")
+    viewer: bool = switch(False, help="Also send each mesh as a file that the Hub shows in 3D.")
+
+    @property
+    def branch(self) -> str:
+        """Name of the branch, or of the pull request, to write to."""
+        return self.revision or MAIN_BRANCH
+
+    @property
+    def is_main(self) -> bool:
+        """Whether the main branch is written to."""
+        return self.branch == MAIN_BRANCH
+
+    def __post_init__(self) -> None:
+        if self.create_pr and (self.tag or not self.is_main):
+            raise InputError(
+                "--create-pr and another --revision or a --tag exclude each other",
+                next="leave one of them out",
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +120,8 @@ def compare(
     files: Iterable[LocalFile], held: hub.HubRepository | None, *, delete: bool = False
 ) -> UploadPlan:
     """Compare the files for a repository with those of a commit, by path and checksum."""
-    local, remote = {file.path: file for file in files}, _remote_files(held)
+    local = {file.path: file for file in files}
+    remote = _remote_files(held)
     missing = tuple(local[path] for path in sorted(local) if not local[path].has_content_of(remote.get(path)))
     return UploadPlan(missing, *_other_files(local, held, delete))
 
@@ -106,7 +152,8 @@ def _is_for_page(path: str) -> bool:
 
 def collect(root: Path, manifest: store.Manifest) -> list[str]:
     """List the files of a verified folder that are sent: files of the manifest, card, pictures."""
-    place, found = store.open_folder(str(root)), [cards.CARD_FILE, store.MANIFEST_FILE]
+    place = store.open_folder(str(root))
+    found = [cards.CARD_FILE, store.MANIFEST_FILE]
     for folder in (cards.PREVIEW_FOLDER, _PICTURE_FOLDER):
         paths = [path.relative_to(root).as_posix() for path in sorted((root / folder).rglob("*"))]
         # Names with a leading dot are unfinished files; links may lead to any file.
@@ -147,6 +194,13 @@ class PreparedUpload:
         return hub.page_of(self.repo_id)
 
     @property
+    def where(self) -> str:
+        """The repository, and its branch unless this is the main one."""
+        if self.options.is_main:
+            return self.repo_id
+        return f"{self.repo_id} ({self.options.branch})"
+
+    @property
     def is_private(self) -> bool:
         """Whether a repository that does not exist yet is to be private."""
         return self.options.private
@@ -166,12 +220,16 @@ class UploadResult:
     tag: str | None = None
 
 
-def check_folder(kind: DatasetKind, folder: store.DataFolder, workers: int = 1) -> Iterable[store.Finding]:
-    """List the problems of a folder of a kind: files, rows, columns, ids, pictures, card."""
-    if kind.check is not None:
-        found: Iterable[store.Finding] = kind.check(folder, workers)
-        return found
-    schema = kind.schema_of(folder_place(folder).require_manifest(kind))
+def check_folder(
+    folder: store.DataFolder, kind: DatasetKind | None = None, workers: int = 1
+) -> Iterable[store.Finding]:
+    """List the problems of a folder: files and card; with a kind also rows, columns, ids and pictures."""
+    if kind is not None and kind.check is not None:
+        findings: Iterable[store.Finding] = kind.check(folder, workers)
+        return findings
+    schema = None
+    if kind is not None:
+        schema = kind.schema_of(places.folder_place(folder).require_manifest(kind))
     return store.verify(folder, schema, check_card=cards.check_card, workers=workers).findings
 
 
@@ -180,18 +238,20 @@ def prepare_upload(
     repo_id: str,
     options: UploadOptions | None = None,
     *,
-    check: Callable[[store.DataFolder], Iterable[store.Finding]] | None = None,
+    kind: DatasetKind | None = None,
+    workers: int = 1,
     dry_run: bool = False,
     on_wait: Callable[[str], None] = lambda _: None,
 ) -> PreparedUpload:
     """Verify a folder, render its card, and compare it with the repository; changes nothing.
 
-    ``check`` lists the problems of the folder; checksums and card by default. A dry run needs neither an
+    With ``kind`` its rows are checked, too, by a number of ``workers``. A dry run needs neither an
     account nor a network: if the Hub cannot be reached, it plans to send all files. Raises InputError (not a
     finished data set, an unusable option), IntegrityError (damage, a card that does not match the data) or
     HubError.
     """
-    chosen, place = options or UploadOptions(), store.open_folder(folder)
+    chosen = options or UploadOptions()
+    place = store.open_folder(folder)
     manifest = store.read_manifest(place)
     ask = _asking(repo_id, on_wait)
     if manifest is None:
@@ -201,7 +261,7 @@ def prepare_upload(
         scratch = stack.enter_context(store.scratch_folder())
         if isinstance(place, store.FsspecFolder):
             place = local_copy(place, scratch / "copy")
-        _require_sound(check(place) if check else store.verify(place, check_card=cards.check_card).findings)
+        _require_sound(check_folder(place, kind, workers))
         state, unasked = _asked_state(ask, repo_id, chosen.branch, dry_run=dry_run)
         manifest, files = _files_to_send(place, manifest, repo_id, state[0], chosen, scratch)
         left_out = tuple(sorted(set(place.names()).difference(file.path.partition("/")[0] for file in files)))
@@ -225,7 +285,8 @@ def prepare_files(
 
     ``what`` names them in the commit. Raises InputError (an unusable option) or HubError.
     """
-    chosen, ask = options or UploadOptions(), _asking(repo_id, on_wait)
+    chosen = options or UploadOptions()
+    ask = _asking(repo_id, on_wait)
     with contextlib.ExitStack() as stack:
         scratch = stack.enter_context(store.scratch_folder())
         for path, content in files.items():
@@ -280,6 +341,8 @@ def _refuse_public(repo_id: str, options: UploadOptions, held: hub.HubRepository
 
 def _asked_state(ask: _Ask, repo_id: str, branch: str, *, dry_run: bool) -> tuple[_State, str]:
     """Return :func:`_state`; if a dry run cannot reach the Hub, the state of a new repository, and why."""
+    import huggingface_hub  # heavy, and help texts read this file
+
     state = partial(_state, repo_id, branch)
     if not dry_run:
         ask(huggingface_hub.HfApi().whoami)
@@ -295,6 +358,8 @@ def _state(repo_id: str, branch: str) -> _State:
 
     A missing repository is not an error.
     """
+    import huggingface_hub  # heavy, and help texts read this file
+
     # The client does not load this module on first use.
     from huggingface_hub import errors
 
@@ -345,11 +410,15 @@ def _files_to_send(
     scratch: Path,
 ) -> tuple[store.Manifest, tuple[LocalFile, ...]]:
     """Collect the files to send, with the card for the Hub."""
-    root, made = Path(place.address()), dict[str, str]()
+    root = Path(place.address())
+    made = dict[str, str]()
     if options.viewer:
+        from tactile_toolkit.exchange.copies import viewer_tables  # meshes
+
         made = viewer_tables(place, manifest, scratch)
         manifest = replace(manifest, files={**manifest.files, **made})
-    paths, facts = collect(root, manifest), cards.folder_summary(place, manifest)
+    paths = collect(root, manifest)
+    facts = cards.folder_summary(place, manifest)
     # If the pattern of a split would match another file of the repository, its files are listed one by one.
     others, _ = _other_files(paths, held, options.delete)
     stored = cards.with_repo_name(place.read_bytes(cards.CARD_FILE).decode(), repo_id)
@@ -357,8 +426,8 @@ def _files_to_send(
     rendered = {cards.CARD_FILE: card}
     if made:
         rendered[store.MANIFEST_FILE] = manifest.to_json()
-    for path, text in rendered.items():
-        (scratch / path).write_bytes(text.encode())
+    for path, content in rendered.items():
+        (scratch / path).write_bytes(content.encode())
     known = {record.file: record.sha256 for record in manifest.shards} | dict(manifest.files)
     places = {path: root / path for path in paths} | {path: scratch / path for path in (*made, *rendered)}
     return manifest, tuple(
@@ -373,12 +442,17 @@ def run_upload(prepared: PreparedUpload) -> UploadResult:
     was lost. Raises HubError (files that were sent stay on the Hub, and the same call continues) or
     IntegrityError (afterwards the Hub does not hold what the folder has).
     """
-    api, ask, options, held = huggingface_hub.HfApi(), prepared.ask, prepared.options, prepared.held
+    import huggingface_hub  # heavy, and help texts read this file
+
+    api = huggingface_hub.HfApi()
+    ask = prepared.ask
+    options = prepared.options
+    held = prepared.held
     here: JsonDict = {"repo_id": prepared.repo_id, "repo_type": "dataset"}
     # exist_ok: another upload may have made them meanwhile, or an answer was lost.
     if held is None:
         ask(partial(api.create_repo, **here, private=options.private, exist_ok=True))
-    if not prepared.has_branch and options.branch != MAIN_BRANCH:
+    if not (prepared.has_branch or options.is_main):
         start = None if held is None else held.commit
         ask(partial(api.create_branch, **here, branch=options.branch, revision=start, exist_ok=True))
     # If only the answer was lost, a second attempt would open a second pull request.
@@ -406,6 +480,8 @@ def _send(prepared: PreparedUpload) -> tuple[str, str | None]:
     Not with ``upload_folder``: it may make several commits, between which readers would find a part of the
     files; and it takes all files from one folder, while the card is in another.
     """
+    import huggingface_hub  # heavy, and help texts read this file
+
     options = prepared.options
     held = _state(prepared.repo_id, options.branch)[0]
     _refuse_public(prepared.repo_id, options, held)  # another upload may have created it meanwhile

@@ -8,7 +8,5 @@ from .items import (
     thumbnail as thumbnail,
 )
 from .site import (
-    PAGE_FILE as PAGE_FILE,
     build_site as build_site,
-    site_folder as site_folder,
 )

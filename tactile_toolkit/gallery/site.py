@@ -42,7 +42,8 @@ _TEMPLATE_FILE = "page.template"
 _FOLDER_PREFIX = "files-"
 
 # Values of a facet for items without a value, and for items with an unknown value.
-_NONE, _UNKNOWN = "none", "unknown"
+_NONE = "none"
+_UNKNOWN = "unknown"
 
 FOLDER_MARK = "{{files}}"
 """Placeholder in the page for the name of the folder of its files."""
@@ -58,13 +59,19 @@ THREE = "three.js"
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """A finished site: its folder, sizes, and the number of items of each split."""
+    """A site: its folder, sizes, the number of items of each split, and whether there was one before."""
 
     path: str
     items: int
     files: int
     bytes: int
     splits: dict[str, int]
+    is_replaced: bool
+
+    @property
+    def page(self) -> str:
+        """File to open in a browser."""
+        return str(Path(self.path) / PAGE_FILE)
 
 
 def build_site(
@@ -73,16 +80,21 @@ def build_site(
     runner: run.Runner | int = 1,
     *,
     overwrite: bool = False,
+    dry_run: bool = False,
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Site:
     """Write the site of a gallery; the page appears last. Equal galleries give equal bytes.
 
     ``overwrite`` replaces an existing gallery and nothing else. An existing folder is kept, not replaced.
+    ``dry_run`` checks the same and writes nothing.
 
     Raises InputError if the folder holds something else, another run writes a gallery there, there is
     nothing to show, or the site would be too large; StorageError if it cannot be written.
     """
-    path = site_folder(gallery, out, overwrite=overwrite)
+    path = _site_folder(gallery, out, overwrite=overwrite)
+    is_replaced = (path / PAGE_FILE).exists()
+    if dry_run:
+        return Site(str(path), gallery.size, 0, 0, dict(gallery.splits), is_replaced)
     with store.named_failures(str(path)), _unfinished_folder(path) as folder:
         files = _Files(folder)
         files.write(_TEMPLATE_FILE, page(gallery.title))
@@ -92,7 +104,8 @@ def build_site(
         items = _write_items(gallery, files, runner, on_progress)
         files.write("items.js", f"gallery.start({script_json(index_of(gallery, items))});\n")
         # Checked again, because hours may have passed.
-        former, named = _former_folders(path, overwrite=overwrite), path / _name_of(folder)
+        former = _former_folders(path, overwrite=overwrite)
+        named = path / _name_of(folder)
         if named not in former:
             folder.rename(named)
         draft = store.draft_of(path / PAGE_FILE)
@@ -102,7 +115,7 @@ def build_site(
             retired = each.rename(store.draft_of(each))
             if _name_of(retired) != each.name:  # a file was added meanwhile
                 retired.rename(each)
-    return Site(str(path), len(items), files.count + 1, files.bytes, dict(gallery.splits))
+    return Site(str(path), len(items), files.count + 1, files.bytes, dict(gallery.splits), is_replaced)
 
 
 class _Files:
@@ -201,7 +214,7 @@ def _page_of(files: Path) -> bytes:
     return (files / _TEMPLATE_FILE).read_bytes().replace(FOLDER_MARK.encode(), files.name.encode())
 
 
-def site_folder(gallery: Gallery, out: str, *, overwrite: bool = False) -> Path:
+def _site_folder(gallery: Gallery, out: str, *, overwrite: bool = False) -> Path:
     """Return the folder of the site of a gallery; raises InputError as :func:`build_site` does."""
     # The target of a symbolic link: the link itself is not replaced.
     path = Path(os.path.realpath(store.local_folder_path(out)))

@@ -274,13 +274,16 @@ def _send(send: Callable[..., Any], request: Any, *, stream: bool = False, **opt
 
 def _timed(pieces: Callable[..., Iterator[bytes]], *arguments: object) -> Iterator[bytes]:
     """Yield the pieces of an answer while it is fast enough; the time of the reader does not count."""
-    waited_s, arrived, source = 0.0, 0, pieces(*arguments)
+    waited_s = 0.0
+    arrived = 0
+    source = pieces(*arguments)
     while True:
         begun_s = time.monotonic()
         piece = next(source, None)
         if piece is None:
             return
-        waited_s, arrived = waited_s + time.monotonic() - begun_s, arrived + len(piece)
+        waited_s = waited_s + time.monotonic() - begun_s
+        arrived = arrived + len(piece)
         if waited_s > store.remote.ANSWER_S + arrived / store.remote.MIN_BYTES_PER_S:
             raise store.remote.TooSlowError(f"{arrived:,} bytes came within {waited_s:.0f} s")
         yield piece

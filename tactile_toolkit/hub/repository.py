@@ -212,7 +212,8 @@ class HubRepository:
         Raises as :meth:`fetch`.
         """
         # A file that does not exist is reported before anything is fetched.
-        files, here = [self.file(path) for path in paths], self.folder
+        files = [self.file(path) for path in paths]
+        here = self.folder
         self.fetch([file for file in files if (here.info(file.path) or {}).get("size") != file.size_bytes])
         return [Path(here.address(path)) for path in paths]
 
@@ -229,7 +230,10 @@ class HubRepository:
         when this returns, and only this one changes a local folder. Raises IntegrityError for a file
         that arrived damaged twice (nothing of it is kept), HubError, StorageError.
         """
-        lock, stopped, arrived, total = threading.Lock(), threading.Event(), dict[str, int](), 0
+        lock = threading.Lock()
+        stopped = threading.Event()
+        arrived = dict[str, int]()
+        total = 0
 
         def count(file: store.HubFile, size_bytes: int) -> None:
             nonlocal total
@@ -250,7 +254,8 @@ class HubRepository:
             return file.path
 
         with contextlib.ExitStack() as stack:
-            stage, inside = None, ""
+            stage = None
+            inside = ""
             if isinstance(folder, store.LocalFolder):
                 inside = stack.enter_context(folder.stage())
                 stage = folder.local_path(inside)
@@ -265,7 +270,8 @@ class HubRepository:
 
     def _fetch_checked(self, file: store.HubFile, folder: Path | None, count: Callable[[int], None]) -> Path:
         """Fetch a file into the Hub's cache or a folder, and check it; a damaged file is fetched again."""
-        path, digest = file.path, file.digest
+        path = file.path
+        digest = file.digest
         if self.is_cache or digest is None:
             raise not_cached(self.repo_id, repr(path))
         options = {"repo_type": "dataset", "revision": self.commit, "local_dir": folder}
@@ -355,14 +361,16 @@ def listing(repo_id: str, revision: str | None = None) -> HubRepository:
 
 def find_cached(repo_id: str, revision: str | None = None) -> HubRepository | None:
     """Return the cached files of the commit that a revision named last; None if there are none."""
-    commit, files = commit_of(repo_id, revision or _MAIN), {}
+    commit = commit_of(repo_id, revision or _MAIN)
+    files = {}
     if commit is None:
         return None
     found = HubRepository(repo_id, revision, commit, {}, is_cache=True)
     root = Path(found.folder.root)
     for file in sorted(file for file in root.rglob("*") if file.is_file()):
         # The name of a blob is the digest of its content; a cache without links has no blobs.
-        path, blob = file.relative_to(root).as_posix(), Path(os.path.realpath(file)).name
+        path = file.relative_to(root).as_posix()
+        blob = Path(os.path.realpath(file)).name
         is_named = file.is_symlink() and store.DIGEST.fullmatch(blob)
         files[path] = store.HubFile(path, file.stat().st_size, blob if is_named else None)
     if files:

@@ -1,4 +1,8 @@
-"""Stored meshes: their columns, typed records, and data sets and streams of them."""
+"""Stored meshes: their columns, typed records, and data sets and streams of them.
+
+The published data sets store a mesh as two flat columns whose names begin with ``mesh.``. Their readers pass
+each such column to the mesh class, so no other column may have this prefix (package tactile-mnist 0.13.0).
+"""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ from .solid_views import (
     View as View,
     box_downsample as box_downsample,
     draw_bodies as draw_bodies,
+    draw_mesh as draw_mesh,
     relief as relief,
-    size_text as size_text,
     solid_sheet as solid_sheet,
 )

@@ -16,7 +16,8 @@ from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.pictures.sheets import fitted
 
 # Width of the picture of a record in a notebook, alone and among others.
-_VIEW_PX, _TILE_PX = 300, 120
+_VIEW_PX = 300
+_TILE_PX = 120
 _TILE_STYLE = "margin:0;text-align:center;font-size:smaller"
 
 

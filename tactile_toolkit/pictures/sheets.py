@@ -176,7 +176,8 @@ def draw_text(
 
     ``halo_px`` is the width of an outline in the colour of the paper.
     """
-    text, font = _one_line(text), _font(size_px)
+    text = _one_line(text)
+    font = _font(size_px)
     if halo_px:
         pen.text(at_px, text, PAPER, font, anchor, stroke_width=halo_px, stroke_fill=PAPER)
     pen.text(at_px, text, colour, font, anchor)

@@ -25,9 +25,12 @@ _AMBIENT, _DIFFUSE, _SPECULAR = 0.22, 0.78, 0.12
 
 # Direction of the light of reliefs: right, up and out of the picture; and their grey levels.
 _RELIEF_LIGHT = np.array([-0.45, 0.55, 0.70])
-_DARKEST, _RANGE = 60, 180
+_DARKEST = 60
+_RANGE = 180
 _MARGIN_PX = 2
 _MAX_RELIEF_PX = 2_048
+
+_MESH_PX = 520  # width of the picture of a single mesh
 
 # Triangles with a larger angle between them meet at a visible edge.
 _COS_SHARP = math.cos(math.radians(40.0))
@@ -94,7 +97,8 @@ def draw_bodies(
 
     levels = np.repeat(np.array([body.colour for body in bodies], float), counts, axis=0)[face]
     lit = np.flatnonzero(np.repeat([body.lit for body in bodies], counts)[face])
-    corners, normals = points_px[faces[face[lit]]], _corner_normals(projected, faces)[face[lit]]
+    corners = points_px[faces[face[lit]]]
+    normals = _corner_normals(projected, faces)[face[lit]]
     levels[lit] = _lit(levels[lit], _normals_at(column[lit], row[lit], corners, normals))
     pixels = np.full((height, width, 3), paper, np.uint8)
     pixels[row, column] = np.clip(np.round(levels), 0, 255)
@@ -104,7 +108,8 @@ def draw_bodies(
 def _corner_normals(points: Float64, faces: Integers) -> Float64:
     """Return normals at the corners of triangles, (F, 3, 3): sums over triangles that meet smoothly."""
     across = _face_normals(points, faces)
-    own, corners = _unit_vectors(across), faces.ravel()
+    own = _unit_vectors(across)
+    corners = faces.ravel()
     by_vertex = np.argsort(corners, kind="stable")
     first = np.searchsorted(corners[by_vertex], corners)
     meeting = np.bincount(corners)[corners]
@@ -284,6 +289,25 @@ def solid_sheet(
     if solids[0].legend:
         words = f"{words}; {solids[0].legend}"
     return sheet(tiles, columns, title, (words,), px_per_mm=px_per_m / mesh.MM_PER_M, gap_px=12)
+
+
+def draw_mesh(part: Mesh, title: str) -> UInt8:
+    """Draw a mesh from above, with a scale bar and its measures."""
+    widest_m = float(np.ptp(part.vertices_m[:, :2], axis=0).max())
+    px_per_m = _MESH_PX / max(widest_m, 1e-9)
+    tile = Tile(relief(part.vertices_m, part.faces, px_per_m))
+    return sheet([tile], 1, title, _mesh_facts(part), px_per_mm=px_per_m / mesh.MM_PER_M)
+
+
+def _mesh_facts(part: Mesh) -> tuple[str, ...]:
+    """Return the measures of a mesh as text, and the reason if it is not a solid."""
+    size = size_text(part)
+    parts = f"{len(part.vertices_m):,} vertices, {len(part.faces):,} triangles"
+    verdict = mesh.check_manifold(part)
+    if verdict.problem is not None:
+        return f"{size}; {parts}", f"not a solid: {verdict.detail}"
+    bodies = "one body" if verdict.bodies == 1 else f"{verdict.bodies} bodies"
+    return (f"{size}; volume {verdict.volume_mm3:,.0f} mm³; {parts}; {bodies}",)
 
 
 def size_text(surface: mesh.Mesh | mesh.SolidRecord) -> str:

@@ -6,29 +6,31 @@ import os
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeAlias, cast
+from typing import Any, Literal, Protocol, TypeAlias, TypeVar, cast, overload
 
-from tactile_toolkit import hub, store
+from tactile_toolkit import hub, mesh, read, store
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.places.hub_place import hub_place
-from tactile_toolkit.places.other_files import is_interrupted, is_parquet_file, not_a_set
-from tactile_toolkit.places.place import Place, shards_by_split
-from tactile_toolkit.places.published import published_set
+from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.places.place import Place, named_on_hub, published_set, shards_by_split
 from tactile_toolkit.places.split_files import (
     CARD_FILE,
     PARQUET,
     USUAL_SPLIT,
     has_shards,
+    is_interrupted,
+    is_parquet_file,
+    not_a_set,
+    parquet_paths,
     require_some,
     split_of_file,
     splits_by_card,
     splits_by_name,
+    unknown_split,
 )
 
 # Depth of folders in which files are searched, and their largest number.
 _DEPTH = 4
 _MAX_FOLDERS = 1000
-
 Name: TypeAlias = "str | os.PathLike[str]"
 """A folder, a Parquet file, a repository of the Hub or the short name of a published set."""
 
@@ -95,7 +97,13 @@ def _several(names: object, revision: str | None) -> Place | None:
         raise InputError("no files given; expected Parquet files of one data set")
     opened: dict[tuple[str, str | None], hub.HubRepository] = {}
     places = []
-    for file in [_require_name(file) for file in files]:
+    for file in files:
+        if not isinstance(file, (str, os.PathLike)):
+            raise InputError(
+                f"{file!r} ({type(file).__name__}) is not a name of a data set; expected a short name such "
+                "as 'real-single-64x64', USER/NAME on the Hub, a folder, a Parquet file, or several of these "
+                "files"
+            )
         place = open_place(file, revision=revision)
         if not place.is_file:
             raise InputError(f"{place.name!r} is not a file; expected Parquet files of one data set")
@@ -107,22 +115,14 @@ def _several(names: object, revision: str | None) -> Place | None:
     return Place(name, tuple(places), {USUAL_SPLIT: ("",)}, is_file=True)
 
 
-def _require_name(name: object) -> Name:
-    if isinstance(name, (str, os.PathLike)):
-        return name
-    raise InputError(
-        f"{name!r} ({type(name).__name__}) is not a name of a data set; expected a short name such as "
-        "'real-single-64x64', USER/NAME on the Hub, a folder, a Parquet file, or several of these files"
-    )
-
-
 def _without_short_name(name: str) -> str:
     """Return a name, or nothing if it is the short name of a published set and there is no such data."""
     # Short names have no slash: most names are paths, and need no list of kinds.
     if "/" in name or published_set(name) is None:
         return name
     # The folder must hold data: a checkout of the toolkit has a folder called ``mnist3d``, too.
-    place, patterns = Path(name), (store.MANIFEST_FILE, "*.parquet", f"{store.DATA_FOLDER}/*.parquet")
+    place = Path(name)
+    patterns = (store.MANIFEST_FILE, "*.parquet", f"{store.DATA_FOLDER}/*.parquet")
     is_data = place.is_file() or any(next(place.glob(pattern), None) for pattern in patterns)
     if is_data:
         return name
@@ -136,9 +136,13 @@ def _local(name: str) -> tuple[store.DataFolder, str] | None:
     """
     if not name or store.scheme_of(name) == "hf":
         return None
-    if store.is_remote(name):
+    try:
+        path = store.local_path(name)
+    except InputError:  # an unknown user's home
+        return None
+    if path is None:
         if name.endswith(PARQUET):
-            return store.split_uri(store.normalize_uri(name))
+            return store.split_uri(name)
         folder = store.open_folder(name)
         if not folder.exists():
             raise InputError(
@@ -146,17 +150,13 @@ def _local(name: str) -> tuple[store.DataFolder, str] | None:
                 next="check the address",
             )
         return folder, ""
-    try:
-        place = store.expanded(store.normalize_uri(name))
-    except InputError:  # an unknown user's home
-        return None
     with store.readable(name):
-        if not store.path_exists(place):
+        if not store.path_exists(path):
             return None
-    if place.is_dir():
-        return store.open_folder(str(place)), ""
-    if place.is_file():
-        return store.open_folder(str(place.parent)), place.name
+    if path.is_dir():
+        return store.open_folder(str(path)), ""
+    if path.is_file():
+        return store.open_folder(str(path.parent)), path.name
     return None
 
 
@@ -205,3 +205,159 @@ def _walked(folder: store.DataFolder) -> list[str]:
             elif depth < _DEPTH and not store.is_hidden(name):
                 waiting.append((path, depth + 1))
     return files
+
+
+def hub_place(name: str, revision: str | None, config: str | None) -> Place:
+    """Resolve a name of the Hub, or the short name of a published set."""
+    named = named_on_hub(name, revision)
+    repository = hub.open_repository(named.repo_id, named.revision)
+    if named.path.endswith(PARQUET):
+        split = split_of_file(named.path.rpartition("/")[2]) or USUAL_SPLIT
+        return Place(name, repository, {split: (named.path,)}, is_file=True)
+    return repository_place(repository, name, named.path, config)
+
+
+def repository_place(
+    repository: hub.HubRepository, name: str, path: str = "", config: str | None = None
+) -> Place:
+    """Return the place of a repository of the Hub, or of a folder in it.
+
+    Raises
+    ------
+    IntegrityError
+        The name of a file leads out of a folder; nothing was fetched.
+    """
+    inside = ""
+    if path:
+        inside = f"{path}/"
+    paths = parquet_paths(each for each in repository.files() if each.startswith(inside))
+    store.names_inside(paths, f"Hub data set {repository.repo_id!r}")
+    manifest = repository.manifest
+    if manifest is not None:
+        # Uploads keep other files: shards of an earlier data set may be next to these.
+        listed = shards_by_split(manifest)
+        files = {split: tuple(each for each in found if each in {*paths}) for split, found in listed.items()}
+        return Place(name, repository, files, manifest)
+    if paths and CARD_FILE in repository.remote and not path:
+        card = repository.local_paths((CARD_FILE,))[0].read_bytes()
+        named = splits_by_card(card, paths, config, name)
+        if named is not None:
+            if repository.is_cache and not any(named.values()):
+                raise hub.not_cached(repository.repo_id, "it")
+            return Place(name, repository, require_some(named, name), config=config)
+    relative = splits_by_name((each.removeprefix(inside) for each in paths), name)
+    found = {split: tuple(f"{inside}{each}" for each in held) for split, held in relative.items()}
+    if not found:
+        if repository.is_cache:
+            raise hub.not_cached(repository.repo_id, "it")
+        raise unknown_split("", (), name)
+    return Place(name, repository, found)
+
+
+D = TypeVar("D", bound="read.AnyRecords", covariant=True)
+S = TypeVar("S", bound="mesh.RecordStream[Any]", covariant=True)
+_DOC = """Open a data set of {nouns}.
+
+    Parameters
+    ----------
+    name : str or path
+        A folder written by ``{made_by}``, a Parquet file, or a repository of the Hub with the same columns:
+        ``USER/NAME``{published}.
+    split : str, optional
+        Split to open; only its shards are downloaded. Optional if there is only one.
+    streaming : bool
+        Return an iterable that reads one shard after another and stores nothing, instead of a data set with
+        random access.
+    revision : str, optional
+        Branch, tag or commit of a Hub repository.
+    config : str, optional
+        Configuration, if the card of the data set has several.
+
+    Returns
+    -------
+    {dataset} or {stream}
+        Rows are read on demand.
+
+    Raises
+    ------
+    InputError
+        There is no such folder or split, there are several splits and none is named, or the data set is of
+        another kind or lacks columns of {nouns}.
+    IntegrityError
+        The data set is damaged or unfinished.
+    HubError
+        The repository cannot be reached or does not exist.
+    """
+
+
+class MeshLoader(Protocol[D, S]):
+    """The type of a function ``load``: it returns a data set, or with ``streaming`` a stream."""
+
+    @overload
+    def __call__(
+        self,
+        name: Name | Place,
+        split: str | None = None,
+        *,
+        streaming: Literal[False] = False,
+        revision: str | None = None,
+        config: str | None = None,
+    ) -> D: ...
+    @overload
+    def __call__(
+        self,
+        name: Name | Place,
+        split: str | None = None,
+        *,
+        streaming: Literal[True],
+        revision: str | None = None,
+        config: str | None = None,
+    ) -> S: ...
+    @overload
+    def __call__(
+        self,
+        name: Name | Place,
+        split: str | None = None,
+        *,
+        streaming: bool = False,
+        revision: str | None = None,
+        config: str | None = None,
+    ) -> D | S: ...
+
+
+def loader(kind: DatasetKind, dataset: type[D], stream: type[S]) -> MeshLoader[D, S]:
+    """Return the function ``load`` of a kind; ``dataset`` and ``stream`` are the classes that it opens."""
+
+    def load(
+        name: Name | Place,
+        split: str | None = None,
+        *,
+        streaming: bool = False,
+        revision: str | None = None,
+        config: str | None = None,
+    ) -> Any:
+        place = open_place(name, revision=revision, config=config)
+        shards = place.shards(split, kind=kind, streaming=streaming)
+        names = _class_names(shards, place.name, kind)
+        if streaming:
+            return stream(shards, dataset.record_class, kind.class_names)
+        return dataset(read.ShardedTable(shards), label_names=names)
+
+    published = "".join(f", or ``{each.name}`` for the published one" for each in kind.published)
+    words = {"nouns": kind.nouns, "made_by": kind.made_by, "published": published}
+    load.__doc__ = _DOC.format(**words, dataset=dataset.__name__, stream=stream.__name__)
+    load.__module__ = dataset.__module__
+    load.__qualname__ = "load"
+    return load
+
+
+def _class_names(shards: tuple[read.Shard, ...], name: str, kind: DatasetKind) -> tuple[str, ...]:
+    """Return the classes of shards; InputError if they lack columns of meshes, or differ in their classes."""
+    names: dict[tuple[str, ...], None] = {}
+    for schema in read.ShardedTable(shards).schemas:
+        mesh.require_mesh_columns(schema, name, kind.made_by)
+        names[read.class_names(schema, kind.class_names, name)] = None
+    if len(names) > 1:
+        shown = " and ".join(", ".join(each) for each in list(names)[:2])
+        raise InputError(f"{name!r} has the classes {shown}", next="open files of one data set together")
+    return next(iter(names))

@@ -7,28 +7,30 @@ All that takes the name of a data set (loaders, commands, copies, environments) 
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 
-from tactile_toolkit import hub, mesh, read, store
-from tactile_toolkit.errors import InputError, IntegrityError
+import pyarrow as pa
+
+from tactile_toolkit import hub, mesh, read, run, store
+from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.json_types import JsonObject
-from tactile_toolkit.kind import DatasetKind, is_for_others, kinds
-from tactile_toolkit.places.hub_files import hub_shards
-from tactile_toolkit.places.kinds_of_rows import (
-    command_or_load,
-    kind_of_rows,
-    require_kind,
-    wrong_kind,
+from tactile_toolkit.kind import DatasetKind, PublishedSet, is_for_others, kinds
+from tactile_toolkit.places.split_files import (
+    USUAL_SPLIT,
+    files_of_split,
+    split_of_file,
+    splits_by_name,
+    unknown_split,
 )
-from tactile_toolkit.places.published import kind_of_published
-from tactile_toolkit.places.split_files import USUAL_SPLIT, files_of_split, split_of_file, unknown_split
-from tactile_toolkit.wording import with_count
+from tactile_toolkit.wording import did_you_mean, shortened, with_count
 
 _COLUMNS_SHOWN = 8
 _TAKE_FINISHED = "; or take what is finished with --allow-incomplete (allow_incomplete=True)"
+_LONGEST_SHOWN = 200
+_THREADS = 8
 
 
 @dataclass(frozen=True)
@@ -256,7 +258,8 @@ class Place:
         otherwise = ""
         if may_take and not self.allow_incomplete:
             otherwise = _TAKE_FINISHED
-        again, record = "run the same command again", self.folder and store.read_download_record(self.folder)
+        again = "run the same command again"
+        record = self.folder and store.read_download_record(self.folder)
         if record:
             again = f"download {record.repo_id} there again"
         return IntegrityError(
@@ -355,7 +358,8 @@ class Place:
     def _recorded_shards(
         self, folder: store.DataFolder, manifest: store.Manifest, split: str
     ) -> tuple[read.Shard, ...]:
-        root, records = folder.address(), manifest.shards_of(split)
+        root = folder.address()
+        records = manifest.shards_of(split)
         if not self._is_whole(split) and not (records and self.allow_incomplete):
             if not records and self.complete:
                 raise unknown_split(split, manifest.splits, self.name)
@@ -379,6 +383,39 @@ class Place:
         )
 
 
+def shards_by_split(manifest: store.Manifest) -> dict[str, tuple[str, ...]]:
+    """Return the paths of the recorded shards of each split."""
+    return {
+        split: tuple(record.shard.data_path for record in manifest.shards_of(split))
+        for split in manifest.splits
+    }
+
+
+def hub_shards(
+    repository: hub.HubRepository, paths: Sequence[str], streaming: bool
+) -> tuple[read.Shard, ...]:
+    """Return files of a repository as shards, fetched or, for ``streaming``, by their addresses."""
+    if not streaming:
+        return tuple(read.Shard(str(place)) for place in repository.local_paths(paths))
+    for path in paths:
+        repository.file(path)  # a file that is not there is named now, not when it is read
+    failures = partial(hub.hub_failures, repository.repo_id, "streaming")
+    return tuple(read.Shard(repository.address(path), failures=failures) for path in paths)
+
+
+def kind_of_rows(schema: pa.Schema) -> DatasetKind | None:
+    """Return the kind of rows by a column that only it has, or of meshes by the published class names."""
+    names = read.column_names(schema)
+    for kind in kinds():
+        if any(name.partition(".")[0] in kind.columns for name in names):
+            return kind
+    if mesh.FACES not in names:
+        return None
+    classes = read.class_names(schema, ())
+    known = (kind for kind in kinds() if kind.published and kind.class_names)
+    return next((kind for kind in known if kind.class_names == classes), None)
+
+
 def _kind_of(shard: read.Shard) -> DatasetKind | None:
     """Return the kind of the rows of a file; None if it is damaged, which reading the rows reports."""
     with suppress(IntegrityError):
@@ -386,9 +423,109 @@ def _kind_of(shard: read.Shard) -> DatasetKind | None:
     return None
 
 
-def shards_by_split(manifest: store.Manifest) -> dict[str, tuple[str, ...]]:
-    """Return the paths of the recorded shards of each split."""
-    return {
-        split: tuple(record.shard.data_path for record in manifest.shards_of(split))
-        for split in manifest.splits
-    }
+def require_kind(found: DatasetKind, kind: DatasetKind, name: str, command: str = "") -> None:
+    """Refuse a data set of another kind; the message names the command or function for it.
+
+    Raises
+    ------
+    InputError
+        The two kinds are not opened by the same package.
+    """
+    if found.package == kind.package:
+        return
+    raise wrong_kind(found, name, command_or_load(kind, command), kind.content)
+
+
+def wrong_kind(found: DatasetKind, name: str, asked: str, content: str) -> InputError:
+    """Return the error for data of a kind; ``asked``, a command or function, is for other ``content``."""
+    next_step = f"use {found.package}.load({name!r})"
+    command = asked.partition(" ")[2]
+    if command:
+        next_step = f"run `{found.command} {found.command_like(command)} {shlex.quote(name)}`"
+    return InputError(f"{name!r} holds {found.content}; `{asked}` is for {content}", next=next_step)
+
+
+def command_or_load(kind: DatasetKind, command: str) -> str:
+    """Return a command of a kind as it was given, or without one ``load`` of its package."""
+    if command:
+        return f"{kind.command} {command}"
+    return f"{kind.package}.load"
+
+
+def published_set(name: str) -> PublishedSet | None:
+    """Return a published set by its short name or its repository; None for any other name."""
+    entries = (entry for kind in kinds() for entry in kind.published)
+    return next((each for each in entries if name in (each.name, each.repo_id, *each.aliases)), None)
+
+
+def kind_of_published(name: str) -> DatasetKind | None:
+    """Return the kind of a published set by its short name or its repository; None for any other name."""
+    known = published_set(name)
+    return next((kind for kind in kinds() if known in kind.published), None)
+
+
+def find_repository(
+    name: str, revision: str | None = None, on_wait: Callable[[str], None] = lambda _: None
+) -> hub.HubRepository:
+    """Look up a repository by its name, or the short name of a published set; asks the Hub patiently.
+
+    Raises InputError for other names, and for a part of a repository; HubError as the Hub answers.
+    """
+    named = named_on_hub(name, revision)
+    if named.path:
+        raise InputError(
+            f"{name!r} is a part of a repository; expected all of it", next=f"leave {named.path!r} out"
+        )
+    return hub.open_repository(named.repo_id, named.revision, patient=True, on_wait=on_wait)
+
+
+def named_on_hub(name: str, revision: str | None) -> hub.HubName:
+    """Resolve a name or short name to a repository, or a path in one; InputError for other names."""
+    known = published_set(name)
+    repo_id = name
+    if known is not None:
+        repo_id = known.repo_id
+    named = hub.hub_name(repo_id, revision)
+    if named is None:
+        published = {entry.name: kind.command for kind in kinds() for entry in kind.published}
+        lists = ", ".join(f"`{command} list`" for command in dict.fromkeys(published.values()))
+        raise InputError(
+            f"{shortened(name, _LONGEST_SHOWN)!r} does not exist; expected a folder, a Parquet file, a "
+            f"repository of the Hub (USER/NAME) or a published set{did_you_mean(name, published)}",
+            next=f"check the name (the published sets: {lists}), or make a data set",
+        )
+    return named
+
+
+@dataclass(frozen=True, slots=True)
+class PublishedState:
+    """A published set, the size of its files on the Hub, and those in the cache.
+
+    ``hub_bytes`` is None if the Hub does not answer. ``local_splits`` have files in the cache.
+    """
+
+    known: PublishedSet
+    licence: str | None
+    hub_bytes: int | None
+    local_bytes: int
+    local_splits: list[str]
+
+
+def published_states(kind: DatasetKind) -> Iterator[PublishedState]:
+    """Ask the Hub for all published sets of a kind at once."""
+
+    def state(known: PublishedSet) -> PublishedState:
+        licence = known.licence
+        hub_bytes = None
+        with suppress(ToolkitError):
+            answer = hub.open_repository(known.repo_id)
+            if not answer.is_cache:
+                licence = licence or answer.licence
+                hub_bytes = answer.size_bytes
+        cached = hub.find_cached(known.repo_id)
+        if cached is None or not cached.size_bytes:
+            return PublishedState(known, licence, hub_bytes, 0, [])
+        splits = list(splits_by_name(cached.remote, known.repo_id))
+        return PublishedState(known, licence, hub_bytes, cached.size_bytes, splits)
+
+    return run.in_threads(state, kind.published, _THREADS)

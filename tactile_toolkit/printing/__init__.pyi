@@ -9,11 +9,9 @@ from .file_export import (
     FailedExport as FailedExport,
     FileExport as FileExport,
     Made as Made,
-    on_plates as on_plates,
     place_on_plate as place_on_plate,
     PrintObject as PrintObject,
     Product as Product,
-    Progress as Progress,
     require_same_solid as require_same_solid,
     write_products as write_products,
 )
@@ -21,13 +19,11 @@ from .plate_layouts import (
     arrange as arrange,
 )
 from .print_options import (
-    BEDS_MM as BEDS_MM,
     MODELS as MODELS,
     Physics as Physics,
     PlateSpec as PlateSpec,
 )
 from .exports import (
     export_files as export_files,
-    TABLE_FILE as TABLE_FILE,
     write_plates as write_plates,
 )

@@ -39,20 +39,33 @@ PLATE_NAME = "calibration-plate"
 SHEET_FILE = "press-here.md"
 
 # The cell of the environments, which limits meshes of a user, has 120 x 120 mm.
-_SIDES_MM, _BASE_MM, _CORNER_MM = (116.0, 100.0), 4.0, 8.0
+_SIDES_MM = (116.0, 100.0)
+_BASE_MM = 4.0
+_CORNER_MM = 8.0
 # The window of a GelSight Mini is 18.9 x 14.2 mm (tactile-mnist 0.13.0): a shape fits into it, and no two do.
-_SHAPE_MM, _PITCH_MM, _SHAPES_Y_MM = 12.0, 28.0, -34.0
-_SOLIDS_X_MM, _SOLIDS_Y_MM, _SOLID_BOX_MM = 29.0, 17.0, (54.0, 60.0)
+_SHAPE_MM = 12.0
+_PITCH_MM = 28.0
+_SHAPES_Y_MM = -34.0
+_SOLIDS_X_MM = 29.0
+_SOLIDS_Y_MM = 17.0
+_SOLID_BOX_MM = (54.0, 60.0)
 _TOP_MM = 8.0  # above the base, as digits
 # Two lines of a nozzle of 0.4 mm, the most usual one; layers of 0.2 mm, half of it, divide every height.
 _LINES_MM = 0.8
-_BALL_MM, _TIP_MM, _FLANKS_DEG, _STEP_MM, _POST_MM = 4.0, _LINES_MM / 2, (30.0, 60.0), 0.8, 3.0
+_BALL_MM = 4.0
+_TIP_MM = _LINES_MM / 2
+_FLANKS_DEG = (30.0, 60.0)
+_STEP_MM = 0.8
+_POST_MM = 3.0
 _SUNK_MM = 0.2  # a layer: bodies that only touch are not one
 _CORNERS = 160  # of a circle
 _ROUNDS_MM = ((0.0, 0.0), (4.0, 2.0), (-4.0, -2.0))  # from the middle of a shape, one after another
 _PRESSES_MM = (1.0, 1.5, 2.0)
 _TOUCHES_OF_SOLID = 4
-_PICTURE_PX, _TEXT_PX, _EDGE_PX, _COLOUR = (1000, 740), 18, 20, (180, 190, 210)
+_PICTURE_PX = (1000, 740)
+_TEXT_PX = 18
+_EDGE_PX = 20
+_COLOUR = (180, 190, 210)
 
 _SHEET = """# Press your sensor here
 
@@ -160,7 +173,8 @@ def _shapes() -> list[tuple[Manifold, str, str]]:
         (0, 0, high_mm - _BALL_MM)
     )
     foot_mm = _POST_MM + _SUNK_MM
-    radius_mm, rise_mm = _SHAPE_MM / 2, _TOP_MM - _POST_MM
+    radius_mm = _SHAPE_MM / 2
+    rise_mm = _TOP_MM - _POST_MM
     cone = round_of(foot_mm, radius_mm) + round_of(rise_mm, radius_mm, _TIP_MM).translate((0, 0, foot_mm))
     runs_mm = [rise_mm / math.tan(math.radians(flank)) for flank in _FLANKS_DEG]
     left_mm = -(sum(runs_mm) + _LINES_MM) / 2

@@ -260,7 +260,8 @@ def _names(layout: PlateLayout) -> list[tuple[str, str]]:
 
 
 def _made_plate(layout: PlateLayout, number: int) -> Made[PlateFile]:
-    (solid, picture), plate = _names(layout)[number - 1], layout.plates[number - 1]
+    (solid, picture) = _names(layout)[number - 1]
+    plate = layout.plates[number - 1]
     items = [
         BuildItem(each.item.name, place_on_plate(each.item.load(), layout.scale), each.offset_mm)
         for each in plate

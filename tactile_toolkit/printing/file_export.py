@@ -8,7 +8,7 @@ import unicodedata
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Generic, TypeVar
@@ -72,26 +72,21 @@ def place_on_plate(surface: mesh.Mesh | SolidRecord, scale: float = 1.0) -> mesh
     return mesh.Mesh(vertices_m, faces)
 
 
-def on_plates(objects: Iterable[PrintObject], base_mm: float | None) -> list[PrintObject]:
-    """Put the upper half of each object on a plate of a thickness; None changes nothing.
-
-    See :func:`tactile_toolkit.mesh.on_base_plate`.
-    """
-    if base_mm is None:
-        return list(objects)
-    return [replace(item, load=partial(_on_plate, item.load, base_mm)) for item in objects]
-
-
 def _on_plate(load: Callable[[], mesh.Mesh | SolidRecord], base_mm: float) -> mesh.Mesh:
     return mesh.on_base_plate(place_on_plate(load()), base_mm)
 
 
 def choose(
-    datasets: Iterable[tuple[str, read.RecordDataset[SolidRecord]]], **chosen: JsonValue
+    datasets: Iterable[tuple[str, read.RecordDataset[SolidRecord]]],
+    base_mm: float | None = None,
+    **chosen: JsonValue,
 ) -> list[PrintObject]:
     """Choose objects as :func:`tactile_toolkit.catalog.choose_rows` does; no mesh is read.
 
-    Raises InputError as there, and for a duplicate id in a split.
+    With ``base_mm``, the upper half of each is put on a plate of this thickness
+    (:func:`tactile_toolkit.mesh.on_base_plate`).
+
+    Raises InputError for an id or a class that no row has, and for a duplicate id in a split.
     """
     objects: list[PrintObject] = []
     for split, rows, found in catalog.choose_rows(datasets, **chosen):
@@ -100,7 +95,10 @@ def choose(
         for row, number, label in zip(*columns, strict=True):
             word = class_name(classes, label)
             name = "-".join(part for part in (_safe(split), _safe(word), f"{number:0{_ID_DIGITS}d}") if part)
-            objects.append(PrintObject(name, split, word, number, partial(rows.__getitem__, row)))
+            load: Callable[[], mesh.Mesh | SolidRecord] = partial(rows.__getitem__, row)
+            if base_mm is not None:
+                load = partial(_on_plate, load, base_mm)
+            objects.append(PrintObject(name, split, word, number, load))
     names = Counter(item.name for item in objects)
     twice = next((name for name, count in names.items() if count > 1), None)
     if twice is not None:

@@ -31,7 +31,10 @@ if TYPE_CHECKING:
 # Objects as wide as the plate fit, despite rounding.
 _ROUNDING_MM = 1e-6
 
-_PLATE, _GRID, _MARGIN, _OUTLINE = "#f4f2ec", "#e0dcd2", "#b9b3a3", "#222222"
+_PLATE = "#f4f2ec"
+_GRID = "#e0dcd2"
+_MARGIN = "#b9b3a3"
+_OUTLINE = "#222222"
 
 # One for each class; labels, not colours, identify objects.
 _FILLS = (
@@ -42,8 +45,14 @@ _FILLS = (
 # Lengths of the map before it is reduced by _FINER, which smooths the lines of Pillow.
 _FINER = 2
 
-_LONGER_SIDE_PX, _LONGEST_SIDE_PX, _MIN_PX_PER_MM = 2_400, 8_000, 8.0
-_EDGE_PX, _TITLE_PX, _NUMBER_PX, _WORD_PX, _LINE_PX = 120, 40, 30, 24, 30
+_LONGER_SIDE_PX = 2_400
+_LONGEST_SIDE_PX = 8_000
+_MIN_PX_PER_MM = 8.0
+_EDGE_PX = 120
+_TITLE_PX = 40
+_NUMBER_PX = 30
+_WORD_PX = 24
+_LINE_PX = 30
 _LINES = 12  # least number of grid lines across the longer side
 
 
@@ -177,7 +186,8 @@ def arrange(
     Raises InputError if an object is larger than a plate, or the scale is not positive.
     """
     require_scale(scale)
-    pieces, failures = [], []
+    pieces = []
+    failures = []
     for done, item in enumerate(objects, 1):
         try:
             pieces.append(_measured(item, spec, scale))
@@ -193,7 +203,8 @@ def _measured(item: PrintObject, spec: PlateSpec, scale: float) -> PlacedObject:
     outline = Outline.of(verdict.manifold)
     width_mm, depth_mm = outline.size_mm
     if _Plate(spec).place(width_mm, depth_mm) is None:
-        margins, remedy = "", "--scale"
+        margins = ""
+        remedy = "--scale"
         if spec.margin_mm:
             margins = f" less {spec.margin_mm:g} mm at each edge"
             remedy = "--margin-mm or --scale"
@@ -243,10 +254,12 @@ def draw_map(layout: PlateLayout, number: int) -> bytes:
     Colours follow from classes. Labels name the split too where several objects of the export share an id;
     labels that would cover others are left out and counted. Equal input gives equal bytes.
     """
-    spec, plate = layout.spec, layout.plates[number - 1]
+    spec = layout.spec
+    plate = layout.plates[number - 1]
     title = f"plate {number} of {len(layout.plates)}: {with_count(len(plate), 'objects')}, {spec.text}"
     every = [placed.item for other in layout.plates for placed in other]
-    labels, ids = sorted({item.label for item in every}), Counter(item.id for item in every)
+    labels = sorted({item.label for item in every})
+    ids = Counter(item.id for item in every)
     # More pixels for a larger plate, so that there is room for labels.
     longer_px = min(max(_LONGER_SIDE_PX, _MIN_PX_PER_MM * max(spec.sides_mm)), _LONGEST_SIDE_PX)
     scale = longer_px / max(spec.sides_mm)
@@ -293,7 +306,8 @@ def _draw_plate(chart: _Chart, spec: PlateSpec, step_mm: float) -> None:
     for axis, anchor, aside_px in ((0, "ma", (0, 16)), (1, "rm", (-16, 0))):
         for at_mm in np.arange(0, spec.sides_mm[axis] + 1e-6, step_mm).tolist():
             ends_mm = np.zeros((2, 2))
-            ends_mm[:, axis], ends_mm[1, 1 - axis] = at_mm, spec.sides_mm[1 - axis]
+            ends_mm[:, axis] = at_mm
+            ends_mm[1, 1 - axis] = spec.sides_mm[1 - axis]
             chart.pen.line(chart.at(ends_mm), _GRID, 2)
             x, y = np.add(chart.at(ends_mm)[0], aside_px).tolist()
             pictures.draw_text(chart.pen, (x, y), f"{at_mm:g}", _NUMBER_PX, anchor=anchor)

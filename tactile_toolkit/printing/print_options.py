@@ -68,6 +68,11 @@ class PlateSpec:
         sides_mm = BEDS_MM[text] if match is None else (float(match[1]), float(match[2]))
         return cls(*sides_mm, corner_mm=_CORNERS_MM.get(text, (0.0, 0.0)), **distances)
 
+    @staticmethod
+    def printers() -> tuple[str, ...]:
+        """Return the names of printers whose plates are known."""
+        return tuple(BEDS_MM)
+
     @property
     def text(self) -> str:
         """Plate, gap and margin for people."""

@@ -56,7 +56,8 @@ def convex_parts(
     Raises ItemError for a mesh that does not bound a solid.
     """
     solid = require_solid(mesh).manifold
-    parts, whole_mm3 = _parts(solid), solid.volume()
+    parts = _parts(solid)
+    whole_mm3 = solid.volume()
     for _ in range(most):  # limits the cuts, which may split off chips that are not parts
         if len(parts) >= most or sum(hull.volume() for *_, hull in parts) <= excess * whole_mm3:
             break
@@ -89,7 +90,8 @@ def _best_cut(outline: CrossSection) -> tuple[Float64, float]:
     if depths_mm.max() <= _OUTLINE_MM:  # no bay
         directions = directions[:0]
     for number, normal in enumerate(directions):
-        far, along = normal * _FAR_MM, np.array([-normal[1], normal[0]]) * _FAR_MM
+        far = normal * _FAR_MM
+        along = np.array([-normal[1], normal[0]]) * _FAR_MM
         start = normal * float(normal @ deepest)
         corner = start - along, start - along + far, start + along + far, start + along
         half = CrossSection([np.array(corner)])
@@ -174,7 +176,8 @@ def pack_mjcf(
     ground = []
     if floor:
         ground = [light, _tag("geom", name="floor", type="plane", size="0 0 0.05")]
-    assets, elements = [], []
+    assets = []
+    elements = []
     for body, (x_m, y_m) in bodies:
         parts = {f"{body.name}-{number:02d}": part for number, part in enumerate(body.parts)}
         faces = " ".join(map(str, body.mesh.faces.ravel().tolist()))

@@ -16,8 +16,8 @@ import pyarrow as pa
 import xxhash
 
 from tactile_toolkit.cache import DiskCache, MemoryCache
-from tactile_toolkit.read.arrow_views import table_bytes
-from tactile_toolkit.read.row_group import RowGroup
+from tactile_toolkit.read.columns import table_bytes
+from tactile_toolkit.read.record import RowGroup
 
 Key = tuple[str, int, int]
 """Digest of the identity of a file, number of the row group, and number of the block in it."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import html
 import operator
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -10,29 +11,25 @@ from functools import reduce
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeAlias, TypeVar, overload
 
 import numpy as np
+import pyarrow as pa
 
 from tactile_toolkit import checked_fields, wording
 from tactile_toolkit.array_types import AnyArray, Int64
 from tactile_toolkit.errors import InputError, ToolkitError
-from tactile_toolkit.read import (
-    indexing,
-    random_parts,
-    sharded_table,
-)
-from tactile_toolkit.read.record import Record
-from tactile_toolkit.read.row_columns import RowColumns
+from tactile_toolkit.read import columns, order, schemas, shard, sharded_table
+from tactile_toolkit.read.record import Record, Row
 
 if TYPE_CHECKING:
-    pass
+    import pandas as pd
+    from datasets import Dataset
 
 T = TypeVar("T")
-
 _SHOWN_PICTURES = 8
 _MAX_NAMES = 10
 _SHOWN_IDS = 4
 
 
-class RecordDataset(RowColumns, Sequence[T], Generic[T]):
+class RecordDataset(Sequence[T], Generic[T]):
     """A lazy sequence of records.
 
     Indexing with an int gives a record; a slice, a list or array of ints, or a boolean mask gives a view
@@ -40,12 +37,219 @@ class RecordDataset(RowColumns, Sequence[T], Generic[T]):
     row. Data sets can be shared between threads, forked and pickled. They are equal if they hold equal
     records in the same order. Random choices depend only on the seed and the number of items, not on earlier
     reads, the machine or the version of numpy.
+
+    Parameters
+    ----------
+    table : ShardedTable
+        Stored rows.
+    rows : sequence of int, optional
+        Numbers of the rows, in order; all by default.
+    label_names : sequence of str
+        Name of each class.
     """
 
     record_class: ClassVar[Any] = Record
 
     things: ClassVar[str] = "rows"
     """Noun for the items, in the plural."""
+
+    def __init__(
+        self,
+        table: sharded_table.ShardedTable,
+        rows: range | Int64 | None = None,
+        label_names: Sequence[str] = (),
+    ) -> None:
+        self.table = table
+        self._rows = range(len(table)) if rows is None else rows
+        self._label_names = tuple(label_names)
+
+    @property
+    def label_names(self) -> tuple[str, ...]:
+        """Name of each class, in order of the label."""
+        return self._label_names
+
+    @property
+    def ids(self) -> AnyArray:
+        """Id of each row, shape (len,); reads the id column only."""
+        values = self.column("id")
+        are_whole = values.dtype.kind == "f" and columns.whole_numbers(values).all()
+        if are_whole:
+            values = values.astype(np.int64)
+        return values
+
+    @property
+    def object_ids(self) -> AnyArray:
+        """Id of the object of each row, shape (len,), by which users choose; usually that of the row."""
+        return self.ids
+
+    @property
+    def column_names(self) -> tuple[str, ...]:
+        """Stored columns that all rows have; fields of structs have dotted names: ``info.gel_id``."""
+        return tuple(self._types)
+
+    @property
+    def _types(self) -> dict[str, pa.DataType]:
+        """Arrow type of each column that joined sets share, by dotted name, without structs."""
+        found, *others = [schemas.column_types(schema) for schema in self.table.schemas] or [{}]
+        return {
+            name: each
+            for name, each in found.items()
+            if not pa.types.is_struct(each) and all(other.get(name) == each for other in others)
+        }
+
+    def _stores(self, name: str) -> list[bool]:
+        return [name in schemas.column_types(schema) for schema in self.table.schemas]
+
+    def has_column(self, name: str) -> bool:
+        """Return whether all rows have a stored column, by dotted name."""
+        return all(self._stores(name))
+
+    @property
+    def plain_columns(self) -> tuple[str, ...]:
+        """Names of the columns of numbers and texts."""
+        large = (pa.types.is_nested, pa.types.is_binary)
+        return tuple(name for name, each in self._types.items() if not any(test(each) for test in large))
+
+    def to_hf(self) -> Dataset:
+        """Return the rows as a data set of the library `datasets`, with their features.
+
+        Nothing is copied if the cache can be written: the result views unpacked rows, and only row groups
+        with rows of this data set are unpacked. When pickled, as for spawned workers, it contains its rows,
+        unlike this class, which pickles their addresses.
+
+        Returns
+        -------
+        datasets.Dataset
+            The same rows in the same order, with their common columns.
+
+        Raises
+        ------
+        IntegrityError
+            A file is damaged.
+        """
+        # `datasets` takes seconds to import.
+        from datasets import Dataset
+
+        rows = [self._row_at(int(number)) for number in self._rows]
+        blocks = {(row.path, row.group.first_row): row.group.table for row in rows}
+        starts = dict(zip(blocks, np.cumsum([0, *map(len, blocks.values())]).tolist(), strict=False))
+        places = [starts[row.path, row.group.first_row] + row.index for row in rows]
+        parts = list(blocks.values()) or [schema.empty_table() for schema in self.table.schemas[:1]]
+        if not parts:
+            return Dataset.from_dict({})
+        shared = set.intersection(*({(each.name, each.type) for each in part.schema} for part in parts))
+        names = [each.name for each in parts[0].schema if (each.name, each.type) in shared]
+        table = pa.concat_tables([part.select(names) for part in parts])
+        # Its default fingerprint would hash all bytes.
+        content = repr([names, list(starts), self.identity])
+        stored = Dataset(table, fingerprint=hashlib.sha256(content.encode()).hexdigest()[:16])
+        if places != list(range(len(table))):
+            stored = stored.select(places)
+        return stored
+
+    def column(self, name: str) -> AnyArray:
+        """Read one plain column, shape (len,), and no other.
+
+        Raises
+        ------
+        InputError
+            When the data set has no such column.
+        """
+        try:
+            values = self.table.column(name)
+        except KeyError as error:
+            raise InputError(f"no column {name!r} in this data set") from error
+        rows = self._rows
+        if isinstance(rows, range):
+            # A range down to row 0 stops at -1, which a slice takes for the last row.
+            return values[rows.start : rows.stop if rows.stop >= 0 else None : rows.step]
+        return values[rows]
+
+    def int_column(self, name: str) -> Int64:
+        """Read one column of integers, shape (len,), int64, and no other.
+
+        Raises
+        ------
+        InputError
+            When the data set has no such column.
+        IntegrityError
+            A value is missing, not an integer, or does not fit into 64 bits; names file and row.
+        """
+        values = self.column(name)
+        usable = columns.whole_numbers(values)
+        if usable.all():
+            return np.ascontiguousarray(values, np.int64)
+        # A missing value in any row makes large ones inexact, so they are read from the row itself.
+        found = np.where(usable, values, 0).astype(np.int64)
+        for position in np.flatnonzero(~usable).tolist():
+            found[position] = self._row_at(int(self._rows[position])).integer(name)
+        return found
+
+    @property
+    def identity(self) -> str:
+        """Text that identifies the stored rows, which changes when files are replaced."""
+        return self.table.identity
+
+    @property
+    def files(self) -> tuple[shard.Shard, ...]:
+        """The Parquet files that the data set was opened from, whichever rows of them it holds."""
+        return self.table.files
+
+    @property
+    def labels(self) -> Int64:
+        """Label of each item, shape (len,), int64; reads the label column only.
+
+        Raises
+        ------
+        IntegrityError
+            A label is missing, not an integer, or does not fit into 64 bits.
+        """
+        return self.int_column("label")
+
+    @property
+    def splits(self) -> tuple[str, ...]:
+        """Splits of the rows, by the names of their files."""
+        return tuple(dict.fromkeys(split for _, split in self.table.origins if split))
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    @property
+    def row_numbers(self) -> Int64:
+        """Number of each item among all rows of the files, shape (len,)."""
+        return np.asarray(self._rows, np.int64)
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return the plain columns as a table with one row for each item.
+
+        Meshes, images and other lists are left out; ``to_hf().to_pandas()`` includes them.
+
+        Returns
+        -------
+        pandas.DataFrame
+        """
+        # pandas takes half a second to import.
+        import pandas as pd
+
+        return pd.DataFrame({name: self.column(name) for name in self.plain_columns})
+
+    def _row_at(self, number: int) -> Row:
+        """Return a stored row by number."""
+        return Row(*self.table.locate(number))
+
+    def stored_parts(self) -> order.StoredParts:
+        """Return which rows are stored together, in files and row groups."""
+        rows, starts = self._rows, self.table.part_starts
+        if isinstance(rows, range) and rows.step == 1:
+            return order.StoredParts(np.unique(np.clip(starts, rows.start, rows.stop) - rows.start))
+        stored = np.argsort(self.row_numbers, kind="stable")
+        return order.StoredParts(np.unique(np.searchsorted(self.row_numbers[stored], starts)), stored)
+
+    def row_groups(self, chosen: Int64) -> list[tuple[sharded_table.RowSource, int]]:
+        """Return the row groups of rows at positions (n,), each once: a source, and a number in it."""
+        rows = self._rows
+        numbers = np.unique(rows.start + rows.step * chosen if isinstance(rows, range) else rows[chosen])
+        return self.table.row_groups(numbers)
 
     def _integers(self, name: str, unstored: Callable[[], Int64], stored: Callable[[T], int]) -> Int64:
         """Read a column of integers; ``unstored`` computes it for sets without it, ``stored`` for one row."""
@@ -94,8 +298,8 @@ class RecordDataset(RowColumns, Sequence[T], Generic[T]):
             return self._item(index)
         if isinstance(index, slice):
             return self._select(index)
-        if indexing.picks_several(index):
-            return self._select(indexing.positions(index, len(self)))
+        if picks_several(index):
+            return self._select(positions(index, len(self)))
         return self._item(operator.index(index))
 
     def by_id(self, id: int | str) -> T:
@@ -132,9 +336,7 @@ class RecordDataset(RowColumns, Sequence[T], Generic[T]):
         TypeError
             An index is not an integer.
         """
-        return self._select(
-            indexing.positions(indices if indexing.picks_several(indices) else list(indices), len(self))
-        )
+        return self._select(positions(indices if picks_several(indices) else list(indices), len(self)))
 
     def filter(self, function: Callable[[T], object]) -> Self:
         """Return the items for which a function is true, in order.
@@ -154,7 +356,7 @@ class RecordDataset(RowColumns, Sequence[T], Generic[T]):
         InputError
             A class is not one of :attr:`label_names`.
         """
-        wanted = list(map(self._label_number, indexing.flattened(labels)))
+        wanted = list(map(self._label_number, flattened(labels)))
         return self._select(np.flatnonzero(np.isin(self.labels, wanted)))
 
     def by_label(self) -> dict[str, Self]:
@@ -178,7 +380,7 @@ class RecordDataset(RowColumns, Sequence[T], Generic[T]):
         InputError
             The seed is not an integer, or negative.
         """
-        return self._select(random_parts.random_order(seed, len(self)))
+        return self._select(order.random_order(seed, len(self)))
 
     def sample(self, n: int, seed: int) -> Self:
         """Return ``n`` items, drawn at random without repetition.
@@ -199,7 +401,7 @@ class RecordDataset(RowColumns, Sequence[T], Generic[T]):
             There are fewer items, or a number is negative or not an integer.
         """
         count = checked_fields.checked_integer(n, "n, the size of a sample,", 0, len(self))
-        return self._select(random_parts.random_order(seed, len(self))[:count])
+        return self._select(order.random_order(seed, len(self))[:count])
 
     def split(self, *parts: float, seed: int, stratify: bool = False) -> tuple[Self, ...]:
         """Divide the items at random into disjoint parts.
@@ -234,7 +436,7 @@ class RecordDataset(RowColumns, Sequence[T], Generic[T]):
         that matters.
         """
         labels = self.labels if stratify else None
-        parts_of = random_parts.random_parts(
+        parts_of = order.random_parts(
             [checked_fields.to_builtin_number(part) for part in parts], len(self), seed, labels
         )
         return tuple(self._select(part) for part in parts_of)
@@ -345,3 +547,42 @@ class RecordDataset(RowColumns, Sequence[T], Generic[T]):
 
 AnyRecords: TypeAlias = RecordDataset[Any]
 """A data set of records of any class."""
+
+
+def checked_index(index: int, length: int, of: str, things: str) -> int:
+    """Convert an index that may be negative; IndexError out of range, named by ``of`` and ``things``."""
+    if not -length <= index < length:
+        raise IndexError(f"{of} {index} is out of range for {length} {things}")
+    return index % length
+
+
+def flattened(values: Iterable[object]) -> Iterator[Any]:
+    """Yield the values of nested collections."""
+    for value in values:
+        if isinstance(value, Iterable) and not isinstance(value, (str, bytes)):
+            yield from flattened(value)
+        else:
+            yield value
+
+
+def picks_several(index: object) -> bool:
+    """Return whether an index selects several items: a slice, list, array or tensor."""
+    if isinstance(index, (slice, list, tuple)):
+        return True
+    return hasattr(index, "__array__") and np.ndim(index) > 0
+
+
+def positions(index: object, length: int) -> Int64:
+    """Convert a slice, ints or a boolean mask to positions, shape (n,), from 0 to below a length.
+
+    Raises IndexError for a mask of another length and for ints out of range, and TypeError for other types.
+    """
+    if isinstance(index, slice):
+        return np.arange(*index.indices(length))
+    chosen = np.asarray(index)
+    if chosen.ndim != 1 or (chosen.size and chosen.dtype.kind not in "iub"):
+        raise TypeError(
+            f"rows are chosen by a slice, ints or booleans, not {chosen.dtype} of shape {chosen.shape}"
+        )
+    found: Int64 = np.arange(length)[chosen if chosen.size else np.zeros(0, np.int64)]
+    return found

@@ -1,8 +1,9 @@
-"""Stored rows, and typed records of them."""
+"""Rows in memory: groups of rows, stored rows, and typed records of them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
@@ -11,11 +12,98 @@ import pyarrow as pa
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.json_types import JsonDict
-from tactile_toolkit.read.arrow_views import table_bytes
-from tactile_toolkit.read.integer_columns import whole_number
-from tactile_toolkit.read.row_group import RowGroup, Rows
+from tactile_toolkit.read.columns import (
+    NestedColumn,
+    RaggedColumn,
+    nested_column,
+    numpy_values,
+    ragged_column,
+    table_bytes,
+    whole_number,
+)
+from tactile_toolkit.read.schemas import column_names, list_depth
 
 T = TypeVar("T")
+
+
+class RowGroup:
+    """An unpacked row group, or a block of a large one; its columns are numpy views, built on first use.
+
+    ``table`` holds all columns, one chunk each; subclasses may make it on first use. ``path`` and
+    ``first_row`` are the origin of the rows, for messages. ``mapped_bytes`` is the size in a mapped file of
+    the cache; 0 if the rows are in memory.
+    """
+
+    table: pa.Table
+
+    def __init__(
+        self, table: pa.Table | None = None, path: str = "", first_row: int = 0, mapped_bytes: int = 0
+    ) -> None:
+        if table is not None:
+            self.table = table
+        self.path = path
+        self.first_row = first_row
+        self.mapped_bytes = mapped_bytes
+        self._ragged: dict[str, RaggedColumn] = {}
+        self._flat: dict[str, AnyArray] = {}
+        self._views: JsonDict = {}
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Columns by dotted name."""
+        return column_names(self.table.schema)
+
+    @cached_property
+    def flat_table(self) -> pa.Table:
+        """The rows with the fields of structs as columns of their own, by dotted name."""
+        table = self.table
+        while any(map(pa.types.is_struct, table.schema.types)):
+            table = table.flatten()
+        return table
+
+    def once(self, key: str, build: Callable[[], T]) -> T:
+        """Build a view of the rows on first use, and keep it."""
+        view = self._views.get(key)
+        # setdefault, here and below: if two threads build a view at once, the first one wins.
+        found: T = self._views.setdefault(key, build()) if view is None else view
+        return found
+
+    def ragged(self, name: str) -> RaggedColumn:
+        """Return a column of arrays of shape (n_i, width), by dotted name; IntegrityError for a null."""
+        column = self._ragged.get(name)
+        if column is not None:
+            return column
+        try:
+            return self._ragged.setdefault(name, ragged_column(self.arrow(name)))
+        except ValueError as error:
+            row = min(null_fields(self.table, [name]), default=None)
+            raise self.damaged(name, row, f"{error}" if row is None else "no value is stored") from error
+
+    def damaged(
+        self, name: str, row: int | None, problem: str, expected: str = "a value in every row"
+    ) -> IntegrityError:
+        """Return the error for an unusable field of a row, or of any row if None."""
+        where = "" if row is None else f", row {self.first_row + row}"
+        return IntegrityError.in_file(self.path, f"{where}, field {name!r}: {problem}; expected {expected}")
+
+    def nested(self, name: str) -> NestedColumn:
+        """Return a column of nested lists, by dotted name."""
+        return self.once(name, lambda: nested_column(self.arrow(name)))
+
+    def flat(self, name: str) -> AnyArray:
+        """Return a column of plain values as a numpy array."""
+        column = self._flat.get(name)
+        return self._flat.setdefault(name, numpy_values(self.arrow(name))) if column is None else column
+
+    def arrow(self, name: str) -> pa.Array:
+        """Return a column as an Arrow array, by dotted name, whether stored flat or as a struct's field.
+
+        Raises KeyError when the column does not exist.
+        """
+        # Only the table has whole structs as columns.
+        table = self.table if name in self.table.column_names else self.flat_table
+        column = table.column(name)
+        return column.chunk(0) if column.num_chunks == 1 else column.combine_chunks()
 
 
 class Row:
@@ -23,7 +111,7 @@ class Row:
 
     __slots__ = ("group", "index")
 
-    def __init__(self, group: Rows, index: int) -> None:
+    def __init__(self, group: RowGroup, index: int) -> None:
         self.group = group
         self.index = index
 
@@ -89,11 +177,11 @@ class Row:
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle as a table of this row only, not of its row group."""
         content = table_bytes(self.group.table.slice(self.index, 1)).to_pybytes()
-        return _row_from_ipc, (content, self.path, self.number)
+        return _row_from_ipc, (type(self), content, self.path, self.number)
 
 
-def _row_from_ipc(content: bytes, path: str, number: int) -> Row:
-    return Row(RowGroup(pa.ipc.open_stream(content).read_all(), path, number), 0)
+def _row_from_ipc(row_class: type[Row], content: bytes, path: str, number: int) -> Row:
+    return row_class(RowGroup(pa.ipc.open_stream(content).read_all(), path, number), 0)
 
 
 class Record:
@@ -145,3 +233,32 @@ class Record:
             loaded[name] = load()
         value: T = loaded[name]
         return value
+
+
+def null_fields(table: pa.Table, names: Sequence[str]) -> dict[int, str]:
+    """Find rows of a table, with one chunk per column, in which given columns hold a null at any depth.
+
+    Returns the number of each such row with the first null field: ``"placements.shape"``. Absent columns are
+    ignored.
+    """
+    group = RowGroup(table)
+    found: dict[int, str] = {}
+    for name in filter(group.names.__contains__, names):
+        array = group.arrow(name)
+        if not _first_null(array, name):
+            continue
+        for row in range(len(array)):
+            field = _first_null(array.slice(row, 1), name)
+            if field:
+                found.setdefault(row, field)
+    return found
+
+
+def _first_null(array: pa.Array, name: str) -> str:
+    """Return the first field in or below a column with a null value; "" if there is none."""
+    if array.null_count:
+        return name
+    if pa.types.is_struct(array.type):
+        fields = zip(array.type, array.flatten(), strict=True)
+        return next(filter(None, (_first_null(child, f"{name}.{field.name}") for field, child in fields)), "")
+    return _first_null(array.flatten(), name) if list_depth(array.type)[0] else ""

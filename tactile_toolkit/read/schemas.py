@@ -1,10 +1,16 @@
-"""Columns of Arrow schemas by dotted name, their nesting, and checks of their types."""
+"""Schemas of stored rows: columns by dotted name, their types, and features of `datasets`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TypeVar
 
+import msgspec
 import pyarrow as pa
+
+from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.json_types import JsonDict, JsonObject
 
 Expected = tuple[int, tuple[Callable[[pa.DataType], bool], ...], str]
 """Required type of a column: depth of nesting, tests of the innermost type (one must hold), description."""
@@ -48,3 +54,115 @@ def wrong_type(types: Mapping[str, pa.DataType], expected: Mapping[str, Expected
         if found_depth != depth or not any(test(leaf) for test in tests):
             return f"field {name!r}: the column has the type {types[name]}; expected {words}"
     return ""
+
+
+N = TypeVar("N", tuple[str, ...], None)
+
+# Names of Arrow that differ in numpy and `datasets`.
+_DTYPES = {"double": "float64", "float": "float32", "halffloat": "float16"}
+
+
+class _Label(msgspec.Struct):
+    names: list[str] | None = None
+
+
+class _Info(msgspec.Struct):
+    features: JsonDict | None = None
+
+
+class _Metadata(msgspec.Struct):
+    info: _Info | None = None
+
+
+def dtype_name(data_type: pa.DataType) -> str:
+    """Return the name in `datasets` of an Arrow type of scalars."""
+    return _DTYPES.get(str(data_type), str(data_type))
+
+
+def label_feature(names: Sequence[str]) -> JsonDict:
+    """Describe the label column to `datasets`."""
+    return {"names": list(names), "_type": "ClassLabel"}
+
+
+def feature_metadata(features: JsonObject) -> dict[str, str]:
+    """Return schema metadata from which `datasets` reads the features of a Parquet file."""
+    return {"huggingface": json.dumps({"info": {"features": dict(features)}})}
+
+
+def stored_features(schema: pa.Schema, where: str) -> JsonDict:
+    """Return the features that `datasets` stored in a schema, by column; empty if there are none.
+
+    Raises IntegrityError, which names the file ``where``, when the metadata do not describe features.
+    """
+    text = (schema.metadata or {}).get(b"huggingface", b"{}")
+    try:
+        found = (msgspec.json.decode(text, type=_Metadata).info or _Info()).features or {}
+        msgspec.convert(found.get("label"), _Label | None)
+    except (msgspec.MsgspecError, RecursionError) as error:
+        beginning = text[:80].decode(errors="replace")
+        raise IntegrityError(
+            f"{where!r}, field 'label': the metadata 'huggingface' begins with {beginning!r}; expected the "
+            "features of the data set, class names among them, in JSON",
+            next="download or convert the data set again",
+        ) from error
+    return found
+
+
+def class_names(schema: pa.Schema, default: N, where: str = "") -> tuple[str, ...] | N:
+    """Return the class names that `datasets` stored in a schema, or ``default``.
+
+    Raises IntegrityError, which names the data set ``where``, for invalid metadata.
+    """
+    names = (stored_features(schema, where).get("label") or {}).get("names")
+    return default if names is None else tuple(names)
+
+
+def supported_type(data_type: pa.DataType) -> pa.DataType:
+    """Return the supported type for the same values: no dictionary, view, 64-bit offset or half float."""
+    kinds = pa.types
+    if kinds.is_dictionary(data_type):
+        return supported_type(data_type.value_type)
+    if kinds.is_string_view(data_type) or kinds.is_large_string(data_type):
+        return pa.string()
+    if kinds.is_binary_view(data_type) or kinds.is_large_binary(data_type):
+        return pa.binary()
+    if kinds.is_float16(data_type):
+        return pa.float32()
+    if kinds.is_struct(data_type):
+        return pa.struct([each.with_type(supported_type(each.type)) for each in data_type])
+    if kinds.is_map(data_type):
+        return pa.map_(supported_type(data_type.key_type), supported_type(data_type.item_type))
+    lists = (pa.ListType, pa.LargeListType, pa.ListViewType, pa.LargeListViewType, pa.FixedSizeListType)
+    if not isinstance(data_type, lists):
+        return data_type
+    element = data_type.value_field.with_type(supported_type(data_type.value_type))
+    return pa.list_(element, getattr(data_type, "list_size", -1))
+
+
+def supported_schema(schema: pa.Schema) -> pa.Schema:
+    """Return a schema with :func:`supported_type` of each column; unchanged if all are supported."""
+    types = list(map(supported_type, schema.types))
+    if types == schema.types:
+        return schema
+    # Metadata of a changed field, such as its categories, are no longer valid.
+    fields = [
+        each if each.type == data_type else pa.field(each.name, data_type, each.nullable)
+        for each, data_type in zip(schema, types, strict=True)
+    ]
+    return pa.schema(fields, schema.metadata)
+
+
+def supported_table(table: pa.Table) -> pa.Table:
+    """Return a table with the types of :func:`supported_schema`; the same table where it has them."""
+    schema = supported_schema(table.schema)
+    if schema is table.schema or schema.types == table.schema.types:
+        return table
+    columns = [_converted(*each) for each in zip(table.columns, schema.types, strict=True)]
+    return pa.table(columns, schema=schema)
+
+
+def _converted(column: pa.ChunkedArray, data_type: pa.DataType) -> pa.ChunkedArray:
+    if "list_view" not in str(column.type):
+        return column.cast(data_type)
+    # pyarrow 26 casts list views with nulls incorrectly.
+    return pa.chunked_array([pa.array(chunk.to_pylist(), data_type) for chunk in column.chunks], data_type)

@@ -25,10 +25,9 @@ from typing import IO, TYPE_CHECKING, TypeAlias
 import pyarrow as pa
 
 from tactile_toolkit import cache, errors, store
-from tactile_toolkit.read import blocks, supported_types
-from tactile_toolkit.read.features import class_names
-from tactile_toolkit.read.row_group import RowGroup
-from tactile_toolkit.read.schemas import column_types
+from tactile_toolkit.read import blocks, schemas
+from tactile_toolkit.read.record import RowGroup
+from tactile_toolkit.read.schemas import class_names, column_types
 
 if TYPE_CHECKING:
     from pyarrow import parquet
@@ -128,7 +127,7 @@ class Shard:
                 self._require_bounded(index)
         with self._named_damage():
             # No threads of Arrow, because shards are already read in parallel.
-            return supported_types.supported_table(
+            return schemas.supported_table(
                 parquet.read_row_groups(list(wanted), columns=columns, use_threads=False)
             )
 
@@ -266,7 +265,7 @@ class Shard:
         with self._named_damage():
             for batch in self._open()[0].iter_batches(rows, [index], columns, use_threads=False):
                 # The reader may return fewer rows than requested; blocks must be complete to be found again.
-                table = supported_types.supported_table(pa.Table.from_batches([batch]))
+                table = schemas.supported_table(pa.Table.from_batches([batch]))
                 waiting = table if waiting is None else pa.concat_tables([waiting, table])
                 while len(waiting) >= rows:
                     yield waiting.slice(0, rows).combine_chunks()
@@ -384,7 +383,7 @@ class Shard:
                 problem = f": {found[unit]} {unit}; expected {stated} by the manifest"
                 raise errors.IntegrityError.in_file(self.path, problem)
         return parquet, footer or _FOOTERS.put(
-            key, (metadata, supported_types.supported_schema(parquet.schema_arrow))
+            key, (metadata, schemas.supported_schema(parquet.schema_arrow))
         )
 
     def _require_same(self, found: tuple[object, ...], known: tuple[object, ...]) -> None:

@@ -1,26 +1,26 @@
-"""The rows of several sources under one numbering."""
+"""Sources of rows, several of them under one numbering, and streams of rows."""
 
 from __future__ import annotations
 
+import sys
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import accumulate, chain
-from typing import TypeVar
+from itertools import accumulate, chain, islice
+from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 import pyarrow as pa
 
 from tactile_toolkit import run
 from tactile_toolkit.array_types import AnyArray, Int64
-from tactile_toolkit.read.arrow_views import numpy_values
-from tactile_toolkit.read.row_group import Rows
+from tactile_toolkit.read.columns import numpy_values
+from tactile_toolkit.read.record import RowGroup
 from tactile_toolkit.read.shard import Shard
-from tactile_toolkit.read.source import RowSource
+from tactile_toolkit.wording import with_count
 
 T = TypeVar("T")
-
 _FEW_SHARDS = 8
 _READERS = 16  # most of them wait for a disk or a network
 
@@ -90,7 +90,7 @@ class ShardedTable:
         splits = dict.fromkeys(f"split {split}" for _, split in self.origins if split)
         return [f"{things} of {' and '.join(names)}" if names else things, *splits]
 
-    def locate(self, row: int) -> tuple[Rows, int]:
+    def locate(self, row: int) -> tuple[RowGroup, int]:
         """Return the row group (or block of one) that holds a row, and the row's index in it."""
         index = bisect_right(self._starts, row) - 1
         return self.shards[index].locate(row - self._starts[index])
@@ -124,3 +124,114 @@ class ShardedTable:
             values.setflags(write=False)
             self._columns.setdefault(key, values)
         return self._columns[key]
+
+
+class RowSource(Protocol):
+    """RowGroup, numbered from 0, in row groups; picklable."""
+
+    @property
+    def path(self) -> str:
+        """File of the rows; empty if there is none."""
+
+    @property
+    def schema(self) -> pa.Schema:
+        """Arrow schema of the rows."""
+
+    @property
+    def class_names(self) -> tuple[str, ...] | None:
+        """Class names, None if none are stated."""
+
+    @property
+    def identity(self) -> tuple[object, ...]:
+        """Values that identify the rows, which change when the file is replaced."""
+
+    @property
+    def origin(self) -> tuple[str, str]:
+        """Displayed name of the data set, and its split, which may be empty."""
+
+    @property
+    def set_name(self) -> tuple[str, str]:
+        """Folder and split; sources with equal values have one schema."""
+
+    @property
+    def group_starts(self) -> Sequence[int]:
+        """First row of each row group, and the number of rows at the end."""
+
+    @property
+    def part_sizes(self) -> Sequence[int]:
+        """Rows of the parts that training shuffles."""
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+
+    def locate(self, row: int) -> tuple[RowGroup, int]:
+        """Return rows that contain a row, with all columns, and its index in them."""
+
+    def blocks(self, index: int, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
+        """Read a row group in blocks, one by one, without caching; all columns or those named."""
+
+    def column(self, name: str) -> pa.Array:
+        """Read one column of all rows as an Arrow array, by dotted name; KeyError when it is not there."""
+
+    def unpack(self, index: int) -> int:
+        """Prepare a row group for random access; return its size in bytes, 0 on failure."""
+
+
+S = TypeVar("S", bound=RowSource)
+
+
+def row_groups(sources: Iterable[S]) -> Iterator[tuple[S, int]]:
+    """Yield the row groups of sources in order, each as its source and number."""
+    return ((source, index) for source in sources for index in range(len(source.group_starts) - 1))
+
+
+def all_blocks(sources: Iterable[RowSource], columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
+    """Read all rows of sources in blocks, as :meth:`RowSource.blocks`."""
+    return (block for source, index in row_groups(sources) for block in source.blocks(index, columns))
+
+
+def loader_worker() -> Any:
+    """Return the torch worker information of this process; None if it is not a worker of a loader."""
+    torch_data = sys.modules.get("torch.utils.data")
+    if torch_data is None:
+        return None
+    return torch_data.get_worker_info()
+
+
+class RowStream(Generic[S]):
+    """Base class of streams. Each pass reads from the beginning, a bounded block of rows at a time.
+
+    For torch, a stream is an ``IterableDataset``: give it to ``DataLoader(stream, batch_size=None)``. Workers
+    of a loader share the shards, or the row groups if there are fewer shards than workers.
+
+    Parameters
+    ----------
+    shards : tuple of RowSource
+        Shards, read in order.
+    """
+
+    def __init__(self, shards: tuple[S, ...]) -> None:
+        self.shards = shards
+
+    if not TYPE_CHECKING:
+
+        @property
+        def __class__(self) -> type[Self]:
+            # Loaders call `isinstance`, which reads this attribute. The class is registered here, because
+            # torch takes seconds to import and may be imported after the stream was created.
+            if "torch.utils.data" in sys.modules:
+                sys.modules["torch.utils.data"].IterableDataset.register(type(self))
+            return type(self)
+
+    def row_groups(self) -> Iterator[tuple[S, int]]:
+        """Yield the row groups of all shards, or those of this worker of a loader."""
+        found = loader_worker()
+        if found is None:
+            return row_groups(self.shards)
+        if found.num_workers <= len(self.shards):
+            return row_groups(self.shards[found.id :: found.num_workers])
+        return islice(row_groups(self.shards), found.id, None, found.num_workers)
+
+    def _described(self, items: str) -> str:
+        words = ShardedTable(self.shards).described(with_count(len(self.shards), "shards"))
+        return f"{type(self).__name__}({items}, {', '.join(words)})"

@@ -35,6 +35,17 @@ _MAX_FREE_WORKERS = 16
 
 # Windows waits for at most 63 handles at a time, of which Python needs some.
 _MAX_WAITED_FOR = {"win32": 61}
+_NICENESS = 10
+
+# A fresh interpreter that imports from where the caller does. Only the caller handles Ctrl-C.
+_BOOT = """
+import pickle, signal, sys
+signal.signal(signal.SIGINT, signal.SIG_IGN)
+sys.path[:] = pickle.load(sys.stdin.buffer)
+from tactile_toolkit.run.processes import work_in_background
+work_in_background()
+"""
+
 if sys.platform == "win32":
     from multiprocessing.connection import PipeConnection as Connection
 else:
@@ -258,18 +269,6 @@ def worker_died(task: object, attempts: int, worker: str, again: str) -> Toolkit
         f"the {worker} died {attempts} times while it made {task}; out of memory is the usual cause",
         next=f"run the same command {again} (finished shards are kept)",
     )
-
-
-_NICENESS = 10
-
-# A fresh interpreter that imports from where the caller does. Only the caller handles Ctrl-C.
-_BOOT = """
-import pickle, signal, sys
-signal.signal(signal.SIGINT, signal.SIG_IGN)
-sys.path[:] = pickle.load(sys.stdin.buffer)
-from tactile_toolkit.run.processes import work_in_background
-work_in_background()
-"""
 
 
 def start_background(function: Callable[..., object], *arguments: Any) -> None:

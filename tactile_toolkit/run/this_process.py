@@ -22,6 +22,8 @@ from tactile_toolkit.errors import InputError
 
 T = TypeVar("T")
 _PART = re.compile(r"(?:(?P<index>\d{1,9})|auto)(?:/(?P<count>\d{1,9}))?")
+R = TypeVar("R")
+_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 
 
 @dataclass(frozen=True)
@@ -108,10 +110,6 @@ def _number(environment: Mapping[str, str], name: str) -> int | None:
     if re.fullmatch("[0-9]{1,9}", text):
         return int(text)
     return None
-
-
-R = TypeVar("R")
-_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 
 
 def in_threads(function: Callable[[T], R], items: Iterable[T], workers: int) -> Iterator[R]:

@@ -3,9 +3,8 @@
 from . import remote as remote
 from .addresses import (
     expanded as expanded,
-    is_remote as is_remote,
     local_folder_path as local_folder_path,
-    normalize_uri as normalize_uri,
+    local_path as local_path,
     open_folder as open_folder,
     scheme_of as scheme_of,
     split_uri as split_uri,

@@ -23,11 +23,6 @@ def scheme_of(address: str) -> str:
     return _OTHER_NAMES.get(scheme, scheme)
 
 
-def is_remote(address: str) -> bool:
-    """Return whether an address is not that of a local file system."""
-    return bool(scheme_of(address))
-
-
 def normalize_uri(address: str) -> str:
     """Return a local path without ``file://``, or an address in canonical form, without a trailing slash.
 
@@ -77,15 +72,19 @@ def expanded(path: str | Path, what: str = "path") -> Path:
         ) from error
 
 
+def local_path(name: str) -> Path | None:
+    """Return the local path that a user named, with ``~`` expanded; None for an address of a store."""
+    return None if scheme_of(name) else expanded(normalize_uri(name))
+
+
 def open_folder(address: str) -> DataFolder:
     """Return the data set folder at a path or any fsspec address; it need not exist.
 
     Raises InputError for a web address, and for one that names no bucket or may hold a key.
     """
-    normalized = normalize_uri(address)
-    if is_remote(address):
-        return FsspecFolder(normalized)
-    path = expanded(normalized)
+    path = local_path(address)
+    if path is None:
+        return FsspecFolder(normalize_uri(address))
     if not path.is_absolute():  # only then is the working folder needed, which may have been deleted
         path = run.working_folder() / path
     return LocalFolder(str(path))
@@ -94,7 +93,7 @@ def open_folder(address: str) -> DataFolder:
 def split_uri(address: str) -> tuple[DataFolder, str]:
     """Return the folder of a file, local or at an address, and its name in it."""
     normalized = normalize_uri(address)
-    if is_remote(address):
+    if scheme_of(address):
         parent, _, name = normalized.rpartition("/")
         return open_folder(parent), name
     path = Path(normalized)

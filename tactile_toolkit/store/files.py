@@ -226,6 +226,8 @@ def make_folder(path: Path) -> None:
         with contextlib.suppress(FileExistsError, FileNotFoundError):
             path.mkdir(parents=True, exist_ok=True)
             return
+    if path.is_file():
+        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(path))
     path.mkdir(parents=True, exist_ok=True)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import hashlib
+import io
 import os
 import re
 import stat
@@ -17,6 +18,7 @@ import uuid
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from operator import methodcaller
 from pathlib import Path
 from typing import IO, ClassVar, Protocol, TypeVar
 
@@ -211,13 +213,8 @@ class DataFolder(Protocol):
         problem = problem_of_name(path)
         if problem:
             raise ItemError("name", f"the name {problem}; expected a path below the folder")
-        self._require_inside(path)
-        facts = self.info(path)
-        if facts is None:
-            raise ItemError("missing", "the file does not exist")
-        if facts["type"] != "file" or (self.is_local and not Path(self.address(path)).is_file()):
-            raise ItemError("file", "it is not a regular file, or cannot be read")
-        return int(facts["size"])
+        with self.open_inside(path) as stream:
+            return stream.seek(0, io.SEEK_END)
 
     def problem_of_file(self, path: str) -> str:
         """Return why a path is not a file of the folder itself; empty if it is."""
@@ -427,7 +424,7 @@ class LocalFolder(DataFolder):
 
     def write_bytes(self, path: str, content: bytes) -> None:
         """Write a file in one step, so that readers see all of it or nothing."""
-        self.write(path, lambda stream: stream.write(content))
+        self.write(path, methodcaller("write", content))
 
     def create_bytes(self, path: str, content: bytes) -> None:
         """Write a file in one step unless there is one of that name; if several try, one of them wins."""
@@ -440,7 +437,7 @@ class LocalFolder(DataFolder):
                 if not target.exists():
                     temporary.replace(target)  # a file system without links
 
-        self._write(path, lambda stream: stream.write(content), link)
+        self._write(path, methodcaller("write", content), link)
 
     def move(self, path: str, target: str) -> None:
         """Move a file inside the folder, in place of any other."""

@@ -38,7 +38,7 @@ _LARGEST = (1 << 63) - 1
 Count = Annotated[int, msgspec.Meta(ge=0, le=_LARGEST)]
 Sha256 = Annotated[str, msgspec.Meta(pattern=r"\A[0-9a-f]{64}\Z")]
 VIEWER_FOLDER = "viewer"
-"""Repeats the rows for the Hub's page (`tactile_toolkit.exchange.flat_tables`); copies may leave it out."""
+"""Repeats the rows for the Hub's page (`tactile_toolkit.exchange.copies`); copies may leave it out."""
 MAX_ROWS = 1 << 40
 """Largest number of rows that a shard may state, more than any disk holds."""
 _MANY_SHARDS = 8192

@@ -9,24 +9,22 @@ from .contact import (
     missed_text as missed_text,
     size_option as size_option,
 )
-from .jpeg import (
-    IMAGE_SUFFIX as IMAGE_SUFFIX,
-    ImageFormat as ImageFormat,
-    MAX_IMAGE_BYTES as MAX_IMAGE_BYTES,
-    MAX_IMAGE_PIXELS as MAX_IMAGE_PIXELS,
+from .images import (
+    CLASS_NAMES as CLASS_NAMES,
     decode_image as decode_image,
     decode_small as decode_small,
     encode_image as encode_image,
     encode_png as encode_png,
     image_size as image_size,
+    IMAGE_SUFFIX as IMAGE_SUFFIX,
+    ImageFormat as ImageFormat,
     is_jpeg as is_jpeg,
-    require_bounded_jpeg as require_bounded_jpeg,
-    resized as resized,
-)
-from .schema import (
-    CLASS_NAMES as CLASS_NAMES,
     Kind as Kind,
+    MAX_IMAGE_BYTES as MAX_IMAGE_BYTES,
+    MAX_IMAGE_PIXELS as MAX_IMAGE_PIXELS,
     MEDIA_COLUMN as MEDIA_COLUMN,
     MEDIA_TYPE as MEDIA_TYPE,
+    require_bounded_jpeg as require_bounded_jpeg,
+    resized as resized,
     with_features as with_features,
 )

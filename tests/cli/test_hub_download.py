@@ -14,7 +14,7 @@ import pytest
 from realtouch.kind import KIND as TOUCH_KIND
 from realtouch.touches.opening import SHORT_NAMES
 from tactile_toolkit.kind import kinds
-from tactile_toolkit.places import published_set, repository_named
+from tactile_toolkit.places import published_set
 from tests.hub_server import HubServer, hub
 from tests.realtouch.factories import make_round, single_rows, write_set
 from tests.tactile_toolkit.hub.client import run_here, settings
@@ -279,7 +279,5 @@ def test_short_names():
         assert published_set(entry.name) == published_set(entry.repo_id) == entry
         assert entry.citation.startswith("Schneider")
     assert published_set("someone/digits") is None
-    assert repository_named("real-single") == repository_named("real-single-320x240")
-    assert {repository_named(name).repo_id for name in SHORT_NAMES} == {
-        e.repo_id for e in TOUCH_KIND.published
-    }
+    assert published_set("real-single") == published_set("real-single-320x240")
+    assert {published_set(name) for name in SHORT_NAMES} == {*TOUCH_KIND.published}

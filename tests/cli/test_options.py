@@ -8,7 +8,7 @@ import pytest
 from cli.options import _runner_name, local_place, parse_address
 from starstruck_gen.sampling import SceneSpec
 from starstruck_gen.scene_options import SceneOptions
-from tactile_sim.learning_specs import TrainConfig
+from tactile_sim.sets.learning_specs import TrainConfig
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store import open_folder
 from tests.command_line import call

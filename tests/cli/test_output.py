@@ -10,7 +10,7 @@ import sys
 
 import pytest
 
-from cli.nested_values import flat_lines
+from cli.contents import flat_lines
 from cli.output import Sink
 from tactile_toolkit.wording import BYTES, bytes_text, did_you_mean, duration_text, rate_text
 

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from mnist3d.digit_generation import DigitGenerator, DigitSetSpec, generate
-from mnist3d.digit_options import SolidSpec
+from mnist3d.digit_options import SolidSpec, SplitSpec
 from mnist3d.sources.synthetic import SyntheticSource
-from mnist3d.splits import SplitSpec
 from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.generation import forecast
 from tactile_toolkit.run import Part

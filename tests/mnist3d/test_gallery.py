@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 import mnist3d
-from mnist3d.digit_options import SolidSpec
+from mnist3d.digit_options import SolidSpec, SplitSpec
 from mnist3d.digit_previews import plan_gallery
 from mnist3d.digit_records import REPORT_FILE
 from mnist3d.sources.synthetic import SyntheticSource
-from mnist3d.splits import SplitSpec
 from tactile_toolkit.catalog import RowFilter
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.gallery import build_site

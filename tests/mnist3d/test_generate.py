@@ -10,10 +10,9 @@ import pytest
 
 import mnist3d
 from mnist3d.digit_generation import DigitGenerator, DigitSetSpec, generate
-from mnist3d.digit_options import SolidSpec
+from mnist3d.digit_options import SPLITS, SolidSpec, SplitSpec
 from mnist3d.digit_records import digit_schema
 from mnist3d.sources.synthetic import SyntheticSource
-from mnist3d.splits import SPLITS, SplitSpec
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.generation import plan_build
 from tactile_toolkit.store import open_folder, verify

@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given, strategies as st
 
 from mnist3d import splits
+from mnist3d.digit_options import PUBLISHED_SIZES, SPLITS, SplitSpec
 from mnist3d.sources import NO_WRITER, DigitCatalog
-from mnist3d.splits import PUBLISHED_SIZES, SPLITS, SplitSpec, plan_splits
+from mnist3d.splits import plan_splits
 from tactile_toolkit.errors import InputError
 
 
@@ -153,7 +154,7 @@ def listed_plan(source: DigitCatalog, seed: int) -> dict[str, list[int]]:
     for label in range(10):
         pairs = zip(source.ids.tolist(), source.labels.tolist(), strict=True)
         members = ordered([each for each, its in pairs if its == label], 0)
-        sizes = splits._usual_sizes(len(members), splits.PUBLISHED_SIZES)
+        sizes = splits._usual_sizes(len(members), PUBLISHED_SIZES)
         for split in SPLITS:
             rows[split] += members[: sizes[split]]
             members = members[sizes[split] :]

@@ -14,11 +14,18 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy import ndimage
 
-from mnist3d.handwriting.allographs import ALLOGRAPHS, nine_g_shaped
-from mnist3d.handwriting.curves import CLEAR, through
-from mnist3d.handwriting.writers import KeyedRng, choose_allograph, index_at
 from mnist3d.sources import DigitImage
-from mnist3d.sources.synthetic import DRAWING_VERSION, PAGE_PX, SyntheticSource, ink_paths
+from mnist3d.sources.allographs import ALLOGRAPHS, nine_g_shaped
+from mnist3d.sources.curves import CLEAR, through
+from mnist3d.sources.synthetic import (
+    DRAWING_VERSION,
+    PAGE_PX,
+    KeyedRng,
+    SyntheticSource,
+    choose_allograph,
+    index_at,
+    ink_paths,
+)
 from tactile_toolkit.errors import InputError
 
 MARGIN_PX = 8

@@ -22,7 +22,7 @@ import tactile_sim
 from realtouch.checks.comparisons import GELSIGHT_MINI
 from realtouch.checks.picture_measures import count_markers
 from realtouch.checks.rules import RULES
-from tactile_sim.taxim import taxim_package
+from tactile_sim.optics.taxim import taxim_package
 from tactile_toolkit.errors import InputError
 from tests.command_line import call
 from tests.real_input import SHARED, needs_shared

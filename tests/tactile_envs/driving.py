@@ -8,7 +8,10 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-DEPTH = "tactile_envs:TactileMNIST-Depth-train-v0"
+import tactile_envs
+
+gym.register_envs(tactile_envs)
+DEPTH = "tactile_envs/TactileMNIST-Depth-train-v0"
 ENVS, STEPS = 3, 20
 
 

@@ -17,7 +17,7 @@ from tactile_sim import center_view
 from tests.env_assets.shapes import box
 
 pytestmark = pytest.mark.envs
-DEPTH = "tactile_envs:TactileMNIST-Depth-train-v0"
+DEPTH = "tactile_envs/TactileMNIST-Depth-train-v0"
 GREEN, BLUE, RED = (33, 140, 76), (89, 115, 178), (204, 41, 51)
 
 
@@ -121,7 +121,7 @@ def test_a_picture_shows_a_bar_for_the_probability_of_each_class(assets):
 
 def test_a_picture_shows_where_an_object_is_thought_to_point(assets):
     env = gym.make_vec(
-        "tactile_envs:Toolbox-Depth-v0", num_envs=2, assets=str(assets), render_mode="rgb_array"
+        "tactile_envs/Toolbox-Depth-v0", num_envs=2, assets=str(assets), render_mode="rgb_array"
     )
     env.reset(seed=0)
     action = env.action_space.sample()

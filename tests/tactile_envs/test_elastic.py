@@ -73,7 +73,7 @@ def test_the_plate_alone_and_copies(assets):
 
 @pytest.mark.one_at_a_desk
 def test_checkers_pass_and_other_environments_have_no_force(assets):
-    single = gym.make(f"tactile_envs:{DEPTH}", assets=str(assets), config=ELASTIC)
+    single = gym.make(f"tactile_envs/{DEPTH}", assets=str(assets), config=ELASTIC)
     check_env(single.unwrapped, skip_render_check=True)
     assert "force" not in make_vector(DEPTH, assets=assets).single_observation_space.spaces
 

@@ -45,12 +45,12 @@ WAY = st.floats(-1e3, 1e3, width=32)
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("env_id", [*TASKS, "TactileMNISTSnap-Depth-train-sparse-v0"])
 def test_checkers_pass(env_id, assets):
-    single = gym.make(f"tactile_envs:{env_id}", assets=str(assets))
+    single = gym.make(f"tactile_envs/{env_id}", assets=str(assets))
     check_env(single.unwrapped, skip_render_check=True)
     assert single.unwrapped.render() is None
     assert single.spec.max_episode_steps == single.unwrapped.vector_env.config.step_limit
     for make in (gym.make_vec, ap_gym.make_vec):
-        env = make(f"tactile_envs:{env_id}", num_envs=3, assets=str(assets), render_mode="rgb_array")
+        env = make(f"tactile_envs/{env_id}", num_envs=3, assets=str(assets), render_mode="rgb_array")
         assert isinstance(env, ap_gym.BaseActivePerceptionVectorEnv)
         assert env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
         assert env.metadata["render_fps"] * env.unwrapped.config.transfer_timedelta_s == pytest.approx(1)
@@ -64,7 +64,7 @@ def test_checkers_pass(env_id, assets):
 
 
 def test_meshes_do_not_travel_in_the_specification(assets):
-    env = gym.make_vec(f"tactile_envs:{DEPTH}", num_envs=2, assets=str(assets))
+    env = gym.make_vec(f"tactile_envs/{DEPTH}", num_envs=2, assets=str(assets))
     assert len(repr(env.spec.kwargs)) < 1000
 
 
@@ -127,9 +127,9 @@ def _cloudpickled(env: Any) -> Any:
 
 
 MADE = {
-    "single": lambda **options: gym.make(f"tactile_envs:{TASKS[1]}", **options),
-    "vector": lambda **options: gym.make_vec(f"tactile_envs:{TASKS[2]}", num_envs=9, **options),
-    "threads": lambda **options: gym.make_vec(f"tactile_envs:{DEPTH}", num_envs=9, threads=2, **options),
+    "single": lambda **options: gym.make(f"tactile_envs/{TASKS[1]}", **options),
+    "vector": lambda **options: gym.make_vec(f"tactile_envs/{TASKS[2]}", num_envs=9, **options),
+    "threads": lambda **options: gym.make_vec(f"tactile_envs/{DEPTH}", num_envs=9, threads=2, **options),
 }
 
 
@@ -161,7 +161,7 @@ def test_a_copy_continues_where_the_first_is(assets, copied, made):
 
 def test_a_single_environment_is_not_a_vector(assets):
     """TorchRL and others look for `num_envs`; attributes of the vector are available under their names."""
-    single, vector = gym.make(f"tactile_envs:{DEPTH}", assets=str(assets)), make_vector(DEPTH, assets=assets)
+    single, vector = gym.make(f"tactile_envs/{DEPTH}", assets=str(assets)), make_vector(DEPTH, assets=assets)
     env = single.unwrapped
     for name in ("num_envs", "single_action_space", "autoreset_mode", "closed"):
         assert hasattr(vector, name)
@@ -187,7 +187,7 @@ def test_a_single_environment_is_not_a_vector(assets):
 def test_a_step_after_the_end_is_refused_in_words(assets, threads):
     for env in (
         make_vector(DEPTH, num_envs=2, assets=assets, threads=threads),
-        gym.make(f"tactile_envs:{DEPTH}", assets=str(assets), threads=threads),
+        gym.make(f"tactile_envs/{DEPTH}", assets=str(assets), threads=threads),
     ):
         env.reset(seed=0)
         env.close()
@@ -269,19 +269,19 @@ def test_options_of_an_environment_are_known(assets):
             TypeError,
             match=r"unexpected keyword argument 'thread'; did you mean 'threads'\?; next: choose one",
         ):
-            make(f"tactile_envs:{DEPTH}", thread=2, **place)
+            make(f"tactile_envs/{DEPTH}", thread=2, **place)
     for name in ("num_envs", "autoreset_mode"):
         with pytest.raises(TypeError, match=f"unexpected keyword argument '{name}'"):
-            gym.make(f"tactile_envs:{DEPTH}", **{name: 1}, **place)
+            gym.make(f"tactile_envs/{DEPTH}", **{name: 1}, **place)
     with pytest.raises(InputError, match="autoreset_mode is 'never'; expected one of NEXT_STEP, "):
-        gym.make_vec(f"tactile_envs:{DEPTH}", autoreset_mode="never", **place)
+        gym.make_vec(f"tactile_envs/{DEPTH}", autoreset_mode="never", **place)
     own = Config(sensor_type="depth", sensor_output_size=(32, 32), step_limit=5)
-    env = gym.make_vec(f"tactile_envs:{DEPTH}", num_envs=2, config=own, **place)
+    env = gym.make_vec(f"tactile_envs/{DEPTH}", num_envs=2, config=own, **place)
     assert env.unwrapped.config == own
     again = gym.make_vec(env.spec)
     assert (again.num_envs, again.unwrapped.config) == (2, own)
-    assert gym.make_vec(f"tactile_envs:{DEPTH}", max_episode_steps=3, **place).spec.max_episode_steps == 3
-    assert gym.make(gym.make(f"tactile_envs:{DEPTH}", **place).spec).spec.max_episode_steps == 16
+    assert gym.make_vec(f"tactile_envs/{DEPTH}", max_episode_steps=3, **place).spec.max_episode_steps == 3
+    assert gym.make(gym.make(f"tactile_envs/{DEPTH}", **place).spec).spec.max_episode_steps == 16
 
 
 def test_infos_hold_arrays_and_numbers_alone(assets):

@@ -146,7 +146,7 @@ def _same_noise(theirs: Any, ours: dict[str, Any]) -> None:
 
 
 def test_taxim_within_a_level(provider, assets, packages):
-    """Within a level for 99 % of the pixels of a touch; other pixels as `tactile_sim.optics` states.
+    """Within a level for 99 % of the pixels of a touch; other pixels as `tactile_sim.optics.taxim` states.
 
     On flat gel, the package selects colours by rounding noise, which differ by up to 26 levels; pixels
     beside upright walls may be further off.

@@ -5,56 +5,17 @@ from __future__ import annotations
 import os
 from types import SimpleNamespace
 
-import numba
 import numpy as np
 import pytest
 
 import env_assets
 import mnist3d
 from tactile_envs.mesh_pool import MeshPool
-from tactile_envs.touch_kernels import LANES, PADDING, ROWS, raise_block, raise_object
-from tactile_sim.poses import pose
-from tactile_sim.pressable import Pressable
-from tactile_sim.pressing import render_touch
-from tactile_sim.sensor import center_view
+from tactile_envs.touch_kernels import PADDING, raise_object
+from tactile_sim.press.pressable import Pressable
+from tactile_sim.press.pressing import pose, render_touch
+from tactile_sim.press.sensors import center_view
 from tests.env_assets.shapes import box
-
-
-@numba.njit(error_model="numpy")
-def _plain(heights, places, b, c, b_up, c_up, b_step, c_step, b_slack, c_slack, low, b_rise, c_rise):
-    for row in range(ROWS):
-        for lane in range(LANES):
-            b_here, c_here = (
-                np.float32(b) + b_step * np.float32(lane),
-                np.float32(c) + c_step * np.float32(lane),
-            )
-            height = low + (b_here * b_rise + c_here * c_rise)
-            inside = b_here + b_slack >= 0 and c_here + c_slack >= 0
-            inside = inside and (np.float32(1) + (b_slack + c_slack)) - (b_here + c_here) >= 0
-            if inside and height > heights[places[row] + lane]:
-                heights[places[row] + lane] = height
-        b, c = b + b_up, c + c_up
-
-
-@numba.njit(error_model="numpy")
-def _at_once(heights, places, b, c, b_up, c_up, b_step, c_step, b_slack, c_slack, low, b_rise, c_rise):
-    raise_block(heights, places, b, c, b_up, c_up, b_step, c_step, b_slack, c_slack, low, b_rise, c_rise)
-
-
-def test_raising_a_block_equals_raising_each_pixel():
-    random = np.random.default_rng(0)
-    heights = random.normal(size=4000).astype(np.float32)
-    one, other = heights.copy(), heights.copy()
-    for _ in range(2000):
-        doubles = random.normal(size=4) * [1, 1, 0.3, 0.3]
-        singles = random.normal(size=7).astype(np.float32)
-        singles[2:4] = np.abs(singles[2:4]) * 1e-6
-        at, pitch = int(random.integers(3000)), int(random.integers(LANES, 200))
-        places = tuple(at + row * pitch for row in range(ROWS))
-        _plain(one, places, *doubles, *singles)
-        _at_once(other, places, *doubles, *singles)
-    assert (one == other).all()
-    assert (one != heights).any()
 
 
 @pytest.mark.parametrize("off_px", [0.0, 4e-7, -4e-7])

@@ -189,7 +189,7 @@ def test_two_folders_of_ones_own_are_two_classes(tmp_path, unit, per_mm):
         (tmp_path / name).mkdir(exist_ok=True)
         solid = trimesh.creation.box([side_mm * per_mm, 30 * per_mm, 6 * per_mm])
         solid.export(tmp_path / name / f"{side_mm}.stl")
-    env = gym.make(f"tactile_envs:{DEPTH}", assets=str(tmp_path), unit=unit)
+    env = gym.make(f"tactile_envs/{DEPTH}", assets=str(tmp_path), unit=unit)
     assert env.action_space["prediction"].shape == (2,)
     env.reset(seed=0)
     vector = make_vector(DEPTH, assets=tmp_path, unit=unit, num_envs=3)

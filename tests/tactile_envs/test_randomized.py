@@ -17,7 +17,7 @@ pytest.importorskip("ap_gym", reason="ap-gym (extra `envs`) is not installed")
 
 import env_assets
 import realtouch
-from tactile_envs import base_depth
+from tactile_envs import recorded_sets
 from tactile_envs.entry_points import make_vector
 from tactile_envs.env_specs import env_specs
 from tactile_sim import SensorNoise
@@ -56,7 +56,7 @@ class Ripples:
 def estimator(monkeypatch: pytest.MonkeyPatch) -> Ripples:
     """The estimator of this toolkit."""
     ripples = Ripples()
-    monkeypatch.setattr(base_depth, "_estimator", lambda: ripples)
+    monkeypatch.setattr(recorded_sets, "_estimator", lambda: ripples)
     return ripples
 
 
@@ -326,7 +326,7 @@ def test_depth_behind(envs, many_empty, estimator):
     assert estimator.images == 8
     clean, made = _images(plain, 6), _images(behind, 6)
     assert (made == _images(behind, 6)).all()
-    maps_m = base_depth.base_depths_m(many_empty, 8, (64, 64))
+    maps_m = recorded_sets.base_depths_m(many_empty, 8, (64, 64))
     shown = ((maps_m - PRESS_M) / (GEL_M - PRESS_M))[..., None]
     expected = np.minimum(clean[:, :, None], shown)
     off = np.abs(made[:, :, None] - expected).max(axis=(3, 4, 5))
@@ -347,7 +347,7 @@ def test_images_of_the_bare_plate_are_shared_with_depth_behind(envs, many_empty,
     is_bare = (info["depth"] >= GEL_M - 1e-7).all(axis=(1, 2))
     assert is_bare.any()
     assert not is_bare.all()
-    maps_m = base_depth.base_depths_m(many_empty, 2, (64, 64))
+    maps_m = recorded_sets.base_depths_m(many_empty, 2, (64, 64))
     for row in range(16):
         depth_m = np.minimum(info["depth"][row], maps_m).astype(np.float64)
         images = camera._optics.shades(depth_m, camera.sensor, (64, 64))
@@ -357,16 +357,16 @@ def test_images_of_the_bare_plate_are_shared_with_depth_behind(envs, many_empty,
 def test_each_touch_is_estimated_once(many_empty, estimator, tmp_path, monkeypatch, capsys):
     """Estimates are cached on disk; more estimates begin with the same ones; damaged ones are made again."""
     monkeypatch.setenv("TACTILE_TOOLKIT_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(base_depth, "_QUIET_S", 0.0)
-    few = base_depth.base_depths_m(many_empty, 5, (16, 12))
+    monkeypatch.setattr(recorded_sets, "_QUIET_S", 0.0)
+    few = recorded_sets.base_depths_m(many_empty, 5, (16, 12))
     assert few.shape == (5, 12, 16)
     assert estimator.images == 5
     assert "estimating the depth of real touches without contact: 5 of 5" in capsys.readouterr().err
     opened = realtouch.load(many_empty, "train")
-    more = base_depth.base_depths_m(opened, 8, (16, 12))
+    more = recorded_sets.base_depths_m(opened, 8, (16, 12))
     assert (more[:5] == few).all()
     assert estimator.images == 8
-    assert len(base_depth.base_depths_m(opened, 100, (16, 12))) == 24
+    assert len(recorded_sets.base_depths_m(opened, 100, (16, 12))) == 24
     assert estimator.images == 24
     kept = sorted((tmp_path / "cache" / "environments").glob("base-depth-*[0-9a-f]"))
     assert len(kept) == 24
@@ -374,8 +374,8 @@ def test_each_touch_is_estimated_once(many_empty, estimator, tmp_path, monkeypat
     content[5] ^= 1
     kept[0].write_bytes(content)
     kept[1].unlink()
-    assert (base_depth.base_depths_m(opened, 8, (16, 12)) == more).all()
-    assert len(base_depth.base_depths_m(opened, 24, (16, 12))) == 24
+    assert (recorded_sets.base_depths_m(opened, 8, (16, 12)) == more).all()
+    assert len(recorded_sets.base_depths_m(opened, 24, (16, 12))) == 24
     assert estimator.images == 26
 
 
@@ -384,7 +384,7 @@ def test_estimates_without_a_cache(many_empty, estimator, tmp_path, monkeypatch)
     (tmp_path / "file").write_text("no folder")
     monkeypatch.setenv("TACTILE_TOOLKIT_CACHE", str(tmp_path / "file"))
     for _ in range(2):
-        assert len(base_depth.base_depths_m(realtouch.load(many_empty, "train"), 3, (8, 8))) == 3
+        assert len(recorded_sets.base_depths_m(realtouch.load(many_empty, "train"), 3, (8, 8))) == 3
     assert estimator.images == 6
 
 
@@ -410,7 +410,7 @@ def test_missing_real_touches(assets, envs, tmp_path, estimator, monkeypatch):
             envs(DEPTH, real_base_depth_dataset=given)
         assert words in caught.value.what
         assert leave_out in caught.value.message
-    monkeypatch.setattr(base_depth, "NO_CONTACT_M", -1.0)
+    monkeypatch.setattr(recorded_sets, "NO_CONTACT_M", -1.0)
     with pytest.raises(InputError, match="holds no touch without contact: none of its 3 touches"):
         envs(DEPTH, real_base_depth_dataset=_touches(tmp_path / "touches", 3))
     assert not estimator.images

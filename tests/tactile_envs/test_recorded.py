@@ -169,9 +169,9 @@ def test_images_are_those_of_the_round(assets):
 
 @pytest.mark.parametrize("env_id", [PLAIN, VOLUME])
 def test_checkers_pass(env_id, assets):
-    single = gym.make(f"tactile_envs:{env_id}", assets=str(assets))
+    single = gym.make(f"tactile_envs/{env_id}", assets=str(assets))
     check_env(single.unwrapped, skip_render_check=True)
-    env = gym.make_vec(f"tactile_envs:{env_id}", num_envs=3, assets=str(assets))
+    env = gym.make_vec(f"tactile_envs/{env_id}", num_envs=3, assets=str(assets))
     observation, _ = env.reset(seed=0)
     assert observation in env.observation_space
     env.close()

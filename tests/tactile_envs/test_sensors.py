@@ -11,7 +11,7 @@ ap_gym = pytest.importorskip("ap_gym", reason="ap-gym (extra `envs`) is not inst
 
 import tactile_sim  # noqa: E402
 from tactile_envs.entry_points import make_vector  # noqa: E402
-from tactile_sim.taxim import taxim_package  # noqa: E402
+from tactile_sim.optics.taxim import taxim_package  # noqa: E402
 from tactile_toolkit.errors import InputError, MissingExtraError  # noqa: E402
 from tests.tactile_sim.made_up_twin import made_up_sensor  # noqa: E402
 
@@ -34,7 +34,7 @@ def test_an_environment_sees_through_a_twin(assets, tmp_path) -> None:
         pictures.append(observation["sensor_img"])
         env.close()
     np.testing.assert_array_equal(*pictures)
-    view = tactile_sim.sensor.sensor_of_model(model, "center", SIZE)
+    view = tactile_sim.press.sensors.sensor_of_model(model, "center", SIZE)
     expected = model.optics.render(info["depth"].astype(np.float64), view, SIZE)
     assert np.abs(255 * pictures[0] - expected).max() <= 1.0
     assert np.abs(expected - model.background).mean() > 3  # something is pressed in

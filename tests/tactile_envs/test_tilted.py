@@ -23,7 +23,7 @@ import mnist3d
 from realtouch import Poses
 from tactile_envs.entry_points import make_vector
 from tactile_sim import center_view
-from tactile_sim.optics import make_optics
+from tactile_sim.optics.rendering import make_optics
 from tactile_toolkit.errors import InputError
 from tests.published_envs import make
 from tests.tactile_envs.lockstep import walk

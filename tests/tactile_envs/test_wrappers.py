@@ -332,7 +332,7 @@ def test_flat_actions_keep_the_mode_and_last_observations(assets):
         (DEPTH, ap_gym.ActivePerceptionVectorWrapper),
         (DEPTH, ap_gym.ActivePerceptionVectorLogWrapper),
         (DEPTH, ap_gym.ActiveClassificationVectorLogWrapper),
-        ("tactile_envs:TactileMNISTVolume-Depth-train-v0", ap_gym.ActiveRegressionVectorLogWrapper),
+        ("tactile_envs/TactileMNISTVolume-Depth-train-v0", ap_gym.ActiveRegressionVectorLogWrapper),
         (DEPTH, lambda env: ap_gym.ActivePerceptionVectorRestoreWrapper(wrappers.ClipReward(env, -9, 9))),
         (DEPTH, ap_gym.ensure_active_perception_vector_env),
     ],

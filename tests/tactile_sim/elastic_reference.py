@@ -9,11 +9,10 @@ import dataclasses
 import math
 
 import numpy as np
-from scipy.fft import irfft2, next_fast_len, rfft2
+from scipy.fft import irfft2, rfft2
 
 from tactile_sim.elastic import layer
 
-PARITY = {"zz": (1, 1), "xx": (1, 1), "yy": (1, 1), "xy": (-1, -1), "xz": (1, -1), "yz": (-1, 1)}
 PASSES, MOST_STEPS = 6, 400
 
 
@@ -34,16 +33,8 @@ class PlainSolver:
         self.shape, self.gel = shape, gel
         self.area_m2 = pixel_m[0] * pixel_m[1]
         kernels = layer.pixel_kernels(shape, pixel_m, gel.shear_modulus_pa, gel.poisson_ratio, thickness_m)
-        self.padded = tuple(next_fast_len(2 * count - 1, True) for count in shape)
         self.own = float(kernels["xx"][0, 0] + kernels["yy"][0, 0]) / 2
-        self.spectra = {}
-        rows, columns = shape
-        for name, kernel in kernels.items():
-            whole = np.zeros(self.padded)
-            whole[:rows, :columns] = kernel
-            whole[:rows, -columns + 1 :] = PARITY[name][1] * kernel[:, :0:-1]
-            whole[-rows + 1 :] = PARITY[name][0] * whole[rows - 1 : 0 : -1]
-            self.spectra[name] = rfft2(whole)
+        self.padded, self.spectra = layer.transforms(kernels)
         y, x = (
             (np.arange(count) - (count - 1) / 2) * size
             for count, size in zip(shape, pixel_m[::-1], strict=True)

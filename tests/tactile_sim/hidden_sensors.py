@@ -31,7 +31,7 @@ from scipy import ndimage, signal
 import mnist3d
 import tactile_sim
 from mnist3d.sources.synthetic import SyntheticSource
-from tactile_sim.pressable import Pressable
+from tactile_sim.press.pressable import Pressable
 from tactile_toolkit.mesh import Mesh
 from tests.tactile_sim.hidden_recordings import Recording
 

@@ -15,8 +15,9 @@ from unittest.mock import patch
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_sim import optics, taxim
-from tactile_sim.sensor import center_view
+from tactile_sim.optics import taxim
+from tactile_sim.optics.rendering import make_optics
+from tactile_sim.press.sensors import center_view
 
 _WIDTH, _HEIGHT, _PIXEL_MM = 24, 18, 0.4
 _SIMULATOR = {
@@ -66,7 +67,7 @@ def pictures(package: Path) -> NDArray[np.float32]:
         try:
             for cached in caches:
                 cached.cache_clear()
-            return optics.make_optics("taxim").shades(heights_mm / 1000 + sensor.gel_m, sensor, (20, 16))
+            return make_optics("taxim").shades(heights_mm / 1000 + sensor.gel_m, sensor, (20, 16))
         finally:
             for cached in caches:
                 cached.cache_clear()

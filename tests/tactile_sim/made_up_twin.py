@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tactile_sim.sensor_models import SensorModel
+from tactile_sim.press.sensors import SensorModel
 from tactile_sim.twin import gel, gel_kernels, reader
 from tactile_sim.twin.calibration import model_of
 from tactile_sim.twin.gel import Fitted

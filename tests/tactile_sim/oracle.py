@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tactile_sim.sensor import Sensor, center_view
+from tactile_sim.press.sensors import Sensor, center_view
 from tests.published_envs import published_package
 
 PRESS_M, GEL_M = 0.002125, 0.00425

@@ -21,8 +21,8 @@ Numbers = NDArray[np.float64]
 def press(*arguments: Any, **options: Any) -> tactile_sim.Pressed:
     """Do as :func:`tactile_sim.render_touch` without numba."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("tactile_sim.press_kernels.rasterise", rasterise)
-        patch.setattr("tactile_sim.press_kernels.to_depth", to_depth)
+        patch.setattr("tactile_sim.press.press_kernels.rasterise", rasterise)
+        patch.setattr("tactile_sim.press.press_kernels.to_depth", to_depth)
         return tactile_sim.render_touch(*arguments, **options)
 
 

@@ -15,12 +15,11 @@ pytestmark = [pytest.mark.torch, pytest.mark.sim, pytest.mark.oracle]
 torch = pytest.importorskip("torch", reason="needs torch, of the extra torch")
 pytest.importorskip("tactile_mnist", reason="needs tactile-mnist, of the extra oracle")
 
-from tactile_sim.learned import DepthEstimator, weights as files  # noqa: E402
-from tactile_sim.learned.cyclegan_optics import CycleganOptics  # noqa: E402
-from tactile_sim.learned.networks import GeneratorNetwork, initialise  # noqa: E402
-from tactile_sim.learned.weights import generator_of, weights_of  # noqa: E402
-from tactile_sim.optics import make_optics  # noqa: E402
-from tactile_sim.spec_optics import optics_of  # noqa: E402
+from tactile_sim.learned import DepthEstimator, networks as files  # noqa: E402
+from tactile_sim.learned.inference import CycleganOptics  # noqa: E402
+from tactile_sim.learned.networks import GeneratorNetwork, generator_of, initialise, weights_of  # noqa: E402  # noqa: E402
+from tactile_sim.optics.rendering import make_optics  # noqa: E402
+from tactile_sim.sets.round_press import optics_of  # noqa: E402
 from tactile_toolkit.errors import InputError, ToolkitError  # noqa: E402
 from tactile_toolkit.store import open_folder  # noqa: E402
 

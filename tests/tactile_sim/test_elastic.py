@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 import tactile_sim
-from tactile_sim.elastic import contact as contacts, layer
+from tactile_sim.elastic import layer
 from tactile_toolkit.errors import InputError
 from tests.tactile_sim import elastic_formulas as formulas
 from tests.tactile_sim.elastic_bodies import (
@@ -332,7 +332,7 @@ def test_single_precision_is_near_a_solution_in_double(friction, motion):
     ours = tactile_sim.solve_contact(
         heights, pixel_m, gel, thickness_m=LAYER_M, force_n=5.0, slide_m=motion[:2], twist_rad=motion[2]
     )
-    exact = PlainSolver(heights.shape, pixel_m, gel, LAYER_M).solve(heights[::-1], 5.0, motion)
+    exact = PlainSolver(heights.shape, pixel_m, gel, LAYER_M).solve(heights[::-1], 5.0, motion, 1e-5)
     assert ours.depth_m == pytest.approx(exact.depth_m, abs=1e-7)
     assert np.abs(ours.displacement_m - exact.displacement_m[::-1]).mean() < 1e-7
     assert np.abs(ours.traction_pa - exact.traction_pa[::-1]).mean() < 5e-3 * ours.pressure_pa.max()
@@ -354,11 +354,6 @@ def test_blocks_of_pixels_are_near_the_whole():
     assert abs(blocks.depth_m - whole.depth_m) < 1e-5
     assert np.abs(blocks.displacement_m - whole.displacement_m).mean() < 3e-6
     assert blocks.force_n[2] == pytest.approx(5.0, rel=1e-5)
-
-
-def test_large_images_are_solved_on_blocks():
-    sizes = {(64, 86): 1, (64, 64): 1, (240, 320): 4, (480, 640): 8, (96, 101): 1, (101, 103): 1, (97, 97): 1}
-    assert {size: contacts.block_px(*size) for size in sizes} == sizes
 
 
 def test_reciprocity_of_single_loads():

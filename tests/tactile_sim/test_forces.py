@@ -9,13 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import realtouch
 import tactile_sim
 from realtouch.force_pictures import force_views
 from tactile_sim import ElasticPress, Gel, GenerateSpec, TouchPlan, center_view, full_view, pose
-from tactile_sim.markers import draw_markers
-from tactile_sim.optics import make_optics
+from tactile_sim.optics.rendering import make_optics
+from tactile_sim.press.markers import draw_markers
 from tactile_toolkit.errors import InputError
 from tests.command_line import call
 from tests.tactile_sim.solids import ball, block
@@ -292,13 +293,13 @@ def test_touches_of_the_plate_count_as_such(tmp_path):
 
 @pytest.mark.thorough
 def test_the_same_bytes_for_any_workers_and_after_an_interruption(tmp_path, monkeypatch):
-    monkeypatch.setattr("tactile_sim.generation._SHARD_BYTES", 1)
-    monkeypatch.setattr("tactile_sim.generation._SMALLEST_SHARD_BYTES", 1)
+    monkeypatch.setattr("tactile_sim.sets.generation._SHARD_BYTES", 1)
+    monkeypatch.setattr("tactile_sim.sets.generation._SMALLEST_SHARD_BYTES", 1)
     tactile_sim.generate(SOLIDS, SPEC, tmp_path / "one")
     tactile_sim.generate(SOLIDS, SPEC, tmp_path / "two", workers=2)
     assert _bytes(tmp_path / "one") == _bytes(tmp_path / "two")
     assert len([name for name in _bytes(tmp_path / "one") if name.startswith("data")]) == 4
-    make, made = tactile_sim.generation._make_row, []
+    make, made = tactile_sim.sets.generation._make_row, []
 
     def stopped(*arguments):
         if len(made) == 2:
@@ -307,7 +308,7 @@ def test_the_same_bytes_for_any_workers_and_after_an_interruption(tmp_path, monk
         return make(*arguments)
 
     with monkeypatch.context() as patch:
-        patch.setattr("tactile_sim.generation._make_row", stopped)
+        patch.setattr("tactile_sim.sets.generation._make_row", stopped)
         with pytest.raises(KeyboardInterrupt):
             tactile_sim.generate(SOLIDS, SPEC, tmp_path / "three")
     assert 0 < len(list((tmp_path / "three" / "data").glob("*.parquet"))) < 4
@@ -330,7 +331,7 @@ def test_forces_and_markers_come_back_from_lerobot(touches, tmp_path):
             np.testing.assert_array_equal(one.extra[name], other.extra[name], err_msg=name)
 
 
-def test_a_gallery_shows_pressure_and_flow(touches, tmp_path):
+def test_galleries_and_previews_show_pressure_and_flow(touches, tmp_path):
     touch = realtouch.load(touches, "train").touches()[0]
     image, pressure, flow = force_views(touch)
     assert image.shape == pressure.shape == flow.shape == (24 * 5, 32 * 5, 3)
@@ -341,6 +342,10 @@ def test_a_gallery_shows_pressure_and_flow(touches, tmp_path):
     assert 0.001 < (flow.sum(axis=2) < 600).mean() < 0.2
     assert call("realtouch", "gallery", touches, "--out", tmp_path / "site", "-q") == 0
     assert list(tmp_path.rglob("*stills.jpg"))
+    assert call("realtouch", "preview", touches, "--out", tmp_path / "grid.png", "-q") == 0
+    grid = np.asarray(Image.open(tmp_path / "grid.png"))
+    found = (grid == pressure[2 * 5 + 2, 2 * 5 + 2]).all(axis=2).any(axis=0)
+    assert found.any(), "pressure is beside the image"
 
 
 @pytest.mark.parametrize(("width", "height"), [(16, 12), (64, 24)])

@@ -13,9 +13,9 @@ from typer.testing import CliRunner
 import realtouch
 import starstruck_gen
 import tactile_sim
-from tactile_sim.generation import TouchGenerator
-from tactile_sim.optics import make_optics
-from tactile_sim.round_plan import REACH_M
+from tactile_sim.optics.rendering import make_optics
+from tactile_sim.sets.generation import TouchGenerator
+from tactile_sim.sets.round_plan import REACH_M
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.generation import plan_build
 from tests.command_line import call
@@ -49,7 +49,7 @@ def touches(scenes, tmp_path_factory):
 
 @pytest.mark.thorough
 def test_the_same_bytes_with_workers_split_by_split_and_small_shards(scenes, touches, tmp_path, monkeypatch):
-    monkeypatch.setattr("tactile_sim.generation._SHARD_BYTES", 60_000)
+    monkeypatch.setattr("tactile_sim.sets.generation._SHARD_BYTES", 60_000)
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     tactile_sim.generate(scenes, SPEC, whole)
     tactile_sim.generate(scenes, SPEC, parts, ["test"])
@@ -361,9 +361,9 @@ def test_some_objects_are_touched_as_among_all(scenes, touches, tmp_path):
 
 
 def test_the_default_of_the_optics_needs_no_extra(monkeypatch, tmp_path, capsys):
-    monkeypatch.setattr("tactile_sim.touch_spec.find_spec", lambda name: name)
+    monkeypatch.setattr("tactile_sim.sets.touch_spec.find_spec", lambda name: name)
     assert tactile_sim.default_optics() == "taxim"
-    monkeypatch.setattr("tactile_sim.touch_spec.find_spec", lambda _: None)
+    monkeypatch.setattr("tactile_sim.sets.touch_spec.find_spec", lambda _: None)
     assert tactile_sim.default_optics() == "depth"
     block().apply_scale(1000).export(tmp_path / "part.stl")
     words = (tmp_path / "part.stl", "--size", "32x24", "--out", tmp_path / "touch.png")

@@ -15,10 +15,9 @@ pytestmark = [pytest.mark.torch]
 torch = pytest.importorskip("torch", reason="needs torch, of the extra torch")
 
 from tactile_sim.learned import DepthEstimator  # noqa: E402
-from tactile_sim.learned.generators import make_generator  # noqa: E402
-from tactile_sim.learned.networks import GeneratorNetwork, initialise  # noqa: E402
-from tactile_sim.learned.weights import weights_of, write_weights  # noqa: E402
-from tactile_sim.optics import make_optics  # noqa: E402
+from tactile_sim.learned.inference import make_generator  # noqa: E402
+from tactile_sim.learned.networks import GeneratorNetwork, initialise, weights_of, write_weights  # noqa: E402  # noqa: E402
+from tactile_sim.optics.rendering import make_optics  # noqa: E402
 
 
 def _weights(size_px=(40, 28), filters=4, blocks=2):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_dilation, correlate1d
 
-from tactile_sim import taxim_kernels
+from tactile_sim.optics import taxim_kernels
 from tests.tactile_sim import made_up_sensor
 from tests.unchanged.record import numbers_of, recorded
 

@@ -20,11 +20,11 @@ from typer.testing import CliRunner
 
 import realtouch
 import tactile_sim
-import tactile_sim.taxim
-from tactile_sim.learning_specs import PairsSpec
-from tactile_sim.pair_generation import make_pairs
-from tactile_sim.pairs import Pairs
-from tactile_sim.sensor_noise import add_noise
+import tactile_sim.optics.taxim
+from tactile_sim.optics.sensor_noise import add_noise
+from tactile_sim.sets.learning_specs import PairsSpec
+from tactile_sim.sets.pair_generation import make_pairs
+from tactile_sim.sets.pairs import Pairs
 from tactile_toolkit.errors import (
     BusyError,
     InputError,
@@ -41,15 +41,22 @@ from tests.unchanged.record import numbers_of, recorded
 pytestmark = [pytest.mark.torch, pytest.mark.sim]
 torch = pytest.importorskip("torch", reason="needs torch, of the extra torch")
 
-from tactile_sim.learned import channels  # noqa: E402
 from tactile_sim.learned.batches import Batch  # noqa: E402
-from tactile_sim.learned.channels import generated, noisy_channels, picture_channels, shades_of  # noqa: E402
 from tactile_sim.learned.cyclegan import CycleGan  # noqa: E402
-from tactile_sim.learned.generators import make_generator  # noqa: E402
-from tactile_sim.learned.networks import GeneratorNetwork, initialise  # noqa: E402
+from tactile_sim.learned.inference import (  # noqa: E402
+    generated,
+    make_generator,
+    noisy_channels,
+    picture_channels,
+    shades_of,
+)
+from tactile_sim.learned.networks import (  # noqa: E402
+    GeneratorNetwork,
+    initialise,
+    read_weights,
+)
 from tactile_sim.learned.training import train  # noqa: E402
-from tactile_sim.learned.weights import read_weights  # noqa: E402
-from tactile_sim.learning_specs import TrainConfig  # noqa: E402
+from tactile_sim.sets.learning_specs import TrainConfig  # noqa: E402
 from tests.sealed import edit  # noqa: E402
 
 FILES = ("depth_to_touch.npz", "touch_to_depth.npz", "losses.parquet")
@@ -104,7 +111,7 @@ def test_pairs_satisfy_their_specification_with_any_number_of_workers(sources, p
     assert (empty == 1).all()
     met = data.depth.images(np.flatnonzero(data.depth.contact))
     assert (met.min(axis=(1, 2)) == 0).all()
-    monkeypatch.setattr("tactile_sim.pair_generation._ROWS_PER_SHARD", 25)
+    monkeypatch.setattr("tactile_sim.sets.pair_generation._ROWS_PER_SHARD", 25)
     make_pairs(*sources, "train", SPEC, tmp_path / "again", workers=2)
     sheets = {
         path.read_bytes() for folder in (pairs, tmp_path / "again") for path in Path(folder).rglob("*.png")
@@ -192,8 +199,8 @@ def test_a_finished_training_stays_and_others_are_refused(pairs, trained, source
     with pytest.raises(InputError, match="expected a SensorNoise"):
         TrainConfig(sensor_noise="calibrated")
     with monkeypatch.context() as without:
-        without.setattr("tactile_sim.taxim.find_spec", lambda _: None)
-        tactile_sim.taxim.taxim_package.cache_clear()
+        without.setattr("tactile_sim.optics.taxim.find_spec", lambda _: None)
+        tactile_sim.optics.taxim.taxim_package.cache_clear()
         with pytest.raises(InputError, match=r"'taxim'.*not installed.*or train without.*pretrain_steps = 0"):
             train(pairs, tmp_path / "new", CONFIG)
     if not torch.cuda.is_available():
@@ -281,7 +288,7 @@ def test_the_chain_from_the_command_line(sources, pairs, trained, tmp_path):
 def test_a_generator_takes_images_a_few_at_a_time(pairs, trained, monkeypatch):
     network = make_generator(read_weights(trained / "touch_to_depth.npz"))
     pictures = Pairs.open(pairs).real.images(np.arange(7))
-    monkeypatch.setattr(channels, "_TOGETHER", 3)
+    monkeypatch.setattr("tactile_sim.learned.inference._TOGETHER", 3)
     alone = np.concatenate([generated(network, picture_channels, each[None]) for each in pictures])
     np.testing.assert_allclose(generated(network, picture_channels, pictures), alone, atol=1e-5)
 

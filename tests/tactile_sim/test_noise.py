@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import tactile_sim
-from tactile_sim.sensor_noise import EpisodeNoise, add_noise
+from tactile_sim.optics.sensor_noise import EpisodeNoise, add_noise
 from tactile_toolkit.errors import InputError
 from tests.tactile_sim.oracle import require_package
 

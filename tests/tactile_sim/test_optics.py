@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import tactile_sim
-from tactile_sim.optics import make_optics
+from tactile_sim.optics.rendering import make_optics
 from tactile_toolkit.errors import InputError, MissingExtraError
 from tests.tactile_sim.solids import ball, block
 
@@ -78,9 +78,9 @@ def test_invalid_optics_are_refused(monkeypatch):
         make_optics("depth", "weights.npz")
     with pytest.raises(InputError, match="too small; expected at least 16 x 16"):
         make_optics("taxim").depth_size(8, 64)
-    monkeypatch.setattr("tactile_sim.taxim.find_spec", lambda _: None)
-    import tactile_sim.taxim
+    monkeypatch.setattr("tactile_sim.optics.taxim.find_spec", lambda _: None)
+    import tactile_sim.optics.taxim
 
-    tactile_sim.taxim.taxim_package.cache_clear()
+    tactile_sim.optics.taxim.taxim_package.cache_clear()
     with pytest.raises(MissingExtraError, match=r"the extra `sim`"):
         make_optics("taxim")

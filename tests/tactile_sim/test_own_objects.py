@@ -13,8 +13,8 @@ import pytest
 
 import realtouch
 import tactile_sim
-from tactile_sim.generation import TouchGenerator
-from tactile_sim.sensor import sensor_of_model
+from tactile_sim.press.sensors import sensor_of_model
+from tactile_sim.sets.generation import TouchGenerator
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.mesh import as_mesh, pack_mesh
 from tactile_toolkit.store import Skipped
@@ -93,7 +93,7 @@ def test_folders_are_classes_and_splits_and_no_path_is_stored(tmp_path: Path) ->
 
 
 def test_each_object_that_cannot_be_touched_is_left_out_once(tmp_path: Path, monkeypatch: Any) -> None:
-    monkeypatch.setattr("tactile_sim.generation._SHARD_BYTES", 1)
+    monkeypatch.setattr("tactile_sim.sets.generation._SHARD_BYTES", 1)
     folder = tmp_path / "own"
     opened, flat = block(), block((0.02, 0.01, 0.001))
     opened.faces = opened.faces[1:]

@@ -11,7 +11,7 @@ import trimesh
 from hypothesis import given, strategies as st
 
 import tactile_sim
-from tactile_sim import pressable
+from tactile_sim.press import pressable
 from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.errors import InputError
 from tests.tactile_sim import reference

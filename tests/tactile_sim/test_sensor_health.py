@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tactile_sim.sensor_health import SensorHealth, check_sensor, images_of
+from tactile_sim.twin.sensor_health import SensorHealth, check_sensor, images_of
 from tactile_toolkit.errors import InputError
 from tests.tactile_sim.hidden_recordings import Recording
 from tests.tactile_sim.hidden_sensors import HiddenSensor, digits, draw_sensor

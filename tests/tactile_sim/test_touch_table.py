@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import tactile_sim
-from tactile_sim.generation import TouchGenerator
+from tactile_sim.sets.generation import TouchGenerator
 from tactile_toolkit.columns import tables
 from tactile_toolkit.errors import InputError
 from tests.tactile_sim.solids import block

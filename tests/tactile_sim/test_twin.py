@@ -13,7 +13,7 @@ from scipy import ndimage
 
 import realtouch
 import tactile_sim
-from tactile_sim.twin import fitting, gel, network, reader, surface_kernels
+from tactile_sim.twin import fitting, gel, reader, surface_kernels
 from tactile_sim.twin.calibration import model_of
 from tactile_sim.twin.fitting import Fit
 from tactile_sim.twin.gel import Fitted
@@ -42,8 +42,8 @@ def test_a_network_learns_a_corner():
     rng = np.random.default_rng(0)
     inputs = rng.uniform(-1, 1, (2000, 2)).astype(np.float32)
     targets = np.abs(inputs[:, :1])
-    weights = network.trained("n", inputs, targets, (16,), 1, lambda found, want: found - want, rng, 300)
-    assert np.abs(network.network_output(weights, "n", inputs) - targets).mean() < 0.03
+    weights = reader.trained("n", inputs, targets, (16,), 1, lambda found, want: found - want, rng, 300)
+    assert np.abs(reader.network_output(weights, "n", inputs) - targets).mean() < 0.03
 
 
 def test_simple_shapes_have_walls_of_less_than_a_press_and_fit_under_the_gel():

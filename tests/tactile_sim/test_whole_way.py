@@ -113,17 +113,17 @@ def test_invalid_poses_are_refused():
 
 
 def test_without_taxim_the_missing_extra_is_named(made, tmp_path, monkeypatch):
-    import tactile_sim.spec_optics
-    import tactile_sim.taxim
+    import tactile_sim.optics.taxim
+    import tactile_sim.sets.round_press
 
-    tactile_sim.spec_optics._optics.cache_clear()
-    monkeypatch.setattr("tactile_sim.taxim.find_spec", lambda _: None)
-    tactile_sim.taxim.taxim_package.cache_clear()
+    tactile_sim.sets.round_press._optics.cache_clear()
+    monkeypatch.setattr("tactile_sim.optics.taxim.find_spec", lambda _: None)
+    tactile_sim.optics.taxim.taxim_package.cache_clear()
     result = CliRunner().invoke(
         app,
         ["generate", str(made.parent / "scenes"), "--optics", "taxim", "--out", str(tmp_path / "out")],
     )
-    tactile_sim.taxim.taxim_package.cache_clear()
+    tactile_sim.optics.taxim.taxim_package.cache_clear()
     assert result.exit_code == 2
     assert "the extra `sim`" in result.output + str(result.exception)
     assert not (tmp_path / "out").exists()

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 import tactile_sim
-from tactile_sim.pressable import Pressable
+from tactile_sim.press.pressable import Pressable
 from tests.tactile_sim.hidden_recordings import Recording
 from tests.tactile_sim.hidden_sensors import Family, HiddenSensor, digits, draw_sensor
 

@@ -53,7 +53,7 @@ def test_generate_resume_parts_verify_card_load_upload_and_forecast(tmp_path: Pa
     assert boxes.KIND.recipe(4, 9).arguments("train") == "--split train --boxes 9 --seed 4"
     # verify, with the card
     folder = open_folder(str(whole))
-    assert list(check_folder(boxes.KIND, folder)) == []
+    assert list(check_folder(folder, boxes.KIND)) == []
     card = (whole / "README.md").read_text(encoding="utf-8")
     assert "| `width_m` | float64 | m | extent along x |" in card
     assert "| left out | 1 flat; `manifest.json` names each |" in card

@@ -15,13 +15,12 @@ import realtouch
 import starstruck_gen
 import tactile_sim
 from starstruck_gen.kind import KIND as SCENES
+from tactile_toolkit.catalog import RowFilter
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.exchange import divide, merge_sets, plan_tables, write_part
 from tactile_toolkit.places import open_place
 from tactile_toolkit.store import Progress, build, open_folder
 from tests.realtouch import factories
-
-ALL = {"ids": None, "labels": None, "limit": None, "per_class": None}
 
 
 def scenes(folder: Path, seed: int) -> str:
@@ -44,8 +43,7 @@ def divided(source: str, out: str, **run: Any) -> None:
 
 
 def flat(source: str, out: str, **run: Any) -> None:
-    choices = [("train", starstruck_gen.load(source), np.arange(3))]
-    build(open_folder(out), plan_tables(SCENES, open_place(source), choices, ALL, out), **run)
+    build(open_folder(out), plan_tables(SCENES, open_place(source), RowFilter(), out), **run)
 
 
 def resized(source: str, out: str, **run: Any) -> None:

@@ -14,8 +14,8 @@ from tactile_toolkit.errors import (
     ItemError,
     StorageError,
 )
-from tactile_toolkit.gallery import PAGE_FILE, Gallery, build_site, site as site_module
-from tactile_toolkit.gallery.site import ASSETS, MAX_ITEMS, THREE, asset
+from tactile_toolkit.gallery import Gallery, build_site, site as site_module
+from tactile_toolkit.gallery.site import ASSETS, MAX_ITEMS, PAGE_FILE, THREE, asset
 from tactile_toolkit.run import InlineRunner, ProcessRunner
 from tests.forked import run_forked, start_forked
 from tests.gallery_files import files_of, index_of

@@ -6,7 +6,8 @@ import pytest
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.hub import HubName, hub_name
-from tactile_toolkit.places import open_place, repository_named, splits_by_name
+from tactile_toolkit.places import find_repository, open_place
+from tactile_toolkit.places.split_files import splits_by_name
 
 
 @pytest.mark.parametrize(
@@ -48,9 +49,8 @@ def test_a_revision_is_given_once():
 
 
 def test_a_part_of_a_repository_is_not_a_repository():
-    assert repository_named("a/b@dev").revision == "dev"
     with pytest.raises(InputError, match="leave 'data' out"):
-        repository_named("hf://datasets/a/b/data")
+        find_repository("hf://datasets/a/b/data")
 
 
 def test_numbered_files_belong_to_the_split_of_their_folder():

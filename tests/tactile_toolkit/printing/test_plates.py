@@ -20,7 +20,7 @@ from PIL import Image
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import BuildItem, Mesh, check_manifold, read_build, write_build
 from tactile_toolkit.pictures import draw_text, text_size
-from tactile_toolkit.printing import TABLE_FILE, PlateSpec, PrintObject, arrange, write_plates
+from tactile_toolkit.printing import PlateSpec, PrintObject, arrange, write_plates
 from tactile_toolkit.printing.file_export import place_on_plate
 from tactile_toolkit.printing.plate_layouts import PlacedObject, PlateLayout, draw_map
 from tactile_toolkit.printing.print_options import BEDS_MM
@@ -369,6 +369,6 @@ def test_bodies_that_lie_apart_stay_together() -> None:
 def test_no_label_becomes_a_formula(tmp_path: Path) -> None:
     (thing,) = named([box(10, 10)])
     made = write_plates(lay_out([replace(thing, label="=1+1")], SMALL), str(tmp_path))
-    table = (tmp_path / TABLE_FILE).read_text(encoding="utf-8")
+    table = (tmp_path / "plates.csv").read_text(encoding="utf-8")
     (row,) = csv.DictReader(table.splitlines())
     assert (row["label"], made.objects[0]["label"]) == ("'=1+1", "=1+1")

@@ -17,7 +17,7 @@ import realtouch
 import starstruck_gen
 from realtouch.importing.import_columns import ImportColumns
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.read.supported_types import supported_table, supported_type
+from tactile_toolkit.read.schemas import supported_table, supported_type
 from tactile_toolkit.touch import decode_image
 from tests.command_line import call
 from tests.mesh_columns import list_array

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.store import is_remote, normalize_uri, open_folder
+from tactile_toolkit.store import open_folder, scheme_of
+from tactile_toolkit.store.addresses import normalize_uri
 from tests.forked import run_forked
 
 
@@ -30,7 +31,8 @@ from tests.forked import run_forked
 def test_one_form_of_each_place(given, place):
     assert normalize_uri(given) == place
     assert normalize_uri(place) == place
-    assert is_remote(given) == is_remote(place) == (place.partition("://")[0] in ("s3", "gs", "hf"))
+    scheme = place.partition("://")[0]
+    assert scheme_of(given) == scheme_of(place) == (scheme if scheme in ("s3", "gs", "hf") else "")
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,1 @@
+"""Images of the camera behind the gel, from depth."""

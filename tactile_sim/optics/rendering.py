@@ -1,0 +1,170 @@
+"""Images of the camera behind the gel, from depth: grey depth, Taxim, or a trained network."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from pathlib import Path
+
+import numpy as np
+
+from tactile_sim.press.sensors import OPTICS, Sensor
+from tactile_toolkit import touch
+from tactile_toolkit.array_types import AnyArray, Float32, Float64, UInt8
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.kind import lazy
+
+__all__ = ["OPTICS", "Optics", "in_size_of", "make_optics", "require_images", "scaled"]
+_FARTHEST_M = 10.0
+
+
+def scaled(pictures: UInt8, size_px: tuple[int, int]) -> UInt8:
+    """Scale pictures (n, H, W, 3) to a size, pixels; pictures of that size are returned unchanged."""
+    width, height = size_px
+    if pictures.shape[1:3] == (height, width):
+        return pictures
+    return np.stack([touch.resized(each, width, height) for each in pictures])
+
+
+def require_images(images: AnyArray, name: str) -> None:
+    """Raise InputError unless an array holds one image or more, uint8, of shape (n, H, W, 3)."""
+    shape = images.shape
+    if images.dtype != np.uint8 or images.ndim != 4 or shape[3] != 3 or not len(images):
+        raise InputError(f"{name} are {images.dtype} of shape {shape}; expected uint8 (n, height, width, 3)")
+
+
+def in_size_of(size_px: tuple[int, int], images: UInt8) -> UInt8:
+    """Scale images (n, H, W, 3) to the size of a sensor's; InputError for other arrays or proportions."""
+    require_images(images, "images")
+    (wide, high), (height, width) = size_px, images.shape[1:3]
+    if abs(height - width * high / wide) > 1 and abs(width - height * wide / high) > 1:
+        raise InputError(
+            f"images have {width} x {height} pixels; expected the proportions of the sensor, {wide} x {high}",
+            next="give whole images, as the camera took them for the calibration",
+        )
+    return scaled(images, size_px)
+
+
+class Optics(ABC):
+    """Renders pictures from depth maps."""
+
+    least_px = 1
+    """Least side of a picture, pixels."""
+
+    def depth_size(self, width: int, height: int) -> tuple[int, int]:
+        """Return the size of the depth maps from which pictures of this size are rendered."""
+        if min(width, height) < self.least_px:
+            raise InputError(
+                f"a picture of {width} x {height} pixels is too small; expected at least {self.least_px} x "
+                f"{self.least_px}"
+            )
+        return width, height
+
+    def shades(
+        self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int], *, is_surface: bool = False
+    ) -> Float32:
+        """Return shades from 0 to 1, float32, (n, H, W, 3), of depth maps (n, h, w), metres.
+
+        They have the requested size if the optics scale shades themselves, otherwise the size of the maps.
+        With ``is_surface``, the maps are the surface of an elastic gel, which is not smoothed again.
+        InputError for maps of another shape, smaller than ``least_px``, or not within 10 m, and for sizes
+        that no image has.
+        """
+        maps = np.asarray(depth_m)
+        is_float = maps.dtype in (np.float32, np.float64)
+        if maps.ndim != 3 or not is_float or min(maps.shape[1:]) < self.least_px:
+            raise InputError(
+                f"depth maps are {maps.dtype} of the shape {maps.shape}; expected floats (n, height, width) "
+                f"with at least {self.least_px} pixels a side"
+            )
+        # Kernels look values up by place in a table, so each of them must be a number.
+        if maps.size and not (maps.min() > -_FARTHEST_M and maps.max() < _FARTHEST_M):
+            raise InputError(f"depth maps hold values that are not within {_FARTHEST_M:g} m")
+        if min(size_px) < 1 or size_px[0] * size_px[1] > touch.MAX_IMAGE_PIXELS:
+            raise InputError(
+                f"a picture of {size_px[0]} x {size_px[1]} pixels was asked for; expected 1 to "
+                f"{touch.MAX_IMAGE_PIXELS:,} pixels"
+            )
+        return self._shades(maps, sensor, size_px, is_surface=is_surface)
+
+    @abstractmethod
+    def _shades(
+        self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int], *, is_surface: bool
+    ) -> Float32:
+        """Return :meth:`shades` of maps that were checked."""
+
+    def render(
+        self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int], *, is_surface: bool = False
+    ) -> UInt8:
+        """Return pictures (n, H, W, 3), uint8, in the requested size, of depth maps (n, h, w), metres.
+
+        ``is_surface`` is as for :meth:`shades`.
+        """
+        shades = self.shades(depth_m, sensor, size_px, is_surface=is_surface)
+        # In place: fresh memory takes longer than the products.
+        shades *= np.float32(255)
+        return scaled(np.rint(shades, out=shades).astype(np.uint8), size_px)
+
+
+class DepthOptics(Optics):
+    """The depth image itself, grey: black deepest in the gel, white no contact."""
+
+    def _shades(
+        self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int], *, is_surface: bool
+    ) -> Float32:
+        """Return the depth image in red, green and blue."""
+        return np.repeat(sensor.depth_image(depth_m)[..., None], 3, axis=-1)
+
+
+def make_optics(
+    name: str, weights: str | Path | None = None, *, device: str = "cpu", bfloat16: bool = False
+) -> Optics:
+    """Return optics by name.
+
+    Parameters
+    ----------
+    name : str
+        One of :data:`OPTICS`.
+    weights : str or path, optional
+        Weights of a generator, for ``"cyclegan"``; by default those that `tactile-mnist` ships.
+    device : str
+        Where ``"cyclegan"`` is computed: ``"cpu"``, ``"cuda"``, or ``"auto"`` for a GPU if there is one. On a
+        GPU, images may differ by a level with their batch.
+    bfloat16 : bool
+        Whether ``"cyclegan"`` multiplies in bfloat16: faster, and a level may differ.
+
+    Returns
+    -------
+    Optics
+        Renders pictures from depth.
+
+    Raises
+    ------
+    InputError
+        The optics are unknown, weights are missing or do not fit, or the device does not exist.
+    MissingExtraError
+        A package that the optics need is not installed.
+    """
+    if name not in OPTICS:
+        raise InputError(f"no optics {name!r}; expected one of {', '.join(OPTICS)}")
+    if name == "cyclegan":
+        # Imported by name, because it needs the extra `torch`.
+        made = lazy("tactile_sim.learned.inference:CycleganOptics")
+        cyclegan: Optics = made(weights, device=device, bfloat16=bfloat16)
+        return cyclegan
+    if weights is not None:
+        raise InputError(
+            f"weights were given, but the optics are {name!r}", next="leave out weights, or use cyclegan"
+        )
+    if device != "cpu" or bfloat16:
+        raise InputError(
+            f"device is {device!r} and bfloat16 {bfloat16}, but the optics are {name!r}, which compute on "
+            "the CPU in single precision",
+            next="leave out both, or use cyclegan",
+        )
+    if name == "twin":
+        raise InputError("the optics 'twin' belong to a calibrated sensor", next="take `model.optics` of it")
+    if name == "taxim":
+        # Imported by name, because its kernels import numba, which takes half a second.
+        taxim: Optics = lazy("tactile_sim.optics.taxim:TaximOptics")()
+        return taxim
+    return DepthOptics()

@@ -1,0 +1,1 @@
+"""Pressing a gel onto solids: sensors, solids, poses, and heights under a sensor."""

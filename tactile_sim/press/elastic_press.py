@@ -1,0 +1,326 @@
+"""Presses of the elastic gel of a sensor: the whole gel is solved, and an image shows a window of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tactile_sim.elastic.contact import Contact, Gel, solve_contact
+from tactile_sim.press.press_spec import MAX_FORCE_N, MAX_SLIDE_M, MAX_TWIST_RAD
+from tactile_sim.press.sensors import Sensor, full_view
+from tactile_sim.value_files import read_values
+from tactile_toolkit.array_types import Bool, Float64
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.touch import MAX_IMAGE_PIXELS
+
+MAX_SHARE = 0.5
+"""Greatest press depth, as a share of the thickness of the gel; there, linear theory is only indicative."""
+
+# Pixels of 64 x 64 images have 0.22 mm. At 80 x 60 blocks of 320 x 240 pixels the depth is off by 2 um.
+_SOLVED_M = 0.00024
+_SAME = 1 + 1e-9  # sides that differ only by rounding
+_SLIP_REACH_M = 0.003  # distance at which the slip of a contact has decayed; slides are at most a third
+_REFERENCE_PA, _REFERENCE_N = 1e6, 1.0
+_MAPS = ("pressure_pa", "traction_pa", "displacement_m", "is_contact", "is_stick")
+
+
+@dataclass(frozen=True, slots=True)
+class WholeGel:
+    """The whole gel around the window of a sensor.
+
+    Attributes
+    ----------
+    sensor : Sensor
+        The sensor with a window that shows the whole gel, in pixels of the same size.
+    block_px : int
+        Side of the blocks of pixels that are solved as one.
+    beside_px : tuple of int
+        How many pixels the gel reaches beyond the window on each side, along x and along y.
+    """
+
+    sensor: Sensor
+    block_px: int
+    beside_px: tuple[int, int]
+
+    @classmethod
+    def of(cls, sensor: Sensor) -> WholeGel:
+        """Extend a window to the whole gel, a whole number of blocks that are at most 0.24 mm wide.
+
+        InputError for a window that is larger than the gel, or a gel of too many pixels.
+        """
+        if any(shown > _SAME * whole for shown, whole in zip(sensor.window_m, sensor.surface_m, strict=True)):
+            (shown_x, shown_y), (width_m, height_m) = sensor.window_m, sensor.surface_m
+            raise InputError(
+                f"the image shows {1e3 * shown_x:.2f} x {1e3 * shown_y:.2f} mm, and the elastic gel has "
+                f"{1e3 * width_m:.2f} x {1e3 * height_m:.2f} mm",
+                next="use an image of another aspect, such as 4:3, or the full view",
+            )
+        sides = zip(sensor.surface_m, sensor.window_m, sensor.pixel_m, strict=True)
+        least = [max(0, round((surface - window) / 2 / pixel)) for surface, window, pixel in sides]
+        block_px = max(1, int(_SOLVED_M / max(sensor.pixel_m)))
+        while True:
+            beside = [_filled(px, more, block_px) for px, more in zip(sensor.size_px, least, strict=True)]
+            if None not in beside:
+                break
+            block_px -= 1
+        across, along = (more for more in beside if more is not None)
+        width, height = sensor.size_px[0] + 2 * across, sensor.size_px[1] + 2 * along
+        if width * height > MAX_IMAGE_PIXELS:
+            raise InputError(
+                f"the whole gel has {width:,} x {height:,} pixels of the size of those of the window; "
+                f"expected at most {MAX_IMAGE_PIXELS:,}",
+                next="use a sensor with fewer pixels, or a larger window",
+            )
+        window_m = (width * sensor.pixel_m[0], height * sensor.pixel_m[1])
+        shown = replace(sensor, size_px=(width, height), window_m=window_m)
+        return cls(shown, block_px, (across, along))
+
+    def window(self) -> tuple[slice, slice]:
+        """Return rows and columns of the window in maps of the whole gel."""
+        width, height = self.sensor.size_px
+        across, along = self.beside_px
+        return slice(along, height - along), slice(across, width - across)
+
+
+def _filled(size_px: int, least: int, block_px: int) -> int | None:
+    """Return the margin of each side, at least ``least`` pixels, that fills whole blocks; or None."""
+    return next((k for k in range(least, least + block_px) if (size_px + 2 * k) % block_px == 0), None)
+
+
+def read_gel(path: str) -> Gel:
+    """Read the properties of a gel from a JSON file; InputError for any other file."""
+    return read_values(path, Gel, "the gel")
+
+
+class Load(NamedTuple):
+    """Load of an elastic gel in a touch: a force or a depth, and the motion that follows."""
+
+    gel: Gel
+    force_n: float | None
+    depth_m: float | None
+    slide_m: tuple[float, float] = (0.0, 0.0)
+    twist_rad: float = 0.0
+
+    def press(self, heights_m: Float64, whole: WholeGel, out: Float64) -> Contact:
+        """Solve a touch of the whole gel, heights in metres; return the contact with maps of the window.
+
+        ``out`` (H, W) gets the distance of its surface from the sensor, metres.
+        """
+        from tactile_sim.press.press_kernels import show_surface  # numba takes half a second to import
+
+        sensor, (rows, columns) = whole.sensor, whole.window()
+        if heights_m.min() < heights_m.max():
+            found = self.contact(heights_m, whole)
+        else:
+            found = _plate_contact(self, whole)
+        corner, inward_m = (rows.start, columns.start), found.displacement_m[..., 2]
+        show_surface(out, corner, inward_m, self._visible_motion(found, sensor), sensor.pixel_m, sensor.gel_m)
+        maps = {name: getattr(found, name)[rows, columns].copy() for name in _MAPS}
+        return replace(found, **maps, torque_nm=_about_axis(found, sensor))
+
+    def contact(self, heights_m: Float64, whole: WholeGel) -> Contact:
+        """Press the whole gel to the depth, or to the force, but no deeper than linear theory goes."""
+        found, most_m = self._solved(heights_m, whole), MAX_SHARE * whole.sensor.gel_m
+        if self.depth_m is None and found.depth_m > most_m:
+            return self._replace(force_n=None, depth_m=most_m)._solved(heights_m, whole)
+        return found
+
+    def _solved(self, heights_m: Float64, whole: WholeGel) -> Contact:
+        return solve_contact(
+            heights_m,
+            whole.sensor.pixel_m,
+            self.gel,
+            thickness_m=whole.sensor.gel_m,
+            depth_m=self.depth_m,
+            force_n=self.force_n,
+            slide_m=self._slide_under(whole.sensor),
+            twist_rad=self.twist_rad,
+            block_px=whole.block_px,
+        )
+
+    def _visible_motion(self, contact: Contact, sensor: Sensor) -> Float64:
+        """Return the motion along x and y of the visible surface, metres, (H, W, 2).
+
+        In the contact, the shape of the body is visible and moves, even where it slips over the gel; far from
+        it, the gel itself; in between, the motion is interpolated.
+        """
+        from scipy.ndimage import distance_transform_edt  # takes a tenth of a second to import
+
+        rows, columns = contact.is_contact.shape
+        width_m, height_m = sensor.pixel_m
+        x_m = (np.arange(columns) - (columns - 1) / 2) * width_m
+        y_m = ((rows - 1) / 2 - np.arange(rows)) * height_m
+        slide_x_m, slide_y_m = self._slide_under(sensor)
+        body_m = np.empty((rows, columns, 2))
+        body_m[..., 0] = slide_x_m - self.twist_rad * y_m[:, None]
+        body_m[..., 1] = slide_y_m + self.twist_rad * x_m
+        gel_m = contact.displacement_m[..., :2]
+        # Beside the contact, the slip of its nearest point, decreasing with the distance.
+        away_m, nearest = distance_transform_edt(
+            ~contact.is_contact, sampling=(height_m, width_m), return_indices=True
+        )
+        share = np.square(np.maximum(1.0 - away_m / _SLIP_REACH_M, 0.0))
+        moved: Float64 = gel_m + share[..., None] * (body_m - gel_m)[tuple(nearest)]
+        return moved
+
+    def _slide_under(self, sensor: Sensor) -> tuple[float, float]:
+        """Return the slide under the middle of the map, where a turn about the sensor's axis adds to it."""
+        (x_m, y_m), (off_x_m, off_y_m) = self.slide_m, _off_axis_m(sensor)
+        return x_m - self.twist_rad * off_y_m, y_m + self.twist_rad * off_x_m
+
+
+# With a single force, most touches of a set or environment meet only the plate, and share this contact.
+@lru_cache(maxsize=4)
+def _plate_contact(load: Load, whole: WholeGel) -> Contact:
+    return load.contact(np.zeros(whole.sensor.size_px[::-1]), whole)
+
+
+@lru_cache(maxsize=64)
+def plate_z_m(sensor: Sensor, load: Load) -> float:
+    """Return the height at which a sensor stops on the bare plate, metres."""
+    return sensor.gel_m - _plate_contact(load, WholeGel.of(sensor)).depth_m
+
+
+def _off_axis_m(sensor: Sensor) -> tuple[float, float]:
+    """Return the offset of the middle of a map from the sensor's axis, as pixels are sampled off-centre."""
+    return sensor.sample_px[0] * sensor.pixel_m[0], sensor.sample_px[1] * sensor.pixel_m[1]
+
+
+def _about_axis(contact: Contact, sensor: Sensor) -> tuple[float, float, float]:
+    """Convert a torque about the middle of a map to one about the sensor's axis, N m."""
+    (x, y, z), (off_x_m, off_y_m) = contact.torque_nm, _off_axis_m(sensor)
+    force_x, force_y, force_z = contact.force_n
+    return x + off_y_m * force_z, y - off_x_m * force_z, z + off_x_m * force_y - off_y_m * force_x
+
+
+def loads_of(
+    gel: Gel | None,
+    count: int,
+    sensor: Sensor,
+    force_n: ArrayLike | None,
+    depth_m: ArrayLike | None,
+    slide_m: ArrayLike,
+    twist_rad: ArrayLike,
+) -> list[Load] | None:
+    """Return the loads of ``count`` touches, None without an elastic gel; see :func:`render_touch`.
+
+    InputError for numbers out of range, and unless an elastic gel has one of force and depth.
+    """
+    stops = {name: value for name, value in (("force_n", force_n), ("depth_m", depth_m)) if value is not None}
+    if gel is None:
+        motions = {"slide_m": slide_m, "twist_rad": twist_rad}
+        superfluous = [*stops, *(name for name, value in motions.items() if np.any(value))]
+        if superfluous:
+            raise InputError(
+                f"{superfluous[0]} is given, but no elastic gel",
+                next="give gel=tactile_sim.Gel() too, or leave it out",
+            )
+        return None
+    slides = _numbers("slide_m", slide_m, (count, 2))
+    twists = _numbers("twist_rad", twist_rad, (count,))
+    if len(stops) != 1:
+        raise InputError(
+            f"an elastic gel is pressed with {' and '.join(stops) or 'neither'}; expected one of force_n and "
+            "depth_m",
+            next="give force_n=5.0, for example",
+        )
+    ((name, value),) = stops.items()
+    most = {"force_n": MAX_FORCE_N, "depth_m": sensor.gel_m}[name]
+    numbers = _numbers(name, value, (count,))
+    _require(name, (numbers > 0) & (numbers < most), numbers, f"above 0 and below {most:g}")
+    _require("slide_m", np.abs(slides) <= MAX_SLIDE_M, slides, f"at most {MAX_SLIDE_M:g} along x and y")
+    _require(
+        "twist_rad",
+        np.abs(twists) <= MAX_TWIST_RAD,
+        twists,
+        f"at most {MAX_TWIST_RAD:.4g} in either direction",
+    )
+    still = Load(gel, None, None)
+    return [
+        still._replace(**{name: number}, slide_m=(x, y), twist_rad=twist)
+        for number, (x, y), twist in zip(numbers.tolist(), slides.tolist(), twists.tolist(), strict=True)
+    ]
+
+
+def fit_youngs_modulus(
+    depth_m: ArrayLike,
+    force_n: ArrayLike,
+    sensor: Sensor | None = None,
+    *,
+    poisson_ratio: float = 0.49,
+    friction: float = 0.5,
+) -> float:
+    """Find Young's modulus of a gel from presses onto the bare plate.
+
+    On a plate that is larger than the gel, force is proportional to depth and to the modulus. Only the slope
+    is used, so the depth may be measured from any zero. Poisson's ratio must be known: a gel that is
+    bonded to its window is twice as stiff at 0.49 as at 0.4.
+
+    Parameters
+    ----------
+    depth_m : array_like, shape (n,)
+        How far the sensor came down, metres, from any zero; two different depths or more, each in contact
+        with the whole gel.
+    force_n : array_like, shape (n,)
+        Normal force then, newtons.
+    sensor : Sensor, optional
+        Thickness and size of the gel; a GelSight Mini by default.
+    poisson_ratio, friction : float
+        The other properties of the gel, see :class:`tactile_sim.Gel`.
+
+    Returns
+    -------
+    float
+        Young's modulus, Pa.
+
+    Raises
+    ------
+    InputError
+        Fewer than two depths, numbers that are not finite, or forces that do not grow with depth.
+    """
+    try:
+        depths, forces = np.asarray(depth_m, np.float64), np.asarray(force_n, np.float64)
+    except (TypeError, ValueError):
+        depths = forces = np.empty(0)
+    fits = depths.ndim == 1 and depths.shape == forces.shape and len(np.unique(depths)) > 1
+    if not (fits and np.isfinite(depths).all() and np.isfinite(forces).all()):
+        raise InputError(
+            f"depth_m and force_n have shapes {np.shape(depth_m)} and {np.shape(force_n)}; expected as many "
+            "finite numbers each, of two depths or more"
+        )
+    slope = float(np.polyfit(depths, forces, 1)[0])
+    if slope <= 0:
+        raise InputError(
+            "the force does not grow with the depth; expected depths that grow into the gel, metres",
+            next="change the sign of depth_m",
+        )
+    sensor = sensor or full_view()
+    gel = Gel(_REFERENCE_PA, poisson_ratio, friction)
+    deep_m = sensor.gel_m - plate_z_m(sensor, Load(gel, _REFERENCE_N, None))
+    return _REFERENCE_PA * slope * deep_m / _REFERENCE_N
+
+
+def _numbers(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Float64:
+    """Broadcast finite numbers, of each touch or of all, to a shape; InputError for anything else."""
+    try:
+        found = np.asarray(value, np.float64)
+        numbers = np.broadcast_to(found, shape).copy()
+    except (TypeError, ValueError):
+        numbers = np.full(1, np.nan)
+    if not np.isfinite(numbers).all() or (len(shape) == 2 and found.ndim == 0):
+        wanted = "x and y" if len(shape) == 2 else "a number"
+        raise InputError(
+            f"{name} is {value!r}; expected {wanted}, metres, newtons or radians, for all touches or for "
+            f"each of {shape[0]}"
+        )
+    return numbers
+
+
+def _require(name: str, fits: Bool, numbers: Float64, expected: str) -> None:
+    if not np.all(fits):
+        first = numbers[~fits].flat[0]
+        raise InputError(f"{name} is {first:g}; expected {expected}")

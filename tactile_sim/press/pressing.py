@@ -1,0 +1,341 @@
+"""Pressing the gel onto a solid in its pose: how deep each pixel lies, and where the sensor stops."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence, Sized
+from dataclasses import dataclass, replace
+from typing import Protocol, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tactile_sim.elastic.contact import Contact, Gel
+from tactile_sim.press import elastic_press
+from tactile_sim.press.pressable import Pressable
+from tactile_sim.press.sensors import Sensor, SensorModel, full_view
+from tactile_toolkit import mesh
+from tactile_toolkit.arithmetic import cosine_sine
+from tactile_toolkit.array_types import Float32, Float64, Int32
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.touch import CELL_M
+
+_RIGID = 1e-6  # greatest error of the entries of a rotation
+
+
+class HasMatrix(Protocol):
+    """A pose of another library, such as those of `realtouch` and `tactile-mnist`."""
+
+    @property
+    def matrix(self) -> ArrayLike:
+        """Rotation and translation, shape (4, 4) or (n, 4, 4), metres."""
+
+
+PoseLike: TypeAlias = ArrayLike | HasMatrix
+"""One pose or several, as matrices or as objects that have them."""
+
+
+def turn_quaternion(angle_rad: float) -> tuple[float, float, float, float]:
+    """Return a rotation about z as quaternion x, y, z, w."""
+    cosine, sine = cosine_sine(angle_rad / 2)
+    return (0.0, 0.0, sine, cosine)
+
+
+def pose(x_m: float = 0.0, y_m: float = 0.0, z_m: float = 0.0, *, turn_rad: float = 0.0) -> Float64:
+    """Return an upright pose: a position, and a rotation about z.
+
+    Parameters
+    ----------
+    x_m, y_m, z_m : float
+        Position of its origin, metres, cell frame: origin at the middle of the plate, x right, y away, z up.
+    turn_rad : float
+        Rotation about z, radians, counter-clockwise seen from above.
+
+    Returns
+    -------
+    ndarray of float64, shape (4, 4)
+        From its own frame to the cell frame. The same bytes on every machine.
+
+    Raises
+    ------
+    InputError
+        A number is not finite.
+    """
+    for name, value in (("x_m", x_m), ("y_m", y_m), ("z_m", z_m), ("turn_rad", turn_rad)):
+        if not (isinstance(value, (int, float, np.floating, np.integer)) and math.isfinite(value)):
+            raise InputError(f"{name} of a pose is {value!r}; expected a finite number")
+    cosine, sine = cosine_sine(float(turn_rad))
+    rows = [[cosine, -sine, 0.0, x_m], [sine, cosine, 0.0, y_m], [0.0, 0.0, 1.0, z_m], [0.0, 0.0, 0.0, 1.0]]
+    return np.array(rows, np.float64)
+
+
+def as_matrices(value: PoseLike, name: str) -> Float64:
+    """Return poses as matrices, shape (4, 4) or (n, 4, 4).
+
+    InputError, which begins with ``name``, for anything that is not a rigid motion.
+    """
+    found = getattr(value, "matrix", value)
+    try:
+        matrices = np.asarray(found, np.float64)
+    except (TypeError, ValueError):
+        matrices = np.empty(0)
+    if matrices.ndim not in (2, 3) or matrices.shape[-2:] != (4, 4) or not len(matrices):
+        shape: object = type(value).__name__
+        if isinstance(found, (np.ndarray, list, tuple)):
+            shape = np.shape(found)
+        raise InputError(
+            f"{name} is {shape}; expected a pose: a matrix of shape (4, 4), or several, (n, 4, 4)"
+        )
+    if not np.isfinite(matrices).all():
+        raise InputError(f"{name} holds NaN or infinite numbers; expected a pose of finite numbers")
+    turn = matrices[..., :3, :3]
+    square = (turn[..., :, None, :] * turn[..., None, :, :]).sum(axis=-1)
+    rigid = np.abs(square - np.eye(3)).max() <= _RIGID and (np.linalg.det(turn) > 0).all()
+    if not rigid or np.abs(matrices[..., 3, :] - [0, 0, 0, 1]).max() > _RIGID:
+        raise InputError(
+            f"{name} is not a rigid pose; expected a rotation and a translation, no mirror and no scale"
+        )
+    return matrices
+
+
+def pose_product(one: Float64, other: Float64) -> Float64:
+    """Return ``one @ other`` of matrices (n, 4, 4) with a fixed order of sums, unlike `@`."""
+    parts = [one[:, :, k, None] * other[:, None, k, :] for k in range(4)]
+    return ((parts[0] + parts[1]) + parts[2]) + parts[3]
+
+
+def inverse_times(one: Float64, other: Float64) -> Float64:
+    """Return the inverses of poses ``one`` times poses ``other``, shape (n, 4, 4)."""
+    inverse = np.zeros_like(one)
+    inverse[:, :3, :3] = one[:, :3, :3].swapaxes(1, 2)
+    x, y, z = (one[:, k, :3] * one[:, k, 3:] for k in range(3))
+    inverse[:, :3, 3], inverse[:, 3, 3] = -((x + y) + z), 1.0
+    return pose_product(inverse, other)
+
+
+Solid: TypeAlias = "mesh.MeshLike | Pressable"
+"""Solids that the gel can be pressed onto."""
+_PLATE_FACES: Int32 = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pressed:
+    """The result of pressing, for one touch or for n.
+
+    Attributes
+    ----------
+    depth_m : ndarray of float64, shape (H, W) or (n, H, W)
+        Distance from the sensor, along its axis, of the surface under each pixel, metres: ``info["depth"]``
+        of the published environments, except for single pixels beyond the reach of the gel. The least value
+        is ``press_m`` of the sensor. The first row is the greatest y of the gel's frame, the first column the
+        least x.
+    image : ndarray of float32, shape (H, W) or (n, H, W)
+        The depth image of the environments: 0 deepest in the gel, 1 no contact.
+    sensor_z_m : float, or ndarray of float64, shape (n,)
+        Height of the sensor where it stops, metres, cell frame.
+    contacts : tuple of Contact
+        Contact of each touch of an elastic gel: maps of the window of the image, forces of the whole gel.
+        ``depth_m`` is then the surface of the gel, greater than its thickness where it bulges. Empty for
+        other gels.
+    """
+
+    depth_m: Float64
+    image: Float32
+    sensor_z_m: float | Float64
+    contacts: tuple[Contact, ...] = ()
+
+    @property
+    def contact(self) -> Contact:
+        """The contact of one touch of an elastic gel; InputError if there are none or several."""
+        if len(self.contacts) != 1:
+            raise InputError(
+                f"there are {len(self.contacts)} contacts; expected one, of one touch of an elastic gel",
+                next="press with gel=tactile_sim.Gel() and force_n=5.0, or use the items of `contacts`",
+            )
+        return self.contacts[0]
+
+
+def render_touch(
+    solid: Solid | Sequence[Solid],
+    object_pose: PoseLike,
+    sensor_pose: PoseLike,
+    sensor: Sensor | SensorModel | None = None,
+    *,
+    cell_m: tuple[float, float] = CELL_M,
+    gel: Gel | None = None,
+    force_n: ArrayLike | None = None,
+    depth_m: ArrayLike | None = None,
+    slide_m: ArrayLike = (0.0, 0.0),
+    twist_rad: ArrayLike = 0.0,
+) -> Pressed:
+    """Press the gel onto a solid that lies on the plate.
+
+    The sensor comes down along its own axis. Without ``gel``, it stops where the highest point under its
+    pixels is ``press_m`` of the sensor away from it, as in the published environments, and the depth
+    map is the solid, cut off at the surface of the gel; there is no force. An elastic gel deforms: the
+    contact is solved for the whole gel, the sensor stops at a force or a depth, and the depth map is the
+    surface of the gel.
+
+    Parameters
+    ----------
+    solid : Mesh, record, trimesh.Trimesh, Pressable, or a sequence of them
+        A closed mesh in metres; a sequence has one for each touch.
+    object_pose, sensor_pose : array_like, shape (4, 4) or (n, 4, 4), or an object with ``matrix``
+        To the cell frame, metres, see :func:`tactile_sim.pose`. The sensor's height does not matter.
+    sensor : Sensor or SensorModel, optional
+        The sensor; 320 x 240 pixels of its whole surface by default.
+    cell_m : tuple of float
+        Width and depth of the plate, metres.
+    gel : Gel, optional
+        Elastic properties of the gel. The parameters below are for an elastic gel only.
+    force_n, depth_m : float or array_like, shape (n,), optional
+        Normal force at which the sensor stops, newtons; it presses at most to half the thickness of the gel,
+        the limit of linear theory. Or how far the highest point under the whole gel is pressed in, metres.
+    slide_m : array_like, shape (2,) or (n, 2)
+        How far the solid then slides along x and y of the gel's frame, metres.
+    twist_rad : float or array_like, shape (n,)
+        How far it then turns about the sensor's axis, radians, counter-clockwise with x right and y up.
+
+    Raises
+    ------
+    InputError
+        A mesh is not closed, a pose is not rigid, or a sensor is off the cell or points away from it; an
+        elastic gel has not one of force and depth, or a rigid one has.
+    """
+    sensor = sensor or full_view()
+    if isinstance(sensor, SensorModel):
+        sensor = sensor.sensor
+    setup = _Setup.of(solid, object_pose, sensor_pose, cell_m)
+    loads = elastic_press.loads_of(gel, setup.count, sensor, force_n, depth_m, slide_m, twist_rad)
+    made = _press_rigid(setup, sensor) if loads is None else _press_elastic(setup, loads, sensor)
+    sensor_z_m = setup.targets[:, 2, 3] + setup.targets[:, 2, 2] * made.sensor_z_m
+    if setup.is_single:
+        return Pressed(made.depth_m[0], made.image[0], float(sensor_z_m[0]), made.contacts)
+    return replace(made, sensor_z_m=sensor_z_m)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Setup:
+    """Solids, their poses and the target poses of sensors (n, 4, 4), for ``count`` touches."""
+
+    solids: Sequence[Solid]
+    objects: Float64
+    targets: Float64
+    cell_m: tuple[float, float]
+    count: int
+    is_single: bool
+
+    @classmethod
+    def of(
+        cls,
+        solid: Solid | Sequence[Solid],
+        object_pose: PoseLike,
+        sensor_pose: PoseLike,
+        cell_m: tuple[float, float],
+    ) -> _Setup:
+        objects = as_matrices(object_pose, "object_pose")
+        targets = as_matrices(sensor_pose, "sensor_pose")
+        is_single = not isinstance(solid, Sequence) and objects.ndim == targets.ndim == 2
+        solids = solid if isinstance(solid, Sequence) else [solid]
+        objects = objects.reshape(-1, 4, 4)
+        targets = targets.reshape(-1, 4, 4)
+        count = _count_of(solids=solids, object_poses=objects, sensor_poses=targets)
+        _require_above_cell(targets, cell_m)
+        return cls(solids, objects, targets, cell_m, count, is_single)
+
+
+def _press_rigid(setup: _Setup, sensor: Sensor) -> Pressed:
+    """Press a gel that does not deform: images show the solid. Heights are relative to the targets."""
+    scene = _Scene.of(setup, sensor)
+    shape = (setup.count, *sensor.size_px[::-1])
+    depths_m, image, highest_m = np.empty(shape), np.empty(shape, np.float32), np.empty(setup.count)
+    for touch in range(setup.count):
+        scene.raise_heights(touch, depths_m[touch])
+        highest_m[touch] = scene.to_depth(depths_m[touch], image[touch], sensor.press_m, sensor.gel_m)
+    return Pressed(depths_m, image, highest_m + sensor.press_m)
+
+
+def _press_elastic(setup: _Setup, loads: Sequence[elastic_press.Load], sensor: Sensor) -> Pressed:
+    """Press an elastic gel. Heights are relative to the targets."""
+    whole = elastic_press.WholeGel.of(sensor)
+    scene = _Scene.of(setup, whole.sensor)
+    depths_m = np.empty((len(loads), *sensor.size_px[::-1]))
+    stops_m = np.empty(len(loads))
+    contacts = []
+    for touch, load in enumerate(loads):
+        heights_m = np.empty(whole.sensor.size_px[::-1])
+        scene.raise_heights(touch, heights_m)
+        contacts.append(load.press(heights_m, whole, depths_m[touch]))
+        stops_m[touch] = heights_m.max() + sensor.gel_m - contacts[-1].depth_m
+    return Pressed(depths_m, sensor.depth_image(depths_m), stops_m, tuple(contacts))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Scene:
+    """Solids on the plate as sensors see them: maps to pixels of the solids and of the plate, (n, 3, 4).
+
+    The plate has ``corners_m`` (4, 3), and ``ball_m`` (1, 4) around it.
+    """
+
+    solids: list[Pressable]
+    affines: Float64
+    plates: Float64
+    corners_m: Float64
+    ball_m: Float64
+    rasterise: Callable[..., None]
+    to_depth: Callable[[Float64, Float32, float, float], float]
+
+    @classmethod
+    def of(cls, setup: _Setup, sensor: Sensor) -> _Scene:
+        from tactile_sim.press import press_kernels
+
+        affines = _to_pixels(inverse_times(setup.targets, setup.objects), sensor)
+        plates = _to_pixels(inverse_times(setup.targets, np.eye(4)[None]), sensor)
+        corners_m = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [*setup.cell_m, 0.0] / 2
+        ball_m = np.array([[0.0, 0.0, 0.0, max(setup.cell_m)]])
+        solids = [Pressable.of(each) for each in setup.solids]
+        kernels = press_kernels.rasterise, press_kernels.to_depth
+        return cls(solids, affines, plates, corners_m, ball_m, *kernels)
+
+    def raise_heights(self, touch: int, out: Float64) -> None:
+        """Write the heights under the pixels of one touch, metres along the sensor's axis."""
+        out.fill(-2 * self.ball_m[0, 3])  # far end of the camera, beyond object and plate
+        plate = self.plates[touch % len(self.plates)]
+        self.rasterise(out, self.corners_m, _PLATE_FACES, self.ball_m, plate, None)
+        here = self.solids[touch % len(self.solids)]
+        affine = self.affines[touch % len(self.affines)]
+        self.rasterise(out, here.vertices_m, here.faces, here.blocks_m, affine, here.layers(affine))
+
+
+def _count_of(**given: Sized) -> int:
+    """Return the number of touches; each argument has one item for each touch, or one for all."""
+    count = max(map(len, given.values()))
+    for name, each in given.items():
+        if len(each) not in (1, count):
+            what = name.replace("_", " ")
+            raise InputError(f"{len(each)} {what} for {count} touches; expected 1 or {count}")
+    return count
+
+
+def _require_above_cell(targets: Float64, cell_m: tuple[float, float]) -> None:
+    off = (np.abs(targets[:, :2, 3]) > np.array(cell_m) / 2).any(axis=1) | ~(targets[:, 2, 2] > 0)
+    if not off.any():
+        return
+    touch = int(np.argmax(off))
+    x_mm, y_mm = 1e3 * targets[touch, :2, 3]
+    tilt = math.degrees(math.acos(float(np.clip(targets[touch, 2, 2], -1, 1))))
+    raise InputError(
+        f"sensor_pose {touch} is at x {x_mm:.1f} mm, y {y_mm:.1f} mm, its axis {tilt:.0f} degrees from the "
+        f"vertical; expected a place above the cell of {1e3 * cell_m[0]:.0f} x {1e3 * cell_m[1]:.0f} mm and "
+        "a sensor that looks down (its z axis points up)"
+    )
+
+
+def _to_pixels(poses: Float64, sensor: Sensor) -> Float64:
+    """Return maps from a body's frame to column, row from the bottom, and height; shape (n, 3, 4)."""
+    affine = poses[:, :3].copy()
+    for axis in range(2):
+        affine[:, axis] *= sensor.size_px[axis] / sensor.window_m[axis]
+        # Pixel 0 samples a point that is half a pixel, plus the offset of the sample, from the edge.
+        affine[:, axis, 3] += sensor.size_px[axis] / 2 - 0.5 - sensor.sample_px[axis]
+    return affine

@@ -1,0 +1,1 @@
+"""Data sets of simulated touches, and training sets of learned rendering."""

@@ -1,0 +1,270 @@
+"""Generation of training sets of learned rendering: splits `depth` and `real`, of equal size, not paired.
+
+The paper (appendix, CycleGAN-based Tactile Rendering) takes 20,000 synthetic depth images and 20,000 real
+touches, with a reduced share of touches without contact; it does not state which. A row is one image.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, Unpack
+
+import numpy as np
+import pyarrow as pa
+
+from tactile_sim.kind import KIND
+from tactile_sim.optics.rendering import scaled
+from tactile_sim.press.pressable import Pressable
+from tactile_sim.press.pressing import render_touch
+from tactile_sim.press.sensors import sensor_of_window
+from tactile_sim.sets import pairs, round_plan, touched_solids
+from tactile_sim.sets.learning_specs import PairsSpec
+from tactile_sim.sets.round_plan import plan_round
+from tactile_sim.sets.touch_spec import TouchPlan
+from tactile_toolkit import catalog, generation, places, read, store, touch
+from tactile_toolkit.array_types import Float32, Float64
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonObject
+from tactile_toolkit.kind import lazy
+from tactile_toolkit.wording import with_count
+
+# One real touch in five has contact: 16 places in the cell fail 3 times in 100; then places on the object are
+# tried.
+_TRIES = 16
+_POSES = ("gel_pose_cell_frame.position", "gel_pose_cell_frame_seq.position")
+_contacts_by_image = lazy("realtouch:contacts_by_image")
+
+
+def drawn_depth(spec: PairsSpec, solid: Pressable, object_id: int, number: int) -> Float32:
+    """Return the depth image of one touch: the first of some places in the cell with contact."""
+    sensor = sensor_of_window(spec.window, spec.size_px)
+    least_m = spec.min_height_m
+    assert least_m is not None, "PairsGenerator.of sets it"
+    if spec.is_empty(number):  # a bare plate is the same wherever it is touched
+        return np.ones(spec.size_px[::-1], np.float32)
+    for positions in ("cell", "object"):  # small objects are seldom met by chance
+        plan = TouchPlan(1, _TRIES, positions, turn_rad=spec.turn_rad, perturb=False, seed=spec.seed)
+        drawn = plan_round(plan, solid, "depth", object_id, number)
+        for position in drawn.positions_m:
+            target = np.eye(4)
+            target[:2, 3] = position
+            pressed = render_touch(solid, drawn.object_poses[0], target, sensor)
+            if float(pressed.sensor_z_m) - sensor.press_m >= least_m:
+                return np.asarray(pressed.image)
+    raise InputError(
+        f"object {object_id} is nowhere {1e3 * least_m:.1f} mm high: no touch of it counts as contact",
+        next="lower --min-height-mm",
+    )
+
+
+def draw_touches(touches: read.AnyRecords, spec: PairsSpec, real: str) -> list[tuple[int, bool]]:
+    """Draw touches with and without contact, each once, in the pattern of the other split."""
+    assert spec.min_height_m is not None, "PairsGenerator.of sets it"
+    if set(_POSES).isdisjoint(touches.column_names):
+        contact, highest = _contacts_by_image(touches).contact, "as their images show"
+    else:
+        heights_m: Float64 = touches.heights_m()  # type: ignore[attr-defined]
+        contact = heights_m >= spec.min_height_m
+        highest = f"the highest {1e3 * heights_m.max(initial=0.0):.1f} mm above the plate"
+    # A seed here, where `keyed_rng` has a key: the recorded sets were drawn so.
+    rng = np.random.Generator(np.random.Philox(round_plan.rng_key(spec.seed, "real")))
+    flags = [not spec.is_empty(number) for number in range(spec.count)]
+    with_contact = sum(flags)
+    without_contact = spec.count - with_contact
+    touching = np.flatnonzero(contact)
+    free = np.flatnonzero(~contact)
+    if len(touching) < with_contact or len(free) < without_contact:
+        raise InputError(
+            f"{real!r} holds {with_count(len(touching), 'touches')} with contact and "
+            f"{len(free):,} without, {highest}; expected at least {with_contact:,} and "
+            f"{without_contact:,}; nothing was written",
+            next="give a smaller --count, or another --without-contact or --min-height-mm",
+        )
+    # Touches with contact are drawn first: the recorded sets were drawn so.
+    touching_drawn = iter(np.sort(rng.permutation(touching)[:with_contact]).tolist())
+    free_drawn = iter(np.sort(rng.permutation(free)[:without_contact]).tolist())
+    return [(next(touching_drawn if flag else free_drawn), flag) for flag in flags]
+
+
+# Images of 256 x 256 pixels take some 100 MB then.
+_ROWS_PER_SHARD = 1000
+_OF_OBJECT = ("label", "object_id")
+
+
+@dataclass(frozen=True)
+class PairsGenerator(generation.RowGenerator):
+    """Makes a training set: presses objects for the split ``depth``, and draws touches for ``real``.
+
+    The items are numbers of depth images, and numbers of touches with whether they have contact.
+    """
+
+    spec: PairsSpec
+    objects: touched_solids.Records = field(repr=False)
+    real: str
+    split: str
+    touches: read.AnyRecords = field(repr=False)
+    unfinished: str = ""
+    kind = replace(KIND, nouns="images")
+
+    @classmethod
+    def of(
+        cls,
+        objects: str,
+        real: str,
+        split: str,
+        spec: PairsSpec,
+        opened: touched_solids.Opener = places.open_place,
+    ) -> PairsGenerator:
+        """Open both sources by their names; InputError for other kinds of data, or without meshes."""
+        sources = [opened(objects).require_meshes("tactile-sim pairs"), opened(real)]
+        solids = touched_solids.open_split(sources[0], split)
+        if not len(solids):
+            raise InputError(f"split {split!r} of {objects!r} holds no mesh", next="choose another split")
+        touches = KIND.load(sources[1], split)
+        if spec.min_height_m is None:
+            spec = replace(spec, min_height_m=max(rule.min_height_m for rule in touches.contact_rules()))
+        unfinished = ", ".join(place.unfinished for place in sources if place.unfinished)
+        return cls(spec, solids, real, split, touches.touches(), unfinished)
+
+    def refuse_sources(self, objects: str, out: str | os.PathLike[str]) -> None:
+        """Refuse to write into a source; ``objects`` names that of the depth in messages (InputError)."""
+        folder = store.open_folder(os.fspath(out))
+        catalog.refuse_source(folder, objects, self.objects.files)
+        catalog.refuse_source(folder, self.real, self.touches.files)
+
+    def manifest(self) -> JsonObject:
+        """Return options and sources."""
+        options = self.spec.to_dict()
+        if self.unfinished:
+            options["unfinished"] = self.unfinished
+        return {
+            "operation": "pairs",
+            "options": options,
+            "split": self.split,
+            "source": {
+                "depth": list(map(touched_solids.content_fingerprint, self.objects.files)),
+                "real": [each.fingerprint() for each in self.touches.files],
+            },
+        }
+
+    def items(self) -> JsonObject:
+        """Return both splits; reads poses, or all images where there are none.
+
+        InputError if there are too few touches.
+        """
+        return {
+            "depth": range(self.spec.count),
+            "real": draw_touches(self.touches, self.spec, self.real),
+        }
+
+    def layout(self) -> generation.StorageLayout:
+        """Return the storage layout of rows: images, which do not compress further, without a dictionary."""
+        return generation.StorageLayout(
+            store.ParquetStyle(100, compression_level=3, encodings=(("sensor_image.bytes", "PLAIN"),)),
+            libraries=("numpy", "pillow", "pyarrow"),
+            smallest=_ROWS_PER_SHARD,
+            largest=_ROWS_PER_SHARD,
+        )
+
+    def schema(self, split: str) -> pa.Schema:
+        """Return the Arrow schema of a shard, with the classes of the source."""
+        if split == "depth":
+            return pairs.pair_schema(self.objects.label_names)
+        return pairs.pair_schema(self.touches.label_names)
+
+    def make(self, split: str, items: Sequence[Any]) -> Iterator[pairs.PairRow | store.Skipped]:
+        """Yield the rows of a split."""
+        if split == "depth":
+            return self._depth(items)
+        return self._real(items)
+
+    def _depth(self, items: Sequence[int]) -> Iterator[pairs.PairRow | store.Skipped]:
+        """Press the gel onto the objects; for one that does not bound a solid, yield the reason once."""
+        spec = self.spec
+        solids = self.objects
+        last, solid = -1, None
+        for number in items:
+            place = (
+                number * len(self.objects) // spec.count
+            )  # neighbours share an object, which is checked once
+            record = solids[place]
+            if place != last:
+                last, solid = place, None
+                try:
+                    solid = Pressable.of(record)
+                except InputError as error:
+                    # In the shard of its first image.
+                    if not number or (number - 1) * len(self.objects) // spec.count != place:
+                        yield store.Skipped(record.id, "no-solid", f"object {record.id}: {error}")
+            if solid is not None:
+                key, contact = f"{record.id}-{number}", not spec.is_empty(number)
+                image = pairs.encode_depth(drawn_depth(spec, solid, record.id, number))
+                yield pairs.PairRow(
+                    key, record.label, record.id, contact, {"bytes": image, "path": f"{key}.png"}
+                )
+
+    def _real(self, items: Sequence[tuple[int, bool]]) -> Iterator[pairs.PairRow]:
+        """Decode, scale and encode touches."""
+        kind = self.spec.image_format
+        for number, contact in items:
+            real = self.touches[number]
+            (picture,) = scaled(real.image[None], self.spec.size_px)
+            key = f"{real.round_id}-{real.touch_index}"
+            image: Mapping[str, str | bytes] = {
+                "bytes": touch.encode_image(picture, kind),
+                "path": f"{key}.{touch.IMAGE_SUFFIX[kind]}",
+            }
+            known = {name: getattr(real, name) for name in _OF_OBJECT if name in self.touches.column_names}
+            yield pairs.PairRow(key, known.get("label", -1), known.get("object_id", -1), contact, image)
+
+    def statistics(self, rows: Sequence[pairs.PairRow]) -> Mapping[str, int]:
+        """Count touches, and those that met the object."""
+        return {"touches": len(rows), "on_object": sum(row.contact for row in rows)}
+
+
+def make_pairs(
+    objects: str,
+    real: str,
+    split: str,
+    spec: PairsSpec,
+    out: str | os.PathLike[str],
+    **run: Unpack[store.RunKeywords],
+) -> store.Manifest:
+    """Make the training set of a CycleGAN: depth images of objects, and real touches, not paired.
+
+    Parameters
+    ----------
+    objects : str
+        Data set of digits or other meshes: a folder, a Parquet file, a repository of the Hub or a short name.
+    real : str
+        Data set of touches, as ``realtouch.load`` takes it; rendered ones do as well. Without poses, their
+        images decide about contact, as ``realtouch.contacts_by_image`` says.
+    split : str
+        Split of both data sets.
+    spec : PairsSpec
+        Specification of the pairs.
+    out : str or path-like
+        Folder to write: splits ``depth`` and ``real``.
+    **run
+        Fields of :class:`~tactile_toolkit.store.RunOptions`, such as ``workers`` and ``overwrite``.
+
+    Returns
+    -------
+    Manifest
+        Manifest of the folder.
+
+    Raises
+    ------
+    InputError
+        There are too few touches, or something else cannot be used; nothing is written.
+    IntegrityError, HubError
+        A source is damaged, or cannot be fetched from the Hub.
+    SpecMismatchError, StorageError
+        The folder holds a data set of another specification, or cannot be written: what was finished stays.
+    """
+    generator = PairsGenerator.of(objects, real, split, spec)
+    require = partial(generator.refuse_sources, objects, out)
+    return generation.generate(generator, out, require=require, **run)

@@ -1,0 +1,203 @@
+"""Presses of a round or of a single touch: images, and the columns that only some sets have."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache, partial
+
+import numpy as np
+import pyarrow as pa
+
+from tactile_sim.optics.rendering import Optics, make_optics
+from tactile_sim.optics.sensor_noise import add_noise
+from tactile_sim.press import sensors
+from tactile_sim.press.markers import draw_markers
+from tactile_sim.press.pressable import Pressable
+from tactile_sim.press.pressing import Pressed, pose, render_touch
+from tactile_sim.sets import elastic_rows
+from tactile_sim.sets.round_plan import keyed_rng, on_object
+from tactile_sim.sets.touch_spec import GenerateSpec
+from tactile_toolkit import store, touch
+from tactile_toolkit.array_types import Float64, UInt8
+from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.mesh import MeshLike
+from tactile_toolkit.touch import PRESS_DEPTH_M
+
+
+def optics_of(spec: GenerateSpec) -> Optics:
+    """Return the optics of a specification, made once in a process and again when the weights change."""
+    if spec.optics == "twin":
+        twin: Optics = spec.sensor.optics
+        return twin
+    if spec.weights is None:
+        return _optics(spec.optics, None, ())
+    file = store.expanded(spec.weights)
+    if not file.is_file():  # refused with its name
+        return make_optics(spec.optics, spec.weights)
+    # A notebook may train into the same file again and again; the manifest has the checksum of the new one.
+    facts = file.stat()
+    return _optics(spec.optics, spec.weights, (facts.st_ino, facts.st_size, facts.st_mtime_ns))
+
+
+@lru_cache(maxsize=2)
+def _optics(name: str, weights: str | None, _stamp: tuple[int, ...]) -> Optics:
+    # Tables and networks take longer to load than a round to render.
+    return make_optics(name, weights)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PressedRound:
+    """T touches: how they were pressed, images (T, H, W, 3), attributes of some sets only, the sensor."""
+
+    pressed: Pressed
+    images: UInt8
+    further: JsonDict
+    sensor: sensors.Sensor
+
+
+def press_round(
+    spec: GenerateSpec, solid: Pressable, poses: Float64, targets: Float64, key: tuple[str, int, int]
+) -> PressedRound:
+    """Press and render the touches of a round; ``key`` is its split, object and number."""
+    optics, press, further = optics_of(spec), spec.press, JsonDict()
+    shown = _depth_sensor(spec, optics)
+    if press is None:
+        if spec.sensor.press_m != PRESS_DEPTH_M:
+            further["plate_z_m"] = shown.press_m
+        pressed = render_touch(solid, poses, targets, shown)
+    else:
+        loads = elastic_rows.DrawnLoads.of(press, len(targets), spec.plan.seed, *key)
+        pressed = render_touch(
+            solid,
+            poses,
+            targets,
+            shown,
+            gel=press.gel,
+            force_n=loads.force_n,
+            depth_m=loads.depth_m,
+            slide_m=loads.slide_m,
+            twist_rad=loads.twist_rad,
+        )
+        further["plate_z_m"] = elastic_rows.bare_plate_z_m(press, shown)
+        further |= elastic_rows.elastic_values(press, pressed, loads, shown, spec.size_px)
+    images = optics.render(pressed.depth_m, shown, spec.size_px, is_surface=press is not None)
+    if press is not None and press.markers is not None and press.draw_markers:
+        places = elastic_rows.markers_px(press.markers, pressed, shown, spec.size_px)
+        images = np.stack([draw_markers(*each) for each in zip(images, places, strict=True)])
+    return PressedRound(pressed, _with_noise(spec, images, key), further, shown)
+
+
+def _depth_sensor(spec: GenerateSpec, optics: Optics) -> sensors.Sensor:
+    """Return the sensor whose depth maps the optics render."""
+    size_px = spec.size_px
+    model = spec.sensor
+    if spec.window == "full":
+        size_px = (model.width_px, model.height_px)
+    if spec.has_other_sensor:
+        return sensors.sensor_of_model(model, spec.window, optics.depth_size(*size_px))
+    # Environments show the window of the pixels that they render, whatever these are scaled to.
+    return sensors.sensor_of_window(spec.window, optics.depth_size(*size_px))
+
+
+def _with_noise(spec: GenerateSpec, images: UInt8, key: tuple[str, int, int]) -> UInt8:
+    """Return the images of a round with the noise of the specification, drawn for each round."""
+    if spec.noise is None:
+        return images
+    draw = partial(keyed_rng, spec.plan.seed, *key, "noise")
+    if spec.optics == "depth":  # grey
+        return np.repeat(add_noise(images[..., :1], spec.noise, draw(), draw), 3, axis=-1)
+    return add_noise(images, spec.noise, draw(), draw)
+
+
+def further_types(spec: GenerateSpec) -> Mapping[str, pa.DataType]:
+    """Return the types of the columns that only some sets have; a GelSight Mini has the published ones."""
+    types: dict[str, pa.DataType] = {}
+    if spec.press is not None or spec.sensor.press_m != PRESS_DEPTH_M:
+        types["plate_z_m"] = pa.float64()
+    if spec.press is not None:
+        types |= elastic_rows.elastic_types(spec.press, spec.size_px)
+    return types
+
+
+# On a surface as large as the cell they are two millimetres apart.
+_POINTS = 4096
+_SHOWN = ("force_n", "torque_nm", "press_depth_m", "slide_m", "twist_rad", "marker_flow_px")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TouchPreview:
+    """One touch.
+
+    Attributes
+    ----------
+    picture : ndarray of uint8, shape (H, W, 3)
+        The image.
+    sensor_z_m : float
+        Height of the sensor, metres.
+    contact : float
+        Share of the image in which the gel touches the object; 0 if it touches only the plate.
+    bounds_m : ndarray of float64, shape (2, 2)
+        Least, then greatest x and y of the object in its pose, metres, cell frame.
+    forces : dict
+        ``force_n``, ``torque_nm``, ``press_depth_m``, ``slide_m`` and ``twist_rad`` of an elastic gel, and
+        ``marker_flow_px`` if it has markers, as lists and numbers; empty for other gels. See
+        :class:`tactile_sim.SyntheticRound`.
+    """
+
+    picture: UInt8
+    sensor_z_m: float
+    contact: float
+    bounds_m: Float64
+    forces: JsonDict = field(default_factory=dict)
+
+
+def preview_touch(
+    mesh: MeshLike, spec: GenerateSpec, at_m: tuple[float, float] | None, turn_rad: float = 0.0
+) -> TouchPreview:
+    """Press the gel once onto a solid that stands on the plate.
+
+    Parameters
+    ----------
+    mesh : Mesh, record or trimesh.Trimesh
+        A closed mesh, metres.
+    spec : GenerateSpec
+        What the touch looks like; its plan is not used.
+    at_m : tuple of float or None
+        Where the gel goes, x and y from the solid's own origin, metres. None puts the solid
+        under the gel with the point that is nearest to its middle, as seen from above.
+    turn_rad : float
+        Rotation of the solid about z, radians.
+
+    Returns
+    -------
+    TouchPreview
+
+    Raises
+    ------
+    InputError
+        As :func:`tactile_sim.render_touch`.
+    """
+    solid = Pressable.of(mesh, layer_m=spec.layer_m)
+    stands = pose(z_m=-solid.foot_m, turn_rad=turn_rad)
+    x_m, y_m = at_m or (0.0, 0.0)
+    if at_m is None:
+        # A ring has no point in its middle.
+        points_m = on_object(_POINTS, solid, np.tile(stands, (_POINTS, 1, 1)), keyed_rng("look"))
+        away_m = points_m - _bounds_m(solid, stands).mean(axis=0)
+        stands[:2, 3] = -points_m[np.argmin((away_m**2).sum(axis=1))]
+    # Noise and slides are drawn as for round 0 of object 0, so that they are the same each time.
+    made = press_round(spec, solid, stands[None], pose(x_m, y_m)[None], ("look", 0, 0))
+    sensor_z_m = float(np.ravel(made.pressed.sensor_z_m)[0])
+    depth_m = made.pressed.depth_m[0]
+    is_contact = depth_m < made.sensor.gel_m
+    if made.pressed.contacts:
+        is_contact = made.pressed.contact.is_contact
+    touched = float((is_contact & (sensor_z_m - depth_m >= touch.RENDERED_CONTACT_M)).mean())
+    forces = {name: made.further[name][0].tolist() for name in _SHOWN if name in made.further}
+    return TouchPreview(made.images[0], sensor_z_m, touched, _bounds_m(solid, stands), forces)
+
+
+def _bounds_m(solid: Pressable, stands: Float64) -> Float64:
+    corners_m = solid.vertices_m @ stands[:2, :3].T + stands[:2, 3]
+    return np.array([corners_m.min(axis=0), corners_m.max(axis=0)])

@@ -1,0 +1,215 @@
+"""Images of touches: decoding and encoding, and the columns that all sets of touches share.
+
+JPEGs are decoded by libjpeg with its exact integer transform, so every machine gets the same pixels. The
+interpreter lock is released while it works.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import Literal
+
+import numpy as np
+import pyarrow as pa
+import simplejpeg
+from PIL import Image
+
+from tactile_toolkit import read
+from tactile_toolkit.array_types import UInt8
+from tactile_toolkit.json_types import JsonObject
+
+MAX_IMAGE_PIXELS = 1 << 24
+"""Largest image that is decoded (4096 x 4096); a sensor's has 76,800 pixels."""
+MAX_IMAGE_BYTES = 1 << 26
+"""Largest encoded image that is read."""
+MAX_SCANS = 100
+"""Most scans of a JPEG that is decoded. Each scan costs a pass over the picture but only a few bytes of file.
+Cameras write 1, progressive files about 10."""
+
+# A file of this size holds a few hundred scans at most: under a second, even for the largest image.
+_SMALL_BYTES = 1 << 12
+MAX_HEADER_BYTES = 1 << 22
+"""Most bytes of a JPEG before its first scan. Pillow keeps an object per segment, and 4 bytes make one."""
+ImageFormat = Literal["jpeg", "png"]
+IMAGE_SUFFIX: dict[ImageFormat, str] = {"jpeg": "jpg", "png": "png"}
+"""File name suffix of each format."""
+_SCAN_START = re.compile(b"\xff\xda")
+_JPEG_START = b"\xff\xd8\xff"
+
+# Pillow modes whose values are clipped at 255 on conversion to RGB.
+_DEEP_MODES = ("I", "I;16", "I;16B", "I;16L", "I;16N", "F")
+
+
+def is_jpeg(data: memoryview | bytes) -> bool:
+    """Return whether data starts with the signature of a JPEG."""
+    return data[:3] == _JPEG_START
+
+
+def image_size(data: memoryview | bytes) -> tuple[int, int]:
+    """Read height and width of a JPEG, PNG or WebP from its header, without decoding it.
+
+    Raises ValueError when the data is not such an image or exceeds the limits above.
+    """
+    mode, pictures = "", 1
+    if is_jpeg(data):
+        require_bounded_jpeg(data)
+    try:
+        if is_jpeg(data):
+            height, width, *_ = simplejpeg.decode_jpeg_header(data)
+        else:
+            image = _open_image(data)
+            height, width, mode = image.height, image.width, image.mode
+            pictures = getattr(image, "n_frames", 1)
+    except Exception as error:
+        raise _undecodable(data) from error
+    if pictures > 1:
+        raise ValueError(f"an image of {pictures:,} pictures, one after the other; expected one")
+    if mode in _DEEP_MODES:
+        raise ValueError(f"an image of 16 bits a colour ({mode}); expected 8")
+    if height * width > MAX_IMAGE_PIXELS:
+        raise ValueError(f"an image of {width} x {height} pixels; the limit is {MAX_IMAGE_PIXELS:,} pixels")
+    return height, width
+
+
+def require_bounded_jpeg(data: memoryview | bytes) -> None:
+    """Raise ValueError where a JPEG has too many scans or too long a header, before it is decoded."""
+    if (
+        len(data) <= _SMALL_BYTES
+    ):  # a touch of 64 x 64 pixels takes 1 kB; the search would add a tenth to its time
+        return
+    # This pair of bytes does not occur within coded pixels (ITU-T T.81, B.1.1.5).
+    # A regular expression takes half of the time of `bytes.count`.
+    starts = [found.start() for found in _SCAN_START.finditer(data)]
+    scans, header = len(starts), (starts or [-1])[0]
+    if scans > MAX_SCANS:
+        raise ValueError(f"a JPEG of {scans:,} scans; the limit is {MAX_SCANS}")
+    if header > MAX_HEADER_BYTES:
+        raise ValueError(f"a JPEG whose header takes {header:,} bytes; the limit is {MAX_HEADER_BYTES:,}")
+
+
+def decode_image(data: memoryview | bytes, out: UInt8 | None = None) -> UInt8:
+    """Decode a JPEG, PNG or WebP to RGB, shape (H, W, 3), uint8; into ``out`` (contiguous) if given.
+
+    Raises ValueError as :func:`image_size` does, and when the data is truncated, corrupt or of another size
+    than ``out``. A partly decoded image is never returned.
+    """
+    if out is not None and is_jpeg(data):
+        require_bounded_jpeg(data)
+        # Errors are named below: reading the header of every image first would be slow.
+        with suppress(ValueError):
+            if simplejpeg.decode_jpeg(data, "RGB", buffer=out).shape == out.shape:
+                return out
+    height, width = image_size(data)
+    if out is not None and out.shape != (height, width, 3):
+        raise ValueError(
+            f"an image of {width} x {height} pixels; expected {out.shape[1]} x {out.shape[0]} as before it"
+        )
+    pixels: UInt8
+    try:
+        if is_jpeg(data):
+            pixels = simplejpeg.decode_jpeg(data, "RGB", buffer=out)
+        else:
+            pixels = np.array(_open_image(data).convert("RGB"))  # writable, as a JPEG is
+    except Exception as error:
+        raise _undecodable(data) from error
+    if out is None or pixels is out:
+        return pixels
+    out[...] = pixels
+    return out
+
+
+def decode_small(data: memoryview | bytes, least_px: int) -> UInt8:
+    """Decode a JPEG at 1/2, 1/4 or 1/8 of its size, the smallest with sides of at least ``least_px`` pixels.
+
+    Shape (h, w, 3), uint8: each pixel is the mean of those it replaces. This takes half the
+    time of :func:`decode_image`. PNG and WebP are decoded at their full size. Raises ValueError as
+    :func:`decode_image` does.
+    """
+    if not is_jpeg(data):
+        return decode_image(data)
+    image_size(data)
+    try:
+        pixels: UInt8 = simplejpeg.decode_jpeg(data, "RGB", min_height=least_px, min_width=least_px)
+    except Exception as error:
+        raise _undecodable(data) from error
+    return pixels
+
+
+def _open_image(data: memoryview | bytes) -> Image.Image:
+    # Without a list of formats, Pillow would try all its 43 decoders.
+    return Image.open(io.BytesIO(data), formats=["PNG", "WEBP"])
+
+
+def _undecodable(data: memoryview | bytes) -> ValueError:
+    # Pillow raises OSError, SyntaxError, struct.error and more on bad files. Their messages differ between
+    # releases and may contain the address of an object; this message is stored in data sets.
+    start = bytes(data[:8]).hex(" ") or "nothing"
+    return ValueError(
+        f"an image of {len(data):,} bytes that begin with {start} cannot be decoded; expected a JPEG, "
+        f"PNG or WebP, intact and of at most {MAX_IMAGE_PIXELS:,} pixels"
+    )
+
+
+def encode_image(pixels: UInt8, kind: ImageFormat = "jpeg", quality: int = 95) -> bytes:
+    """Encode RGB pixels, shape (H, W, 3), uint8. The same pixels give the same bytes.
+
+    ``quality`` (1 to 100) applies to JPEGs, which keep full colour resolution (4:4:4).
+    """
+    if kind == "png":
+        return encode_png(Image.fromarray(pixels))
+    stream = io.BytesIO()
+    Image.fromarray(pixels).save(stream, "JPEG", quality=quality, subsampling=0)
+    return stream.getvalue()
+
+
+def encode_png(picture: Image.Image) -> bytes:
+    """Encode a picture as PNG, without metadata."""
+    stream = io.BytesIO()
+    # Pillow's default level, written out so that other releases write the same bytes.
+    picture.save(stream, "PNG", compress_level=6)
+    return stream.getvalue()
+
+
+def resized(pixels: UInt8, width: int, height: int) -> UInt8:
+    """Return the image resized to (height, width, 3), uint8.
+
+    When it shrinks, each pixel is the mean of the area it covers. When it grows, pixels are interpolated
+    bilinearly.
+    """
+    image = Image.fromarray(pixels)
+    smaller = width <= image.width and height <= image.height
+    method = Image.Resampling.BOX if smaller else Image.Resampling.BILINEAR
+    return np.asarray(image.resize((width, height), method))
+
+
+Kind = Literal["seq", "single"]
+MEDIA_COLUMN: dict[Kind, str] = {"seq": "sensor_video", "single": "sensor_image"}
+"""Column of clips or images, by which the kind of a data set is recognised."""
+MEDIA_TYPE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
+"""Arrow type of an image or clip: its bytes and its original file name."""
+CLASS_NAMES = tuple(str(digit) for digit in range(10))
+
+
+def with_features(schema: pa.Schema, label_names: Sequence[str] | None) -> pa.Schema:
+    """Add the metadata from which `datasets` reads the features: classes, images, numbers.
+
+    Without ``label_names``, the class is a plain number; an empty list means that there are no classes.
+    """
+    features = {field.name: _feature(field.name, field.type, label_names) for field in schema}
+    return schema.with_metadata(read.feature_metadata(features))
+
+
+def _feature(name: str, data_type: pa.DataType, label_names: Sequence[str] | None) -> JsonObject:
+    if name == "label" and label_names is not None:
+        return read.label_feature(label_names)
+    if read.list_depth(data_type)[0]:
+        length = getattr(data_type, "list_size", -1)
+        inner = _feature(name, data_type.value_type, label_names)
+        # Both old and new releases of `datasets` read "Sequence" as a list.
+        return {"feature": inner, "length": length, "_type": "Sequence"}
+    if name in MEDIA_COLUMN.values() or data_type == MEDIA_TYPE:
+        return {"_type": "Video" if name == MEDIA_COLUMN["seq"] else "Image"}
+    return {"dtype": read.dtype_name(data_type), "_type": "Value"}
