@@ -176,6 +176,12 @@ class Table:
         reading.skip_rows = int(stated is not None)
         types = pa.csv.ConvertOptions(column_types=dict.fromkeys(names, pa.string()))
         stream.seek(0)
+        if f"{self._separator} " in header:  # so do the rows; Arrow would take spaces and quotes for text
+            cache.require_unpackable(stream.seek(0, io.SEEK_END), path)
+            stream.seek(0)
+            spaced = re.compile(rf'("[^"]*")|({self._separator}) +')
+            plain = spaced.sub(r"\1\2", stream.read().decode(encoding))
+            stream, reading.encoding = io.BytesIO(plain.encode()), "utf-8"
         batches = pa.csv.open_csv(stream, reading, parsing, types)
         yield from batches
         yield pa.RecordBatch.from_pylist([], batches.schema)  # states the columns of a table without rows

@@ -17,7 +17,7 @@ from PIL import Image
 
 import realtouch
 from realtouch.formats.lerobot_import import find_lerobot
-from realtouch.formats.zarr_export import find_oxt, find_replay
+from realtouch.formats.zarr_recordings import find_oxt, find_replay
 from realtouch.importing.source_touches import Recording
 from tactile_toolkit import store
 from tactile_toolkit.errors import IntegrityError
