@@ -14,7 +14,7 @@ from cli.output import Sink
 from tactile_toolkit import checked_fields, exchange, places
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind, lazy
-from tactile_toolkit.wording import BYTES, bytes_text, with_count
+from tactile_toolkit.wording import bytes_text, with_count
 
 REPOSITORY = argument("USER/NAME", "Repository of the Hub.")
 SENDS_NOTHING = checked_fields.switch(False, help="Print what would be sent; send nothing.")
@@ -130,7 +130,7 @@ def download(
         if plan.missing_bytes > _LARGE_BYTES and not yes:
             refused = f"{size} would be fetched, and stdin is not a terminal"
             _require_consent(f"fetch {size}?", refused, "add --yes, or name a --split")
-        with sink.progress("fetching", BYTES) as update:
+        with sink.progress("fetching", "bytes") as update:
             place = plan.run(update)
     _print_download(sink, plan, place, kind)
 

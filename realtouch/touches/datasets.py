@@ -443,7 +443,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         InputError
             Something else than integers is given.
         """
-        numbers = list(map(checked_fields.to_builtin_number, read.flattened(wanted)))
+        numbers = list(map(checked_fields.to_builtin, read.flattened(wanted)))
         if not checked_fields.is_integer(*numbers):
             raise errors.InputError(f"{wanted!r} was given; expected object ids as integers")
         ids = self.object_ids
@@ -593,7 +593,7 @@ def with_no_contact(touches: AnyTouches, contact: Bool, fraction: float, seed: i
     Raises InputError for an invalid fraction, seed or mask.
     """
     wanted, number, mask = (
-        checked_fields.to_builtin_number(fraction, float),
+        checked_fields.to_builtin(fraction, float),
         checked_fields.checked_integer(seed, "the seed"),
         np.asarray(contact),
     )
