@@ -145,7 +145,8 @@ def _stem(path: str) -> str:
 
 
 def _videos(home: store.DataFolder) -> list[str]:
-    return [path for path in home.walk() if not store.is_hidden(path) and video_files.is_video(home, path)]
+    visible = [path for path in home.walk() if not store.is_hidden(path)]
+    return [path for path in visible if video_files.is_video(home, path)]
 
 
 def _classes(paths: Sequence[str]) -> dict[str, dict[str, object]]:

@@ -38,9 +38,9 @@ class CutTable:
             )
         self._place = home.address(name)
         self._table = source_files.read_table(home, name, columns, RECORDING_COLUMNS)
-        names, time_unit = [*self._table.columns], columns.time_unit
+        names = [*self._table.columns]
         known = [_FRAME, *(f"start_{unit}" for unit in units.PER_SECOND)]
-        if time_unit:
+        if columns.time_unit:
             known.append("start")
         starts = [each for each in known if each in names]
         if len(starts) != 1:
@@ -55,9 +55,8 @@ class CutTable:
         self._recording_column = next((each for each in RECORDING_COLUMNS if each in names), None)
         self._own_columns = list(filter(None, (self._start_column, self._end_column, self._recording_column)))
         source_files.require_columns(names, self._own_columns, self._place)
-        if self._start_column != "start":  # its name states the unit
-            time_unit = None
-        self._time_columns = import_columns.ImportColumns(time=self._start_column, time_unit=time_unit)
+        # Another name than "start" states the unit.
+        self._time_unit = columns.time_unit if self._start_column == "start" else None
         self._recording_of_row: dict[int, str] = {}
         self._stated_recordings = [""] * self._table.rows
         if self._recording_column is not None:
@@ -132,7 +131,7 @@ class CutTable:
                 "times", "the recording has no times", next="state start_frame and end_frame"
             )
         ends = [self._table.columns[name].slice(row, 1) for name in (self._start_column, self._end_column)]
-        first, last = fields.times_s(column_types.joined(ends), self._time_columns).tolist()
+        first, last = fields.times_s(column_types.joined(ends), self._start_column, self._time_unit).tolist()
         start, stop = int(times.searchsorted(first)), int(times.searchsorted(last, side="right"))
         tolerance = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
         if start >= stop or first < times[0] - tolerance or last > times[-1] + tolerance:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 
 import numpy as np
@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from realtouch.importing import import_columns, source_files, source_touches
 from realtouch.touches.poses import bad_pose
-from realtouch.touches.schema import EXTRA_PREFIX
+from realtouch.touches.schema import EXTRA_PREFIX, extra_columns
 from tactile_toolkit import arithmetic, errors, wording
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.columns import column_types, units
@@ -163,14 +163,15 @@ def poses(fields: Fields, columns: import_columns.ImportColumns) -> Float64:
     return np.hstack([place, turns])
 
 
-def times_s(values: pa.Array, columns: import_columns.ImportColumns) -> Float64:
+def times_s(values: pa.Array, name: str, time_unit: str | None) -> Float64:
     """Return times in seconds, shape (n,); points in time count from 1970, UTC.
 
+    The ``name`` of the column states the unit of numbers, or ``time_unit`` does; else they are seconds.
     Raises ItemError for values that are neither finite numbers nor points in time.
     """
     found, divisor = _instants_s(values), 1.0
     if found is None:
-        divisor = units.TIME.divisor(columns.time or "", columns.time_unit)
+        divisor = units.TIME.divisor(name, time_unit)
         try:
             found = column_types.floats_of(values)
         except (ValueError, OverflowError):
@@ -332,57 +333,42 @@ def extra_types(
     A column of objects, bytes or lists of several lengths is not kept, nor one without any value.
     """
     types: dict[str, pa.DataType] = {}
+    known, of_frames = touches.known, touches.frame_types()
     for name, source in extra_sources(touches, columns).items():
-        per_frame = source in touches.per_frame.column_names
-        entry = _type_of(touches, source, per_frame=per_frame)
-        if entry is not None and per_frame:
+        is_frame = source in of_frames
+        kind = of_frames[source] if is_frame else touches.said[source].type
+        leaf = kind.value_type if pa.types.is_list(kind) else kind
+        if leaf == column_types.UNTYPED or pa.types.is_null(leaf) or source not in known:
+            continue
+        if pa.types.is_temporal(leaf):
+            leaf = pa.string()
+        entry = pa.list_(leaf) if pa.types.is_list(kind) else leaf
+        if is_frame:
             types[f"{EXTRA_PREFIX['frame']}{name}"] = pa.list_(entry)
-        elif entry is not None:
+        else:
             types[f"{EXTRA_PREFIX['touch']}{name}"] = entry
     return types
-
-
-def _type_of(touches: source_touches.FoundTouches, source: str, *, per_frame: bool) -> pa.DataType | None:
-    """Return the type in which the values of a column are stored; None if they are not stored."""
-    kind = touches.of_frames(source).type.value_type if per_frame else touches.said[source].type
-    leaf = kind.value_type if pa.types.is_list(kind) else kind
-    if leaf == column_types.UNTYPED or pa.types.is_null(leaf) or source not in touches.known:
-        return None
-    if pa.types.is_temporal(leaf):
-        leaf = pa.string()
-    return pa.list_(leaf) if pa.types.is_list(kind) else leaf
 
 
 def extra_arrays(
     touches: source_touches.FoundTouches,
     columns: import_columns.ImportColumns,
     types: Mapping[str, pa.DataType],
-) -> Iterator[pa.Array]:
-    """Yield the values of each extra column, an entry for each touch."""
-    sources = dict(columns.extra)
-    for column, data_type in types.items():
-        name, is_frame = _name_of(column)
-        source = sources.get(name, name)
-        if is_frame:
-            yield touches.of_frames(source).cast(data_type)
-        else:
-            values = touches.value(source)
-            assert values is not None
-            yield values.cast(data_type)
-
-
-def _name_of(column: str) -> tuple[str, bool]:
-    """Return the name of an extra column of a data set, and whether it has an entry for each picture."""
-    prefix = EXTRA_PREFIX["frame"]
-    is_frame = column.startswith(prefix)
-    return column.removeprefix(prefix if is_frame else EXTRA_PREFIX["touch"]), is_frame
+) -> dict[str, pa.Array]:
+    """Return the values of each extra column, an entry for each touch."""
+    made = {}
+    for (column, kind), source in zip(types.items(), kept_sources(columns, types), strict=True):
+        is_frame = column.startswith(EXTRA_PREFIX["frame"])
+        values = touches.of_frames(source) if is_frame else touches.value(source)
+        assert values is not None
+        made[column] = values.cast(kind)
+    return made
 
 
 def kept_sources(columns: import_columns.ImportColumns, types: Iterable[str]) -> dict[str, str]:
     """Return the fields that some extra columns of a data set keep, with their names there."""
     sources = dict(columns.extra)
-    names = (_name_of(column)[0] for column in types)
-    return {sources.get(name, name): name for name in names}
+    return {sources.get(name, name): name for name in extra_columns(types)}
 
 
 def not_kept(

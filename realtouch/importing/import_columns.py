@@ -230,7 +230,8 @@ class ImportColumns:
                     "one that holds a list of them, or two with the position and the orientation",
                     next="of six numbers, --euler or --rotvec states what the last three are",
                 )
-            self.divisors(names, max(len(names), min(counts)))
+            if names:
+                self.divisors(names, max(len(names), min(counts)))
         order = "".join(name[-1:].lower() for name in (self.pose or ())[_LENGTHS:])
         if sorted(order) == sorted("wxyz") and order != self.order:
             raise errors.InputError(

@@ -326,7 +326,7 @@ def table_of_touches(
     }
     of_touches = _media_and_poses(stored, schema)
     extras = extras_in(schema)
-    of_touches |= dict(zip(extras, extra_arrays(stored.touches, columns, extras), strict=True))
+    of_touches |= extra_arrays(stored.touches, columns, extras)
     offsets = pa.array([*starts.tolist(), len(codes)], pa.int32())
     for name, values in of_touches.items():
         if name in schema.names:
@@ -377,9 +377,8 @@ FRAMES_PER_SECOND = 25.0
 """Frame rate of clips whose times are not known."""
 _RATES = (1e-3, 1e4)  # pictures a second that the header of an AVI can state
 _LONGEST_S = 1e6
-_MAX_OF_MEDIAN = 64  # pictures
-_MEDIAN_BYTES = 64 << 20  # of these pictures; if they are large, there are fewer
-_SCORED_AT_ONCE = 4  # pictures that fit into the cache of a processor
+_DECODED_AT_ONCE = 64  # pictures
+_DECODED_BYTES = 64 << 20  # of these pictures; if they are large, there are fewer
 
 
 @dataclass(frozen=True, slots=True)
@@ -462,7 +461,7 @@ def contact_by_pictures(
     rows, columns = rule.window(*size)
     uncropped = replace(rule, crop=1.0)
     height, width = rows.stop - rows.start, columns.stop - columns.start
-    of_median = min(_MAX_OF_MEDIAN, max(1, _MEDIAN_BYTES // (3 * height * width)))
+    at_once = min(_DECODED_AT_ONCE, max(1, _DECODED_BYTES // (3 * height * width)))
 
     def decoded(some: Sequence[bytes]) -> UInt8:
         made = np.empty((len(some), height, width, 3), np.uint8)
@@ -471,10 +470,10 @@ def contact_by_pictures(
         return made
 
     try:
-        base = contact.median_in_memory(decoded(pictures[:: -(-len(pictures) // of_median)]))
+        base = contact.median_in_memory(decoded(pictures[:: -(-len(pictures) // at_once)]))
         scores = [
-            contact.contact_score(decoded(pictures[start : start + _SCORED_AT_ONCE]), base, uncropped)
-            for start in range(0, len(pictures), _SCORED_AT_ONCE)
+            contact.contact_score(decoded(pictures[start : start + at_once]), base, uncropped)
+            for start in range(0, len(pictures), at_once)
         ]
     except ValueError as error:
         raise ItemError("image", str(error)) from error

@@ -20,6 +20,7 @@ from realtouch.importing.fields import each_of, times_s
 from realtouch.importing.streams import Aligner, StreamReport
 from realtouch.touch_options import Alignment, require_layout
 from tactile_toolkit import errors, store, touch
+from tactile_toolkit.array_types import Float64
 from tactile_toolkit.columns import column_types
 
 _SPLIT_FOLDERS = ("fota",)  # formats whose exports have a folder for each split, with its name
@@ -152,7 +153,10 @@ def _timed(
             next=f"map one of them to the time, or name the other one: --map NEW={source_touches.TIME_S}",
         )
     rows = np.flatnonzero(values.is_valid().to_numpy(zero_copy_only=False))
-    read = lambda fields, how: times_s(fields[source_touches.TIME_S], how)  # noqa: E731
+
+    def read(fields: Mapping[str, pa.Array], how: import_columns.ImportColumns) -> Float64:
+        return times_s(fields[source_touches.TIME_S], how.time or "", how.time_unit)
+
     time_s, problems = each_of(read, {source_touches.TIME_S: values}, columns, rows)
     column = pa.nulls(len(touches)) if time_s is None else pa.array(time_s, from_pandas=True)
     return touches.with_problems(problems).with_said({source_touches.TIME_S: column})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import repeat
 from typing import Any, NamedTuple, overload
 
 import numpy as np
@@ -104,7 +105,8 @@ class FoundTouches(Sequence[PicturePlace]):
         given = {"name": names, "home": home, "path": paths, "part": "", "start": 0, "size": 0, "frames": 0}
         given |= columns
         made = [_as_column(given.get(field.name), field.type, count) for field in _WHERE]
-        found = cls(pa.table(made, schema=_WHERE), _table(said), _table(per_frame or {}))
+        said = said if isinstance(said, pa.Table) else pa.table(dict(said))
+        found = cls(pa.table(made, schema=_WHERE), said, pa.table(dict(per_frame or {})))
         return found.with_problems(problems or {})
 
     @classmethod
@@ -113,13 +115,14 @@ class FoundTouches(Sequence[PicturePlace]):
         if len(parts) == 1:
             return parts[0]
         where = pa.concat_tables([_WHERE.empty_table(), *(part.where for part in parts)])
-        said, per_frame = {}, {}
-        for name in dict.fromkeys(name for part in parts for name in part.said.column_names):
-            said[name] = column_types.joined([_column(part.said, name, len(part)) for part in parts])
-        for name in dict.fromkeys(name for part in parts for name in part.per_frame.column_names):
-            lists = [_column(part.per_frame, name, len(part)) for part in parts]
-            per_frame[name] = column_types.joined_lists(lists)
-        return cls(where.combine_chunks(), _table(said), _table(per_frame))
+        counts = list(map(len, parts))
+        said = _columns_of([part.said for part in parts], counts)
+        lists = _columns_of([part.per_frame for part in parts], counts)
+        return cls(
+            where.combine_chunks(),
+            pa.table({name: column_types.joined(columns) for name, columns in said.items()}),
+            pa.table({name: column_types.joined_lists(columns) for name, columns in lists.items()}),
+        )
 
     def __len__(self) -> int:
         return len(self.where)
@@ -195,6 +198,10 @@ class FoundTouches(Sequence[PicturePlace]):
         rows[is_known[of_clips]] = np.arange(len(inside))
         return column_types.lists_of(entries.take(pa.array(rows)), lengths)
 
+    def frame_types(self) -> dict[str, pa.DataType]:
+        """Return the type of an entry of each field of pictures, as :meth:`of_frames` returns it."""
+        return {name: self.of_frames(name).type.value_type for name in self.per_frame.column_names}
+
     def of_pictures(self, name: str) -> pa.Array:
         """Return a field as a column with an entry for each picture of all touches; null without a value."""
         if name in self.per_frame.column_names:
@@ -221,7 +228,7 @@ class FoundTouches(Sequence[PicturePlace]):
     def with_said(self, columns: Mapping[str, pa.Array]) -> FoundTouches:
         """Return the touches with fields added or replaced."""
         said = dict(zip(self.said.column_names, self.said.columns, strict=True))
-        return replace(self, said=_table({**said, **columns}))
+        return replace(self, said=pa.table({**said, **columns}))
 
     def with_problems(self, problems: Mapping[int, errors.ItemError]) -> FoundTouches:
         """Return the touches with problems added, by index; the first problem of a touch is kept."""
@@ -269,8 +276,10 @@ def _column(table: pa.Table, name: str, count: int) -> pa.Array:
     return one_chunk(table[name]) if name in table.column_names else pa.nulls(count)
 
 
-def _table(columns: Mapping[str, object] | pa.Table) -> pa.Table:
-    return columns if isinstance(columns, pa.Table) else pa.table(dict(columns))
+def _columns_of(tables: Sequence[pa.Table], counts: Sequence[int]) -> dict[str, list[pa.Array]]:
+    """Return the parts of each column of some tables, an array for each table; nulls where it has none."""
+    names = dict.fromkeys(name for table in tables for name in table.column_names)
+    return {name: list(map(_column, tables, repeat(name), counts)) for name in names}
 
 
 def ranges_of(sizes: Sequence[int], most_bytes: int) -> Iterator[slice]:

@@ -124,10 +124,8 @@ def _seconds(values: pa.Array, column: str, time_unit: str | None, place: str) -
             f"{what} are integers, whose unit is not known",
             next=f"add --time-unit {', '.join(units.PER_SECOND)}, or end the name of the column in the unit",
         )
-    if stated:
-        time_unit = None
     try:
-        found = fields.times_s(values, import_columns.ImportColumns(time=column, time_unit=time_unit))
+        found = fields.times_s(values, column, None if stated else time_unit)
     except errors.ItemError as error:
         raise errors.InputError(f"{what}: {error.what}") from error
     back = np.flatnonzero(np.diff(found) < 0)
@@ -224,10 +222,11 @@ class Aligner:
         return found
 
     def _timed(self, recording: source_touches.Recording) -> source_touches.Recording:
-        time = self._columns.time
-        if not time or time not in recording.per_frame:
+        name = self._columns.time
+        if not name or name not in recording.per_frame:
             return recording
-        return replace(recording, time_s=fields.times_s(recording.per_frame[time], self._columns))
+        time_s = fields.times_s(recording.per_frame[name], name, self._columns.time_unit)
+        return replace(recording, time_s=time_s)
 
     def _streams_beside(self, recording: source_touches.Recording) -> list[Stream]:
         folder, _, name = recording.path.rpartition("/")
@@ -377,13 +376,10 @@ def _with_gaps(values: Float64, around: Neighbours) -> pa.Array:
     return column.take(pa.array(numbers, mask=around.missing))
 
 
-def _columns(table: pa.Table, stream: Stream) -> dict[str, pa.Array]:
+def _columns(samples: dict[str, pa.Array], stream: Stream) -> dict[str, pa.Array]:
     """Return the columns of a stream without its times; InputError for objects, bytes and uneven lists."""
-    found = {}
-    for name in table.column_names:
-        if name == stream.time_column:
-            continue
-        column = source_touches.one_chunk(table[name])
+    samples.pop(stream.time_column, None)
+    for name, column in samples.items():
         lengths = column_types.lengths_of(column)
         if column.type == column_types.UNTYPED or len(lengths) > 1:
             what = f"lists of {', '.join(map(str, lengths[:8]))} values" if lengths else "values of no type"
@@ -391,8 +387,7 @@ def _columns(table: pa.Table, stream: Stream) -> dict[str, pa.Array]:
                 f"{stream.place!r}: the column {name!r} holds {what}; expected numbers, text, or "
                 "lists of numbers, all of one length"
             )
-        found[name] = column
-    return found
+    return samples
 
 
 @dataclass(frozen=True, slots=True, eq=False)

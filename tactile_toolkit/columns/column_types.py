@@ -8,7 +8,7 @@ are kept as JSON (:data:`UNTYPED`).
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import suppress
 from functools import partial, reduce
 from itertools import chain
@@ -50,12 +50,12 @@ _NO_BRACKETS = str.maketrans("[](),;", "      ")
 _NUMBERS = (pa.int64(), pa.float64())
 
 
-def without_blanks(texts: pa.Array) -> pa.Array:
+def _without_blanks(texts: pa.Array) -> pa.Array:
     """Return texts as they are; null for texts of spaces only."""
     return pc.if_else(pc.equal(pc.utf8_trim_whitespace(texts), ""), pa.scalar(None, pa.string()), texts)
 
 
-def words_of(texts: pa.Array, *, decimal_commas: bool = False) -> pa.Array:
+def _words_of(texts: pa.Array, *, decimal_commas: bool = False) -> pa.Array:
     """Return texts in the form in which numbers are read; null for words that mean a missing value.
 
     With ``decimal_commas``, as the separator of a table shows, commas become points, unless a number of the
@@ -69,7 +69,7 @@ def words_of(texts: pa.Array, *, decimal_commas: bool = False) -> pa.Array:
     return words
 
 
-def text_type(words: pa.Array, known: pa.DataType = _NOTHING, *, is_exact: bool = True) -> pa.DataType:
+def _text_type(words: pa.Array, known: pa.DataType = _NOTHING, *, is_exact: bool = True) -> pa.DataType:
     """Return the type of words, given that of earlier rows: a number, true or false, or text.
 
     With ``is_exact``, words stay text if formatting the number would not give the same text: codes such as
@@ -102,25 +102,83 @@ def _is_changed(words: pa.Array, data_type: pa.DataType) -> bool:
 
 def from_text(texts: pa.Array, *, decimal_commas: bool = False) -> pa.Array:
     """Convert the texts of a table to a column of the type that they state."""
-    words = words_of(texts, decimal_commas=decimal_commas)
-    return as_type(texts, words, text_type(words))
+    words = _words_of(texts, decimal_commas=decimal_commas)
+    return _as_type(texts, words, _text_type(words))
 
 
-def as_type(texts: pa.Array, words: pa.Array, kind: pa.DataType) -> pa.Array:
-    """Return texts, whose words are known, as a column of a type of :func:`text_type`."""
+def _as_type(texts: pa.Array, words: pa.Array, kind: pa.DataType) -> pa.Array:
+    """Return texts, whose words are known, as a column of a type of :func:`_text_type`."""
     if pa.types.is_null(kind):
         return pa.nulls(len(texts))
     if pa.types.is_string(kind):
-        return without_blanks(texts)
+        return _without_blanks(texts)
     return words.cast(kind)
 
 
-def vectors_of(texts: pa.Array) -> pa.Array:
+def _vectors_of(texts: pa.Array) -> pa.Array:
     """Return texts as vectors if each of them is one, such as ``[1.5, 2]``."""
     if pc.all(pc.match_substring_regex(texts, _VECTOR)).as_py():
         with suppress(ValueError):
             return from_values([text and json.loads(text) for text in texts.to_pylist()])
     return texts
+
+
+class ColumnTypes:
+    """The types of the columns of a table that is read a few rows at a time.
+
+    Parameters
+    ----------
+    is_text : bool
+        Whether all values are text, whose types follow from what they state.
+    decimal_commas : bool
+        Whether a comma may stand before decimals, as the separator of a text table shows.
+    """
+
+    def __init__(self, *, is_text: bool, decimal_commas: bool) -> None:
+        self.known: dict[str, pa.DataType] = {}
+        self._is_text = is_text
+        self._decimal_commas = decimal_commas
+
+    def add(self, rows: pa.Table, inexact: str = "") -> None:
+        """Find the types that hold the values of some rows and of those before them.
+
+        Numbers stay text if formatting them would not give the same text, except in the column ``inexact``.
+        """
+        for name, values in zip(rows.column_names, rows.columns, strict=True):
+            known = self.known.get(name, _NOTHING)
+            if self._is_text:
+                self.known[name] = _text_type(self._words(values), known, is_exact=name != inexact)
+            else:
+                self.known[name] = _common_type(known, from_arrow(values).type, name)
+
+    def typed(self, rows: pa.Table) -> dict[str, pa.Array]:
+        """Return some columns of rows that were added, with the types that hold all values."""
+        columns = {}
+        for name, values in zip(rows.column_names, rows.columns, strict=True):
+            if self._is_text:
+                columns[name] = _as_type(values.combine_chunks(), self._words(values), self.known[name])
+            else:
+                columns[name] = from_arrow(values).cast(self.known[name])
+        return columns
+
+    def whole(self, table: pa.Table, texts: Collection[str], numbers: Collection[str]) -> dict[str, pa.Array]:
+        """Return the columns of a whole table; see :meth:`tactile_toolkit.columns.tables.Table.whole`."""
+        found = {}
+        for name, values in zip(table.column_names, table.columns, strict=True):
+            if not self._is_text:
+                found[name] = from_arrow(values)
+                continue
+            column = _without_blanks(values.combine_chunks())
+            if name not in texts:
+                words = self._words(values)
+                column = _as_type(column, words, _text_type(words))
+                if pa.types.is_string(column.type):
+                    column = words if name in numbers else _vectors_of(column)
+            found[name] = column
+        return found
+
+    def _words(self, values: pa.ChunkedArray) -> pa.Array:
+        return _words_of(values.combine_chunks(), decimal_commas=self._decimal_commas)
 
 
 def from_values(values: Iterable[object]) -> pa.Array:
@@ -133,7 +191,7 @@ def from_values(values: Iterable[object]) -> pa.Array:
         return _as_json(given)
     if not any(isinstance(value, _LISTS) for value in known):
         texts = _unless_missing(_text, given)
-        return without_blanks(pa.array(texts, pa.string()))
+        return _without_blanks(pa.array(texts, pa.string()))
     return _from_lists(given)
 
 
@@ -183,7 +241,7 @@ def from_arrow(values: pa.Array | pa.ChunkedArray) -> pa.Array:
     if pa.types.is_boolean(kind) or pa.types.is_null(kind) or pa.types.is_temporal(kind):
         return column
     if pa.types.is_string(kind):
-        return without_blanks(column)
+        return _without_blanks(column)
     if pa.types.is_integer(kind):
         with suppress(pa.ArrowException):
             return column.cast(pa.int64())
@@ -260,7 +318,7 @@ def is_leaf(data_type: pa.DataType) -> bool:
     return not pa.types.is_list(data_type) and data_type != UNTYPED
 
 
-def common_type(first: pa.DataType, second: pa.DataType, name: str = "values") -> pa.DataType:
+def _common_type(first: pa.DataType, second: pa.DataType, name: str = "values") -> pa.DataType:
     """Return the type that holds values of both; ArrowException if there is none."""
     if UNTYPED in (first, second) and len({first, second, pa.null()}) > 2:
         raise pa.ArrowInvalid(f"{first} and {second}")
@@ -271,7 +329,7 @@ def common_type(first: pa.DataType, second: pa.DataType, name: str = "values") -
 def joined(columns: Sequence[pa.Array]) -> pa.Array:
     """Return columns one after the other, as one column of a type that holds all of their values exactly."""
     with suppress(pa.ArrowException):
-        kind = reduce(common_type, (column.type for column in columns), pa.null())
+        kind = reduce(_common_type, (column.type for column in columns), pa.null())
         return pa.concat_arrays([pa.array([], kind), *(column.cast(kind) for column in columns)])
     return from_values(chain.from_iterable(map(values_of, columns)))
 
@@ -297,10 +355,10 @@ def values_of(column: pa.Array) -> list[JsonValue]:
 def texts_of(column: pa.Array) -> pa.Array:
     """Return the text of each value, as of a name; null for a missing one, for NaN, and for lists."""
     if pa.types.is_string(column.type):
-        return without_blanks(pc.utf8_trim_whitespace(column))
+        return _without_blanks(pc.utf8_trim_whitespace(column))
     if not is_leaf(column.type):
         found = (None if isinstance(value, (dict, list)) else value for value in values_of(column))
-        return without_blanks(pa.array([_name(value) for value in found], pa.string()))
+        return _without_blanks(pa.array([_name(value) for value in found], pa.string()))
     encoded = column.dictionary_encode()
     if isinstance(encoded, pa.Array) and not isinstance(encoded, pa.DictionaryArray):  # all null
         return pa.nulls(len(column), pa.string())

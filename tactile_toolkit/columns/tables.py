@@ -87,11 +87,11 @@ class Table:
     def __init__(self, path: str, open_file: Callable[[], IO[bytes]]) -> None:
         self.path = path
         self._open = open_file
-        self._types: dict[str, pa.DataType] = {}
         self._read = _READERS.get(path[path.rfind(".") :].lower(), self._text_batches)
         self._is_text = self._read == self._text_batches
         self._separator = ""
         self.names: list[str] = next(self._batches(), _NO_ROWS).column_names
+        self._types = column_types.ColumnTypes(is_text=self._is_text, decimal_commas=self._separator != ",")
 
     def first_row(self) -> JsonDict:
         """Return the first row, as it is stored; empty for a table without rows."""
@@ -103,16 +103,13 @@ class Table:
         with self._named_errors():
             for batch in self._batches():
                 rows += len(batch)
-                for name in batch.column_names:
-                    self._types[name] = self._common(name, batch.column(name), name != column)
+                self._types.add(batch, column)
                 if column in batch.column_names:  # as numbers, which take less space than text
-                    kept.append(self._typed(batch.select([column])))
-            self.names = list(self._types) or self.names
-            if not kept:
-                return rows, pa.nulls(rows)
-            return rows, column_types.joined([part.column(0).combine_chunks() for part in kept])
+                    kept.append(self._types.typed(batch.select([column]))[column])
+            self.names = list(self._types.known) or self.names
+            return rows, column_types.joined(kept) if kept else pa.nulls(rows)
 
-    def rows(self, numbers: Int64) -> pa.Table:
+    def rows(self, numbers: Int64) -> dict[str, pa.Array]:
         """Return rows by their numbers, int64, shape (n,), n > 0, increasing; needs :meth:`scan` before."""
         parts, start = [], 0
         for batch in self._batches():
@@ -121,7 +118,7 @@ class Table:
                 parts.append(batch.take(pa.array(numbers[first:last] - start)))
             start += len(batch)
         with self._named_errors():
-            return self._typed(pa.concat_tables(parts, promote_options="permissive"))
+            return self._types.typed(pa.concat_tables(parts, promote_options="permissive"))
 
     def whole(self, texts: Collection[str] = (), numbers: Collection[str] = ()) -> dict[str, pa.Array]:
         """Return all columns with their types; lists of numbers in brackets become vectors.
@@ -135,18 +132,7 @@ class Table:
                 return dict.fromkeys(self.names, pa.nulls(0))
             table = pa.concat_tables(parts, promote_options="permissive")
             self.names = table.column_names
-            if not self._is_text:
-                return {name: column_types.from_arrow(table[name]) for name in self.names}
-            found = {}
-            for name in self.names:
-                column = column_types.without_blanks(table[name].combine_chunks())
-                if name not in texts:
-                    words = self._words(table[name])
-                    column = column_types.as_type(column, words, column_types.text_type(words))
-                    if pa.types.is_string(column.type):
-                        column = words if name in numbers else column_types.vectors_of(column)
-                found[name] = column
-            return found
+            return self._types.whole(table, texts, numbers)
 
     def _batches(self, most_rows: int = 0) -> Iterator[pa.Table]:
         """Yield the rows, a few at a time; values of text tables are text."""
@@ -198,30 +184,6 @@ class Table:
                 else ""
             )
             raise InputError(f"{self.path!r} cannot be read as a table: {found}", next=advice) from error
-
-    def _common(self, name: str, values: pa.ChunkedArray, is_exact: bool) -> pa.DataType:
-        """Return the common type of some values of a column and of its earlier values.
-
-        With ``is_exact``, numbers stay text if formatting them would not give the same text.
-        """
-        known = self._types.get(name, pa.null())
-        if self._is_text:
-            return column_types.text_type(self._words(values), known, is_exact=is_exact)
-        return column_types.common_type(known, column_types.from_arrow(values).type, name)
-
-    def _words(self, values: pa.ChunkedArray) -> pa.Array:
-        return column_types.words_of(values.combine_chunks(), decimal_commas=self._separator != ",")
-
-    def _typed(self, table: pa.Table) -> pa.Table:
-        """Convert the columns of some rows to the types that hold all values of the table."""
-        columns = {}
-        for name, values in zip(table.column_names, table.columns, strict=True):
-            kind = self._types[name]
-            if self._is_text:
-                columns[name] = column_types.as_type(values.combine_chunks(), self._words(values), kind)
-            else:
-                columns[name] = column_types.from_arrow(values).cast(kind)
-        return pa.table(columns)
 
 
 def _checked_names(names: Sequence[str], path: str) -> list[str]:

@@ -9,7 +9,6 @@ import numpy as np
 import pyarrow as pa
 
 from tactile_toolkit.array_types import AnyArray, Bool, Int64
-from tactile_toolkit.read.schemas import list_depth
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,7 +126,7 @@ def nested_column(array: pa.Array) -> NestedColumn:
     nulls = array.null_count
     # A slice keeps the values of all rows, so they are cut here: Arrow would import `pyarrow.compute` for
     # that, which takes longer than unpacking the first row group.
-    while list_depth(array.type)[0]:
+    while isinstance(array.type, (pa.ListType, pa.FixedSizeListType)):
         if pa.types.is_fixed_size_list(array.type):
             width = array.type.list_size
             levels.append(width)

@@ -249,7 +249,7 @@ def with_features(schema: pa.Schema, label_names: Sequence[str] | None) -> pa.Sc
 def _feature(name: str, data_type: pa.DataType, label_names: Sequence[str] | None) -> JsonObject:
     if name == "label" and label_names is not None:
         return read.label_feature(label_names)
-    if read.list_depth(data_type)[0]:
+    if isinstance(data_type, (pa.ListType, pa.FixedSizeListType)):
         length = getattr(data_type, "list_size", -1)
         inner = _feature(name, data_type.value_type, label_names)
         # Both old and new releases of `datasets` read "Sequence" as a list.

@@ -38,7 +38,7 @@ def poses(said: dict[str, Any], columns: realtouch.ImportColumns) -> np.ndarray:
 
 
 def times_s(said: Any, columns: realtouch.ImportColumns) -> np.ndarray:
-    return fields.times_s(found.columns({"t": said})["t"], columns)
+    return fields.times_s(found.columns({"t": said})["t"], columns.time or "", columns.time_unit)
 
 
 def columns_of(values: Any, names: Iterable[str]) -> dict[str, list[Any]]:
@@ -440,7 +440,7 @@ def test_a_format_may_state_rotation_vectors() -> None:
 
 
 def test_contact_of_a_long_clip_is_found_by_some_of_its_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(import_shards, "_MAX_OF_MEDIAN", 7)
+    monkeypatch.setattr(import_shards, "_DECODED_AT_ONCE", 7)
     pictures = frames_of(30, range(11, 15))
     assert import_shards.contact_by_pictures(pictures, (24, 32)) == ((11, 14), True)
     (first, last), is_found = import_shards.contact_by_pictures(frames_of(30, range(0)), (24, 32))
@@ -484,7 +484,7 @@ def touches(said: dict[str, pa.Array]) -> FoundTouches:
 
 def kept(every: FoundTouches, columns: realtouch.ImportColumns) -> tuple[str, Any]:
     ((name, data_type),) = extra_types(every, columns).items()
-    (array,) = extra_arrays(every, columns, {name: data_type})
+    array = extra_arrays(every, columns, {name: data_type})[name]
     return name, array.to_pylist()
 
 

@@ -24,7 +24,7 @@ def table(content: bytes | str, ending: str = ".csv") -> Table:
 
 def read(found: Table, *numbers: int) -> dict[str, list[Any]]:
     rows, _ = found.scan()
-    result: dict[str, list[Any]] = found.rows(np.array(numbers or range(rows))).to_pydict()
+    result: dict[str, list[Any]] = pa.table(found.rows(np.array(numbers or range(rows)))).to_pydict()
     return result
 
 
@@ -102,7 +102,7 @@ def test_parquet(tmp_path: Path) -> None:
     assert rows == 70_000
     assert times.to_pylist() == stored["t"].to_pylist()
     numbers = np.array([0, 32_767, 32_768, 69_999])
-    assert found.rows(numbers).to_pydict() == stored.take(numbers).to_pydict()
+    assert pa.table(found.rows(numbers)).to_pydict() == stored.take(numbers).to_pydict()
 
 
 @pytest.mark.parametrize(
