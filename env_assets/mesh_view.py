@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from os import PathLike
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
@@ -19,7 +18,7 @@ from tactile_toolkit.array_types import AnyArray, Float32, Float64, Floating, In
 from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.mesh import MM_PER_M, Mesh, SolidRecord, find_mesh_files, read_mesh, require_unit
+from tactile_toolkit.mesh import MM_PER_M, Mesh, MeshFile, SolidRecord, find_mesh_files
 from tactile_toolkit.read import AnyRecords, RecordDataset, picks_several, positions
 
 if TYPE_CHECKING:
@@ -191,30 +190,29 @@ def mesh_files(place: str | PathLike[str], split: str, unit: str | None = None) 
     splits is the same for all. Ids count files in the order of their names. ``unit`` is as
     :func:`tactile_toolkit.mesh.read_mesh` takes it. InputError: the folder holds only another split.
     """
-    require_unit(unit)
-    found = find_mesh_files(place)
+    found = find_mesh_files(place, unit)
     if found is None:
         return None
     files = found.splits.get(split, found.splits.get(""))
     if files is None:
         others = list(found.splits)
+        root = found.splits[others[0]][0].root
         raise InputError(
-            f"{str(found.root)!r} has no split {split!r}, only {' and '.join(map(repr, others))}",
+            f"{str(root)!r} has no split {split!r}, only {' and '.join(map(repr, others))}",
             next=f"put meshes into a sub-folder {split!r}, or give a folder without splits, such as "
-            f"'{found.root}/{others[0]}'",
+            f"'{root}/{others[0]}'",
         )
-    read = partial(_mesh_of_file, unit=unit, below=found.root)
     records = [
-        LazyMesh(number, found.class_names.index(found.classes[file]), partial(read, file), file.name)
+        LazyMesh(number, file.label, partial(_mesh_of_file, file), file.path.name)
         for number, file in enumerate(files)
     ]
     return MeshView(records, found.class_names)
 
 
-def _mesh_of_file(path: Path, unit: str | None, below: Path | None = None) -> trimesh.Trimesh:
-    found = read_mesh(path, unit=unit, below=below)
+def _mesh_of_file(file: MeshFile) -> trimesh.Trimesh:
+    found = file.read()
     for note in found.notes:
-        _LOG.warning("%s: %s", path, note)
+        _LOG.warning("%s: %s", file.path, note)
     return Mesh(np.asarray(found.vertices_m, np.float32), found.faces).to_trimesh()
 
 

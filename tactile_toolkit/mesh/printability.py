@@ -17,7 +17,7 @@ import pyarrow as pa
 
 from tactile_toolkit.array_types import Float32, Float64
 from tactile_toolkit.json_types import JsonDict
-from tactile_toolkit.mesh.mesh import MeshLike, as_mesh
+from tactile_toolkit.mesh.mesh import Mesh, MeshLike
 from tactile_toolkit.mesh.mesh_options import PrintProfile
 from tactile_toolkit.mesh.solid_check import check_manifold
 from tactile_toolkit.rows import column, columns, row
@@ -145,6 +145,26 @@ class PrintReport:
         values = {name: getattr(self, name) for name in columns(type(self))}
         return {name: list(each) if isinstance(each, tuple) else each for name, each in values.items()}
 
+    def explained(self, profile: PrintProfile) -> tuple[str, ...]:
+        """Return a line for each warning: what was found, what was expected, and what to do."""
+        width, depth, height = self.size_mm
+        plate = " x ".join(f"{side:g}" for side in profile.plate_mm)
+        found = {
+            "thin-wall": f"the thinnest wall is {self.thinnest_wall_mm:.2f} mm, expected "
+            f"{profile.min_wall_mm:g} mm or more",
+            "separate-bodies": f"there are {with_count(self.bodies, 'parts')} that print apart",
+            "overhang": f"{self.overhang_mm2:,.0f} mm² lean out by more than "
+            f"{profile.overhang_deg:g} degrees",
+            "small-contact": f"{self.contact_mm2:.1f} mm² lie on the plate of the printer, expected "
+            f"{profile.min_contact_mm2:g} mm² or more",
+            "larger-than-plate": f"it is {width:.1f} x {depth:.1f} mm, larger than the plate of {plate} mm",
+            "too-tall": f"it is {height:.1f} mm tall, expected {profile.max_height_mm:g} mm at most",
+        }
+        return tuple(
+            f"{word}: {found[word]}; next: {advice.removeprefix(f'{word}: ')}"
+            for word, advice in zip(self.warnings, print_advice(self.warnings), strict=True)
+        )
+
 
 def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
     """Check whether a mesh bounds a solid, and measure it for printing.
@@ -170,7 +190,7 @@ def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
     # numba takes half a second to import.
     from tactile_toolkit.mesh.walls import leaning_out, thinnest_wall_mm
 
-    mesh = as_mesh(mesh)
+    mesh = Mesh.of(mesh)
     profile = profile or PrintProfile()
     check = check_manifold(mesh)
     counts = (len(mesh.vertices_m), len(mesh.faces), check.bodies, check.genus, check.volume_mm3)
@@ -209,26 +229,6 @@ def print_advice(words: Iterable[str]) -> tuple[str, ...]:
     """Return a line for each warning: what to do, and the section that explains it."""
     given = set(words)
     return tuple(f"{word}: {_CURES[word]} (see {WARNINGS_PAGE}#{word})" for word in WARNINGS if word in given)
-
-
-def explained(report: PrintReport, profile: PrintProfile) -> tuple[str, ...]:
-    """Return a line for each warning of a report: what was found, what was expected, and what to do."""
-    width, depth, height = report.size_mm
-    plate = " x ".join(f"{side:g}" for side in profile.plate_mm)
-    found = {
-        "thin-wall": f"the thinnest wall is {report.thinnest_wall_mm:.2f} mm, expected "
-        f"{profile.min_wall_mm:g} mm or more",
-        "separate-bodies": f"there are {with_count(report.bodies, 'parts')} that print apart",
-        "overhang": f"{report.overhang_mm2:,.0f} mm² lean out by more than {profile.overhang_deg:g} degrees",
-        "small-contact": f"{report.contact_mm2:.1f} mm² lie on the plate of the printer, expected "
-        f"{profile.min_contact_mm2:g} mm² or more",
-        "larger-than-plate": f"it is {width:.1f} x {depth:.1f} mm, larger than the plate of {plate} mm",
-        "too-tall": f"it is {height:.1f} mm tall, expected {profile.max_height_mm:g} mm at most",
-    }
-    return tuple(
-        f"{word}: {found[word]}; next: {advice.removeprefix(f'{word}: ')}"
-        for word, advice in zip(report.warnings, print_advice(report.warnings), strict=True)
-    )
 
 
 def thinnest_width_mm(outlines_mm: Sequence[Float64]) -> float:
