@@ -14,7 +14,7 @@ from realtouch import contact, convert, touch_options
 from realtouch.touches import rounds, stored_images, stored_round
 from realtouch.touches.schema import POSE_COLUMN
 from tactile_toolkit import errors, kind, places, store
-from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE
+from tactile_toolkit.touch import MEDIA_TYPE
 
 ExportLayout = Literal["flat", "webdataset", "lerobot", "oxt", "replay", "fota", "anytouch"]
 EXPORTS = {
@@ -196,7 +196,7 @@ class _Touches:
             try:
                 stored_images.require_intact(images[-1])
             except ValueError:
-                with row.naming(MEDIA_COLUMN[row.kind], each.touch, where.format(each.frame)):
+                with row.naming(row.media_column, each.touch, where.format(each.frame)):
                     raise
         columns["id"] = [rounds.touch_id(name, each.touch) for each in shown]
         stem = convert.stem_of_id(name)

@@ -16,14 +16,14 @@ from realtouch import contact, touch_options
 from realtouch.importing import fields, import_columns, import_sources, source_formats, source_touches
 from realtouch.importing.fields import extra_arrays, extra_types
 from realtouch.touches import schema as stored_schema, stored_images
-from realtouch.touches.schema import POSE_COLUMN
+from realtouch.touches.schema import MEDIA_COLUMN, POSE_COLUMN, Kind
 from realtouch.touches.stored_images import media_array
 from realtouch.video import avi
 from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import AnyArray, Float64, Int64, UInt8
 from tactile_toolkit.columns import column_types
 from tactile_toolkit.errors import ItemError
-from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE, Kind, decode_image, is_jpeg, with_features
+from tactile_toolkit.touch import MEDIA_TYPE, decode_image, is_jpeg, with_features
 
 NOT_IMPORTED = "not_imported"
 """Key of the statistics of an import: number of touches of each field that was not imported."""
