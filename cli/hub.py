@@ -14,7 +14,7 @@ from cli.output import Sink
 from tactile_toolkit import checked_fields, exchange, places
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind, lazy
-from tactile_toolkit.wording import BYTES, bytes_text, with_count
+from tactile_toolkit.wording import bytes_text, with_count
 
 REPOSITORY = argument("USER/NAME", "Repository of the Hub.")
 SENDS_NOTHING = checked_fields.switch(False, help="Print what would be sent; send nothing.")
@@ -55,7 +55,7 @@ def upload(
     place.require_manifest(kind)
     kind = place.kind or kind
     sink.info(f"checking {folder}")
-    prepared = exchange.prepare_upload(
+    prepared = exchange.Upload.of_folder(
         folder,
         repository,
         options,
@@ -69,7 +69,7 @@ def upload(
 
 def finish_upload(
     sink: Sink,
-    prepared: exchange.PreparedUpload,
+    prepared: exchange.Upload,
     lines: Callable[[str | None], list[str]],
     *,
     dry_run: bool,
@@ -77,19 +77,19 @@ def finish_upload(
 ) -> None:
     """Ask, send the prepared files, and print the result; ``lines`` show how a revision is opened."""
     _print_upload_plan(sink, prepared)
-    result = None
-    if not dry_run:
-        # A new branch is a change that needs consent, even if it already holds all files.
-        is_change = not (prepared.plan.is_done and prepared.has_branch)
-        if is_change and not yes:
-            refused = "upload asks before it sends, and stdin is not a terminal; nothing was sent"
-            next_step = "add --yes, or look first with --dry-run"
-            _require_consent(f"Send this to {prepared.page}?", refused, next_step)
-        result = exchange.run_upload(prepared)
-    _print_upload(sink, prepared, result, lines)
+    # A new branch is a change that needs consent, even if it already holds all files.
+    is_change = not (prepared.plan.is_done and prepared.has_branch)
+    if dry_run:
+        _print_upload(sink, prepared, lines)
+        return
+    if is_change and not yes:
+        refused = "upload asks before it sends, and stdin is not a terminal; nothing was sent"
+        next_step = "add --yes, or look first with --dry-run"
+        _require_consent(f"Send this to {prepared.page}?", refused, next_step)
+    _print_upload(sink, prepared.send(), lines)
 
 
-def _loading_lines(kind: DatasetKind, prepared: exchange.PreparedUpload, revision: str | None) -> list[str]:
+def _loading_lines(kind: DatasetKind, prepared: exchange.Upload, revision: str | None) -> list[str]:
     """Return the lines of Python that open an uploaded data set."""
     manifest = prepared.manifest
     assert manifest is not None, "a data set has one"
@@ -114,7 +114,7 @@ def download(
     After an interruption, the same command continues. `list` names the published data sets.
     """
     quiet_client(is_all=True)
-    plan = exchange.plan_download(
+    plan = exchange.DownloadPlan.of(
         name,
         split or (),
         revision=revision,
@@ -130,8 +130,8 @@ def download(
         if plan.missing_bytes > _LARGE_BYTES and not yes:
             refused = f"{size} would be fetched, and stdin is not a terminal"
             _require_consent(f"fetch {size}?", refused, "add --yes, or name a --split")
-        with sink.progress("fetching", BYTES) as update:
-            place = exchange.run_download(plan, update)
+        with sink.progress("fetching", "bytes") as update:
+            place = plan.run(update)
     _print_download(sink, plan, place, kind)
 
 
@@ -159,7 +159,7 @@ def _listed(paths: Sequence[str]) -> str:
     return words
 
 
-def _print_upload_plan(sink: Sink, prepared: exchange.PreparedUpload) -> None:
+def _print_upload_plan(sink: Sink, prepared: exchange.Upload) -> None:
     plan = prepared.plan
     held = prepared.held
     where = prepared.where
@@ -172,7 +172,7 @@ def _print_upload_plan(sink: Sink, prepared: exchange.PreparedUpload) -> None:
     if prepared.unasked:
         sink.info(f"note: {prepared.unasked}; all files are listed, as for a new repository")
     elif held is None:
-        visible = "private" if prepared.options.private else "public"
+        visible = "private" if prepared.is_private else "public"
         sink.line(f"{visible} repository to create: {where}")
     elif not prepared.has_branch:
         sink.line(f"branch to create at the head of main: {prepared.options.branch}")
@@ -192,62 +192,45 @@ def _print_upload_plan(sink: Sink, prepared: exchange.PreparedUpload) -> None:
     )
 
 
-def _print_upload(
-    sink: Sink,
-    prepared: exchange.PreparedUpload,
-    result: exchange.UploadResult | None,
-    lines_of: Callable[[str | None], list[str]],
-) -> None:
-    plan = prepared.plan
-    held = prepared.held
-    where = prepared.where
-    name = prepared.options.branch
-    done = result or exchange.UploadResult("")
-    address = prepared.page
-    revision = None
-    if done.pull:  # the page of its branch (refs/pr/N) has no button to merge it
-        address = f"{address}/discussions/{done.pull.rpartition('/')[2]}"
-        revision = done.pull
-    elif not prepared.options.is_main:
-        address = f"{address}/tree/{name}"
-        revision = name
-    lines = lines_of(revision)
+def _print_upload(sink: Sink, upload: exchange.Upload, lines_of: Callable[[str | None], list[str]]) -> None:
+    plan = upload.plan
+    lines = lines_of(upload.revision)
     sink.document(
         {
-            "repository": prepared.repo_id,
-            "revision": name,
-            "address": address,
-            "dry_run": result is None,
-            "exists": None if prepared.unasked else held is not None,
-            "private": (held or prepared).is_private,
-            "files": len(prepared.files),
-            "bytes": sum(file.size for file in prepared.files),
+            "repository": upload.repo_id,
+            "revision": upload.options.branch,
+            "address": upload.address,
+            "dry_run": upload.commit is None,
+            "exists": None if upload.unasked else upload.held is not None,
+            "private": upload.is_private,
+            "files": len(upload.files),
+            "bytes": sum(file.size for file in upload.files),
             "to_send": [file.path for file in plan.to_send],
             "bytes_to_send": sum(file.size for file in plan.to_send),
             "to_remove": plan.removed,
             "kept": plan.kept,
-            "left_out": prepared.left_out,
-            "tags": list(filter(None, [prepared.options.tag])),
-            "commit": done.commit or None,
-            "pull_request": done.pull,
-            "sent": done.sent,
-            "removed": done.removed,
+            "left_out": upload.left_out,
+            "tags": list(filter(None, [upload.options.tag])),
+            "commit": upload.commit,
+            "pull_request": upload.pull,
+            "sent": upload.sent,
+            "removed": upload.removed,
             "python": lines,
         }
     )
     if plan.is_done:
-        sink.line(f"{where} holds all files already, compared by checksum; nothing was sent")
-    elif result is None:
+        sink.line(f"{upload.where} holds all files already, compared by checksum; nothing was sent")
+    elif upload.commit is None:
         sink.line("nothing was sent")
     else:
         sink.line(
-            f"sent {with_count(len(result.sent), 'files')}, removed {len(result.removed):,}; all "
-            f"{len(prepared.files):,} compared by checksum"
+            f"sent {with_count(len(upload.sent), 'files')}, removed {len(upload.removed):,}; all "
+            f"{len(upload.files):,} compared by checksum"
         )
-    if result is not None:
-        if result.tag:
-            sink.line(f"tag set: {result.tag}")
-        sink.line("\n  ".join([address, *lines]))
+    if upload.commit is not None:
+        if upload.options.tag:
+            sink.line(f"tag set: {upload.options.tag}")
+        sink.line("\n  ".join([upload.address, *lines]))
 
 
 def _print_download_plan(sink: Sink, plan: exchange.DownloadPlan) -> None:

@@ -16,7 +16,7 @@ import typer
 
 from cli.output import Sink
 from tactile_toolkit import __version__, places, run, store
-from tactile_toolkit.checked_fields import Rule, check_value, integer, metavar_of, rule_of, switch, text
+from tactile_toolkit.checked_fields import Rule, integer, switch, text
 from tactile_toolkit.errors import InputError
 
 JOB = "Job options"
@@ -36,11 +36,11 @@ def local_place(text: str | Path) -> Path:
     return store.expanded(text)
 
 
-def _runner_name(text: str) -> str:
-    name, equals, address = text.partition("=")
+def _runner_name(words: str) -> str:
+    name, equals, address = words.partition("=")
     if name not in ("processes", "ray") or (equals and (name != "ray" or not address)):
-        raise InputError(f"{text!r} is not a runner; expected processes, ray, or ray=HOST:PORT")
-    return text
+        raise InputError(f"{words!r} is not a runner; expected processes, ray, or ray=HOST:PORT")
+    return words
 
 
 def parse_address(text: str | Path) -> str:
@@ -128,18 +128,18 @@ class Work:
 
     def run_keywords(self) -> store.RunKeywords:
         """Return these options as keywords of the functions that write data sets."""
-        name, _, address = self.runner.partition("=")
-        runner: int | run.Runner = process_count(self.workers)
-        if name == "ray":
-            runner = run.RayRunner(address or None, self.workers)
-        part = None if self.part is None else run.parse_part(self.part)
-        return {
-            "workers": runner,
-            "part": part,
+        keywords: store.RunKeywords = {
+            "workers": process_count(self.workers),
             "finish": self.finish,
             "check": self.check,
             "overwrite": self.overwrite,
         }
+        name, _, address = self.runner.partition("=")
+        if name == "ray":
+            keywords["workers"] = run.RayRunner(address or None, self.workers)
+        if self.part is not None:
+            keywords["part"] = run.parse_part(self.part)
+        return keywords
 
 
 @dataclass(frozen=True, slots=True)
@@ -273,7 +273,7 @@ def _group(hint: object, parameter: inspect.Parameter) -> list[inspect.Parameter
         return [_parameter(parameter.name, parameter.default)]
     found = []
     for each in fields(group):
-        rule = rule_of(each)
+        rule = Rule.of(each)
         if rule is not None and "help" in rule.option:
             found.append(_parameter(each.name, each, is_optional=mark is not None))
     return found
@@ -281,7 +281,7 @@ def _group(hint: object, parameter: inspect.Parameter) -> list[inspect.Parameter
 
 def _parameter(name: str, declared: Field[Any], *, is_optional: bool = False) -> inspect.Parameter:
     """Return a parameter as Typer takes it; an ``is_optional`` one needs no value."""
-    rule: Any = rule_of(declared)
+    rule: Any = Rule.of(declared)
     default = declared.default
     if default is MISSING and is_optional:
         default = None
@@ -320,13 +320,14 @@ def _typer_type(rule: Rule, default: object) -> Any:
 
 def _declaration(name: str, rule: Rule, default: object) -> Any:
     """Return the argument or option by which Typer takes the value of a field."""
-    text, is_argument = rule.option, "argument" in rule.option
-    names = text.get("name", f"--{name.replace('_', '-')}").split()
+    option = rule.option
+    is_argument = "argument" in option
+    names = option.get("name", f"--{name.replace('_', '-')}").split()
     label = names[0].partition("/")[0]
     if is_argument:
-        label = text.get("metavar", name)
-    metavar: str | None = metavar_of(name, rule)
-    if rule.kind is bool or (rule.choices and "read" not in text):  # Typer lists the choices
+        label = option.get("metavar", name)
+    metavar: str | None = rule.metavar(name)
+    if rule.kind is bool or (rule.choices and "read" not in option):  # Typer lists the choices
         metavar = None
     if rule.kind is bool and default and "/" not in names[0]:
         names = [f"{names[0]}/--no-{names[0][2:]}"]
@@ -336,24 +337,24 @@ def _declaration(name: str, rule: Rule, default: object) -> Any:
         if not _is_given(context, name):
             return default
         expected = rule.expected.removeprefix("None or ")  # None is an option that is left out
-        if "read" in text and "several" in text:
-            value = list(map(text["read"], value))
-        elif "read" in text:
-            value = text["read"](value)
-        return check_value(replace(rule, expected=expected), value, label)
+        if "read" in option and "several" in option:
+            value = list(map(option["read"], value))
+        elif "read" in option:
+            value = option["read"](value)
+        return replace(rule, expected=expected).checked(value, label)
 
     def complete(incomplete: str) -> list[str]:
         """Return the words that shells offer, beside values of other forms."""
-        return [word for word in text.get("complete", ()) if word.startswith(incomplete)]
+        return [word for word in option.get("complete", ()) if word.startswith(incomplete)]
 
     settings: dict[str, Any] = {
-        "help": text.get("help"),
+        "help": option.get("help"),
         "metavar": metavar,
-        "show_default": text.get("shown") or True,
-        "rich_help_panel": text.get("panel"),
+        "show_default": option.get("shown") or True,
+        "rich_help_panel": option.get("panel"),
         "callback": check,
     }
-    if "complete" in text:
+    if "complete" in option:
         settings["autocompletion"] = complete
     if is_argument:
         return typer.Argument(**settings)

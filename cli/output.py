@@ -16,7 +16,6 @@ from itertools import zip_longest
 from typing import IO, TypeVar
 
 from tactile_toolkit import checked_fields, errors, wording
-from tactile_toolkit.errors import StorageError
 from tactile_toolkit.json_types import JsonValue
 from tactile_toolkit.progress import shown_progress
 
@@ -174,4 +173,4 @@ class Output:
                     f"error: the output cannot be written: {error.strerror}; next: redirect it to "
                     "another place\n"
                 )
-            raise SystemExit(StorageError.exit_code) from error
+            raise SystemExit(errors.InputError.exit_code) from error

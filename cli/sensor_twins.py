@@ -131,7 +131,7 @@ def upload_sensor(
     files = {name: root.read_bytes(name) for name in _FILES}
     files[cards.CARD_FILE] = _card(model, repository).encode()
     what = f"twin of a sensor made by tactile-toolkit {__version__}"
-    prepared = exchange.prepare_files(
+    prepared = exchange.Upload.of_files(
         files, repository, options, what=what, dry_run=dry_run, on_wait=sink.info
     )
     lines = [f"next: tactile-sim download {repository} --out my-sensor"]

@@ -46,7 +46,7 @@ def generate(
     if scene.collision == "exact" and not making.dry_run:
         # Outlines are measured by manifold3d: 5.9 s of processor time with one thread, 7.1 s with its own
         # ones. Circles do without it, and would only pay for the 0.1 s that the setting costs.
-        run.limit_threads()
+        run.prepare_batch_process()
     # Tried before anything is made or forecast, as it may take minutes.
     with sink.progress("trying the fullest scene", "failed layouts") as on_failure:
         require = partial(starstruck_gen.require_feasible, spec.scene, spec.seed, on_failure)

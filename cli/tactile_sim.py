@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import MISSING, fields
+from dataclasses import MISSING
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
@@ -112,8 +112,7 @@ def press_of(given: options.Given) -> tactile_sim.ElasticPress | None:
     """Return the press of the options that were given; InputError for those of a gel that is not elastic."""
     if given.get("gel") is not None:
         return tactile_sim.ElasticPress(**given)
-    names = {each.name: checked_fields.option_name(each) for each in fields(tactile_sim.ElasticPress)}
-    others = [names[name] for name in given if name != "gel"]
+    others = [name for name in given if name != "gel"]
     if others:
         raise InputError(
             f"{others[0]} is given, and the gel is not elastic: its presses have one depth and no force",

@@ -381,13 +381,14 @@ def _planned_mesh(make: Callable[[int], mesh.Mesh], number: int) -> trimesh.Trim
     return make(number).to_trimesh()
 
 
-def _checked_places(places: object) -> dict[str, str]:
+def _checked_places(by_name: object) -> dict[str, str]:
     known = (*KINDS, *THIRD_PARTY_ASSETS, *realtouch.SHORT_NAMES)
-    if not isinstance(places, Mapping):
+    if not isinstance(by_name, Mapping):
         raise errors.InputError(
-            f"places of the AssetProvider are {places!r}; expected a mapping, such as {{'mnist3d': 'digits'}}"
+            f"places of the AssetProvider are {by_name!r}; expected a mapping, such as "
+            "{'mnist3d': 'digits'}"
         )
-    for name in places:
+    for name in by_name:
         if name not in known:
             near = did_you_mean(str(name), known)
             raise errors.InputError(
@@ -395,7 +396,7 @@ def _checked_places(places: object) -> dict[str, str]:
                 f"its folder{near}",
                 next="data sets of other names are opened as `meshes(FOLDER)`",
             )
-    return {name: _absolute_path(os.fspath(place)) for name, place in places.items()}
+    return {name: _absolute_path(os.fspath(place)) for name, place in by_name.items()}
 
 
 def _absolute_path(place: str) -> str:

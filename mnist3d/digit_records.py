@@ -84,7 +84,7 @@ def stored_schema(class_names: tuple[str, ...], *, has_files: bool = False) -> p
 
 def report_table(shard: store.ShardName, rows: Sequence[DigitRow]) -> pa.Table:
     """Pack the reports about the digits of one shard into an Arrow table."""
-    places = pa.table(
+    origins = pa.table(
         {
             "id": pa.array([each.id for each in rows], pa.int64()),
             "label": pa.array([each.label for each in rows], pa.int64()),
@@ -94,7 +94,7 @@ def report_table(shard: store.ShardName, rows: Sequence[DigitRow]) -> pa.Table:
     )
     # The columns of the report are those of `PrintReport`: a further measure needs no edit here.
     reports = table_of([each.report for each in rows], plain_schema(mesh.PrintReport))
-    return pa.table([*places.columns, *reports.columns], [*places.column_names, *reports.column_names])
+    return pa.table([*origins.columns, *reports.columns], [*origins.column_names, *reports.column_names])
 
 
 class DigitRecord(pictures.DrawnSolid):

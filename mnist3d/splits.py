@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mnist3d.digit_options import PUBLISHED_SIZES, SPLITS, SplitSpec
 from mnist3d.sources.digit_source import NO_WRITER, DigitCatalog
-from tactile_toolkit.array_types import Int64, Integers
+from tactile_toolkit.array_types import Int64
 from tactile_toolkit.errors import InputError
 
 
@@ -152,7 +152,7 @@ def _by_writer(catalog: DigitCatalog, spec: SplitSpec, usual: Mapping[str, int])
     return split_of[inverse]
 
 
-def _keys(ids: Integers, seed: int, stream: int) -> NDArray[np.uint64]:
+def _keys(ids: Int64, seed: int, stream: int) -> NDArray[np.uint64]:
     """Return a pseudo-random sort key per id.
 
     The finaliser of SplitMix64 is bijective, so ids have no collisions and the order does not depend on the

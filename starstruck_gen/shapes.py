@@ -16,7 +16,7 @@ import numpy as np
 from tactile_toolkit import mesh
 from tactile_toolkit.arithmetic import cosine_sine
 from tactile_toolkit.array_types import Float64, Int32, Int64
-from tactile_toolkit.checked_fields import to_builtin_number
+from tactile_toolkit.checked_fields import to_builtin
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict, JsonObject
 
@@ -64,7 +64,7 @@ class Proportions:
         for entry in fields(self):
             kind: Any = type(entry.default)
             least, most = entry.metadata.get("least", -_LARGEST), entry.metadata.get("most", _LARGEST)
-            value = to_builtin_number(getattr(self, entry.name), float)
+            value = to_builtin(getattr(self, entry.name), float)
             if not (isinstance(value, float) and least <= value <= most and kind(value) == value):
                 raise InputError(
                     f"{entry.name} of shape {self.name!r} is {getattr(self, entry.name)!r}; expected "
@@ -333,7 +333,7 @@ class Shape:
             raise InputError(
                 f"proportions of shape {self.name!r} are {self.proportions!r}; expected {kind.__name__}(...)"
             )
-        radius_m = to_builtin_number(self.radius_m, float)
+        radius_m = to_builtin(self.radius_m, float)
         if not isinstance(radius_m, float) or not _MIN_RADIUS_M <= radius_m <= _MAX_RADIUS_M:
             raise InputError(
                 f"radius_m of shape {self.name!r} is {self.radius_m!r}; expected {_MIN_RADIUS_M} to "

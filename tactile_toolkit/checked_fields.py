@@ -57,6 +57,24 @@ class Rule:
     option: OptionText
     choices: tuple[str, ...] = ()
 
+    @staticmethod
+    def of(declared: Field[object]) -> Rule | None:
+        """Return the rule of a field; None if it was declared in another way."""
+        rule: Rule | None = declared.metadata.get(_RULE)
+        return rule
+
+    def metavar(self, name: str) -> str:
+        """Return the placeholder for the value of an option, such as the unit at the end of its name."""
+        unit = next((unit for ending, unit in _UNITS.items() if name.endswith(ending)), None)
+        return self.option.get("metavar") or unit or _PLACEHOLDERS.get(self.kind, "TEXT")
+
+    def checked(self, value: object, name: str) -> Any:
+        """Return a normalized value; InputError, which begins with ``name``, if it is not valid."""
+        spelled = to_builtin(value, self.kind)
+        if not self.fits(spelled):
+            raise InputError(f"{name} is {value!r}; expected {self.expected}")
+        return spelled
+
 
 def integer(
     default: object = MISSING,
@@ -140,44 +158,15 @@ def _or_none(optional: bool) -> str:
     return "None or " if optional else ""
 
 
-def rule_of(declared: Field[object]) -> Rule | None:
-    """Return the rule of a field; None if it was declared in another way."""
-    rule: Rule | None = declared.metadata.get(_RULE)
-    return rule
-
-
-def option_name(declared: Field[object]) -> str:
-    """Return the option of a field: ``--size`` of ``size_px``."""
-    rule = rule_of(declared)
-    name = f"--{declared.name.replace('_', '-')}"
-    if rule is not None:
-        name = rule.option.get("name") or name
-    return name.split()[0]
-
-
-def metavar_of(name: str, rule: Rule) -> str:
-    """Return the placeholder for the value of an option, such as the unit that the field's name ends in."""
-    unit = next((unit for ending, unit in _UNITS.items() if name.endswith(ending)), None)
-    return rule.option.get("metavar") or unit or _PLACEHOLDERS.get(rule.kind, "TEXT")
-
-
-def check_value(rule: Rule, value: object, name: str) -> Any:
-    """Return a normalized value; InputError, which begins with ``name``, if it is not valid."""
-    spelled = to_builtin(value, rule.kind)
-    if not rule.fits(spelled):
-        raise InputError(f"{name} is {value!r}; expected {rule.expected}")
-    return spelled
-
-
 def check_fields(spec: DataclassInstance, of: str) -> None:
     """Normalize the declared fields of a specification; InputError for the first that is not valid.
 
     ``of`` names the specification in the message, such as ``the plan of touches``.
     """
     for each in fields(spec):
-        rule = rule_of(each)
+        rule = Rule.of(each)
         if rule is not None:
-            value = check_value(rule, getattr(spec, each.name), f"{each.name} of {of}")
+            value = rule.checked(getattr(spec, each.name), f"{each.name} of {of}")
             object.__setattr__(spec, each.name, value)
 
 
@@ -187,7 +176,7 @@ def _field(default: object, rule: Rule) -> Declared:
 
 def checked_integer(value: object, name: str, least: int = 0, most: int | None = None) -> int:
     """Return an integer within bounds; InputError, which begins with ``name``, for anything else."""
-    return int(check_value(_integer_rule(least, most, False, {}), value, name))
+    return int(_integer_rule(least, most, False, {}).checked(value, name))
 
 
 def split_counts(value: object, name: str, splits: Sequence[str], most: int) -> tuple[tuple[str, int], ...]:

@@ -445,7 +445,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         InputError
             Something else than integers is given.
         """
-        numbers = list(map(checked_fields.to_builtin_number, self._flattened(wanted)))
+        numbers = list(map(checked_fields.to_builtin, self._flattened(wanted)))
         if not checked_fields.is_integer(*numbers):
             raise errors.InputError(f"{wanted!r} was given; expected object ids as integers")
         ids = self.object_ids
@@ -583,7 +583,7 @@ def with_no_contact(touches: AnyTouches, contact: Bool, fraction: float, seed: i
     Raises InputError for an invalid fraction, seed or mask.
     """
     wanted, number, mask = (
-        checked_fields.to_builtin_number(fraction, float),
+        checked_fields.to_builtin(fraction, float),
         checked_fields.checked_integer(seed, "the seed"),
         np.asarray(contact),
     )

@@ -39,7 +39,7 @@ _CACHE_BYTES = 64 << 20
 
 def checked_layer_m(layer_m: object) -> float:
     """Return the height of layers as a Python float, metres; 0 for none. InputError for other values."""
-    found = checked_fields.to_builtin_number(layer_m, float)
+    found = checked_fields.to_builtin(layer_m, float)
     if isinstance(found, float) and (found == 0 or _MIN_LAYER_M <= found <= _MAX_LAYER_M):
         return found
     raise InputError(

@@ -10,14 +10,8 @@ from .copies import (
 )
 from .download import (
     DownloadPlan as DownloadPlan,
-    plan_download as plan_download,
-    run_download as run_download,
 )
 from .upload import (
-    prepare_files as prepare_files,
-    prepare_upload as prepare_upload,
-    PreparedUpload as PreparedUpload,
-    run_upload as run_upload,
+    Upload as Upload,
     UploadOptions as UploadOptions,
-    UploadResult as UploadResult,
 )

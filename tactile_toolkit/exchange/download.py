@@ -1,6 +1,6 @@
 """Downloading data sets from the Hub: chosen splits, every file checked, into the cache or a folder.
 
-:func:`plan_download` compares everything and changes nothing; :func:`run_download` carries out the plan.
+:meth:`DownloadPlan.of` compares everything and changes nothing; :meth:`DownloadPlan.run` carries it out.
 """
 
 from __future__ import annotations
@@ -63,6 +63,41 @@ class DownloadPlan:
     record: store.DownloadRecord
     earlier: store.DownloadRecord | None
 
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        splits: Sequence[str] = (),
+        *,
+        revision: str | None = None,
+        config: str | None = None,
+        kind: DatasetKind | None = None,
+        out: str | None = None,
+        on_wait: Callable[[str], None] = lambda _: None,
+    ) -> DownloadPlan:
+        """Plan a download; changes nothing in the target.
+
+        ``name`` is the short name of a published set, or ``USER/NAME``; ``out`` is a folder to fill instead
+        of the Hub's cache; ``config`` is a configuration, if the card has several. Data of another ``kind``
+        are refused, if their kind is known. Without ``splits`` all are downloaded; splits that the folder has
+        already are brought to the same commit. After a transient failure the Hub is asked again; if it does
+        not answer, the cache does, but not for a folder.
+
+        Raises InputError (not a repository, no such split, a user's own files in the folder),
+        SpecMismatchError (the folder holds another data set) or HubError; then nothing in the folder was
+        changed.
+        """
+        published = places.kind_of_published(name)
+        if kind is not None and published is not None:
+            places.require_kind(published, kind, name, "download")
+        repository = places.find_repository(name, revision, on_wait)
+        if out is not None and repository.is_cache:  # which may list a part of the files only
+            raise hub.not_cached(repository.repo_id, "the present list of files")
+        place = places.repository_place(repository, repository.repo_id, config=config).require_config(config)
+        if kind is not None and place.is_kind_stated:
+            place.require(kind, "download")
+        return _plan(repository, place, splits, None if out is None else store.open_folder(out))
+
     @property
     def published(self) -> PublishedSet | None:
         """The published data set that is downloaded; None for others."""
@@ -73,38 +108,33 @@ class DownloadPlan:
         """Size of the files to fetch."""
         return sum(file.size_bytes for file in self.missing)
 
+    def run(self, on_progress: Callable[[int, int], None] = lambda _done, _total: None) -> str:
+        """Carry out the plan and return the folder with the files: its own, or one of the cache.
 
-def plan_download(
-    name: str,
-    splits: Sequence[str] = (),
-    *,
-    revision: str | None = None,
-    config: str | None = None,
-    kind: DatasetKind | None = None,
-    out: str | None = None,
-    on_wait: Callable[[str], None] = lambda _: None,
-) -> DownloadPlan:
-    """Plan a download; changes nothing in the target.
-
-    ``name`` is the short name of a published set, or ``USER/NAME``; ``out`` is a folder to fill instead of
-    the Hub's cache; ``config`` is a configuration, if the card has several. Data of another ``kind`` are
-    refused, if their kind is known. Without ``splits`` all are downloaded; splits that the folder has already
-    are brought to the same commit. After a transient failure the Hub is asked again; if it does not answer,
-    the cache does, but not for a folder.
-
-    Raises InputError (not a repository, no such split, a user's own files in the folder), SpecMismatchError
-    (the folder holds another data set) or HubError; then nothing in the folder was changed.
-    """
-    published = places.kind_of_published(name)
-    if kind is not None and published is not None:
-        places.require_kind(published, kind, name, "download")
-    repository = places.find_repository(name, revision, on_wait)
-    if out is not None and repository.is_cache:  # which may list a part of the files only
-        raise hub.not_cached(repository.repo_id, "the present list of files")
-    place = places.repository_place(repository, repository.repo_id, config=config).require_config(config)
-    if kind is not None and place.is_kind_stated:
-        place.require(kind, "download")
-    return _plan(repository, place, splits, None if out is None else store.open_folder(out))
+        ``on_progress`` gets the number of bytes that have arrived and the total. Raises IntegrityError (a
+        file arrived damaged twice; nothing of it is kept, intact files are), HubError (the same call
+        continues) or StorageError.
+        """
+        plan = self
+        repository = plan.repository
+        folder = plan.folder
+        if folder is None:
+            repository.fetch(plan.missing, on_bytes=lambda done: on_progress(done, plan.missing_bytes))
+            return repository.folder.address()
+        if not plan.is_done:
+            folder.require_folder()
+            with contextlib.ExitStack() as stack:
+                try:
+                    stack.enter_context(folder.locked(patience_s=0))
+                except BusyError as error:
+                    repository.on_wait(f"{error.what}; this download begins when it has ended")
+                    stack.enter_context(folder.locked(is_patient=True))
+                # Another download may have changed the folder.
+                if store.read_download_record(folder) != plan.earlier:
+                    plan = _plan(repository, plan.place, plan.splits, folder)
+                if not plan.is_done:
+                    _execute(plan, folder, on_progress)
+        return folder.address()
 
 
 def _plan(
@@ -223,35 +253,6 @@ def _is_described(folder: store.DataFolder, metadata: Iterable[str]) -> bool:
         manifest = store.read_manifest(folder)
         return all(map(folder.exists, metadata)) and (manifest is None or manifest.complete)
     return False
-
-
-def run_download(
-    plan: DownloadPlan, on_progress: Callable[[int, int], None] = lambda _done, _total: None
-) -> str:
-    """Carry out a plan and return the folder with the files: that of the commit in the cache, or its own.
-
-    ``on_progress`` gets the number of bytes that have arrived and the total. Raises IntegrityError (a file
-    arrived damaged twice; nothing of it is kept, intact files are), HubError (the same call continues) or
-    StorageError.
-    """
-    repository = plan.repository
-    folder = plan.folder
-    if folder is None:
-        repository.fetch(plan.missing, on_bytes=lambda done: on_progress(done, plan.missing_bytes))
-        return repository.folder.address()
-    if not plan.is_done:
-        folder.require_folder()
-        with contextlib.ExitStack() as stack:
-            try:
-                stack.enter_context(folder.locked(patience_s=0))
-            except BusyError as error:
-                repository.on_wait(f"{error.what}; this download begins when it has ended")
-                stack.enter_context(folder.locked(is_patient=True))
-            if store.read_download_record(folder) != plan.earlier:  # another download has changed the folder
-                plan = _plan(repository, plan.place, plan.splits, folder)
-            if not plan.is_done:
-                _execute(plan, folder, on_progress)
-    return folder.address()
 
 
 def _execute(plan: DownloadPlan, folder: store.DataFolder, on_progress: Callable[[int, int], None]) -> None:

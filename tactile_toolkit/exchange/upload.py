@@ -1,7 +1,7 @@
 """Uploading a data set folder to the Hugging Face Hub.
 
-:func:`prepare_upload` checks the folder and compares it with the repository, and changes nothing.
-:func:`run_upload` sends the missing files, and compares the checksums of the result.
+:meth:`Upload.of_folder` checks the folder and compares it with the repository, and changes nothing.
+:meth:`Upload.send` sends the missing files, and compares the checksums of the result.
 """
 
 from __future__ import annotations
@@ -165,28 +165,102 @@ def collect(root: Path, manifest: store.Manifest) -> list[str]:
 
 
 @dataclass(frozen=True)
-class PreparedUpload:
-    """An upload that has been planned but not begun.
+class Upload:
+    """Files for a repository, and how they differ from what it holds.
 
     ``held`` is the head of the branch, or of ``main``, where a new branch starts; None without a repository.
-    ``has_branch`` states whether the branch exists, ``plan`` is the difference. ``left_out`` are files of the
-    folder that do not belong to the data set. ``scratch`` holds files that were made for the upload, as long
-    as this object lives. ``ask`` calls a function that uses the Hub, with retries. ``unasked`` states why a
-    dry run could not reach the Hub.
+    ``has_branch`` states whether the branch exists, ``plan`` is the difference. ``scratch`` holds files that
+    were made for the upload, as long as this object lives. ``ask`` calls a function that uses the Hub, with
+    retries. ``left_out`` are files of the folder that do not belong to the data set. ``unasked`` states why a
+    dry run could not reach the Hub. ``commit`` holds the files after :meth:`send`, and ``pull`` is its pull
+    request, if it is not on a branch.
     """
 
     repo_id: str
     options: UploadOptions
     held: hub.HubRepository | None
     has_branch: bool
-    manifest: store.Manifest | None
     files: tuple[LocalFile, ...]
     plan: UploadPlan
-    left_out: tuple[str, ...]
     scratch: Path
     ask: _Ask = field(repr=False)
     what: str
+    manifest: store.Manifest | None = None
+    left_out: tuple[str, ...] = ()
     unasked: str = ""
+    commit: str | None = None
+    pull: str | None = None
+
+    @classmethod
+    def of_folder(
+        cls,
+        folder: str,
+        repo_id: str,
+        options: UploadOptions | None = None,
+        *,
+        kind: DatasetKind | None = None,
+        workers: int = 1,
+        dry_run: bool = False,
+        on_wait: Callable[[str], None] = lambda _: None,
+    ) -> Upload:
+        """Verify a folder, render its card, and compare it with the repository; changes nothing.
+
+        With ``kind`` its rows are checked, too, by a number of ``workers``. A dry run needs neither an
+        account nor a network: if the Hub cannot be reached, it plans to send all files. Raises InputError
+        (not a finished data set, an unusable option), IntegrityError (damage, a card that does not match the
+        data) or HubError.
+        """
+        chosen = options or UploadOptions()
+        place = store.open_folder(folder)
+        manifest = store.read_manifest(place)
+        ask = _asking(repo_id, on_wait)
+        if manifest is None:
+            message = place.missing_message(store.MANIFEST_FILE)
+            raise InputError(message, next="give the folder of a data set made by this toolkit")
+        with contextlib.ExitStack() as stack:
+            scratch = stack.enter_context(store.scratch_folder())
+            if isinstance(place, store.FsspecFolder):
+                place = local_copy(place, scratch / "copy")
+            _require_sound(check_folder(place, kind, workers))
+            state, unasked = _asked_state(ask, repo_id, chosen.branch, dry_run=dry_run)
+            manifest, files = _files_to_send(place, manifest, repo_id, state[0], chosen, scratch)
+            sent = {file.path.partition("/")[0] for file in files}
+            what = f"{manifest.kind} made by tactile-toolkit {manifest.toolkit_version}"
+            upload = replace(
+                _compared(repo_id, chosen, state, files, scratch, ask, what),
+                manifest=manifest,
+                left_out=tuple(sorted(set(place.names()) - sent)),
+                unasked=unasked,
+            )
+            weakref.finalize(upload, stack.pop_all().close)
+        return upload
+
+    @classmethod
+    def of_files(
+        cls,
+        files: Mapping[str, bytes],
+        repo_id: str,
+        options: UploadOptions,
+        *,
+        what: str,
+        dry_run: bool = False,
+        on_wait: Callable[[str], None] = lambda _: None,
+    ) -> Upload:
+        """Compare a few files that are no data set, by path, with a repository; changes nothing.
+
+        ``what`` names them in the commit. Raises InputError (an unusable option) or HubError.
+        """
+        ask = _asking(repo_id, on_wait)
+        with contextlib.ExitStack() as stack:
+            scratch = stack.enter_context(store.scratch_folder())
+            for path, content in files.items():
+                (scratch / path).write_bytes(content)
+            state, unasked = _asked_state(ask, repo_id, options.branch, dry_run=dry_run)
+            local = tuple(LocalFile(path, scratch / path, len(content)) for path, content in files.items())
+            compared = _compared(repo_id, options, state, local, scratch, ask, what)
+            upload = replace(compared, unasked=unasked)
+            weakref.finalize(upload, stack.pop_all().close)
+        return upload
 
     @property
     def page(self) -> str:
@@ -201,23 +275,74 @@ class PreparedUpload:
         return f"{self.repo_id} ({self.options.branch})"
 
     @property
+    def revision(self) -> str | None:
+        """The revision that holds the files; None for the main branch."""
+        if self.pull or self.options.is_main:
+            return self.pull
+        return self.options.branch
+
+    @property
+    def address(self) -> str:
+        """Address of the web page of the revision."""
+        if self.pull:  # the page of its branch (refs/pr/N) has no button to merge it
+            return f"{self.page}/discussions/{self.pull.rpartition('/')[2]}"
+        if self.revision is None:
+            return self.page
+        return f"{self.page}/tree/{self.revision}"
+
+    @property
     def is_private(self) -> bool:
-        """Whether a repository that does not exist yet is to be private."""
-        return self.options.private
+        """Whether the repository is private, or will be if it does not exist yet."""
+        return self.options.private if self.held is None else self.held.is_private
 
+    @property
+    def sent(self) -> tuple[str, ...]:
+        """Files that were sent; none before :meth:`send`."""
+        if self.commit is None:
+            return ()
+        return tuple(file.path for file in self.plan.to_send)
 
-@dataclass(frozen=True)
-class UploadResult:
-    """Result of an upload: the commit, the files that were sent and removed, and the tag that was set.
+    @property
+    def removed(self) -> tuple[str, ...]:
+        """Files that were removed; none before :meth:`send`."""
+        if self.commit is None:
+            return ()
+        return self.plan.removed
 
-    ``pull`` is the pull request that holds the commit, if it is not on a branch.
-    """
+    def send(self) -> Upload:
+        """Send the missing files, compare the result, set the tag, and return the upload with its commit.
 
-    commit: str
-    pull: str | None = None
-    sent: tuple[str, ...] = ()
-    removed: tuple[str, ...] = ()
-    tag: str | None = None
+        After a transient failure the files are compared again and the missing ones sent, none if only the
+        answer was lost. Raises HubError (files that were sent stay on the Hub, and the same call continues)
+        or IntegrityError (afterwards the Hub does not hold what the folder has).
+        """
+        import huggingface_hub  # heavy, and help texts read this file
+
+        api = huggingface_hub.HfApi()
+        ask = self.ask
+        options = self.options
+        here: JsonDict = {"repo_id": self.repo_id, "repo_type": "dataset"}
+        # exist_ok: another upload may have made them meanwhile, or an answer was lost.
+        if self.held is None:
+            ask(partial(api.create_repo, **here, private=options.private, exist_ok=True))
+        if not (self.has_branch or options.is_main):
+            start = None if self.held is None else self.held.commit
+            ask(partial(api.create_branch, **here, branch=options.branch, revision=start, exist_ok=True))
+        # If only the answer was lost, a second attempt would open a second pull request.
+        commit, pull = ask(partial(_send, self), waits_s=() if options.create_pr else None)
+        # Not HfApi.verify_repo_checksums (from 1.1 on), which reads all files of one folder again.
+        now = ask(partial(hub.listing, self.repo_id, commit))
+        wrong = compare(self.files, now, delete=options.delete)
+        if not wrong.is_done:
+            paths = [*(file.path for file in wrong.to_send), *wrong.removed]
+            raise IntegrityError(
+                f"{self.repo_id!r} does not hold what was sent (commit {commit[:12]}): "
+                f"{paths[0]} differs ({with_count(len(paths), 'such files')})",
+                next="run the same upload again, which sends what is missing",
+            )
+        if options.tag:
+            ask(partial(api.create_tag, **here, tag=options.tag, revision=commit, exist_ok=True))
+        return replace(self, commit=commit, pull=pull)
 
 
 def check_folder(
@@ -233,71 +358,6 @@ def check_folder(
     return store.verify(folder, schema, check_card=cards.check_card, workers=workers).findings
 
 
-def prepare_upload(
-    folder: str,
-    repo_id: str,
-    options: UploadOptions | None = None,
-    *,
-    kind: DatasetKind | None = None,
-    workers: int = 1,
-    dry_run: bool = False,
-    on_wait: Callable[[str], None] = lambda _: None,
-) -> PreparedUpload:
-    """Verify a folder, render its card, and compare it with the repository; changes nothing.
-
-    With ``kind`` its rows are checked, too, by a number of ``workers``. A dry run needs neither an
-    account nor a network: if the Hub cannot be reached, it plans to send all files. Raises InputError (not a
-    finished data set, an unusable option), IntegrityError (damage, a card that does not match the data) or
-    HubError.
-    """
-    chosen = options or UploadOptions()
-    place = store.open_folder(folder)
-    manifest = store.read_manifest(place)
-    ask = _asking(repo_id, on_wait)
-    if manifest is None:
-        message = place.missing_message(store.MANIFEST_FILE)
-        raise InputError(message, next="give the folder of a data set made by this toolkit")
-    with contextlib.ExitStack() as stack:
-        scratch = stack.enter_context(store.scratch_folder())
-        if isinstance(place, store.FsspecFolder):
-            place = local_copy(place, scratch / "copy")
-        _require_sound(check_folder(place, kind, workers))
-        state, unasked = _asked_state(ask, repo_id, chosen.branch, dry_run=dry_run)
-        manifest, files = _files_to_send(place, manifest, repo_id, state[0], chosen, scratch)
-        left_out = tuple(sorted(set(place.names()).difference(file.path.partition("/")[0] for file in files)))
-        what = f"{manifest.kind} made by tactile-toolkit {manifest.toolkit_version}"
-        prepared = _prepared(repo_id, chosen, state, files, scratch, ask, what)
-        prepared = replace(prepared, manifest=manifest, left_out=left_out, unasked=unasked)
-        weakref.finalize(prepared, stack.pop_all().close)
-    return prepared
-
-
-def prepare_files(
-    files: Mapping[str, bytes],
-    repo_id: str,
-    options: UploadOptions | None = None,
-    *,
-    what: str,
-    dry_run: bool = False,
-    on_wait: Callable[[str], None] = lambda _: None,
-) -> PreparedUpload:
-    """Compare a few files that are no data set, by path, with a repository; changes nothing.
-
-    ``what`` names them in the commit. Raises InputError (an unusable option) or HubError.
-    """
-    chosen = options or UploadOptions()
-    ask = _asking(repo_id, on_wait)
-    with contextlib.ExitStack() as stack:
-        scratch = stack.enter_context(store.scratch_folder())
-        for path, content in files.items():
-            (scratch / path).write_bytes(content)
-        state, unasked = _asked_state(ask, repo_id, chosen.branch, dry_run=dry_run)
-        local = tuple(LocalFile(path, scratch / path, len(content)) for path, content in files.items())
-        prepared = replace(_prepared(repo_id, chosen, state, local, scratch, ask, what), unasked=unasked)
-        weakref.finalize(prepared, stack.pop_all().close)
-    return prepared
-
-
 def _asking(repo_id: str, on_wait: Callable[[str], None]) -> _Ask:
     """Return a function that calls others for a repository, with retries; InputError for a wrong name."""
     if hub.hub_name(repo_id) != hub.HubName(repo_id, None, ""):
@@ -305,15 +365,15 @@ def _asking(repo_id: str, on_wait: Callable[[str], None]) -> _Ask:
     return partial(hub.call_with_retry, repo_id=repo_id, doing="uploading to", on_wait=on_wait)
 
 
-def _prepared(
+def _compared(
     repo_id: str,
     chosen: UploadOptions,
-    state: tuple[hub.HubRepository | None, dict[str, str], bool],
+    state: _State,
     files: tuple[LocalFile, ...],
     scratch: Path,
     ask: _Ask,
     what: str,
-) -> PreparedUpload:
+) -> Upload:
     """Compare files with the state of a repository; InputError if it or its tag must not change."""
     held, tags, has_branch = state
     plan = compare(files, held, delete=chosen.delete)
@@ -327,7 +387,7 @@ def _prepared(
     options = chosen
     if named:
         options = replace(chosen, tag=None)
-    return PreparedUpload(repo_id, options, held, has_branch, None, files, plan, (), scratch, ask, what)
+    return Upload(repo_id, options, held, has_branch, files, plan, scratch, ask, what)
 
 
 def _refuse_public(repo_id: str, options: UploadOptions, held: hub.HubRepository | None) -> None:
@@ -435,46 +495,7 @@ def _files_to_send(
     )
 
 
-def run_upload(prepared: PreparedUpload) -> UploadResult:
-    """Send the missing files, compare the result, and set the tag.
-
-    After a transient failure the files are compared again and the missing ones sent, none if only the answer
-    was lost. Raises HubError (files that were sent stay on the Hub, and the same call continues) or
-    IntegrityError (afterwards the Hub does not hold what the folder has).
-    """
-    import huggingface_hub  # heavy, and help texts read this file
-
-    api = huggingface_hub.HfApi()
-    ask = prepared.ask
-    options = prepared.options
-    held = prepared.held
-    here: JsonDict = {"repo_id": prepared.repo_id, "repo_type": "dataset"}
-    # exist_ok: another upload may have made them meanwhile, or an answer was lost.
-    if held is None:
-        ask(partial(api.create_repo, **here, private=options.private, exist_ok=True))
-    if not (prepared.has_branch or options.is_main):
-        start = None if held is None else held.commit
-        ask(partial(api.create_branch, **here, branch=options.branch, revision=start, exist_ok=True))
-    # If only the answer was lost, a second attempt would open a second pull request.
-    commit, pull = ask(partial(_send, prepared), waits_s=() if options.create_pr else None)
-    # Not HfApi.verify_repo_checksums (from 1.1 on), which reads all files of one folder again.
-    wrong = compare(
-        prepared.files, ask(partial(hub.listing, prepared.repo_id, commit)), delete=options.delete
-    )
-    if not wrong.is_done:
-        paths = [*(file.path for file in wrong.to_send), *wrong.removed]
-        raise IntegrityError(
-            f"{prepared.repo_id!r} does not hold what was sent (commit {commit[:12]}): "
-            f"{paths[0]} differs ({with_count(len(paths), 'such files')})",
-            next="run the same upload again, which sends what is missing",
-        )
-    if options.tag:
-        ask(partial(api.create_tag, **here, tag=options.tag, revision=commit, exist_ok=True))
-    sent = tuple(file.path for file in prepared.plan.to_send)
-    return UploadResult(commit, pull, sent, prepared.plan.removed, options.tag)
-
-
-def _send(prepared: PreparedUpload) -> tuple[str, str | None]:
+def _send(upload: Upload) -> tuple[str, str | None]:
     """Send the files that are missing now as one commit; return it, and the pull request that it opened.
 
     Not with ``upload_folder``: it may make several commits, between which readers would find a part of the
@@ -482,17 +503,17 @@ def _send(prepared: PreparedUpload) -> tuple[str, str | None]:
     """
     import huggingface_hub  # heavy, and help texts read this file
 
-    options = prepared.options
-    held = _state(prepared.repo_id, options.branch)[0]
-    _refuse_public(prepared.repo_id, options, held)  # another upload may have created it meanwhile
-    plan = compare(prepared.files, held, delete=options.delete)
+    options = upload.options
+    held = _state(upload.repo_id, options.branch)[0]
+    _refuse_public(upload.repo_id, options, held)  # another upload may have created it meanwhile
+    plan = compare(upload.files, held, delete=options.delete)
     if plan.is_done and held is not None:
         return held.commit, None
-    message = f"Upload {prepared.what}"
+    message = f"Upload {upload.what}"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # warnings of the client, on which users cannot act
         made = huggingface_hub.HfApi().create_commit(
-            repo_id=prepared.repo_id,
+            repo_id=upload.repo_id,
             operations=[
                 *(huggingface_hub.CommitOperationDelete(path) for path in plan.removed),
                 *(huggingface_hub.CommitOperationAdd(each.path, each.place) for each in plan.to_send),

@@ -21,7 +21,7 @@ import realtouch
 import starstruck_gen
 import tactile_sim
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.exchange import plan_download
+from tactile_toolkit.exchange import DownloadPlan
 from tactile_toolkit.hub import hub_name
 from tactile_toolkit.mesh import read_mesh
 from tactile_toolkit.store import open_folder, split_uri
@@ -103,7 +103,7 @@ FUNCTIONS: tuple[Callable[[str], object], ...] = (
     open_folder,
     split_uri,
     hub_name,
-    plan_download,
+    DownloadPlan.of,
     env_assets.AssetProvider,
     lambda place: env_assets.AssetProvider("x").meshes(place),
     lambda place: env_assets.AssetProvider("x").touches(place),

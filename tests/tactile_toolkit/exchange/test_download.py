@@ -14,7 +14,7 @@ import pytest
 from huggingface_hub import __version__ as client_version, constants, file_download
 
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.exchange import plan_download, run_download
+from tactile_toolkit.exchange import DownloadPlan
 from tactile_toolkit.places import open_place
 from tactile_toolkit.store import build, open_folder, verify
 from tests.hub_server import HubServer
@@ -79,9 +79,9 @@ def client_here(server, tmp_path, monkeypatch) -> Iterator[None]:
 
 @pytest.mark.parametrize("to_folder", [True, False])
 def test_progress_ends_with_all_bytes_that_were_missing(server, tmp_path, client_here, to_folder):
-    plan = plan_download(NAME, ["test"], out=str(tmp_path / "out") if to_folder else None)
+    plan = DownloadPlan.of(NAME, ["test"], out=str(tmp_path / "out") if to_folder else None)
     reported: list[tuple[int, int]] = []
-    run_download(plan, lambda *counts: reported.append(counts))
+    plan.run(lambda *counts: reported.append(counts))
     assert reported == sorted(reported)
     assert reported[-1] == (plan.missing_bytes, plan.missing_bytes)
     assert plan.missing_bytes == sum(file.size_bytes for file in plan.missing) > 0
@@ -92,13 +92,15 @@ def test_downloads_of_two_splits_at_once_make_one_set_of_both(server, tmp_path, 
     """One download pauses in the middle of a file when another one, planned as early, begins."""
     out = str(tmp_path / "both")
     said: list[str] = []
-    plans = {split: plan_download(NAME, [split], out=out, on_wait=said.append) for split in ("train", "test")}
+    plans = {
+        split: DownloadPlan.of(NAME, [split], out=out, on_wait=said.append) for split in ("train", "test")
+    }
     server.faults.stall(f"*/{at_work}-00000-of-*", after=10)
     first, second = plans.pop(at_work), plans.popitem()[1]
     with ThreadPoolExecutor(2) as threads:
-        done = [threads.submit(run_download, first)]
+        done = [threads.submit(first.run)]
         assert server.faults.stalled.wait(PATIENCE_S)
-        done.append(threads.submit(run_download, second))
+        done.append(threads.submit(second.run))
         while not said and not done[1].done():
             wait([done[1]], 0.05)
         server.faults.released.set()
@@ -116,7 +118,7 @@ def test_downloads_of_two_splits_at_once_make_one_set_of_both(server, tmp_path, 
 )
 def test_nothing_is_written_through_links_in_the_folder(server, tmp_path, client_here, link):
     out, elsewhere = tmp_path / "out", tmp_path / "elsewhere"
-    run_download(plan_download(NAME, ["train"], out=str(out)))
+    DownloadPlan.of(NAME, ["train"], out=str(out)).run()
     elsewhere.mkdir()
     target = elsewhere / "target"
     if (out / link).exists():
@@ -126,7 +128,7 @@ def test_nothing_is_written_through_links_in_the_folder(server, tmp_path, client
     (out / link).symlink_to(target)
     before = folder_bytes(elsewhere)
     with pytest.raises(InputError, match=r"is a symbolic link|a file of your own"):
-        run_download(plan_download(NAME, ["test"], out=str(out)))
+        DownloadPlan.of(NAME, ["test"], out=str(out)).run()
     assert folder_bytes(elsewhere) == before
     assert (out / link).is_symlink()
 

@@ -12,7 +12,7 @@ import pytest
 
 from starstruck_gen.scene_generation import SceneSetSpec, generate
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.exchange.upload import UploadOptions, prepare_upload, run_upload
+from tactile_toolkit.exchange.upload import Upload, UploadOptions
 from tactile_toolkit.store import open_folder, read_manifest
 from tests.hub_server import HubServer
 from tests.tactile_toolkit.hub.client import settings, start_here
@@ -39,7 +39,7 @@ def folder(made, tmp_path) -> Path:
 
 
 def upload(folder: Path, name: str = NAME, **options: object):
-    return run_upload(prepare_upload(str(folder), name, UploadOptions(**options)))  # type: ignore[arg-type]
+    return Upload.of_folder(str(folder), name, UploadOptions(**options)).send()  # type: ignore[arg-type]
 
 
 def sent_objects(server: HubServer) -> list[str]:
@@ -71,7 +71,7 @@ def test_everything_arrives_once_and_then_nothing_is_sent(server, folder):
     assert server.repository(NAME).tags == {}
     server.requests.clear()
     again = upload(folder)
-    assert (again.commit, again.sent, again.removed, again.tag) == (first.commit, (), (), None)
+    assert (again.commit, again.sent, again.removed, again.options.tag) == (first.commit, (), (), None)
     assert {request.method for request in server.requests} == {"GET"}
     assert len(server.repository(NAME).history) == 2, "the first commit and ours"
 
@@ -96,10 +96,10 @@ def test_only_what_changed_is_sent(server, folder):
 
 def test_files_of_others_are_kept_unless_asked(server, folder):
     server.create(NAME, {"notes.txt": b"mine", "data/extra.parquet": b"\0" * 9, ".gitattributes": b"*"})
-    prepared = prepare_upload(str(folder), NAME)
+    prepared = Upload.of_folder(str(folder), NAME)
     assert prepared.plan.kept == ("data/extra.parquet", "notes.txt")
     assert prepared.plan.removed == ()
-    run_upload(prepared)
+    prepared.send()
     assert {"notes.txt", "data/extra.parquet"} <= set(server.repository(NAME).head.files)
     assert_holds(server, folder)
     result = upload(folder, delete=True)
@@ -114,9 +114,9 @@ def test_files_of_others_are_kept_unless_asked(server, folder):
 def test_brackets_in_names_delete_no_other_file(server, folder):
     server.create(NAME, {"a[12].txt": b"x", "a1.txt": b"x"})
     upload(folder)
-    prepared = prepare_upload(str(folder), NAME, UploadOptions(delete=True))
+    prepared = Upload.of_folder(str(folder), NAME, UploadOptions(delete=True))
     assert prepared.plan.removed == ("a1.txt", "a[12].txt")
-    run_upload(prepared)
+    prepared.send()
     assert not {"a[12].txt", "a1.txt"} & set(server.repository(NAME).head.files)
 
 
@@ -134,7 +134,7 @@ def test_a_lost_answer_makes_no_second_commit(server, folder):
 def test_transient_failures_are_retried(server, folder, pattern):
     told: list[str] = []
     server.faults.fail(pattern, 503, times=2)
-    run_upload(prepare_upload(str(folder), NAME, UploadOptions(tag="v1"), on_wait=told.append))
+    Upload.of_folder(str(folder), NAME, UploadOptions(tag="v1"), on_wait=told.append).send()
     assert_holds(server, folder)
     assert server.repository(NAME).tags == {"v1": server.repository(NAME).head.sha}
     assert len(server.repository(NAME).history) == 2
@@ -168,7 +168,7 @@ def test_a_branch_is_made_and_main_stays(server, folder):
     assert repository.tags == {"v2": result.commit}
     assert_holds(server, folder, revision="next")
     assert upload(folder, revision="next").sent == ()
-    assert upload(folder, revision="next", tag="v2").tag is None
+    assert upload(folder, revision="next", tag="v2").options.tag is None
 
 
 def test_a_new_branch_is_compared_with_where_it_starts(server, folder, capfd):
@@ -180,9 +180,9 @@ def test_a_new_branch_is_compared_with_where_it_starts(server, folder, capfd):
     assert [r.path for r in server.requests if r.method == "POST"] == [f"/api/datasets/{NAME}/branch/same"]
     with (folder / "README.md").open("a") as card:
         card.write("\nMore.\n")
-    prepared = prepare_upload(str(folder), NAME, UploadOptions(revision="more"))
+    prepared = Upload.of_folder(str(folder), NAME, UploadOptions(revision="more"))
     assert [file.path for file in prepared.plan.to_send] == ["README.md"]
-    assert run_upload(prepared).sent == ("README.md",)
+    assert prepared.send().sent == ("README.md",)
     assert server.repository(NAME).head.sha == first.commit
     assert capfd.readouterr().err == "", "the client library spoke for itself"
 
@@ -210,7 +210,7 @@ def test_a_pull_request_is_opened_and_followed(server, folder):
     with (folder / "README.md").open("a") as card:
         card.write("\nBetter words.\n")
     first = upload(folder, create_pr=True)
-    assert (first.pull, first.sent, first.tag) == ("refs/pr/1", ("README.md",), None)
+    assert (first.pull, first.sent, first.options.tag) == ("refs/pr/1", ("README.md",), None)
     assert b"Better" not in server.repository(NAME).head.files["README.md"].content
     followed = upload(folder, revision="refs/pr/1")
     assert (followed.commit, followed.sent) == (first.commit, ())
@@ -230,7 +230,7 @@ def test_names_move_only_where_they_may(server, folder):
     assert tags["v2"] == second.commit != tags["v1"]
     assert server.repository(NAME).head.title == "With more"
     del tags["v2"]
-    assert upload(folder, tag="v2").tag == "v2", "a name that a killed upload had not set is set"
+    assert upload(folder, tag="v2").options.tag == "v2", "a name that a killed upload had not set is set"
 
 
 @pytest.mark.parametrize("other", [{"revision": "next"}, {"tag": "v1"}])
@@ -247,10 +247,10 @@ def test_private_is_private(server, folder):
     server.create("someone/open")
     with pytest.raises(InputError, match="everyone can see it, but --private was given; nothing was sent"):
         upload(folder, "someone/open", private=True)
-    prepared = prepare_upload(str(folder), "someone/late", UploadOptions(private=True))
+    prepared = Upload.of_folder(str(folder), "someone/late", UploadOptions(private=True))
     server.create("someone/late")
     with pytest.raises(InputError, match="everyone can see it"):
-        run_upload(prepared)
+        prepared.send()
     assert server.repository("someone/late").head.title == "initial commit"
 
 
@@ -275,9 +275,9 @@ def test_damaged_data_sets_are_not_sent(server, folder):
 
 def test_folders_without_a_data_set_are_refused(server, tmp_path):
     with pytest.raises(InputError, match=r"no manifest.json in .*; next:"):
-        prepare_upload(str(tmp_path), NAME)
+        Upload.of_folder(str(tmp_path), NAME)
     with pytest.raises(InputError, match=r"no manifest.json in 'memory://somewhere'.*; next:"):
-        prepare_upload("memory://somewhere", NAME)
+        Upload.of_folder("memory://somewhere", NAME)
     assert server.requests == []
 
 
@@ -287,18 +287,18 @@ def test_a_folder_in_a_store_is_sent_from_a_copy_that_goes_with_the_upload(serve
     for path, content in folder_bytes(folder).items():
         store.write_bytes(path, content)
     store.write_bytes(".hidden", b"mine")
-    prepared = prepare_upload("memory://uploads/stars", NAME)
+    prepared = Upload.of_folder("memory://uploads/stars", NAME)
     copy = prepared.scratch / "copy"
     assert folder_bytes(copy) == folder_bytes(folder)
-    run_upload(prepared)
+    prepared.send()
     assert_holds(server, folder)
     del prepared
     assert not copy.exists()
 
 
 UPLOAD = """
-from tactile_toolkit.exchange.upload import prepare_upload, run_upload
-run_upload(prepare_upload({folder!r}, {name!r}))
+from tactile_toolkit.exchange.upload import Upload
+Upload.of_folder({folder!r}, {name!r}).send()
 """
 
 

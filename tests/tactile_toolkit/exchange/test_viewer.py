@@ -13,7 +13,7 @@ import mnist3d
 from mnist3d.digit_generation import DigitSetSpec, generate
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.cards import check_card
-from tactile_toolkit.exchange.upload import UploadOptions, prepare_upload, run_upload
+from tactile_toolkit.exchange.upload import Upload, UploadOptions
 from tactile_toolkit.store import open_folder, verify
 from tests.hub_server import HubServer, hub
 from tests.tactile_toolkit.exchange.upload_client import logged_in
@@ -37,7 +37,7 @@ def made(tmp_path_factory) -> Path:
 
 
 def upload(folder: Path, **options: object):
-    return run_upload(prepare_upload(str(folder), NAME, UploadOptions(**options)))  # type: ignore[arg-type]
+    return Upload.of_folder(str(folder), NAME, UploadOptions(**options)).send()  # type: ignore[arg-type]
 
 
 def held(server: HubServer) -> dict[str, bytes]:
@@ -123,10 +123,10 @@ def test_a_copy_of_the_repository_is_whole_with_and_without_it(sent, made, tmp_p
 
 
 DOWNLOAD = """
-from tactile_toolkit.exchange.download import plan_download, run_download
-plan = plan_download("someone/digits", {splits}, out={out!r})
-run_download(plan)
-again = plan_download("someone/digits", {splits}, out={out!r})
+from tactile_toolkit.exchange.download import DownloadPlan
+plan = DownloadPlan.of("someone/digits", {splits}, out={out!r})
+plan.run()
+again = DownloadPlan.of("someone/digits", {splits}, out={out!r})
 print(len([file for path in plan.record.files if path.startswith("viewer/")]), again.is_done)
 """
 

@@ -61,11 +61,11 @@ FULL = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (1000000, res
 
 SCRIPT = """
 import json
-from tactile_toolkit.exchange.download import plan_download, run_download
+from tactile_toolkit.exchange.download import DownloadPlan
 from tactile_toolkit.errors import ToolkitError
 try:
-    plan = plan_download({name!r}, {splits!r}, revision={revision!r}, out={out!r})
-    place = run_download(plan)
+    plan = DownloadPlan.of({name!r}, {splits!r}, revision={revision!r}, out={out!r})
+    place = plan.run()
     print(json.dumps([place, [file.path for file in plan.missing], plan.leftover, plan.is_done]))
 except ToolkitError as error:
     print(json.dumps([error.exit_code, type(error).__name__, str(error)]))
