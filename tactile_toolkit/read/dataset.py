@@ -71,7 +71,7 @@ class LazySequence(Sequence[T], Generic[T, S]):
 
     def checked_indices(self, index: object) -> list[int]:
         """Return the indices of several items from the start; raises as indexing does."""
-        indices: list[int] = _positions(index, len(self)).tolist()
+        indices: list[int] = positions(index, len(self)).tolist()
         return indices
 
     def _item(self, index: int) -> T:
@@ -368,7 +368,7 @@ class RecordDataset(Sequence[T], Generic[T]):
 
     def _chosen(self, index: object) -> Self:
         """Return a view of the items that a slice, ints or a mask select."""
-        return self._select(_positions(index, len(self)))
+        return self._select(positions(index, len(self)))
 
     def by_id(self, id: int | str) -> T:
         """Return the first item with an id; reads only the ids.
@@ -629,7 +629,7 @@ def _picks_several(index: object) -> bool:
     return hasattr(index, "__array__") and np.ndim(index) > 0
 
 
-def _positions(index: object, length: int) -> Int64:
+def positions(index: object, length: int) -> Int64:
     """Convert a slice, ints or a boolean mask to positions, shape (n,), from 0 to below a length.
 
     Raises IndexError for a mask of another length and for ints out of range, and TypeError for other types.
