@@ -100,8 +100,7 @@ def verify(
             sink.document(document)
         return
     sink.document(document)
-    if [finding.file for finding in result.findings] == [store.MANIFEST_FILE]:  # else damage is reported
-        store.require_finished(place)
+    store.require_finished(place, result.findings)
     for finding in result.findings:
         sink.warn(f"damaged: {finding.file}: {finding.problem}")  # the error below states only their number
     record = store.read_download_record(place)

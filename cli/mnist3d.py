@@ -75,12 +75,10 @@ def generate(
         splits = (split,)
     # Before the first digit, also for a forecast, which measures how long a worker takes.
     run.prepare_batch_process()
-    runs.generate_set(sink, "making digits", making_of, out, splits, making, _print_made)
+    manifest = runs.generate_set(sink, "making digits", making_of, out, splits, making, _print_made)
     if words.given() and not making.dry_run:
-        folder = store.open_folder(out)
-        manifest = store.read_manifest(folder)
         if manifest is not None and manifest.complete:
-            cards.rewrite_card(KIND, folder, manifest, words)
+            cards.rewrite_card(KIND, store.open_folder(out), manifest, words)
         else:
             next_step = "state the licence and other words when it is finished"
             sink.info(f"note: {out} is unfinished; next: {next_step}")

@@ -74,9 +74,7 @@ def info(
     manifest = place.manifest
     operation = ""
     if manifest is not None:
-        operation = store.convert_json(
-            manifest.spec.get("operation"), str, f"{name}/{store.MANIFEST_FILE}", "spec.operation"
-        )
+        operation = manifest.operation(f"{name}/{store.MANIFEST_FILE}")
         if not manifest.complete or operation in ("frames", "export", "merge", "split"):
             runs.print_set(sink, KIND, manifest, name)
             return
@@ -122,8 +120,8 @@ def verify(
     counts_of = {"rounds": result.rounds, "touches": result.touches}
     unprotected = list(result.unprotected)
     sink.document({"ok": result.ok, **counts_of, "findings": findings, "unprotected": unprotected})
-    if place.folder is not None and [finding.file for finding in result.findings] == [store.MANIFEST_FILE]:
-        store.require_finished(place.folder)  # else damage is reported
+    if place.folder is not None:
+        store.require_finished(place.folder, result.findings)
     _require_intact(sink, result, name, unfinished=bool(place.unfinished))
     how = "every header was read" if quick else "every picture was decoded"
     counts = f"{with_count(result.rounds, 'rounds')}, {with_count(result.touches, 'touches')}"

@@ -12,15 +12,12 @@ from typing import TYPE_CHECKING
 from cli import options, output
 from tactile_toolkit import store, wording
 from tactile_toolkit.json_types import JsonValue
-from tactile_toolkit.kind import DatasetKind, lazy
+from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.wording import with_count
 
 if TYPE_CHECKING:
-    from tactile_toolkit.generation import Forecast, RowGenerator
+    from tactile_toolkit.generation import RowGenerator
 
-# Imported when they are called: they import Arrow and numpy, which `--help` does not need.
-_forecast = lazy("tactile_toolkit.generation:forecast")
-_generate = lazy("tactile_toolkit.generation:generate")
 _LEFT_OUT_SHOWN = 20
 
 PrintMade = Callable[..., None]
@@ -39,21 +36,24 @@ def generate_set(
     making: options.Making,
     print_made: PrintMade,
     require: Callable[[], None] = lambda: None,
-) -> None:
-    """Make a data set of a kind, or forecast it, and print a summary and the next step."""
+) -> store.Manifest | None:
+    """Make a data set of a kind, or forecast it, and print a summary and the next step.
+
+    Returns None if nothing, or only a part, was made.
+    """
     if making.dry_run:
-        view = _forecast(rows, out, splits, require=require, **making.run_keywords())
-        _print_forecast(sink, rows.kind, view, out, making)
-        return
-    make = partial(_generate, rows, out, splits, require=require)
+        _print_forecast(sink, rows, out, splits, making, require)
+        return None
+    make = partial(rows.generate, out, splits, require=require)
     manifest = make_with_progress(sink, what, rows.kind, make, making, out, print_made)
     if manifest is None:
-        return
+        return None
     table = manifest.split_table()
     # A split with rows, so that the printed line works.
     split = next(name for name in splits or table if table[name]["rows"])
     call = rows.kind.loading_lines(manifest, out, split)[1]
     sink.line(f"next: {rows.kind.command} verify {out}   or in Python: {call}")
+    return manifest
 
 
 def make_with_progress(
@@ -108,8 +108,15 @@ def make_with_progress(
 
 
 def _print_forecast(
-    sink: output.Sink, kind: DatasetKind, view: Forecast, out: str, making: options.Making
+    sink: output.Sink,
+    generator: RowGenerator,
+    out: str,
+    splits: Sequence[str] | None,
+    making: options.Making,
+    require: Callable[[], None],
 ) -> None:
+    kind = generator.kind
+    view = generator.forecast(out, splits, require=require, **making.run_keywords())
     sink.document(asdict(view))
     header = ("split", kind.nouns, "shards", "finished already")
     sink.table(header, [tuple(entry.values()) for entry in view.splits])

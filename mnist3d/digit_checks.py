@@ -206,4 +206,4 @@ def _is_single_file(path: str) -> bool:
     file = store.local_path(path)
     if file is None or not file.is_file():
         return False
-    return not places.is_parquet_file(store.open_folder(str(file.parent)), file.name)
+    return not store.open_folder(str(file.parent)).is_parquet(file.name)

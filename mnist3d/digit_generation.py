@@ -301,7 +301,7 @@ def generate(
     StorageError
         The folder cannot be written. Finished shards stay.
     """
-    return generation.generate(DigitGenerator.of(spec, splits), out, splits, **run)
+    return DigitGenerator.of(spec, splits).generate(out, splits, **run)
 
 
 def digit_recipe(seed: int, per_class: int | None) -> generation.Recipe:

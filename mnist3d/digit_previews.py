@@ -114,7 +114,7 @@ def _plan_steps(
     return planned if spec.ids else planned[:1]
 
 
-def plan_gallery(name: Name | Place, chosen: catalog.RowFilter = catalog.NO_FILTER) -> gallery.Gallery:
+def plan_gallery(name: Name | Place, chosen: catalog.RowFilter = catalog.RowFilter.ALL) -> gallery.Gallery:
     """Plan a gallery of digits; see :func:`~tactile_toolkit.gallery.gallery_of_rows`."""
     # The report of the data set, if it has one, is read instead of inspecting meshes again.
     place = open_place(name)

@@ -48,7 +48,7 @@ _SHOWN = (
 
 def plan_gallery(
     name: places.Name | places.Place,
-    chosen: catalog.RowFilter = catalog.NO_FILTER,
+    chosen: catalog.RowFilter = catalog.RowFilter.ALL,
     *,
     touches: int = DEFAULT_TOUCHES,
 ) -> gallery.Gallery:

@@ -227,7 +227,7 @@ def generate(
         The folder has a data set of another specification, or cannot be written. Finished shards stay.
     """
     require = partial(sampling.require_feasible, spec.scene, spec.seed, on_failure)
-    return generation.generate(SceneGenerator(spec), out, splits, require=require, **run)
+    return SceneGenerator(spec).generate(out, splits, require=require, **run)
 
 
 def scene_recipe(seed: int, per_class: int | None) -> generation.Recipe:

@@ -108,6 +108,93 @@ class RowGenerator(ABC):
         """Return JSON values about rows for the manifest, which add up over shards."""
         return None
 
+    def generate(
+        self,
+        out: str | os.PathLike[str],
+        splits: Sequence[str] | None = None,
+        *,
+        require: Callable[[], None] = lambda: None,
+        **run: Unpack[store.RunKeywords],
+    ) -> store.Manifest:
+        """Make a data set folder.
+
+        A folder with a finished or interrupted run of the same specification is completed: finished shards
+        are kept. The same specification gives byte-identical Parquet for any number of workers and
+        interruptions.
+
+        Parameters
+        ----------
+        out : str or path-like
+            Folder to write.
+        splits : sequence of str, optional
+            Splits to make, all by default; other splits of the folder are kept.
+        require : callable
+            Raises the reason to refuse the run, after its plan was made.
+        **run
+            Fields of :class:`~tactile_toolkit.store.RunOptions`, such as ``workers`` and ``overwrite``.
+
+        Returns
+        -------
+        Manifest
+            Manifest of the folder.
+        """
+        plan = plan_build(self, splits)
+        require()
+        return store.build(store.open_folder(os.fspath(out)), plan, write_card=self.kind.write_card, **run)
+
+    def forecast(
+        self,
+        out: str | os.PathLike[str],
+        splits: Sequence[str] | None = None,
+        *,
+        require: Callable[[], None] = lambda: None,
+        **run: Unpack[store.RunKeywords],
+    ) -> Forecast:
+        """Estimate a run of :func:`generate` by making some of its rows; writes nothing.
+
+        With ``part``, only the shards of that part count. Raises as the run would before its first row.
+        """
+        options = store.RunOptions(**run)
+        plan = plan_build(self, splits)
+        require()
+        folder = store.open_folder(os.fspath(out))
+        if options.overwrite and store.require_replaceable(folder, plan):
+            job = store.BuildJob(folder, plan, plan.new_manifest(), plan.tasks)
+        else:
+            job = store.inspect_job(folder, plan, options)
+        rows = Counter[str]()
+        left = Counter[str]()
+        for task in job.tasks:
+            rows[task.shard.split] += task.size
+        for task in job.remaining:
+            left[task.shard.split] += task.size
+        shards = Counter(task.shard.split for task in job.tasks)
+        sampled, item_bytes, item_s = _sample(self, plan)
+        # A runner that states no number, or 0, is taken for one worker, or for one per core.
+        processes = (
+            options.workers if isinstance(options.workers, int) else getattr(options.workers, "workers", 1)
+        )
+        processes = processes or usable_cores()
+        seconds = 0.0
+        if left:
+            seconds = round(left.total() * item_s / processes + _START_S, 1)
+        return Forecast(
+            [
+                {
+                    "split": each,
+                    "rows": rows[each],
+                    "shards": shards[each],
+                    "finished": rows[each] - left[each],
+                }
+                for each in rows
+            ],
+            left.total(),
+            round(left.total() * item_bytes),
+            seconds,
+            sampled,
+            _existing_rows(folder) if options.overwrite else None,
+        )
+
 
 def make_shard(generator: RowGenerator, shard: store.ShardName, items: AnyRows) -> store.ShardContent:
     """Make the rows of a shard, and list items that give none."""
@@ -168,42 +255,6 @@ def _tasks(generator: RowGenerator, items: JsonObject, layout: StorageLayout) ->
     )
 
 
-def generate(
-    generator: RowGenerator,
-    out: str | os.PathLike[str],
-    splits: Sequence[str] | None = None,
-    *,
-    require: Callable[[], None] = lambda: None,
-    **run: Unpack[store.RunKeywords],
-) -> store.Manifest:
-    """Make a data set folder.
-
-    A folder with a finished or interrupted run of the same specification is completed: finished shards are
-    kept. The same specification gives byte-identical Parquet for any number of workers and interruptions.
-
-    Parameters
-    ----------
-    generator : RowGenerator
-        Generator of the rows.
-    out : str or path-like
-        Folder to write.
-    splits : sequence of str, optional
-        Splits to make, all by default; other splits of the folder are kept.
-    require : callable
-        Raises the reason to refuse the run, after its plan was made.
-    **run
-        Fields of :class:`~tactile_toolkit.store.RunOptions`, such as ``workers`` and ``overwrite``.
-
-    Returns
-    -------
-    Manifest
-        Manifest of the folder.
-    """
-    plan = plan_build(generator, splits)
-    require()
-    return store.build(store.open_folder(os.fspath(out)), plan, write_card=generator.kind.write_card, **run)
-
-
 @dataclass(frozen=True, slots=True)
 class Forecast:
     """Forecast of a run.
@@ -219,55 +270,6 @@ class Forecast:
     seconds: float
     sampled: int
     replaced: dict[str, int] | None = None
-
-
-def forecast(
-    generator: RowGenerator,
-    out: str | os.PathLike[str],
-    splits: Sequence[str] | None = None,
-    *,
-    require: Callable[[], None] = lambda: None,
-    **run: Unpack[store.RunKeywords],
-) -> Forecast:
-    """Estimate a run of :func:`generate` by making some of its rows; writes nothing.
-
-    With ``part``, only the shards of that part count. Raises as the run would before its first row.
-    """
-    options = store.RunOptions(**run)
-    plan = plan_build(generator, splits)
-    require()
-    folder = store.open_folder(os.fspath(out))
-    if options.overwrite and store.require_replaceable(folder, plan):
-        job = store.BuildJob(folder, plan, plan.new_manifest(), plan.tasks)
-    else:
-        job = store.inspect_job(folder, plan, options)
-    rows = Counter[str]()
-    left = Counter[str]()
-    for task in job.tasks:
-        rows[task.shard.split] += task.size
-    for task in job.remaining:
-        left[task.shard.split] += task.size
-    shards = Counter(task.shard.split for task in job.tasks)
-    sampled, item_bytes, item_s = _sample(generator, plan)
-    # A runner that states no number, or 0, is taken for one worker, or for one per core.
-    processes = (
-        options.workers if isinstance(options.workers, int) else getattr(options.workers, "workers", 1)
-    )
-    processes = processes or usable_cores()
-    seconds = 0.0
-    if left:
-        seconds = round(left.total() * item_s / processes + _START_S, 1)
-    return Forecast(
-        [
-            {"split": each, "rows": rows[each], "shards": shards[each], "finished": rows[each] - left[each]}
-            for each in rows
-        ],
-        left.total(),
-        round(left.total() * item_bytes),
-        seconds,
-        sampled,
-        _existing_rows(folder) if options.overwrite else None,
-    )
 
 
 def _sample(generator: RowGenerator, plan: store.BuildPlan) -> tuple[int, float, float]:
@@ -338,7 +340,7 @@ class Recipe:
 
     def make(self, out: str, split: str, **run: Unpack[store.RunKeywords]) -> None:
         """Make one split in a folder; an interrupted run continues."""
-        generate(self.generator, out, (split,), **run)
+        self.generator.generate(out, (split,), **run)
 
     def rows_left(self, out: str, split: str) -> int:
         """Return the number of rows that :meth:`make` would make in a folder; raises as it would."""

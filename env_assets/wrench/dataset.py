@@ -149,7 +149,7 @@ def write_wrench(
     """
     if mesh_file is not None:  # before the folder, so that a refusal leaves nothing behind
         write_mesh(store.expanded(mesh_file), shape.wrench_mesh(spec))
-    return generation.generate(WrenchGenerator(spec), out, overwrite=overwrite)
+    return WrenchGenerator(spec).generate(out, overwrite=overwrite)
 
 
 def wrench_recipe(seed: int, per_class: int | None) -> generation.Recipe:

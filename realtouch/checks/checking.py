@@ -96,7 +96,7 @@ def _sections_of(
     shards = [shard for each in files.values() for shard in each]
     touches = sum(int(stored_round.stored_touch_counts(shard).sum()) for shard in shards)
     frames = max(_MIN_FRAMES, MAX_PICTURES // max(touches, 1))
-    is_rendered = schema.origin_of(shards[0].schema, catalog.manifest_beside(shards[0])) == "synthetic"
+    is_rendered = schema.origin_of(shards[0].schema, catalog.manifest_beside(shards[0].path)) == "synthetic"
     check = partial(check_section, limits=limits, frames=frames, is_rendered=is_rendered)
     return touches, run.in_threads(check, _in_sections(_placed_rows(files, damaged)), workers)
 

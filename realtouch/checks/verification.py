@@ -46,7 +46,7 @@ def check_index(
             if "frames" in shard.types and "touch" not in shard.types:
                 # In a LeRobotDataset of single images a row is a round, and a frame is a touch.
                 touches += sum(table["frames"].to_pylist()) - len(table)
-            files: dict[str, str | None] = {**convert.files_of(folder, record)}
+            files: dict[str, str | None] = {**convert.files_of(folder, record.file)}
             # The manifest lists these, so they have been compared already.
             compared = dict.fromkeys(manifest.files.keys() & files.keys())
             for path, sha256 in ({**files, **compared} or {record.shard.data_path: None}).items():
@@ -182,7 +182,7 @@ def _compare_files(place: places.Place, findings: list[damage.Damage], workers: 
     findings += [damage.Damage(each.file, None, None, "", each.problem) for each in listed]
     if manifest is not None:
         try:
-            store.convert_json(place.spec.get("operation"), str, store.MANIFEST_FILE, "spec.operation")
+            manifest.operation(store.MANIFEST_FILE)
         except errors.IntegrityError as error:
             findings.append(damage.Damage(store.MANIFEST_FILE, None, None, "", str(error)))
     return True
@@ -269,7 +269,7 @@ def modal_touch_count(shards: Sequence[read.Shard]) -> int | None:
     None if rounds may differ: if there is no such T, or if the set has a manifest. Imported and selected
     rounds differ in length, and the manifest has their checksums.
     """
-    if shards and catalog.manifest_beside(shards[0]) is not None:
+    if shards and catalog.manifest_beside(shards[0].path) is not None:
         return None
     counts: Counter[int] = Counter()
     for shard in shards:

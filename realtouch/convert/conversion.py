@@ -78,7 +78,7 @@ class Source:
 
     def manifest(self) -> store.Manifest | None:
         """Return the manifest next to the shards, if any."""
-        return catalog.manifest_beside(next(iter(self.shards.values()))[0])
+        return catalog.manifest_beside(next(iter(self.shards.values()))[0].path)
 
     def row_bytes(self) -> int:
         """Return the size of a row unpacked, on average over the data set; at least 1."""
@@ -211,9 +211,9 @@ def with_files(
     return index, files
 
 
-def files_of(folder: store.DataFolder, record: store.ShardRecord) -> dict[str, str]:
+def files_of(folder: store.DataFolder, path: str) -> dict[str, str]:
     """Return the checksum of each file that the index of a finished shard names, by path."""
-    shard = read.Shard(folder.address(record.shard.data_path))
+    shard = read.Shard(folder.address(path))
     found: dict[str, str] = {}
     for prefix in _PREFIXES:
         names = [f"{prefix}file", f"{prefix}sha256"]
@@ -225,7 +225,9 @@ def files_of(folder: store.DataFolder, record: store.ShardRecord) -> dict[str, s
 
 def checksums(folder: store.DataFolder, manifest: store.Manifest) -> dict[str, str]:
     """Return the checksum of each file that the shards name, for the manifest."""
-    return {path: sha256 for record in manifest.shards for path, sha256 in files_of(folder, record).items()}
+    return {
+        path: sha256 for record in manifest.shards for path, sha256 in files_of(folder, record.file).items()
+    }
 
 
 def schema_of(source: pa.Schema, wanted: Mapping[str, tuple[pa.DataType, Collection[str]]]) -> pa.Schema:
@@ -408,7 +410,7 @@ def write_conversion(
     """
     opened, folder = Source.open(source, split=split), store.open_folder(fspath(out))
     conversion = plan(opened, require_limit(limit))
-    catalog.refuse_source(folder, opened.name, chain.from_iterable(opened.shards.values()))
+    folder.refuse_source(opened.name, (shard.path for each in opened.shards.values() for shard in each))
     origin = schema.origin_of(opened.schema, opened.manifest())
     # Recorded here, as pictures do not show whether touches were imported or rendered; rounds do.
     if opened.unfinished:

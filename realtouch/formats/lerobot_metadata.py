@@ -253,7 +253,7 @@ class WriteMeta:
     def __call__(self, folder: store.DataFolder, manifest: store.Manifest) -> dict[str, str]:
         """Return the checksum of each file of the LeRobotDataset by its path."""
         files = convert.checksums(folder, manifest)
-        placed = [list(convert.files_of(folder, record)) for record in manifest.shards if record.rows]
+        placed = [list(convert.files_of(folder, record.file)) for record in manifest.shards if record.rows]
         frames, episodes = (
             [read.Shard(folder.address(path)) for path in paths] for paths in zip(*placed, strict=True)
         )

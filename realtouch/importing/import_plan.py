@@ -28,11 +28,9 @@ from realtouch.importing import (
     source_touches,
 )
 from realtouch.touch_options import Alignment
-from realtouch.touches import stored_images
-from tactile_toolkit import catalog, errors, store, touch, wording
+from tactile_toolkit import errors, store, touch, wording
 from tactile_toolkit.columns import units
 from tactile_toolkit.json_types import JsonDict, JsonValue
-from tactile_toolkit.read import Shard
 from tactile_toolkit.touch import MEDIA_TYPE
 
 CONVERSION = "images_were"
@@ -101,7 +99,7 @@ def import_touches(
     folder = store.open_folder(fspath(out))
     reading = import_sources.Reading(layout, columns, table, tuple(streams), alignment, cut)
     found = import_sources.find_source(fspath(source), reading)
-    catalog.refuse_source(folder, found.home.address(), [Shard(found.home.address("any file"))])
+    folder.refuse_source(found.home.address(), [found.home.address("any file")])
     plan = plan_of(arranged(found, classes, split), found)
     del found  # there may be many touches; from here on, shards hold them
     return store.build(folder, plan, write_card=touch_card.write_card, **run)
@@ -111,7 +109,7 @@ def plan_of(touches: Arranged, found: import_sources.FoundSource) -> store.Build
     """Return the plan of an import: a task for each shard, and its specification for the manifest."""
     every = found.touches
     work: Any = touches.work  # takes touches; the type of a task only knows items that can be counted
-    tasks: list[store.AnyTask] = []
+    tasks = []
     for split, parts in touches.shards.items():
         for index, part in enumerate(parts):
             shard = store.ShardName(split, index, len(parts))
@@ -364,7 +362,7 @@ def _sizes(
     for content, place in zip(read(places), places, strict=True):
         if isinstance(content, bytes):
             with suppress(ValueError):
-                sizes[stored_images.require_intact(content)] += counts.get(place, 1)
+                sizes[touch.intact_size(content)] += counts.get(place, 1)
     return sizes
 
 

@@ -212,9 +212,9 @@ class TouchGenerator(generation.RowGenerator):
 
     def refuse_sources(self, source: places.Name | touched_solids.Meshes, out: places.Name) -> None:
         """Refuse to write into the source, named ``source`` in messages (InputError)."""
-        files = [file for each in self.source.values() for file in each.files]
+        files = [file.path for each in self.source.values() for file in each.files]
         if not isinstance(source, Mapping):
-            catalog.refuse_source(store.open_folder(os.fspath(out)), os.fspath(source), files)
+            store.open_folder(os.fspath(out)).refuse_source(os.fspath(source), files)
 
     def manifest(self) -> JsonObject:
         """Return options and the source of each split, so that a folder can be filled split by split."""
@@ -390,4 +390,4 @@ def generate(
     """
     touches = TouchGenerator.of(source, spec, unit)
     require = partial(touches.refuse_sources, source, out)
-    return generation.generate(touches, out, splits, require=require, **run)
+    return touches.generate(out, splits, require=require, **run)

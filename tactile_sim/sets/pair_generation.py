@@ -24,7 +24,7 @@ from tactile_sim.sets import pairs, round_plan, touched_solids
 from tactile_sim.sets.learning_specs import PairsSpec
 from tactile_sim.sets.round_plan import plan_round
 from tactile_sim.sets.touch_spec import TouchPlan
-from tactile_toolkit import catalog, generation, places, read, store, touch
+from tactile_toolkit import generation, places, read, store, touch
 from tactile_toolkit.array_types import Float32, Float64
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonObject
@@ -132,8 +132,8 @@ class PairsGenerator(generation.RowGenerator):
     def refuse_sources(self, objects: str, out: str | os.PathLike[str]) -> None:
         """Refuse to write into a source; ``objects`` names that of the depth in messages (InputError)."""
         folder = store.open_folder(os.fspath(out))
-        catalog.refuse_source(folder, objects, self.objects.files)
-        catalog.refuse_source(folder, self.real, self.touches.files)
+        folder.refuse_source(objects, (file.path for file in self.objects.files))
+        folder.refuse_source(self.real, (file.path for file in self.touches.files))
 
     def manifest(self) -> JsonObject:
         """Return options and sources."""
@@ -267,4 +267,4 @@ def make_pairs(
     """
     generator = PairsGenerator.of(objects, real, split, spec)
     require = partial(generator.refuse_sources, objects, out)
-    return generation.generate(generator, out, require=require, **run)
+    return generator.generate(out, require=require, **run)

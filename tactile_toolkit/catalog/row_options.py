@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import TypeAlias
+from typing import ClassVar, TypeAlias
 
 from tactile_toolkit.checked_fields import check_fields, integer, text
 from tactile_toolkit.errors import InputError
@@ -77,6 +77,9 @@ PER_CLASS = integer(None, 1, optional=True, help="Only the first N of each class
 class RowFilter:
     """Options of commands that take some of the objects of a data set."""
 
+    ALL: ClassVar[RowFilter]
+    """Takes all objects."""
+
     split: str | None = SPLIT
     ids: IdChoice | None = IDS
     labels: Sequence[str] | None = LABELS
@@ -89,7 +92,7 @@ class RowFilter:
         return {**named, "split": None if self.split == "all" else self.split}
 
 
-NO_FILTER = RowFilter()
+RowFilter.ALL = RowFilter()
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -205,14 +205,6 @@ def _check_part(
     return part.number, checked
 
 
-class Located(Protocol):
-    """A file of a source, or a row in it."""
-
-    @property
-    def path(self) -> str:
-        """Its path or address."""
-
-
 @contextmanager
 def specification_read(where: str) -> Iterator[None]:
     """Raise IntegrityError for a manifest whose specification has an unexpected form."""
@@ -223,41 +215,13 @@ def specification_read(where: str) -> Iterator[None]:
         raise store.damaged_error(where, problem) from error
 
 
-def manifest_beside(shard: Located) -> store.Manifest | None:
-    """Return the manifest of the data set folder of a file or a row; None if there is none."""
-    data, _ = store.split_uri(shard.path)
+def manifest_beside(path: str) -> store.Manifest | None:
+    """Return the manifest of the data set folder of a file; None if there is none."""
+    data, _ = store.split_uri(path)
     folder, name = store.split_uri(data.address())
     if name == store.DATA_FOLDER:
         return store.manifest_so_far(folder)
     return None
-
-
-def refuse_source(folder: store.DataFolder, name: str, source_files: Iterable[Located]) -> None:
-    """Raise InputError if the folder to write holds or lies in the source, also through links.
-
-    ``name`` is the data set as the user gave it.
-    """
-    out = folder.address()
-    files = [each.path for each in source_files]
-    if not folder.is_local:
-        inside = f"{out}/"
-        holds = any(file.startswith(inside) for file in files)
-        lies_in = inside.startswith(f"{name.rstrip('/')}/")
-    else:
-        place = Path(out).resolve()
-        home = store.expanded(name).resolve()
-        # By both paths: files of the Hub's cache are links into another folder.
-        named = [Path(file).absolute() for file in files]
-        real = [file.resolve() for file in named]
-        holds = any(file.is_relative_to(place) for file in real)
-        ours = home.is_dir() and place.is_relative_to(home)
-        lies_in = ours and any(file.is_relative_to(home) for file in [*real, *named])
-    if holds or lies_in:
-        raise InputError(
-            f"{out!r}, the folder to write, {'holds' if holds else 'lies in'} the source {name!r}; "
-            "nothing was changed",
-            next="choose a folder outside it",
-        )
 
 
 def short_name(name: str) -> str:

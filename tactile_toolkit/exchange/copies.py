@@ -174,8 +174,8 @@ def plan_tables(
     if chosen.per_class is not None:
         options["per_class"] = chosen.per_class
     options |= unfinished_counts([place])
-    every = [shard for found in shards.values() for shard in found]
-    catalog.refuse_source(store.open_folder(out), place.name, every)
+    every = (shard.path for found in shards.values() for shard in found)
+    store.open_folder(out).refuse_source(place.name, every)
     return copy_plan(kind, EXPORT, options, shards, place.made_by or None, tasks, _STYLE, "trimesh")
 
 
@@ -290,7 +290,7 @@ def _build(
     tasks = []
     found = {}
     for source in sources:
-        catalog.refuse_source(folder, source.name, source.table.files)
+        folder.refuse_source(source.name, (file.path for file in source.table.files))
     for split in dict.fromkeys(split for source in sources for split in source.shards):
         shards = found[split] = [shard for source in sources for shard in source.shards.get(split, ())]
         parts: list[tuple[pa.Table, pa.Schema]] = [

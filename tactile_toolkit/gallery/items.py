@@ -143,7 +143,7 @@ def gallery_of_rows(
 def gallery_of_solids(
     kind: DatasetKind,
     name: places.Name | places.Place,
-    chosen: catalog.RowFilter = catalog.NO_FILTER,
+    chosen: catalog.RowFilter = catalog.RowFilter.ALL,
     *,
     title: str,
     columns: Sequence[Column],

@@ -18,6 +18,5 @@ from .place import (
     require_kind as require_kind,
 )
 from .split_files import (
-    is_parquet_file as is_parquet_file,
     unknown_split as unknown_split,
 )

@@ -18,7 +18,6 @@ from tactile_toolkit.places.split_files import (
     USUAL_SPLIT,
     has_shards,
     is_interrupted,
-    is_parquet_file,
     not_a_set,
     parquet_paths,
     require_some,
@@ -163,7 +162,7 @@ def _local(name: str) -> tuple[store.DataFolder, str] | None:
 def _local_place(name: str, folder: store.DataFolder, file: str, config: str | None) -> Place:
     """Return the place of a file of a folder, or of the folder."""
     if file:
-        if folder.is_local and not is_parquet_file(folder, file):
+        if folder.is_local and not folder.is_parquet(file):
             raise not_a_set(folder, name, file)
         return Place(name, folder, {split_of_file(file) or USUAL_SPLIT: (file,)}, is_file=True)
     store.resume_promotion(folder)  # a folder that is being replaced has files of two data sets

@@ -35,7 +35,6 @@ _OTHER_FOLDERS = ("reports", store.VIEWER_FOLDER)
 _LARGEST_CARD_BYTES = 1 << 20
 Splits: TypeAlias = dict[str, tuple[str, ...]]
 """Paths of the Parquet files of each split, both in order."""
-_PARQUET_MARK = b"PAR1"
 _PICTURES = (
     "avif bmp dib gif heic heif j2k jfif jp2 jpe jpeg jpg pgm png pnm ppm tga tif tiff webp".split()  # noqa: SIM905
 )
@@ -348,14 +347,6 @@ def unknown_split(split: str, known: tuple[str, ...], where: str) -> InputError:
         )
     found = f"it has {', '.join(known)}{did_you_mean(split, known)}"
     return InputError(f"no split {split!r} in {where!r}: {found}", next="choose one of them, or make it")
-
-
-def is_parquet_file(folder: store.DataFolder, path: str) -> bool:
-    """Return whether a file is a Parquet file by its name or its first bytes."""
-    if path.endswith(".parquet"):
-        return True
-    with folder.open(path) as stream:
-        return stream.read(len(_PARQUET_MARK)) == _PARQUET_MARK
 
 
 def is_interrupted(folder: store.DataFolder) -> bool:

@@ -2,7 +2,6 @@
 
 from . import remote as remote
 from .addresses import (
-    expanded as expanded,
     local_folder_path as local_folder_path,
     local_path as local_path,
     open_folder as open_folder,
@@ -34,6 +33,7 @@ from .verification import (
 from .files import (
     DRAFT as DRAFT,
     draft_of as draft_of,
+    expanded as expanded,
     is_hidden as is_hidden,
     named_failures as named_failures,
     names_inside as names_inside,
@@ -61,7 +61,6 @@ from .locks import (
 )
 from .manifest import (
     add_up as add_up,
-    convert_json as convert_json,
     Count as Count,
     damaged_error as damaged_error,
     DATA_FOLDER as DATA_FOLDER,

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from tactile_toolkit import run
 from tactile_toolkit.errors import InputError, require_public
+from tactile_toolkit.store.files import expanded
 from tactile_toolkit.store.folder import DataFolder, LocalFolder
 from tactile_toolkit.store.remote import FsspecFolder
 
@@ -49,27 +50,6 @@ def normalize_uri(address: str) -> str:
             next="write it so, as text (pathlib.Path drops a slash; a local folder of that name is ./NAME)",
         )
     return f"{scheme}://{rest}"
-
-
-def expanded(path: str | Path, what: str = "path") -> Path:
-    """Return a local path in which a leading ``~`` is expanded; InputError if no home folder is known.
-
-    An address that may contain a key is an InputError, too. For ``./~``, a folder that is called ``~``, the
-    absolute path is returned: pathlib drops the ``./``, and a second expansion would give the home folder.
-    """
-    text, local = str(path), Path(path)
-    if ":/" in text:
-        require_public(text)
-    if not str(local).startswith("~"):
-        return local
-    if not text.startswith("~"):
-        return local.absolute()
-    try:
-        return local.expanduser()
-    except RuntimeError as error:
-        raise InputError(
-            f"{what} {text!r}: no home folder is known ({error})", next="write the path in full"
-        ) from error
 
 
 def local_path(name: str) -> Path | None:

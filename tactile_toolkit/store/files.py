@@ -18,7 +18,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import IO, TypeVar
 
-from tactile_toolkit.errors import InputError, IntegrityError, StorageError
+from tactile_toolkit.errors import InputError, IntegrityError, StorageError, require_public
 from tactile_toolkit.wording import shortened
 
 TEMPORARY_PREFIX = ".writing-"
@@ -166,6 +166,27 @@ def readable(address: str) -> Iterator[None]:
         if refused is None:
             raise
         raise refused from error
+
+
+def expanded(path: str | Path, what: str = "path") -> Path:
+    """Return a local path in which a leading ``~`` is expanded; InputError if no home folder is known.
+
+    An address that may contain a key is an InputError, too. For ``./~``, a folder that is called ``~``, the
+    absolute path is returned: pathlib drops the ``./``, and a second expansion would give the home folder.
+    """
+    text, local = str(path), Path(path)
+    if ":/" in text:
+        require_public(text)
+    if not str(local).startswith("~"):
+        return local
+    if not text.startswith("~"):
+        return local.absolute()
+    try:
+        return local.expanduser()
+    except RuntimeError as error:
+        raise InputError(
+            f"{what} {text!r}: no home folder is known ({error})", next="write the path in full"
+        ) from error
 
 
 def path_exists(path: Path) -> bool:

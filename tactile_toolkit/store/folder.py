@@ -16,7 +16,7 @@ import stat
 import tempfile
 import uuid
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from operator import methodcaller
 from pathlib import Path
@@ -26,6 +26,7 @@ from tactile_toolkit import run
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError, StorageError
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.store.files import (
+    expanded,
     leads_elsewhere,
     make_folder,
     named_failures,
@@ -57,6 +58,7 @@ _READ_AT_ONCE = 16
 _LONGEST_INSIDE = 100
 # For a path longer than MAX_PATH (260 characters), Windows reports a missing folder or a long name.
 _TOO_LONG = (3, 206)
+_PARQUET_MARK = b"PAR1"
 # Errors that are reported when a file is looked up; all others mean that there is no such file.
 _REFUSALS = (errno.EACCES, errno.EPERM, errno.ENAMETOOLONG)
 
@@ -215,6 +217,38 @@ class DataFolder(Protocol):
             raise ItemError("name", f"the name {problem}; expected a path below the folder")
         with self.open_inside(path) as stream:
             return stream.seek(0, io.SEEK_END)
+
+    def is_parquet(self, path: str) -> bool:
+        """Return whether a file is a Parquet file by its name or its first bytes."""
+        if path.endswith(".parquet"):
+            return True
+        with self.open(path) as stream:
+            return stream.read(len(_PARQUET_MARK)) == _PARQUET_MARK
+
+    def refuse_source(self, name: str, files: Iterable[str]) -> None:
+        """Raise InputError if this folder, to be written, holds or lies in a source, also through links.
+
+        ``name`` is the source as the user gave it; ``files`` are the paths or addresses of its files.
+        """
+        if not self.is_local:
+            inside = f"{self.root}/"
+            holds = any(file.startswith(inside) for file in files)
+            lies_in = inside.startswith(f"{name.rstrip('/')}/")
+        else:
+            out = Path(self.root).resolve()
+            home = expanded(name).resolve()
+            # By both paths: files of the Hub's cache are links into another folder.
+            named = [Path(file).absolute() for file in files]
+            real = [file.resolve() for file in named]
+            holds = any(file.is_relative_to(out) for file in real)
+            ours = home.is_dir() and out.is_relative_to(home)
+            lies_in = ours and any(file.is_relative_to(home) for file in [*real, *named])
+        if holds or lies_in:
+            raise InputError(
+                f"{self.root!r}, the folder to write, {'holds' if holds else 'lies in'} the source {name!r}; "
+                "nothing was changed",
+                next="choose a folder outside it",
+            )
 
     def problem_of_file(self, path: str) -> str:
         """Return why a path is not a file of the folder itself; empty if it is."""

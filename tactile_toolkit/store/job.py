@@ -218,7 +218,7 @@ def _intact_records(
         if not record.is_size_of(sizes):  # first: most damage shows there, and costs no reading
             return False
         try:
-            files = plan.files_of(folder, record)
+            files = plan.files_of(folder, record.file)
             if not check:
                 return all(map(folder.exists, files))
             for path, sha256 in {**digests, **files}.items():

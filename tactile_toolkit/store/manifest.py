@@ -62,14 +62,6 @@ def _decoder(kind: object) -> msgspec.json.Decoder[Any]:
     return msgspec.json.Decoder(kind)
 
 
-def convert_json(values: object, kind: type[T], where: str, field: str) -> T:
-    """Return a part of a decoded document as a value of a type; raises as :func:`decode`."""
-    try:
-        return msgspec.convert(values, kind)
-    except msgspec.ValidationError as error:
-        raise damaged_error(where, f"{field}: {error}") from error
-
-
 def damaged_error(where: str, problem: object) -> IntegrityError:
     """Return the error for a document with an impossible value."""
     return IntegrityError(
@@ -318,6 +310,13 @@ class Manifest:
         """Number of finished shards, such as ``"3 of 8 shards"``."""
         planned = sum(self.shards_planned().values())
         return f"{len(self.shards):,} of {with_count(planned, 'shards')}"
+
+    def operation(self, where: str) -> str:
+        """Return the operation that made a copy, such as ``"merge"``; IntegrityError if none is stated."""
+        try:
+            return msgspec.convert(self.spec.get("operation"), str)
+        except msgspec.ValidationError as error:
+            raise damaged_error(where, f"spec.operation: {error}") from error
 
     def split_table(self) -> dict[str, dict[str, int]]:
         """Rows, shards, bytes and skipped items of each split."""

@@ -105,7 +105,7 @@ class BuildPlan:
     extra_dirs : tuple of str
         Sub-folders or files next to the rows that belong to the data set, such as the ``files`` of tasks.
     files_of : callable
-        Takes the folder and the record of a finished shard, and returns the checksum of each of its ``files``
+        Takes the folder and the path of a finished shard, and returns the checksum of each of its ``files``
         by path.
     libraries : tuple of str
         Distributions whose versions can change the bytes of shards.
@@ -123,8 +123,8 @@ class BuildPlan:
     style: ParquetStyle
     report_file: str | None = None
     extra_dirs: tuple[str, ...] = ()
-    files_of: Callable[[DataFolder, ShardRecord], Mapping[str, str]] = field(
-        default=lambda _folder, _record: {}, repr=False
+    files_of: Callable[[DataFolder, str], Mapping[str, str]] = field(
+        default=lambda _folder, _path: {}, repr=False
     )
     libraries: tuple[str, ...] = ()
     write_files: Callable[[DataFolder, Manifest], Mapping[str, str]] = field(

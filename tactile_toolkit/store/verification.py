@@ -7,11 +7,11 @@ import hashlib
 import io
 import re
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import IO, NamedTuple, Protocol
 
 import msgspec
 import pyarrow as pa
@@ -207,8 +207,18 @@ def _incomplete(folder: DataFolder, manifest: Manifest) -> list[Finding]:
     return findings + _unlisted(folder, {record.file for record in manifest.shards}, MANIFEST_FILE, others)
 
 
-def require_finished(folder: DataFolder) -> None:
-    """Raise UnfinishedError if the run that makes a data set is under way or was interrupted."""
+class _InFile(Protocol):
+    @property
+    def file(self) -> str: ...
+
+
+def require_finished(folder: DataFolder, findings: Sequence[_InFile]) -> None:
+    """Raise UnfinishedError if the run that makes a data set is under way or was interrupted.
+
+    If there are ``findings`` about other files than the manifest, these are to be reported instead.
+    """
+    if [each.file for each in findings] != [MANIFEST_FILE]:
+        return
     manifest = job.manifest_so_far(folder)
     if manifest is not None and not manifest.complete:
         raise errors.UnfinishedError(f"{folder.address()!r} is {_not_finished(folder, manifest)}")

@@ -14,11 +14,13 @@ from .images import (
     image_size as image_size,
     IMAGE_SUFFIX as IMAGE_SUFFIX,
     ImageFormat as ImageFormat,
+    intact_size as intact_size,
     is_jpeg as is_jpeg,
     MAX_IMAGE_BYTES as MAX_IMAGE_BYTES,
     MAX_IMAGE_PIXELS as MAX_IMAGE_PIXELS,
     MEDIA_TYPE as MEDIA_TYPE,
     require_bounded_jpeg as require_bounded_jpeg,
     resized as resized,
+    upright_size as upright_size,
     with_features as with_features,
 )

@@ -11,7 +11,6 @@ from mnist3d.digit_generation import DigitGenerator, DigitSetSpec, generate
 from mnist3d.digit_options import SolidSpec, SplitSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import InputError, SpecMismatchError
-from tactile_toolkit.generation import forecast
 from tactile_toolkit.run import Part
 
 
@@ -38,14 +37,14 @@ def test_values_of_numpy_and_mappings_are_the_same_specification():
 def test_forecast_with_overwrite_names_what_would_be_replaced(folder):
     other = _spec(limit=2)
     with pytest.raises(SpecMismatchError):
-        forecast(DigitGenerator(other), folder, ("train", "test"))
+        DigitGenerator(other).forecast(folder, ("train", "test"))
     before = (folder / "manifest.json").read_bytes()
-    view = forecast(DigitGenerator(other), folder, ("train", "test"), overwrite=True)
+    view = DigitGenerator(other).forecast(folder, ("train", "test"), overwrite=True)
     assert view.replaced == {"train": 3, "test": 3}
     assert (view.rows_to_make, [entry["finished"] for entry in view.splits]) == (4, [0, 0])
     for mode in ({"part": Part(0, 2)}, {"finish": True}, {"finish": True, "check": True}):
         with pytest.raises(InputError, match="--overwrite was given with --part or --finish"):
-            forecast(DigitGenerator(other), folder, ("train", "test"), **mode, overwrite=True)
-    checked = forecast(DigitGenerator(other), folder, ("train", "test"), check=True, overwrite=True)
+            DigitGenerator(other).forecast(folder, ("train", "test"), **mode, overwrite=True)
+    checked = DigitGenerator(other).forecast(folder, ("train", "test"), check=True, overwrite=True)
     assert (checked.replaced, checked.splits) == (view.replaced, view.splits)
     assert (folder / "manifest.json").read_bytes() == before

@@ -12,7 +12,6 @@ from tactile_toolkit.catalog import PreviewSpec
 from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.exchange.upload import check_folder, collect
 from tactile_toolkit.gallery import build_site
-from tactile_toolkit.generation import forecast, generate
 from tactile_toolkit.run import Part
 from tactile_toolkit.store import open_folder, read_manifest
 from tests.gallery_files import index_of
@@ -25,27 +24,27 @@ MAKING = boxes.BoxMaking(boxes.BoxSpec(9, seed=4))
 @pytest.mark.thorough
 def test_generate_resume_parts_verify_card_load_upload_and_forecast(tmp_path: Path) -> None:
     whole = tmp_path / "whole"
-    view = forecast(MAKING, whole)
+    view = MAKING.forecast(whole)
     assert (view.rows_to_make, view.splits[0]["shards"], whole.exists()) == (9, 5, False)
-    made = generate(MAKING, whole, workers=2)
+    made = MAKING.generate(whole, workers=2)
     assert (made.complete, len(made.shards)) == (True, 5)
     assert made.split_table()["train"]["rows"] + made.split_table()["train"]["skipped"] == 9
     assert made.skipped_reasons() == {"flat": 1}
     # resume
     (whole / "data" / "train-00002-of-00005.parquet").unlink()
     told: list[int] = []
-    generate(MAKING, whole, on_progress=lambda progress: told.append(progress.total))
+    MAKING.generate(whole, on_progress=lambda progress: told.append(progress.total))
     assert told[0] == 2
     with pytest.raises(SpecMismatchError, match=r"seed is 4 there, 1 was asked for"):
-        generate(boxes.BoxMaking(boxes.BoxSpec(9, seed=1)), whole)
+        boxes.BoxMaking(boxes.BoxSpec(9, seed=1)).generate(whole)
     with pytest.raises(InputError, match="unknown split 'test'"):
-        generate(MAKING, whole, ("test",))
+        MAKING.generate(whole, ("test",))
     with pytest.raises(InputError, match=r"largest_mm of the boxes is 5.0; expected a number above 10"):
         boxes.BoxSpec(largest_mm=5.0)
     # parts
     for index in range(3):
-        generate(MAKING, tmp_path / "parts", part=Part(index, 3))
-    generate(MAKING, tmp_path / "parts", finish=True)
+        MAKING.generate(tmp_path / "parts", part=Part(index, 3))
+    MAKING.generate(tmp_path / "parts", finish=True)
     assert folder_bytes(tmp_path / "parts") == folder_bytes(whole)
     # without input
     boxes.KIND.recipe(4, 9).make(str(tmp_path / "recipe"), "train")
@@ -89,5 +88,5 @@ def test_a_forecast_reports_that_the_first_items_give_no_row(tmp_path: Path) -> 
             return [row if row.id >= self.least else Skipped(row.id, "no", f"not {row.id}") for row in rows]
 
     spec = boxes.BoxSpec(9)
-    found = forecast(Reluctant(spec), tmp_path / "set")
+    found = Reluctant(spec).forecast(tmp_path / "set")
     assert (found.rows_to_make, found.sampled, found.bytes) == (9, 0, 0)
