@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import glob
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -197,19 +197,17 @@ def _made(path: Path, page: int, stem: str, ending: str, spec: PrintSpec) -> pri
     sized = solid.sized_ink(
         str(path), None, spec.size, changes=spec.changes, which=spec.ink, threshold=spec.threshold, page=page
     )
-    part = printing.place_on_plate(solid.solid_of_ink(sized, spec.base_mm))
-    verdict = mesh.require_solid(part)
-    content = mesh.pack_mesh(part, ending, stem)
-    report, name = mesh.inspect(part, spec.profile), f"{stem}{ending}"
-    files = {name: content}
+    part = solid.solid_of_ink(sized, spec.base_mm).on_plate()
+    report = mesh.inspect(part, spec.profile)
+
+    def record(_verdict: object, size: int, state: str) -> PrintedPicture:
+        return PrintedPicture(str(path), f"{stem}{ending}", report, sized.notes, size, state)
+
+    made = printing.Made.of_solid(stem, ending, part, record)
     if spec.preview:
-        files = {f"{stem}{_PREVIEW}": _drawn(path.name, sized.mask, part, report), **files}
-    record = partial(PrintedPicture, str(path), name, report, sized.notes, len(content))
-
-    def check() -> None:
-        printing.require_same_solid(mesh.unpack_mesh(content, ending), part, verdict)
-
-    return printing.Made(files, record, check)
+        preview = {f"{stem}{_PREVIEW}": _drawn(path.name, sized.mask, part, report)}
+        made = replace(made, files={**preview, **made.files})
+    return made
 
 
 def _drawn(name: str, mask: Bool, part: mesh.Mesh, report: mesh.PrintReport) -> bytes:

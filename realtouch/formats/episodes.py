@@ -14,7 +14,7 @@ from realtouch.touches import datasets, media, poses, schema, stored_images, sto
 from realtouch.touches.schema import POSE_COLUMN
 from tactile_toolkit import errors, read, store
 from tactile_toolkit.array_types import AnyArray, Int64
-from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE
+from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE, intact_size
 
 IMAGE, STATE, ACTION, TIME = "observation.images.tactile", "observation.state", "action", "time_s"
 CONTACT = "in_contact"
@@ -151,7 +151,7 @@ class Episodes:
 
     def _require_size(self, row: stored_round.StoredRound, touch: int, image: bytes | memoryview) -> None:
         with row.naming(MEDIA_COLUMN[row.kind], touch):
-            height, width = stored_images.require_intact(image)
+            height, width = intact_size(image)
         if (height, width) != self.size:
             raise errors.InputError(
                 f"{row.path!r}, row {row.number}, touch {touch}: an image of {width} x {height} pixels; "

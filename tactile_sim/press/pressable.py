@@ -21,7 +21,7 @@ import xxhash
 from tactile_toolkit import cache, checked_fields
 from tactile_toolkit.array_types import AnyArray, Float64, Int32
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import Mesh, MeshLike, as_mesh, check_manifold, merge_equal_vertices
+from tactile_toolkit.mesh import Mesh, MeshLike, as_mesh, check_manifold
 
 # Layers of printers have 0.05 to 0.6 mm; a wrong unit gives a factor of 1,000.
 _MIN_LAYER_M, _MAX_LAYER_M = 2e-5, 2e-3
@@ -180,7 +180,7 @@ def _require_closed(mesh: Mesh) -> None:
     verdict = check_manifold(mesh)
     if verdict.problem == "not-manifold":
         # Published digits repeat corners; what counts is whether the surface is closed in space.
-        merged = Mesh(*merge_equal_vertices(np.asarray(mesh.vertices_m, np.float64), mesh.faces))
+        merged = mesh.merged()
         verdict = check_manifold(merged)
     if verdict.problem not in _HARMLESS:
         repair = "repair it, `mnist3d validate FILE` names the problem"

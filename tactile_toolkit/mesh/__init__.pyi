@@ -24,7 +24,6 @@ from .files import (
 from .mesh import (
     as_mesh as as_mesh,
     join_surfaces as join_surfaces,
-    merge_equal_vertices as merge_equal_vertices,
     Mesh as Mesh,
     MeshLike as MeshLike,
     MM_PER_M as MM_PER_M,

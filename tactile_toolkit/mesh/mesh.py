@@ -126,6 +126,25 @@ class Mesh:
         vertices_mm = np.asarray(arrays.vert_properties, np.float64)[:, :3]
         return cls(vertices_mm / MM_PER_M, np.asarray(arrays.tri_verts).astype(np.int32))
 
+    def merged(self) -> Mesh:
+        """Merge vertices with equal coordinates, in order of first appearance; float64."""
+        return Mesh(*merge_equal_vertices(np.asarray(self.vertices_m, np.float64), self.faces))
+
+    def on_plate(self, scale: float = 1.0) -> Mesh:
+        """Place the mesh on a plate without rotation: only its height above the plate changes.
+
+        Vertices with equal coordinates are merged, as solids need; ``scale`` multiplies all lengths, about
+        the origin.
+        """
+        part = Mesh(np.asarray(self.vertices_m, np.float64) * scale, np.asarray(self.faces, np.int32))
+        count = len(part.vertices_m)
+        # Faces with invalid vertex numbers are left to the check of the solid.
+        if part.faces.size and part.faces.min() >= 0 and part.faces.max() < count:
+            part = part.merged()
+        if count:
+            part.vertices_m[:, 2] -= part.vertices_m[:, 2].min()
+        return part
+
     def _corners_m(self) -> Float64:
         return self.vertices_m.astype(np.float64)[self.faces]
 

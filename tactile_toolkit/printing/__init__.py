@@ -2,9 +2,9 @@
 
 ::
 
-    choose() -> PrintObject -> export_files(): one STL, 3MF, ... each    exports.py
-       -> arrange(): positions on plates, and their maps                 plate_layouts.py
-       -> write_plates(): 3MF, map, table                                exports.py
+    export(): choose() -> PrintObject -> export_files(): one STL, 3MF, ... each    exports.py
+       -> arrange(): positions on plates, and their maps                           plate_layouts.py
+       -> write_plates(): 3MF, map, table                                          exports.py
 
 Each file is read back from disk and has to be the same solid before it gets its name (file_export.py).
 """

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import count, cycle
-from typing import TYPE_CHECKING
 
 import numpy as np
 from manifold3d import CrossSection, Manifold, OpType
@@ -21,19 +20,14 @@ from PIL import Image, ImageDraw
 from tactile_toolkit import pictures
 from tactile_toolkit.array_types import Float64
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import MM_PER_M, Mesh, pack_mesh, require_solid, unpack_mesh
+from tactile_toolkit.mesh import MM_PER_M, ManifoldCheck, Mesh, require_solid
 from tactile_toolkit.printing.file_export import (
     FileExport,
     Made,
     PrintObject,
     Product,
-    place_on_plate,
-    require_same_solid,
     write_products,
 )
-
-if TYPE_CHECKING:
-    from tactile_toolkit.mesh import ManifoldCheck
 
 PLATE_NAME = "calibration-plate"
 SHEET_FILE = "press-here.md"
@@ -115,10 +109,9 @@ class PlateFeature:
 
 @dataclass(frozen=True)
 class CalibrationPlate:
-    """The solid, metres, the result of its check, and the shapes on it."""
+    """The solid, metres, and the shapes on it."""
 
     mesh: Mesh
-    verdict: ManifoldCheck
     features: tuple[PlateFeature, ...]
 
 
@@ -161,8 +154,7 @@ def make_plate(solids: Sequence[PrintObject]) -> CalibrationPlate:
         bodies.append(body)
         features.append(feature)
     whole = Manifold.batch_boolean(bodies, OpType.Add)
-    mesh = Mesh.from_manifold(whole)
-    return CalibrationPlate(mesh, require_solid(mesh), tuple(features))
+    return CalibrationPlate(Mesh.from_manifold(whole), tuple(features))
 
 
 def _shapes() -> list[tuple[Manifold, str, str]]:
@@ -206,10 +198,10 @@ def _shapes() -> list[tuple[Manifold, str, str]]:
 
 def _placed(item: PrintObject, at_mm: tuple[float, float]) -> tuple[Manifold, PlateFeature]:
     """Return a solid in its place, smaller where it has no room, sunk into the base by a layer."""
-    mesh = place_on_plate(item.load())
+    mesh = item.on_plate()
     sides_mm = np.ptp(mesh.bounds_m, axis=0)[:2] * MM_PER_M
     scale = min(1.0, *(np.array(_SOLID_BOX_MM) / sides_mm).tolist())
-    mesh = place_on_plate(mesh, scale)
+    mesh = mesh.on_plate(scale)
     low_mm, high_mm = mesh.bounds_m * MM_PER_M
     middle = (low_mm + high_mm) / 2
     moved = (at_mm[0] - middle[0], at_mm[1] - middle[1], _BASE_MM - _SUNK_MM)
@@ -251,18 +243,15 @@ def export_calibration_plate(
 
 def _made(solids: Sequence[PrintObject], ending: str) -> Made[WrittenPlate]:
     plate = make_plate(solids)
-    content = pack_mesh(plate.mesh, ending, PLATE_NAME)
-    files = {
-        f"{PLATE_NAME}.png": _picture(plate),
-        SHEET_FILE: _sheet(plate, f"{PLATE_NAME}{ending}").encode(),
-        f"{PLATE_NAME}{ending}": content,
-    }
+    file = f"{PLATE_NAME}{ending}"
+    beside = {f"{PLATE_NAME}.png": _picture(plate), SHEET_FILE: _sheet(plate, file).encode()}
     size_mm = tuple(round(side, 3) for side in (np.ptp(plate.mesh.bounds_m, axis=0) * MM_PER_M).tolist())
     names = tuple(each.name for each in plate.features)
-    record = partial(WrittenPlate, tuple(files), size_mm, round(plate.verdict.volume_mm3, 3), names)
-    return Made(
-        files, record, lambda: require_same_solid(unpack_mesh(content, ending), plate.mesh, plate.verdict)
-    )
+
+    def record(verdict: ManifoldCheck, _bytes: int, state: str) -> WrittenPlate:
+        return WrittenPlate((*beside, file), size_mm, round(verdict.volume_mm3, 3), names, state)
+
+    return Made.of_solid(PLATE_NAME, ending, plate.mesh, record, beside)
 
 
 def _picture(plate: CalibrationPlate) -> bytes:

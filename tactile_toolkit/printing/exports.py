@@ -5,48 +5,55 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from tactile_toolkit import store
+from tactile_toolkit import read, store
 from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.mesh import (
     FORMATS,
     MM_PER_M,
     BuildItem,
+    ManifoldCheck,
     Mesh,
-    pack_mesh,
+    SolidRecord,
     read_build,
     require_solid,
-    unpack_mesh,
     write_build,
 )
+from tactile_toolkit.printing.calibration_plate import WrittenPlate, export_calibration_plate
 from tactile_toolkit.printing.file_export import (
     CHANGED,
+    FailedExport,
     FileExport,
     Made,
     PrintObject,
     Product,
     Progress,
+    choose,
     content_of,
-    place_on_plate,
     require_same_solid,
     require_scale,
     write_products,
 )
-from tactile_toolkit.printing.plate_layouts import PlateLayout, draw_map
-from tactile_toolkit.printing.print_options import MODELS, Physics
+from tactile_toolkit.printing.plate_layouts import PlateLayout, arrange, draw_map
+from tactile_toolkit.printing.print_options import MODELS, ExportOptions, Physics, PlateSpec
 from tactile_toolkit.printing.simulator import body_of, model_files, pack_mjcf
-from tactile_toolkit.wording import with_count
+from tactile_toolkit.wording import bytes_text, with_count
 
 # Meshes that a file for simulators refers to; other files next to them are never replaced.
 _MESHES = ("visual", "part-[0-9][0-9]", "part-[0-9][0-9][0-9]")
 
 TABLE_FILE = "plates.csv"
+
+_ROWS_SHOWN = 20  # more files are not listed
 
 OFF_PLATE = "off-plate"
 """Problem of a plate; the others are those of files."""
@@ -57,6 +64,131 @@ _COLUMNS = (
 )
 
 _EDGE_TOLERANCE_MM = 1e-3  # 3MF is written with nine digits, and no printer resolves a micrometre
+
+
+@dataclass(frozen=True, slots=True)
+class ExportReport:
+    """What an export did: values for JSON, objects that failed, and a table and a line for people.
+
+    ``removed`` are the plates of an earlier export that are not part of this one.
+    """
+
+    document: JsonDict
+    failed: tuple[FailedExport, ...]
+    line: str
+    header: tuple[str, ...] = ()
+    rows: tuple[tuple[object, ...], ...] = ()
+    removed: tuple[str, ...] = ()
+
+
+def export(
+    datasets: Iterable[tuple[str, read.RecordDataset[SolidRecord]]],
+    chosen: JsonObject,
+    out: str,
+    options: ExportOptions,
+    distances: Mapping[str, float],
+    material: Mapping[str, float],
+    progress: Callable[[str, str], AbstractContextManager[Progress]],
+    *,
+    overwrite: bool = False,
+    dry_run: bool = False,
+    workers: int = 1,
+) -> ExportReport:
+    """Write files for printers and simulators as ``options`` ask.
+
+    ``chosen`` are the arguments of :func:`choose`; ``distances`` and ``material`` are fields of
+    :class:`PlateSpec` and :class:`Physics`; ``progress`` shows a stage of the work and what it counts.
+    Raises as :func:`export_files` and :func:`write_plates`.
+    """
+    physics = Physics(**material)
+    ending = options.file_format
+    plate = None
+    if options.plate is not None:
+        plate = PlateSpec.parse(options.plate, **distances)
+    objects = choose(datasets, options.base_mm, **chosen)
+    doing = "checking" if dry_run else "writing"
+    if options.calibration_plate:
+        plates = export_calibration_plate(objects, out, ending or "3mf", overwrite=overwrite, dry_run=dry_run)
+        return _report_of_calibration(plates, out)
+    if plate is not None:
+        # Plates in MJCF are bodies that lie on a floor; 3MF has neither density nor friction.
+        on_floor = physics if ending == "mjcf" else None
+        with progress("measuring", "objects") as update:
+            layout = arrange(objects, plate, options.scale, on_floor, update)
+        with progress(doing, "plates") as update:
+            made = write_plates(layout, out, overwrite=overwrite, dry_run=dry_run, on_progress=update)
+        return _report_of_plates(made, f"{plate.text} to {out}", dry_run)
+    with progress(doing, "files") as update:
+        files = export_files(
+            objects,
+            out,
+            ending or "stl",
+            scale=options.scale,
+            physics=physics,
+            overwrite=overwrite,
+            dry_run=dry_run,
+            workers=workers,
+            on_progress=update,
+        )
+    return _report_of_files(files, out, f"{ending or 'stl'} files", dry_run)
+
+
+def _report_of_calibration(made: FileExport[WrittenPlate], out: str) -> ExportReport:
+    lines = []
+    for plate in made.files:
+        size = " x ".join(f"{side:g}" for side in plate.size_mm)
+        features = ", ".join(plate.features)
+        lines.append(f"{plate.state}: {', '.join(plate.files)} in {out}; {size} mm, with {features}")
+    return ExportReport(asdict(made), made.failed, "\n".join(lines))
+
+
+def _report_of_files(made: FileExport[WrittenFile], out: str, what: str, dry_run: bool) -> ExportReport:
+    rows = [
+        (
+            file.file,
+            " x ".join(f"{side:.1f}" for side in file.size_mm),
+            f"{file.volume_mm3:,.0f}",
+            file.bytes,
+            file.state,
+        )
+        for file in made.files
+        if len(made.files) <= _ROWS_SHOWN
+    ]
+    kept = _kept(made)
+    size = bytes_text(sum(file.bytes for file in made.files))
+    line = f"{with_count(len(made.files), 'files')} in {out} ({size}), each read back as a solid{kept}"
+    if dry_run:
+        count = with_count(len(made.files), what)
+        line = f"would write {count} to {out} ({size}){kept}; nothing was written"
+    header = ("file", "size mm", "volume mm³", "bytes", "")
+    return ExportReport(asdict(made), made.failed, line, header, tuple(rows))
+
+
+def _report_of_plates(made: PlateExport, where: str, dry_run: bool) -> ExportReport:
+    document = asdict(made)
+    rows = [
+        (plate.file, plate.objects, f"{plate.share:.0%}", bytes_text(plate.bytes)) for plate in made.files
+    ]
+    placed = with_count(len(made.objects), "objects")
+    plates = with_count(len(made.files), "plates")
+    line = f"wrote {placed} on {plates} of {where}{_kept(made)}; {TABLE_FILE} lists where each object lies"
+    if dry_run:
+        line = f"would write {placed} on {plates} of {where}{_kept(made)}; nothing was written"
+    return ExportReport(
+        {"plates": document.pop("files"), **document},
+        made.failed,
+        line,
+        ("plate", "objects", "share of the plate", "size"),
+        tuple(rows),
+        made.removed,
+    )
+
+
+def _kept(made: FileExport[Any]) -> str:
+    count = sum(file.state == "kept" for file in made.files)
+    if not count:
+        return ""
+    return f"; {count:,} unchanged"
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,20 +215,14 @@ class WrittenFile:
 
 def _made_file(item: PrintObject, ending: str, scale: float, physics: Physics) -> Made[WrittenFile]:
     """Make the file of an object; a model for simulators has meshes beside it."""
-    is_mesh_file = ending in FORMATS
-    mesh = place_on_plate(item.load(), scale)
-    verdict = require_solid(mesh)
-    if is_mesh_file:
-        files = {f"{item.name}{ending}": pack_mesh(mesh, ending, item.name)}
-    else:
-        files = model_files(item.name, mesh, ending, physics)
-    sides_mm = (np.ptp(mesh.bounds_m, axis=0) * MM_PER_M).tolist()
-    width_mm, depth_mm, height_mm = (round(side_mm, 3) for side_mm in sides_mm)
+    solid = item.on_plate(scale)
 
-    def record(state: str) -> WrittenFile:
+    def record(verdict: ManifoldCheck, size: int, state: str) -> WrittenFile:
+        sides_mm = (np.ptp(solid.bounds_m, axis=0) * MM_PER_M).tolist()
+        width_mm, depth_mm, height_mm = (round(side_mm, 3) for side_mm in sides_mm)
         return WrittenFile(
             name=item.name,
-            file=list(files)[-1],  # the model follows its meshes
+            file=f"{item.name}{ending}",
             split=item.split,
             label=item.label,
             id=item.id,
@@ -104,16 +230,15 @@ def _made_file(item: PrintObject, ending: str, scale: float, physics: Physics) -
             depth_mm=depth_mm,
             height_mm=height_mm,
             volume_mm3=round(verdict.volume_mm3, 3),
-            bytes=sum(map(len, files.values())),
+            bytes=size,
             state=state,
         )
 
-    def check() -> None:
-        if is_mesh_file:
-            for content in files.values():
-                require_same_solid(unpack_mesh(content, ending), mesh, verdict)
-
-    return Made(files, record, check)
+    if ending in FORMATS:
+        return Made.of_solid(item.name, ending, solid, record)
+    verdict = require_solid(solid)
+    files = model_files(item.name, solid, ending, physics)
+    return Made(files, partial(record, verdict, sum(map(len, files.values()))))
 
 
 def _product(item: PrintObject, ending: str, scale: float, physics: Physics) -> Product[WrittenFile]:
@@ -262,10 +387,7 @@ def _names(layout: PlateLayout) -> list[tuple[str, str]]:
 def _made_plate(layout: PlateLayout, number: int) -> Made[PlateFile]:
     (solid, picture) = _names(layout)[number - 1]
     plate = layout.plates[number - 1]
-    items = [
-        BuildItem(each.item.name, place_on_plate(each.item.load(), layout.scale), each.offset_mm)
-        for each in plate
-    ]
+    items = [BuildItem(each.item.name, each.item.on_plate(layout.scale), each.offset_mm) for each in plate]
     if layout.physics is None:
         content = write_build(items)
     else:

@@ -6,7 +6,7 @@ import math
 import re
 import unicodedata
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -16,7 +16,6 @@ from typing import IO, TYPE_CHECKING, Generic, TypeVar
 import numpy as np
 
 from tactile_toolkit import catalog, mesh, read, store
-from tactile_toolkit.array_types import Float64
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.json_types import JsonValue
 from tactile_toolkit.run import runner_for
@@ -55,25 +54,13 @@ class PrintObject:
     id: int
     load: Callable[[], mesh.Mesh | SolidRecord]
 
-
-def place_on_plate(surface: mesh.Mesh | SolidRecord, scale: float = 1.0) -> mesh.Mesh:
-    """Place an object on the plate without rotation: only its height above the plate changes.
-
-    Vertices with equal coordinates are merged, as solids need; ``scale`` multiplies all lengths, about the
-    origin.
-    """
-    vertices_m: Float64 = np.asarray(surface.vertices_m, np.float64) * scale
-    faces = np.asarray(surface.faces, np.int32)
-    # Faces with invalid vertex numbers are left to the check of the solid.
-    if faces.size and faces.min() >= 0 and faces.max() < len(vertices_m):
-        vertices_m, faces = mesh.merge_equal_vertices(vertices_m, faces)
-    if len(vertices_m):
-        vertices_m[:, 2] -= vertices_m[:, 2].min()
-    return mesh.Mesh(vertices_m, faces)
+    def on_plate(self, scale: float = 1.0) -> mesh.Mesh:
+        """Load the object and place it on the plate."""
+        return mesh.as_mesh(self.load()).on_plate(scale)
 
 
-def _on_plate(load: Callable[[], mesh.Mesh | SolidRecord], base_mm: float) -> mesh.Mesh:
-    return mesh.on_base_plate(place_on_plate(load()), base_mm)
+def _with_base(load: Callable[[], mesh.Mesh | SolidRecord], base_mm: float) -> mesh.Mesh:
+    return mesh.on_base_plate(mesh.as_mesh(load()).on_plate(), base_mm)
 
 
 def choose(
@@ -97,7 +84,7 @@ def choose(
             name = "-".join(part for part in (_safe(split), _safe(word), f"{number:0{_ID_DIGITS}d}") if part)
             load: Callable[[], mesh.Mesh | SolidRecord] = partial(rows.__getitem__, row)
             if base_mm is not None:
-                load = partial(_on_plate, load, base_mm)
+                load = partial(_with_base, load, base_mm)
             objects.append(PrintObject(name, split, word, number, load))
     names = Counter(item.name for item in objects)
     twice = next((name for name, count in names.items() if count > 1), None)
@@ -142,6 +129,29 @@ class Made(Generic[R]):
     files: dict[str, bytes]
     record: Callable[[str], R]
     check: Callable[[], None] = lambda: None
+
+    @classmethod
+    def of_solid(
+        cls,
+        name: str,
+        ending: str,
+        solid: mesh.Mesh,
+        record: Callable[[mesh.ManifoldCheck, int, str], R],
+        beside: Mapping[str, bytes] | None = None,
+    ) -> Made[R]:
+        """Make the file of one solid; it is read back in the check.
+
+        ``record`` takes the check of the solid, the number of bytes of the file, and the state. ``beside``
+        are further files. Raises ItemError for a mesh that bounds no solid.
+        """
+        verdict = mesh.require_solid(solid)
+        content = mesh.pack_mesh(solid, ending, name)
+
+        def check() -> None:
+            require_same_solid(mesh.unpack_mesh(content, ending), solid, verdict)
+
+        files = {**(beside or {}), f"{name}{ending}": content}
+        return cls(files, partial(record, verdict, len(content)), check)
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,6 @@ from tactile_toolkit.printing.file_export import (
     FailedExport,
     PrintObject,
     Progress,
-    place_on_plate,
     require_scale,
 )
 from tactile_toolkit.printing.print_options import Physics, PlateSpec
@@ -199,7 +198,7 @@ def arrange(
 
 
 def _measured(item: PrintObject, spec: PlateSpec, scale: float) -> PlacedObject:
-    verdict = mesh.require_solid(place_on_plate(item.load(), scale))
+    verdict = mesh.require_solid(item.on_plate(scale))
     outline = Outline.of(verdict.manifold)
     width_mm, depth_mm = outline.size_mm
     if _Plate(spec).place(width_mm, depth_mm) is None:

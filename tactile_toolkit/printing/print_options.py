@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 
-from tactile_toolkit.checked_fields import check_fields, real
+from tactile_toolkit.checked_fields import check_fields, choice, real, switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import did_you_mean
 
@@ -29,6 +30,73 @@ _PLATE_TEXT = re.compile(r"(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)")
 
 MODELS = {"mjcf": ".xml", "urdf": ".urdf", "usd": ".usda"}
 """Formats of bodies for simulators, and the endings of their files."""
+
+
+@dataclass(frozen=True, slots=True)
+class ExportOptions:
+    """Format and scale of exported files, and the size of build plates."""
+
+    file_format: str | None = choice(
+        None,
+        ("stl", "3mf", "ply", "obj", "glb", *MODELS, "flat"),
+        optional=True,
+        name="--format",
+        shown="stl, plates 3mf",
+        help="Format of the files, in mm (glb, mjcf, urdf, usd: in m); plates are 3mf or mjcf. flat: "
+        "Parquet tables with a row for each object, its mesh as GLB.",
+    )
+    scale: float = real(1.0, help="Factor for all lengths.")
+    base_mm: float | None = real(
+        None,
+        above=0,
+        optional=True,
+        help="Put the upper half of each object on a base plate of this thickness, which prints without "
+        "support.",
+    )
+    plate: str | None = text(
+        metavar="256x256|prusa-mk4",
+        complete=tuple(BEDS_MM),
+        help="Pack the objects on build plates of this size, in mm, or of this printer.",
+    )
+    calibration_plate: bool = switch(
+        False,
+        help="Write one plate with a ball, a cone, a ridge, steps and two objects, onto which a sensor is "
+        "pressed for `tactile-sim calibrate`.",
+    )
+
+    def refuse_without_effect(self, distances: Iterable[str], material: Iterable[str]) -> None:
+        """Raise InputError for options that would have no effect; the arguments are names of options."""
+        if self.file_format == "flat":
+            names = [*distances, *material]
+            if self.scale != 1:
+                names.append("scale")
+            if self.base_mm is not None:
+                names.append("base_mm")
+            _refuse(names, "applies to mesh files, not to flat tables of the stored meshes", "leave it out")
+        elif self.file_format not in MODELS:
+            _refuse(material, "applies to bodies for simulators only", "add --format mjcf, urdf or usd")
+        if self.plate is None:
+            _refuse(distances, "applies to build plates only", "add --plate 256x256")
+        elif self.file_format not in (None, "3mf", "mjcf"):
+            _refuse(["plate"], "applies to 3mf and mjcf only, which hold named objects", "add --format 3mf")
+        if not self.calibration_plate:
+            return
+        if self.file_format == "flat" or self.file_format in MODELS:
+            raise InputError(
+                f"--format is {self.file_format!r}; expected 3mf, stl, ply, obj or glb for the plate for "
+                "calibration, which is printed"
+            )
+        if self.plate is not None or self.scale != 1 or self.base_mm is not None:
+            raise InputError(
+                "the plate for calibration has a size of its own",
+                next="leave out --plate, --scale and --base-mm",
+            )
+
+
+def _refuse(names: Iterable[str], why: str, instead: str) -> None:
+    """Raise InputError for the first of the options, if there is one."""
+    for name in names:
+        raise InputError(f"--{name.replace('_', '-')} {why}", next=instead)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,11 +135,6 @@ class PlateSpec:
             )
         sides_mm = BEDS_MM[text] if match is None else (float(match[1]), float(match[2]))
         return cls(*sides_mm, corner_mm=_CORNERS_MM.get(text, (0.0, 0.0)), **distances)
-
-    @staticmethod
-    def printers() -> tuple[str, ...]:
-        """Return the names of printers whose plates are known."""
-        return tuple(BEDS_MM)
 
     @property
     def text(self) -> str:

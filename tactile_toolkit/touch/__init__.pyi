@@ -18,6 +18,7 @@ from .images import (
     image_size as image_size,
     IMAGE_SUFFIX as IMAGE_SUFFIX,
     ImageFormat as ImageFormat,
+    intact_size as intact_size,
     is_jpeg as is_jpeg,
     Kind as Kind,
     MAX_IMAGE_BYTES as MAX_IMAGE_BYTES,
@@ -26,5 +27,6 @@ from .images import (
     MEDIA_TYPE as MEDIA_TYPE,
     require_bounded_jpeg as require_bounded_jpeg,
     resized as resized,
+    upright_size as upright_size,
     with_features as with_features,
 )

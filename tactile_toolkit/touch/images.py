@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import re
+import struct
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import Literal
@@ -38,6 +39,10 @@ IMAGE_SUFFIX: dict[ImageFormat, str] = {"jpeg": "jpg", "png": "png"}
 """File name suffix of each format."""
 _SCAN_START = re.compile(b"\xff\xda")
 _JPEG_START = b"\xff\xd8\xff"
+_JPEG_END = b"\xff\xd9"
+_APP1 = b"\xff\xe1"  # these bytes never occur within coded pixels
+_ORIENTATION = 0x0112
+_TURNED = range(2, 9)
 
 # Pillow modes whose values are clipped at 255 on conversion to RGB.
 _DEEP_MODES = ("I", "I;16", "I;16B", "I;16L", "I;16N", "F")
@@ -72,6 +77,45 @@ def image_size(data: memoryview | bytes) -> tuple[int, int]:
     if height * width > MAX_IMAGE_PIXELS:
         raise ValueError(f"an image of {width} x {height} pixels; the limit is {MAX_IMAGE_PIXELS:,} pixels")
     return height, width
+
+
+def intact_size(data: bytes | memoryview) -> tuple[int, int]:
+    """Return height and width of an image, after a check of its beginning and end.
+
+    The pixels of a JPEG are not decoded, which would take longer than all other work, unless bytes follow the
+    mark of its end: cameras send whole buffers, and encoders of clips pad to even lengths. Raises ValueError
+    if the image is damaged.
+    """
+    size = image_size(data)
+    if not is_jpeg(data):
+        decode_image(data)
+    elif bytes(data[-2:]) != _JPEG_END and not bytes(data[-16:]).rstrip(b"\0").endswith(_JPEG_END):
+        try:
+            decode_image(data)
+        except ValueError as error:
+            raise ValueError(
+                f"an image of {len(data):,} bytes without the mark of its end; expected a whole JPEG"
+            ) from error
+    return size
+
+
+def upright_size(data: bytes) -> tuple[int, int]:
+    """Return height and width of an intact image; ValueError if Exif or XMP data ask readers to turn it."""
+    size = intact_size(data)
+    if is_jpeg(data) and _APP1 not in data:
+        return size  # JPEGs have both in such a segment, and opening an image takes a while
+    orientation = None
+    # Data that cannot be read do not turn the image.
+    with (
+        suppress(OSError, SyntaxError, ValueError, TypeError, struct.error),
+        Image.open(io.BytesIO(data), formats=["JPEG", "PNG", "WEBP"]) as image,
+    ):
+        orientation = image.getexif().get(_ORIENTATION)
+    if orientation in _TURNED:
+        raise ValueError(
+            "its Exif or XMP data ask to turn it, which some readers do; expected an upright image"
+        )
+    return size
 
 
 def require_bounded_jpeg(data: memoryview | bytes) -> None:

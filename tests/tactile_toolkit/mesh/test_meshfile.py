@@ -14,11 +14,11 @@ from tactile_toolkit.mesh import (
     FORMATS,
     Mesh,
     inspect,
-    merge_equal_vertices,
     read_mesh,
     unpack_mesh,
     write_mesh,
 )
+from tactile_toolkit.mesh.mesh import merge_equal_vertices
 
 CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
 

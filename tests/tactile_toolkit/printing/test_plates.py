@@ -21,7 +21,6 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import BuildItem, Mesh, check_manifold, read_build, write_build
 from tactile_toolkit.pictures import draw_text, text_size
 from tactile_toolkit.printing import PlateSpec, PrintObject, arrange, write_plates
-from tactile_toolkit.printing.file_export import place_on_plate
 from tactile_toolkit.printing.plate_layouts import PlacedObject, PlateLayout, draw_map
 from tactile_toolkit.printing.print_options import BEDS_MM
 from tests.tactile_toolkit.printing.solids import box, ell, mesh_of, named, ring
@@ -37,7 +36,7 @@ def lay_out(objects: list[PrintObject], spec: PlateSpec, scale: float = 1.0) -> 
 
 
 def solid_of(placed: PlacedObject) -> Any:
-    return place_on_plate(placed.item.load()).to_manifold().translate(placed.offset_mm)
+    return placed.item.on_plate().to_manifold().translate(placed.offset_mm)
 
 
 def require_apart(solids: list[Any], gap_mm: float) -> None:
@@ -81,7 +80,7 @@ def test_objects_keep_the_gap_the_pose_and_to_the_plate(
         assert middle_mm == pytest.approx((spec.width_mm / 2, spec.depth_mm / 2), abs=1e-6)
     for item, shape in ((item, shapes[item.item.id]) for item in placed):
         # Moved, neither turned nor mirrored.
-        moved = np.asarray(place_on_plate(item.item.load()).vertices_m)
+        moved = np.asarray(item.item.on_plate().vertices_m)
         assert moved - moved[0] == pytest.approx(shape.vertices_m - shape.vertices_m[0], abs=1e-12)
 
 

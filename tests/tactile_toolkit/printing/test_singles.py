@@ -12,7 +12,7 @@ from tactile_toolkit.catalog.row_options import id_range, id_text, parse_ids
 from tactile_toolkit.errors import InputError, ItemError, StorageError
 from tactile_toolkit.mesh import FORMATS, Mesh, check_manifold, read_mesh, require_solid
 from tactile_toolkit.printing import export_files
-from tactile_toolkit.printing.file_export import place_on_plate, require_same_solid
+from tactile_toolkit.printing.file_export import require_same_solid
 from tests.tactile_toolkit.printing.solids import box, ell, named, open_box, ring
 from tests.tactile_toolkit.toy import folder_bytes
 
@@ -64,7 +64,7 @@ def test_a_solid_that_the_format_cannot_hold_leaves_no_file(tmp_path: Path) -> N
     """Far from the origin, corners of a small solid coincide in single precision."""
     small = box(0.05, 0.05, 0.05)
     away = Mesh(small.vertices_m + np.array([5_000.0, 0.0, 0.0]), small.faces)
-    assert check_manifold(place_on_plate(away)).problem is None
+    assert check_manifold(away.on_plate()).problem is None
     made = export_files(named([away, box(5, 5)]), str(tmp_path), "stl")
     assert [path.name for path in tmp_path.iterdir()] == ["test-1-00001.stl"]
     (failure,) = made.failed
