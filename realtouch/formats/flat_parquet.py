@@ -129,10 +129,9 @@ class ForeignParquet:
         self.place = home.address(path)
         with _named_values(self.place):
             source = self.place if home.is_local else home.open(path)
-            self._file = store.open_checked(source)
+            self._file = store.open_checked(source, checks_columns=True)
             schema = read.supported_table(self._file.schema_arrow.empty_table()).schema
             metadata = self._file.metadata
-            store.require_sound_columns(source, metadata, range(metadata.num_row_groups))
             groups = list(map(metadata.row_group, range(metadata.num_row_groups)))
             self._chunks = [_chunks(group) for group in groups]
         self.types: dict[str, pa.DataType] = dict(zip(schema.names, schema.types, strict=True))
