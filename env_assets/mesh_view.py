@@ -5,12 +5,11 @@ from __future__ import annotations
 import contextlib
 import logging
 import math
-import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from os import PathLike
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh import MM_PER_M, Mesh, MeshFile, SolidRecord, find_mesh_files
-from tactile_toolkit.read import AnyRecords, RecordDataset, picks_several, positions
+from tactile_toolkit.read import LazySequence, RecordDataset
 
 if TYPE_CHECKING:
     import trimesh
@@ -61,7 +60,7 @@ _MESHES = MemoryCache[LazyMesh, "trimesh.Trimesh"](64)
 
 
 @dataclass(frozen=True, eq=False)
-class MeshView(Sequence[MeshRecord]):
+class MeshView(LazySequence[MeshRecord, "MeshView"]):
     """A sequence of records of meshes, with their classes and measures.
 
     Attributes
@@ -74,12 +73,15 @@ class MeshView(Sequence[MeshRecord]):
         Whether each mesh is turned onto its broadest side when it is read (``flat_turn``).
     """
 
+    thing = "mesh"
+    things = "meshes"
+
     records: Sequence[MeshRecord]
     label_names: tuple[str, ...]
     flat: bool = False
 
     @classmethod
-    def of(cls, meshes: MeshView | AnyRecords) -> MeshView:
+    def of(cls, meshes: MeshView | RecordDataset[Any]) -> MeshView:
         """Return a view of a data set of meshes; a view as it is."""
         if isinstance(meshes, MeshView):
             return meshes
@@ -88,20 +90,18 @@ class MeshView(Sequence[MeshRecord]):
     def __len__(self) -> int:
         return len(self.records)
 
-    @overload
-    def __getitem__(self, key: int) -> MeshRecord: ...
-    @overload
-    def __getitem__(self, key: slice | Sequence[int] | AnyArray) -> MeshView: ...
-    def __getitem__(self, key: Any) -> MeshRecord | MeshView:
-        """Return a record (int), or a view of some of them (slice, ints, mask)."""
-        if not picks_several(key):
-            record = self.records[operator.index(key)]
-            if self.flat:
-                return LazyMesh(record.id, record.label, partial(_laid_flat, record))
-            return record
+    def _item(self, index: int) -> MeshRecord:
+        record = self.records[index]
+        if self.flat:
+            return LazyMesh(record.id, record.label, partial(_laid_flat, record))
+        return record
+
+    def _several(self, index: Any) -> MeshView:
+        chosen: Sequence[MeshRecord]
         if isinstance(self.records, RecordDataset):
-            return MeshView(self.records[key], self.label_names, self.flat)
-        chosen = [self.records[row] for row in positions(key, len(self)).tolist()]
+            chosen = self.records[index]
+        else:
+            chosen = [self.records[row] for row in self.checked_indices(index)]
         return MeshView(chosen, self.label_names, self.flat)
 
     def column(self, name: str) -> AnyArray:
@@ -133,7 +133,7 @@ class PlannedView(MeshView):
     were not made when it was planned, which take about ``left_s`` seconds on one core.
     """
 
-    finished: Callable[[], AnyRecords | None] = lambda: None
+    finished: Callable[[], RecordDataset[Any] | None] = lambda: None
     left: int = 0
     left_s: float = 0.0
 

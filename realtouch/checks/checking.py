@@ -119,7 +119,7 @@ def _placed_rows(
         starts = dict(
             zip((shard.path for shard in shards), np.cumsum([0, *map(len, shards)]).tolist(), strict=False)
         )
-        for found in verification.readable_rows(read.row_groups(shards)):
+        for found in verification.readable_rows(shards):
             if isinstance(found, damage.Damage):
                 number = starts[found.file] + (found.row or 0)
                 damaged.append(

@@ -22,7 +22,7 @@ from realtouch.touches import media, schema, stored_round
 from realtouch.touches.poses import Poses
 from tactile_toolkit.array_types import Float32, Float64
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.touch import MEDIA_COLUMN, decode_image
+from tactile_toolkit.touch import decode_image
 
 GEL_PICTURES = 32
 """Pictures of a section whose median shows its bare gel; at each pixel, fewer than half have contact."""
@@ -115,7 +115,7 @@ def _describe(stored: stored_round.StoredRound, at: rules.Spot) -> RoundSeen:
 
 def _with_bytes(stored: stored_round.StoredRound, at: rules.Spot, section: Section) -> list[rules.Spot]:
     """Return the touches of a round with stored pictures; the others are added to the faults."""
-    column = stored.group.nested(MEDIA_COLUMN[stored.kind])
+    column = stored.group.nested(stored.media_column)
     start, stop = column.inside(0, stored.index, stored.index + 1)
     stored_bytes = [column.values[index] for index in range(start, stop)]
     spots = [at._replace(touch=touch) for touch in range(stored.touch_total())]

@@ -18,12 +18,12 @@ from realtouch.video import avi
 from tactile_toolkit import errors, kind, places, read, store, touch
 from tactile_toolkit.array_types import Float32, UInt8
 from tactile_toolkit.json_types import JsonDict
-from tactile_toolkit.touch import MAX_IMAGE_PIXELS, MEDIA_COLUMN, MEDIA_TYPE, Kind, encode_image, resized
+from tactile_toolkit.touch import MAX_IMAGE_PIXELS, MEDIA_TYPE, encode_image, resized
 
 _CONTACT_FRAME_ROWS = 16
 _POSE, _POSE_SEQUENCE = schema.POSE_COLUMN["single"], schema.POSE_COLUMN["seq"]
 _WIDTHS = {"position": 3, "quaternion": 4}
-_SUFFIX: dict[Kind, str] = {"seq": "avi", "single": "jpg"}
+_SUFFIX: dict[schema.Kind, str] = {"seq": "avi", "single": "jpg"}
 
 # Further columns of pixel coordinates, and the middle of the first pixel in them; 0 for a motion.
 _MIDDLE_OF_FIRST_PX = {"marker_positions_px": 0.5, "marker_flow_px": 0.0}
@@ -238,7 +238,7 @@ class ResizeMedia:
         else:
             sizes = [clip.size for clip in media.SensorClips(row)]
             blobs = [self._clip(clip) for clip in media.SensorClips(row)]
-        made = {MEDIA_COLUMN[kind]: stored_images.numbered_media(blobs, _SUFFIX[kind])}
+        made = {row.media_column: stored_images.numbered_media(blobs, _SUFFIX[kind])}
         for name in filter(row.has, (media.DEPTH, media.DEPTH_ERROR)):
             maps = [media.encode_map(self._map(each)) for each in media.DepthMaps(row, name)]
             made[name] = stored_images.numbered_media(maps, media.SUFFIX)

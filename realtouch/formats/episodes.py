@@ -14,7 +14,7 @@ from realtouch.touches import datasets, media, poses, schema, stored_images, sto
 from realtouch.touches.schema import POSE_COLUMN
 from tactile_toolkit import errors, read, store
 from tactile_toolkit.array_types import AnyArray, Int64
-from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE
+from tactile_toolkit.touch import MEDIA_TYPE, intact_size
 
 IMAGE, STATE, ACTION, TIME = "observation.images.tactile", "observation.state", "action", "time_s"
 CONTACT = "in_contact"
@@ -150,8 +150,8 @@ class Episodes:
             yield touch, list(map(clip.encoded, range(len(clip)))), columns
 
     def _require_size(self, row: stored_round.StoredRound, touch: int, image: bytes | memoryview) -> None:
-        with row.naming(MEDIA_COLUMN[row.kind], touch):
-            height, width = stored_images.require_intact(image)
+        with row.naming(row.media_column, touch):
+            height, width = intact_size(image)
         if (height, width) != self.size:
             raise errors.InputError(
                 f"{row.path!r}, row {row.number}, touch {touch}: an image of {width} x {height} pixels; "
@@ -325,7 +325,7 @@ def extra_columns_of(shards: Sequence[read.Shard]) -> tuple[ExtraColumn, ...]:
 def _widths(shards: Iterable[read.Shard], stored: str) -> tuple[int, bool]:
     """Return the length of the first vector of a column, or 0, and whether values are missing."""
     width, has_gaps = 0, False
-    for block in read.all_blocks(shards, [stored]):
+    for block in read.ShardedTable(tuple(shards)).blocks([stored]):
         column = block.nested(stored)
         has_gaps = has_gaps or column.nulls > 0
         last = column.levels[-1]

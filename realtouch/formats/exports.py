@@ -14,7 +14,7 @@ from realtouch import contact, convert, touch_options
 from realtouch.touches import rounds, stored_images, stored_round
 from realtouch.touches.schema import POSE_COLUMN
 from tactile_toolkit import errors, kind, places, store
-from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE
+from tactile_toolkit.touch import MEDIA_TYPE, intact_size
 
 ExportLayout = Literal["flat", "webdataset", "lerobot", "oxt", "replay", "fota", "anytouch"]
 EXPORTS = {
@@ -194,9 +194,9 @@ class _Touches:
         for each in shown:
             images.append(each.stored)
             try:
-                stored_images.require_intact(images[-1])
+                intact_size(images[-1])
             except ValueError:
-                with row.naming(MEDIA_COLUMN[row.kind], each.touch, where.format(each.frame)):
+                with row.naming(row.media_column, each.touch, where.format(each.frame)):
                     raise
         columns["id"] = [rounds.touch_id(name, each.touch) for each in shown]
         stem = convert.stem_of_id(name)

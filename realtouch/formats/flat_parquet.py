@@ -12,7 +12,8 @@ import pyarrow as pa
 
 from realtouch import importing
 from realtouch.formats import exports
-from tactile_toolkit import cache, errors, read, store, touch
+from realtouch.touches import schema as stored_schema
+from tactile_toolkit import cache, errors, read, store
 from tactile_toolkit.columns import column_types
 from tactile_toolkit.json_types import JsonDict
 
@@ -51,7 +52,7 @@ def _parquet(home: store.DataFolder) -> list[str]:
 
 def _picture_column(parquet: ForeignParquet, name: str) -> str:
     """Return the column of pictures: the named or the only one; InputError if there is no such column."""
-    for stored in touch.MEDIA_COLUMN.values():
+    for stored in stored_schema.MEDIA_COLUMN.values():
         # In a data set of touches, it is a list with an entry for each touch.
         if stored in parquet.types and not is_picture(parquet.types[stored]):
             raise errors.InputError(
@@ -128,9 +129,9 @@ class ForeignParquet:
         self.place = home.address(path)
         with _named_values(self.place):
             source = self.place if home.is_local else home.open(path)
-            self._file = store.open_checked(source)
-            schema, metadata = read.supported_schema(self._file.schema_arrow), self._file.metadata
-            store.require_sound_columns(source, metadata, range(metadata.num_row_groups))
+            self._file = store.open_checked(source, checks_columns=True)
+            schema = read.supported_table(self._file.schema_arrow.empty_table()).schema
+            metadata = self._file.metadata
             groups = list(map(metadata.row_group, range(metadata.num_row_groups)))
             self._chunks = [_chunks(group) for group in groups]
         self.types: dict[str, pa.DataType] = dict(zip(schema.names, schema.types, strict=True))

@@ -28,7 +28,6 @@ from realtouch.importing import (
     source_touches,
 )
 from realtouch.touch_options import Alignment
-from realtouch.touches import stored_images
 from tactile_toolkit import errors, store, touch, wording
 from tactile_toolkit.columns import units
 from tactile_toolkit.json_types import JsonDict, JsonValue
@@ -363,7 +362,7 @@ def _sizes(
     for content, place in zip(read(places), places, strict=True):
         if isinstance(content, bytes):
             with suppress(ValueError):
-                sizes[stored_images.require_intact(content)] += counts.get(place, 1)
+                sizes[touch.intact_size(content)] += counts.get(place, 1)
     return sizes
 
 

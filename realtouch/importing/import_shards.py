@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -16,14 +16,20 @@ from realtouch import contact, touch_options
 from realtouch.importing import fields, import_columns, import_sources, source_formats, source_touches
 from realtouch.importing.fields import extra_arrays, extra_types
 from realtouch.touches import schema as stored_schema, stored_images
-from realtouch.touches.schema import POSE_COLUMN
+from realtouch.touches.schema import MEDIA_COLUMN, POSE_COLUMN, Kind
 from realtouch.touches.stored_images import media_array
 from realtouch.video import avi
 from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import AnyArray, Float64, Int64, UInt8
 from tactile_toolkit.columns import column_types
 from tactile_toolkit.errors import ItemError
-from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE, Kind, decode_image, is_jpeg, with_features
+from tactile_toolkit.touch import (
+    MEDIA_TYPE,
+    decode_image,
+    is_jpeg,
+    upright_size,
+    with_features,
+)
 
 NOT_IMPORTED = "not_imported"
 """Key of the statistics of an import: number of touches of each field that was not imported."""
@@ -32,17 +38,14 @@ _PIECE_BYTES = 32 << 20
 _SAME_M = 1e-9
 
 
-def _digested(
-    contents: Iterable[bytes | errors.ItemError], digest: Any
-) -> Iterator[bytes | errors.ItemError]:
-    """Yield contents and add each to a digest."""
+def _add_contents(digest: Any, contents: Iterable[bytes | errors.ItemError]) -> None:
+    """Add the pictures of touches to a digest."""
     for content in contents:
         if isinstance(content, errors.ItemError):
             digest.update(b"unreadable\n")
         else:
             digest.update(b"%d\n" % len(content))
             digest.update(content)
-        yield content
 
 
 class _TouchFields(NamedTuple):
@@ -79,7 +82,7 @@ class ImportTouches:
     def digest(self, touches: source_touches.FoundTouches) -> str:
         """Read the images of touches and return the checksum of them all."""
         found = hashlib.sha256()
-        deque(_digested(self._contents(touches), found), maxlen=0)
+        _add_contents(found, self._contents(touches))
         return found.hexdigest()
 
     @store.without_collecting()
@@ -89,9 +92,9 @@ class ImportTouches:
         tables, skipped = [self.schema.empty_table()], list[store.Skipped]()
         notes, others = Counter[str](), Counter[str]()
         extras, said = extras_in(self.schema), self._read_fields(touches)
-        contents = _digested(self._contents(touches), digest)
+        contents = self._contents(touches)
         for rows in _pieces(touches):
-            stored, problems = self._stored(touches, rows, said, contents)
+            stored, problems = self._stored(touches, rows, said, contents, digest)
             tables.append(table_of_touches(stored, self.columns, self.schema))
             notes.update(note for clip in stored.clips for note in clip.notes)
             others.update(fields.not_kept(stored.touches, self.columns, extras))
@@ -170,6 +173,7 @@ class ImportTouches:
         rows: Int64,
         said: _TouchFields,
         contents: Iterator[bytes | errors.ItemError],
+        digest: Any,
     ) -> tuple[StoredTouches, dict[int, errors.ItemError]]:
         """Read the pictures of touches of whole rounds; also return problems, by index in ``rows``."""
         piece = touches.take(rows)
@@ -178,6 +182,7 @@ class ImportTouches:
         problems: dict[int, errors.ItemError] = {}
         for place in np.flatnonzero(piece.is_usable).tolist():
             pictures = list(islice(contents, max(1, frames[place])))
+            _add_contents(digest, pictures)
             try:
                 size = self._size(pictures, is_clip=frames[place] > 0)
                 if numbers[place] in said.problems:
@@ -199,14 +204,27 @@ class ImportTouches:
 
     def _size(self, pictures: Sequence[bytes | errors.ItemError], *, is_clip: bool) -> tuple[int, int]:
         """Return the size of pictures; ItemError if one is damaged, not upright or of another size."""
-        size = self.image_size
+        common = self.image_size
         for number, picture in enumerate(pictures):
             try:
-                size = stored_images.upright_size(picture, size)
+                if isinstance(picture, errors.ItemError):
+                    raise picture
+                size = upright_size(picture)
+            except ValueError as error:
+                problem = errors.ItemError("image", str(error))
             except errors.ItemError as error:
-                where = f"picture {number}: " if is_clip else ""
-                raise errors.ItemError(error.reason, f"{where}{error.message}") from error
-        return size or (0, 0)
+                problem = error
+            else:
+                if common in (None, size):
+                    common = size
+                    continue
+                found = f"{size[1]} x {size[0]} pixels"
+                problem = errors.ItemError(
+                    "size", f"{found}; expected {common[1]} x {common[0]} as most images"
+                )
+            where = f"picture {number}: " if is_clip else ""
+            raise errors.ItemError(problem.reason, f"{where}{problem.message}") from problem
+        return common or (0, 0)
 
 
 def _pieces(touches: source_touches.FoundTouches) -> Iterator[Int64]:
@@ -392,11 +410,13 @@ def clip_of(
     if time_s is None:
         time_s = np.arange(len(pictures)) / FRAMES_PER_SECOND
         notes.append(f"times of {FRAMES_PER_SECOND:g} pictures a second, as none are known")
+    jpegs = pictures
     if not all(map(is_jpeg, pictures)):
         notes.append("pictures encoded as JPEG")
+        jpegs = list(map(stored_images.as_jpeg, pictures))
     step_s = float(np.median(np.diff(time_s))) if len(pictures) > 1 else 0.0
     fps = min(max(1 / step_s, _RATES[0]), _RATES[1]) if step_s > 0 else FRAMES_PER_SECOND
-    jpegs, contact = list(map(stored_images.as_jpeg, pictures)), touches.where["contact"][row].as_py()
+    contact = touches.where["contact"][row].as_py()
     if contact is None:  # from the pictures as they are stored, so that a copy gives the same
         contact, is_found = contact_by_pictures(jpegs, size)
         notes.append("contact found by the pictures" if is_found else "no contact found: the best picture")

@@ -6,7 +6,7 @@ import os
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import cache, partial
-from itertools import chain, groupby, repeat
+from itertools import chain, groupby, islice, repeat
 from typing import IO, NamedTuple
 
 import pyarrow as pa
@@ -26,6 +26,7 @@ NUMBERED = "label"
 
 # Images that are requested from a store at a time: images are small, so latency dominates.
 _REMOTE_READERS = 16
+_AT_ONCE = 16  # pictures of a file that are read together
 _CURRENT_FOLDER = re.compile(r"^(?:\./+)+")
 _DIGITS = re.compile(r"([0-9]{1,18})")
 
@@ -202,13 +203,17 @@ def pictures_by_file(
     for _, group in groupby(places, key=lambda place: (*place.file, place.part, bool(place.frames))):
         of_file = list(group)
         numbers = [place.start + each for place in of_file for each in range(max(1, place.frames))]
-        left = len(numbers)
+        some, left = list[bytes | errors.ItemError](), len(numbers)
         try:
-            for picture in read(of_file[0], numbers):
-                left -= 1
-                yield picture
+            pictures = read(of_file[0], numbers)
+            for _ in range(0, len(numbers), _AT_ONCE):
+                some = []
+                some.extend(islice(pictures, _AT_ONCE))  # keeps those before an error
+                left -= len(some)
+                yield from some
         except errors.ItemError as error:
-            yield from repeat(error, left)
+            yield from some
+            yield from repeat(error, left - len(some))
 
 
 def contents_of(places: Iterable[source_touches.PicturePlace]) -> Iterator[bytes | errors.ItemError]:

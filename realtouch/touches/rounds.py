@@ -275,13 +275,13 @@ class TouchSeqRound(TouchRound):
             The frames of :attr:`realtouch.TouchClip.contact_window` of each touch; views of one array.
         """
         clips = self.sensor_video
-        wanted = read.positions(touches, len(clips))
-        windows = [media.contact_windows(self.row, touch)[0] for touch in wanted.tolist()]
+        wanted = clips.checked_indices(touches)
+        windows = [media.contact_windows(self.row, touch)[0] for touch in wanted]
         counts = [window.stop - window.start for window in windows]
         pixels = clips.room(sum(counts))
         frames = [frame for window in windows for frame in range(window.start, window.stop)]
-        owners = np.repeat(wanted, counts)
-        media.decode_frames(clips, owners.tolist(), frames, pixels, _cores(threads))
+        owners = np.repeat(wanted, counts).tolist()
+        media.decode_frames(clips, owners, frames, pixels, _cores(threads))
         return tuple(np.split(pixels, np.cumsum(counts)))[: len(counts)]
 
 

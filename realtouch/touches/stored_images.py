@@ -1,46 +1,18 @@
-"""Stored images: checks, file names, and encoding where a reader needs JPEG."""
+"""Stored images: columns with file names, and encoding where a reader needs JPEG."""
 
 from __future__ import annotations
 
-import io
-import struct
 from collections.abc import Sequence
 
 import numpy as np
 import pyarrow as pa
-from PIL import Image
 
 from realtouch.contact import median_in_memory
 from tactile_toolkit.array_types import UInt8
-from tactile_toolkit.errors import InputError, IntegrityError, ItemError
+from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.touch import MEDIA_TYPE, decode_image, encode_image, image_size, is_jpeg
 
-_JPEG_END = b"\xff\xd9"
 _ENDINGS = {b"\xff\xd8": "jpg", b"\x89P": "png"}
-
-_ORIENTATION = 0x0112
-_TURNED = range(2, 9)
-_APP1 = b"\xff\xe1"  # these bytes never occur within coded pixels
-
-
-def require_intact(data: bytes | memoryview) -> tuple[int, int]:
-    """Return height and width of an image, after a check of its beginning and end.
-
-    The pixels of a JPEG are not decoded, which would take longer than all other work, unless bytes follow the
-    mark of its end: cameras send whole buffers, and encoders of clips pad to even lengths. Raises ValueError
-    if the image is damaged.
-    """
-    size = image_size(data)
-    if not is_jpeg(data):
-        decode_image(data)
-    elif bytes(data[-2:]) != _JPEG_END and not bytes(data[-16:]).rstrip(b"\0").endswith(_JPEG_END):
-        try:
-            decode_image(data)
-        except ValueError as error:
-            raise ValueError(
-                f"an image of {len(data):,} bytes without the mark of its end; expected a whole JPEG"
-            ) from error
-    return size
 
 
 def media_array(contents: Sequence[bytes | memoryview], names: Sequence[str]) -> pa.Array:
@@ -91,34 +63,3 @@ def background_of(images: Sequence[bytes | memoryview], names: Sequence[str]) ->
         )
     pixels = [decoded(image, name) for image, name in zip(images, names, strict=True)]
     return encode_image(median_in_memory(np.stack(pixels)))
-
-
-def upright_size(picture: bytes | ItemError, expected: tuple[int, int] | None) -> tuple[int, int]:
-    """Return the size of a picture; ItemError unless it is intact, upright and of the expected size."""
-    if isinstance(picture, ItemError):
-        raise picture
-    try:
-        size = require_intact(picture)
-    except ValueError as error:
-        raise ItemError("image", str(error)) from error
-    if _is_turned(picture):
-        raise ItemError(
-            "image", "its Exif or XMP data ask to turn it, which some readers do; expected an upright image"
-        )
-    if expected is not None and size != expected:
-        (height, width), (common_height, common_width) = size, expected
-        raise ItemError(
-            "size", f"{width} x {height} pixels; expected {common_width} x {common_height} as most images"
-        )
-    return size
-
-
-def _is_turned(image: bytes) -> bool:
-    """Return whether Exif or XMP data ask readers to turn the image."""
-    if is_jpeg(image) and _APP1 not in image:
-        return False  # JPEGs have both in such a segment, and opening an image takes a while
-    try:
-        with Image.open(io.BytesIO(image), formats=["JPEG", "PNG", "WEBP"]) as opened:
-            return opened.getexif().get(_ORIENTATION) in _TURNED
-    except (OSError, SyntaxError, ValueError, TypeError, struct.error):
-        return False  # such data do not turn the image

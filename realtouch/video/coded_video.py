@@ -19,11 +19,11 @@ import numpy as np
 from av import Packet, VideoFrame
 from av.video.stream import VideoStream
 
-from realtouch.video.video_files import CUT_SHORT, MAX_PICTURES, Video, kept_jpeg, seconds_of
+from realtouch.video.video_files import CUT_SHORT, MAX_PICTURES, TOO_LARGE, Video, seconds_of
 from tactile_toolkit import wording
 from tactile_toolkit.array_types import Int64
 from tactile_toolkit.errors import ItemError
-from tactile_toolkit.touch import MAX_IMAGE_PIXELS, ImageFormat, encode_image
+from tactile_toolkit.touch import MAX_IMAGE_BYTES, MAX_IMAGE_PIXELS, ImageFormat, encode_image
 
 _LOSSLESS = ("ffv1", "ffvhuff", "huffyuv", "magicyuv", "png", "qtrle", "rawvideo", "utvideo")
 _LOSSY = (
@@ -265,7 +265,8 @@ class _Reader:
             if frame is None or frame.pts != wanted or frame.is_corrupt:
                 yield ItemError("frame", _LOST)
             elif self.is_kept:
-                yield kept_jpeg(bytes(cast("Packet[VideoStream]", frame)))
+                jpeg = bytes(cast("Packet[VideoStream]", frame))
+                yield jpeg if len(jpeg) <= MAX_IMAGE_BYTES else ItemError("image", TOO_LARGE)
             else:
                 pixels = cast("VideoFrame", frame).to_ndarray(format="rgb24", interpolation=_SCALING)
                 yield encode_image(np.asarray(pixels, np.uint8), self.kind, JPEG_QUALITY)

@@ -21,6 +21,9 @@ MAX_PICTURES = 2_000_000
 CUT_SHORT = "cut short; read up to the last whole picture"
 """Note on a file that is truncated."""
 
+TOO_LARGE = f"a picture of more than {touch.MAX_IMAGE_BYTES:,} bytes"
+"""Problem of a picture that exceeds the limit."""
+
 VIDEO_ENDINGS = (
     ".avi",
     ".flv",
@@ -157,13 +160,6 @@ class Video:
 
     def __len__(self) -> int:
         return len(self.time_s)
-
-
-def kept_jpeg(jpeg: bytes) -> bytes | errors.ItemError:
-    """Return a JPEG as it is, or why it cannot be used."""
-    if len(jpeg) <= touch.MAX_IMAGE_BYTES:
-        return jpeg
-    return errors.ItemError("image", f"a picture of more than {touch.MAX_IMAGE_BYTES:,} bytes")
 
 
 def seconds_of(ticks: Int64, tick_s: Fraction) -> Float64:

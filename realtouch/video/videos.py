@@ -117,8 +117,11 @@ def _video_of_jpegs(found: AviPictures) -> video_files.Video:
 
     def read(stream: IO[bytes], numbers: Iterable[int]) -> Iterator[bytes | errors.ItemError]:
         for number in numbers:
+            if found.sizes[number] > touch.MAX_IMAGE_BYTES:
+                yield errors.ItemError("image", video_files.TOO_LARGE)
+                continue
             stream.seek(int(found.starts[number]))
-            yield video_files.kept_jpeg(stream.read(min(int(found.sizes[number]), touch.MAX_IMAGE_BYTES + 1)))
+            yield stream.read(int(found.sizes[number]))
 
     times, note = video_files.seconds_of(found.slots, found.period_s), ""
     if found.is_cut:

@@ -219,7 +219,7 @@ def _limits(spec: JsonObject, touches: int, on_object: int) -> list[str]:
     return [
         *CardGel.of(spec).limits,
         shown,
-        *touch.missed_text(touches - on_object, touches),
+        *touch.HeightRule(touch.HeightRule.RENDERED_M, "known").missed_lines(touches - on_object, touches),
     ]
 
 
@@ -256,7 +256,7 @@ def _write_pairs_card(folder: store.DataFolder, manifest: store.Manifest) -> Non
         figures={"with contact": [f"{counts[split]['on_object']:,}" for split in manifest.splits]},
         made=[
             ("without contact, asked for", f"{100 * spec['without_contact']:.4g} % of each split"),
-            ("contact", touch.height_text(spec["min_height_m"])),
+            ("contact", touch.HeightRule(spec["min_height_m"], "known").height_text),
         ],
         values={"size_text": f"{width} x {height} pixels"},
     ).write(folder, manifest, KIND)

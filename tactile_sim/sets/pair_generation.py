@@ -60,7 +60,7 @@ def drawn_depth(spec: PairsSpec, solid: Pressable, object_id: int, number: int) 
     )
 
 
-def draw_touches(touches: read.AnyRecords, spec: PairsSpec, real: str) -> list[tuple[int, bool]]:
+def draw_touches(touches: read.RecordDataset[Any], spec: PairsSpec, real: str) -> list[tuple[int, bool]]:
     """Draw touches with and without contact, each once, in the pattern of the other split."""
     assert spec.min_height_m is not None, "PairsGenerator.of sets it"
     if set(_POSES).isdisjoint(touches.column_names):
@@ -105,7 +105,7 @@ class PairsGenerator(generation.RowGenerator):
     objects: touched_solids.Records = field(repr=False)
     real: str
     split: str
-    touches: read.AnyRecords = field(repr=False)
+    touches: read.RecordDataset[Any] = field(repr=False)
     unfinished: str = ""
     kind = replace(KIND, nouns="images")
 

@@ -193,7 +193,7 @@ def preview_touch(
     is_contact = depth_m < made.sensor.gel_m
     if made.pressed.contacts:
         is_contact = made.pressed.contact.is_contact
-    touched = float((is_contact & (sensor_z_m - depth_m >= touch.RENDERED_CONTACT_M)).mean())
+    touched = float((is_contact & (sensor_z_m - depth_m >= touch.HeightRule.RENDERED_M)).mean())
     forces = {name: made.further[name][0].tolist() for name in _SHOWN if name in made.further}
     return TouchPreview(made.images[0], sensor_z_m, touched, _bounds_m(solid, stands), forces)
 

@@ -205,7 +205,7 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
 
     def __init__(
         self,
-        dataset: read.AnyRecords,
+        dataset: read.RecordDataset[Any],
         representation: Representation = "points",
         *,
         points: int = 1024,
@@ -243,7 +243,7 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         self._epoch.fill_(epoch)
 
     @property
-    def sequence(self) -> read.AnyRecords:
+    def sequence(self) -> read.RecordDataset[Any]:
         """The solids, in order of the items."""
         return self.dataset
 

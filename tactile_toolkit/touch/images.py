@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import re
+import struct
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import Literal
@@ -18,7 +19,7 @@ import simplejpeg
 from PIL import Image
 
 from tactile_toolkit import read
-from tactile_toolkit.array_types import UInt8
+from tactile_toolkit.array_types import AnyArray, UInt8
 from tactile_toolkit.json_types import JsonObject
 
 MAX_IMAGE_PIXELS = 1 << 24
@@ -38,6 +39,10 @@ IMAGE_SUFFIX: dict[ImageFormat, str] = {"jpeg": "jpg", "png": "png"}
 """File name suffix of each format."""
 _SCAN_START = re.compile(b"\xff\xda")
 _JPEG_START = b"\xff\xd8\xff"
+_JPEG_END = b"\xff\xd9"
+_APP1 = b"\xff\xe1"  # these bytes never occur within coded pixels
+_ORIENTATION = 0x0112
+_TURNED = range(2, 9)
 
 # Pillow modes whose values are clipped at 255 on conversion to RGB.
 _DEEP_MODES = ("I", "I;16", "I;16B", "I;16L", "I;16N", "F")
@@ -74,6 +79,45 @@ def image_size(data: memoryview | bytes) -> tuple[int, int]:
     return height, width
 
 
+def intact_size(data: bytes | memoryview) -> tuple[int, int]:
+    """Return height and width of an image, after a check of its beginning and end.
+
+    The pixels of a JPEG are not decoded, which would take longer than all other work, unless bytes follow the
+    mark of its end: cameras send whole buffers, and encoders of clips pad to even lengths. Raises ValueError
+    if the image is damaged.
+    """
+    size = image_size(data)
+    if not is_jpeg(data):
+        decode_image(data)
+    elif bytes(data[-2:]) != _JPEG_END and not bytes(data[-16:]).rstrip(b"\0").endswith(_JPEG_END):
+        try:
+            decode_image(data)
+        except ValueError as error:
+            raise ValueError(
+                f"an image of {len(data):,} bytes without the mark of its end; expected a whole JPEG"
+            ) from error
+    return size
+
+
+def upright_size(data: bytes) -> tuple[int, int]:
+    """Return height and width of an intact image; ValueError if Exif or XMP data ask readers to turn it."""
+    size = intact_size(data)
+    if is_jpeg(data) and _APP1 not in data:
+        return size  # JPEGs have both in such a segment, and opening an image takes a while
+    orientation = None
+    # Data that cannot be read do not turn the image.
+    with (
+        suppress(OSError, SyntaxError, ValueError, TypeError, struct.error),
+        Image.open(io.BytesIO(data), formats=["JPEG", "PNG", "WEBP"]) as image,
+    ):
+        orientation = image.getexif().get(_ORIENTATION)
+    if orientation in _TURNED:
+        raise ValueError(
+            "its Exif or XMP data ask to turn it, which some readers do; expected an upright image"
+        )
+    return size
+
+
 def require_bounded_jpeg(data: memoryview | bytes) -> None:
     """Raise ValueError where a JPEG has too many scans or too long a header, before it is decoded."""
     if (
@@ -90,11 +134,13 @@ def require_bounded_jpeg(data: memoryview | bytes) -> None:
         raise ValueError(f"a JPEG whose header takes {header:,} bytes; the limit is {MAX_HEADER_BYTES:,}")
 
 
-def decode_image(data: memoryview | bytes, out: UInt8 | None = None) -> UInt8:
+def decode_image(data: memoryview | bytes, out: UInt8 | None = None, *, least_px: int = 0) -> UInt8:
     """Decode a JPEG, PNG or WebP to RGB, shape (H, W, 3), uint8; into ``out`` (contiguous) if given.
 
-    Raises ValueError as :func:`image_size` does, and when the data is truncated, corrupt or of another size
-    than ``out``. A partly decoded image is never returned.
+    With ``least_px``, a JPEG is decoded at 1/2, 1/4 or 1/8 of its size, the smallest with sides of at least
+    ``least_px`` pixels, in half of the time: each pixel is the mean of those it replaces. Raises ValueError
+    as :func:`image_size` does, and when the data is truncated, corrupt or of another size than ``out``. A
+    partly decoded image is never returned.
     """
     if out is not None and is_jpeg(data):
         require_bounded_jpeg(data)
@@ -110,7 +156,7 @@ def decode_image(data: memoryview | bytes, out: UInt8 | None = None) -> UInt8:
     pixels: UInt8
     try:
         if is_jpeg(data):
-            pixels = simplejpeg.decode_jpeg(data, "RGB", buffer=out)
+            pixels = simplejpeg.decode_jpeg(data, "RGB", min_height=least_px, min_width=least_px, buffer=out)
         else:
             pixels = np.array(_open_image(data).convert("RGB"))  # writable, as a JPEG is
     except Exception as error:
@@ -119,23 +165,6 @@ def decode_image(data: memoryview | bytes, out: UInt8 | None = None) -> UInt8:
         return pixels
     out[...] = pixels
     return out
-
-
-def decode_small(data: memoryview | bytes, least_px: int) -> UInt8:
-    """Decode a JPEG at 1/2, 1/4 or 1/8 of its size, the smallest with sides of at least ``least_px`` pixels.
-
-    Shape (h, w, 3), uint8: each pixel is the mean of those it replaces. This takes half the
-    time of :func:`decode_image`. PNG and WebP are decoded at their full size. Raises ValueError as
-    :func:`decode_image` does.
-    """
-    if not is_jpeg(data):
-        return decode_image(data)
-    image_size(data)
-    try:
-        pixels: UInt8 = simplejpeg.decode_jpeg(data, "RGB", min_height=least_px, min_width=least_px)
-    except Exception as error:
-        raise _undecodable(data) from error
-    return pixels
 
 
 def _open_image(data: memoryview | bytes) -> Image.Image:
@@ -153,8 +182,8 @@ def _undecodable(data: memoryview | bytes) -> ValueError:
     )
 
 
-def encode_image(pixels: UInt8, kind: ImageFormat = "jpeg", quality: int = 95) -> bytes:
-    """Encode RGB pixels, shape (H, W, 3), uint8. The same pixels give the same bytes.
+def encode_image(pixels: AnyArray, kind: ImageFormat = "jpeg", quality: int = 95) -> bytes:
+    """Encode RGB pixels, (H, W, 3), uint8, or, as PNG, grey ones, (H, W), uint16; always to the same bytes.
 
     ``quality`` (1 to 100) applies to JPEGs, which keep full colour resolution (4:4:4).
     """
@@ -185,11 +214,9 @@ def resized(pixels: UInt8, width: int, height: int) -> UInt8:
     return np.asarray(image.resize((width, height), method))
 
 
-Kind = Literal["seq", "single"]
-MEDIA_COLUMN: dict[Kind, str] = {"seq": "sensor_video", "single": "sensor_image"}
-"""Column of clips or images, by which the kind of a data set is recognised."""
 MEDIA_TYPE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
 """Arrow type of an image or clip: its bytes and its original file name."""
+_MEDIA_FEATURES = {"sensor_video": "Video", "sensor_image": "Image"}
 CLASS_NAMES = tuple(str(digit) for digit in range(10))
 
 
@@ -210,6 +237,6 @@ def _feature(name: str, data_type: pa.DataType, label_names: Sequence[str] | Non
         inner = _feature(name, data_type.value_type, label_names)
         # Both old and new releases of `datasets` read "Sequence" as a list.
         return {"feature": inner, "length": length, "_type": "Sequence"}
-    if name in MEDIA_COLUMN.values() or data_type == MEDIA_TYPE:
-        return {"_type": "Video" if name == MEDIA_COLUMN["seq"] else "Image"}
+    if name in _MEDIA_FEATURES or data_type == MEDIA_TYPE:
+        return {"_type": _MEDIA_FEATURES.get(name, "Image")}
     return {"dtype": read.dtype_name(data_type), "_type": "Value"}
