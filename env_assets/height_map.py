@@ -104,7 +104,8 @@ def top_surface(mesh: MeshLike, pitch_m: float) -> HeightMap:
     vertices_m = np.asarray(mesh.vertices_m)
     if not len(vertices_m) or not np.isfinite(vertices_m).all():
         raise InputError("a mesh with no vertices, or NaN or infinite ones, has no height map")
-    low, high = vertices_m[:, :2].astype(np.float64).min(axis=0), vertices_m[:, :2].max(axis=0)
+    low = vertices_m[:, :2].astype(np.float64).min(axis=0)
+    high = vertices_m[:, :2].max(axis=0)
     # The errors of a tiny pitch, which is refused below.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         # Counted from the origin and not from the mesh: two meshes of one frame share their pixels.

@@ -150,7 +150,8 @@ def as_pictures(pictures: object, dimensions: tuple[int, ...] = (4,)) -> UInt8:
 
 def _with_background(pictures: object, background: object) -> tuple[UInt8, UInt8]:
     """Return pictures and a background of the same size; InputError for any other."""
-    found, base = as_pictures(pictures, (3, 4)), as_pictures(background, (3,))
+    found = as_pictures(pictures, (3, 4))
+    base = as_pictures(background, (3,))
     if found.shape[-3:] != base.shape:
         raise InputError(
             f"the background has the shape {base.shape}; expected {found.shape[-3:]}, as the pictures"

@@ -73,10 +73,12 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
     origin = schema.origin_of(facts.schema, manifest)
     of_origin = words["origins"][origin]
     rule = touch.HeightRule.of(read.column_types(facts.schema))
-    licence_text, heights = of_origin["licence_text"], [of_origin.get("drift")]
+    licence_text = of_origin["licence_text"]
+    heights = [of_origin.get("drift")]
     # Plain pictures and rows in foreign formats are not rounds that could be loaded.
     if operation in ("frames", "export"):
-        template, licence_text = str(operation), of_origin.get("licence_of_others", licence_text)
+        template = str(operation)
+        licence_text = of_origin.get("licence_of_others", licence_text)
         content = _plain_content(folder, facts, manifest, words)
     else:
         kind = schema.media_kind(facts.schema, folder.address())
@@ -216,7 +218,8 @@ def _extra_words(facts: cards.FolderSummary) -> dict[str, tuple[str, str]]:
     ends: dict[str, list[Any]] = {}
     for shard in (shard for split in facts.splits for shard in split.shards):
         for chunk in shard.column_chunks():
-            name, found = _LIST_SUFFIX.sub("", chunk.path_in_schema), chunk.statistics
+            name = _LIST_SUFFIX.sub("", chunk.path_in_schema)
+            found = chunk.statistics
             if found is not None and found.has_min_max:
                 ends.setdefault(name, []).extend([found.min, found.max])
             elif found is None or found.null_count < chunk.num_values:
@@ -283,7 +286,8 @@ def _missed(touches: list[int | None], shares: list[float | None], rule: touch.H
     found = [(count, share) for count, share in zip(touches, shares, strict=True) if count]
     if any(share is None for _, share in found):
         return []
-    total, in_contact = sum(count for count, _ in found), sum(count * (share or 0) for count, share in found)
+    total = sum(count for count, _ in found)
+    in_contact = sum(count * (share or 0) for count, share in found)
     return rule.missed_lines(total - round(in_contact), total)
 
 

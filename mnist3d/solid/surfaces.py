@@ -82,7 +82,8 @@ def decimate(mesh: Mesh, target_vertices: int) -> Mesh:
         return mesh
     counts = bodies_and_holes(len(mesh.vertices_m), mesh.faces)
     most = BUDGET_SLACK * target_vertices
-    passes, tolerance_mm = [mesh.to_manifold()], FIRST_TOLERANCE_MM
+    passes = [mesh.to_manifold()]
+    tolerance_mm = FIRST_TOLERANCE_MM
     over = len(mesh.vertices_m) / most
     if 1 < over <= MAX_FOR_ONE_PASS:
         solid = passes[0].simplify(tolerance_mm + E_FOLD_MM * math.log(over))

@@ -201,7 +201,8 @@ def _check_rounds(
     rounds = touches = 0
     seen: dict[str, str] = {}
     for files in splits:
-        expected, names = modal_touch_count(files), schema.stated_class_names(files)
+        expected = modal_touch_count(files)
+        names = schema.stated_class_names(files)
         for row, problems in checked_rows(files, expected, names, decode=decode, workers=workers):
             findings += problems
             if row is not None:
@@ -372,7 +373,8 @@ def _check_touches(
     picture_size: _PictureSize = _image_size
     size_of: _SizeOf = image_size
     if row.kind == "seq":
-        read_pose, picture_size = row.pose_sequences, _clip_size
+        read_pose = row.pose_sequences
+        picture_size = _clip_size
     if decode:
         size_of = _decoded_size
     start, stop = row.column_of(row.media_column).inside(0, row.index, row.index + 1)

@@ -288,7 +288,8 @@ class _ConvertRows:
 
     def __call__(self, shard: store.ShardName, choices: Sequence[RowChoice]) -> store.ShardContent:
         """Convert rows; damaged ones are left out and listed."""
-        tables, skipped = [self.schema.empty_table()], []
+        tables = [self.schema.empty_table()]
+        skipped = []
         files: dict[str, bytes] = {}
         for choice, row in self._rows(choices):
             try:
@@ -408,7 +409,8 @@ def write_conversion(
 
     ``plan`` is a function of the source and the greatest number of rounds of each split.
     """
-    opened, folder = Source.open(source, split=split), store.open_folder(fspath(out))
+    opened = Source.open(source, split=split)
+    folder = store.open_folder(fspath(out))
     conversion = plan(opened, require_limit(limit))
     folder.refuse_source(opened.name, (shard.path for each in opened.shards.values() for shard in each))
     origin = schema.origin_of(opened.schema, opened.manifest())

@@ -230,7 +230,8 @@ class ResizeMedia:
         self, row: stored_round.StoredRound, choice: conversion.RowChoice, split: str
     ) -> conversion.Made:
         """Resize the images or clips of a row; pictures that have the size are copied."""
-        flat, kind = schema.flat_row(row), row.kind
+        flat = schema.flat_row(row)
+        kind = row.kind
         if kind == "single":
             images = media.SensorImages(row)
             sizes = list(map(images.size, range(len(images))))
@@ -258,7 +259,8 @@ class ResizeMedia:
             return values
         if any(isinstance(each, list) for each in values):
             return [self._moved(name, each, size) for each in values]
-        scale, first = np.array([self.width / size[1], self.height / size[0]]), _MIDDLE_OF_FIRST_PX[name]
+        scale = np.array([self.width / size[1], self.height / size[0]])
+        first = _MIDDLE_OF_FIRST_PX[name]
         pairs = np.array(values, np.float64).reshape(-1, 2)
         return ((pairs + first) * scale - first).ravel().tolist()
 

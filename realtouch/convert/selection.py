@@ -118,7 +118,8 @@ def _no_contact(source: conversion.Source, height_m: float) -> errors.InputError
 
 def _chosen_rows(source: conversion.Source, split: str, options: JsonObject) -> list[conversion.RowChoice]:
     """Decide which rows and touches of a split :func:`select` keeps; reads small columns only."""
-    dataset, limit = datasets.dataset_of(source.shards[split]), options["limit"]
+    dataset = datasets.dataset_of(source.shards[split])
+    limit = options["limit"]
     if (options["labels"] or "per_class" in options) and not dataset.label_names:
         raise errors.InputError(
             f"the touches of {source.name!r} have no labels, by which some could be chosen",

@@ -76,7 +76,8 @@ def export(
     StorageError
         The folder cannot be written. What was finished stays.
     """
-    plan, method = touch_options.require_layout(layout, EXPORTS), contact.require_method(frame)
+    plan = touch_options.require_layout(layout, EXPORTS)
+    method = contact.require_method(frame)
 
     def planned(opened: convert.Source, limit: int | None) -> convert.Conversion:
         options = {"layout": layout, "limit": limit}

@@ -38,7 +38,8 @@ class CutTable:
             )
         self._place = home.address(name)
         self._table = source_files.read_table(home, name, columns, RECORDING_COLUMNS)
-        names, time_unit = [*self._table.columns], columns.time_unit
+        names = [*self._table.columns]
+        time_unit = columns.time_unit
         known = [_FRAME, *(f"start_{unit}" for unit in units.PER_SECOND)]
         if time_unit:
             known.append("start")
@@ -133,7 +134,8 @@ class CutTable:
             )
         ends = [self._table.columns[name].slice(row, 1) for name in (self._start_column, self._end_column)]
         first, last = fields.times_s(column_types.joined(ends), self._time_columns).tolist()
-        start, stop = int(times.searchsorted(first)), int(times.searchsorted(last, side="right"))
+        start = int(times.searchsorted(first))
+        stop = int(times.searchsorted(last, side="right"))
         tolerance = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
         if start >= stop or first < times[0] - tolerance or last > times[-1] + tolerance:
             raise errors.ItemError(

@@ -138,7 +138,8 @@ class TouchDataset(read.RecordDataset[R]):
         wanted = set(self.row_numbers.tolist())
         media = schema.MEDIA_COLUMN[self.kind]
         for source in self.table.shards:
-            columns, start = [name for name in source.schema.names if name != media], number
+            columns = [name for name in source.schema.names if name != media]
+            start = number
             for block in read.ShardedTable((source,)).blocks(columns):
                 rows = _RowsWithoutMedia(block, source, number - start)
                 for row in range(len(block.table)):
@@ -259,7 +260,8 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
             position, touch = self._located(int(flat))
             # Neighbours share a round, whose columns are then resolved once.
             if position != last or current is None:
-                last, current = position, self.dataset[position]
+                last = position
+                current = self.dataset[position]
             yield Touch(current, touch)
 
     def locate(self, index: int) -> tuple[int, int]:
@@ -582,11 +584,9 @@ def with_no_contact(touches: AnyTouches, contact: Bool, fraction: float, seed: i
 
     Raises InputError for an invalid fraction, seed or mask.
     """
-    wanted, number, mask = (
-        checked_fields.to_builtin(fraction, float),
-        checked_fields.checked_integer(seed, "the seed"),
-        np.asarray(contact),
-    )
+    wanted = checked_fields.to_builtin(fraction, float)
+    number = checked_fields.checked_integer(seed, "the seed")
+    mask = np.asarray(contact)
     if not isinstance(wanted, float) or not 0 <= wanted < 1:
         raise errors.InputError(f"no_contact_fraction is {fraction!r}; expected 0 to below 1")
     if mask.dtype != bool or mask.shape != (len(touches),):

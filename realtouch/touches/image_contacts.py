@@ -129,7 +129,8 @@ def best_frame(
     # A clip that does not fit in memory is processed a few frames at a time.
     if base is None:
         base = background(clip)
-    start, best = 0, (0, contact.ContactScore(0, 0.0))
+    start = 0
+    best = (0, contact.ContactScore(0, 0.0))
     for piece in _batches(clip):
         frame, score = contact.best_of(piece, rule, base)
         if start == 0 or score.total_change > best[1].total_change:
@@ -274,7 +275,8 @@ def _measure_images(
             base = shared
         done = 0
         for images in batches:
-            found, part = contact.contact_score(images, base, rule), chosen[done : done + len(images)]
+            found = contact.contact_score(images, base, rule)
+            part = chosen[done : done + len(images)]
             score.area_px[part], score.intensity[part] = found.area_px, found.intensity
             done += len(images)
 

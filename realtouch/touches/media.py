@@ -137,7 +137,8 @@ class SensorImages(_StoredMedia[UInt8, UInt8]):
             As for indexing; or the images exceed :data:`realtouch.touches.media.MAX_BATCH_PIXELS`.
         """
         touches = self.checked_indices(index)
-        first, size = [*touches, 0][0], (0, 0)
+        first = [*touches, 0][0]
+        size = (0, 0)
         if self._count:
             size = self.size(first)
         with self.row.naming("sensor_image", first):

@@ -125,7 +125,8 @@ def _require_agreement(shard: read.Shard, files: Sequence[read.Shard]) -> None:
             f"in {files[0].path!r}",
             next="open files of one data set together",
         )
-    names, expected = shard.class_names, schema.stated_class_names(files)
+    names = shard.class_names
+    expected = schema.stated_class_names(files)
     if names is not None and expected is not None and names != expected:
         found, wanted = (", ".join(each[:_NAMES_SHOWN]) for each in (names, expected))
         raise errors.IntegrityError(

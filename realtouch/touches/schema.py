@@ -70,7 +70,8 @@ def extra_type(name: str, data_type: pa.DataType) -> pa.DataType:
 
 def extra_type_text(name: str, data_type: pa.DataType) -> str:
     """Return the type of a further column: ``"float64[3] per touch"``."""
-    entry, per = extra_type(name, data_type), "touch"
+    entry = extra_type(name, data_type)
+    per = "touch"
     if name.startswith(EXTRA_PREFIX["frame"]):
         per = "frame"
     depth, leaf = read.list_depth(entry)

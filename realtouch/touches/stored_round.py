@@ -251,7 +251,8 @@ class StoredRound(read.Row):
         known = schema.extra_columns(self.group.names)
         if name not in known:
             raise schema.UnknownExtraError(name, self.path, known)
-        stored, values = known[name], self.extra_entries(known[name])
+        stored = known[name]
+        values = self.extra_entries(known[name])
         if not stored.startswith(schema.EXTRA_PREFIX["frame"]):
             with self.naming(stored):
                 return schema.array_with_gaps(values)
@@ -508,7 +509,8 @@ def stored_touch_counts(source: read.RowSource, *groups: int) -> Int64:
 
     If the type of the column fixes the number, no row is read.
     """
-    types, chosen = read.column_types(source.schema), groups or range(len(source.group_starts) - 1)
+    types = read.column_types(source.schema)
+    chosen = groups or range(len(source.group_starts) - 1)
     name = next(name for name in _COUNTING if name in types)
     if pa.types.is_fixed_size_list(types[name]):
         rows = sum(source.group_starts[index + 1] - source.group_starts[index] for index in chosen)
@@ -529,7 +531,8 @@ def _padded(column: read.NestedColumn, first: int, last: int, width: int) -> Any
     touches = last - first
     start, stop = column.inside(1, first, last)
     frames = (stop - start) // max(touches, 1)
-    flat, starts = column.flat(1, first, last), column.levels[1]
+    flat = column.flat(1, first, last)
+    starts = column.levels[1]
     is_even = isinstance(starts, int) or (np.diff(starts[first : last + 1]) == frames).all()
     if not is_even or len(flat) != touches * frames * max(width, 1):
         return None

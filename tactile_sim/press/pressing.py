@@ -248,7 +248,9 @@ def _press_rigid(setup: _Setup, sensor: Sensor) -> Pressed:
     """Press a gel that does not deform: images show the solid. Heights are relative to the targets."""
     scene = _Scene.of(setup, sensor)
     shape = (setup.count, *sensor.size_px[::-1])
-    depths_m, image, highest_m = np.empty(shape), np.empty(shape, np.float32), np.empty(setup.count)
+    depths_m = np.empty(shape)
+    image = np.empty(shape, np.float32)
+    highest_m = np.empty(setup.count)
     for touch in range(setup.count):
         scene.raise_heights(touch, depths_m[touch])
         highest_m[touch] = scene.to_depth(depths_m[touch], image[touch], sensor.press_m, sensor.gel_m)

@@ -284,5 +284,6 @@ def sheet_png(rows: Sequence[tuple[str, Sequence[AnyArray] | AnyArray]]) -> byte
 def _shown(picture: AnyArray) -> UInt8:
     if picture.ndim == 2:
         picture = np.rint(np.clip(picture, 0, 1) * 255).astype(np.uint8)
-    times, step = -(-_TILE_PX // picture.shape[1]), max(1, picture.shape[1] // _TILE_PX)
+    times = -(-_TILE_PX // picture.shape[1])
+    step = max(1, picture.shape[1] // _TILE_PX)
     return picture[::step, ::step].repeat(times, axis=0).repeat(times, axis=1)

@@ -64,7 +64,8 @@ def draw_touches(touches: read.RecordDataset[Any], spec: PairsSpec, real: str) -
     """Draw touches with and without contact, each once, in the pattern of the other split."""
     assert spec.min_height_m is not None, "PairsGenerator.of sets it"
     if set(_POSES).isdisjoint(touches.column_names):
-        contact, highest = _contacts_by_image(touches).contact, "as their images show"
+        contact = _contacts_by_image(touches).contact
+        highest = "as their images show"
     else:
         heights_m: Float64 = touches.heights_m()  # type: ignore[attr-defined]
         contact = heights_m >= spec.min_height_m
@@ -200,7 +201,8 @@ class PairsGenerator(generation.RowGenerator):
                     if not number or (number - 1) * len(self.objects) // spec.count != place:
                         yield store.Skipped(record.id, "no-solid", f"object {record.id}: {error}")
             if solid is not None:
-                key, contact = f"{record.id}-{number}", not spec.is_empty(number)
+                key = f"{record.id}-{number}"
+                contact = not spec.is_empty(number)
                 image = pairs.encode_depth(drawn_depth(spec, solid, record.id, number))
                 yield pairs.PairRow(
                     key, record.label, record.id, contact, {"bytes": image, "path": f"{key}.png"}

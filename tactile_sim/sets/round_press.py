@@ -60,7 +60,9 @@ def press_round(
     spec: GenerateSpec, solid: Pressable, poses: Float64, targets: Float64, key: tuple[str, int, int]
 ) -> PressedRound:
     """Press and render the touches of a round; ``key`` is its split, object and number."""
-    optics, press, further = optics_of(spec), spec.press, JsonDict()
+    optics = optics_of(spec)
+    press = spec.press
+    further = JsonDict()
     shown = _depth_sensor(spec, optics)
     if press is None:
         if spec.sensor.press_m != PRESS_DEPTH_M:

@@ -179,7 +179,8 @@ def _unpacked(data: bytes, ending: str, unit: str | None) -> tuple[Mesh, str | N
             items, notes, stated = threemf.read_build(data)
             mesh = Mesh(*join_surfaces([(item.mesh.vertices_m, item.mesh.faces) for item in items]), notes)
         elif ending == ".glb":
-            stated, mesh = "m", welded(*merge_equal_vertices(*gltf.read_glb(data)))
+            stated = "m"
+            mesh = welded(*merge_equal_vertices(*gltf.read_glb(data)))
         else:
             vertices, faces = merge_equal_vertices(*_PLAIN[ending](data))
             mesh = welded(vertices / (MM_PER_M / units.MM_PER_UNIT[unit or _USUAL_UNIT]), faces)

@@ -228,7 +228,8 @@ def welded(vertices: Float64, faces: Int32) -> Mesh:
     if len(torn) < 2:
         return Mesh(vertices, faces)
     reach_m = _WELDED * float(np.ptp(vertices, axis=0).max())
-    tree, count = cKDTree(vertices[torn]), min(_NEIGHBOURS, len(torn))
+    tree = cKDTree(vertices[torn])
+    count = min(_NEIGHBOURS, len(torn))
     away_m, near = map(np.asarray, tree.query(vertices[torn], count, distance_upper_bound=reach_m))
     row, column = np.nonzero(np.isfinite(away_m))
     graph = coo_array((np.ones(len(row)), (row, near[row, column])), (len(torn), len(torn)))
@@ -252,7 +253,8 @@ def welded(vertices: Float64, faces: Int32) -> Mesh:
 
 def _is_closed(faces: Integers, count: int) -> bool:
     """Return whether each edge occurs equally often in both directions; wrong with probability 2^-64."""
-    corners, following = np.ascontiguousarray(faces.T), [1, 2, 0]
+    corners = np.ascontiguousarray(faces.T)
+    following = [1, 2, 0]
     random = np.random.default_rng(0).integers(1 << 63, size=(2, count), dtype=np.uint64)
     one, other = (numbers.take(corners) for numbers in random)
     return bool((one * other[following]).sum() == (other * one[following]).sum())

@@ -32,7 +32,10 @@ UNREADABLE = "unreadable"
 NO_WARNING = "none"
 """Shown in place of warnings where there are none."""
 
-_REAL, _COUNT, _WORD, _WORDS = pa.float64(), pa.int64(), pa.string(), pa.list_(pa.string())
+_REAL = pa.float64()
+_COUNT = pa.int64()
+_WORD = pa.string()
+_WORDS = pa.list_(pa.string())
 
 WARNINGS_PAGE = "docs/warnings.md"
 """Page with a section on each warning."""
@@ -196,14 +199,16 @@ def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
     counts = (len(mesh.vertices_m), len(mesh.faces), check.bodies, check.genus, check.volume_mm3)
     if check.problem is not None:
         return PrintReport(False, check.status, check.problem, check.detail, *counts, notes=mesh.notes)
-    vertices_mm, faces = mesh.vertices_mm, mesh.faces.astype(np.int64)
+    vertices_mm = mesh.vertices_mm
+    faces = mesh.faces.astype(np.int64)
     # Axis by axis: numpy takes thirteen times as long along rows of three.
     low, high = ([reach(axis) for axis in vertices_mm.T] for reach in (np.min, np.max))
     size_mm = (float(high[0] - low[0]), float(high[1] - low[1]), float(high[2] - low[2]))
     # A cut through the vertices of the mid-plane would run along edges.
     outlines = check.manifold.slice((low[2] + high[2]) / 2 + _OFF_VERTICES * size_mm[2]).to_polygons()
     # Faces within the first layer rest on the bed, whatever their direction.
-    bed_mm, sine = low[2] + profile.layer_height_mm, math.sin(math.radians(profile.overhang_deg))
+    bed_mm = low[2] + profile.layer_height_mm
+    sine = math.sin(math.radians(profile.overhang_deg))
     overhang_mm2 = float(leaning_out(vertices_mm, faces, bed_mm, sine).sum() / 2)
     contact_mm2 = float(check.manifold.slice(bed_mm).area())
     wall_mm = max(min(thinnest_width_mm(outlines), size_mm[2]), min(WALL_REACH_MM, *size_mm))

@@ -164,7 +164,8 @@ def _edge_problem(mesh: Mesh) -> str:
     ends = mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
     ends.sort(axis=1)
     uses = np.unique(ends[:, 0] * len(mesh.vertices_m) + ends[:, 1], return_counts=True)[1]
-    rim, crowded = int((uses == 1).sum()), int((uses > 2).sum())
+    rim = int((uses == 1).sum())
+    crowded = int((uses > 2).sum())
     if rim:
         return f"the surface is open: {rim} edges border one triangle only"
     if crowded:
@@ -203,7 +204,8 @@ def on_base_plate(solid: MeshLike, base_mm: float) -> Mesh:
         raise InputError(f"base_mm is {base_mm!r}; expected a thickness above 0 mm")
     body = require_solid(Mesh.of(solid)).manifold
     left, front, low, right, back, high = body.bounding_box()
-    middle, sunk = (low + high) / 2, min(_SUNK_MM, base_mm / 2)
+    middle = (low + high) / 2
+    sunk = min(_SUNK_MM, base_mm / 2)
     upper = body.trim_by_plane((0.0, 0.0, 1.0), middle - sunk).translate((0.0, 0.0, base_mm - middle))
     inner = _MARGIN_MM - _CORNER_MM
     sides = (right - left + 2 * inner, back - front + 2 * inner)

@@ -593,7 +593,8 @@ class RecordDataset(Sequence[T], Generic[T]):
         return enumerate(self)
 
     def _label_number(self, label: int | str) -> int:
-        known, number = self.label_names, checked_fields.to_builtin_number(label)
+        known = self.label_names
+        number = checked_fields.to_builtin_number(label)
         if number in known:
             return known.index(number)
         if checked_fields.is_integer(number) and 0 <= number < len(known):

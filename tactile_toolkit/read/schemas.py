@@ -37,7 +37,8 @@ def list_depth(data_type: pa.DataType) -> tuple[int, pa.DataType]:
     """Return the number of nested lists in an Arrow type, and the innermost type."""
     depth = 0
     while isinstance(data_type, (pa.ListType, pa.FixedSizeListType)):
-        depth, data_type = depth + 1, data_type.value_type
+        depth = depth + 1
+        data_type = data_type.value_type
     return depth, data_type
 
 

@@ -102,7 +102,8 @@ class ShardedTable:
             return found
         owners = np.searchsorted(self._starts, rows, "right") - 1
         for owner in np.unique(owners).tolist():
-            shard, inner = self.shards[owner], rows[owners == owner] - self._starts[owner]
+            shard = self.shards[owner]
+            inner = rows[owners == owner] - self._starts[owner]
             groups = np.unique(np.searchsorted(shard.group_starts, inner, "right") - 1)
             found += [(shard, group) for group in groups.tolist()]
         return found

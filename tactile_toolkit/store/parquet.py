@@ -331,7 +331,8 @@ def _stored_rows(folder: DataFolder, path: str) -> Generator[tuple[str, pa.Table
     last = ""
     held: list[pa.Table] = []
     for piece in report_pieces(folder, path):
-        runs, start = pc.run_end_encode(piece["shard"].combine_chunks()), 0
+        runs = pc.run_end_encode(piece["shard"].combine_chunks())
+        start = 0
         for name, end in zip(runs.values.to_pylist(), runs.run_ends.to_pylist(), strict=True):
             if name != last and held:
                 yield last, pa.concat_tables(held)

@@ -127,7 +127,8 @@ def require_bounded_jpeg(data: memoryview | bytes) -> None:
     # This pair of bytes does not occur within coded pixels (ITU-T T.81, B.1.1.5).
     # A regular expression takes half of the time of `bytes.count`.
     starts = [found.start() for found in _SCAN_START.finditer(data)]
-    scans, header = len(starts), (starts or [-1])[0]
+    scans = len(starts)
+    header = (starts or [-1])[0]
     if scans > MAX_SCANS:
         raise ValueError(f"a JPEG of {scans:,} scans; the limit is {MAX_SCANS}")
     if header > MAX_HEADER_BYTES:
