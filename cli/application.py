@@ -86,13 +86,15 @@ class _Command(TyperCommand):
             if os.environ.get(DEBUG_VARIABLE):
                 raise
             if isinstance(error, ToolkitError):
-                message, code = str(error), error.exit_code
+                message = str(error)
+                code = error.exit_code
                 # That error names a field of the manifest, which need not be an option of this command.
                 if not isinstance(error, SpecMismatchError):
                     message = self._with_option(message)
             elif error.filename is not None:
                 reason = store.resource_shortage(error) or f"{error.strerror}; next: give another path"
-                message, code = f"{str(error.filename)!r}: {reason}", InputError.exit_code
+                message = f"{str(error.filename)!r}: {reason}"
+                code = InputError.exit_code
             else:
                 raise
             sys.stderr.write(f"error: {wording.printable(message)}\n")

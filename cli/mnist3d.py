@@ -254,7 +254,7 @@ def _print_files(sink: Sink, files: Iterable[mnist3d.PrintedPicture], spec: mnis
     for file in files:
         for note in file.notes:
             sink.line(f"{file.file}: note: {note}")
-        for line in mesh.explained(file.report, spec.profile):
+        for line in file.report.explained(spec.profile):
             sink.line(f"{file.file}: {line}")
 
 

@@ -266,7 +266,8 @@ def _mark(hint: object) -> OptionsOf | None:
 
 def _group(hint: object, parameter: inspect.Parameter) -> list[inspect.Parameter]:
     """Return the options of a parameter of a function: the parameter itself, or the fields of its group."""
-    mark, group = _mark(hint), hint
+    mark = _mark(hint)
+    group = hint
     if mark is not None:
         group = mark.spec
     if not is_dataclass(group):

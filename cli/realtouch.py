@@ -19,6 +19,7 @@ from cli import (
     touch_conversions,
 )
 from cli.touch_conversions import check
+from realtouch import touch_options
 from realtouch.kind import KIND
 from tactile_toolkit import catalog, checked_fields, kind, places, store
 from tactile_toolkit.errors import IntegrityError
@@ -33,7 +34,7 @@ app = application.new_app(
 def load(
     *,
     name: str = options.TOUCH_SET,
-    split: str | None = catalog.ONE_SPLIT,
+    split: str | None = touch_options.ONE_SPLIT,
     opening: options.Opening,
     check: bool = checked_fields.switch(True, help="Also check every round and the headers of its images."),
     sink: output.Sink,

@@ -168,12 +168,14 @@ def print_set(
         }
     )
     if not manifest.complete:
-        record, activity = store.read_download_record(store.open_folder(out)), "run"
+        record = store.read_download_record(store.open_folder(out))
+        activity = "run"
         next_step = (
             f"run the same `{kind.command_of(manifest)}` again, or add --finish to list missing shards"
         )
         if record is not None:
-            activity, next_step = "download", f"download {record.repo_id} there again; it continues"
+            activity = "download"
+            next_step = f"download {record.repo_id} there again; it continues"
         sink.line(f"{out}: unfinished, the {activity} is under way or was interrupted; next: {next_step}")
     counts = [
         (

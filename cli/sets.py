@@ -8,7 +8,7 @@ from pathlib import Path
 from cli import options, output, runs
 from cli.options import ANY_SET, Opening, Work, argument, out_folder
 from tactile_toolkit import cards, catalog, checked_fields, exchange, places, store, wording
-from tactile_toolkit.cache import cache_folder, cached_files, prune_cache
+from tactile_toolkit.cache import CacheContents
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import DatasetKind
@@ -159,17 +159,17 @@ def cache(
 
     Examples: cache ls;  cache prune --unused-days 30
     """
-    before = cached_files()
+    before = CacheContents.now()
     removed = list[Path]()
     if action == "prune":
-        removed = prune_cache(unused_days)
-    rows = [(name, len(files), sum(size for _, size, _ in files)) for name, files in before.items()]
+        removed = before.prune(unused_days)
+    rows = [(name, len(files), sum(size for _, size, _ in files)) for name, files in before.files.items()]
     document = {name: {"files": count, "bytes": size} for name, count, size in rows}
-    sink.document({"folder": str(cache_folder()), "held": document, "removed": list(map(str, removed))})
+    sink.document({"folder": str(before.folder), "held": document, "removed": list(map(str, removed))})
     if action == "prune":
-        sink.line(f"removed {with_count(len(removed), 'files')} of {cache_folder()}")
+        sink.line(f"removed {with_count(len(removed), 'files')} of {before.folder}")
         return
     sink.table(
         ("what", "files", "size"), [(name, count, wording.bytes_text(size)) for name, count, size in rows]
     )
-    sink.line(f"these files are in {cache_folder()}; next: `cache prune` removes them")
+    sink.line(f"these files are in {before.folder}; next: `cache prune` removes them")

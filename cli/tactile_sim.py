@@ -98,10 +98,12 @@ def _print_made(
 
 def spec_of(sink: output.Sink, picture: options.Given, **others: object) -> GenerateSpec:
     """Return the specification of the options that were given."""
-    known, optics = "optics" in picture, tactile_sim.default_optics()
+    known = "optics" in picture
+    optics = tactile_sim.default_optics()
     sensor = picture.get("sensor", sensors.GELSIGHT_MINI)
     if sensor != sensors.GELSIGHT_MINI:
-        known, optics = True, sensor.optics_name
+        known = True
+        optics = sensor.optics_name
     spec = GenerateSpec(**{"optics": optics, **picture, **others})
     if not known and spec.optics == "depth":
         sink.info("note: images are depth images; --optics taxim needs the extra `sim`")

@@ -116,7 +116,7 @@ class Select(_Options):
     """
 
     contact: bool = checked_fields.switch(False, help="Only touches in contact with an object.")
-    min_height_mm: float | None = touch.contact_height_option()
+    min_height_mm: float | None = touch.HeightRule.option()
     recalibrate_z: bool = checked_fields.switch(
         True,
         name="--recalibrate/--as-recorded",
@@ -296,8 +296,8 @@ def _print_preview(sink: output.Sink, found: realtouch.ImportPreview, out: str) 
     rounds = with_count(found.rounds, "rounds")
     sink.line(f"would make {with_count(found.touches, 'touches')} in {rounds} in {out}: {counts}")
     sink.table(("column", "becomes", "unit"), found.columns, title="columns of the source")
-    names = dict.fromkeys(name for touch in found.first for name in touch)
-    rows = [(name, *(touch.get(name, "") for touch in found.first)) for name in names]
+    names = dict.fromkeys(name for values in found.first for name in values)
+    rows = [(name, *(values.get(name, "") for values in found.first)) for name in names]
     sink.table(("stored as", *(f"touch {number}" for number in range(len(found.first)))), rows)
     if found.streams:
         sink.table(touch_options.STREAM_HEADER, found.streams)

@@ -13,7 +13,7 @@ import numpy as np
 
 from tactile_toolkit.array_types import Bool, Float32, Float64
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import MAX_PIXELS, MeshLike, as_mesh, highest_values
+from tactile_toolkit.mesh import MAX_PIXELS, Mesh, MeshLike, highest_values
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,11 +100,12 @@ def top_surface(mesh: MeshLike, pitch_m: float) -> HeightMap:
         raise InputError(
             f"the pitch of a height map is {pitch_m!r} m; expected a positive length such as 0.0002"
         )
-    mesh = as_mesh(mesh)
+    mesh = Mesh.of(mesh)
     vertices_m = np.asarray(mesh.vertices_m)
     if not len(vertices_m) or not np.isfinite(vertices_m).all():
         raise InputError("a mesh with no vertices, or NaN or infinite ones, has no height map")
-    low, high = vertices_m[:, :2].astype(np.float64).min(axis=0), vertices_m[:, :2].max(axis=0)
+    low = vertices_m[:, :2].astype(np.float64).min(axis=0)
+    high = vertices_m[:, :2].max(axis=0)
     # The errors of a tiny pitch, which is refused below.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         # Counted from the origin and not from the mesh: two meshes of one frame share their pixels.

@@ -5,13 +5,11 @@ from __future__ import annotations
 import contextlib
 import logging
 import math
-import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from os import PathLike
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,8 +17,8 @@ from tactile_toolkit.array_types import AnyArray, Float32, Float64, Floating, In
 from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.mesh import MM_PER_M, Mesh, SolidRecord, find_mesh_files, read_mesh, require_unit
-from tactile_toolkit.read import AnyRecords, RecordDataset, picks_several, positions
+from tactile_toolkit.mesh import MM_PER_M, Mesh, MeshFile, SolidRecord, find_mesh_files
+from tactile_toolkit.read import LazySequence, RecordDataset
 
 if TYPE_CHECKING:
     import trimesh
@@ -62,7 +60,7 @@ _MESHES = MemoryCache[LazyMesh, "trimesh.Trimesh"](64)
 
 
 @dataclass(frozen=True, eq=False)
-class MeshView(Sequence[MeshRecord]):
+class MeshView(LazySequence[MeshRecord, "MeshView"]):
     """A sequence of records of meshes, with their classes and measures.
 
     Attributes
@@ -75,12 +73,15 @@ class MeshView(Sequence[MeshRecord]):
         Whether each mesh is turned onto its broadest side when it is read (``flat_turn``).
     """
 
+    thing = "mesh"
+    things = "meshes"
+
     records: Sequence[MeshRecord]
     label_names: tuple[str, ...]
     flat: bool = False
 
     @classmethod
-    def of(cls, meshes: MeshView | AnyRecords) -> MeshView:
+    def of(cls, meshes: MeshView | RecordDataset[Any]) -> MeshView:
         """Return a view of a data set of meshes; a view as it is."""
         if isinstance(meshes, MeshView):
             return meshes
@@ -89,20 +90,18 @@ class MeshView(Sequence[MeshRecord]):
     def __len__(self) -> int:
         return len(self.records)
 
-    @overload
-    def __getitem__(self, key: int) -> MeshRecord: ...
-    @overload
-    def __getitem__(self, key: slice | Sequence[int] | AnyArray) -> MeshView: ...
-    def __getitem__(self, key: Any) -> MeshRecord | MeshView:
-        """Return a record (int), or a view of some of them (slice, ints, mask)."""
-        if not picks_several(key):
-            record = self.records[operator.index(key)]
-            if self.flat:
-                return LazyMesh(record.id, record.label, partial(_laid_flat, record))
-            return record
+    def _item(self, index: int) -> MeshRecord:
+        record = self.records[index]
+        if self.flat:
+            return LazyMesh(record.id, record.label, partial(_laid_flat, record))
+        return record
+
+    def _several(self, index: Any) -> MeshView:
+        chosen: Sequence[MeshRecord]
         if isinstance(self.records, RecordDataset):
-            return MeshView(self.records[key], self.label_names, self.flat)
-        chosen = [self.records[row] for row in positions(key, len(self)).tolist()]
+            chosen = self.records[index]
+        else:
+            chosen = [self.records[row] for row in self.checked_indices(index)]
         return MeshView(chosen, self.label_names, self.flat)
 
     def column(self, name: str) -> AnyArray:
@@ -134,7 +133,7 @@ class PlannedView(MeshView):
     were not made when it was planned, which take about ``left_s`` seconds on one core.
     """
 
-    finished: Callable[[], AnyRecords | None] = lambda: None
+    finished: Callable[[], RecordDataset[Any] | None] = lambda: None
     left: int = 0
     left_s: float = 0.0
 
@@ -191,30 +190,29 @@ def mesh_files(place: str | PathLike[str], split: str, unit: str | None = None) 
     splits is the same for all. Ids count files in the order of their names. ``unit`` is as
     :func:`tactile_toolkit.mesh.read_mesh` takes it. InputError: the folder holds only another split.
     """
-    require_unit(unit)
-    found = find_mesh_files(place)
+    found = find_mesh_files(place, unit)
     if found is None:
         return None
     files = found.splits.get(split, found.splits.get(""))
     if files is None:
         others = list(found.splits)
+        root = found.splits[others[0]][0].root
         raise InputError(
-            f"{str(found.root)!r} has no split {split!r}, only {' and '.join(map(repr, others))}",
+            f"{str(root)!r} has no split {split!r}, only {' and '.join(map(repr, others))}",
             next=f"put meshes into a sub-folder {split!r}, or give a folder without splits, such as "
-            f"'{found.root}/{others[0]}'",
+            f"'{root}/{others[0]}'",
         )
-    read = partial(_mesh_of_file, unit=unit, below=found.root)
     records = [
-        LazyMesh(number, found.class_names.index(found.classes[file]), partial(read, file), file.name)
+        LazyMesh(number, file.label, partial(_mesh_of_file, file), file.path.name)
         for number, file in enumerate(files)
     ]
     return MeshView(records, found.class_names)
 
 
-def _mesh_of_file(path: Path, unit: str | None, below: Path | None = None) -> trimesh.Trimesh:
-    found = read_mesh(path, unit=unit, below=below)
+def _mesh_of_file(file: MeshFile) -> trimesh.Trimesh:
+    found = file.read()
     for note in found.notes:
-        _LOG.warning("%s: %s", path, note)
+        _LOG.warning("%s: %s", file.path, note)
     return Mesh(np.asarray(found.vertices_m, np.float32), found.faces).to_trimesh()
 
 

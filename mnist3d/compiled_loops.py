@@ -34,7 +34,8 @@ def signed_distance_px(mask: Bool, inside_px: float, outside_px: float) -> Float
     paper, inked = np.zeros((2, *mask.shape), np.int16)
     ink = -mask.astype(np.int16)  # all bits, or none
     _distances_in_rows(ink, math.ceil(inside_px), math.ceil(outside_px), paper, inked)
-    found, least = np.empty(mask.shape, np.float32), np.empty(mask.shape[1], np.int16)
+    found = np.empty(mask.shape, np.float32)
+    least = np.empty(mask.shape[1], np.int16)
     far = max(math.ceil(inside_px), math.ceil(outside_px))
     _distances(ink, paper, inked, far, np.float32(inside_px), np.float32(outside_px), least, found)
     return found
@@ -51,7 +52,8 @@ def _distances_in_rows(
         begin = -far
         for column in range(width + 1):
             if column == width or (column and ink[row, column] != ink[row, column - 1]):
-                is_ink, end = ink[row, column - 1] != 0, column
+                is_ink = ink[row, column - 1] != 0
+                end = column
                 if column == width:
                     end = width + far
                 reach = inside if is_ink else outside
@@ -96,7 +98,8 @@ def _distances(
                     for column in range(width):
                         own = ink[row, column]
                         nearest = (inked[other, column] & own) | (paper[other, column] & ~own)
-                        there, here = np.int16(nearest + added), least[column]
+                        there = np.int16(nearest + added)
+                        here = least[column]
                         least[column] = there if there < here else here
         for column in range(width):
             away = np.sqrt(np.float32(least[column]))
@@ -125,7 +128,8 @@ def _narrow_pixels(distance: Float32, wide_px: float, reach: int, found: Int64) 
             here = distance[row, column]
             if abs(here) >= wide_px:
                 continue
-            sign, near = np.float32(1 if here > 0 else -1), False
+            sign = np.float32(1 if here > 0 else -1)
+            near = False
             for other in range(max(row - reach, 0), min(row + reach + 1, height)):
                 for beside in range(max(column - reach, 0), min(column + reach + 1, width)):
                     near |= sign * distance[other, beside] >= wide_px
@@ -147,7 +151,8 @@ def blurred(
     the lattice cannot represent. A bell is close to a Gaussian, but is computed by products and sums only,
     because exponentials differ between processors. A node one pixel from the next is not blurred.
     """
-    found, weights = np.zeros((len(nodes), values.shape[1])), np.empty((2, len(values)))
+    found = np.zeros((len(nodes), values.shape[1]))
+    weights = np.empty((2, len(values)))
     _blur_axis(
         values.astype(np.float64, copy=False), nodes, sigma_per_pitch, bell_reach, grain, weights, found
     )
@@ -167,13 +172,18 @@ def _blur_axis(
     count, width = found.shape
     for node in range(count):
         # Pitches differ along an axis: each node is blurred for the finer of its two sides.
-        here, before, after = nodes[node], max(node, 1), min(node + 1, count - 1)
+        here = nodes[node]
+        before = max(node, 1)
+        after = min(node + 1, count - 1)
         pitch = min(nodes[before] - nodes[before - 1], nodes[after] - nodes[after - 1])
         sigma = sigma_per_pitch * pitch if pitch > 1 else 0.0
-        narrow, wide = max(bell_reach * sigma, 0.5), max(bell_reach * (_ROOT_2 * sigma), 0.5)
-        first, last = max(math.ceil(here - wide), 0), min(math.floor(here + wide), len(values) - 1)
+        narrow = max(bell_reach * sigma, 0.5)
+        wide = max(bell_reach * (_ROOT_2 * sigma), 0.5)
+        first = max(math.ceil(here - wide), 0)
+        last = min(math.floor(here + wide), len(values) - 1)
         for bell in range(2):
-            radius, total = wide if bell else narrow, 0.0
+            radius = wide if bell else narrow
+            total = 0.0
             for pixel in range(first, last + 1):
                 away = here - pixel
                 weight = max(1 - away * away / (radius * radius), 0.0)
@@ -221,7 +231,8 @@ def _runs_of(mask: Bool, found: Int64, pairs: Int64) -> tuple[int, int]:
                     beside += 1
                 # The last one may touch the next run, too.
                 above = max(above, beside - 1)
-                count, begin = count + 1, -1
+                count = count + 1
+                begin = -1
         above = first
     return count, touching
 
@@ -234,7 +245,9 @@ def smoothed(vertices: Float32, faces: Int32, flat: Int64, shares: Float32) -> F
     """
     ends = np.zeros(len(vertices) + 1, np.int64)
     np.cumsum(2 * np.bincount(faces.ravel(), minlength=len(vertices)), out=ends[1:])
-    beside, weights, filled = np.empty(ends[-1], np.int32), np.empty(ends[-1], np.float32), ends[:-1].copy()
+    beside = np.empty(ends[-1], np.int32)
+    weights = np.empty(ends[-1], np.float32)
+    filled = ends[:-1].copy()
     _find_neighbours(faces, ends, filled, beside, weights)
     for share in shares:
         moved = np.empty_like(vertices)
@@ -248,7 +261,8 @@ def _find_neighbours(faces: Int32, ends: Int64, filled: Int64, beside: Int32, we
     """Write the neighbours of vertices, each once, from the last to the first, and how often each occurs."""
     for face in range(len(faces)):
         for k in range(6):
-            corner, other = faces[face, k % 3], faces[face, (k % 3 + k // 3 + 1) % 3]
+            corner = faces[face, k % 3]
+            other = faces[face, (k % 3 + k // 3 + 1) % 3]
             first, place = ends[corner], filled[corner]
             while place > first and beside[place - 1] < other:
                 place -= 1
@@ -279,7 +293,8 @@ def _pull(
         part = np.float32(1) / np.float32(ends[vertex + 1] - ends[vertex])
         x, y, z = np.float32(0), np.float32(0), np.float32(0)
         for place in range(ends[vertex], filled[vertex]):
-            weight, other = weights[place] * part, beside[place]
+            weight = weights[place] * part
+            other = beside[place]
             x += weight * vertices[other, 0]
             y += weight * vertices[other, 1]
             z += weight * vertices[other, 2]

@@ -223,7 +223,8 @@ class DigitGenerator(generation.RowGenerator):
 
     def planned(self, split: str) -> generation.PlannedMeshes:
         """Return the digits of a split, each of which is made by itself, without its report."""
-        ids, catalog = self.items()[split], self.spec.source.catalog()
+        ids = self.items()[split]
+        catalog = self.spec.source.catalog()
         labels = catalog.labels[np.searchsorted(catalog.ids, ids)]
         return generation.PlannedMeshes(ids, labels, self._solid, _ROW_S)
 
@@ -237,7 +238,8 @@ def make_row(digit_id: int, spec: DigitSetSpec) -> digit_records.DigitRow:
     Raises ItemError when the image cannot be used, or the mesh does not bound a solid (the reason is one of
     :data:`tactile_toolkit.mesh.PROBLEMS`).
     """
-    digit, where = spec.source.image(digit_id), f"digit {digit_id} of source {spec.source.name!r}"
+    digit = spec.source.image(digit_id)
+    where = f"digit {digit_id} of source {spec.source.name!r}"
     try:
         made = _solid_of(digit, spec)
     except ItemError as error:

@@ -185,7 +185,8 @@ class SolidSpec:
         """Check the parameters."""
         check_fields(self, "the solid's specification")
         # Below a pixel of thickness there is no layer; a storage grid above 1/10 pixel would show as steps.
-        thinnest_mm, coarsest_mm = self.pixel_pitch_mm, self.pixel_pitch_mm / 10
+        thinnest_mm = self.pixel_pitch_mm
+        coarsest_mm = self.pixel_pitch_mm / 10
         thickest_mm = thinnest_mm * LARGEST_HALF_THICKNESS_PX
         if not 1 <= self.half_thickness_px <= LARGEST_HALF_THICKNESS_PX:
             raise InputError(

@@ -141,7 +141,8 @@ def _by_writer(catalog: DigitCatalog, spec: SplitSpec, usual: Mapping[str, int])
             "all split sizes are 0; expected at least one split with digits",
             next="raise a size (--split-sizes)",
         )
-    wanted, given = shares / shares.sum() * counts.sum(), np.zeros(len(SPLITS))
+    wanted = shares / shares.sum() * counts.sum()
+    given = np.zeros(len(SPLITS))
     split_of = np.full(len(writers), -1, dtype=np.int64)
     # Every split first gets a writer; by shares only, small splits of few writers would stay empty.
     unserved = [int(split) for split in np.flatnonzero(shares)]

@@ -13,7 +13,7 @@ The results are exact, the same on every machine.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Container, Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
@@ -22,26 +22,12 @@ import numpy as np
 from tactile_toolkit.array_types import AnyArray, Float64, Floating, UInt8
 from tactile_toolkit.checked_fields import check_fields, integer, real
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.touch import RENDERED_CONTACT_M, height_text
 
 ContactMethod = Literal["contact_start", "contact_end", "peak", "best"]
 CONTACT_METHODS: tuple[ContactMethod, ...] = get_args(ContactMethod)
 """Names of the ways to choose one frame: see :meth:`realtouch.TouchClip.contact_index`."""
 CLOCK_TOLERANCE_S = 1e-4
 """Times within this tolerance are equal, seconds: rounding of single precision in the first half hour."""
-MIN_CONTACT_HEIGHT_M = 0.006
-"""Height of the gel above the plate from which a touch is a contact, metres: the publisher's threshold."""
-PLATE_COLUMN = "plate_z_m"
-"""Height of the gel on the bare plate, metres, cell frame, of a round from which `select` took touches, and
-of rendered ones whose gel is not that of a GelSight Mini."""
-
-# Only touches of `tactile-sim generate` have this column; their plate is at z = 0.
-_MADE_BY_US = "info.touched_object_pose.position"
-_PLATES = {
-    "known": "the height of the plate is known",
-    "stored": "the height of the plate is stored with each round",
-    "estimated": "the deepest touch of each round is taken as the plate",
-}
 
 
 def require_method(method: str) -> ContactMethod:
@@ -82,35 +68,6 @@ def contact_heights_m(z_m: Floating, recalibrate_z: bool = True, plate_z_m: floa
     if math.isnan(plate_z_m):
         plate_z_m = np.fmin.reduce(heights)
     return heights - plate_z_m
-
-
-@dataclass(frozen=True, slots=True)
-class ContactHeight:
-    """The rule of a data set; its text is part of a sentence.
-
-    Attributes
-    ----------
-    min_height_m : float
-        Height above the plate from which a touch counts, metres.
-    plate : "known", "stored" or "estimated"
-        Where the height of the plate is from: that of all touches of `tactile-sim generate`, the column
-        ``plate_z_m``, or the deepest touch of each round.
-    """
-
-    min_height_m: float
-    plate: Literal["known", "stored", "estimated"]
-
-    @classmethod
-    def of(cls, columns: Container[str]) -> ContactHeight:
-        """Return the rule for rounds with these columns, by dotted name."""
-        if _MADE_BY_US in columns:
-            return cls(RENDERED_CONTACT_M, "known")
-        if PLATE_COLUMN in columns:
-            return cls(MIN_CONTACT_HEIGHT_M, "stored")
-        return cls(MIN_CONTACT_HEIGHT_M, "estimated")
-
-    def __str__(self) -> str:
-        return f"{height_text(self.min_height_m)}; {_PLATES[self.plate]}"
 
 
 _SHAPES = {3: "(H, W, 3)", 4: "(N, H, W, 3)"}
@@ -193,7 +150,8 @@ def as_pictures(pictures: object, dimensions: tuple[int, ...] = (4,)) -> UInt8:
 
 def _with_background(pictures: object, background: object) -> tuple[UInt8, UInt8]:
     """Return pictures and a background of the same size; InputError for any other."""
-    found, base = as_pictures(pictures, (3, 4)), as_pictures(background, (3,))
+    found = as_pictures(pictures, (3, 4))
+    base = as_pictures(background, (3,))
     if found.shape[-3:] != base.shape:
         raise InputError(
             f"the background has the shape {base.shape}; expected {found.shape[-3:]}, as the pictures"

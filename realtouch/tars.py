@@ -45,7 +45,8 @@ def files_of_tar(stream: IO[bytes], size: int) -> Iterator[tarfile.TarInfo]:
                         f"{member.name!r} is sparse, or its size is not a number of bytes"
                     )
                 blocks = -(-member.size // tarfile.BLOCKSIZE)
-                name, end = member.name, member.offset_data + blocks * tarfile.BLOCKSIZE
+                name = member.name
+                end = member.offset_data + blocks * tarfile.BLOCKSIZE
                 if end > size:
                     raise tarfile.ReadError(f"it ends in {name!r}")
                 if member.isfile():

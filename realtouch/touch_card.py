@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from realtouch import contact, picture_views
+from realtouch import picture_views
 from realtouch.kind import KIND
 from realtouch.touches import datasets, image_contacts, rounds, schema, stored_round
 from realtouch.touches.rounds import Touch
@@ -34,6 +34,9 @@ _TASKS = {
     "task_ids": ["multi-class-image-classification"],
 }
 _LIST_SUFFIX = re.compile(r"(?:\.list\.(?:element|item))+\Z")
+_MAY_HAVE_MISSED = (
+    "Some touches may have met no object; `realtouch select --contact` takes them out of the source."
+)
 _WINDOW = "18.88 x 14.16 mm of gel"
 
 
@@ -69,11 +72,13 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
         unknown = {}
     origin = schema.origin_of(facts.schema, manifest)
     of_origin = words["origins"][origin]
-    rule = contact.ContactHeight.of(read.column_types(facts.schema))
-    licence_text, heights = of_origin["licence_text"], [of_origin.get("drift")]
+    rule = touch.HeightRule.of(read.column_types(facts.schema))
+    licence_text = of_origin["licence_text"]
+    heights = [of_origin.get("drift")]
     # Plain pictures and rows in foreign formats are not rounds that could be loaded.
     if operation in ("frames", "export"):
-        template, licence_text = str(operation), of_origin.get("licence_of_others", licence_text)
+        template = str(operation)
+        licence_text = of_origin.get("licence_of_others", licence_text)
         content = _plain_content(folder, facts, manifest, words)
     else:
         kind = schema.media_kind(facts.schema, folder.address())
@@ -147,9 +152,7 @@ def _plain_content(
     texts["loading"] = texts["loading"].replace("$first_split", facts.splits[0].split)
     nouns = "rounds" if layout == "lerobot" else "pictures"
     pictures = _plain_pictures(folder, facts)
-    return _Content(
-        of_layout, words["columns"]["plain"], nouns, pictures, texts, touch.missed_text(None, 0), {}
-    )
+    return _Content(of_layout, words["columns"]["plain"], nouns, pictures, texts, [_MAY_HAVE_MISSED], {})
 
 
 def _plain_pictures(folder: store.DataFolder, facts: cards.FolderSummary) -> Iterator[UInt8 | None]:
@@ -166,8 +169,8 @@ def _plain_pictures(folder: store.DataFolder, facts: cards.FolderSummary) -> Ite
 
 def _stored_content(
     facts: cards.FolderSummary,
-    kind: touch.Kind,
-    rule: contact.ContactHeight,
+    kind: schema.Kind,
+    rule: touch.HeightRule,
     manifest: store.Manifest | None,
     words: JsonDict,
 ) -> _Content:
@@ -215,7 +218,8 @@ def _extra_words(facts: cards.FolderSummary) -> dict[str, tuple[str, str]]:
     ends: dict[str, list[Any]] = {}
     for shard in (shard for split in facts.splits for shard in split.shards):
         for chunk in shard.column_chunks():
-            name, found = _LIST_SUFFIX.sub("", chunk.path_in_schema), chunk.statistics
+            name = _LIST_SUFFIX.sub("", chunk.path_in_schema)
+            found = chunk.statistics
             if found is not None and found.has_min_max:
                 ends.setdefault(name, []).extend([found.min, found.max])
             elif found is None or found.null_count < chunk.num_values:
@@ -235,7 +239,7 @@ def _text(form: str, figure: float | None) -> str:
     return "-" if figure is None else form.format(figure)
 
 
-def _stored_pictures(facts: cards.FolderSummary, kind: touch.Kind) -> list[UInt8 | None]:
+def _stored_pictures(facts: cards.FolderSummary, kind: schema.Kind) -> list[UInt8 | None]:
     """Decode pictures of the first round that has a readable one; clips show the end of contact."""
     for record in _first_rounds(facts, kind):
         count = _or_none(attrgetter("touch_count"), record) or 0
@@ -254,7 +258,7 @@ def _sheet(pictures: Iterable[UInt8 | None]) -> bytes | None:
 
 
 def _first_rounds(
-    facts: cards.FolderSummary, kind: touch.Kind
+    facts: cards.FolderSummary, kind: schema.Kind
 ) -> Iterator[rounds.TouchSeqRound | rounds.TouchSingleRound]:
     """Yield the first round of each of the first blocks; the blocks are not kept in the cache."""
     record = rounds.TouchSingleRound if kind == "single" else rounds.TouchSeqRound
@@ -274,7 +278,7 @@ def _or_none(ask: Callable[..., T], *parts: object) -> T | None:
         return None
 
 
-def _missed(touches: list[int | None], shares: list[float | None], rule: contact.ContactHeight) -> list[str]:
+def _missed(touches: list[int | None], shares: list[float | None], rule: touch.HeightRule) -> list[str]:
     """State how many touches met no object, if this is known.
 
     ``touches`` and ``shares`` have one entry for each split: its touches, and the share that met an object.
@@ -282,8 +286,9 @@ def _missed(touches: list[int | None], shares: list[float | None], rule: contact
     found = [(count, share) for count, share in zip(touches, shares, strict=True) if count]
     if any(share is None for _, share in found):
         return []
-    total, in_contact = sum(count for count, _ in found), sum(count * (share or 0) for count, share in found)
-    return touch.missed_text(total - round(in_contact), total, is_estimated=rule.plate == "estimated")
+    total = sum(count for count, _ in found)
+    in_contact = sum(count * (share or 0) for count, share in found)
+    return rule.missed_lines(total - round(in_contact), total)
 
 
 def _made(manifest: store.Manifest) -> list[tuple[str, str]]:

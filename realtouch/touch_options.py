@@ -6,10 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TypeVar
 
-from tactile_toolkit import catalog, checked_fields, errors
+from tactile_toolkit import checked_fields, errors
 
 T = TypeVar("T")
 
+ONE_SPLIT = checked_fields.text(metavar="NAME", help="Split to open; required if there are several.")
 IMPORT_LAYOUTS = (
     "folder",
     "video",
@@ -65,7 +66,7 @@ class TouchPreviewSpec:
         name="--kind",
         help="What to draw; may be repeated: a round as a grid (the default) or pasted on a map of the cell.",
     )
-    split: str | None = catalog.ONE_SPLIT
+    split: str | None = ONE_SPLIT
     round_number: int = checked_fields.integer(0, name="--round", help="Round to draw, counted from 0.")
     touches: int = checked_fields.integer(32, 1, help="Number of touches in a grid.")
 

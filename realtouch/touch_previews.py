@@ -14,7 +14,7 @@ from realtouch.touches import media, opening, rounds
 from realtouch.touches.rounds import Touch
 from tactile_toolkit import arithmetic, errors, pictures, places, wording
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, UInt8
-from tactile_toolkit.touch import CELL_M, height_text
+from tactile_toolkit.touch import CELL_M
 
 CONTACT = pictures.ACCENTS[0]
 """Colour of the frame around touches in which the gel stopped on an object."""
@@ -79,22 +79,22 @@ def draw_grid(record: rounds.TouchRound, most: int) -> UInt8:
     row = record.row
     heights_m = None
     if row.has_poses:
-        rule = contact.ContactHeight.of(row.group.names)
+        rule = row.height_rule
         heights_m = contact.contact_heights_m(row.contact_z_m(row.kind), plate_z_m=row.plate_z_m(rule))
     tiles = []
-    for touch in picture_views.evenly_spaced(record.touch_count, most):
-        caption = f"{touch}"
+    for number in picture_views.evenly_spaced(record.touch_count, most):
+        caption = f"{number}"
         frame = None
         if heights_m is not None:
-            caption = f"{touch}: {heights_m[touch] * 1e3:.1f} mm"
-            if heights_m[touch] >= rule.min_height_m:
+            caption = f"{number}: {heights_m[number] * 1e3:.1f} mm"
+            if heights_m[number] >= rule.min_height_m:
                 frame = CONTACT
-        views = force_pictures.force_views(Touch(record, touch))
+        views = force_pictures.force_views(Touch(record, number))
         pixels = np.hstack([pictures.fitted(view, _TILE_PX) for view in views])
         tiles.append(pictures.Tile(pixels, caption, frame))
     words = [f"{len(tiles)} of {_touches_in_words(record)}"]
     if heights_m is not None:
-        words += [f"framed: {height_text(rule.min_height_m)}; its height next to the number"]
+        words += [f"framed: {rule.height_text}; its height next to the number"]
     return pictures.sheet(tiles, _COLUMNS // len(views), _title(record), ("; ".join(words),))
 
 
@@ -170,12 +170,10 @@ def placed_touches(record: rounds.TouchRound, touches: Sequence[int]) -> list[Pl
     return [placed[number] for number in range(len(touches))]
 
 
-def cell_map(
-    touches: Sequence[PlacedTouch], px_per_mm: float, cell_m: tuple[float, float] = CELL_M
-) -> CellMap:
+def cell_map(touches: Sequence[PlacedTouch], px_per_mm: float) -> CellMap:
     """Return a map that shows the cell and every touch completely."""
     # Touches near the edge of the cell reach beyond it.
-    reach = np.array(cell_m) / 2
+    reach = np.array(CELL_M) / 2
     for touch in touches:
         half = np.abs(touch.axes * np.array(SENSING_AREA_M)[:, None] / 2).sum(axis=0)
         reach = np.maximum(reach, np.abs(touch.centre_m) + half)

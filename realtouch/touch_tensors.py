@@ -115,7 +115,8 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
 
     def __getitem__(self, index: int) -> Any:
         """Return one item."""
-        touch, frame = self.touches[index], None
+        touch = self.touches[index]
+        frame = None
         if isinstance(touch.round, TouchSingleRound):
             shown = _tensor("Image", touch.image)
         elif self.frames is None:

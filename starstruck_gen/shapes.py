@@ -63,7 +63,8 @@ class Proportions:
     def __post_init__(self) -> None:
         for entry in fields(self):
             kind: Any = type(entry.default)
-            least, most = entry.metadata.get("least", -_LARGEST), entry.metadata.get("most", _LARGEST)
+            least = entry.metadata.get("least", -_LARGEST)
+            most = entry.metadata.get("most", _LARGEST)
             value = to_builtin(getattr(self, entry.name), float)
             if not (isinstance(value, float) and least <= value <= most and kind(value) == value):
                 raise InputError(

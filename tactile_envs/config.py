@@ -32,7 +32,8 @@ DIRECT = "direct"
 GELSIGHT_M = (0.032, 0.028)
 """Width and depth of the housing of the sensor, metres (tactile-mnist 0.13.0, GELSIGHT_MINI_OUTER_SIZE)."""
 C = TypeVar("C", bound="EpisodeConfig")
-_MAX_ENVS, _MAX_THREADS = 1 << 20, 1024
+_MAX_ENVS = 1 << 20
+_MAX_THREADS = 1024
 
 # Three colours and depth of a pixel, float32.
 _PIXEL_BYTES = 16

@@ -25,7 +25,8 @@ _ON_BLACK = (190, 196, 204)
 # The gel is as high as on the plate, metres.
 _EVEN_M = 1e-6
 _CORNERS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
-_PLATE, _PANEL = (0.86, 0.88, 0.92), 1.0
+_PLATE = (0.86, 0.88, 0.92)
+_PANEL = 1.0
 _SENSOR, _AIM = (0.80, 0.16, 0.20), (0.95, 0.60, 0.10)
 _RIGHT, _WRONG = (0.13, 0.55, 0.30), (0.35, 0.45, 0.70)
 
@@ -159,7 +160,8 @@ class _Word(NamedTuple):
 def _draw_bars(panel: Float32, shares: AnyArray, right: int, names: tuple[str, ...]) -> list[_Word]:
     """Draw the bars of classes, the right one and the most probable if not all have room; return names."""
     bars = np.clip(np.nan_to_num(shares), 0, 1)
-    first_px, words = _FELT_PX + 12, list[_Word]()
+    first_px = _FELT_PX + 12
+    words = list[_Word]()
     shown = np.arange(len(bars))
     if len(bars) > _MAX_BARS:
         ranks = np.argsort(-bars, kind="stable")

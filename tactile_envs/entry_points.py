@@ -201,7 +201,8 @@ def _recorded(
     mesh.refuse_unit(given.unit, "recorded touches")
     sources = recorded_sets.RecordedSources.of(given.assets, given.touches)
     touches = recorded_sets.RecordedTouches.open(sources.touches, spec.split, config)
-    objects, has_volume = None, spec.task == "volume"
+    objects = None
+    has_volume = spec.task == "volume"
     is_drawn = given.render_mode is not None and given.assets is not None
     if sources.digits is not None and (has_volume or is_drawn):
         objects = recorded_sets.TouchedObjects.open(sources.digits, f"printed_{spec.split}", touches, config)
@@ -252,7 +253,8 @@ class TactileEnv(ap_gym.BaseActivePerceptionEnv):  # type: ignore[misc]
     """
 
     def __init__(self, vector_env: environment.TactileVectorEnv) -> None:
-        self.vector_env, self.render_mode = vector_env, vector_env.render_mode
+        self.vector_env = vector_env
+        self.render_mode = vector_env.render_mode
         self.metadata = {
             name: value for name, value in vector_env.metadata.items() if name != "autoreset_mode"
         }

@@ -71,7 +71,8 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         if render_mode not in (None, "rgb_array"):
             raise InputError(f"render_mode is {render_mode!r}; expected None or 'rgb_array'")
         self.config: config.EpisodeConfig = scene.config
-        self.num_envs, self.render_mode = scene.num_envs, render_mode
+        self.num_envs = scene.num_envs
+        self.render_mode = render_mode
         self.autoreset_mode = _checked_mode(autoreset_mode)
         self.metadata = {
             **type(self).metadata,
@@ -243,7 +244,8 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
             self._log.add(self._steps, motion.EVERY, score.metrics)
             self._steps += 1
             return self._scene.aim(moves, motion.EVERY)
-        over, rows = np.flatnonzero(self._is_over), np.flatnonzero(~self._is_over)
+        over = np.flatnonzero(self._is_over)
+        rows = np.flatnonzero(~self._is_over)
         if not len(rows):
             self._begin(motion.EVERY, motion.ResetOptions.drawn(self.num_envs))
             return np.zeros(self.num_envs, np.float32)
@@ -265,7 +267,8 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
 
     def _ends(self) -> tuple[Bool, Bool]:
         """Return which episodes are terminated, and which are truncated."""
-        is_last, never = self._steps >= self.config.step_limit, np.zeros(self.num_envs, np.bool_)
+        is_last = self._steps >= self.config.step_limit
+        never = np.zeros(self.num_envs, np.bool_)
         terminated, truncated = is_last, never
         if self.config.timeout_behavior == "truncate":
             terminated, truncated = never, is_last
@@ -378,7 +381,8 @@ class EpisodeLog:
         Each of ``metrics`` has shape (n,), one value for each environment, active or not; ``steps``, shape
         (n,), are the numbers of their steps, from 0 on.
         """
-        rows, at = self._rows[active], steps[active]
+        rows = self._rows[active]
+        at = steps[active]
         for name, values in metrics.items():
             if name not in self._values:
                 self._values[name] = np.full((self._step_limit, len(steps)), np.nan, np.float32)
@@ -416,7 +420,8 @@ def _turning_points(is_right: Bool, is_taken: Bool) -> config.Info:
 
     Both arrays have shape (steps, n); those of episodes that go on count too, as in ap-gym.
     """
-    right, wrong = is_right & is_taken, ~is_right & is_taken
+    right = is_right & is_taken
+    wrong = ~is_right & is_taken
     ever, ever_wrong = right.any(axis=0), wrong.any(axis=0)
     last_wrong = len(wrong) - 1 - np.argmax(wrong[::-1], axis=0)
     return {

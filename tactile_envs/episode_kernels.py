@@ -27,7 +27,8 @@ def aim(
     shape (8,), has the lowest and the highest position, metres (6), the greatest distance, metres, and the
     cost factor. The precision of each step is that of the published environment.
     """
-    one, price = np.float32(1.0), np.float32(motion[7])
+    one = np.float32(1.0)
+    price = np.float32(motion[7])
     for i in range(len(actions)):
         x, y, z = actions[i, 0], actions[i, 1], actions[i, 2]
         length = np.float32(math.sqrt((x * x + y * y) + z * z))
@@ -47,7 +48,8 @@ def turn(ways: Float32, limits: Float64, price: float, axes: Float64, costs: Flo
     A z axis that is tilted too far is brought back towards upright, and the y axis follows; the sensor is not
     turned if that leaves no direction for y.
     """
-    one, price_of = np.float32(1.0), np.float32(price)
+    one = np.float32(1.0)
+    price_of = np.float32(price)
     for i in range(len(ways)):
         x, y, z = ways[i, 0], ways[i, 1], ways[i, 2]
         length = np.float32(math.sqrt((x * x + y * y) + z * z))
@@ -55,7 +57,8 @@ def turn(ways: Float32, limits: Float64, price: float, axes: Float64, costs: Flo
         angle_rad = np.float64(min(length, one)) * limits[0]
         around = ways[i].astype(np.float64) / max(np.float64(length), 1e-12)
         upright, side = _turned(axes[i, :, 2], around, angle_rad), _turned(axes[i, :, 1], around, angle_rad)
-        flat, most = math.hypot(upright[0], upright[1]), math.sin(limits[1])
+        flat = math.hypot(upright[0], upright[1])
+        most = math.sin(limits[1])
         if flat > most:
             upright[:2] *= most / flat
         upright[2] = math.sqrt(1.0 - (upright[0] ** 2 + upright[1] ** 2))
@@ -117,12 +120,15 @@ def place(
 @compiled
 def classify(logits: Float32, labels: Int64) -> tuple[Float64, Bool]:
     """Return cross-entropies of logits (n, classes), and whether the label has the first of the greatest."""
-    entropies, is_right = np.empty(len(logits)), np.empty(len(logits), np.bool_)
+    entropies = np.empty(len(logits))
+    is_right = np.empty(len(logits), np.bool_)
     for i in range(len(logits)):
-        best, most = 0, logits[i, 0]
+        best = 0
+        most = logits[i, 0]
         for k in range(1, logits.shape[1]):
             if logits[i, k] > most:
-                best, most = k, logits[i, k]
+                best = k
+                most = logits[i, k]
         total = 0.0
         for k in range(logits.shape[1]):
             total += math.exp(np.float64(logits[i, k]) - most)
@@ -134,10 +140,14 @@ def classify(logits: Float32, labels: Int64) -> tuple[Float64, Bool]:
 @compiled
 def spread_of_turned(hull: Float32, cosine: float, sine: float) -> tuple[float, float, float, float]:
     """Return least and greatest x and y of turned points (n, 2)."""
-    least_x, least_y, most_x, most_y = np.inf, np.inf, -np.inf, -np.inf
+    least_x = np.inf
+    least_y = np.inf
+    most_x = -np.inf
+    most_y = -np.inf
     for point in range(len(hull)):
         x, y = np.float64(hull[point, 0]), np.float64(hull[point, 1])
-        over, up = cosine * x - sine * y, sine * x + cosine * y
+        over = cosine * x - sine * y
+        up = sine * x + cosine * y
         least_x, most_x = min(least_x, over), max(most_x, over)
         least_y, most_y = min(least_y, up), max(most_y, up)
     return least_x, least_y, most_x, most_y

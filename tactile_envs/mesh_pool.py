@@ -190,7 +190,8 @@ class GrowingPool(MeshPool):
         self._is_packed[missing] = True
 
     def _extend(self, column: int, array: AnyArray) -> None:
-        buffer, begin = self._buffers[column], int(self._used[column])
+        buffer = self._buffers[column]
+        begin = int(self._used[column])
         end = begin + len(array)
         dtype = buffer.dtype
         if dtype == np.uint16 and not _is_small(array):
@@ -256,7 +257,8 @@ def _packed_records(records: Iterable[mesh_view.MeshRecord], tilt_rad: float = 0
     columns: list[Parts] = [[], [], [], [], [], []]
     ends = np.zeros(4)
     for record in records:
-        vertices_m, faces = np.asarray(record.vertices_m, np.float32), np.asarray(record.faces)
+        vertices_m = np.asarray(record.vertices_m, np.float32)
+        faces = np.asarray(record.faces)
         *arrays, grid = _packed(vertices_m, faces, tilt_rad)
         grid[_FIRSTS] = ends
         ends += [len(array) for array in arrays]

@@ -304,7 +304,8 @@ class ElasticGel:
         stops. Forces (n, 3), newtons, are those on the gel, in the frame of each sensor.
         """
         count, (width, height) = len(sensors), self._shown.size_px
-        depths_m, forces_n = np.empty((count, height, width)), np.empty((count, 3), np.float32)
+        depths_m = np.empty((count, height, width))
+        forces_n = np.empty((count, 3), np.float32)
         for row, depth_m in enumerate(met.depths_m):
             contact = self._load.press(-depth_m.astype(np.float64), self._whole, depths_m[row])
             forces_n[row] = contact.force_n
@@ -349,7 +350,8 @@ class Randomization:
     """
 
     def __init__(self, config: Config, shape: tuple[int, int, int, int], bases: int) -> None:
-        self._std_m, self._bases = config.penetration_depth_reduction_std, bases
+        self._std_m = config.penetration_depth_reduction_std
+        self._bases = bases
         self._most_m = config.gel_thickness - config.penetration_depth
         self._noise: EpisodeNoise | None = None
         if config.sensor_noise is not None:

@@ -11,6 +11,7 @@ import sys
 from dataclasses import replace
 from functools import partial
 from os import PathLike, fspath
+from typing import Any
 
 from env_assets import (
     KINDS,
@@ -25,7 +26,7 @@ from tactile_envs import env_specs, mesh_pool
 from tactile_envs.config import Config
 from tactile_toolkit import mesh, run, store
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.read import AnyRecords, RecordDataset
+from tactile_toolkit.read import RecordDataset
 from tactile_toolkit.wording import duration_text, printable, with_count
 
 PUBLISHED = "published"
@@ -66,7 +67,7 @@ def open_objects(
     return records
 
 
-def _packed_meanwhile(records: AnyRecords) -> mesh_view.PlannedView:
+def _packed_meanwhile(records: RecordDataset[Any]) -> mesh_view.PlannedView:
     """Let episodes begin with single meshes, while a process in the background packs all of them."""
     key = records.identity, str(len(records)), ""
     if key not in _BEGUN:
@@ -76,7 +77,7 @@ def _packed_meanwhile(records: AnyRecords) -> mesh_view.PlannedView:
     return mesh_view.PlannedView(records, tuple(records.label_names), finished=partial(_same, records))
 
 
-def _same(records: AnyRecords) -> AnyRecords:
+def _same(records: RecordDataset[Any]) -> RecordDataset[Any]:
     return records
 
 

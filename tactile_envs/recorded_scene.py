@@ -150,7 +150,8 @@ class RecordedScene(scene.TouchScene):
         number, touch = int(self.numbers[row]), int(self._chosen[row])
         pool, which = None, 0
         if self._objects is not None:
-            pool, which = self._objects.pool, int(self._objects.which[number])
+            pool = self._objects.pool
+            which = int(self._objects.which[number])
         image = self._images.of(self.numbers[[row]], self._chosen[[row]])[0].astype(np.float32) / 255
         return drawing.EnvDrawing(
             pool,

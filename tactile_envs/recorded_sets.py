@@ -107,13 +107,15 @@ class RecordedTouches:
         InputError: it is missing, has no images, or rounds too short for an episode. IntegrityError: a
         position or a pose is missing or damaged.
         """
-        rounds, where = realtouch.load(place, split), f"{fspath(place)!r}, split {split!r},"
+        rounds = realtouch.load(place, split)
+        where = f"{fspath(place)!r}, split {split!r},"
         if not isinstance(rounds, realtouch.TouchSingleDataset):
             raise InputError(
                 f"{where} holds clips; expected one image a touch", next="run `realtouch clips-to-images`"
             )
         count = _touch_count(rounds, where, config.step_limit)
-        positions_m, poses = np.empty((len(rounds), count, 2)), np.empty((len(rounds), count, 4, 4))
+        positions_m = np.empty((len(rounds), count, 2))
+        poses = np.empty((len(rounds), count, 4, 4))
         for number, record in rounds.rounds_without_media():
             positions_m[number] = record.pos_in_cell_m
             poses[number] = record.gel_pose_cell_frame.matrix
@@ -125,7 +127,8 @@ class RecordedTouches:
 
     def labels(self) -> Int64:
         """Return the class of each round, shape (R,); InputError if one has no class."""
-        labels, classes = self.rounds.labels, len(self.rounds.label_names)
+        labels = self.rounds.labels
+        classes = len(self.rounds.label_names)
         wrong = np.flatnonzero((labels < 0) | (labels >= classes))
         if len(wrong):
             row = int(wrong[0])
@@ -167,7 +170,8 @@ class TouchedObjects:
     @classmethod
     def open(cls, place: Place, split: str, touches: RecordedTouches, config: RecordedConfig) -> Self:
         """Open the meshes of a split; InputError if they do not fit, or lack a touched object."""
-        records, where = meshes_at(place, split), f"{fspath(place)!r}, split {split!r},"
+        records = meshes_at(place, split)
+        where = f"{fspath(place)!r}, split {split!r},"
         view = MeshView.of(records)
         require_fitting_meshes(view, None, where, config.cell_size)
         numbers = {int(name): number for number, name in enumerate(view.column("id"))}
@@ -317,7 +321,8 @@ def _keep(name: str, depth_m: Float32) -> None:
 def _kept(name: str, size_px: tuple[int, int]) -> Float32 | None:
     """Return a depth map (h, w) of the cache; None if there is none, or it is damaged."""
     width, height = size_px
-    path, size = _ESTIMATES.path(name), 4 * width * height
+    path = _ESTIMATES.path(name)
+    size = 4 * width * height
     try:
         with store.open_regular(path) as stream:
             content = stream.read(size + _CHECKSUM_BYTES + 1)

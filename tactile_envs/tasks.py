@@ -203,7 +203,8 @@ def placements_m(hull: Float32, turn_rad: float, config: Config) -> tuple[Float6
         hull, math.cos(turn_rad), math.sin(turn_rad)
     )
     room_x, room_y = (side / 2 - config.object_placement_margin for side in config.cell_size)
-    low, high = np.array([-room_x - least_x, -room_y - least_y]), np.array([room_x - most_x, room_y - most_y])
+    low = np.array([-room_x - least_x, -room_y - least_y])
+    high = np.array([room_x - most_x, room_y - most_y])
     conflict = low > high
     if conflict.any():
         low[conflict] = high[conflict] = ((low + high) / 2)[conflict]

@@ -77,7 +77,8 @@ class TiltedScene(mesh_scene.MeshScene):
         self._axes[rows] = _axes_of(*angles)[rows]
 
     def _aim_as_given(self, row: int, start: motion.SensorStart) -> None:
-        tilt_rad, most_rad = math.acos(max(-1.0, min(start.axes[2, 2], 1.0))), self.config.max_tilt_angle
+        tilt_rad = math.acos(max(-1.0, min(start.axes[2, 2], 1.0)))
+        most_rad = self.config.max_tilt_angle
         if tilt_rad > most_rad + _ROUNDING_RAD:
             raise InputError(
                 f"option 'initial_sensor_target_pose' tilts sensor {row} by {tilt_rad:.4f} rad; expected at "
@@ -114,7 +115,8 @@ class TiltedScene(mesh_scene.MeshScene):
         drift: Float64,
         has_depth: bool,
     ) -> toucher.SensorReadings:
-        numbers, axes = self.numbers[rows], np.ascontiguousarray(self._axes[rows])
+        numbers = self.numbers[rows]
+        axes = np.ascontiguousarray(self._axes[rows])
         pools = (self._pool.arrays, self._plate.arrays)
         read = (self._toucher.window, self._motion.numbers, drift, *pools, self._far_m)
 
@@ -126,7 +128,9 @@ class TiltedScene(mesh_scene.MeshScene):
 
 def _axes_of(tilt: Float64, towards: Float64, spin: Float64) -> Float64:
     """Return axes (n, 3, 3), in columns, of sensors that are spun, then tilted in a direction; radians."""
-    x, y, level = np.cos(towards), np.sin(towards), np.zeros(len(tilt))
+    x = np.cos(towards)
+    y = np.sin(towards)
+    level = np.zeros(len(tilt))
     z = np.stack([np.sin(tilt) * x, np.sin(tilt) * y, np.cos(tilt)], axis=1)
     down = np.stack([np.cos(tilt) * x, np.cos(tilt) * y, -np.sin(tilt)], axis=1)
     across = np.stack([-y, x, level], axis=1)
@@ -162,7 +166,8 @@ def touch_tilted(
     axis of each sensor in its columns; ``sensors`` (n, 3), metres, are moved along z until the gel is pressed
     in. The rest is as for :func:`tactile_envs.touch_kernels.touch`.
     """
-    greatest, room = np.empty(images.shape[2], np.float32), batch_room()
+    greatest = np.empty(images.shape[2], np.float32)
+    room = batch_room()
     view, lying = np.empty((3, 4)), np.empty((3, 4))
     for i in range(begin, end):
         cosine, sine = math.cos(objects[i, 2]), math.sin(objects[i, 2])
@@ -221,11 +226,13 @@ def raise_mesh(heights: Float32, pool: Pool, number: int, view: Float64, room: R
         (view[1, 0], view[1, 1], view[1, 2], view[1, 3]),
         (view[2, 0], view[2, 1], view[2, 2], view[2, 3]),
     )
-    seen, edges = _seen_in_grid(heights, pool[3][number], view), room[3]
+    seen = _seen_in_grid(heights, pool[3][number], view)
+    edges = room[3]
     # Four around the foot, four around the top, and four upright ones.
     for edge in range(12):
         side = edge & 3
-        begin, end = side + 4 * (edge >> 2 == 1), side + 4
+        begin = side + 4 * (edge >> 2 == 1)
+        end = side + 4
         if edge < 8:
             end = ((side + 1) & 3) + 4 * (edge >> 2)
         edges[0, edge], edges[1, edge] = seen[begin, 0], seen[begin, 1]
@@ -239,11 +246,13 @@ def _seen_in_grid(heights: Float32, grid: Float64, view: Float64) -> Float64:
 
     The first four are at the height of its foot, the others at that of its top.
     """
-    rows, columns = heights.shape[0], heights.shape[1] - PADDING
+    rows = heights.shape[0]
+    columns = heights.shape[1] - PADDING
     seen = np.empty((8, 2))
     per_area = 1.0 / (view[0, 0] * view[1, 1] - view[0, 1] * view[1, 0])
     for corner in range(8):
-        side, height_m = corner & 3, grid[12] * (corner >> 2)
+        side = corner & 3
+        height_m = grid[12] * (corner >> 2)
         column = columns - 1.0 + EDGE_PX if side == 1 or side == 2 else -EDGE_PX
         row = rows - 1.0 + EDGE_PX if side >= 2 else -EDGE_PX
         over = column - view[0, 3] - view[0, 2] * height_m

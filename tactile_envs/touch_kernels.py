@@ -75,12 +75,17 @@ def raise_within(heights: Float32, pool: Pool, number: int, edges: int, view: Vi
 
     ``edges`` is the number of edges of the area in the room, as :func:`lay_edge` writes them.
     """
-    starts, grid, laid = pool[2], pool[3][number], room[3]
+    starts = pool[2]
+    grid = pool[3][number]
+    laid = room[3]
     first_face, large, first_start = int(grid[1]), int(grid[2]), int(grid[3])
     across, up = int(grid[4]), int(grid[5])
     cell_m, reach_m = grid[8], grid[9]
     small = first_face + large
-    left, lowest, right, highest = np.inf, np.inf, -np.inf, -np.inf
+    left = np.inf
+    lowest = np.inf
+    right = -np.inf
+    highest = -np.inf
     for edge in range(edges):
         x, y = laid[0, edge], laid[1, edge]
         end_x, end_y = x + laid[2, edge], y + laid[3, edge]
@@ -108,7 +113,8 @@ def raise_within(heights: Float32, pool: Pool, number: int, edges: int, view: Vi
 def _lay_edges(edges: Float64, heights: Float32, grid: Float64, placed: ObjectPlace) -> None:
     """Write the edges of the window in the object's frame, from the corner of its grid on."""
     cosine, sine, x_px, y_px, px_per_m = placed
-    rows, columns = heights.shape[0], heights.shape[1] - PADDING
+    rows = heights.shape[0]
+    columns = heights.shape[1] - PADDING
     per_px = 1.0 / px_per_m
     for corner in range(4):
         column = columns - 1.0 + EDGE_PX if corner == 1 or corner == 2 else -EDGE_PX
@@ -135,7 +141,8 @@ def lay_edge(edges: Float64, edge: int, end_x: float, end_y: float) -> None:
 @compiled
 def _extent_between(edges: Float64, count: int, from_y: float, to_y: float) -> tuple[float, float]:
     """Return the least and greatest x of an area in the range between two y."""
-    least, most = np.inf, -np.inf
+    least = np.inf
+    most = -np.inf
     for edge in range(count):
         x, y, along_x = edges[0, edge], edges[1, edge], edges[2, edge]
         begin, end = 0.0, 1.0
@@ -157,7 +164,8 @@ def _raise_runs(heights: Float32, pool: Pool, number: int, runs: Int64, view: Vi
     ``runs`` (n, 2) are the first triangle of each run and the one after its last; the last run is empty.
     """
     vertices, faces, _, grids = pool
-    first_vertex, corners = np.uint64(grids[number, 0]), room[0]
+    first_vertex = np.uint64(grids[number, 0])
+    corners = room[0]
     waiting, is_any = 0, False
     for run in range(len(runs)):
         first, last = runs[run, 0], runs[run, 1]
@@ -167,13 +175,15 @@ def _raise_runs(heights: Float32, pool: Pool, number: int, runs: Int64, view: Vi
             end = min(last, first + _BATCH - waiting)
             for face in range(first, end):
                 # Unsigned, so that numba does not check for negative indices.
-                begin, at = np.uint64(face), np.uint64(waiting + face - first)
+                begin = np.uint64(face)
+                at = np.uint64(waiting + face - first)
                 for corner in range(3):
                     vertex = first_vertex + np.uint64(faces[begin, np.uint64(corner)])
                     for axis in range(3):
                         value = vertices[vertex, np.uint64(axis)]
                         corners[np.uint64((3 * corner + axis) * _BATCH) + at] = value
-            waiting, first = waiting + end - first, end
+            waiting = waiting + end - first
+            first = end
             if waiting < least:
                 break
             _raise_batch(heights, room, view, waiting)
@@ -188,7 +198,8 @@ def _prepare(heights: Float32, room: Room, view: View) -> None:
     LLVM vectorises the loop, because it has a fixed length and each result its own place in an array.
     """
     corners, weights, boxes = room[0], room[1], room[2]
-    columns, rows = heights.shape[1] - PADDING - 1.0, heights.shape[0] - 1.0
+    columns = heights.shape[1] - PADDING - 1.0
+    rows = heights.shape[0] - 1.0
     for i in range(_BATCH):
         ax, ay, az = _seen(view, corners[i], corners[_BATCH + i], corners[2 * _BATCH + i])
         bx, by, bz = _seen(view, corners[3 * _BATCH + i], corners[4 * _BATCH + i], corners[5 * _BATCH + i])
@@ -197,7 +208,10 @@ def _prepare(heights: Float32, room: Room, view: View) -> None:
         low, high = min(min(ay, by), cy), max(max(ay, by), cy)
         first_column = max(np.ceil(left - EDGE_PX), 0.0)
         first_row = max(np.ceil(low - EDGE_PX), 0.0)
-        abx, aby, acx, acy = bx - ax, by - ay, cx - ax, cy - ay
+        abx = bx - ax
+        aby = by - ay
+        acx = cx - ax
+        acy = cy - ay
         area = abx * acy - aby * acx
         # Triangles that do not face the sensor cover no pixel.
         last_row = min(np.floor(high + EDGE_PX), rows) if area > 0.0 else -1.0
@@ -207,8 +221,10 @@ def _prepare(heights: Float32, room: Room, view: View) -> None:
         boxes[3 * _BATCH + i] = np.int32(last_row)
         per_area = 1.0 / area
         # Weights of the second and the third corner, and what they grow by along x and y.
-        b_step, c_step = acy * per_area, -aby * per_area
-        b_up, c_up = -acx * per_area, abx * per_area
+        b_step = acy * per_area
+        c_step = -aby * per_area
+        b_up = -acx * per_area
+        c_up = abx * per_area
         away_x, away_y = first_column - ax, first_row - ay
         weights[i] = b_step * away_x + b_up * away_y
         weights[_BATCH + i] = c_step * away_x + c_up * away_y
@@ -236,7 +252,9 @@ def _seen(view: View, x: np.float32, y: np.float32, z: np.float32) -> tuple[floa
 def _raise_batch(heights: Float32, room: Room, view: View, count: int) -> None:
     """Raise pixels to the first triangles of a batch."""
     _, weights, boxes, _, blocks, singles = room
-    pixels, pitch, spare = heights.reshape(heights.size), heights.shape[1], heights.size - PADDING
+    pixels = heights.reshape(heights.size)
+    pitch = heights.shape[1]
+    spare = heights.size - PADDING
     _prepare(heights, room, view)
     for i in range(count):
         if boxes[_BATCH + i] - boxes[i] >= _BLOCK or boxes[3 * _BATCH + i] - boxes[2 * _BATCH + i] >= _BLOCK:
@@ -251,7 +269,8 @@ def _raise_batch(heights: Float32, room: Room, view: View, count: int) -> None:
             # Rows above the window are drawn into spare pixels.
             start = np.uint64(min(first + down * pitch, spare))
             for right in range(_BLOCK):
-                at, height = start + np.uint64(right), blocks[down * _BLOCK + right, i]
+                at = start + np.uint64(right)
+                height = blocks[down * _BLOCK + right, i]
                 held = pixels[at]
                 pixels[at] = height if height > held else held
 
@@ -264,7 +283,9 @@ def _draw_blocks(blocks: Float32, singles: Float32, weights: Float64) -> None:
     box on. ``singles`` (10, n) is a work array; the weights are moved up by four rows. LLVM vectorises the
     loops over triangles, because all their values are of single precision.
     """
-    one, zero, nothing = np.float32(1.0), np.float32(0.0), np.float32(-np.inf)
+    one = np.float32(1.0)
+    zero = np.float32(0.0)
+    nothing = np.float32(-np.inf)
     for line in range(4, 11):
         for i in range(_BATCH):
             singles[line - 2, i] = weights[line * _BATCH + i]
@@ -277,7 +298,8 @@ def _draw_blocks(blocks: Float32, singles: Float32, weights: Float64) -> None:
             weights[i] += weights[2 * _BATCH + i]
             weights[_BATCH + i] += weights[3 * _BATCH + i]
         for right in range(_BLOCK):
-            drawn, along = blocks[_BLOCK * down + right], np.float32(right)
+            drawn = blocks[_BLOCK * down + right]
+            along = np.float32(right)
             for i in range(_BATCH):
                 b = singles[0, i] + singles[2, i] * along
                 c = singles[1, i] + singles[3, i] * along
@@ -290,11 +312,13 @@ def _draw_blocks(blocks: Float32, singles: Float32, weights: Float64) -> None:
 @compiled
 def _raise_large(heights: Float32, weights: Float64, boxes: Int32, i: int) -> None:
     """Raise pixels to a triangle that is larger than a block."""
-    b_row, c_row = weights[i], weights[_BATCH + i]
+    b_row = weights[i]
+    c_row = weights[_BATCH + i]
     b_step, c_step = weights[4 * _BATCH + i], weights[5 * _BATCH + i]
     b_slack, c_slack = weights[6 * _BATCH + i], weights[7 * _BATCH + i]
     for row in range(boxes[2 * _BATCH + i], boxes[3 * _BATCH + i] + 1):
-        line, along = heights[row], 0.0
+        line = heights[row]
+        along = 0.0
         for column in range(boxes[i], boxes[_BATCH + i] + 1):
             b, c = b_row + b_step * along, c_row + c_step * along
             along += 1.0
@@ -339,7 +363,8 @@ def touch(
     same shape, or (0, 0, 0) to skip them; ``positions`` (n, 3), observed positions from -1 to 1; ``is_bare``
     (n,), whether only the plate was met.
     """
-    greatest, room = np.empty(images.shape[2], np.float32), batch_room()
+    greatest = np.empty(images.shape[2], np.float32)
+    room = batch_room()
     heights[:, :] = 0.0
     press_m, least_m = window[3], window[5]
     for i in range(begin, end):
@@ -347,7 +372,8 @@ def touch(
         x_px = (objects[i, 0] - sensors[i, 0]) * window[0] + window[1]
         y_px = (objects[i, 1] - sensors[i, 1]) * window[0] + window[2]
         placed = cosine, sine, x_px, y_px, window[0]
-        is_near, highest = _raise_near(heights, pool, chosen[i], placed, room), np.float32(0.0)
+        is_near = _raise_near(heights, pool, chosen[i], placed, room)
+        highest = np.float32(0.0)
         if is_near:
             highest = highest_of(heights, greatest)
         is_bare[i] = highest == 0.0
@@ -390,7 +416,8 @@ def leave(
 ) -> None:
     """Write the observed position of sensor ``i``, and let its object slip, whose rotation is given."""
     for axis in range(3):
-        low, high = motion[axis], motion[axis + 3]
+        low = motion[axis]
+        high = motion[axis + 3]
         share = (sensors[i, axis] - low) / (high - low) * 2.0 - 1.0
         positions[i, axis] = np.float32(min(max(share, -1.0), 1.0))
     objects[i, 0] += cosine * drift[0] - sine * drift[1]
@@ -418,12 +445,14 @@ def highest_of(heights: Float32, greatest: Float32) -> np.float32:
 def _show(image: Float32, heights: Float32, highest: np.float32, span_m: float) -> None:
     """Draw the depth image: 0 at the greatest height, 1 from ``span_m`` below it on."""
     rows, columns = image.shape
-    scale, top = np.float32(1.0 / span_m), np.float32(1.0)
+    scale = np.float32(1.0 / span_m)
+    top = np.float32(1.0)
     if highest == 0.0:
         image[:, :] = 0.0
         return
     for row in range(rows):
-        line, shown = heights[rows - 1 - row], image[row]
+        line = heights[rows - 1 - row]
+        shown = image[row]
         for column in range(columns):
             depth = (highest - line[column]) * scale
             shown[column] = depth if depth < top else top
@@ -435,6 +464,7 @@ def _measure(far: Float32, heights: Float32, highest: np.float32, press_m: float
     rows, columns = far.shape
     press = np.float32(press_m)
     for row in range(rows):
-        line, measured = heights[rows - 1 - row], far[row]
+        line = heights[rows - 1 - row]
+        measured = far[row]
         for column in range(columns):
             measured[column] = press + (highest - line[column])

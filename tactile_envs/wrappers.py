@@ -117,9 +117,12 @@ class _FlatForm:
         if not (isinstance(limit, (int, float)) and 0 < limit < np.inf):
             raise InputError(f"limit is {limit!r}; expected a positive number")
         self._parts: list[_Part] = []
-        lows, highs, end = [], [], 0
+        lows = []
+        highs = []
+        end = 0
         for path, box in _boxes(action):
-            begin, end = end, end + box.low.size
+            begin = end
+            end = end + box.low.size
             self._parts.append(_Part(path, box.shape, slice(begin, end)))
             lows.append(box.low.ravel())
             highs.append(box.high.ravel())
@@ -132,7 +135,8 @@ class _FlatForm:
 
     def unflatten(self, flat: AnyArray, *batch: int) -> Info:
         """Return actions of the environment; InputError if flat ones have another shape."""
-        numbers, shape = np.asarray(flat, np.float32), (*batch, *self.action_space.shape)
+        numbers = np.asarray(flat, np.float32)
+        shape = (*batch, *self.action_space.shape)
         if numbers.shape != shape:
             raise InputError(f"the action has shape {numbers.shape}; expected {shape}")
         found: Info = {}

@@ -37,7 +37,8 @@ def cosine_sine(angle_rad: float) -> tuple[float, float]:
         sine = (sine + term) * squared
     for term in _COSINE:
         cosine = (cosine + term) * squared
-    sine, cosine = rest + rest * sine, 1.0 - (0.5 - cosine) * squared
+    sine = rest + rest * sine
+    cosine = 1.0 - (0.5 - cosine) * squared
     return ((cosine, sine), (-sine, cosine), (-cosine, -sine), (sine, -cosine))[quarters % 4]
 
 

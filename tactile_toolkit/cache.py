@@ -203,24 +203,33 @@ def _files(folder: Path, names: str) -> list[tuple[float, int, Path]]:
     return sorted(files)
 
 
-def cached_files() -> dict[str, list[tuple[float, int, Path]]]:
-    """Return the files of each folder in the cache folder: time of last use in seconds, bytes, path."""
-    folders = {name: cache_folder() / name for name in _NAMES}
-    return {name: _files(folder, _NAMES[name]) for name, folder in folders.items() if folder.is_dir()}
+@dataclass(frozen=True, slots=True)
+class CacheContents:
+    """The files of the cache folder: for each folder in it, the time of last use in seconds, bytes, path."""
 
+    folder: Path
+    files: dict[str, list[tuple[float, int, Path]]]
 
-def prune_cache(unused_days: float = 0.0) -> list[Path]:
-    """Remove cached files that have not been used for ``unused_days``, and return their paths.
+    @classmethod
+    def now(cls) -> CacheContents:
+        """Return the files that the cache holds at this moment."""
+        folder = cache_folder()
+        folders = {name: folder / name for name in _NAMES}
+        return cls(folder, {name: _files(at, _NAMES[name]) for name, at in folders.items() if at.is_dir()})
 
-    All of them can be made again. Open memory maps stay valid, and unfinished files are written again.
-    """
-    removed, latest_s = [], time.time() - unused_days * 86_400
-    for used_s, _, path in (file for files in cached_files().values() for file in files):
-        if used_s <= latest_s:
-            with contextlib.suppress(OSError):
-                path.unlink()
-                removed.append(path)
-    return removed
+    def prune(self, unused_days: float = 0.0) -> list[Path]:
+        """Remove the files that have not been used for ``unused_days``, and return their paths.
+
+        All of them can be made again. Open memory maps stay valid, and unfinished files are written again.
+        """
+        removed = []
+        latest_s = time.time() - unused_days * 86_400
+        for used_s, _, path in (file for files in self.files.values() for file in files):
+            if used_s <= latest_s:
+                with contextlib.suppress(OSError):
+                    path.unlink()
+                    removed.append(path)
+        return removed
 
 
 class MemoryCache(Generic[K, V]):

@@ -181,7 +181,7 @@ def checked_integer(value: object, name: str, least: int = 0, most: int | None =
 
 def split_counts(value: object, name: str, splits: Sequence[str], most: int) -> tuple[tuple[str, int], ...]:
     """Return counts by split from a mapping or pairs; InputError for anything else."""
-    pairs = to_builtin_pairs(value)
+    pairs = to_builtin(value.items() if isinstance(value, Mapping) else value)
     fits = isinstance(pairs, tuple) and all(
         isinstance(pair, tuple) and len(pair) == 2 and pair[0] in splits and is_integer(pair[1])
         for pair in pairs
@@ -228,11 +228,6 @@ def to_builtin_number(value: Any, kind: type[int] | type[float] = int) -> Any:
         return float(value)
     except OverflowError:
         return value
-
-
-def to_builtin_pairs(values: object) -> Any:
-    """Return pairs of a name and a number, or a mapping, as a tuple of tuples."""
-    return to_builtin(values.items() if isinstance(values, Mapping) else values)
 
 
 def is_integer(*values: object) -> bool:

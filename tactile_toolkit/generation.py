@@ -221,7 +221,18 @@ def plan_build(generator: RowGenerator, splits: Sequence[str] | None = None) -> 
             raise InputError(f"unknown split {split!r}; expected one of {', '.join(known)}, or all")
     # Tasks are in canonical order, whatever the order of ``splits``, and so are shards in the manifest.
     chosen = {split: each for split, each in items.items() if split in wanted}
-    tasks = _tasks(generator, chosen, layout)
+    tasks = tuple(
+        store.ShardTask(shard, each[rows.start : rows.stop], partial(make_shard, generator))
+        for split, each in chosen.items()
+        for shard, rows in store.shard_ranges(
+            split,
+            len(each),
+            smallest=layout.smallest,
+            largest=layout.largest,
+            wanted=layout.wanted,
+            together=layout.together,
+        )
+    )
     if not tasks:
         sizes = {split: len(each) for split, each in items.items()}
         raise InputError(
@@ -237,21 +248,6 @@ def plan_build(generator: RowGenerator, splits: Sequence[str] | None = None) -> 
         layout.report_file,
         libraries=layout.libraries,
         other_next=generator.next_if_other(),
-    )
-
-
-def _tasks(generator: RowGenerator, items: JsonObject, layout: StorageLayout) -> tuple[store.AnyTask, ...]:
-    return tuple(
-        store.ShardTask(shard, each[rows.start : rows.stop], partial(make_shard, generator))
-        for split, each in items.items()
-        for shard, rows in store.shard_ranges(
-            split,
-            len(each),
-            smallest=layout.smallest,
-            largest=layout.largest,
-            wanted=layout.wanted,
-            together=layout.together,
-        )
     )
 
 

@@ -92,7 +92,8 @@ class _CompileOnce:
     """Replaces a kernel's own ``compile``: only one process compiles it, and only once."""
 
     def __init__(self, kernel: Any) -> None:
-        self._kernel, self._compile_or_load = kernel, kernel.compile
+        self._kernel = kernel
+        self._compile_or_load = kernel.compile
         self._lock = f"{kernel.__module__}.{kernel.__name__}"
 
     def __call__(self, types: Any, patience_s: float | None = None) -> Any:
@@ -184,7 +185,8 @@ def _files_digest(module: str) -> str:
 
     Called for the first kernel of a module: it has imported by then what its kernels call.
     """
-    found, waiting = {_COMPILER}, [module]
+    found = {_COMPILER}
+    waiting = [module]
     while waiting:
         name = waiting.pop()
         if name in found:

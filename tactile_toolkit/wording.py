@@ -104,12 +104,14 @@ def natural_key(text: str) -> tuple[list[tuple[str, int, str]], str]:
 
 def rate_text(done: int, elapsed_s: float, unit: str) -> str:
     """Return a rate as text: ``"12 digits/s"``, ``"3.0 pictures/min"``."""
-    rate, per = done / max(elapsed_s, 1e-9), "s"
+    rate = done / max(elapsed_s, 1e-9)
+    per = "s"
     if unit == BYTES:
         return f"{bytes_text(rate)}/s"
     for longer in ("min", "h"):
         if rate < 1:
-            rate, per = 60 * rate, longer
+            rate = 60 * rate
+            per = longer
     # Two digits are enough, so there is no decimal from 9.95 on.
     digits = int(rate < 9.95)
     return f"{rate:,.{digits}f} {unit}/{per}"

@@ -14,11 +14,11 @@ import starstruck_gen
 import tactile_sim
 from mnist3d.ink.grey_levels import enlarge
 from mnist3d.sources.synthetic import SyntheticSource
+from tactile_sim.optics.rendering import make_optics
 from tests.tactile_sim.elastic_bodies import LAYER_M, PIXEL_M, bumps
-from tests.tactile_sim.sets import touch_sets
 
-CONTACT = "contact.npz"
-"""A contact of an elastic gel, whose last digits may differ between processors."""
+SIMULATED = "simulated.npz"
+"""Results of the simulation, whose last digits may differ between processors."""
 
 
 def main(folder: Path, touches: Path) -> None:
@@ -28,8 +28,6 @@ def main(folder: Path, touches: Path) -> None:
     starstruck_gen.generate(scenes, folder / "scenes")
     realtouch.clips_to_images(touches / "clips", folder / "to-single", frame="peak")
     realtouch.resize(touches / "images", folder / "resized", width=48, height=36)
-    if find_spec("taxim"):
-        touch_sets(folder / "scenes", folder)
     literal = mnist3d.solidify(source.image(1234).pixels, method="literal")
     (folder / "literal").write_bytes(literal.vertices_m.tobytes() + literal.faces.tobytes())
     contact = tactile_sim.solve_contact(
@@ -42,7 +40,14 @@ def main(folder: Path, touches: Path) -> None:
         twist_rad=0.03,
     )
     loads = np.dstack([contact.pressure_pa, contact.traction_pa])
-    np.savez(folder / CONTACT, loads_pa=loads, displacement_m=contact.displacement_m)
+    simulated = {"loads_pa": loads, "displacement_m": contact.displacement_m}
+    sensor = tactile_sim.center_view(64, 64)
+    digit = mnist3d.solidify(source.image(7).pixels)
+    pressed = tactile_sim.render_touch(digit, tactile_sim.pose(turn_rad=0.3), tactile_sim.pose(), sensor)
+    simulated["depth_m"] = pressed.depth_m
+    if find_spec("taxim"):
+        simulated["shades"] = make_optics("taxim").shades(pressed.depth_m[None], sensor, (64, 64))
+    np.savez(folder / SIMULATED, **simulated)
     small = source.image(1234).pixels[::8, ::8]
     (folder / "enlarged").write_bytes(enlarge(small, (8 * small.shape[0], 8 * small.shape[1])).tobytes())
 

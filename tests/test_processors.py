@@ -1,4 +1,4 @@
-"""Data sets, reports, cards and pictures have the same bytes on every processor; an elastic gel, nearly.
+"""Data sets, reports, cards and pictures have the same bytes on every processor; simulated touches, nearly.
 
 Libraries select code at their start by the available instructions. Their own switches make them use that of
 another processor.
@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.processor_bytes import CONTACT
+from tests.processor_bytes import SIMULATED
 from tests.realtouch.factories import make_round, seq_rows, single_rows, write_set
 
 ROOT = Path(__file__).parents[1]
@@ -45,16 +45,16 @@ PROCESSORS = {
 def made_on(
     settings: dict[str, str], folder: Path, touches: Path
 ) -> tuple[dict[str, str], dict[str, np.ndarray]]:
-    """Return digests of files, and the fields of a contact."""
+    """Return digests of files, and results of the simulation."""
     environment = {**os.environ, **settings, "TACTILE_TOOLKIT_CACHE": str(folder.with_suffix(".cache"))}
     # Features that a processor lacks cannot be switched off: NumPy warns, and continues.
     command = [sys.executable, "-W", "ignore", "-m", "tests.processor_bytes", str(folder), str(touches)]
     result = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr
-    files = sorted(file for file in folder.rglob("*") if file.is_file() and file.name != CONTACT)
+    files = sorted(file for file in folder.rglob("*") if file.is_file() and file.name != SIMULATED)
     digests = {str(file.relative_to(folder)): hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
-    with np.load(folder / CONTACT) as contact:
-        return digests, dict(contact)
+    with np.load(folder / SIMULATED) as simulated:
+        return digests, dict(simulated)
 
 
 @pytest.fixture(scope="module")
@@ -82,10 +82,10 @@ def test_another_processor_writes_the_same(
     needs_avx512 = PROCESSORS[processor]["OPENBLAS_CORETYPE"] == "SkylakeX"
     if needs_avx512 and "avx512f" not in Path("/proc/cpuinfo").read_text():
         pytest.skip("this processor has no AVX-512, which kernels for SkylakeX are made of")
-    here, contact_here = made_here
-    assert find_spec("taxim") is None or "touches-taxim/data/train-00000-of-00001.parquet" in here
+    here, simulated_here = made_here
+    assert find_spec("taxim") is None or "shades" in simulated_here
     assert {"digits/reports/printability.parquet", "digits/previews/digits.png"} <= set(here)
-    there, contact_there = made_on(PROCESSORS[processor], tmp_path / "made", touches)
+    there, simulated_there = made_on(PROCESSORS[processor], tmp_path / "made", touches)
     assert there == here
-    for name, field in contact_here.items():
-        np.testing.assert_allclose(contact_there[name], field, rtol=0, atol=1e-6 * np.abs(field).max())
+    for name, field in simulated_here.items():
+        np.testing.assert_allclose(simulated_there[name], field, rtol=0, atol=1e-6 * np.abs(field).max())

@@ -98,15 +98,15 @@ class WrenchGenerator(generation.RowGenerator):
 
     def make(self, split: str, items: Sequence[int]) -> list[WrenchRow]:
         """Make the row."""
-        mesh = shape.wrench_mesh(self.spec)
+        wrench = shape.wrench_mesh(self.spec)
         lengths = self.spec.lengths()
         return [
             WrenchRow(
                 id=0,
                 label=0,
-                vertices_m=mesh.vertices_m,
-                faces=mesh.faces,
-                volume_m3=mesh.volume_m3,
+                vertices_m=wrench.vertices_m,
+                faces=wrench.faces,
+                volume_m3=wrench.volume_m3,
                 **{name: lengths[name] for name in WrenchRow.__annotations__ if name in lengths},
             )
         ]
@@ -181,8 +181,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         cards.write_table_card(folder, manifest, KIND, title, columns, "mit", **terms)
         return
     spec = kind.WrenchSpec(**manifest.spec)
-    mesh = shape.wrench_mesh(spec)
-    report = inspect(mesh)
+    report = inspect(shape.wrench_mesh(spec))
     cards.Card(
         template=KIND.card_template,
         title=title,

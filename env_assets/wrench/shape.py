@@ -41,7 +41,8 @@ def _outline(spec: WrenchSpec) -> list[Float64]:
     """Draw a wrench: closed lines in millimetres, shapes (n, 2), the material on their left."""
     lengths = spec.lengths()
     length_mm, handle_mm = lengths["length_mm"], lengths["handle_mm"]
-    first_mm, second_mm = (length_mm - lengths["head_mm"]) / 2, (lengths["second_head_mm"] - length_mm) / 2
+    first_mm = (length_mm - lengths["head_mm"]) / 2
+    second_mm = (lengths["second_head_mm"] - length_mm) / 2
     body = CrossSection.square((first_mm - second_mm, handle_mm)).translate((second_mm, -handle_mm / 2))
     for place_mm, diameter_mm in ((first_mm, lengths["head_mm"]), (second_mm, lengths["second_head_mm"])):
         body += CrossSection.circle(diameter_mm / 2, _SEGMENTS).translate((place_mm, 0.0))
@@ -115,7 +116,8 @@ def _sides(lines: Sequence[Float64], levels: int) -> list[Int64]:
         here = start + np.arange(len(line))
         after = np.roll(here, -1)
         for level in range(levels - 1):
-            low, high = level * per_level, (level + 1) * per_level
+            low = level * per_level
+            high = (level + 1) * per_level
             triangles.append(np.stack([here + low, after + low, after + high], axis=1))
             triangles.append(np.stack([here + low, after + high, here + high], axis=1))
         start += len(line)

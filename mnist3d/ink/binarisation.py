@@ -84,7 +84,8 @@ def ink_levels(
     if ink == "auto" and threshold is not None:
         ink = "dark"
     elif ink == "auto" and not is_clean(levels):
-        levels, ink = even_out(levels, whole=whole), "dark"
+        levels = even_out(levels, whole=whole)
+        ink = "dark"
     return dark_on_light(levels, ink)
 
 
@@ -203,7 +204,8 @@ def _without_attached_specks(mask: Bool, min_px: float) -> Bool:
     beyond = mask & ~grown(wide)
     if not beyond.any():
         return mask
-    cleaned, sides = mask.copy(), grown(_opened(mask, 6))
+    cleaned = mask.copy()
+    sides = grown(_opened(mask, 6))
     labels, _ = ndimage.label(mask & ~wide)
     for label in np.unique(labels[beyond]):
         piece = labels == label
@@ -246,7 +248,8 @@ def count_bodies_and_holes(mask: Bool) -> tuple[int, int]:
     runs, piece = _pieces(mask)
     bodies = int(np.count_nonzero(piece == np.arange(len(runs))))
     # Euler's formula over pixel centres: bodies - holes = centres - sides + squares.
-    beside, below = mask[:, 1:] & mask[:, :-1], mask[1:] & mask[:-1]
+    beside = mask[:, 1:] & mask[:, :-1]
+    below = mask[1:] & mask[:-1]
     sides = np.count_nonzero(beside) + np.count_nonzero(below)
     euler = np.count_nonzero(mask) - sides + np.count_nonzero(beside[1:] & beside[:-1])
     return bodies, bodies - int(euler)

@@ -103,7 +103,10 @@ _EDGE_PX = 3
 
 # Limits for a graphic: largest difference of paper from its level, least level of paper, least share of the
 # margin that is paper, and of the picture that is paper or ink.
-_SAME, _LIGHT, _EVEN_MARGIN, _PLAIN = 8, 200, 0.95, 0.97
+_SAME = 8
+_LIGHT = 200
+_EVEN_MARGIN = 0.95
+_PLAIN = 0.97
 
 # Least share of the picture that grey levels lose before colours are compared.
 _LOST = 2e-4
@@ -170,7 +173,8 @@ def dark_on_light(pixels: AnyArray, ink: str) -> tuple[UInt8, int | None]:
     With ``"auto"`` the margin of the image is paper. Raises ItemError ``unclear-ink``, and the reasons of
     :func:`as_levels`.
     """
-    levels, threshold = as_levels(pixels), None
+    levels = as_levels(pixels)
+    threshold = None
     if ink == "auto" and levels.min() < levels.max():
         threshold = otsu_threshold(levels)
     if ink == "light" or (threshold is not None and paper_is_dark(levels, threshold, "the image")):
@@ -248,7 +252,8 @@ def is_graphic(colours: UInt8) -> bool:
     Its paper has one level up to the margin, and only the edges of its ink lie between paper and ink.
     """
     away = unlike_paper(np.atleast_3d(colours))
-    is_paper, is_ink = away <= _SAME, away >= DIFFERENT
+    is_paper = away <= _SAME
+    is_ink = away >= DIFFERENT
     if not is_paper.any() or colours[is_paper].min() < _LIGHT:
         return False
     return bool(margin(is_paper).mean() >= _EVEN_MARGIN and (is_paper | is_ink).mean() >= _PLAIN)
@@ -367,7 +372,8 @@ def _spline_matrix(count: int) -> csr_array:
 def _solved(matrix: Floating, right: Floating) -> Floating:
     """Solve equations with a tridiagonal, diagonally dominant matrix."""
     # LAPACK rounds differently on other processors.
-    pivots, left = matrix.diagonal().copy(), right.copy()
+    pivots = matrix.diagonal().copy()
+    left = right.copy()
     for row in range(1, len(matrix)):
         share = matrix[row, row - 1] / pivots[row - 1]
         pivots[row] -= share * matrix[row - 1, row]

@@ -45,7 +45,8 @@ _CONTRAST, _DEVIATIONS = 0.15, 6
 # Standard deviation over median absolute deviation, for a normal distribution.
 _DEVIATION_PER_MAD = 1.4826
 
-_MIDDLE, _SHADOW_PX = 0.35, 3 / 700
+_MIDDLE = 0.35
+_SHADOW_PX = 3 / 700
 """Least lightness of shadows, from ink (0) to paper (1), and least width as a share of the longer side."""
 
 _THICKEST = 1 / 88
@@ -114,8 +115,10 @@ def find_page(darkest: UInt8) -> Bool:
         Shape of :func:`to_coarse`.
     """
     tones = np.log(np.arange(256, dtype=np.float32) + _DARK)
-    tone, tone_px = tones[paper_around(to_coarse(darkest))], tones[darkest]
-    page, best = np.ones(tone.shape, bool), _STEP
+    tone = tones[paper_around(to_coarse(darkest))]
+    tone_px = tones[darkest]
+    page = np.ones(tone.shape, bool)
+    best = _STEP
     low, high = np.percentile(tone, [1, 99])
     if low == high:
         return page
@@ -143,7 +146,8 @@ def _step_at_outline(tone_px: Float32, part: Bool) -> tuple[float, float]:
     soft = ndimage.gaussian_filter(part.astype(np.float32), 1.5)
     lines = find_contours(part.astype(np.float32), 0.5)  # type: ignore[no-untyped-call]
     points = np.concatenate(lines).T
-    shape, factor = np.array(part.shape)[:, None], reduction(tone_px.shape)
+    shape = np.array(part.shape)[:, None]
+    factor = reduction(tone_px.shape)
     points = points[:, ((points > 3) & (points < shape - 4)).all(axis=0)]
     if points.shape[1] < 20:
         return 0.0, 0.0
@@ -197,7 +201,8 @@ def reflectance(views: UInt8, page: Bool, widest: float) -> Float32:
     inside = eroded(page, 2)
     if not inside.any():
         refuse("no-ink", sentence="empty-page")
-    best, divided = -1.0, np.ones(views.shape[1:], np.float32)
+    best = -1.0
+    divided = np.ones(views.shape[1:], np.float32)
     for number, view in enumerate(views):
         coarse = to_coarse(view)
         paper = paper_around(coarse, widest)
@@ -258,13 +263,15 @@ def without_lines(mask: Bool, page: Bool) -> Bool:
     -------
     ndarray of bool, shape (H, W)
     """
-    level, upright = _level_lines(mask, page), _level_lines(mask.T, page.T)
+    level = _level_lines(mask, page)
+    upright = _level_lines(mask.T, page.T)
     thickness_px = max(level.thickness_px, upright.thickness_px)
     lines = level.mask | upright.mask.T
     left = mask & ~lines
     if not lines.any() or not left.any():
         return left
-    depth, radius_px = ndimage.distance_transform_edt(left), thickness_px / 2 + 0.75
+    depth = ndimage.distance_transform_edt(left)
+    radius_px = thickness_px / 2 + 0.75
     if np.percentile(depth[left], 90) <= 1.3 * radius_px:
         return left
     opened = ndimage.distance_transform_edt(depth <= radius_px) <= radius_px
@@ -273,9 +280,11 @@ def without_lines(mask: Bool, page: Bool) -> Bool:
 
 def _level_lines(mask: Bool, page: Bool) -> _Lines:
     """Find the lines that are nearly level."""
-    runs, width = _runs_down(mask), mask.shape[1]
+    runs = _runs_down(mask)
+    width = mask.shape[1]
     thin = mask & (runs <= max(3, _THICKEST * max(mask.shape)))
-    lines, thickness_px = np.zeros_like(mask), 0.0
+    lines = np.zeros_like(mask)
+    thickness_px = 0.0
     page_px = int(page.any(axis=0).sum())
     if thin.sum() < _COVERED * page_px:
         return _Lines(lines, thickness_px)

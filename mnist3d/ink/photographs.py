@@ -43,7 +43,10 @@ _SHEET = 0.4
 _WORK_PX = 1000
 """Longer side at which pictures are processed; digits end as 500 px."""
 
-_CROSSED, _NARROW, _CORE, _KEPT = 0.15, 0.5, 0.2, 0.9
+_CROSSED = 0.15
+_NARROW = 0.5
+_CORE = 0.2
+_KEPT = 0.9
 """Limits of second attempts: ink on the outline, width of strokes, depth of the core, share of it kept."""
 
 _WIDEST_PART = 0.5
@@ -55,7 +58,10 @@ _GAIN = 2
 _RIM, _SPECK, _DOT = 0.05, 0.02, 0.005
 """Shares of the longer side: reach of the border of a scan, least length of a digit and of a dot."""
 
-_PART, _THIN_PART, _GAP, _OTHER = 0.1, 0.4, 0.14, 0.2
+_PART = 0.1
+_THIN_PART = 0.4
+_GAP = 0.14
+_OTHER = 0.2
 """Shares of the longest piece: least length and thickness of its parts, widest gap, least other digit."""
 
 _SMALLEST, _BLOB, _WIDEST = 0.08, 0.45, 1.5
@@ -216,7 +222,10 @@ def find_one_digit(mask: Bool, inside: Bool, found: Ink) -> Bool:
     Raises ItemError ``no-ink``, ``several-digits``, ``cut-off`` or ``not-a-digit``.
     """
     pieces = _Pieces.of(mask, inside, found)
-    labels, piece, numbers, depth = pieces.labels, pieces.piece, pieces.numbers, pieces.depth
+    labels = pieces.labels
+    piece = pieces.piece
+    numbers = pieces.numbers
+    depth = pieces.depth
     possible = pieces.is_sharp & (pieces.spans > _SPECK * max(mask.shape))
     # Ink along the rim only is the border of a scan.
     possible &= pieces.farthest > _RIM * max(mask.shape)
@@ -227,7 +236,8 @@ def find_one_digit(mask: Bool, inside: Bool, found: Ink) -> Bool:
     possible &= pieces.spans >= _PART * pieces.spans[main]
     possible &= ndimage.maximum(depth[mask], piece, numbers) >= _THIN_PART * stroke
     # Pieces near each other form one digit.
-    spans, away = pieces.spans, ndimage.distance_transform_cdt(~np.isin(labels, numbers[possible]))
+    spans = pieces.spans
+    away = ndimage.distance_transform_cdt(~np.isin(labels, numbers[possible]))
     groups = ndimage.maximum(ndimage.label(away <= _GAP / 2 * spans[main])[0][mask], piece, numbers)
     digits = np.unique(groups[possible & (spans >= _OTHER * spans[main])])
     if len(digits) > 1:
@@ -293,7 +303,8 @@ class _Pieces(NamedTuple):
         labels, count = ndimage.label(mask, np.ones((3, 3)))
         if not count:
             refuse("no-ink", sentence="empty-page")
-        numbers, piece = np.arange(1, count + 1), labels[mask]
+        numbers = np.arange(1, count + 1)
+        piece = labels[mask]
         depth = np.asarray(ndimage.distance_transform_edt(mask))
         from_rim = ndimage.distance_transform_cdt(np.pad(inside, 1))[1:-1, 1:-1]
         # A blur of a pixel removes noise.
@@ -311,7 +322,8 @@ def _check(digit: Bool, depth_px: float, inside: Bool) -> None:
     """Refuse ink that is too small, too wide or a blob."""
     height, width = (int(np.ptp(np.flatnonzero(digit.any(axis=axis)))) + 1 for axis in (1, 0))
     small = max(height, width) / min(int(inside.any(axis=axis).sum()) for axis in (0, 1))
-    thick, wide = 2 * depth_px / max(height, width), width / height
+    thick = 2 * depth_px / max(height, width)
+    wide = width / height
     for fits, what, expected in (
         (small >= _SMALLEST, f"ink as long as {small:.0%} of the page", f"{_SMALLEST:.0%} or more"),
         (wide <= _WIDEST, f"ink {wide:.1f} times as wide as it is high", f"at most {_WIDEST} times"),

@@ -197,7 +197,8 @@ def half_surface(upper_half: Float32, lattice: Lattice) -> Surface:
         vertices[:, axis] = np.interp(vertices[:, axis], np.arange(len(nodes)), nodes)
     vertices[:, 2] *= np.float32(lattice.pitch_px)
     rim = np.flatnonzero(vertices[:, 2] == 0)
-    corner_px, least_px = (*lattice.corner_px, 0), float(lattice.least_px)
+    corner_px = (*lattice.corner_px, 0)
+    least_px = float(lattice.least_px)
     return Surface(vertices, _in_storage_order(faces), corner_px, rim, still, least_px)
 
 

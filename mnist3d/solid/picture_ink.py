@@ -136,7 +136,8 @@ def _levels_of_file(path: Path, which: str, threshold: str, page: int) -> tuple[
             next="give the number of one of them",
         )
     levels = picture_files.read_picture(path, which, threshold, page, whole=True)
-    stored, notes = picture_files.size_of_page(path, page), []
+    stored = picture_files.size_of_page(path, page)
+    notes = []
     if max(stored) > max(levels.shape):
         height, width = levels.shape
         notes = [f"the picture of {stored[0]:,} x {stored[1]:,} pixels was reduced to {width:,} x {height:,}"]
@@ -184,7 +185,8 @@ def _fitted(
     half_mm = spec.half_thickness_mm
     side = min(max(max(levels.shape), smallest), LARGEST_SHEET_PX)
     # Half the thickness is 1 to 100 pixels.
-    finest, coarsest = int(long_mm / half_mm * LARGEST_HALF_THICKNESS_PX), math.ceil(long_mm / half_mm)
+    finest = int(long_mm / half_mm * LARGEST_HALF_THICKNESS_PX)
+    coarsest = math.ceil(long_mm / half_mm)
     side = max(min(side, finest), coarsest)
     if side > _FINEST_SHEET_PX:
         raise InputError(

@@ -10,7 +10,7 @@ import numpy as np
 
 from mnist3d.ink.grey_levels import refuse
 from tactile_toolkit.array_types import AnyArray, Float32, Int32, Int64
-from tactile_toolkit.mesh import Mesh, connected, self_crossing
+from tactile_toolkit.mesh import Mesh, connected
 
 FIRST_TOLERANCE_MM = 0.01
 
@@ -82,13 +82,14 @@ def decimate(mesh: Mesh, target_vertices: int) -> Mesh:
         return mesh
     counts = bodies_and_holes(len(mesh.vertices_m), mesh.faces)
     most = BUDGET_SLACK * target_vertices
-    passes, tolerance_mm = [mesh.to_manifold()], FIRST_TOLERANCE_MM
+    passes = [mesh.to_manifold()]
+    tolerance_mm = FIRST_TOLERANCE_MM
     over = len(mesh.vertices_m) / most
     if 1 < over <= MAX_FOR_ONE_PASS:
         solid = passes[0].simplify(tolerance_mm + E_FOLD_MM * math.log(over))
         simpler = _mesh_of(solid)
         fits = len(simpler.vertices_m) <= most
-        if fits and _keeps_topology(solid, counts) and not _crosses_itself(simpler, counts[0]):
+        if fits and _keeps_topology(solid, counts) and simpler.crossing_mm(counts[0]) is None:
             return simpler
     while passes[-1].num_vert() > target_vertices:
         simpler = passes[-1].simplify(tolerance_mm)
@@ -97,7 +98,7 @@ def decimate(mesh: Mesh, target_vertices: int) -> Mesh:
         passes.append(simpler)
         tolerance_mm *= TOLERANCE_GROWTH
     # A pass may fold a thin tip onto itself. That check is slow, so it starts at the last pass.
-    while len(passes) > 1 and _crosses_itself(_mesh_of(passes[-1]), counts[0]):
+    while len(passes) > 1 and _mesh_of(passes[-1]).crossing_mm(counts[0]) is not None:
         passes.pop()
     solid = passes[-1]
     found = solid.num_vert()
@@ -115,7 +116,7 @@ def without_flat_vertices(mesh: Mesh) -> Mesh:
     counts = bodies_and_holes(len(mesh.vertices_m), mesh.faces)
     solid = mesh.to_manifold().simplify(FLAT_MM)
     simpler = _mesh_of(solid)
-    if _keeps_topology(solid, counts) and not _crosses_itself(simpler, counts[0]):
+    if _keeps_topology(solid, counts) and simpler.crossing_mm(counts[0]) is None:
         return simpler
     return mesh
 
@@ -124,10 +125,6 @@ def _mesh_of(solid: manifold3d.Manifold) -> Mesh:
     mesh = Mesh.from_manifold(solid)
     mesh.vertices_m[:, 2] -= mesh.vertices_m[:, 2].min()
     return Mesh(mesh.vertices_m.astype(np.float32), mesh.faces)
-
-
-def _crosses_itself(mesh: Mesh, bodies: int) -> bool:
-    return self_crossing(mesh.vertices_mm, mesh.faces.astype(np.int64), bodies) is not None
 
 
 def _keeps_topology(solid: manifold3d.Manifold, counts: tuple[int, int]) -> bool:

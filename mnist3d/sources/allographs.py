@@ -127,7 +127,8 @@ def two_looped(vary: Vary, pen: float) -> list[Stroke]:
 
 def two_angular(vary: Vary, pen: float) -> list[Stroke]:
     """Draw a 2 with a flat top, close to a Z."""
-    right, corner = vary(0.519, 0.055), (vary(0.037, 0.034), 1.0)
+    right = vary(0.519, 0.055)
+    corner = (vary(0.037, 0.034), 1.0)
     top = [(vary(0.02, 0.03), vary(0.094, 0.036)), (0.55 * right, 0.0), (right, vary(0.14, 0.03))]
     down = [(0.80 * right, vary(0.422, 0.03)), (0.45 * right, 0.72), corner]
     return [[top + down, _base(vary, corner)]]
@@ -154,7 +155,8 @@ def _upper_bow(vary: Vary, start_deg: float) -> Run:
 
 def _lower_bow(vary: Vary, waist: Point) -> Run:
     """Return the lower bow of a 3 from its waist on."""
-    half, deep = vary(0.275, 0.035), 0.5 * (1.0 - waist[1])
+    half = vary(0.275, 0.035)
+    deep = 0.5 * (1.0 - waist[1])
     turn = arc((vary(0.243, 0.03), 1.0 - deep), (half, deep), -58.0, min(vary(142.8, 16.5), 170.0), 8)
     return [waist, *turn]
 
@@ -196,7 +198,8 @@ def four_open(vary: Vary, pen: float) -> list[Stroke]:
 
 def four_closed(vary: Vary, pen: float) -> list[Stroke]:
     """Draw a slanting stroke, a bar and a stem that close a triangle."""
-    stem, bar = vary(0.378, 0.05), max(vary(0.597, 0.049), 0.36 + 1.9 * pen)
+    stem = vary(0.378, 0.05)
+    bar = max(vary(0.597, 0.049), 0.36 + 1.9 * pen)
     corner = (vary(-0.02, 0.02) - 0.5 * pen, bar)
     down = [(stem, 0.0), (0.5 * (stem + corner[0]) + vary(0.001, 0.017), 0.5 * bar), corner]
     across = [corner, (stem + vary(0.139, 0.051), bar - vary(0.01, 0.025))]
@@ -235,9 +238,11 @@ ZERO_TO_FOUR: Allographs = (
 
 def _belly(vary: Vary, neck: Point) -> Run:
     """Return the bow of a 5 from its neck on."""
-    half, deep = vary(0.273, 0.045), 0.5 * (1.0 - neck[1]) + vary(0.018, 0.01)
+    half = vary(0.273, 0.045)
+    deep = 0.5 * (1.0 - neck[1]) + vary(0.018, 0.01)
     # Further round, the end would close on the neck and the 5 would be a 6.
-    start_deg, end_deg = vary(-90.0, 14.0), min(vary(149.1, 21.7), 162.0)
+    start_deg = vary(-90.0, 14.0)
+    end_deg = min(vary(149.1, 21.7), 162.0)
     turn = arc((vary(0.2, 0.049), 1.0 - deep), (half, deep), start_deg, end_deg, 8)
     return [neck, *turn]
 
@@ -311,7 +316,8 @@ def six_low(vary: Vary, pen: float) -> list[Stroke]:
 
 def _seven(vary: Vary) -> tuple[Run, Run]:
     """Return bar and stem of a 7."""
-    corner, foot = (vary(0.579, 0.068), vary(0.006, 0.051)), (vary(0.28, 0.08), 1.0)
+    corner = (vary(0.579, 0.068), vary(0.006, 0.051))
+    foot = (vary(0.28, 0.08), 1.0)
     start = (vary(-0.007, 0.04), vary(0.03, 0.048))
     bar = [start, (0.5 * corner[0], 0.5 * (start[1] + corner[1]) + vary(-0.005, 0.015)), corner]
     middle = (vary(0.553, 0.06), 0.5)
@@ -437,7 +443,8 @@ def nine_g_shaped(vary: Vary, pen: float) -> list[Stroke]:
     deep = max(vary(0.213, 0.03), 0.5 * pen + 0.8 * CLEAR)
     middle, slant = vary(0.224, 0.04), vary(0.155, 0.111)
     ring = arc((middle, deep), (half, deep), vary(-29.6, 15.0), -325.0, 9)
-    right, low = middle + half, vary(0.17, 0.03)
+    right = middle + half
+    low = vary(0.17, 0.03)
     belly = right + vary(0.056, 0.05)
     hook = arc((0.5 * belly, 1.0 - low), (0.5 * belly, low), 5.0, vary(154.3, 27.0), 6)
     start = (right + 0.5 * slant * deep, vary(0.098, 0.053))

@@ -64,15 +64,20 @@ def through(points: Sequence[Point]) -> Float64:
     length = np.sqrt(step[:, 0] * step[:, 0] + step[:, 1] * step[:, 1]) + _TINY
     gap = np.sqrt(length)[:, None]
     slope = step / gap
-    before, here, after = gap[:-2], gap[1:-1], gap[2:]
-    chord_in, chord, chord_out = slope[:-2], slope[1:-1], slope[2:]
+    before = gap[:-2]
+    here = gap[1:-1]
+    after = gap[2:]
+    chord_in = slope[:-2]
+    chord = slope[1:-1]
+    chord_out = slope[2:]
     leave = here * (chord_in * here + chord * before) / (before + here)
     arrive = here * (chord * after + chord_out * here) / (here + after)
     # Hermite's cubic between neighbours, from the slopes at which it leaves and arrives.
     t = (np.arange(_STEPS) / _STEPS)[None, :, None]
     start, end = inner[:-1, None], inner[1:, None]
     rise = t * t * (3.0 - 2.0 * t)
-    out, into = t * (1.0 - t) * (1.0 - t), t * t * (t - 1.0)
+    out = t * (1.0 - t) * (1.0 - t)
+    into = t * t * (t - 1.0)
     curve = start + (end - start) * rise + leave[:, None] * out + arrive[:, None] * into
     return np.concatenate([curve.reshape(-1, 2), inner[-1:]])
 

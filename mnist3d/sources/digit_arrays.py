@@ -172,7 +172,8 @@ def _labels_and_writers(path: str, stamp: tuple[int, int], writer_column: int | 
             next="give the file 'WriterInfo.npy' of HWD+",
         )
     table = np.array(cells).reshape(len(cells), -1)
-    labels, writers = _int_column(table, 0, path, 9), np.full(len(table), NO_WRITER, np.int64)
+    labels = _int_column(table, 0, path, 9)
+    writers = np.full(len(table), NO_WRITER, np.int64)
     if writer_column is not None:
         if not 1 <= writer_column < table.shape[1]:
             raise InputError(
@@ -276,7 +277,8 @@ class MnistSource:
 
         Raises ItemError ``"unknown-id"`` when no digit has the id.
         """
-        parts, index = self._parts(), digit_id
+        parts = self._parts()
+        index = digit_id
         require_known(digit_id, sum(len(images) for images, _ in parts), self.root)
         while index >= len(parts[0][0]):
             index -= len(parts.pop(0)[0])
@@ -310,7 +312,8 @@ class MnistSource:
         return parts
 
     def _file(self, prefix: str, kind: str) -> Path:
-        path, folder = _find(self.root, prefix, kind), Path(self.root)
+        path = _find(self.root, prefix, kind)
+        folder = Path(self.root)
         if path is not None:
             return path
         found = "no folder"

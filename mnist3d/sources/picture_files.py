@@ -52,7 +52,8 @@ _PAGED = frozenset({"TIFF", "GIF", "WEBP", "PNG", "AVIF", "HEIF"})
 _MAX_PAGES = 1000
 
 # TIFF tag for the kind of a picture, and the bits of smaller copies and masks, which are not pages.
-_SUBFILE, _COPY_OR_MASK = 254, 1 | 4
+_SUBFILE = 254
+_COPY_OR_MASK = 1 | 4
 
 # Memory for reading, by mode, as measured; 24 for transparency and for more than 8 bits.
 _BYTES_PER_PIXEL = {"1": 4, "L": 4, "P": 11, "RGB": 11}
@@ -307,7 +308,8 @@ def _reduced(picture: Image.Image) -> Image.Image:
 def _stretched(grey: UInt8, dark: Bool) -> UInt8:
     """Stretch grey levels so that dark ink becomes 0 and the rest, paper, 255."""
     # Ink of thin strokes is mostly edge, so its median would be too light; single dark pixels are specks.
-    darkest, paper = float(np.percentile(grey[dark], 10)), float(np.median(grey[~dark]))
+    darkest = float(np.percentile(grey[dark], 10))
+    paper = float(np.median(grey[~dark]))
     table = np.clip((np.arange(256) - darkest) * (255 / (paper - darkest)), 0, 255)
     levels: UInt8 = np.rint(table).astype(np.uint8)[grey]
     return levels
@@ -316,7 +318,8 @@ def _stretched(grey: UInt8, dark: Bool) -> UInt8:
 def _brightness(picture: Image.Image, where: str) -> UInt8:
     if picture.mode in ("L", "RGB"):
         return np.asarray(picture.convert("L"))
-    values, whites = np.asarray(picture), (1, 255) if picture.mode == "F" else _WHITES
+    values = np.asarray(picture)
+    whites = (1, 255) if picture.mode == "F" else _WHITES
     largest = float(np.fmax.reduce(values, axis=None, initial=0))
     return as_grey(values, next((float(each) for each in whites if largest <= each), whites[-1]), where)
 

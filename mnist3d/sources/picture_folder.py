@@ -100,7 +100,8 @@ class FolderSource:
             try:
                 with store.open_regular(path) as stream:
                     data = stream.read()
-                    content, size = hashlib.sha256(data).digest(), len(data)
+                    content = hashlib.sha256(data).digest()
+                    size = len(data)
             except OSError as error:
                 raise InputError(
                     f"{path}: cannot be opened ({error.strerror}), expected a picture", next="check the file"
@@ -150,7 +151,8 @@ def _stamps(root: str) -> tuple[int, ...]:
 
 @lru_cache(maxsize=4)
 def _list_folder(root: str, stamps: tuple[int, ...]) -> _Listing:
-    base, left_out = Path(root), list[tuple[str, str]]()
+    base = Path(root)
+    left_out = list[tuple[str, str]]()
     try:
         visible = _visible(base)
         classes = [path for path in visible if path.is_dir()]
@@ -208,7 +210,8 @@ def _class_names(root: str, folders: Sequence[str]) -> tuple[str, ...]:
 
 def _pictures_of(root: str, path: Path, pages: tuple[int, ...], names: tuple[str, ...]) -> Iterator[_Picture]:
     """Yield the pages of a file with its class; InputError if it has no class."""
-    name, label = path.relative_to(root).as_posix(), _LABEL.search(path.name)
+    name = path.relative_to(root).as_posix()
+    label = _LABEL.search(path.name)
     class_name = path.parent.name
     if path.parent == Path(root):
         class_name = ""

@@ -37,7 +37,10 @@ DIGIT_STYLES = (
 )
 """For each digit: width relative to the writer's, lean beyond the writer's slant, freedom of its shape."""
 
-_ASPECT, _SLANT, _TILT, _BOW = 0.10, 0.10, 0.04, 0.02
+_ASPECT = 0.10
+_SLANT = 0.10
+_TILT = 0.04
+_BOW = 0.02
 """Spread of the traits of a writer from digit to digit."""
 
 _BETWEEN_WRITERS = 0.68
@@ -51,7 +54,12 @@ PAGE_PX = 500
 SPACING_PX = 7.0
 """Distance of samples along a path, pixels."""
 
-_WAIST, _LOPSIDE, _TAPER, _SWAY, _ARCH, _SAG = 0.03, 0.03, 0.08, 0.015, 0.015, 0.015
+_WAIST = 0.03
+_LOPSIDE = 0.03
+_TAPER = 0.08
+_SWAY = 0.015
+_ARCH = 0.015
+_SAG = 0.015
 """Spreads of how a digit is bent, as shares of its height or width.
 
 Shifts of its waist and of its middle line, widening of its foot, winding of its verticals, bending and
@@ -253,7 +261,8 @@ def choose_allograph(label: int, writer: int, class_noise: KeyedRng, digit: Keye
     """
     weights = [weight for _, weight in allographs.ALLOGRAPHS[label]]
     mark = (class_noise.unit() + writer * _STRIDES[label]) % 1.0
-    preferred, other = index_at(weights, mark), index_at(weights, digit.unit())
+    preferred = index_at(weights, mark)
+    other = index_at(weights, digit.unit())
     return preferred if digit.unit() < fidelity else other
 
 
@@ -288,7 +297,8 @@ def on_page(
 def _bend(paths: Paths, style: WriterStyle, vary: Vary) -> Paths:
     """Bend, stretch and slant the strokes like one sheet of rubber, so that joined strokes stay joined."""
     low, high = _bounds(paths)
-    wide, tall = max(high[0] - low[0], 1e-6), high[1] - low[1]
+    wide = max(high[0] - low[0], 1e-6)
+    tall = high[1] - low[1]
     waist, lopside = (min(max(vary(0.0, spread), -_MAX_SHIFT), _MAX_SHIFT) for spread in (_WAIST, _LOPSIDE))
     taper, sway, arch, sag = (vary(0.0, spread) for spread in (_TAPER, _SWAY, _ARCH, _SAG))
     bent = []
@@ -351,7 +361,8 @@ def _radii(path: Float64, half_px: float, style: WriterStyle, rng: KeyedRng) -> 
 
 def _stamp(field: Float32, path: Float32, radius: Float32) -> None:
     """Lower the field to the signed distance from the capsules between consecutive samples."""
-    start, step = path[:-1], path[1:] - path[:-1]
+    start = path[:-1]
+    step = path[1:] - path[:-1]
     swell = radius[1:] - radius[:-1]
     reach = int((float(radius.max()) + _BEYOND_PX + 0.5 * SPACING_PX) / _CELL_PX) + 1
     span = np.arange(-reach, reach + 1)
@@ -427,7 +438,8 @@ def _dot(page: UInt8, at: Float64, aside: float, light: bool, rng: KeyedRng) -> 
     norm = math.sqrt(lean_x * lean_x + lean_y * lean_y + 1e-9)
     x, y = float(at[0]) + aside * lean_x / norm, float(at[1]) + aside * lean_y / norm
     half_x, half_y = rng.uniform(0.7, 2.6), rng.uniform(0.7, 2.6)
-    low, high = _EDGE_PX + _DOT_PX, PAGE_PX - 1 - _EDGE_PX - _DOT_PX
+    low = _EDGE_PX + _DOT_PX
+    high = PAGE_PX - 1 - _EDGE_PX - _DOT_PX
     column, row = int(min(max(x, low), high)), int(min(max(y, low), high))
     offsets = np.arange(-_DOT_PX, _DOT_PX + 1, dtype=np.float64)
     across, down = offsets / half_x, offsets / half_y
@@ -510,8 +522,10 @@ class SyntheticSource:
         """
         digit_id = index(digit_id)
         require_known(digit_id, self.count, "the synthetic source")
-        writer, label = digit_id // _PER_WRITER, digit_id % _PER_WRITER // _PER_CLASS
-        style, rng = self.hand(writer), KeyedRng(_DIGIT, self.seed, digit_id)
+        writer = digit_id // _PER_WRITER
+        label = digit_id % _PER_WRITER // _PER_CLASS
+        style = self.hand(writer)
+        rng = KeyedRng(_DIGIT, self.seed, digit_id)
         height_px = style.height_px * (1.0 + _SIZE_JITTER * style.jitter * rng.approx_normal())
         pen_px = style.pen_px * (1.0 + _SIZE_JITTER * style.jitter * rng.approx_normal())
         class_noise = KeyedRng(_CLASS_NOISE, self.seed, label)

@@ -119,7 +119,7 @@ def _placed_rows(
         starts = dict(
             zip((shard.path for shard in shards), np.cumsum([0, *map(len, shards)]).tolist(), strict=False)
         )
-        for found in verification.readable_rows(read.row_groups(shards)):
+        for found in verification.readable_rows(shards):
             if isinstance(found, damage.Damage):
                 number = starts[found.file] + (found.row or 0)
                 damaged.append(
@@ -136,7 +136,8 @@ def _in_sections(rows: Iterable[PlacedRow]) -> Iterator[list[PlacedRow]]:
     for row in rows:
         if gathered and (gathered[0].split != row.split or touches >= _MIN_TOUCHES):
             yield gathered
-            gathered, touches = [], 0
+            gathered = []
+            touches = 0
         gathered.append(row)
         with suppress(errors.IntegrityError):  # a single clip has enough frames
             touches += _MIN_TOUCHES if row.stored.kind == "seq" else row.stored.touch_total()
@@ -202,7 +203,8 @@ def finding_of(
     for spot in sorted({fault.at._replace(frame=0) for fault in faults}):
         whole = spot._replace(touch=rules.WHOLE_ROUND)
         known = rounds.get(whole, RoundSeen(whole, f"row {spot.row}", 1, None, None))
-        named, count = f"{known.name}:{spot.touch}", 1
+        named = f"{known.name}:{spot.touch}"
+        count = 1
         if spot == whole:
             count = max(known.touches, 1)
             named = f"{known.name}:0-{count - 1}"

@@ -16,7 +16,7 @@ from realtouch.checks.rules import (
     NOISE_FACTOR,
 )
 from tactile_toolkit.array_types import Bool, Float32, Float64, Floating, UInt8
-from tactile_toolkit.touch import decode_image, decode_small
+from tactile_toolkit.touch import decode_image
 
 ROWS, COLUMNS = 12, 16
 """Cells of a picture whose averages are compared: 16 x 16 mm of a GelSight Mini in cells of 1.2 mm."""
@@ -36,7 +36,8 @@ _DEVIATION_PER_MAD = 1.4826  # of a normal distribution: standard deviation over
 
 def cells_of(encoded: bytes | memoryview) -> Float32:
     """Decode a picture to the averages of its cells, shape (12, 16, 3); ValueError if it is damaged."""
-    shrunk = Image.fromarray(decode_small(encoded, COLUMNS)).resize((COLUMNS, ROWS), Image.Resampling.BOX)
+    pixels = decode_image(encoded, least_px=COLUMNS)
+    shrunk = Image.fromarray(pixels).resize((COLUMNS, ROWS), Image.Resampling.BOX)
     return np.asarray(shrunk, np.float32)
 
 

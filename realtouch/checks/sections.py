@@ -22,7 +22,7 @@ from realtouch.touches import media, schema, stored_round
 from realtouch.touches.poses import Poses
 from tactile_toolkit.array_types import Float32, Float64
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.touch import MEDIA_COLUMN, decode_image
+from tactile_toolkit.touch import decode_image
 
 GEL_PICTURES = 32
 """Pictures of a section whose median shows its bare gel; at each pixel, fewer than half have contact."""
@@ -103,7 +103,8 @@ def check_section(
 
 def _describe(stored: stored_round.StoredRound, at: rules.Spot) -> RoundSeen:
     gel: object = None
-    object_id, name = None, str(at.row)
+    object_id = None
+    name = str(at.row)
     if "info.gel_id" in stored.group.names:
         gel = stored.stored_value("info.gel_id")
     if stored.has("object_id"):
@@ -115,7 +116,7 @@ def _describe(stored: stored_round.StoredRound, at: rules.Spot) -> RoundSeen:
 
 def _with_bytes(stored: stored_round.StoredRound, at: rules.Spot, section: Section) -> list[rules.Spot]:
     """Return the touches of a round with stored pictures; the others are added to the faults."""
-    column = stored.group.nested(MEDIA_COLUMN[stored.kind])
+    column = stored.group.nested(stored.media_column)
     start, stop = column.inside(0, stored.index, stored.index + 1)
     stored_bytes = [column.values[index] for index in range(start, stop)]
     spots = [at._replace(touch=touch) for touch in range(stored.touch_total())]
@@ -137,14 +138,18 @@ def _strip(
 ) -> Strip:
     """Read the images of a round, or the frames of one touch; add unreadable ones to the faults."""
     encoded: list[memoryview] = []
-    poses, time_s, spots, at = None, np.zeros(0), touches, touches[0]
+    poses = None
+    time_s = np.zeros(0)
+    spots = touches
+    at = touches[0]
     try:
         if stored.kind == "seq":
             clip = media.TouchClip(stored, at.touch)
             encoded = [clip.encoded(frame) for frame in range(len(clip))]
             spots = [at._replace(frame=frame) for frame in range(len(clip))]
         else:
-            at, frames = at._replace(touch=rules.WHOLE_ROUND), len(touches)
+            at = at._replace(touch=rules.WHOLE_ROUND)
+            frames = len(touches)
             encoded = list(map(media.SensorImages(stored).encoded, (spot.touch for spot in touches)))
         poses, time_s = _motion(stored, touches)
     except IntegrityError:
@@ -174,7 +179,9 @@ def _strip(
 
 def _motion(stored: stored_round.StoredRound, touches: Sequence[rules.Spot]) -> tuple[Poses | None, Float64]:
     """Return the poses of the pictures of some touches, if any, and the times of frames, seconds."""
-    is_clip, time_s, poses = stored.kind == "seq", np.zeros(0), None
+    is_clip = stored.kind == "seq"
+    time_s = np.zeros(0)
+    poses = None
     if is_clip and stored.has(_TIMES):
         time_s = stored_round.as_seconds(stored.cut(_TIMES, 0, touches[0].touch)[0])
     if stored.has_poses and stored.has(f"{schema.POSE_COLUMN[stored.kind]}.quaternion"):

@@ -13,7 +13,7 @@ from functools import partial
 from realtouch import convert, kind, tars
 from realtouch.touches import damage, media, opening, schema, stored_round
 from tactile_toolkit import cards, catalog, errors, places, read, run, store, wording
-from tactile_toolkit.touch import MEDIA_COLUMN, decode_image, image_size
+from tactile_toolkit.touch import decode_image, image_size
 
 INDEXED = ("frames", "export")
 """Operations whose rows are an index of other files."""
@@ -201,10 +201,9 @@ def _check_rounds(
     rounds = touches = 0
     seen: dict[str, str] = {}
     for files in splits:
-        expected, names = modal_touch_count(files), schema.stated_class_names(files)
-        for row, problems in checked_rows(
-            read.row_groups(files), expected, names, decode=decode, workers=workers
-        ):
+        expected = modal_touch_count(files)
+        names = schema.stated_class_names(files)
+        for row, problems in checked_rows(files, expected, names, decode=decode, workers=workers):
             findings += problems
             if row is not None:
                 rounds += 1
@@ -274,21 +273,22 @@ def modal_touch_count(shards: Sequence[read.Shard]) -> int | None:
     if shards and catalog.manifest_beside(shards[0].path) is not None:
         return None
     counts: Counter[int] = Counter()
-    for shard, index in read.row_groups(shards):
-        with suppress(errors.IntegrityError):
-            counts.update(stored_round.stored_touch_counts(shard, index).tolist())
+    for shard in shards:
+        for index in range(len(shard.group_starts) - 1):
+            with suppress(errors.IntegrityError):
+                counts.update(stored_round.stored_touch_counts(shard, index).tolist())
     return next((count for count, rounds in counts.items() if 2 * rounds > counts.total()), None)
 
 
 def checked_rows(
-    groups: Iterable[tuple[read.Shard, int]],
+    shards: Iterable[read.Shard],
     expected_touches: int | None,
     class_names: Sequence[str] | None,
     *,
     decode: bool = True,
     workers: int = 1,
 ) -> Iterator[tuple[stored_round.StoredRound | None, list[damage.Damage]]]:
-    """Yield all rows of row groups with the faults of each; None for unreadable rows.
+    """Yield all rows of files with the faults of each; None for unreadable rows.
 
     Arguments are as for :func:`check_round`; the result does not depend on the number of threads.
     """
@@ -300,18 +300,19 @@ def checked_rows(
             return None, [found]
         return found, check_round(found, expected_touches, decode=decode, class_names=class_names)
 
-    return run.in_threads(checked, readable_rows(groups), workers)
+    return run.in_threads(checked, readable_rows(shards), workers)
 
 
 def readable_rows(
-    groups: Iterable[tuple[read.Shard, int]],
+    shards: Iterable[read.Shard],
 ) -> Iterator[stored_round.StoredRound | damage.Damage]:
     """Yield all rows; the damage stands for rows that cannot be read."""
-    for shard, index in groups:
-        try:
-            yield from stored_round.rows_of(shard.blocks(index))
-        except errors.IntegrityError as error:
-            yield damage.unreadable_rows(shard, index, error)
+    for shard in shards:
+        for index in range(len(shard.group_starts) - 1):
+            try:
+                yield from stored_round.rows_of(shard.blocks(index))
+            except errors.IntegrityError as error:
+                yield damage.unreadable_rows(shard, index, error)
 
 
 def check_round(
@@ -361,7 +362,7 @@ def check_round(
             row.extra_values(name)
     sizes = _check_touches(row, count, noted, decode=decode)
     # Several fields may report the same fault.
-    return list(dict.fromkeys([*found, *_odd_sizes(row, sizes, MEDIA_COLUMN[row.kind])]))
+    return list(dict.fromkeys([*found, *_odd_sizes(row, sizes, row.media_column)]))
 
 
 def _check_touches(
@@ -372,10 +373,11 @@ def _check_touches(
     picture_size: _PictureSize = _image_size
     size_of: _SizeOf = image_size
     if row.kind == "seq":
-        read_pose, picture_size = row.pose_sequences, _clip_size
+        read_pose = row.pose_sequences
+        picture_size = _clip_size
     if decode:
         size_of = _decoded_size
-    start, stop = row.column_of(MEDIA_COLUMN[row.kind]).inside(0, row.index, row.index + 1)
+    start, stop = row.column_of(row.media_column).inside(0, row.index, row.index + 1)
     sizes: dict[int, tuple[int, ...]] = {}
     for touch in range(count):
         if row.has("pos_in_cell"):

@@ -30,7 +30,7 @@ WriteFiles = Callable[[store.DataFolder, store.Manifest], Mapping[str, str]]
 
 # Prefixes of the columns ``file`` and ``sha256`` of an index, which names up to two files for each row.
 _PREFIXES = ("", "meta_")
-_IMAGES_PER_MEDIA: dict[touch.Kind, int] = {"seq": 64, "single": 1}  # by size: clips are a few dozen images
+_IMAGES_PER_MEDIA: dict[schema.Kind, int] = {"seq": 64, "single": 1}  # by size: clips are a few dozen images
 
 
 def parts_of(place: places.Place, split: str | None) -> tuple[str, ...]:
@@ -44,7 +44,7 @@ class Source:
 
     name: str
     shards: Mapping[str, tuple[read.Shard, ...]]
-    kind: touch.Kind
+    kind: schema.Kind
     unfinished: str = ""
 
     @classmethod
@@ -89,7 +89,7 @@ class Source:
     def media_bytes(self) -> int:
         """Return the size of an image or clip, on average over the data set; at least 1."""
         found = run.in_threads(
-            partial(_media_bytes, f"{touch.MEDIA_COLUMN[self.kind]}."), self._files(), _READERS
+            partial(_media_bytes, f"{schema.MEDIA_COLUMN[self.kind]}."), self._files(), _READERS
         )
         count, size = map(sum, zip(*found, strict=True))
         return max(size // max(count, 1), 1)
@@ -288,7 +288,8 @@ class _ConvertRows:
 
     def __call__(self, shard: store.ShardName, choices: Sequence[RowChoice]) -> store.ShardContent:
         """Convert rows; damaged ones are left out and listed."""
-        tables, skipped = [self.schema.empty_table()], []
+        tables = [self.schema.empty_table()]
+        skipped = []
         files: dict[str, bytes] = {}
         for choice, row in self._rows(choices):
             try:
@@ -370,7 +371,7 @@ def plan_conversion(conversion: Conversion) -> store.BuildPlan:
     encodings: tuple[tuple[str, str], ...] = ()
     per_page = None
     if conversion.pack is None:
-        lists = [f"{name}.list.element" for name in touch.MEDIA_COLUMN.values() if name in wanted.names]
+        lists = [f"{name}.list.element" for name in schema.MEDIA_COLUMN.values() if name in wanted.names]
         single = [name for name in wanted.names if wanted.field(name).type == touch.MEDIA_TYPE]
         encodings = tuple((f"{name}.bytes", "PLAIN") for name in [*lists, *single])
         if lists:
@@ -408,7 +409,8 @@ def write_conversion(
 
     ``plan`` is a function of the source and the greatest number of rounds of each split.
     """
-    opened, folder = Source.open(source, split=split), store.open_folder(fspath(out))
+    opened = Source.open(source, split=split)
+    folder = store.open_folder(fspath(out))
     conversion = plan(opened, require_limit(limit))
     folder.refuse_source(opened.name, (shard.path for each in opened.shards.values() for shard in each))
     origin = schema.origin_of(opened.schema, opened.manifest())

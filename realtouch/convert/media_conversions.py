@@ -18,12 +18,12 @@ from realtouch.video import avi
 from tactile_toolkit import errors, kind, places, read, store, touch
 from tactile_toolkit.array_types import Float32, UInt8
 from tactile_toolkit.json_types import JsonDict
-from tactile_toolkit.touch import MAX_IMAGE_PIXELS, MEDIA_COLUMN, MEDIA_TYPE, Kind, encode_image, resized
+from tactile_toolkit.touch import MAX_IMAGE_PIXELS, MEDIA_TYPE, encode_image, resized
 
 _CONTACT_FRAME_ROWS = 16
 _POSE, _POSE_SEQUENCE = schema.POSE_COLUMN["single"], schema.POSE_COLUMN["seq"]
 _WIDTHS = {"position": 3, "quaternion": 4}
-_SUFFIX: dict[Kind, str] = {"seq": "avi", "single": "jpg"}
+_SUFFIX: dict[schema.Kind, str] = {"seq": "avi", "single": "jpg"}
 
 # Further columns of pixel coordinates, and the middle of the first pixel in them; 0 for a motion.
 _MIDDLE_OF_FIRST_PX = {"marker_positions_px": 0.5, "marker_flow_px": 0.0}
@@ -230,7 +230,8 @@ class ResizeMedia:
         self, row: stored_round.StoredRound, choice: conversion.RowChoice, split: str
     ) -> conversion.Made:
         """Resize the images or clips of a row; pictures that have the size are copied."""
-        flat, kind = schema.flat_row(row), row.kind
+        flat = schema.flat_row(row)
+        kind = row.kind
         if kind == "single":
             images = media.SensorImages(row)
             sizes = list(map(images.size, range(len(images))))
@@ -238,7 +239,7 @@ class ResizeMedia:
         else:
             sizes = [clip.size for clip in media.SensorClips(row)]
             blobs = [self._clip(clip) for clip in media.SensorClips(row)]
-        made = {MEDIA_COLUMN[kind]: stored_images.numbered_media(blobs, _SUFFIX[kind])}
+        made = {row.media_column: stored_images.numbered_media(blobs, _SUFFIX[kind])}
         for name in filter(row.has, (media.DEPTH, media.DEPTH_ERROR)):
             maps = [media.encode_map(self._map(each)) for each in media.DepthMaps(row, name)]
             made[name] = stored_images.numbered_media(maps, media.SUFFIX)
@@ -258,7 +259,8 @@ class ResizeMedia:
             return values
         if any(isinstance(each, list) for each in values):
             return [self._moved(name, each, size) for each in values]
-        scale, first = np.array([self.width / size[1], self.height / size[0]]), _MIDDLE_OF_FIRST_PX[name]
+        scale = np.array([self.width / size[1], self.height / size[0]])
+        first = _MIDDLE_OF_FIRST_PX[name]
         pairs = np.array(values, np.float64).reshape(-1, 2)
         return ((pairs + first) * scale - first).ravel().tolist()
 

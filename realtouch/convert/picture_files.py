@@ -150,7 +150,8 @@ class WritePictures:
         if self.difference is not None and row.has("sensor_image") and shown:
             # A round of images shares one background; each clip has its own.
             base = image_contacts.background(rounds.TouchSingleRound(row))
-        folder, suffix = f"{IMAGE_FOLDER}/{split}/{name}", touch.IMAGE_SUFFIX[self.kind]
+        folder = f"{IMAGE_FOLDER}/{split}/{name}"
+        suffix = touch.IMAGE_SUFFIX[self.kind]
         files = {f"{folder}/{each.touch:03d}.{suffix}": self._encoded(each, base) for each in shown}
         columns = {
             **columns_of_touches(row, shown, self.names),
@@ -235,7 +236,8 @@ def shown_touches(row: stored_round.StoredRound, method: contact.ContactMethod) 
             yield TouchPicture(touch, 0, images, touch, poses[touch])
         return
     for touch, clip in enumerate(media.SensorClips(row)):
-        frame, pose = clip.contact_index(method), np.empty(0)
+        frame = clip.contact_index(method)
+        pose = np.empty(0)
         if row.has_poses:
             pose = _pose_values(row.pose_sequences(touch)[0], frame)
         yield TouchPicture(touch, frame, clip, frame, pose)
@@ -249,7 +251,8 @@ def columns_of_touches(
     row: stored_round.StoredRound, shown: Sequence[TouchPicture], names: Sequence[str]
 ) -> dict[str, AnyArray | list[object]]:
     """Return the columns of a table of the touches of a round, as far as the source stores them."""
-    label, count = row.label_value(), len(shown)
+    label = row.label_value()
+    count = len(shown)
     columns: dict[str, AnyArray | list[object]] = {
         "label": np.full(count, label),
         "label_name": [dict(enumerate(names)).get(label)] * count,
@@ -275,7 +278,8 @@ def plain_extras(source: pa.Schema) -> dict[str, pa.Field]:
 
     The plain column has the name of the further column, with the prefix ``extra_`` if the name is taken.
     """
-    types, taken = read.column_types(source), {*_OTHER_COLUMNS}
+    types = read.column_types(source)
+    taken = {*_OTHER_COLUMNS}
     found = {}
     for name, stored in schema.extra_columns(types).items():
         plain = name

@@ -15,12 +15,10 @@ from typing import SupportsIndex, Unpack
 import numpy as np
 import pyarrow as pa
 
-from realtouch.contact import MIN_CONTACT_HEIGHT_M, PLATE_COLUMN, ContactHeight
 from realtouch.convert import conversion
 from realtouch.touches import datasets, image_contacts, schema, stored_round
-from tactile_toolkit import catalog, errors, places, read, store
+from tactile_toolkit import catalog, errors, places, read, store, touch
 from tactile_toolkit.json_types import JsonDict, JsonObject
-from tactile_toolkit.touch import height_text
 
 
 def select(
@@ -87,15 +85,15 @@ def _selection(chosen: JsonObject, opened: conversion.Source, limit: int | None)
     min_height_m = options["min_height_m"]
     if min_height_m is not None and not math.isfinite(min_height_m):  # nothing is as high as NaN
         raise errors.InputError(
-            f"min_height_m is {min_height_m}; expected metres, such as {MIN_CONTACT_HEIGHT_M}"
+            f"min_height_m is {min_height_m}; expected metres, such as {touch.HeightRule.REAL_M}"
         )
     by_image = options["contact"] and not schema.has_poses(read.column_types(opened.schema))
     if by_image:
         options["contact_rule"] = image_contacts.BY_IMAGE
     elif options["min_height_m"] is None:
-        options["min_height_m"] = MIN_CONTACT_HEIGHT_M
+        options["min_height_m"] = touch.HeightRule.REAL_M
         if options["contact"]:
-            options["min_height_m"] = ContactHeight.of(read.column_types(opened.schema)).min_height_m
+            options["min_height_m"] = touch.HeightRule.of(read.column_types(opened.schema)).min_height_m
     choices = {each: _chosen_rows(opened, each, options) for each in opened.shards}
     if options["contact"] and not any(choices.values()):
         if by_image:
@@ -112,7 +110,7 @@ def _no_contact(source: conversion.Source, height_m: float) -> errors.InputError
     heights_m = [datasets.dataset_of(shards).touches().heights_m() for shards in source.shards.values()]
     return errors.InputError(
         f"no chosen touch of {source.name!r} is a contact (a touch is one if "
-        f"{height_text(height_m)}); the highest of all touches is "
+        f"{touch.HeightRule(height_m, 'known').height_text}); the highest of all touches is "
         f"{1e3 * max(each.max(initial=-math.inf) for each in heights_m):.1f} mm above it",
         next="give a smaller --min-height-mm, or fewer filters",
     )
@@ -120,7 +118,8 @@ def _no_contact(source: conversion.Source, height_m: float) -> errors.InputError
 
 def _chosen_rows(source: conversion.Source, split: str, options: JsonObject) -> list[conversion.RowChoice]:
     """Decide which rows and touches of a split :func:`select` keeps; reads small columns only."""
-    dataset, limit = datasets.dataset_of(source.shards[split]), options["limit"]
+    dataset = datasets.dataset_of(source.shards[split])
+    limit = options["limit"]
     if (options["labels"] or "per_class" in options) and not dataset.label_names:
         raise errors.InputError(
             f"the touches of {source.name!r} have no labels, by which some could be chosen",
@@ -181,8 +180,8 @@ class KeepTouches:
             if schema.is_per_touch(field.name, field.type):
                 fields[place] = pa.field(field.name, pa.list_(field.type.value_type))
         types = read.column_types(source)
-        if PLATE_COLUMN not in types and schema.has_poses(types):
-            fields.append(pa.field(PLATE_COLUMN, pa.float64()))
+        if touch.HeightRule.PLATE_COLUMN not in types and schema.has_poses(types):
+            fields.append(pa.field(touch.HeightRule.PLATE_COLUMN, pa.float64()))
         return pa.schema(fields)
 
     def apply(
@@ -193,9 +192,9 @@ class KeepTouches:
         if choice.touches is None:
             return flat, {}
         kept = schema.take_touches(flat, choice.touches, row.touch_total())
-        if row.has(PLATE_COLUMN) or not row.has_poses:
+        if row.has(touch.HeightRule.PLATE_COLUMN) or not row.has_poses:
             return kept, {}
-        plate_m = row.plate_z_m(ContactHeight.of(row.group.names))
+        plate_m = row.plate_z_m(row.height_rule)
         if math.isnan(plate_m):
             plate_m = row.contact_z_m(row.kind).min(initial=np.inf)
-        return kept.append_column(PLATE_COLUMN, pa.array([plate_m], pa.float64())), {}
+        return kept.append_column(touch.HeightRule.PLATE_COLUMN, pa.array([plate_m], pa.float64())), {}

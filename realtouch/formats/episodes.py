@@ -14,9 +14,12 @@ from realtouch.touches import datasets, media, poses, schema, stored_images, sto
 from realtouch.touches.schema import POSE_COLUMN
 from tactile_toolkit import errors, read, store
 from tactile_toolkit.array_types import AnyArray, Int64
-from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE, intact_size
+from tactile_toolkit.touch import MEDIA_TYPE, intact_size
 
-IMAGE, STATE, ACTION, TIME = "observation.images.tactile", "observation.state", "action", "time_s"
+IMAGE = "observation.images.tactile"
+STATE = "observation.state"
+ACTION = "action"
+TIME = "time_s"
 CONTACT = "in_contact"
 """Column that marks the frames from the first to the last contact of a clip."""
 DEPTH = "observation.images.depth"
@@ -64,10 +67,12 @@ class Episodes:
             raise errors.InputError(
                 f"{source.name!r} has no touches in split {split!r}", next="choose another split"
             )
-        are_clips, fps = source.kind == "seq", 1
+        are_clips = source.kind == "seq"
+        fps = 1
         if are_clips:
             clip = media.TouchClip(row, 0)
-            fps, size = max(1, round(clip.fps)), clip.size
+            fps = max(1, round(clip.fps))
+            size = clip.size
         else:
             size = media.SensorImages(row).size()
         extras = extra_columns_of(source.shards[split])
@@ -103,7 +108,8 @@ class Episodes:
         tables = [schema.empty_table()]
         read = self._clips if self.are_clips else self._round
         for touch, images, columns in read(row):
-            count, start = len(images), f"{row.name()}_{touch or 0:03d}"
+            count = len(images)
+            start = f"{row.name()}_{touch or 0:03d}"
             for number, image in enumerate(images):
                 self._require_size(row, number if touch is None else touch, image)
             columns |= {name: [value] * count for name, value in (*of_row.items(), ("touch", touch))}
@@ -118,7 +124,8 @@ class Episodes:
     def _round(self, row: stored_round.StoredRound) -> Iterator[_Episode]:
         """Yield all touches of a round of single images as one episode; a round without touches has none."""
         row.entries_of("sensor_image")
-        images, columns = media.SensorImages(row), dict[str, object]()
+        images = media.SensorImages(row)
+        columns = dict[str, object]()
         if not len(images):
             return
         if row.has_poses:
@@ -132,11 +139,9 @@ class Episodes:
     def _clips(self, row: stored_round.StoredRound) -> Iterator[_Episode]:
         """Yield each clip of a round as an episode."""
         for touch in range(row.touch_total()):
-            clip, columns, times_s = (
-                media.TouchClip(row, touch),
-                dict[str, object](),
-                row.stamps_s(touch),
-            )
+            clip = media.TouchClip(row, touch)
+            columns = dict[str, object]()
+            times_s = row.stamps_s(touch)
             frames = np.arange(len(clip))
             if row.has_poses:
                 columns[STATE] = self._states(row.pose_sequences(touch)[0])
@@ -150,7 +155,7 @@ class Episodes:
             yield touch, list(map(clip.encoded, range(len(clip)))), columns
 
     def _require_size(self, row: stored_round.StoredRound, touch: int, image: bytes | memoryview) -> None:
-        with row.naming(MEDIA_COLUMN[row.kind], touch):
+        with row.naming(row.media_column, touch):
             height, width = intact_size(image)
         if (height, width) != self.size:
             raise errors.InputError(
@@ -271,7 +276,8 @@ class ExtraColumn:
 
     def _packed(self, values: pa.Array) -> pa.Array:
         """Return numbers, texts or vectors of the type; ValueError for vectors of another length."""
-        width, leaf = getattr(self.data_type, "list_size", 1), self.data_type
+        width = getattr(self.data_type, "list_size", 1)
+        leaf = self.data_type
         if width > 1:
             leaf = leaf.value_type
         if read.list_depth(values.type)[0]:
@@ -325,7 +331,7 @@ def extra_columns_of(shards: Sequence[read.Shard]) -> tuple[ExtraColumn, ...]:
 def _widths(shards: Iterable[read.Shard], stored: str) -> tuple[int, bool]:
     """Return the length of the first vector of a column, or 0, and whether values are missing."""
     width, has_gaps = 0, False
-    for block in read.all_blocks(shards, [stored]):
+    for block in read.ShardedTable(tuple(shards)).blocks([stored]):
         column = block.nested(stored)
         has_gaps = has_gaps or column.nulls > 0
         last = column.levels[-1]

@@ -14,7 +14,7 @@ from realtouch import contact, convert, touch_options
 from realtouch.touches import rounds, stored_images, stored_round
 from realtouch.touches.schema import POSE_COLUMN
 from tactile_toolkit import errors, kind, places, store
-from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE, intact_size
+from tactile_toolkit.touch import MEDIA_TYPE, intact_size
 
 ExportLayout = Literal["flat", "webdataset", "lerobot", "oxt", "replay", "fota", "anytouch"]
 EXPORTS = {
@@ -76,7 +76,8 @@ def export(
     StorageError
         The folder cannot be written. What was finished stays.
     """
-    plan, method = touch_options.require_layout(layout, EXPORTS), contact.require_method(frame)
+    plan = touch_options.require_layout(layout, EXPORTS)
+    method = contact.require_method(frame)
 
     def planned(opened: convert.Source, limit: int | None) -> convert.Conversion:
         options = {"layout": layout, "limit": limit}
@@ -196,7 +197,7 @@ class _Touches:
             try:
                 intact_size(images[-1])
             except ValueError:
-                with row.naming(MEDIA_COLUMN[row.kind], each.touch, where.format(each.frame)):
+                with row.naming(row.media_column, each.touch, where.format(each.frame)):
                     raise
         columns["id"] = [rounds.touch_id(name, each.touch) for each in shown]
         stem = convert.stem_of_id(name)

@@ -12,7 +12,8 @@ import pyarrow as pa
 
 from realtouch import importing
 from realtouch.formats import exports
-from tactile_toolkit import cache, errors, read, store, touch
+from realtouch.touches import schema as stored_schema
+from tactile_toolkit import cache, errors, read, store
 from tactile_toolkit.columns import column_types
 from tactile_toolkit.json_types import JsonDict
 
@@ -51,7 +52,7 @@ def _parquet(home: store.DataFolder) -> list[str]:
 
 def _picture_column(parquet: ForeignParquet, name: str) -> str:
     """Return the column of pictures: the named or the only one; InputError if there is no such column."""
-    for stored in touch.MEDIA_COLUMN.values():
+    for stored in stored_schema.MEDIA_COLUMN.values():
         # In a data set of touches, it is a list with an entry for each touch.
         if stored in parquet.types and not is_picture(parquet.types[stored]):
             raise errors.InputError(
@@ -128,9 +129,9 @@ class ForeignParquet:
         self.place = home.address(path)
         with _named_values(self.place):
             source = self.place if home.is_local else home.open(path)
-            self._file = store.open_checked(source)
-            schema, metadata = read.supported_schema(self._file.schema_arrow), self._file.metadata
-            store.require_sound_columns(source, metadata, range(metadata.num_row_groups))
+            self._file = store.open_checked(source, checks_columns=True)
+            schema = read.supported_table(self._file.schema_arrow.empty_table()).schema
+            metadata = self._file.metadata
             groups = list(map(metadata.row_group, range(metadata.num_row_groups)))
             self._chunks = [_chunks(group) for group in groups]
         self.types: dict[str, pa.DataType] = dict(zip(schema.names, schema.types, strict=True))
@@ -179,7 +180,9 @@ class ForeignParquet:
 
     def pictures(self, name: str, rows: Iterable[int]) -> Iterator[bytes | errors.ItemError]:
         """Yield the encoded picture of each of some rows; rows in ascending order are read once."""
-        group, start, held = -1, 0, list[bytes | None]()
+        group = -1
+        start = 0
+        held = list[bytes | None]()
         batches: Iterator[pa.Table] = iter(())
         for row in rows:
             if not 0 <= row < len(self):
@@ -188,10 +191,13 @@ class ForeignParquet:
             if not start <= row < start + len(held):
                 wanted = bisect_right(self._starts, row) - 1
                 if wanted != group or row < start:
-                    group, start, held = wanted, self._starts[wanted], []
+                    group = wanted
+                    start = self._starts[wanted]
+                    held = []
                     batches = self._tables(group, [name])
                 while row >= start + len(held):
-                    start, held = start + len(held), _picture_bytes(next(batches)[name].combine_chunks())
+                    start = start + len(held)
+                    held = _picture_bytes(next(batches)[name].combine_chunks())
             yield held[row - start] or errors.ItemError(
                 "missing", f"row {row:,} of {name!r} holds no bytes; expected a picture"
             )
@@ -280,7 +286,13 @@ _UNPACKED, _STORED = 2, 3  # fields of a header
 _HEADER_BYTES = (1 << 10, 1 << 24)  # read at first, and for a long header; Arrow reads no longer ones
 _MAX_PAGES = 1 << 20
 _SPARE_BYTES = 100  # by which old writers understate the size of a column
-_BOOLEANS, _BYTE, _INTEGERS, _DOUBLE, _BINARY, _LISTS, _STRUCT = (1, 2), 3, (4, 5, 6), 7, 8, (9, 10), 12
+_BOOLEANS = (1, 2)
+_BYTE = 3
+_INTEGERS = (4, 5, 6)
+_DOUBLE = 7
+_BINARY = 8
+_LISTS = (9, 10)
+_STRUCT = 12
 _MAX_BITS = 63
 
 
@@ -289,7 +301,8 @@ def require_bounded_pages(stream: IO[bytes], start: int, stored_bytes: int, most
 
     ``most_bytes`` is the limit for an unpacked page.
     """
-    at, end = start, start + stored_bytes
+    at = start
+    end = start + stored_bytes
     for _ in range(_MAX_PAGES):
         if at >= end:
             return
@@ -321,11 +334,14 @@ def _end_of_struct(data: bytes, at: int, integers: dict[int, int]) -> int:
     """Return the end of a struct; IndexError if that is beyond the data."""
     field = 0
     while data[at]:
-        step, kind = data[at] >> 4, data[at] & 15
-        at, field = at + 1, field + step
+        step = data[at] >> 4
+        kind = data[at] & 15
+        at = at + 1
+        field = field + step
         if not step:
             field, at = _varint(data, at)
-        start, at = at, _end_of_value(data, at, kind)
+        start = at
+        at = _end_of_value(data, at, kind)
         if kind in _INTEGERS:
             value = _varint(data, start)[0]
             integers[field] = (value >> 1) ^ -(value & 1)
@@ -341,7 +357,9 @@ def _end_of_value(data: bytes, at: int, kind: int) -> int:
         length, at = _varint(data, at)
         return at + length
     if kind in _LISTS:
-        count, element, at = data[at] >> 4, data[at] & 15, at + 1
+        count = data[at] >> 4
+        element = data[at] & 15
+        at = at + 1
         if count == 15:
             count, at = _varint(data, at)
         if element in _BOOLEANS:

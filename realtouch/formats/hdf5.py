@@ -59,13 +59,15 @@ def kind_of_member(group: H5Object, name: str) -> str:
 
 def dataset_in(file: str, root: H5Object, path: str) -> StoredArray:
     """Open a dataset by its path in the file, not through links; InputError if it cannot be used."""
-    place, found = f"{file}/{path}", root
+    place = f"{file}/{path}"
+    found = root
     with in_words(place):
         for name in path.split("/"):
             if kind_of_member(found, name) == "link":
                 raise InputError(f"{place!r} lies behind a link")
             found = found[name]
-        shape, dtype = tuple(found.shape or ()), np.dtype(found.dtype)
+        shape = tuple(found.shape or ())
+        dtype = np.dtype(found.dtype)
         step = max(1, _STEP_BYTES // max(1, math.prod(shape[1:]) * dtype.itemsize))
         if found.chunks:
             step = int(found.chunks[0])
@@ -94,7 +96,8 @@ def _chunk_bytes(dataset: H5Object) -> int:
 
 
 def _block(place: str, dataset: H5Object, step: int, number: int) -> AnyArray:
-    start, stop = number * step, min((number + 1) * step, dataset.shape[0])
+    start = number * step
+    stop = min((number + 1) * step, dataset.shape[0])
     size = (stop - start, *dataset.shape[1:])
     require_unpackable(math.prod(size) * dataset.dtype.itemsize, f"{place}: {size} values")
     with in_words(place):
@@ -208,7 +211,8 @@ def _recording(
                 values[name] = stated.tolist()
             else:
                 left_out.append(f"attribute {name}")
-    part, size = f"{pictures.divisor!r} {group}{image}", math.prod(pictures.shape[1:])
+    part = f"{pictures.divisor!r} {group}{image}"
+    size = math.prod(pictures.shape[1:])
     about = (part, 0, len(pictures), size, values, per_frame)
     whole = importing.Recording(title, home.address(), path, *about, left_out=tuple(left_out))
     constant = zarr_recordings.of_episodes(whole, columns).intersection(wanted)

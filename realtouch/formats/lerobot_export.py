@@ -76,7 +76,8 @@ class _PackEpisodes:
         rows = rows.combine_chunks()
         firsts = np.flatnonzero(rows["frame_index"].to_numpy() == 0)
         episode, frame = self.numbers.of_shard(shard, [len(firsts), len(rows)], skipped)
-        episodes, lengths = episode + np.arange(len(firsts)), np.diff([*firsts, len(rows)])
+        episodes = episode + np.arange(len(firsts))
+        lengths = np.diff([*firsts, len(rows)])
         frames = self._frames(rows, np.repeat(episodes, lengths), frame)
         chunk, number = divmod(shard.index, lerobot_metadata.FILES_PER_CHUNK)
         place = f"chunk-{chunk:03d}/file-{number:03d}.parquet"

@@ -187,14 +187,18 @@ def _as_ours(found: importing.Recording, mark: lerobot_metadata.Mark) -> importi
     """Return an episode that this toolkit wrote, with its columns named as in its tables."""
     every = found.per_frame
     columns = {name: column for name, column in every.items() if name not in mark.extra}
-    values, time_s = dict(found.values), found.time_s
+    values = dict(found.values)
+    time_s = found.time_s
     if episodes.TIME in columns:
         time_s = columns.pop(episodes.TIME).to_numpy(zero_copy_only=False)
     values.pop("task", None)  # it is the label
     name = round_id = str(values.pop("round_id", found.name))
-    touch, of_episode, cut = values.pop("touch", None), list(_OF_EPISODE), "frames"
+    touch = values.pop("touch", None)
+    of_episode = list(_OF_EPISODE)
+    cut = "frames"
     if mark.clips:
-        name, cut = found.name, "whole"
+        name = found.name
+        cut = "whole"
         if isinstance(touch, int):
             name = touch_id(round_id, touch)
         of_episode += [*touch_options.POSITION_COLUMNS, *mark.per_touch]

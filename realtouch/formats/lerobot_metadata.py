@@ -149,7 +149,8 @@ def read_tasks(home: store.DataFolder, info: Info) -> dict[int, str]:
     if not home.exists(path):
         return tasks
     for line in _lines(home, path):
-        number, texts = line.get("task_index"), [value for value in line.values() if isinstance(value, str)]
+        number = line.get("task_index")
+        texts = [value for value in line.values() if isinstance(value, str)]
         if not isinstance(number, int) or len(texts) != 1:
             raise errors.InputError(
                 f"{home.address(path)!r}: {importing.shown(line)}; expected a number and a text"
@@ -291,7 +292,8 @@ class WriteMeta:
             if each.name == DEPTH:
                 picture |= {"shape": [*self.step.size, 1], "info": _DEPTH_INFO}
             return picture
-        width, leaf = 1, each.type
+        width = 1
+        leaf = each.type
         if pa.types.is_fixed_size_list(leaf):
             width, leaf = leaf.list_size, leaf.value_type
         return {"dtype": read.dtype_name(leaf), "shape": [width], "names": _COMPONENTS.get(each.name)}

@@ -33,7 +33,8 @@ def columns_of_episodes(frames: pa.Table, starts: list[int], lengths: list[int])
     """Return the statistics of each feature in each episode, as columns ``stats/FEATURE/STATISTIC``."""
     columns = {}
     for name in _counted(frames.schema):
-        whole, data_type = frames.column(name).combine_chunks(), pa.list_(pa.float64())
+        whole = frames.column(name).combine_chunks()
+        data_type = pa.list_(pa.float64())
         found = [_episode(name, whole.slice(*part)) for part in zip(starts, lengths, strict=True)]
         if whole.type == touch.MEDIA_TYPE:
             data_type = pa.list_(pa.list_(data_type))
@@ -81,7 +82,8 @@ def _statistics(values: Float64, counts: Int64) -> dict[str, float]:
         values, counts = values[is_known], counts[is_known]
     if not len(values):
         return dict.fromkeys((name for name in _NAMES if name != "count"), 0.0)
-    total, below = int(counts.sum()), np.cumsum(counts)
+    total = int(counts.sum())
+    below = np.cumsum(counts)
     mean = math.fsum(values * counts) / total
     spread = math.sqrt(math.fsum(counts * (values - mean) ** 2) / total)
     found = {"min": values[0], "max": values[-1], "mean": mean, "std": spread}
@@ -104,7 +106,8 @@ def statistics_of_all(episodes: Sequence[read.Shard], frames: Sequence[read.Shar
         if data_type == touch.MEDIA_TYPE:
             found[name] = _combined(episodes, name)
             continue
-        width, columns = getattr(data_type, "list_size", 1), []
+        width = getattr(data_type, "list_size", 1)
+        columns = []
         step = max(1, _IN_MEMORY_BYTES // (8 * total))
         for start in range(0, width, step):
             parts = [_flat_rows(shard.column(name))[:, start : start + step] for shard in frames]

@@ -34,7 +34,8 @@ def find_folder(
     if table is not None:
         folder, found = importing.source_of(table)
     else:
-        folder, named = home, importing.visible_files(home, tables.ENDINGS)
+        folder = home
+        named = importing.visible_files(home, tables.ENDINGS)
         if not named and not columns.image_name:
             images = _images(home)
             if images:
@@ -102,7 +103,8 @@ def find_video(
     folder, paths = importing.files_to_read(
         home, "videos; expected AVI, MP4, MOV, MKV, WebM or MPEG-TS", _videos
     )
-    stems, column = Counter(map(_stem, paths)), columns.image or _FILE
+    stems = Counter(map(_stem, paths))
+    column = columns.image or _FILE
     rows = _table_of_videos(folder, columns, column, table, paths)
     if rows is None:
         said = _classes(paths)

@@ -74,7 +74,8 @@ class PictureArray:
     @classmethod
     def of(cls, array: StoredArray, sensor: int | None = None) -> PictureArray:
         """Check an array; InputError unless it holds pictures that 8 bits can hold."""
-        pictures, stored = cls(array, sensor=sensor), array.stored_bytes()
+        pictures = cls(array, sensor=sensor)
+        stored = array.stored_bytes()
         count = math.prod(array.shape)
         cache.require_unpackable(
             count * array.dtype.itemsize,
@@ -138,11 +139,13 @@ class PictureArray:
 
     def _lossless_divisor(self) -> float:
         """Return a number of which all values are multiples; InputError if 8 bits would lose some."""
-        dtype, tolerance = self.array.dtype, _MIN_TOLERANCE
+        dtype = self.array.dtype
+        tolerance = _MIN_TOLERANCE
         if dtype.kind == "f":
             tolerance = max(tolerance, float(np.finfo(dtype.name).eps) * _MAX_LEVEL)
         fitting = list(_DIVISORS[dtype.kind])
-        low, high = math.inf, -math.inf
+        low = math.inf
+        high = -math.inf
         for values in map(self._upright, self.array.blocks()):
             low, high = np.minimum(low, values.min()), np.maximum(high, values.max())
             fitting = [each for each in fitting if _fits(values / each, tolerance)]
@@ -173,7 +176,8 @@ def read_pictures(
 
     Consecutive pictures of a block read it once.
     """
-    pictures, pixels = opened(*place.file, place.part), lru_cache(1)(PictureArray.pixels)
+    pictures = opened(*place.file, place.part)
+    pixels = lru_cache(1)(PictureArray.pixels)
     encoding: Literal["jpeg", "png"] = "jpeg" if place.frames else "png"
     for number in numbers:
         block, row = divmod(number, pictures.array.step)
@@ -198,7 +202,8 @@ def columns_of(
     out, each with its shape or the reason. Raises InputError if such an array is wanted.
     """
     found: dict[str, AnyArray] = {}
-    others, size = [], 0
+    others = []
+    size = 0
     for name, opened in arrays.items():
         try:
             array = opened()

@@ -36,7 +36,9 @@ _EXPONENT = re.compile(rb"e[-\d]")
 
 # Fields of a header (POSIX.1-1988, ustar): name, size and checksum. The checksum is the sum of all bytes,
 # with blanks in its own place.
-_NAME_BYTES, _SIZE, _SUM = 100, slice(124, 135), slice(148, 154)
+_NAME_BYTES = 100
+_SIZE = slice(124, 135)
+_SUM = slice(148, 154)
 _HEADER = tarfile.TarInfo().tobuf(tarfile.USTAR_FORMAT)
 _SUM_OF_OTHERS = int(_HEADER[_SUM], 8) - sum(_HEADER[_SIZE])
 Sample = tuple[str, bytes | memoryview, Mapping[str, object]]
@@ -57,7 +59,8 @@ def tar_of(samples: Iterable[Sample]) -> bytes:
 
 def _header(member: str, size: int) -> bytes:
     """Return the header of a file as `tarfile` writes it, but ten times as fast unless the name is long."""
-    name, digits = member.encode(), b"%011o" % size
+    name = member.encode()
+    digits = b"%011o" % size
     if len(name) > _NAME_BYTES:
         header = tarfile.TarInfo(member)
         header.size = size
@@ -177,7 +180,8 @@ def _members(folder: store.DataFolder, name: str) -> Iterator[_Member]:
                 )
             stream.seek(0)
             for member in tars.files_of_tar(stream, folder.size_bytes(name)):
-                start, path = member.offset_data, importing.path_of(member.name)
+                start = member.offset_data
+                path = importing.path_of(member.name)
                 if store.is_hidden(path):  # macOS adds such a file to archives for each file
                     continue
                 directory, slash, base = path.rpartition("/")

@@ -102,7 +102,8 @@ class ZarrLayout:
                 f"the codec {unknown[0][:40]!r}; expected one of {', '.join(_CODECS)}, alone: others may run "
                 "code, lose values or be unknown; nothing was opened"
             )
-        sizes, axes = [*self.shape, *self.chunks], list(range(len(self.shape)))
+        sizes = [*self.shape, *self.chunks]
+        axes = list(range(len(self.shape)))
         fits = all(type(size) is int and 0 <= size < 1 << 63 for size in sizes) and all(self.chunks)
         fits &= axes != [] and sorted(self.axes) == axes == list(range(len(self.chunks)))
         fits &= self.dtype.kind in "biufSU" and self.dtype.itemsize > 0 and self.separator in ("/", ".")
@@ -245,11 +246,13 @@ class ZarrGroup:
             layout = LAYOUTS[version](stated)
         except UNREADABLE as error:
             raise self.refused(path, "no array, or not with the metadata of Zarr 2 or 3") from error
-        problem, place = layout.problem(), f"{self.place}/{path}"
+        problem = layout.problem()
+        place = f"{self.place}/{path}"
         if problem:
             raise self.refused(path, problem)
         cache.require_unpackable(layout.chunk_bytes, f"{place}: a chunk")
-        read, size = partial(self._block, path, layout), partial(self._stored_bytes, path)
+        read = partial(self._block, path, layout)
+        size = partial(self._stored_bytes, path)
         return picture_arrays.StoredArray(place, layout.shape, layout.dtype, layout.chunks[0], read, size)
 
     def refused(self, path: str, problem: str) -> errors.InputError:

@@ -150,8 +150,10 @@ class GroupFormat:
             [shard.read(columns=[name for name in shard.types if name not in _PICTURE]) for shard in shards]
         )
         arrays, attributes = self._arrays(step, table)
-        path, size = f"data/{self.pictures}", step.size
-        rows, shape = rows_of_chunk(3 * size[0] * size[1]), (len(table), *self.sensors, *size, 3)
+        path = f"data/{self.pictures}"
+        size = step.size
+        rows = rows_of_chunk(3 * size[0] * size[1])
+        shape = (len(table), *self.sensors, *size, 3)
         with ZarrWriter(stream) as group:
             group.add_json(zarr_recordings.ATTRIBUTES, attributes)
             for name, values in arrays.items():
@@ -190,7 +192,8 @@ class GroupFormat:
 
 def _pictures(size: tuple[int, int], rows: int, shards: Sequence[read.Shard]) -> Iterator[UInt8]:
     """Yield the pixels of all frames in blocks of ``rows`` frames; all blocks use the same memory."""
-    block, at = np.empty((rows, *size, 3), np.uint8), 0
+    block = np.empty((rows, *size, 3), np.uint8)
+    at = 0
     for row in stored_round.stored_rows(shards, [episodes.IMAGE]):
         image = row.group.table[episodes.IMAGE][row.index].as_py()
         stored_images.decoded(image["bytes"], image["path"], block[at])
@@ -239,11 +242,14 @@ def _add_arrays(
     step: episodes.Episodes, table: pa.Table, arrays: dict[str, AnyArray]
 ) -> Mapping[str, object]:
     """Add the arrays of the format that follow from columns, and stand-ins; return what stands for what."""
-    count, exact = len(table), arrays.get(OUR_NAMES[episodes.STATE])
-    pose, meaning_of_pose = np.broadcast_to(0.0, (count, 6)), _NO_POSE
+    count = len(table)
+    exact = arrays.get(OUR_NAMES[episodes.STATE])
+    pose = np.broadcast_to(0.0, (count, 6))
+    meaning_of_pose = _NO_POSE
     if exact is not None:
         turns = poses.Poses(exact[:, :3], exact[:, 3:]).rotvec.round(_DECIMALS)
-        pose, meaning_of_pose = np.hstack([exact[:, :3], turns]), _OF_GEL
+        pose = np.hstack([exact[:, :3], turns])
+        meaning_of_pose = _OF_GEL
     tasks = [*(f"touch an object of class {name}" for name in step.names), "touch an object"]
     arrays.setdefault(_TIMES, np.divide(table["frame_index"].to_numpy(), step.fps))
     arrays |= {

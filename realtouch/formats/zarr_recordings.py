@@ -64,7 +64,8 @@ def find_oxt(
     A sensor has the name of its array. If the array holds several sensors, their numbers follow, from 0:
     ``left_tactile_data_fingers[1]``. Labels, poses and rounds that this toolkit exported are restored.
     """
-    group, sensors = group_in(home), dict[str, tuple[str, int]]()
+    group = group_in(home)
+    sensors = dict[str, tuple[str, int]]()
     arrays = data_arrays(group)
     for name, shape in arrays.items():
         if _TACTILE_DATA.fullmatch(name) and isinstance(shape, list) and len(shape) == _PICTURE_AXES:
@@ -125,9 +126,11 @@ def recordings_of(
     wanted = {*columns.found_in(arrays).names(), importing.NUMBERED}
     found, left_out = picture_arrays.columns_of(arrays, len(shown), wanted)
     per_frame = {each: column_types.from_numpy(values) for each, values in found.items()}
-    where, size = (name, group.home.address(), group.path, part), math.prod(shown.shape[1:])
+    where = (name, group.home.address(), group.path, part)
+    size = math.prod(shown.shape[1:])
     whole = importing.Recording(*where, 0, len(shown), size, per_frame=per_frame, left_out=tuple(left_out))
-    ends, stated = episode_ends(group, len(shown)), group.json(ATTRIBUTES)
+    ends = episode_ends(group, len(shown))
+    stated = group.json(ATTRIBUTES)
     said, _ = picture_arrays.columns_of(of_meta, len(ends), ())
     kept = stated.get(COLUMNS)
     if ROUND not in said or not isinstance(kept, dict):
@@ -188,8 +191,10 @@ def episodes_of(
     """
     names = names or [f"episode-{episode:06d}" for episode in range(len(ends))]
     starts = np.append(0, ends[:-1])
-    per_frame, lengths = dict(whole.per_frame), ends - starts
-    firsts, of_rows = pa.array(starts), pa.array(np.repeat(np.arange(len(ends)), lengths))
+    per_frame = dict(whole.per_frame)
+    lengths = ends - starts
+    firsts = pa.array(starts)
+    of_rows = pa.array(np.repeat(np.arange(len(ends)), lengths))
     constant = {}
     for name in [name for name in per_frame if name in of_episode]:  # in order, so that bytes are the same
         values = per_frame[name].take(firsts)
@@ -248,7 +253,8 @@ def name_ours(
                 per_frame |= {each: pa.array(part) for each, part in zip(names, columns, strict=False)}
     label = per_frame.get(importing.NUMBERED)
     if label is not None and pa.types.is_integer(label.type) and not label.null_count:
-        numbers, known = label.to_numpy(), pa.array([*class_names, None], pa.string())
+        numbers = label.to_numpy()
+        known = pa.array([*class_names, None], pa.string())
         is_known = (numbers >= 0) & (numbers < len(class_names))
         per_frame[f"{importing.NUMBERED}_name"] = known.take(
             pa.array(np.where(is_known, numbers, len(class_names)))
@@ -259,7 +265,8 @@ def name_ours(
 def with_contact(found: importing.Recording) -> importing.Recording:
     """Return a clip that this toolkit wrote, with its first and last picture of contact if it states them."""
     per_frame = dict(found.per_frame)
-    stated, contact = per_frame.pop(CONTACT, None), None
+    stated = per_frame.pop(CONTACT, None)
+    contact = None
     if stated is not None:
         in_contact = np.flatnonzero(np.array(stated.to_pylist(), object)).tolist()
         if in_contact:

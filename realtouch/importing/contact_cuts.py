@@ -44,7 +44,9 @@ _TILES_PER_ROW = 10
 _MAX_TILES = 60
 _WIDTH_PX = _TILES_PER_ROW * (_TILE_PX + _GAP_PX) - _GAP_PX
 _STRIP_PX = 72
-_GREY, _CLIP, _CONTACT = (238, 240, 242), (198, 222, 240), pictures.ACCENTS[1]
+_GREY = (238, 240, 242)
+_CLIP = (198, 222, 240)
+_CONTACT = pictures.ACCENTS[1]
 _CURVE, _LIMIT = pictures.ACCENTS[0], pictures.ACCENTS[3]
 
 
@@ -185,7 +187,8 @@ def find_contacts(
 ) -> ContactRuns:
     """Find the touches of a recording; ItemError if it has none, or if no picture can be read."""
     area_px, change = np.zeros((2, recording.frames), np.int64)
-    holds, unreadable = np.zeros(recording.frames, bool), 0
+    holds = np.zeros(recording.frames, bool)
+    unreadable = 0
     background = GelAtRest(recording, contents, rule)
     uncropped = replace(rule, crop=1.0)
     numbers = range(recording.frames)
@@ -213,7 +216,8 @@ def find_contacts(
 def _joined(holds: Bool, time_s: Float64 | None) -> tuple[Int64, Int64]:
     """Return the starts and stops of runs of pictures with contact; close runs are joined."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], holds, [False]])))
-    starts, stops = edges[::2], edges[1::2]
+    starts = edges[::2]
+    stops = edges[1::2]
     if not len(starts):
         return starts, stops
     if time_s is None:
@@ -252,7 +256,8 @@ def draw_cuts(
         for number, (frame, picture) in enumerate(zip(best, seen, strict=True))
         if picture is not None
     ]
-    touches, frames = wording.with_count(len(found.runs), "touches"), f"{recording.frames:,} pictures"
+    touches = wording.with_count(len(found.runs), "touches")
+    frames = f"{recording.frames:,} pictures"
     captions = [
         f"{touches} in {frames}: "
         f"{rule.min_area_px} changed pixels or more (red line), by {rule.min_intensity:g} levels on average",
@@ -277,7 +282,8 @@ def _small(picture: UInt8) -> UInt8:
 
 def _strip(found: ContactRuns, rule: contact.ContactRule) -> UInt8:
     """Draw the changed area over all pictures; a column shows the largest area of its pictures."""
-    frames, colours = len(found.area_px), np.full((_WIDTH_PX, 3), _GREY, np.uint8)
+    frames = len(found.area_px)
+    colours = np.full((_WIDTH_PX, 3), _GREY, np.uint8)
     clips = [(run.start, run.stop - 1, _CLIP) for run in found.runs]
     for first, last, colour in [*clips, *((run.first, run.last, _CONTACT) for run in found.runs)]:
         colours[first * _WIDTH_PX // frames : last * _WIDTH_PX // frames + 1] = colour

@@ -132,7 +132,8 @@ class CutTable:
             )
         ends = [self._table.columns[name].slice(row, 1) for name in (self._start_column, self._end_column)]
         first, last = fields.times_s(column_types.joined(ends), self._start_column, self._time_unit).tolist()
-        start, stop = int(times.searchsorted(first)), int(times.searchsorted(last, side="right"))
+        start = int(times.searchsorted(first))
+        stop = int(times.searchsorted(last, side="right"))
         tolerance = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
         if start >= stop or first < times[0] - tolerance or last > times[-1] + tolerance:
             raise errors.ItemError(

@@ -83,7 +83,8 @@ def objects_of(
     touches: source_touches.FoundTouches, column: str | None
 ) -> tuple[Int64, dict[int, errors.ItemError]]:
     """Return the object id of each touch, 0 without such a column, and the problems by index."""
-    found, problems = np.zeros(len(touches), np.int64), dict[int, errors.ItemError]()
+    found = np.zeros(len(touches), np.int64)
+    problems = dict[int, errors.ItemError]()
     if not column:
         return found, problems
     for index, text in enumerate(map(integer_text, touches.texts(column))):
@@ -169,7 +170,8 @@ def times_s(values: pa.Array, name: str, time_unit: str | None) -> Float64:
     The ``name`` of the column states the unit of numbers, or ``time_unit`` does; else they are seconds.
     Raises ItemError for values that are neither finite numbers nor points in time.
     """
-    found, divisor = _instants_s(values), 1.0
+    found = _instants_s(values)
+    divisor = 1.0
     if found is None:
         divisor = units.TIME.divisor(name, time_unit)
         try:

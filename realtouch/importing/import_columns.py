@@ -41,7 +41,9 @@ Matrix = tuple[tuple[float, ...], ...]
 _DEFAULT_IMAGE = "file"
 _LENGTHS = 3  # numbers at the start of a pose that are lengths
 _POSITION_AND_ROTATION = 2  # columns of a pose that is given as two vectors
-_QUATERNION_POSE, _ANGLE_POSE, _MATRIX_POSES = 7, 6, (12, 16)
+_QUATERNION_POSE = 7
+_ANGLE_POSE = 6
+_MATRIX_POSES = (12, 16)
 
 # Which numbers of a position or pose are lengths, and which are angles, by how many it has.
 _PLACES = {

@@ -213,7 +213,9 @@ def arranged(found: import_sources.FoundSource, classes: Sequence[str], split: s
     """Divide the touches of a source into rounds and splits; InputError if nothing can be imported."""
     if split is not None and not _SPLIT.fullmatch(split):
         raise errors.InputError(f"the split is {split!r}; expected letters, digits and underscores")
-    touches, columns, read = found.touches, found.columns, source_formats.IMPORTS[found.layout]
+    touches = found.touches
+    columns = found.columns
+    read = source_formats.IMPORTS[found.layout]
     names = tuple(classes) or _class_names(touches, columns.label)
     if len(set(map(fields.integer_text, classes))) < len(classes):
         raise errors.InputError(f"the classes are {', '.join(names)}; expected each once")
@@ -337,7 +339,8 @@ def common_size(
     sample of them has several sizes, as it takes long to read each image twice.
     """
     usable = touches.take(np.flatnonzero(touches.is_usable))
-    places, counts = list[source_touches.PicturePlace](), dict[source_touches.PicturePlace, int]()
+    places = list[source_touches.PicturePlace]()
+    counts = dict[source_touches.PicturePlace, int]()
     if one_size_per_file:
         of_files = usable.where.group_by(["home", "path", "part"])
         files = of_files.aggregate([("number", "min"), ("frames", "sum"), ("frames", "count")])

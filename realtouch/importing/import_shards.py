@@ -16,7 +16,7 @@ from realtouch import contact, touch_options
 from realtouch.importing import fields, import_columns, import_sources, source_formats, source_touches
 from realtouch.importing.fields import extra_arrays, extra_types
 from realtouch.touches import schema as stored_schema, stored_images
-from realtouch.touches.schema import POSE_COLUMN
+from realtouch.touches.schema import MEDIA_COLUMN, POSE_COLUMN, Kind
 from realtouch.touches.stored_images import media_array
 from realtouch.video import avi
 from tactile_toolkit import errors, store
@@ -24,9 +24,7 @@ from tactile_toolkit.array_types import AnyArray, Float64, Int64, UInt8
 from tactile_toolkit.columns import column_types
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.touch import (
-    MEDIA_COLUMN,
     MEDIA_TYPE,
-    Kind,
     decode_image,
     is_jpeg,
     upright_size,
@@ -91,9 +89,11 @@ class ImportTouches:
     def __call__(self, shard: store.ShardName, touches: source_touches.FoundTouches) -> store.ShardContent:
         """Read touches; those that cannot be used are left out and listed."""
         digest = hashlib.sha256()
-        tables, skipped = [self.schema.empty_table()], list[store.Skipped]()
+        tables = [self.schema.empty_table()]
+        skipped = list[store.Skipped]()
         notes, others = Counter[str](), Counter[str]()
-        extras, said = extras_in(self.schema), self._read_fields(touches)
+        extras = extras_in(self.schema)
+        said = self._read_fields(touches)
         contents = self._contents(touches)
         for rows in _pieces(touches):
             stored, problems = self._stored(touches, rows, said, contents, digest)
@@ -126,7 +126,8 @@ class ImportTouches:
 
     def _read_fields(self, touches: source_touches.FoundTouches) -> _TouchFields:
         """Read labels, objects, positions and poses of all usable touches."""
-        owners, columns = np.repeat(np.arange(len(touches)), touches.picture_counts), self.columns
+        owners = np.repeat(np.arange(len(touches)), touches.picture_counts)
+        columns = self.columns
         labels, problems = fields.labels_of(touches, columns.label, self.names)
         objects, no_objects = fields.objects_of(touches, columns.object_id)
         poses, no_poses = self._of_pictures(touches, fields.poses, columns.pose or (), 7, owners)
@@ -153,7 +154,8 @@ class ImportTouches:
         owners: Int64,
     ) -> tuple[Float64, dict[int, errors.ItemError]]:
         """Return the values of columns for each picture, NaN where there is none, and problems of touches."""
-        no_values, problems = np.full((len(owners), width), np.nan), dict[int, errors.ItemError]()
+        no_values = np.full((len(owners), width), np.nan)
+        problems = dict[int, errors.ItemError]()
         rows = np.flatnonzero(touches.is_usable[owners])
         if not names or not len(rows):
             return no_values, problems
@@ -179,7 +181,8 @@ class ImportTouches:
     ) -> tuple[StoredTouches, dict[int, errors.ItemError]]:
         """Read the pictures of touches of whole rounds; also return problems, by index in ``rows``."""
         piece = touches.take(rows)
-        frames, numbers = piece.where["frames"].to_pylist(), rows.tolist()
+        frames = piece.where["frames"].to_pylist()
+        numbers = rows.tolist()
         made, clips = dict[int, bytes](), dict[int, ImportedClip]()
         problems: dict[int, errors.ItemError] = {}
         for place in np.flatnonzero(piece.is_usable).tolist():
@@ -200,7 +203,8 @@ class ImportTouches:
         kept = np.array([place for place in made if place not in problems], np.int64)
         encoded = [made[place] for place in kept.tolist()]
         kept_clips = [clips[place] for place in kept.tolist() if place in clips]
-        places, turns = said.positions[rows[kept]], said.poses[np.isin(said.owners, rows[kept])]
+        places = said.positions[rows[kept]]
+        turns = said.poses[np.isin(said.owners, rows[kept])]
         about = said.labels[rows[kept]], said.objects[rows[kept]], places, turns
         return StoredTouches(piece.take(kept), *about, encoded, kept_clips), problems
 
@@ -407,7 +411,8 @@ def clip_of(
     :class:`ContactRule`, with the median of the clip as background. Raises ItemError for a damaged picture
     and for times that cannot be used.
     """
-    notes, time_s = [], clip_times_s(touches, row, columns)
+    notes = []
+    time_s = clip_times_s(touches, row, columns)
     if time_s is None:
         time_s = np.arange(len(pictures)) / FRAMES_PER_SECOND
         notes.append(f"times of {FRAMES_PER_SECOND:g} pictures a second, as none are known")

@@ -71,7 +71,8 @@ def version_of(file: source_touches.File) -> Version:
 
 def find_source(place: str, reading: Reading) -> FoundSource:
     """Recognise a source and find its touches; InputError if it cannot be used."""
-    home, columns = store.open_folder(place), reading.columns or import_columns.ImportColumns()
+    home = store.open_folder(place)
+    columns = reading.columns or import_columns.ImportColumns()
     format_ = source_formats.Recognised(reading.layout or "", "")
     if reading.layout is not None:
         require_layout(reading.layout, source_formats.IMPORTS)
@@ -88,11 +89,9 @@ def find_source(place: str, reading: Reading) -> FoundSource:
         path for path in (reading.table, reading.cut) if path is not None and path not in source_touches.CUTS
     ]
     aligner = Aligner(reading.streams, reading.alignment, columns, no_streams)
-    parts, left_out, versions = (
-        list[source_touches.FoundTouches](),
-        dict[str, None](),
-        dict[source_touches.File, Version](),
-    )
+    parts = list[source_touches.FoundTouches]()
+    left_out = dict[str, None]()
+    versions = dict[source_touches.File, Version]()
     for each in _read_folders(home, format_.layout, columns, reading.table):
         if isinstance(each, source_touches.Recording):
             left_out |= dict.fromkeys(each.left_out)
@@ -188,7 +187,8 @@ def said_of_whole(
     firsts[of_touches] = starts
     for name in sorted(name for name in touches.per_frame.column_names if name in names):
         entries, stated = touches.of_pictures(name), touches.value(name)
-        values, has_own = entries.take(pa.array(firsts, mask=firsts < 0)), np.zeros(len(touches), bool)
+        values = entries.take(pa.array(firsts, mask=firsts < 0))
+        has_own = np.zeros(len(touches), bool)
         if stated is not None:
             has_own = stated.is_valid().to_numpy(zero_copy_only=False)
             both = column_types.joined([stated, values])

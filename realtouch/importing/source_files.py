@@ -165,7 +165,9 @@ def image_files(
 
     Folders are listed once. An image is opened and checked when it is imported.
     """
-    found, sizes, wrong = cache(home.entries), [0] * len(paths), dict(problems or {})
+    found = cache(home.entries)
+    sizes = [0] * len(paths)
+    wrong = dict(problems or {})
     for number, path in enumerate(paths):
         parent, _, base = path.rpartition("/")
         named = store.problem_of_name(path)
@@ -203,7 +205,8 @@ def pictures_by_file(
     for _, group in groupby(places, key=lambda place: (*place.file, place.part, bool(place.frames))):
         of_file = list(group)
         numbers = [place.start + each for place in of_file for each in range(max(1, place.frames))]
-        some, left = list[bytes | errors.ItemError](), len(numbers)
+        some = list[bytes | errors.ItemError]()
+        left = len(numbers)
         try:
             pictures = read(of_file[0], numbers)
             for _ in range(0, len(numbers), _AT_ONCE):

@@ -221,7 +221,8 @@ def _of_export(home: store.DataFolder) -> Recognised | None:
 
 def _paths(home: store.DataFolder) -> Sequence[str]:
     """List visible paths in a folder and two levels below it; the list of a very large folder is cut off."""
-    paths, folders = list[str](), [""]
+    paths = list[str]()
+    folders = [""]
     for _ in range(_MAX_DEPTH):
         inner: list[str] = []
         for folder in folders[:_MAX_FOLDERS]:

@@ -188,7 +188,8 @@ class FoundTouches(Sequence[PicturePlace]):
         values = one_chunk(self.per_frame[name])
         if not values.null_count:
             return values
-        whole, inside = _column(self.said, name, len(self)), values.flatten()
+        whole = _column(self.said, name, len(self))
+        inside = values.flatten()
         is_known = values.is_valid().to_numpy(zero_copy_only=False)
         known = pc.list_value_length(values).fill_null(0).to_numpy()
         lengths = np.where(is_known, known, self.where["frames"].to_numpy())
@@ -391,7 +392,8 @@ class Recording:
 
     def place(self, start: int, stop: int) -> PicturePlace:
         """Return the place of the pictures from ``start`` to the one before ``stop``."""
-        size, count = self.frame_bytes * (stop - start), stop - start
+        size = self.frame_bytes * (stop - start)
+        count = stop - start
         return PicturePlace(self.home, self.path, self.part, self.first + start, size, count)
 
     def checked(self) -> Recording:
@@ -435,7 +437,8 @@ class Recording:
         for name in dict.fromkeys(name for clip in clips for name in clip.said):
             whole = self.values.get(name)
             said[name] = column_types.from_values([clip.said.get(name, whole) for clip in clips])
-        taken, times = pa.array(rows), None
+        taken = pa.array(rows)
+        times = None
         if self.time_s is not None and self.frames:
             times = column_types.lists_of(pa.array(self.time_s[rows]), counts)
         return FoundTouches.of(
@@ -458,7 +461,8 @@ class Recording:
 
     def images(self) -> FoundTouches:
         """Return each picture as a touch, with the fields of the picture and of the recording."""
-        stem, count = self.name.replace("/", "-"), self.frames
+        stem = self.name.replace("/", "-")
+        count = self.frames
         said = {**self._repeated_fields(self.name, count), **self.per_frame}
         if self.time_s is not None and TIME_S not in self.per_frame:
             said[TIME_S] = pa.array(self.time_s)

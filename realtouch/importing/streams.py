@@ -118,7 +118,8 @@ def _time_column(names: Sequence[str], time: str | None, place: str) -> str:
 
 def _seconds(values: pa.Array, column: str, time_unit: str | None, place: str) -> Float64:
     """Return times in seconds, not decreasing; those with a date count from 1970, UTC."""
-    what, stated = f"{place!r}: the times {column!r}", units.stated_unit(column)
+    what = f"{place!r}: the times {column!r}"
+    stated = units.stated_unit(column)
     if pa.types.is_integer(values.type) and not (stated or time_unit):
         raise errors.InputError(
             f"{what} are integers, whose unit is not known",
@@ -275,7 +276,8 @@ def with_streams(
     reports: list[StreamReport] = []
     for stream in streams:
         if recording.time_s is None or stream.time_s is None:
-            found, facts = _by_row(recording, stream), _NO_CLOCK
+            found = _by_row(recording, stream)
+            facts = _NO_CLOCK
             if stream.time_s is not None:
                 recording = replace(recording, time_s=stream.time_s + how.time_offset_s)
         else:
@@ -319,7 +321,8 @@ def _by_time(
             f"{recording.name!r} from {time_s[0]:.3f} to {time_s[-1]:.3f} s; expected a common time",
             next="add --time-offset-s with the seconds to add to the times of the stream",
         )
-    steps, max_gap_s = np.diff(sample_s), how.max_gap_ms * _PER_MS
+    steps = np.diff(sample_s)
+    max_gap_s = how.max_gap_ms * _PER_MS
     around = Neighbours.of(time_s, sample_s, max_gap_s)
     step_s = float(np.median(steps[steps > 0], overwrite_input=True)) if steps.any() else np.inf
     if around.missing.all():
@@ -430,7 +433,8 @@ class Neighbours:
         after = np.searchsorted(sample_s, time_s).clip(max=len(sample_s) - 1)
         last = (np.searchsorted(sample_s, time_s, side="right") - 1).clip(min=0)
         before = np.searchsorted(sample_s, sample_s[last])
-        since, until = np.abs(time_s - sample_s[before]), np.abs(sample_s[after] - time_s)
+        since = np.abs(time_s - sample_s[before])
+        until = np.abs(sample_s[after] - time_s)
         gap = sample_s[after] - sample_s[before]
         share = np.divide(since, gap, out=np.zeros(len(gap)), where=gap > 0)
         longest = max_gap_s + TIME_TOLERANCE_S

@@ -68,7 +68,8 @@ def unreadable_file(path: str, error: errors.ToolkitError) -> Damage:
 
 def unreadable_rows(shard: read.Shard, index: int, error: errors.IntegrityError) -> Damage:
     """Return the damage of a row group, from the error that reading it raised; ``row`` is its first row."""
-    first, last = shard.group_starts[index], shard.group_starts[index + 1] - 1
+    first = shard.group_starts[index]
+    last = shard.group_starts[index + 1] - 1
     rows = f"rows {first} to {last} cannot be read" if last > first else "cannot be read"
     found = " ".join(str(error.__cause__ or _cause(shard.path, error)).split())
     return Damage(shard.path, first, None, "", f"{rows} ({found}); expected a whole Parquet file")

@@ -38,7 +38,7 @@ class TouchDataset(read.RecordDataset[R]):
     """
 
     things = "rounds"
-    kind: touch.Kind
+    kind: schema.Kind
 
     def touches(self) -> Touches[R]:
         """Return the flat view: every touch of every round, in order, with random access."""
@@ -83,12 +83,12 @@ class TouchDataset(read.RecordDataset[R]):
         height of the plate is known, it is always taken.
         """
 
-        def heights_m(row: stored_round.StoredRound, rule: contact.ContactHeight) -> Float64:
+        def heights_m(row: stored_round.StoredRound, rule: touch.HeightRule) -> Float64:
             z_m = row.readable(partial(row.contact_z_m, self.kind))
             is_known = rule.plate == "known"
             return contact.contact_heights_m(z_m, recalibrate_z or is_known, row.plate_z_m(rule))
 
-        columns = [contact.PLATE_COLUMN, "pos_in_cell", "video_length_frames", self.pose_column]
+        columns = [touch.HeightRule.PLATE_COLUMN, "pos_in_cell", "video_length_frames", self.pose_column]
         return self._per_touch(f"heights {recalibrate_z}", columns, heights_m)
 
     def known_positions_m(self) -> Float64:
@@ -97,7 +97,7 @@ class TouchDataset(read.RecordDataset[R]):
         Shape (touches of all stored rows, 2), metres, cell frame; reads that column only.
         """
 
-        def positions_m(row: stored_round.StoredRound, _rule: contact.ContactHeight) -> Float64:
+        def positions_m(row: stored_round.StoredRound, _rule: touch.HeightRule) -> Float64:
             return row.readable(row.intended_positions, (2,))
 
         return self._per_touch("positions", ["pos_in_cell"], positions_m)
@@ -106,12 +106,12 @@ class TouchDataset(read.RecordDataset[R]):
         self,
         key: str,
         columns: Sequence[str],
-        known: Callable[[stored_round.StoredRound, contact.ContactHeight], Float64],
+        known: Callable[[stored_round.StoredRound, touch.HeightRule], Float64],
     ) -> Float64:
         """Join the values of the touches of each stored row; reads a few columns."""
 
         def of_source(source: read.RowSource) -> list[Float64]:
-            rule = contact.ContactHeight.of(read.column_types(source.schema))
+            rule = touch.HeightRule.of(read.column_types(source.schema))
             return [known(row, rule) for row in stored_round.stored_rows([source], columns)]
 
         values = self.table.per_shard(key, of_source)
@@ -123,11 +123,10 @@ class TouchDataset(read.RecordDataset[R]):
             )
         return values
 
-    def contact_rules(self) -> list[contact.ContactHeight]:
+    def contact_rules(self) -> list[touch.HeightRule]:
         """Return the rule by which touches of each round count as contact; joined sets may have several."""
         rules = [
-            (contact.ContactHeight.of(read.column_types(each.schema)), len(each))
-            for each in self.table.shards
+            (touch.HeightRule.of(read.column_types(each.schema)), len(each)) for each in self.table.shards
         ]
         of_rows = [rule for rule, count in rules for _ in range(count)]
         return [of_rows[row] for row in self.row_numbers.tolist()]
@@ -137,10 +136,11 @@ class TouchDataset(read.RecordDataset[R]):
         number = 0
         # In stored order, so that each block is read once, whatever the order of the view.
         wanted = set(self.row_numbers.tolist())
-        media = touch.MEDIA_COLUMN[self.kind]
+        media = schema.MEDIA_COLUMN[self.kind]
         for source in self.table.shards:
-            columns, start = [name for name in source.schema.names if name != media], number
-            for block in read.all_blocks([source], columns):
+            columns = [name for name in source.schema.names if name != media]
+            start = number
+            for block in read.ShardedTable((source,)).blocks(columns):
                 rows = _RowsWithoutMedia(block, source, number - start)
                 for row in range(len(block.table)):
                     if number + row in wanted:
@@ -182,7 +182,7 @@ def dataset_of(shards: Sequence[read.RowSource]) -> TouchSeqDataset | TouchSingl
     return dataset(read.ShardedTable(tuple(shards)), None, schema.class_names_of(shards))
 
 
-_DATASETS: dict[touch.Kind, type[TouchSingleDataset | TouchSeqDataset]] = {
+_DATASETS: dict[schema.Kind, type[TouchSingleDataset | TouchSeqDataset]] = {
     "seq": TouchSeqDataset,
     "single": TouchSingleDataset,
 }
@@ -199,7 +199,7 @@ class TouchStream(read.RowStream[read.Shard]):
         Media of the rounds.
     """
 
-    def __init__(self, shards: tuple[read.Shard, ...], kind: touch.Kind) -> None:
+    def __init__(self, shards: tuple[read.Shard, ...], kind: schema.Kind) -> None:
         super().__init__(shards)
         self.kind = kind
 
@@ -260,7 +260,8 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
             position, touch = self._located(int(flat))
             # Neighbours share a round, whose columns are then resolved once.
             if position != last or current is None:
-                last, current = position, self.dataset[position]
+                last = position
+                current = self.dataset[position]
             yield Touch(current, touch)
 
     def locate(self, index: int) -> tuple[int, int]:
@@ -271,7 +272,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         IndexError
             The data set has no touch of that index.
         """
-        return self._located(int(self._rows[read.checked_index(index, len(self), "index", self.things)]))
+        return self._located(self._row_number(index))
 
     def _located(self, flat: int) -> tuple[int, int]:
         if self._per_round:
@@ -291,11 +292,14 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         return indices
 
     @property
-    def _stored_places(self) -> Int64:
-        """Number of each touch among all that are stored, shape (len,), int64."""
+    def _stored_numbers(self) -> Int64:
         rows = self.dataset.row_numbers[self.round_positions]
-        places: Int64 = self.dataset.touch_starts[rows] + self.touch_indices
-        return places
+        numbers: Int64 = self.dataset.touch_starts[rows] + self.touch_indices
+        return numbers
+
+    @property
+    def _stored_starts(self) -> Int64:
+        return self.dataset.touch_starts[self.table.part_starts]
 
     @property
     def labels(self) -> Int64:
@@ -338,7 +342,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         if name == rounds.INDEX:
             return self.touch_indices
         if name in _POSITION:
-            of_view: AnyArray = self.dataset.known_positions_m()[self._stored_places]
+            of_view: AnyArray = self.dataset.known_positions_m()[self._stored_numbers]
             return of_view[:, _POSITION.index(name)]
         return self.dataset.column(name)[self.round_positions]
 
@@ -383,7 +387,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         IntegrityError
             The height of a touch of this view cannot be read; names file, row and touch.
         """
-        chosen = self.dataset.known_heights_m(recalibrate_z)[self._stored_places]
+        chosen = self.dataset.known_heights_m(recalibrate_z)[self._stored_numbers]
         unknown = np.isnan(chosen)
         if unknown.any():
             position, touch = self.locate(int(np.argmax(unknown)))
@@ -443,7 +447,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         InputError
             Something else than integers is given.
         """
-        numbers = list(map(checked_fields.to_builtin, read.flattened(wanted)))
+        numbers = list(map(checked_fields.to_builtin, self._flattened(wanted)))
         if not checked_fields.is_integer(*numbers):
             raise errors.InputError(f"{wanted!r} was given; expected object ids as integers")
         ids = self.object_ids
@@ -512,7 +516,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         IntegrityError
             An image is damaged or of another size; names file, row and touch.
         """
-        wanted = [self.locate(each) for each in read.positions(index, len(self)).tolist()]
+        wanted = [self._located(int(flat)) for flat in self._chosen(index)._rows]
         size = (0, 0)
         if wanted or (len(self.dataset) and self.dataset[0].touch_count):
             first, number = [*wanted, (0, 0)][0]
@@ -561,18 +565,6 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
             for index in by_round.get(place, ()):
                 yield index, Touch(record, touches[index])
 
-    def stored_parts(self) -> read.StoredParts:
-        """Return which touches are stored together."""
-        parts = self.dataset.stored_parts()
-        if parts.order is None and isinstance(self._rows, range) and self._rows == range(self._starts[-1]):
-            return read.StoredParts(np.unique(self._starts[parts.starts]))
-        turn = np.arange(len(self.dataset))  # of each round, among all as they are stored
-        if parts.order is not None:
-            turn[parts.order] = np.arange(len(turn))
-        turns = turn[self.round_positions]
-        order = np.lexsort((self.touch_indices, turns))
-        return read.StoredParts(np.unique(np.searchsorted(turns[order], parts.starts)), order)
-
     def row_groups(self, chosen: Int64) -> list[tuple[read.RowSource, int]]:
         """Return the row groups of touches at positions (n,), each once."""
         return self.dataset.row_groups(np.unique(self.round_positions[chosen]))
@@ -592,11 +584,9 @@ def with_no_contact(touches: AnyTouches, contact: Bool, fraction: float, seed: i
 
     Raises InputError for an invalid fraction, seed or mask.
     """
-    wanted, number, mask = (
-        checked_fields.to_builtin(fraction, float),
-        checked_fields.checked_integer(seed, "the seed"),
-        np.asarray(contact),
-    )
+    wanted = checked_fields.to_builtin(fraction, float)
+    number = checked_fields.checked_integer(seed, "the seed")
+    mask = np.asarray(contact)
     if not isinstance(wanted, float) or not 0 <= wanted < 1:
         raise errors.InputError(f"no_contact_fraction is {fraction!r}; expected 0 to below 1")
     if mask.dtype != bool or mask.shape != (len(touches),):

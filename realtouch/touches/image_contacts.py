@@ -9,9 +9,9 @@ from itertools import islice
 import numpy as np
 
 from realtouch import contact
-from realtouch.contact import ContactHeight
 from realtouch.touches import media, rounds, schema
 from realtouch.touches.datasets import AnyTouches, Touches, with_no_contact
+from tactile_toolkit import touch
 from tactile_toolkit.array_types import Bool, Float64, Int64, UInt8
 from tactile_toolkit.errors import InputError
 
@@ -75,8 +75,8 @@ def _batches(pictures: object) -> Iterator[UInt8]:
         if isinstance(pictures[0].round, rounds.TouchSingleRound):
             yield from _pieces(len(pictures), pictures.images)
         else:
-            for touch in pictures:
-                yield from _batches(touch.clip)
+            for each in pictures:
+                yield from _batches(each.clip)
     elif hasattr(pictures, "touches"):
         yield from _batches(pictures.touches())
     elif not isinstance(pictures, Touches) and len(found := contact.as_pictures(pictures)):
@@ -129,7 +129,8 @@ def best_frame(
     # A clip that does not fit in memory is processed a few frames at a time.
     if base is None:
         base = background(clip)
-    start, best = 0, (0, contact.ContactScore(0, 0.0))
+    start = 0
+    best = (0, contact.ContactScore(0, 0.0))
     for piece in _batches(clip):
         frame, score = contact.best_of(piece, rule, base)
         if start == 0 or score.total_change > best[1].total_change:
@@ -140,7 +141,7 @@ def best_frame(
 
 def contact_rule_text(columns: Container[str]) -> str:
     """Return the rule of :meth:`realtouch.Touches.in_contact` for some columns, as part of a sentence."""
-    return str(ContactHeight.of(columns)) if schema.has_poses(columns) else BY_IMAGE
+    return str(touch.HeightRule.of(columns)) if schema.has_poses(columns) else BY_IMAGE
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,10 +189,10 @@ class Contacts:
 
     def picture(self, index: int) -> UInt8:
         """Decode the best picture of one touch, shape (H, W, 3), uint8."""
-        touch = self.touches[index]
-        if isinstance(touch.round, rounds.TouchSingleRound):
-            return touch.image
-        return touch.clip[int(self.frame[index])]
+        chosen = self.touches[index]
+        if isinstance(chosen.round, rounds.TouchSingleRound):
+            return chosen.image
+        return chosen.clip[int(self.frame[index])]
 
 
 def contacts_by_image(
@@ -274,7 +275,8 @@ def _measure_images(
             base = shared
         done = 0
         for images in batches:
-            found, part = contact.contact_score(images, base, rule), chosen[done : done + len(images)]
+            found = contact.contact_score(images, base, rule)
+            part = chosen[done : done + len(images)]
             score.area_px[part], score.intensity[part] = found.area_px, found.intensity
             done += len(images)
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import io
-import operator
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -22,12 +21,14 @@ from realtouch.video import avi
 from tactile_toolkit import errors, pictures, read, wording
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Floating, UInt8
 from tactile_toolkit.run import in_threads
-from tactile_toolkit.touch import MAX_IMAGE_PIXELS, decode_image, image_size
+from tactile_toolkit.touch import MAX_IMAGE_PIXELS, decode_image, encode_image, image_size
 
 if TYPE_CHECKING:
     from torchcodec.decoders import VideoDecoder
 
 
+T = TypeVar("T")
+S = TypeVar("S")
 # Long enough that overhead is small, short enough that threads end together.
 _LONGEST_RUN = 16
 MAX_BATCH_PIXELS = 1 << 31
@@ -72,37 +73,45 @@ def room_for(count: int, size: tuple[int, int], out: UInt8 | None = None) -> UIn
     )
 
 
-class SensorImages(Sequence[UInt8]):
-    """The images of one round; each is decoded on every access and not kept.
+class _StoredMedia(read.LazySequence[T, S]):
+    """The images, maps or clips of one round; each is decoded or opened on every access and not kept."""
 
-    ``images[i]`` gives (H, W, 3) uint8; a slice, list or array of ints, or boolean mask gives (n, H, W, 3).
-    Safe to share between threads and to pickle.
-    """
+    __slots__ = ("_column", "_count", "_start", "name", "row")
+    thing = "touch"
+    things = "touches"
 
-    __slots__ = ("_blobs", "_count", "_start", "row")
-
-    def __init__(self, row: StoredRound) -> None:
-        column = row.group.nested("sensor_image")
-        start, stop = column.inside(0, row.index, row.index + 1)
+    def __init__(self, row: StoredRound, name: str) -> None:
         self.row = row
-        self._blobs: read.BytesColumn = column.values
-        self._start, self._count = start, stop - start
+        self.name = name
+        self._column = row.column_of(name)
+        self._start, stop = self._column.inside(0, row.index, row.index + 1)
+        self._count = stop - self._start
 
     def __len__(self) -> int:
         return self._count
 
-    def __getitem__(self, index: Any) -> UInt8:  # type: ignore[override]
-        """Decode one image, or some into one array.
+    def __iter__(self) -> Iterator[T]:
+        return map(self._item, range(self._count))
 
-        Raises IntegrityError, which names file, row and touch, if an image is damaged, or differs in size
-        from the other requested ones.
-        """
-        if read.picks_several(index):
-            return self.batch(index)
-        return self._decode(read.checked_index(operator.index(index), self._count, "touch", "touches"))
+    def __reduce__(self) -> tuple[object, ...]:
+        return (type(self), (self.row, self.name))
 
-    def __iter__(self) -> Iterator[UInt8]:
-        return (self._decode(touch) for touch in range(self._count))
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({wording.with_count(self._count, self.things)})"
+
+
+class SensorImages(_StoredMedia[UInt8, UInt8]):
+    """The images of one round; each is decoded on every access and not kept.
+
+    ``images[i]`` gives (H, W, 3) uint8; a slice, list or array of ints, or boolean mask gives (n, H, W, 3).
+    Damaged images raise IntegrityError, which names file, row and touch, as do images that differ in size
+    from the others requested. Safe to share between threads and to pickle.
+    """
+
+    __slots__ = ()
+
+    def __init__(self, row: StoredRound, name: str = "sensor_image") -> None:
+        super().__init__(row, name)
 
     def batch(self, index: object = slice(None), *, threads: int = 1, out: UInt8 | None = None) -> UInt8:
         """Decode several images into one array.
@@ -127,8 +136,9 @@ class SensorImages(Sequence[UInt8]):
         IntegrityError
             As for indexing; or the images exceed :data:`realtouch.touches.media.MAX_BATCH_PIXELS`.
         """
-        touches = read.positions(index, self._count).tolist()
-        first, size = [*touches, 0][0], (0, 0)
+        touches = self.checked_indices(index)
+        first = [*touches, 0][0]
+        size = (0, 0)
         if self._count:
             size = self.size(first)
         with self.row.naming("sensor_image", first):
@@ -142,10 +152,10 @@ class SensorImages(Sequence[UInt8]):
 
     def encoded(self, touch: int) -> memoryview:
         """Return the stored bytes of one image, without a copy; IntegrityError if no bytes are stored."""
-        place = read.checked_index(touch, self._count, "touch", "touches")
-        blob = self._blobs[self._start + place]
+        number = self.checked_index(touch)
+        blob: memoryview | None = self._column.values[self._start + number]
         if blob is None or len(blob) == 0:
-            raise self.row.damaged("sensor_image", "no bytes are stored; expected a JPEG", place)
+            raise self.row.damaged("sensor_image", "no bytes are stored; expected a JPEG", number)
         return blob
 
     def size(self, touch: int = 0) -> tuple[int, int]:
@@ -153,15 +163,15 @@ class SensorImages(Sequence[UInt8]):
         with self.row.naming("sensor_image", touch):
             return image_size(self.encoded(touch))
 
+    def _item(self, index: int) -> UInt8:
+        return self._decode(index)
+
+    def _several(self, index: Any) -> UInt8:
+        return self.batch(index)
+
     def _decode(self, touch: int, out: UInt8 | None = None) -> UInt8:
         with self.row.naming("sensor_image", touch):
             return decode_image(self.encoded(touch), out)
-
-    def __reduce__(self) -> tuple[object, ...]:
-        return (SensorImages, (self.row,))
-
-    def __repr__(self) -> str:
-        return f"SensorImages({wording.with_count(self._count, 'touches')})"
 
 
 DEPTH, DEPTH_ERROR = "depth_um", "depth_error_um"
@@ -181,10 +191,7 @@ def encode_map(depth_m: Floating) -> bytes:
             f"depth of {np.max(depth_m):g} m; expected finite numbers of at most {_MOST / _PER_M} m"
         )
     counts = np.rint(np.maximum(depth_m, 0) * _PER_M).astype(np.uint16)
-    stream = io.BytesIO()
-    # A fixed level, as for images: the default may change with a release.
-    Image.fromarray(counts).save(stream, "PNG", compress_level=6)
-    return stream.getvalue()
+    return encode_image(counts, "png")
 
 
 def decode_map(data: memoryview | bytes) -> Float32:
@@ -203,47 +210,31 @@ def decode_map(data: memoryview | bytes) -> Float32:
     return counts.astype(np.float32) / np.float32(_PER_M)
 
 
-class DepthMaps(Sequence[Float32]):
+class DepthMaps(_StoredMedia[Float32, Float32]):
     """The maps of one round; each is decoded on every access and not kept.
 
     ``maps[i]`` gives (H, W), float32, metres; a slice, list or array of ints, or boolean mask (n, H, W).
+    IntegrityError if a map is damaged.
     """
 
-    __slots__ = ("_blobs", "_column", "_count", "_start", "row")
+    __slots__ = ()
 
-    def __init__(self, row: StoredRound, column: str) -> None:
-        found, start, stop = row.entries_of(column)  # refuses a round with more or less than T maps
-        self.row = row
-        self._column, self._start, self._count = column, start, stop - start
-        self._blobs: read.BytesColumn = found.values
+    def __init__(self, row: StoredRound, name: str) -> None:
+        row.entries_of(name)  # refuses a round with more or less than T maps
+        super().__init__(row, name)
 
-    def __len__(self) -> int:
-        return self._count
+    def _item(self, index: int) -> Float32:
+        with self.row.naming(self.name, index):
+            return decode_map(self._column.values[self._start + index] or b"")
 
-    def __getitem__(self, index: Any) -> Float32:  # type: ignore[override]
-        """Decode one map, or several of the same size; IntegrityError if one is damaged."""
-        if read.picks_several(index):
-            return np.stack([self._decode(touch) for touch in read.positions(index, self._count).tolist()])
-        return self._decode(read.checked_index(operator.index(index), self._count, "touch", "touches"))
-
-    def __iter__(self) -> Iterator[Float32]:
-        return map(self._decode, range(self._count))
-
-    def _decode(self, touch: int) -> Float32:
-        with self.row.naming(self._column, touch):
-            return decode_map(self._blobs[self._start + touch] or b"")
-
-    def __reduce__(self) -> tuple[object, ...]:
-        return (DepthMaps, (self.row, self._column))
-
-    def __repr__(self) -> str:
-        return f"DepthMaps({wording.with_count(self._count, 'touches')})"
+    def _several(self, index: Any) -> Float32:
+        return np.stack([self._item(touch) for touch in self.checked_indices(index)])
 
 
 _SHOWN_FRAMES = 8
 
 
-class TouchClip(Sequence[UInt8]):
+class TouchClip(read.LazySequence[UInt8, UInt8]):
     """The clip of one touch.
 
     ``clip[i]`` gives (H, W, 3) uint8; a slice, ints or a boolean mask give (n, H, W, 3). No frame is kept.
@@ -273,6 +264,8 @@ class TouchClip(Sequence[UInt8]):
     """
 
     __slots__ = ("_avi", "data", "row", "touch")
+    thing = "frame"
+    things = "frames"
 
     def __init__(self, row: stored_round.StoredRound, touch: int) -> None:
         self.row, self.touch = row, touch
@@ -292,17 +285,11 @@ class TouchClip(Sequence[UInt8]):
     def __len__(self) -> int:
         return len(self._avi)
 
-    def __getitem__(self, index: Any) -> UInt8:  # type: ignore[override]
-        """Decode one frame, or some into one array.
+    def _item(self, index: int) -> UInt8:
+        return self._decode(index)
 
-        Raises
-        ------
-        IntegrityError
-            A frame is damaged; names file, row and touch.
-        """
-        if read.picks_several(index):
-            return self.frames(index)
-        return self._decode(read.checked_index(operator.index(index), len(self), "frame", "frames"))
+    def _several(self, index: Any) -> UInt8:
+        return self.frames(index)
 
     def frames(self, index: object = slice(None), *, threads: int = 1) -> UInt8:
         """Decode frames into one array.
@@ -323,7 +310,7 @@ class TouchClip(Sequence[UInt8]):
         IntegrityError
             A frame is damaged, or they exceed :data:`realtouch.touches.media.MAX_BATCH_PIXELS`.
         """
-        wanted = read.positions(index, len(self)).tolist()
+        wanted = self.checked_indices(index)
         with self.row.naming("sensor_video", self.touch):
             pixels = room_for(len(wanted), self.size)
         in_parallel(lambda number: self._decode(wanted[number], pixels[number]), len(wanted), threads)
@@ -381,7 +368,7 @@ class TouchClip(Sequence[UInt8]):
         IntegrityError
             The index does not lead to the frame; names file, row and touch.
         """
-        number = read.checked_index(frame, len(self), "frame", "frames")
+        number = self.checked_index(frame)
         try:
             return self._avi.frame(number)
         except ValueError as error:
@@ -477,27 +464,20 @@ class TouchClip(Sequence[UInt8]):
         return pictures.grid_html(f"Touch {self.touch}", [wording.with_count(len(self), "frames")], images)
 
 
-class SensorClips(Sequence[TouchClip]):
-    """The clips of one round; each is opened on access."""
+class SensorClips(_StoredMedia[TouchClip, list[TouchClip]]):
+    """The clips of one round; each is opened on access, and raises as :class:`TouchClip`."""
 
-    __slots__ = ("_count", "row")
+    __slots__ = ()
 
-    def __init__(self, row: stored_round.StoredRound) -> None:
-        _, start, stop = row.entries_of("sensor_video")
-        self.row, self._count = row, stop - start
+    def __init__(self, row: StoredRound, name: str = "sensor_video") -> None:
+        row.entries_of(name)
+        super().__init__(row, name)
 
-    def __len__(self) -> int:
-        return self._count
+    def _item(self, index: int) -> TouchClip:
+        return TouchClip(self.row, index)
 
-    @overload
-    def __getitem__(self, index: int) -> TouchClip: ...
-    @overload
-    def __getitem__(self, index: slice | Sequence[int]) -> list[TouchClip]: ...
-    def __getitem__(self, index: Any) -> TouchClip | list[TouchClip]:
-        """Open one clip, or some; raises as :class:`TouchClip`."""
-        if read.picks_several(index):
-            return [TouchClip(self.row, touch) for touch in read.positions(index, self._count).tolist()]
-        return TouchClip(self.row, read.checked_index(operator.index(index), self._count, "touch", "touches"))
+    def _several(self, index: Any) -> list[TouchClip]:
+        return [TouchClip(self.row, touch) for touch in self.checked_indices(index)]
 
     def room(self, count: int, out: UInt8 | None = None) -> UInt8:
         """Return an array for ``count`` frames of the first clip's size: a new one, or ``out`` if it fits.
@@ -508,12 +488,6 @@ class SensorClips(Sequence[TouchClip]):
         size = self[0].size if self._count else (0, 0)
         with self.row.naming("sensor_video"):
             return room_for(count, size, out)
-
-    def __reduce__(self) -> tuple[object, ...]:
-        return (SensorClips, (self.row,))
-
-    def __repr__(self) -> str:
-        return f"SensorClips({wording.with_count(self._count, 'touches')})"
 
 
 def contact_windows(row: stored_round.StoredRound, touch: int | None = None) -> list[slice]:

@@ -8,7 +8,6 @@ from typing import Literal, overload
 from realtouch import kind
 from realtouch.touches import damage, datasets, schema
 from tactile_toolkit import errors, places, read
-from tactile_toolkit.touch import MEDIA_COLUMN
 
 _NAMES_SHOWN = 12
 
@@ -122,11 +121,12 @@ def _require_agreement(shard: read.Shard, files: Sequence[read.Shard]) -> None:
     first = schema.media_kind(files[0].schema, files[0].path)
     if schema.media_kind(shard.schema, shard.path) != first:
         raise errors.IntegrityError(
-            f"{shard.path!r}, field {MEDIA_COLUMN[first]!r}: the column is not there; expected it as in "
-            f"{files[0].path!r}",
+            f"{shard.path!r}, field {schema.MEDIA_COLUMN[first]!r}: the column is not there; expected it as "
+            f"in {files[0].path!r}",
             next="open files of one data set together",
         )
-    names, expected = shard.class_names, schema.stated_class_names(files)
+    names = shard.class_names
+    expected = schema.stated_class_names(files)
     if names is not None and expected is not None and names != expected:
         found, wanted = (", ".join(each[:_NAMES_SHOWN]) for each in (names, expected))
         raise errors.IntegrityError(

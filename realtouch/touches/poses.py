@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import operator
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,7 +22,7 @@ _LENGTH_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Poses(Sequence["Pose"]):
+class Poses(read.LazySequence["Pose", "Poses"]):
     """Poses of one frame in another: a sequence of rigid transforms, stored as arrays.
 
     ``translation``, ``rotation``, ``quaternion``, ``matrix``, ``rotvec``, ``angle``, ``inv``, ``single`` and
@@ -40,21 +39,19 @@ class Poses(Sequence["Pose"]):
         Orientations x, y, z, w, of length one within 0.001; a view likewise.
     """
 
+    thing = "pose"
+    things = "poses"
+
     position_m: Floating
     quaternion: Floating
 
     def __len__(self) -> int:
         return len(self.position_m)
 
-    @overload
-    def __getitem__(self, index: int) -> Pose: ...
-    @overload
-    def __getitem__(self, index: slice | Sequence[int] | AnyArray) -> Poses: ...
-    def __getitem__(self, index: Any) -> Pose | Poses:
-        """Return one rigid transform (int), or some poses (slice, ints, mask)."""
-        if not read.picks_several(index):
-            index = operator.index(index)
-            return rigid_transform(self.position_m[index], self.quaternion[index])
+    def _item(self, index: int) -> Pose:
+        return rigid_transform(self.position_m[index], self.quaternion[index])
+
+    def _several(self, index: Any) -> Poses:
         return Poses(self.position_m[index], self.quaternion[index])
 
     def __iter__(self) -> Iterator[Pose]:
@@ -112,7 +109,7 @@ class Poses(Sequence["Pose"]):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PoseSequences(Sequence[Poses]):
+class PoseSequences(read.LazySequence[Poses, "PoseSequences"]):
     """Poses over time: one :class:`Poses` per touch, as long as its clip.
 
     Attributes
@@ -123,21 +120,22 @@ class PoseSequences(Sequence[Poses]):
         Orientations x, y, z, w; views likewise.
     """
 
+    thing = "touch"
+    things = "touches"
+
     position_m: tuple[Floating, ...]
     quaternion: tuple[Floating, ...]
 
     def __len__(self) -> int:
         return len(self.position_m)
 
-    @overload
-    def __getitem__(self, index: int) -> Poses: ...
-    @overload
-    def __getitem__(self, index: slice) -> PoseSequences: ...
-    def __getitem__(self, index: int | slice) -> Poses | PoseSequences:
-        """Return the poses of one touch (int) or of some (slice)."""
-        if isinstance(index, slice):
-            return PoseSequences(self.position_m[index], self.quaternion[index])
+    def _item(self, index: int) -> Poses:
         return Poses(self.position_m[index], self.quaternion[index])
+
+    def _several(self, index: Any) -> PoseSequences:
+        touches = self.checked_indices(index)
+        positions = (self.position_m[touch] for touch in touches)
+        return PoseSequences(tuple(positions), tuple(self.quaternion[touch] for touch in touches))
 
     def __repr__(self) -> str:
         poses = wording.with_count(sum(map(len, self.position_m)), "poses")

@@ -242,8 +242,10 @@ class TouchSeqRound(TouchRound):
         -------
         ndarray, shape (T, H, W, 3), uint8
         """
-        clips, chosen = self.sensor_video, contact.require_method(method)
-        pixels, cores = clips.room(len(clips), out), _cores(threads)
+        clips = self.sensor_video
+        chosen = contact.require_method(method)
+        pixels = clips.room(len(clips), out)
+        cores = _cores(threads)
         if chosen == "best":  # by the pictures: each clip is decoded whole
 
             def decode(touch: int) -> None:
@@ -275,13 +277,13 @@ class TouchSeqRound(TouchRound):
             The frames of :attr:`realtouch.TouchClip.contact_window` of each touch; views of one array.
         """
         clips = self.sensor_video
-        wanted = read.positions(touches, len(clips))
-        windows = [media.contact_windows(self.row, touch)[0] for touch in wanted.tolist()]
+        wanted = clips.checked_indices(touches)
+        windows = [media.contact_windows(self.row, touch)[0] for touch in wanted]
         counts = [window.stop - window.start for window in windows]
         pixels = clips.room(sum(counts))
         frames = [frame for window in windows for frame in range(window.start, window.stop)]
-        owners = np.repeat(wanted, counts)
-        media.decode_frames(clips, owners.tolist(), frames, pixels, _cores(threads))
+        owners = np.repeat(wanted, counts).tolist()
+        media.decode_frames(clips, owners, frames, pixels, _cores(threads))
         return tuple(np.split(pixels, np.cumsum(counts)))[: len(counts)]
 
 
@@ -368,7 +370,8 @@ class Touch(pictures.Drawn):
 
         Reads this touch only, and opens no clip where the times of its frames are stored.
         """
-        row, touch = self.round.row, self._index_in_row
+        row = self.round.row
+        touch = self._index_in_row
         if isinstance(self.round, TouchSingleRound):
             return row.poses(touch)[0]
         (frame,) = media.contact_frames_of(row, "contact_end", touch)
@@ -468,7 +471,8 @@ def hf_touches(
 
     if not rows:
         return Dataset.from_dict({})
-    first, total = schema.flat_row(rows[0]), rows[0].touch_total()
+    first = schema.flat_row(rows[0])
+    total = rows[0].touch_total()
     names = [
         each.name
         for each in first.schema
@@ -490,7 +494,8 @@ def hf_touches(
 
 def _row_of_each_touch(row: stored_round.StoredRound, per_touch: Collection[str]) -> pa.Table:
     """Return a table with a row for each touch of a round; other columns repeat the value of the round."""
-    table, count = schema.flat_row(row), row.touch_total()
+    table = schema.flat_row(row)
+    count = row.touch_total()
     columns = {}
     for name in table.column_names:
         array = table.column(name).chunk(0)

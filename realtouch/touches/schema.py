@@ -9,11 +9,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from realtouch.contact import CONTACT_METHODS, PLATE_COLUMN, ContactMethod
-from tactile_toolkit import errors, read, store, wording
+from realtouch.contact import CONTACT_METHODS, ContactMethod
+from tactile_toolkit import errors, read, store, touch, wording
 from tactile_toolkit.array_types import AnyArray
-from tactile_toolkit.touch import CLASS_NAMES, MEDIA_COLUMN, Kind
 
+Kind = Literal["seq", "single"]
+MEDIA_COLUMN: dict[Kind, str] = {"seq": "sensor_video", "single": "sensor_image"}
+"""Column of clips or images, by which the kind of a data set is recognised."""
 POSE_COLUMN: dict[Kind, str] = {"seq": "gel_pose_cell_frame_seq", "single": "gel_pose_cell_frame"}
 """The columns ``.position`` and ``.quaternion`` below it hold the pose of the gel, of each frame or touch."""
 Origin = Literal["real", "synthetic", "imported"]
@@ -24,23 +26,23 @@ _TEXT = (pa.types.is_string, *_WHOLE)
 _TIME = (pa.types.is_duration, *_FLOAT)
 _BYTES = (pa.types.is_binary,)
 KNOWN_COLUMNS: dict[str, read.Expected] = {
-    "id": (0, _TEXT, "a string"),
-    "label": (0, _WHOLE, "an integer"),
-    "object_id": (0, _WHOLE, "an integer"),
-    PLATE_COLUMN: (0, _FLOAT, "a float: metres"),
-    "pos_in_cell": (2, _FLOAT, "two floats per touch"),
-    "gel_pose_cell_frame.position": (2, _FLOAT, "three floats per touch"),
-    "gel_pose_cell_frame.quaternion": (2, _FLOAT, "four floats per touch"),
-    "sensor_image": (1, _BYTES, "a struct of bytes and path per touch"),
-    "depth_um": (1, _BYTES, "a struct of bytes and path per touch"),
-    "depth_error_um": (1, _BYTES, "a struct of bytes and path per touch"),
-    "video_length_frames": (1, _WHOLE, "an integer per touch"),
-    "gel_pose_cell_frame_seq.position": (3, _FLOAT, "three floats per frame of each touch"),
-    "gel_pose_cell_frame_seq.quaternion": (3, _FLOAT, "four floats per frame of each touch"),
-    "time_stamp_rel_seq": (2, _TIME, "a duration or float seconds per frame of each touch"),
-    "touch_start_time_rel": (1, _TIME, "a duration or float seconds per touch"),
-    "touch_end_time_rel": (1, _TIME, "a duration or float seconds per touch"),
-    "sensor_video": (1, _BYTES, "a struct of bytes and path per touch"),
+    "id": read.Expected(0, _TEXT, "a string"),
+    "label": read.Expected(0, _WHOLE, "an integer"),
+    "object_id": read.Expected(0, _WHOLE, "an integer"),
+    touch.HeightRule.PLATE_COLUMN: read.Expected(0, _FLOAT, "a float: metres"),
+    "pos_in_cell": read.Expected(2, _FLOAT, "two floats per touch"),
+    "gel_pose_cell_frame.position": read.Expected(2, _FLOAT, "three floats per touch"),
+    "gel_pose_cell_frame.quaternion": read.Expected(2, _FLOAT, "four floats per touch"),
+    "sensor_image": read.Expected(1, _BYTES, "a struct of bytes and path per touch"),
+    "depth_um": read.Expected(1, _BYTES, "a struct of bytes and path per touch"),
+    "depth_error_um": read.Expected(1, _BYTES, "a struct of bytes and path per touch"),
+    "video_length_frames": read.Expected(1, _WHOLE, "an integer per touch"),
+    "gel_pose_cell_frame_seq.position": read.Expected(3, _FLOAT, "three floats per frame of each touch"),
+    "gel_pose_cell_frame_seq.quaternion": read.Expected(3, _FLOAT, "four floats per frame of each touch"),
+    "time_stamp_rel_seq": read.Expected(2, _TIME, "a duration or float seconds per frame of each touch"),
+    "touch_start_time_rel": read.Expected(1, _TIME, "a duration or float seconds per touch"),
+    "touch_end_time_rel": read.Expected(1, _TIME, "a duration or float seconds per touch"),
+    "sensor_video": read.Expected(1, _BYTES, "a struct of bytes and path per touch"),
 }
 """Depth, types and description of the columns of a set of touches."""
 EXTRA_PREFIX: dict[Literal["touch", "frame"], str] = {"touch": "extra.", "frame": "extra_seq."}
@@ -68,7 +70,8 @@ def extra_type(name: str, data_type: pa.DataType) -> pa.DataType:
 
 def extra_type_text(name: str, data_type: pa.DataType) -> str:
     """Return the type of a further column: ``"float64[3] per touch"``."""
-    entry, per = extra_type(name, data_type), "touch"
+    entry = extra_type(name, data_type)
+    per = "touch"
     if name.startswith(EXTRA_PREFIX["frame"]):
         per = "frame"
     depth, leaf = read.list_depth(entry)
@@ -148,7 +151,7 @@ def require_types(shard: read.Shard) -> None:
     # Read here so that an error names the file, and not only at the first label.
     _ = shard.class_names
     types = shard.types
-    problem = read.wrong_type(types, {**KNOWN_COLUMNS, **_expected_extras(types)})
+    problem = read.Expected.problem(types, {**KNOWN_COLUMNS, **_expected_extras(types)})
     for name in extra_columns(types):
         if all(f"{prefix}{name}" in types for prefix in EXTRA_PREFIX.values()):
             problem = f"field {name!r}: there is a column of touches and one of frames; expected one of them"
@@ -165,7 +168,7 @@ def _expected_extras(types: Mapping[str, pa.DataType]) -> dict[str, read.Expecte
         if name not in KNOWN_COLUMNS:
             least = 1 + name.startswith(EXTRA_PREFIX["frame"])
             depth = min(max(read.list_depth(types[name])[0], least), least + 1)
-            expected[name] = (
+            expected[name] = read.Expected(
                 depth,
                 _EXTRA_LEAVES,
                 f"a number, a text or a list of them, {_EXTRA_ENTRIES[least]}",
@@ -186,7 +189,7 @@ def class_names_of(shards: Iterable[read.RowSource]) -> tuple[str, ...]:
     files = list(shards)
     stated = stated_class_names(files)
     if stated is None and any("label" in shard.schema.names for shard in files):
-        return CLASS_NAMES
+        return touch.CLASS_NAMES
     return stated or ()
 
 

@@ -15,15 +15,13 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from realtouch import contact
 from realtouch.touches import schema
 from realtouch.touches.damage import Damage, DamagedRoundError
 from realtouch.touches.poses import Poses, PoseSequences, bad_pose, pose_of
 from realtouch.video import avi
-from tactile_toolkit import errors, read, wording
+from tactile_toolkit import errors, read, touch, wording
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, Floating, Int64
 from tactile_toolkit.json_types import JsonDict, JsonValue
-from tactile_toolkit.touch import MEDIA_COLUMN, PRESS_DEPTH_M, Kind
 
 _NO_TIME = "no time is stored; expected a duration or float seconds"
 _SECOND = np.timedelta64(1, "s")
@@ -33,7 +31,7 @@ _POSE = schema.POSE_COLUMN["single"]
 _POSE_SEQUENCE = schema.POSE_COLUMN["seq"]
 
 # Columns with an entry for each touch; pictures come last, as they take much memory.
-_COUNTING = ("pos_in_cell", "video_length_frames", f"{_POSE}.position", *MEDIA_COLUMN.values())
+_COUNTING = ("pos_in_cell", "video_length_frames", f"{_POSE}.position", *schema.MEDIA_COLUMN.values())
 # The first of these that exists gives the number of touches; poses only if no other column was read.
 _COUNTED = (
     "pos_in_cell",
@@ -52,14 +50,24 @@ class StoredRound(read.Row):
     __slots__ = ()
 
     @property
-    def kind(self) -> Kind:
+    def kind(self) -> schema.Kind:
         """Whether it has clips or images."""
-        return "seq" if self.has(MEDIA_COLUMN["seq"]) else "single"
+        return "seq" if self.has(schema.MEDIA_COLUMN["seq"]) else "single"
+
+    @property
+    def media_column(self) -> str:
+        """Column of its clips or images."""
+        return schema.MEDIA_COLUMN[self.kind]
 
     @property
     def has_poses(self) -> bool:
         """Whether it has poses of the gel."""
         return schema.has_poses(self.group.names)
+
+    @property
+    def height_rule(self) -> touch.HeightRule:
+        """Rule by which its touches count as contact."""
+        return touch.HeightRule.of(self.group.names)
 
     def damaged(self, field: str, problem: str, touch: int | None = None) -> DamagedRoundError:
         """Return the error for a field that cannot be used."""
@@ -108,7 +116,9 @@ class StoredRound(read.Row):
             raise self.damaged(name, f"{stop - start} touches; expected {expected} as in 'pos_in_cell'")
         if touch is None:
             return column, start, stop
-        first = start + read.checked_index(touch, expected, "touch", "touches")
+        if not -expected <= touch < expected:
+            raise IndexError(f"touch {touch} is out of range for {wording.with_count(expected, 'touches')}")
+        first = start + touch % expected
         return column, first, first + 1
 
     def require_touches(self) -> None:
@@ -155,9 +165,9 @@ class StoredRound(read.Row):
         except errors.IntegrityError:
             # Touch by touch only if something is damaged; all at once is many times as fast.
             known = np.full((self.touch_total(), *shape), np.nan)
-        for touch in range(len(known)):
+        for number in range(len(known)):
             with suppress(errors.IntegrityError):
-                known[touch] = read(touch)[0]
+                known[number] = read(number)[0]
         return known
 
     def clip_lengths(self) -> Int64:
@@ -167,7 +177,7 @@ class StoredRound(read.Row):
         """
         values = self.per_touch("video_length_frames")
         # False for NaN, which stands for a missing one.
-        possible = (values >= 0) & (values <= avi.MAX_CLIP_FRAMES) & read.whole_numbers(values)
+        possible = (values >= 0) & (values <= avi.MAX_CLIP_FRAMES) & (values == np.trunc(values))
         self.require_each("video_length_frames", possible, None, _TOO_LONG, values)
         return values.astype(np.int64, copy=False)
 
@@ -241,14 +251,15 @@ class StoredRound(read.Row):
         known = schema.extra_columns(self.group.names)
         if name not in known:
             raise schema.UnknownExtraError(name, self.path, known)
-        stored, values = known[name], self.extra_entries(known[name])
+        stored = known[name]
+        values = self.extra_entries(known[name])
         if not stored.startswith(schema.EXTRA_PREFIX["frame"]):
             with self.naming(stored):
                 return schema.array_with_gaps(values)
         found = []
-        for touch, length in enumerate(self.clip_lengths().tolist()):
-            frames = self.extra_of_frames(stored, values, touch, length)
-            with self.naming(stored, touch):
+        for number, length in enumerate(self.clip_lengths().tolist()):
+            frames = self.extra_of_frames(stored, values, number, length)
+            with self.naming(stored, number):
                 found.append(schema.array_with_gaps(frames))
         return tuple(found)
 
@@ -382,7 +393,7 @@ class StoredRound(read.Row):
                     raise self.damaged(_POSE_SEQUENCE, f"frame {wrong[0]}: {wrong[1]}", number)
         return PoseSequences(positions, quaternions)
 
-    def contact_z_m(self, kind: Kind, touch: int | None = None) -> Float64:
+    def contact_z_m(self, kind: schema.Kind, touch: int | None = None) -> Float64:
         """Return the height of the gel at the deepest press of each touch, shape (T,), or of ``touch``, (1,).
 
         Metres, cell frame; of a ``single`` round, that is the height of its one pose per touch. Raises
@@ -398,14 +409,14 @@ class StoredRound(read.Row):
         self.require_each(name, finite, touch, "a gel height of {}; expected metres", heights)
         return heights
 
-    def plate_z_m(self, rule: contact.ContactHeight) -> float:
+    def plate_z_m(self, rule: touch.HeightRule) -> float:
         """Return the height of the plate in a round, metres, cell frame; NaN where it is not known.
 
         Rendered sets of a GelSight Mini need not store it.
         """
-        if self.has(contact.PLATE_COLUMN) and self.value(contact.PLATE_COLUMN) is not None:
-            return float(self.value(contact.PLATE_COLUMN))
-        return PRESS_DEPTH_M if rule.plate == "known" else math.nan
+        if self.has(rule.PLATE_COLUMN) and self.value(rule.PLATE_COLUMN) is not None:
+            return float(self.value(rule.PLATE_COLUMN))
+        return touch.PRESS_DEPTH_M if rule.plate == "known" else math.nan
 
     def name(self) -> str:
         """Return the id as text; raises IntegrityError as :meth:`integer` does."""
@@ -485,7 +496,7 @@ def stored_rows(
     shards: Iterable[read.RowSource], columns: Sequence[str] | None = None
 ) -> Iterator[StoredRound]:
     """Yield the rows of files, with all columns or the named ones; one block is in memory at a time."""
-    return rows_of(read.all_blocks(shards, columns))
+    return rows_of(read.ShardedTable(tuple(shards)).blocks(columns))
 
 
 def rows_of(blocks: Iterable[read.RowGroup]) -> Iterator[StoredRound]:
@@ -498,13 +509,14 @@ def stored_touch_counts(source: read.RowSource, *groups: int) -> Int64:
 
     If the type of the column fixes the number, no row is read.
     """
-    types, chosen = read.column_types(source.schema), groups or range(len(source.group_starts) - 1)
+    types = read.column_types(source.schema)
+    chosen = groups or range(len(source.group_starts) - 1)
     name = next(name for name in _COUNTING if name in types)
     if pa.types.is_fixed_size_list(types[name]):
         rows = sum(source.group_starts[index + 1] - source.group_starts[index] for index in chosen)
         return np.full(rows, types[name].list_size, np.int64)
     column = name
-    if name in MEDIA_COLUMN.values() and isinstance(source, read.Shard):
+    if name in schema.MEDIA_COLUMN.values() and isinstance(source, read.Shard):
         # The names of pictures are counted: pictures fill the memory.
         leaf = f"{name}.list.element.path"
         if any(chunk.path_in_schema == leaf for chunk in source.column_chunks()):
@@ -519,7 +531,8 @@ def _padded(column: read.NestedColumn, first: int, last: int, width: int) -> Any
     touches = last - first
     start, stop = column.inside(1, first, last)
     frames = (stop - start) // max(touches, 1)
-    flat, starts = column.flat(1, first, last), column.levels[1]
+    flat = column.flat(1, first, last)
+    starts = column.levels[1]
     is_even = isinstance(starts, int) or (np.diff(starts[first : last + 1]) == frames).all()
     if not is_even or len(flat) != touches * frames * max(width, 1):
         return None

@@ -20,7 +20,6 @@ _ROUNDS = {"train": 500, "test": 100}
 _CLASSES = {"train": "10 of 50 rounds", "test": "10 of 10 rounds"}
 _TOUCHES_OF_A_GEL = 76_800
 _PICTURES = "320 x 240 or 64 x 64 pixels"
-_AMOUNTS = {False: "none", True: "some"}
 _SIZES = ((320, 240), (64, 64))
 
 
@@ -204,7 +203,7 @@ def paper_numbers(splits: Mapping[str, datasets.AnyDataset]) -> list[PaperNumber
         *((f"rounds in {split}", f"{count}", f"{len(labels[split]):,}") for split, count in _ROUNDS.items()),
         *((f"classes in {split}", _CLASSES[split], _class_text(labels[split])) for split in _ROUNDS),
         ("objects", "600", f"{different:,}"),
-        ("objects in two splits", "none", _AMOUNTS[sum(map(len, objects)) > different]),
+        ("objects in two splits", "none", "some" if sum(map(len, objects)) > different else "none"),
     ]
     once = f"{_TOUCHES_OF_A_GEL:,} touches, once"
     return [

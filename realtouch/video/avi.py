@@ -47,7 +47,10 @@ class Avi:
             )
         self.data, self.fps = data, 0.0
         parts: dict[bytes, tuple[int, int]] = {}
-        stream, number, position, chunk_at = None, -1, _RIFF.size, CHUNK.unpack_from
+        stream = None
+        number = -1
+        position = _RIFF.size
+        chunk_at = CHUNK.unpack_from
         while position + CHUNK_BYTES <= end:
             name, size = chunk_at(data, position)
             start = position + CHUNK_BYTES
@@ -57,7 +60,9 @@ class Avi:
                     f"an AVI whose part {name!r} ends {start + size - end:,} bytes beyond its end"
                 )
             if name == b"LIST" and size >= 4:
-                name, start, size = bytes(data[start : start + 4]), start + 4, size - 4
+                name = bytes(data[start : start + 4])
+                start = start + 4
+                size = size - 4
                 if name in (b"hdrl", b"strl"):
                     position = start  # continue with their content
                 if name == b"strl":
@@ -65,7 +70,8 @@ class Avi:
             elif name == b"strh" and stream is None and size >= STREAM_HEADER.size:
                 kind, codec, scale, rate = STREAM_HEADER.unpack_from(data, start)
                 if kind == b"vids" and codec.upper() == b"MJPG" and scale and rate:
-                    stream, self.fps = number, rate / scale
+                    stream = number
+                    self.fps = rate / scale
             parts[name] = (start, size)
         missing = [name for name in (b"hdrl", b"movi", b"idx1") if name not in parts]
         if missing:
@@ -99,7 +105,8 @@ class Avi:
         bases = [base for base, at in places if self.data[at : at + 4].tobytes() in self._names]
         if not len(offsets) or not bases:
             raise ValueError("an AVI whose index does not lead to frames; expected one of MJPEG frames")
-        self.starts, self.sizes = offsets + (bases[0] + CHUNK.size), sizes
+        self.starts = offsets + (bases[0] + CHUNK.size)
+        self.sizes = sizes
         ends = self.starts + sizes
         # A small file with overlapping frames could decode to any number of pixels.
         is_early = self.starts[1:] < ends[:-1]

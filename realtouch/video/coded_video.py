@@ -84,7 +84,8 @@ def coded_video(stream: IO[bytes], demuxer: str, is_cut: bool) -> Video:
     file_bytes = stream.seek(0, 2)
     reader = _Reader(stream, demuxer)
     packets = reader.read_packets(file_bytes)
-    count, pixels = len(packets.shown_pts), reader.video.height * reader.video.width
+    count = len(packets.shown_pts)
+    pixels = reader.video.height * reader.video.width
     notes = reader.check_first()
     if is_cut or packets.ends_early:
         notes.append(CUT_SHORT)
@@ -230,7 +231,8 @@ class _Reader:
         intact_from = -math.inf
         lost: set[int] = set()
         for packet in packets:
-            pts, frames = cast(int, packet.pts), list[VideoFrame]()
+            pts = cast(int, packet.pts)
+            frames = list[VideoFrame]()
             if packet.is_keyframe:
                 intact_from = min(intact_from, pts)
             try:

@@ -110,7 +110,8 @@ def check_boxes(stream: IO[bytes]) -> bool:
         size, name = _BOX.unpack_from(header)
         start = position + _BOX.size
         if size == 1:
-            size, start = int.from_bytes(header[8:], "big"), position + 16
+            size = int.from_bytes(header[8:], "big")
+            start = position + 16
         position = max(start, position + size) if size else end
         stream.seek(start)
         at, limit = _COUNTS.get(name, (0, _MAX_SAMPLES))

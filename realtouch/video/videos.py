@@ -123,7 +123,8 @@ def _video_of_jpegs(found: AviPictures) -> video_files.Video:
             stream.seek(int(found.starts[number]))
             yield stream.read(int(found.sizes[number]))
 
-    times, note = video_files.seconds_of(found.slots, found.period_s), ""
+    times = video_files.seconds_of(found.slots, found.period_s)
+    note = ""
     if found.is_cut:
         note = video_files.CUT_SHORT
     return video_files.Video(times, int(found.sizes.mean()), note, read)
@@ -175,7 +176,9 @@ class AviPictures:
         self.period_s = Fraction(0)
         self.is_jpeg = self.is_cut = False
         places = array("q")
-        position, riff_end, slot = 0, end, 0
+        position = 0
+        riff_end = end
+        slot = 0
         while position + CHUNK_BYTES <= end:
             name, size = CHUNK.unpack(read(position, CHUNK_BYTES))
             start = position + CHUNK_BYTES

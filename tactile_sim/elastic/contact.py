@@ -21,7 +21,9 @@ from tactile_toolkit.errors import InputError
 _MIN_DEPTH_M, _MAX_DEPTH_M = 1e-9, 1.0
 _MIN_FORCE_N, _MAX_FORCE_N = 1e-9, 1e6
 _MIN_PIXEL_M, _MAX_PIXEL_M, _MAX_ASPECT = 1e-6, 0.1, 100.0
-_MAX_RANGE_M, _MAX_SLIDE_M, _MAX_TWIST_RAD = 100.0, 1.0, math.pi
+_MAX_RANGE_M = 100.0
+_MAX_SLIDE_M = 1.0
+_MAX_TWIST_RAD = math.pi
 _MAX_LAYERS = 60.0  # diagonal of the window, in thicknesses of the gel
 _HALF = 0.5
 

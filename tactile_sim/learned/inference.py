@@ -121,7 +121,8 @@ def make_generator(weights: GeneratorWeights, device: str = "cpu", *, bfloat16: 
     InputError
         There is no such device, or the processor has no bfloat16.
     """
-    chosen, together = chosen_device(device), 1
+    chosen = chosen_device(device)
+    together = 1
     if chosen != "cpu":
         width, height = weights.size_px
         together = max(1, _PIXELS_TOGETHER // (width * height))

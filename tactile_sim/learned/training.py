@@ -240,7 +240,9 @@ class _Run:
         try:
             # weights_only: a checkpoint is data, and unpickling it must run no code.
             state = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
-            pools, step, log = state["pools"], int(state["step"]), state["log"].tolist()
+            pools = state["pools"]
+            step = int(state["step"])
+            log = state["log"].tolist()
             if len(pools) == self.process.count:
                 self.model.load_state(state, pools[self.process.rank])
         except torch.OutOfMemoryError:

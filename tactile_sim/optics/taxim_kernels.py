@@ -70,8 +70,10 @@ def blur(
     they are where ``kept`` (H, W), and at an edge of ``inset``, without which the map is blurred. All numbers
     are of one precision.
     """
-    rows, width = image.shape[0] - 2 * inset, image.shape[1] - 2 * inset * step
-    margin, reach = len(down) - 1, (len(across) - 1) * step
+    rows = image.shape[0] - 2 * inset
+    width = image.shape[1] - 2 * inset * step
+    margin = len(down) - 1
+    reach = (len(across) - 1) * step
     line = np.empty(width + 2 * reach, image.dtype)
     middle, total = line[reach:], line[:width]
     wide = np.empty((rows + 2 * margin, width), image.dtype)
@@ -102,19 +104,26 @@ def blur(
 @compiled
 def _weigh(out: Floating, source: Floating, begin: int, step: int, weights: Floating) -> None:
     """Weigh the values from ``begin`` on, and those at multiples of ``step`` on both sides of each."""
-    here, first, count = source[begin:], weights[0], len(weights)
+    here = source[begin:]
+    first = weights[0]
+    count = len(weights)
     for k in range(len(out)):
         out[k] = first * here[k]
     # Two pairs at a time: sums are loaded and stored half as often.
     for tap in range(1, count - 1, 2):
-        near, far = weights[tap], weights[tap + 1]
-        a, b = source[begin - tap * step :], source[begin + tap * step :]
-        c, d = source[begin - (tap + 1) * step :], source[begin + (tap + 1) * step :]
+        near = weights[tap]
+        far = weights[tap + 1]
+        a = source[begin - tap * step :]
+        b = source[begin + tap * step :]
+        c = source[begin - (tap + 1) * step :]
+        d = source[begin + (tap + 1) * step :]
         for k in range(len(out)):
             out[k] = (out[k] + near * (a[k] + b[k])) + far * (c[k] + d[k])
     if count % 2 == 0:
-        last, reach = weights[count - 1], (count - 1) * step
-        a, b = source[begin - reach :], source[begin + reach :]
+        last = weights[count - 1]
+        reach = (count - 1) * step
+        a = source[begin - reach :]
+        b = source[begin + reach :]
         for k in range(len(out)):
             out[k] += last * (a[k] + b[k])
 
@@ -147,10 +156,15 @@ def _rim(mask: Bool, windows: Int64) -> Bool:
     ``windows`` (n, 2), width and height; those of even sizes lean to the upper left.
     """
     rows, columns = mask.shape
-    left, right, above, below = 0, 0, 0, 0
+    left = 0
+    right = 0
+    above = 0
+    below = 0
     for window in range(len(windows)):
-        left, right = left + (windows[window, 0] - 1) // 2, right + windows[window, 0] // 2
-        above, below = above + (windows[window, 1] - 1) // 2, below + windows[window, 1] // 2
+        left = left + (windows[window, 0] - 1) // 2
+        right = right + windows[window, 0] // 2
+        above = above + (windows[window, 1] - 1) // 2
+        below = below + windows[window, 1] // 2
     wide, out = np.zeros((rows, columns), np.bool_), np.zeros((rows, columns), np.bool_)
     for row in range(rows):
         for far in range(-left, right + 1):
@@ -173,7 +187,8 @@ def _pressed_gel(
 ) -> tuple[Float64, Bool]:
     """Return the surface of the gel, mm, bent where it meets the solid, and where it is pressed by it."""
     rows, columns = depth_m.shape
-    soft, contact = np.empty((rows, columns)), np.empty((rows, columns), np.bool_)
+    soft = np.empty((rows, columns))
+    contact = np.empty((rows, columns), np.bool_)
     # One least value for each column, and comparisons as selections: LLVM does several pixels at once.
     least = depth_m[0].copy()
     for row in range(1, rows):
@@ -186,7 +201,10 @@ def _pressed_gel(
         least_m = min(least_m, least[column])
     touches_mm = (least_m * 1000.0 - gel_m * 1000.0) * contact_scale
     for row in range(rows):
-        line, gel, free, meets = depth_m[row], soft[row], gel_mm[row], contact[row]
+        line = depth_m[row]
+        gel = soft[row]
+        free = gel_mm[row]
+        meets = contact[row]
         for column in range(columns):
             height = line[column] * 1000.0 - gel_m * 1000.0
             gel[column] = height if height < free[column] else free[column]
@@ -247,7 +265,8 @@ def _shades(slope: Float64, direction: Float64, tables: Calibration) -> Float64:
             chosen[column] = int(steep[column] * per_slope) * bins + last
         for column in range(columns):
             x = column * (float(tables.width) / columns)
-            c, pixel = tables.colours[chosen[column]], shade[row, column]
+            c = tables.colours[chosen[column]]
+            pixel = shade[row, column]
             for k in range(3):
                 squares = (x * x * c[k] + y * y * c[3 + k]) + x * y * c[6 + k]
                 pixel[k] = ((squares + x * c[9 + k]) + y * c[12 + k]) + c[15 + k]
@@ -278,14 +297,16 @@ def _cast_shadows(
             level = math.floor(depth / tables.height_step) + tables.first_height
             if level < 0 or level >= tables.shadow_lengths.shape[1] - 1:
                 continue
-            dark, met = tables.shadows[toward, level], places[: tables.shadow_lengths[toward, level]]
+            dark = tables.shadows[toward, level]
+            met = places[: tables.shadow_lengths[toward, level]]
             for ray in range(tables.fan.shape[1]):
                 _follow(met, row, column, picture.shadow_step, tables.fan[toward, ray], soft.shape)
                 for step in range(len(met)):
                     at = met[step]
                     if at >= 0 and here < surface[at]:
                         for colour in range(3):
-                            held, darker = colours[3 * at + colour], dark[step, colour]
+                            held = colours[3 * at + colour]
+                            darker = dark[step, colour]
                             colours[3 * at + colour] = darker if darker < held else held
 
 
@@ -295,7 +316,10 @@ def _follow(
 ) -> None:
     """Write the numbers of the pixels at the steps of a ray; -1 outside the picture."""
     rows, columns = np.int32(shape[0]), np.int32(shape[1])
-    begin_x, begin_y, along_x, along_y = np.float32(column), np.float32(row), steps_px[0], steps_px[1]
+    begin_x = np.float32(column)
+    begin_y = np.float32(row)
+    along_x = steps_px[0]
+    along_y = steps_px[1]
     cosine, sine = ray[0], ray[1]
     for step in range(len(met)):
         far = np.float32(step + 1)
@@ -347,7 +371,9 @@ def render_taxim(
 def _lay_over(lit: Float64, background: Float64, out: Float32) -> None:
     rows, width = lit.shape
     for row in range(rows):
-        values, behind, shown = lit[row], background[row], out[row].reshape(width)
+        values = lit[row]
+        behind = background[row]
+        shown = out[row].reshape(width)
         for place in range(width):
             value = values[place] + behind[place]
             value = value if value > 0.0 else 0.0

@@ -117,14 +117,16 @@ class Load(NamedTuple):
             found = self.contact(heights_m, whole)
         else:
             found = _plate_contact(self, whole)
-        corner, inward_m = (rows.start, columns.start), found.displacement_m[..., 2]
+        corner = (rows.start, columns.start)
+        inward_m = found.displacement_m[..., 2]
         show_surface(out, corner, inward_m, self._visible_motion(found, sensor), sensor.pixel_m, sensor.gel_m)
         maps = {name: getattr(found, name)[rows, columns].copy() for name in _MAPS}
         return replace(found, **maps, torque_nm=_about_axis(found, sensor))
 
     def contact(self, heights_m: Float64, whole: WholeGel) -> Contact:
         """Press the whole gel to the depth, or to the force, but no deeper than linear theory goes."""
-        found, most_m = self._solved(heights_m, whole), MAX_SHARE * whole.sensor.gel_m
+        found = self._solved(heights_m, whole)
+        most_m = MAX_SHARE * whole.sensor.gel_m
         if self.depth_m is None and found.depth_m > most_m:
             return self._replace(force_n=None, depth_m=most_m)._solved(heights_m, whole)
         return found

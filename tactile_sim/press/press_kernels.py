@@ -101,7 +101,8 @@ def _raise_rows(
     for row in range(first_row, last_row + 1):
         left = max(low_x - _EDGE_PX, l0 + m0 * row, l1 + m1 * row, l2 + m2 * row)
         right = min(high_x + _EDGE_PX, r0 + s0 * row, r1 + s1 * row, r2 + s2 * row)
-        first, last = max(math.ceil(left), 0), min(math.floor(right), columns - 1)
+        first = max(math.ceil(left), 0)
+        last = min(math.floor(right), columns - 1)
         if first > last:
             continue
         level = az + along_column * (row - ay)
@@ -134,8 +135,12 @@ def _layer_rise(height: float, run: float, layers: Float64) -> float:
     In the section across the contour lines, ``across`` and ``down`` lead from the middle of the round end of
     a layer to the point.
     """
-    layer, slack, count, over = layers[0], layers[1], layers[2], height + layers[3]
-    radius, number = 0.5 * layer, math.floor((over + slack) / layer - 0.5)
+    layer = layers[0]
+    slack = layers[1]
+    count = layers[2]
+    over = height + layers[3]
+    radius = 0.5 * layer
+    number = math.floor((over + slack) / layer - 0.5)
     if number < 0 or number >= count:
         return -np.inf
     down = over - (number + 0.5) * layer

@@ -25,7 +25,8 @@ FORCE_N = 5.0
 Span: TypeAlias = tuple[float, float]
 """Least and greatest value; each touch draws its own."""
 MAX_FORCE_N = 1000.0
-MAX_SLIDE_M, MAX_TWIST_RAD = 0.001, math.radians(10.0)
+MAX_SLIDE_M = 0.001
+MAX_TWIST_RAD = math.radians(10.0)
 """Greatest slide, metres, and turn in either direction, radians: beyond them all contacts slip."""
 _MAX_PRESS_M = 0.05
 _MAX_MARKERS = 100  # along a side

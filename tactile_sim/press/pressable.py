@@ -21,7 +21,7 @@ import xxhash
 from tactile_toolkit import cache, checked_fields
 from tactile_toolkit.array_types import AnyArray, Float64, Int32
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import Mesh, MeshLike, as_mesh, check_manifold
+from tactile_toolkit.mesh import Mesh, MeshLike, check_manifold
 
 # Layers of printers have 0.05 to 0.6 mm; a wrong unit gives a factor of 1,000.
 _MIN_LAYER_M, _MAX_LAYER_M = 2e-5, 2e-3
@@ -97,7 +97,7 @@ class Pressable:
         if isinstance(solid, Pressable):  # with layers of its own
             return solid
         layer_m = checked_layer_m(layer_m)
-        mesh = as_mesh(solid)
+        mesh = Mesh.of(solid)
 
         def make() -> Pressable:
             if check:

@@ -14,10 +14,10 @@ from tactile_sim.elastic.contact import Contact, Gel
 from tactile_sim.press import elastic_press
 from tactile_sim.press.pressable import Pressable
 from tactile_sim.press.sensors import Sensor, SensorModel, full_view
-from tactile_toolkit import mesh
 from tactile_toolkit.arithmetic import cosine_sine
 from tactile_toolkit.array_types import Float32, Float64, Int32
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh import MeshLike
 from tactile_toolkit.touch import CELL_M
 
 _RIGID = 1e-6  # greatest error of the entries of a rotation
@@ -113,7 +113,7 @@ def inverse_times(one: Float64, other: Float64) -> Float64:
     return pose_product(inverse, other)
 
 
-Solid: TypeAlias = "mesh.MeshLike | Pressable"
+Solid: TypeAlias = "MeshLike | Pressable"
 """Solids that the gel can be pressed onto."""
 _PLATE_FACES: Int32 = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
 
@@ -248,7 +248,9 @@ def _press_rigid(setup: _Setup, sensor: Sensor) -> Pressed:
     """Press a gel that does not deform: images show the solid. Heights are relative to the targets."""
     scene = _Scene.of(setup, sensor)
     shape = (setup.count, *sensor.size_px[::-1])
-    depths_m, image, highest_m = np.empty(shape), np.empty(shape, np.float32), np.empty(setup.count)
+    depths_m = np.empty(shape)
+    image = np.empty(shape, np.float32)
+    highest_m = np.empty(setup.count)
     for touch in range(setup.count):
         scene.raise_heights(touch, depths_m[touch])
         highest_m[touch] = scene.to_depth(depths_m[touch], image[touch], sensor.press_m, sensor.gel_m)

@@ -219,7 +219,7 @@ def _limits(spec: JsonObject, touches: int, on_object: int) -> list[str]:
     return [
         *CardGel.of(spec).limits,
         shown,
-        *touch.missed_text(touches - on_object, touches),
+        *touch.HeightRule(touch.HeightRule.RENDERED_M, "known").missed_lines(touches - on_object, touches),
     ]
 
 
@@ -256,7 +256,7 @@ def _write_pairs_card(folder: store.DataFolder, manifest: store.Manifest) -> Non
         figures={"with contact": [f"{counts[split]['on_object']:,}" for split in manifest.splits]},
         made=[
             ("without contact, asked for", f"{100 * spec['without_contact']:.4g} % of each split"),
-            ("contact", touch.height_text(spec["min_height_m"])),
+            ("contact", touch.HeightRule(spec["min_height_m"], "known").height_text),
         ],
         values={"size_text": f"{width} x {height} pixels"},
     ).write(folder, manifest, KIND)
@@ -284,5 +284,6 @@ def sheet_png(rows: Sequence[tuple[str, Sequence[AnyArray] | AnyArray]]) -> byte
 def _shown(picture: AnyArray) -> UInt8:
     if picture.ndim == 2:
         picture = np.rint(np.clip(picture, 0, 1) * 255).astype(np.uint8)
-    times, step = -(-_TILE_PX // picture.shape[1]), max(1, picture.shape[1] // _TILE_PX)
+    times = -(-_TILE_PX // picture.shape[1])
+    step = max(1, picture.shape[1] // _TILE_PX)
     return picture[::step, ::step].repeat(times, axis=0).repeat(times, axis=1)

@@ -306,7 +306,7 @@ class TouchGenerator(generation.RowGenerator):
         on_object = 0
         for row in rows:
             plate_m = row.plate_z_m or self.spec.sensor.press_m
-            on_object += int((row.gel_position_m[:, 2] >= plate_m + touch.RENDERED_CONTACT_M).sum())
+            on_object += int((row.gel_position_m[:, 2] >= plate_m + touch.HeightRule.RENDERED_M).sum())
         return {"touches": sum(len(row.images) for row in rows), "on_object": on_object}
 
 

@@ -65,7 +65,7 @@ class PairsSpec:
     without_contact: float = real(
         0.05, 0, 1, metavar="SHARE", help="Fraction of touches without contact, 0 to 1."
     )
-    min_height_m: float | None = touch.contact_height_option(
+    min_height_m: float | None = touch.HeightRule.option(
         above=0, below=0.1, name="--min-height-mm", metavar="MM", read=_metres
     )
     window: str = choice(

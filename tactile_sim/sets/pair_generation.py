@@ -60,11 +60,12 @@ def drawn_depth(spec: PairsSpec, solid: Pressable, object_id: int, number: int) 
     )
 
 
-def draw_touches(touches: read.AnyRecords, spec: PairsSpec, real: str) -> list[tuple[int, bool]]:
+def draw_touches(touches: read.RecordDataset[Any], spec: PairsSpec, real: str) -> list[tuple[int, bool]]:
     """Draw touches with and without contact, each once, in the pattern of the other split."""
     assert spec.min_height_m is not None, "PairsGenerator.of sets it"
     if set(_POSES).isdisjoint(touches.column_names):
-        contact, highest = _contacts_by_image(touches).contact, "as their images show"
+        contact = _contacts_by_image(touches).contact
+        highest = "as their images show"
     else:
         heights_m: Float64 = touches.heights_m()  # type: ignore[attr-defined]
         contact = heights_m >= spec.min_height_m
@@ -105,7 +106,7 @@ class PairsGenerator(generation.RowGenerator):
     objects: touched_solids.Records = field(repr=False)
     real: str
     split: str
-    touches: read.AnyRecords = field(repr=False)
+    touches: read.RecordDataset[Any] = field(repr=False)
     unfinished: str = ""
     kind = replace(KIND, nouns="images")
 
@@ -200,7 +201,8 @@ class PairsGenerator(generation.RowGenerator):
                     if not number or (number - 1) * len(self.objects) // spec.count != place:
                         yield store.Skipped(record.id, "no-solid", f"object {record.id}: {error}")
             if solid is not None:
-                key, contact = f"{record.id}-{number}", not spec.is_empty(number)
+                key = f"{record.id}-{number}"
+                contact = not spec.is_empty(number)
                 image = pairs.encode_depth(drawn_depth(spec, solid, record.id, number))
                 yield pairs.PairRow(
                     key, record.label, record.id, contact, {"bytes": image, "path": f"{key}.png"}

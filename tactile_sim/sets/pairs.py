@@ -49,7 +49,7 @@ def encode_depth(image: Float32) -> bytes:
     shown = np.ones(image.shape)
     if image.any():
         shown = image.astype(np.float64)
-    return touch.encode_png(Image.fromarray(np.rint(shown * DEPTH_LEVELS).astype(np.uint16)))
+    return touch.encode_image(np.rint(shown * DEPTH_LEVELS).astype(np.uint16), "png")
 
 
 def decode_depth(data: bytes) -> Float32:

@@ -60,7 +60,9 @@ def press_round(
     spec: GenerateSpec, solid: Pressable, poses: Float64, targets: Float64, key: tuple[str, int, int]
 ) -> PressedRound:
     """Press and render the touches of a round; ``key`` is its split, object and number."""
-    optics, press, further = optics_of(spec), spec.press, JsonDict()
+    optics = optics_of(spec)
+    press = spec.press
+    further = JsonDict()
     shown = _depth_sensor(spec, optics)
     if press is None:
         if spec.sensor.press_m != PRESS_DEPTH_M:
@@ -193,7 +195,7 @@ def preview_touch(
     is_contact = depth_m < made.sensor.gel_m
     if made.pressed.contacts:
         is_contact = made.pressed.contact.is_contact
-    touched = float((is_contact & (sensor_z_m - depth_m >= touch.RENDERED_CONTACT_M)).mean())
+    touched = float((is_contact & (sensor_z_m - depth_m >= touch.HeightRule.RENDERED_M)).mean())
     forces = {name: made.further[name][0].tolist() for name in _SHOWN if name in made.further}
     return TouchPreview(made.images[0], sensor_z_m, touched, _bounds_m(solid, stands), forces)
 

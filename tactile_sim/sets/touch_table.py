@@ -180,7 +180,8 @@ def _column(name: str, value: ArrayLike) -> AnyArray:
         fits = np.abs(numbers) <= most
         expected = f"metres from {-most:g} to {most:g}"
     else:
-        fits, expected = np.abs(numbers) <= _MAX_TURNS_RAD, "radians"
+        fits = np.abs(numbers) <= _MAX_TURNS_RAD
+        expected = "radians"
     if not fits.all():
         row = int(np.argmin(fits))
         raise InputError(

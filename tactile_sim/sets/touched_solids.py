@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from os import PathLike
-from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
@@ -23,22 +22,23 @@ _TRAIN = "train"  # split of solids without a stated split
 
 
 @dataclass(frozen=True)
-class _MeshFile:
+class _ListedFile:
     """A mesh file, identified by its content when it was listed."""
 
-    path: str
-    root: Path | None
-    unit: str | None
+    file: mesh.MeshFile
     sha256: str
 
+    @property
+    def path(self) -> str:
+        return str(self.file.path)
+
     def read(self) -> mesh.Mesh:
-        path = Path(self.path)
-        content = mesh.file_content(path, self.root)
+        content = self.file.content()
         if hashlib.sha256(content).hexdigest() != self.sha256:
             raise IntegrityError(
                 f"{self.path!r} was replaced or changed during the run", next="run the command again"
             )
-        return mesh.parse_mesh(content, mesh.file_ending(path), self.unit)
+        return self.file.parse(content)
 
 
 @dataclass(frozen=True)
@@ -51,13 +51,13 @@ class GivenSolid:
     id: int
     label: int
     name: str
-    source: _MeshFile | mesh.Mesh = field(repr=False)
+    source: _ListedFile | mesh.Mesh = field(repr=False)
     facts: JsonObject = field(repr=False)
 
     def mesh(self) -> mesh.Mesh:
         """Read the mesh, metres; ItemError if it cannot be read, or is larger than the cell."""
         found = self.source
-        if isinstance(found, _MeshFile):
+        if isinstance(found, _ListedFile):
             try:
                 found = found.read()
             except InputError as error:
@@ -101,9 +101,9 @@ class GivenSolids:
         return np.array([getattr(each, name) for each in self.solids], np.int64)
 
     @property
-    def files(self) -> tuple[_MeshFile, ...]:
+    def files(self) -> tuple[_ListedFile, ...]:
         """The files, each with its ``path``."""
-        return tuple(each.source for each in self.solids if isinstance(each.source, _MeshFile))
+        return tuple(each.source for each in self.solids if isinstance(each.source, _ListedFile))
 
     def fingerprints(self) -> list[JsonDict]:
         """Return JSON values that identify the solids, in the order of their numbers."""
@@ -126,29 +126,24 @@ def given_solids(
     if isinstance(source, Mapping):
         mesh.refuse_unit(unit, "meshes in memory")
         return _in_memory(source)
-    mesh.require_unit(unit)
-    found = mesh.find_mesh_files(source)
+    found = mesh.find_mesh_files(source, unit)
     if found is None:
         return None
     listed = ((split or _TRAIN, file) for split, files in found.splits.items() for file in files)
     solids: dict[str, list[GivenSolid]] = {}
     for number, (split, file) in enumerate(listed):
-        content = _digest_of(file, found.root)
+        try:
+            content = hashlib.sha256(file.content()).hexdigest()
+        except InputError as error:
+            raise InputError(f"{file.path}: {error}") from error
         facts: JsonDict = {"sha256": content}
-        stated = mesh.unit_of_file(file, unit)
-        if stated is not None:
-            facts["unit"] = stated
-        read = _MeshFile(str(file.absolute()), found.root and found.root.absolute(), unit, content)
-        label = found.class_names.index(found.classes[file])
-        solids.setdefault(split, []).append(GivenSolid(number, label, found.name_of(file), read, facts))
+        if file.assumed_unit is not None:
+            facts["unit"] = file.assumed_unit
+        # Absolute, because the file is read later.
+        kept = replace(file, path=file.path.absolute(), root=file.root and file.root.absolute())
+        solid = GivenSolid(number, file.label, file.name, _ListedFile(kept, content), facts)
+        solids.setdefault(split, []).append(solid)
     return {split: GivenSolids(tuple(each), found.class_names) for split, each in solids.items()}
-
-
-def _digest_of(file: Path, root: Path | None) -> str:
-    try:
-        return hashlib.sha256(mesh.file_content(file, root)).hexdigest()
-    except InputError as error:
-        raise InputError(f"{file}: {error}") from error
 
 
 def _in_memory(meshes: Meshes) -> dict[str, GivenSolids]:
@@ -158,7 +153,7 @@ def _in_memory(meshes: Meshes) -> dict[str, GivenSolids]:
             raise InputError(f"a class of the meshes is called {name!r}; expected a text")
         several = given if isinstance(given, (list, tuple)) else [given]
         for number, each in enumerate(several):
-            found = mesh.as_mesh(each)
+            found = mesh.Mesh.of(each)
             # A copy, because the mesh may change while touches are made.
             held = mesh.Mesh(np.array(found.vertices_m, np.float64), np.array(found.faces, np.int32))
             facts = {"sha256": _digest(held)}
@@ -245,7 +240,7 @@ def mesh_of(solid: mesh.SolidRecord | GivenSolid) -> mesh.Mesh:
     """Return the mesh of a solid; InputError if its file cannot be used."""
     if isinstance(solid, GivenSolid):
         return solid.mesh()
-    return mesh.as_mesh(solid)
+    return mesh.Mesh.of(solid)
 
 
 def require_known_objects(name: str, splits: Mapping[str, Solids], given: TouchTable) -> None:

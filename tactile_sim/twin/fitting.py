@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from tactile_toolkit.array_types import Bool, Float32, Float64
 
 COEFFICIENTS = gel_kernels.ENTRIES * gel_kernels.PLACES
-_SHARED, _OWN = len(Fitted), 4
+_SHARED = len(Fitted)
+_OWN = 4
 # Steps of the finite differences for derivatives, and expected deviations from the guess.
 _SHAPE_STEP = np.array([0.004, 0.004, 0.01, 3e-5, 5e-5, 1.5e-5, 0.03, 2e-5])
 _SHAPE_SPREAD = np.array([0.15, 0.15, 0.05, 2e-3, 4e-4, 4e-5, 0.15, 5e-5])

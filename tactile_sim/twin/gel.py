@@ -143,7 +143,9 @@ def _blur(sigma_px: tuple[float, float], size: tuple[int, int], reach: float, ha
     while min(sigma_x, sigma_y) >= halved_px and columns >= _MIN_HALVED_PX:
         # Halving and doubling blur too: each has a variance of 3 / 4 square pixels.
         sigma_x, sigma_y = (np.sqrt(sigma * sigma - 1.5) / 2 for sigma in (sigma_x, sigma_y))
-        rows, columns, halvings = (rows + 1) // 2, (columns + 1) // 2, halvings + 1
+        rows = (rows + 1) // 2
+        columns = (columns + 1) // 2
+        halvings = halvings + 1
         halved_px = _HALVED_PX[1]
     across = half_kernel(sigma_x, columns, reach)
     down = half_kernel(sigma_y, rows, reach)

@@ -120,24 +120,36 @@ def _row_places(places: Float32, soft: Float32, row: int, view: SurfaceView) -> 
     """
     rows, columns = soft.shape
     zero, one, two = np.float32(0.0), np.float32(1.0), np.float32(2.0)
-    right_angle, per_turn = np.float32(0.5 * math.pi), np.float32(TURNS / (2.0 * math.pi))
-    straight, whole, bow = np.float32(math.pi), np.float32(2.0 * math.pi), np.float32(_BOW)
-    quarter, least, tiny = np.float32(0.25 * math.pi), np.float32(_LEVEL * _LEVEL), np.float32(1e-12)
-    last, per_steep = np.float32(STEPS - 1.0), np.float32(1.0 / STEEPEST)
+    right_angle = np.float32(0.5 * math.pi)
+    per_turn = np.float32(TURNS / (2.0 * math.pi))
+    straight = np.float32(math.pi)
+    whole = np.float32(2.0 * math.pi)
+    bow = np.float32(_BOW)
+    quarter = np.float32(0.25 * math.pi)
+    least = np.float32(_LEVEL * _LEVEL)
+    tiny = np.float32(1e-12)
+    last = np.float32(STEPS - 1.0)
+    per_steep = np.float32(1.0 / STEEPEST)
     most, most_turn = np.float32(STEPS - 1.0001), np.float32(TURNS - 1e-5)
-    above, line, below = soft[max(row - 1, 0)], soft[row], soft[min(row + 1, rows - 1)]
+    above = soft[max(row - 1, 0)]
+    line = soft[row]
+    below = soft[min(row + 1, rows - 1)]
     per_y = np.float32(1.0 / (view.pitch_y * (min(row + 1, rows - 1) - max(row - 1, 0))))
-    per_x, per_deep = np.float32(0.5 / view.pitch_x), np.float32(-(STEPS - 1) / (DEEPEST * view.rim))
+    per_x = np.float32(0.5 / view.pitch_x)
+    per_deep = np.float32(-(STEPS - 1) / (DEEPEST * view.rim))
     v = row_y(row, rows, view)
-    across, down = np.float32(view.across), np.float32(1.0 - view.across)
-    both, lens = np.float32(math.sqrt(view.across * (1.0 - view.across))), np.float32(view.lens)
+    across = np.float32(view.across)
+    down = np.float32(1.0 - view.across)
+    both = np.float32(math.sqrt(view.across * (1.0 - view.across)))
+    lens = np.float32(view.lens)
     turns, steeps, deeps = places[0], places[1], places[2]
     for column in range(1, columns - 1):
         steeps[column] = (line[column + 1] - line[column - 1]) * per_x
     steeps[0] = (line[1] - line[0]) * per_x * two
     steeps[columns - 1] = (line[columns - 1] - line[columns - 2]) * per_x * two
     for column in range(columns):
-        x, y = steeps[column], (above[column] - below[column]) * per_y
+        x = steeps[column]
+        y = (above[column] - below[column]) * per_y
         u = column_x(column, columns, view)
         bend = one + lens * (across * u * u + down * v * v)
         xx, yy = bend + two * lens * across * u * u, bend + two * lens * down * v * v
@@ -157,7 +169,8 @@ def _row_places(places: Float32, soft: Float32, row: int, view: SurfaceView) -> 
         angle = angle if angle < most_turn else most_turn
         turns[column] = angle if square > least else -one
         tangent = math.sqrt(square) / (one + math.sqrt(one + square))
-        steep, deep = last * math.sqrt(tangent * per_steep), line[column] * per_deep
+        steep = last * math.sqrt(tangent * per_steep)
+        deep = line[column] * per_deep
         deep = deep if deep > zero else zero
         steeps[column] = steep if steep < most else most
         deeps[column] = deep if deep < most else most
@@ -175,7 +188,8 @@ def features(soft: Float32, view: SurfaceView, entries: Int64, shares: Float32) 
     for row in range(rows):
         _row_places(places, soft, row, view)
         for column in range(columns):
-            at, turn = row * columns + column, places[0, column]
+            at = row * columns + column
+            turn = places[0, column]
             if turn < 0.0:
                 entries[at], shares[at] = 0, 0.0
                 continue
@@ -186,7 +200,8 @@ def features(soft: Float32, view: SurfaceView, entries: Int64, shares: Float32) 
                 share = part if side else 1.0 - part
                 for kind in range(2):
                     place = places[1 + kind, column]
-                    node, k = int(place), 4 * side + 2 * kind
+                    node = int(place)
+                    k = 4 * side + 2 * kind
                     entries[at, k] = begin + kind * STEPS + node
                     entries[at, k + 1] = entries[at, k] + 1
                     shares[at, k] = share * (1.0 - (place - node))
@@ -204,8 +219,11 @@ def _terms(terms: Float64, at: int, rows: int, columns: int, span: Float64) -> N
 def add_normal(normal: Float64, entries: Int64, shares: Float32, weights: Float32) -> None:
     """Add weighted products of features to the lower half of the normal matrix of coefficients."""
     rows, columns = weights.shape
-    terms, count, span = np.empty(PLACES), ACTIVE * PLACES, np.ones(2)
-    values, places = np.empty(count), np.empty(count, np.int64)
+    terms = np.empty(PLACES)
+    count = ACTIVE * PLACES
+    span = np.ones(2)
+    values = np.empty(count)
+    places = np.empty(count, np.int64)
     for at in range(len(entries)):
         weight = weights[at // columns, at % columns]
         if weight <= 0.0 or not shares[at].any():
@@ -219,7 +237,8 @@ def add_normal(normal: Float64, entries: Int64, shares: Float32, weights: Float3
                 values[number * PLACES + place] = shares[at, k] * terms[place]
                 places[number * PLACES + place] = entries[at, k] * PLACES + place
         for one in range(count):
-            weighed, line = values[one] * weight, normal[places[one]]
+            weighed = values[one] * weight
+            line = normal[places[one]]
             for other in range(one + 1):
                 line[places[other]] += weighed * values[other]
 
@@ -228,7 +247,8 @@ def add_normal(normal: Float64, entries: Int64, shares: Float32, weights: Float3
 def add_products(out: Float64, entries: Int64, shares: Float32, given: Float32) -> None:
     """Add the products of features and given columns (H, W, m) to ``out`` (coefficients, m)."""
     rows, columns, many = given.shape
-    terms, span = np.empty(PLACES), np.ones(2)
+    terms = np.empty(PLACES)
+    span = np.ones(2)
     for at in range(len(entries)):
         line = given[at // columns, at % columns]
         if not shares[at].any():
@@ -236,7 +256,8 @@ def add_products(out: Float64, entries: Int64, shares: Float32, given: Float32) 
         _terms(terms, at, rows, columns, span)
         for k in range(ACTIVE):
             for place in range(PLACES):
-                share, total = shares[at, k] * terms[place], out[entries[at, k] * PLACES + place]
+                share = shares[at, k] * terms[place]
+                total = out[entries[at, k] * PLACES + place]
                 for column in range(many):
                     total[column] += share * line[column]
 
@@ -249,12 +270,15 @@ def render_response(out: Float32, soft: Float32, view: SurfaceView, table: Float
     summed once for each row. Pixels at rest are 0.
     """
     rows, columns = soft.shape
-    turn, one = 2 * STEPS, np.float32(1.0)
+    turn = 2 * STEPS
+    one = np.float32(1.0)
     # The first direction is repeated after the last one.
     lines = np.empty((ENTRIES + turn, ENTRY_VALUES), np.float32)
-    flat, size = lines.reshape(lines.size), ENTRIES * ENTRY_VALUES
+    flat = lines.reshape(lines.size)
+    size = ENTRIES * ENTRY_VALUES
     plain, once, twice = table[0].reshape(size), table[1].reshape(size), table[2].reshape(size)
-    places, term = np.empty((3, columns), np.float32), np.empty(ENTRY_VALUES, np.float32)
+    places = np.empty((3, columns), np.float32)
+    term = np.empty(ENTRY_VALUES, np.float32)
     out[:] = np.float32(0.0)
     for row in range(rows):
         _row_places(places, soft, row, view)
@@ -271,18 +295,21 @@ def render_response(out: Float32, soft: Float32, view: SurfaceView, table: Float
             far = places[0, column] - np.float32(first)
             fi, fj = places[1, column] - np.float32(i), places[2, column] - np.float32(j)
             near, gi, gj = one - far, one - fi, one - fj
-            steep, deep = first * turn + i, first * turn + STEPS + j
-            a, b, c, d = lines[steep], lines[steep + 1], lines[deep], lines[deep + 1]
-            e, f, g, h = (
-                lines[steep + turn],
-                lines[steep + turn + 1],
-                lines[deep + turn],
-                lines[deep + turn + 1],
-            )
+            steep = first * turn + i
+            deep = first * turn + STEPS + j
+            a = lines[steep]
+            b = lines[steep + 1]
+            c = lines[deep]
+            d = lines[deep + 1]
+            e = lines[steep + turn]
+            f = lines[steep + turn + 1]
+            g = lines[deep + turn]
+            h = lines[deep + turn + 1]
             for m in range(ENTRY_VALUES):
                 here = (gi * a[m] + fi * b[m]) + (gj * c[m] + fj * d[m])
                 there = (gi * e[m] + fi * f[m]) + (gj * g[m] + fj * h[m])
                 term[m] = near * here + far * there
-            x, pixel = column_x(column, columns, view), out[row, column]
+            x = column_x(column, columns, view)
+            pixel = out[row, column]
             for k in range(3):
                 pixel[k] = term[k] + x * (term[4 + k] + x * term[8 + k])

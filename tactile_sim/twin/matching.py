@@ -286,7 +286,8 @@ def _stepped(
     fit: Fit, touch: int, pose: Float64, change: Float64, unsaturated: Bool, steps: int
 ) -> tuple[float, Float64]:
     """Move a pose by Gauss-Newton steps; return the least error, levels, and its pose."""
-    guess, best = pose, (np.inf, pose)
+    guess = pose
+    best = (np.inf, pose)
     for number in range(steps + 1):
         base = fit.rendered(touch, pose, fit.shape)[unsaturated]
         residuals = change - base

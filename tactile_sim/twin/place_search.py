@@ -107,7 +107,9 @@ def free_places(fit: Fit, changes: Changes, press_m: float, near: Float64 | None
             down, right = slopes
             squares = [windows.sums(each) for each in (down * down, down * right, right * right)]
             least = _FAINT * float((squares[0] + squares[2]).max())
-            one, mixed, two = squares[0] + least, squares[1], squares[2] + least
+            one = squares[0] + least
+            mixed = squares[1]
+            two = squares[2] + least
             spectrum = windows.spectrum(slopes)
             for touch, image in spectra.items():
                 is_near = turned.is_near(near, touch)

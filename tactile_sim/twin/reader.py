@@ -213,7 +213,8 @@ def integrated(slopes: Float32) -> Float32:
     Poisson's equation with free edges, by the cosine transform (Agrawal, Raskar and Chellappa, ECCV 2006).
     """
     rows, columns, _ = slopes.shape
-    along_x, along_y = slopes[..., 0], -slopes[..., 1]
+    along_x = slopes[..., 0]
+    along_y = -slopes[..., 1]
     middle_x = (along_x[:, 1:] + along_x[:, :-1]) / 2
     middle_y = (along_y[1:] + along_y[:-1]) / 2
     bend = np.zeros((rows, columns), np.float32)
@@ -262,7 +263,8 @@ def _trained(mode: str, samples: list[_Sample], rng: np.random.Generator) -> dic
     targets = np.concatenate([each.slopes for each in samples])
     name = f"{mode}_slope"
     reader = trained(name, inputs, targets, _SLOPE_HIDDEN, 2, _slope_gradient, rng, _SLOPE_STEPS)
-    first, targets = 0, np.concatenate([each.depth_mm for each in samples])
+    first = 0
+    targets = np.concatenate([each.depth_mm for each in samples])
     for each in samples:
         colours = _colours(each.change)
         slopes = network_output(reader, name, colours).reshape(*each.change.shape[:2], 2)

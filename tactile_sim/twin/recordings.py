@@ -12,7 +12,7 @@ from tactile_sim.press.press_kernels import rasterise
 from tactile_sim.press.pressable import Pressable
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64, UInt8
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import Mesh, MeshLike, as_mesh
+from tactile_toolkit.mesh import Mesh, MeshLike
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS
 from tactile_toolkit.wording import with_count
 
@@ -136,7 +136,7 @@ class Recordings:
         if self.object_poses is None:
             object.__setattr__(self, "object_poses", np.zeros((count, 3)))
         object.__setattr__(self, "object_ids", ids.astype(np.int64))
-        meshes = {int(key): as_mesh(self.solids[key]) for key in sorted(set(ids.tolist()))}
+        meshes = {int(key): Mesh.of(self.solids[key]) for key in sorted(set(ids.tolist()))}
         object.__setattr__(self, "solids", meshes)
         names = self.names or tuple(map(str, range(count)))
         if len(names) != count:
@@ -165,7 +165,7 @@ class Recordings:
 
     def mesh(self, object_id: int) -> Mesh:
         """Return a solid."""
-        return as_mesh(self.solids[object_id])
+        return Mesh.of(self.solids[object_id])
 
     def places(self) -> Float64 | None:
         """Return the point of each solid under the sensor, x and y, metres, and the turn, radians; (N, 3)."""

@@ -14,7 +14,10 @@ from tactile_sim.twin.recordings import Recordings, Relief
 from tactile_toolkit.array_types import Float32, Float64, Int64
 
 # First guesses, close to Taxim's calibration of the GelSight Mini.
-_WIDTH_M, _LAST_M, _CONTACT, _BLUR_M = 9e-4, 6e-5, 0.6, 6e-5
+_WIDTH_M = 9e-4
+_LAST_M = 6e-5
+_CONTACT = 0.6
+_BLUR_M = 6e-5
 # Expected errors of poses: x and y, metres; turn, radians; press depth, metres.
 _SPREAD = np.array([2e-4, 2e-4, 0.015, 1e-4])
 _UNKNOWN_PRESS_M = 5e-4
@@ -81,7 +84,8 @@ def first_background(recordings: Recordings) -> Float32:
 def run_fit(fit: Fit, on_progress: Callable[[int, int], None] | None = None) -> None:
     """Run the rounds of a fit, from coarse to fine images."""
     width = fit.recordings.size_px[0]
-    done, total = 0, sum(steps for _, steps, _, _ in _ROUNDS) + _PASSES + 2
+    done = 0
+    total = sum(steps for _, steps, _, _ in _ROUNDS) + _PASSES + 2
 
     def advance(to: int) -> None:
         if on_progress is not None:
@@ -161,7 +165,8 @@ def _touch(fit: Fit, touch: int) -> dict[str, Any]:
     return {**values, **spread_of(fit, touch)}
 
 
-_LOOSE_M, _LOOSE_RAD = 1e-4, np.deg2rad(0.5)
+_LOOSE_M = 1e-4
+_LOOSE_RAD = np.deg2rad(0.5)
 
 
 def spread_of(fit: Fit, touch: int) -> dict[str, Any]:

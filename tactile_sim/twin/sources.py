@@ -19,7 +19,7 @@ from tactile_toolkit import places, store, touch
 from tactile_toolkit.array_types import Float64, UInt8
 from tactile_toolkit.columns import tables, units
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import Mesh, as_mesh
+from tactile_toolkit.mesh import Mesh
 from tactile_toolkit.wording import natural_key
 
 MAX_TOUCHES = 60
@@ -271,7 +271,7 @@ def _solids(
         held = open_split(place, split)
         for row, number in enumerate(held.ids.tolist()):
             if number in wanted and number not in found:
-                found[number] = as_mesh(held[row])
+                found[number] = Mesh.of(held[row])
     return found
 
 

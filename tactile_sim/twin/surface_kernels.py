@@ -32,26 +32,33 @@ def extend(depth: Float64, level: float, margin: int) -> Float32:
     """
     rows, columns = depth.shape
     out = np.empty((rows + 2 * margin, columns + 2 * margin), np.float32)
-    zero, run = np.float32(0.0), np.float32(_RUN)
+    zero = np.float32(0.0)
+    run = np.float32(_RUN)
     tops = np.zeros(columns, np.float32)
     for row in range(rows):
-        line, wide = depth[row], out[row + margin]
+        line = depth[row]
+        wide = out[row + margin]
         middle = wide[margin:]
         for column in range(columns):
             value = np.float32(level - line[column])
             value = value if value > zero else zero
             middle[column] = value
             tops[column] = value if value > tops[column] else tops[column]
-        first, end = (middle[_RUN] - middle[0]) / run, columns - 1
+        first = (middle[_RUN] - middle[0]) / run
+        end = columns - 1
         last = (middle[end] - middle[end - _RUN]) / run
         for far in range(1, margin + 1):
             wide[margin - far] = middle[0] - np.float32(far) * first
             middle[end + far] = middle[end] + np.float32(far) * last
     greatest = tops.max()
-    top, bottom = out[margin], out[margin + rows - 1]
-    inner_top, inner_bottom = out[margin + _RUN], out[margin + rows - 1 - _RUN]
+    top = out[margin]
+    bottom = out[margin + rows - 1]
+    inner_top = out[margin + _RUN]
+    inner_bottom = out[margin + rows - 1 - _RUN]
     for far in range(1, margin + 1):
-        above, below, distance = out[margin - far], out[margin + rows - 1 + far], np.float32(far)
+        above = out[margin - far]
+        below = out[margin + rows - 1 + far]
+        distance = np.float32(far)
         for column in range(len(top)):
             above[column] = top[column] - distance * ((inner_top[column] - top[column]) / run)
             below[column] = bottom[column] + distance * ((bottom[column] - inner_bottom[column]) / run)
@@ -81,7 +88,8 @@ def press_gel(
     """
     held = np.empty(indentation.shape, np.float32)
     greatest = _turn_over(held, indentation, margin)
-    begin, last = 0.5 * edge - share * greatest, len(blurs) - 1
+    begin = 0.5 * edge - share * greatest
+    last = len(blurs) - 1
     soft = np.empty_like(held)
     soften(soft, held, blurs[0], 0)
     _hold(soft, held, 0, begin, 1.0 / edge)
@@ -98,7 +106,10 @@ def _hold(soft: Float32, held: Float32, inset: int, begin: float, per_edge: floa
 
     Contact begins below the height ``begin``, metres, and grows from 0 to 1 by ``per_edge`` for each metre.
     """
-    zero, one, level, growth = np.float32(0.0), np.float32(1.0), np.float32(begin), np.float32(per_edge)
+    zero = np.float32(0.0)
+    one = np.float32(1.0)
+    level = np.float32(begin)
+    growth = np.float32(per_edge)
     for row in range(inset, len(soft) - inset):
         line, target = soft[row, inset:], held[row, inset:]
         for column in range(len(line) - inset):
@@ -154,11 +165,14 @@ def halved(wide: Float32) -> Float32:
     """Return a map of half the size, averaged with the weights 1, 3, 3, 1; the edge is repeated."""
     rows, columns = wide.shape
     high, across = (rows + 1) // 2, (columns + 1) // 2
-    out, line = np.empty((high, across), np.float32), np.empty(columns + 3, np.float32)
-    three, part = np.float32(3.0), np.float32(1.0 / 64.0)
+    out = np.empty((high, across), np.float32)
+    line = np.empty(columns + 3, np.float32)
+    three = np.float32(3.0)
+    part = np.float32(1.0 / 64.0)
     middle = line[1:]
     for row in range(high):
-        a, b = wide[max(2 * row - 1, 0)], wide[2 * row]
+        a = wide[max(2 * row - 1, 0)]
+        b = wide[2 * row]
         c, d = wide[min(2 * row + 1, rows - 1)], wide[min(2 * row + 2, rows - 1)]
         for column in range(columns):
             middle[column] = ((a[column] + d[column]) + three * (b[column] + c[column])) * part
@@ -176,11 +190,14 @@ def double(out: Float32, small: Float32) -> None:
     """Write a map of twice the size, bilinearly; if a side is odd, the last pixel is left out."""
     rows, columns = out.shape
     high, wide = small.shape
-    three, part, line = np.float32(3.0), np.float32(1.0 / 16.0), np.empty(wide + 2, np.float32)
+    three = np.float32(3.0)
+    part = np.float32(1.0 / 16.0)
+    line = np.empty(wide + 2, np.float32)
     middle = line[1:]
     for row in range(rows):
         at = row // 2
-        near, far = small[at], small[min(at + 1, high - 1) if row % 2 else max(at - 1, 0)]
+        near = small[at]
+        far = small[min(at + 1, high - 1) if row % 2 else max(at - 1, 0)]
         for column in range(wide):
             middle[column] = (three * near[column] + far[column]) * part
         line[0], middle[wide] = middle[0], middle[wide - 1]
@@ -203,15 +220,24 @@ def bend_surface(
     """
     rows, columns = out.shape
     high, wide = surface.shape
-    places, parts = np.empty(columns, np.int32), np.empty((2, columns), np.float32)
-    zero, one, down, flat = 0.0, np.float32(1.0), 1.0 - across, surface.reshape(surface.size)
-    most_x, most_y, right, below = wide - 1.0, high - 1.0, np.int32(wide - 2), np.int32(high - 2)
+    places = np.empty(columns, np.int32)
+    parts = np.empty((2, columns), np.float32)
+    zero = 0.0
+    one = np.float32(1.0)
+    down = 1.0 - across
+    flat = surface.reshape(surface.size)
+    most_x = wide - 1.0
+    most_y = high - 1.0
+    right = np.int32(wide - 2)
+    below = np.int32(high - 2)
     for row in range(rows):
-        v, from_middle = span[1] * (1.0 - (2.0 * row + 1.0) / rows), row + 0.5 - 0.5 * rows
+        v = span[1] * (1.0 - (2.0 * row + 1.0) / rows)
+        from_middle = row + 0.5 - 0.5 * rows
         for column in range(columns):
             u = span[0] * ((2.0 * column + 1.0) / columns - 1.0)
             bend = lens * (across * u * u + down * v * v)
-            x, y = column + margin + bend * (column + 0.5 - 0.5 * columns), row + margin + bend * from_middle
+            x = column + margin + bend * (column + 0.5 - 0.5 * columns)
+            y = row + margin + bend * from_middle
             x, y = (x if x > zero else zero), (y if y > zero else zero)
             x, y = (x if x < most_x else most_x), (y if y < most_y else most_y)
             i, j = np.int32(x), np.int32(y)
@@ -220,7 +246,9 @@ def bend_surface(
             parts[0, column], parts[1, column] = x - i, y - j
         target = out[row]
         for column in range(columns):
-            at, fx, fy = places[column], parts[0, column], parts[1, column]
+            at = places[column]
+            fx = parts[0, column]
+            fy = parts[1, column]
             target[column] = (one - fy) * ((one - fx) * flat[at] + fx * flat[at + 1]) + fy * (
                 (one - fx) * flat[at + wide] + fx * flat[at + wide + 1]
             )
@@ -230,7 +258,9 @@ def bend_surface(
 def lay_over(out: Float32, response: Float32, behind: Float32) -> None:
     """Write the shades, 0 to 1, (H, W, 3), of a response over a background; both are in levels."""
     flat, change, below = out.reshape(out.size), response.reshape(out.size), behind.reshape(out.size)
-    zero, one, part = np.float32(0.0), np.float32(1.0), np.float32(1.0 / 255.0)
+    zero = np.float32(0.0)
+    one = np.float32(1.0)
+    part = np.float32(1.0 / 255.0)
     for at in range(len(flat)):
         shade = (change[at] + below[at]) * part
         shade = shade if shade > zero else zero

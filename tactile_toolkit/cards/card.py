@@ -306,7 +306,7 @@ def with_repo_name(card: str, name: str) -> str:
 def rows_to_draw(facts: FolderSummary, columns: Sequence[str]) -> Iterator[read.Row]:
     """Yield the rows of the first split with rows, reading given columns block by block."""
     shards = next((split.shards for split in facts.splits if split.rows), ())
-    for block in read.all_blocks(shards, list(columns)):
+    for block in read.ShardedTable(tuple(shards)).blocks(list(columns)):
         yield from (read.Row(block, index) for index in range(len(block.table)))
 
 

@@ -7,7 +7,6 @@ from .row_options import (
     IDS as IDS,
     LABELS as LABELS,
     LIMIT as LIMIT,
-    ONE_SPLIT as ONE_SPLIT,
     PER_CLASS as PER_CLASS,
     PreviewSpec as PreviewSpec,
     RowFilter as RowFilter,

@@ -66,7 +66,6 @@ def id_text(given: GivenId) -> str:
 
 # Each is the default of all parameters and fields of its name: `dataclasses` notes the name in it.
 SPLIT = text(metavar="NAME", help="Only this split; all by default.")
-ONE_SPLIT = text(metavar="NAME", help="Split to open; required if there are several.")
 IDS = text(name="--ids", metavar="3,17,40-60", read=parse_ids, help="Only the objects with these ids.")
 LABELS = text(metavar="3,7", read=comma_separated, help="Only the objects of these classes.")
 LIMIT = integer(None, 1, optional=True, help="Only the first N rows of each split.")

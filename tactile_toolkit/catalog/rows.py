@@ -19,7 +19,7 @@ from tactile_toolkit.catalog.row_options import GivenId, IdChoice, id_range, id_
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 
-D = TypeVar("D", bound=read.AnyRecords)
+D = TypeVar("D", bound=read.RecordDataset[Any])
 # Rows with ids, object_ids, labels and label_names, such as a RecordDataset.
 C = TypeVar("C", bound=Any)
 

@@ -268,12 +268,14 @@ def _supported(values: pa.Array | pa.ChunkedArray) -> pa.Array:
 
 
 def _list_column(column: pa.Array) -> pa.Array:
-    lengths, values = pc.list_value_length(column), _supported(column.flatten())
+    lengths = pc.list_value_length(column)
+    values = _supported(column.flatten())
     while pa.types.is_list(values.type):
         widths = lengths_of(values)
         if len(widths) != 1 or values.null_count:
             return _from_lists(column.to_pylist())
-        lengths, values = pc.multiply(lengths, widths[0]), _supported(values.flatten())
+        lengths = pc.multiply(lengths, widths[0])
+        values = _supported(values.flatten())
     entries = from_arrow(values)
     if not is_leaf(entries.type):
         return _as_json(column.to_pylist())

@@ -99,7 +99,8 @@ class Table:
 
     def scan(self, column: str = "") -> tuple[int, pa.Array]:
         """Read all rows to find the types of columns; return the number of rows, and values of a column."""
-        rows, kept = 0, []
+        rows = 0
+        kept = []
         with self._named_errors():
             for batch in self._batches():
                 rows += len(batch)
@@ -111,7 +112,8 @@ class Table:
 
     def rows(self, numbers: Int64) -> dict[str, pa.Array]:
         """Return rows by their numbers, int64, shape (n,), n > 0, increasing; needs :meth:`scan` before."""
-        parts, start = [], 0
+        parts = []
+        start = 0
         for batch in self._batches():
             first, last = np.searchsorted(numbers, [start, start + len(batch)])
             if first < last:
@@ -136,7 +138,8 @@ class Table:
 
     def _batches(self, most_rows: int = 0) -> Iterator[pa.Table]:
         """Yield the rows, a few at a time; values of text tables are text."""
-        rows, most_rows = 0, most_rows or MAX_ROWS
+        rows = 0
+        most_rows = most_rows or MAX_ROWS
         with self._named_errors(), self._open() as stream:
             for batch in self._read(stream, self.path):
                 rows += len(batch)

@@ -71,7 +71,7 @@ class RowsTask:
     information, such as its report.
     """
 
-    dataset: read.AnyRecords
+    dataset: read.RecordDataset[Any]
     split: str
     item: ItemMaker
     known: tuple[object, ...] = field(repr=False)

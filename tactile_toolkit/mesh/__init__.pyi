@@ -9,20 +9,17 @@ from .solid_check import (
     require_solid as require_solid,
 )
 from .files import (
-    file_content as file_content,
     file_ending as file_ending,
     find_mesh_files as find_mesh_files,
     FORMATS as FORMATS,
+    MeshFile as MeshFile,
     MeshFiles as MeshFiles,
     pack_mesh as pack_mesh,
-    parse_mesh as parse_mesh,
     read_mesh as read_mesh,
-    unit_of_file as unit_of_file,
     unpack_mesh as unpack_mesh,
     write_mesh as write_mesh,
 )
 from .mesh import (
-    as_mesh as as_mesh,
     join_surfaces as join_surfaces,
     Mesh as Mesh,
     MeshLike as MeshLike,
@@ -32,7 +29,6 @@ from .box_tree import (
     connected as connected,
 )
 from .printability import (
-    explained as explained,
     inspect as inspect,
     print_advice as print_advice,
     PrintReport as PrintReport,
@@ -43,7 +39,6 @@ from .printability import (
 from .mesh_options import (
     PrintProfile as PrintProfile,
     refuse_unit as refuse_unit,
-    require_unit as require_unit,
     UNIT as UNIT,
 )
 from .raster import (
@@ -64,9 +59,6 @@ from .records import (
     SolidDataset as SolidDataset,
     SolidRecord as SolidRecord,
     VERTICES as VERTICES,
-)
-from .crossings import (
-    self_crossing as self_crossing,
 )
 from .threemf import (
     BuildItem as BuildItem,

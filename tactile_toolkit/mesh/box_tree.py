@@ -24,10 +24,14 @@ def near_pairs(corners_mm: Float64, reach_mm: float) -> Int64:
     if not len(corners_mm):
         return np.zeros((2, 0), np.int64)
     corners_mm = np.ascontiguousarray(corners_mm.swapaxes(0, 1))  # numpy is slow along short rows
-    low, high = corners_mm.min(axis=0) - reach_mm / 2, corners_mm.max(axis=0) + reach_mm / 2
+    low = corners_mm.min(axis=0) - reach_mm / 2
+    high = corners_mm.max(axis=0) + reach_mm / 2
     numbered = curve_order((low + high) / 2)
     boxes, held = tree_of(numbered, low, high)
-    pairs, count, stack, top = np.empty((1024, 2), np.int64), 0, np.ones((DEEPEST, 2), np.int64), 1
+    pairs = np.empty((1024, 2), np.int64)
+    count = 0
+    stack = np.ones((DEEPEST, 2), np.int64)
+    top = 1
     while True:
         count, top = _meeting(numbered, boxes, held, stack, top, pairs, count)
         if not top:
@@ -125,9 +129,14 @@ def _tree(numbered: Int64, low: Float64, high: Float64, waiting: Int64, boxes: F
     ``waiting`` (2, 64) is scratch: nodes whose cells may hold more, and the bits in which the next object
     differs from each.
     """
-    count, columns, top, last = len(numbered), low.shape[1], 0, len(numbered)
+    count = len(numbered)
+    columns = low.shape[1]
+    top = 0
+    last = len(numbered)
     for leaf in range(count):
-        thing, node, bits = numbered[leaf] & 0xFFFFFFFF, count + leaf, 1 << 62
+        thing = numbered[leaf] & 0xFFFFFFFF
+        node = count + leaf
+        bits = 1 << 62
         held[node, 0] = held[node, 1] = node
         for axis in range(columns):
             boxes[node, 0, axis], boxes[node, 1, axis] = low[thing, axis], high[thing, axis]
@@ -154,7 +163,8 @@ def _meeting(
 
     Return the number of pairs, and that of node pairs on the stack: those left when ``pairs`` is full.
     """
-    things, columns = len(numbered), boxes.shape[2]
+    things = len(numbered)
+    columns = boxes.shape[2]
     while top and count < len(pairs):
         top -= 1
         one, other = stack[top, 0], stack[top, 1]
@@ -165,7 +175,9 @@ def _meeting(
             continue
         for first in range(2 if one < things else 1):
             for second in range(first if one == other else 0, 2 if other < things else 1):
-                left, right, meet = held[one, first], held[other, second], True
+                left = held[one, first]
+                right = held[other, second]
+                meet = True
                 for axis in range(columns):
                     meet &= boxes[left, 0, axis] <= boxes[right, 1, axis]
                     meet &= boxes[right, 0, axis] <= boxes[left, 1, axis]

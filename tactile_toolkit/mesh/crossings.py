@@ -94,14 +94,18 @@ def _rim_is_simple(points: Float64, edges: Int64) -> bool:
     """Return whether the rim of a half consists of separate lines that wind once at most."""
     start, end = edges.T
     # An edge that the half has in both directions is not part of its rim.
-    forth, back = np.sort(start * len(points) + end), end * len(points) + start
+    forth = np.sort(start * len(points) + end)
+    back = end * len(points) + start
     rim = forth[np.searchsorted(forth[:-1], back)] != back
     start, end = start[rim], end[rim]
     if np.bincount(start, minlength=1).max() > 1:
         return False  # lines that share a corner
     p, q = points[start], points[end]
     one, other = near_pairs(np.stack([p, q], axis=1), 0.0)
-    a, b, c, d = p[one], q[one], p[other], q[other]
+    a = p[one]
+    b = q[one]
+    c = p[other]
+    d = q[other]
     turn_c, turn_d = _turn(a, b, c), _turn(a, b, d)
     # Edges cross unless one of them has both ends of the other on one side.
     apart = (turn_c * turn_d > 0) | (_turn(c, d, a) * _turn(c, d, b) > 0)
@@ -115,8 +119,11 @@ def _rim_is_simple(points: Float64, edges: Int64) -> bool:
     for number in np.unique(line):
         own = line == number
         area = _turn(np.zeros_like(p[own]), p[own], q[own]).sum()
-        point, a, b = p[own][:1], p[~own], q[~own]
-        left, upwards = _turn(a, b, point), b[:, 1] > point[:, 1]
+        point = p[own][:1]
+        a = p[~own]
+        b = q[~own]
+        left = _turn(a, b, point)
+        upwards = b[:, 1] > point[:, 1]
         passing = ((a[:, 1] > point[:, 1]) != upwards) & np.where(upwards, left > 0, left < 0)
         if np.where(upwards, 1, -1)[passing].sum() != (0 if area > 0 else 1):
             return False
@@ -137,7 +144,8 @@ def _crossing_among(vertices_mm: Float64, faces: Int64, suspects: Int64) -> Floa
     longest = np.sqrt(np.max([((v - u) ** 2).sum(axis=1) for u, v in ((a, b), (b, c), (c, a))], axis=0))
     # Nothing passes through a triangle narrower than the tolerance; its neighbours have its edges too.
     wide = doubled > tolerance * longest
-    triangles, normal = faces[suspects[wide]].astype(np.int64), normal[wide] / doubled[wide, None]
+    triangles = faces[suspects[wide]].astype(np.int64)
+    normal = normal[wide] / doubled[wide, None]
     pairs = near_pairs(vertices_mm[triangles], tolerance)
     points = np.ascontiguousarray(vertices_mm, dtype=np.float64)
     certain, places = passages(points, triangles, normal, pairs, tolerance)
@@ -171,7 +179,8 @@ def halves(points: Float64, faces: Int64, level: float) -> tuple[bool, Int64, In
     To check are the numbers of triangles that do not face away from the plane, shape (M,), and the edges in
     the plane of triangles above it, shape (N, 2).
     """
-    odd, edges = np.empty(len(faces), np.int64), np.empty((3 * len(faces), 2), np.int64)
+    odd = np.empty(len(faces), np.int64)
+    edges = np.empty((3 * len(faces), 2), np.int64)
     is_divided, odds, count = _halves(points, faces, level, odd, edges)
     return is_divided, odd[:odds], edges[:count]
 
@@ -180,11 +189,9 @@ def halves(points: Float64, faces: Int64, level: float) -> tuple[bool, Int64, In
 def _halves(points: Float64, faces: Int64, level: float, odd: Int64, edges: Int64) -> tuple[bool, int, int]:
     reaches, odds, count = False, 0, 0
     for face in range(len(faces)):
-        a, b, c = (
-            corner_of(points, faces, face, 0),
-            corner_of(points, faces, face, 1),
-            corner_of(points, faces, face, 2),
-        )
+        a = corner_of(points, faces, face, 0)
+        b = corner_of(points, faces, face, 1)
+        c = corner_of(points, faces, face, 2)
         least, most = min(min(a[2], b[2]), c[2]), max(max(a[2], b[2]), c[2])
         # The triangle crosses the plane, or lies in it.
         if (least < level < most) or least == most == level:
@@ -196,7 +203,8 @@ def _halves(points: Float64, faces: Int64, level: float, odd: Int64, edges: Int6
             odds += 1
         if least == level:
             for k in range(3):
-                at, beyond = faces[face, k], faces[face, (k + 1) % 3]
+                at = faces[face, k]
+                beyond = faces[face, (k + 1) % 3]
                 if points[at, 2] == level and points[beyond, 2] == level:
                     edges[count, 0], edges[count, 1] = at, beyond
                     count += 1
@@ -244,8 +252,11 @@ def _passage(
     points: Float64, triangles: Int64, into: Vector, target: int, passing: int, k: int, tolerance: float
 ) -> tuple[int, Vector]:
     """Return whether an edge passes through a target: 0 for no, 1 for perhaps, 2 for yes; and where."""
-    start, end = triangles[passing, k], triangles[passing, (k + 1) % 3]
-    p, q, base = row_of(points, start), row_of(points, end), corner_of(points, triangles, target, 0)
+    start = triangles[passing, k]
+    end = triangles[passing, (k + 1) % 3]
+    p = row_of(points, start)
+    q = row_of(points, end)
+    base = corner_of(points, triangles, target, 0)
     at_p, at_q = dot(sub(p, base), into), dot(sub(q, base), into)
     if min(at_p, at_q) > tolerance or max(at_p, at_q) < -tolerance:
         return 0, p
@@ -267,9 +278,12 @@ def _passage(
 @part
 def _is_fold(points: Float64, triangles: Int64, one: int, other: int, k: int, tolerance: float) -> bool:
     """Return whether triangles that share edge k of the first are folded onto each other."""
-    start, end = triangles[one, k], triangles[one, (k + 1) % 3]
-    p, shared = row_of(points, start), 0
-    apex, far = corner_of(points, triangles, one, (k + 2) % 3), p
+    start = triangles[one, k]
+    end = triangles[one, (k + 1) % 3]
+    p = row_of(points, start)
+    shared = 0
+    apex = corner_of(points, triangles, one, (k + 2) % 3)
+    far = p
     for place in range(3):
         corner = triangles[other, place]
         if corner in (start, end):

@@ -24,7 +24,6 @@ from tactile_toolkit.mesh.mesh import (
     Mesh,
     MeshLike,
     Surface,
-    as_mesh,
     join_surfaces,
     merge_equal_vertices,
     welded,
@@ -57,7 +56,72 @@ _OTHER_FORMATS = (
 )
 
 
-def read_mesh(path: str | Path, *, unit: str | None = None, below: Path | None = None) -> Mesh:
+@dataclass(frozen=True, slots=True)
+class MeshFile:
+    """A mesh file.
+
+    Attributes
+    ----------
+    path : Path
+        The file, with one of the endings in :data:`FORMATS`.
+    unit : str or None
+        Unit in which STL, PLY and OBJ files are read; millimetres by default.
+    root : Path or None
+        Folder that links must not leave.
+    label : int
+        Number of its class among those of the folder.
+    """
+
+    path: Path
+    unit: str | None = None
+    root: Path | None = None
+    label: int = 0
+
+    @property
+    def name(self) -> str:
+        """Path of the file inside its folder, with slashes."""
+        if self.root is None:
+            return self.path.name
+        return self.path.relative_to(self.root).as_posix()
+
+    @property
+    def assumed_unit(self) -> str | None:
+        """Unit by which the file is read; None for formats that state theirs."""
+        if file_ending(self.path) in _PLAIN:
+            return self.unit or _USUAL_UNIT
+        return None
+
+    def content(self) -> bytes:
+        """Return the bytes of the file; InputError, without its name, if it cannot be read."""
+        try:
+            if self.root is not None:
+                with store.open_folder(str(self.root)).open_inside(self.name) as stream:
+                    return _bounded(stream)
+            with store.open_regular(self.path) as stream:
+                return _bounded(stream)
+        except OSError as error:
+            raise InputError(f"cannot be read ({error.strerror}); expected a mesh file") from error
+        except IntegrityError as error:
+            raise InputError("not a regular file; nothing was read from it") from error
+
+    def parse(self, content: bytes) -> Mesh:
+        """Read the mesh from the bytes; raises as :func:`read_mesh`, without the name of the file."""
+        mesh_options.require_unit(self.unit)
+        mesh, stated = _unpacked(content, file_ending(self.path), self.unit)
+        size_mm = float(np.ptp(mesh.bounds_m, axis=0).max()) * MM_PER_M
+        mesh_options.require_likely_size(size_mm, self.unit, stated)
+        return mesh
+
+    def read(self) -> Mesh:
+        """Read the mesh as :func:`read_mesh` does."""
+        file_ending(self.path)
+        try:
+            return self.parse(self.content())
+        except InputError as error:
+            raise InputError(f"{self.path}: {error}") from error
+
+
+def read_mesh(path: str | Path, *, unit: str | None = None) -> Mesh:
     """Read a mesh from a file.
 
     Parameters
@@ -66,8 +130,6 @@ def read_mesh(path: str | Path, *, unit: str | None = None, below: Path | None =
         A file with one of the endings in :data:`FORMATS`.
     unit : "mm", "cm", "m" or "in", optional
         Unit of STL, PLY and OBJ files, which state none; millimetres by default.
-    below : Path, optional
-        Folder that links must not leave.
 
     Returns
     -------
@@ -82,42 +144,7 @@ def read_mesh(path: str | Path, *, unit: str | None = None, below: Path | None =
         The file is missing, empty, truncated or not a mesh of its format, or needs an unsupported feature;
         or the object is smaller than 1 mm or larger than 1 m, and no unit was given.
     """
-    path = store.expanded(path)
-    ending = file_ending(path)
-    try:
-        return parse_mesh(file_content(path, below), ending, unit)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
-
-
-def parse_mesh(data: bytes, ending: str, unit: str | None) -> Mesh:
-    """Read a mesh from the content of a file; raises as :func:`read_mesh`, without the name of the file."""
-    mesh_options.require_unit(unit)
-    mesh, stated = _unpacked(data, ending, unit)
-    mesh_options.require_likely_size(float(np.ptp(mesh.bounds_m, axis=0).max()) * MM_PER_M, unit, stated)
-    return mesh
-
-
-def unit_of_file(path: Path, unit: str | None) -> str | None:
-    """Return the unit by which a file is read; None for formats that state theirs."""
-    if file_ending(path) in _PLAIN:
-        return unit or _USUAL_UNIT
-    return None
-
-
-def file_content(path: Path, below: Path | None = None) -> bytes:
-    """Return the content of a mesh file; InputError, without its name, if it cannot be read."""
-    try:
-        if below is not None:
-            name = path.relative_to(below).as_posix()
-            with store.open_folder(str(below)).open_inside(name) as stream:
-                return _bounded(stream)
-        with store.open_regular(path) as stream:
-            return _bounded(stream)
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror}); expected a mesh file") from error
-    except IntegrityError as error:
-        raise InputError("not a regular file; nothing was read from it") from error
+    return MeshFile(store.expanded(path), unit).read()
 
 
 def _bounded(stream: IO[bytes]) -> bytes:
@@ -152,7 +179,8 @@ def _unpacked(data: bytes, ending: str, unit: str | None) -> tuple[Mesh, str | N
             items, notes, stated = threemf.read_build(data)
             mesh = Mesh(*join_surfaces([(item.mesh.vertices_m, item.mesh.faces) for item in items]), notes)
         elif ending == ".glb":
-            stated, mesh = "m", welded(*merge_equal_vertices(*gltf.read_glb(data)))
+            stated = "m"
+            mesh = welded(*merge_equal_vertices(*gltf.read_glb(data)))
         else:
             vertices, faces = merge_equal_vertices(*_PLAIN[ending](data))
             mesh = welded(vertices / (MM_PER_M / units.MM_PER_UNIT[unit or _USUAL_UNIT]), faces)
@@ -187,7 +215,7 @@ def write_mesh(path: str | Path, mesh: MeshLike) -> None:
         The file cannot be written.
     """
     path = Path(path)
-    data = pack_mesh(as_mesh(mesh), file_ending(path))
+    data = pack_mesh(Mesh.of(mesh), file_ending(path))
     with store.named_failures(str(path)):
         path.parent.stat()  # a mistyped folder is refused, not created
         store.write_file(path, lambda stream: stream.write(data))
@@ -224,47 +252,36 @@ class MeshFiles:
 
     Attributes
     ----------
-    splits : dict of str to tuple of Path
+    splits : dict of str to tuple of MeshFile
         Files of each split; of the split ``""`` if the place has none.
-    classes : dict of Path to str
-        Class of each file.
     class_names : tuple of str
         All classes, in order; those of several splits are numbered together.
-    root : Path or None
-        Folder in which the targets of links must be; None for a single file.
     """
 
-    splits: dict[str, tuple[Path, ...]]
-    classes: dict[Path, str]
+    splits: dict[str, tuple[MeshFile, ...]]
     class_names: tuple[str, ...]
-    root: Path | None = None
-
-    def name_of(self, file: Path) -> str:
-        """Return the path of a file inside the folder, with slashes."""
-        if self.root is None:
-            return file.name
-        return file.relative_to(self.root).as_posix()
 
 
-def find_mesh_files(place: str | PathLike[str]) -> MeshFiles | None:
+def find_mesh_files(place: str | PathLike[str], unit: str | None = None) -> MeshFiles | None:
     """List a mesh file, or a folder of them; None for a data set, or if there are none.
 
     Sub-folders called ``train`` and ``test`` are splits. Other sub-folders are classes; a file outside
-    them is a class of its own, called by its name. InputError if there are files next to classes, or files or
-    classes next to splits.
+    them is a class of its own, called by its name. ``unit`` is as :func:`read_mesh` takes it. InputError if
+    there is no such unit, or if there are files next to classes, or files or classes next to splits.
     """
+    mesh_options.require_unit(unit)
     root = store.expanded(fspath(place))
     with store.readable(str(root)):
         if not store.path_exists(root):
             return None
         if root.is_dir():
-            return _in_folder(root)
+            return _in_folder(root, unit)
     if root.suffix.lower() not in FORMATS:
         return None
-    return MeshFiles({"": (root,)}, {root: root.stem}, (root.stem,))
+    return MeshFiles({"": (MeshFile(root, unit),)}, (root.stem,))
 
 
-def _in_folder(root: Path) -> MeshFiles | None:
+def _in_folder(root: Path, unit: str | None) -> MeshFiles | None:
     has_rows = any(next(root.glob(pattern), None) for pattern in ("*.parquet", "*/*.parquet"))
     if has_rows or store.manifest_so_far(store.open_folder(str(root))) is not None:
         return None  # a data set
@@ -278,13 +295,16 @@ def _in_folder(root: Path) -> MeshFiles | None:
             next="put it into the folder of a split",
         )
     splits = splits or {"": here}
-    classes = {file: name for found in splits.values() for file, name in found.items()}
-    if not classes:
+    names = list(dict.fromkeys(name for found in splits.values() for name in found.values()))
+    if not names:
         return None
-    names = list(dict.fromkeys(classes.values()))
     if len(splits) > 1:
         names.sort(key=wording.natural_key)
-    return MeshFiles({name: tuple(found) for name, found in splits.items()}, classes, tuple(names), root)
+    files = {
+        split: tuple(MeshFile(path, unit, root, names.index(name)) for path, name in found.items())
+        for split, found in splits.items()
+    }
+    return MeshFiles(files, tuple(names))
 
 
 def _classes_of(root: Path, besides: tuple[str, ...] = ()) -> dict[Path, str]:

@@ -92,7 +92,8 @@ class _Document:
                 next="export a single scene",
             )
         roots = self._item("scenes", self._tree.get("scene", 0)).get("nodes", [])
-        waiting, seen = [(root, np.eye(4)) for root in reversed(roots)], set()
+        waiting = [(root, np.eye(4)) for root in reversed(roots)]
+        seen = set()
         while waiting:
             number, above = waiting.pop()
             node = self._item("nodes", number)
@@ -143,7 +144,8 @@ class _Document:
         accessor = self._item("accessors", number)
         if accessor["type"] != kind:
             raise InputError(f"accessor {number} is {accessor['type']!r}; expected {kind!r}")
-        count, component = accessor["count"], np.dtype(_COMPONENTS[accessor["componentType"]])
+        count = accessor["count"]
+        component = np.dtype(_COMPONENTS[accessor["componentType"]])
         if "bufferView" in accessor:
             found = self._view(accessor, count, component, _WIDTHS[kind])
         elif "sparse" in accessor:
@@ -154,7 +156,8 @@ class _Document:
         else:
             raise InputError(f"accessor {number} has no data: an extension that is not supported holds them")
         if "sparse" in accessor:
-            sparse, found = accessor["sparse"], found.copy()
+            sparse = accessor["sparse"]
+            found = found.copy()
             where = np.dtype(_COMPONENTS[sparse["indices"]["componentType"]])
             rows = self._view(sparse["indices"], sparse["count"], where, 1)[:, 0]
             found[rows] = self._view(sparse["values"], sparse["count"], component, _WIDTHS[kind])
@@ -168,7 +171,9 @@ class _Document:
         if "uri" in self._item("buffers", view["buffer"]) or view["buffer"] != 0:
             raise InputError("the file keeps data elsewhere; expected all data in its binary chunk")
         row = component.itemsize * width
-        step, start, size = view.get("byteStride", row), at.get("byteOffset", 0), view["byteLength"]
+        step = view.get("byteStride", row)
+        start = at.get("byteOffset", 0)
+        size = view["byteLength"]
         first = view.get("byteOffset", 0) + start
         end = first + step * (count - 1) + row
         if count < 1 or step < row or start < 0 or first < start or end > first - start + size:
@@ -202,9 +207,11 @@ def _matrix(node: JsonValue) -> Float64:
 
 def pack_glb(vertices: Float32, faces: Int32) -> bytes:
     """Pack a mesh, in metres with z up, as GLB with one buffer and a node that rotates it to y up."""
-    corners, kind = faces.ravel().astype("<u2"), _UINT16
+    corners = faces.ravel().astype("<u2")
+    kind = _UINT16
     if len(vertices) > np.iinfo(np.uint16).max:
-        corners, kind = faces.ravel().astype("<u4"), _UINT32
+        corners = faces.ravel().astype("<u4")
+        kind = _UINT32
     buffer = vertices.tobytes() + corners.tobytes()
     # Both chunks are padded to multiples of four, this one with zeros and the JSON with spaces (glTF 2.0,
     # section 4.4.3).

@@ -25,7 +25,7 @@ Surface: TypeAlias = tuple[Float64, Int32]
 """Vertices and triangles, in any unit."""
 
 MeshLike: TypeAlias = "Mesh | read.Record | trimesh.Trimesh"
-"""Types that :func:`as_mesh` accepts."""
+"""Types that :meth:`Mesh.of` accepts."""
 
 # Corners closer than this fraction of the size of the object are welded where that closes the surface.
 _WELDED = 1e-5
@@ -55,6 +55,24 @@ class Mesh:
     def __repr__(self) -> str:
         # As trimesh prints its own.
         return f"<Mesh(vertices_m.shape={self.vertices_m.shape}, faces.shape={self.faces.shape})>"
+
+    @classmethod
+    def of(cls, thing: MeshLike) -> Mesh:
+        """Return a mesh unchanged; convert a record or a trimesh.Trimesh, which are in metres too.
+
+        Raises InputError for other types.
+        """
+        if isinstance(thing, Mesh):
+            return thing
+        if hasattr(thing, "vertices_m") and hasattr(thing, "faces"):
+            return Mesh(thing.vertices_m, thing.faces)
+        # Recognised by its attributes: importing trimesh would take longer than most uses of this function.
+        if hasattr(thing, "vertices") and hasattr(thing, "faces"):
+            return cls.from_trimesh(cast("trimesh.Trimesh", thing))
+        raise InputError(
+            f"a {type(thing).__name__} holds no triangles; expected a Mesh, a record of a data set or a "
+            "trimesh.Trimesh, in metres"
+        )
 
     @property
     def volume_m3(self) -> float:
@@ -145,6 +163,13 @@ class Mesh:
             part.vertices_m[:, 2] -= part.vertices_m[:, 2].min()
         return part
 
+    def crossing_mm(self, bodies: int) -> Float64 | None:
+        """Return a point, shape (3,), where the surface of one of ``bodies`` crosses itself, or None."""
+        # numba takes half a second to import.
+        from tactile_toolkit.mesh.crossings import self_crossing
+
+        return self_crossing(self.vertices_mm, self.faces.astype(np.int64), bodies)
+
     def _corners_m(self) -> Float64:
         return self.vertices_m.astype(np.float64)[self.faces]
 
@@ -152,24 +177,6 @@ class Mesh:
         (ax, ay, az), (bx, by, bz), (cx, cy, cz) = np.moveaxis(self._corners_m(), 0, 2)
         signed = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
         return np.asarray(signed / 6.0)
-
-
-def as_mesh(thing: MeshLike) -> Mesh:
-    """Return a mesh unchanged; convert a record or a trimesh.Trimesh, which are in metres too.
-
-    Raises InputError for other types.
-    """
-    if isinstance(thing, Mesh):
-        return thing
-    if hasattr(thing, "vertices_m") and hasattr(thing, "faces"):
-        return Mesh(thing.vertices_m, thing.faces)
-    # Recognised by its attributes: importing trimesh would take longer than most uses of this function.
-    if hasattr(thing, "vertices") and hasattr(thing, "faces"):
-        return Mesh.from_trimesh(cast("trimesh.Trimesh", thing))
-    raise InputError(
-        f"a {type(thing).__name__} holds no triangles; expected a Mesh, a record of a data set or a "
-        "trimesh.Trimesh, in metres"
-    )
 
 
 def placed(surface: Surface, turn: Float64, shift: Float64) -> Surface:
@@ -221,7 +228,8 @@ def welded(vertices: Float64, faces: Int32) -> Mesh:
     if len(torn) < 2:
         return Mesh(vertices, faces)
     reach_m = _WELDED * float(np.ptp(vertices, axis=0).max())
-    tree, count = cKDTree(vertices[torn]), min(_NEIGHBOURS, len(torn))
+    tree = cKDTree(vertices[torn])
+    count = min(_NEIGHBOURS, len(torn))
     away_m, near = map(np.asarray, tree.query(vertices[torn], count, distance_upper_bound=reach_m))
     row, column = np.nonzero(np.isfinite(away_m))
     graph = coo_array((np.ones(len(row)), (row, near[row, column])), (len(torn), len(torn)))
@@ -245,7 +253,8 @@ def welded(vertices: Float64, faces: Int32) -> Mesh:
 
 def _is_closed(faces: Integers, count: int) -> bool:
     """Return whether each edge occurs equally often in both directions; wrong with probability 2^-64."""
-    corners, following = np.ascontiguousarray(faces.T), [1, 2, 0]
+    corners = np.ascontiguousarray(faces.T)
+    following = [1, 2, 0]
     random = np.random.default_rng(0).integers(1 << 63, size=(2, count), dtype=np.uint64)
     one, other = (numbers.take(corners) for numbers in random)
     return bool((one * other[following]).sum() == (other * one[following]).sum())

@@ -61,7 +61,8 @@ def plain_text(data: bytes) -> str:
     encoding = ANY_ENCODING
     for mark, stated in _MARKS.items():
         if data.startswith(mark):
-            data, encoding = data[len(mark) :], stated
+            data = data[len(mark) :]
+            encoding = stated
     text = data.decode(encoding, "replace").rstrip(_PADDING)
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
@@ -173,7 +174,9 @@ def read_stl(data: bytes) -> Surface:
 
 
 def _read_stl_text(text: str) -> Surface:
-    words, others, end = list[str](), [], 0
+    words = list[str]()
+    others = []
+    end = 0
     for facet in _FACET_TEXT.finditer(text):
         others.append(text[end : facet.start()])
         words.extend(facet.groups())
@@ -254,7 +257,8 @@ def read_ply(data: bytes) -> Surface:
     form = next((line[1] for line in lines if line[:1] == ["format"] and len(line) > 1), "")
     if form not in _PLY_ORDERS:
         raise InputError(f"the format is {form[:40]!r}; expected one of {', '.join(_PLY_ORDERS)}")
-    elements, body = _ply_elements(lines, _PLY_ORDERS[form], form == "ascii"), data[head.end() :]
+    elements = _ply_elements(lines, _PLY_ORDERS[form], form == "ascii")
+    body = data[head.end() :]
     if form == "ascii":
         # Text becomes eight-byte numbers and is then read as a binary file.
         body = array("d", numbers_of(body.decode(ANY_ENCODING).split(), float)).tobytes()

@@ -17,7 +17,7 @@ import pyarrow as pa
 
 from tactile_toolkit.array_types import Float32, Float64
 from tactile_toolkit.json_types import JsonDict
-from tactile_toolkit.mesh.mesh import MeshLike, as_mesh
+from tactile_toolkit.mesh.mesh import Mesh, MeshLike
 from tactile_toolkit.mesh.mesh_options import PrintProfile
 from tactile_toolkit.mesh.solid_check import check_manifold
 from tactile_toolkit.rows import column, columns, row
@@ -32,7 +32,10 @@ UNREADABLE = "unreadable"
 NO_WARNING = "none"
 """Shown in place of warnings where there are none."""
 
-_REAL, _COUNT, _WORD, _WORDS = pa.float64(), pa.int64(), pa.string(), pa.list_(pa.string())
+_REAL = pa.float64()
+_COUNT = pa.int64()
+_WORD = pa.string()
+_WORDS = pa.list_(pa.string())
 
 WARNINGS_PAGE = "docs/warnings.md"
 """Page with a section on each warning."""
@@ -145,6 +148,26 @@ class PrintReport:
         values = {name: getattr(self, name) for name in columns(type(self))}
         return {name: list(each) if isinstance(each, tuple) else each for name, each in values.items()}
 
+    def explained(self, profile: PrintProfile) -> tuple[str, ...]:
+        """Return a line for each warning: what was found, what was expected, and what to do."""
+        width, depth, height = self.size_mm
+        plate = " x ".join(f"{side:g}" for side in profile.plate_mm)
+        found = {
+            "thin-wall": f"the thinnest wall is {self.thinnest_wall_mm:.2f} mm, expected "
+            f"{profile.min_wall_mm:g} mm or more",
+            "separate-bodies": f"there are {with_count(self.bodies, 'parts')} that print apart",
+            "overhang": f"{self.overhang_mm2:,.0f} mm² lean out by more than "
+            f"{profile.overhang_deg:g} degrees",
+            "small-contact": f"{self.contact_mm2:.1f} mm² lie on the plate of the printer, expected "
+            f"{profile.min_contact_mm2:g} mm² or more",
+            "larger-than-plate": f"it is {width:.1f} x {depth:.1f} mm, larger than the plate of {plate} mm",
+            "too-tall": f"it is {height:.1f} mm tall, expected {profile.max_height_mm:g} mm at most",
+        }
+        return tuple(
+            f"{word}: {found[word]}; next: {advice.removeprefix(f'{word}: ')}"
+            for word, advice in zip(self.warnings, print_advice(self.warnings), strict=True)
+        )
+
 
 def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
     """Check whether a mesh bounds a solid, and measure it for printing.
@@ -170,20 +193,22 @@ def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
     # numba takes half a second to import.
     from tactile_toolkit.mesh.walls import leaning_out, thinnest_wall_mm
 
-    mesh = as_mesh(mesh)
+    mesh = Mesh.of(mesh)
     profile = profile or PrintProfile()
     check = check_manifold(mesh)
     counts = (len(mesh.vertices_m), len(mesh.faces), check.bodies, check.genus, check.volume_mm3)
     if check.problem is not None:
         return PrintReport(False, check.status, check.problem, check.detail, *counts, notes=mesh.notes)
-    vertices_mm, faces = mesh.vertices_mm, mesh.faces.astype(np.int64)
+    vertices_mm = mesh.vertices_mm
+    faces = mesh.faces.astype(np.int64)
     # Axis by axis: numpy takes thirteen times as long along rows of three.
     low, high = ([reach(axis) for axis in vertices_mm.T] for reach in (np.min, np.max))
     size_mm = (float(high[0] - low[0]), float(high[1] - low[1]), float(high[2] - low[2]))
     # A cut through the vertices of the mid-plane would run along edges.
     outlines = check.manifold.slice((low[2] + high[2]) / 2 + _OFF_VERTICES * size_mm[2]).to_polygons()
     # Faces within the first layer rest on the bed, whatever their direction.
-    bed_mm, sine = low[2] + profile.layer_height_mm, math.sin(math.radians(profile.overhang_deg))
+    bed_mm = low[2] + profile.layer_height_mm
+    sine = math.sin(math.radians(profile.overhang_deg))
     overhang_mm2 = float(leaning_out(vertices_mm, faces, bed_mm, sine).sum() / 2)
     contact_mm2 = float(check.manifold.slice(bed_mm).area())
     wall_mm = max(min(thinnest_width_mm(outlines), size_mm[2]), min(WALL_REACH_MM, *size_mm))
@@ -209,26 +234,6 @@ def print_advice(words: Iterable[str]) -> tuple[str, ...]:
     """Return a line for each warning: what to do, and the section that explains it."""
     given = set(words)
     return tuple(f"{word}: {_CURES[word]} (see {WARNINGS_PAGE}#{word})" for word in WARNINGS if word in given)
-
-
-def explained(report: PrintReport, profile: PrintProfile) -> tuple[str, ...]:
-    """Return a line for each warning of a report: what was found, what was expected, and what to do."""
-    width, depth, height = report.size_mm
-    plate = " x ".join(f"{side:g}" for side in profile.plate_mm)
-    found = {
-        "thin-wall": f"the thinnest wall is {report.thinnest_wall_mm:.2f} mm, expected "
-        f"{profile.min_wall_mm:g} mm or more",
-        "separate-bodies": f"there are {with_count(report.bodies, 'parts')} that print apart",
-        "overhang": f"{report.overhang_mm2:,.0f} mm² lean out by more than {profile.overhang_deg:g} degrees",
-        "small-contact": f"{report.contact_mm2:.1f} mm² lie on the plate of the printer, expected "
-        f"{profile.min_contact_mm2:g} mm² or more",
-        "larger-than-plate": f"it is {width:.1f} x {depth:.1f} mm, larger than the plate of {plate} mm",
-        "too-tall": f"it is {height:.1f} mm tall, expected {profile.max_height_mm:g} mm at most",
-    }
-    return tuple(
-        f"{word}: {found[word]}; next: {advice.removeprefix(f'{word}: ')}"
-        for word, advice in zip(report.warnings, print_advice(report.warnings), strict=True)
-    )
 
 
 def thinnest_width_mm(outlines_mm: Sequence[Float64]) -> float:

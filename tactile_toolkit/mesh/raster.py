@@ -48,7 +48,8 @@ def highest_faces(
     if not len(faces):
         return np.full(shape, -1, np.int64)
     used = np.asarray(points[2])[np.asarray(faces)]
-    low, span = float(used.min()), max(float(np.ptp(used)), 1e-12)
+    low = float(used.min())
+    span = max(float(np.ptp(used)), 1e-12)
     highest = np.full(shape[0] * shape[1], -1, np.int64)
     for face, line, pixel, height in covered_pixels(points, faces, shape, both_sides):
         # The height is in the upper bits and the triangle in the lower ones, so one maximum finds both.
@@ -75,7 +76,8 @@ def covered_pixels(
         owner, first, count, height, rise = _cut(reach, plane, owner, row, shape[1])
         for begin, end in _parts(count):
             pixels = count[begin:end]
-            line, within = np.repeat(np.arange(begin, end), pixels), positions_in_runs(pixels)
+            line = np.repeat(np.arange(begin, end), pixels)
+            within = positions_in_runs(pixels)
             yield face[owner], line, first[line] + within, height[line] + rise[line] * within
 
 
@@ -98,7 +100,8 @@ def _prepared(
     # Vertical triangles would only repeat the edges of their neighbours.
     faces_seen = (area > 0) | (both_sides & (area < 0))
     kept = np.flatnonzero(faces_seen & (first[0] <= last[0]) & (first[1] <= last[1]))
-    area, named = area[kept], faces[kept].T
+    area = area[kept]
+    named = faces[kept].T
     if both_sides:
         named = np.where(area > 0, named, named[[0, 2, 1]])
         area = np.abs(area)
@@ -118,7 +121,8 @@ def _side(start: Float64, end: Float64) -> Float64:
     # The inside is left of each edge: an edge towards lower rows is a lower bound of the columns, one towards
     # higher rows an upper bound, and a level one neither.
     along_x, along_y = end[0] - start[0], end[1] - start[1]
-    falls, rises = along_y < -_EDGE_PX, along_y > _EDGE_PX
+    falls = along_y < -_EDGE_PX
+    rises = along_y > _EDGE_PX
     per_row = along_x / np.where(falls | rises, along_y, 1.0)
     slack = _EDGE_PX * (1.0 + np.abs(per_row))  # at least the distance from the edge, measured along the row
     crossing = start[0] - per_row * start[1]
@@ -145,10 +149,15 @@ def _cut(
         low, low_per_row, high, high_per_row = np.take(side, owner, axis=1)
         left = np.maximum(left, low + low_per_row * row)
         right = np.minimum(right, high + high_per_row * row)
-    first, last = np.maximum(np.ceil(left), 0.0), np.minimum(np.floor(right), columns - 1)
+    first = np.maximum(np.ceil(left), 0.0)
+    last = np.minimum(np.floor(right), columns - 1)
     there = np.flatnonzero(first <= last)
-    owner, row, first, last = owner[there], row[there], first[there], last[there]
-    column, steps = first.astype(np.int64), (last - first).astype(np.int64)
+    owner = owner[there]
+    row = row[there]
+    first = first[there]
+    last = last[there]
+    column = first.astype(np.int64)
+    steps = (last - first).astype(np.int64)
     x, y, z, along_row, along_column, low, high = np.take(plane, owner, axis=1)
     level = z + along_column * (row - y)
     # Interpolated between the ends, so that no height leaves the range of a steep triangle.

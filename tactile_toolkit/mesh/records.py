@@ -31,8 +31,8 @@ FACES = "mesh.faces"
 
 # Ids and labels are checked row by row: a float may hold an integer.
 _MESH_TYPES: dict[str, read.Expected] = {
-    VERTICES: (2, (pa.types.is_floating,), "three floats per vertex"),
-    FACES: (2, (pa.types.is_integer,), "three integers per triangle"),
+    VERTICES: read.Expected(2, (pa.types.is_floating,), "three floats per vertex"),
+    FACES: read.Expected(2, (pa.types.is_integer,), "three integers per triangle"),
 }
 R = TypeVar("R", bound=read.Record)
 S = TypeVar("S", bound="SolidRecord")
@@ -51,7 +51,7 @@ def require_mesh_columns(schema: pa.Schema, name: str, made_by: str) -> None:
     found = read.column_names(schema)
     missing = [each for each in ("id", "label", VERTICES, FACES) if each not in found]
     problem = f"column {missing[0]!r} is missing (found {', '.join(found)})" if missing else ""
-    problem = problem or read.wrong_type(read.column_types(schema), _MESH_TYPES)
+    problem = problem or read.Expected.problem(read.column_types(schema), _MESH_TYPES)
     if problem:
         raise InputError(
             f"{name!r} is not a data set of meshes: {problem}",
@@ -203,7 +203,7 @@ class RecordStream(read.RowStream[read.RowSource], Generic[R]):
                 yield from (self._record(read.Row(block, row)) for row in range(len(block.table)))
 
 
-def flat_table(rows: read.AnyRecords) -> pa.Table:
+def flat_table(rows: read.RecordDataset[Any]) -> pa.Table:
     """Return an Arrow table: all stored columns but the mesh, then class name, size and GLB file."""
     stored = rows.to_hf()
     kept = [name for name in stored.column_names if name not in (VERTICES, FACES)]

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.mesh.mesh import Mesh, MeshLike, as_mesh
+from tactile_toolkit.mesh.mesh import Mesh, MeshLike
 from tactile_toolkit.wording import with_count
 
 if TYPE_CHECKING:
@@ -143,10 +143,7 @@ def _overlap_problem(parts: list[Manifold]) -> tuple[str, str] | None:
 
 
 def _crossing_problem(mesh: Mesh, bodies: int) -> tuple[str, str] | None:
-    # numba takes half a second to import.
-    from tactile_toolkit.mesh.crossings import self_crossing
-
-    place_mm = self_crossing(mesh.vertices_mm, mesh.faces.astype(np.int64), bodies)
+    place_mm = mesh.crossing_mm(bodies)
     if place_mm is None:
         return None
     where = ", ".join(f"{coordinate + 0.0:.2f}" for coordinate in place_mm)
@@ -167,7 +164,8 @@ def _edge_problem(mesh: Mesh) -> str:
     ends = mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
     ends.sort(axis=1)
     uses = np.unique(ends[:, 0] * len(mesh.vertices_m) + ends[:, 1], return_counts=True)[1]
-    rim, crowded = int((uses == 1).sum()), int((uses > 2).sum())
+    rim = int((uses == 1).sum())
+    crowded = int((uses > 2).sum())
     if rim:
         return f"the surface is open: {rim} edges border one triangle only"
     if crowded:
@@ -204,9 +202,10 @@ def on_base_plate(solid: MeshLike, base_mm: float) -> Mesh:
 
     if not base_mm > 0:
         raise InputError(f"base_mm is {base_mm!r}; expected a thickness above 0 mm")
-    body = require_solid(as_mesh(solid)).manifold
+    body = require_solid(Mesh.of(solid)).manifold
     left, front, low, right, back, high = body.bounding_box()
-    middle, sunk = (low + high) / 2, min(_SUNK_MM, base_mm / 2)
+    middle = (low + high) / 2
+    sunk = min(_SUNK_MM, base_mm / 2)
     upper = body.trim_by_plane((0.0, 0.0, 1.0), middle - sunk).translate((0.0, 0.0, base_mm - middle))
     inner = _MARGIN_MM - _CORNER_MM
     sides = (right - left + 2 * inner, back - front + 2 * inner)

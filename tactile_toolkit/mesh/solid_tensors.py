@@ -81,7 +81,8 @@ def surface_points(
     numbers = random.random((3, count))
     face = np.minimum(np.searchsorted(areas, numbers[0] * areas[-1], side="right"), len(areas) - 1)
     # The square root makes the density uniform, because a triangle narrows towards its first corner.
-    root, along = np.sqrt(numbers[1])[:, None], numbers[2][:, None]
+    root = np.sqrt(numbers[1])[:, None]
+    along = numbers[2][:, None]
     points = a[face] * (1.0 - root) + b[face] * (root * (1.0 - along)) + c[face] * (root * along)
     return np.asarray(points, np.float32)
 
@@ -205,7 +206,7 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
 
     def __init__(
         self,
-        dataset: read.AnyRecords,
+        dataset: read.RecordDataset[Any],
         representation: Representation = "points",
         *,
         points: int = 1024,
@@ -243,7 +244,7 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         self._epoch.fill_(epoch)
 
     @property
-    def sequence(self) -> read.AnyRecords:
+    def sequence(self) -> read.RecordDataset[Any]:
         """The solids, in order of the items."""
         return self.dataset
 

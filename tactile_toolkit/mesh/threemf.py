@@ -151,7 +151,8 @@ class _Package:
         self, archive: zipfile.ZipFile, entry: zipfile.ZipInfo, begin: Callable[[str, dict[str, str]], None]
     ) -> None:
         parser = expat.ParserCreate(namespace_separator=" ")
-        parser.StartElementHandler, parser.EndElementHandler = begin, self._end
+        parser.StartElementHandler = begin
+        parser.EndElementHandler = self._end
         parser.StartNamespaceDeclHandler = self._namespaces.__setitem__
         parser.StartDoctypeDeclHandler = self._refuse_names_for_text
         with archive.open(entry) as stream:

@@ -79,7 +79,8 @@ def thinnest_wall_mm(vertices_mm: Float64, faces: Int64, reach_mm: float) -> flo
     # One corner of each triangle is close enough to its centre.
     numbered = curve_order(vertices_mm.take(faces[:, 0], axis=0))
     solid = _surface_of(vertices_mm, faces)
-    low, high = np.full((len(faces), 9), np.inf), np.full((len(faces), 9), -np.inf)
+    low = np.full((len(faces), 9), np.inf)
+    high = np.full((len(faces), 9), -np.inf)
     _boxes(*solid, reach_mm, low, high)
     boxes, held = tree_of(numbered, low, high)
     best = _thinnest_wall(*solid, numbered, boxes, held, np.ones((DEEPEST, 2), np.int64), reach_mm)
@@ -112,7 +113,8 @@ def _surface_of(points: Float64, faces: Int64) -> Solid:
     Half-edge 3 f + k leads from corner k of triangle f to the next corner.
     """
     inward, at_corner = np.zeros((len(faces), 3)), np.zeros((len(points), 3))
-    twin, leaving = np.arange(3 * len(faces)), np.empty((3 * len(faces), 2), np.int64)
+    twin = np.arange(3 * len(faces))
+    leaving = np.empty((3 * len(faces), 2), np.int64)
     begun = np.zeros(len(points) + 1, np.int64)
     np.cumsum(np.bincount(faces.ravel(), minlength=len(points)), out=begun[1:])
     _surface(points, faces, begun, begun.copy(), leaving, inward, at_corner, twin)
@@ -140,7 +142,9 @@ def _thinnest_wall(
     Branch and bound: pairs of boxes are pruned that are farther apart than the best distance so far, that do
     not lie in front of each other within the reach, or whose directions are not opposite.
     """
-    count, best, top = len(numbered), reach, 1
+    count = len(numbered)
+    best = reach
+    top = 1
     while top:
         top -= 1
         one, other = stack[top, 0], stack[top, 1]
@@ -240,7 +244,8 @@ def _boxes(
     for face in range(len(faces)):
         own = row_of(inward, face)
         for k in range(3):
-            corner, other = faces[face, k], twin[3 * face + k] // 3
+            corner = faces[face, k]
+            other = twin[3 * face + k] // 3
             # The intersection of the tangents at its ends completes the hull of the arc between the two,
             # except the ends of arcs beyond 90 degrees, which no segment at a notch has: it enters both
             # sides.
@@ -281,8 +286,10 @@ def _between(
     # Part of each must lie in front of the other.
     for turn in range(2):
         here, there = (other, one) if turn else (one, other)
-        into, base = row_of(inward, here), corner_of(points, faces, here, 0)
-        least, most = np.inf, -np.inf
+        into = row_of(inward, here)
+        base = corner_of(points, faces, here, 0)
+        least = np.inf
+        most = -np.inf
         for k in range(3):
             depth = dot(sub(corner_of(points, faces, there, k), base), into)
             least, most = min(least, depth), max(most, depth)
@@ -303,7 +310,9 @@ def _from_corners(
     points: Float64, faces: Int64, inward: Float64, at_corner: Float64, one: int, other: int, best: float
 ) -> float:
     """Return the least perpendicular distance from a corner of a triangle to the interior of the other."""
-    own, into, base = row_of(inward, one), row_of(inward, other), corner_of(points, faces, other, 0)
+    own = row_of(inward, one)
+    into = row_of(inward, other)
+    base = corner_of(points, faces, other, 0)
     opposed = -dot(own, into)
     for k in range(3):
         point = corner_of(points, faces, one, k)
@@ -334,7 +343,11 @@ def _between_edges(
     u = sub(corner_of(points, faces, one // 3, (one + 1) % 3), p)
     v = sub(corner_of(points, faces, other // 3, (other + 1) % 3), q)
     r = sub(p, q)
-    uu, vv, uv, ur, vr = dot(u, u), dot(v, v), dot(u, v), dot(u, r), dot(v, r)
+    uu = dot(u, u)
+    vv = dot(v, v)
+    uv = dot(u, v)
+    ur = dot(u, r)
+    vr = dot(v, r)
     slant = uu * vv - uv * uv
     s = min(max((uv * vr - ur * vv) / slant, 0.0), 1.0) if slant > 1e-12 * uu * vv else 0.5
     t = min(max((uv * s + vr) / vv, 0.0), 1.0)
@@ -357,7 +370,8 @@ def _cosine_in(points: Float64, faces: Int64, inward: Float64, twin: Int64, half
     """Return the cosine between a direction at an edge and the inward normal; 1 at a notch."""
     start = corner_of(points, faces, half // 3, half % 3)
     along = normalized(sub(corner_of(points, faces, half // 3, (half + 1) % 3), start))
-    ours, theirs = row_of(inward, half // 3), row_of(inward, twin[half] // 3)
+    ours = row_of(inward, half // 3)
+    theirs = row_of(inward, twin[half] // 3)
     in_ours, in_theirs = dot(ours, way), dot(theirs, way)
     most, least = max(max(-1.0, in_ours), in_theirs), min(min(1.0, in_ours), in_theirs)
     # Away from the edge along the surface.
@@ -375,11 +389,9 @@ def _cosine_in(points: Float64, faces: Int64, inward: Float64, twin: Int64, half
 def _leaning_out(points: Float64, faces: Int64, bed: float, sine: float, doubled: Float64) -> int:
     count = 0
     for face in range(len(faces)):
-        a, b, c = (
-            corner_of(points, faces, face, 0),
-            corner_of(points, faces, face, 1),
-            corner_of(points, faces, face, 2),
-        )
+        a = corner_of(points, faces, face, 0)
+        b = corner_of(points, faces, face, 1)
+        c = corner_of(points, faces, face, 2)
         normal = cross(sub(b, a), sub(c, a))
         size = math.sqrt(dot(normal, normal))
         if normal[2] < 0 and normal[2] < -sine * size and max(max(a[2], b[2]), c[2]) > bed:
@@ -394,7 +406,8 @@ def _find_largest(
 ) -> None:
     count = len(points)
     for block in range(len(blocks)):
-        first, last = block * _BLOCK, min((block + 1) * _BLOCK, count)
+        first = block * _BLOCK
+        last = min((block + 1) * _BLOCK, count)
         middle = (first + last) // 2
         blocks[block, 0], blocks[block, 1] = points[middle, 0], points[middle, 1]
         for point in range(first, last):
@@ -404,7 +417,8 @@ def _find_largest(
     sharpest = count - count  # not the literal 0, for which numba compiles another version
     for point in range(count):
         # The contact of the disc before is close to that of this one, so nearly all blocks are pruned.
-        before, contact = _bend(points, inward, point, sharpest)[0], np.float32(0)
+        before = _bend(points, inward, point, sharpest)[0]
+        contact = np.float32(0)
         best = (before if before > contact else contact) * _NEARLY - np.float32(1e-30)
         for block in range(len(blocks)):
             if (_apart(points, point, blocks, block) - blocks[block, 2]) * best > 1 / _NEARLY:

@@ -107,7 +107,8 @@ def sheet(
         image = Image.fromarray(tile.pixels).convert("RGB")
         if tile.frame is not None:
             image = ImageOps.expand(image, _FRAME_PX, tile.frame)
-        x, y = left_px + column * (cell_width + gap_px), top_px + row * row_step
+        x = left_px + column * (cell_width + gap_px)
+        y = top_px + row * row_step
         picture.paste(image, (x + (cell_width - image.width) // 2, y + (cell_height - image.height) // 2))
         below = (x + cell_width / 2, y + cell_height + _LINE_GAP_PX)
         draw_text(pen, below, tile.caption, _CAPTION_PX, MUTED, anchor="ma")
@@ -154,8 +155,10 @@ def with_scale_bar(pixels: UInt8, px_per_mm: float, length_mm: float | None = No
     picture = Image.fromarray(pixels).convert("RGB")
     length_mm = length_mm or bar_length_mm(picture.width // 4, px_per_mm)
     pen = ImageDraw.Draw(picture)
-    left, top = 10, picture.height - 10 - _BAR_PX
-    right, bottom = left + max(1, round(length_mm * px_per_mm)) - 1, top + _BAR_PX - 1
+    left = 10
+    top = picture.height - 10 - _BAR_PX
+    right = left + max(1, round(length_mm * px_per_mm)) - 1
+    bottom = top + _BAR_PX - 1
     # A halo keeps the bar readable on any background.
     pen.rectangle((left - _HALO_PX, top - _HALO_PX, right + _HALO_PX, bottom + _HALO_PX), fill=PAPER)
     pen.rectangle((left, top, right, bottom), fill=INK)

@@ -253,7 +253,7 @@ def repository_place(
     return Place(name, repository, found)
 
 
-D = TypeVar("D", bound="read.AnyRecords", covariant=True)
+D = TypeVar("D", bound="read.RecordDataset[Any]", covariant=True)
 S = TypeVar("S", bound="mesh.RecordStream[Any]", covariant=True)
 _DOC = """Open a data set of {nouns}.
 

@@ -56,11 +56,11 @@ class PrintObject:
 
     def on_plate(self, scale: float = 1.0) -> mesh.Mesh:
         """Load the object and place it on the plate."""
-        return mesh.as_mesh(self.load()).on_plate(scale)
+        return mesh.Mesh.of(self.load()).on_plate(scale)
 
 
 def _with_base(load: Callable[[], mesh.Mesh | SolidRecord], base_mm: float) -> mesh.Mesh:
-    return mesh.on_base_plate(mesh.as_mesh(load()).on_plate(), base_mm)
+    return mesh.on_base_plate(mesh.Mesh.of(load()).on_plate(), base_mm)
 
 
 def choose(

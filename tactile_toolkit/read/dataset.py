@@ -8,7 +8,7 @@ import operator
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import copy
 from functools import reduce
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeAlias, TypeVar, overload
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar, overload
 
 import numpy as np
 import pyarrow as pa
@@ -24,9 +24,61 @@ if TYPE_CHECKING:
     from datasets import Dataset
 
 T = TypeVar("T")
+S = TypeVar("S")
 _SHOWN_PICTURES = 8
 _MAX_NAMES = 10
 _SHOWN_IDS = 4
+
+
+class LazySequence(Sequence[T], Generic[T, S]):
+    """A sequence whose items are made on access: an int gives one of them.
+
+    A slice, a list or array of ints, or a boolean mask gives several, as :meth:`_several` makes them.
+    """
+
+    __slots__ = ()
+    thing: ClassVar[str]
+    things: ClassVar[str]
+    """Nouns for an item and for several."""
+
+    @overload  # type: ignore[override]
+    def __getitem__(self, index: int) -> T: ...
+
+    @overload
+    def __getitem__(self, index: slice | Sequence[int] | Sequence[bool] | AnyArray) -> S: ...
+
+    def __getitem__(self, index: Any) -> T | S:
+        """Return an item (int), or several of them (a slice, or a list, array or tensor).
+
+        Raises
+        ------
+        IndexError
+            An int is out of range, or a mask has another length.
+        TypeError
+            The index has another type.
+        """
+        if _picks_several(index):
+            return self._several(index)
+        return self._item(self.checked_index(operator.index(index)))
+
+    def checked_index(self, index: int) -> int:
+        """Return the index of an item from the start; IndexError if it is out of range."""
+        length = len(self)
+        if not -length <= index < length:
+            words = wording.with_count(length, self.things)
+            raise IndexError(f"{self.thing} {index} is out of range for {words}")
+        return index % length
+
+    def checked_indices(self, index: object) -> list[int]:
+        """Return the indices of several items from the start; raises as indexing does."""
+        indices: list[int] = positions(index, len(self)).tolist()
+        return indices
+
+    def _item(self, index: int) -> T:
+        raise NotImplementedError
+
+    def _several(self, index: Any) -> S:
+        raise NotImplementedError
 
 
 class RecordDataset(Sequence[T], Generic[T]):
@@ -238,12 +290,22 @@ class RecordDataset(Sequence[T], Generic[T]):
         return Row(*self.table.locate(number))
 
     def stored_parts(self) -> order.StoredParts:
-        """Return which rows are stored together, in files and row groups."""
-        rows, starts = self._rows, self.table.part_starts
-        if isinstance(rows, range) and rows.step == 1:
-            return order.StoredParts(np.unique(np.clip(starts, rows.start, rows.stop) - rows.start))
-        stored = np.argsort(self.row_numbers, kind="stable")
-        return order.StoredParts(np.unique(np.searchsorted(self.row_numbers[stored], starts)), stored)
+        """Return which items are stored together, in files and row groups."""
+        numbers, starts = self._stored_numbers, self._stored_starts
+        if (np.diff(numbers) == 1).all():
+            return order.StoredParts(np.unique(np.searchsorted(numbers, starts)))
+        stored = np.argsort(numbers, kind="stable")
+        return order.StoredParts(np.unique(np.searchsorted(numbers[stored], starts)), stored)
+
+    @property
+    def _stored_numbers(self) -> Int64:
+        """Number of each item among all that are stored, shape (len,), int64."""
+        return self.row_numbers
+
+    @property
+    def _stored_starts(self) -> Int64:
+        """Number of the first item of each part that training shuffles, and of all stored items."""
+        return self.table.part_starts
 
     def row_groups(self, chosen: Int64) -> list[tuple[sharded_table.RowSource, int]]:
         """Return the row groups of rows at positions (n,), each once: a source, and a number in it."""
@@ -259,15 +321,17 @@ class RecordDataset(Sequence[T], Generic[T]):
         # Joined sets may differ.
         return np.array([stored(each) for each in self], np.int64) if any(known) else unstored()
 
-    def _item(self, position: int) -> T:
-        """Return one item; IndexError out of range."""
+    def _row_number(self, position: int) -> int:
+        """Return the row number of an item; IndexError out of range."""
         length = len(self._rows)
-        # Not `checked_index`, which would take a tenth of the time of `touches[i]`.
         if not -length <= position < length:
             raise IndexError(
                 f"index {position} is out of range for {wording.with_count(length, self.things)}"
             )
-        return self._stored(int(self._rows[position]))
+        return int(self._rows[position])
+
+    def _item(self, position: int) -> T:
+        return self._stored(self._row_number(position))
 
     def _select(self, chosen: slice | Int64) -> Self:
         """Return a view of items at given positions."""
@@ -298,9 +362,13 @@ class RecordDataset(Sequence[T], Generic[T]):
             return self._item(index)
         if isinstance(index, slice):
             return self._select(index)
-        if picks_several(index):
-            return self._select(positions(index, len(self)))
+        if _picks_several(index):
+            return self._chosen(index)
         return self._item(operator.index(index))
+
+    def _chosen(self, index: object) -> Self:
+        """Return a view of the items that a slice, ints or a mask select."""
+        return self._select(positions(index, len(self)))
 
     def by_id(self, id: int | str) -> T:
         """Return the first item with an id; reads only the ids.
@@ -336,7 +404,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         TypeError
             An index is not an integer.
         """
-        return self._select(positions(indices if picks_several(indices) else list(indices), len(self)))
+        return self._chosen(indices if _picks_several(indices) else list(indices))
 
     def filter(self, function: Callable[[T], object]) -> Self:
         """Return the items for which a function is true, in order.
@@ -356,8 +424,17 @@ class RecordDataset(Sequence[T], Generic[T]):
         InputError
             A class is not one of :attr:`label_names`.
         """
-        wanted = list(map(self._label_number, flattened(labels)))
+        wanted = list(map(self._label_number, self._flattened(labels)))
         return self._select(np.flatnonzero(np.isin(self.labels, wanted)))
+
+    @classmethod
+    def _flattened(cls, values: Iterable[object]) -> Iterator[Any]:
+        """Yield the values of nested collections."""
+        for value in values:
+            if isinstance(value, Iterable) and not isinstance(value, (str, bytes)):
+                yield from cls._flattened(value)
+            else:
+                yield value
 
     def by_label(self) -> dict[str, Self]:
         """Return a view of each class, by class name."""
@@ -516,7 +593,8 @@ class RecordDataset(Sequence[T], Generic[T]):
         return enumerate(self)
 
     def _label_number(self, label: int | str) -> int:
-        known, number = self.label_names, checked_fields.to_builtin_number(label)
+        known = self.label_names
+        number = checked_fields.to_builtin_number(label)
         if number in known:
             return known.index(number)
         if checked_fields.is_integer(number) and 0 <= number < len(known):
@@ -545,27 +623,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         return f"{'class' if len(names) == 1 else 'classes'} {', '.join(shown)}"
 
 
-AnyRecords: TypeAlias = RecordDataset[Any]
-"""A data set of records of any class."""
-
-
-def checked_index(index: int, length: int, of: str, things: str) -> int:
-    """Convert an index that may be negative; IndexError out of range, named by ``of`` and ``things``."""
-    if not -length <= index < length:
-        raise IndexError(f"{of} {index} is out of range for {length} {things}")
-    return index % length
-
-
-def flattened(values: Iterable[object]) -> Iterator[Any]:
-    """Yield the values of nested collections."""
-    for value in values:
-        if isinstance(value, Iterable) and not isinstance(value, (str, bytes)):
-            yield from flattened(value)
-        else:
-            yield value
-
-
-def picks_several(index: object) -> bool:
+def _picks_several(index: object) -> bool:
     """Return whether an index selects several items: a slice, list, array or tensor."""
     if isinstance(index, (slice, list, tuple)):
         return True

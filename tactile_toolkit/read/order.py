@@ -236,7 +236,8 @@ def _random_bits(seed: int, count: int) -> NDArray[np.uint64]:
 
 def _part_ends(parts: Sequence[float], length: int) -> list[int]:
     """Return the end of each part, including the remaining one; InputError for impossible sizes."""
-    numbers, shares = is_integer(*parts), all(isinstance(part, float) and 0 <= part <= 1 for part in parts)
+    numbers = is_integer(*parts)
+    shares = all(isinstance(part, float) and 0 <= part <= 1 for part in parts)
     total, whole = (sum(parts), length) if numbers or shares else (0, 0)
     whole = whole if numbers else 1
     if not parts or not (numbers or shares) or total > whole + _ROUNDING or min(parts) < 0:

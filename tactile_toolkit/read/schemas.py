@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import msgspec
 import pyarrow as pa
@@ -12,15 +12,33 @@ import pyarrow as pa
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.json_types import JsonDict, JsonObject
 
-Expected = tuple[int, tuple[Callable[[pa.DataType], bool], ...], str]
-"""Required type of a column: depth of nesting, tests of the innermost type (one must hold), description."""
+
+class Expected(NamedTuple):
+    """Required type of a column: depth of nesting, tests of the innermost type, one of which must hold."""
+
+    depth: int
+    tests: tuple[Callable[[pa.DataType], bool], ...]
+    description: str
+
+    @staticmethod
+    def problem(types: Mapping[str, pa.DataType], expected: Mapping[str, Expected]) -> str:
+        """Describe the first existing column with an unreadable type; empty if there is none."""
+        for name in filter(types.__contains__, expected):
+            depth, tests, description = expected[name]
+            found_depth, leaf = list_depth(types[name])
+            if pa.types.is_struct(leaf) and leaf.get_field_index("bytes") >= 0:
+                leaf = leaf.field("bytes").type
+            if found_depth != depth or not any(test(leaf) for test in tests):
+                return f"field {name!r}: the column has the type {types[name]}; expected {description}"
+        return ""
 
 
 def list_depth(data_type: pa.DataType) -> tuple[int, pa.DataType]:
     """Return the number of nested lists in an Arrow type, and the innermost type."""
     depth = 0
     while isinstance(data_type, (pa.ListType, pa.FixedSizeListType)):
-        depth, data_type = depth + 1, data_type.value_type
+        depth = depth + 1
+        data_type = data_type.value_type
     return depth, data_type
 
 
@@ -42,18 +60,6 @@ def column_names(schema: pa.Schema) -> tuple[str, ...]:
     """List columns by dotted name, at any depth, with the fields of structs."""
     types = column_types(schema).items()
     return tuple([name for name, data_type in types if not pa.types.is_struct(data_type)])
-
-
-def wrong_type(types: Mapping[str, pa.DataType], expected: Mapping[str, Expected]) -> str:
-    """Describe the first existing column with an unreadable type; empty if there is none."""
-    for name in filter(types.__contains__, expected):
-        depth, tests, words = expected[name]
-        found_depth, leaf = list_depth(types[name])
-        if pa.types.is_struct(leaf) and leaf.get_field_index("bytes") >= 0:
-            leaf = leaf.field("bytes").type
-        if found_depth != depth or not any(test(leaf) for test in tests):
-            return f"field {name!r}: the column has the type {types[name]}; expected {words}"
-    return ""
 
 
 N = TypeVar("N", tuple[str, ...], None)

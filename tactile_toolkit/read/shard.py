@@ -236,7 +236,8 @@ class Shard:
             yield RowGroup(table, self.path, first_row)
             first_row += len(table)
         if first_row != self.group_starts[index + 1]:  # a damaged page may end early without an error
-            found, expected = first_row - self.group_starts[index], self.metadata.row_group(index).num_rows
+            found = first_row - self.group_starts[index]
+            expected = self.metadata.row_group(index).num_rows
             problem = f" is damaged, row group {index} holds {found} rows; expected {expected} by its footer"
             raise errors.IntegrityError.in_file(self.path, problem)
 

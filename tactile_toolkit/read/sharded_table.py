@@ -102,10 +102,17 @@ class ShardedTable:
             return found
         owners = np.searchsorted(self._starts, rows, "right") - 1
         for owner in np.unique(owners).tolist():
-            shard, inner = self.shards[owner], rows[owners == owner] - self._starts[owner]
+            shard = self.shards[owner]
+            inner = rows[owners == owner] - self._starts[owner]
             groups = np.unique(np.searchsorted(shard.group_starts, inner, "right") - 1)
             found += [(shard, group) for group in groups.tolist()]
         return found
+
+    def blocks(self, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
+        """Read all rows in blocks, as :meth:`RowSource.blocks`."""
+        return (
+            block for source, index in _row_groups(self.shards) for block in source.blocks(index, columns)
+        )
 
     def column(self, name: str) -> AnyArray:
         """Read one plain column of all rows by dotted name, and no other; cached."""
@@ -180,14 +187,9 @@ class RowSource(Protocol):
 S = TypeVar("S", bound=RowSource)
 
 
-def row_groups(sources: Iterable[S]) -> Iterator[tuple[S, int]]:
+def _row_groups(sources: Iterable[S]) -> Iterator[tuple[S, int]]:
     """Yield the row groups of sources in order, each as its source and number."""
     return ((source, index) for source in sources for index in range(len(source.group_starts) - 1))
-
-
-def all_blocks(sources: Iterable[RowSource], columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
-    """Read all rows of sources in blocks, as :meth:`RowSource.blocks`."""
-    return (block for source, index in row_groups(sources) for block in source.blocks(index, columns))
 
 
 def loader_worker() -> Any:
@@ -227,10 +229,10 @@ class RowStream(Generic[S]):
         """Yield the row groups of all shards, or those of this worker of a loader."""
         found = loader_worker()
         if found is None:
-            return row_groups(self.shards)
+            return _row_groups(self.shards)
         if found.num_workers <= len(self.shards):
-            return row_groups(self.shards[found.id :: found.num_workers])
-        return islice(row_groups(self.shards), found.id, None, found.num_workers)
+            return _row_groups(self.shards[found.id :: found.num_workers])
+        return islice(_row_groups(self.shards), found.id, None, found.num_workers)
 
     def _described(self, items: str) -> str:
         words = ShardedTable(self.shards).described(with_count(len(self.shards), "shards"))

@@ -193,7 +193,8 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         return self._batches(self._current, worker.id, worker.num_workers)
 
     def _batches(self, current: dict[str, int], worker: int, workers: int) -> Iterator[object]:
-        share, order = self._share(current["start"]), self._order.epoch(current["epoch"])
+        share = self._share(current["start"])
+        order = self._order.epoch(current["epoch"])
         turn = (self.rank * workers + worker) / (self.world_size * workers)
         ahead = Prefetcher(self._sequence, order, turn)
         collate = self.collate_fn or torch.utils.data.default_collate

@@ -96,7 +96,8 @@ class RayRunner:
             names = (_DISTRIBUTION, *getattr(function, "libraries", ()))
             work = ray.remote(num_cpus=1, max_retries=0)(_travelling(names))
             # Pickled here, not by Ray, so that what cannot be unpickled there is an error like any other.
-            dumps, called = ray.cloudpickle.dumps, ray.put(ray.cloudpickle.dumps(function))
+            dumps = ray.cloudpickle.dumps
+            called = ray.put(ray.cloudpickle.dumps(function))
             running: dict[Any, tuple[T, int]] = {}
             try:
                 while waiting or running:

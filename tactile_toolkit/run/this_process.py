@@ -164,7 +164,9 @@ def _on_one_processor() -> Iterator[None]:
         import ctypes  # not for every command line
 
         system = ctypes.WinDLL("kernel32")
-        process, allowed, installed = ctypes.c_void_p(-1), ctypes.c_size_t(), ctypes.c_size_t()
+        process = ctypes.c_void_p(-1)
+        allowed = ctypes.c_size_t()
+        installed = ctypes.c_size_t()
         system.GetProcessAffinityMask(process, ctypes.byref(allowed), ctypes.byref(installed))
         bits = allowed.value  # 0 for a process on more than 64 processors
         if bits:

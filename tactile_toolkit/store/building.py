@@ -78,7 +78,8 @@ class _WriteShard:
         report = report_sha256 = report_bytes = None
         if content.report is not None:
             report = parquet.encode_parquet(content.report, parquet.REPORT_STYLE)
-            report_sha256, report_bytes = parquet.sha256_hex(report), len(report)
+            report_sha256 = parquet.sha256_hex(report)
+            report_bytes = len(report)
         record = ShardRecord(
             shard.data_path,
             shard.split,
@@ -158,7 +159,8 @@ def _begun(
             with folder.locked(shared=options.part is not None):
                 is_replaced = options.overwrite and require_replaceable(folder, plan)
                 if is_replaced and isinstance(folder, LocalFolder):
-                    target, existed = prepare_next(folder, plan), False
+                    target = prepare_next(folder, plan)
+                    existed = False
                     hold.enter_context(locked(folder.local_path(NEXT_FOLDER), shared=True, patience_s=0.0))
                 had_manifest = target.exists(MANIFEST_FILE)
                 job = begin_job(target, plan, options)
@@ -186,7 +188,8 @@ def _needs_no_lock(job: BuildJob, options: RunOptions) -> bool:
 def _work(job: BuildJob, options: RunOptions) -> Iterator[ShardRecord]:
     tasks = job.remaining
     sizes = {task.shard: task.size for task in tasks}
-    done, total = 0, sum(sizes.values())
+    done = 0
+    total = sum(sizes.values())
     options.on_progress(Progress(done, total))
     work = _WriteShard(job.folder, job.manifest.identity, job.plan.style, job.plan.libraries)
     for record in run.runner_for(options.workers).run(work, tasks):

@@ -350,7 +350,8 @@ class LocalFolder(DataFolder):
         Raises InputError if the file, or a folder between it and this folder, is a symbolic link: the target
         of a link does not belong to this folder. The folder itself may be reached through a link.
         """
-        target, root = Path(self.address(path)), Path(self.root)
+        target = Path(self.address(path))
+        root = Path(self.root)
         for step in (target, *target.parents):
             if step == root:
                 break

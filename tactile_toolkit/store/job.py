@@ -162,7 +162,8 @@ def inspect_job(folder: DataFolder, plan: BuildPlan, options: RunOptions | None 
 
 def require_parts(job: BuildJob, records: Sequence[ShardRecord]) -> None:
     """Raise MissingPartsError where a task of a job has no record."""
-    found, shards = {record.shard for record in records}, [task.shard for task in job.plan.tasks]
+    found = {record.shard for record in records}
+    shards = [task.shard for task in job.plan.tasks]
     wanted = {task.shard for task in job.tasks}
     numbers = [index for index, shard in enumerate(shards) if shard in wanted and shard not in found]
     if numbers:
@@ -208,7 +209,8 @@ def _intact_records(
 
     With ``check``, sources are compared, too. A pending record takes precedence over that of the manifest.
     """
-    sizes, report = folder.sizes(DATA_FOLDER), plan.report_file
+    sizes = folder.sizes(DATA_FOLDER)
+    report = plan.report_file
     has_report = report is not None and folder.exists(report)
     listed = manifest.files.get(report) if report is not None else None  # none while it is written again
     if report is not None and has_report and (check or (listed and folder.is_local)):
@@ -379,7 +381,8 @@ def _begun_records(folder: DataFolder, manifest: Manifest) -> list[ShardRecord]:
     pending = pending_records(folder, manifest.identity)
     if not pending:
         return []  # the files of a finished set are not listed: there may be 50,000
-    listed, sizes = {record.shard for record in manifest.shards}, folder.sizes(DATA_FOLDER)
+    listed = {record.shard for record in manifest.shards}
+    sizes = folder.sizes(DATA_FOLDER)
     return [
         record
         for shard, record in pending.items()

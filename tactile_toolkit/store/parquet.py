@@ -183,24 +183,30 @@ def named_damage(address: str) -> Iterator[None]:
         raise IntegrityError.in_file(address, problem) from error
 
 
-def open_checked(source: str | IO[bytes], metadata: pq.FileMetaData | None = None) -> pq.ParquetFile:
+def open_checked(
+    source: str | IO[bytes], metadata: pq.FileMetaData | None = None, *, checks_columns: bool = False
+) -> pq.ParquetFile:
     """Open a Parquet file, by its path or as a stream, so that reading compares checksums.
 
     Otherwise a flipped bit may unpack to other numbers silently. ``metadata`` is the footer, if it was read
     and checked before. Raises pyarrow.ArrowInvalid for a footer that does not match its checksum; reading
-    pages that do not match theirs raises OSError.
+    pages that do not match theirs raises OSError. With ``checks_columns``, all columns are checked as by
+    :func:`require_sound_columns`.
     """
     if metadata is None:
         _require_checked_footer(source)
     # No memory map: truncating the file while it is read would end the process. Pre-buffering starts a thread
     # of Arrow, which aborts about 1 % of interpreters at exit.
-    return pq.ParquetFile(
+    file = pq.ParquetFile(
         source,
         metadata=metadata,
         buffer_size=_BUFFER_BYTES if isinstance(source, str) else 0,  # streams buffer themselves
         pre_buffer=False,
         page_checksum_verification=True,
     )
+    if checks_columns:
+        require_sound_columns(source, file.metadata, range(file.num_row_groups))
+    return file
 
 
 def require_sound_columns(source: str | IO[bytes], metadata: pq.FileMetaData, groups: Iterable[int]) -> None:
@@ -325,7 +331,8 @@ def _stored_rows(folder: DataFolder, path: str) -> Generator[tuple[str, pa.Table
     last = ""
     held: list[pa.Table] = []
     for piece in report_pieces(folder, path):
-        runs, start = pc.run_end_encode(piece["shard"].combine_chunks()), 0
+        runs = pc.run_end_encode(piece["shard"].combine_chunks())
+        start = 0
         for name, end in zip(runs.values.to_pylist(), runs.run_ends.to_pylist(), strict=True):
             if name != last and held:
                 yield last, pa.concat_tables(held)

@@ -126,7 +126,9 @@ def with_retry(
     An exception for which ``failure_of`` returns None is raised unchanged. A failed action may have had its
     effect, if only the answer was lost. ``on_wait`` gets a sentence for each wait.
     """
-    started_s, asked_s, waits = time.monotonic(), 0.0, list(waits_s)
+    started_s = time.monotonic()
+    asked_s = 0.0
+    waits = list(waits_s)
     while True:
         try:
             return action()

@@ -97,7 +97,8 @@ def verify(
         files, findings, reference = _downloaded_files(folder)
     else:
         shards = {each.file: each for each in manifest.shards}
-        files, reference = _recorded_files(folder, manifest), MANIFEST_FILE
+        files = _recorded_files(folder, manifest)
+        reference = MANIFEST_FILE
         findings = _incomplete(folder, manifest)
 
     def announced() -> Iterator[HubFile]:
@@ -158,7 +159,8 @@ def _check_file(
     file: HubFile,
 ) -> _Checked:
     """Check the content of a file, and a shard also against its record and the schema."""
-    path, address = file.path, folder.address(file.path)
+    path = file.path
+    address = folder.address(file.path)
     record = shards.get(path)
     ids = None
     findings = list[Finding]()
@@ -167,7 +169,8 @@ def _check_file(
             if not path.endswith(".parquet"):
                 return _Checked([])
             parquet = open_checked(address if folder.is_local else stream)
-            rows, stored = parquet.metadata.num_rows, parquet.schema_arrow
+            rows = parquet.metadata.num_rows
+            stored = parquet.schema_arrow
             if record is None:
                 return _Checked([], rows)
             place = stored.get_field_index("id")
@@ -237,7 +240,8 @@ def _unlisted(
     """Find files in the data folder that are not listed, except those of other splits and hidden ones."""
     findings = []
     for name in folder.names(DATA_FOLDER):
-        path, shard = f"{DATA_FOLDER}/{name}", ShardName.parse(name)
+        path = f"{DATA_FOLDER}/{name}"
+        shard = ShardName.parse(name)
         is_begun = shard is not None and shard.split in others
         if not (path in listed or is_begun or is_hidden(name)):
             findings.append(Finding(path, f"is not listed in {where}; next: move it to another folder"))
@@ -276,7 +280,8 @@ def _repeated_ids(ids: Mapping[str, pa.Array | None]) -> Iterator[Finding]:
         held = [value for value in each.to_pylist() if value in suspects]
         repeated = [value for value, count in Counter(held).items() if count > 1 or value in first_files]
         if repeated:
-            first, such = first_files.get(repeated[0], path), wording.with_count(len(repeated), "such ids")
+            first = first_files.get(repeated[0], path)
+            such = wording.with_count(len(repeated), "such ids")
             yield Finding(path, f"id {repeated[0]!r} is not unique, it is also in {first} ({such})")
         first_files.update(dict.fromkeys(held, path))
 

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Container
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
 from tactile_toolkit.checked_fields import Declared, real, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonValue
@@ -15,34 +19,80 @@ PRESS_DEPTH_M = 0.002125
 thickness (package tactile-mnist 0.13.0, GEL_PENETRATION_DEPTH_MM). It is the height of a sensor that stops on
 the bare plate."""
 
-RENDERED_CONTACT_M = 1e-6
-"""Contact height of rendered touches, metres: any height above the plate, with a micrometre for rounding."""
+_PLATES = {
+    "known": "the height of the plate is known",
+    "stored": "the height of the plate is stored with each round",
+    "estimated": "the deepest touch of each round is taken as the plate",
+}
+# Only touches of `tactile-sim generate` have this column; their plate is at z = 0.
+_MADE_BY_US = "info.touched_object_pose.position"
 
 
-def height_text(min_height_m: float) -> str:
-    """Describe a contact height, metres: "the gel stopped 6 mm or more above the plate"."""
-    if min_height_m <= RENDERED_CONTACT_M:
-        return "the gel stopped above the plate"
-    return f"the gel stopped {1e3 * min_height_m:.4g} mm or more above the plate"
+@dataclass(frozen=True, slots=True)
+class HeightRule:
+    """The height from which touches of a data set count as contact; its text is part of a sentence.
 
-
-def missed_text(missed: int | None, touches: int, *, is_estimated: bool = False) -> list[str]:
-    """Return lines for a card on touches without an object; empty if all touches met one.
-
-    With ``is_estimated``, the height of the plate, and so their number, is an estimate.
+    Attributes
+    ----------
+    min_height_m : float
+        Height above the plate from which a touch counts, metres.
+    plate : "known", "stored" or "estimated"
+        Where the height of the plate is from: that of all touches of `tactile-sim generate`, the column
+        ``plate_z_m``, or the deepest touch of each round.
     """
-    if missed is None:
+
+    RENDERED_M: ClassVar[float] = 1e-6
+    """Least height of rendered touches, metres: any above the plate, with a micrometre for rounding."""
+    REAL_M: ClassVar[float] = 0.006
+    """Least height of other touches, metres: the publisher's threshold."""
+    PLATE_COLUMN: ClassVar[str] = "plate_z_m"
+    """Height of the gel on the bare plate, metres, cell frame, of a round from which `select` took touches,
+    and of rendered ones whose gel is not that of a GelSight Mini."""
+
+    min_height_m: float
+    plate: Literal["known", "stored", "estimated"]
+
+    @classmethod
+    def of(cls, columns: Container[str]) -> HeightRule:
+        """Return the rule for rounds with these columns, by dotted name."""
+        if _MADE_BY_US in columns:
+            return cls(cls.RENDERED_M, "known")
+        return cls(cls.REAL_M, "stored" if cls.PLATE_COLUMN in columns else "estimated")
+
+    @staticmethod
+    def option(**option: JsonValue) -> Declared:
+        """Declare the option of the height; further arguments are those of ``real``."""
+        return real(
+            None,
+            optional=True,
+            **option,
+            help="Height above the plate from which a touch counts as contact; 6 by default, and any height "
+            "for touches of `tactile-sim generate`.",
+        )
+
+    def __str__(self) -> str:
+        return f"{self.height_text}; {_PLATES[self.plate]}"
+
+    @property
+    def height_text(self) -> str:
+        """The height as text: "the gel stopped 6 mm or more above the plate"."""
+        if self.min_height_m <= self.RENDERED_M:
+            return "the gel stopped above the plate"
+        return f"the gel stopped {1e3 * self.min_height_m:.4g} mm or more above the plate"
+
+    def missed_lines(self, missed: int, touches: int) -> list[str]:
+        """Return lines for a card on touches without an object; empty if all touches met one."""
+        if not missed:
+            return []
+        if self.plate == "estimated":
+            return [
+                f"Touches that do not count as contact: {missed:,} of {touches:,} (`realtouch select "
+                "--contact` leaves them out). In rounds that never met the bare plate, touches of objects "
+                "are among them."
+            ]
         return [
-            "Some touches may have met no object; `realtouch select --contact` takes them out of the source."
+            f"{missed:,} of {touches:,} touches met no object; `realtouch select --contact` leaves them out."
         ]
-    if not missed:
-        return []
-    if is_estimated:
-        return [
-            f"Touches that do not count as contact: {missed:,} of {touches:,} (`realtouch select --contact` "
-            "leaves them out). In rounds that never met the bare plate, touches of objects are among them."
-        ]
-    return [f"{missed:,} of {touches:,} touches met no object; `realtouch select --contact` leaves them out."]
 
 
 def size_option(default: object, shown: str = "") -> Declared:
@@ -62,14 +112,3 @@ def _size(words: str) -> tuple[int, int]:
     if not (is_count(width) and is_count(height)):
         raise InputError(f"--size is {words!r}; expected WIDTHxHEIGHT in pixels, such as 64x64")
     return int(width), int(height)
-
-
-def contact_height_option(**option: JsonValue) -> Declared:
-    """Declare the option of the contact height; further arguments are those of ``real``."""
-    return real(
-        None,
-        optional=True,
-        **option,
-        help="Height above the plate from which a touch counts as contact; 6 by default, and any height for "
-        "touches of `tactile-sim generate`.",
-    )

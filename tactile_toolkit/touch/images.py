@@ -19,7 +19,7 @@ import simplejpeg
 from PIL import Image
 
 from tactile_toolkit import read
-from tactile_toolkit.array_types import UInt8
+from tactile_toolkit.array_types import AnyArray, UInt8
 from tactile_toolkit.json_types import JsonObject
 
 MAX_IMAGE_PIXELS = 1 << 24
@@ -127,18 +127,21 @@ def require_bounded_jpeg(data: memoryview | bytes) -> None:
     # This pair of bytes does not occur within coded pixels (ITU-T T.81, B.1.1.5).
     # A regular expression takes half of the time of `bytes.count`.
     starts = [found.start() for found in _SCAN_START.finditer(data)]
-    scans, header = len(starts), (starts or [-1])[0]
+    scans = len(starts)
+    header = (starts or [-1])[0]
     if scans > MAX_SCANS:
         raise ValueError(f"a JPEG of {scans:,} scans; the limit is {MAX_SCANS}")
     if header > MAX_HEADER_BYTES:
         raise ValueError(f"a JPEG whose header takes {header:,} bytes; the limit is {MAX_HEADER_BYTES:,}")
 
 
-def decode_image(data: memoryview | bytes, out: UInt8 | None = None) -> UInt8:
+def decode_image(data: memoryview | bytes, out: UInt8 | None = None, *, least_px: int = 0) -> UInt8:
     """Decode a JPEG, PNG or WebP to RGB, shape (H, W, 3), uint8; into ``out`` (contiguous) if given.
 
-    Raises ValueError as :func:`image_size` does, and when the data is truncated, corrupt or of another size
-    than ``out``. A partly decoded image is never returned.
+    With ``least_px``, a JPEG is decoded at 1/2, 1/4 or 1/8 of its size, the smallest with sides of at least
+    ``least_px`` pixels, in half of the time: each pixel is the mean of those it replaces. Raises ValueError
+    as :func:`image_size` does, and when the data is truncated, corrupt or of another size than ``out``. A
+    partly decoded image is never returned.
     """
     if out is not None and is_jpeg(data):
         require_bounded_jpeg(data)
@@ -154,7 +157,7 @@ def decode_image(data: memoryview | bytes, out: UInt8 | None = None) -> UInt8:
     pixels: UInt8
     try:
         if is_jpeg(data):
-            pixels = simplejpeg.decode_jpeg(data, "RGB", buffer=out)
+            pixels = simplejpeg.decode_jpeg(data, "RGB", min_height=least_px, min_width=least_px, buffer=out)
         else:
             pixels = np.array(_open_image(data).convert("RGB"))  # writable, as a JPEG is
     except Exception as error:
@@ -163,23 +166,6 @@ def decode_image(data: memoryview | bytes, out: UInt8 | None = None) -> UInt8:
         return pixels
     out[...] = pixels
     return out
-
-
-def decode_small(data: memoryview | bytes, least_px: int) -> UInt8:
-    """Decode a JPEG at 1/2, 1/4 or 1/8 of its size, the smallest with sides of at least ``least_px`` pixels.
-
-    Shape (h, w, 3), uint8: each pixel is the mean of those it replaces. This takes half the
-    time of :func:`decode_image`. PNG and WebP are decoded at their full size. Raises ValueError as
-    :func:`decode_image` does.
-    """
-    if not is_jpeg(data):
-        return decode_image(data)
-    image_size(data)
-    try:
-        pixels: UInt8 = simplejpeg.decode_jpeg(data, "RGB", min_height=least_px, min_width=least_px)
-    except Exception as error:
-        raise _undecodable(data) from error
-    return pixels
 
 
 def _open_image(data: memoryview | bytes) -> Image.Image:
@@ -197,8 +183,8 @@ def _undecodable(data: memoryview | bytes) -> ValueError:
     )
 
 
-def encode_image(pixels: UInt8, kind: ImageFormat = "jpeg", quality: int = 95) -> bytes:
-    """Encode RGB pixels, shape (H, W, 3), uint8. The same pixels give the same bytes.
+def encode_image(pixels: AnyArray, kind: ImageFormat = "jpeg", quality: int = 95) -> bytes:
+    """Encode RGB pixels, (H, W, 3), uint8, or, as PNG, grey ones, (H, W), uint16; always to the same bytes.
 
     ``quality`` (1 to 100) applies to JPEGs, which keep full colour resolution (4:4:4).
     """
@@ -229,11 +215,9 @@ def resized(pixels: UInt8, width: int, height: int) -> UInt8:
     return np.asarray(image.resize((width, height), method))
 
 
-Kind = Literal["seq", "single"]
-MEDIA_COLUMN: dict[Kind, str] = {"seq": "sensor_video", "single": "sensor_image"}
-"""Column of clips or images, by which the kind of a data set is recognised."""
 MEDIA_TYPE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
 """Arrow type of an image or clip: its bytes and its original file name."""
+_MEDIA_FEATURES = {"sensor_video": "Video", "sensor_image": "Image"}
 CLASS_NAMES = tuple(str(digit) for digit in range(10))
 
 
@@ -254,6 +238,6 @@ def _feature(name: str, data_type: pa.DataType, label_names: Sequence[str] | Non
         inner = _feature(name, data_type.value_type, label_names)
         # Both old and new releases of `datasets` read "Sequence" as a list.
         return {"feature": inner, "length": length, "_type": "Sequence"}
-    if name in MEDIA_COLUMN.values() or data_type == MEDIA_TYPE:
-        return {"_type": "Video" if name == MEDIA_COLUMN["seq"] else "Image"}
+    if name in _MEDIA_FEATURES or data_type == MEDIA_TYPE:
+        return {"_type": _MEDIA_FEATURES.get(name, "Image")}
     return {"dtype": read.dtype_name(data_type), "_type": "Value"}

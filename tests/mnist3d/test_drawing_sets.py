@@ -15,7 +15,7 @@ from PIL import Image
 import mnist3d
 from mnist3d.digit_generation import DigitSetSpec, generate
 from mnist3d.sources import FolderSource, SyntheticSource
-from tactile_toolkit.mesh import as_mesh, check_manifold
+from tactile_toolkit.mesh import Mesh, check_manifold
 from tests.command_line import call, program
 from tests.mnist3d.drawn_pictures import (
     child,
@@ -52,7 +52,7 @@ def test_folders_are_classes_and_divide_into_train_and_test(words: Path, tmp_pat
     assert {row.file for row in rows} == {path.relative_to(words).as_posix() for path in words.rglob("*.*")}
     assert all(row.file.startswith(f"{catalog.class_names[row.label]}/") for row in rows)
     # The dots of the letters are kept.
-    assert {check_manifold(as_mesh(row)).bodies for row in rows if row.label == 2} == {5}
+    assert {check_manifold(Mesh.of(row)).bodies for row in rows if row.label == 2} == {5}
     for command in (("verify", out), ("validate", out), ("card", out)):
         assert call("mnist3d", *command) == 0
     card = (out / "README.md").read_text(encoding="utf-8")

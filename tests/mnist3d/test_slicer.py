@@ -17,7 +17,7 @@ import pytest
 
 import mnist3d
 from mnist3d.sources.synthetic import SyntheticSource
-from tactile_toolkit.mesh import Mesh, as_mesh, write_mesh
+from tactile_toolkit.mesh import Mesh, write_mesh
 from tactile_toolkit.printing import PlateSpec, arrange, choose, export_files, write_plates
 from tactile_toolkit.printing.plate_layouts import PlacedObject
 from tests.command_line import call
@@ -204,7 +204,7 @@ def test_a_drawing_slices_after_one_command(draw: Callable[[], Any], shape: Any,
 @pytest.mark.thorough
 def test_the_check_sees_a_broken_file(digits: mnist3d.DigitDataset, tmp_path: Path) -> None:
     """The assertions above fail for a surface from which three triangles are missing."""
-    whole = as_mesh(digits[0]).on_plate()
+    whole = Mesh.of(digits[0]).on_plate()
     write_mesh(tmp_path / "broken.stl", Mesh(whole.vertices_m, whole.faces[3:]))
     (seen,) = seen_in(tmp_path / "broken.stl")
     assert "manifold = no" in seen.complaints

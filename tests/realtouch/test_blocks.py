@@ -11,7 +11,7 @@ import pytest
 import realtouch
 from realtouch.touches.datasets import TouchStream
 from tactile_toolkit.cache import CACHE_VARIABLE
-from tactile_toolkit.read import Shard, ShardedTable, all_blocks, shard as shard_module
+from tactile_toolkit.read import Shard, ShardedTable, shard as shard_module
 from tactile_toolkit.read.blocks import BLOCKS
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
@@ -60,7 +60,7 @@ def test_derived_values_are_kept(one_group: Path) -> None:
     calls = []
 
     def ones(shard: Shard) -> list[np.ndarray]:
-        groups = list(all_blocks([shard], ["label"]))
+        groups = list(ShardedTable((shard,)).blocks(["label"]))
         calls.extend(group.names for group in groups)
         return [np.ones(len(group.table)) for group in groups]
 

@@ -10,7 +10,7 @@ from hypothesis import given, strategies as st
 from PIL import Image
 
 import realtouch
-from tactile_toolkit.read import positions
+from tactile_toolkit.read.dataset import positions
 from tactile_toolkit.touch import decode_image, encode_image, image_size
 from tests.realtouch.factories import encode_jpeg
 

@@ -14,7 +14,11 @@ import tactile_envs  # noqa: E402
 
 pytestmark = [pytest.mark.libraries, pytest.mark.thorough, pytest.mark.filterwarnings("ignore")]
 
-FAMILIES = ("TactileMNIST-Depth-train-v0", "TactileMNISTVolume-Depth-train-sparse-v0", "Toolbox-Depth-v0")
+FAMILIES = (
+    "tactile_envs/TactileMNIST-Depth-train-v0",
+    "tactile_envs/TactileMNISTVolume-Depth-train-sparse-v0",
+    "tactile_envs/Toolbox-Depth-v0",
+)
 
 
 @pytest.mark.own_process

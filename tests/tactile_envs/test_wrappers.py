@@ -242,6 +242,7 @@ KINDS: dict[str, dict[str, Any]] = {
 def test_flat_actions_are_those_of_the_environment(assets, name):
     """Numbers are in the order of gymnasium, the prediction last, without scaling; touches are unchanged."""
     options = {"assets": str(assets), **KINDS[name]}
+    name = f"tactile_envs/{name}"
     bare, flat = gym.make(name, **options), FlatAction(gym.make(name, **options), limit=3.0)
     bare_ones = gym.make_vec(name, num_envs=ENVS, **options)
     flat_ones = FlatActionVector(gym.make_vec(name, num_envs=ENVS, **options), limit=3.0)
@@ -283,7 +284,7 @@ def _flattened(_: Any, action: dict[str, Any]) -> Any:
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 def test_episodes_of_recorded_touches_end_one_by_one(assets, mode):
     """Truncated if no touches are left: each begins again according to its mode."""
-    name = "TactileMNISTRealSnap-v0"
+    name = "tactile_envs/TactileMNISTRealSnap-v0"
     config = {"approx_truncation_probability": 0.9, "timeout_behavior": "terminate"}
     env = gym.make_vec(name, num_envs=4, assets=str(assets), config=config, autoreset_mode=mode)
     observation, _ = env.reset(seed=0)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import tactile_sim
-from tactile_toolkit.mesh import as_mesh, read_mesh
+from tactile_toolkit.mesh import Mesh, read_mesh
 from tests.tactile_sim.hidden_recordings import Recording
 from tests.tactile_sim.hidden_sensors import MISTAKES, HiddenSensor, digits, draw_sensor
 from tests.tactile_sim.solids import block
@@ -36,7 +36,7 @@ def test_the_same_seed_gives_the_same_recording_and_another_one_another(recordin
 
 def test_depth_is_how_far_the_solid_reaches_into_the_gel_at_its_true_pose() -> None:
     sensor = replace(phong(), lens=0.0)
-    made = sensor.record({0: as_mesh(block())}, 3, pose_errors=(0.0, 0.0))
+    made = sensor.record({0: Mesh.of(block())}, 3, pose_errors=(0.0, 0.0))
     for number in range(3):
         x_m, y_m, turn = made.true_poses[number]
         window = (SIZE[0] * sensor.pitch_mm / 1e3, SIZE[1] * sensor.pitch_mm / 1e3)

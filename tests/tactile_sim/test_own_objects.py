@@ -16,7 +16,7 @@ import tactile_sim
 from tactile_sim.press.sensors import sensor_of_model
 from tactile_sim.sets.generation import TouchGenerator
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.mesh import as_mesh, pack_mesh
+from tactile_toolkit.mesh import Mesh, pack_mesh
 from tactile_toolkit.store import Skipped
 from tactile_toolkit.touch import PRESS_DEPTH_M
 from tests.command_line import call
@@ -35,7 +35,7 @@ def depth(**others: Any) -> tactile_sim.GenerateSpec:
 def write(file: Path, solid: Any = None, unit: float = 1000.0) -> None:
     """Write a solid in metres as a file, in millimetres by default, and with a ``unit`` of 1 in metres."""
     file.parent.mkdir(parents=True, exist_ok=True)
-    content = pack_mesh(as_mesh((solid or block()).copy().apply_scale(unit / 1000)), file.suffix)
+    content = pack_mesh(Mesh.of((solid or block()).copy().apply_scale(unit / 1000)), file.suffix)
     file.write_bytes(content)
 
 
@@ -308,7 +308,7 @@ def test_depth_images_have_grey_noise_of_the_requested_deviation(tmp_path: Path)
 def test_damaged_files_are_left_out_with_a_sentence(ending: str, tmp_path: Path) -> None:
     """150 mutations of each format: bytes flipped, cut, inserted or repeated."""
     rng = np.random.default_rng(5)
-    whole = pack_mesh(as_mesh(block()), ending)
+    whole = pack_mesh(Mesh.of(block()), ending)
     for number in range(150):
         content = bytearray(whole)
         for _ in range(rng.integers(1, 4)):

@@ -15,11 +15,10 @@ import pytest
 from tactile_toolkit.cache import (
     _NAMES,
     CACHE_VARIABLE,
+    CacheContents,
     DiskCache,
     MemoryCache,
     cache_folder,
-    cached_files,
-    prune_cache,
 )
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store import open_folder
@@ -243,11 +242,11 @@ def test_only_files_of_the_cache_are_listed_and_removed(tmp_path, monkeypatch):
     """The variable may name a folder with other files: a scratch disk, or a home folder."""
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
     theirs, ours = fill_cache(tmp_path, THEIRS), fill_cache(tmp_path, OURS)
-    held = cached_files()
-    assert {name: len(files) for name, files in held.items()} == {"blocks": 2, "environments": 1}
+    held = CacheContents.now()
+    assert {name: len(files) for name, files in held.files.items()} == {"blocks": 2, "environments": 1}
     os.utime(ours[0])
-    assert sorted(prune_cache(1.0)) == sorted(ours[1:])
-    assert prune_cache() == ours[:1]
+    assert sorted(CacheContents.now().prune(1.0)) == sorted(ours[1:])
+    assert held.prune() == ours[:1]
     assert all(path.exists() for path in theirs)
     assert not any(path.exists() for path in ours)
 
@@ -268,8 +267,9 @@ def test_nothing_is_removed_or_written_through_a_link(tmp_path, monkeypatch):
     (tmp_path / "cache").mkdir()
     for name in _NAMES:
         (tmp_path / "cache" / name).symlink_to(tmp_path / "scratch" / name)
-    assert cached_files() == {"blocks": [], "environments": []}
-    assert prune_cache() == []
+    held = CacheContents.now()
+    assert held.files == {"blocks": [], "environments": []}
+    assert held.prune() == []
     cache = DiskCache("blocks", 700, warning="slow: {problem}")
     cache.drop(cache.path(BLOCK))
     with pytest.warns(RuntimeWarning, match="cannot be written: it is a symbolic link; next"):

@@ -14,10 +14,10 @@ from tactile_toolkit.checked_fields import (
     choice,
     integer,
     real,
+    split_counts,
     switch,
     to_builtin,
     to_builtin_number,
-    to_builtin_pairs,
 )
 from tactile_toolkit.errors import InputError
 
@@ -123,4 +123,5 @@ def test_number_too_large_for_a_float_stays_for_the_checks_that_follow():
 
 
 def test_pairs_are_taken_as_a_mapping_too():
-    assert to_builtin_pairs({"train": np.int64(3)}) == to_builtin_pairs([["train", 3]]) == (("train", 3),)
+    for counts in ({"train": np.int64(3)}, [["train", 3]]):
+        assert split_counts(counts, "sizes", ("train", "test"), 9) == (("train", 3),)

@@ -16,7 +16,8 @@ from hypothesis import assume, given, settings, strategies as st
 from mnist3d.digit_options import SolidSpec
 from mnist3d.solid.algorithm import solidify
 from mnist3d.sources.synthetic import SyntheticSource
-from tactile_toolkit.mesh import Mesh, crossings, inspect, self_crossing
+from tactile_toolkit.mesh import Mesh, crossings, inspect
+from tactile_toolkit.mesh.crossings import self_crossing
 
 Surface = tuple[np.ndarray, np.ndarray]
 

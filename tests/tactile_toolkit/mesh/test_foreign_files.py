@@ -18,7 +18,7 @@ import pytest
 import trimesh
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import Mesh, inspect, pack_mesh, read_mesh, unpack_mesh
+from tactile_toolkit.mesh import Mesh, MeshFile, inspect, pack_mesh, read_mesh, unpack_mesh
 from tactile_toolkit.mesh.plain_formats import cut_polygons
 from tests.real_input import SHARED
 from tests.tactile_toolkit.mesh.solid_files import cube, outcome_of
@@ -345,4 +345,4 @@ def test_only_regular_files_inside_are_opened(tmp_path: Path) -> None:
     (tmp_path / "inside" / "link.stl").symlink_to(tmp_path / "part.stl")
     assert len(read_mesh(tmp_path / "inside" / "link.stl").faces) == 12
     with pytest.raises(InputError, match="a link leads out of the folder"):
-        read_mesh(tmp_path / "inside" / "link.stl", below=tmp_path / "inside")
+        MeshFile(tmp_path / "inside" / "link.stl", root=tmp_path / "inside").read()

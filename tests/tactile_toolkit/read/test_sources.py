@@ -12,7 +12,7 @@ import pytest
 import starstruck_gen
 from starstruck_gen.scene_dataset import MadeScenes
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.read import Row, RowSource, Shard, all_blocks
+from tactile_toolkit.read import Row, RowSource, Shard, ShardedTable
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
 
@@ -36,13 +36,14 @@ def source_of(kind: str, shard: Shard) -> RowSource:
 def test_a_source_gives_the_same_rows_in_every_way(kind: str, shard: Shard) -> None:
     source = source_of(kind, shard)
     copy: RowSource = pickle.loads(pickle.dumps(source))
-    in_blocks = [Row(block, row) for block in all_blocks([source]) for row in range(len(block.table))]
+    table = ShardedTable((source,))
+    in_blocks = [Row(block, row) for block in table.blocks() for row in range(len(block.table))]
     assert len(in_blocks) == len(source) == source.group_starts[-1] == sum(source.part_sizes)
     for number, row in enumerate(in_blocks):
         assert row.equals(Row(*source.locate(number)))
         assert row.equals(Row(*copy.locate(number)))
         assert row.number == Row(*source.locate(number)).number
-    few = [block.table.column_names for block in all_blocks([source], ["label", "id"])]
+    few = [block.table.column_names for block in table.blocks(["label", "id"])]
     assert {frozenset(names) for names in few} == {frozenset(["id", "label"])}
     assert source.column("id").to_pylist() == [row.value("id") for row in in_blocks]
     assert (copy.identity, copy.set_name, copy.origin) == (source.identity, source.set_name, source.origin)
