@@ -159,16 +159,20 @@ class Table:
         self._separator = stated[1] if stated else max(_SEPARATORS, key=_QUOTED.sub("", header).count)
         # Refuses a header of too many columns before Arrow parses it.
         _checked_names([str(number) for number in range(header.count(self._separator) + 1)], path)
+        spaced = re.compile(rf'("[^"]*")|({self._separator}) +')
+        # If the header has spaces, so do the rows; Arrow would take spaces and quotes for text.
+        is_spaced = f"{self._separator} " in header
+        if is_spaced:
+            header = spaced.sub(r"\1\2", header)
         parsing = pa.csv.ParseOptions(delimiter=self._separator, newlines_in_values=True)
         names = pa.csv.read_csv(io.BytesIO(f"{header}\n".encode()), parse_options=parsing).column_names
         reading = pa.csv.ReadOptions(use_threads=False, block_size=_BLOCK_BYTES, encoding=encoding)
         reading.skip_rows = int(stated is not None)
         types = pa.csv.ConvertOptions(column_types=dict.fromkeys(names, pa.string()))
         stream.seek(0)
-        if f"{self._separator} " in header:  # so do the rows; Arrow would take spaces and quotes for text
+        if is_spaced:
             cache.require_unpackable(stream.seek(0, io.SEEK_END), path)
             stream.seek(0)
-            spaced = re.compile(rf'("[^"]*")|({self._separator}) +')
             plain = spaced.sub(r"\1\2", stream.read().decode(encoding))
             stream, reading.encoding = io.BytesIO(plain.encode()), "utf-8"
         batches = pa.csv.open_csv(stream, reading, parsing, types)
