@@ -165,7 +165,8 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestR
     """Fail instead of skipping for a missing package if all extras are stated to be installed."""
     report = yield
     needs_extra = any(item.get_closest_marker(extra) for extra in _EXTRAS)
-    wants_package = NO_REAL_INPUT not in str(report.longrepr)  # real input is not a package
+    # Real input and instructions of the processor are not packages.
+    wants_package = not any(why in str(report.longrepr) for why in (NO_REAL_INPUT, "the processor has no"))
     if report.skipped and needs_extra and wants_package and os.environ.get("REQUIRE_EXTRAS"):
         report.outcome = "failed"
         report.longrepr = f"skipped although REQUIRE_EXTRAS is set: {report.longrepr}"
