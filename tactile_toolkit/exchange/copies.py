@@ -43,9 +43,10 @@ def merge_sets(
     ``source_column`` is a new column with the name of the data set that each row is from. ``run`` are fields
     of ``store.RunOptions``.
 
-    Raises InputError for data sets of another kind, or with other columns or classes.
+    Raises InputError for data sets of another kind, with other columns or classes, or with a file in common.
     """
     sources = [_open_source(kind, name, MERGE) for name in names]
+    _refuse_common_files(sources)
     schema = _common_schema(sources)
     options: JsonDict = {}
     ids: dict[str, list[int | str]] = {}
@@ -262,6 +263,19 @@ def _in_parts(rows: Int64, starts: Sequence[int]) -> list[Int64]:
     return [part - start for part, start in zip(parts, starts, strict=False)]
 
 
+def _refuse_common_files(sources: Sequence[_Source]) -> None:
+    """Refuse to merge a file with itself (InputError), whose rows would all occur twice."""
+    owners: dict[tuple[object, ...], str] = {}
+    for source in sources:
+        for shard in source.table.files:
+            if shard.identity in owners:
+                names = f"{owners[shard.identity]!r} and {source.name!r}"
+                raise InputError(
+                    f"a data set is given twice: {names} have a file in common", next="name each once"
+                )
+            owners[shard.identity] = source.name
+
+
 def _common_schema(sources: Sequence[_Source]) -> pa.Schema:
     """Return the schema of all rows; InputError, which names the first difference, if there are several."""
     (name, schema), *others = [
@@ -435,12 +449,7 @@ def _ids_of(shard: read.Shard) -> list[int | str]:
 
 
 def source_names(names: Sequence[str]) -> list[str]:
-    """Return names of data sets without their parent folders, as far as they differ then.
-
-    InputError: a data set is named twice.
-    """
-    if len(set(names)) < len(names):
-        raise InputError(f"a data set is given twice: {', '.join(names)}", next="name each once")
+    """Return names of data sets without their parent folders, as far as they differ then."""
     parts = [_parts_of(name) for name in names]
     for length in range(1, max(map(len, parts), default=0) + 1):
         short = ["/".join(each[-length:]) for each in parts]

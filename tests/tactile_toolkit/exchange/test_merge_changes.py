@@ -104,8 +104,12 @@ def test_impossible_merges_are_refused(tmp_path: Path) -> None:
     for name in ("id", "mesh", "a.b", "", " ", "a\nb"):
         with pytest.raises(InputError, match=r"--source-column is .*expected the name of a new column"):
             merge_sets(SCENES, [one, other], str(tmp_path / "out"), source_column=name)
-    with pytest.raises(InputError, match="a data set is given twice"):
-        merge_sets(SCENES, [one, one], str(tmp_path / "out"), source_column="from")
+    link = tmp_path / "link"
+    link.symlink_to(one)
+    part = next((Path(one) / "data").iterdir())
+    for again in (one, f"{one}/../{Path(one).name}", link, part):
+        with pytest.raises(InputError, match=r"a data set is given twice: .* have a file in common"):
+            merge_sets(SCENES, [one, other, again], str(tmp_path / "out"))
     assert not (tmp_path / "out").exists()
 
 
