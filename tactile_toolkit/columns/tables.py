@@ -90,6 +90,7 @@ class Table:
         self._read = _READERS.get(path[path.rfind(".") :].lower(), self._text_batches)
         self._is_text = self._read == self._text_batches
         self._separator = ""
+        self._uneven = ""
         self.names: list[str] = next(self._batches(), _NO_ROWS).column_names
         self._types = column_types.ColumnTypes(is_text=self._is_text, decimal_commas=self._separator != ",")
 
@@ -157,6 +158,8 @@ class Table:
         stated = _SEPARATOR_LINE.match(text)
         header = text[stated.end() if stated else 0 :].lstrip("\r\n").partition("\n")[0]
         self._separator = stated[1] if stated else max(_SEPARATORS, key=_QUOTED.sub("", header).count)
+        if not header.strip():
+            raise InputError(f"{path!r} is empty", next="write a line with the names of the columns first")
         # Refuses a header of too many columns before Arrow parses it.
         _checked_names([str(number) for number in range(header.count(self._separator) + 1)], path)
         spaced = re.compile(rf'("[^"]*")|({self._separator}) +')
@@ -164,7 +167,9 @@ class Table:
         is_spaced = f"{self._separator} " in header
         if is_spaced:
             header = spaced.sub(r"\1\2", header)
-        parsing = pa.csv.ParseOptions(delimiter=self._separator, newlines_in_values=True)
+        parsing = pa.csv.ParseOptions(
+            delimiter=self._separator, newlines_in_values=True, invalid_row_handler=self._note_uneven_row
+        )
         names = pa.csv.read_csv(io.BytesIO(f"{header}\n".encode()), parse_options=parsing).column_names
         reading = pa.csv.ReadOptions(use_threads=False, block_size=_BLOCK_BYTES, encoding=encoding)
         reading.skip_rows = int(stated is not None)
@@ -179,11 +184,24 @@ class Table:
         yield from batches
         yield pa.RecordBatch.from_pylist([], batches.schema)  # states the columns of a table without rows
 
+    def _note_uneven_row(self, row: pa.csv.InvalidRow) -> str:
+        """Note a row that has not a value for each column, which :meth:`_named_errors` then reports."""
+        values = wording.with_count(row.actual_columns, "values")
+        self._uneven = (
+            f"row {row.number}, with the header as row 1, has {values}; expected {row.expected_columns}"
+        )
+        return "error"
+
     @contextmanager
     def _named_errors(self) -> Iterator[None]:
         try:
             yield
         except (pa.ArrowException, OSError, ValueError) as error:
+            if self._uneven:
+                raise InputError(
+                    f"{self.path!r} cannot be read as a table: {self._uneven}, one for each column",
+                    next="leave missing values empty, close each quote, and quote values with a separator",
+                ) from None
             found = wording.printable(str(error))[:_LONGEST_SHOWN]
             advice = (
                 "save it as UTF-8 text, with commas, semicolons or tabs between the values of each row"

@@ -200,9 +200,15 @@ def test_unusable_tables_and_options(home: Path, tmp_path: Path) -> None:
     refused("UTF-8", table=table)
     (home / "index.csv").write_text("file,label\n")
     refused("holds nothing to import", table=table)
-    for content in ('"file,label\n', 'file,label\npictures/0.jpg,1\n"pictures/1.jpg,1\n\n'):
+    for content, advice in (
+        ('"file,label\n', "save it as UTF-8 text, with commas"),
+        (
+            'file,label\npictures/0.jpg,1\n"pictures/1.jpg,1\n\n',
+            "leave missing values empty, close each quote",
+        ),
+    ):
         (home / "index.csv").write_text(content)
-        refused("cannot be read as a table: .*; next: save it as UTF-8 text, with commas", table=table)
+        refused(f"cannot be read as a table: .*; next: {advice}", table=table)
     columns = realtouch.ImportColumns(round="round", split="split")
     splits = [{"file": f"pictures/{n}.jpg", "label": 1, "round": "a", "split": "ab"[n]} for n in (0, 1)]
     write_table(home, splits)
