@@ -16,6 +16,7 @@ from mnist3d.ink.grey_levels import enlarge
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_sim.optics.rendering import make_optics
 from tests.tactile_sim.elastic_bodies import LAYER_M, PIXEL_M, bumps
+from tests.tactile_sim.made_up_twin import hills, made_up_sensor
 
 SIMULATED = "simulated.npz"
 """Results of the simulation, whose last digits may differ between processors."""
@@ -47,6 +48,8 @@ def main(folder: Path, touches: Path) -> None:
     simulated["depth_m"] = pressed.depth_m
     if find_spec("taxim"):
         simulated["shades"] = make_optics("taxim").shades(pressed.depth_m[None], sensor, (64, 64))
+    model = made_up_sensor()
+    simulated["twin"] = model.optics.shades(model.sensor.gel_m - hills()[None], model.sensor, (64, 48))
     np.savez(folder / SIMULATED, **simulated)
     small = source.image(1234).pixels[::8, ::8]
     (folder / "enlarged").write_bytes(enlarge(small, (8 * small.shape[0], 8 * small.shape[1])).tobytes())
