@@ -153,7 +153,9 @@ class Table:
     def _text_batches(self, stream: IO[bytes], path: str) -> Iterator[pa.RecordBatch]:
         """Yield the rows of a text table, all columns as text."""
         head = stream.read(_HEADER_BYTES)
-        encoding = "utf-16" if head.startswith(_UTF16_MARKS) else "utf-8"
+        # Of "utf-8" alone, Arrow checks the values only: text in another encoding that also has uneven rows
+        # would fail in its callback, where no error can be raised.
+        encoding = "utf-16" if head.startswith(_UTF16_MARKS) else "utf-8-sig"
         text = head.decode(encoding, errors="ignore").removeprefix("\ufeff")
         stated = _SEPARATOR_LINE.match(text)
         header = text[stated.end() if stated else 0 :].lstrip("\r\n").partition("\n")[0]
@@ -202,6 +204,8 @@ class Table:
                     f"{self.path!r} cannot be read as a table: {self._uneven}, one for each column",
                     next="leave missing values empty, close each quote, and quote values with a separator",
                 ) from None
+            if isinstance(error, UnicodeDecodeError):  # its position is that in the part read last
+                error = ValueError(f"{error.object[max(error.start - 10, 0) : error.end]!r} is not text")
             found = wording.printable(str(error))[:_LONGEST_SHOWN]
             advice = (
                 "save it as UTF-8 text, with commas, semicolons or tabs between the values of each row"
