@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 
 ROW = checked_fields.integer(0, help="Number of the row in its split, from 0.")
 
+# Length of the longest list whose values are shown.
+_SHOWN = 6
+
 
 def info(
     *,
@@ -191,10 +194,6 @@ def print_sets(sink: output.Sink, kind: DatasetKind) -> None:
     if any(row[3] == "?" for row in rows):
         sink.info("?: the Hub did not answer for this one (no network, or no access)")
     sink.line(f"next: {kind.command} download NAME [--split SPLIT] [--out DIR]")
-
-
-# Length of the longest list whose values are shown.
-_SHOWN = 6
 
 
 def flat_lines(values: JsonValue, path: str = "") -> list[str]:

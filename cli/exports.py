@@ -66,7 +66,8 @@ def export(
         removed = "would remove" if job.dry_run else "removed"
         sink.info(f"{removed} plates of an earlier export: {', '.join(report.removed)}")
     sink.table(report.header, report.rows)
-    sink.line(report.line)
+    if report.line:
+        sink.line(report.line)
     for failure in report.failed:
         sink.warn(f"failed: {failure.name}: {failure.detail}")
     if report.failed:

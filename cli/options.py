@@ -21,6 +21,10 @@ from tactile_toolkit.errors import InputError
 
 JOB = "Job options"
 """Panel of the help for options that decide how the work is done, not what is made."""
+DEBUG_VARIABLE = "TACTILE_TOOLKIT_DEBUG"
+"""Environment variable; if it is set, errors show their traceback."""
+Given: TypeAlias = dict[str, Any]
+"""The options that a user gave, by the name of their field."""
 
 
 def local_place(text: str | Path) -> Path:
@@ -161,12 +165,6 @@ class Job:
     workers: int = WORKERS
     overwrite: bool = switch(False, panel=JOB, help="Replace files of an earlier run that differ.")
     dry_run: bool = DRY_RUN
-
-
-DEBUG_VARIABLE = "TACTILE_TOOLKIT_DEBUG"
-"""Environment variable; if it is set, errors show their traceback."""
-Given: TypeAlias = dict[str, Any]
-"""The options that a user gave, by the name of their field."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,17 @@ from tactile_toolkit import checked_fields, errors, wording
 from tactile_toolkit.json_types import JsonValue
 from tactile_toolkit.progress import shown_progress
 
+T = TypeVar("T")
 _GAP = "  "
+
+# 128 plus the number of SIGPIPE, as shells report it for `cat` or `grep` if the reader has ended.
+_EXIT_CLOSED_PIPE = 141
+
+# Replacements of characters that an encoding lacks, such as the code page of a console; others are escaped.
+_IN_ASCII = str.maketrans(
+    {"─": "-", "━": "#", "…": "...", "µ": "u", "\N{MULTIPLICATION SIGN}": "x", "²": "^2", "³": "^3"}
+    | {"°": " deg", "±": "+-", "→": "->", "\N{EN DASH}": "-", "\N{EM DASH}": "-", "\N{MINUS SIGN}": "-"}
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,18 +121,6 @@ def _aligned(row: Sequence[str], widths: Sequence[int], is_number: Sequence[bool
     cells = zip(row, is_number, widths, strict=True)
     aligned = (cell.rjust(width) if right else cell.ljust(width) for cell, right, width in cells)
     return _GAP.join(aligned).rstrip()
-
-
-T = TypeVar("T")
-
-# 128 plus the number of SIGPIPE, as shells report it for `cat` or `grep` if the reader has ended.
-_EXIT_CLOSED_PIPE = 141
-
-# Replacements of characters that an encoding lacks, such as the code page of a console; others are escaped.
-_IN_ASCII = str.maketrans(
-    {"─": "-", "━": "#", "…": "...", "µ": "u", "\N{MULTIPLICATION SIGN}": "x", "²": "^2", "³": "^3"}
-    | {"°": " deg", "±": "+-", "→": "->", "\N{EN DASH}": "-", "\N{EM DASH}": "-", "\N{MINUS SIGN}": "-"}
-)
 
 
 def _in_ascii(error: UnicodeError) -> tuple[str | bytes, int]:

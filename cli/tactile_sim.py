@@ -26,6 +26,7 @@ from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.wording import with_count
 
 _ENDINGS: dict[str, Literal["jpeg", "png"]] = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg"}
+# Imported when it is called: it imports torch, which takes seconds and is an extra.
 _train = kind.lazy("tactile_sim.learned.training:train")
 
 app = new_app("tactile-sim", "Synthetic touches: press a simulated GelSight Mini onto any solid.")
@@ -253,9 +254,6 @@ def calibrate(
     print_sensor(sink, model)
     sink.line(f"{with_count(len(recordings), 'touches')} of {source}; the sensor is in {out}")
     sink.line(f"next: tactile-sim check {out} {source}")
-
-
-# Imported when they are called: they import torch, which takes seconds and is an extra.
 
 
 @command(app, asks_hub=True)

@@ -27,6 +27,19 @@ _FRAME = checked_fields.choice(
     ("contact_end", "contact_start", "peak", "best"),
     help="Frame of a clip: end or start of the contact, the deepest press, or the highest contact score.",
 )
+_MAPPED = text(
+    name="--map",
+    metavar="NAME=COLUMN",
+    several=True,
+    help="Column of the image, label, round, object, position, pose, split or time; any other NAME renames "
+    "a column. @FILE reads such lines from a file.",
+)
+_STREAMS = text(
+    name="--stream",
+    metavar="FILE",
+    several=True,
+    help="Table with times, such as poses or forces, that is aligned with the pictures.",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,21 +223,6 @@ def announce_fetching(sink: output.Sink, place: places.Place, split: str | None)
     sink.info(f"{place.repository.repo_id}: fetching the missing files of {part} from the Hub")
 
 
-_MAPPED = text(
-    name="--map",
-    metavar="NAME=COLUMN",
-    several=True,
-    help="Column of the image, label, round, object, position, pose, split or time; any other NAME renames "
-    "a column. @FILE reads such lines from a file.",
-)
-_STREAMS = text(
-    name="--stream",
-    metavar="FILE",
-    several=True,
-    help="Table with times, such as poses or forces, that is aligned with the pictures.",
-)
-
-
 def import_touches(
     *,
     source: str = argument("SOURCE", "Folder or file of videos, images, episodes or arrays."),
@@ -348,7 +346,7 @@ def check(
     `verify` checks the files of a data set. Import other recordings first, with `import`. Exit code 1 if
     something is found.
 
-    Examples: realtouch check touches --pictures found
+    Example: realtouch check touches --pictures found
     """
     place = opening.open(sink, name)
     with sink.progress("checking", "rounds") as update:
@@ -378,14 +376,19 @@ def check(
         }
     )
     for fault in result.findings:
-        sink.warn(f"{fault.rule} in {fault.where}: {fault.found}; expected {fault.expected}")
-        named = ", ".join(fault.touches)
-        if len(fault.touches) == damage.MAX_NAMED:
-            named = f"{named}, ..."
-        if fault.count:
-            sink.warn(f"  {with_count(fault.count, 'touches')}: {named}")
-        sink.warn(f"  next: {fault.next}")
+        _warn_of(sink, fault)
     if not result.ok:
         sink.line(f"{with_count(len(result.findings), 'findings')} in {name}")
         raise typer.Exit(application.EXIT_FAILED)
     sink.line(f"{name}: nothing was found")
+
+
+def _warn_of(sink: output.Sink, fault: realtouch.RecordingFinding) -> None:
+    """Print a finding, the first touches that have it, and the next step."""
+    sink.warn(f"{fault.rule} in {fault.where}: {fault.found}; expected {fault.expected}")
+    named = ", ".join(fault.touches)
+    if len(fault.touches) == damage.MAX_NAMED:
+        named = f"{named}, ..."
+    if fault.count:
+        sink.warn(f"  {with_count(fault.count, 'touches')}: {named}")
+    sink.warn(f"  next: {fault.next}")

@@ -64,7 +64,7 @@ AnyRows: TypeAlias = Sequence[Any]
 
 
 class RowGenerator(ABC):
-    """Generator of the rows of a kind, for :func:`generate`.
+    """Generator of the rows of a kind, of which :meth:`generate` makes a folder.
 
     A small picklable value, usually a frozen dataclass of a specification: each task carries it to the
     process that makes the rows.
@@ -150,7 +150,7 @@ class RowGenerator(ABC):
         require: Callable[[], None] = lambda: None,
         **run: Unpack[store.RunKeywords],
     ) -> Forecast:
-        """Estimate a run of :func:`generate` by making some of its rows; writes nothing.
+        """Estimate a run of :meth:`generate` by making some of its rows; writes nothing.
 
         With ``part``, only the shards of that part count. Raises as the run would before its first row.
         """

@@ -27,6 +27,10 @@ from tactile_toolkit.cache import LOCKS, cache_folder
 from tactile_toolkit.errors import BusyError, ToolkitError
 
 F = TypeVar("F", bound=Callable[..., Any])
+T = TypeVar("T")
+
+# Settings of this package affect the compiled code, its imports do not.
+_COMPILER = "tactile_toolkit.kernels"
 
 # nogil: threads may work side by side. numpy's error model: a division by 0 is an infinity, not an exception
 # that every loop has to check. No wrapper for C, which would be unused: it takes a tenth of the time.
@@ -125,10 +129,6 @@ if TYPE_CHECKING:
 
 else:
     _Locator = object
-T = TypeVar("T")
-
-# Settings of this package affect the compiled code, its imports do not.
-_COMPILER = "tactile_toolkit.kernels"
 
 
 class _AllFiles(_Locator):

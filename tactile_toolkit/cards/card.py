@@ -164,8 +164,9 @@ def rewrite_card(
                 card = yaml_head.with_head(stored, lambda head: head.update({owner.KEY: stated}))
             folder.write_bytes(yaml_head.CARD_FILE, card.encode())
         kind.write_card(folder, manifest)
-    for finding in yaml_head.check_card(folder):
-        raise IntegrityError(f"{finding.file} of {folder.address()!r}: {finding.problem}")
+    findings = yaml_head.check_card(folder)
+    if findings:
+        raise IntegrityError(f"{findings[0].file} of {folder.address()!r}: {findings[0].problem}")
     names = [name for name in folder.names(PREVIEW_FOLDER) if name.endswith(".png")]
     return [yaml_head.CARD_FILE, *(f"{PREVIEW_FOLDER}/{name}" for name in names)]
 

@@ -22,6 +22,7 @@ from tactile_toolkit.kind import DatasetKind
 D = TypeVar("D", bound=read.RecordDataset[Any])
 # Rows with ids, object_ids, labels and label_names, such as a RecordDataset.
 C = TypeVar("C", bound=Any)
+T = TypeVar("T")
 
 
 def open_splits(
@@ -108,9 +109,6 @@ def _with_id(rows: Any, given: GivenId) -> Bool:
         return np.asarray(values == id_text(given), bool)
     low, high = id_range(given)
     return np.asarray((values >= low) & (values <= high))
-
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,6 +22,7 @@ from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.wording import with_count
 
+MAIN_BRANCH = "main"
 # Written by the Hub itself; every repository has them.
 _WRITTEN_BY_HUB = frozenset({".gitattributes"})
 _PICTURE_FOLDER = "images"
@@ -29,7 +30,6 @@ _THREADS = 8
 # Calls the Hub, again while it is busy, and returns the answer.
 _Ask: TypeAlias = Callable[..., Any]
 _State: TypeAlias = "tuple[hub.HubRepository | None, dict[str, str], bool]"
-MAIN_BRANCH = "main"
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,10 +170,10 @@ class Upload:
 
     ``held`` is the head of the branch, or of ``main``, where a new branch starts; None without a repository.
     ``has_branch`` states whether the branch exists, ``plan`` is the difference. ``scratch`` holds files that
-    were made for the upload, as long as this object lives. ``ask`` calls a function that uses the Hub, with
-    retries. ``left_out`` are files of the folder that do not belong to the data set. ``unasked`` states why a
-    dry run could not reach the Hub. ``commit`` holds the files after :meth:`send`, and ``pull`` is its pull
-    request, if it is not on a branch.
+    were made for the upload, as long as the planned upload lives; :meth:`send` returns a copy of that, which
+    does not keep them. ``ask`` calls a function that uses the Hub, with retries. ``left_out`` are files of
+    the folder that do not belong to the data set. ``unasked`` states why a dry run could not reach the Hub.
+    ``commit`` holds the files after :meth:`send`, and ``pull`` is its pull request, if it is not on a branch.
     """
 
     repo_id: str

@@ -97,7 +97,7 @@ def tree_of(numbered: Int64, low: Float64, high: Float64) -> tuple[Float64, Int6
 
 
 def curve_order(points: Float64) -> Int64:
-    """Return :func:`_numbered`, sorted: points along a curve on which neighbours are near."""
+    """Return codes and numbers of points as of :func:`_write_codes`, sorted: neighbours are near in space."""
     # Axis by axis: along rows of three numpy takes thirteen times as long.
     low = np.array([axis.min() for axis in points.T])
     span = max(*(axis.max() - least for axis, least in zip(points.T, low, strict=True)), 1e-300)

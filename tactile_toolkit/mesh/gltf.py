@@ -187,8 +187,6 @@ class _Document:
 
 def _matrix(node: JsonValue) -> Float64:
     """Return the transform of a node, shape (4, 4), for column vectors."""
-    from scipy.spatial.transform import Rotation
-
     found = np.eye(4)
     if "matrix" in node:
         found = np.array(node["matrix"], np.float64).reshape(4, 4).T
@@ -199,6 +197,8 @@ def _matrix(node: JsonValue) -> Float64:
         length = math.hypot(*node["rotation"])
         if not abs(length - 1) <= _LENGTH_TOLERANCE:
             raise InputError(f"a node is turned by a quaternion of length {length:.4g}; expected length one")
+        from scipy.spatial.transform import Rotation  # few files need it, and it takes 0.3 s to import
+
         found[:3, :3] = Rotation.from_quat(node["rotation"]).as_matrix()
     found[:3, :3] *= np.array(node.get("scale", (1, 1, 1)), np.float64)
     found[:3, 3] = node.get("translation", (0, 0, 0))

@@ -215,11 +215,11 @@ def merge_equal_vertices(vertices: Float64, faces: Integers) -> Surface:
 
 def welded(vertices: Float64, faces: Int32) -> Mesh:
     """Weld corners that rounding has separated, where that closes the surface; metres."""
-    from scipy.spatial import cKDTree
-
     if not len(faces) or not np.isfinite(vertices).all() or _is_closed(faces, len(vertices)):
         return Mesh(vertices, faces)
-    from scipy.sparse import coo_array, csgraph  # takes a tenth of a second to import
+    # Few meshes need these, and they take 0.3 s to import.
+    from scipy.sparse import coo_array, csgraph
+    from scipy.spatial import cKDTree
 
     # Ends of edges that do not occur in both directions.
     ends = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)

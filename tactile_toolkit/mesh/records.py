@@ -203,17 +203,17 @@ class RecordStream(read.RowStream[read.RowSource], Generic[R]):
                 yield from (self._record(read.Row(block, row)) for row in range(len(block.table)))
 
 
-def flat_table(rows: read.RecordDataset[Any]) -> pa.Table:
+def flat_table(solids: read.RecordDataset[Any]) -> pa.Table:
     """Return an Arrow table: all stored columns but the mesh, then class name, size and GLB file."""
-    stored = rows.to_hf()
+    stored = solids.to_hf()
     kept = [name for name in stored.column_names if name not in (VERTICES, FACES)]
     table = stored.select_columns(kept).with_format("arrow")[:]
     features = stored.features.to_dict()
-    classes = dict(enumerate(rows.label_names))
-    names = [classes.get(label, str(label)) for label in rows.labels.tolist()]
+    classes = dict(enumerate(solids.label_names))
+    names = [classes.get(label, str(label)) for label in solids.labels.tolist()]
     table = table.add_column(kept.index("label") + 1, "label_name", pa.array(names, pa.string()))
     sizes, files = [], []
-    for number, record in enumerate(rows):
+    for number, record in enumerate(solids):
         mesh = Mesh(record.vertices_m, record.faces)
         sizes.append(np.ptp(np.asarray(mesh.vertices_m, np.float64), axis=0))
         # `datasets` infers the file format from the name.

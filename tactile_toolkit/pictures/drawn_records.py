@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import html
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 
@@ -21,14 +22,14 @@ _TILE_PX = 120
 _TILE_STYLE = "margin:0;text-align:center;font-size:smaller"
 
 
-class Drawn:
+class Drawn(ABC):
     """Base class of records that draw themselves; views, sheets, cards and galleries follow from it."""
 
     __slots__ = ()
 
+    @abstractmethod
     def caption(self, label_names: Sequence[str] = ()) -> str:
         """Return what the record shows, in a few words; ``label_names`` are the names of the classes."""
-        raise NotImplementedError
 
     @property
     def tile_caption(self) -> str:
@@ -40,9 +41,9 @@ class Drawn:
         """Text below a large picture."""
         return self.caption()
 
+    @abstractmethod
     def picture(self, width_px: float) -> UInt8:
         """Draw the record, (H, W) or (H, W, 3); the longer side of what it shows is ``width_px`` long."""
-        raise NotImplementedError
 
     def _repr_html_(self) -> str:
         """Show the record in a notebook."""

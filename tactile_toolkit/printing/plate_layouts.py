@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import manifold3d
 import numpy as np
@@ -22,10 +21,6 @@ from tactile_toolkit.printing.file_export import (
 )
 from tactile_toolkit.printing.print_options import Physics, PlateSpec
 from tactile_toolkit.wording import with_count
-
-if TYPE_CHECKING:
-    import manifold3d
-
 
 # Objects as wide as the plate fit, despite rounding.
 _ROUNDING_MM = 1e-6

@@ -10,6 +10,9 @@ import pyarrow as pa
 
 from tactile_toolkit.array_types import AnyArray, Bool, Int64
 
+_EXACT = 1 << 53
+_INT_LIMIT = 1 << 63
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RaggedColumn:
@@ -166,10 +169,6 @@ def table_bytes(table: pa.Table) -> pa.Buffer:
     with pa.ipc.new_stream(sink, table.schema) as writer:
         writer.write_table(table)
     return sink.getvalue()
-
-
-_EXACT = 1 << 53
-_INT_LIMIT = 1 << 63
 
 
 def whole_number(value: object) -> int | None:

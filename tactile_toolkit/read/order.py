@@ -26,6 +26,7 @@ from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.wording import with_count
 
 _KEPT_WINDOWS = 2  # a batch may extend over the end of one
+_ROUNDING = 1e-9  # 0.7 + 0.2 + 0.1 is 0.9999999999999999
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,10 +195,6 @@ class Prefetcher:
                     return 0
                 size_bytes += more_bytes
         return size_bytes
-
-
-# 0.7 + 0.2 + 0.1 is 0.9999999999999999.
-_ROUNDING = 1e-9
 
 
 def random_order(seed: int, length: int) -> Int64:

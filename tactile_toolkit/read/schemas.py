@@ -12,6 +12,11 @@ import pyarrow as pa
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.json_types import JsonDict, JsonObject
 
+N = TypeVar("N", tuple[str, ...], None)
+
+# Names of Arrow that differ in numpy and `datasets`.
+_DTYPES = {"double": "float64", "float": "float32", "halffloat": "float16"}
+
 
 class Expected(NamedTuple):
     """Required type of a column: depth of nesting, tests of the innermost type, one of which must hold."""
@@ -60,12 +65,6 @@ def column_names(schema: pa.Schema) -> tuple[str, ...]:
     """List columns by dotted name, at any depth, with the fields of structs."""
     types = column_types(schema).items()
     return tuple([name for name, data_type in types if not pa.types.is_struct(data_type)])
-
-
-N = TypeVar("N", tuple[str, ...], None)
-
-# Names of Arrow that differ in numpy and `datasets`.
-_DTYPES = {"double": "float64", "float": "float32", "halffloat": "float16"}
 
 
 class _Label(msgspec.Struct):

@@ -266,7 +266,7 @@ class DataFolder(Protocol):
             problem = "a link leads out of the folder; expected a file below it, such as a copy"
             raise ItemError("name", problem)
         parent = path.rpartition("/")[0]
-        if known is not None and self._target_outside(parent) is None:
+        if known is not None and parent not in known and self._target_outside(parent) is None:
             known.add(parent)
 
     def _target_outside(self, path: str) -> str | None:

@@ -47,6 +47,11 @@ _TURNED = range(2, 9)
 # Pillow modes whose values are clipped at 255 on conversion to RGB.
 _DEEP_MODES = ("I", "I;16", "I;16B", "I;16L", "I;16N", "F")
 
+MEDIA_TYPE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
+"""Arrow type of an image or clip: its bytes and its original file name."""
+_MEDIA_FEATURES = {"sensor_video": "Video", "sensor_image": "Image"}
+CLASS_NAMES = tuple(str(digit) for digit in range(10))
+
 
 def is_jpeg(data: memoryview | bytes) -> bool:
     """Return whether data starts with the signature of a JPEG."""
@@ -213,12 +218,6 @@ def resized(pixels: UInt8, width: int, height: int) -> UInt8:
     smaller = width <= image.width and height <= image.height
     method = Image.Resampling.BOX if smaller else Image.Resampling.BILINEAR
     return np.asarray(image.resize((width, height), method))
-
-
-MEDIA_TYPE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
-"""Arrow type of an image or clip: its bytes and its original file name."""
-_MEDIA_FEATURES = {"sensor_video": "Video", "sensor_image": "Image"}
-CLASS_NAMES = tuple(str(digit) for digit in range(10))
 
 
 def with_features(schema: pa.Schema, label_names: Sequence[str] | None) -> pa.Schema:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import zipfile
 from pathlib import Path
 
@@ -42,6 +44,18 @@ def test_a_file_holds_the_solid_that_was_written(ending: str, ring: Mesh, tmp_pa
     assert np.allclose(back.bounds_m, ring.bounds_m, rtol=0, atol=1e-8)
     assert back.volume_m3 == pytest.approx(ring.volume_m3, rel=1e-6)
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize("ending", [".stl", ".glb"])
+def test_a_closed_surface_is_read_without_search_trees(ending: str, ring: Mesh, tmp_path: Path) -> None:
+    """They take 0.3 s to import, and are for torn surfaces and turned nodes only."""
+    path = tmp_path / f"ring{ending}"
+    write_mesh(path, ring)
+    code = (
+        "import sys\nfrom tactile_toolkit.mesh import read_mesh\n"
+        "read_mesh(sys.argv[1])\nassert 'scipy.spatial' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code, str(path)], check=True)
 
 
 @pytest.mark.parametrize("ending", FORMATS)
