@@ -29,6 +29,13 @@ CONTACT_METHODS: tuple[ContactMethod, ...] = get_args(ContactMethod)
 CLOCK_TOLERANCE_S = 1e-4
 """Times within this tolerance are equal, seconds: rounding of single precision in the first half hour."""
 
+_SHAPES = {3: "(H, W, 3)", 4: "(N, H, W, 3)"}
+
+# Number of values of each picture that are processed at once; those of 90 frames fit into a core's cache.
+_PIXELS_AT_ONCE = 1 << 13
+Representation = Literal["signed", "grey", "absolute"]
+REPRESENTATIONS: tuple[Representation, ...] = get_args(Representation)
+
 
 def require_method(method: str) -> ContactMethod:
     """Return a method by name; InputError if there is no such method."""
@@ -68,14 +75,6 @@ def contact_heights_m(z_m: Floating, recalibrate_z: bool = True, plate_z_m: floa
     if math.isnan(plate_z_m):
         plate_z_m = np.fmin.reduce(heights)
     return heights - plate_z_m
-
-
-_SHAPES = {3: "(H, W, 3)", 4: "(N, H, W, 3)"}
-
-# Number of values of each picture that are processed at once; those of 90 frames fit into a core's cache.
-_PIXELS_AT_ONCE = 1 << 13
-Representation = Literal["signed", "grey", "absolute"]
-REPRESENTATIONS: tuple[Representation, ...] = get_args(Representation)
 
 
 def median_in_memory(pictures: UInt8) -> UInt8:

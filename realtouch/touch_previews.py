@@ -82,6 +82,7 @@ def draw_grid(record: rounds.TouchRound, most: int) -> UInt8:
         rule = row.height_rule
         heights_m = contact.contact_heights_m(row.contact_z_m(row.kind), plate_z_m=row.plate_z_m(rule))
     tiles = []
+    most_views = 1
     for number in picture_views.evenly_spaced(record.touch_count, most):
         caption = f"{number}"
         frame = None
@@ -90,12 +91,13 @@ def draw_grid(record: rounds.TouchRound, most: int) -> UInt8:
             if heights_m[number] >= rule.min_height_m:
                 frame = CONTACT
         views = force_pictures.force_views(Touch(record, number))
+        most_views = max(most_views, len(views))
         pixels = np.hstack([pictures.fitted(view, _TILE_PX) for view in views])
         tiles.append(pictures.Tile(pixels, caption, frame))
     words = [f"{len(tiles)} of {_touches_in_words(record)}"]
     if heights_m is not None:
         words += [f"framed: {rule.height_text}; its height next to the number"]
-    return pictures.sheet(tiles, _COLUMNS // len(views), _title(record), ("; ".join(words),))
+    return pictures.sheet(tiles, _COLUMNS // most_views, _title(record), ("; ".join(words),))
 
 
 def draw_overlay(record: rounds.TouchRound) -> UInt8:

@@ -25,6 +25,10 @@ single images are decoded; of each clip, at least eight evenly spaced frames."""
 _MIN_FRAMES = 8
 _MIN_TOUCHES = 4  # shorter rounds are checked together with the ones after them
 
+_MAX_DRAWN = 8
+_TILE_PX = 240
+_NAME_CHARACTERS = 20  # at the end of the name of a round, which fit below a picture
+
 
 def check(
     name: places.Name | places.Place | Sequence[places.Name],
@@ -143,11 +147,6 @@ def _in_sections(rows: Iterable[PlacedRow]) -> Iterator[list[PlacedRow]]:
             touches += _MIN_TOUCHES if row.stored.kind == "seq" else row.stored.touch_total()
     if gathered:
         yield gathered
-
-
-_MAX_DRAWN = 8
-_TILE_PX = 240
-_NAME_CHARACTERS = 20  # at the end of the name of a round, which fit below a picture
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,6 +30,10 @@ _FIRST_FRAMES = 8  # of a clip, before the contact
 _MIN_BARE = 5  # pictures whose median shows the gel and not a touched object
 _TIMES = "time_stamp_rel_seq"
 
+_MIN_STEPS = 4  # fewer have no usual step
+_SAME_M, _SAME_QUATERNION = 1e-7, 1e-6  # a robot at rest measures noise beyond these
+_FAR = 10.0  # touches of a round are about this many times farther apart than frames
+
 
 class PlacedRow(NamedTuple):
     """A stored round, its split and its row number in the split."""
@@ -214,11 +218,6 @@ def _add_bare_gel(section: Section, pictures: Sequence[Picture]) -> None:
     section.decoded += len(decoded)
     if len(same) >= _MIN_BARE:
         section.markers = picture_measures.count_markers(contact.median_in_memory(np.stack(same)))
-
-
-_MIN_STEPS = 4  # fewer have no usual step
-_SAME_M, _SAME_QUATERNION = 1e-7, 1e-6  # a robot at rest measures noise beyond these
-_FAR = 10.0  # touches of a round are about this many times farther apart than frames
 
 
 class Picture(NamedTuple):

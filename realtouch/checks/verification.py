@@ -22,6 +22,10 @@ INDEXED = ("frames", "export")
 # mark of a field that follows on the one before it (Thrift's compact protocol).
 _CHECKED_PAGE = re.compile(rb"(?:\x15[\x80-\xff]*[\x00-\x7f]){4}", re.DOTALL)
 
+_SizeOf = Callable[[memoryview], tuple[int, int]]
+_Noted = Callable[[], AbstractContextManager[None]]
+_PictureSize = Callable[[stored_round.StoredRound, int, _SizeOf, _Noted], tuple[int, ...]]
+
 
 def check_index(
     folder: store.DataFolder,
@@ -408,11 +412,6 @@ def _noted(found: list[damage.Damage], row: stored_round.StoredRound) -> Iterato
 def _decoded_size(data: bytes | memoryview) -> tuple[int, int]:
     height, width, _ = decode_image(data).shape
     return height, width
-
-
-_SizeOf = Callable[[memoryview], tuple[int, int]]
-_Noted = Callable[[], AbstractContextManager[None]]
-_PictureSize = Callable[[stored_round.StoredRound, int, _SizeOf, _Noted], tuple[int, ...]]
 
 
 def _image_size(

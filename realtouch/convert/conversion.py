@@ -1,4 +1,9 @@
-"""Basics of all conversions: source, rows, the step for a row, and tables that index files."""
+"""Conversions: source, rows, the step for a row, tables that index files, and how a conversion is run.
+
+It is planned from footers, and each shard is made from its own rows, block by block. An interrupted
+conversion continues where it stopped. The same source and options give byte-identical Parquet for any number
+of workers; see ``tactile_toolkit.store``.
+"""
 
 from __future__ import annotations
 
@@ -31,6 +36,14 @@ WriteFiles = Callable[[store.DataFolder, store.Manifest], Mapping[str, str]]
 # Prefixes of the columns ``file`` and ``sha256`` of an index, which names up to two files for each row.
 _PREFIXES = ("", "meta_")
 _IMAGES_PER_MEDIA: dict[schema.Kind, int] = {"seq": 64, "single": 1}  # by size: clips are a few dozen images
+
+# Unpacked rows that a worker may hold.
+_SHARD_BYTES = 256 << 20
+
+# A touch read at random unpacks its whole row group.
+_GROUP_BYTES = 32 << 20
+_PAGE_BYTES = 256 << 10  # images of a round do not compress better in larger pages
+_MAX_ROWS_PER_SHARD = 64
 
 
 def parts_of(place: places.Place, split: str | None) -> tuple[str, ...]:
@@ -262,15 +275,6 @@ def write_changed(folder: store.DataFolder, files: Mapping[str, bytes]) -> dict[
         if not folder.has_sha256(path, digests[path]):
             folder.write_bytes(path, content)
     return digests
-
-
-# Unpacked rows that a worker may hold.
-_SHARD_BYTES = 256 << 20
-
-# A touch read at random unpacks its whole row group.
-_GROUP_BYTES = 32 << 20
-_PAGE_BYTES = 256 << 10  # images of a round do not compress better in larger pages
-_MAX_ROWS_PER_SHARD = 64
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,6 +35,11 @@ _SEQ_ONLY = (
     "sensor_video",
 )
 
+DEEPEST, MEAN_ERROR = "extra.depth_max_m", "extra.depth_error_m"
+"""Columns with a number for each touch: its deepest point, and the mean of the expected error, metres."""
+_BATCH = 8  # images of 320 x 240 pixels take 5 MB as numbers
+_load_sensor = kind.lazy("tactile_sim.press.sensors:SensorModel.load")
+
 
 def clips_to_images(
     source: places.Name | places.Place,
@@ -283,12 +288,6 @@ class ResizeMedia:
 
     def _encode(self, pixels: UInt8) -> bytes:
         return encode_image(resized(pixels, self.width, self.height), "jpeg", self.quality)
-
-
-DEEPEST, MEAN_ERROR = "extra.depth_max_m", "extra.depth_error_m"
-"""Columns with a number for each touch: its deepest point, and the mean of the expected error, metres."""
-_BATCH = 8  # images of 320 x 240 pixels take 5 MB as numbers
-_load_sensor = kind.lazy("tactile_sim.press.sensors:SensorModel.load")
 
 
 class DepthAndError(Protocol):

@@ -42,6 +42,17 @@ _INDEX_SCHEMA = pa.schema(
     ]
 )
 
+# Names that have another meaning in exports.
+_OTHER_COLUMNS = (
+    *("id", "image", "file", "sha256", "meta_file", "meta_sha256", "split", "round_id", "touch", "frame"),
+    *("label", "label_name", "object_id"),
+    *(*touch_options.POSITION_COLUMNS, *touch_options.POSE_COLUMNS, *touch_options.FOTA_POSE_COLUMNS),
+)
+
+_NOT_PLAIN = re.compile(rb"[^A-Za-z0-9_-]")
+_LONGEST = 100
+_KEPT = 60  # characters of a longer id, before its digest
+
 
 def frames(
     source: places.Name | places.Place,
@@ -186,20 +197,6 @@ def write_index(folder: store.DataFolder, manifest: store.Manifest) -> dict[str,
     return conversion.write_changed(folder, {INDEX_FILE: content})
 
 
-# Names that have another meaning in exports.
-_OTHER_COLUMNS = (
-    *("id", "image", "file", "sha256", "meta_file", "meta_sha256", "split", "round_id", "touch", "frame"),
-    *(
-        "label",
-        "label_name",
-        "object_id",
-        *touch_options.POSITION_COLUMNS,
-        *touch_options.POSE_COLUMNS,
-        *touch_options.FOTA_POSE_COLUMNS,
-    ),
-)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class TouchPicture:
     """The picture that represents a touch, and the pose of the gel at that moment.
@@ -300,11 +297,6 @@ def shown_extra(row: stored_round.StoredRound, stored: str, shown: Sequence[Touc
         frames = row.extra_of_frames(stored, entries, each.touch, each.frame + 1)
         found.append(frames.slice(each.frame))
     return pa.concat_arrays(found)
-
-
-_NOT_PLAIN = re.compile(rb"[^A-Za-z0-9_-]")
-_LONGEST = 100
-_KEPT = 60  # characters of a longer id, before its digest
 
 
 def stem_of_id(round_id: str) -> str:

@@ -1,4 +1,9 @@
-"""Touches as episodes with a row for each frame, for robot-learning formats."""
+"""Touches as episodes: all frames of a clip, or all single images of a round, for robot-learning formats.
+
+Readers of such formats find episodes by their position. So no episode may be missing, and frames are counted
+before they are read. Further columns of touches become columns of frames; vectors in a column have one
+length.
+"""
 
 from __future__ import annotations
 
@@ -27,6 +32,16 @@ DEPTH = "observation.images.depth"
 _POSES = {kind: f"{name}.position" for kind, name in POSE_COLUMN.items()}
 _Episode = tuple[int | None, list[memoryview], dict[str, object]]
 """The touch of a clip (None for all touches of a round), the images of the frames, and columns."""
+
+FEATURE = "observation."
+"""Prefix of the names of further columns, as columns of frames."""
+
+# Columns and arrays of the formats themselves.
+_TAKEN = (
+    *("images.tactile", "images.depth", "state", "action"),
+    *("tactile", "label", "object_id", "gel_pose", "pos_in_cell", "in_contact", "time_s"),
+    *("timestamps", "right_wrist_pose", "camera_main_rgb", "sub_task_instruction"),
+)
 
 
 @dataclass(frozen=True)
@@ -224,27 +239,6 @@ def _episode_lengths(source: convert.Source, step: Episodes) -> Int64:
         lengths = shard.read(columns=["video_length_frames"]).column(0).to_pylist()
         found += [(len(each), sum(each)) for each in lengths]
     return np.array(found, np.int64).reshape(-1, 2)
-
-
-FEATURE = "observation."
-"""Prefix of the names of these columns."""
-
-# Columns and arrays of the formats themselves.
-_TAKEN = (
-    *(
-        "images.tactile",
-        "images.depth",
-        "state",
-        "action",
-        "tactile",
-        "label",
-        "object_id",
-        "gel_pose",
-        "pos_in_cell",
-    ),
-    "in_contact",
-    *("time_s", "timestamps", "right_wrist_pose", "camera_main_rgb", "sub_task_instruction"),
-)
 
 
 @dataclass(frozen=True, slots=True)

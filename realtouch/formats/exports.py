@@ -1,4 +1,9 @@
-"""Exports of touches in the formats of other libraries: the command, and rows that most formats share."""
+"""Exports of touches in the formats of other libraries, and the formats with a row for each touch.
+
+Such a row has the image as it is stored, and columns that every table reader can read. If touches are clips,
+a row shows one frame. A format packs the touches of a shard into its own files, and may write further files
+after the last shard.
+"""
 
 from __future__ import annotations
 
@@ -29,6 +34,15 @@ EXPORTS = {
         "anytouch": "anytouch",
     }.items()
 }
+
+_IMAGE = "image"
+_WHERE = {"seq": "frame {}: ", "single": ""}
+_GROUP_BYTES = 32 << 20
+_MAX_ROWS_PER_GROUP = 1 << 14
+NamedImage = tuple[str, memoryview]
+"""The file name of an image, and its bytes as they are stored."""
+PackTouches = Callable[[store.ShardName, pa.Table, Iterator[NamedImage]], convert.Made]
+"""Makes the files of a shard from the plain columns and the images of its touches; also returns an index."""
 
 
 def export(
@@ -85,16 +99,6 @@ def export(
         return conversion
 
     return convert.write_conversion(source, out, planned, **job)
-
-
-_IMAGE = "image"
-_WHERE = {"seq": "frame {}: ", "single": ""}
-_GROUP_BYTES = 32 << 20
-_MAX_ROWS_PER_GROUP = 1 << 14
-NamedImage = tuple[str, memoryview]
-"""The file name of an image, and its bytes as they are stored."""
-PackTouches = Callable[[store.ShardName, pa.Table, Iterator[NamedImage]], convert.Made]
-"""Makes the files of a shard from the plain columns and the images of its touches; also returns an index."""
 
 
 @dataclass(frozen=True)

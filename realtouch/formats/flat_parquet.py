@@ -1,4 +1,10 @@
-"""Parquet of other programs: flat tables with a row for each touch, and images in columns."""
+"""Parquet with a row for each touch, as `datasets`, pandas and polars read it: the rows are the format.
+
+Files of other programs have the picture in a column of bytes, or of ``bytes`` and ``path`` as `datasets`
+stores it. They are not trusted: Arrow allocates what the header of a page states, so headers are checked
+before. A column of a row group is a sequence of pages. Each begins with a header in the compact protocol of
+Thrift; its fields 2 and 3 are the sizes of the page, unpacked and stored.
+"""
 
 from __future__ import annotations
 
@@ -28,6 +34,26 @@ _SPLIT = "split"
 # Columns of our exports. Those of the order repeat the ids and the order of the rows.
 _OURS = {"id", "round_id", "label_name", "touch", "frame"}
 _ORDER_COLUMNS = ("id", "touch", "frame")
+
+_ROWS_AT_ONCE = 4096
+
+# A value may be stored once and repeated in each row, so the stored size of a column says little.
+_BYTES_AT_ONCE = 256 << 20
+_TEXT = "BYTE_ARRAY"
+_VALUE_BYTES = 8
+
+_UNPACKED, _STORED = 2, 3  # fields of a header
+_HEADER_BYTES = (1 << 10, 1 << 24)  # read at first, and for a long header; Arrow reads no longer ones
+_MAX_PAGES = 1 << 20
+_SPARE_BYTES = 100  # by which old writers understate the size of a column
+_BOOLEANS = (1, 2)
+_BYTE = 3
+_INTEGERS = (4, 5, 6)
+_DOUBLE = 7
+_BINARY = 8
+_LISTS = (9, 10)
+_STRUCT = 12
+_MAX_BITS = 63
 
 
 def find_flat(
@@ -85,14 +111,6 @@ def _touches(
         start=np.arange(len(parquet)),
         size=size,
     )
-
-
-_ROWS_AT_ONCE = 4096
-
-# A value may be stored once and repeated in each row, so the stored size of a column says little.
-_BYTES_AT_ONCE = 256 << 20
-_TEXT = "BYTE_ARRAY"
-_VALUE_BYTES = 8
 
 
 def is_picture(data_type: pa.DataType | None) -> bool:
@@ -280,20 +298,6 @@ def _named_values(place: str) -> Iterator[None]:
 def read_rows(place: importing.PicturePlace, numbers: Sequence[int]) -> Iterator[bytes | errors.ItemError]:
     """Yield the pictures of some rows; ``part`` of the place is their column."""
     return ForeignParquet(store.open_folder(place.home), place.path).pictures(place.part, numbers)
-
-
-_UNPACKED, _STORED = 2, 3  # fields of a header
-_HEADER_BYTES = (1 << 10, 1 << 24)  # read at first, and for a long header; Arrow reads no longer ones
-_MAX_PAGES = 1 << 20
-_SPARE_BYTES = 100  # by which old writers understate the size of a column
-_BOOLEANS = (1, 2)
-_BYTE = 3
-_INTEGERS = (4, 5, 6)
-_DOUBLE = 7
-_BINARY = 8
-_LISTS = (9, 10)
-_STRUCT = 12
-_MAX_BITS = 63
 
 
 def require_bounded_pages(stream: IO[bytes], start: int, stored_bytes: int, most_bytes: int) -> None:

@@ -1,4 +1,10 @@
-"""Recordings in HDF5 files."""
+"""HDF5 of other programs as recordings: each group with a dataset of pictures at a given path is an episode.
+
+Datasets below the group with a row for each picture are columns with the name of their path; attributes are
+values. Only values in the file itself are read, with the filters of the library; links are not followed.
+Metadata are checked before a value is read. A chunk is unpacked to its stated size and no further: HDF5 would
+allocate whatever the packed bytes ask for.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +22,9 @@ import numpy as np
 
 from realtouch import importing
 from realtouch.formats import picture_arrays, zarr_recordings
-from realtouch.formats.picture_arrays import StoredArray
-from tactile_toolkit import errors, store
+from tactile_toolkit import cache, errors, store
 from tactile_toolkit.array_types import AnyArray
-from tactile_toolkit.cache import require_unpackable
 from tactile_toolkit.columns import column_types
-from tactile_toolkit.errors import InputError, needs_extra
 
 H5Object = Any
 """A file, group or dataset of h5py, which has no types for type checkers."""
@@ -34,6 +37,11 @@ _SPARE_BYTES = 1 << 16
 _STEP_BYTES = 4 << 20
 _DAMAGE = (OSError, RuntimeError, ValueError, TypeError, LookupError, MemoryError, OverflowError, zlib.error)
 
+_ENDINGS = (".h5", ".hdf5")
+_MAX_OBJECTS, _DEEPEST = 20_000, 16
+_MAX_NUMBERS, _MAX_LETTERS = 256, 1000  # of an attribute
+_SHOWN, _PICTURE_AXES = 8, 4
+
 
 @contextmanager
 def in_words(place: str) -> Iterator[None]:
@@ -41,12 +49,14 @@ def in_words(place: str) -> Iterator[None]:
     try:
         yield
     except _DAMAGE as error:
-        raise InputError(f"{place!r}: not an intact file of HDF5", next="write the file again") from error
+        raise errors.InputError(
+            f"{place!r}: not an intact file of HDF5", next="write the file again"
+        ) from error
 
 
 def open_file(stream: IO[bytes]) -> H5Object:
     """Open an HDF5 file from a stream, which must stay open."""
-    with needs_extra("reading HDF5", "h5py", "hdf5"):
+    with errors.needs_extra("reading HDF5", "h5py", "hdf5"):
         return import_module("h5py").File(stream, "r")
 
 
@@ -57,23 +67,23 @@ def kind_of_member(group: H5Object, name: str) -> str:
     return str(group.get(name, getclass=True).__name__)
 
 
-def dataset_in(file: str, root: H5Object, path: str) -> StoredArray:
+def dataset_in(file: str, root: H5Object, path: str) -> picture_arrays.StoredArray:
     """Open a dataset by its path in the file, not through links; InputError if it cannot be used."""
     place = f"{file}/{path}"
     found = root
     with in_words(place):
         for name in path.split("/"):
             if kind_of_member(found, name) == "link":
-                raise InputError(f"{place!r} lies behind a link")
+                raise errors.InputError(f"{place!r} lies behind a link")
             found = found[name]
         shape = tuple(found.shape or ())
         dtype = np.dtype(found.dtype)
         step = max(1, _STEP_BYTES // max(1, math.prod(shape[1:]) * dtype.itemsize))
         if found.chunks:
             step = int(found.chunks[0])
-            require_unpackable(_chunk_bytes(found), f"{place}: a chunk")
+            cache.require_unpackable(_chunk_bytes(found), f"{place}: a chunk")
         filters = _filters(found)
-        array = StoredArray(
+        array = picture_arrays.StoredArray(
             place, shape, dtype, step, partial(_block, place, found, step), found.id.get_storage_size
         )
         if found.is_virtual or found.external:
@@ -99,7 +109,7 @@ def _block(place: str, dataset: H5Object, step: int, number: int) -> AnyArray:
     start = number * step
     stop = min((number + 1) * step, dataset.shape[0])
     size = (stop - start, *dataset.shape[1:])
-    require_unpackable(math.prod(size) * dataset.dtype.itemsize, f"{place}: {size} values")
+    cache.require_unpackable(math.prod(size) * dataset.dtype.itemsize, f"{place}: {size} values")
     with in_words(place):
         if dataset.chunks and math.prod(size):
             for chunk in dataset.iter_chunks((slice(start, stop), *map(slice, size[1:]))):
@@ -113,20 +123,16 @@ def _require_chunk(place: str, dataset: H5Object, at: tuple[int, ...]) -> None:
     filters, size = _filters(dataset), _chunk_bytes(dataset)
     stored = dataset.id.get_chunk_info_by_coord(at).size
     if stored > 2 * size + _SPARE_BYTES:
-        raise InputError(f"{place!r}: a chunk of {stored:,} bytes; expected at most twice what it unpacks to")
+        raise errors.InputError(
+            f"{place!r}: a chunk of {stored:,} bytes; expected at most twice what it unpacks to"
+        )
     if stored and _LZF in filters:
-        require_unpackable(_LZF_RATIO * stored, f"{place}: a chunk")
+        cache.require_unpackable(_LZF_RATIO * stored, f"{place}: a chunk")
     if stored and _DEFLATE in filters:
         unused, packed = dataset.id.read_direct_chunk(at)
         is_packed = not unused >> filters.index(_DEFLATE) & 1
         if is_packed and len(zlib.decompressobj().decompress(packed, size + 1)) != size:
-            raise InputError(f"{place!r}: a damaged chunk; expected {size:,} bytes unpacked")
-
-
-_ENDINGS = (".h5", ".hdf5")
-_MAX_OBJECTS, _DEEPEST = 20_000, 16
-_MAX_NUMBERS, _MAX_LETTERS = 256, 1000  # of an attribute
-_SHOWN, _PICTURE_AXES = 8, 4
+            raise errors.InputError(f"{place!r}: a damaged chunk; expected {size:,} bytes unpacked")
 
 
 def find_hdf5(

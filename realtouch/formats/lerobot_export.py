@@ -1,4 +1,11 @@
-"""Touches as a LeRobotDataset v3.0."""
+"""Touches as a LeRobotDataset v3.0 with images: an episode is a clip, or a round of single images.
+
+Facts of the format: frames are in ``data/chunk-000/file-000.parquet``, 1,000 files in a chunk, and are
+numbered over all episodes; ``meta`` has the start of each episode, the features, and their statistics. Depth
+maps are lossless TIFF of float32 in metres, as LeRobot 0.6 stores depth. A feature of maps has one channel,
+and ``info`` with ``is_depth_map`` and ``depth_unit``, which is ``m`` or ``mm``. Statistics are in that unit,
+while those of colours are scaled to 1.
+"""
 
 from __future__ import annotations
 
@@ -23,6 +30,8 @@ _GROUP_BYTES = 16 << 20
 _INDEX_COLUMNS = ("round_id", "touch", "label", "object_id")
 _META_COLUMNS = ("round_id", "touch")
 
+_NUMBER_BYTES = 4  # of float32
+
 
 def plan_lerobot(
     source: convert.Source,
@@ -36,14 +45,14 @@ def plan_lerobot(
     """
     rows_per_shard = max(1, lerobot_metadata.FILE_BYTES // source.row_bytes())
     step = Episodes.of(source, choices, "LeRobotDataset", pa.float32())
-    step = replace(step, depth_of=depth_of)
+    step = replace(step, depth_of=_depth_of)
     numbers = EpisodeNumbers.of(source, step, choices[step.split], rows_per_shard)
     tasks = tuple(f"touch an object of class {name}" for name in step.names)
     if (datasets.dataset_of(source.shards[step.split]).labels < 0).any():
         tasks += ("touch an object",)  # the last, as -1 counts from the end
     frame_bytes = source.image_bytes()
     if DEPTH in step.schema(source.schema).names:
-        frame_bytes += NUMBER_BYTES * math.prod(step.size)
+        frame_bytes += _NUMBER_BYTES * math.prod(step.size)
     return convert.Conversion(
         source,
         "export",
@@ -125,10 +134,7 @@ class _PackEpisodes:
         return frames.cast(touch.with_features(frames.schema, None))
 
 
-NUMBER_BYTES = 4  # of float32
-
-
-def depth_of(row: stored_round.StoredRound, size: tuple[int, int]) -> pa.Array:
+def _depth_of(row: stored_round.StoredRound, size: tuple[int, int]) -> pa.Array:
     """Return the encoded depth maps of a round; IntegrityError for a map of another size."""
     files = []
     for number, depth_m in enumerate(media.DepthMaps(row, media.DEPTH)):

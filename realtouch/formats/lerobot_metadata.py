@@ -1,4 +1,7 @@
-"""The folder meta of a LeRobotDataset: features, tasks, episodes."""
+"""The folder ``meta`` of a LeRobotDataset, read and written: features, episodes, tasks and statistics.
+
+An export of this toolkit has a mark in ``info.json``, by which an import restores the names of its columns.
+"""
 
 from __future__ import annotations
 
@@ -30,6 +33,15 @@ _RANGE = re.compile(r"(\d{1,15}):(\d{1,15})")
 # Fields of episodes that locate their files, or that follow from their frames.
 _OF_FILES = re.compile(r"(stats|data|meta|videos)/.*|dataset_(from|to)_index|tasks|length|episode_index")
 _Count = Annotated[int, msgspec.Meta(ge=0, lt=1 << 50)]
+
+FOLDER = "lerobot"
+FILES_PER_CHUNK = 1000
+FILE_BYTES = 100 << 20
+_VERSION = "v3.0"
+META_STYLE = store.ParquetStyle(rows_per_group=1 << 12, compression_level=3)
+_POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
+_AXES = ("height", "width", "channels")
+_COMPONENTS = {STATE: list(_POSE), ACTION: list(_POSE[:2])}
 
 
 class Mark(msgspec.Struct, frozen=True):
@@ -232,16 +244,6 @@ def _as_input_error(home: store.DataFolder, path: str) -> Iterator[None]:
         raise errors.InputError(
             f"{home.address(path)!r} holds no metadata of a LeRobotDataset ({error})"
         ) from error
-
-
-FOLDER = "lerobot"
-FILES_PER_CHUNK = 1000
-FILE_BYTES = 100 << 20
-_VERSION = "v3.0"
-META_STYLE = store.ParquetStyle(rows_per_group=1 << 12, compression_level=3)
-_POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
-_AXES = ("height", "width", "channels")
-_COMPONENTS = {STATE: list(_POSE), ACTION: list(_POSE[:2])}
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,8 @@
-"""Imports of image files and of videos, with the tables beside them."""
+"""Image files and videos as sources of touches.
+
+Images have a table of their fields, a folder for each class, or neither. Each video is a recording; a table
+or its folder gives its fields.
+"""
 
 from __future__ import annotations
 
@@ -20,6 +24,8 @@ from tactile_toolkit.json_types import JsonDict
 _IMAGES = tuple(f".{ending}" for ending in importing.IMAGE_ENDINGS)
 _SPLITS = {"train", "val", "valid", "validation", "test"}
 _MAX_IMAGES = 1_000_000
+
+_FILE = "file"
 
 
 def find_folder(
@@ -86,9 +92,6 @@ def _labelled(home: store.DataFolder, paths: list[str]) -> importing.FoundTouche
         labels = [names[0].encode(errors="replace").decode() if names else None for names in inner]
         said["label"] = pa.array(labels, pa.string())
     return importing.image_files(home, paths, said)
-
-
-_FILE = "file"
 
 
 def find_video(

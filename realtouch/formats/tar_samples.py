@@ -1,4 +1,9 @@
-"""Samples in tars: WebDataset, and FoTa of T3."""
+"""Samples in tars: WebDataset, where a touch is an image and a JSON file of the same name, and FoTa.
+
+FoTa are the tars that T3 trains on: ``SPLIT/data-000000.tar`` with poses in millimetres, and ``count.txt``.
+Facts of the format: a sample is ``KEY.jpg`` and ``KEY.json``; poses are ``x_mm``, ``y_mm``, ``z_mm`` and
+``quat_x`` to ``quat_w``; tars are numbered from 0 without gaps; ``count.txt`` has the number of samples.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +24,6 @@ import pyarrow as pa
 
 from realtouch import convert, importing, tars, touch_options
 from realtouch.formats import exports
-from realtouch.formats.exports import NamedImage, TouchFormat
 from realtouch.touches import stored_images
 from tactile_toolkit import errors, store
 from tactile_toolkit.columns import column_types
@@ -43,6 +47,14 @@ _HEADER = tarfile.TarInfo().tobuf(tarfile.USTAR_FORMAT)
 _SUM_OF_OTHERS = int(_HEADER[_SUM], 8) - sum(_HEADER[_SIZE])
 Sample = tuple[str, bytes | memoryview, Mapping[str, object]]
 """The name of an image, its bytes, and the fields for its JSON file."""
+
+# First bytes of files of gzip, bzip2, xz and Zstandard.
+_COMPRESSED = (b"\x1f\x8b", b"BZh", b"\xfd7zX", b"\x28\xb5\x2f\xfd")
+_MAX_FIELDS = 1000
+_MAX_TEXT_BYTES = 1 << 20  # longer files with fields are not read
+
+_FOTA_FOLDER = "fota"
+_PER_METRE = (1000.0, 1000.0, 1000.0, 1.0, 1.0, 1.0, 1.0)
 
 
 def tar_of(samples: Iterable[Sample]) -> bytes:
@@ -93,19 +105,13 @@ def _without_nan(value: object) -> object:
     return None if value != value else value
 
 
-def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[NamedImage]) -> convert.Made:
+def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[exports.NamedImage]) -> convert.Made:
     """Return the touches of a shard as one tar."""
     samples = ((*image, fields) for image, fields in zip(images, index.to_pylist(), strict=True))
     return convert.with_files(index, {f"{_FOLDER}/{shard.split}-{shard.index:06d}.tar": tar_of(samples)})
 
 
-plan_webdataset = TouchFormat(_FOLDER, _pack).plan
-
-
-# First bytes of files of gzip, bzip2, xz and Zstandard.
-_COMPRESSED = (b"\x1f\x8b", b"BZh", b"\xfd7zX", b"\x28\xb5\x2f\xfd")
-_MAX_FIELDS = 1000
-_MAX_TEXT_BYTES = 1 << 20  # longer files with fields are not read
+plan_webdataset = exports.TouchFormat(_FOLDER, _pack).plan
 
 
 def find_webdataset(
@@ -261,10 +267,6 @@ def _fields(content: bytes) -> JsonDict:
         raise errors.ItemError(
             "json", "its JSON file cannot be read; expected an object of at most 1 MiB"
         ) from error
-
-
-_FOTA_FOLDER = "fota"
-_PER_METRE = (1000.0, 1000.0, 1000.0, 1.0, 1.0, 1.0, 1.0)
 
 
 def _pack_fota(shard: store.ShardName, index: pa.Table, images: Iterator[exports.NamedImage]) -> convert.Made:

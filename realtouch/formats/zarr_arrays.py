@@ -1,4 +1,9 @@
-"""Arrays of Zarr 2 and 3, in folders and zips; unknown codecs are refused before anything is opened."""
+"""Arrays of Zarr 2 and 3 from other programs, in folders and zips.
+
+The metadata of an array are checked before a chunk is opened. Only the lossless codecs below are known. A
+chunk is unpacked to its stated size and no further. (The package zarr opens any codec that is named, unpacks
+without a limit, and follows links.)
+"""
 
 from __future__ import annotations
 

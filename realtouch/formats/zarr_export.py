@@ -1,4 +1,17 @@
-"""Touches as Zarr groups: replay buffers and Open-X-Tactile."""
+"""Touches as zipped Zarr groups with a row for each frame: replay buffers, and Open-X-Tactile of FTP-1.
+
+Facts of the formats (Zarr version 2, which opens a path that ends in ``.zip``): ``data`` has arrays of equal
+length along time; ``meta/episode_ends`` has the number of the first frame after each episode; images are
+pixels. The rows from which the group is made stay in the folder ``data`` of the export, with images as they
+were stored. The formats have no place for ids of rounds and names of classes: they are in ``meta`` and mark
+the group as an export of this toolkit, whose poses are then known.
+
+Replay buffers of Diffusion Policy have the arrays ``tactile``, ``state`` and ``action``. In Open-X-Tactile, a
+tactile group is four arrays: data (T, N, H, W, 3), area (T, N), sensor (T,) and type (T,). Poses are x, y, z
+in metres and a rotation vector. The loader of that format needs the pictures of a camera, and a state:
+stand-ins take their places. Exact poses, intended positions, labels and all further columns, for which it has
+no place, are in further arrays.
+"""
 
 from __future__ import annotations
 
@@ -38,6 +51,16 @@ _PICTURE = {episodes.IMAGE, f"{episodes.IMAGE}.bytes", f"{episodes.IMAGE}.path"}
 _IN_MEMORY_BYTES = 64 << 20
 AddArrays = Callable[[episodes.Episodes, pa.Table, dict[str, AnyArray]], Mapping[str, object]]
 """Adds arrays to those of ``data``, given a table of the frames; returns attributes of ``meta``."""
+
+_TACTILE = "right_tactile_{}_gelsight"
+_CAMERA, _POSE = "camera_main_rgb", "right_wrist_pose"
+_INSTRUCTION, _TIMES = "sub_task_instruction", "timestamps"
+_SENSOR, _PICTURE_TYPE = "GelSightMini", "image"
+_STAND_INS = "what_stands_for"
+_BLACK = "black pictures: there was no camera"
+_OF_GEL = "the pose of the gel in the frame of the cell"
+_NO_POSE = "zeros: no pose is known"
+_DECIMALS = 12  # of rotation vectors: their last bits depend on the processor; the exact pose is not rounded
 
 
 def rows_of_chunk(row_bytes: int) -> int:
@@ -225,17 +248,6 @@ plan_replay = GroupFormat(
     pictures=zarr_recordings.PIXELS,
     arrays={**OUR_NAMES, episodes.STATE: "state", episodes.ACTION: "action"},
 ).plan
-
-
-_TACTILE = "right_tactile_{}_gelsight"
-_CAMERA, _POSE = "camera_main_rgb", "right_wrist_pose"
-_INSTRUCTION, _TIMES = "sub_task_instruction", "timestamps"
-_SENSOR, _PICTURE_TYPE = "GelSightMini", "image"
-_STAND_INS = "what_stands_for"
-_BLACK = "black pictures: there was no camera"
-_OF_GEL = "the pose of the gel in the frame of the cell"
-_NO_POSE = "zeros: no pose is known"
-_DECIMALS = 12  # of rotation vectors: their last bits depend on the processor; the exact pose is not rounded
 
 
 def _add_arrays(

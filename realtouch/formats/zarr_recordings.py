@@ -1,4 +1,7 @@
-"""Recordings in Zarr groups: episodes of replay buffers and of Open-X-Tactile."""
+"""Zarr groups as recordings: replay buffers and Open-X-Tactile.
+
+An episode is a recording, and the arrays of ``data`` are its columns.
+"""
 
 from __future__ import annotations
 

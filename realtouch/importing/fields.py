@@ -1,4 +1,8 @@
-"""Fields of a source as columns of a data set: in its units, or kept as extra columns."""
+"""Fields of a source as columns of a data set, in its units; wrong values are refused with a reason.
+
+Columns whose meaning is not known are kept with their types, as extra columns. A touch has one value in such
+a column, or one for each picture of its clip. Missing values stay missing.
+"""
 
 from __future__ import annotations
 
@@ -30,6 +34,12 @@ _FARTHEST_M = (0.18, 0.18, 0.36)
 _MAX_TURN = 4 * np.pi  # radians; a longer rotation vector is in degrees
 _MAX_TILT = 1e-6  # of a frame that can transform x and y without the height
 _INSTANTS = (pa.timestamp("ns", "UTC"), pa.timestamp("ns"))
+
+BOOKKEEPING = frozenset(
+    {"id", "round_id", "touch", "frame", "file", "image", "key", "sha256", "meta_file", "meta_sha256"}
+)
+"""Columns by which exports of this toolkit find their files; they become extra columns only if named."""
+_MAX_COLUMNS = 1000
 
 
 def shown(text: object) -> str:
@@ -282,13 +292,6 @@ def _numbers(
             expected += f", or {counts} of a matrix (6 with --euler or --rotvec)"
         raise errors.ItemError(reason, f"{shown(example)}; expected {expected}")
     return numbers / columns.divisors(names, numbers.shape[1])
-
-
-BOOKKEEPING = frozenset(
-    {"id", "round_id", "touch", "frame", "file", "image", "key", "sha256", "meta_file", "meta_sha256"}
-)
-"""Columns by which exports of this toolkit find their files; they become extra columns only if named."""
-_MAX_COLUMNS = 1000
 
 
 def used_names(columns: import_columns.ImportColumns) -> set[str | None]:

@@ -92,7 +92,7 @@ def rigid_frame(values: object, where: str) -> Matrix:
 
     Raises InputError if it is not a rigid transform.
     """
-    import numpy as np
+    import numpy as np  # these imports are slow, and few commands name a frame
 
     from tactile_toolkit.arithmetic import are_rigid
 

@@ -42,6 +42,22 @@ _GROUP_BYTES = 32 << 20
 _PAGE_BYTES = 256 << 10  # images do not compress better in larger pages
 _CUTS = "cuts"
 
+_TOUCHES_PER_SHARD = 4096
+_SHARD_BYTES = 256 << 20
+_CLIP_SHARD_BYTES = 32 << 20  # clips are in memory several times, encoded and decoded
+_ROUND_BYTES = 24 << 20  # of a recording; a larger one becomes several rounds
+_SPLIT = re.compile(r"\w+")
+_OUR_TAR = re.compile(r"^(\w+)-[0-9]{6}\.tar\Z")
+_DECIMAL = re.compile(r"\d+")
+_INTEGER = re.compile(r"0|[1-9][0-9]{0,3}")
+_UNNAMED = re.compile(r"[^\w-]")
+_SIZE_SAMPLES = 32
+_LONGEST_ID = 64  # characters at the end of a path; exports write ids of at most 80
+
+_TOUCHES_SHOWN = 3
+_VALUES_SHOWN = 8
+_LONGEST_SHOWN = 60
+
 
 def import_touches(
     source: str | PathLike[str],
@@ -183,19 +199,6 @@ def _style(
         encodings=((f"{column}.list.element.bytes", "PLAIN"),),
         values_per_page=max(1, _PAGE_BYTES // touch_bytes),
     )
-
-
-_TOUCHES_PER_SHARD = 4096
-_SHARD_BYTES = 256 << 20
-_CLIP_SHARD_BYTES = 32 << 20  # clips are in memory several times, encoded and decoded
-_ROUND_BYTES = 24 << 20  # of a recording; a larger one becomes several rounds
-_SPLIT = re.compile(r"\w+")
-_OUR_TAR = re.compile(r"^(\w+)-[0-9]{6}\.tar\Z")
-_DECIMAL = re.compile(r"\d+")
-_INTEGER = re.compile(r"0|[1-9][0-9]{0,3}")
-_UNNAMED = re.compile(r"[^\w-]")
-_SIZE_SAMPLES = 32
-_LONGEST_ID = 64  # characters at the end of a path; exports write ids of at most 80
 
 
 @dataclass(frozen=True, slots=True)
@@ -367,11 +370,6 @@ def _sizes(
             with suppress(ValueError):
                 sizes[touch.intact_size(content)] += counts.get(place, 1)
     return sizes
-
-
-_TOUCHES_SHOWN = 3
-_VALUES_SHOWN = 8
-_LONGEST_SHOWN = 60
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,7 @@
-"""Shards of an import: rows, images and clips."""
+"""Shards of an import: pictures are read, checked and stored with their fields in the published schema.
+
+The pictures of a clip become an AVI, with their times and the moments of contact.
+"""
 
 from __future__ import annotations
 
@@ -14,28 +17,28 @@ import pyarrow as pa
 
 from realtouch import contact, touch_options
 from realtouch.importing import fields, import_columns, import_sources, source_formats, source_touches
-from realtouch.importing.fields import extra_arrays, extra_types
 from realtouch.touches import schema as stored_schema, stored_images
-from realtouch.touches.schema import MEDIA_COLUMN, POSE_COLUMN, Kind
-from realtouch.touches.stored_images import media_array
 from realtouch.video import avi
 from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import AnyArray, Float64, Int64, UInt8
 from tactile_toolkit.columns import column_types
-from tactile_toolkit.errors import ItemError
-from tactile_toolkit.touch import (
-    MEDIA_TYPE,
-    decode_image,
-    is_jpeg,
-    upright_size,
-    with_features,
-)
+from tactile_toolkit.touch import MEDIA_TYPE, decode_image, is_jpeg, upright_size, with_features
 
 NOT_IMPORTED = "not_imported"
 """Key of the statistics of an import: number of touches of each field that was not imported."""
 _MAX_FIELDS = 100
 _PIECE_BYTES = 32 << 20
 _SAME_M = 1e-9
+
+_TIME = pa.duration("us")
+_POSE_PARTS = {"position": slice(0, 3), "quaternion": slice(3, 7)}
+
+FRAMES_PER_SECOND = 25.0
+"""Frame rate of clips whose times are not known."""
+_RATES = (1e-3, 1e4)  # pictures a second that the header of an AVI can state
+_LONGEST_S = 1e6
+_DECODED_AT_ONCE = 64  # pictures
+_DECODED_BYTES = 64 << 20  # of these pictures; if they are large, there are fewer
 
 
 def _add_contents(digest: Any, contents: Iterable[bytes | errors.ItemError]) -> None:
@@ -259,10 +262,6 @@ def _of_other_rounds(
     return dict.fromkeys(places[differs].tolist(), error)
 
 
-_TIME = pa.duration("us")
-_POSE_PARTS = {"position": slice(0, 3), "quaternion": slice(3, 7)}
-
-
 @dataclass(frozen=True, eq=False)
 class StoredTouches:
     """Touches of whole rounds as they are stored, an entry for each touch.
@@ -284,14 +283,14 @@ def touch_schema(
     columns: import_columns.ImportColumns, names: Sequence[str], touches: source_touches.FoundTouches
 ) -> pa.Schema:
     """Return the schema of imported rounds, of clips or of single images, with the columns that are known."""
-    kind: Kind = "seq" if touches.has_clips else "single"
+    kind: stored_schema.Kind = "seq" if touches.has_clips else "single"
     known: dict[str, pa.DataType] = {}
     if columns.position:
         known["pos_in_cell"] = pa.list_(pa.float64(), 2)
     if columns.pose:
         for part, numbers in _POSE_PARTS.items():
             pose = pa.list_(pa.float64(), numbers.stop - numbers.start)
-            known[f"{POSE_COLUMN[kind]}.{part}"] = pa.list_(pose) if kind == "seq" else pose
+            known[f"{stored_schema.POSE_COLUMN[kind]}.{part}"] = pa.list_(pose) if kind == "seq" else pose
     if kind == "seq":
         known |= {
             "video_length_frames": pa.int64(),
@@ -299,8 +298,8 @@ def touch_schema(
             "touch_start_time_rel": _TIME,
             "touch_end_time_rel": _TIME,
         }
-    known[MEDIA_COLUMN[kind]] = MEDIA_TYPE
-    known |= extra_types(touches, columns)
+    known[stored_schema.MEDIA_COLUMN[kind]] = MEDIA_TYPE
+    known |= fields.extra_types(touches, columns)
     of_round = [("id", pa.string()), ("label", pa.int64())]
     if columns.object_id:
         of_round.append(("object_id", pa.int64()))
@@ -330,7 +329,7 @@ def table_of_touches(
     }
     of_touches = _media_and_poses(stored, schema)
     extras = extras_in(schema)
-    of_touches |= extra_arrays(stored.touches, columns, extras)
+    of_touches |= fields.extra_arrays(stored.touches, columns, extras)
     offsets = pa.array([*starts.tolist(), len(codes)], pa.int32())
     for name, values in of_touches.items():
         if name in schema.names:
@@ -340,16 +339,16 @@ def table_of_touches(
 
 def _media_and_poses(stored: StoredTouches, schema: pa.Schema) -> dict[str, pa.Array]:
     """Return the columns with an entry for each touch, except the extra ones."""
-    kind: Kind = "seq" if MEDIA_COLUMN["seq"] in schema.names else "single"
+    kind: stored_schema.Kind = "seq" if stored_schema.MEDIA_COLUMN["seq"] in schema.names else "single"
     paths = [name.rpartition("/")[2] for name in stored.touches.where["name"].to_pylist()]
     made: dict[str, pa.Array] = {}
     if kind == "seq":
         paths = [f"{path}.avi" for path in paths]
         made |= _clip_times(stored.clips)
-    made[MEDIA_COLUMN[kind]] = media_array(stored.media, paths)
+    made[stored_schema.MEDIA_COLUMN[kind]] = stored_images.media_array(stored.media, paths)
     made["pos_in_cell"] = _vectors(stored.positions, 2)
     for part, numbers in _POSE_PARTS.items():
-        name = f"{POSE_COLUMN[kind]}.{part}"
+        name = f"{stored_schema.POSE_COLUMN[kind]}.{part}"
         made[name] = _vectors(stored.poses[:, numbers], numbers.stop - numbers.start)
         if kind == "seq":
             made[name] = column_types.lists_of(made[name], [len(clip.time_us) for clip in stored.clips])
@@ -375,14 +374,6 @@ def _times(time_us: AnyArray) -> pa.Array:
 
 def _vectors(rows: Float64, width: int) -> pa.Array:
     return pa.FixedSizeListArray.from_arrays(pa.array(rows.reshape(-1)), width)
-
-
-FRAMES_PER_SECOND = 25.0
-"""Frame rate of clips whose times are not known."""
-_RATES = (1e-3, 1e4)  # pictures a second that the header of an AVI can state
-_LONGEST_S = 1e6
-_DECODED_AT_ONCE = 64  # pictures
-_DECODED_BYTES = 64 << 20  # of these pictures; if they are large, there are fewer
 
 
 @dataclass(frozen=True, slots=True)
@@ -422,14 +413,14 @@ def clip_of(
         jpegs = list(map(stored_images.as_jpeg, pictures))
     step_s = float(np.median(np.diff(time_s))) if len(pictures) > 1 else 0.0
     fps = min(max(1 / step_s, _RATES[0]), _RATES[1]) if step_s > 0 else FRAMES_PER_SECOND
-    contact = touches.where["contact"][row].as_py()
-    if contact is None:  # from the pictures as they are stored, so that a copy gives the same
-        contact, is_found = contact_by_pictures(jpegs, size)
+    contact_ends = touches.where["contact"][row].as_py()
+    if contact_ends is None:  # from the pictures as they are stored, so that a copy gives the same
+        contact_ends, is_found = contact_by_pictures(jpegs, size)
         notes.append("contact found by the pictures" if is_found else "no contact found: the best picture")
     height, width = size
     video = avi.write_avi(jpegs, width, height, fps)
     time_us = np.round(time_s * 1e6).astype(np.int64)
-    return ImportedClip(video, time_us, (contact[0], contact[1]), tuple(notes))
+    return ImportedClip(video, time_us, (contact_ends[0], contact_ends[1]), tuple(notes))
 
 
 def clip_times_s(
@@ -443,12 +434,12 @@ def clip_times_s(
     stated = touches.where["time_s"][row].values
     if stated is None:
         if columns.time:
-            raise ItemError("time", f"no {columns.time!r} for each picture; expected the time of each")
+            raise errors.ItemError("time", f"no {columns.time!r} for each picture; expected the time of each")
         return None
     time_s: Float64 = stated.to_numpy()
     from_first = time_s - time_s[:1]
     if from_first.max(initial=0.0) > _LONGEST_S:
-        raise ItemError(
+        raise errors.ItemError(
             "time", f"the clip lasts {from_first[-1]:g} s; expected seconds (--time-unit states another unit)"
         )
     return from_first
@@ -481,7 +472,7 @@ def contact_by_pictures(
             for start in range(0, len(pictures), at_once)
         ]
     except ValueError as error:
-        raise ItemError("image", str(error)) from error
+        raise errors.ItemError("image", str(error)) from error
     in_contact = np.flatnonzero(np.concatenate([rule.holds(score) for score in scores]))
     if len(in_contact):
         return (int(in_contact[0]), int(in_contact[-1])), True

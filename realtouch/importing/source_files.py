@@ -30,6 +30,12 @@ _AT_ONCE = 16  # pictures of a file that are read together
 _CURRENT_FOLDER = re.compile(r"^(?:\./+)+")
 _DIGITS = re.compile(r"([0-9]{1,18})")
 
+ReadContents = Callable[[Iterable[source_touches.PicturePlace]], Iterator[bytes | errors.ItemError]]
+"""Yields the bytes of the pictures of each place, in order, or why one cannot be read."""
+
+ReadNumbers = Callable[[source_touches.PicturePlace, Sequence[int]], Iterator[bytes | errors.ItemError]]
+"""Yields the pictures with some numbers from the file, and the part of it, of a place."""
+
 
 def path_of(text: str) -> str:
     """Return a path in a table or tar with slashes; programs on Windows write backslashes."""
@@ -185,14 +191,6 @@ def image_files(
     # A name that is not Unicode has a problem already; this makes it printable.
     shown = [path.encode(errors="backslashreplace").decode() for path in paths]
     return source_touches.FoundTouches.of(shown, home.address(), shown, said, problems=wrong, size=sizes)
-
-
-ReadContents = Callable[[Iterable[source_touches.PicturePlace]], Iterator[bytes | errors.ItemError]]
-"""Yields the bytes of the pictures of each place, in order, or why one cannot be read."""
-
-
-ReadNumbers = Callable[[source_touches.PicturePlace, Sequence[int]], Iterator[bytes | errors.ItemError]]
-"""Yields the pictures with some numbers from the file, and the part of it, of a place."""
 
 
 def pictures_by_file(

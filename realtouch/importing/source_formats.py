@@ -1,4 +1,4 @@
-"""Formats of recordings, and how a source shows its format."""
+"""Formats that can be imported, and how a source shows its format: by its file names and first bytes."""
 
 from __future__ import annotations
 
@@ -22,6 +22,31 @@ FindTouches = Callable[
     Iterator[source_touches.FoundTouches | source_touches.Recording],
 ]
 """Yields the touches of a folder, or recordings to cut, given columns and the path of a table."""
+
+_MAX_PATHS = 20_000
+_MAX_FOLDERS = 200
+_MAX_DEPTH = 3
+_PATHS_SHOWN = 3
+_TAR_OFFSET = 257
+_ZIP = b"PK\x03\x04"
+
+# First bytes of files that are not videos: offset, bytes.
+_FIRST_BYTES: dict[str, tuple[tuple[int, bytes], ...]] = {
+    "hdf5": ((0, b"\x89HDF\r\n\x1a\n"),),
+    "flat": ((0, b"PAR1"),),
+    "webdataset": ((_TAR_OFFSET, b"ustar"),),
+    "replay": ((0, _ZIP),),
+}
+_OXT_MEMBER = re.compile(r"(^|/)data/\w+_tactile_type_\w+(/|\Z)")
+_ZARR_MARKS = (".zgroup", "zarr.json")
+
+# Formats that contain files of other formats: LeRobot has videos, Parquet files and tables.
+_PARTS = {
+    "lerobot": {"video", "flat", "folder"},
+    "oxt": {"replay"},
+    "anytouch": {"folder"},
+    "fota": {"webdataset"},
+}
 
 
 @dataclass(frozen=True)
@@ -73,23 +98,6 @@ IMPORTS: dict[str, ImportFormat] = {
 }
 """Formats that can be imported; :func:`recognised` recognises them by their content."""
 
-_MAX_PATHS = 20_000
-_MAX_FOLDERS = 200
-_MAX_DEPTH = 3
-_PATHS_SHOWN = 3
-_TAR_OFFSET = 257
-_ZIP = b"PK\x03\x04"
-
-# First bytes of files that are not videos: offset, bytes.
-_FIRST_BYTES: dict[str, tuple[tuple[int, bytes], ...]] = {
-    "hdf5": ((0, b"\x89HDF\r\n\x1a\n"),),
-    "flat": ((0, b"PAR1"),),
-    "webdataset": ((_TAR_OFFSET, b"ustar"),),
-    "replay": ((0, _ZIP),),
-}
-_OXT_MEMBER = re.compile(r"(^|/)data/\w+_tactile_type_\w+(/|\Z)")
-_ZARR_MARKS = (".zgroup", "zarr.json")
-
 
 class Recognised(NamedTuple):
     """The format of a source, and the file by which it was recognised."""
@@ -118,13 +126,6 @@ _MARKS: tuple[tuple[str, Callable[[str], object]], ...] = (
     ("folder", _ends_with(*tables.TEXT_ENDINGS, ".jsonl")),
 )
 
-# Formats that contain files of other formats: LeRobot has videos, Parquet files and tables.
-_PARTS = {
-    "lerobot": {"video", "flat", "folder"},
-    "oxt": {"replay"},
-    "anytouch": {"folder"},
-    "fota": {"webdataset"},
-}
 _PICKLES = _ends_with(".pkl", ".pickle")
 _TABLES = _ends_with(*tables.ENDINGS)
 
@@ -151,6 +152,9 @@ def recognised(place: str) -> Recognised:
         found = {layout: first for layout, first in found.items() if layout not in _PARTS[whole]}
     if len(found) > 1:  # a table describes the files beside it
         found = {layout: first for layout, first in found.items() if not _TABLES(first)} or found
+    if [*found] == ["folder"]:
+        # The images beside the pickles of Sparsh are backgrounds, which must not pass for touches.
+        _refuse_pickles([path for path in paths if path.count("/") < 2])
     if not found:
         _refuse_pickles(paths)
         shown = ", ".join(paths[:_PATHS_SHOWN]) or "nothing"
@@ -174,7 +178,8 @@ def _refuse_pickles(paths: Sequence[str]) -> None:
         raise errors.InputError(
             f"{pickle!r} is a pickle, as Sparsh stores images; pickles are not read, because reading one can "
             "run any program",
-            next="write each image to a file, with the program that made the pickle, and import the folder",
+            next="write each image to a file, with the program that made the pickle, and import the folder; "
+            "`--format folder` imports the images beside it",
         )
 
 
@@ -200,6 +205,7 @@ def _of_file(place: str) -> Recognised:
 
 
 def _is_oxt(stream: IO[bytes]) -> bool:
+    # A damaged zip, or one that Python does not read, is refused where its arrays are read.
     with suppress(zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
         return any(map(_OXT_MEMBER.search, zipfile.ZipFile(stream).namelist()))
     return False

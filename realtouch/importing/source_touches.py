@@ -37,6 +37,13 @@ _PLACE_COLUMNS = ("home", "path", "part", "start", "size", "frames")
 File = tuple[str, str]
 """Address of a source, and a path below it."""
 
+CUTS = ("frames", "whole", "contact")
+"""How recordings become touches without a table: each picture, the whole, or clips found by contact."""
+TIME_S = "time_s"
+"""Name of the field with the time of a picture of a recording, seconds."""
+_ROUND = "round_id"
+_SHORTER = "cut it into touches with `--cut contact` or a table of times (`--cut TABLE`)"
+
 
 class PicturePlace(NamedTuple):
     """Where the pictures of a touch are: all that the reader of a format needs.
@@ -312,14 +319,6 @@ def add_values(digest: Any, column: pa.Array) -> None:
     elif not pa.types.is_null(column.type):
         numbers = column.cast(pa.int8()) if pa.types.is_boolean(column.type) else column
         digest.update(numbers.fill_null(0).to_numpy().tobytes())
-
-
-CUTS = ("frames", "whole", "contact")
-"""How recordings become touches without a table: each picture, the whole, or clips found by contact."""
-TIME_S = "time_s"
-"""Name of the field with the time of a picture of a recording, seconds."""
-_ROUND = "round_id"
-_SHORTER = "cut it into touches with `--cut contact` or a table of times (`--cut TABLE`)"
 
 
 @dataclass(frozen=True, slots=True)

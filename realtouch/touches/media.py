@@ -1,4 +1,11 @@
-"""Images, depth maps and clips of a round, decoded on access."""
+"""Images, depth maps and clips of a round, decoded on access.
+
+Depth maps are images of 16 bits in whole micrometres. A map states how far each point of the gel is pressed
+in: 0 where nothing touches it, at most 65,535 um. A second map states the expected error of each pixel.
+
+Clips are AVIs of MJPEG frames: sequences of JPEGs, which libjpeg decodes. Frames are found by the headers of
+the file and decoded one by one.
+"""
 
 from __future__ import annotations
 
@@ -33,6 +40,14 @@ S = TypeVar("S")
 _LONGEST_RUN = 16
 MAX_BATCH_PIXELS = 1 << 31
 """Most pixels that are decoded into one new array (6 GiB): every frame of 256 clips of 90 frames fits."""
+
+DEPTH, DEPTH_ERROR = "depth_um", "depth_error_um"
+"""Columns of the maps of a round of images, with an entry for each touch."""
+SUFFIX = "png"
+_PER_M, _MOST = 1e6, 65_535
+_MODES = ("I;16", "I;16B")
+
+_SHOWN_FRAMES = 8
 
 
 def in_parallel(work: Callable[[int], object], count: int, threads: int) -> None:
@@ -174,13 +189,6 @@ class SensorImages(_StoredMedia[UInt8, UInt8]):
             return decode_image(self.encoded(touch), out)
 
 
-DEPTH, DEPTH_ERROR = "depth_um", "depth_error_um"
-"""Columns of the maps of a round of images, with an entry for each touch."""
-SUFFIX = "png"
-_PER_M, _MOST = 1e6, 65_535
-_MODES = ("I;16", "I;16B")
-
-
 def encode_map(depth_m: Floating) -> bytes:
     """Encode a depth map, (H, W), metres, as PNG; negative values become 0.
 
@@ -229,9 +237,6 @@ class DepthMaps(_StoredMedia[Float32, Float32]):
 
     def _several(self, index: Any) -> Float32:
         return np.stack([self._item(touch) for touch in self.checked_indices(index)])
-
-
-_SHOWN_FRAMES = 8
 
 
 class TouchClip(read.LazySequence[UInt8, UInt8]):

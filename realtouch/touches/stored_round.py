@@ -414,9 +414,12 @@ class StoredRound(read.Row):
 
         Rendered sets of a GelSight Mini need not store it.
         """
+        stored_m = math.nan
         if self.has(rule.PLATE_COLUMN) and self.value(rule.PLATE_COLUMN) is not None:
-            return float(self.value(rule.PLATE_COLUMN))
-        return touch.PRESS_DEPTH_M if rule.plate == "known" else math.nan
+            stored_m = float(self.value(rule.PLATE_COLUMN))  # NaN if it is null
+        if math.isnan(stored_m) and rule.plate == "known":
+            return touch.PRESS_DEPTH_M
+        return stored_m
 
     def name(self) -> str:
         """Return the id as text; raises IntegrityError as :meth:`integer` does."""

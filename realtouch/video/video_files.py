@@ -57,6 +57,9 @@ _MAX_RUN_BYTES = 1 << 26
 _MAX_BOXES = 1 << 20
 _BOX = struct.Struct(">I4s")
 
+ReadPictures = Callable[[IO[bytes], Iterable[int]], Iterator[bytes | errors.ItemError]]
+"""Yields some pictures of the opened file, encoded, or why one cannot be read."""
+
 
 def demuxer_of(start: bytes) -> str:
     """Return FFmpeg's name of the container of a file: avi, mov, matroska or mpegts.
@@ -132,10 +135,6 @@ def check_boxes(stream: IO[bytes]) -> bool:
                 next="leave its sound out, or cut it into shorter ones",
             )
     raise errors.ItemError("length", f"a video of more than {_MAX_BOXES:,} boxes, which is the limit")
-
-
-ReadPictures = Callable[[IO[bytes], Iterable[int]], Iterator[bytes | errors.ItemError]]
-"""Yields some pictures of the opened file, encoded, or why one cannot be read."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,6 +23,10 @@ _MAX_HZ = 1_000_000
 _MAX_PERIOD_S = 86_400
 _KEPT_VIDEOS = 8
 
+_OPENED_LISTS = (b"AVI ", b"AVIX", b"hdrl", b"strl", b"movi", b"rec ")
+_JPEG_CODECS = (b"MJPG", b"JPEG")
+_FORMAT_CODEC = slice(16, 20)  # biCompression in the stream format `strf`, a BITMAPINFOHEADER
+
 
 def open_video(folder: store.DataFolder, path: str) -> video_files.Video:
     """Find the pictures of a video; only the first one is decoded.
@@ -130,15 +134,12 @@ def _video_of_jpegs(found: AviPictures) -> video_files.Video:
     return video_files.Video(times, int(found.sizes.mean()), note, read)
 
 
-_OPENED_LISTS = (b"AVI ", b"AVIX", b"hdrl", b"strl", b"movi", b"rec ")
-_JPEG_CODECS = (b"MJPG", b"JPEG")
-_FORMAT_CODEC = slice(16, 20)  # biCompression in the stream format `strf`, a BITMAPINFOHEADER
-
-
 class AviPictures:
     """Positions and sizes of the JPEGs of an AVI.
 
-    Only headers are read. If a file was not closed, the sizes of its lists are 0, or reach beyond its end;
+    Only headers of chunks are read, not the index: some recorders leave it out, and it may be wrong. Layout:
+    Microsoft's AVI RIFF file reference, and the OpenDML AVI file format extensions, by which files over 1 GB
+    have several RIFF parts. If a file was not closed, the sizes of its lists are 0, or reach beyond its end;
     then all complete pictures are taken.
 
     Parameters

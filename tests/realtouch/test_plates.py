@@ -5,12 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 import realtouch
 from realtouch.contact import contact_heights_m
 from realtouch.touch_gallery import plan_gallery
 from realtouch.touch_previews import CONTACT, draw_grid
+from tactile_toolkit.touch import PRESS_DEPTH_M
+from tests.realtouch import factories
 from tests.realtouch.factories import RoundTruth
 
 
@@ -70,3 +74,18 @@ def test_heights_above_a_known_plate() -> None:
     np.testing.assert_array_equal(contact_heights_m(z_m, False, plate_z_m=0.001), z_m)
     assert np.isnan(contact_heights_m(np.array([np.nan]))).all()
     assert contact_heights_m(np.zeros(0)).shape == (0,)
+
+
+def test_a_rendered_round_without_a_stored_plate_has_the_known_one(
+    truth: list[RoundTruth], tmp_path: Path
+) -> None:
+    """Joined sets may store the height of the plate for some rounds only; null is NaN in numpy."""
+    factories.write_set(tmp_path, {"train": factories.single_rows(truth[:2])}, "single")
+    (path,) = tmp_path.rglob("train*.parquet")
+    table = pq.read_table(path).append_column("plate_z_m", pa.array([0.001, None], pa.float64()))
+    made_by_us = pa.array([[0.0, 0.0, 0.0]] * 2, pa.list_(pa.float64()))
+    pq.write_table(table.append_column("info.touched_object_pose.position", made_by_us), path)
+    dataset = realtouch.load(tmp_path, "train")
+    z_m = [each.row.contact_z_m("single") for each in dataset]
+    expected = np.concatenate([z_m[0] - 0.001, z_m[1] - PRESS_DEPTH_M])
+    np.testing.assert_array_equal(dataset.touches().heights_m(), expected)

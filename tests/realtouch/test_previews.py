@@ -137,3 +137,11 @@ def test_plans_name_the_round(seq_folder: Path) -> None:
         with pytest.raises(InputError, match=words):
             plan_previews(str(seq_folder), TouchPreviewSpec(kinds, "train", **spec))
     assert SIZE == (96, 72)
+
+
+def test_a_round_without_touches_is_drawn_as_an_empty_grid(tmp_path: Path) -> None:
+    rows = factories.single_rows([factories.make_round(0, 0)])
+    factories.write_set(tmp_path, {"train": rows}, "single", Layout(fixed=False))
+    (record,) = realtouch.load(tmp_path, "train")
+    assert record.touch_count == 0
+    assert draw_grid(record, 4).ndim == 3

@@ -104,3 +104,11 @@ def test_pickles_are_refused_by_name(name: str, tmp_path: Path) -> None:
     (tmp_path / "dataset_0.pkl").write_bytes(b"\x80\x04")
     with pytest.raises(InputError, match=r"'dataset_0.pkl' is a pickle, as Sparsh .*next: write each"):
         recognised(str(tmp_path / name))
+
+
+def test_images_beside_pickles_do_not_pass_for_touches(tmp_path: Path) -> None:
+    """Sparsh keeps touches in pickles, and the image of the gel at rest beside them."""
+    place(tmp_path, "folder")
+    (tmp_path / "dataset_0.pkl").write_bytes(b"\x80\x04")
+    with pytest.raises(InputError, match=r"'dataset_0.pkl' is a pickle.*`--format folder` imports"):
+        recognised(str(tmp_path))
