@@ -181,17 +181,20 @@ def _stored_content(
         return [empty if dataset is None else _or_none(count, dataset) for dataset in by_split]
 
     touches = of_each(lambda dataset: int(dataset.touch_counts.sum()), 0)
+    objects: list[int | None] = [0 if dataset is None else None for dataset in by_split]
     shares: list[float | None] = [None] * len(by_split)
-    if schema.has_poses(read.column_types(facts.schema)):  # without poses, all pictures would be decoded
+    types = read.column_types(facts.schema)
+    if "object_id" in types:
+        objects = of_each(lambda dataset: len(np.unique(dataset.column("object_id"))), 0)
+    if schema.has_poses(types):  # without poses, all pictures would be decoded
         shares = of_each(lambda dataset: float(dataset.touches().in_contact().mean()))
-    sizes = (_or_none(record.picture_size, 0) for record in _first_rounds(facts, kind))
-    size = next(filter(None, sizes), None)
+    size, pictures = _seen(facts, kind)
     left_out = {} if manifest is None else manifest.split_table()
     return _Content(
         words["kinds"][kind],
         words["columns"]["rounds"],
         "rounds",
-        _stored_pictures(facts, kind),
+        pictures,
         {
             "touches": "an unknown number of" if None in touches else f"{sum(touches):,}",
             "size_text": f", {size[0]} x {size[1]} pixels" if size else "",
@@ -203,10 +206,7 @@ def _stored_content(
                 "-" if ends is None else cards.between(*ends)
                 for ends in of_each(lambda dataset: (min(dataset.touch_counts), max(dataset.touch_counts)))
             ],
-            "objects": [
-                _text("{:,}", count)
-                for count in of_each(lambda dataset: len(np.unique(dataset.column("object_id"))), 0)
-            ],
+            "objects": [_text("{:,}", count) for count in objects],
             "contact": [_text("{:.1%}", share).replace("%", " %") for share in shares],
             "left out": [_text("{}", left_out.get(s.split, {}).get("skipped")) for s in facts.splits],
         },
@@ -225,13 +225,15 @@ def _extra_words(facts: cards.FolderSummary) -> dict[str, tuple[str, str]]:
             elif found is None or found.null_count < chunk.num_values:
                 ends.setdefault(name, []).append("")  # a range of the rest would be too small
     words = {}
-    for name, stored in schema.extra_columns(read.column_types(facts.schema)).items():
+    names = schema.extra_columns(read.column_types(facts.schema))
+    codes = [wording.markdown_code(name) for name in names]
+    for code, stored in zip(codes, names.values(), strict=True):
         shape = "T x N; cut to N_i" if stored.startswith(schema.EXTRA_PREFIX["frame"]) else "T"
         found = ends.get(stored, [""])
-        is_known = all(isinstance(each, (int, float)) for each in found)
+        is_known = all(isinstance(end, (int, float)) for end in found)
         # Parquet may state 0 as -0, so 0 is added.
         between = f", {min(found) + 0:g} to {max(found) + 0:g}" if is_known else ""
-        words[stored] = (shape, f"{wording.markdown_code(name)} of the source{between}")
+        words[stored] = (shape, f"{code} of the source{between}")
     return words
 
 
@@ -239,17 +241,22 @@ def _text(form: str, figure: float | None) -> str:
     return "-" if figure is None else form.format(figure)
 
 
-def _stored_pictures(facts: cards.FolderSummary, kind: schema.Kind) -> list[UInt8 | None]:
-    """Decode pictures of the first round that has a readable one; clips show the end of contact."""
+def _seen(facts: cards.FolderSummary, kind: schema.Kind) -> tuple[tuple[int, int] | None, list[UInt8 | None]]:
+    """Return the size of pictures, and those of the first round that has a readable one.
+
+    Clips show the end of contact.
+    """
+    size = None
+    pictures: list[UInt8 | None] = []
     for record in _first_rounds(facts, kind):
         count = _or_none(attrgetter("touch_count"), record) or 0
-        images = [
-            _or_none(attrgetter("image"), Touch(record, each))
-            for each in picture_views.evenly_spaced(count, _TILES)
-        ]
-        if any(image is not None for image in images):
-            return images
-    return []
+        tiles = picture_views.evenly_spaced(count, _TILES)
+        pictures = [_or_none(attrgetter("image"), Touch(record, number)) for number in tiles]
+        intact = next((picture for picture in pictures if picture is not None), None)
+        if intact is not None:
+            return size or intact.shape[1::-1], pictures
+        size = size or _or_none(record.picture_size, 0)
+    return size, []
 
 
 def _sheet(pictures: Iterable[UInt8 | None]) -> bytes | None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pyarrow as pa
@@ -49,11 +50,16 @@ def describe_conversion(touches: importing.FoundTouches) -> str:
     return videos.open_video(store.open_folder(usable.home), usable.path).conversion
 
 
-def read_frames(place: importing.PicturePlace, numbers: Sequence[int]) -> Iterator[bytes | errors.ItemError]:
+def _read_frames(
+    home: store.DataFolder, place: importing.PicturePlace, numbers: Sequence[int]
+) -> Iterator[bytes | errors.ItemError]:
     """Yield the pictures with some numbers of a Parquet file or video."""
     if place.path.endswith(_ROWS):
-        return flat_parquet.read_rows(place, numbers)
-    return media_files.read_frames(place, numbers)
+        return flat_parquet.read_rows(home, place, numbers)
+    return media_files.read_frames(home, place, numbers)
+
+
+read_contents = partial(importing.pictures_by_file, _read_frames)
 
 
 class _Episodes:

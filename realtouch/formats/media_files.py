@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import PurePosixPath
 
 import numpy as np
@@ -111,11 +112,13 @@ def find_video(
     rows = _table_of_videos(folder, columns, column, table, paths)
     if rows is None:
         said = _classes(paths)
-        for path in paths:
-            yield _recording(folder, path, {column: path, **said.get(path, {})}, None, stems)
+        problems = importing.problems_of_names(paths)
+        for number, path in enumerate(paths):
+            yield _recording(folder, path, {column: path, **said.get(path, {})}, problems.get(number), stems)
         return
     named = list(map(importing.path_of, rows.texts(column)))
-    problems = importing.duplicates_of(named, importing.FILE_OF_TABLE)
+    problems = importing.problems_of_names(named)
+    problems |= importing.duplicates_of(named, importing.FILE_OF_TABLE)
     for row, path in enumerate(named):
         yield _recording(folder, path, rows.values(row), problems.get(row), stems)
     unnamed = errors.ItemError("table", "no row of the table names this video; expected one")
@@ -137,7 +140,6 @@ def _recording(
     try:
         if problem is not None:
             raise problem
-        folder.size_inside(path)
         found = videos.open_video(folder, path)
     except errors.ItemError as error:
         return replace(whole, problem=error)
@@ -150,8 +152,10 @@ def _stem(path: str) -> str:
 
 
 def _videos(home: store.DataFolder) -> list[str]:
-    visible = [path for path in home.walk() if not store.is_hidden(path)]
-    return [path for path in visible if video_files.is_video(home, path)]
+    paths = list(home.walk())
+    visible = [path for path in paths if not store.is_hidden(path)]
+    untabled = [path for path in visible if not path.lower().endswith(tables.ENDINGS)]
+    return [path for path in untabled if video_files.is_video(home, path)]
 
 
 def _classes(paths: Sequence[str]) -> dict[str, dict[str, object]]:
@@ -171,22 +175,23 @@ def _table_of_videos(
 ) -> importing.SourceTable | None:
     """Return the table of the videos; None if there is no such table."""
 
-    def read(folder: store.DataFolder, name: str) -> importing.SourceTable:
-        found = importing.read_table(folder, name, columns, [image])
-        importing.require_columns(found.columns, [image], folder.address(name))
-        return found
+    def read(found: tables.Table) -> importing.SourceTable:
+        rows = importing.rows_of_table(found, columns, [image])
+        importing.require_columns(rows.columns, [image], found.path)
+        return rows
 
     if table is not None:
-        return read(*importing.source_of(table))
+        return read(tables.open_table(*importing.source_of(table)))
     found = {}
     refused: tuple[str, str] | None = None
     streams = tuple(f"{_stem(path)}{mark}" for path in paths for mark in "._")
     for name in importing.visible_files(home, tables.ENDINGS):
         if name.startswith(streams):
             continue
-        first = _first_row(home, name)
+        opened = tables.open_table(home, name)
+        first = _first_row(opened)
         if image in first:
-            rows = read(home, name)
+            rows = read(opened)
             if {*map(importing.path_of, rows.texts(image))}.intersection(paths):
                 found[name] = rows
         elif refused is None and not {*importing.RECORDING_COLUMNS}.intersection(first):  # no table of cuts
@@ -206,10 +211,10 @@ def _table_of_videos(
     return next(iter(found.values()), None)
 
 
-def _first_row(home: store.DataFolder, name: str) -> JsonDict:
+def _first_row(table: tables.Table) -> JsonDict:
     """Return the first row of a table; empty for a file that is no table."""
     with suppress(errors.InputError):
-        return tables.open_table(home, name).first_row()
+        return table.first_row()
     return {}
 
 
@@ -218,6 +223,11 @@ def describe_conversion(touches: importing.FoundTouches) -> str:
     return "; ".join(sorted({*touches.where["part"].unique().to_pylist()} - {""}))
 
 
-def read_frames(place: importing.PicturePlace, numbers: Sequence[int]) -> Iterator[bytes | errors.ItemError]:
+def read_frames(
+    home: store.DataFolder, place: importing.PicturePlace, numbers: Sequence[int]
+) -> Iterator[bytes | errors.ItemError]:
     """Yield the pictures of a video with some numbers."""
-    return videos.pictures_of_video(store.open_folder(place.home), place.path, numbers)
+    return videos.pictures_of_video(home, place.path, numbers)
+
+
+read_contents = partial(importing.pictures_by_file, read_frames)

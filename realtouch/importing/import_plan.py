@@ -255,7 +255,7 @@ def _divided(
     least = most_bytes // _TOUCHES_PER_SHARD
     of_rounds = [sum(max(least, sizes[number]) for number in numbers) for numbers in rounds.values()]
     pairs = list(rounds.items())
-    return [dict(pairs[part]) for part in source_touches.ranges_of(of_rounds, most_bytes)]
+    return [dict(pairs[part]) for part in _ranges_of(of_rounds, most_bytes)]
 
 
 def _class_names(touches: source_touches.FoundTouches, column: str | None) -> tuple[str, ...]:
@@ -322,7 +322,7 @@ def _in_pieces(
     """
     found: dict[str, list[int]] = {}
     for name, numbers in rounds.items():
-        parts = source_touches.ranges_of([sizes[number] for number in numbers], most_bytes)
+        parts = _ranges_of([sizes[number] for number in numbers], most_bytes)
         pieces = [numbers[part] for part in parts]
         names = [name]
         while len(names) < len(pieces) or (len(pieces) > 1 and taken.intersection(names)):
@@ -331,6 +331,20 @@ def _in_pieces(
         taken.update(names)
         found |= dict(zip(names, pieces, strict=True))
     return found
+
+
+def _ranges_of(sizes: Sequence[int], most_bytes: int) -> Iterator[slice]:
+    """Divide items, given their sizes in bytes, into parts of at most ``most_bytes``.
+
+    An item that is larger is a part of its own.
+    """
+    start = size_bytes = 0
+    for number, size in enumerate(sizes):
+        if size_bytes + size > most_bytes and number > start:
+            yield slice(start, number)
+            start, size_bytes = number, 0
+        size_bytes += size
+    yield slice(start, len(sizes))
 
 
 def common_size(

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 import pyarrow as pa
@@ -63,10 +64,11 @@ class FoundSource:
     versions: Mapping[source_touches.File, Version] = field(default_factory=dict)
 
 
-def version_of(file: source_touches.File) -> Version:
-    """Return the version of a file, given by folder and path; it changes if the file is replaced."""
-    folder, path = file
-    return store.open_folder(folder).version(path)
+def versions_of(
+    files: Iterable[source_touches.File], opened: Callable[[str], store.DataFolder]
+) -> dict[source_touches.File, Version]:
+    """Return the version of each file, given by folder and path; it changes if the file is replaced."""
+    return {(home, path): opened(home).version(path) for home, path in files}
 
 
 def find_source(place: str, reading: Reading) -> FoundSource:
@@ -92,15 +94,14 @@ def find_source(place: str, reading: Reading) -> FoundSource:
     parts = list[source_touches.FoundTouches]()
     left_out = dict[str, None]()
     versions = dict[source_touches.File, Version]()
-    for each in _read_folders(home, format_.layout, columns, reading.table):
-        if isinstance(each, source_touches.Recording):
-            left_out |= dict.fromkeys(each.left_out)
-            if each.problem is None and (each.home, each.path) not in versions:
-                versions[each.home, each.path] = version_of((each.home, each.path))
-            parts.append(cutter.cut(aligner.aligned(each)))
+    opened = cache(store.open_folder)
+    for part in _read_folders(home, format_.layout, columns, reading.table):
+        versions |= versions_of(_files_of_several(part) - versions.keys(), opened)
+        if isinstance(part, source_touches.Recording):
+            left_out |= dict.fromkeys(part.left_out)
+            parts.append(cutter.cut(aligner.aligned(part)))
         else:
-            versions |= {file: version_of(file) for file in _files_of_several(each) - versions.keys()}
-            parts.append(_timed(each, columns))
+            parts.append(_timed(part, columns))
     touches = source_touches.FoundTouches.joined([*parts, *cutter.unused()])
     if not len(touches):
         raise errors.InputError(f"{home.address()!r} holds nothing to import; expected pictures")
@@ -133,9 +134,13 @@ def _read_folders(
         yield from source_formats.IMPORTS[layout].find(folder, columns, table)
 
 
-def _files_of_several(touches: source_touches.FoundTouches) -> set[source_touches.File]:
-    """Return the files with images of several touches: those with an image that does not start at byte 0."""
-    files = touches.where.filter(pc.greater(touches.where["start"], 0)).group_by(["home", "path"])
+def _files_of_several(
+    part: source_touches.FoundTouches | source_touches.Recording,
+) -> set[source_touches.File]:
+    """Return the files with several pictures: recordings, and those with an image that starts later."""
+    if isinstance(part, source_touches.Recording):
+        return set() if part.problem is not None else {(part.home, part.path)}
+    files = part.where.filter(pc.greater(part.where["start"], 0)).group_by(["home", "path"])
     return {(row["home"], row["path"]) for row in files.aggregate([]).to_pylist()}
 
 

@@ -7,7 +7,6 @@ import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import IO, NamedTuple
 
@@ -76,18 +75,14 @@ def _recordings(find: str, cut: str = "frames", *, rotvec: bool = False) -> Impo
     """Return a format of recordings whose files have pictures of one size."""
     reader = find.partition(":")[0]
     describe = kind.lazy(f"realtouch.formats.{reader}:describe_conversion")
-    contents = _contents(f"{reader}:read_frames")
+    contents = kind.lazy(f"realtouch.formats.{reader}:read_contents")
     return ImportFormat(kind.lazy(f"realtouch.formats.{find}"), contents, cut, True, describe, rotvec)
-
-
-def _contents(read: str) -> source_files.ReadContents:
-    return partial(source_files.pictures_by_file, kind.lazy(f"realtouch.formats.{read}"))
 
 
 IMPORTS: dict[str, ImportFormat] = {
     "folder": _images("media_files:find_folder"),
     "video": _recordings("media_files:find_video", "whole"),
-    "flat": _images("flat_parquet:find_flat", _contents("flat_parquet:read_rows")),
+    "flat": _images("flat_parquet:find_flat", kind.lazy("realtouch.formats.flat_parquet:read_contents")),
     "webdataset": _images("tar_samples:find_webdataset"),
     "lerobot": _recordings("lerobot_import:find_lerobot"),
     "oxt": _recordings("zarr_recordings:find_oxt", rotvec=True),

@@ -339,11 +339,12 @@ def field_table(facts: FolderSummary, known: Mapping[str, tuple[str, str]]) -> s
 
     ``known`` is by name; a name that ends with a dot stands for all fields of a struct.
     """
-    rows = []
-    for entry in _flat(facts.features):
-        name = entry["name"]
-        column = known.get(name) or known.get(f"{name.partition('.')[0]}.", _UNKNOWN)
-        rows.append((markdown_code(name), column_type_text(entry), *column))
+    entries = _flat(facts.features)
+    names = [entry["name"] for entry in entries]
+    types = [column_type_text(entry) for entry in entries]
+    meanings = [known.get(name) or known.get(f"{name.partition('.')[0]}.", _UNKNOWN) for name in names]
+    texts = zip(names, types, meanings, strict=True)
+    rows = [(markdown_code(name), column_type, *meaning) for name, column_type, meaning in texts]
     return markdown_table(("column", "type", "shape, unit, frame", "meaning"), rows)
 
 

@@ -10,12 +10,13 @@ import msgspec
 import pyarrow as pa
 
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.json_types import JsonDict, JsonObject
+from tactile_toolkit.json_types import JsonDict, JsonObject, JsonValue
 
 N = TypeVar("N", tuple[str, ...], None)
 
 # Names of Arrow that differ in numpy and `datasets`.
 _DTYPES = {"double": "float64", "float": "float32", "halffloat": "float16"}
+_YAML_MEDIA = {"Image": "image", "Video": "video", "Audio": "audio", "Mesh": "mesh"}
 
 
 class Expected(NamedTuple):
@@ -84,6 +85,15 @@ def dtype_name(data_type: pa.DataType) -> str:
     return _DTYPES.get(str(data_type), str(data_type))
 
 
+def value_feature(data_type: pa.DataType, leaf: JsonObject | None = None) -> JsonObject:
+    """Describe a column to `datasets`: the values in lists as ``leaf``, by default by their type."""
+    if not isinstance(data_type, (pa.ListType, pa.FixedSizeListType)):
+        return leaf or {"dtype": dtype_name(data_type), "_type": "Value"}
+    length = getattr(data_type, "list_size", -1)
+    # Both old and new releases of `datasets` read "Sequence" as a list.
+    return {"feature": value_feature(data_type.value_type, leaf), "length": length, "_type": "Sequence"}
+
+
 def label_feature(names: Sequence[str]) -> JsonDict:
     """Describe the label column to `datasets`."""
     return {"names": list(names), "_type": "ClassLabel"}
@@ -111,6 +121,38 @@ def stored_features(schema: pa.Schema, where: str) -> JsonDict:
             next="download or convert the data set again",
         ) from error
     return found
+
+
+def yaml_features(schema: pa.Schema, where: str = "") -> list[JsonDict]:
+    """Describe each column of a schema as `datasets` does in ``dataset_info.features``.
+
+    Classes, images and videos follow from the metadata of `datasets`. A column with a dotted name, such as
+    ``mesh.vertices``, is not a struct. Raises IntegrityError, which names the file ``where``, for
+    metadata that cannot be read.
+    """
+    # Not by `datasets`, whose import takes longer than making a small data set.
+    features = stored_features(schema, where)
+    return [{"name": each.name, **_yaml_entry(each.type, features.get(each.name))} for each in schema]
+
+
+def _yaml_entry(data_type: pa.DataType, feature: JsonValue) -> JsonDict:
+    """Describe a column or list element by its Arrow type and metadata."""
+    known = feature if isinstance(feature, dict) else {}
+    if known.get("_type") == "ClassLabel" and isinstance(known.get("names"), list):
+        return {"dtype": {"class_label": {"names": {str(n): name for n, name in enumerate(known["names"])}}}}
+    if isinstance(known.get("_type"), str) and known["_type"] in _YAML_MEDIA:
+        return {"dtype": _YAML_MEDIA[known["_type"]]}
+    types = pa.types
+    if types.is_list(data_type) or types.is_fixed_size_list(data_type):
+        # Metadata of the elements, in the forms of all releases.
+        element = next(iter(feature), None) if isinstance(feature, list) else known.get("feature")
+        inner = _yaml_entry(data_type.value_type, element)
+        fixed = {"length": data_type.list_size} if types.is_fixed_size_list(data_type) else {}
+        is_short = set(inner) in ({"dtype"}, {"struct"})
+        return {"list": next(iter(inner.values())) if is_short else inner, **fixed}
+    if types.is_struct(data_type):
+        return {"struct": [{"name": f.name, **_yaml_entry(f.type, known.get(f.name))} for f in data_type]}
+    return {"dtype": dtype_name(data_type)}
 
 
 def class_names(schema: pa.Schema, default: N, where: str = "") -> tuple[str, ...] | N:

@@ -17,12 +17,13 @@ from hypothesis import given, strategies as st
 from scipy.spatial.transform import Rotation
 
 import realtouch
-from realtouch.importing import fields, import_shards, source_formats
+from realtouch import contact
+from realtouch.importing import fields, source_formats
 from realtouch.importing.fields import extra_arrays, extra_types
 from realtouch.importing.source_touches import FoundTouches, PicturePlace, Recording, touches_of
 from tactile_toolkit.columns import column_types
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.touch import encode_image
+from tactile_toolkit.touch import decode_image, encode_image
 from tests.command_line import call
 from tests.realtouch import factories, found
 from tests.realtouch.images_of_others import picture, write_table
@@ -440,13 +441,13 @@ def test_a_format_may_state_rotation_vectors() -> None:
 
 
 def test_contact_of_a_long_clip_is_found_by_some_of_its_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(import_shards, "_DECODED_AT_ONCE", 7)
+    monkeypatch.setattr(contact, "_DECODED_AT_ONCE", 7)
     pictures = frames_of(30, range(11, 15))
-    assert import_shards.contact_by_pictures(pictures, (24, 32)) == ((11, 14), True)
-    (first, last), is_found = import_shards.contact_by_pictures(frames_of(30, range(0)), (24, 32))
-    assert (first, last, is_found) == (0, 0, False)
-    with pytest.raises(ItemError, match="cannot be decoded"):
-        import_shards.contact_by_pictures([*pictures, pictures[0][:300]], (24, 32))
+    assert contact.contact_by_pictures(pictures, (24, 32), decode_image) == ((11, 14), True)
+    found = contact.contact_by_pictures(frames_of(30, range(0)), (24, 32), decode_image)
+    assert found == ((0, 0), False)
+    with pytest.raises(ValueError, match="cannot be decoded"):
+        contact.contact_by_pictures([*pictures, pictures[0][:300]], (24, 32), decode_image)
 
 
 _VALUES: tuple[Any, ...] = (
