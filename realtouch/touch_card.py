@@ -180,7 +180,8 @@ def _stored_content(
     def of_each(count: Callable[[datasets.AnyDataset], Any], empty: Any = None) -> list[Any]:
         return [empty if dataset is None else _or_none(count, dataset) for dataset in by_split]
 
-    touches = of_each(lambda dataset: int(dataset.touch_counts.sum()), 0)
+    counts = of_each(attrgetter("touch_counts"), np.zeros(0, np.int64))
+    touches = [None if of_split is None else int(of_split.sum()) for of_split in counts]
     objects: list[int | None] = [0 if dataset is None else None for dataset in by_split]
     shares: list[float | None] = [None] * len(by_split)
     types = read.column_types(facts.schema)
@@ -203,8 +204,8 @@ def _stored_content(
         {
             "touches": [_text("{:,}", count) for count in touches],
             "per round": [
-                "-" if ends is None else cards.between(*ends)
-                for ends in of_each(lambda dataset: (min(dataset.touch_counts), max(dataset.touch_counts)))
+                cards.between(min(of_split), max(of_split)) if of_split is not None and len(of_split) else "-"
+                for of_split in counts
             ],
             "objects": [_text("{:,}", count) for count in objects],
             "contact": [_text("{:.1%}", share).replace("%", " %") for share in shares],

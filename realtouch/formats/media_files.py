@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from functools import partial
 from pathlib import PurePosixPath
 
@@ -27,6 +26,7 @@ _SPLITS = {"train", "val", "valid", "validation", "test"}
 _MAX_IMAGES = 1_000_000
 
 _FILE = "file"
+_UNREADABLE = video_files.Video(np.zeros(1), 0, "", lambda _stream, _numbers: iter(()))
 
 
 def find_folder(
@@ -136,15 +136,14 @@ def _recording(
 ) -> importing.Recording:
     """Return a video with its fields; one that cannot be used has a problem and one picture."""
     name = path if stems[_stem(path)] > 1 else _stem(path)
-    whole = importing.Recording(name, folder.address(), path, "", 0, 1, 0, said, time_s=np.zeros(1))
-    try:
-        if problem is not None:
-            raise problem
-        found = videos.open_video(folder, path)
-    except errors.ItemError as error:
-        return replace(whole, problem=error)
-    size, times = found.picture_bytes, found.time_s
-    return replace(whole, part=found.conversion, frames=len(times), frame_bytes=size, time_s=times)
+    found = _UNREADABLE
+    if problem is None:
+        try:
+            found = videos.open_video(folder, path)
+        except errors.ItemError as error:
+            problem = error
+    place = (folder.address(), path, found.conversion, 0, len(found), found.picture_bytes)
+    return importing.Recording(name, *place, said, time_s=found.time_s, problem=problem)
 
 
 def _stem(path: str) -> str:

@@ -113,7 +113,7 @@ class Table:
         """
         rows = 0
         column = None
-        kept = []
+        kept: list[pa.Array] = []
         with self._named_errors():
             for batch in self._batches():
                 self._only = None if rows else batch
@@ -124,7 +124,9 @@ class Table:
                 if column in batch.column_names:  # as numbers, which take less space than text
                     kept.append(self._types.typed(batch.select([column]))[column])
             self._names = list(self._types.known)
-            return rows, column or "", column_types.joined(kept) if kept else pa.nulls(rows)
+            if not kept:
+                kept = [pa.nulls(rows)]
+            return rows, column or "", kept[0] if len(kept) == 1 else column_types.joined(kept)
 
     def rows(self, numbers: Int64) -> dict[str, pa.Array]:
         """Return rows by their numbers, int64, shape (n,), n > 0, increasing; needs :meth:`scan` before.
