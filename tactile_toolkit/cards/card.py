@@ -341,10 +341,10 @@ def field_table(facts: FolderSummary, known: Mapping[str, tuple[str, str]]) -> s
     """
     entries = _flat(facts.features)
     names = [entry["name"] for entry in entries]
-    types = [column_type_text(entry) for entry in entries]
-    meanings = [known.get(name) or known.get(f"{name.partition('.')[0]}.", _UNKNOWN) for name in names]
-    texts = zip(names, types, meanings, strict=True)
-    rows = [(markdown_code(name), column_type, *meaning) for name, column_type, meaning in texts]
+    columns = [known.get(name) or known.get(f"{name.partition('.')[0]}.", _UNKNOWN) for name in names]
+    codes = list(map(markdown_code, names))
+    types = list(map(column_type_text, entries))
+    rows = [(code, kind, *column) for code, kind, column in zip(codes, types, columns, strict=True)]
     return markdown_table(("column", "type", "shape, unit, frame", "meaning"), rows)
 
 

@@ -91,7 +91,7 @@ def folder_summary(
 
 def _recorded(folder: store.DataFolder, split: str, records: Sequence[store.ShardRecord]) -> SplitFiles:
     """Return the files of a split and their sizes as a manifest states them."""
-    paths = tuple(each.shard.data_path for each in records)
+    paths = tuple(each.file for each in records)
     shards = (read.Shard(folder.address(path), each.rows) for path, each in zip(paths, records, strict=True))
     sizes = ((each.rows, each.bytes, each.unpacked_bytes) for each in records)
     return SplitFiles(split, tuple(shards), paths, *map(sum, zip(*sizes, strict=True)))
@@ -116,7 +116,7 @@ def viewer_files(manifest: store.Manifest | None) -> dict[str, tuple[str, ...]]:
     """Return the files of each split that a manifest lists for the page of the Hub."""
     if manifest is None:
         return {}
-    listed = [path for path in manifest.files or () if path.startswith(f"{store.VIEWER_FOLDER}/")]
+    listed = [path for path in manifest.files if path.startswith(f"{store.VIEWER_FOLDER}/")]
     names = sorted(filter(None, (store.ShardName.parse(PurePosixPath(path).name) for path in listed)))
     found: dict[str, tuple[str, ...]] = {}
     for split in manifest.splits:

@@ -18,13 +18,13 @@ from .schemas import (
     column_types as column_types,
     dtype_name as dtype_name,
     value_feature as value_feature,
-    yaml_features as yaml_features,
     Expected as Expected,
     feature_metadata as feature_metadata,
     label_feature as label_feature,
     list_depth as list_depth,
     stored_features as stored_features,
     supported_table as supported_table,
+    yaml_features as yaml_features,
 )
 from .record import (
     null_fields as null_fields,
