@@ -24,7 +24,6 @@ from realtouch.importing import (
     import_shards,
     import_sources,
     source_files,
-    source_formats,
     source_touches,
 )
 from realtouch.touch_options import Alignment
@@ -150,7 +149,7 @@ def plan_of(touches: Arranged, found: import_sources.FoundSource) -> store.Build
         spec[touch_options.STREAMS] = list(found.streams[:_MAX_STREAMS])
     if found.left_out:
         spec[touch_options.LEFT_OUT] = list(map(wording.printable, found.left_out[:_MAX_LEFT_OUT]))
-    conversion = source_formats.IMPORTS[found.layout].describe(every)
+    conversion = import_sources.IMPORTS[found.layout].describe(every)
     if conversion:
         spec["options"][CONVERSION] = conversion
     pictures = {f"{_CUTS}/{name}.png": content for name, content in found.pictures.items()}
@@ -218,7 +217,7 @@ def arranged(found: import_sources.FoundSource, classes: Sequence[str], split: s
         raise errors.InputError(f"the split is {split!r}; expected letters, digits and underscores")
     touches = found.touches
     columns = found.columns
-    read = source_formats.IMPORTS[found.layout]
+    read = import_sources.IMPORTS[found.layout]
     names = tuple(classes) or _class_names(touches, columns.label)
     if len(set(map(fields.integer_text, classes))) < len(classes):
         raise errors.InputError(f"the classes are {', '.join(names)}; expected each once")
@@ -502,7 +501,7 @@ def _in_words(value: JsonValue, touch: int) -> str:
 
 
 def _pictures_in_words(found: import_sources.FoundSource, touches: Arranged) -> str:
-    words = source_formats.IMPORTS[found.layout].describe(found.touches) or "stored as they are"
+    words = import_sources.IMPORTS[found.layout].describe(found.touches) or "stored as they are"
     size = touches.work.image_size
     return words if size is None else f"{size[1]} x {size[0]} pixels, {words}"
 

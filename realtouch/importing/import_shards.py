@@ -17,7 +17,7 @@ import numpy as np
 import pyarrow as pa
 
 from realtouch import contact, touch_options
-from realtouch.importing import fields, import_columns, import_sources, source_formats, source_touches
+from realtouch.importing import fields, import_columns, import_sources, source_touches
 from realtouch.touches import schema as stored_schema, stored_images
 from realtouch.video import avi
 from tactile_toolkit import errors, store
@@ -79,7 +79,7 @@ class ImportTouches:
     versions: Mapping[source_touches.File, import_sources.Version]
 
     def _contents(self, touches: source_touches.FoundTouches) -> Iterator[bytes | errors.ItemError]:
-        return source_formats.IMPORTS[self.layout].contents(touches.take(np.flatnonzero(touches.is_usable)))
+        return import_sources.IMPORTS[self.layout].contents(touches.take(np.flatnonzero(touches.is_usable)))
 
     def digest(self, touches: source_touches.FoundTouches) -> str:
         """Read the images of touches and return the checksum of them all."""

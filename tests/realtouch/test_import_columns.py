@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 import realtouch
 from realtouch import contact
-from realtouch.importing import fields, source_formats
+from realtouch.importing import fields, import_sources
 from realtouch.importing.fields import extra_arrays, extra_types
 from realtouch.importing.source_touches import FoundTouches, PicturePlace, Recording, touches_of
 from tactile_toolkit.columns import column_types
@@ -303,8 +303,8 @@ def recordings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
             for place in places:
                 yield from pictures[place.path][place.start : place.start + max(1, place.frames)]
 
-        layout = source_formats.ImportFormat(lambda *_: iter(every), encoded, "whole", True)
-        monkeypatch.setitem(source_formats.IMPORTS, "replay", layout)
+        layout = import_sources.ImportFormat(lambda *_: iter(every), encoded, "whole", True)
+        monkeypatch.setitem(import_sources.IMPORTS, "replay", layout)
         (tmp_path / "source").mkdir(exist_ok=True)
         manifest = realtouch.import_touches(
             tmp_path / "source", tmp_path / "out", "replay", columns, **options
@@ -437,7 +437,7 @@ def test_a_format_may_state_rotation_vectors() -> None:
     assert_poses(poses({"wrist": np.hstack([PLACES, TURNS.as_rotvec()])}, columns), PLACES, TURNS)
     stated = realtouch.ImportColumns(pose=("wrist",), euler="xyz", angle_unit="rad").found_in([], rotvec=True)
     assert (stated.euler, stated.rotvec) == ("xyz", False)
-    assert source_formats.IMPORTS["oxt"].rotvec
+    assert import_sources.IMPORTS["oxt"].rotvec
 
 
 def test_contact_of_a_long_clip_is_found_by_some_of_its_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
