@@ -1,4 +1,4 @@
-"""The rules of a check: thresholds with their reasons, messages, and the measures of pictures that they limit.
+"""Rules of a check: thresholds with their reasons, messages, and the measures of pictures that they limit.
 
 Measures are averages over cells, steps of brightness, numbers of markers, and runs of equal pictures.
 """

@@ -1,4 +1,4 @@
-"""Sources of an import: their format, recognised by file names and first bytes, their touches and recordings."""
+"""Sources of an import: their format, recognised by names and first bytes, touches and recordings."""
 
 from __future__ import annotations
 
