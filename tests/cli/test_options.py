@@ -80,7 +80,7 @@ def test_options_that_are_not_given_mean_the_defaults_of_the_library():
         ("mnist3d generate --source mnist --images x --foreground dark", "--source folder"),
         ("mnist3d export x --friction 1", "--format mjcf, urdf or usd"),
         ("mnist3d export x --plate 200x200 --format stl", "--format 3mf or mjcf"),
-        ("realtouch select x --as-recorded", "--contact"),
+        ("realtouch select x --as-recorded --out y", "--contact"),
         ("realtouch preview x --kind overlay --touches 3", "--kind grid or all"),
         ("tactile-sim generate x --quality 90 --format png", "--format jpeg"),
         ("tactile-sim render x --force-n 5", "--gel"),
