@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from operator import attrgetter
 from typing import Any, TypeVar
 
 import numpy as np
+import pyarrow as pa
 
 from realtouch import picture_views
 from realtouch.kind import KIND
@@ -61,18 +62,11 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
     """
     words = cards.card_words(WORDS)
     facts = cards.folder_summary(folder, manifest)
-    operation: object = None
-    made: list[tuple[str, str]] = []
-    spec = None
-    unknown = {"made": words["made"]["unknown"]}
-    if manifest is not None:
-        operation = manifest.spec.get("operation")
-        made = _made(manifest)
-        spec = manifest.spec["options"]
-        unknown = {}
+    operation = None if manifest is None else manifest.spec.get("operation")
+    types = read.column_types(facts.schema)
     origin = schema.origin_of(facts.schema, manifest)
     of_origin = words["origins"][origin]
-    rule = touch.HeightRule.of(read.column_types(facts.schema))
+    rule = touch.HeightRule.of(types)
     licence_text = of_origin["licence_text"]
     heights = [of_origin.get("drift")]
     # Plain pictures and rows in foreign formats are not rounds that could be loaded.
@@ -83,10 +77,10 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
     else:
         kind = schema.media_kind(facts.schema, folder.address())
         template = kind if origin == "real" else origin
-        content = _stored_content(facts, kind, rule, manifest, words)
+        content = _stored_content(facts, kind, types, manifest, words)
         content.columns["object_id"] = ("", of_origin["object_id"])
-        content.columns.update(_extra_words(facts))
-        if schema.has_poses(read.column_types(facts.schema)):
+        content.columns.update(_extra_words(facts, types))
+        if schema.has_poses(types):
             heights.append(words["plates"][rule.plate])
     tags = [*of_origin["tags"]]
     caption = "Some touches"
@@ -103,14 +97,14 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
         nouns=content.nouns,
         tasks=_TASKS,
         figures=content.figures,
-        made=made,
+        made=[] if manifest is None else _made(manifest),
         limits=_limits(origin, of_origin["limits"], content),
-        spec=spec,
+        spec=None if manifest is None else manifest.spec["options"],
         values={
             **content.values,
-            **unknown,
+            **({"made": words["made"]["unknown"]} if manifest is None else {}),
             "rounds": f"{facts.rows:,}",
-            "contact_rule": image_contacts.contact_rule_text(read.column_types(facts.schema)),
+            "contact_rule": image_contacts.contact_rule_text(types),
             **_values_of_origin(of_origin, words["frames"]["cell"], heights),
             "licence_text": licence_text,
         },
@@ -170,7 +164,7 @@ def _plain_pictures(folder: store.DataFolder, facts: cards.FolderSummary) -> Ite
 def _stored_content(
     facts: cards.FolderSummary,
     kind: schema.Kind,
-    rule: touch.HeightRule,
+    types: Mapping[str, pa.DataType],
     manifest: store.Manifest | None,
     words: JsonDict,
 ) -> _Content:
@@ -181,10 +175,9 @@ def _stored_content(
         return [empty if dataset is None else _or_none(count, dataset) for dataset in by_split]
 
     counts = of_each(attrgetter("touch_counts"), np.zeros(0, np.int64))
-    touches = [None if of_split is None else int(of_split.sum()) for of_split in counts]
+    touches: list[Any] = [None if of_split is None else int(of_split.sum()) for of_split in counts]
     objects: list[int | None] = [0 if dataset is None else None for dataset in by_split]
     shares: list[float | None] = [None] * len(by_split)
-    types = read.column_types(facts.schema)
     if "object_id" in types:
         objects = of_each(lambda dataset: len(np.unique(dataset.column("object_id"))), 0)
     if schema.has_poses(types):  # without poses, all pictures would be decoded
@@ -200,7 +193,7 @@ def _stored_content(
             "touches": "an unknown number of" if None in touches else f"{sum(touches):,}",
             "size_text": f", {size[0]} x {size[1]} pixels" if size else "",
         },
-        _missed(touches, shares, rule),
+        _missed(touches, shares, touch.HeightRule.of(types)),
         {
             "touches": [_text("{:,}", count) for count in touches],
             "per round": [
@@ -214,7 +207,7 @@ def _stored_content(
     )
 
 
-def _extra_words(facts: cards.FolderSummary) -> dict[str, tuple[str, str]]:
+def _extra_words(facts: cards.FolderSummary, types: Mapping[str, pa.DataType]) -> dict[str, tuple[str, str]]:
     """Describe the further columns of rounds, with the range of their numbers as the footers state it."""
     ends: dict[str, list[Any]] = {}
     for shard in (shard for split in facts.splits for shard in split.shards):
@@ -226,7 +219,7 @@ def _extra_words(facts: cards.FolderSummary) -> dict[str, tuple[str, str]]:
             elif found is None or found.null_count < chunk.num_values:
                 ends.setdefault(name, []).append("")  # a range of the rest would be too small
     words = {}
-    names = schema.extra_columns(read.column_types(facts.schema))
+    names = schema.extra_columns(types)
     codes = [wording.markdown_code(name) for name in names]
     for code, stored in zip(codes, names.values(), strict=True):
         shape = "T x N; cut to N_i" if stored.startswith(schema.EXTRA_PREFIX["frame"]) else "T"
