@@ -430,7 +430,7 @@ def _formats_page() -> str:
     from tactile_sim.sets.elastic_rows import elastic_types
     from tactile_sim.sets.generation import SyntheticRound, synthetic_schema
     from tactile_toolkit.cards import FolderSummary
-    from tactile_toolkit.cards.card import card_words, field_table, markdown_table
+    from tactile_toolkit.cards.card import Card, field_table, markdown_table
     from tactile_toolkit.rows import meanings
 
     def table(schema: Any, row_type: type) -> str:
@@ -440,7 +440,7 @@ def _formats_page() -> str:
 
     press = ElasticPress(markers=(7, 9), contact_maps=True)
     further = {"plate_z_m": pa.float64(), **elastic_types(press, (64, 64))}
-    meant = card_words(WORDS)["columns"]["rounds"]
+    meant = Card.words(WORDS)["columns"]["rounds"]
     rows = [
         (f"`{column}`", words, *meant.get(column, ("", "")))
         for column, (_, _, words) in KNOWN_COLUMNS.items()

@@ -37,7 +37,7 @@ def plan_previews(name: Name | Place, spec: digit_options.DigitPreviewSpec) -> p
         "sheet": partial(chosen.plan_sheets, spec.per_class),
         "steps": partial(_plan_steps, chosen, spec),
     }
-    return pictures.plan_kinds(spec.kinds, plans)
+    return pictures.PicturePlan.of_kinds(spec.kinds, plans)
 
 
 def is_picture_or_mesh(name: str) -> bool:
@@ -115,7 +115,7 @@ def _plan_steps(
 
 
 def plan_gallery(name: Name | Place, chosen: catalog.RowFilter = catalog.RowFilter.ALL) -> gallery.Gallery:
-    """Plan a gallery of digits; see :func:`~tactile_toolkit.gallery.gallery_of_rows`."""
+    """Plan a gallery of digits; see :meth:`~tactile_toolkit.gallery.Gallery.of_rows`."""
     # The report of the data set, if it has one, is read instead of inspecting meshes again.
     place = open_place(name)
     folder = place.folder
@@ -129,7 +129,7 @@ def plan_gallery(name: Name | Place, chosen: catalog.RowFilter = catalog.RowFilt
         by_id = {row["id"]: row for row in report.filter(of_rows).to_pylist()}
         return [by_id.get(number) for number in rows.ids.tolist()]
 
-    return gallery.gallery_of_solids(
+    return gallery.Gallery.of_solids(
         KIND, place, chosen, title="3D digits", columns=_SHOWN, facts=_facts, known=reports
     )
 

@@ -68,7 +68,7 @@ def plan_previews(
         "grid": lambda: planned("grid", f"touches of {record!r}", lambda: draw_grid(record, spec.touches)),
         "overlay": on_map,
     }
-    return pictures.plan_kinds(spec.kinds, plans)
+    return pictures.PicturePlan.of_kinds(spec.kinds, plans)
 
 
 def draw_grid(record: rounds.TouchRound, most: int) -> UInt8:

@@ -178,7 +178,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
             "licence_text": "MIT, as the toolkit.",
             "citation_text": "The task: Schneider et al. 2025.",
         }
-        cards.write_table_card(folder, manifest, KIND, title, columns, "mit", **terms)
+        cards.Card.of_copy(manifest, KIND, title, columns, "mit", **terms).write(folder, manifest, KIND)
         return
     spec = kind.WrenchSpec(**manifest.spec)
     report = inspect(shape.wrench_mesh(spec))
@@ -186,7 +186,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         template=KIND.card_template,
         title=title,
         columns=columns,
-        picture=("wrench.png", cards.draw_solids, "The wrench from above, the first jaw on the right"),
+        picture=("wrench.png", "The wrench from above, the first jaw on the right"),
         licence="mit",
         tags=["tactile", "active-perception", "3d", "mesh", "pose-estimation", "3d-printing"],
         values={

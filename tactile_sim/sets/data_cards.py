@@ -114,7 +114,8 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         template=KIND.card_template,
         title="Synthetic touches",
         columns=meanings(SyntheticRound),
-        picture=("touches.png", _touches_sheet, "The first touches of the first rounds"),
+        picture=("touches.png", "The first touches of the first rounds"),
+        drawn=_touches_sheet,
         licence="mit",
         tags=_TAGS,
         tasks={
@@ -225,7 +226,7 @@ def _limits(spec: JsonObject, touches: int, on_object: int) -> list[str]:
 
 def _touches_sheet(facts: cards.FolderSummary) -> bytes | None:
     """Draw the first touches of the first rounds as PNG, a row for each round."""
-    rounds = islice(cards.rows_to_draw(facts, ["sensor_image"]), _ROUNDS_SHOWN)
+    rounds = islice(facts.first_rows(["sensor_image"]), _ROUNDS_SHOWN)
     shown = (row.value("sensor_image")[:_COLUMNS_SHOWN] for row in rounds)
     rows = [
         (f"round {number}", [touch.decode_image(stored["bytes"]) for stored in images])
@@ -245,11 +246,8 @@ def _write_pairs_card(folder: store.DataFolder, manifest: store.Manifest) -> Non
         template="touch_pairs.md",
         title="Unpaired depth images and touches",
         columns=meanings(PairRow),
-        picture=(
-            "pairs.png",
-            _pairs_sheet,
-            "Depth images above, touches below; they do not belong together",
-        ),
+        picture=("pairs.png", "Depth images above, touches below; they do not belong together"),
+        drawn=_pairs_sheet,
         licence="other",
         tags=["tactile", "gelsight", "touch", "cyclegan"],
         tasks={"task_categories": ["image-to-image", "robotics"]},

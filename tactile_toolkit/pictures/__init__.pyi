@@ -11,9 +11,7 @@ from .previews import (
     PicturePlan as PicturePlan,
     PlannedPicture as PlannedPicture,
     file_stem as file_stem,
-    plan_kinds as plan_kinds,
     plan_sheets as plan_sheets,
-    write_pictures as write_pictures,
 )
 from .sheets import (
     ACCENTS as ACCENTS,

@@ -209,11 +209,13 @@ def box_downsample(pixels: UInt8, factor: int) -> UInt8:
 class DrawnSolid(Drawn, mesh.SolidRecord):
     """A record of a mesh that draws itself, from above by default.
 
-    ``is_faceted`` shows sharp edges in a gallery, instead of smooth shading.
+    ``is_faceted`` shows sharp edges in a gallery, instead of smooth shading. ``drawn_columns`` are those that
+    a picture needs.
     """
 
     __slots__ = ()
     is_faceted: ClassVar[bool] = False
+    drawn_columns: ClassVar[tuple[str, ...]] = (mesh.VERTICES, mesh.FACES)
 
     def caption(self, label_names: Sequence[str] = ()) -> str:
         """Return the class of the solid."""

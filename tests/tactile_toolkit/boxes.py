@@ -8,9 +8,9 @@ from functools import partial
 import numpy as np
 import pyarrow as pa
 
-from tactile_toolkit.cards import Card, draw_solids
+from tactile_toolkit.cards import Card
 from tactile_toolkit.checked_fields import check_fields, integer, real
-from tactile_toolkit.gallery import gallery_of_solids
+from tactile_toolkit.gallery import Gallery
 from tactile_toolkit.generation import Recipe, RowGenerator, StorageLayout
 from tactile_toolkit.kind import DatasetKind, lazy
 from tactile_toolkit.mesh import MeshRow, RecordStream, SolidDataset, mesh_schema
@@ -95,7 +95,7 @@ def write_card(folder, manifest):
         template="mesh_tables.md",
         title="Boxes",
         columns=meanings(BoxRow),
-        picture=("boxes.png", draw_solids, "The first boxes from above"),
+        picture=("boxes.png", "The first boxes from above"),
         licence="cc0-1.0",
         tags=["3d"],
         values={"licence_text": "Anybody may use them.", "citation_text": "Nobody need be cited."},
@@ -115,4 +115,4 @@ class BoxDataset(SolidDataset):
 
 load = loader(KIND, BoxDataset, RecordStream)
 plan_previews = partial(plan_sheets, KIND)
-plan_gallery = partial(gallery_of_solids, KIND, title="Boxes", columns=with_role(BoxRow, "measure"))
+plan_gallery = partial(Gallery.of_solids, KIND, title="Boxes", columns=with_role(BoxRow, "measure"))

@@ -14,15 +14,14 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh
 from tactile_toolkit.pictures import (
     INK,
+    PicturePlan,
     PlannedPicture,
     Tile,
     bar_length_mm,
-    plan_kinds,
     png_bytes,
     sheet,
     text_size,
     with_scale_bar,
-    write_pictures,
 )
 from tactile_toolkit.store import open_folder
 
@@ -96,14 +95,12 @@ def test_pictures_before_a_failing_one_stay_and_no_partial_file_remains(tmp_path
     good = PlannedPicture("good.png", "good", lambda: np.zeros((2, 3), np.uint8))
     told: list[tuple[int, int]] = []
     with pytest.raises(InputError):
-        write_pictures(
-            open_folder(str(tmp_path)),
-            [good, PlannedPicture("bad.png", "", fails)],
-            lambda *n: told.append(n),
+        PicturePlan((good, PlannedPicture("bad.png", "", fails))).write(
+            open_folder(str(tmp_path)), lambda *n: told.append(n)
         )
     assert [path.name for path in tmp_path.iterdir()] == ["good.png"]
     assert told == [(1, 2)]
-    (written,) = write_pictures(open_folder(str(tmp_path)), [good])
+    (written,) = PicturePlan((good,)).write(open_folder(str(tmp_path)))
     assert (written.width, written.height) == (3, 2)
     assert written.bytes == (tmp_path / "good.png").stat().st_size
 
@@ -113,7 +110,7 @@ def test_kinds_are_planned_once():
     plans = {name: lambda name=name: [drawn[name]] for name in drawn}
 
     def planned(*asked: str) -> list[str]:
-        return [picture.name[0] for picture in plan_kinds(asked, plans).pictures]
+        return [picture.name[0] for picture in PicturePlan.of_kinds(asked, plans).pictures]
 
     assert planned() == ["a"]
     assert planned("c", "b", "c") == ["b", "c"]
