@@ -45,13 +45,13 @@ SHARED = (
     "starstruck_gen.sampling.COLLISION_RULES",
     "tactile_sim.press.sensors.MESA_SAMPLE_PX",
     "tactile_toolkit.mesh.FORMATS",
-    "tactile_toolkit.mesh.UNREADABLE",
     "tactile_toolkit.mesh.WARNINGS",
     "tactile_toolkit.mesh.RecordStream",
     "tactile_toolkit.read.RowStream",
     "tactile_toolkit.mesh.SolidRecord",
     "tactile_toolkit.mesh.PROBLEMS",
     "tactile_toolkit.mesh.SolidTensors",
+    "tactile_toolkit.mesh.collate_meshes",
     "tactile_toolkit.read.Record",
     "tactile_toolkit.read.RecordDataset",
     "tactile_toolkit.store.Progress",
@@ -431,10 +431,9 @@ def _formats_page() -> str:
     from tactile_sim.sets.generation import SyntheticRound, synthetic_schema
     from tactile_toolkit.cards import FolderSummary
     from tactile_toolkit.cards.card import Card, field_table, markdown_table
-    from tactile_toolkit.rows import meanings
 
     def table(schema: Any, row_type: type) -> str:
-        return field_table(FolderSummary((), schema), meanings(row_type)).replace(
+        return field_table(FolderSummary((), schema), row_type.meanings()).replace(
             "frame below", "frame of the mesh"
         )
 

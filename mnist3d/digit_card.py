@@ -14,11 +14,11 @@ from mnist3d.kind import KIND
 from mnist3d.sources.picture_folder import FolderSource
 from tactile_toolkit import cards, kind, store, wording
 from tactile_toolkit.json_types import JsonObject
-from tactile_toolkit.rows import Column, meanings
+from tactile_toolkit.rows import Column
 from tactile_toolkit.wording import class_name, with_count
 
 _MAX_LISTED = 12
-COLUMNS = meanings(DigitRow)
+COLUMNS = DigitRow.meanings()
 _USUAL_SIZES = {FolderSource.name: "four fifths in `train`, one fifth in `test`"}
 
 

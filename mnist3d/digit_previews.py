@@ -18,9 +18,8 @@ from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.places import Name, Place, open_place
-from tactile_toolkit.rows import with_role
 
-_SHOWN = (*with_role(digit_records.DigitRow, "facet"), *with_role(mesh.PrintReport, "facet", "measure"))
+_SHOWN = (*digit_records.DigitRow.with_role("facet"), *mesh.PrintReport.with_role("facet", "measure"))
 
 
 def plan_previews(name: Name | Place, spec: digit_options.DigitPreviewSpec) -> pictures.PicturePlan:

@@ -214,7 +214,7 @@ def _drawn(name: str, mask: Bool, part: mesh.Mesh, report: mesh.PrintReport) -> 
     """Draw the ink as it was found, and the solid, as PNG."""
     sides_m = np.ptp(part.vertices_m, axis=0)
     px_per_m = 0.9 * min(_VIEW_PX[0] / (sides_m[0] + sides_m[2]), _VIEW_PX[1] / (sides_m[1] + sides_m[2]))
-    view = pictures.draw_bodies((pictures.DrawnBody(part, CLAY),), _VIEW_PX, px_per_m)
+    view = pictures.View.OBLIQUE.draw((pictures.DrawnBody(part, CLAY),), _VIEW_PX, px_per_m)
     width, depth, height = report.size_mm
     words = f"{width:.1f} x {depth:.1f} x {height:.1f} mm, {report.volume_mm3:,.0f} mm³"
     drawn = pictures.sheet(

@@ -8,27 +8,24 @@ from functools import partial
 import pyarrow as pa
 
 from starstruck_gen import kind, sampling, scene_dataset, scene_generation
-from tactile_toolkit import cards, gallery, mesh, pictures, rows, store, wording
+from tactile_toolkit import cards, gallery, mesh, rows, store, wording
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import is_copy
-from tactile_toolkit.rows import meanings
 from tactile_toolkit.wording import with_count
 
 _RULES = {
     "circles": "the circumscribed circles of two objects do not meet",
     "exact": "the outlines of two objects do not touch",
 }
-COLUMNS = meanings(scene_generation.SceneRow)
+COLUMNS = scene_generation.SceneRow.meanings()
 
 _SHOWN = (
-    *rows.with_role(scene_generation.SceneRow, "facet", "measure"),
+    *scene_generation.SceneRow.with_role("facet", "measure"),
     rows.Column(pa.list_(pa.string()), name="shapes", role="facet", title="Shapes"),
     rows.Column(pa.int64(), name="objects", role="measure", title="Objects"),
     rows.Column(pa.int64(), name="positions", role="measure", title="Positions drawn"),
-    *(rows.columns(mesh.PrintReport)[name] for name in ("volume_mm3", "vertices", "faces")),
+    *(mesh.PrintReport.columns()[name] for name in ("volume_mm3", "vertices", "faces")),
 )
-
-plan_previews = partial(pictures.plan_sheets, kind.KIND)
 
 
 def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:

@@ -13,7 +13,7 @@ from env_assets.wrench.kind import KIND
 from tactile_toolkit import cards, generation, mesh, pictures, places, rows, store
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import is_copy
-from tactile_toolkit.mesh import MeshRow, PrintReport, inspect, mesh_schema, write_mesh
+from tactile_toolkit.mesh import MeshRow, PrintReport, inspect, write_mesh
 
 
 class WrenchRecord(pictures.DrawnSolid):
@@ -73,7 +73,7 @@ class WrenchRow(MeshRow):
 
 def wrench_schema(_manifest: object = None) -> pa.Schema:
     """Return the Arrow schema of the shard."""
-    return mesh_schema(WrenchRow, KIND.class_names)
+    return WrenchRow.schema(KIND.class_names)
 
 
 @dataclass(frozen=True)
@@ -171,7 +171,7 @@ def wrench_facts(spec: kind.WrenchSpec, report: PrintReport) -> JsonDict:
 
 def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     """Write ``README.md`` of the folder of a wrench and its picture."""
-    columns = rows.meanings(WrenchRow)
+    columns = WrenchRow.meanings()
     title = "Open-end wrench"
     if is_copy(manifest):
         terms = {

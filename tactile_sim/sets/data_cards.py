@@ -18,7 +18,6 @@ from tactile_toolkit import cards, store, touch, wording
 from tactile_toolkit.array_types import AnyArray, UInt8
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.pictures import Tile, png_bytes, sheet
-from tactile_toolkit.rows import meanings
 from tactile_toolkit.wording import with_count
 
 _RIGID_LIMIT = (
@@ -113,7 +112,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     cards.Card(
         template=KIND.card_template,
         title="Synthetic touches",
-        columns=meanings(SyntheticRound),
+        columns=SyntheticRound.meanings(),
         picture=("touches.png", "The first touches of the first rounds"),
         drawn=_touches_sheet,
         licence="mit",
@@ -245,7 +244,7 @@ def _write_pairs_card(folder: store.DataFolder, manifest: store.Manifest) -> Non
     cards.Card(
         template="touch_pairs.md",
         title="Unpaired depth images and touches",
-        columns=meanings(PairRow),
+        columns=PairRow.meanings(),
         picture=("pairs.png", "Depth images above, touches below; they do not belong together"),
         drawn=_pairs_sheet,
         licence="other",

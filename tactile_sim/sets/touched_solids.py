@@ -61,7 +61,7 @@ class GivenSolid:
             try:
                 found = found.read()
             except InputError as error:
-                raise ItemError(mesh.UNREADABLE, str(error)) from error
+                raise ItemError(mesh.PrintReport.UNREADABLE, str(error)) from error
         if mesh.array_problem(found) is None:  # meshes without faces have no size, and bound no solid
             _require_within_cell(found)
         return found

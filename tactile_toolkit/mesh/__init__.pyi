@@ -30,9 +30,7 @@ from .box_tree import (
 )
 from .printability import (
     inspect as inspect,
-    print_advice as print_advice,
     PrintReport as PrintReport,
-    UNREADABLE as UNREADABLE,
     WARNINGS as WARNINGS,
     WARNINGS_PAGE as WARNINGS_PAGE,
 )
@@ -51,7 +49,6 @@ from .records import (
     FACES as FACES,
     flat_table as flat_table,
     MESH as MESH,
-    mesh_schema as mesh_schema,
     MeshRow as MeshRow,
     RecordStream as RecordStream,
     require_mesh_columns as require_mesh_columns,
@@ -68,8 +65,6 @@ from .threemf import (
 from .solid_tensors import (
     MeshBatch as MeshBatch,
     MeshItem as MeshItem,
-    REPRESENTATIONS as REPRESENTATIONS,
     SolidTensors as SolidTensors,
-    TARGETS as TARGETS,
     collate_meshes as collate_meshes,
 )

@@ -28,10 +28,7 @@ from .sheets import (
 from .solid_views import (
     DrawnBody as DrawnBody,
     DrawnSolid as DrawnSolid,
-    OBLIQUE as OBLIQUE,
     View as View,
-    box_downsample as box_downsample,
-    draw_bodies as draw_bodies,
     draw_mesh as draw_mesh,
     relief as relief,
     solid_sheet as solid_sheet,
