@@ -44,7 +44,7 @@ SHARED = (
     "realtouch.contact.contact_window",
     "starstruck_gen.sampling.COLLISION_RULES",
     "tactile_sim.press.sensors.MESA_SAMPLE_PX",
-    "tactile_toolkit.mesh.FORMATS",
+    "tactile_toolkit.mesh.MeshFile",
     "tactile_toolkit.mesh.WARNINGS",
     "tactile_toolkit.mesh.RecordStream",
     "tactile_toolkit.read.RowStream",

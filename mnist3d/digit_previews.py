@@ -44,19 +44,19 @@ def is_picture_or_mesh(name: str) -> bool:
     path = store.local_path(name)
     if path is None or not path.is_file():
         return False
-    return path.suffix.lower() in (*mesh.FORMATS, *picture_files.ENDINGS)
+    return path.suffix.lower() in (*mesh.MeshFile.FORMATS, *picture_files.ENDINGS)
 
 
 def _plan_file(name: str, spec: digit_options.DigitPreviewSpec) -> pictures.PicturePlan:
     """Plan the pictures of a single file; InputError for options that need a data set."""
     path = store.expanded(name)
-    kind = "sheet" if path.suffix.lower() in mesh.FORMATS else "steps"
+    kind = "sheet" if path.suffix.lower() in mesh.MeshFile.FORMATS else "steps"
     rows = {"--split": spec.split, "--ids": spec.ids, "--labels": spec.labels, "--limit": spec.limit}
     asked = [f"--kind {each}" for each in spec.kinds if each not in (kind, "all")]
     asked += [option for option, value in rows.items() if value]
     if asked:
         raise InputError(f"{asked[0]} needs a data set, and {name!r} is a single file", next="leave it out")
-    stem = pictures.file_stem(name)
+    stem = pictures.PlannedPicture.stem_of(name)
     if kind == "sheet":
         part = mesh.read_mesh(path, unit=spec.unit)
         drawings = [(f"{stem}-sheet.png", partial(pictures.draw_mesh, part, path.name))]

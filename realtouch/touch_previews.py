@@ -52,7 +52,7 @@ def plan_previews(
     if not 0 <= number < len(dataset):
         raise errors.InputError(f"--round is {number}; split {split!r} has rounds 0 to {len(dataset) - 1}")
     record = dataset[number]
-    stem = "-".join(filter(None, (pictures.file_stem(place.name), split)))
+    stem = "-".join(filter(None, (pictures.PlannedPicture.stem_of(place.name), split)))
 
     def planned(kind: str, what: str, draw: Callable[[], UInt8]) -> list[pictures.PlannedPicture]:
         return [pictures.PlannedPicture(f"{stem}-round-{number}-{kind}.png", what, draw)]
@@ -104,13 +104,13 @@ def draw_overlay(record: rounds.TouchRound) -> UInt8:
     """Draw all touches of a round at their positions on a map of the cell."""
     touches = placed_touches(record, range(record.touch_count))
     cell = cell_map(touches, _PX_PER_MM)
-    pixels = pictures.with_scale_bar(overlay(touches, cell), _PX_PER_MM)
+    tile = pictures.Tile(overlay(touches, cell), frame=(205, 210, 215)).with_scale_bar(_PX_PER_MM)
     x_mm, y_mm = (side / _PX_PER_MM for side in cell.size_px)
     words = (
         f"{_touches_in_words(record)} at their positions",
         f"{x_mm:.0f} x {y_mm:.0f} mm around the middle of the cell, x right, y up",
     )
-    return pictures.sheet([pictures.Tile(pixels, frame=(205, 210, 215))], 1, _title(record), words)
+    return pictures.sheet([tile], 1, _title(record), words)
 
 
 def _touches_in_words(record: rounds.TouchRound) -> str:

@@ -125,7 +125,7 @@ def write_wrench(
         Folder to write; a folder that holds the same wrench stays as it is.
     mesh_file : path, optional
         Also write only the mesh, for a printer: a file with one of the endings of
-        :data:`tactile_toolkit.mesh.FORMATS`.
+        :data:`tactile_toolkit.mesh.MeshFile.FORMATS`.
     overwrite : bool
         Replace another data set of this toolkit in the folder.
 

@@ -62,9 +62,8 @@ def draw_steps(pixels: AnyArray, spec: SolidSpec, title: str) -> UInt8:
         ),
         pictures.Tile(views[0], f"5  marching cubes, upper half: {len(upper.faces):,} triangles"),
         pictures.Tile(
-            pictures.with_scale_bar(views[1], px_per_mm),
-            f"6  smoothed, mirrored, scaled{decimated}: {triangles:,} triangles",
-        ),
+            views[1], f"6  smoothed, mirrored, scaled{decimated}: {triangles:,} triangles"
+        ).with_scale_bar(px_per_mm),
     )
     words = (
         f"the nodes of the lattice are {pitch_px:.2f} px of {spec.pixel_pitch_mm:g} mm apart, closer where "

@@ -178,7 +178,7 @@ def _solid_item(
 ) -> GalleryItem:
     """Show a solid. IntegrityError for a stored mesh that cannot be drawn."""
     surface = mesh.Mesh(record.vertices_m, record.faces)
-    problem = mesh.array_problem(surface)
+    problem = surface.array_problem
     if problem is not None:
         raise IntegrityError(
             f"the mesh of id {record.id} in split {split!r} cannot be drawn: {problem[1]}",

@@ -1,7 +1,6 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
 from .solid_check import (
-    array_problem as array_problem,
     check_manifold as check_manifold,
     ManifoldCheck as ManifoldCheck,
     on_base_plate as on_base_plate,
@@ -9,9 +8,6 @@ from .solid_check import (
     require_solid as require_solid,
 )
 from .files import (
-    file_ending as file_ending,
-    find_mesh_files as find_mesh_files,
-    FORMATS as FORMATS,
     MeshFile as MeshFile,
     MeshFiles as MeshFiles,
     pack_mesh as pack_mesh,

@@ -10,7 +10,6 @@ from .previews import (
     ChosenRows as ChosenRows,
     PicturePlan as PicturePlan,
     PlannedPicture as PlannedPicture,
-    file_stem as file_stem,
     plan_sheets as plan_sheets,
 )
 from .sheets import (
@@ -19,11 +18,9 @@ from .sheets import (
     PAPER as PAPER,
     Tile as Tile,
     bar_length_mm as bar_length_mm,
-    draw_text as draw_text,
+    Pen as Pen,
     fitted as fitted,
     sheet as sheet,
-    text_size as text_size,
-    with_scale_bar as with_scale_bar,
 )
 from .solid_views import (
     DrawnBody as DrawnBody,

@@ -28,6 +28,19 @@ class PlannedPicture:
     what: str
     draw: Callable[[], UInt8]
 
+    @staticmethod
+    def stem_of(name: str) -> str:
+        """Return the beginning of the names of pictures of a data set: the end of its path, made safe."""
+        path = store.expanded(name)
+        last = path.name
+        if path.is_dir():
+            last = path.resolve().name
+        elif path.is_file():
+            last = path.stem
+        plain = "".join(letter if letter.isalnum() or letter in "-_." else "-" for letter in last)
+        # A leading dot would hide the file, and a leading dash make it an option.
+        return plain.strip("-.") or "pictures"
+
 
 @dataclass(frozen=True, slots=True)
 class PicturePlan:
@@ -94,19 +107,6 @@ class WrittenPicture:
     bytes: int
 
 
-def file_stem(name: str) -> str:
-    """Return the beginning of the names of pictures of a data set: the last part of its path, made safe."""
-    path = store.expanded(name)
-    last = path.name
-    if path.is_dir():
-        last = path.resolve().name
-    elif path.is_file():
-        last = path.stem
-    plain = "".join(letter if letter.isalnum() or letter in "-_." else "-" for letter in last)
-    # A leading dot would hide the file, and a leading dash make it an option.
-    return plain.strip("-.") or "pictures"
-
-
 @dataclass(frozen=True)
 class ChosenRows:
     """Rows of a data set to draw, by split."""
@@ -135,7 +135,7 @@ class ChosenRows:
     @property
     def stem(self) -> str:
         """Beginning of the names of pictures."""
-        return file_stem(self.place.name)
+        return PlannedPicture.stem_of(self.place.name)
 
     def titled(self, title: str) -> str:
         """Return a title, with a note about unfinished data."""
