@@ -17,7 +17,7 @@ from realtouch.kind import KIND
 from realtouch.touches import datasets, image_contacts, rounds, schema, stored_round
 from realtouch.touches.rounds import Touch
 from tactile_toolkit import cards, errors, read, store, touch, wording
-from tactile_toolkit.array_types import UInt8
+from tactile_toolkit.array_types import Int64, UInt8
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.pictures import png_bytes
 
@@ -60,8 +60,8 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
     A copy of a published set has no manifest, and its card says so. InputError: it holds no touches.
     IntegrityError: a file is missing or damaged.
     """
-    words = cards.card_words(WORDS)
-    facts = cards.folder_summary(folder, manifest)
+    words = cards.Card.words(WORDS)
+    facts = cards.FolderSummary.of(folder, manifest)
     operation = None if manifest is None else manifest.spec.get("operation")
     types = read.column_types(facts.schema)
     origin = schema.origin_of(facts.schema, manifest)
@@ -91,7 +91,8 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
         template=KIND.card_template.format(template),
         title=f"{of_origin['title']} {content.words['title']}",
         columns=content.columns,
-        picture=("touches.png", lambda _facts: _sheet(content.pictures), caption),
+        picture=("touches.png", caption),
+        drawn=lambda _facts: _sheet(content.pictures),
         licence=of_origin["licence"],
         tags=tags,
         nouns=content.nouns,
@@ -108,6 +109,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
             **_values_of_origin(of_origin, words["frames"]["cell"], heights),
             "licence_text": licence_text,
         },
+        cited=of_origin["cited"],
     ).write(folder, manifest, KIND, facts)
 
 
@@ -121,14 +123,10 @@ def _limits(origin: str, of_origin: Sequence[str], content: _Content) -> list[st
 def _values_of_origin(of_origin: JsonDict, cell: str, heights: list[str | None]) -> dict[str, str]:
     """Return the texts of a card that depend on where the touches are from."""
     cell = cell.replace("$window", of_origin.get("window", _WINDOW))
-    bibtex = ""
-    if of_origin["cited"]:
-        bibtex = cards.bibtex(*of_origin["cited"])
     return {
         "frames": of_origin.get("frames", " ".join(filter(None, [cell, *heights]))),
         "printability": of_origin["printability"],
         "citation_text": of_origin["citation_text"],
-        "bibtex": bibtex,
     }
 
 
@@ -153,10 +151,10 @@ def _plain_pictures(folder: store.DataFolder, facts: cards.FolderSummary) -> Ite
     """Decode the first pictures of an index of files or of a column of images; tars give no pictures."""
     names = read.column_names(facts.schema)
     if "image.bytes" in names:
-        for row in islice(cards.rows_to_draw(facts, ["image.bytes"]), _TILES):
+        for row in islice(facts.first_rows(["image.bytes"]), _TILES):
             yield _or_none(touch.decode_image, row.group.arrow("image.bytes")[row.index].as_py())
     elif {"file", "frame", "label"} <= {*names}:
-        for row in islice(cards.rows_to_draw(facts, ["file"]), _TILES):
+        for row in islice(facts.first_rows(["file"]), _TILES):
             if row.value("file").endswith((".jpg", ".png")):
                 yield _or_none(lambda name: touch.decode_image(folder.read_bytes(name)), row.value("file"))
 
@@ -197,8 +195,7 @@ def _stored_content(
         {
             "touches": [_text("{:,}", count) for count in touches],
             "per round": [
-                cards.between(min(of_split), max(of_split)) if of_split is not None and len(of_split) else "-"
-                for of_split in counts
+                "-" if of_split is None or not len(of_split) else _range_text(of_split) for of_split in counts
             ],
             "objects": [_text("{:,}", count) for count in objects],
             "contact": [_text("{:.1%}", share).replace("%", " %") for share in shares],
@@ -229,6 +226,10 @@ def _extra_words(facts: cards.FolderSummary, types: Mapping[str, pa.DataType]) -
         between = f", {min(found) + 0:g} to {max(found) + 0:g}" if is_known else ""
         words[stored] = (shape, f"{code} of the source{between}")
     return words
+
+
+def _range_text(counts: Int64) -> str:
+    return " to ".join(f"{count:,}" for count in dict.fromkeys((min(counts), max(counts))))
 
 
 def _text(form: str, figure: float | None) -> str:
