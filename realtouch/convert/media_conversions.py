@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from os import PathLike, fspath
-from typing import Protocol, Unpack
+from typing import Any, Unpack
 
 import numpy as np
 import pyarrow as pa
@@ -17,7 +17,6 @@ from realtouch.touches import media, schema, stored_images, stored_round
 from realtouch.video import avi
 from tactile_toolkit import errors, kind, places, read, store, touch
 from tactile_toolkit.array_types import Float32, UInt8
-from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS, MEDIA_TYPE, encode_image, resized
 
 _CONTACT_FRAME_ROWS = 16
@@ -290,25 +289,6 @@ class ResizeMedia:
         return encode_image(resized(pixels, self.width, self.height), "jpeg", self.quality)
 
 
-class DepthAndError(Protocol):
-    """Depth of some images, (N, H, W), float32, metres, and its expected error."""
-
-    depth_m: Float32
-    error_m: Float32
-
-
-class DepthReader(Protocol):
-    """Reader of depth from images (N, H, W, 3), uint8, such as :class:`tactile_sim.SensorModel`."""
-
-    def read_depth(self, images: UInt8, *, fast: bool = False) -> DepthAndError:
-        """Return how far each point of the gel is pressed in."""
-        ...
-
-    def to_dict(self) -> JsonDict:
-        """Return JSON values that identify the reader by its content."""
-        ...
-
-
 def add_depth(
     source: places.Name | places.Place,
     out: str | PathLike[str],
@@ -361,9 +341,9 @@ def add_depth(
 
 
 @lru_cache(maxsize=1)
-def _reader(folder: str) -> DepthReader:
-    found: DepthReader = _load_sensor(folder)
-    return found
+def _reader(folder: str) -> Any:
+    """Return a :class:`tactile_sim.SensorModel`, which reads depth from images."""
+    return _load_sensor(folder)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,6 @@ Facts of the format: a sample is ``KEY.jpg`` and ``KEY.json``; poses are ``x_mm`
 from __future__ import annotations
 
 import json
-import re
 import tarfile
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -30,21 +29,6 @@ from tactile_toolkit.columns import column_types
 from tactile_toolkit.json_types import JsonDict, JsonObject
 
 _FOLDER = "webdataset"
-_WITHOUT_NAN = json.JSONEncoder(ensure_ascii=False, separators=(",", ":"), allow_nan=False)
-_encode = msgspec.json.Encoder().encode
-
-# Signs of values that msgspec, which is ten times as fast, writes in another way than `json`: NaN, infinity,
-# and numbers that one of them writes with an exponent.
-_UNLIKE_JSON = (b"null", b"0.0000")
-_EXPONENT = re.compile(rb"e[-\d]")
-
-# Fields of a header (POSIX.1-1988, ustar): name, size and checksum. The checksum is the sum of all bytes,
-# with blanks in its own place.
-_NAME_BYTES = 100
-_SIZE = slice(124, 135)
-_SUM = slice(148, 154)
-_HEADER = tarfile.TarInfo().tobuf(tarfile.USTAR_FORMAT)
-_SUM_OF_OTHERS = int(_HEADER[_SUM], 8) - sum(_HEADER[_SIZE])
 Sample = tuple[str, bytes | memoryview, Mapping[str, object]]
 """The name of an image, its bytes, and the fields for its JSON file."""
 
@@ -70,33 +54,18 @@ def tar_of(samples: Iterable[Sample]) -> bytes:
 
 
 def _header(member: str, size: int) -> bytes:
-    """Return the header of a file as `tarfile` writes it, but ten times as fast unless the name is long."""
-    name = member.encode()
-    digits = b"%011o" % size
-    if len(name) > _NAME_BYTES:
-        header = tarfile.TarInfo(member)
-        header.size = size
-        try:
-            return header.tobuf(tarfile.USTAR_FORMAT)
-        except ValueError:  # ustar cannot divide the name
-            return header.tobuf(tarfile.PAX_FORMAT)
-    found = bytearray(_HEADER)
-    found[: len(name)] = name
-    found[_SIZE] = digits
-    found[_SUM] = b"%06o" % (_SUM_OF_OTHERS + sum(name) + sum(digits))
-    return bytes(found)
+    header = tarfile.TarInfo(member)
+    header.size = size
+    try:
+        return header.tobuf(tarfile.USTAR_FORMAT)
+    except ValueError:  # ustar cannot divide the name
+        return header.tobuf(tarfile.PAX_FORMAT)
 
 
 def _json_of(fields: Mapping[str, object]) -> bytes:
-    """Return fields as `json` writes them; NaN becomes null, as JSON has no NaN."""
-    content = _encode(fields)
-    if not (any(each in content for each in _UNLIKE_JSON) or _EXPONENT.search(content)):
-        return content
-    try:
-        return _WITHOUT_NAN.encode(fields).encode()
-    except ValueError:
-        known = {name: _without_nan(value) for name, value in fields.items()}
-        return json.dumps(known, ensure_ascii=False, separators=(",", ":")).encode()
+    """Return fields as JSON; NaN becomes null, as JSON has no NaN."""
+    known = {name: _without_nan(value) for name, value in fields.items()}
+    return json.dumps(known, ensure_ascii=False, separators=(",", ":")).encode()
 
 
 def _without_nan(value: object) -> object:
