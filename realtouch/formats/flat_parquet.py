@@ -17,7 +17,7 @@ from typing import IO, TYPE_CHECKING, NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from realtouch import importing
+from realtouch import importing, touch_options
 from realtouch.formats import exports
 from realtouch.touches import schema as stored_schema
 from tactile_toolkit import cache, errors, read, store
@@ -58,7 +58,7 @@ _MAX_BITS = 63
 
 
 def find_flat(
-    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+    home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
 ) -> Iterator[importing.FoundTouches]:
     """Yield a touch for each row of each file, in their order; the split is that of the file's name."""
     home, paths = importing.files_to_read(

@@ -20,7 +20,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from realtouch import importing
+from realtouch import importing, touch_options
 from realtouch.formats import picture_arrays, zarr_recordings
 from tactile_toolkit import cache, errors, store
 from tactile_toolkit.array_types import AnyArray
@@ -136,7 +136,7 @@ def _require_chunk(place: str, dataset: H5Object, at: tuple[int, ...]) -> None:
 
 
 def find_hdf5(
-    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+    home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
 ) -> Iterator[importing.Recording]:
     """Yield a recording for each group that has the dataset of pictures; InputError lists such datasets.
 
@@ -193,7 +193,7 @@ def _recording(
     root: H5Object,
     kinds: dict[str, str],
     named: tuple[str, str, str],
-    columns: importing.ImportColumns,
+    columns: touch_options.ImportColumns,
 ) -> importing.Recording:
     title, group, image = named
     place = home.address(path)

@@ -45,7 +45,7 @@ _Count = Annotated[int, msgspec.Meta(ge=0, lt=1 << 50)]
 
 
 def find_lerobot(
-    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+    home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
 ) -> Iterator[importing.Recording]:
     """Yield each episode with the pictures of the named or the only camera; InputError for several.
 

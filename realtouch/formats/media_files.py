@@ -21,7 +21,7 @@ from pathlib import PurePosixPath
 import numpy as np
 import pyarrow as pa
 
-from realtouch import convert, importing
+from realtouch import convert, importing, touch_options
 from realtouch.formats.exports import NamedImage, TouchFormat
 from realtouch.touches import stored_images
 from realtouch.video import video_files, videos
@@ -43,7 +43,7 @@ _LEFT_OUT = "-1"
 
 
 def find_folder(
-    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+    home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
 ) -> Iterator[importing.FoundTouches]:
     """Yield a touch for each row of the table; the touch of a missing file has a problem.
 
@@ -109,7 +109,7 @@ def _labelled(home: store.DataFolder, paths: list[str]) -> importing.FoundTouche
 
 
 def find_video(
-    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+    home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
 ) -> Iterator[importing.Recording]:
     """Yield a recording for each video: the file that was named, or those of a folder and its sub-folders.
 
@@ -180,7 +180,7 @@ def _classes(paths: Sequence[str]) -> dict[str, dict[str, object]]:
 
 def _table_of_videos(
     home: store.DataFolder,
-    columns: importing.ImportColumns,
+    columns: touch_options.ImportColumns,
     image: str,
     table: str | None,
     paths: Sequence[str],
@@ -284,7 +284,7 @@ plan_anytouch = TouchFormat(_ANYTOUCH_FOLDER, _pack_anytouch, _write_lists).plan
 
 
 def find_anytouch(
-    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+    home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
 ) -> Iterator[importing.FoundTouches]:
     """Yield the lines of each list, or of one list, as touches; the touch of a missing file has a problem."""
     named = home if table is None else store.open_folder(table)

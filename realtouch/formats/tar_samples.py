@@ -84,7 +84,7 @@ plan_webdataset = exports.TouchFormat(_FOLDER, _pack).plan
 
 
 def find_webdataset(
-    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+    home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
 ) -> Iterator[importing.FoundTouches]:
     """Yield the samples of each tar as touches; only headers and short texts are read."""
     if table is not None:
@@ -191,7 +191,7 @@ class _Sample(NamedTuple):
     problems: Sequence[errors.ItemError]
 
 
-def _sample(key: str, members: Sequence[_Member], columns: importing.ImportColumns) -> _Sample:
+def _sample(key: str, members: Sequence[_Member], columns: touch_options.ImportColumns) -> _Sample:
     """Combine the files of one key."""
     problems: list[errors.ItemError] = []
     named = store.problem_of_name(key)
@@ -271,7 +271,7 @@ plan_fota = exports.TouchFormat(_FOTA_FOLDER, _pack_fota, _write_counts, no_gaps
 
 
 def find_fota(
-    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+    home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
 ) -> Iterator[importing.FoundTouches]:
     """Yield the samples of each tar of one split; the folder has the name of the split."""
     split = home.address().rstrip("/").rpartition("/")[2]

@@ -47,7 +47,7 @@ _OUR_VALUES = ("label", "label_name", "object_id", *touch_options.POSITION_COLUM
 
 
 def find_replay(
-    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+    home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
 ) -> Iterator[importing.Recording]:
     """Yield a recording for each episode of the buffer; its arrays are columns.
 
@@ -60,7 +60,7 @@ def find_replay(
 
 
 def find_oxt(
-    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+    home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
 ) -> Iterator[importing.Recording]:
     """Yield a recording for each episode; the pictures are those of the only sensor, or of the named one.
 
@@ -112,7 +112,7 @@ def recordings_of(
     group: zarr_arrays.ZarrGroup,
     names: Iterable[str],
     pictures: tuple[str, int | None],
-    columns: importing.ImportColumns,
+    columns: touch_options.ImportColumns,
 ) -> Iterator[importing.Recording]:
     """Return all episodes; ``pictures`` is an array of ``data``, and the number of the sensor in it.
 
@@ -176,7 +176,7 @@ def episode_ends(group: zarr_arrays.ZarrGroup, frames: int) -> Int64:
     return ends
 
 
-def of_episodes(whole: importing.Recording, columns: importing.ImportColumns) -> set[str]:
+def of_episodes(whole: importing.Recording, columns: touch_options.ImportColumns) -> set[str]:
     """Return the columns that may describe whole episodes: labels, objects, rounds, splits and all texts."""
     known = columns.found_in(whole.per_frame)
     stated = {importing.NUMBERED, known.label, known.object_id, known.round, known.split}

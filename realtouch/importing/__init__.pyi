@@ -12,9 +12,6 @@ from .source_touches import (
     Recording as Recording,
     TIME_S as TIME_S,
 )
-from .import_columns import (
-    ImportColumns as ImportColumns,
-)
 from .source_files import (
     FILE_OF_TABLE as FILE_OF_TABLE,
     IMAGE_ENDINGS as IMAGE_ENDINGS,

@@ -14,7 +14,8 @@ import numpy as np
 import pyarrow as pa
 from scipy.spatial.transform import Rotation
 
-from realtouch.importing import import_columns, source_files, source_touches
+from realtouch import touch_options
+from realtouch.importing import source_files, source_touches
 from realtouch.touches.poses import bad_pose
 from realtouch.touches.schema import EXTRA_PREFIX, extra_columns
 from tactile_toolkit import arithmetic, errors, wording
@@ -106,9 +107,9 @@ def objects_of(
 
 
 def each_of(
-    read: Callable[[Fields, import_columns.ImportColumns], Float64],
+    read: Callable[[Fields, touch_options.ImportColumns], Float64],
     fields: Fields,
-    columns: import_columns.ImportColumns,
+    columns: touch_options.ImportColumns,
     rows: Int64,
 ) -> tuple[Float64 | None, dict[int, errors.ItemError]]:
     """Read the values of some touches or pictures at once, or in smaller parts where some are wrong.
@@ -136,7 +137,7 @@ def each_of(
     return found, dict(sorted(problems.items()))
 
 
-def stated_positions(fields: Fields, columns: import_columns.ImportColumns) -> Float64:
+def stated_positions(fields: Fields, columns: touch_options.ImportColumns) -> Float64:
     """Return intended positions, x and y in metres, cell frame, shape (n, 2).
 
     Raises ItemError for other values, and InputError for a tilted frame, as x and y then depend on the
@@ -155,7 +156,7 @@ def stated_positions(fields: Fields, columns: import_columns.ImportColumns) -> F
     return place
 
 
-def poses(fields: Fields, columns: import_columns.ImportColumns) -> Float64:
+def poses(fields: Fields, columns: touch_options.ImportColumns) -> Float64:
     """Return poses in the cell frame, shape (n, 7): position in metres, quaternion x, y, z, w.
 
     Raises ItemError for other values.
@@ -219,13 +220,13 @@ def _instants_s(values: pa.Array) -> Float64 | None:
     return None
 
 
-def _of_quaternions(numbers: Float64, columns: import_columns.ImportColumns) -> tuple[Float64, Float64]:
+def _of_quaternions(numbers: Float64, columns: touch_options.ImportColumns) -> tuple[Float64, Float64]:
     """Return positions and quaternions x, y, z, w of poses of seven numbers."""
     order = [3 + columns.order.index(axis) for axis in "xyzw"]
     return numbers[:, :3], numbers[:, order]
 
 
-def _of_angles(numbers: Float64, columns: import_columns.ImportColumns) -> tuple[Float64, Float64]:
+def _of_angles(numbers: Float64, columns: touch_options.ImportColumns) -> tuple[Float64, Float64]:
     """Return positions and quaternions of poses with Euler angles or rotation vectors in radians."""
     place, angles = numbers[:, :3], numbers[:, 3:]
     if columns.euler is not None:
@@ -239,7 +240,7 @@ def _of_angles(numbers: Float64, columns: import_columns.ImportColumns) -> tuple
     return place, Rotation.from_rotvec(angles).as_quat()
 
 
-def _of_matrices(numbers: Float64, _columns: import_columns.ImportColumns) -> tuple[Float64, Float64]:
+def _of_matrices(numbers: Float64, _columns: touch_options.ImportColumns) -> tuple[Float64, Float64]:
     """Return positions and quaternions of matrices, (n, 12) or (n, 16); ItemError if one is not rigid."""
     matrices = numbers.reshape(len(numbers), -1, 4)
     if not arithmetic.are_rigid(matrices):
@@ -251,7 +252,7 @@ def _of_matrices(numbers: Float64, _columns: import_columns.ImportColumns) -> tu
     return matrices[:, :3, 3], Rotation.from_matrix(matrices[:, :3, :3]).as_quat()
 
 
-def _frame(columns: import_columns.ImportColumns) -> tuple[Float64, Float64]:
+def _frame(columns: touch_options.ImportColumns) -> tuple[Float64, Float64]:
     """Return rotation and translation, in metres, from the frame of the source to the cell frame."""
     matrix = np.array(columns.frame)
     per_metre = columns.divisors((), 2)[0]
@@ -271,7 +272,7 @@ def _require_metres(places: Float64, reason: str) -> None:
 
 def _numbers(
     fields: Fields,
-    columns: import_columns.ImportColumns,
+    columns: touch_options.ImportColumns,
     names: tuple[str, ...],
     sizes: tuple[int, ...],
     reason: str,
@@ -288,13 +289,13 @@ def _numbers(
         example = first[0] if len(first) == 1 else first
         expected = f"{sizes[0]} finite numbers"
         if len(sizes) > 1:
-            counts = import_columns.expected_counts(sizes[1:])
+            counts = touch_options.expected_counts(sizes[1:])
             expected += f", or {counts} of a matrix (6 with --euler or --rotvec)"
         raise errors.ItemError(reason, f"{shown(example)}; expected {expected}")
     return numbers / columns.divisors(names, numbers.shape[1])
 
 
-def used_names(columns: import_columns.ImportColumns) -> set[str | None]:
+def used_names(columns: touch_options.ImportColumns) -> set[str | None]:
     """Return the columns of a source that hold labels, poses and so on, not extra values."""
     named = {source for _, source in columns.extra}
     used: set[str | None] = {*columns.names(), columns.image} - named
@@ -304,7 +305,7 @@ def used_names(columns: import_columns.ImportColumns) -> set[str | None]:
 
 
 def extra_sources(
-    touches: source_touches.FoundTouches, columns: import_columns.ImportColumns
+    touches: source_touches.FoundTouches, columns: touch_options.ImportColumns
 ) -> dict[str, str]:
     """Return the extra columns of touches: the name in the source by the new name.
 
@@ -325,13 +326,13 @@ def extra_sources(
                 f"the columns {sources[name]!r} and {source!r} would both be kept as {name!r}",
                 next=f"name one of them: --map NEW={sources[name]}",
             )
-        if import_columns.is_extra_name(name) and len(sources) < _MAX_COLUMNS:
+        if touch_options.is_extra_name(name) and len(sources) < _MAX_COLUMNS:
             sources[name] = source
     return sources
 
 
 def extra_types(
-    touches: source_touches.FoundTouches, columns: import_columns.ImportColumns
+    touches: source_touches.FoundTouches, columns: touch_options.ImportColumns
 ) -> dict[str, pa.DataType]:
     """Return the type of the value of a touch in each extra column, by the name of the column in a data set.
 
@@ -357,7 +358,7 @@ def extra_types(
 
 def extra_arrays(
     touches: source_touches.FoundTouches,
-    columns: import_columns.ImportColumns,
+    columns: touch_options.ImportColumns,
     types: Mapping[str, pa.DataType],
 ) -> dict[str, pa.Array]:
     """Return the values of each extra column, an entry for each touch."""
@@ -370,14 +371,14 @@ def extra_arrays(
     return made
 
 
-def kept_sources(columns: import_columns.ImportColumns, types: Iterable[str]) -> dict[str, str]:
+def kept_sources(columns: touch_options.ImportColumns, types: Iterable[str]) -> dict[str, str]:
     """Return the fields that some extra columns of a data set keep, with their names there."""
     sources = dict(columns.extra)
     return {sources.get(name, name): name for name in extra_columns(types)}
 
 
 def not_kept(
-    touches: source_touches.FoundTouches, columns: import_columns.ImportColumns, types: Iterable[str]
+    touches: source_touches.FoundTouches, columns: touch_options.ImportColumns, types: Iterable[str]
 ) -> dict[str, int]:
     """Return the number of touches with each field that is neither used nor kept, by its printable name."""
     kept = used_names(columns) | kept_sources(columns, types).keys()

@@ -20,7 +20,6 @@ import pyarrow.compute as pc
 from realtouch import convert, kind, touch_card, touch_options
 from realtouch.importing import (
     fields,
-    import_columns,
     import_shards,
     import_sources,
     source_files,
@@ -62,7 +61,7 @@ def import_touches(
     source: str | PathLike[str],
     out: str | PathLike[str],
     layout: str | None = None,
-    columns: import_columns.ImportColumns | None = None,
+    columns: touch_options.ImportColumns | None = None,
     *,
     table: str | None = None,
     streams: Sequence[str] = (),
@@ -277,7 +276,7 @@ def _class_names(touches: source_touches.FoundTouches, column: str | None) -> tu
 
 
 def _rounds(
-    touches: source_touches.FoundTouches, columns: import_columns.ImportColumns, split: str | None
+    touches: source_touches.FoundTouches, columns: touch_options.ImportColumns, split: str | None
 ) -> dict[str, dict[str, list[int]]]:
     """Return the touches of each round of each split, in order; a touch without a round gets its own."""
     found: dict[str, dict[str, list[int]]] = {}
@@ -430,7 +429,7 @@ class ImportPreview:
 def preview_import(
     source: str | PathLike[str],
     layout: str | None = None,
-    columns: import_columns.ImportColumns | None = None,
+    columns: touch_options.ImportColumns | None = None,
     *,
     table: str | None = None,
     streams: Sequence[str] = (),

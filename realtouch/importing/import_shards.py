@@ -17,7 +17,7 @@ import numpy as np
 import pyarrow as pa
 
 from realtouch import contact, touch_options
-from realtouch.importing import fields, import_columns, import_sources, source_touches
+from realtouch.importing import fields, import_sources, source_touches
 from realtouch.touches import schema as stored_schema, stored_images
 from realtouch.video import avi
 from tactile_toolkit import errors, store
@@ -72,7 +72,7 @@ class ImportTouches:
     """
 
     layout: str
-    columns: import_columns.ImportColumns
+    columns: touch_options.ImportColumns
     names: tuple[str, ...]
     image_size: tuple[int, int] | None
     schema: pa.Schema
@@ -151,7 +151,7 @@ class ImportTouches:
     def _of_pictures(
         self,
         touches: source_touches.FoundTouches,
-        read: Callable[[fields.Fields, import_columns.ImportColumns], Float64],
+        read: Callable[[fields.Fields, touch_options.ImportColumns], Float64],
         names: tuple[str, ...],
         width: int,
         owners: Int64,
@@ -280,7 +280,7 @@ class StoredTouches:
 
 
 def touch_schema(
-    columns: import_columns.ImportColumns, names: Sequence[str], touches: source_touches.FoundTouches
+    columns: touch_options.ImportColumns, names: Sequence[str], touches: source_touches.FoundTouches
 ) -> pa.Schema:
     """Return the schema of imported rounds, of clips or of single images, with the columns that are known."""
     kind: stored_schema.Kind = "seq" if touches.has_clips else "single"
@@ -316,7 +316,7 @@ def extras_in(schema: pa.Schema) -> dict[str, pa.DataType]:
 
 
 def table_of_touches(
-    stored: StoredTouches, columns: import_columns.ImportColumns, schema: pa.Schema
+    stored: StoredTouches, columns: touch_options.ImportColumns, schema: pa.Schema
 ) -> pa.Table:
     """Return touches of whole rounds, one round after the other, as rows."""
     rounds = source_touches.one_chunk(stored.touches.where["round"])
@@ -394,7 +394,7 @@ def clip_of(
     row: int,
     pictures: Sequence[bytes],
     size: tuple[int, int],
-    columns: import_columns.ImportColumns,
+    columns: touch_options.ImportColumns,
 ) -> ImportedClip:
     """Return a clip of pictures that are intact and of one size (height, width).
 
@@ -427,7 +427,7 @@ def clip_of(
 
 
 def clip_times_s(
-    touches: source_touches.FoundTouches, row: int, columns: import_columns.ImportColumns
+    touches: source_touches.FoundTouches, row: int, columns: touch_options.ImportColumns
 ) -> Float64 | None:
     """Return the time of each picture from the first one, seconds, shape (frames,); None if not known.
 

@@ -15,7 +15,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from realtouch.importing import cuts, import_columns, source_files, source_touches
+from realtouch import touch_options
+from realtouch.importing import cuts, source_files, source_touches
 from realtouch.importing.fields import each_of, times_s
 from realtouch.importing.streams import Aligner, StreamReport
 from realtouch.kind import KIND
@@ -28,7 +29,7 @@ from tactile_toolkit.columns import column_types, tables
 _SPLIT_FOLDERS = ("fota",)  # formats whose exports have a folder for each split, with its name
 Version = tuple[object, ...] | None
 FindTouches = Callable[
-    [store.DataFolder, import_columns.ImportColumns, str | None],
+    [store.DataFolder, touch_options.ImportColumns, str | None],
     Iterator[source_touches.FoundTouches | source_touches.Recording],
 ]
 """Yields the touches of a folder, or recordings to cut, given columns and the path of a table."""
@@ -61,7 +62,7 @@ class Reading:
     """How a source is read; see :func:`realtouch.import_touches`."""
 
     layout: str | None = None
-    columns: import_columns.ImportColumns | None = None
+    columns: touch_options.ImportColumns | None = None
     table: str | None = None
     streams: tuple[str, ...] = ()
     alignment: Alignment | None = None
@@ -83,7 +84,7 @@ class FoundSource:
     layout: str
     recognised_by: str
     touches: source_touches.FoundTouches
-    columns: import_columns.ImportColumns
+    columns: touch_options.ImportColumns
     cut: str = ""
     pictures: Mapping[str, bytes] = field(default_factory=dict)
     streams: Sequence[StreamReport] = ()
@@ -101,7 +102,7 @@ def versions_of(
 def find_source(place: str, reading: Reading) -> FoundSource:
     """Recognise a source and find its touches; InputError if it cannot be used."""
     home = store.open_folder(place)
-    columns = reading.columns or import_columns.ImportColumns()
+    columns = reading.columns or touch_options.ImportColumns()
     format_ = Recognised(reading.layout or "", "")
     if reading.layout is not None:
         require_layout(reading.layout, IMPORTS)
@@ -147,7 +148,7 @@ def find_source(place: str, reading: Reading) -> FoundSource:
 
 
 def _read_folders(
-    home: store.DataFolder, layout: str, columns: import_columns.ImportColumns, table: str | None
+    home: store.DataFolder, layout: str, columns: touch_options.ImportColumns, table: str | None
 ) -> Iterator[source_touches.FoundTouches | source_touches.Recording]:
     """Yield the touches and recordings of a folder, or of each split of an export of this toolkit."""
     folders = [home]
@@ -172,7 +173,7 @@ def _files_of_several(
 
 
 def _timed(
-    touches: source_touches.FoundTouches, columns: import_columns.ImportColumns
+    touches: source_touches.FoundTouches, columns: touch_options.ImportColumns
 ) -> source_touches.FoundTouches:
     """Return images with a field of times in seconds, as the pictures of recordings have it."""
     values = touches.value(columns.time) if columns.time else None
@@ -185,7 +186,7 @@ def _timed(
         )
     rows = np.flatnonzero(values.is_valid().to_numpy(zero_copy_only=False))
 
-    def read(fields: Mapping[str, pa.Array], how: import_columns.ImportColumns) -> Float64:
+    def read(fields: Mapping[str, pa.Array], how: touch_options.ImportColumns) -> Float64:
         return times_s(fields[source_touches.TIME_S], how.time or "", how.time_unit)
 
     time_s, problems = each_of(read, {source_touches.TIME_S: values}, columns, rows)
@@ -206,7 +207,7 @@ def _checked(touches: source_touches.FoundTouches) -> source_touches.FoundTouche
 
 
 def said_of_whole(
-    touches: source_touches.FoundTouches, columns: import_columns.ImportColumns
+    touches: source_touches.FoundTouches, columns: touch_options.ImportColumns
 ) -> source_touches.FoundTouches:
     """Return clips with the label, round, object and split of their pictures as fields of the clip.
 

@@ -12,7 +12,8 @@ from typing import IO, NamedTuple
 
 import pyarrow as pa
 
-from realtouch.importing import import_columns, source_touches
+from realtouch import touch_options
+from realtouch.importing import source_touches
 from tactile_toolkit import errors, run, store, wording
 from tactile_toolkit.columns import column_types, tables
 from tactile_toolkit.json_types import JsonDict
@@ -106,7 +107,7 @@ class SourceTable(NamedTuple):
 def read_table(
     folder: store.DataFolder,
     name: str,
-    columns: import_columns.ImportColumns,
+    columns: touch_options.ImportColumns,
     names: Iterable[str | None] = (),
 ) -> SourceTable:
     """Read a table; InputError if it cannot be read.
@@ -119,7 +120,7 @@ def read_table(
 
 @store.without_collecting()
 def rows_of_table(
-    table: tables.Table, columns: import_columns.ImportColumns, names: Iterable[str | None] = ()
+    table: tables.Table, columns: touch_options.ImportColumns, names: Iterable[str | None] = ()
 ) -> SourceTable:
     """Read an opened table as :func:`read_table` does."""
     known = columns.found_in(table.names)

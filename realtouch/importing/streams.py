@@ -11,7 +11,8 @@ import numpy as np
 import pyarrow as pa
 from scipy.spatial.transform import Rotation
 
-from realtouch.importing import fields, import_columns, source_files, source_touches
+from realtouch import touch_options
+from realtouch.importing import fields, source_files, source_touches
 from realtouch.touch_options import Alignment
 from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import Bool, Float64, Floating, Int64
@@ -68,7 +69,7 @@ class Stream:
 
 
 def open_stream(
-    folder: store.DataFolder, name: str, columns: import_columns.ImportColumns, stem: str = ""
+    folder: store.DataFolder, name: str, columns: touch_options.ImportColumns, stem: str = ""
 ) -> Stream:
     """Read the times of a table.
 
@@ -190,7 +191,7 @@ class Aligner:
         self,
         named: Sequence[str],
         how: Alignment | None,
-        columns: import_columns.ImportColumns,
+        columns: touch_options.ImportColumns,
         no_streams: Collection[str] = (),
     ) -> None:
         self.reports: list[StreamReport] = []
@@ -259,7 +260,7 @@ def with_streams(
     recording: source_touches.Recording,
     streams: Sequence[Stream],
     how: Alignment,
-    columns: import_columns.ImportColumns,
+    columns: touch_options.ImportColumns,
 ) -> tuple[source_touches.Recording, list[StreamReport]]:
     """Add the columns of streams to the fields of each picture.
 
@@ -320,7 +321,7 @@ def _by_time(
     time_s: Float64,
     sample_s: Float64,
     how: Alignment,
-    columns: import_columns.ImportColumns,
+    columns: touch_options.ImportColumns,
 ) -> tuple[dict[str, pa.Array], StreamReport]:
     """Align a stream to the times of the pictures, both in seconds."""
     if sample_s[0] > time_s[-1] or time_s[0] > sample_s[-1]:
