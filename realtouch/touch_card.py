@@ -12,14 +12,13 @@ from typing import Any, TypeVar
 import numpy as np
 import pyarrow as pa
 
-from realtouch import picture_views
 from realtouch.kind import KIND
-from realtouch.touches import datasets, image_contacts, rounds, schema, stored_round
+from realtouch.touches import datasets, image_contacts, media, rounds, schema, stored_round
 from realtouch.touches.rounds import Touch
 from tactile_toolkit import cards, errors, read, store, touch, wording
 from tactile_toolkit.array_types import Int64, UInt8
 from tactile_toolkit.json_types import JsonDict
-from tactile_toolkit.pictures import png_bytes
+from tactile_toolkit.pictures import Tile, fitted, png_bytes, sheet
 
 WORDS = "touch_words.toml"
 """File of ``data_cards`` with the words of all cards of touches."""
@@ -27,6 +26,7 @@ WORDS = "touch_words.toml"
 T = TypeVar("T")
 _TILES = 16
 _TILE_WIDTH = 96
+_GAP_PX = 4
 # Each round requires unpacking a block; a card does not try all blocks of a damaged set.
 _ROUNDS_SEEN = 4
 _COMMANDS = {"to-single": "clips-to-images"}  # command of an operation that manifests name differently
@@ -245,7 +245,7 @@ def _seen(facts: cards.FolderSummary, kind: schema.Kind) -> tuple[tuple[int, int
     pictures: list[UInt8 | None] = []
     for record in _first_rounds(facts, kind):
         count = _or_none(attrgetter("touch_count"), record) or 0
-        tiles = picture_views.evenly_spaced(count, _TILES)
+        tiles = media.evenly_spaced(count, _TILES)
         pictures = [_or_none(attrgetter("image"), Touch(record, number)) for number in tiles]
         intact = next((picture for picture in pictures if picture is not None), None)
         if intact is not None:
@@ -256,7 +256,17 @@ def _seen(facts: cards.FolderSummary, kind: schema.Kind) -> tuple[tuple[int, int
 
 def _sheet(pictures: Iterable[UInt8 | None]) -> bytes | None:
     intact = [image for image in pictures if image is not None]
-    return png_bytes(picture_views.contact_sheet(intact, tile_width=_TILE_WIDTH)) if intact else None
+    return png_bytes(contact_sheet(intact, tile_width=_TILE_WIDTH)) if intact else None
+
+
+def contact_sheet(images: Sequence[UInt8], columns: int = 8, tile_width: int = 120) -> UInt8:
+    """Arrange RGB images, (H, W, 3), in rows of ``columns``, each ``tile_width`` pixels wide.
+
+    All get the proportions of the first.
+    """
+    height = fitted(images[0], tile_width).shape[0]
+    tiles = [Tile(touch.resized(image, tile_width, height)) for image in images]
+    return sheet(tiles, min(columns, len(images)), gap_px=_GAP_PX, margin_px=_GAP_PX)
 
 
 def _first_rounds(

@@ -1,4 +1,4 @@
-"""Options of the commands for touches, and the meaning and units of columns; importing this module is fast."""
+"""Options of the commands for touches, and the meaning of imported columns; importing this module is fast."""
 
 from __future__ import annotations
 
@@ -204,9 +204,6 @@ class Alignment:
 
     def __post_init__(self) -> None:
         checked_fields.check_fields(self, "the alignment")
-
-
-
 
 
 def read_frame(place: str | os.PathLike[str]) -> Matrix:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import xxhash
 
-from realtouch import contact, picture_views, touch_options
+from realtouch import contact, touch_options
 from realtouch.checks import rules
 from realtouch.checks.rules import spans_of
 from realtouch.touches import media, schema, stored_round
@@ -161,7 +161,7 @@ def _strip(
     digests = list(map(xxhash.xxh3_128_digest, encoded))
     pictures: dict[int, Picture] = {}
     empty: dict[int, rules.Fault] = {}
-    for number in picture_views.evenly_spaced(len(encoded), frames):
+    for number in media.evenly_spaced(len(encoded), frames):
         spot, picture = spots[number], encoded[number]
         try:
             cells = rules.cells_of(picture)
@@ -213,7 +213,7 @@ def _add_bare_gel(section: Section, pictures: Sequence[Picture]) -> None:
     section.gel = np.median([touch[0].cells for touch in by_touch], axis=0).astype(np.float32)
     each_of = min(_FIRST_FRAMES, max(1, GEL_PICTURES // len(by_touch)))
     bare = [each.encoded for touch in by_touch for each in touch[:each_of]]
-    decoded = [decode_image(bare[index]) for index in picture_views.evenly_spaced(len(bare), GEL_PICTURES)]
+    decoded = [decode_image(bare[index]) for index in media.evenly_spaced(len(bare), GEL_PICTURES)]
     same = [each for each in decoded if each.shape == decoded[0].shape]
     section.decoded += len(decoded)
     if len(same) >= _MIN_BARE:

@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 
-from realtouch import convert, kind, tars
+from realtouch import convert, kind
 from realtouch.touches import damage, media, opening, schema, stored_round
 from tactile_toolkit import cards, catalog, errors, places, read, run, store, wording
 from tactile_toolkit.touch import decode_image, image_size
@@ -87,7 +87,7 @@ def _images_in(folder: store.DataFolder, path: str) -> Iterator[tuple[str, bytes
     """Yield the images of a tar, of the columns of a Parquet file, or of an image file."""
     if path.endswith(".tar"):
         with folder.open(path) as stream:
-            for member in tars.files_of_tar(stream, folder.size_bytes(path)):
+            for member in convert.files_of_tar(stream, folder.size_bytes(path)):
                 if not member.name.endswith(".json"):
                     stream.seek(member.offset_data)
                     yield member.name, stream.read(member.size)

@@ -1,4 +1,4 @@
-"""Touches as plain image files with an index in CSV and Parquet."""
+"""Touches as plain image files with an index in CSV and Parquet; names of files, and files in tars."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ import csv
 import hashlib
 import io
 import re
+import tarfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from os import PathLike
-from typing import Literal, Unpack
+from typing import IO, Literal, Unpack
 from urllib.parse import unquote
 
 import numpy as np
@@ -319,3 +320,34 @@ def id_of_stem(stem: str) -> str:
     """Return the id from which :func:`stem_of_id` made a name; other names are returned unchanged."""
     round_id = unquote(stem)
     return round_id if stem_of_id(round_id) == stem else stem
+
+
+def files_of_tar(stream: IO[bytes], size: int) -> Iterator[tarfile.TarInfo]:
+    """Yield the header of each file in a tar of ``size`` bytes; its content is inside the tar.
+
+    Raises tarfile.ReadError, which names the member, for a damaged or inconsistent header and for a
+    truncated tar.
+    """
+    name, end = "", 0
+    try:
+        with tarfile.open(fileobj=stream, mode="r:") as tar:
+            for member in tar:
+                # `tarfile` reads 0 from an extended header that does not state a number.
+                stated = member.pax_headers.get("size", str(member.size))
+                if stated.lstrip("0") != str(member.size).lstrip("0") or member.size < 0 or member.issparse():
+                    raise tarfile.ReadError(
+                        f"{member.name!r} is sparse, or its size is not a number of bytes"
+                    )
+                blocks = -(-member.size // tarfile.BLOCKSIZE)
+                name = member.name
+                end = member.offset_data + blocks * tarfile.BLOCKSIZE
+                if end > size:
+                    raise tarfile.ReadError(f"it ends in {name!r}")
+                if member.isfile():
+                    yield member
+        stream.seek(end)
+        # `tarfile` takes a damaged header for the end of the tar, which is a block of zeros.
+        if stream.read(tarfile.BLOCKSIZE) != bytes(tarfile.BLOCKSIZE):
+            raise tarfile.ReadError(f"neither a header nor the mark of its end follows {name!r}")
+    except (ValueError, IndexError, RecursionError) as error:  # from values of extended headers
+        raise tarfile.ReadError(f"the headers after {name!r} cannot be read: {error}") from error

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import msgspec
 import pyarrow as pa
 
-from realtouch import convert, importing, tars, touch_options
+from realtouch import convert, importing, touch_options
 from realtouch.formats import exports
 from realtouch.touches import stored_images
 from tactile_toolkit import errors, store
@@ -156,7 +156,7 @@ def _members(folder: store.DataFolder, name: str) -> Iterator[_Member]:
                     f"{folder.address(name)!r} is compressed; expected a tar", next="unpack it"
                 )
             stream.seek(0)
-            for member in tars.files_of_tar(stream, folder.size_bytes(name)):
+            for member in convert.files_of_tar(stream, folder.size_bytes(name)):
                 start = member.offset_data
                 path = importing.path_of(member.name)
                 if store.is_hidden(path):  # macOS adds such a file to archives for each file
