@@ -16,7 +16,7 @@ from PIL import Image
 
 from realtouch.formats.episodes import DEPTH
 from realtouch.touches import schema
-from realtouch.touches.stored_images import decoded
+from realtouch.touches.media import decoded
 from tactile_toolkit import read, touch
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.json_types import JsonDict
