@@ -183,13 +183,8 @@ SMALL = np.full((1, 4, 4), 0.004)
 @pytest.mark.parametrize(
     "wrong",
     [
-        SMALL[0],
-        SMALL[..., None],
-        SMALL.astype(int),
-        SMALL.astype(np.float16),
-        SMALL * np.nan,
-        SMALL * 1e9,
-        -SMALL * np.inf,
+        *(SMALL[0], SMALL[..., None], SMALL.astype(int), SMALL.astype(np.float16)),
+        *(SMALL * np.nan, SMALL * 1e9, -SMALL * np.inf),
     ],
 )
 def test_maps_that_kernels_cannot_take_are_refused(optics: str, wrong: np.ndarray):
@@ -257,7 +252,7 @@ def _array_file(shape: str) -> bytes:
 
 
 @pytest.mark.parametrize(
-    "harm", ["changed", "pickle", "huge", "missing", "geometry", "json", "link", "report", "size"]
+    "harm", ["changed", "pickle", "huge", "missing", "geometry", "json", "link", "report", "size", "gel"]
 )
 def test_a_damaged_or_hostile_folder_is_refused(tmp_path, harm):
     """No array of another kind is accepted, no object is unpickled, nothing huge is made."""
@@ -277,7 +272,7 @@ def test_a_damaged_or_hostile_folder_is_refused(tmp_path, harm):
         np.savez(file, **arrays)
     if harm == "huge":
         with zipfile.ZipFile(file, "w") as archive:
-            archive.writestr("shape.npy", _array_file("(1 << 50,)".replace("1 << 50", "1125899906842624")))
+            archive.writestr("shape.npy", _array_file("(1125899906842624,)"))
     document = json.loads(text.read_text())
     if harm == "report":
         del document["report"]["noise_levels"]
