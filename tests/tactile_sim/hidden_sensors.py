@@ -380,8 +380,12 @@ def draw_sensor(seed: int, family: Family = "taxim", size_px: tuple[int, int] = 
 
 def digits(count: int = 4, seed: int = 5) -> dict[int, Mesh]:
     """Return digits of different classes, by number."""
-    source = SyntheticSource(seed)
-    return {n: mnist3d.solidify(source.image(14 * (n % 10) + n // 10).pixels) for n in range(count)}
+    return {number: _digit(number, seed) for number in range(count)}
+
+
+@cache
+def _digit(number: int, seed: int) -> Mesh:
+    return mnist3d.solidify(SyntheticSource(seed).image(14 * (number % 10) + number // 10).pixels)
 
 
 def _planted(
