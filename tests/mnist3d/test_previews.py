@@ -33,11 +33,7 @@ THIN = SolidSpec(target_vertices=2_000, half_thickness_mm=1.2)
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Thirty digits in train, ten in test."""
     out = tmp_path_factory.mktemp("previews") / "digits"
-    spec = DigitSetSpec(
-        SyntheticSource(count=280),
-        THIN,
-        SplitSpec(sizes=(("train", 3), ("test", 1))),
-    )
+    spec = DigitSetSpec(SyntheticSource(count=280), THIN, SplitSpec(sizes=(("train", 3), ("test", 1))))
     generate(spec, str(out), ("train", "test"))
     return out
 
