@@ -105,8 +105,6 @@ def test_impossible_specification_leaves_nothing_behind(tmp_path):
         ({"scenes": (("validation", 5),)}, "expected each of train, test once at most"),
         ({"seed": -3}, "seed .* is -3; expected an integer of at least 0"),
         ({"limit": 0}, "limit of .* is 0"),
-        ({"limit": 2.5}, "limit of .* is 2.5; expected an integer of at least 1"),
-        ({"seed": "a"}, "seed .* is 'a'; expected an integer"),
         ({"scenes": {"train": "many"}}, "scenes .* expected each of train, test"),
         ({"scenes": 5}, "scenes .* is 5"),
         ({"scene": {}}, "scene .* expected a SceneSpec"),
