@@ -74,11 +74,9 @@ def test_a_gel_pressed_most_of_the_time_at_changing_places_is_found_at_rest() ->
 
 
 def test_flicker_is_joined_and_short_contacts_are_dropped_and_counted() -> None:
-    made = MadeRecording(400, [(50, 60), (64, 80), (120, 121), (200, 220), (232, 240)], noise=1.0)
-    for fps, expected in (
-        (25.0, [(50, 80), (200, 220), (232, 240)]),
-        (None, [(50, 80), (200, 220), (232, 240)]),
-    ):
+    made = MadeRecording(300, [(50, 60), (64, 80), (120, 121), (200, 220), (232, 240)], noise=1.0)
+    expected = [(50, 80), (200, 220), (232, 240)]
+    for fps in (25.0, None):
         recording = made.recording(fps=fps)
         assert np.abs(np.subtract(contacts(cut([recording], "contact", made)), expected)).max() <= 1
         assert find_contacts(recording, made.contents, ContactRule()).too_short == 1

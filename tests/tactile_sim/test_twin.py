@@ -88,7 +88,7 @@ def test_a_fit_explains_its_images_and_finds_the_gel(six_touches):
     assert abs(fit.poses[:, 3].mean()) < 1e-12  # a press that all share is the gel's thickness
 
 
-@pytest.mark.parametrize("too_far", [1.0, 3.0, 6.0])
+@pytest.mark.parametrize("too_far", [1.0, pytest.param(3.0, marks=pytest.mark.thorough), 6.0])
 def test_a_step_that_makes_images_worse_is_shortened(
     too_far: float, six_touches: tactile_sim.Recordings, monkeypatch: pytest.MonkeyPatch
 ):
