@@ -111,16 +111,10 @@ BENCHMARKS = {
 SHOWN = (
     ("drawing, making, checking and writing a digit", "{pipeline.plain_mean} on one core, {pipeline.bytes}",
      "a plain implementation (`benchmarks/plain_digit.py`): {pipeline.plain_mean:ratio} slower"),
-    ("loading a mesh in random order", "{pipeline.load}",
-     "`tactile_mnist.SimpleMeshDataset`: {pipeline.load:ratio} slower"),
-    ("making a Starstruck scene", "{starstruck.scene}, {starstruck.bytes}",
-     "the published generator: {starstruck.scene:ratio} slower"),
     ("one random real touch, 64x64", "{real_touches.random_touch_64x64}",
      "`tactile_mnist`: {real_touches.random_touch_64x64:ratio} slower"),
     ("a step of one of 16 environments, depth, 64x64", "{native_environments.depth_16}",
      "`tactile_mnist`, software OpenGL on a CPU: {native_environments.depth_16:ratio} slower"),
-    ("a synthetic touch of a digit, depth, 64x64", "{touches.depth_64}",
-     "the renderer of the environments, software OpenGL: {touches.depth_64:ratio} slower"),
 )  # fmt: skip
 """The table of README.md: what, measured, compared with; figures by their names."""
 

@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_toolkit.array_types import Bool, Float32, Float64, Floating, Int32, Int64
+from tactile_toolkit.array_types import Bool, Float32, Float64, Int32, Int64
 from tactile_toolkit.kernels import planned
 
 _ROOT_2 = 2**0.5
@@ -142,21 +142,31 @@ def _narrow_pixels(distance: Float32, wide_px: float, reach: int, found: Int64) 
 
 
 def blurred(
-    values: Floating, nodes: Float64, sigma_per_pitch: float, bell_reach: float, grain: float
+    values: Float32,
+    rows: Float64,
+    columns: Float64,
+    sigma_per_pitch: float,
+    bell_reach: float,
+    weight_grain: float,
+    factor_grain: float,
 ) -> Float64:
-    """Blur values along the first axis, in proportion to the distance of the nodes; return those at nodes.
+    """Blur values along both axes, in proportion to the distance of the nodes; return those at nodes.
 
-    The weights are twice a bell minus a wider one, rounded to multiples of ``grain``. They keep waves that
-    one bell would damp, so that tips, notches and ridges lose less than half as much, and still remove what
-    the lattice cannot represent. A bell is close to a Gaussian, but is computed by products and sums only,
-    because exponentials differ between processors. A node one pixel from the next is not blurred.
+    The weights are twice a bell minus a wider one, rounded to multiples of ``weight_grain``. They keep waves
+    that one bell would damp, so that tips, notches and ridges lose less than half as much, and still remove
+    what the lattice cannot represent. A bell is close to a Gaussian, but is computed by products and sums
+    only, because exponentials differ between processors. A node one pixel from the next is not blurred.
+    Between the axes, values are rounded to multiples of ``factor_grain``, a power of two.
     """
-    found = np.zeros((len(nodes), values.shape[1]))
-    weights = np.empty((2, len(values)))
-    _blur_axis(
-        values.astype(np.float64, copy=False), nodes, sigma_per_pitch, bell_reach, grain, weights, found
-    )
-    return found
+
+    def blur_rows(levels: Float64, nodes: Float64) -> Float64:
+        found = np.zeros((len(nodes), levels.shape[1]))
+        weights = np.empty((2, len(levels)))
+        _blur_axis(levels, nodes, sigma_per_pitch, bell_reach, weight_grain, weights, found)
+        return found
+
+    halfway = np.round(blur_rows(values.astype(np.float64), rows) / factor_grain) * factor_grain
+    return blur_rows(np.ascontiguousarray(halfway.T), columns).T
 
 
 @planned("(float64[:,::1], float64[::1], float64, float64, float64, float64[:,::1], float64[:,::1])")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -53,12 +54,12 @@ class SplitSummary:
     def text(self, column: Column) -> str:
         """Return the figures of a column as text."""
         if column.role == "sum":
-            return column.text(self.sums[column.name])
+            return figure_text(column, self.sums[column.name])
         if column.role == "measure":
             spread = self.measures[column.name]
             if not spread:
                 return "-"
-            return "{0} to {2} (median {1})".format(*map(column.text, spread))
+            return "{0} to {2} (median {1})".format(*(figure_text(column, figure) for figure in spread))
         counts = self.facets[column.name]
         # A row has one class, but any number of warnings, of which each is named.
         is_even = len(counts) > 1 and len(set(counts.values())) == 1
@@ -67,6 +68,16 @@ class SplitSummary:
         if len(counts) > _MAX_LISTED:
             return with_count(len(counts), "values")
         return ", ".join(f"{value}: {count:,}" for value, count in counts.items()) or "none"
+
+
+def heading(column: Column) -> str:
+    """Return title and unit of a column, for headers of tables."""
+    return ", ".join(filter(None, (column.title, column.unit)))
+
+
+def figure_text(column: Column, number: float) -> str:
+    """Format a value of a column with its decimals; an unknown value, NaN, is a dash."""
+    return "-" if math.isnan(number) else f"{number:,.{column.decimals}f}"
 
 
 def summarise_columns(
@@ -107,11 +118,7 @@ def facts_table(
     summaries: Sequence[SplitSummary], declared: Sequence[Column]
 ) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Return header and lines of a table of figures: a line for each column, a column for each split."""
-    headings = [column.heading for column in declared]
-    lines = [
-        (heading, *(summary.text(column) for summary in summaries))
-        for heading, column in zip(headings, declared, strict=True)
-    ]
+    lines = [(heading(column), *(summary.text(column) for summary in summaries)) for column in declared]
     return ("", *(summary.split for summary in summaries)), lines
 
 
@@ -120,7 +127,11 @@ def summarise(folder: store.DataFolder, manifest: store.Manifest) -> list[SplitS
 
     Raises IntegrityError if the report is missing or damaged.
     """
-    report = store.read_report(folder, REPORT_FILE, ["split", *(each.name for each in SUMMED_UP)])
+    columns = ["split", *(column.name for column in SUMMED_UP)]
+    return _summaries(manifest, store.read_report(folder, REPORT_FILE, columns))
+
+
+def _summaries(manifest: store.Manifest, report: pa.Table) -> list[SplitSummary]:
     names = classes_of(manifest)
     summaries = []
     for summary in summarise_columns(manifest, report, SUMMED_UP):
@@ -135,21 +146,22 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     Raises IntegrityError if a shard or the printability report is missing or damaged.
     """
     # From the manifest, never from defaults: the card may be written again by a later version.
-    spec = manifest.spec["source_spec"] if kind.is_copy(manifest) else manifest.spec
+    is_copy = kind.is_copy(manifest)
+    spec = manifest.spec["source_spec"] if is_copy else manifest.spec
     words = source_words("copy" if spec is None else str(spec["source"]["name"]))
     # Digits of a folder of pictures are not MNIST 3D.
     is_own = words["name"] == FolderSource.name
-    if kind.is_copy(manifest):
+    if is_copy:
         title = "3D digits" if is_own else "MNIST 3D"
         cards.write_table_card(folder, manifest, KIND, title, COLUMNS, words["licence"], **_terms(words))
         return
-    summaries = summarise(folder, manifest)
+    report = store.read_report(folder, REPORT_FILE)
+    summaries = _summaries(manifest, report)
     profile = spec["print_profile"]
     solid = spec["solid"]
     things = "handwritten digits"
     if classes_of(manifest) != KIND.class_names:
         things = "drawings"
-    columns = store.read_report(folder, REPORT_FILE).column_names
     joined = ", separate pieces bridged" if solid["join_bodies"] else ""
     title = wording.printable(store.split_uri(folder.address())[1]) if is_own else "MNIST 3D"
     cards.Card(
@@ -172,7 +184,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
                 f"{solid['smoothing_iterations']} rounds of smoothing{joined}"
             ),
             "print_table": cards.markdown_table(*facts_table(summaries, SUMMED_UP)),
-            "report_columns": ", ".join(f"`{name}`" for name in columns),
+            "report_columns": ", ".join(f"`{name}`" for name in report.column_names),
             **{name: f"{profile[name]:g}" for name in ("nozzle_mm", "min_wall_mm", "overhang_deg")},
             "things": things,
             **_terms(words),

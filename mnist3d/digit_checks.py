@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from mnist3d import digit_card
 from mnist3d.kind import KIND
 from tactile_toolkit import catalog, mesh, places, read, rows, store
 from tactile_toolkit.errors import InputError, IntegrityError
@@ -50,7 +51,7 @@ class CheckedMesh:
     def table_row(self) -> tuple[object, ...]:
         """Return the cells of a row of :meth:`CheckedMeshes.table`."""
         report = self.report
-        numbers = [each.text(getattr(report, each.name)) for each in _SHOWN]
+        numbers = [digit_card.figure_text(column, getattr(report, column.name)) for column in _SHOWN]
         if not report.is_solid:
             findings = ", ".join((report.detail or report.problem or "", *report.notes))
             return (self.name, "NO", "-", *numbers, findings)
@@ -100,7 +101,7 @@ class CheckedMeshes:
 
     def table(self) -> tuple[Sequence[str], Sequence[Sequence[object]], str]:
         """Return header, rows and title of a table of failed meshes, or of all if there are few."""
-        header = ("mesh", "solid", "size, mm", *(each.heading for each in _SHOWN), "findings")
+        header = ("mesh", "solid", "size, mm", *map(digit_card.heading, _SHOWN), "findings")
         failures = [item for item in self.items if not item.report.is_solid]
         shown = self.items if len(self.items) <= _ROWS_SHOWN else failures[:_ROWS_SHOWN]
         words = ", ".join(f"{word} {count:,}" for word, count in self.warnings().items())

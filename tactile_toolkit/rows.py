@@ -6,7 +6,6 @@ measures of a gallery, and the figures of a split in cards and commands follow f
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence, Sized
 from dataclasses import MISSING, dataclass, field, fields, replace
 from itertools import chain
@@ -60,15 +59,6 @@ class Column:
     title: str = ""
     decimals: int = 0
     values: tuple[str, ...] = ()
-
-    @property
-    def heading(self) -> str:
-        """Title and unit, for headers of tables."""
-        return ", ".join(filter(None, (self.title, self.unit)))
-
-    def text(self, number: float) -> str:
-        """Format a value with its decimals; an unknown value, NaN, is a dash."""
-        return "-" if math.isnan(number) else f"{number:,.{self.decimals}f}"
 
 
 def column(

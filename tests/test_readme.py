@@ -107,7 +107,7 @@ def test_blocks_are_of_known_kinds():
 
 @pytest.mark.thorough
 def test_readme_runs(surroundings):
-    """As a reader would type it; CI runs the installing halves of the first two lines."""
+    """As a reader would type it; CI runs the two lines that install."""
     run([sys.executable, "-m", "tests.pages", "README.md"], surroundings, "readme")
 
 

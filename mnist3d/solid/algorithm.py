@@ -177,11 +177,11 @@ def erode(lattice: Lattice, heights_px: Float32, spec: SolidSpec) -> Float32:
 
     It is positive where binary erosion with the kernel of this height keeps the node, and 0 on the surface.
     """
-    depth = depth_px(lattice.s_px, heights_px, spec)
-    depth += np.float32(CHORD_LOSS * lattice.pitch_px**2 / spec.half_thickness_px)
+    outwards_px = np.float32(CHORD_LOSS * lattice.pitch_px**2 / spec.half_thickness_px)
+    depth = depth_px(lattice.s_px, heights_px, spec) + outwards_px
     # A node on the surface itself would give triangles without area.
-    nudged = np.where(depth > 0, lattice.least_px, -lattice.least_px)
-    return np.where(np.abs(depth) < lattice.least_px, nudged, depth)
+    least_px = lattice.least_px
+    return np.where(np.abs(depth) < least_px, np.where(depth > 0, least_px, -least_px), depth)
 
 
 def stack(layers: Sequence[AnyArray]) -> AnyArray:

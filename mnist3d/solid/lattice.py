@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mnist3d import compiled_loops, digit_options
-from mnist3d.compiled_loops import blurred
 from mnist3d.digit_options import SolidSpec
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Floating, Int64
 
@@ -123,10 +122,10 @@ def _blurred(values: Float32, rows: Float64, columns: Float64, sigma_per_pitch: 
     Values and weights lie on such coarse grids that every product and sum is exact in double precision, with
     the same bits on every processor.
     """
-    blur = sigma_per_pitch, BELL_REACH, _WEIGHT_GRAIN
-    halfway = on_grid(blurred(values, rows, *blur), FACTOR_GRAIN_PX)
-    across = blurred(np.ascontiguousarray(halfway.T), columns, *blur)
-    return on_grid(across.T, GRAIN_PX).astype(np.float32)
+    at_nodes = compiled_loops.blurred(
+        values, rows, columns, sigma_per_pitch, BELL_REACH, _WEIGHT_GRAIN, FACTOR_GRAIN_PX
+    )
+    return on_grid(at_nodes, GRAIN_PX).astype(np.float32)
 
 
 def on_grid(values: NDArray[F], grain: float) -> NDArray[F]:

@@ -25,7 +25,6 @@ from tactile_toolkit.json_types import JsonDict, JsonObject, JsonValue
 CARD_FILE = "README.md"
 _LIMITS = ("1K", "10K", "100K", "1M", "10M", "100M", "1B", "10B", "100B", "1T")
 _FENCE = "---\n"
-_MEDIA = {"Image": "image", "Video": "video", "Audio": "audio", "Mesh": "mesh"}
 _MAX_SHOWN = 300
 _AGAIN = "write it again with the command `card`"
 # Errors of invalid YAML content, whose values may have any type.
@@ -67,7 +66,7 @@ class FolderSummary:
     def features(self) -> list[JsonDict]:
         """Columns as `datasets` describes them in a card."""
         first = next((shard.path for split in self.splits for shard in split.shards), "")
-        return yaml_features(self.schema, first)
+        return read.yaml_features(self.schema, first)
 
 
 def folder_summary(
@@ -92,7 +91,7 @@ def folder_summary(
 
 def _recorded(folder: store.DataFolder, split: str, records: Sequence[store.ShardRecord]) -> SplitFiles:
     """Return the files of a split and their sizes as a manifest states them."""
-    paths = tuple(each.shard.data_path for each in records)
+    paths = tuple(each.file for each in records)
     shards = (read.Shard(folder.address(path), each.rows) for path, each in zip(paths, records, strict=True))
     sizes = ((each.rows, each.bytes, each.unpacked_bytes) for each in records)
     return SplitFiles(split, tuple(shards), paths, *map(sum, zip(*sizes, strict=True)))
@@ -117,45 +116,13 @@ def viewer_files(manifest: store.Manifest | None) -> dict[str, tuple[str, ...]]:
     """Return the files of each split that a manifest lists for the page of the Hub."""
     if manifest is None:
         return {}
-    listed = [path for path in manifest.files or () if path.startswith(f"{store.VIEWER_FOLDER}/")]
+    listed = [path for path in manifest.files if path.startswith(f"{store.VIEWER_FOLDER}/")]
     names = sorted(filter(None, (store.ShardName.parse(PurePosixPath(path).name) for path in listed)))
     found: dict[str, tuple[str, ...]] = {}
     for split in manifest.splits:
         if paths := tuple(f"{store.VIEWER_FOLDER}/{name}.parquet" for name in names if name.split == split):
             found[split] = paths
     return found
-
-
-def yaml_features(schema: pa.Schema, where: str = "") -> list[JsonDict]:
-    """Describe each column of a schema as `datasets` does in ``dataset_info.features``.
-
-    Classes, images and videos follow from the metadata of `datasets`. A column with a dotted name, such as
-    ``mesh.vertices``, is not a struct. Raises IntegrityError, which names the file ``where``, for
-    metadata that cannot be read.
-    """
-    # Not by `datasets`, whose import takes longer than making a small data set.
-    features = read.stored_features(schema, where)
-    return [{"name": each.name, **_entry(each.type, features.get(each.name))} for each in schema]
-
-
-def _entry(data_type: pa.DataType, feature: JsonValue) -> JsonDict:
-    """Describe a column or list element by its Arrow type and metadata."""
-    known = feature if isinstance(feature, dict) else {}
-    if known.get("_type") == "ClassLabel" and isinstance(known.get("names"), list):
-        return {"dtype": {"class_label": {"names": {str(n): name for n, name in enumerate(known["names"])}}}}
-    if isinstance(known.get("_type"), str) and known["_type"] in _MEDIA:
-        return {"dtype": _MEDIA[known["_type"]]}
-    types = pa.types
-    if types.is_list(data_type) or types.is_fixed_size_list(data_type):
-        # Metadata of the elements, in the forms of all releases.
-        element = next(iter(feature), None) if isinstance(feature, list) else known.get("feature")
-        inner = _entry(data_type.value_type, element)
-        fixed = {"length": data_type.list_size} if types.is_fixed_size_list(data_type) else {}
-        is_short = set(inner) in ({"dtype"}, {"struct"})
-        return {"list": next(iter(inner.values())) if is_short else inner, **fixed}
-    if types.is_struct(data_type):
-        return {"struct": [{"name": f.name, **_entry(f.type, known.get(f.name))} for f in data_type]}
-    return {"dtype": read.dtype_name(data_type)}
 
 
 def card_head(facts: FolderSummary, **fields: JsonValue) -> JsonDict:

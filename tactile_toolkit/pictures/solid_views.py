@@ -237,7 +237,7 @@ class DrawnSolid(Drawn, mesh.SolidRecord):
     @property
     def extent_m(self) -> float:
         """Width of what a picture shows, or height if that is larger, metres."""
-        return max(float(np.ptp(self.vertices_m[:, :2], axis=0).max()), 1e-6)
+        return _extent_m(self.vertices_m)
 
     @property
     def parts(self) -> list[tuple[int, str]]:
@@ -251,7 +251,8 @@ class DrawnSolid(Drawn, mesh.SolidRecord):
 
     def picture(self, width_px: float) -> UInt8:
         """Draw the solid from above in shaded relief."""
-        return relief(self.vertices_m, self.faces, width_px / self.extent_m)
+        vertices_m = self.vertices_m
+        return relief(vertices_m, self.faces, width_px / _extent_m(vertices_m))
 
     def cutout(self, width_px: float) -> UInt8:
         """Draw the solid with opacity, (H, W, 2) or (H, W, 4); with its margin ``width_px`` long."""
@@ -277,8 +278,9 @@ def solid_sheet(
     With a title, solids with one caption are a group, and a line about the ``nouns`` and a scale bar are
     added.
     """
-    px_per_m = tile_px / max(solid.extent_m for solid in solids)
-    drawn = [solid.picture(px_per_m * solid.extent_m) for solid in solids]
+    extents_m = [solid.extent_m for solid in solids]
+    px_per_m = tile_px / max(extents_m)
+    drawn = [solid.picture(px_per_m * extent_m) for solid, extent_m in zip(solids, extents_m, strict=True)]
     if not title:
         return sheet([Tile(pixels) for pixels in drawn], columns, margin_px=8)
     tiles = [
@@ -308,6 +310,10 @@ def _mesh_facts(part: Mesh) -> tuple[str, ...]:
         return f"{size}; {parts}", f"not a solid: {verdict.detail}"
     bodies = "one body" if verdict.bodies == 1 else f"{verdict.bodies} bodies"
     return (f"{size}; volume {verdict.volume_mm3:,.0f} mm³; {parts}; {bodies}",)
+
+
+def _extent_m(vertices_m: Floating) -> float:
+    return max(float(np.ptp(vertices_m[:, :2], axis=0).max()), 1e-6)
 
 
 def size_text(surface: mesh.Mesh | mesh.SolidRecord) -> str:

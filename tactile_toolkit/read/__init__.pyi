@@ -23,6 +23,7 @@ from .schemas import (
     list_depth as list_depth,
     stored_features as stored_features,
     supported_table as supported_table,
+    yaml_features as yaml_features,
 )
 from .record import (
     null_fields as null_fields,

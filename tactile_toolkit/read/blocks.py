@@ -6,7 +6,6 @@ are not used.
 
 from __future__ import annotations
 
-import os
 import struct
 from collections.abc import Sequence
 from pathlib import Path
@@ -87,7 +86,8 @@ def map_block(path: Path) -> tuple[pa.Table, int]:
     Raises OSError, and ValueError when the file is damaged, or has another format or name.
     """
     # Read first: a file that replaces this one from now on is not the one that was checked.
-    found = stat_key(path.stat())
+    facts = path.stat()
+    found = (facts.st_dev, facts.st_ino, facts.st_size, facts.st_mtime_ns)
     if not path.is_file():  # opening a pipe would wait
         raise ValueError("it is not a file")
     # A buffer of the map, without a copy: Arrow would read from the map in its own threads.
@@ -101,8 +101,3 @@ def map_block(path: Path) -> tuple[pa.Table, int]:
             raise ValueError("the block does not match its checksum")
         _checked.put(str(path), found)
     return pa.Table.from_batches([pa.ipc.open_stream(content).read_next_batch()]), size
-
-
-def stat_key(facts: os.stat_result) -> tuple[int, int, int, int]:
-    """Return values that differ when a file was replaced or changed."""
-    return facts.st_dev, facts.st_ino, facts.st_size, facts.st_mtime_ns

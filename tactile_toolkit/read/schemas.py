@@ -10,12 +10,14 @@ import msgspec
 import pyarrow as pa
 
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.json_types import JsonDict, JsonObject
+from tactile_toolkit.json_types import JsonDict, JsonObject, JsonValue
 
 N = TypeVar("N", tuple[str, ...], None)
 
 # Names of Arrow that differ in numpy and `datasets`.
 _DTYPES = {"double": "float64", "float": "float32", "halffloat": "float16"}
+# Features of `datasets` for files, and their names in cards.
+_MEDIA = {"Image": "image", "Video": "video", "Audio": "audio", "Mesh": "mesh"}
 
 
 class Expected(NamedTuple):
@@ -122,6 +124,18 @@ def class_names(schema: pa.Schema, default: N, where: str = "") -> tuple[str, ..
     return default if names is None else tuple(names)
 
 
+def yaml_features(schema: pa.Schema, where: str = "") -> list[JsonDict]:
+    """Describe each column of a schema as `datasets` does in ``dataset_info.features``.
+
+    Classes, images and videos follow from the metadata of `datasets`. A column with a dotted name, such as
+    ``mesh.vertices``, is not a struct. Raises IntegrityError, which names the file ``where``, for
+    metadata that cannot be read.
+    """
+    # Not by `datasets`, whose import takes longer than making a small data set.
+    features = stored_features(schema, where)
+    return [{"name": each.name, **_entry(each.type, features.get(each.name))} for each in schema]
+
+
 def supported_type(data_type: pa.DataType) -> pa.DataType:
     """Return the supported type for the same values: no dictionary, view, 64-bit offset or half float."""
     kinds = pa.types
@@ -171,3 +185,23 @@ def _converted(column: pa.ChunkedArray, data_type: pa.DataType) -> pa.ChunkedArr
         return column.cast(data_type)
     # pyarrow 26 casts list views with nulls incorrectly.
     return pa.chunked_array([pa.array(chunk.to_pylist(), data_type) for chunk in column.chunks], data_type)
+
+
+def _entry(data_type: pa.DataType, feature: JsonValue) -> JsonDict:
+    """Describe a column or list element by its Arrow type and metadata."""
+    known = feature if isinstance(feature, dict) else {}
+    if known.get("_type") == "ClassLabel" and isinstance(known.get("names"), list):
+        return {"dtype": {"class_label": {"names": {str(n): name for n, name in enumerate(known["names"])}}}}
+    if isinstance(known.get("_type"), str) and known["_type"] in _MEDIA:
+        return {"dtype": _MEDIA[known["_type"]]}
+    types = pa.types
+    if types.is_list(data_type) or types.is_fixed_size_list(data_type):
+        # Metadata of the elements, in the forms of all releases.
+        element = next(iter(feature), None) if isinstance(feature, list) else known.get("feature")
+        inner = _entry(data_type.value_type, element)
+        fixed = {"length": data_type.list_size} if types.is_fixed_size_list(data_type) else {}
+        is_short = set(inner) in ({"dtype"}, {"struct"})
+        return {"list": next(iter(inner.values())) if is_short else inner, **fixed}
+    if types.is_struct(data_type):
+        return {"struct": [{"name": f.name, **_entry(f.type, known.get(f.name))} for f in data_type]}
+    return {"dtype": dtype_name(data_type)}

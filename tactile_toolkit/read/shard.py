@@ -288,9 +288,10 @@ class Shard:
 
     def _found_now(self) -> tuple[int, str, int, int, int]:
         """Return the identity of the local file now."""
-        device, number, size_bytes, changed_ns = blocks.stat_key(os.stat(self.path))  # noqa: PTH116
+        facts = os.stat(self.path)  # noqa: PTH116
         # With the name, because machines that share a cache may have other files with the same numbers.
-        return device, self.path.rpartition("/")[2], number, size_bytes, changed_ns
+        name = self.path.rpartition("/")[2]
+        return facts.st_dev, name, facts.st_ino, facts.st_size, facts.st_mtime_ns
 
     @property
     def part_sizes(self) -> Sequence[int]:

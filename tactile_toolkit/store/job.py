@@ -10,7 +10,7 @@ import contextlib
 import json
 import re
 import socket
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import groupby
@@ -18,7 +18,6 @@ from itertools import groupby
 import msgspec
 
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
-from tactile_toolkit.store.addresses import open_folder
 from tactile_toolkit.store.files import is_hidden
 from tactile_toolkit.store.folder import PENDING_FOLDER, TEMPORARY, DataFolder
 from tactile_toolkit.store.manifest import (
@@ -102,14 +101,16 @@ def begin_job(folder: DataFolder, plan: BuildPlan, options: RunOptions) -> Build
 
     Raises as :func:`inspect_job`.
     """
+    current = read_manifest(folder)
     while True:
-        job = inspect_job(folder, plan, options)
-        current = read_manifest(folder)
-        if current is None and (job.remaining or job.finished):
+        job = _compare(folder, plan, options, current)
+        if current is None and job.tasks:
             _remove_outdated_records(folder, plan, job.manifest)
             folder.create_bytes(MANIFEST_FILE, job.manifest.to_json().encode())
-            continue  # read back: another run may have been faster
-        if current is not None and current.identity != job.manifest.identity:
+            current = read_manifest(folder)
+            if current != job.manifest:
+                continue  # another run was faster
+        elif current is not None and current.identity != job.manifest.identity:
             write_manifest(folder, job.manifest)  # of other versions, and none of its shards is left
         return job
 
@@ -122,7 +123,9 @@ def _remove_outdated_records(folder: DataFolder, plan: BuildPlan, manifest: Mani
     records = pending_records(folder, manifest.identity)
     if records:
         tasks = {task.shard: task for task in plan.tasks}
-        for shard in records.keys() - _intact_records(folder, plan, manifest, tasks, check=True).keys():
+        sizes = folder.entries(DATA_FOLDER)
+        intact = _intact_records(folder, plan, manifest, sizes, tasks, check=True)
+        for shard in records.keys() - intact.keys():
             folder.remove(shard.record_path)
 
 
@@ -133,20 +136,27 @@ def inspect_job(folder: DataFolder, plan: BuildPlan, options: RunOptions | None 
     other bytes (the message states the differences), InputError when it holds something else, and
     MissingPartsError where shards are missing that ``finish`` needs.
     """
-    options = options or RunOptions()
-    manifest = read_manifest(folder)
+    return _compare(folder, plan, options or RunOptions(), read_manifest(folder))
+
+
+def _compare(folder: DataFolder, plan: BuildPlan, options: RunOptions, manifest: Manifest | None) -> BuildJob:
+    """Compare a folder, which has this manifest, with a plan; raises as :func:`inspect_job`."""
     new = plan.new_manifest()
     check = options.check
     tasks = plan.tasks if options.part is None else tuple(options.part.of(plan.tasks))
     if manifest is None:
         refuse_unknown_files(folder, plan)
-        manifest, check = new, True  # as in `_remove_outdated_records`
-    found, wanted = (
-        {"kind": each.kind, **each.spec, "toolkit_version": each.toolkit_version} for each in (manifest, new)
-    )
-    _refuse_difference(folder, found, wanted, plan.other_next)
-    _reject_unexpected_files(folder, plan)
-    intact = _intact_records(folder, plan, manifest, {task.shard: task for task in tasks}, check)
+        manifest = new
+        check = True  # as in `_remove_outdated_records`
+    else:
+        stored, wanted = (
+            {"kind": side.kind, **side.spec, "toolkit_version": side.toolkit_version}
+            for side in (manifest, new)
+        )
+        _refuse_difference(folder, stored, wanted, plan.other_next)
+    sizes = folder.entries(DATA_FOLDER)
+    _reject_unexpected_files(folder, plan, sizes)
+    intact = _intact_records(folder, plan, manifest, sizes, {task.shard: task for task in tasks}, check)
     job = BuildJob(folder, plan, replace(manifest, trees=plan.extra_dirs), tasks, tuple(intact.values()))
     if job.remaining and manifest.libraries != new.libraries:
         begun = {record.shard for record in manifest.shards}.union(
@@ -177,7 +187,9 @@ def require_same_job(folder: DataFolder, identity: str) -> Manifest:
     that has replaced its set.
     """
     version = folder.version(MANIFEST_FILE)
-    manifest = None if version is None else _manifest_of_version(folder.root, version)
+    manifest = None
+    if version is not None:
+        manifest = _manifest_of_version(folder, version)  # type: ignore[arg-type]  # folders are frozen
     if (manifest is None or manifest.identity != identity) and folder.exists():
         folder.refresh("")  # a network file system may have shown an earlier state
         manifest = read_manifest(folder)
@@ -193,23 +205,26 @@ def require_same_job(folder: DataFolder, identity: str) -> Manifest:
 
 
 @lru_cache(maxsize=1)
-def _manifest_of_version(root: str, version: object) -> Manifest | None:
+def _manifest_of_version(folder: DataFolder, version: object) -> Manifest | None:
     """Read a manifest again only if it has changed: shards follow each other quickly."""
-    return read_manifest(open_folder(root))
+    return read_manifest(folder)
 
 
 def _intact_records(
     folder: DataFolder,
     plan: BuildPlan,
     manifest: Manifest,
+    sizes: Mapping[str, int | None],
     tasks: Mapping[ShardName, AnyTask],
     check: bool,
 ) -> dict[ShardName, ShardRecord]:
     """Return the record of each shard whose files are intact: by size or, to check, by content.
 
-    With ``check``, sources are compared, too. A pending record takes precedence over that of the manifest.
+    ``sizes`` are the entries of the data folder. With ``check``, sources are compared, too. A pending record
+    takes precedence over that of the manifest.
     """
-    sizes = folder.sizes(DATA_FOLDER)
+    if not sizes:
+        return {}
     report = plan.report_file
     has_report = report is not None and folder.exists(report)
     listed = manifest.files.get(report) if report is not None else None  # none while it is written again
@@ -236,7 +251,7 @@ def _intact_records(
         is_wanted = record.shard in tasks and (has_report or not needs_report)
         if is_wanted and is_intact(record, {record.file: record.sha256}):
             intact[record.shard] = record
-    for shard, record in pending_records(folder, manifest.identity, tasks).items():
+    for shard, record in pending_records(folder, manifest.identity, tasks.__contains__).items():
         if is_intact(record, {record.file: record.sha256, shard.report_path: record.report_sha256}):
             intact[shard] = record
     return intact
@@ -295,14 +310,14 @@ def _short(value: object) -> str:
     return f"{short} (fingerprint {sha256_hex(text.encode())[:8]})"
 
 
-def _reject_unexpected_files(folder: DataFolder, plan: BuildPlan) -> None:
+def _reject_unexpected_files(folder: DataFolder, plan: BuildPlan, names: Iterable[str]) -> None:
     """Refuse a stray file in the data folder; `verify` would report it forever.
 
     A shard of another split may belong to a run that is at work on it.
     """
     planned = {task.shard for task in plan.tasks}
     others = set(plan.split_order) - {shard.split for shard in planned}
-    for name in folder.names(DATA_FOLDER):
+    for name in names:
         shard = ShardName.parse(name)
         if not is_hidden(name) and shard not in planned and (shard is None or shard.split not in others):
             raise InputError(
@@ -334,14 +349,14 @@ def pending_shards(waiting: Iterable[str]) -> list[ShardName]:
 
 
 def pending_records(
-    folder: DataFolder, of: str, shards: Collection[ShardName] | None = None
+    folder: DataFolder, of: str, is_wanted: Callable[[ShardName], bool] = lambda _: True
 ) -> dict[ShardName, ShardRecord]:
-    """Read the pending records of a job: of all shards, or of these.
+    """Read the pending records of a job, of the shards that are wanted.
 
     A record whose report rows are missing, or have another size, does not count.
     """
     waiting = folder.sizes(PENDING_FOLDER)
-    chosen = [shard for shard in pending_shards(waiting) if shards is None or shard in shards]
+    chosen = list(filter(is_wanted, pending_shards(waiting)))
     if not chosen:
         return {}
     contents = folder.read_many([shard.record_path for shard in chosen])
@@ -378,16 +393,16 @@ def manifest_so_far(folder: DataFolder) -> Manifest | None:
 
 def _begun_records(folder: DataFolder, manifest: Manifest) -> list[ShardRecord]:
     """Return the pending records that a manifest does not hold and whose files exist."""
-    pending = pending_records(folder, manifest.identity)
+    listed = {record.shard for record in manifest.shards}
+    pending = pending_records(
+        folder,
+        manifest.identity,
+        lambda shard: shard not in listed and shard.split in manifest.split_order,
+    )
     if not pending:
         return []  # the files of a finished set are not listed: there may be 50,000
-    listed = {record.shard for record in manifest.shards}
     sizes = folder.sizes(DATA_FOLDER)
-    return [
-        record
-        for shard, record in pending.items()
-        if shard not in listed and shard.split in manifest.split_order and record.is_size_of(sizes)
-    ]
+    return [record for record in pending.values() if record.is_size_of(sizes)]
 
 
 def remove_leftovers(folder: DataFolder, manifest: Manifest) -> None:
@@ -403,7 +418,8 @@ def remove_leftovers(folder: DataFolder, manifest: Manifest) -> None:
 def remove_pending(folder: DataFolder, kept: Collection[str] = ()) -> None:
     """Remove all pending records, report rows and temporary files but those to be kept."""
     folder.remove_temporaries()
-    for path in (f"{PENDING_FOLDER}/{name}" for name in folder.names(PENDING_FOLDER)):
-        if is_pending(path) and path not in kept:
+    paths = [f"{PENDING_FOLDER}/{name}" for name in folder.names(PENDING_FOLDER)]
+    for path in filter(is_pending, paths):
+        if path not in kept:
             folder.remove(path)
     folder.remove_empty(PENDING_FOLDER)

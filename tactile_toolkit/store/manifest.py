@@ -205,7 +205,7 @@ class ShardRecord(msgspec.Struct, frozen=True, dict=True):
             raise ValueError(f"found file {self.file[:80]!r}, expected a shard's name and split")
         return shard
 
-    def is_size_of(self, sizes: Mapping[str, int]) -> bool:
+    def is_size_of(self, sizes: Mapping[str, int | None]) -> bool:
         """Return whether ``sizes``, those of the files in ``data``, has the shard's file with its size."""
         return sizes.get(self.file.rpartition("/")[2]) == self.bytes
 
@@ -397,17 +397,11 @@ class Manifest:
             manifest.sums()  # of statistics that add up
         except (ValueError, TypeError, AttributeError) as error:
             raise damaged_error(where, f"shards: {error}") from error
-        names_inside(
-            (
-                *{each.split: each.file for each in manifest.shards}.values(),
-                *manifest.files,
-                *manifest.trees,
-            ),
-            repr(where),
-        )
-        splits = {shard.split for shard in shards}
-        if len(shards) < len(manifest.shards) or splits - {*manifest.split_order}:
+        first_of_split = {shard.split: shard for shard in shards}
+        if len(shards) < len(manifest.shards) or first_of_split.keys() - {*manifest.split_order}:
             raise damaged_error(where, "shards: one is listed twice, or of no split in 'split_order'")
+        paths = [shard.data_path for shard in first_of_split.values()]
+        names_inside((*paths, *manifest.files, *manifest.trees), repr(where))
         return manifest
 
 

@@ -7,7 +7,7 @@ import hashlib
 import io
 import struct
 import zlib
-from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -258,8 +258,9 @@ def report_pieces(folder: DataFolder, path: str, columns: Sequence[str] | None =
 
     Raises IntegrityError when the file is missing or damaged.
     """
-    with contextlib.ExitStack() as stack, named_damage(folder.address(path)):
-        source = folder.address(path) if folder.is_local else stack.enter_context(folder.open(path))
+    address = folder.address(path)
+    with contextlib.ExitStack() as stack, named_damage(address):
+        source = address if folder.is_local else stack.enter_context(folder.open(path))
         parquet = stack.enter_context(open_checked(source))
         for group in range(parquet.num_row_groups):
             # Arrow's threads are not started, see open_checked.
@@ -281,8 +282,9 @@ def merge_reports(folder: DataFolder, path: str, manifest: Manifest) -> str | No
     records = [record for record in manifest.shards if record.report_sha256]
     if not records:
         return None
-    stored = {f"{PENDING_FOLDER}/{name}" for name in folder.names(PENDING_FOLDER)}
-    pending = {record.shard for record in records if record.shard.report_path in stored}
+    names = set(folder.names(PENDING_FOLDER))
+    paths = {record.shard: record.shard.report_path for record in records}
+    pending = {shard: path for shard, path in paths.items() if path.rpartition("/")[2] in names}
     known = manifest.files.get(path)
     if known and not pending and folder.has_sha256(path, known):
         return known
@@ -303,17 +305,17 @@ def merge_reports(folder: DataFolder, path: str, manifest: Manifest) -> str | No
 def _tables(
     folder: DataFolder,
     records: Sequence[ShardRecord],
-    pending: Collection[ShardName],
+    pending: Mapping[ShardName, str],
     stored: Iterator[tuple[str, pa.Table]],
 ) -> Iterator[pa.Table]:
-    """Yield the report rows of each of these shards, in order."""
-    contents = folder.read_many([each.shard.report_path for each in records if each.shard in pending])
+    """Yield the report rows of shards in order; ``pending`` are the files of those not merged yet."""
+    contents = folder.read_many(list(pending.values()))
     for record in records:
         content = next(contents) if record.shard in pending else None
         table = None
         # The content may be missing, if another run of the same job has just merged it.
         if content is not None and sha256_hex(content) == record.report_sha256:
-            with contextlib.suppress(IntegrityError), named_damage(record.shard.report_path):
+            with contextlib.suppress(IntegrityError), named_damage(pending[record.shard]):
                 table = open_checked(io.BytesIO(content)).read(use_threads=False)
         if table is None and record.rows:
             table = next((rows for name, rows in stored if name == str(record.shard)), None)

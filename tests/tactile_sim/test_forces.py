@@ -370,13 +370,14 @@ def test_other_sets_show_their_image_alone(tmp_path):
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        (["--force-n", "5"], "--force-n is given, and the gel is not elastic"),
-        (["--slide-mm", "0.3"], "add --gel elastic"),
-        (["--gel", "none", "--markers", "7x9"], "--markers is given, and the gel is not elastic"),
+        (["--force-n", "5"], "--force-n has no effect without --gel"),
+        (["--slide-mm", "0.3"], "next: add --gel, or leave it out"),
+        (["--gel", "none", "--markers", "7x9"], "--markers has no effect without --gel"),
         (["--gel", "soft"], "expected none, elastic, or a JSON file"),
         (["--gel", "elastic", "--force-n", "1:2:3"], "expected a number, or two"),
         (["--gel", "elastic", "--force-n", "inf"], "expected a number, or two"),
         (["--gel", "elastic", "--markers", "7"], "expected COLUMNSxROWS"),
+        (["--gel", "elastic", "--draw-markers"], "no effect without --markers"),
         (["--gel", "elastic", "--press-mm", "9"], "less than the gel is thick"),
     ],
     ids=" ".join,

@@ -19,7 +19,8 @@ from mnist3d.digit_options import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.cards import check_card, folder_summary, with_head, with_repo_name
 from tactile_toolkit.cards.card import column_type_text
-from tactile_toolkit.cards.yaml_head import size_category, yaml_features
+from tactile_toolkit.cards.yaml_head import size_category
+from tactile_toolkit.read import yaml_features
 from tactile_toolkit.store import open_folder, verify
 
 
