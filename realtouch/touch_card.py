@@ -59,8 +59,8 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
     A copy of a published set has no manifest, and its card says so. InputError: it holds no touches.
     IntegrityError: a file is missing or damaged.
     """
-    words = cards.card_words(WORDS)
-    facts = cards.folder_summary(folder, manifest)
+    words = cards.Card.words(WORDS)
+    facts = cards.FolderSummary.of(folder, manifest)
     operation: object = None
     made: list[tuple[str, str]] = []
     spec = None
@@ -97,7 +97,8 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
         template=KIND.card_template.format(template),
         title=f"{of_origin['title']} {content.words['title']}",
         columns=content.columns,
-        picture=("touches.png", lambda _facts: _sheet(content.pictures), caption),
+        picture=("touches.png", caption),
+        drawn=lambda _facts: _sheet(content.pictures),
         licence=of_origin["licence"],
         tags=tags,
         nouns=content.nouns,
@@ -114,6 +115,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
             **_values_of_origin(of_origin, words["frames"]["cell"], heights),
             "licence_text": licence_text,
         },
+        cited=of_origin["cited"],
     ).write(folder, manifest, KIND, facts)
 
 
@@ -127,14 +129,10 @@ def _limits(origin: str, of_origin: Sequence[str], content: _Content) -> list[st
 def _values_of_origin(of_origin: JsonDict, cell: str, heights: list[str | None]) -> dict[str, str]:
     """Return the texts of a card that depend on where the touches are from."""
     cell = cell.replace("$window", of_origin.get("window", _WINDOW))
-    bibtex = ""
-    if of_origin["cited"]:
-        bibtex = cards.bibtex(*of_origin["cited"])
     return {
         "frames": of_origin.get("frames", " ".join(filter(None, [cell, *heights]))),
         "printability": of_origin["printability"],
         "citation_text": of_origin["citation_text"],
-        "bibtex": bibtex,
     }
 
 
@@ -159,10 +157,10 @@ def _plain_pictures(folder: store.DataFolder, facts: cards.FolderSummary) -> Ite
     """Decode the first pictures of an index of files or of a column of images; tars give no pictures."""
     names = read.column_names(facts.schema)
     if "image.bytes" in names:
-        for row in islice(cards.rows_to_draw(facts, ["image.bytes"]), _TILES):
+        for row in islice(facts.first_rows(["image.bytes"]), _TILES):
             yield _or_none(touch.decode_image, row.group.arrow("image.bytes")[row.index].as_py())
     elif {"file", "frame", "label"} <= {*names}:
-        for row in islice(cards.rows_to_draw(facts, ["file"]), _TILES):
+        for row in islice(facts.first_rows(["file"]), _TILES):
             if row.value("file").endswith((".jpg", ".png")):
                 yield _or_none(lambda name: touch.decode_image(folder.read_bytes(name)), row.value("file"))
 
@@ -200,7 +198,7 @@ def _stored_content(
         {
             "touches": [_text("{:,}", count) for count in touches],
             "per round": [
-                "-" if ends is None else cards.between(*ends)
+                "-" if ends is None else " to ".join(f"{count:,}" for count in dict.fromkeys(ends))
                 for ends in of_each(lambda dataset: (min(dataset.touch_counts), max(dataset.touch_counts)))
             ],
             "objects": [

@@ -10,7 +10,7 @@ import pytest
 
 import starstruck_gen
 from starstruck_gen import SceneSpec
-from starstruck_gen.scene_card import plan_previews
+from starstruck_gen.kind import KIND
 from starstruck_gen.scene_generation import SceneSetSpec, generate
 from tactile_toolkit.catalog import PreviewSpec
 
@@ -37,7 +37,7 @@ def test_a_published_set_without_placements_is_drawn_from_its_meshes(folder, tmp
     pq.write_table(table.select(kept), tmp_path / "train.parquet")
     record = starstruck_gen.load(str(tmp_path / "train.parquet"))[0]
     assert not record.has_placements
-    (planned,) = plan_previews(str(tmp_path / "train.parquet"), PreviewSpec(kinds=("sheet",))).pictures
+    (planned,) = KIND.plan_previews(str(tmp_path / "train.parquet"), PreviewSpec(kinds=("sheet",))).pictures
     pixels = planned.draw().astype(int)
     assert pixels.std() > 10
     assert (pixels[..., 0] - pixels[..., 2]).max() < 60  # only stars are yellow
@@ -47,7 +47,7 @@ def test_a_published_set_without_placements_is_drawn_from_its_meshes(folder, tmp
 def test_sheets_show_each_scene_in_the_row_of_its_class(tmp_path):
     out = tmp_path / "mixed"
     generate(SceneSetSpec(SceneSpec(), (("train", 12),), seed=1), str(out), ("train",))
-    (planned,) = plan_previews(str(out), PreviewSpec(kinds=("sheet",), per_class=3)).pictures
+    (planned,) = KIND.plan_previews(str(out), PreviewSpec(kinds=("sheet",), per_class=3)).pictures
     assert (planned.name, planned.what) == ("mixed-train-sheet.png", "9 scenes of train from above")
     pixels = planned.draw()
     places = []
