@@ -18,9 +18,8 @@ from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.places import Name, Place, open_place
-from tactile_toolkit.rows import with_role
 
-_SHOWN = (*with_role(digit_records.DigitRow, "facet"), *with_role(mesh.PrintReport, "facet", "measure"))
+_SHOWN = (*digit_records.DigitRow.with_role("facet"), *mesh.PrintReport.with_role("facet", "measure"))
 
 
 def plan_previews(name: Name | Place, spec: digit_options.DigitPreviewSpec) -> pictures.PicturePlan:
@@ -37,7 +36,7 @@ def plan_previews(name: Name | Place, spec: digit_options.DigitPreviewSpec) -> p
         "sheet": partial(chosen.plan_sheets, spec.per_class),
         "steps": partial(_plan_steps, chosen, spec),
     }
-    return pictures.plan_kinds(spec.kinds, plans)
+    return pictures.PicturePlan.of_kinds(spec.kinds, plans)
 
 
 def is_picture_or_mesh(name: str) -> bool:
@@ -45,19 +44,19 @@ def is_picture_or_mesh(name: str) -> bool:
     path = store.local_path(name)
     if path is None or not path.is_file():
         return False
-    return path.suffix.lower() in (*mesh.FORMATS, *picture_files.ENDINGS)
+    return path.suffix.lower() in (*mesh.MeshFile.FORMATS, *picture_files.ENDINGS)
 
 
 def _plan_file(name: str, spec: digit_options.DigitPreviewSpec) -> pictures.PicturePlan:
     """Plan the pictures of a single file; InputError for options that need a data set."""
     path = store.expanded(name)
-    kind = "sheet" if path.suffix.lower() in mesh.FORMATS else "steps"
+    kind = "sheet" if path.suffix.lower() in mesh.MeshFile.FORMATS else "steps"
     rows = {"--split": spec.split, "--ids": spec.ids, "--labels": spec.labels, "--limit": spec.limit}
     asked = [f"--kind {each}" for each in spec.kinds if each not in (kind, "all")]
     asked += [option for option, value in rows.items() if value]
     if asked:
         raise InputError(f"{asked[0]} needs a data set, and {name!r} is a single file", next="leave it out")
-    stem = pictures.file_stem(name)
+    stem = pictures.PlannedPicture.stem_of(name)
     if kind == "sheet":
         part = mesh.read_mesh(path, unit=spec.unit)
         drawings = [(f"{stem}-sheet.png", partial(pictures.draw_mesh, part, path.name))]
@@ -115,7 +114,7 @@ def _plan_steps(
 
 
 def plan_gallery(name: Name | Place, chosen: catalog.RowFilter = catalog.RowFilter.ALL) -> gallery.Gallery:
-    """Plan a gallery of digits; see :func:`~tactile_toolkit.gallery.gallery_of_rows`."""
+    """Plan a gallery of digits; see :meth:`~tactile_toolkit.gallery.Gallery.of_rows`."""
     # The report of the data set, if it has one, is read instead of inspecting meshes again.
     place = open_place(name)
     folder = place.folder
@@ -129,7 +128,7 @@ def plan_gallery(name: Name | Place, chosen: catalog.RowFilter = catalog.RowFilt
         by_id = {row["id"]: row for row in report.filter(of_rows).to_pylist()}
         return [by_id.get(number) for number in rows.ids.tolist()]
 
-    return gallery.gallery_of_solids(
+    return gallery.Gallery.of_solids(
         KIND, place, chosen, title="3D digits", columns=_SHOWN, facts=_facts, known=reports
     )
 

@@ -35,6 +35,7 @@ class SceneRecord(pictures.DrawnSolid):
 
     __slots__ = ()
     is_faceted = True
+    drawn_columns = (mesh.VERTICES, mesh.FACES, "star_count", "placements")
 
     @property
     def star_count(self) -> int:

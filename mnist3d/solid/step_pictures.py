@@ -45,10 +45,9 @@ def draw_steps(pixels: AnyArray, spec: SolidSpec, title: str) -> UInt8:
     layers = _layers_px(lattice, steps.upper_half > 0, window)
     upper = algorithm.scale(steps.surface, ink.shape, spec)
     px_per_mm = _PANEL_PX / (max(layers[0].shape) * spec.pixel_pitch_mm)
-    views = [
-        pictures.draw_bodies((pictures.DrawnBody(mesh, CLAY),), (_PANEL_PX, _PANEL_PX), px_per_mm * MM_PER_M)
-        for mesh in (upper, solid)
-    ]
+    bodies = [pictures.DrawnBody(mesh, CLAY) for mesh in (upper, solid)]
+    size_px = (_PANEL_PX, _PANEL_PX)
+    views = [pictures.View.OBLIQUE.draw([body], size_px, px_per_mm * MM_PER_M) for body in bodies]
     pitch_px = lattice.pitch_px
     triangles = len(solid.faces)
     decimated = ", decimated" if triangles != 2 * len(upper.faces) else ""
@@ -63,9 +62,8 @@ def draw_steps(pixels: AnyArray, spec: SolidSpec, title: str) -> UInt8:
         ),
         pictures.Tile(views[0], f"5  marching cubes, upper half: {len(upper.faces):,} triangles"),
         pictures.Tile(
-            pictures.with_scale_bar(views[1], px_per_mm),
-            f"6  smoothed, mirrored, scaled{decimated}: {triangles:,} triangles",
-        ),
+            views[1], f"6  smoothed, mirrored, scaled{decimated}: {triangles:,} triangles"
+        ).with_scale_bar(px_per_mm),
     )
     words = (
         f"the nodes of the lattice are {pitch_px:.2f} px of {spec.pixel_pitch_mm:g} mm apart, closer where "
@@ -118,14 +116,14 @@ def _stack_view(layers: Sequence[Bool], pitch_px: float, spec: SolidSpec, px_per
             data = _back_to_layer(layer.shape, side, px, _SPREAD * z, drop_px)
             seen = mask.transform((side, side), Image.Transform.AFFINE, data, Image.Resampling.BILINEAR)
             picture.paste(colour, mask=seen)
-    return pictures.box_downsample(np.asarray(picture), _SAMPLING)
+    return np.asarray(picture.reduce(_SAMPLING))
 
 
 def _back_to_layer(
     shape: tuple[int, ...], side_px: int, px: float, height: float, drop_px: int
 ) -> tuple[float, ...]:
     """Return the affine map from pixels of the view to those of a layer, for Pillow."""
-    right, up, _ = pictures.OBLIQUE.axes
+    right, up, _ = pictures.View.OBLIQUE.axes
     # Rows of a layer grow along -y, those of the picture along -up.
     to_view = px * np.array([[right[0], -right[1]], [-up[0], up[1]]])
     middle = np.array([side_px / 2, side_px / 2 - px * up[2] * height + drop_px])

@@ -23,7 +23,7 @@ from mnist3d.sources.picture_folder import FolderSource
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.mesh import Mesh, write_mesh
-from tactile_toolkit.pictures import INK, OBLIQUE, DrawnBody, bar_length_mm, draw_bodies, relief
+from tactile_toolkit.pictures import INK, DrawnBody, View, bar_length_mm, relief
 from tests.sealed import edit
 
 THIN = SolidSpec(target_vertices=2_000, half_thickness_mm=1.2)
@@ -33,11 +33,7 @@ THIN = SolidSpec(target_vertices=2_000, half_thickness_mm=1.2)
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Thirty digits in train, ten in test."""
     out = tmp_path_factory.mktemp("previews") / "digits"
-    spec = DigitSetSpec(
-        SyntheticSource(count=280),
-        THIN,
-        SplitSpec(sizes=(("train", 3), ("test", 1))),
-    )
+    spec = DigitSetSpec(SyntheticSource(count=280), THIN, SplitSpec(sizes=(("train", 3), ("test", 1))))
     generate(spec, str(out), ("train", "test"))
     return out
 
@@ -50,11 +46,14 @@ def drawn(name: object, **options: object) -> dict[str, np.ndarray]:
 def find(pixels: np.ndarray, part: np.ndarray) -> list[tuple[int, int]]:
     """Return the corners at which a picture contains another one exactly."""
     height, width = part.shape[:2]
-    wanted, places = part[height // 2].tobytes(), []
-    for top in range(pixels.shape[0] - height + 1):
-        left = pixels[top + height // 2].tobytes().find(wanted) // 3
-        if left >= 0 and np.array_equal(pixels[top : top + height, left : left + width], part):
+    wanted, all_rows, places = part[height // 2].tobytes(), pixels.tobytes(), []
+    at = all_rows.find(wanted)
+    while at >= 0:
+        row, left = divmod(at // 3, pixels.shape[1])
+        top = row - height // 2
+        if np.array_equal(pixels[max(top, 0) : top + height, left : left + width], part):
             places.append((top, left))
+        at = all_rows.find(wanted, at + 1)
     return places
 
 
@@ -154,7 +153,7 @@ def test_the_stack_shows_a_layer_where_the_view_projects_it():
     picture = _stack_view([np.ones((60, 150), bool)], 1.0, SolidSpec(pixel_pitch_mm=0.1), px_per_mm=15.0)
     # Half a layer is 7.5 x 3 mm; y grows upwards in the world and downwards in the picture.
     corners_px = 15.0 * np.array([(x, y, 0.0) for x in (-7.5, 7.5) for y in (-3.0, 3.0)])
-    right, up, _ = OBLIQUE.axes
+    right, up, _ = View.OBLIQUE.axes
     middle_px = np.array(picture.shape[:2]) / 2
     rows, columns = np.nonzero((picture < 250).any(axis=2))
     assert (columns.min(), columns.max() + 1) == pytest.approx(
@@ -193,11 +192,13 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> list[Mesh]:
     """Return the bodies that steps draw."""
     meshes: list[Mesh] = []
 
-    def look(bodies: Sequence[DrawnBody], *how: Any) -> np.ndarray:
-        meshes.extend(body.mesh for body in bodies)
-        return draw_bodies(bodies, *how)
+    draw = View.draw
 
-    monkeypatch.setattr("tactile_toolkit.pictures.draw_bodies", look)
+    def look(view: View, bodies: Sequence[DrawnBody], *how: Any) -> np.ndarray:
+        meshes.extend(body.mesh for body in bodies)
+        return draw(view, bodies, *how)
+
+    monkeypatch.setattr(View, "draw", look)
     return meshes
 
 

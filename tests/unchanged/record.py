@@ -54,25 +54,13 @@ def recorded() -> dict[str, Any]:
 
 
 PACKAGES = (
-    "mnist3d",
-    "starstruck_gen",
-    "realtouch",
-    "realtouch.touch_tensors",
-    "tactile_sim",
-    "env_assets",
-    "tactile_envs",
+    *("mnist3d", "starstruck_gen", "realtouch", "realtouch.touch_tensors"),
+    *("tactile_sim", "env_assets", "tactile_envs"),
 )
 OUR_PACKAGES = {name.partition(".")[0] for name in PACKAGES} | {"tactile_toolkit"}
 LIBRARIES = (
-    "pyarrow",
-    "numpy",
-    "scipy",
-    "scikit-image",
-    "simplejpeg",
-    "pillow",
-    "manifold3d",
-    "trimesh",
-    "av",
+    *("pyarrow", "numpy", "scipy", "scikit-image", "simplejpeg"),
+    *("pillow", "manifold3d", "trimesh", "av"),
 )
 """Libraries whose versions decide bytes."""
 
@@ -170,7 +158,7 @@ def pictures(sets: Path) -> dict[str, str]:
         mnist3d.digit_previews.plan_previews(
             str(sets / "coarse"), DigitPreviewSpec(kinds=("sheet", "steps"), per_class=2)
         ),
-        starstruck_gen.scene_card.plan_previews(str(sets / "scenes"), PreviewSpec(split="test", per_class=2)),
+        starstruck_gen.kind.KIND.plan_previews(str(sets / "scenes"), PreviewSpec(split="test", per_class=2)),
         realtouch.touch_previews.plan_previews(str(sets / "clips"), TouchPreviewSpec(("grid", "overlay"))),
     )
     drawn = {planned.name: planned.draw() for plan in plans for planned in plan.pictures}
