@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 from hypothesis import assume, given, settings, strategies as st
+from realtouch.tars import _Header
 
 import realtouch
 from realtouch.formats.tar_samples import tar_of
-from realtouch.tars import _Header
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.store import Progress
 from tests.command_line import call
@@ -136,7 +136,6 @@ _VALUES = st.one_of(
 
 
 @given(st.lists(_VALUES | st.lists(_VALUES, max_size=3), max_size=12))
-@settings(max_examples=2 * settings.default.max_examples)
 def test_fields_are_written_as_json_writes_them(values: list[Any]) -> None:
     fields = {f"{number}": value for number, value in enumerate(values)}
     with tarfile.open(fileobj=io.BytesIO(tar_of([("a.jpg", b"", fields)]))) as tar:
