@@ -210,20 +210,20 @@ def _extra_words(facts: cards.FolderSummary, types: Mapping[str, pa.DataType]) -
     for shard in (shard for split in facts.splits for shard in split.shards):
         for chunk in shard.column_chunks():
             name = _LIST_SUFFIX.sub("", chunk.path_in_schema)
-            found = chunk.statistics
-            if found is not None and found.has_min_max:
-                ends.setdefault(name, []).extend([found.min, found.max])
-            elif found is None or found.null_count < chunk.num_values:
+            statistics = chunk.statistics
+            if statistics is not None and statistics.has_min_max:
+                ends.setdefault(name, []).extend([statistics.min, statistics.max])
+            elif statistics is None or statistics.null_count < chunk.num_values:
                 ends.setdefault(name, []).append("")  # a range of the rest would be too small
     words = {}
     names = schema.extra_columns(types)
     codes = [wording.markdown_code(name) for name in names]
     for code, stored in zip(codes, names.values(), strict=True):
         shape = "T x N; cut to N_i" if stored.startswith(schema.EXTRA_PREFIX["frame"]) else "T"
-        found = ends.get(stored, [""])
-        is_known = all(isinstance(end, (int, float)) for end in found)
+        numbers = ends.get(stored, [""])
+        is_known = all(isinstance(end, (int, float)) for end in numbers)
         # Parquet may state 0 as -0, so 0 is added.
-        between = f", {min(found) + 0:g} to {max(found) + 0:g}" if is_known else ""
+        between = f", {min(numbers) + 0:g} to {max(numbers) + 0:g}" if is_known else ""
         words[stored] = (shape, f"{code} of the source{between}")
     return words
 
@@ -295,11 +295,11 @@ def _missed(touches: list[int | None], shares: list[float | None], rule: touch.H
 
     ``touches`` and ``shares`` have one entry for each split: its touches, and the share that met an object.
     """
-    found = [(count, share) for count, share in zip(touches, shares, strict=True) if count]
-    if any(share is None for _, share in found):
+    known = [(count, share) for count, share in zip(touches, shares, strict=True) if count]
+    if any(share is None for _, share in known):
         return []
-    total = sum(count for count, _ in found)
-    in_contact = sum(count * (share or 0) for count, share in found)
+    total = sum(count for count, _ in known)
+    in_contact = sum(count * (share or 0) for count, share in known)
     return rule.missed_lines(total - round(in_contact), total)
 
 
@@ -307,7 +307,7 @@ def _made(manifest: store.Manifest) -> list[tuple[str, str]]:
     operation, source = manifest.spec["operation"], manifest.spec["source"]
     files = ", ".join(f"{split}: {len(names)}" for split, names in source.items())
     rows = ", ".join(f"{split}: {sum(file['rows'] for file in names):,}" for split, names in source.items())
-    found = f"files {files}; rounds {rows}; `manifest.json` names and fingerprints each file"
+    text = f"files {files}; rounds {rows}; `manifest.json` names and fingerprints each file"
     if operation == "import":
-        found = f"images {rows}; `manifest.json` has the checksum of their list"
-    return [("command", f"`{KIND.command} {_COMMANDS.get(operation, operation)}`"), ("source", found)]
+        text = f"images {rows}; `manifest.json` has the checksum of their list"
+    return [("command", f"`{KIND.command} {_COMMANDS.get(operation, operation)}`"), ("source", text)]

@@ -206,34 +206,34 @@ class Alignment:
         checked_fields.check_fields(self, "the alignment")
 
 
-def read_frame(place: str | os.PathLike[str]) -> Matrix:
+def read_frame(path: str | os.PathLike[str]) -> Matrix:
     """Read a rigid transform, 4 x 4 numbers, from a file of text, CSV, JSON or NPY.
 
     Raises InputError if the file cannot be read or holds no rigid transform.
     """
-    content = _content_of(place)
+    content = _content_of(path)
     values: object = content
     if not content.startswith(_NUMPY_MARK):
         words = _SEPARATORS.sub(" ", content.decode("utf-8-sig", errors="replace")).split()
         values = [words[start : start + 4] for start in range(0, len(words), 4)]
-    return rigid_frame(values, repr(os.fspath(place)))
+    return rigid_frame(values, repr(os.fspath(path)))
 
 
-def _content_of(place: str | os.PathLike[str]) -> bytes:
+def _content_of(path: str | os.PathLike[str]) -> bytes:
     """Return a small file that the user named; InputError if it cannot be read."""
     try:
-        with Path(place).expanduser().open("rb") as stream:
+        with Path(path).expanduser().open("rb") as stream:
             content = stream.read(_LARGEST_FILE + 1)
     except (OSError, ValueError) as error:
-        raise errors.InputError(f"{os.fspath(place)!r} cannot be read", next="check the path") from error
+        raise errors.InputError(f"{os.fspath(path)!r} cannot be read", next="check the path") from error
     if len(content) > _LARGEST_FILE:
         raise errors.InputError(
-            f"{os.fspath(place)!r} has more than {_LARGEST_FILE:,} bytes; expected a small file"
+            f"{os.fspath(path)!r} has more than {_LARGEST_FILE:,} bytes; expected a small file"
         )
     return content
 
 
-def rigid_frame(values: object, where: str) -> Matrix:
+def rigid_frame(values: object, source: str) -> Matrix:
     """Return a 4 x 4 matrix, or the content of an NPY file with one, as tuples.
 
     Raises InputError if it is not a rigid transform.
@@ -249,10 +249,10 @@ def rigid_frame(values: object, where: str) -> Matrix:
     except (TypeError, ValueError, OverflowError, EOFError, OSError):
         matrix = np.empty(0)
     if matrix.shape != (4, 4):
-        raise errors.InputError(f"the frame {where} is no matrix of numbers; expected 4 x 4 numbers")
+        raise errors.InputError(f"the frame {source} is no matrix of numbers; expected 4 x 4 numbers")
     if not np.isfinite(matrix).all() or not are_rigid(matrix[None]):
         raise errors.InputError(
-            f"the frame {where} is no rigid transform; expected a rotation of determinant 1, a translation, "
+            f"the frame {source} is no rigid transform; expected a rotation of determinant 1, a translation, "
             "and the last row 0 0 0 1"
         )
     return tuple(map(tuple, matrix.tolist()))
@@ -396,9 +396,9 @@ class ImportColumns:
             "euler": self.euler,
             "rotvec": self.rotvec or None,
         }
-        given = [name for name, value in stated.items() if value is not None]
-        if len(given) > 1:
-            raise errors.InputError(f"contradicts {given[1]}; expected one of them", field=given[0])
+        options = [name for name, value in stated.items() if value is not None]
+        if len(options) > 1:
+            raise errors.InputError(f"contradicts {options[1]}; expected one of them", field=options[0])
         if self.euler is None:
             return
         if not _EULER.match(self.euler) or any(map(str.__eq__, self.euler, self.euler[1:])):
@@ -431,12 +431,12 @@ class ImportColumns:
         Names other than those of ``MAPPED`` are new names of extra columns. Raises InputError for a text of
         another form, a name that is given twice, and a name that is almost one of ``MAPPED``.
         """
-        found: dict[str, str] = read_mapped(pairs)
-        changes: JsonDict = {MAPPED[name]: column for name, column in found.items() if name in MAPPED}
+        mapped: dict[str, str] = read_mapped(pairs)
+        changes: JsonDict = {MAPPED[name]: column for name, column in mapped.items() if name in MAPPED}
         for several in ("position", "pose"):
-            if several in found:
-                changes[several] = tuple(wording.comma_separated(found[several]))
-        extra = {**dict(self.extra), **{name: found[name] for name in found if name not in MAPPED}}
+            if several in mapped:
+                changes[several] = tuple(wording.comma_separated(mapped[several]))
+        extra = {**dict(self.extra), **{name: mapped[name] for name in mapped if name not in MAPPED}}
         return replace(self, **changes, extra=tuple(extra.items()))
 
     @property
@@ -466,39 +466,41 @@ class ImportColumns:
         ``count`` is the number of values of a position (2) or of a pose. Raises InputError for conflicting
         units.
         """
-        found = [1.0] * count
+        divisors = [1.0] * count
         lengths, angles = _PLACES[count]
-        for quantity, given, places in (
+        for quantity, unit, places in (
             (units.LENGTH, self.length_unit, lengths),
             (units.ANGLE, self.angle_unit, angles),
         ):
-            for place in places:
+            for index in places:
                 name = ""
                 if len(names) in (1, count):
-                    name = names[place % len(names)]
+                    name = names[index % len(names)]
                 elif len(names) == _POSITION_AND_ROTATION:
-                    name = names[place >= _LENGTHS]
+                    name = names[index >= _LENGTHS]
                 if (
                     quantity is units.ANGLE
                     and len(names) == 1
                     and units.stated_unit(name) not in units.PER_RADIAN
                 ):
                     name = ""  # it states the unit of its lengths
-                found[place] = quantity.divisor(name, given)
-        return tuple(found)
+                divisors[index] = quantity.divisor(name, unit)
+        return tuple(divisors)
 
     def found_in(self, known: Collection[str], *, rotvec: bool = False) -> ImportColumns:
         """Return these columns, completed by the default columns that are known.
 
         ``rotvec`` says that a pose of six numbers holds a rotation vector in this format.
         """
-        found: JsonDict = {}
+        completed: JsonDict = {}
         for field, columns in _DEFAULT_COLUMNS:
             names = {columns} if isinstance(columns, str) else {*columns}
-            if getattr(self, field) is None and field not in found and names <= {*known}:
-                found[field] = columns
+            if getattr(self, field) is None and field not in completed and names <= {*known}:
+                completed[field] = columns
         is_stated = self.euler is not None or self.quaternion_order is not None
-        return replace(self, **found, rotvec=self.rotvec or (rotvec and bool(self.pose) and not is_stated))
+        return replace(
+            self, **completed, rotvec=self.rotvec or (rotvec and bool(self.pose) and not is_stated)
+        )
 
     def names(self) -> list[str]:
         """Return the columns that the source must have."""
@@ -520,9 +522,9 @@ def expected_counts(counts: Sequence[int]) -> str:
 
 def read_mapped(texts: Sequence[str]) -> dict[str, str]:
     """Return the column for each name; raises InputError as :meth:`ImportColumns.with_mapped`."""
-    found: dict[str, str] = {}
+    mapped: dict[str, str] = {}
     for name, column in _pairs(texts):
-        if name in found:
+        if name in mapped:
             raise errors.InputError(f"names {name!r} twice; expected each name once", field="mapped")
         close = difflib.get_close_matches(name.lower(), (*MAPPED, *MAPPED.values()), 1, _SIMILARITY)
         if name not in MAPPED and close:
@@ -531,8 +533,8 @@ def read_mapped(texts: Sequence[str]) -> dict[str, str]:
                 next="correct it; an extra column needs a name that is less like these",
                 field="mapped",
             )
-        found[name] = column
-    return found
+        mapped[name] = column
+    return mapped
 
 
 def _pairs(texts: Sequence[str]) -> Iterator[tuple[str, str]]:

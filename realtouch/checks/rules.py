@@ -236,17 +236,17 @@ def outlying_steps(cells: Float32, least: float) -> list[tuple[int, float]]:
     if len(steps) > 1:
         usual_step = np.median(np.sort(steps)[:-1])  # without the largest, which is the one in question
     limit = max(least, NOISE_FACTOR * float(usual_step))
-    found: list[tuple[int, float]] = []
+    jumps: list[tuple[int, float]] = []
     usual = 0  # the last picture before the first step
     for step in np.flatnonzero(steps > limit).tolist():
-        is_back = bool(found) and brightness_steps(cells[[usual, step + 1]])[0] <= limit
+        is_back = bool(jumps) and brightness_steps(cells[[usual, step + 1]])[0] <= limit
         if is_back:
             usual = step + 1
             continue
-        if not found:
+        if not jumps:
             usual = step
-        found.append((step + 1, float(steps[step])))
-    return found
+        jumps.append((step + 1, float(steps[step])))
+    return jumps
 
 
 def colour_pattern(cells: Float32) -> Float32:
@@ -258,8 +258,8 @@ def colour_pattern(cells: Float32) -> Float32:
 def normalised(pattern: Floating) -> Float32:
     """Subtract the mean of a pattern and divide by its standard deviation; zeros for a constant pattern."""
     deviation = float(pattern.std()) or 1.0
-    found: Float32 = ((pattern - pattern.mean()) / deviation).astype(np.float32)
-    return found
+    scaled: Float32 = ((pattern - pattern.mean()) / deviation).astype(np.float32)
+    return scaled
 
 
 def with_red_as_blue(patterns: Float32) -> Float32:

@@ -164,10 +164,10 @@ class WritePictures:
             base = image_contacts.background(rounds.TouchSingleRound(row))
         folder = f"{IMAGE_FOLDER}/{split}/{name}"
         suffix = touch.IMAGE_SUFFIX[self.kind]
-        files = {f"{folder}/{each.touch:03d}.{suffix}": self._encoded(each, base) for each in shown}
+        files = {f"{folder}/{picture.touch:03d}.{suffix}": self._encoded(picture, base) for picture in shown}
         columns = {
             **columns_of_touches(row, shown, self.names),
-            "id": [f"{name}/{each.touch:03d}" for each in shown],
+            "id": [f"{name}/{picture.touch:03d}" for picture in shown],
             "file": list(files),
             "sha256": list(map(store.sha256_hex, files.values())),
         }
@@ -256,7 +256,7 @@ def columns_of_touches(
         "label_name": [dict(enumerate(names)).get(label)] * count,
         "round_id": [row.name()] * count,
         "touch": np.arange(count),
-        "frame": [each.frame for each in shown],
+        "frame": [picture.frame for picture in shown],
     }
     if row.has("object_id"):
         columns["object_id"] = np.full(count, row.integer("object_id"))
@@ -264,7 +264,7 @@ def columns_of_touches(
         columns |= dict(zip(touch_options.POSITION_COLUMNS, row.intended_positions().T, strict=True))
     if shown:
         columns |= dict(
-            zip(touch_options.POSE_COLUMNS, np.stack([each.pose for each in shown]).T, strict=False)
+            zip(touch_options.POSE_COLUMNS, np.stack([picture.pose for picture in shown]).T, strict=False)
         )
     for stored, field in plain_extras(row.group.table.schema).items():
         columns[field.name] = shown_extra(row, stored, shown)
@@ -278,14 +278,14 @@ def plain_extras(source: pa.Schema) -> dict[str, pa.Field]:
     """
     types = read.column_types(source)
     taken = {*_OTHER_COLUMNS}
-    found = {}
+    fields = {}
     for name, stored in schema.extra_columns(types).items():
         plain = name
         while plain in taken:
             plain = f"extra_{plain}"
         taken.add(plain)
-        found[stored] = pa.field(plain, schema.extra_type(stored, types[stored]))
-    return found
+        fields[stored] = pa.field(plain, schema.extra_type(stored, types[stored]))
+    return fields
 
 
 def shown_extra(row: stored_round.StoredRound, stored: str, shown: Sequence[TouchPicture]) -> pa.Array:
@@ -293,11 +293,11 @@ def shown_extra(row: stored_round.StoredRound, stored: str, shown: Sequence[Touc
     entries = row.extra_entries(stored)
     if not stored.startswith(schema.EXTRA_PREFIX["frame"]):
         return entries
-    found = [pa.nulls(0, entries.type.value_type)]
-    for each in shown:
-        frames = row.extra_of_frames(stored, entries, each.touch, each.frame + 1)
-        found.append(frames.slice(each.frame))
-    return pa.concat_arrays(found)
+    parts = [pa.nulls(0, entries.type.value_type)]
+    for picture in shown:
+        frames = row.extra_of_frames(stored, entries, picture.touch, picture.frame + 1)
+        parts.append(frames.slice(picture.frame))
+    return pa.concat_arrays(parts)
 
 
 def stem_of_id(round_id: str) -> str:

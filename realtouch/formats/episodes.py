@@ -111,7 +111,7 @@ class Episodes:
         }
         if self.depth_of is not None:
             wanted[DEPTH] = (MEDIA_TYPE, (media.DEPTH,))
-        extras = [pa.field(each.name, each.data_type) for each in self.extras]
+        extras = [pa.field(extra.name, extra.data_type) for extra in self.extras]
         return pa.schema([*convert.schema_of(source, wanted), *extras])
 
     def apply(self, row: stored_round.StoredRound, choice: convert.RowChoice, split: str) -> convert.Made:
@@ -128,7 +128,7 @@ class Episodes:
             for number, image in enumerate(images):
                 self._require_size(row, number if touch is None else touch, image)
             columns |= {name: [value] * count for name, value in (*of_row.items(), ("touch", touch))}
-            columns |= {each.name: each.of_frames(row, touch, count) for each in self.extras}
+            columns |= {extra.name: extra.of_frames(row, touch, count) for extra in self.extras}
             columns["id"] = names = [f"{start}_{frame:04d}" for frame in range(count)]
             columns[IMAGE] = media.image_column(images, names)
             columns["frame_index"] = np.arange(count)
@@ -199,14 +199,14 @@ class EpisodeNumbers:
         cls, source: convert.Source, step: Episodes, chosen: Sequence[convert.RowChoice], rows_per_shard: int
     ) -> EpisodeNumbers:
         """Read the lengths of all rows; InputError for clips whose lengths are not stated."""
-        counts = _episode_lengths(source, step)[[each.row for each in chosen]]
+        counts = _episode_lengths(source, step)[[choice.row for choice in chosen]]
         ends = np.concatenate([np.zeros((1, 2), np.int64), np.cumsum(counts, axis=0)])
         return cls(ends[[*range(0, len(chosen), rows_per_shard), len(chosen)]].tolist())
 
     def of_shard(
-        self, shard: store.ShardName, found: Sequence[int], skipped: Sequence[store.Skipped]
+        self, shard: store.ShardName, counts: Sequence[int], skipped: Sequence[store.Skipped]
     ) -> Sequence[int]:
-        """Return the numbers of the first episode and frame of a shard with ``found`` episodes and frames.
+        """Return the numbers of the first episode and frame of a shard with ``counts`` of both.
 
         Raises IntegrityError if the shard lacks rounds, or if its counts differ from the planned ones.
         """
@@ -217,8 +217,8 @@ class EpisodeNumbers:
                 next="leave the round out first (`realtouch select`)",
             )
         start, end = self.starts[shard.index : shard.index + 2]
-        if np.subtract(end, start).tolist() != found:
-            episodes, frames = found
+        if np.subtract(end, start).tolist() != counts:
+            episodes, frames = counts
             raise errors.IntegrityError(
                 f"{shard}: {episodes:,} episodes of {frames:,} frames in all, other than "
                 "'video_length_frames' stated when the export was planned; nothing of this file was written",
@@ -232,13 +232,13 @@ def _episode_lengths(source: convert.Source, step: Episodes) -> Int64:
     if not step.are_clips:
         counts = datasets.dataset_of(source.shards[step.split]).touch_counts
         return np.column_stack([counts > 0, counts]).astype(np.int64)
-    found = []
+    totals = []
     for shard in source.shards[step.split]:
         if "video_length_frames" not in shard.types:
             raise errors.InputError(f"{shard.path!r} has no column 'video_length_frames'")
         lengths = shard.read(columns=["video_length_frames"]).column(0).to_pylist()
-        found += [(len(each), sum(each)) for each in lengths]
-    return np.array(found, np.int64).reshape(-1, 2)
+        totals += [(len(of_row), sum(of_row)) for of_row in lengths]
+    return np.array(totals, np.int64).reshape(-1, 2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -276,9 +276,9 @@ class ExtraColumn:
             leaf = leaf.value_type
         if read.list_depth(values.type)[0]:
             known = values.drop_null()
-            found = pc.list_value_length(known).unique().sort().to_pylist()
-            if found not in ([], [width]):
-                lengths = " and of ".join(map(str, found))
+            lengths_found = pc.list_value_length(known).unique().sort().to_pylist()
+            if lengths_found not in ([], [width]):
+                lengths = " and of ".join(map(str, lengths_found))
                 raise ValueError(f"vectors of {lengths} values; expected {width}, as in the first touch")
             places = np.full((len(values), width), -1)
             places[values.is_valid().to_numpy(zero_copy_only=False)] = np.arange(len(known) * width).reshape(
@@ -303,7 +303,7 @@ def extra_columns_of(shards: Sequence[read.Shard]) -> tuple[ExtraColumn, ...]:
     """
     types = read.column_types(shards[0].schema)
     names = {f"{FEATURE}{name}" for name in _TAKEN}
-    found = []
+    columns = []
     for name, stored in schema.extra_columns(types).items():
         entry, (width, has_gaps) = schema.extra_type(stored, types[stored]), _widths(shards, stored)
         depth, leaf = read.list_depth(entry)
@@ -318,8 +318,8 @@ def extra_columns_of(shards: Sequence[read.Shard]) -> tuple[ExtraColumn, ...]:
         if width > 1:  # readers of LeRobotDatasets take vectors of length 1 for numbers
             leaf = pa.list_(leaf, width)
         if width:
-            found.append(ExtraColumn(stored, feature, leaf))
-    return tuple(found)
+            columns.append(ExtraColumn(stored, feature, leaf))
+    return tuple(columns)
 
 
 def _widths(shards: Iterable[read.Shard], stored: str) -> tuple[int, bool]:

@@ -195,15 +195,17 @@ class _Touches:
         columns = convert.columns_of_touches(row, shown, self.names)
         name = row.name()
         images: list[memoryview] = []
-        where = _WHERE[row.kind]
-        for each in shown:
-            images.append(each.stored)
+        prefix = _WHERE[row.kind]
+        for picture in shown:
+            images.append(picture.stored)
             try:
                 intact_size(images[-1])
             except ValueError:
-                with row.naming(row.media_column, each.touch, where.format(each.frame)):
+                with row.naming(row.media_column, picture.touch, prefix.format(picture.frame)):
                     raise
-        columns["id"] = [rounds.touch_id(name, each.touch) for each in shown]
+        columns["id"] = [rounds.touch_id(name, picture.touch) for picture in shown]
         stem = convert.stem_of_id(name)
-        columns[_IMAGE] = media.image_column(images, [rounds.touch_id(stem, each.touch) for each in shown])
+        columns[_IMAGE] = media.image_column(
+            images, [rounds.touch_id(stem, picture.touch) for picture in shown]
+        )
         return convert.table_of_columns(self.schema(row.group.table.schema), columns), {}

@@ -118,17 +118,17 @@ def _touches(folder: store.DataFolder, name: str, samples: Sequence[_Sample]) ->
             f"{folder.address(name)!r} has {len(names):,} different fields; the limit is {_MAX_FIELDS:,}",
             next="check that no names of fields are values",
         )
-    said = {}
+    fields = {}
     for field in names:
         column = column_types.from_values([sample.values.get(field) for sample in samples])
         if pa.types.is_string(column.type) and any(field in sample.endings for sample in samples):
             column = column_types.from_text(column)
-        said[field.encode(errors="backslashreplace").decode()] = column
+        fields[field.encode(errors="backslashreplace").decode()] = column
     return importing.FoundTouches.of(
         [sample.key for sample in samples],
         folder.address(),
         name,
-        said,
+        fields,
         problems=problems,
         start=[sample.image.start for sample in samples],
         size=[sample.image.size for sample in samples],
@@ -199,14 +199,16 @@ def _sample(key: str, members: Sequence[_Member], columns: touch_options.ImportC
         problems.append(errors.ItemError("name", f"the key {named}"))
         key = key.encode(errors="backslashreplace").decode()
     wanted = columns.image_name.lower()
-    images = [each for each in members if _is_image(each.ending) and wanted in ("", each.ending)]
+    images = [member for member in members if _is_image(member.ending) and wanted in ("", member.ending)]
     if not images:
         expected = wanted or ", ".join(importing.IMAGE_ENDINGS)
         problems.append(errors.ItemError("missing", f"no image; expected one of {expected}"))
     if len(images) > 1:
-        found = ", ".join(each.ending for each in images)
+        endings_found = ", ".join(image.ending for image in images)
         problems.append(
-            errors.ItemError("images", f"the images {found}; expected one (--map image=ENDING names it)")
+            errors.ItemError(
+                "images", f"the images {endings_found}; expected one (--map image=ENDING names it)"
+            )
         )
     values: JsonDict = {}
     for member in members:
@@ -278,7 +280,9 @@ def find_fota(
     in_both_units = {*touch_options.POSE_COLUMNS, *touch_options.FOTA_POSE_COLUMNS}
     for touches in find_webdataset(home, columns, table):
         if {*touches.names} >= in_both_units:  # our exports have the pose twice
-            touches = replace(touches, said=touches.said.drop_columns(list(touch_options.FOTA_POSE_COLUMNS)))
+            touches = replace(
+                touches, per_touch=touches.per_touch.drop_columns(list(touch_options.FOTA_POSE_COLUMNS))
+            )
         if "split" not in touches.names:
-            touches = touches.with_said({"split": column_types.repeated(split, len(touches))})
+            touches = touches.with_fields({"split": column_types.repeated(split, len(touches))})
         yield touches

@@ -181,7 +181,7 @@ class GroupFormat:
             group.add_json(zarr_recordings.ATTRIBUTES, attributes)
             for name, values in arrays.items():
                 group.add_array(name, values)
-            blocks = (each.reshape(-1, *shape[1:]) for each in _pictures(size, rows, shards))
+            blocks = (block.reshape(-1, *shape[1:]) for block in _pictures(size, rows, shards))
             group.add_blocks(path, shape, np.dtype("|u1"), rows, blocks)
 
     def _arrays(
@@ -200,12 +200,12 @@ class GroupFormat:
         arrays = {array: _numbers(columns[name]) for name, array in known.items()}
         stated = self.add(step, table, arrays)
         starts = np.flatnonzero(table["frame_index"].to_numpy() == 0)
-        found = {f"data/{name}": values for name, values in arrays.items()}
+        by_path = {f"data/{name}": values for name, values in arrays.items()}
         for name in (zarr_recordings.ROUND, zarr_recordings.TOUCH):
             if name in columns:
-                found[f"meta/{name}"] = _numbers(columns[name].take(starts))
-        found[zarr_recordings.ENDS] = np.append(starts[1:], len(table)).astype("<i8")
-        return found, {
+                by_path[f"meta/{name}"] = _numbers(columns[name].take(starts))
+        by_path[zarr_recordings.ENDS] = np.append(starts[1:], len(table)).astype("<i8")
+        return by_path, {
             zarr_recordings.CLASSES: step.names,
             zarr_recordings.COLUMNS: kept,
             zarr_recordings.PER_CLIP: of_clips,
@@ -238,8 +238,8 @@ def _numbers(values: pa.Array) -> AnyArray:
         return _numbers(values.flatten()).reshape(len(values), -1)
     if pa.types.is_string(values.type):
         return np.array([text or "" for text in values.to_pylist()], "<U")
-    found: AnyArray = values.to_numpy(zero_copy_only=False)
-    return found.astype(found.dtype.newbyteorder("<"))
+    numbers: AnyArray = values.to_numpy(zero_copy_only=False)
+    return numbers.astype(numbers.dtype.newbyteorder("<"))
 
 
 plan_replay = GroupFormat(

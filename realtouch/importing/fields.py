@@ -61,9 +61,9 @@ def labels_of(
     """Return the class number of each touch, -1 if it is unknown, and the problems by index."""
     numbers = {name: number for number, name in reversed([*enumerate(names)])}
     problems = _nested_labels(touches.value(column or source_files.NUMBERED))
-    found = np.full(len(touches), -1)
+    numbers_found = np.full(len(touches), -1)
     if not numbers:
-        return found, problems
+        return numbers_found, problems
     seen: dict[str, int | None] = dict.fromkeys(UNKNOWN, -1)
     stated = zip(touches.texts(column), touches.texts(source_files.NUMBERED), strict=True)
     for index, (name, digits) in enumerate(stated):
@@ -74,8 +74,8 @@ def labels_of(
         if number is None:
             problems[index] = errors.ItemError("label", f"the label {shown(label)!r}; expected a class")
         else:
-            found[index] = number
-    return found, problems
+            numbers_found[index] = number
+    return numbers_found, problems
 
 
 def _nested_labels(column: pa.Array | None) -> dict[int, errors.ItemError]:
@@ -94,16 +94,16 @@ def objects_of(
     touches: source_touches.FoundTouches, column: str | None
 ) -> tuple[Int64, dict[int, errors.ItemError]]:
     """Return the object id of each touch, 0 without such a column, and the problems by index."""
-    found = np.zeros(len(touches), np.int64)
+    object_ids = np.zeros(len(touches), np.int64)
     problems = dict[int, errors.ItemError]()
     if not column:
-        return found, problems
+        return object_ids, problems
     for index, text in enumerate(map(integer_text, touches.texts(column))):
         if text.isdecimal() and text.isascii() and len(text) <= _LONGEST_INTEGER:
-            found[index] = int(text)
+            object_ids[index] = int(text)
         else:
             problems[index] = errors.ItemError("object", f"the object {shown(text)!r}; expected an integer")
-    return found, problems
+    return object_ids, problems
 
 
 def each_of(
@@ -118,7 +118,7 @@ def each_of(
     the problems by index. Instead of the array it returns None if no value can be used.
     """
     problems: dict[int, errors.ItemError] = {}
-    found: Float64 | None = None
+    values: Float64 | None = None
     parts = [rows]
     while parts:
         part = parts.pop()
@@ -130,11 +130,11 @@ def each_of(
             elif len(part):
                 parts += np.array_split(part, 2)[::-1]
             continue
-        if found is None:
+        if values is None:
             count = max(map(len, fields.values()))
-            found = np.full((count, *some.shape[1:]), np.nan)
-        found[part] = some
-    return found, dict(sorted(problems.items()))
+            values = np.full((count, *some.shape[1:]), np.nan)
+        values[part] = some
+    return values, dict(sorted(problems.items()))
 
 
 def stated_positions(fields: Fields, columns: touch_options.ImportColumns) -> Float64:
@@ -143,7 +143,7 @@ def stated_positions(fields: Fields, columns: touch_options.ImportColumns) -> Fl
     Raises ItemError for other values, and InputError for a tilted frame, as x and y then depend on the
     height.
     """
-    place = _numbers(fields, columns, columns.position or (), (2,), "position")
+    position_m = _numbers(fields, columns, columns.position or (), (2,), "position")
     if columns.frame is not None:
         turn, shift = _frame(columns)
         if np.abs(turn[:2, 2]).max() > _MAX_TILT:
@@ -151,9 +151,9 @@ def stated_positions(fields: Fields, columns: touch_options.ImportColumns) -> Fl
                 "the frame tilts, so that x and y in the cell depend on the height in the source",
                 next="leave out the positions: --map position=",
             )
-        place = place @ turn[:2, :2].T + shift[:2]
-    _require_metres(place, "position")
-    return place
+        position_m = position_m @ turn[:2, :2].T + shift[:2]
+    _require_metres(position_m, "position")
+    return position_m
 
 
 def poses(fields: Fields, columns: touch_options.ImportColumns) -> Float64:
@@ -163,16 +163,16 @@ def poses(fields: Fields, columns: touch_options.ImportColumns) -> Float64:
     """
     numbers = _numbers(fields, columns, columns.pose or (), columns.pose_sizes, "pose")
     read = {6: _of_angles, 7: _of_quaternions}.get(numbers.shape[1], _of_matrices)
-    place, turns = read(numbers, columns)
-    wrong = bad_pose(place, turns)
+    position_m, turns = read(numbers, columns)
+    wrong = bad_pose(position_m, turns)
     if wrong is not None:
         raise errors.ItemError("pose", wrong[1])
     if columns.frame is not None:
         turn, shift = _frame(columns)
-        place = place @ turn.T + shift
+        position_m = position_m @ turn.T + shift
         turns = (Rotation.from_matrix(turn) * Rotation.from_quat(turns)).as_quat()
-    _require_metres(place, "pose")
-    return np.hstack([place, turns])
+    _require_metres(position_m, "pose")
+    return np.hstack([position_m, turns])
 
 
 def times_s(values: pa.Array, name: str, time_unit: str | None) -> Float64:
@@ -181,25 +181,25 @@ def times_s(values: pa.Array, name: str, time_unit: str | None) -> Float64:
     The ``name`` of the column states the unit of numbers, or ``time_unit`` does; else they are seconds.
     Raises ItemError for values that are neither finite numbers nor points in time.
     """
-    found = _instants_s(values)
+    seconds = _instants_s(values)
     divisor = 1.0
-    if found is None:
+    if seconds is None:
         divisor = units.TIME.divisor(name, time_unit)
         try:
-            found = column_types.floats_of(values)
+            seconds = column_types.floats_of(values)
         except (ValueError, OverflowError):
-            found = np.empty(0)
-    if found.ndim == 2 and found.shape[1] == 1:
-        found = found[:, 0]
-    is_flat = found.shape == (len(values),)
-    if not is_flat or not np.isfinite(found).all():
-        wrong = int(np.isfinite(found).argmin()) if is_flat else 0
+            seconds = np.empty(0)
+    if seconds.ndim == 2 and seconds.shape[1] == 1:
+        seconds = seconds[:, 0]
+    is_flat = seconds.shape == (len(values),)
+    if not is_flat or not np.isfinite(seconds).all():
+        wrong = int(np.isfinite(seconds).argmin()) if is_flat else 0
         raise errors.ItemError(
             "time",
             f"the times {shown(values.slice(wrong, 4).to_pylist())} from number {wrong + 1:,} on; "
             "expected finite numbers, or points in time",
         )
-    return found / divisor
+    return seconds / divisor
 
 
 def _instants_s(values: pa.Array) -> Float64 | None:
@@ -228,16 +228,16 @@ def _of_quaternions(numbers: Float64, columns: touch_options.ImportColumns) -> t
 
 def _of_angles(numbers: Float64, columns: touch_options.ImportColumns) -> tuple[Float64, Float64]:
     """Return positions and quaternions of poses with Euler angles or rotation vectors in radians."""
-    place, angles = numbers[:, :3], numbers[:, 3:]
+    position, angles = numbers[:, :3], numbers[:, 3:]
     if columns.euler is not None:
-        return place, Rotation.from_euler(columns.euler, angles).as_quat()
+        return position, Rotation.from_euler(columns.euler, angles).as_quat()
     if columns.angle_unit is None and np.abs(angles).max(initial=0) > _MAX_TURN:
         raise errors.ItemError(
             "pose",
             f"the rotation vector {shown(angles[0])} has more than two turns in radians; expected radians "
             "(--angle-unit states another unit)",
         )
-    return place, Rotation.from_rotvec(angles).as_quat()
+    return position, Rotation.from_rotvec(angles).as_quat()
 
 
 def _of_matrices(numbers: Float64, _columns: touch_options.ImportColumns) -> tuple[Float64, Float64]:
@@ -278,14 +278,14 @@ def _numbers(
     reason: str,
 ) -> Float64:
     """Return the numbers of columns, or of one column of lists, shape (n, size), in metres and radians."""
-    found = [fields[name] for name in names]
+    stated = [fields[name] for name in names]
     try:
-        parts = [column_types.floats_of(each) for each in found]
+        parts = [column_types.floats_of(column) for column in stated]
         numbers = np.hstack([part.reshape(len(part), -1) for part in parts])
     except (ValueError, OverflowError):
         numbers = np.empty((0, 0))
     if numbers.shape[1] not in sizes or not np.isfinite(numbers).all():
-        first = [each[0].as_py() for each in found if len(each)] or ["nothing"]
+        first = [column[0].as_py() for column in stated if len(column)] or ["nothing"]
         example = first[0] if len(first) == 1 else first
         expected = f"{sizes[0]} finite numbers"
         if len(sizes) > 1:
@@ -342,7 +342,7 @@ def extra_types(
     known, of_frames = touches.known, touches.frame_types()
     for name, source in extra_sources(touches, columns).items():
         is_frame = source in of_frames
-        kind = of_frames[source] if is_frame else touches.said[source].type
+        kind = of_frames[source] if is_frame else touches.per_touch[source].type
         leaf = kind.value_type if pa.types.is_list(kind) else kind
         if leaf == column_types.UNTYPED or pa.types.is_null(leaf) or source not in known:
             continue
@@ -385,7 +385,7 @@ def not_kept(
     counts: dict[str, int] = {}
     for name in touches.names:
         if name not in kept:
-            tables = [table for table in (touches.said, touches.per_frame) if name in table.column_names]
+            tables = [table for table in (touches.per_touch, touches.per_frame) if name in table.column_names]
             count = max(len(table) - table[name].null_count for table in tables)
             shown = wording.printable(name)
             counts[shown] = counts.get(shown, 0) + count
