@@ -3,7 +3,6 @@
 from .drawn_records import (
     Drawn as Drawn,
     figure_html as figure_html,
-    grid_html as grid_html,
     png_bytes as png_bytes,
 )
 from .previews import (

@@ -53,6 +53,20 @@ class Drawn(ABC):
         """Return HTML of a small picture with a caption, for notebooks."""
         return figure_html(self.picture(_TILE_PX), self.tile_caption, small=True)
 
+    @staticmethod
+    def grid_html(
+        title: str, words: Sequence[str], pictures: Sequence[tuple[str, Callable[[], UInt8]]]
+    ) -> str:
+        """Return HTML for notebooks of several small pictures with their captions; damaged ones are counted."""
+        tiles = []
+        for caption, read in pictures:
+            with suppress(IntegrityError):
+                tiles.append(figure_html(fitted(read(), _TILE_PX), caption, small=True))
+        if len(tiles) < len(pictures):
+            words = [*words, f"{len(pictures) - len(tiles)} of {len(pictures)} pictures cannot be shown"]
+        grid = f'<div style="display:flex;flex-wrap:wrap;gap:4px">{"".join(tiles)}</div>'
+        return f"<div><b>{html.escape(title)}</b>: {', '.join(words)}{grid}</div>"
+
 
 def png_bytes(pixels: UInt8) -> bytes:
     """Encode a picture as PNG, without metadata; equal pixels give equal bytes."""
@@ -69,15 +83,3 @@ def figure_html(pixels: UInt8, caption: str, *, small: bool = False) -> str:
         f'<figure{style}><img src="data:image/png;base64,{source}">'
         f"<figcaption>{html.escape(caption)}</figcaption></figure>"
     )
-
-
-def grid_html(title: str, words: Sequence[str], pictures: Sequence[tuple[str, Callable[[], UInt8]]]) -> str:
-    """Return HTML for notebooks of several small pictures with their captions; damaged ones are counted."""
-    tiles = []
-    for caption, read in pictures:
-        with suppress(IntegrityError):
-            tiles.append(figure_html(fitted(read(), _TILE_PX), caption, small=True))
-    if len(tiles) < len(pictures):
-        words = [*words, f"{len(pictures) - len(tiles)} of {len(pictures)} pictures cannot be shown"]
-    grid = f'<div style="display:flex;flex-wrap:wrap;gap:4px">{"".join(tiles)}</div>'
-    return f"<div><b>{html.escape(title)}</b>: {', '.join(words)}{grid}</div>"
