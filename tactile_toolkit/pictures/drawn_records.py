@@ -57,7 +57,7 @@ class Drawn(ABC):
     def grid_html(
         title: str, words: Sequence[str], pictures: Sequence[tuple[str, Callable[[], UInt8]]]
     ) -> str:
-        """Return HTML for notebooks of several small pictures with their captions; damaged ones are counted."""
+        """Return HTML for notebooks of small pictures with captions; damaged ones are counted."""
         tiles = []
         for caption, read in pictures:
             with suppress(IntegrityError):
