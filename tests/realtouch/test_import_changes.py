@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import csv
-import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 
 import realtouch
 from realtouch.importing import import_plan, import_sources, streams
+from tactile_toolkit.columns import tables
 from tactile_toolkit.errors import IntegrityError
 from tests.realtouch.images_of_others import picture
 
@@ -68,9 +66,10 @@ def test_a_video_that_is_replaced_once_it_was_found(
     assert not list((tmp_path / "out").rglob("*.parquet"))
 
 
-def test_a_stream_that_changes_between_its_times_and_its_values(
+def test_a_stream_of_several_parts_that_changes_between_its_times_and_its_values(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(tables, "_BLOCK_BYTES", 512)
     source = tmp_path / "source"
     source.mkdir()
     video(source / "a.avi")
@@ -133,20 +132,6 @@ def test_a_table_that_names_a_video_outside_leaves_that_line_out(tmp_path: Path)
     touches = realtouch.load(tmp_path / "out", "train").touches()
     assert [touch.round.id for touch in touches] == ["a"]
     assert np.asarray(touches.labels).tolist() == [1]
-
-
-@pytest.mark.parametrize("ending", ["parquet", "jsonl"])
-def test_a_table_of_videos_has_any_ending(ending: str, tmp_path: Path) -> None:
-    source, line = tmp_path / "source", {"file": "a.avi", "label": "mug", "force": 1.5}
-    source.mkdir()
-    video(source / "a.avi", 5)
-    if ending == "parquet":
-        pq.write_table(pa.Table.from_pylist([line]), source / "about.parquet")
-    else:
-        (source / "about.jsonl").write_text(json.dumps(line))
-    realtouch.import_touches(source, tmp_path / "out")
-    rounds = realtouch.load(tmp_path / "out", "train")
-    assert (rounds.label_names, rounds[0].extra["force"].tolist()) == (("mug",), [1.5])
 
 
 POSE = {"x_m": 0.01, "y_m": 0.02, "z_m": 0.001, "qx": 0, "qy": 0, "qz": 0, "qw": 1}
