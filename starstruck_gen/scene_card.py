@@ -7,7 +7,7 @@ from functools import partial
 
 import pyarrow as pa
 
-from starstruck_gen import kind, sampling, scene_dataset, scene_generation
+from starstruck_gen import kind, sampling, scene_dataset
 from tactile_toolkit import cards, gallery, mesh, pictures, rows, store, wording
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import is_copy
@@ -18,10 +18,10 @@ _RULES = {
     "circles": "the circumscribed circles of two objects do not meet",
     "exact": "the outlines of two objects do not touch",
 }
-COLUMNS = meanings(scene_generation.SceneRow)
+COLUMNS = meanings(scene_dataset.SceneRow)
 
 _SHOWN = (
-    *rows.with_role(scene_generation.SceneRow, "facet", "measure"),
+    *rows.with_role(scene_dataset.SceneRow, "facet", "measure"),
     rows.Column(pa.list_(pa.string()), name="shapes", role="facet", title="Shapes"),
     rows.Column(pa.int64(), name="objects", role="measure", title="Objects"),
     rows.Column(pa.int64(), name="positions", role="measure", title="Positions drawn"),

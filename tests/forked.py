@@ -42,7 +42,7 @@ _CONTEXT.set_forkserver_preload(
         "realtouch.touches.image_contacts",
         "skimage.measure",
         "starstruck_gen.scene_dataset",
-        "starstruck_gen.scene_generation",
+        "starstruck_gen.scene_dataset",
         "tactile_toolkit.gallery.site",
         "tactile_toolkit.mesh.files",
         "tactile_toolkit.mesh.raster",
