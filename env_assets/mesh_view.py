@@ -360,13 +360,12 @@ def top_surface(mesh: MeshLike, pitch_m: float) -> HeightMap:
 
     Examples
     --------
-    >>> from tactile_toolkit.mesh.mesh import Mesh
     >>> corners = np.array([[0, 0, 0], [4, 0, 0], [0, 4, 0], [0, 0, 4]], np.float32)
     >>> faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], np.int32)
     >>> top_surface(Mesh(corners, faces), 1.0).heights_m[0]
     array([3., 2., 1., 0.], dtype=float32)
     """
-    if not _is_length(pitch_m):
+    if not (isinstance(pitch_m, (Real, np.number)) and 0 < float(pitch_m) < np.inf):
         raise InputError(
             f"the pitch of a height map is {pitch_m!r} m; expected a positive length such as 0.0002"
         )
@@ -395,10 +394,6 @@ def top_surface(mesh: MeshLike, pitch_m: float) -> HeightMap:
     heights_m[np.isneginf(heights_m)] = np.nan
     heights_m.setflags(write=False)
     return HeightMap(heights_m, first_column, first_row, float(pitch_m))
-
-
-def _is_length(value: object) -> bool:
-    return isinstance(value, (Real, np.number)) and 0 < float(value) < np.inf
 
 
 def _centres_m(first: int, count: int, pitch_m: float) -> Float64:

@@ -123,7 +123,9 @@ class ResetOptions:
     @classmethod
     def of(cls, options: Options, num_envs: int) -> Self:
         """Check options; InputError for unknown ones, and for values that cannot be used."""
-        _require_options(options)
+        unknown = [name for name in options if name not in _OPTIONS]
+        if unknown:
+            raise InputError(f"option {unknown[0]!r} is unknown; expected {', '.join(_OPTIONS)}")
         numbers = [None if each is None else int(each) for each in _given(options, _NUMBERS, num_envs)]
         return cls(
             _rows(options, num_envs),
@@ -136,12 +138,6 @@ class ResetOptions:
     def drawn(cls, num_envs: int) -> Self:
         """Return the options of episodes that are drawn at random."""
         return cls.of({}, num_envs)
-
-
-def _require_options(options: Options) -> None:
-    """Refuse options of a reset that are unknown (InputError)."""
-    if unknown := [name for name in options if name not in _OPTIONS]:
-        raise InputError(f"option {unknown[0]!r} is unknown; expected {', '.join(_OPTIONS)}")
 
 
 def _rows(options: Options, num_envs: int) -> Rows:

@@ -164,10 +164,7 @@ def train(
     config = config or TrainConfig()
     data = _trainable(pairs, config)
     folder = store.open_folder(os.fspath(out))
-    with (
-        joined_processes(device, deterministic=deterministic) as process,
-        held(folder, process),
-    ):
+    with joined_processes(device, deterministic=deterministic) as process, held(folder, process):
         if process.rank == 0:
             claim(folder, config, data.fingerprint, resume=resume)
         process.wait()
