@@ -365,7 +365,7 @@ def top_surface(mesh: MeshLike, pitch_m: float) -> HeightMap:
     >>> top_surface(Mesh(corners, faces), 1.0).heights_m[0]
     array([3., 2., 1., 0.], dtype=float32)
     """
-    if not (isinstance(pitch_m, (Real, np.number)) and 0 < float(pitch_m) < np.inf):
+    if not _is_length(pitch_m):
         raise InputError(
             f"the pitch of a height map is {pitch_m!r} m; expected a positive length such as 0.0002"
         )
@@ -394,6 +394,10 @@ def top_surface(mesh: MeshLike, pitch_m: float) -> HeightMap:
     heights_m[np.isneginf(heights_m)] = np.nan
     heights_m.setflags(write=False)
     return HeightMap(heights_m, first_column, first_row, float(pitch_m))
+
+
+def _is_length(value: object) -> bool:
+    return isinstance(value, (Real, np.number)) and 0 < float(value) < np.inf
 
 
 def _centres_m(first: int, count: int, pitch_m: float) -> Float64:
