@@ -12,10 +12,10 @@ from typing import Any, TypeVar
 import typer
 from typer.core import TyperCommand
 
-from cli.options import DEBUG_VARIABLE, Debug, Version, with_options
+from cli.options import DEBUG_VARIABLE, Debug, Version, option_label, with_options
 from cli.output import Output
 from tactile_toolkit import store, wording
-from tactile_toolkit.errors import InputError, SpecMismatchError, ToolkitError, require_public
+from tactile_toolkit.errors import InputError, ToolkitError, require_public
 from tactile_toolkit.json_types import JsonValue
 
 EXIT_FAILED = 1
@@ -86,11 +86,8 @@ class _Command(TyperCommand):
             if os.environ.get(DEBUG_VARIABLE):
                 raise
             if isinstance(error, ToolkitError):
-                message = str(error)
+                message = error.naming(self._option(error.field))
                 code = error.exit_code
-                # That error names a field of the manifest, which need not be an option of this command.
-                if not isinstance(error, SpecMismatchError):
-                    message = self._with_option(message)
             elif error.filename is not None:
                 reason = store.resource_shortage(error) or f"{error.strerror}; next: give another path"
                 message = f"{str(error.filename)!r}: {reason}"
@@ -104,14 +101,13 @@ class _Command(TyperCommand):
             sys.stderr.write(f"{str(error) or default}\n")
             raise typer.Exit(EXIT_INTERRUPTED) from error
 
-    def _with_option(self, message: str) -> str:
-        """Replace the name of a parameter at the start of a message by that of its option."""
-        options = {parameter.name or "": parameter.opts[0] for parameter in self.params}
-        first, space, rest = message.partition(" ")
-        name = first.rpartition(".")[2]
+    def _option(self, field: str) -> str:
+        """Return the option of a field, or the field itself if this command has none."""
+        names = {parameter.name: option_label(parameter) for parameter in self.params}
         # The library takes metres where people give millimetres: `cell_m` is --cell-mm.
-        option = options.get(name) or (options.get(f"{name}m", "") and f"{options[f'{name}m']}, in metres,")
-        return f"{option or first}{space}{rest}"
+        if f"{field}m" in names:
+            return f"{names[f'{field}m']}, in metres,"
+        return names.get(field, field)
 
 
 def command(

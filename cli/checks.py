@@ -11,7 +11,7 @@ import typer
 
 from cli import application, options, output
 from tactile_toolkit import cards, catalog, mesh, places, run, store
-from tactile_toolkit.checked_fields import real, switch
+from tactile_toolkit.checked_fields import integer, real, switch, text
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.json_types import JsonDict, JsonValue
 from tactile_toolkit.kind import DatasetKind
@@ -62,8 +62,10 @@ class Objects:
     geometry: bool = switch(
         False, help="Also check the objects, as `validate` does; exit code 1 if one is invalid."
     )
-    split: str | None = catalog.SPLIT
-    limit: int | None = catalog.LIMIT
+    split: str | None = text(metavar="NAME", needs="geometry", help="Only the objects of this split.")
+    limit: int | None = integer(
+        None, 1, optional=True, needs="geometry", help="Only the first N objects of each split."
+    )
 
 
 def verify(

@@ -93,9 +93,9 @@ def show(
     rows = read.ShardedTable(place.shards(chosen))
     if row >= len(rows):
         raise InputError(
-            f"--row is {row}; rows are counted from 0, and split {chosen!r} has "
-            f"{with_count(len(rows), 'rows')}",
+            f"is {row}; rows are counted from 0, and split {chosen!r} has {with_count(len(rows), 'rows')}",
             next="give a smaller --row or another --split",
+            field="row",
         )
     group, index = rows.locate(row)
     stored = group.table.slice(index, 1)

@@ -43,7 +43,6 @@ def export(
 
     Exit code 1 if an object or plate could not be written as a solid.
     """
-    form.refuse_without_effect(distances, material)
     place = opening.open(sink, name).require(kind, "export")
     if form.file_format == "flat":
         _export_flat(sink, kind, exchange.plan_tables(kind, place, chosen, str(out)), str(out), job)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, Field, dataclass, fields, is_dataclass, replace
 from enum import StrEnum
 from functools import wraps
@@ -18,6 +18,7 @@ from cli.output import Sink
 from tactile_toolkit import __version__, places, run, store
 from tactile_toolkit.checked_fields import Rule, integer, switch, text
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.wording import alternatives
 
 JOB = "Job options"
 """Panel of the help for options that decide how the work is done, not what is made."""
@@ -223,6 +224,7 @@ def with_options(
     def call(context: typer.Context, **values: object) -> None:
         # pyarrow would import pandas, which takes a second and swallows a Ctrl-C.
         run.skip_pandas()
+        _refuse_without_effect(context, [each for group in groups.values() for each in group])
         arguments = {name: value for name, value in known.items() if name in taken}
         for name, group in groups.items():
             fields_of = {each.name: values[each.name] for each in group}
@@ -251,6 +253,36 @@ def with_options(
         name: each.annotation for name, each in inspect.signature(call).parameters.items()
     }
     return call
+
+
+def option_label(parameter: Any) -> str:
+    """Return the name of an option, or the placeholder of an argument, for messages."""
+    if parameter.param_type_name == "argument":
+        return str(parameter.metavar or parameter.name).upper()
+    return str(parameter.opts[0])
+
+
+def _refuse_without_effect(context: typer.Context, options: Iterable[inspect.Parameter]) -> None:
+    """Refuse a given option whose declared need is not met; InputError names both."""
+    labels = {each.name: option_label(each) for each in context.command.params}
+    for each in options:
+        needs = get_args(each.annotation)[2].option.get("needs")
+        if not needs or not _is_given(context, each.name):
+            continue
+        field, _, words = needs.partition("=")
+        value = context.params[field]
+        values = {*words.split("|")}
+        is_met = bool(value)
+        if words:
+            held = value if isinstance(value, (list, tuple)) else [value or ""]
+            is_met = bool(values.intersection(held or [""]))
+        if not is_met:
+            known = [word for word in words.split("|") if word]
+            raise InputError(
+                " ".join(["has no effect without", labels[field], *filter(None, [alternatives(known)])]),
+                next=f"add {' '.join([labels[field], *known[:1]])}, or leave it out",
+                field=each.name,
+            )
 
 
 def _is_given(context: typer.Context, name: str) -> bool:
@@ -288,7 +320,7 @@ def _parameter(name: str, declared: Field[Any], *, is_optional: bool = False) ->
     kind: Any = _typer_type(rule, default)
     if shown is None:
         kind |= None
-    hint = Annotated[kind, _declaration(name, rule, default)]
+    hint = Annotated[kind, _declaration(name, rule, default), rule]
     # Keyword-only, because an option without a default may follow one with a default.
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=shown, annotation=hint)
 
@@ -320,11 +352,7 @@ def _typer_type(rule: Rule, default: object) -> Any:
 def _declaration(name: str, rule: Rule, default: object) -> Any:
     """Return the argument or option by which Typer takes the value of a field."""
     option = rule.option
-    is_argument = "argument" in option
     names = option.get("name", f"--{name.replace('_', '-')}").split()
-    label = names[0].partition("/")[0]
-    if is_argument:
-        label = option.get("metavar", name)
     metavar: str | None = rule.metavar(name)
     if rule.kind is bool or (rule.choices and "read" not in option):  # Typer lists the choices
         metavar = None
@@ -340,7 +368,7 @@ def _declaration(name: str, rule: Rule, default: object) -> Any:
             value = list(map(option["read"], value))
         elif "read" in option:
             value = option["read"](value)
-        return replace(rule, expected=expected).checked(value, label)
+        return replace(rule, expected=expected).checked(value, name)
 
     def complete(incomplete: str) -> list[str]:
         """Return the words that shells offer, beside values of other forms."""
@@ -355,6 +383,6 @@ def _declaration(name: str, rule: Rule, default: object) -> Any:
     }
     if "complete" in option:
         settings["autocompletion"] = complete
-    if is_argument:
+    if "argument" in option:
         return typer.Argument(**settings)
     return typer.Option(*names, **settings)

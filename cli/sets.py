@@ -26,7 +26,7 @@ def _fractions(words: str) -> tuple[float, ...]:
         shares = ()
     if not shares or not all(0 < share <= 1 for share in shares) or sum(shares) > 1 + 1e-9:
         raise InputError(
-            f"--fractions is {words!r}; expected shares that add up to 1 or less, such as 0.8,0.2"
+            f"is {words!r}; expected shares that add up to 1 or less, such as 0.8,0.2", field="fractions"
         )
     return shares
 
@@ -75,7 +75,7 @@ def split(
         read=_fractions,
         help="Fractions of the rows of each split, one for each part.",
     ),
-    seed: int = checked_fields.integer(0, help="Random seed for --fractions."),
+    seed: int = checked_fields.integer(0, needs="fractions", help="Random seed."),
     chosen: catalog.RowFilter,
     work: Work,
     sink: output.Sink,
@@ -90,8 +90,9 @@ def split(
     given = _given(chosen)
     if given and fractions:
         raise InputError(
-            "--fractions was given with --ids or other filters; expected only one of them",
+            "was given with filters such as --ids; expected only one of them",
             next="leave out --fractions, or the filters",
+            field="fractions",
         )
     if not given and not fractions:
         raise InputError("expected --fractions, or filters such as --ids", next="add --fractions 0.8,0.2")
@@ -149,7 +150,7 @@ def cache(
         "ls", ("ls", "prune"), argument=True, help="List cached files, or remove them."
     ),
     unused_days: float = checked_fields.real(
-        0.0, 0, metavar="DAYS", help="prune: only files not used for this many days."
+        0.0, 0, metavar="DAYS", needs="action=prune", help="Only files not used for this many days."
     ),
     sink: output.Sink,
 ) -> None:

@@ -75,7 +75,7 @@ def _check(
     mesh.refuse_unit(unit, paths[0])
     if profile is not None:
         raise InputError(
-            "--nozzle-mm applies to objects that are printed, not to scenes", next="leave it out"
+            "applies to objects that are printed, not to scenes", next="leave it out", field="nozzle_mm"
         )
     return [
         starstruck_gen.validate_folder(opened(path), split, limit, workers, on_progress=on_progress)

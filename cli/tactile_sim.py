@@ -112,16 +112,10 @@ def spec_of(sink: output.Sink, picture: options.Given, **others: object) -> Gene
 
 
 def press_of(given: options.Given) -> tactile_sim.ElasticPress | None:
-    """Return the press of the options that were given; InputError for those of a gel that is not elastic."""
-    if given.get("gel") is not None:
-        return tactile_sim.ElasticPress(**given)
-    others = [name for name in given if name != "gel"]
-    if others:
-        raise InputError(
-            f"{others[0]} is given, and the gel is not elastic: its presses have one depth and no force",
-            next="add --gel elastic, or leave it out",
-        )
-    return None
+    """Return the press of the options that were given; None without an elastic gel."""
+    if given.get("gel") is None:
+        return None
+    return tactile_sim.ElasticPress(**given)
 
 
 def _place_m(words: str) -> tuple[float, float] | None:
@@ -132,7 +126,7 @@ def _place_m(words: str) -> tuple[float, float] | None:
         x_mm, y_mm = map(float, words.split(","))
     except ValueError as error:
         raise InputError(
-            f"--at-mm is {words!r}; expected x,y in millimetres, such as 10,20, or object"
+            f"is {words!r}; expected x,y in millimetres, such as 10,20, or object", field="at"
         ) from error
     return x_mm / 1e3, y_mm / 1e3
 
@@ -168,7 +162,9 @@ def render(
     """
     image_format = _ENDINGS.get(out.suffix.lower())
     if image_format is None:
-        raise InputError(f"--out is {out.name!r}; expected a name that ends with {', '.join(_ENDINGS)}")
+        raise InputError(
+            f"is {out.name!r}; expected a name that ends with {', '.join(_ENDINGS)}", field="out"
+        )
     spec = spec_of(sink, picture, plan=tactile_sim.TouchPlan(1, 1), press=press_of(press))
     solid = mesh.read_mesh(file, unit=unit)
     for note in solid.notes:

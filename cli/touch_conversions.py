@@ -18,7 +18,6 @@ from realtouch.kind import KIND
 from realtouch.touches import damage
 from tactile_toolkit import catalog, checked_fields, pictures, places, store, touch
 from tactile_toolkit.checked_fields import choice, text
-from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.wording import comma_separated, with_count
 
@@ -129,20 +128,19 @@ class Select(_Options):
     """
 
     contact: bool = checked_fields.switch(False, help="Only touches in contact with an object.")
-    min_height_mm: float | None = touch.HeightRule.option()
-    recalibrate_z: bool = checked_fields.switch(
-        True,
-        name="--recalibrate/--as-recorded",
-        help="If the height of the plate is unknown, use the deepest touch of each round.",
+    min_height_mm: float | None = touch.HeightRule.option(needs="contact")
+    as_recorded: bool = checked_fields.switch(
+        False,
+        needs="contact",
+        help="Take heights as recorded; by default, if the height of the plate is unknown, above the deepest "
+        "touch of each round.",
     )
     ids: catalog.IdChoice | None = catalog.IDS
     labels: tuple[str, ...] | None = catalog.LABELS
     per_class: int | None = catalog.PER_CLASS
 
     def arguments(self) -> options.Given:
-        """Return the arguments of the conversion; InputError for options that would have no effect."""
-        if not self.contact and (self.min_height_mm is not None or not self.recalibrate_z):
-            raise InputError("--min-height-mm and --as-recorded need --contact", next="add --contact")
+        """Return the arguments of the conversion."""
         # Ids of objects are numbers.
         objects = [each if isinstance(each, int) else catalog.id_range(each) for each in self.ids or ()]
         min_height_m = None
@@ -151,7 +149,7 @@ class Select(_Options):
         return {
             "contact": self.contact,
             "min_height_m": min_height_m,
-            "recalibrate_z": self.recalibrate_z,
+            "recalibrate_z": not self.as_recorded,
             "objects": objects,
             "labels": self.labels or (),
             "per_class": self.per_class,

@@ -75,10 +75,6 @@ FOREIGN = (
 """Base classes whose members their own packages describe."""
 
 
-SENSOR_NAMES = {"taxim": "Taxim", "depth": "Depth", "cycle_gan": "CycleGAN", "direct": "recorded"}
-"""Names of sensors in tables."""
-
-
 class Name(NamedTuple):
     """A public name: where users find it, and the object."""
 
@@ -185,7 +181,6 @@ def write(docs: Path) -> None:
     """Write all pages; a file whose text is the same stays, so that Sphinx does not read it again."""
     folder = docs / "_generated"
     pages = {**_api_pages(), **_command_pages(), "formats.md": _formats_page()}
-    pages |= {"tables/environments.inc": _environments_table(), "tables/settings.inc": _settings_table()}
     episodes.write(folder / "episodes")
     notebooks = sorted((docs.parent / "notebooks").glob("*.ipynb"))
     pages |= {f"notebooks/{notebook.stem}.md": _notebook_page(notebook) for notebook in notebooks}
@@ -302,73 +297,6 @@ def _plain_pages(docs: Path, written: Mapping[str, str]) -> dict[str, str]:
     about = " ".join(pages["index.md"].split("\n\n")[1].split())
     pages["llms.txt"] = "\n".join(["# tactile-toolkit", "", f"> {about}", "", "## Pages", "", *lines, ""])
     return {f"extra/{path}": text for path, text in pages.items()}
-
-
-def _environments_table() -> str:
-    """Write a table with a row for each family of environments; an id begins with its name."""
-    from tactile_envs import ids
-    from tactile_toolkit.cards.card import markdown_table
-
-    families: dict[str, list[Any]] = {}
-    for each in ids():
-        families.setdefault(each.id.partition("-")[0], []).append(each)
-    rows = []
-    for family, members in families.items():
-        first = members[0]
-        sensors = dict.fromkeys(SENSOR_NAMES[each.sensor] for each in members)
-        parts = [f"`{name}`" for name in ("sensor_rot", "sensor_target_rot_rel") if name in _parts(first)]
-        rows.append(
-            (
-                f"[{family}](#{_section(family)})",
-                first.task,
-                ", ".join(sensors),
-                f"`{first.assets}`",
-                first.episode_length,
-                ", ".join(parts),
-                len(members),
-            )
-        )
-    names = ("family", "prediction", "sensors", "assets", "steps", "further observation, action", "ids")
-    return markdown_table(names, rows)
-
-
-def _section(family: str) -> str:
-    """Return the place on the page where a family is described: those with snapping share one."""
-    if family.endswith("RealSnap"):
-        return "tactilemnistrealsnap"
-    return family.removesuffix("Snap").lower()
-
-
-def _parts(each: Any) -> tuple[str, ...]:
-    return (*each.observation, *each.action)
-
-
-def _settings_table() -> str:
-    """Write a table of the settings of environments, from their classes."""
-    from numpydoc.docscrape import NumpyDocString
-
-    from tactile_envs import Config
-    from tactile_envs.config import EpisodeConfig, RecordedConfig
-    from tactile_toolkit.cards.card import markdown_table
-
-    rows = []
-    for kind, where in ((EpisodeConfig, "all"), (Config, "simulated"), (RecordedConfig, "RealSnap")):
-        for attribute in NumpyDocString(inspect.getdoc(kind) or "")["Attributes"]:
-            names = attribute.name.split(", ")
-            defaults = ", ".join(_shown_default(kind, name) for name in names)
-            meaning = " ".join(attribute.desc).replace("``", "`")
-            meaning = re.sub(r":\w+:`~?([^`]*)`", r"`\1`", meaning)
-            rows.append((", ".join(f"`{name}`" for name in names), defaults, where, meaning))
-    return markdown_table(("setting", "default", "ids", "meaning"), rows)
-
-
-def _shown_default(kind: Any, name: str) -> str:
-    default = kind.__dataclass_fields__[name].default
-    if isinstance(default, float):
-        return f"`{default:.4g}`"
-    if isinstance(default, tuple):
-        return f"`({', '.join(f'{each:.4g}' for each in default)})`"
-    return f"`{default!r}`"
 
 
 def _title(text: str) -> list[str]:

@@ -31,11 +31,11 @@ _NEEDED = {
 
 _TAKEN = {
     "synthetic": ("digits",),
-    "hwdplus": (*_NEEDED["hwdplus"], "writer_column"),
-    "mnist": (*_NEEDED["mnist"], "download"),
+    "hwdplus": _NEEDED["hwdplus"],
+    "mnist": _NEEDED["mnist"],
     "folder": (*_NEEDED["folder"], "foreground", "threshold"),
 }
-"""All options of a source."""
+"""Options of a source that its fingerprint, or the caller, states."""
 
 _UNCOMPARED = ("writers_sha256", "left_out")
 """Parts of a fingerprint that do not affect solids."""
@@ -52,15 +52,7 @@ def chosen_source(name: str, given: JsonObject, seed: int) -> digit_source.Digit
     """Return the source that options choose; InputError for a missing option, or one of another source."""
     for option in _NEEDED[name]:
         if option not in given:
-            flag = f"--{option.replace('_', '-')}"
-            raise InputError(f"--source {name} needs {flag}, which was not given", next=f"add {flag}")
-    for option in given:
-        if option not in _TAKEN[name]:
-            owners = " or ".join(each for each, taken in _TAKEN.items() if option in taken)
-            raise InputError(
-                f"--{option.replace('_', '-')} does not belong to --source {name}",
-                next=f"leave it out, or name its source (--source {owners})",
-            )
+            raise InputError(f"is needed by the source {name!r}, and was not given", field=option)
     if name == "synthetic":
         return synthetic.SyntheticSource(seed, given.get("digits", synthetic.HWD_PLUS_COUNT))
     if name == "hwdplus":
@@ -100,8 +92,9 @@ def source_again(described: JsonObject, **files: str | None) -> digit_source.Dig
                 next="use the version of the toolkit that its manifest names",
             )
         raise InputError(
-            f"--images {files.get('images')!r} holds other images than the data set was made from",
+            f"{files.get('images')!r} holds other images than the data set was made from",
             next="give the same files as when it was made",
+            field="images",
         )
     return source
 

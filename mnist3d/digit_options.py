@@ -84,7 +84,7 @@ class SplitSpec:
     sizes: tuple[tuple[str, int], ...] | None = text(
         name="--split-sizes",
         metavar="train=8,test=2",
-        read=partial(read_split_counts, "--split-sizes"),
+        read=partial(read_split_counts, "sizes"),
         help="Digits per class in each split, instead of the published numbers.",
     )
 
@@ -94,10 +94,11 @@ class SplitSpec:
             return
         if self.by == "none":
             raise InputError(
-                "split sizes are given for digits that are not divided; expected by='digit' or 'writer'",
-                next="leave out sizes (--split-sizes), or change by (--split-by)",
+                "is given for digits that are not divided; expected a division by digit or writer",
+                next="leave it out, or change by (--split-by)",
+                field="sizes",
             )
-        sizes = split_counts(self.sizes, "sizes of the division into splits", SPLITS, MAX_DIGITS)
+        sizes = split_counts(self.sizes, "sizes", SPLITS, MAX_DIGITS, "of the division into splits ")
         object.__setattr__(self, "sizes", sizes)
 
     def to_dict(self) -> JsonDict:
@@ -190,13 +191,15 @@ class SolidSpec:
         thickest_mm = thinnest_mm * LARGEST_HALF_THICKNESS_PX
         if not 1 <= self.half_thickness_px <= LARGEST_HALF_THICKNESS_PX:
             raise InputError(
-                f"half_thickness_mm of the solid's specification is {self.half_thickness_mm!r}; expected "
-                f"{thinnest_mm:g} to {thickest_mm:g} mm at this pixel_pitch_mm"
+                f"of the solid's specification is {self.half_thickness_mm!r}; expected "
+                f"{thinnest_mm:g} to {thickest_mm:g} mm at this pixel_pitch_mm",
+                field="half_thickness_mm",
             )
         if self.vertex_quantum_mm > coarsest_mm:
             raise InputError(
-                f"vertex_quantum_mm of the solid's specification is {self.vertex_quantum_mm!r}; expected "
-                f"{coarsest_mm:g} mm or less at this pixel_pitch_mm"
+                f"of the solid's specification is {self.vertex_quantum_mm!r}; expected "
+                f"{coarsest_mm:g} mm or less at this pixel_pitch_mm",
+                field="vertex_quantum_mm",
             )
 
     @property
@@ -243,25 +246,36 @@ class SourceOptions:
 
     images: str | None = text(
         metavar="PATH",
+        needs="source=hwdplus|mnist|folder",
         help="Images of the source: the .npy file of HWD+, the folder of the MNIST files, or a folder of "
         "pictures DIR/<class>/*.png.",
     )
-    writer_info: str | None = text(metavar="FILE", help="WriterInfo.npy of HWD+ (column 0 is the label).")
-    writer_column: int | None = integer(None, help="Column of WriterInfo.npy that holds the writer.")
-    download: bool = switch(False, help="Download MNIST into --images first (extra `torch`).")
+    writer_info: str | None = text(
+        metavar="FILE", needs="source=hwdplus", help="WriterInfo.npy of HWD+ (column 0 is the label)."
+    )
+    writer_column: int | None = integer(
+        None, needs="source=hwdplus", help="Column of WriterInfo.npy that holds the writer."
+    )
+    download: bool = switch(
+        False, needs="source=mnist", help="Download MNIST into --images first (extra `torch`)."
+    )
     foreground: str = choice(
         "auto",
         ("auto", "dark", "light"),
+        needs="source=folder",
         help="Whether the strokes in images of a folder are darker or lighter than the paper.",
     )
     threshold: str = choice(
         "auto",
         ("auto", "local", "global"),
+        needs="source=folder",
         help="Even out the light and find the page (local), or apply one threshold (global); auto takes "
         "local for pictures without clean paper.",
     )
     # As many as MNIST 3D has (Tactile MNIST paper).
-    digits: int = integer(13_580, 1, MAX_DIGITS, help="Number of digits in the synthetic source.")
+    digits: int = integer(
+        13_580, 1, MAX_DIGITS, needs="source=synthetic", help="Number of digits in the synthetic source."
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,9 +291,10 @@ class DigitPreviewSpec(catalog.PreviewSpec):
     images: Path | None = text(
         metavar="PATH",
         read=Path,
-        help="Images of the source of the data set, as given to `generate`; for --kind steps.",
+        needs="kinds=steps|all",
+        help="Images of the source of the data set, as given to `mnist3d generate`.",
     )
     writer_info: Path | None = text(
-        metavar="FILE", read=Path, help="WriterInfo.npy of HWD+; for --kind steps."
+        metavar="FILE", read=Path, needs="kinds=steps|all", help="WriterInfo.npy of HWD+."
     )
     unit: str | None = mesh.UNIT

@@ -164,14 +164,16 @@ def _file_names(found: Sequence[tuple[Path, int]], out: str, ending: str) -> tup
     if place.suffix.lower() in mesh.FORMATS:
         if len(found) != 1:
             raise InputError(
-                f"--out is the file {out!r}, but {_counted(found)}",
+                f"is the file {out!r}, but {_counted(found)}",
                 next="give a folder, and the format by --format",
+                field="out",
             )
         return str(place.parent), place.suffix.lower(), [place.stem]
     if place.suffix:
         raise InputError(
-            f"--out is {out!r}; expected a folder, or a file that ends in {', '.join(mesh.FORMATS)}",
+            f"is {out!r}; expected a folder, or a file that ends in {', '.join(mesh.FORMATS)}",
             next="change its ending",
+            field="out",
         )
     paged = {path for path, page in found if page}
     stems = [f"{path.stem}-{page + 1}" if path in paged else path.stem for path, page in found]

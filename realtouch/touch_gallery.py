@@ -60,7 +60,7 @@ def plan_gallery(
     unfinished. HubError: the repository cannot be reached or does not exist.
     """
     if touches < 1:
-        raise errors.InputError(f"--touches is {touches}; expected 1 or more")
+        raise errors.InputError(f"is {touches}; expected 1 or more", field="touches")
 
     def known(rows: datasets.AnyDataset, _split: str) -> list[_Known]:
         if not len(rows):

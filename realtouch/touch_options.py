@@ -68,7 +68,7 @@ class TouchPreviewSpec:
     )
     split: str | None = ONE_SPLIT
     round_number: int = checked_fields.integer(0, name="--round", help="Round to draw, counted from 0.")
-    touches: int = checked_fields.integer(32, 1, help="Number of touches in a grid.")
+    touches: int = checked_fields.integer(32, 1, needs="kinds=|grid|all", help="Number of touches in a grid.")
 
 
 @dataclass(frozen=True, slots=True)

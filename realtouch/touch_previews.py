@@ -50,7 +50,9 @@ def plan_previews(
         )
     number = spec.round_number
     if not 0 <= number < len(dataset):
-        raise errors.InputError(f"--round is {number}; split {split!r} has rounds 0 to {len(dataset) - 1}")
+        raise errors.InputError(
+            f"is {number}; split {split!r} has rounds 0 to {len(dataset) - 1}", field="round_number"
+        )
     record = dataset[number]
     stem = "-".join(filter(None, (pictures.file_stem(place.name), split)))
 

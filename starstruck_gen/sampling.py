@@ -224,7 +224,7 @@ class SceneSpec:
     def _require(self, name: str, fits: bool, expected: str) -> None:
         if not fits:
             raise InputError(
-                f"{name} of the scene specification is {getattr(self, name)!r}; expected {expected}"
+                f"of the scene specification is {getattr(self, name)!r}; expected {expected}", field=name
             )
 
     @cached_property

@@ -155,7 +155,7 @@ class SceneSetSpec:
     def __post_init__(self) -> None:
         checked_fields.check_fields(self, "the data set's specification")
         scenes = checked_fields.split_counts(
-            self.scenes, "scenes of the data set's specification", sampling.SPLITS, sampling.MAX_SCENES
+            self.scenes, "scenes", sampling.SPLITS, sampling.MAX_SCENES, "of the data set's specification "
         )
         object.__setattr__(self, "scenes", scenes)
         if not isinstance(self.scene, sampling.SceneSpec):

@@ -15,7 +15,7 @@ _MIN_POINTS = 3
 _RATIO_OF_FEWEST = 0.25
 
 
-def _counts(option: str, words: str) -> tuple[int, ...]:
+def _counts(name: str, words: str) -> tuple[int, ...]:
     """Read a range such as ``1-3``, or numbers such as ``1,2,5``."""
     least, _, most = (part.strip() for part in words.partition("-"))
     # The range is bounded before it becomes a tuple; `SceneSpec` checks the rest.
@@ -23,18 +23,20 @@ def _counts(option: str, words: str) -> tuple[int, ...]:
         return tuple(range(int(least), int(most) + 1))
     numbers = wording.comma_separated(words)
     if not numbers or not all(map(wording.is_count, numbers)):
-        raise InputError(f"{option} is {words!r}; expected a range such as 1-3, or numbers such as 1,2,5")
+        raise InputError(f"is {words!r}; expected a range such as 1-3, or numbers such as 1,2,5", field=name)
     return tuple(map(int, numbers))
 
 
-def _lengths_m(option: str, words: str, most: int) -> tuple[float, ...]:
+def _lengths_m(name: str, words: str, most: int) -> tuple[float, ...]:
     """Read lengths in millimetres, separated by commas or by an x."""
     try:
         lengths_m = tuple(float(part) / 1e3 for part in words.replace("x", ",").split(","))
     except ValueError:
         lengths_m = ()
     if not 0 < len(lengths_m) <= most:
-        raise InputError(f"{option} is {words!r}; expected 1 to {most} lengths in millimetres, such as 120")
+        raise InputError(
+            f"is {words!r}; expected 1 to {most} lengths in millimetres, such as 120", field=name
+        )
     return lengths_m
 
 
@@ -42,7 +44,7 @@ def scene_counts(words: str) -> tuple[tuple[str, int], ...]:
     """Read ``5000`` or ``train=5000,test=500``."""
     if wording.is_count(words.strip()):
         return tuple((split, int(words)) for split in starstruck_gen.SPLITS)
-    return checked_fields.read_split_counts("--scenes", words)
+    return checked_fields.read_split_counts("scenes", words)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,22 +85,23 @@ class SceneOptions:
 
     def spec(self) -> starstruck_gen.SceneSpec:
         """Return the specification of scenes; InputError for options that cannot be read or satisfied."""
-        others = _counts("--distractors", self.distractors)
+        others = _counts("distractors", self.distractors)
         if len(wording.comma_separated(self.distractors)) > 2:
             raise InputError(
-                f"--distractors is {self.distractors!r}; expected the minimum and the maximum, such as 0-5"
+                f"is {self.distractors!r}; expected the minimum and the maximum, such as 0-5",
+                field="distractors",
             )
-        sides_m = _lengths_m("--cell-mm", self.cell_mm, 2)
+        sides_m = _lengths_m("cell_mm", self.cell_mm, 2)
         shapes = [each for each in _BETWEEN_SHAPES.split(self.shapes) if each.strip()]
         return starstruck_gen.SceneSpec(
             cell_m=(sides_m[0], sides_m[-1]),
-            stars=_counts("--stars", self.stars),
+            stars=_counts("stars", self.stars),
             distractors=(others[0], others[-1]),
             star=self._star(),
             distractor_shapes=tuple(
                 starstruck_gen.Shape.parse(each, self.radius_mm / 1e3) for each in shapes
             ),
-            heights_m=_lengths_m("--heights-mm", self.heights_mm, 1000),
+            heights_m=_lengths_m("heights_mm", self.heights_mm, 1000),
             collision=self.collision,
             clearance_m=self.clearance_mm / 1e3,
         )

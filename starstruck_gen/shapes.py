@@ -68,8 +68,9 @@ class Proportions:
             value = to_builtin(getattr(self, entry.name), float)
             if not (isinstance(value, float) and least <= value <= most and kind(value) == value):
                 raise InputError(
-                    f"{entry.name} of shape {self.name!r} is {getattr(self, entry.name)!r}; expected "
-                    f"{'an integer from ' if kind is int else ''}{least:g} to {most:g}"
+                    f"of shape {self.name!r} is {getattr(self, entry.name)!r}; expected "
+                    f"{'an integer from ' if kind is int else ''}{least:g} to {most:g}",
+                    field=entry.name,
                 )
             # One type for each number, so that equal proportions have equal JSON and keys.
             object.__setattr__(self, entry.name, kind(value))
@@ -335,8 +336,9 @@ class Shape:
         radius_m = to_builtin(self.radius_m, float)
         if not isinstance(radius_m, float) or not _MIN_RADIUS_M <= radius_m <= _MAX_RADIUS_M:
             raise InputError(
-                f"radius_m of shape {self.name!r} is {self.radius_m!r}; expected {_MIN_RADIUS_M} to "
-                f"{_MAX_RADIUS_M:g} (metres)"
+                f"of shape {self.name!r} is {self.radius_m!r}; expected {_MIN_RADIUS_M} to "
+                f"{_MAX_RADIUS_M:g} (metres)",
+                field="radius_m",
             )
         object.__setattr__(self, "radius_m", radius_m)
         object.__setattr__(self, "key", shape_key(self.proportions))
@@ -533,9 +535,10 @@ def require_fine_steps(
         moved_m = math.hypot(*np.spacing(farthest_m.astype(np.float32)).tolist()) / 2
         if thinnest_m <= 2 * moved_m:
             raise InputError(
-                f"cell_m of the scene specification is {cell_m!r}; expected a smaller cell for shape "
+                f"of the scene specification is {cell_m!r}; expected a smaller cell for shape "
                 f"{shape.key!r} of radius_m {shape.radius_m!r}: the thinnest triangle of the shape is "
                 f"{thinnest_m:.2g} m high, and float32 moves its corners by up to {moved_m:.2g} m",
                 next="lower cell_m (--cell-mm) or the corners of the shape (segments, points), or raise "
                 "radius_m (--radius-mm)",
+                field="cell_m",
             )

@@ -114,7 +114,7 @@ class _FlatForm:
 
     def __init__(self, action: Space, observation: Space, limit: float) -> None:
         if not (isinstance(limit, (int, float)) and 0 < limit < np.inf):
-            raise InputError(f"limit is {limit!r}; expected a positive number")
+            raise InputError(f"is {limit!r}; expected a positive number", field="limit")
         self._parts: list[_Part] = []
         lows = []
         highs = []

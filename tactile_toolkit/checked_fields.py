@@ -34,6 +34,9 @@ class OptionText(TypedDict, total=False):
     ``name`` replaces ``--NAME-OF-THE-FIELD``, ``shown`` is the text of a default that follows from others,
     ``panel`` is a section of the help, ``read`` converts the text to a value. An ``argument`` is positional;
     with ``several`` it may be repeated. Shells offer the words of ``complete``.
+
+    ``needs`` names the field without which the option has no effect: ``"plate"``, or for some of its values
+    ``"file_format=mjcf|urdf"``; the empty value in ``"kinds=|grid"`` is one that is not given.
     """
 
     argument: bool
@@ -45,6 +48,7 @@ class OptionText(TypedDict, total=False):
     shown: str
     read: Callable[[str], object]
     complete: tuple[str, ...]
+    needs: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,11 +72,14 @@ class Rule:
         unit = next((unit for ending, unit in _UNITS.items() if name.endswith(ending)), None)
         return self.option.get("metavar") or unit or _PLACEHOLDERS.get(self.kind, "TEXT")
 
-    def checked(self, value: object, name: str) -> Any:
-        """Return a normalized value; InputError, which begins with ``name``, if it is not valid."""
+    def checked(self, value: object, name: str, of: str = "") -> Any:
+        """Return a normalized value; InputError, which begins with ``name``, if it is not valid.
+
+        ``of`` are the words between the name and the value.
+        """
         spelled = to_builtin(value, self.kind)
         if not self.fits(spelled):
-            raise InputError(f"{name} is {value!r}; expected {self.expected}")
+            raise InputError(f"{of}is {value!r}; expected {self.expected}", field=name)
         return spelled
 
 
@@ -166,7 +173,7 @@ def check_fields(spec: DataclassInstance, of: str) -> None:
     for each in fields(spec):
         rule = Rule.of(each)
         if rule is not None:
-            value = rule.checked(getattr(spec, each.name), f"{each.name} of {of}")
+            value = rule.checked(getattr(spec, each.name), each.name, f"of {of} ")
             object.__setattr__(spec, each.name, value)
 
 
@@ -179,8 +186,10 @@ def checked_integer(value: object, name: str, least: int = 0, most: int | None =
     return int(_integer_rule(least, most, False, {}).checked(value, name))
 
 
-def split_counts(value: object, name: str, splits: Sequence[str], most: int) -> tuple[tuple[str, int], ...]:
-    """Return counts by split from a mapping or pairs; InputError for anything else."""
+def split_counts(
+    value: object, name: str, splits: Sequence[str], most: int, of: str = ""
+) -> tuple[tuple[str, int], ...]:
+    """Return counts by split from a mapping or pairs; InputError, as of :class:`Rule`, for anything else."""
     pairs = to_builtin(value.items() if isinstance(value, Mapping) else value)
     fits = isinstance(pairs, tuple) and all(
         isinstance(pair, tuple) and len(pair) == 2 and pair[0] in splits and is_integer(pair[1])
@@ -188,17 +197,18 @@ def split_counts(value: object, name: str, splits: Sequence[str], most: int) -> 
     )
     if not fits or len(dict(pairs)) < len(pairs) or not all(0 <= count <= most for _, count in pairs):
         raise InputError(
-            f"{name} is {value!r}; expected each of {', '.join(splits)} once at most, with an integer from 0 "
-            f"to {most:,}, such as {{{splits[0]!r}: 8}}"
+            f"{of}is {value!r}; expected each of {', '.join(splits)} once at most, with an integer from 0 "
+            f"to {most:,}, such as {{{splits[0]!r}: 8}}",
+            field=name,
         )
     return tuple(pairs)
 
 
-def read_split_counts(option: str, words: str) -> tuple[tuple[str, int], ...]:
+def read_split_counts(name: str, words: str) -> tuple[tuple[str, int], ...]:
     """Read ``train=8,test=2``; :func:`split_counts` checks the names of splits."""
     pairs = [tuple(piece.strip() for piece in part.partition("=")) for part in words.split(",")]
     if not all(wording.is_count(count) for _, _, count in pairs):
-        raise InputError(f"{option} is {words!r}; expected SPLIT=N once per split, such as train=8,test=2")
+        raise InputError(f"is {words!r}; expected SPLIT=N once per split, such as train=8,test=2", field=name)
     return tuple((split, int(count)) for split, _, count in pairs)
 
 

@@ -58,20 +58,33 @@ class ToolkitError(Exception):
         What was found where, and what was expected.
     next : str
         What the reader can do about it.
+    field : str
+        Parameter with which the message begins, such as ``half_thickness_mm``; ``what`` continues after it.
+        A command line names its option instead.
     """
 
     exit_code = 1
 
-    def __init__(self, what: object = "", next: str = "") -> None:
+    def __init__(self, what: object = "", next: str = "", *, field: str = "") -> None:
+        self.field = field
         # Kept apart: a path may contain the words "; next: ".
-        self._what = redact(str(what))
-        self.message = redact(f"{what}; next: {next}") if next else self._what
+        self._found = redact(str(what))
+        self._next = redact(f"; next: {next}") if next else ""
         super().__init__(self.message)
+
+    @property
+    def message(self) -> str:
+        """The whole message."""
+        return self.naming(self.field)
 
     @property
     def what(self) -> str:
         """What was found, without the next step."""
-        return wording.printable(self._what)
+        return wording.printable(f"{self.field} {self._found}".lstrip())
+
+    def naming(self, field: str) -> str:
+        """Return the message with another name for its parameter, such as that of an option."""
+        return f"{field} {self._found}{self._next}".lstrip()
 
     def __str__(self) -> str:
         return wording.printable(self.message)

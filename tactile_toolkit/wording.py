@@ -41,6 +41,11 @@ def class_name(names: Sequence[str], label: int) -> str:
     return names[label] if 0 <= label < len(names) else str(label)
 
 
+def alternatives(words: Sequence[str]) -> str:
+    """Return words as alternatives: ``"mjcf, urdf or usd"``."""
+    return " or ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
+
+
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Return the end of a message with the most similar name: ``"; did you mean 'test'?"``, or ``""``."""
     import difflib  # takes 4 ms, and few commands need it

@@ -100,7 +100,8 @@ def every_page() -> list[str]:
 def test_blocks_are_of_known_kinds():
     assert {block.language for block in blocks("README.md")} <= {"bash", "python", "text"}
     shell = [block.text for block in blocks("README.md") if block.language == "bash"]
-    assert sum("pip install" in line for text in shell for line in commands(text)) == 2
+    set_up = [line for text in shell for line in commands(text) if "pip install" in line]
+    assert [line.partition(" && ")[0] for line in set_up] == ["python3 -m venv .venv"] * 2
     named = {block.extra for page in every_page() for block in blocks(page)} - {None}
     assert named == set(NEEDED)
 

@@ -80,7 +80,7 @@ def sized_ink(
     """
     for name, value, known in (("ink", which, ink.INKS), ("threshold", threshold, THRESHOLDS)):
         if value not in known:
-            raise InputError(f"{name} is {value!r}; expected one of {', '.join(known)}")
+            raise InputError(f"is {value!r}; expected one of {', '.join(known)}", field=name)
     asked = replace(spec or SolidSpec(), **changes)
     levels, level, notes = _levels(picture, asked, which, threshold, page)
     sheet, pitch_mm = _on_sheet(levels, level, asked, size)

@@ -85,7 +85,7 @@ def _selection(chosen: JsonObject, opened: conversion.Source, limit: int | None)
     min_height_m = options["min_height_m"]
     if min_height_m is not None and not math.isfinite(min_height_m):  # nothing is as high as NaN
         raise errors.InputError(
-            f"min_height_m is {min_height_m}; expected metres, such as {touch.HeightRule.REAL_M}"
+            f"is {min_height_m}; expected metres, such as {touch.HeightRule.REAL_M}", field="min_height_m"
         )
     by_image = options["contact"] and not schema.has_poses(read.column_types(opened.schema))
     if by_image:

@@ -120,7 +120,9 @@ def find_webdataset(
     """Yield the samples of each tar as touches; only headers and short texts are read."""
     if table is not None:
         raise errors.InputError(
-            "--table applies to folders of images; a WebDataset has JSON files", next="leave out --table"
+            "applies to folders of images; a WebDataset has JSON files",
+            next="leave out --table",
+            field="table",
         )
     known = dict[str, None]()
     folder, names = importing.files_to_read(

@@ -246,13 +246,13 @@ class ImportColumns:
     def _check_orientation(self) -> None:
         """Refuse contradictory kinds of orientation, invalid axes, and angles of unknown unit."""
         stated = {
-            "--quaternion-order": self.quaternion_order,
-            "--euler": self.euler,
-            "--rotvec": self.rotvec or None,
+            "quaternion_order": self.quaternion_order,
+            "euler": self.euler,
+            "rotvec": self.rotvec or None,
         }
-        given = [option for option, value in stated.items() if value is not None]
+        given = [name for name, value in stated.items() if value is not None]
         if len(given) > 1:
-            raise errors.InputError(f"{' and '.join(given)} contradict each other; expected one of them")
+            raise errors.InputError(f"contradicts {given[1]}; expected one of them", field=given[0])
         if self.euler is None:
             return
         if not _EULER.match(self.euler) or any(map(str.__eq__, self.euler, self.euler[1:])):
@@ -377,13 +377,13 @@ def read_mapped(texts: Sequence[str]) -> dict[str, str]:
     found: dict[str, str] = {}
     for name, column in _pairs(texts):
         if name in found:
-            raise errors.InputError(f"--map names {name!r} twice; expected each name once")
+            raise errors.InputError(f"names {name!r} twice; expected each name once", field="mapped")
         close = difflib.get_close_matches(name.lower(), (*MAPPED, *MAPPED.values()), 1, _SIMILARITY)
         if name not in MAPPED and close:
             raise errors.InputError(
-                f"--map names {name!r}; expected one of {', '.join(MAPPED)}"
-                f"{wording.did_you_mean(name, MAPPED)}",
+                f"names {name!r}; expected one of {', '.join(MAPPED)}{wording.did_you_mean(name, MAPPED)}",
                 next="correct it; an extra column needs a name that is less like these",
+                field="mapped",
             )
         found[name] = column
     return found
@@ -393,9 +393,9 @@ def _pairs(texts: Sequence[str]) -> Iterator[tuple[str, str]]:
     """Yield the names and columns that are stated by texts ``NAME=COLUMN`` and files of such lines."""
     for text in texts:
         lines = [text]
-        where = "--map"
+        source = ""
         if text.startswith("@"):
-            where = f"--map {text}"
+            source = f"{text} "
             content = _content_of(text[1:]).decode("utf-8-sig", errors="replace")
             lines = [
                 line for line in content.splitlines() if line.strip() and not line.lstrip().startswith("#")
@@ -404,7 +404,8 @@ def _pairs(texts: Sequence[str]) -> Iterator[tuple[str, str]]:
             name, equals, column = line.partition("=")
             if not equals or not name.strip():
                 raise errors.InputError(
-                    f"{where} has {line[:LONGEST_NAME]!r}; expected NAME=COLUMN, such as label=class or "
-                    "pose=x,y,z,qx,qy,qz,qw"
+                    f"{source}has {line[:LONGEST_NAME]!r}; expected NAME=COLUMN, such as label=class or "
+                    "pose=x,y,z,qx,qy,qz,qw",
+                    field="mapped",
                 )
             yield name.strip(), column.strip()

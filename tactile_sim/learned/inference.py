@@ -99,9 +99,9 @@ def chosen_device(name: str) -> str:
     """Return ``"cpu"`` or ``"cuda"``; InputError for another name, and for CUDA without a GPU."""
     available = torch.cuda.is_available()
     if name not in ("auto", "cpu", "cuda"):
-        raise InputError(f"device is {name!r}; expected auto, cpu or cuda")
+        raise InputError(f"is {name!r}; expected auto, cpu or cuda", field="device")
     if name == "cuda" and not available:
-        raise InputError("device is 'cuda', but PyTorch finds no GPU here", next="use --device cpu")
+        raise InputError("is 'cuda', but PyTorch finds no GPU here", next="use --device cpu", field="device")
     if name == "cpu" or not available:
         return "cpu"
     return "cuda"

@@ -157,9 +157,10 @@ def make_optics(
         )
     if device != "cpu" or bfloat16:
         raise InputError(
-            f"device is {device!r} and bfloat16 {bfloat16}, but the optics are {name!r}, which compute on "
+            f"is {device!r} and bfloat16 {bfloat16}, but the optics are {name!r}, which compute on "
             "the CPU in single precision",
             next="leave out both, or use cyclegan",
+            field="device",
         )
     if name == "twin":
         raise InputError("the optics 'twin' belong to a calibrated sensor", next="take `model.optics` of it")

@@ -53,7 +53,7 @@ def gel_named(word: str) -> Gel | None:
     return made
 
 
-def _span_of(option: str, per_unit: float) -> Callable[[str], Span]:
+def _span_of(name: str, per_unit: float) -> Callable[[str], Span]:
     """Return a function that reads a span, ``A`` or ``A:B``; ``per_unit`` converts it to the SI unit."""
 
     def read(words: str) -> Span:
@@ -63,7 +63,7 @@ def _span_of(option: str, per_unit: float) -> Callable[[str], Span]:
         except ValueError:
             numbers = []
         if len(numbers) not in (1, 2) or not all(map(math.isfinite, numbers)):
-            raise InputError(f"{option} is {words!r}; expected a number, or two as in 1:10")
+            raise InputError(f"is {words!r}; expected a number, or two as in 1:10", field=name)
         return numbers[0], numbers[-1]
 
     return read
@@ -72,7 +72,7 @@ def _span_of(option: str, per_unit: float) -> Callable[[str], Span]:
 def _markers_of(words: str) -> tuple[int, int]:
     columns, _, rows = words.strip().lower().partition("x")
     if not (wording.is_count(columns) and wording.is_count(rows)):
-        raise InputError(f"--markers is {words!r}; expected COLUMNSxROWS, such as 7x9")
+        raise InputError(f"is {words!r}; expected COLUMNSxROWS, such as 7x9", field="markers")
     return int(columns), int(rows)
 
 
@@ -125,35 +125,43 @@ class ElasticPress:
     force_n: Span | None = text(
         name="--force-n",
         metavar="A[:B]",
-        read=_span_of("--force-n", 1.0),
+        needs="gel",
+        read=_span_of("force_n", 1.0),
         shown=f"{FORCE_N:g}",
         help="Normal force of a press of an elastic gel, newtons; of A:B each touch draws one.",
     )
     press_m: Span | None = text(
         name="--press-mm",
         metavar="A[:B]",
-        read=_span_of("--press-mm", 1e-3),
+        needs="gel",
+        read=_span_of("press_m", 1e-3),
         help="Depth of a press of an elastic gel, instead of a force.",
     )
     slide_m: Span | None = text(
         name="--slide-mm",
         metavar="A[:B]",
-        read=_span_of("--slide-mm", 1e-3),
+        needs="gel",
+        read=_span_of("slide_m", 1e-3),
         shown="0",
         help="How far the object slides after the press, in a random direction.",
     )
     twist_rad: Span | None = text(
         name="--twist-deg",
         metavar="A[:B]",
-        read=_span_of("--twist-deg", math.pi / 180),
+        needs="gel",
+        read=_span_of("twist_rad", math.pi / 180),
         shown="0",
         help="How far the object turns after the press, about the axis of the sensor.",
     )
     markers: tuple[int, int] | None = text(
-        None, metavar="COLUMNSxROWS", read=_markers_of, help="Markers on the gel, whose motion is stored."
+        None,
+        metavar="COLUMNSxROWS",
+        needs="gel",
+        read=_markers_of,
+        help="Markers on the gel, whose motion is stored.",
     )
-    draw_markers: bool = switch(False, help="Draw the markers into the images.")
-    contact_maps: bool = switch(False, help="Store pressure and displacement of each pixel.")
+    draw_markers: bool = switch(False, needs="markers", help="Draw the markers into the images.")
+    contact_maps: bool = switch(False, needs="gel", help="Store pressure and displacement of each pixel.")
 
     def __post_init__(self) -> None:
         check_fields(self, "the press")
@@ -173,7 +181,7 @@ class ElasticPress:
         self._set_span("twist_rad", self.twist_rad or 0.0, MAX_TWIST_RAD, least=-MAX_TWIST_RAD)
         if self.markers is None and self.draw_markers:
             raise InputError(
-                "markers are drawn, but there are none", next="give markers, such as --markers 7x9"
+                "are drawn, but there are none", next="give markers, such as --markers 7x9", field="markers"
             )
         if self.markers is not None:
             grid = checked_fields.to_builtin(self.markers)
@@ -181,8 +189,8 @@ class ElasticPress:
                 1 <= min(grid) <= max(grid) <= _MAX_MARKERS
             ):
                 raise InputError(
-                    f"markers of the press are {self.markers!r}; expected columns and rows, 1 to "
-                    f"{_MAX_MARKERS}"
+                    f"of the press are {self.markers!r}; expected columns and rows, 1 to {_MAX_MARKERS}",
+                    field="markers",
                 )
             object.__setattr__(self, "markers", grid)
 
@@ -203,7 +211,7 @@ class ElasticPress:
             if is_pair:
                 shown = f"{':'.join(f'{factor * end:g}' for end in dict.fromkeys(ends))} {unit}"
             raise InputError(
-                f"{name} of the press is {shown}; expected a number {span}, or two in ascending order"
+                f"of the press is {shown}; expected a number {span}, or two in ascending order", field=name
             )
         object.__setattr__(self, name, ends)
 

@@ -84,7 +84,8 @@ class Sensor:
         check_fields(self, "the sensor")
         if not self.press_m < self.gel_m:
             raise InputError(
-                f"press_m of the sensor is {self.press_m!r}; expected less than gel_m, {self.gel_m!r}"
+                f"of the sensor is {self.press_m!r}; expected less than gel_m, {self.gel_m!r}",
+                field="press_m",
             )
 
     @property

@@ -31,7 +31,7 @@ def _metres(words: str) -> float:
     try:
         return float(words) / 1e3
     except ValueError:
-        raise InputError(f"--min-height-mm is {words!r}; expected a number") from None
+        raise InputError(f"is {words!r}; expected a number", field="min_height_m") from None
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,8 @@ class PairsSpec:
         check_fields(self, "the training set")
         if len(self.size_px) != 2 or not all(side in _SIDES_PX for side in self.size_px):
             raise InputError(
-                f"size_px of the training set is {self.size_px}; expected multiples of 4 from 16 to 2048"
+                f"of the training set is {self.size_px}; expected multiples of 4 from 16 to 2048",
+                field="size_px",
             )
 
     def is_empty(self, number: int) -> bool:
@@ -196,13 +197,13 @@ class TrainConfig:
             held = tomllib.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError, RecursionError) as error:
             raise InputError(
-                f"--config {str(path)!r} cannot be read ({error}); expected a TOML file"
+                f"{str(path)!r} cannot be read ({error}); expected a TOML file", field="config"
             ) from error
         known = [each.name for each in fields(cls)]
         unknown = [name for name in held if name not in known]
         if unknown:
             raise InputError(
-                f"--config {str(path)!r} has {unknown[0]!r}; expected some of {', '.join(known)}"
+                f"{str(path)!r} has {unknown[0]!r}; expected some of {', '.join(known)}", field="config"
             )
         if isinstance(held.get("sensor_noise"), str):
             held["sensor_noise"] = _named_noise(held["sensor_noise"])

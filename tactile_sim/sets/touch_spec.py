@@ -57,7 +57,7 @@ def default_optics() -> str:
 
 def _turn_rad(word: str) -> float:
     if word not in TURNS:
-        raise InputError(f"--turn is {word!r}; expected one of {', '.join(TURNS)}")
+        raise InputError(f"is {word!r}; expected one of {', '.join(TURNS)}", field="turn_rad")
     return TURNS[word]
 
 
@@ -65,7 +65,7 @@ def _layer_m(words: str) -> float:
     try:
         layer_m = float(words) / 1e3
     except ValueError:
-        raise InputError(f"--layer-mm is {words!r}; expected a number") from None
+        raise InputError(f"is {words!r}; expected a number", field="layer_m") from None
     checked: float = _checked_layer_m(layer_m)
     return checked
 
@@ -212,9 +212,12 @@ class GenerateSpec:
     image_format: Literal["jpeg", "png"] = choice(
         "jpeg", ("jpeg", "png"), name="--format", help="Format of the images."
     )
-    quality: int = integer(95, 1, 100, help="Quality of JPEGs, 1 to 100.")
+    quality: int = integer(95, 1, 100, needs="image_format=jpeg", help="Quality of JPEGs, 1 to 100.")
     weights: str | None = text(
-        metavar="FILE", read=str, help="Weights for cyclegan; those of tactile-mnist by default."
+        metavar="FILE",
+        read=str,
+        needs="optics=cyclegan",
+        help="Weights for cyclegan; those of tactile-mnist by default.",
     )
     limit: int | None = integer(None, 1, optional=True)
     layer_m: float = real(

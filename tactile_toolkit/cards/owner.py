@@ -39,16 +39,17 @@ def read_licence(word: str) -> str:
     if word.lower() not in LICENCES:
         near = [name for name in LICENCES if name.startswith(word.lower()[:5])]
         raise InputError(
-            f"--license is {word!r}; expected one of {', '.join(near or LICENCES)}",
+            f"is {word!r}; expected one of {', '.join(near or LICENCES)}",
             next="give an identifier of the Hub, or other",
+            field="license",
         )
     return word.lower()
 
 
-def _read_line(option: str, words: str) -> str:
+def _read_line(name: str, words: str) -> str:
     line = words.strip()
     if not line or len(line) > _MAX_LINE or wording.printable(line) != line:
-        raise InputError(f"{option} is {words[:80]!r}; expected one line of 1 to {_MAX_LINE} characters")
+        raise InputError(f"is {words[:80]!r}; expected one line of 1 to {_MAX_LINE} characters", field=name)
     return line
 
 
@@ -61,26 +62,27 @@ def read_citation(words: str) -> str:
         except (OSError, UnicodeDecodeError) as error:
             problem = getattr(error, "strerror", None) or "it is not UTF-8 text"
             raise InputError(
-                f"--citation {words!r} cannot be read ({problem})", next="check the file"
+                f"{words!r} cannot be read ({problem})", next="check the file", field="citation"
             ) from error
     citation = words.strip()
     if not citation or len(citation) > _MAX_CITATION or wording.printable(citation, keep="\n") != citation:
         raise InputError(
-            f"--citation has {len(citation):,} characters; expected 1 to {_MAX_CITATION:,} of text"
+            f"has {len(citation):,} characters; expected 1 to {_MAX_CITATION:,} of text", field="citation"
         )
     is_closed = citation.count("{") == citation.count("}")
     if citation.startswith("@") and not (_BIBTEX.match(citation) and is_closed):
         raise InputError(
-            "--citation begins as BibTeX, but its braces do not match",
+            "begins as BibTeX, but its braces do not match",
             next="give a whole entry, or plain text",
+            field="citation",
         )
     return citation
 
 
 _READERS: dict[str, Callable[[str], str]] = {
     "license": read_licence,
-    "author": partial(_read_line, "--author"),
-    "title": partial(_read_line, "--title"),
+    "author": partial(_read_line, "author"),
+    "title": partial(_read_line, "title"),
     "citation": read_citation,
 }
 

@@ -29,7 +29,7 @@ def parse_ids(text: str) -> list[GivenId]:
 
 def _as_id(word: str) -> GivenId:
     if not word:
-        raise InputError("--ids has ''; expected ids such as 3,17,40-60")
+        raise InputError("has ''; expected ids such as 3,17,40-60", field="ids")
     try:
         low, high = id_range(word)
     except InputError:
@@ -52,7 +52,8 @@ def id_range(given: GivenId) -> tuple[int, int]:
     match = _IDS.fullmatch(given)
     if match is None or int(match[2] or match[1]) < int(match[1]):
         raise InputError(
-            f"--ids has {given!r}, and these ids are numbers; expected numbers and ranges such as 3,17,40-60"
+            f"has {given!r}, and these ids are numbers; expected numbers and ranges such as 3,17,40-60",
+            field="ids",
         )
     return int(match[1]), int(match[2] or match[1])
 

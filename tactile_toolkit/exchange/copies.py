@@ -193,9 +193,10 @@ def viewer_tables(folder: store.DataFolder, manifest: store.Manifest, out: Path)
         shard = read.Shard(folder.address(record.shard.data_path), record.rows)
         if not {mesh.VERTICES, mesh.FACES} <= set(read.column_names(shard.schema)):
             raise InputError(
-                f"--viewer shows meshes in 3D, and {folder.address()!r} holds none (the Hub shows images and "
+                f"shows meshes in 3D, and {folder.address()!r} holds none (the Hub shows images and "
                 "clips without it); nothing was sent",
                 next="leave --viewer out",
+                field="viewer",
             )
         rows = mesh.SolidDataset[mesh.SolidRecord](
             read.ShardedTable((shard,)), label_names=read.class_names(shard.schema, ())
@@ -469,8 +470,9 @@ def require_new_column(name: str, schema: pa.Schema) -> None:
     known = {*schema.names, *(each.partition(".")[0] for each in schema.names)}
     if not name.strip() or "." in name or not name.isprintable() or name in known:
         raise InputError(
-            f"--source-column is {name!r}; expected the name of a new column, without dots "
-            f"(the rows have {', '.join(schema.names)})"
+            f"is {name!r}; expected the name of a new column, without dots "
+            f"(the rows have {', '.join(schema.names)})",
+            field="source_column",
         )
 
 

@@ -76,8 +76,9 @@ class UploadOptions:
     def __post_init__(self) -> None:
         if self.create_pr and (self.tag or not self.is_main):
             raise InputError(
-                "--create-pr and another --revision or a --tag exclude each other",
+                "and a tag or another branch exclude each other",
                 next="leave one of them out",
+                field="create_pr",
             )
 
 

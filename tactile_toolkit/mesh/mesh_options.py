@@ -29,13 +29,13 @@ _LINES_OF_WALL = 2
 def require_unit(unit: str | None) -> None:
     """Raise InputError unless a unit is one of :data:`UNITS`, or None."""
     if unit is not None and unit not in UNITS:
-        raise InputError(f"unit is {unit!r}; expected one of {', '.join(UNITS)}")
+        raise InputError(f"is {unit!r}; expected one of {', '.join(UNITS)}", field="unit")
 
 
 def refuse_unit(unit: str | None, name: str) -> None:
     """Raise InputError if a unit is given for something that is not a mesh file."""
     if unit is not None:
-        raise InputError(f"--unit is for mesh files, and {name!r} is not one; data sets are in metres")
+        raise InputError(f"is for mesh files, and {name!r} is not one; data sets are in metres", field="unit")
 
 
 def require_likely_size(size_mm: float, unit: str | None, stated: str | None) -> None:

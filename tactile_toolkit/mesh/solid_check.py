@@ -201,7 +201,7 @@ def on_base_plate(solid: MeshLike, base_mm: float) -> Mesh:
     import manifold3d  # few meshes get a plate
 
     if not base_mm > 0:
-        raise InputError(f"base_mm is {base_mm!r}; expected a thickness above 0 mm")
+        raise InputError(f"is {base_mm!r}; expected a thickness above 0 mm", field="base_mm")
     body = require_solid(Mesh.of(solid)).manifold
     left, front, low, right, back, high = body.bounding_box()
     middle = (low + high) / 2

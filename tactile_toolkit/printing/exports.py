@@ -252,7 +252,7 @@ def _ending_of(kind: str) -> str:
     ending = MODELS.get(name, f".{name}")
     if ending not in FORMATS and name not in MODELS:
         formats = ", ".join([*(known[1:] for known in FORMATS), *MODELS])
-        raise InputError(f"--format is {kind!r}; expected one of {formats}")
+        raise InputError(f"is {kind!r}; expected one of {formats}", field="file_format")
     return ending
 
 

@@ -99,7 +99,7 @@ def choose(
 def require_scale(scale: float) -> None:
     """Raise InputError for a factor that is not a positive number."""
     if not (math.isfinite(scale) and scale > 0):
-        raise InputError(f"--scale is {scale:g}; expected a positive number such as 1 or 0.5")
+        raise InputError(f"is {scale:g}; expected a positive number such as 1 or 0.5", field="scale")
 
 
 def _safe(word: str) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 from tactile_toolkit.checked_fields import check_fields, choice, real, switch, text
@@ -30,6 +29,9 @@ _PLATE_TEXT = re.compile(r"(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)")
 
 MODELS = {"mjcf": ".xml", "urdf": ".urdf", "usd": ".usda"}
 """Formats of bodies for simulators, and the endings of their files."""
+_BODIES = f"file_format={'|'.join(MODELS)}"
+_MESHES = ("stl", "3mf", "ply", "obj", "glb")
+_MESH_FILES = f"file_format=|{'|'.join((*_MESHES, *MODELS))}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,65 +40,42 @@ class ExportOptions:
 
     file_format: str | None = choice(
         None,
-        ("stl", "3mf", "ply", "obj", "glb", *MODELS, "flat"),
+        (*_MESHES, *MODELS, "flat"),
         optional=True,
         name="--format",
         shown="stl, plates 3mf",
         help="Format of the files, in mm (glb, mjcf, urdf, usd: in m); plates are 3mf or mjcf. flat: "
         "Parquet tables with a row for each object, its mesh as GLB.",
     )
-    scale: float = real(1.0, help="Factor for all lengths.")
+    scale: float = real(1.0, needs=_MESH_FILES, help="Factor for all lengths.")
     base_mm: float | None = real(
         None,
         above=0,
         optional=True,
+        needs=_MESH_FILES,
         help="Put the upper half of each object on a base plate of this thickness, which prints without "
         "support.",
     )
     plate: str | None = text(
         metavar="256x256|prusa-mk4",
         complete=tuple(BEDS_MM),
+        needs="file_format=|3mf|mjcf",
         help="Pack the objects on build plates of this size, in mm, or of this printer.",
     )
     calibration_plate: bool = switch(
         False,
+        needs="file_format=|3mf|stl|ply|obj|glb",
         help="Write one plate with a ball, a cone, a ridge, steps and two objects, onto which a sensor is "
         "pressed for `tactile-sim calibrate`.",
     )
 
-    def refuse_without_effect(self, distances: Iterable[str], material: Iterable[str]) -> None:
-        """Raise InputError for options that would have no effect; the arguments are names of options."""
-        if self.file_format == "flat":
-            names = [*distances, *material]
-            if self.scale != 1:
-                names.append("scale")
-            if self.base_mm is not None:
-                names.append("base_mm")
-            _refuse(names, "applies to mesh files, not to flat tables of the stored meshes", "leave it out")
-        elif self.file_format not in MODELS:
-            _refuse(material, "applies to bodies for simulators only", "add --format mjcf, urdf or usd")
-        if self.plate is None:
-            _refuse(distances, "applies to build plates only", "add --plate 256x256")
-        elif self.file_format not in (None, "3mf", "mjcf"):
-            _refuse(["plate"], "applies to 3mf and mjcf only, which hold named objects", "add --format 3mf")
-        if not self.calibration_plate:
-            return
-        if self.file_format == "flat" or self.file_format in MODELS:
+    def __post_init__(self) -> None:
+        if self.calibration_plate and (self.plate is not None or self.scale != 1 or self.base_mm is not None):
             raise InputError(
-                f"--format is {self.file_format!r}; expected 3mf, stl, ply, obj or glb for the plate for "
-                "calibration, which is printed"
-            )
-        if self.plate is not None or self.scale != 1 or self.base_mm is not None:
-            raise InputError(
-                "the plate for calibration has a size of its own",
+                "has a size of its own",
                 next="leave out --plate, --scale and --base-mm",
+                field="calibration_plate",
             )
-
-
-def _refuse(names: Iterable[str], why: str, instead: str) -> None:
-    """Raise InputError for the first of the options, if there is one."""
-    for name in names:
-        raise InputError(f"--{name.replace('_', '-')} {why}", next=instead)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,9 +84,9 @@ class PlateSpec:
 
     width_mm: float = real(256.0, 1, 10_000)
     depth_mm: float = real(256.0, 1, 10_000)
-    gap_mm: float = real(3.0, 0, 1_000, help="Distance between objects on a plate.")
+    gap_mm: float = real(3.0, 0, 1_000, needs="plate", help="Distance between objects on a plate.")
     # Room for the default skirt of PrusaSlicer: one loop, under 1 mm wide, 6 mm around objects.
-    margin_mm: float = real(7.0, 0, help="Margin at the edges of a plate, for a skirt.")
+    margin_mm: float = real(7.0, 0, needs="plate", help="Margin at the edges of a plate, for a skirt.")
     # The front left corner, which some printers cannot use; the margin applies to it too.
     corner_mm: tuple[float, float] = real((0.0, 0.0), 0, many=2)
 
@@ -116,8 +95,9 @@ class PlateSpec:
         check_fields(self, "the plate")
         if min(self.inner_mm) < 1:
             raise InputError(
-                f"margin_mm is {self.margin_mm:g}; expected 0 or more, and 1 mm left of the plate of "
-                f"{self.width_mm:g} x {self.depth_mm:g} mm"
+                f"is {self.margin_mm:g}; expected 0 or more, and 1 mm left of the plate of "
+                f"{self.width_mm:g} x {self.depth_mm:g} mm",
+                field="margin_mm",
             )
 
     @classmethod
@@ -130,8 +110,9 @@ class PlateSpec:
         match = _PLATE_TEXT.fullmatch(text)
         if match is None and text not in BEDS_MM:
             raise InputError(
-                f"--plate is {plate!r}; expected width x depth in mm, such as 256x256, or one of "
-                f"{', '.join(BEDS_MM)}{did_you_mean(plate, BEDS_MM)}"
+                f"is {plate!r}; expected width x depth in mm, such as 256x256, or one of "
+                f"{', '.join(BEDS_MM)}{did_you_mean(plate, BEDS_MM)}",
+                field="plate",
             )
         sides_mm = BEDS_MM[text] if match is None else (float(match[1]), float(match[2]))
         return cls(*sides_mm, corner_mm=_CORNERS_MM.get(text, (0.0, 0.0)), **distances)
@@ -162,9 +143,11 @@ class Physics:
     """
 
     density_kg_m3: float = real(
-        1240.0, above=0, most=1e5, help="Density of bodies for simulators; PLA by default."
+        1240.0, above=0, most=1e5, needs=_BODIES, help="Density of bodies for simulators; PLA by default."
     )
-    friction: float = real(0.5, above=0, most=100, help="Sliding friction of bodies for simulators.")
+    friction: float = real(
+        0.5, above=0, most=100, needs=_BODIES, help="Sliding friction of bodies for simulators."
+    )
 
     def __post_init__(self) -> None:
         check_fields(self, "the material")

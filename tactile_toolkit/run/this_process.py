@@ -56,9 +56,10 @@ class Part:
         if self.count:
             expected = f"0 to {self.count - 1} (or 1 to {self.count})"
         raise InputError(
-            f"--part {self.index}/{self.count}: there is no part {self.index} of {self.count}; expected "
+            f"{self.index}/{self.count}: there is no part {self.index} of {self.count}; expected "
             f"{expected}; nothing was made",
             next="number the jobs of the array in this range",
+            field="part",
         )
 
     def of(self, tasks: Sequence[T]) -> Sequence[T]:
@@ -75,7 +76,7 @@ def parse_part(text: str, environment: Mapping[str, str] = os.environ) -> Part:
     match = _PART.fullmatch(text.strip())
     if match is None or (match["index"] and not match["count"]):
         raise InputError(
-            f"--part is {text!r}; expected K/N, such as 17/500, with K from 0, or auto, or auto/N"
+            f"is {text!r}; expected K/N, such as 17/500, with K from 0, or auto, or auto/N", field="part"
         )
     index, count = (None if match[name] is None else int(match[name]) for name in ("index", "count"))
     if index is None:
@@ -84,7 +85,9 @@ def parse_part(text: str, environment: Mapping[str, str] = os.environ) -> Part:
             count = length
     if count is None:
         found = "neither a whole Slurm array from 0 or 1 on nor JOB_COMPLETION_COUNT"
-        raise InputError(f"--part auto: the number of parts is unknown, {found}", next="give --part auto/N")
+        raise InputError(
+            f"auto: the number of parts is unknown, {found}", next="give --part auto/N", field="part"
+        )
     return Part(index, count)
 
 
@@ -98,9 +101,9 @@ def _place_in_array(environment: Mapping[str, str]) -> tuple[int, int | None]:
     index = _number(environment, "JOB_COMPLETION_INDEX")
     if index is None:
         raise InputError(
-            "--part auto: neither SLURM_ARRAY_TASK_ID nor JOB_COMPLETION_INDEX is a number in the "
-            "environment",
+            "auto: neither SLURM_ARRAY_TASK_ID nor JOB_COMPLETION_INDEX is a number in the environment",
             next="run it in an array of Slurm or an indexed job of Kubernetes, or give K/N",
+            field="part",
         )
     return index, _number(environment, "JOB_COMPLETION_COUNT")
 

@@ -222,13 +222,14 @@ class RunOptions:
     def __post_init__(self) -> None:
         if self.part is not None and self.finish:
             raise InputError(
-                "--part and --finish were both given; expected --finish when all parts have ended"
+                "was given with --finish; expected --finish when all parts have ended", field="part"
             )
         if self.overwrite and not self.is_whole:
             raise InputError(
-                "--overwrite was given with --part or --finish: each part would remove what the others made; "
-                "nothing was changed",
-                next="leave out --overwrite and choose another folder (--out or OUT)",
+                "was given with --part or --finish: each part would remove what the others made; nothing was "
+                "changed",
+                next="leave it out and choose another folder (--out or OUT)",
+                field="overwrite",
             )
 
     @property

@@ -110,5 +110,5 @@ def size_option(default: object, shown: str = "") -> Declared:
 def _size(words: str) -> tuple[int, int]:
     width, _, height = words.strip().lower().partition("x")
     if not (is_count(width) and is_count(height)):
-        raise InputError(f"--size is {words!r}; expected WIDTHxHEIGHT in pixels, such as 64x64")
+        raise InputError(f"is {words!r}; expected WIDTHxHEIGHT in pixels, such as 64x64", field="size")
     return int(width), int(height)

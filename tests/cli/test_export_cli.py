@@ -136,8 +136,8 @@ def test_dry_run_writes_nothing(
         (("--plate", "256"), ("--plate is '256'", "256x256")),
         (("--plate", "20x20"), ("does not fit on the plate", "20 x 20 mm")),
         (("--plate", "256x256", "--gap-mm", "-1"), ("--gap-mm is -1",)),
-        (("--plate", "256x256", "--format", "stl"), ("--plate applies to 3mf and mjcf only",)),
-        (("--gap-mm", "3"), ("--gap-mm applies to build plates only",)),
+        (("--plate", "256x256", "--format", "stl"), ("--plate has no effect without --format 3mf or mjcf",)),
+        (("--gap-mm", "3"), ("--gap-mm has no effect without --plate",)),
     ],
 )
 def test_bad_input_is_named_and_writes_nothing(

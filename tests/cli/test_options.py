@@ -1,11 +1,16 @@
 from __future__ import annotations
 
+import inspect
 import os
+import pickle
+from importlib import import_module
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
 from cli.options import _runner_name, local_place, parse_address
+from mnist3d.digit_options import SolidSpec
 from starstruck_gen.sampling import SceneSpec
 from starstruck_gen.scene_options import SceneOptions
 from tactile_sim.sets.learning_specs import TrainConfig
@@ -63,6 +68,53 @@ def test_commands_leave_the_home_folder_alone(tmp_path, monkeypatch):
 def test_options_that_are_not_given_mean_the_defaults_of_the_library():
     assert SceneOptions().spec() == SceneSpec()
     assert TrainConfig.read(None, {}) == TrainConfig()
+
+
+@pytest.mark.parametrize(
+    ("words", "missing"),
+    [
+        ("mnist3d split x --seed 3", "--fractions"),
+        ("mnist3d cache --unused-days 3", "ACTION prune"),
+        ("mnist3d verify x --limit 3", "--geometry"),
+        ("mnist3d preview x --images y", "--kind steps or all"),
+        ("mnist3d generate --source mnist --images x --foreground dark", "--source folder"),
+        ("mnist3d export x --friction 1", "--format mjcf, urdf or usd"),
+        ("mnist3d export x --plate 200x200 --format stl", "--format 3mf or mjcf"),
+        ("realtouch select x --as-recorded --out y", "--contact"),
+        ("realtouch preview x --kind overlay --touches 3", "--kind grid or all"),
+        ("tactile-sim generate x --quality 90 --format png", "--format jpeg"),
+        ("tactile-sim render x --force-n 5", "--gel"),
+        ("tactile-sim render x --gel elastic --draw-markers", "--markers"),
+    ],
+)
+def test_an_option_without_effect_is_refused(words, missing, capsys):
+    assert call(*words.split(), "--quiet") == 2
+    said = capsys.readouterr().err
+    assert f" has no effect without {missing}; next: add {missing.partition(' ')[0]}" in said
+
+
+def test_needs_name_options_of_the_same_command_and_their_values():
+    for line in ("mnist3d", "starstruck", "realtouch", "tactile_sim", "env_assets"):
+        for info in import_module(f"cli.{line}").app.registered_commands:
+            hints = [each.annotation for each in inspect.signature(info.callback).parameters.values()]
+            rules = dict(zip(inspect.signature(info.callback).parameters, hints, strict=True))
+            for hint in hints:
+                needs = next((each.option.get("needs", "") for each in get_args(hint)[2:]), "")
+                field, _, words = needs.partition("=")
+                known = get_args(rules[field])[2].choices if field else ()
+                assert {*words.split("|")} <= {"", *known}, (line, info.name, needs)
+
+
+def test_an_error_names_the_option_of_its_field(capsys):
+    with pytest.raises(InputError, match=r"^half_thickness_mm of the solid's specification is 0"):
+        SolidSpec(half_thickness_mm=0)
+    assert call("mnist3d", "generate", "--half-thickness-mm", "900", "--out", "never") == 2
+    assert capsys.readouterr().err.startswith(
+        "error: --half-thickness-mm of the solid's specification is 900"
+    )
+    error = pickle.loads(pickle.dumps(InputError("is 3; expected 4", next="wait", field="size")))
+    assert (str(error), error.what) == ("size is 3; expected 4; next: wait", "size is 3; expected 4")
+    assert error.naming("--size") == "--size is 3; expected 4; next: wait"
 
 
 @pytest.mark.parametrize(

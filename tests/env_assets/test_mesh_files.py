@@ -74,7 +74,7 @@ def test_meshes_in_metres_need_their_unit(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="expected one of mm, cm, m, in"):
         meshes_at(tmp_path, "train", unit="inches")
     (tmp_path / "set").mkdir()
-    with pytest.raises(InputError, match="--unit is for mesh files"):
+    with pytest.raises(InputError, match="unit is for mesh files"):
         meshes_at(tmp_path / "set", "train", unit="m")
 
 

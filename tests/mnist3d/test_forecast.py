@@ -43,7 +43,7 @@ def test_forecast_with_overwrite_names_what_would_be_replaced(folder):
     assert view.replaced == {"train": 3, "test": 3}
     assert (view.rows_to_make, [entry["finished"] for entry in view.splits]) == (4, [0, 0])
     for mode in ({"part": Part(0, 2)}, {"finish": True}, {"finish": True, "check": True}):
-        with pytest.raises(InputError, match="--overwrite was given with --part or --finish"):
+        with pytest.raises(InputError, match="overwrite was given with --part or --finish"):
             DigitGenerator(other).forecast(folder, ("train", "test"), **mode, overwrite=True)
     checked = DigitGenerator(other).forecast(folder, ("train", "test"), check=True, overwrite=True)
     assert (checked.replaced, checked.splits) == (view.replaced, view.splits)

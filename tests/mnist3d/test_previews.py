@@ -241,7 +241,7 @@ def test_steps_refuse_other_images_than_those_of_the_data_set(tmp_path):
         plan_previews(str(tmp_path / "one"), PreviewSpec(kinds=("steps",)))
     generate(spec, str(tmp_path / "set"), ("train",))
     where = str(tmp_path / "set")
-    with pytest.raises(InputError, match="--source folder needs --images"):
+    with pytest.raises(InputError, match="images is needed by the source 'folder'"):
         plan_previews(where, PreviewSpec(kinds=("steps",)))
     with pytest.raises(InputError, match="holds other images"):
         plan_previews(where, PreviewSpec(kinds=("steps",), images=tmp_path / "other"))

@@ -66,5 +66,5 @@ def test_mesh_files_are_checked_in_their_unit(rows: pa.Table, tmp_path: Path) ->
     assert item.to_dict()["notes"] == ["1 corner welded"]
     assert item.table_row()[-1] == "small-contact, 1 corner welded"
     pq.write_table(rows, tmp_path / "train.parquet")
-    with pytest.raises(InputError, match="--unit is for mesh files"):
+    with pytest.raises(InputError, match="unit is for mesh files"):
         validate_paths([str(tmp_path / "train.parquet")], unit="m")

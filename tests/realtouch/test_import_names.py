@@ -130,7 +130,7 @@ def test_mapped_names(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("pairs", "words"),
     [
-        (["label"], "--map has 'label'; expected NAME=COLUMN"),
+        (["label"], "mapped has 'label'; expected NAME=COLUMN"),
         (["=x"], "expected NAME=COLUMN"),
         (["lable=x"], "'lable'; expected one of image, .*did you mean 'label'"),
         (["object_id=x"], "did you mean 'object'"),

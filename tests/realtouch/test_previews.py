@@ -131,7 +131,7 @@ def test_plans_name_the_round(seq_folder: Path) -> None:
         assert np.array_equal(picture.draw(), picture.draw())
     assert len(plan_previews(str(seq_folder), TouchPreviewSpec(("all",), "train")).pictures) == 2
     for kinds, spec, words in (
-        (("grid",), {"round_number": 3}, "--round is 3; split 'train' has rounds 0 to 2"),
+        (("grid",), {"round_number": 3}, "round_number is 3; split 'train' has rounds 0 to 2"),
         (("strip",), {}, "no pictures of kind 'strip'; expected grid, overlay or all"),
     ):
         with pytest.raises(InputError, match=words):

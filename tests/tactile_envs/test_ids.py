@@ -101,10 +101,12 @@ def test_words_that_no_environment_has(words: list[str], told: str) -> None:
 
 
 def test_the_page_describes_every_family() -> None:
-    """By its name, with every picture that CI makes."""
+    """With the steps of its episodes, and every picture that CI makes."""
     text = (ROOT / "docs/howto/environments.md").read_text(encoding="utf-8")
-    for family in {each.id.partition("-")[0] for each in tactile_envs.ids()}:
-        assert re.search(rf"### {family}\n|`{family}`", text), family
+    rows = re.findall(r"^\| (`TactileMNIST.*|`\w+`) \|.*\| (\d+) \|$", text, re.MULTILINE)
+    steps = {family: int(number) for names, number in rows for family in re.findall(r"`(\w+)`", names)}
+    assert steps == {each.id.partition("-")[0]: each.episode_length for each in tactile_envs.ids()}
+    assert f"the {len(tactile_envs.ids())} ids" in text
     episodes = pytest.importorskip("docs.episodes", exc_type=InputError)
     assert set(re.findall(r"episodes/(\w+)\.webp", text)) == set(episodes.EPISODES)
 

@@ -375,9 +375,9 @@ def test_other_sets_show_their_image_alone(tmp_path):
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        (["--force-n", "5"], "--force-n is given, and the gel is not elastic"),
-        (["--slide-mm", "0.3"], "add --gel elastic"),
-        (["--gel", "none", "--markers", "7x9"], "--markers is given, and the gel is not elastic"),
+        (["--force-n", "5"], "--force-n has no effect without --gel"),
+        (["--slide-mm", "0.3"], "next: add --gel, or leave it out"),
+        (["--gel", "none", "--markers", "7x9"], "--markers has no effect without --gel"),
         (["--gel", "soft"], "expected none, elastic, or a JSON file"),
         (["--gel", "elastic", "--force-n", "-5"], "above 0"),
         (["--gel", "elastic", "--force-n", "1:0"], "two in ascending order"),
@@ -385,7 +385,7 @@ def test_other_sets_show_their_image_alone(tmp_path):
         (["--gel", "elastic", "--force-n", "inf"], "expected a number, or two"),
         (["--gel", "elastic", "--markers", "0x0"], "columns and rows"),
         (["--gel", "elastic", "--markers", "7"], "expected COLUMNSxROWS"),
-        (["--gel", "elastic", "--draw-markers"], "there are none"),
+        (["--gel", "elastic", "--draw-markers"], "no effect without --markers"),
         (["--gel", "elastic", "--press-mm", "9"], "less than the gel is thick"),
         (["--gel", "elastic", "--press-mm", "1", "--force-n", "1"], "both a force and a depth"),
     ],

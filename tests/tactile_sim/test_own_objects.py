@@ -141,8 +141,8 @@ def test_invalid_sources_are_refused_before_anything_is_written(tmp_path: Path) 
     tactile_sim.generate(tmp_path / "loose.stl", depth(), made)
     for source, unit, words in (
         (tmp_path / "own", "inch", "unit is 'inch'; expected one of mm, cm, m, in"),
-        (made, "mm", "--unit is for mesh files"),
-        ({"a": block()}, "mm", "--unit is for mesh files"),
+        (made, "mm", "unit is for mesh files"),
+        ({"a": block()}, "mm", "unit is for mesh files"),
         (tmp_path / "linked", None, r"x\.stl: .*link leads out"),
         (tmp_path / "pipe.stl", None, r"does not exist|not a regular file"),
         (tmp_path / "mixed", None, r"holds part\.stl next to the splits train"),

@@ -102,7 +102,7 @@ def test_shards_without_changes_are_copied_byte_for_byte(tmp_path: Path) -> None
 def test_impossible_merges_are_refused(tmp_path: Path) -> None:
     one, other = scenes(tmp_path / "one", 1), scenes(tmp_path / "other", 2)
     for name in ("id", "mesh", "a.b", "", " ", "a\nb"):
-        with pytest.raises(InputError, match=r"--source-column is .*expected the name of a new column"):
+        with pytest.raises(InputError, match=r"source_column is .*expected the name of a new column"):
             merge_sets(SCENES, [one, other], str(tmp_path / "out"), source_column=name)
     link = tmp_path / "link"
     link.symlink_to(one)

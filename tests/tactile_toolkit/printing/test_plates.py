@@ -223,7 +223,7 @@ def test_margins_that_leave_no_plate_are_refused(margin_mm: float) -> None:
 
 @pytest.mark.parametrize("text", ["256", "256x", "ax3", "1e3x5", "-5x5", "5x5x5", ""])
 def test_plates_of_another_form_are_refused(text: str) -> None:
-    with pytest.raises(InputError, match="--plate is"):
+    with pytest.raises(InputError, match="plate is"):
         PlateSpec.parse(text)
 
 

@@ -114,7 +114,7 @@ def test_parts_of_other_sets_are_refused(tmp_path):
         with pytest.raises(SpecMismatchError, match="seed is 1 there, 2 was asked for"):
             make(tmp_path / "set", other, **mode)
     for mode in ({"part": Part(1, 4)}, {"finish": True}):
-        with pytest.raises(InputError, match=r"--overwrite was given with --part.*choose another folder"):
+        with pytest.raises(InputError, match=r"overwrite was given with --part.*choose another folder"):
             make(tmp_path / "set", **mode, overwrite=True)
     assert folder_bytes(tmp_path / "set") == before
     make(tmp_path / "libraries", replace(plan, libraries=("numpy",)), part=Part(0, 4))
@@ -265,7 +265,7 @@ def test_invalid_parts_are_refused(text, told):
     ids=["--array=3,17,40-44", "with steps"],
 )
 def test_a_partial_array_needs_the_number_of_parts(array):
-    with pytest.raises(InputError, match=r"the number of parts is unknown.*--part auto/N"):
+    with pytest.raises(InputError, match=r"the number of parts is unknown.*auto/N"):
         parse_part("auto", slurm(**array))
 
 
