@@ -39,7 +39,7 @@ def wrench(
     Example: env-assets wrench --opening-mm 13 --out assets/wrench --stl wrench.stl
     """
     if stl is not None:
-        mesh.file_ending(stl)
+        _ = mesh.MeshFile(stl).ending  # refused before anything is written
         stl.is_file()  # raises OSError for a name that the system refuses, before anything is made
     report = mesh.inspect(env_assets.wrench_mesh(spec))
     if not dry_run:

@@ -98,7 +98,7 @@ def _print_made(
     facts = facts_table(summaries, mnist3d.SUMMED_UP)
     runs.print_left_out(sink, manifest)
     runs.print_set(sink, kind, manifest, out, elapsed_s, *facts, splits=splits, skipped=skipped)
-    for line in mesh.print_advice(word for each in summaries for word in each.facets["warnings"]):
+    for line in mesh.PrintReport.advice(word for each in summaries for word in each.facets["warnings"]):
         sink.line(line)
 
 

@@ -47,7 +47,7 @@ class Pictures:
                 sink.line(f"would write {folder / picture.name}: {picture.what}")
             return
         with sink.progress("drawing", "pictures") as update:
-            written = pictures.write_pictures(store.open_folder(str(folder.absolute())), drawn, update)
+            written = replace(plan, pictures=drawn).write(store.open_folder(str(folder.absolute())), update)
         sink.document({"folder": str(folder), "pictures": [asdict(made) for made in written], **left_out})
         for made in written:
             size = f"{made.width:,} x {made.height:,} pixels, {wording.bytes_text(made.bytes)}"

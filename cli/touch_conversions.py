@@ -16,7 +16,7 @@ from realtouch import touch_options
 from realtouch.importing import import_columns
 from realtouch.kind import KIND
 from realtouch.touches import damage
-from tactile_toolkit import catalog, checked_fields, pictures, places, store, touch
+from tactile_toolkit import catalog, checked_fields, places, store, touch
 from tactile_toolkit.checked_fields import choice, text
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.wording import comma_separated, with_count
@@ -354,7 +354,7 @@ def check(
     made: list[str] = []
     if drawn is not None and result.findings:
         folder = store.open_folder(str(drawn.absolute()))
-        written = pictures.write_pictures(folder, result.pictures().pictures)
+        written = result.pictures().write(folder)
         made = [str(drawn / each.file) for each in written]
     sink.line(
         f"{name}: {with_count(result.rounds, 'rounds')}, {with_count(result.touches, 'touches')}; "

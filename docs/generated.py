@@ -44,14 +44,14 @@ SHARED = (
     "realtouch.contact.contact_window",
     "starstruck_gen.sampling.COLLISION_RULES",
     "tactile_sim.press.sensors.MESA_SAMPLE_PX",
-    "tactile_toolkit.mesh.FORMATS",
-    "tactile_toolkit.mesh.UNREADABLE",
+    "tactile_toolkit.mesh.MeshFile",
     "tactile_toolkit.mesh.WARNINGS",
     "tactile_toolkit.mesh.RecordStream",
     "tactile_toolkit.read.RowStream",
     "tactile_toolkit.mesh.SolidRecord",
     "tactile_toolkit.mesh.PROBLEMS",
     "tactile_toolkit.mesh.SolidTensors",
+    "tactile_toolkit.mesh.collate_meshes",
     "tactile_toolkit.read.Record",
     "tactile_toolkit.read.RecordDataset",
     "tactile_toolkit.store.Progress",
@@ -358,17 +358,16 @@ def _formats_page() -> str:
     from tactile_sim.sets.generation import SyntheticRound, synthetic_schema
     from tactile_sim.sets.round_press import elastic_types
     from tactile_toolkit.cards import FolderSummary
-    from tactile_toolkit.cards.card import card_words, field_table, markdown_table
-    from tactile_toolkit.rows import meanings
+    from tactile_toolkit.cards.card import Card, field_table, markdown_table
 
     def table(schema: Any, row_type: type) -> str:
-        return field_table(FolderSummary((), schema), meanings(row_type)).replace(
+        return field_table(FolderSummary((), schema), row_type.meanings()).replace(
             "frame below", "frame of the mesh"
         )
 
     press = ElasticPress(markers=(7, 9), contact_maps=True)
     further = {"plate_z_m": pa.float64(), **elastic_types(press, (64, 64))}
-    meant = card_words(WORDS)["columns"]["rounds"]
+    meant = Card.words(WORDS)["columns"]["rounds"]
     rows = [
         (f"`{column}`", words, *meant.get(column, ("", "")))
         for column, (_, _, words) in KNOWN_COLUMNS.items()

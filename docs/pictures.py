@@ -17,7 +17,7 @@ import tactile_sim
 from mnist3d.solid.algorithm import solidify
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.mesh import Mesh
-from tactile_toolkit.pictures import DrawnBody, View, draw_bodies
+from tactile_toolkit.pictures import DrawnBody, View
 
 HEIGHT_PX, MARGIN_PX = 480, 60
 DIGITS, SCENE = (1000, HEIGHT_PX), (360, HEIGHT_PX)
@@ -55,7 +55,7 @@ def _drawn(
         points[:, :2] += np.array([x_m, y_m]) - (points[:, :2].min(0) + points[:, :2].max(0)) / 2
         placed.append(DrawnBody(Mesh(points, mesh.faces), ImageColor.getrgb(colour)))
     paper = ImageColor.getrgb(PAPER)
-    return draw_bodies(tuple(placed), size_px, size_px[1] / height_m, FROM, paper)
+    return FROM.draw(tuple(placed), size_px, size_px[1] / height_m, paper)
 
 
 def _touch(mesh: Mesh) -> np.ndarray:

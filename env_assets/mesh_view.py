@@ -18,16 +18,7 @@ from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Floati
 from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.mesh import (
-    MAX_PIXELS,
-    MM_PER_M,
-    Mesh,
-    MeshFile,
-    MeshLike,
-    SolidRecord,
-    find_mesh_files,
-    highest_values,
-)
+from tactile_toolkit.mesh import MAX_PIXELS, MM_PER_M, Mesh, MeshFile, MeshLike, SolidRecord, highest_values
 from tactile_toolkit.read import LazySequence, RecordDataset
 
 if TYPE_CHECKING:
@@ -197,11 +188,11 @@ def _laid_flat(record: MeshRecord) -> trimesh.Trimesh:
 def mesh_files(place: str | PathLike[str], split: str, unit: str | None = None) -> MeshView | None:
     """Open a mesh file, or a folder of them, as the meshes of a split; None if there is no such file.
 
-    Files, splits and classes are those of :func:`tactile_toolkit.mesh.find_mesh_files`; a folder without
+    Files, splits and classes are those of :func:`tactile_toolkit.mesh.MeshFile.find`; a folder without
     splits is the same for all. Ids count files in the order of their names. ``unit`` is as
     :func:`tactile_toolkit.mesh.read_mesh` takes it. InputError: the folder holds only another split.
     """
-    found = find_mesh_files(place, unit)
+    found = MeshFile.find(place, unit)
     if found is None:
         return None
     files = found.splits.get(split, found.splits.get(""))

@@ -15,11 +15,11 @@ from mnist3d.kind import KIND
 from mnist3d.sources.picture_folder import FolderSource
 from tactile_toolkit import cards, kind, store, wording
 from tactile_toolkit.json_types import JsonObject
-from tactile_toolkit.rows import Column, meanings
+from tactile_toolkit.rows import Column
 from tactile_toolkit.wording import class_name, with_count
 
 _MAX_LISTED = 12
-COLUMNS = meanings(DigitRow)
+COLUMNS = DigitRow.meanings()
 _USUAL_SIZES = {FolderSource.name: "four fifths in `train`, one fifth in `test`"}
 
 
@@ -153,7 +153,10 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     is_own = words["name"] == FolderSource.name
     if is_copy:
         title = "3D digits" if is_own else "MNIST 3D"
-        cards.write_table_card(folder, manifest, KIND, title, COLUMNS, words["licence"], **_terms(words))
+        card = cards.Card.of_copy(
+            manifest, KIND, title, COLUMNS, words["licence"], _cited(words), **_terms(words)
+        )
+        card.write(folder, manifest, KIND)
         return
     report = store.read_report(folder, REPORT_FILE)
     summaries = _summaries(manifest, report)
@@ -168,7 +171,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         template=KIND.card_template,
         title=title,
         columns=COLUMNS,
-        picture=("digits.png", cards.draw_solids, "The first digits of each class, seen from above"),
+        picture=("digits.png", "The first digits of each class, seen from above"),
         licence=words["licence"],
         tags=["tactile", "active-perception", "3d", "mesh", "mnist", "digits", "3d-printing"],
         figures={
@@ -189,6 +192,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
             "things": things,
             **_terms(words),
         },
+        cited=_cited(words),
     ).write(folder, manifest, KIND)
 
 
@@ -228,7 +232,7 @@ def _limits(manifest: store.Manifest, summaries: list[SplitSummary], words: Mapp
 
 def source_words(name: str) -> dict[str, str]:
     """Return the texts about a source of digits; an unknown source has neutral ones."""
-    known = cards.card_words("digit_words.toml")
+    known = cards.Card.words("digit_words.toml")
     return {"name": name, **(known.get(name) or known["other"])}
 
 
@@ -247,7 +251,11 @@ def _terms(words: Mapping[str, str]) -> dict[str, str]:
         "Algorithm and splits: Schneider et al. 2025. The published MNIST 3D was made from the "
         f"handwriting of HWD+ (Beaulac and Rosenthal 2022){words['citation_end']}."
     )
-    cited = ["tactile_mnist", "hwd_plus"]
+    return {"licence_text": words["licence_text"], "citation_text": citation}
+
+
+def _cited(words: Mapping[str, str]) -> list[str]:
+    """Return the publications to cite."""
     if words["name"] == "mnist":
-        cited.insert(1, "mnist")
-    return {"licence_text": words["licence_text"], "citation_text": citation, "bibtex": cards.bibtex(*cited)}
+        return ["tactile_mnist", "mnist", "hwd_plus"]
+    return ["tactile_mnist", "hwd_plus"]

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from mnist3d import digit_card
 from mnist3d.kind import KIND
-from tactile_toolkit import catalog, mesh, places, read, rows, store
+from tactile_toolkit import catalog, mesh, places, read, store
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.mesh import (
@@ -27,7 +27,7 @@ _ROWS_SHOWN = 20
 _COLUMNS = ("id", "label", mesh.VERTICES, mesh.FACES)
 _SHOWN = [
     each
-    for name, each in rows.columns(mesh.PrintReport).items()
+    for name, each in mesh.PrintReport.columns().items()
     if name in ("bodies", "volume_mm3", "thinnest_wall_mm")
 ]
 
@@ -79,7 +79,8 @@ class CheckedMeshes:
     @property
     def unreadable(self) -> list[str]:
         """Reasons why files or rows could not be read."""
-        return [item.report.detail or "" for item in self.items if item.report.problem == mesh.UNREADABLE]
+        reports = [item.report for item in self.items]
+        return [each.detail or "" for each in reports if each.problem == each.UNREADABLE]
 
     def warnings(self) -> dict[str, int]:
         """Count the meshes with each print warning."""
@@ -87,7 +88,7 @@ class CheckedMeshes:
 
     def advice(self) -> Sequence[str]:
         """Return a line for each print warning: what to do about it."""
-        return mesh.print_advice(self.warnings())
+        return mesh.PrintReport.advice(self.warnings())
 
     def to_dict(self) -> JsonDict:
         """Return JSON values."""
@@ -110,7 +111,7 @@ class CheckedMeshes:
 
 
 def _unreadable(detail: str) -> mesh.PrintReport:
-    return mesh.PrintReport(False, "NotTried", mesh.UNREADABLE, detail, 0, 0)
+    return mesh.PrintReport(False, "NotTried", mesh.PrintReport.UNREADABLE, detail, 0, 0)
 
 
 def _inspect_row(row: read.Row, profile: mesh.PrintProfile) -> mesh.PrintReport:

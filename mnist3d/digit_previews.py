@@ -26,9 +26,8 @@ from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.mesh import MM_PER_M
 from tactile_toolkit.places import Name, Place, open_place
-from tactile_toolkit.rows import with_role
 
-_SHOWN = (*with_role(digit_records.DigitRow, "facet"), *with_role(mesh.PrintReport, "facet", "measure"))
+_SHOWN = (*digit_records.DigitRow.with_role("facet"), *mesh.PrintReport.with_role("facet", "measure"))
 
 CLAY = (224, 166, 72)
 """Colour of objects in oblique views."""
@@ -56,7 +55,7 @@ def plan_previews(name: Name | Place, spec: digit_options.DigitPreviewSpec) -> p
         "sheet": partial(chosen.plan_sheets, spec.per_class),
         "steps": partial(_plan_steps, chosen, spec),
     }
-    return pictures.plan_kinds(spec.kinds, plans)
+    return pictures.PicturePlan.of_kinds(spec.kinds, plans)
 
 
 def is_picture_or_mesh(name: str) -> bool:
@@ -64,19 +63,19 @@ def is_picture_or_mesh(name: str) -> bool:
     path = store.local_path(name)
     if path is None or not path.is_file():
         return False
-    return path.suffix.lower() in (*mesh.FORMATS, *picture_files.ENDINGS)
+    return path.suffix.lower() in (*mesh.MeshFile.FORMATS, *picture_files.ENDINGS)
 
 
 def _plan_file(name: str, spec: digit_options.DigitPreviewSpec) -> pictures.PicturePlan:
     """Plan the pictures of a single file; InputError for options that need a data set."""
     path = store.expanded(name)
-    kind = "sheet" if path.suffix.lower() in mesh.FORMATS else "steps"
+    kind = "sheet" if path.suffix.lower() in mesh.MeshFile.FORMATS else "steps"
     rows = {"--split": spec.split, "--ids": spec.ids, "--labels": spec.labels, "--limit": spec.limit}
     asked = [f"--kind {each}" for each in spec.kinds if each not in (kind, "all")]
     asked += [option for option, value in rows.items() if value]
     if asked:
         raise InputError(f"{asked[0]} needs a data set, and {name!r} is a single file", next="leave it out")
-    stem = pictures.file_stem(name)
+    stem = pictures.PlannedPicture.stem_of(name)
     if kind == "sheet":
         part = mesh.read_mesh(path, unit=spec.unit)
         drawings = [(f"{stem}-sheet.png", partial(pictures.draw_mesh, part, path.name))]
@@ -134,7 +133,7 @@ def _plan_steps(
 
 
 def plan_gallery(name: Name | Place, chosen: catalog.RowFilter = catalog.RowFilter.ALL) -> gallery.Gallery:
-    """Plan a gallery of digits; see :func:`~tactile_toolkit.gallery.gallery_of_rows`."""
+    """Plan a gallery of digits; see :meth:`~tactile_toolkit.gallery.Gallery.of_rows`."""
     # The report of the data set, if it has one, is read instead of inspecting meshes again.
     place = open_place(name)
     folder = place.folder
@@ -148,7 +147,7 @@ def plan_gallery(name: Name | Place, chosen: catalog.RowFilter = catalog.RowFilt
         by_id = {row["id"]: row for row in report.filter(of_rows).to_pylist()}
         return [by_id.get(number) for number in rows.ids.tolist()]
 
-    return gallery.gallery_of_solids(
+    return gallery.Gallery.of_solids(
         KIND, place, chosen, title="3D digits", columns=_SHOWN, facts=_facts, known=reports
     )
 
@@ -177,10 +176,9 @@ def draw_steps(pixels: AnyArray, spec: SolidSpec, title: str) -> UInt8:
     layers = _layers_px(lattice, steps.upper_half > 0, window)
     upper = algorithm.scale(steps.surface, mask.shape, spec)
     px_per_mm = _PANEL_PX / (max(layers[0].shape) * spec.pixel_pitch_mm)
-    views = [
-        pictures.draw_bodies((pictures.DrawnBody(mesh, CLAY),), (_PANEL_PX, _PANEL_PX), px_per_mm * MM_PER_M)
-        for mesh in (upper, solid)
-    ]
+    bodies = [pictures.DrawnBody(mesh, CLAY) for mesh in (upper, solid)]
+    size_px = (_PANEL_PX, _PANEL_PX)
+    views = [pictures.View.OBLIQUE.draw([body], size_px, px_per_mm * MM_PER_M) for body in bodies]
     pitch_px = lattice.pitch_px
     triangles = len(solid.faces)
     decimated = ", decimated" if triangles != 2 * len(upper.faces) else ""
@@ -195,9 +193,8 @@ def draw_steps(pixels: AnyArray, spec: SolidSpec, title: str) -> UInt8:
         ),
         pictures.Tile(views[0], f"5  marching cubes, upper half: {len(upper.faces):,} triangles"),
         pictures.Tile(
-            pictures.with_scale_bar(views[1], px_per_mm),
-            f"6  smoothed, mirrored, scaled{decimated}: {triangles:,} triangles",
-        ),
+            views[1], f"6  smoothed, mirrored, scaled{decimated}: {triangles:,} triangles"
+        ).with_scale_bar(px_per_mm),
     )
     words = (
         f"the nodes of the lattice are {pitch_px:.2f} px of {spec.pixel_pitch_mm:g} mm apart, closer where "
@@ -250,14 +247,14 @@ def _stack_view(layers: Sequence[Bool], pitch_px: float, spec: SolidSpec, px_per
             data = _back_to_layer(layer.shape, side, px, _SPREAD * z, drop_px)
             seen = mask.transform((side, side), Image.Transform.AFFINE, data, Image.Resampling.BILINEAR)
             picture.paste(colour, mask=seen)
-    return pictures.box_downsample(np.asarray(picture), _SAMPLING)
+    return np.asarray(picture.reduce(_SAMPLING))
 
 
 def _back_to_layer(
     shape: tuple[int, ...], side_px: int, px: float, height: float, drop_px: int
 ) -> tuple[float, ...]:
     """Return the affine map from pixels of the view to those of a layer, for Pillow."""
-    right, up, _ = pictures.OBLIQUE.axes
+    right, up, _ = pictures.View.OBLIQUE.axes
     # Rows of a layer grow along -y, those of the picture along -up.
     to_view = px * np.array([[right[0], -right[1]], [-up[0], up[1]]])
     middle = np.array([side_px / 2, side_px / 2 - px * up[2] * height + drop_px])

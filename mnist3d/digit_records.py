@@ -15,7 +15,7 @@ from mnist3d.sources.picture_folder import FolderSource
 from tactile_toolkit import mesh, pictures, places, store
 from tactile_toolkit.array_types import Int64
 from tactile_toolkit.json_types import JsonDict
-from tactile_toolkit.rows import column, columns, plain_schema, row, table_of, with_role
+from tactile_toolkit.rows import column, row, table_of
 from tactile_toolkit.wording import class_name
 
 PARQUET_STYLE = store.ParquetStyle(
@@ -56,7 +56,7 @@ class DigitRow(mesh.MeshRow):
     )
 
 
-SUMMED_UP = (columns(DigitRow)["label"], *with_role(mesh.PrintReport, "facet", "measure"))
+SUMMED_UP = (DigitRow.columns()["label"], *mesh.PrintReport.with_role("facet", "measure"))
 """Columns of the report that are summarised for each split."""
 
 
@@ -79,7 +79,7 @@ def _source_of(manifest: store.Manifest | None) -> JsonDict:
 @cache
 def stored_schema(class_names: tuple[str, ...], *, has_files: bool = False) -> pa.Schema:
     """Return the Arrow schema of a shard; only the rows of pictures in a folder name their files."""
-    return mesh.mesh_schema(DigitRow, class_names, without=() if has_files else ("file",))
+    return DigitRow.schema(class_names, without=() if has_files else ("file",))
 
 
 def report_table(shard: store.ShardName, rows: Sequence[DigitRow]) -> pa.Table:
@@ -93,7 +93,7 @@ def report_table(shard: store.ShardName, rows: Sequence[DigitRow]) -> pa.Table:
         }
     )
     # The columns of the report are those of `PrintReport`: a further measure needs no edit here.
-    reports = table_of([each.report for each in rows], plain_schema(mesh.PrintReport))
+    reports = table_of([each.report for each in rows], mesh.PrintReport.plain_schema())
     return pa.table([*origins.columns, *reports.columns], [*origins.column_names, *reports.column_names])
 
 

@@ -2,15 +2,7 @@
 
 from __future__ import annotations
 
-from tactile_toolkit.mesh import (
-    REPRESENTATIONS as REPRESENTATIONS,
-    TARGETS as TARGETS,
-    MeshBatch as MeshBatch,
-    MeshItem as MeshItem,
-    SolidTensors,
-    collate_meshes as collate_meshes,
-)
-from tactile_toolkit.read import TrainingBatches as TrainingBatches
+from tactile_toolkit.mesh import SolidTensors
 
 
 class DigitTensors(SolidTensors):

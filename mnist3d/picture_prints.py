@@ -40,7 +40,7 @@ class PrintSpec:
     profile : PrintProfile
         Printer and material of the report.
     ending : str
-        Format of the files, one of :data:`tactile_toolkit.mesh.FORMATS`.
+        Format of the files, one of :data:`tactile_toolkit.mesh.MeshFile.FORMATS`.
     preview : bool
         Write a picture of each solid beside its file, ``NAME-preview.png``.
     """
@@ -123,7 +123,7 @@ def print_pictures(
         for stem, (path, page) in zip(stems, found, strict=True)
     ]
     workers = min(workers, len(products))
-    return printing.write_products(
+    return printing.FileExport.of(
         products, folder, overwrite=overwrite, dry_run=dry_run, workers=workers, on_progress=on_progress
     )
 
@@ -161,7 +161,7 @@ def _pages_of(path: Path) -> Iterator[tuple[Path, int]]:
 def _file_names(found: Sequence[tuple[Path, int]], out: str, ending: str) -> tuple[str, str, Sequence[str]]:
     """Return the folder, the ending, and the names of the files without their ending."""
     place = store.expanded(out)
-    if place.suffix.lower() in mesh.FORMATS:
+    if place.suffix.lower() in mesh.MeshFile.FORMATS:
         if len(found) != 1:
             raise InputError(
                 f"is the file {out!r}, but {_counted(found)}",
@@ -171,7 +171,7 @@ def _file_names(found: Sequence[tuple[Path, int]], out: str, ending: str) -> tup
         return str(place.parent), place.suffix.lower(), [place.stem]
     if place.suffix:
         raise InputError(
-            f"is {out!r}; expected a folder, or a file that ends in {', '.join(mesh.FORMATS)}",
+            f"is {out!r}; expected a folder, or a file that ends in {', '.join(mesh.MeshFile.FORMATS)}",
             next="change its ending",
             field="out",
         )
@@ -216,7 +216,7 @@ def _drawn(name: str, mask: Bool, part: mesh.Mesh, report: mesh.PrintReport) -> 
     """Draw the ink as it was found, and the solid, as PNG."""
     sides_m = np.ptp(part.vertices_m, axis=0)
     px_per_m = 0.9 * min(_VIEW_PX[0] / (sides_m[0] + sides_m[2]), _VIEW_PX[1] / (sides_m[1] + sides_m[2]))
-    view = pictures.draw_bodies((pictures.DrawnBody(part, CLAY),), _VIEW_PX, px_per_m)
+    view = pictures.View.OBLIQUE.draw((pictures.DrawnBody(part, CLAY),), _VIEW_PX, px_per_m)
     width, depth, height = report.size_mm
     words = f"{width:.1f} x {depth:.1f} x {height:.1f} mm, {report.volume_mm3:,.0f} mm³"
     drawn = pictures.sheet(

@@ -13,7 +13,7 @@ The results are exact, the same on every machine.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
@@ -30,6 +30,9 @@ CLOCK_TOLERANCE_S = 1e-4
 """Times within this tolerance are equal, seconds: rounding of single precision in the first half hour."""
 
 _SHAPES = {3: "(H, W, 3)", 4: "(N, H, W, 3)"}
+
+_DECODED_AT_ONCE = 64  # pictures of a clip
+_DECODED_BYTES = 64 << 20  # of these pictures; if they are large, there are fewer
 
 # Number of values of each picture that are processed at once; those of 90 frames fit into a core's cache.
 _PIXELS_AT_ONCE = 1 << 13
@@ -230,6 +233,9 @@ class ContactRule:
         return slice(margins[0], height - margins[0]), slice(margins[1], width - margins[1])
 
 
+_DEFAULT_RULE = ContactRule()
+
+
 @dataclass(frozen=True, eq=False)
 class ContactScore:
     """How much of a picture changed, and by how much; numbers, or arrays of shape (N,) for N pictures.
@@ -276,7 +282,7 @@ def contact_score(pictures: UInt8, background: UInt8, rule: ContactRule | None =
     InputError
         As :func:`difference`.
     """
-    rule = rule or ContactRule()
+    rule = rule or _DEFAULT_RULE
     found, base = _with_background(pictures, background)
     rows, columns = rule.window(*base.shape[:2])
     score = _score(found.reshape(-1, *base.shape)[:, rows, columns], base[rows, columns], rule.min_change)
@@ -302,7 +308,7 @@ def best_of(
     If several frames have the same change, the earliest is returned. The background ``base`` is by default
     the median of the clip. Raises InputError if there is no frame.
     """
-    rule = rule or ContactRule()
+    rule = rule or _DEFAULT_RULE
     if not len(frames):
         raise InputError("the clip holds no frame; expected at least one")
     if base is None:
@@ -314,3 +320,36 @@ def best_of(
         scores = contact_score(frames, base, rule)
     best = int(np.argmax(scores.total_change))
     return best, scores.of_picture(best)
+
+
+def contact_by_pictures(
+    pictures: Sequence[bytes], size: tuple[int, int], decode: Callable[[bytes], UInt8]
+) -> tuple[tuple[int, int], bool]:
+    """Return the first and last picture that show contact, and True; else the best picture twice, and False.
+
+    The pictures are encoded, and of one ``size`` (height, width). The background is the median of the clip:
+    of at most 64 pictures, spread evenly over the clip, so that a long clip takes little time and memory.
+    """
+    rule = _DEFAULT_RULE
+    rows, columns = rule.window(*size)
+    height, width = rows.stop - rows.start, columns.stop - columns.start
+    at_once = min(_DECODED_AT_ONCE, max(1, _DECODED_BYTES // (3 * height * width)))
+
+    def decoded(some: Sequence[bytes]) -> UInt8:
+        found = np.empty((len(some), height, width, 3), np.uint8)
+        for number, picture in enumerate(some):
+            found[number] = decode(picture)[rows, columns]  # a view would keep the whole picture
+        return found
+
+    samples = decoded(pictures[:: -(-len(pictures) // at_once)])
+    base = median_in_memory(samples)
+    if len(samples) == len(pictures):
+        scores = [_score(samples, base, rule.min_change)]
+    else:
+        parts = (pictures[start : start + at_once] for start in range(0, len(pictures), at_once))
+        scores = [_score(decoded(part), base, rule.min_change) for part in parts]
+    in_contact = np.flatnonzero(np.concatenate([rule.holds(score) for score in scores]))
+    if len(in_contact):
+        return (int(in_contact[0]), int(in_contact[-1])), True
+    best = int(np.concatenate([score.total_change for score in scores]).argmax())
+    return (best, best), False

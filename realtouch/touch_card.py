@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from operator import attrgetter
 from typing import Any, TypeVar
 
 import numpy as np
+import pyarrow as pa
 
 from realtouch import picture_views
 from realtouch.kind import KIND
 from realtouch.touches import datasets, image_contacts, rounds, schema, stored_round
 from realtouch.touches.rounds import Touch
 from tactile_toolkit import cards, errors, read, store, touch, wording
-from tactile_toolkit.array_types import UInt8
+from tactile_toolkit.array_types import Int64, UInt8
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.pictures import png_bytes
 
@@ -59,20 +60,13 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
     A copy of a published set has no manifest, and its card says so. InputError: it holds no touches.
     IntegrityError: a file is missing or damaged.
     """
-    words = cards.card_words(WORDS)
-    facts = cards.folder_summary(folder, manifest)
-    operation: object = None
-    made: list[tuple[str, str]] = []
-    spec = None
-    unknown = {"made": words["made"]["unknown"]}
-    if manifest is not None:
-        operation = manifest.spec.get("operation")
-        made = _made(manifest)
-        spec = manifest.spec["options"]
-        unknown = {}
+    words = cards.Card.words(WORDS)
+    facts = cards.FolderSummary.of(folder, manifest)
+    operation = None if manifest is None else manifest.spec.get("operation")
+    types = read.column_types(facts.schema)
     origin = schema.origin_of(facts.schema, manifest)
     of_origin = words["origins"][origin]
-    rule = touch.HeightRule.of(read.column_types(facts.schema))
+    rule = touch.HeightRule.of(types)
     licence_text = of_origin["licence_text"]
     heights = [of_origin.get("drift")]
     # Plain pictures and rows in foreign formats are not rounds that could be loaded.
@@ -83,10 +77,10 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
     else:
         kind = schema.media_kind(facts.schema, folder.address())
         template = kind if origin == "real" else origin
-        content = _stored_content(facts, kind, rule, manifest, words)
+        content = _stored_content(facts, kind, types, manifest, words)
         content.columns["object_id"] = ("", of_origin["object_id"])
-        content.columns.update(_extra_words(facts))
-        if schema.has_poses(read.column_types(facts.schema)):
+        content.columns.update(_extra_words(facts, types))
+        if schema.has_poses(types):
             heights.append(words["plates"][rule.plate])
     tags = [*of_origin["tags"]]
     caption = "Some touches"
@@ -97,23 +91,25 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
         template=KIND.card_template.format(template),
         title=f"{of_origin['title']} {content.words['title']}",
         columns=content.columns,
-        picture=("touches.png", lambda _facts: _sheet(content.pictures), caption),
+        picture=("touches.png", caption),
+        drawn=lambda _facts: _sheet(content.pictures),
         licence=of_origin["licence"],
         tags=tags,
         nouns=content.nouns,
         tasks=_TASKS,
         figures=content.figures,
-        made=made,
+        made=[] if manifest is None else _made(manifest),
         limits=_limits(origin, of_origin["limits"], content),
-        spec=spec,
+        spec=None if manifest is None else manifest.spec["options"],
         values={
             **content.values,
-            **unknown,
+            **({"made": words["made"]["unknown"]} if manifest is None else {}),
             "rounds": f"{facts.rows:,}",
-            "contact_rule": image_contacts.contact_rule_text(read.column_types(facts.schema)),
+            "contact_rule": image_contacts.contact_rule_text(types),
             **_values_of_origin(of_origin, words["frames"]["cell"], heights),
             "licence_text": licence_text,
         },
+        cited=of_origin["cited"],
     ).write(folder, manifest, KIND, facts)
 
 
@@ -127,14 +123,10 @@ def _limits(origin: str, of_origin: Sequence[str], content: _Content) -> list[st
 def _values_of_origin(of_origin: JsonDict, cell: str, heights: list[str | None]) -> dict[str, str]:
     """Return the texts of a card that depend on where the touches are from."""
     cell = cell.replace("$window", of_origin.get("window", _WINDOW))
-    bibtex = ""
-    if of_origin["cited"]:
-        bibtex = cards.bibtex(*of_origin["cited"])
     return {
         "frames": of_origin.get("frames", " ".join(filter(None, [cell, *heights]))),
         "printability": of_origin["printability"],
         "citation_text": of_origin["citation_text"],
-        "bibtex": bibtex,
     }
 
 
@@ -159,10 +151,10 @@ def _plain_pictures(folder: store.DataFolder, facts: cards.FolderSummary) -> Ite
     """Decode the first pictures of an index of files or of a column of images; tars give no pictures."""
     names = read.column_names(facts.schema)
     if "image.bytes" in names:
-        for row in islice(cards.rows_to_draw(facts, ["image.bytes"]), _TILES):
+        for row in islice(facts.first_rows(["image.bytes"]), _TILES):
             yield _or_none(touch.decode_image, row.group.arrow("image.bytes")[row.index].as_py())
     elif {"file", "frame", "label"} <= {*names}:
-        for row in islice(cards.rows_to_draw(facts, ["file"]), _TILES):
+        for row in islice(facts.first_rows(["file"]), _TILES):
             if row.value("file").endswith((".jpg", ".png")):
                 yield _or_none(lambda name: touch.decode_image(folder.read_bytes(name)), row.value("file"))
 
@@ -170,7 +162,7 @@ def _plain_pictures(folder: store.DataFolder, facts: cards.FolderSummary) -> Ite
 def _stored_content(
     facts: cards.FolderSummary,
     kind: schema.Kind,
-    rule: touch.HeightRule,
+    types: Mapping[str, pa.DataType],
     manifest: store.Manifest | None,
     words: JsonDict,
 ) -> _Content:
@@ -180,40 +172,39 @@ def _stored_content(
     def of_each(count: Callable[[datasets.AnyDataset], Any], empty: Any = None) -> list[Any]:
         return [empty if dataset is None else _or_none(count, dataset) for dataset in by_split]
 
-    touches = of_each(lambda dataset: int(dataset.touch_counts.sum()), 0)
+    counts = of_each(attrgetter("touch_counts"), np.zeros(0, np.int64))
+    touches: list[Any] = [None if of_split is None else int(of_split.sum()) for of_split in counts]
+    objects: list[int | None] = [0 if dataset is None else None for dataset in by_split]
     shares: list[float | None] = [None] * len(by_split)
-    if schema.has_poses(read.column_types(facts.schema)):  # without poses, all pictures would be decoded
+    if "object_id" in types:
+        objects = of_each(lambda dataset: len(np.unique(dataset.column("object_id"))), 0)
+    if schema.has_poses(types):  # without poses, all pictures would be decoded
         shares = of_each(lambda dataset: float(dataset.touches().in_contact().mean()))
-    sizes = (_or_none(record.picture_size, 0) for record in _first_rounds(facts, kind))
-    size = next(filter(None, sizes), None)
+    size, pictures = _seen(facts, kind)
     left_out = {} if manifest is None else manifest.split_table()
     return _Content(
         words["kinds"][kind],
         words["columns"]["rounds"],
         "rounds",
-        _stored_pictures(facts, kind),
+        pictures,
         {
             "touches": "an unknown number of" if None in touches else f"{sum(touches):,}",
             "size_text": f", {size[0]} x {size[1]} pixels" if size else "",
         },
-        _missed(touches, shares, rule),
+        _missed(touches, shares, touch.HeightRule.of(types)),
         {
             "touches": [_text("{:,}", count) for count in touches],
             "per round": [
-                "-" if ends is None else cards.between(*ends)
-                for ends in of_each(lambda dataset: (min(dataset.touch_counts), max(dataset.touch_counts)))
+                "-" if of_split is None or not len(of_split) else _range_text(of_split) for of_split in counts
             ],
-            "objects": [
-                _text("{:,}", count)
-                for count in of_each(lambda dataset: len(np.unique(dataset.column("object_id"))), 0)
-            ],
+            "objects": [_text("{:,}", count) for count in objects],
             "contact": [_text("{:.1%}", share).replace("%", " %") for share in shares],
             "left out": [_text("{}", left_out.get(s.split, {}).get("skipped")) for s in facts.splits],
         },
     )
 
 
-def _extra_words(facts: cards.FolderSummary) -> dict[str, tuple[str, str]]:
+def _extra_words(facts: cards.FolderSummary, types: Mapping[str, pa.DataType]) -> dict[str, tuple[str, str]]:
     """Describe the further columns of rounds, with the range of their numbers as the footers state it."""
     ends: dict[str, list[Any]] = {}
     for shard in (shard for split in facts.splits for shard in split.shards):
@@ -225,31 +216,42 @@ def _extra_words(facts: cards.FolderSummary) -> dict[str, tuple[str, str]]:
             elif found is None or found.null_count < chunk.num_values:
                 ends.setdefault(name, []).append("")  # a range of the rest would be too small
     words = {}
-    for name, stored in schema.extra_columns(read.column_types(facts.schema)).items():
+    names = schema.extra_columns(types)
+    codes = [wording.markdown_code(name) for name in names]
+    for code, stored in zip(codes, names.values(), strict=True):
         shape = "T x N; cut to N_i" if stored.startswith(schema.EXTRA_PREFIX["frame"]) else "T"
         found = ends.get(stored, [""])
-        is_known = all(isinstance(each, (int, float)) for each in found)
+        is_known = all(isinstance(end, (int, float)) for end in found)
         # Parquet may state 0 as -0, so 0 is added.
         between = f", {min(found) + 0:g} to {max(found) + 0:g}" if is_known else ""
-        words[stored] = (shape, f"{wording.markdown_code(name)} of the source{between}")
+        words[stored] = (shape, f"{code} of the source{between}")
     return words
+
+
+def _range_text(counts: Int64) -> str:
+    return " to ".join(f"{count:,}" for count in dict.fromkeys((min(counts), max(counts))))
 
 
 def _text(form: str, figure: float | None) -> str:
     return "-" if figure is None else form.format(figure)
 
 
-def _stored_pictures(facts: cards.FolderSummary, kind: schema.Kind) -> list[UInt8 | None]:
-    """Decode pictures of the first round that has a readable one; clips show the end of contact."""
+def _seen(facts: cards.FolderSummary, kind: schema.Kind) -> tuple[tuple[int, int] | None, list[UInt8 | None]]:
+    """Return the size of pictures, and those of the first round that has a readable one.
+
+    Clips show the end of contact.
+    """
+    size = None
+    pictures: list[UInt8 | None] = []
     for record in _first_rounds(facts, kind):
         count = _or_none(attrgetter("touch_count"), record) or 0
-        images = [
-            _or_none(attrgetter("image"), Touch(record, each))
-            for each in picture_views.evenly_spaced(count, _TILES)
-        ]
-        if any(image is not None for image in images):
-            return images
-    return []
+        tiles = picture_views.evenly_spaced(count, _TILES)
+        pictures = [_or_none(attrgetter("image"), Touch(record, number)) for number in tiles]
+        intact = next((picture for picture in pictures if picture is not None), None)
+        if intact is not None:
+            return size or intact.shape[1::-1], pictures
+        size = size or _or_none(record.picture_size, 0)
+    return size, []
 
 
 def _sheet(pictures: Iterable[UInt8 | None]) -> bytes | None:

@@ -77,7 +77,7 @@ def plan_gallery(
     place = places.open_place(name).require(kind.KIND, "gallery").require_complete(split)
     schema = place.shards(split or place.splits[0])[0].schema
     title = f"{origin_of(schema, place.manifest)} touches".capitalize()
-    return gallery.gallery_of_rows(kind.KIND, place, chosen, title, _SHOWN, _item, 1, known)
+    return gallery.Gallery.of_rows(kind.KIND, place, chosen, title, _SHOWN, _item, 1, known)
 
 
 def _item(
@@ -133,7 +133,7 @@ def _item(
             "in_contact": None if met is None else int(met.sum()),
             "highest_mm": None if heights_m is None else _millimetres(float(np.fmax.reduce(heights_m))),
         },
-        thumbnail=gallery.thumbnail(cover.image),
+        thumbnail=gallery.GalleryItem.thumbnail_of(cover.image),
         content={"notes": notes, "touches": {"tile": list(tile_px), "columns": columns, "list": listed}},
         media=media,
     )

@@ -54,7 +54,7 @@ def plan_previews(
             f"is {number}; split {split!r} has rounds 0 to {len(dataset) - 1}", field="round_number"
         )
     record = dataset[number]
-    stem = "-".join(filter(None, (pictures.file_stem(place.name), split)))
+    stem = "-".join(filter(None, (pictures.PlannedPicture.stem_of(place.name), split)))
 
     def planned(kind: str, what: str, draw: Callable[[], UInt8]) -> list[pictures.PlannedPicture]:
         return [pictures.PlannedPicture(f"{stem}-round-{number}-{kind}.png", what, draw)]
@@ -70,7 +70,7 @@ def plan_previews(
         "grid": lambda: planned("grid", f"touches of {record!r}", lambda: draw_grid(record, spec.touches)),
         "overlay": on_map,
     }
-    return pictures.plan_kinds(spec.kinds, plans)
+    return pictures.PicturePlan.of_kinds(spec.kinds, plans)
 
 
 def draw_grid(record: rounds.TouchRound, most: int) -> UInt8:
@@ -106,13 +106,13 @@ def draw_overlay(record: rounds.TouchRound) -> UInt8:
     """Draw all touches of a round at their positions on a map of the cell."""
     touches = placed_touches(record, range(record.touch_count))
     cell = cell_map(touches, _PX_PER_MM)
-    pixels = pictures.with_scale_bar(overlay(touches, cell), _PX_PER_MM)
+    tile = pictures.Tile(overlay(touches, cell), frame=(205, 210, 215)).with_scale_bar(_PX_PER_MM)
     x_mm, y_mm = (side / _PX_PER_MM for side in cell.size_px)
     words = (
         f"{_touches_in_words(record)} at their positions",
         f"{x_mm:.0f} x {y_mm:.0f} mm around the middle of the cell, x right, y up",
     )
-    return pictures.sheet([pictures.Tile(pixels, frame=(205, 210, 215))], 1, _title(record), words)
+    return pictures.sheet([tile], 1, _title(record), words)
 
 
 def _touches_in_words(record: rounds.TouchRound) -> str:

@@ -18,7 +18,6 @@ KIND = DatasetKind(
     columns=("star_count",),
     splits=("train", "test"),
     published=(tactile_mnist_set("starstruck", "starstruck", "3,300 scenes with one to three stars"),),
-    plan_previews=lazy("starstruck_gen.scene_card:plan_previews"),
     plan_gallery=lazy("starstruck_gen.scene_card:plan_gallery"),
     dataset=lazy("starstruck_gen:SceneMeshDataset"),
     recipe=lazy("starstruck_gen.scene_dataset:scene_recipe"),

@@ -8,27 +8,24 @@ from functools import partial
 import pyarrow as pa
 
 from starstruck_gen import kind, sampling, scene_dataset
-from tactile_toolkit import cards, gallery, mesh, pictures, rows, store, wording
+from tactile_toolkit import cards, gallery, mesh, rows, store, wording
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import is_copy
-from tactile_toolkit.rows import meanings
 from tactile_toolkit.wording import with_count
 
 _RULES = {
     "circles": "the circumscribed circles of two objects do not meet",
     "exact": "the outlines of two objects do not touch",
 }
-COLUMNS = meanings(scene_dataset.SceneRow)
+COLUMNS = scene_dataset.SceneRow.meanings()
 
 _SHOWN = (
-    *rows.with_role(scene_dataset.SceneRow, "facet", "measure"),
+    *scene_dataset.SceneRow.with_role("facet", "measure"),
     rows.Column(pa.list_(pa.string()), name="shapes", role="facet", title="Shapes"),
     rows.Column(pa.int64(), name="objects", role="measure", title="Objects"),
     rows.Column(pa.int64(), name="positions", role="measure", title="Positions drawn"),
-    *(rows.columns(mesh.PrintReport)[name] for name in ("volume_mm3", "vertices", "faces")),
+    *(mesh.PrintReport.columns()[name] for name in ("volume_mm3", "vertices", "faces")),
 )
-
-plan_previews = partial(pictures.plan_sheets, kind.KIND)
 
 
 def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
@@ -43,16 +40,16 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
             licence = "other"
             text = "The terms of the data set that these rows come from."
         terms = {"licence_text": text, "citation_text": "The task: Schneider et al. 2025."}
-        cards.write_table_card(folder, manifest, kind.KIND, "Starstruck", COLUMNS, licence, **terms)
+        card = cards.Card.of_copy(manifest, kind.KIND, "Starstruck", COLUMNS, licence, **terms)
+        card.write(folder, manifest, kind.KIND)
         return
     spec = sampling.SceneSpec.from_dict(manifest.spec["scene"])
-    drawn = (mesh.VERTICES, mesh.FACES, "star_count", "placements")
-    draw = partial(cards.draw_solids, record=scene_dataset.SceneRecord, columns=drawn)
     cards.Card(
         template=kind.KIND.card_template,
         title="Starstruck",
         columns=COLUMNS,
-        picture=("scenes.png", draw, "The first scenes of each class from above; stars are orange"),
+        picture=("scenes.png", "The first scenes of each class from above; stars are orange"),
+        drawn=scene_dataset.SceneRecord,
         licence="mit",
         tags=["tactile", "active-perception", "3d", "mesh", "counting"],
         limits=_limits(manifest, spec),
@@ -77,7 +74,7 @@ def _placement_values(spec: sampling.SceneSpec) -> dict[str, str]:
         rotation = f" by 0 to {turned:g} degrees about z"
     distractors = with_count(most, "objects")
     if least < most:
-        distractors = f"{cards.between(least, most)} objects"
+        distractors = f"{least:,} to {most:,} objects"
     return {
         "cell_mm": " x ".join(f"{1e3 * side:g}" for side in spec.cell_m),
         "reach_x_mm": f"{1e3 * spec.half_area_m[0]:g}",
@@ -117,5 +114,5 @@ def _facts(record: scene_dataset.SceneRecord, _known: None) -> JsonDict:
 
 
 plan_gallery = partial(
-    gallery.gallery_of_solids, kind.KIND, title="Starstruck scenes", columns=_SHOWN, facts=_facts
+    gallery.Gallery.of_solids, kind.KIND, title="Starstruck scenes", columns=_SHOWN, facts=_facts
 )

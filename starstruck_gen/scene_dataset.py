@@ -99,7 +99,7 @@ def published_schema(_manifest: object = None) -> pa.Schema:
 @cache
 def scene_schema(class_names: tuple[str, ...] = KIND.class_names) -> pa.Schema:
     """Return the Arrow schema of a shard."""
-    return mesh.mesh_schema(SceneRow, class_names)
+    return SceneRow.schema(class_names)
 
 
 def make_rows(spec: sampling.SceneSpec, split: str, seed: int, start: int, count: int) -> list[SceneRow]:
@@ -274,6 +274,7 @@ class SceneRecord(pictures.DrawnSolid):
 
     __slots__ = ()
     is_faceted = True
+    drawn_columns = (mesh.VERTICES, mesh.FACES, "star_count", "placements")
 
     @property
     def star_count(self) -> int:

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from PIL import Image, ImageDraw
+from PIL import Image
 
 from tactile_envs import mesh_pool, touch_kernels
 from tactile_sim import center_view
+from tactile_toolkit import pictures
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int64, UInt8
-from tactile_toolkit.pictures import INK, draw_text, text_size
 
 Colour: TypeAlias = tuple[float, float, float]
 
@@ -21,6 +21,7 @@ _SIDE_PX = 240
 _PANEL_PX, _MARGIN_PX = 96, 4
 _FELT_PX = _PANEL_PX - 2 * _MARGIN_PX
 _NAME_PX, _MAX_NAME_PX, _MAX_BARS = 9, 44, 13
+_INK = (32, 36, 42)
 _ON_BLACK = (190, 196, 204)
 # The gel is as high as on the plate, metres.
 _EVEN_M = 1e-6
@@ -154,7 +155,7 @@ class _Word(NamedTuple):
     y_px: int
     text: str
     anchor: str = "lm"
-    colour: tuple[int, int, int] = INK
+    colour: tuple[int, int, int] = _INK
 
 
 def _draw_bars(panel: Float32, shares: AnyArray, right: int, names: tuple[str, ...]) -> list[_Word]:
@@ -168,7 +169,9 @@ def _draw_bars(panel: Float32, shares: AnyArray, right: int, names: tuple[str, .
         shown = np.sort([right, *ranks[ranks != right][: _MAX_BARS - 1]])
     room = (_SIDE_PX - first_px - _MARGIN_PX) // max(len(shown), 1)
     texts = {int(bar): _shortened(names[bar]) for bar in shown if names}
-    left = _MARGIN_PX + max((text_size(text, _NAME_PX)[0] + 3 for text in texts.values()), default=0)
+    left = _MARGIN_PX + max(
+        (pictures.Pen.text_size(text, _NAME_PX)[0] + 3 for text in texts.values()), default=0
+    )
     left = math.ceil(left)
     longest = _MARGIN_PX + _FELT_PX - left
     for place, bar in enumerate(shown.tolist()):
@@ -182,10 +185,10 @@ def _draw_bars(panel: Float32, shares: AnyArray, right: int, names: tuple[str, .
 
 def _shortened(name: str) -> str:
     """Return a name, cut so that half of the panel is left to the bars."""
-    if text_size(name, _NAME_PX)[0] <= _MAX_NAME_PX:
+    if pictures.Pen.text_size(name, _NAME_PX)[0] <= _MAX_NAME_PX:
         return name
     kept = name
-    while kept and text_size(f"{kept}…", _NAME_PX)[0] > _MAX_NAME_PX:
+    while kept and pictures.Pen.text_size(f"{kept}…", _NAME_PX)[0] > _MAX_NAME_PX:
         kept = kept[:-1]
     return f"{kept}…"
 
@@ -194,7 +197,7 @@ def _with_words(panel: Float32, words: Sequence[_Word]) -> Float32:
     if not words:
         return panel
     image = Image.fromarray(np.asarray(np.rint(np.clip(panel, 0, 1) * 255), np.uint8))
-    pen = ImageDraw.Draw(image)
+    pen = pictures.Pen(image)
     for word in words:
-        draw_text(pen, (word.x_px, word.y_px), word.text, _NAME_PX, word.colour, word.anchor)
+        pen.write((word.x_px, word.y_px), word.text, _NAME_PX, word.colour, word.anchor)
     return np.asarray(image, np.float32) / np.float32(255)

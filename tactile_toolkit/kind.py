@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
@@ -128,6 +128,7 @@ def tactile_mnist_set(
 
 
 _SOLIDS = lazy("tactile_toolkit.mesh:SolidDataset")
+_SHEETS = lazy("tactile_toolkit.pictures:plan_sheets")
 
 
 def _not_offered(*_: object, **__: object) -> Any:
@@ -180,7 +181,7 @@ class DatasetKind:
         Patterns of further files of such data sets, such as ``images/*.png``. All other files in these
         folders are a user's to ``--overwrite``.
     plan_previews, plan_gallery : callable
-        Plan pictures, or a page, of a data set, if the command line offers that.
+        Plan pictures, or a page, of a data set, if the command line offers that; sheets of solids by default.
     dataset : callable
         Class that opens the shards of a split: takes a ``ShardedTable`` and ``label_names``.
     recipe : callable or None
@@ -215,6 +216,8 @@ class DatasetKind:
     def __post_init__(self) -> None:
         if not self.content:
             object.__setattr__(self, "content", self.nouns)
+        if self.plan_previews is _not_offered:
+            object.__setattr__(self, "plan_previews", partial(_SHEETS, self))
 
     def load(self, name: object, split: str) -> Any:
         """Open a split as the kind's package does."""

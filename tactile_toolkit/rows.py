@@ -78,42 +78,48 @@ def column(
 
 @dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(column, field))
 def row(declared: type[T]) -> type[T]:
-    """Make a class whose attributes are columns: a frozen dataclass with slots."""
+    """Make a class of rows, a :class:`TypedRow`, whose attributes are columns: frozen, with slots."""
     return dataclass(frozen=True, slots=True, eq=False)(declared)
 
 
-def columns(row_type: type) -> dict[str, Column]:
-    """Return the columns of a class of rows by attribute, each with its name."""
-    found = {each.name: each.metadata.get(_COLUMN) for each in fields(row_type)}
-    return {
-        attribute: replace(each, name=each.name or attribute)
-        for attribute, each in found.items()
-        if each is not None
-    }
+class TypedRow:
+    """Base class of rows: facts that follow from their columns."""
+
+    __slots__ = ()
+
+    @classmethod
+    def columns(cls) -> dict[str, Column]:
+        """Return the columns by attribute, each with its name."""
+        found = {each.name: each.metadata.get(_COLUMN) for each in fields(cls)}  # type: ignore[arg-type]
+        return {
+            attribute: replace(each, name=each.name or attribute)
+            for attribute, each in found.items()
+            if each is not None
+        }
+
+    @classmethod
+    def with_role(cls, *roles: Role) -> tuple[Column, ...]:
+        """Return the columns that have one of some roles."""
+        return tuple(each for each in cls.columns().values() if each.role in roles)
+
+    @classmethod
+    def meanings(cls) -> dict[str, tuple[str, str]]:
+        """Return shape, unit and frame of each column, and its meaning, by name."""
+        return {each.name: (each.unit, each.meaning) for each in cls.columns().values()}
+
+    @classmethod
+    def plain_schema(cls) -> pa.Schema:
+        """Return the Arrow schema, without metadata."""
+        return pa.schema(
+            [(each.name, each.data_type) for each in cls.columns().values() if each.role != "hidden"]
+        )
 
 
-def with_role(row_type: type, *roles: Role) -> tuple[Column, ...]:
-    """Return the columns that have one of some roles."""
-    return tuple(each for each in columns(row_type).values() if each.role in roles)
-
-
-def meanings(row_type: type) -> dict[str, tuple[str, str]]:
-    """Return shape, unit and frame of each column, and its meaning, by name."""
-    return {each.name: (each.unit, each.meaning) for each in columns(row_type).values()}
-
-
-def plain_schema(row_type: type) -> pa.Schema:
-    """Return the Arrow schema of a class of rows, without metadata."""
-    return pa.schema(
-        [(each.name, each.data_type) for each in columns(row_type).values() if each.role != "hidden"]
-    )
-
-
-def table_of(rows: Sequence[object], schema: pa.Schema) -> pa.Table:
+def table_of(rows: Sequence[TypedRow], schema: pa.Schema) -> pa.Table:
     """Pack rows of one class into a table of the columns that ``schema`` has, with its types and metadata."""
     if not rows:
         return schema.empty_table()
-    attributes = {each.name: attribute for attribute, each in columns(type(rows[0])).items()}
+    attributes = {each.name: attribute for attribute, each in type(rows[0]).columns().items()}
     arrays = [
         _array([getattr(each, attributes[field.name]) for each in rows], field.type) for field in schema
     ]

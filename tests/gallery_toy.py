@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from tactile_toolkit.gallery import Gallery, GalleryItem, thumbnail
+from tactile_toolkit.gallery import Gallery, GalleryItem
 from tactile_toolkit.gallery.items import packed_mesh
 from tactile_toolkit.rows import Column
 
@@ -70,7 +70,7 @@ class ToyTask:
                 "writer": number % 31,
                 "volume": (number * 37 % 1000) / 10 if number % 7 else None,
             },
-            thumbnail=thumbnail(shade),
+            thumbnail=GalleryItem.thumbnail_of(shade),
             content={
                 "notes": [(f"Note{evil}", f"of {number}{evil}")],
                 "mesh": packed_mesh(CORNERS_M * (1 + number % 3), FACES),

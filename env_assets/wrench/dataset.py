@@ -18,7 +18,7 @@ from tactile_toolkit.arithmetic import cosine_sine
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import is_copy
-from tactile_toolkit.mesh import MM_PER_M, Mesh, MeshRow, PrintReport, inspect, mesh_schema, write_mesh
+from tactile_toolkit.mesh import MM_PER_M, Mesh, MeshRow, PrintReport, inspect, write_mesh
 
 # Sides of a full circle: 0.03 mm from round at 60 mm across, less than a printer can show.
 _SEGMENTS = 96
@@ -83,7 +83,7 @@ class WrenchRow(MeshRow):
 
 def wrench_schema(_manifest: object = None) -> pa.Schema:
     """Return the Arrow schema of the shard."""
-    return mesh_schema(WrenchRow, KIND.class_names)
+    return WrenchRow.schema(KIND.class_names)
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ def write_wrench(
         Folder to write; a folder that holds the same wrench stays as it is.
     mesh_file : path, optional
         Also write only the mesh, for a printer: a file with one of the endings of
-        :data:`tactile_toolkit.mesh.FORMATS`.
+        :data:`tactile_toolkit.mesh.MeshFile.FORMATS`.
     overwrite : bool
         Replace another data set of this toolkit in the folder.
 
@@ -181,14 +181,14 @@ def wrench_facts(spec: kind.WrenchSpec, report: PrintReport) -> JsonDict:
 
 def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     """Write ``README.md`` of the folder of a wrench and its picture."""
-    columns = rows.meanings(WrenchRow)
+    columns = WrenchRow.meanings()
     title = "Open-end wrench"
     if is_copy(manifest):
         terms = {
             "licence_text": "MIT, as the toolkit.",
             "citation_text": "The task: Schneider et al. 2025.",
         }
-        cards.write_table_card(folder, manifest, KIND, title, columns, "mit", **terms)
+        cards.Card.of_copy(manifest, KIND, title, columns, "mit", **terms).write(folder, manifest, KIND)
         return
     spec = kind.WrenchSpec(**manifest.spec)
     report = inspect(wrench_mesh(spec))
@@ -196,7 +196,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         template=KIND.card_template,
         title=title,
         columns=columns,
-        picture=("wrench.png", cards.draw_solids, "The wrench from above, the first jaw on the right"),
+        picture=("wrench.png", "The wrench from above, the first jaw on the right"),
         licence="mit",
         tags=["tactile", "active-perception", "3d", "mesh", "pose-estimation", "3d-printing"],
         values={

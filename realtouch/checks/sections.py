@@ -16,8 +16,8 @@ import numpy as np
 import xxhash
 
 from realtouch import contact, picture_views, touch_options
-from realtouch.checks import picture_measures, rules
-from realtouch.checks.picture_measures import spans_of
+from realtouch.checks import rules
+from realtouch.checks.rules import spans_of
 from realtouch.touches import media, schema, stored_round
 from realtouch.touches.poses import Poses
 from tactile_toolkit.array_types import Float32, Float64
@@ -99,7 +99,7 @@ def check_section(
             section.touches += _touches(strip)
             pictures += strip.seen.values()
     if pictures and not is_rendered:  # no light that could change
-        steps = picture_measures.outlying_steps(np.stack([each.cells for each in pictures]), limits.exposure)
+        steps = rules.outlying_steps(np.stack([each.cells for each in pictures]), limits.exposure)
         section.faults += [rules.Fault("exposure-jumps", pictures[index].spot, step) for index, step in steps]
         _add_bare_gel(section, pictures)
     return section
@@ -164,8 +164,8 @@ def _strip(
     for number in picture_views.evenly_spaced(len(encoded), frames):
         spot, picture = spots[number], encoded[number]
         try:
-            cells = picture_measures.cells_of(picture)
-            share = picture_measures.share_of_one_value(picture, cells)
+            cells = rules.cells_of(picture)
+            share = rules.share_of_one_value(picture, cells)
         except ValueError:
             section.faults.append(rules.Fault("unreadable-touches", spot, 0.0))
             continue
@@ -204,7 +204,7 @@ def _touches(strip: Strip) -> Iterator[TouchSeen]:
         if cells and all(strip.digests[number] for number in of_touch):
             digest = xxhash.xxh3_128_digest(b"".join(strip.digests[number] for number in of_touch))
             spot = strip.spots[of_touch[0]]._replace(frame=0)
-            yield TouchSeen(spot, digest, picture_measures.colour_pattern(np.median(cells, axis=0)))
+            yield TouchSeen(spot, digest, rules.colour_pattern(np.median(cells, axis=0)))
 
 
 def _add_bare_gel(section: Section, pictures: Sequence[Picture]) -> None:
@@ -217,7 +217,7 @@ def _add_bare_gel(section: Section, pictures: Sequence[Picture]) -> None:
     same = [each for each in decoded if each.shape == decoded[0].shape]
     section.decoded += len(decoded)
     if len(same) >= _MIN_BARE:
-        section.markers = picture_measures.count_markers(contact.median_in_memory(np.stack(same)))
+        section.markers = rules.count_markers(contact.median_in_memory(np.stack(same)))
 
 
 class Picture(NamedTuple):

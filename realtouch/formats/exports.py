@@ -31,7 +31,7 @@ EXPORTS = {
         "oxt": "zarr_export",
         "replay": "zarr_export",
         "fota": "tar_samples",
-        "anytouch": "anytouch",
+        "anytouch": "media_files",
     }.items()
 }
 

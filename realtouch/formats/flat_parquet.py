@@ -11,6 +11,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import IO, TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -295,9 +296,14 @@ def _named_values(place: str) -> Iterator[None]:
         raise errors.IntegrityError.in_file(place, f" holds a value that cannot be read ({error})") from error
 
 
-def read_rows(place: importing.PicturePlace, numbers: Sequence[int]) -> Iterator[bytes | errors.ItemError]:
+def read_rows(
+    home: store.DataFolder, place: importing.PicturePlace, numbers: Sequence[int]
+) -> Iterator[bytes | errors.ItemError]:
     """Yield the pictures of some rows; ``part`` of the place is their column."""
-    return ForeignParquet(store.open_folder(place.home), place.path).pictures(place.part, numbers)
+    return ForeignParquet(home, place.path).pictures(place.part, numbers)
+
+
+read_contents = partial(importing.pictures_by_file, read_rows)
 
 
 def require_bounded_pages(stream: IO[bytes], start: int, stored_bytes: int, most_bytes: int) -> None:

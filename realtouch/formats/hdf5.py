@@ -225,15 +225,14 @@ def _recording(
     return next(zarr_recordings.episodes_of(whole, np.array([len(pictures)]), [title], constant))
 
 
-def _open_pictures(home: str, path: str, part: str) -> picture_arrays.PictureArray:
+def _open_pictures(home: store.DataFolder, path: str, part: str) -> picture_arrays.PictureArray:
     divisor, name = part.split(" ", 1)
-    folder = store.open_folder(home)
-    with ExitStack() as closing, in_words(folder.address(path)):
-        root = open_file(closing.enter_context(importing.open_source(folder, path)))
-        array = dataset_in(folder.address(path), root, name)
+    with ExitStack() as closing, in_words(home.address(path)):
+        root = open_file(closing.enter_context(importing.open_source(home, path)))
+        array = dataset_in(home.address(path), root, name)
         weakref.finalize(array, closing.pop_all().close)
     return picture_arrays.PictureArray(array, float(divisor))
 
 
-read_frames = partial(picture_arrays.read_pictures, opened=_open_pictures)
+read_contents = partial(picture_arrays.read_contents, opened=_open_pictures)
 describe_conversion = partial(picture_arrays.described_pictures, opened=_open_pictures)

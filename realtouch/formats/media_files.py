@@ -1,7 +1,11 @@
-"""Image files and videos as sources of touches.
+"""Image files, lists of them, and videos as sources of touches.
 
 Images have a table of their fields, a folder for each class, or neither. Each video is a recording; a table
 or its folder gives its fields.
+
+AnyTouch 2 lists its files with the lines of Touch and Go: ``FOLDER/0000000012.jpg,LABEL,BACKGROUND``. Images
+are in ``touch_and_go/FOLDER/gelsight_frame``, and their numbers have ten digits; ``train_bg.txt`` and
+``test_bg.txt`` have a line for each image, and the label -1 leaves an image out.
 """
 
 from __future__ import annotations
@@ -9,23 +13,33 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from functools import partial
+from itertools import groupby
+from operator import itemgetter
 from pathlib import PurePosixPath
 
 import numpy as np
 import pyarrow as pa
 
-from realtouch import importing
+from realtouch import convert, importing
+from realtouch.formats.exports import NamedImage, TouchFormat
+from realtouch.touches import stored_images
 from realtouch.video import video_files, videos
-from tactile_toolkit import errors, store
-from tactile_toolkit.columns import tables
+from tactile_toolkit import errors, read, store
+from tactile_toolkit.columns import column_types, tables
 from tactile_toolkit.json_types import JsonDict
 
 _IMAGES = tuple(f".{ending}" for ending in importing.IMAGE_ENDINGS)
 _SPLITS = {"train", "val", "valid", "validation", "test"}
 _MAX_IMAGES = 1_000_000
-
 _FILE = "file"
+_UNREADABLE = video_files.Video(np.zeros(1), 0, "", lambda _stream, _numbers: iter(()))
+_ANYTOUCH_FOLDER = "anytouch"
+_ANYTOUCH_IMAGES = "touch_and_go"
+_ANYTOUCH_FRAMES = "gelsight_frame"
+_BACKGROUND = "background.jpg"
+_LIST_END = "_bg.txt"
+_LEFT_OUT = "-1"
 
 
 def find_folder(
@@ -111,11 +125,13 @@ def find_video(
     rows = _table_of_videos(folder, columns, column, table, paths)
     if rows is None:
         said = _classes(paths)
-        for path in paths:
-            yield _recording(folder, path, {column: path, **said.get(path, {})}, None, stems)
+        problems = importing.problems_of_names(paths)
+        for number, path in enumerate(paths):
+            yield _recording(folder, path, {column: path, **said.get(path, {})}, problems.get(number), stems)
         return
     named = list(map(importing.path_of, rows.texts(column)))
-    problems = importing.duplicates_of(named, importing.FILE_OF_TABLE)
+    problems = importing.problems_of_names(named)
+    problems |= importing.duplicates_of(named, importing.FILE_OF_TABLE)
     for row, path in enumerate(named):
         yield _recording(folder, path, rows.values(row), problems.get(row), stems)
     unnamed = errors.ItemError("table", "no row of the table names this video; expected one")
@@ -133,16 +149,14 @@ def _recording(
 ) -> importing.Recording:
     """Return a video with its fields; one that cannot be used has a problem and one picture."""
     name = path if stems[_stem(path)] > 1 else _stem(path)
-    whole = importing.Recording(name, folder.address(), path, "", 0, 1, 0, said, time_s=np.zeros(1))
-    try:
-        if problem is not None:
-            raise problem
-        folder.size_inside(path)
-        found = videos.open_video(folder, path)
-    except errors.ItemError as error:
-        return replace(whole, problem=error)
-    size, times = found.picture_bytes, found.time_s
-    return replace(whole, part=found.conversion, frames=len(times), frame_bytes=size, time_s=times)
+    found = _UNREADABLE
+    if problem is None:
+        try:
+            found = videos.open_video(folder, path)
+        except errors.ItemError as error:
+            problem = error
+    place = (folder.address(), path, found.conversion, 0, len(found), found.picture_bytes)
+    return importing.Recording(name, *place, said, time_s=found.time_s, problem=problem)
 
 
 def _stem(path: str) -> str:
@@ -150,8 +164,10 @@ def _stem(path: str) -> str:
 
 
 def _videos(home: store.DataFolder) -> list[str]:
-    visible = [path for path in home.walk() if not store.is_hidden(path)]
-    return [path for path in visible if video_files.is_video(home, path)]
+    paths = list(home.walk())
+    visible = [path for path in paths if not store.is_hidden(path)]
+    untabled = [path for path in visible if not path.lower().endswith(tables.ENDINGS)]
+    return [path for path in untabled if video_files.is_video(home, path)]
 
 
 def _classes(paths: Sequence[str]) -> dict[str, dict[str, object]]:
@@ -171,22 +187,23 @@ def _table_of_videos(
 ) -> importing.SourceTable | None:
     """Return the table of the videos; None if there is no such table."""
 
-    def read(folder: store.DataFolder, name: str) -> importing.SourceTable:
-        found = importing.read_table(folder, name, columns, [image])
-        importing.require_columns(found.columns, [image], folder.address(name))
-        return found
+    def read(found: tables.Table) -> importing.SourceTable:
+        rows = importing.rows_of_table(found, columns, [image])
+        importing.require_columns(rows.columns, [image], found.path)
+        return rows
 
     if table is not None:
-        return read(*importing.source_of(table))
+        return read(tables.open_table(*importing.source_of(table)))
     found = {}
     refused: tuple[str, str] | None = None
     streams = tuple(f"{_stem(path)}{mark}" for path in paths for mark in "._")
     for name in importing.visible_files(home, tables.ENDINGS):
         if name.startswith(streams):
             continue
-        first = _first_row(home, name)
+        opened = tables.open_table(home, name)
+        first = _first_row(opened)
         if image in first:
-            rows = read(home, name)
+            rows = read(opened)
             if {*map(importing.path_of, rows.texts(image))}.intersection(paths):
                 found[name] = rows
         elif refused is None and not {*importing.RECORDING_COLUMNS}.intersection(first):  # no table of cuts
@@ -206,10 +223,10 @@ def _table_of_videos(
     return next(iter(found.values()), None)
 
 
-def _first_row(home: store.DataFolder, name: str) -> JsonDict:
+def _first_row(table: tables.Table) -> JsonDict:
     """Return the first row of a table; empty for a file that is no table."""
     with suppress(errors.InputError):
-        return tables.open_table(home, name).first_row()
+        return table.first_row()
     return {}
 
 
@@ -218,6 +235,77 @@ def describe_conversion(touches: importing.FoundTouches) -> str:
     return "; ".join(sorted({*touches.where["part"].unique().to_pylist()} - {""}))
 
 
-def read_frames(place: importing.PicturePlace, numbers: Sequence[int]) -> Iterator[bytes | errors.ItemError]:
+def read_frames(
+    home: store.DataFolder, place: importing.PicturePlace, numbers: Sequence[int]
+) -> Iterator[bytes | errors.ItemError]:
     """Yield the pictures of a video with some numbers."""
-    return videos.pictures_of_video(store.open_folder(place.home), place.path, numbers)
+    return videos.pictures_of_video(home, place.path, numbers)
+
+
+read_contents = partial(importing.pictures_by_file, read_frames)
+
+
+def _pack_anytouch(shard: store.ShardName, index: pa.Table, images: Iterator[NamedImage]) -> convert.Made:
+    """Return the touches of each round as numbered images, and their median as the background."""
+    if (index["label"].to_numpy() < 0).any():
+        raise errors.InputError(
+            "touches without a class; in this format the label -1 leaves an image out",
+            next="choose those of known classes with `realtouch select --labels`, or another format",
+        )
+    files: dict[str, bytes] = {}
+    paths: list[str] = []
+    backgrounds: list[str] = []
+    stored = zip(index["round_id"].to_pylist(), index["touch"].to_pylist(), images, strict=True)
+    for name, touches in groupby(stored, key=itemgetter(0)):
+        folder = f"{shard.split}-{convert.stem_of_id(name)}"
+        home = f"{_ANYTOUCH_FOLDER}/{_ANYTOUCH_IMAGES}/{folder}/{_ANYTOUCH_FRAMES}"
+        found = {f"{home}/{touch:010d}.jpg": stored_images.as_jpeg(image) for _, touch, (_, image) in touches}
+        background = f"{home}/{_BACKGROUND}"
+        files |= {**found, background: stored_images.background_of(list(found.values()), list(found))}
+        paths += found
+        backgrounds += [background] * len(found)
+    return convert.with_files(index, files, [paths, backgrounds])
+
+
+def _write_lists(folder: store.DataFolder, manifest: store.Manifest) -> dict[str, str]:
+    """Write a list for each split; return the checksum of each by its path."""
+    lines: dict[str, list[str]] = {}
+    for record in manifest.shards:
+        table = read.Shard(folder.address(record.shard.data_path)).read(columns=["file", "label"])
+        path = f"{_ANYTOUCH_FOLDER}/{record.shard.split}{_LIST_END}"
+        for image, label in zip(*(column.to_pylist() for column in table.columns), strict=True):
+            _, _, name, _, base = image.split("/")
+            lines.setdefault(path, []).append(f"{name}/{base},{label},{_BACKGROUND}\n")
+    # The index has the checksums of the images; in the manifest they would take too much space.
+    return convert.write_changed(folder, {path: "".join(each).encode() for path, each in lines.items()})
+
+
+plan_anytouch = TouchFormat(_ANYTOUCH_FOLDER, _pack_anytouch, _write_lists).plan
+
+
+def find_anytouch(
+    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+) -> Iterator[importing.FoundTouches]:
+    """Yield the lines of each list, or of one list, as touches; the touch of a missing file has a problem."""
+    named = home if table is None else store.open_folder(table)
+    find = partial(importing.visible_files, endings=_LIST_END)
+    place, lists = importing.files_to_read(named, f"lists (*{_LIST_END})", find)
+    for each in lists:
+        split = each.removesuffix(_LIST_END)
+        with importing.open_source(place, each) as stream:
+            lines = stream.read().decode(errors="replace").splitlines()
+        paths, labels, rounds = list[str](), list[str](), list[str]()
+        for line in lines:
+            image, label, *_ = f"{line},".split(",")
+            folder, _, base = importing.path_of(image).rpartition("/")
+            paths.append(f"{_ANYTOUCH_IMAGES}/{folder}/{_ANYTOUCH_FRAMES}/{base}")
+            labels.append(label.strip())
+            rounds.append(convert.id_of_stem(folder.removeprefix(f"{split}-")))
+        problem = errors.ItemError("label", "the list leaves it out: its label is -1")
+        left_out = [number for number, label in enumerate(labels) if label == _LEFT_OUT]
+        said = {
+            "label": pa.array(labels, pa.string()),
+            "round_id": pa.array(rounds, pa.string()),
+            "split": column_types.repeated(split, len(paths)),
+        }
+        yield importing.image_files(home, paths, said, dict.fromkeys(left_out, problem))

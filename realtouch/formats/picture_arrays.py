@@ -7,15 +7,15 @@ values that 8 bits hold without loss are converted.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Literal
 
 import numpy as np
 
 from realtouch import importing
-from tactile_toolkit import cache, errors, touch, wording
+from tactile_toolkit import cache, errors, store, touch, wording
 from tactile_toolkit.array_types import AnyArray, Floating, UInt8
 
 _CHANNELS = (1, 3)
@@ -165,18 +165,22 @@ def _fits(levels: Floating, tolerance: float) -> bool:
     return bool((inside & (np.abs(levels - nearest) <= tolerance)).all())
 
 
-OpenPictures = Callable[[str, str, str], PictureArray]
-"""Opens the array with the pictures of a touch, given its ``home``, ``path`` and ``part``."""
+OpenPictures = Callable[[store.DataFolder, str, str], PictureArray]
+"""Opens the array with the pictures of a touch, given the opened source, the ``path`` and the ``part``."""
 
 
-def read_pictures(
-    place: importing.PicturePlace, numbers: Sequence[int], opened: OpenPictures
+def read_contents(
+    places: Iterable[importing.PicturePlace], opened: OpenPictures
+) -> Iterator[bytes | errors.ItemError]:
+    """Yield pictures of arrays, in order: images as PNG, pictures of clips as JPEG."""
+    return importing.pictures_by_file(partial(_read_pictures, opened), places)
+
+
+def _read_pictures(
+    opened: OpenPictures, home: store.DataFolder, place: importing.PicturePlace, numbers: Sequence[int]
 ) -> Iterator[bytes]:
-    """Yield pictures of an array by their numbers: images as PNG, pictures of clips as JPEG.
-
-    Consecutive pictures of a block read it once.
-    """
-    pictures = opened(*place.file, place.part)
+    """Yield pictures of an array by their numbers; consecutive pictures of a block read it once."""
+    pictures = opened(home, place.path, place.part)
     pixels = lru_cache(1)(PictureArray.pixels)
     encoding: Literal["jpeg", "png"] = "jpeg" if place.frames else "png"
     for number in numbers:
@@ -187,7 +191,7 @@ def read_pictures(
 def described_pictures(touches: importing.FoundTouches, opened: OpenPictures) -> str:
     """Return how the pictures of some touches are converted; empty if they are taken as they are."""
     first = touches[0]
-    words = [opened(first.home, first.path, first.part).described()]
+    words = [opened(store.open_folder(first.home), first.path, first.part).described()]
     if first.frames:
         words.append("pictures of clips encoded as JPEG of quality 95")
     return "; ".join(filter(None, words))

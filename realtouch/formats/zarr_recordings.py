@@ -149,13 +149,13 @@ def recordings_of(
     return (replace(with_contact(each), round=name) for each, name in zip(episodes, round_ids, strict=True))
 
 
-def _open_pictures(home: str, path: str, part: str) -> picture_arrays.PictureArray:
+def _open_pictures(home: store.DataFolder, path: str, part: str) -> picture_arrays.PictureArray:
     divisor, sensor, name = part.split(" ", 2)
-    array = zarr_arrays.ZarrGroup(store.open_folder(home), path).array(name)
+    array = zarr_arrays.ZarrGroup(home, path).array(name)
     return picture_arrays.PictureArray(array, float(divisor), int(sensor) if sensor else None)
 
 
-read_frames = partial(picture_arrays.read_pictures, opened=_open_pictures)
+read_contents = partial(picture_arrays.read_contents, opened=_open_pictures)
 describe_conversion = partial(picture_arrays.described_pictures, opened=_open_pictures)
 
 

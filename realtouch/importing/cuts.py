@@ -2,22 +2,51 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import PurePosixPath
 
 import numpy as np
+from scipy.ndimage import median_filter
 
+from realtouch import contact
 from realtouch.contact import ContactRule
-from realtouch.importing import contact_cuts, fields, import_columns, source_files, source_touches
-from tactile_toolkit import errors, wording
+from realtouch.importing import fields, import_columns, source_files, source_touches
+from realtouch.video import avi
+from tactile_toolkit import errors, pictures, touch, wording
+from tactile_toolkit.array_types import Bool, Float64, Int64, UInt8
 from tactile_toolkit.columns import column_types, units
 
 RECORDING_COLUMNS = ("recording", "file")
 _FRAME = "start_frame"
-
-
 MAX_PICTURES = 64
 """Maximum number of recordings whose cuts are drawn; the first ones are."""
+JOIN_S = 0.2
+"""Longest gap between two runs of contact that are joined to one touch, in seconds."""
+JOIN_PICTURES = 5
+"""The same limit for recordings without times, in pictures."""
+MIN_PICTURES = 3
+"""Minimum number of pictures with contact in a touch."""
+MIN_MARGIN = 12
+"""Minimum number of pictures before and after a contact; fewer where the next touch is close."""
+# Pictures spread over the recording, from which the background is made.
+_MAX_SAMPLES = 48
+_MIN_SAMPLES = 5
+_SAMPLE_BYTES = 64 << 20
+_MIN_AT_REST = 3
+_LIGHT_WINDOW = 9  # samples; the level of the light is a running median over them
+_DARK = 16  # grey level; below it, the ratio of two pixels is mostly noise
+_PIXEL_STEP = 2
+_TILE_PX = 108
+_GAP_PX = 8
+_TILES_PER_ROW = 10
+_MAX_TILES = 60
+_WIDTH_PX = _TILES_PER_ROW * (_TILE_PX + _GAP_PX) - _GAP_PX
+_STRIP_PX = 72
+_GREY = (238, 240, 242)
+_CLIP = (198, 222, 240)
+_CONTACT = pictures.ACCENTS[1]
+_CURVE, _LIMIT = pictures.ACCENTS[0], pictures.ACCENTS[3]
 
 
 class CutTable:
@@ -206,15 +235,262 @@ class Cutter:
 
     def _by_contact(self, recording: source_touches.Recording) -> Iterator[source_touches.Clip]:
         try:
-            found = contact_cuts.find_contacts(recording, self._contents, self._rule)
+            found = find_contacts(recording, self._contents, self._rule)
         except errors.ItemError as error:
             yield recording.unusable(error)
             return
         if len(self.pictures) < MAX_PICTURES:
             name = recording.name.replace("/", "-")
-            self.pictures[name] = contact_cuts.draw_cuts(recording, found, self._contents, self._rule)
+            self.pictures[name] = draw_cuts(recording, found, self._contents, self._rule)
         for number, run in enumerate(found.runs):
             name = f"{recording.name}_{number:03d}"
             yield source_touches.Clip(
                 run.start, run.stop, name, (run.first - run.start, run.last - run.start)
             )
+
+
+@dataclass(frozen=True, slots=True)
+class ContactRun:
+    """A touch as numbers of pictures: start and stop of its clip, first and last contact, best picture."""
+
+    start: int
+    stop: int
+    first: int
+    last: int
+    best: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ContactRuns:
+    """The touches of a recording, in order, and how they were found.
+
+    Attributes
+    ----------
+    area_px : ndarray of int64, shape (frames,)
+        Changed pixels of each picture; 0 if it cannot be read.
+    runs : tuple of ContactRun
+    too_short : int
+        Number of runs with fewer than :data:`MIN_PICTURES` pictures with contact.
+    unreadable : int
+        Number of pictures that cannot be read, or are of another size.
+    """
+
+    area_px: Int64 = field(repr=False)
+    runs: tuple[ContactRun, ...]
+    too_short: int
+    unreadable: int
+
+
+def pictures_of(
+    recording: source_touches.Recording, parts: Iterable[range], contents: source_files.ReadContents
+) -> Iterator[UInt8 | None]:
+    """Yield the pictures of some ranges, in order, shape (H, W, 3); None for an unreadable picture."""
+    places = (recording.place(part.start, part.stop) for part in parts)
+    for content in contents(places):
+        try:
+            yield None if isinstance(content, errors.ItemError) else touch.decode_image(content)
+        except ValueError:
+            yield None
+
+
+class GelAtRest:
+    """The background of each picture of a recording, within the window of the rule.
+
+    The first background is the median of samples: pictures spread over the recording. The final one is the
+    median of the samples that show no contact against the first. It is right where every pixel is at rest in
+    more than half of the samples. The background follows slow changes of the light: each channel is scaled by
+    its level in the samples, smoothed by a running median, which touches do not change. The samples are kept
+    in memory, cropped.
+
+    Raises ItemError if no sample can be read.
+    """
+
+    def __init__(
+        self,
+        recording: source_touches.Recording,
+        contents: source_files.ReadContents,
+        rule: contact.ContactRule,
+    ) -> None:
+        self.shape: tuple[int, ...] = ()
+        found = self._read_samples(recording, contents, rule)
+        self._numbers, samples = list(found), np.stack(list(found.values()))
+        self._base = contact.median_in_memory(samples)
+        self._levels = self._levels_of(samples)
+        uncropped = replace(rule, crop=1.0)
+        shows_contact = np.array(
+            [
+                rule.holds(contact.contact_score(sample, self.at(number), uncropped))
+                for number, sample in found.items()
+            ]
+        )
+        at_rest = ~shows_contact
+        if at_rest.sum() >= _MIN_AT_REST:
+            levels = np.float32(self._levels[at_rest, np.newaxis, np.newaxis])
+            same_light = np.minimum(np.rint(samples[at_rest] / levels), 255).astype(np.uint8)
+            self._base = contact.median_in_memory(same_light)
+            self._levels = self._levels_of(samples)
+
+    def _read_samples(
+        self,
+        recording: source_touches.Recording,
+        contents: source_files.ReadContents,
+        rule: contact.ContactRule,
+    ) -> dict[int, UInt8]:
+        """Return samples by their number, cropped; the first readable one sets shape and window."""
+        numbers = np.linspace(0, recording.frames - 1, _MAX_SAMPLES).round().astype(np.int64)
+        spread = np.unique(numbers).tolist()
+        found: dict[int, UInt8] = {}
+        step = 1
+        seen = pictures_of(recording, (range(number, number + 1) for number in spread), contents)
+        for index, (number, picture) in enumerate(zip(spread, seen, strict=False)):
+            if picture is not None and not self.shape:
+                self.shape, self.window = picture.shape, rule.window(*picture.shape[:2])
+                fitting = max(_MIN_SAMPLES, _SAMPLE_BYTES // picture[self.window].nbytes)
+                step = -(-_MAX_SAMPLES // fitting)
+            cropped = self.cropped(picture)
+            if cropped is not None and (index % step == 0 or not found):
+                found[number] = cropped.copy()
+        if not found:
+            raise errors.ItemError("image", f"none of {len(spread):,} pictures of the recording can be read")
+        return found
+
+    def cropped(self, picture: UInt8 | None) -> UInt8 | None:
+        """Return the window of a picture; None if it is unreadable or of another size."""
+        if picture is None or picture.shape != self.shape:
+            return None
+        return picture[self.window]
+
+    def at(self, number: int) -> UInt8:
+        """Return the background of the picture with this number."""
+        levels = np.array([np.interp(number, self._numbers, each) for each in self._levels.T], np.float32)
+        found: UInt8 = np.minimum(np.rint(self._base * levels), 255).astype(np.uint8)
+        return found
+
+    def _levels_of(self, pictures: UInt8) -> Float64:
+        """Return the levels of n samples relative to the background, (n, 3) channels, smooth in time."""
+        levels = np.ones((len(pictures), 3))
+        parts, base = (each[..., ::_PIXEL_STEP, ::_PIXEL_STEP, :] for each in (pictures, self._base))
+        for channel in range(3):
+            bright = base[..., channel] >= _DARK
+            if bright.any():
+                ratios = parts[:, bright, channel] / base[bright, channel].astype(np.float32)
+                levels[:, channel] = np.median(ratios, axis=1)
+        smooth: Float64 = median_filter(levels, (_LIGHT_WINDOW, 1), mode="nearest")
+        return smooth
+
+
+def find_contacts(
+    recording: source_touches.Recording,
+    contents: source_files.ReadContents,
+    rule: contact.ContactRule,
+) -> ContactRuns:
+    """Find the touches of a recording; ItemError if it has none, or if no picture can be read."""
+    area_px, change = np.zeros((2, recording.frames), np.int64)
+    holds = np.zeros(recording.frames, bool)
+    unreadable = 0
+    background = GelAtRest(recording, contents, rule)
+    uncropped = replace(rule, crop=1.0)
+    numbers = range(recording.frames)
+    for number, picture in zip(numbers, pictures_of(recording, [numbers], contents), strict=False):
+        seen = background.cropped(picture)
+        if seen is None:
+            unreadable += 1
+            continue
+        score = contact.contact_score(seen, background.at(number), uncropped)
+        area_px[number], change[number], holds[number] = score.area_px, score.total_change, rule.holds(score)
+    starts, stops = _joined(holds, recording.time_s)
+    counts = [int(holds[start:stop].sum()) for start, stop in zip(starts, stops, strict=True)]
+    long = np.array(counts, np.int64) >= MIN_PICTURES
+    runs = tuple(_with_margins(starts[long], stops[long], change))
+    if not runs:
+        raise errors.ItemError(
+            "contact",
+            f"no touch in {recording.frames:,} pictures; a touch needs {MIN_PICTURES} pictures in which "
+            f"{rule.min_area_px:,} pixels differ by more than {rule.min_change} levels from the gel at rest",
+            next="take it whole (`--cut whole`), or give a table of its touches (`--cut TABLE`)",
+        )
+    return ContactRuns(area_px, runs, int(np.sum(~long)), unreadable)
+
+
+def _joined(holds: Bool, time_s: Float64 | None) -> tuple[Int64, Int64]:
+    """Return the starts and stops of runs of pictures with contact; close runs are joined."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], holds, [False]])))
+    starts = edges[::2]
+    stops = edges[1::2]
+    if not len(starts):
+        return starts, stops
+    if time_s is None:
+        is_far = starts[1:] - stops[:-1] > JOIN_PICTURES
+    else:
+        is_far = time_s[starts[1:]] - time_s[stops[:-1] - 1] > JOIN_S
+    return starts[np.append(True, is_far)], stops[np.append(is_far, True)]
+
+
+def _with_margins(starts: Int64, stops: Int64, change: Int64) -> Iterator[ContactRun]:
+    """Yield each run as a clip with margins as long as the contact, at most half way to the next run."""
+    middles = (stops[:-1] + starts[1:]) // 2
+    limits = [0, *middles.tolist(), len(change)]
+    for number, (start, stop) in enumerate(zip(starts.tolist(), stops.tolist(), strict=True)):
+        margin = min(max(stop - start, MIN_MARGIN), max(0, avi.MAX_CLIP_FRAMES - (stop - start)) // 2)
+        best = start + int(np.argmax(change[start:stop]))
+        yield ContactRun(
+            max(start - margin, limits[number]), min(stop + margin, limits[number + 1]), start, stop - 1, best
+        )
+
+
+def draw_cuts(
+    recording: source_touches.Recording,
+    found: ContactRuns,
+    contents: source_files.ReadContents,
+    rule: contact.ContactRule,
+) -> bytes:
+    """Draw the cuts of a recording as PNG: a strip of all pictures, and the best picture of each touch.
+
+    If there are many touches, only the first ones are shown by a picture.
+    """
+    best = [run.best for run in found.runs[:_MAX_TILES]]
+    seen = pictures_of(recording, [range(frame, frame + 1) for frame in best], contents)
+    tiles = [
+        pictures.Tile(_small(picture), f"{number:03d}: #{frame:,}")
+        for number, (frame, picture) in enumerate(zip(best, seen, strict=True))
+        if picture is not None
+    ]
+    touches = wording.with_count(len(found.runs), "touches")
+    frames = f"{recording.frames:,} pictures"
+    captions = [
+        f"{touches} in {frames}: "
+        f"{rule.min_area_px} changed pixels or more (red line), by {rule.min_intensity:g} levels on average",
+        "height: square root of the changed pixels; orange: contact; blue: margin of the clip; "
+        f"{found.too_short:,} too short, {wording.with_count(found.unreadable, 'unreadable pictures')}",
+    ]
+    strip = pictures.sheet([pictures.Tile(_strip(found, rule))], 1, recording.name, captions)
+    small = pictures.sheet(tiles, _TILES_PER_ROW, gap_px=_GAP_PX)
+    width = max(strip.shape[1], small.shape[1])
+    parts = [
+        np.pad(part, ((0, 0), (0, width - part.shape[1]), (0, 0)), "edge")  # the edge is blank
+        for part in (strip, small)
+    ]
+    return pictures.png_bytes(np.vstack(parts))
+
+
+def _small(picture: UInt8) -> UInt8:
+    height, width = picture.shape[:2]
+    scale = _TILE_PX / max(height, width)
+    return touch.resized(picture, max(1, round(scale * width)), max(1, round(scale * height)))
+
+
+def _strip(found: ContactRuns, rule: contact.ContactRule) -> UInt8:
+    """Draw the changed area over all pictures; a column shows the largest area of its pictures."""
+    frames = len(found.area_px)
+    colours = np.full((_WIDTH_PX, 3), _GREY, np.uint8)
+    clips = [(run.start, run.stop - 1, _CLIP) for run in found.runs]
+    for first, last, colour in [*clips, *((run.first, run.last, _CONTACT) for run in found.runs)]:
+        colours[first * _WIDTH_PX // frames : last * _WIDTH_PX // frames + 1] = colour
+    edges = np.arange(_WIDTH_PX) * frames // _WIDTH_PX
+    heights = np.sqrt([*np.maximum.reduceat(found.area_px, edges), rule.min_area_px])
+    *heights, limit = (heights / heights.max() * (_STRIP_PX - 1)).round()
+    above = np.arange(_STRIP_PX)[::-1, np.newaxis]
+    strip = np.repeat(colours[np.newaxis], _STRIP_PX, axis=0)
+    strip[(above <= heights) & (np.array(heights) > 0)] = _CURVE
+    strip[above[:, 0] == limit] = _LIMIT
+    return strip

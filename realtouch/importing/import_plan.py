@@ -24,7 +24,6 @@ from realtouch.importing import (
     import_shards,
     import_sources,
     source_files,
-    source_formats,
     source_touches,
 )
 from realtouch.touch_options import Alignment
@@ -150,7 +149,7 @@ def plan_of(touches: Arranged, found: import_sources.FoundSource) -> store.Build
         spec[touch_options.STREAMS] = list(found.streams[:_MAX_STREAMS])
     if found.left_out:
         spec[touch_options.LEFT_OUT] = list(map(wording.printable, found.left_out[:_MAX_LEFT_OUT]))
-    conversion = source_formats.IMPORTS[found.layout].describe(every)
+    conversion = import_sources.IMPORTS[found.layout].describe(every)
     if conversion:
         spec["options"][CONVERSION] = conversion
     pictures = {f"{_CUTS}/{name}.png": content for name, content in found.pictures.items()}
@@ -218,7 +217,7 @@ def arranged(found: import_sources.FoundSource, classes: Sequence[str], split: s
         raise errors.InputError(f"the split is {split!r}; expected letters, digits and underscores")
     touches = found.touches
     columns = found.columns
-    read = source_formats.IMPORTS[found.layout]
+    read = import_sources.IMPORTS[found.layout]
     names = tuple(classes) or _class_names(touches, columns.label)
     if len(set(map(fields.integer_text, classes))) < len(classes):
         raise errors.InputError(f"the classes are {', '.join(names)}; expected each once")
@@ -255,7 +254,7 @@ def _divided(
     least = most_bytes // _TOUCHES_PER_SHARD
     of_rounds = [sum(max(least, sizes[number]) for number in numbers) for numbers in rounds.values()]
     pairs = list(rounds.items())
-    return [dict(pairs[part]) for part in source_touches.ranges_of(of_rounds, most_bytes)]
+    return [dict(pairs[part]) for part in _ranges_of(of_rounds, most_bytes)]
 
 
 def _class_names(touches: source_touches.FoundTouches, column: str | None) -> tuple[str, ...]:
@@ -322,7 +321,7 @@ def _in_pieces(
     """
     found: dict[str, list[int]] = {}
     for name, numbers in rounds.items():
-        parts = source_touches.ranges_of([sizes[number] for number in numbers], most_bytes)
+        parts = _ranges_of([sizes[number] for number in numbers], most_bytes)
         pieces = [numbers[part] for part in parts]
         names = [name]
         while len(names) < len(pieces) or (len(pieces) > 1 and taken.intersection(names)):
@@ -331,6 +330,20 @@ def _in_pieces(
         taken.update(names)
         found |= dict(zip(names, pieces, strict=True))
     return found
+
+
+def _ranges_of(sizes: Sequence[int], most_bytes: int) -> Iterator[slice]:
+    """Divide items, given their sizes in bytes, into parts of at most ``most_bytes``.
+
+    An item that is larger is a part of its own.
+    """
+    start = size_bytes = 0
+    for number, size in enumerate(sizes):
+        if size_bytes + size > most_bytes and number > start:
+            yield slice(start, number)
+            start, size_bytes = number, 0
+        size_bytes += size
+    yield slice(start, len(sizes))
 
 
 def common_size(
@@ -488,7 +501,7 @@ def _in_words(value: JsonValue, touch: int) -> str:
 
 
 def _pictures_in_words(found: import_sources.FoundSource, touches: Arranged) -> str:
-    words = source_formats.IMPORTS[found.layout].describe(found.touches) or "stored as they are"
+    words = import_sources.IMPORTS[found.layout].describe(found.touches) or "stored as they are"
     size = touches.work.image_size
     return words if size is None else f"{size[1]} x {size[0]} pixels, {words}"
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 import hashlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cache
 from itertools import islice
 from typing import Any, NamedTuple, cast
 
@@ -16,11 +17,11 @@ import numpy as np
 import pyarrow as pa
 
 from realtouch import contact, touch_options
-from realtouch.importing import fields, import_columns, import_sources, source_formats, source_touches
+from realtouch.importing import fields, import_columns, import_sources, source_touches
 from realtouch.touches import schema as stored_schema, stored_images
 from realtouch.video import avi
 from tactile_toolkit import errors, store
-from tactile_toolkit.array_types import AnyArray, Float64, Int64, UInt8
+from tactile_toolkit.array_types import AnyArray, Float64, Int64
 from tactile_toolkit.columns import column_types
 from tactile_toolkit.touch import MEDIA_TYPE, decode_image, is_jpeg, upright_size, with_features
 
@@ -37,8 +38,6 @@ FRAMES_PER_SECOND = 25.0
 """Frame rate of clips whose times are not known."""
 _RATES = (1e-3, 1e4)  # pictures a second that the header of an AVI can state
 _LONGEST_S = 1e6
-_DECODED_AT_ONCE = 64  # pictures
-_DECODED_BYTES = 64 << 20  # of these pictures; if they are large, there are fewer
 
 
 def _add_contents(digest: Any, contents: Iterable[bytes | errors.ItemError]) -> None:
@@ -80,7 +79,7 @@ class ImportTouches:
     versions: Mapping[source_touches.File, import_sources.Version]
 
     def _contents(self, touches: source_touches.FoundTouches) -> Iterator[bytes | errors.ItemError]:
-        return source_formats.IMPORTS[self.layout].contents(touches.take(np.flatnonzero(touches.is_usable)))
+        return import_sources.IMPORTS[self.layout].contents(touches.take(np.flatnonzero(touches.is_usable)))
 
     def digest(self, touches: source_touches.FoundTouches) -> str:
         """Read the images of touches and return the checksum of them all."""
@@ -119,8 +118,9 @@ class ImportTouches:
         """Raise IntegrityError if a file with several images is not the one whose places were read."""
         if not self.versions:
             return
-        for file in self.versions.keys() & {place.file for place in touches}:
-            if import_sources.version_of(file) != self.versions[file]:
+        files = self.versions.keys() & {(place.home, place.path) for place in touches}
+        for file, version in import_sources.versions_of(files, cache(store.open_folder)).items():
+            if version != self.versions[file]:
                 raise errors.IntegrityError(
                     f"{'/'.join(file)!r} was replaced or changed while it was imported; "
                     "its images are no longer where they were",
@@ -415,7 +415,10 @@ def clip_of(
     fps = min(max(1 / step_s, _RATES[0]), _RATES[1]) if step_s > 0 else FRAMES_PER_SECOND
     contact_ends = touches.where["contact"][row].as_py()
     if contact_ends is None:  # from the pictures as they are stored, so that a copy gives the same
-        contact_ends, is_found = contact_by_pictures(jpegs, size)
+        try:
+            contact_ends, is_found = contact.contact_by_pictures(jpegs, size, decode_image)
+        except ValueError as error:
+            raise errors.ItemError("image", str(error)) from error
         notes.append("contact found by the pictures" if is_found else "no contact found: the best picture")
     height, width = size
     video = avi.write_avi(jpegs, width, height, fps)
@@ -443,38 +446,3 @@ def clip_times_s(
             "time", f"the clip lasts {from_first[-1]:g} s; expected seconds (--time-unit states another unit)"
         )
     return from_first
-
-
-def contact_by_pictures(
-    pictures: Sequence[bytes], size: tuple[int, int], rule: contact.ContactRule | None = None
-) -> tuple[tuple[int, int], bool]:
-    """Return the first and last picture that show contact, and True; else the best picture twice, and False.
-
-    The background is the median of the clip: of at most 64 pictures, spread evenly over the clip, so that a
-    long clip takes little time and memory. Raises ItemError for a damaged picture.
-    """
-    rule = rule or contact.ContactRule()
-    rows, columns = rule.window(*size)
-    uncropped = replace(rule, crop=1.0)
-    height, width = rows.stop - rows.start, columns.stop - columns.start
-    at_once = min(_DECODED_AT_ONCE, max(1, _DECODED_BYTES // (3 * height * width)))
-
-    def decoded(some: Sequence[bytes]) -> UInt8:
-        made = np.empty((len(some), height, width, 3), np.uint8)
-        for number, each in enumerate(some):
-            made[number] = decode_image(each)[rows, columns]  # a view would keep the whole picture
-        return made
-
-    try:
-        base = contact.median_in_memory(decoded(pictures[:: -(-len(pictures) // at_once)]))
-        scores = [
-            contact.contact_score(decoded(pictures[start : start + at_once]), base, uncropped)
-            for start in range(0, len(pictures), at_once)
-        ]
-    except ValueError as error:
-        raise errors.ItemError("image", str(error)) from error
-    in_contact = np.flatnonzero(np.concatenate([rule.holds(score) for score in scores]))
-    if len(in_contact):
-        return (int(in_contact[0]), int(in_contact[-1])), True
-    best = int(np.concatenate([score.total_change for score in scores]).argmax())
-    return (best, best), False

@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import cache, partial
 from itertools import chain, groupby, islice, repeat
+from operator import itemgetter
 from typing import IO, NamedTuple
 
 import pyarrow as pa
@@ -26,15 +27,17 @@ NUMBERED = "label"
 
 # Images that are requested from a store at a time: images are small, so latency dominates.
 _REMOTE_READERS = 16
-_AT_ONCE = 16  # pictures of a file that are read together
+_AT_ONCE = 64  # pictures of a file that are read together
 _CURRENT_FOLDER = re.compile(r"^(?:\./+)+")
 _DIGITS = re.compile(r"([0-9]{1,18})")
 
 ReadContents = Callable[[Iterable[source_touches.PicturePlace]], Iterator[bytes | errors.ItemError]]
 """Yields the bytes of the pictures of each place, in order, or why one cannot be read."""
 
-ReadNumbers = Callable[[source_touches.PicturePlace, Sequence[int]], Iterator[bytes | errors.ItemError]]
-"""Yields the pictures with some numbers from the file, and the part of it, of a place."""
+ReadNumbers = Callable[
+    [store.DataFolder, source_touches.PicturePlace, Sequence[int]], Iterator[bytes | errors.ItemError]
+]
+"""Yields the pictures with some numbers from the file, and the part of it, of a place in a folder."""
 
 
 def path_of(text: str) -> str:
@@ -100,7 +103,6 @@ class SourceTable(NamedTuple):
         return {name: column[row].as_py() for name, column in self.columns.items()}
 
 
-@store.without_collecting()
 def read_table(
     folder: store.DataFolder,
     name: str,
@@ -112,7 +114,14 @@ def read_table(
     In text tables, the columns of labels, rounds, objects and splits stay text, and so do those in ``names``.
     Other columns get types, and lists of numbers in brackets become vectors.
     """
-    table = tables.open_table(folder, name)
+    return rows_of_table(tables.open_table(folder, name), columns, names)
+
+
+@store.without_collecting()
+def rows_of_table(
+    table: tables.Table, columns: import_columns.ImportColumns, names: Iterable[str | None] = ()
+) -> SourceTable:
+    """Read an opened table as :func:`read_table` does."""
     known = columns.found_in(table.names)
     texts = {NUMBERED, known.label, known.round, known.object_id, known.split, *names}
     numbers = {*(known.position or ()), *(known.pose or ()), known.time}
@@ -161,6 +170,15 @@ def duplicates_of(names: Sequence[str], where: str) -> dict[int, errors.ItemErro
     }
 
 
+def problems_of_names(paths: Iterable[str]) -> dict[int, errors.ItemError]:
+    """Return a problem for each path that is not that of a file of a source."""
+    return {
+        number: errors.ItemError("name", f"the name {problem}; expected a path below the folder")
+        for number, problem in enumerate(map(store.problem_of_name, paths))
+        if problem
+    }
+
+
 def image_files(
     home: store.DataFolder,
     paths: Sequence[str],
@@ -173,12 +191,11 @@ def image_files(
     """
     found = cache(home.entries)
     sizes = [0] * len(paths)
-    wrong = dict(problems or {})
+    unnamed = problems_of_names(paths)
+    wrong = {**(problems or {}), **unnamed}
     for number, path in enumerate(paths):
         parent, _, base = path.rpartition("/")
-        named = store.problem_of_name(path)
-        if named:
-            wrong[number] = errors.ItemError("name", f"the name {named}; expected a path below the folder")
+        if number in unnamed:
             continue
         try:
             size = found(parent).get(base, -1)
@@ -193,6 +210,10 @@ def image_files(
     return source_touches.FoundTouches.of(shown, home.address(), shown, said, problems=wrong, size=sizes)
 
 
+def _sequence_of(place: source_touches.PicturePlace) -> tuple[str, str, str, bool]:
+    return place.home, place.path, place.part, place.frames > 0
+
+
 def pictures_by_file(
     read: ReadNumbers, places: Iterable[source_touches.PicturePlace]
 ) -> Iterator[bytes | errors.ItemError]:
@@ -200,13 +221,14 @@ def pictures_by_file(
 
     If ``read`` raises an ItemError, it is yielded for each remaining picture of the file.
     """
-    for _, group in groupby(places, key=lambda place: (*place.file, place.part, bool(place.frames))):
+    opened = cache(store.open_folder)
+    for (home, *_), group in groupby(places, key=_sequence_of):
         of_file = list(group)
         numbers = [place.start + each for place in of_file for each in range(max(1, place.frames))]
         some = list[bytes | errors.ItemError]()
         left = len(numbers)
         try:
-            pictures = read(of_file[0], numbers)
+            pictures = read(opened(home), of_file[0], numbers)
             for _ in range(0, len(numbers), _AT_ONCE):
                 some = []
                 some.extend(islice(pictures, _AT_ONCE))  # keeps those before an error
@@ -222,7 +244,7 @@ def contents_of(places: Iterable[source_touches.PicturePlace]) -> Iterator[bytes
 
     A tar is opened once for consecutive images in it.
     """
-    groups = (tuple(group) for _, group in groupby(places, key=lambda place: place.file))
+    groups = (tuple(group) for _, group in groupby(places, key=itemgetter(0, 1)))
     first = next(groups, None)
     if first is None:
         return

@@ -68,11 +68,6 @@ class PicturePlace(NamedTuple):
     size: int = 0
     frames: int = 0
 
-    @property
-    def file(self) -> File:
-        """Folder and path of the file."""
-        return self.home, self.path
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundTouches(Sequence[PicturePlace]):
@@ -290,20 +285,6 @@ def _columns_of(tables: Sequence[pa.Table], counts: Sequence[int]) -> dict[str, 
     return {name: list(map(_column, tables, repeat(name), counts)) for name in names}
 
 
-def ranges_of(sizes: Sequence[int], most_bytes: int) -> Iterator[slice]:
-    """Divide items, given their sizes in bytes, into parts of at most ``most_bytes``.
-
-    An item that is larger is a part of its own.
-    """
-    start = size_bytes = 0
-    for number, size in enumerate(sizes):
-        if size_bytes + size > most_bytes and number > start:
-            yield slice(start, number)
-            start, size_bytes = number, 0
-        size_bytes += size
-    yield slice(start, len(sizes))
-
-
 def add_values(digest: Any, column: pa.Array) -> None:
     """Add the values of a column to a digest; the layout of the column in memory does not matter."""
     digest.update(column.is_null().to_numpy(zero_copy_only=False).tobytes())
@@ -432,11 +413,15 @@ class Recording:
                     next=_SHORTER,
                 ),
             )
+        own = dict.fromkeys(name for clip in clips for name in clip.said)
         said = self._repeated_fields(self.round or self.name, len(clips))
-        for name in dict.fromkeys(name for clip in clips for name in clip.said):
+        for name in own:
             whole = self.values.get(name)
             said[name] = column_types.from_values([clip.said.get(name, whole) for clip in clips])
         taken = pa.array(rows)
+        per_frame = {}
+        for name, column in self.per_frame.items():
+            per_frame[name] = column_types.lists_of(column.take(taken), counts)
         times = None
         if self.time_s is not None and self.frames:
             times = column_types.lists_of(pa.array(self.time_s[rows]), counts)
@@ -445,10 +430,7 @@ class Recording:
             self.home,
             self.path,
             said,
-            per_frame={
-                name: column_types.lists_of(column.take(taken), counts)
-                for name, column in self.per_frame.items()
-            },
+            per_frame=per_frame,
             problems=problems,
             part=self.part,
             start=[self.first + clip.start for clip in clips],

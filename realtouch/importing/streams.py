@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import PurePosixPath
 
 import numpy as np
@@ -89,10 +89,9 @@ def open_stream(
         The table cannot be read, has no rows, several columns of times, or times that are missing, run
         backwards or have no known unit.
     """
-    place = folder.address(name)
     table = tables.open_table(folder, name)
-    column = _time_column(table.names, columns.time, place)
-    rows, values = table.scan(column)
+    place = table.path
+    rows, column, values = table.scan(partial(_time_column, columns.time, place))
     if not rows:
         raise errors.InputError(f"{place!r} has no rows; expected a row for each sample")
     whole = PurePosixPath(name).stem
@@ -102,7 +101,7 @@ def open_stream(
     return Stream(shown, place, table, rows, column, _seconds(values, column, columns.time_unit, place))
 
 
-def _time_column(names: Sequence[str], time: str | None, place: str) -> str:
+def _time_column(time: str | None, place: str, names: Sequence[str]) -> str:
     if time is not None and (not time or time in names):
         return time
     # The name may end in a unit of time only: a column `t_mm` does not hold times.
@@ -199,7 +198,8 @@ class Aligner:
         self._named = [open_stream(*source_files.source_of(path), columns) for path in named]
         self.times = {stream.time_column for stream in self._named}
         self._no_streams = {_address(path) for path in (*named, *no_streams)}
-        self._beside = cache(lambda home, folder: tables_by_stem(store.open_folder(home).entries(folder)))
+        self._opened = cache(store.open_folder)
+        self._beside = cache(self._tables_beside)
 
     def aligned(self, recording: source_touches.Recording) -> source_touches.Recording:
         """Return a recording with the columns of its streams, and with the times that a column states.
@@ -232,14 +232,22 @@ class Aligner:
     def _streams_beside(self, recording: source_touches.Recording) -> list[Stream]:
         folder, _, name = recording.path.rpartition("/")
         stem = PurePosixPath(name).stem
-        home = store.open_folder(recording.home)
-        tables = self._beside(recording.home, folder).get(stem, ())
-        names = (f"{folder}/{name}".lstrip("/") for name in tables)
         return [
-            open_stream(home, name, self._columns, stem)
-            for name in names
-            if name != recording.path and _address(home.address(name)) not in self._no_streams
+            open_stream(self._opened(recording.home), path, self._columns, stem)
+            for path in self._beside(recording.home, folder).get(stem, ())
+            if path != recording.path
         ]
+
+    def _tables_beside(self, home: str, folder: str) -> dict[str, list[str]]:
+        """Return the paths of the streams of each recording of a folder, by its name without ending."""
+        files = self._opened(home)
+        found = {}
+        for stem, names in tables_by_stem(files.entries(folder)).items():
+            paths = [f"{folder}/{name}".lstrip("/") for name in names]
+            if self._no_streams:
+                paths = [path for path in paths if _address(files.address(path)) not in self._no_streams]
+            found[stem] = paths
+        return found
 
 
 def _address(path: str) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import struct
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import IO
@@ -166,15 +165,3 @@ def seconds_of(ticks: Int64, tick_s: Fraction) -> Float64:
     """Return times from the first in seconds."""
     since_first: Float64 = (ticks - ticks[0]).astype(np.float64)
     return since_first * tick_s.numerator / tick_s.denominator
-
-
-@contextmanager
-def named_problems() -> Iterator[None]:
-    """Turn exceptions of FFmpeg and PyAV into ItemError."""
-    try:
-        yield
-    except errors.ToolkitError:
-        raise
-    except Exception as error:  # besides FFmpegError, PyAV raises errors of the language
-        found = getattr(error, "strerror", None) or type(error).__name__
-        raise errors.ItemError("video", f"it cannot be read ({found}); expected an intact video") from error

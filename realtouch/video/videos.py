@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from fractions import Fraction
 from functools import lru_cache
 from typing import IO
@@ -73,13 +74,25 @@ def pictures_of_video(
         As :func:`open_video`.
     """
     video = open_video(folder, path)
-    with folder.open_inside(path) as stream, video_files.named_problems():
+    with folder.open_inside(path) as stream, _named_problems():
         yield from video.read(stream, numbers)
+
+
+@contextmanager
+def _named_problems() -> Iterator[None]:
+    """Turn exceptions of FFmpeg and PyAV into ItemError."""
+    try:
+        yield
+    except errors.ToolkitError:
+        raise
+    except Exception as error:  # besides FFmpegError, PyAV raises errors of the language
+        found = getattr(error, "strerror", None) or type(error).__name__
+        raise errors.ItemError("video", f"it cannot be read ({found}); expected an intact video") from error
 
 
 @lru_cache(_KEPT_VIDEOS)
 def _open_video(address: str, path: str, version: object) -> video_files.Video:
-    with store.open_folder(address).open_inside(path) as stream, video_files.named_problems():
+    with store.open_folder(address).open_inside(path) as stream, _named_problems():
         return _found_video(stream)
 
 

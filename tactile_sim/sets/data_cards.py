@@ -18,7 +18,6 @@ from tactile_toolkit import cards, store, touch, wording
 from tactile_toolkit.array_types import AnyArray, UInt8
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.pictures import Tile, png_bytes, sheet
-from tactile_toolkit.rows import meanings
 from tactile_toolkit.wording import with_count
 
 _RIGID_LIMIT = (
@@ -118,8 +117,9 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     cards.Card(
         template=KIND.card_template,
         title="Synthetic touches",
-        columns=meanings(SyntheticRound),
-        picture=("touches.png", _touches_sheet, "The first touches of the first rounds"),
+        columns=SyntheticRound.meanings(),
+        picture=("touches.png", "The first touches of the first rounds"),
+        drawn=_touches_sheet,
         licence="mit",
         tags=_TAGS,
         tasks=_TASKS,
@@ -227,7 +227,7 @@ def _limits(spec: JsonObject, gel: CardGel, touches: int, on_object: int) -> lis
 
 def _touches_sheet(facts: cards.FolderSummary) -> bytes | None:
     """Draw the first touches of the first rounds as PNG, a row for each round."""
-    rounds = islice(cards.rows_to_draw(facts, ["sensor_image"]), _ROUNDS_SHOWN)
+    rounds = islice(facts.first_rows(["sensor_image"]), _ROUNDS_SHOWN)
     shown = (row.value("sensor_image")[:_COLUMNS_SHOWN] for row in rounds)
     rows = [
         (f"round {number}", [touch.decode_image(stored["bytes"]) for stored in images])
@@ -246,12 +246,9 @@ def _write_pairs_card(folder: store.DataFolder, manifest: store.Manifest) -> Non
     cards.Card(
         template="touch_pairs.md",
         title="Unpaired depth images and touches",
-        columns=meanings(PairRow),
-        picture=(
-            "pairs.png",
-            _pairs_sheet,
-            "Depth images above, touches below; they do not belong together",
-        ),
+        columns=PairRow.meanings(),
+        picture=("pairs.png", "Depth images above, touches below; they do not belong together"),
+        drawn=_pairs_sheet,
         licence="other",
         tags=["tactile", "gelsight", "touch", "cyclegan"],
         tasks={"task_categories": ["image-to-image", "robotics"]},

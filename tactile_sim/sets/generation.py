@@ -65,7 +65,7 @@ def _extra(name: str, unit: str, meaning: str) -> Any:
 
 
 @rows.row
-class SyntheticRound:
+class SyntheticRound(rows.TypedRow):
     """One round."""
 
     id: str = rows.column(pa.string(), "", "`object_id` and number of the round")
@@ -148,12 +148,10 @@ def synthetic_schema(
     class_names: tuple[str, ...], optional: Mapping[str, pa.DataType] | None = None
 ) -> pa.Schema:
     """Return the Arrow schema of a shard; ``optional`` are the types of the further columns that it has."""
-    stored = rows.plain_schema(SyntheticRound)
-    known = {each.name for each in rows.columns(SyntheticRound).values()}
+    stored = SyntheticRound.plain_schema()
+    known = {each.name for each in SyntheticRound.columns().values()}
     further = {
-        rows.columns(SyntheticRound)[each.name].name
-        for each in fields(SyntheticRound)
-        if each.default is None
+        SyntheticRound.columns()[each.name].name for each in fields(SyntheticRound) if each.default is None
     }
     types = dict(optional or {})
     chosen = [

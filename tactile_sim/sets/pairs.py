@@ -17,7 +17,7 @@ from tactile_sim.sets.touch_spec import WINDOWS
 from tactile_toolkit import places, read, touch
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Int64
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.rows import column, plain_schema, row
+from tactile_toolkit.rows import TypedRow, column, row
 
 SPLITS = ("depth", "real")
 """Splits of a training set."""
@@ -27,7 +27,7 @@ _PICTURE = "depth: grey, 16 bits, 0 deepest in the gel, 65535 no contact; real: 
 
 
 @row
-class PairRow:
+class PairRow(TypedRow):
     """One depth image or one real touch, encoded."""
 
     id: str = column(pa.string(), "", "object and number, or round and touch")
@@ -40,7 +40,7 @@ class PairRow:
 @cache
 def pair_schema(class_names: tuple[str, ...]) -> pa.Schema:
     """Return the Arrow schema of a shard."""
-    return touch.with_features(plain_schema(PairRow), class_names)
+    return touch.with_features(PairRow.plain_schema(), class_names)
 
 
 def encode_depth(image: Float32) -> bytes:

@@ -71,8 +71,8 @@ class GivenSolid:
             try:
                 found = found.read()
             except InputError as error:
-                raise ItemError(mesh.UNREADABLE, str(error)) from error
-        if mesh.array_problem(found) is None:  # meshes without faces have no size, and bound no solid
+                raise ItemError(mesh.PrintReport.UNREADABLE, str(error)) from error
+        if found.array_problem is None:  # meshes without faces have no size, and bound no solid
             _require_within_cell(found)
         return found
 
@@ -136,7 +136,7 @@ def given_solids(
     if isinstance(source, Mapping):
         mesh.refuse_unit(unit, "meshes in memory")
         return _in_memory(source)
-    found = mesh.find_mesh_files(source, unit)
+    found = mesh.MeshFile.find(source, unit)
     if found is None:
         return None
     listed = ((split or _TRAIN, file) for split, files in found.splits.items() for file in files)

@@ -1,25 +1,18 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
 from .card import (
-    between as between,
-    bibtex as bibtex,
     Card as Card,
-    card_words as card_words,
     markdown_table as markdown_table,
     PREVIEW_FOLDER as PREVIEW_FOLDER,
     render_card as render_card,
     rewrite_card as rewrite_card,
-    draw_solids as draw_solids,
-    rows_to_draw as rows_to_draw,
     with_repo_name as with_repo_name,
-    write_table_card as write_table_card,
 )
 from .yaml_head import (
     CARD_FILE as CARD_FILE,
     card_head as card_head,
     check_card as check_card,
     configs as configs,
-    folder_summary as folder_summary,
     FolderSummary as FolderSummary,
     viewer_files as viewer_files,
     with_head as with_head,

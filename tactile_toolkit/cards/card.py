@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
 from itertools import islice
@@ -12,10 +12,10 @@ from string import Template
 
 import numpy as np
 
-from tactile_toolkit import catalog, mesh, pictures, read, store, wording
+from tactile_toolkit import catalog, mesh, pictures, store, wording
 from tactile_toolkit.array_types import Float32, Int32
 from tactile_toolkit.cards import owner, yaml_head
-from tactile_toolkit.cards.yaml_head import FolderSummary, folder_summary
+from tactile_toolkit.cards.yaml_head import FolderSummary
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.json_types import JsonDict, JsonObject, JsonValue
 from tactile_toolkit.kind import DatasetKind, is_export
@@ -57,8 +57,8 @@ class Card:
         Name of the data set.
     columns : mapping
         Shape, unit and frame of each column, and its meaning, by name.
-    picture : tuple
-        File name, function that draws it as PNG from the summary (None without rows), and caption.
+    picture : (str, str)
+        File name and caption of the picture.
     licence : str
         Identifier of the licence on the Hub.
     tags : sequence of str
@@ -77,12 +77,17 @@ class Card:
         Displayed part of the specification; all by default.
     values : mapping
         Values of further placeholders of the template.
+    cited : sequence of str
+        Entries of ``data_cards`` to cite, such as ``"tactile_mnist"``.
+    drawn : callable or type
+        Draws the picture as PNG from the summary, None without rows; or the class of the solids of which the
+        first are drawn.
     """
 
     template: str
     title: str
     columns: Mapping[str, tuple[str, str]]
-    picture: tuple[str, Callable[[FolderSummary], bytes | None], str]
+    picture: tuple[str, str]
     licence: str
     tags: Sequence[str]
     nouns: str = ""
@@ -92,6 +97,58 @@ class Card:
     limits: Sequence[str] = ()
     spec: JsonValue = None
     values: Mapping[str, str] = field(default_factory=dict)
+    cited: Sequence[str] = ("tactile_mnist",)
+    drawn: Callable[[FolderSummary], bytes | None] | type[pictures.DrawnSolid] = pictures.DrawnSolid
+
+    @staticmethod
+    def words(file: str) -> JsonDict:
+        """Read a file of ``data_cards`` with texts for its templates."""
+        return tomllib.loads(files("data_cards").joinpath(file).read_text(encoding="utf-8"))
+
+    @classmethod
+    def of_copy(
+        cls,
+        manifest: store.Manifest,
+        kind: DatasetKind,
+        title: str,
+        columns: Mapping[str, tuple[str, str]],
+        licence: str,
+        cited: Sequence[str] = ("tactile_mnist",),
+        **terms: str,
+    ) -> Card:
+        """Return the card of a copy of a data set of meshes.
+
+        A copy consists of tables for other libraries, merged sets, or some of the rows. ``columns`` and
+        ``title`` are those of its source. ``terms`` are ``licence_text`` and ``citation_text`` of the
+        template.
+        """
+        command = manifest.spec["operation"]
+        picture = "objects.png"
+        template = "mesh_copy.md"
+        if is_export(manifest):
+            command = "export --format flat"
+            picture = "tables.png"
+            template = "mesh_tables.md"
+            title = f"{title} as tables"
+            columns = {**columns, **_TABLE_COLUMNS}
+        sources = manifest.spec["source"].items()
+        rows = ", ".join(f"{split}: {sum(file['rows'] for file in files):,}" for split, files in sources)
+        return cls(
+            template=template,
+            title=title,
+            columns=columns,
+            picture=(picture, f"The first {kind.nouns}, seen from above"),
+            drawn=_PackedSolid if is_export(manifest) else pictures.DrawnSolid,
+            licence=licence,
+            tags=["tactile", "active-perception", "3d", "mesh"],
+            made=[
+                ("command", f"`{kind.command} {command}`"),
+                ("source", f"{kind.nouns} {rows}; `manifest.json` names and fingerprints each file"),
+            ],
+            spec=manifest.spec["options"],
+            values={**terms, "package": kind.package},
+            cited=cited,
+        )
 
     def write(
         self,
@@ -105,8 +162,8 @@ class Card:
         A copy of a published set has no manifest. ``facts`` is the summary of the folder, if known.
         Raises IntegrityError for a damaged shard.
         """
-        facts = facts or folder_summary(folder, manifest)
-        name, draw, caption = self.picture
+        facts = facts or FolderSummary.of(folder, manifest)
+        name, caption = self.picture
         values = {
             "title": wording.markdown_text(self.title),
             "noun": kind.noun,
@@ -114,7 +171,7 @@ class Card:
             "rows": f"{facts.rows:,}",
             "first_split": facts.splits[0].split,
             "picture": "There is nothing to draw.",
-            "bibtex": bibtex("tactile_mnist"),
+            "bibtex": _bibtex(self.cited),
             "split_table": split_table(facts, self.nouns or kind.nouns, self.figures),
             "field_table": field_table(facts, {**self.columns, **_source_column(manifest)}),
             "limits": "\n".join(f"- {line}" for line in self.limits),
@@ -133,7 +190,10 @@ class Card:
                 "version": manifest.toolkit_version,
                 "schema_version": str(manifest.schema_version),
             }
-        content = draw(facts)
+        if isinstance(self.drawn, type):
+            content = _draw_solids(facts, self.drawn)
+        else:
+            content = self.drawn(facts)
         if content is not None:
             path = f"{PREVIEW_FOLDER}/{name}"
             values["picture"] = f"![{caption}]({path})\n\n*{caption}*"
@@ -179,59 +239,11 @@ def _source_column(manifest: store.Manifest | None) -> dict[str, tuple[str, str]
     return {str(options["source_column"]): ("", "name of the merged data set that the row is from")}
 
 
-def write_table_card(
-    folder: store.DataFolder,
-    manifest: store.Manifest,
-    kind: DatasetKind,
-    title: str,
-    columns: Mapping[str, tuple[str, str]],
-    licence: str,
-    **terms: str,
-) -> None:
-    """Write the card of a copy of a data set of meshes; IntegrityError for a damaged one.
-
-    A copy consists of tables for other libraries, merged sets, or some of the rows. ``columns`` and ``title``
-    are those of its source. ``terms`` are ``licence_text``, ``citation_text`` and ``bibtex`` of the template,
-    the last one that of the paper by default.
-    """
-    command = manifest.spec["operation"]
-    picture = "objects.png"
-    template = "mesh_copy.md"
-    if is_export(manifest):
-        command = "export --format flat"
-        picture = "tables.png"
-        template = "mesh_tables.md"
-        title = f"{title} as tables"
-        columns = {**columns, **_TABLE_COLUMNS}
-    sources = manifest.spec["source"].items()
-    rows = ", ".join(f"{split}: {sum(file['rows'] for file in files):,}" for split, files in sources)
-    Card(
-        template=template,
-        title=title,
-        columns=columns,
-        picture=(picture, _draw_tables, f"The first {kind.nouns}, seen from above"),
-        licence=licence,
-        tags=["tactile", "active-perception", "3d", "mesh"],
-        made=[
-            ("command", f"`{kind.command} {command}`"),
-            ("source", f"{kind.nouns} {rows}; `manifest.json` names and fingerprints each file"),
-        ],
-        spec=manifest.spec["options"],
-        values={**terms, "package": kind.package},
-    ).write(folder, manifest, kind)
-
-
-def _draw_tables(facts: FolderSummary) -> bytes | None:
-    """Draw the first solids of tables as PNG: in columns of a mesh, or in GLB files."""
-    if mesh.VERTICES in read.column_names(facts.schema):
-        return draw_solids(facts)
-    return draw_solids(facts, _PackedSolid, [_GLB])
-
-
 class _PackedSolid(pictures.DrawnSolid):
     """A solid in a GLB file."""
 
     __slots__ = ()
+    drawn_columns = (_GLB,)
 
     @property
     def vertices_m(self) -> Float32:
@@ -261,17 +273,10 @@ def _shortened(values: JsonValue) -> JsonValue:
     return shown
 
 
-def draw_solids(
-    facts: FolderSummary,
-    record: type[pictures.DrawnSolid] = pictures.DrawnSolid,
-    columns: Sequence[str] = (mesh.VERTICES, mesh.FACES),
-) -> bytes | None:
-    """Draw the first solids of each class as PNG, class by class; None without rows.
-
-    ``record`` draws a row, of which it needs ``columns``.
-    """
+def _draw_solids(facts: FolderSummary, record: type[pictures.DrawnSolid]) -> bytes | None:
+    """Draw the first solids of each class as PNG, class by class; None without rows."""
     by_class: dict[int, list[pictures.DrawnSolid]] = {}
-    for row in islice(rows_to_draw(facts, ["label", *columns]), _ROWS_READ):
+    for row in islice(facts.first_rows(["label", *record.drawn_columns]), _ROWS_READ):
         by_class.setdefault(row.integer("label"), []).append(record(row))
     if not by_class:
         return None
@@ -280,11 +285,6 @@ def draw_solids(
     across = min(len(solids), _COLUMNS)
     tile_px = min(_PICTURE_PX // across, _MAX_TILE_PX)
     return pictures.png_bytes(pictures.solid_sheet(solids, tile_px, across))
-
-
-def card_words(file: str) -> JsonDict:
-    """Read a file of ``data_cards`` with texts for its templates."""
-    return tomllib.loads(files("data_cards").joinpath(file).read_text(encoding="utf-8"))
 
 
 def _write_changed(folder: store.DataFolder, path: str, content: bytes) -> None:
@@ -304,15 +304,10 @@ def with_repo_name(card: str, name: str) -> str:
     return card if found is None else card.replace(f'"{found["name"]}"', f'"{name}"')
 
 
-def rows_to_draw(facts: FolderSummary, columns: Sequence[str]) -> Iterator[read.Row]:
-    """Yield the rows of the first split with rows, reading given columns block by block."""
-    shards = next((split.shards for split in facts.splits if split.rows), ())
-    for block in read.ShardedTable(tuple(shards)).blocks(list(columns)):
-        yield from (read.Row(block, index) for index in range(len(block.table)))
-
-
-def bibtex(*names: str) -> str:
-    """Return entries of ``data_cards``, such as ``"tactile_mnist"``, as a BibTeX block in Markdown."""
+def _bibtex(names: Sequence[str]) -> str:
+    """Return entries of ``data_cards`` as a BibTeX block in Markdown; nothing without any."""
+    if not names:
+        return ""
     entries = (files("data_cards").joinpath(f"{name}.bib").read_text(encoding="utf-8") for name in names)
     return "```bibtex\n" + "\n".join(entries) + "```"
 
@@ -381,8 +376,3 @@ def megabytes(size: int) -> str:
     if size < 1e5:
         return f"{size / 1e3:,.1f} kB"
     return f"{size / 1e6:,.2f} MB"
-
-
-def between(least: int, most: int) -> str:
-    """Return a range of counts as text: ``"3 to 5"``, or one count."""
-    return " to ".join(f"{count:,}" for count in dict.fromkeys((least, most)))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 import fnmatch
 import reprlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -57,6 +57,29 @@ class FolderSummary:
     schema: pa.Schema
     viewer: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
+    @classmethod
+    def of(
+        cls,
+        folder: store.DataFolder,
+        manifest: store.Manifest | None = None,
+        place: places.Place | None = None,
+    ) -> FolderSummary:
+        """Summarise a folder from its manifest, or else from the footers of its files.
+
+        ``manifest`` is one that will be written there, ``place`` the opened folder if it has none. Raises
+        InputError when the folder holds no Parquet files, and IntegrityError when one is missing or damaged.
+        """
+        manifest = manifest or store.manifest_so_far(folder)
+        if manifest is None:
+            held = (place or places.folder_place(folder)).all_shards()
+            splits = [_measured(folder, split, shards) for split, shards in held.items()]
+        else:
+            splits = [_recorded(folder, split, manifest.shards_of(split)) for split in manifest.splits]
+        if not splits:
+            raise InputError(folder.missing_message("Parquet files"), next="give the folder of a data set")
+        schema = splits[0].shards[0].schema
+        return cls(tuple(splits), schema, viewer_files(manifest))
+
     @property
     def rows(self) -> int:
         """Rows of all splits."""
@@ -68,25 +91,11 @@ class FolderSummary:
         first = next((shard.path for split in self.splits for shard in split.shards), "")
         return read.yaml_features(self.schema, first)
 
-
-def folder_summary(
-    folder: store.DataFolder, manifest: store.Manifest | None = None, place: places.Place | None = None
-) -> FolderSummary:
-    """Summarise a folder from its manifest, or else from the footers of its files.
-
-    ``manifest`` is one that will be written there, ``place`` the opened folder if it has none. Raises
-    InputError when the folder holds no Parquet files, and IntegrityError when one is missing or damaged.
-    """
-    manifest = manifest or store.manifest_so_far(folder)
-    if manifest is None:
-        held = (place or places.folder_place(folder)).all_shards()
-        splits = [_measured(folder, split, shards) for split, shards in held.items()]
-    else:
-        splits = [_recorded(folder, split, manifest.shards_of(split)) for split in manifest.splits]
-    if not splits:
-        raise InputError(folder.missing_message("Parquet files"), next="give the folder of a data set")
-    schema = splits[0].shards[0].schema
-    return FolderSummary(tuple(splits), schema, viewer_files(manifest))
+    def first_rows(self, columns: Sequence[str]) -> Iterator[read.Row]:
+        """Yield the rows of the first split with rows, reading given columns block by block."""
+        shards = next((split.shards for split in self.splits if split.rows), ())
+        for block in read.ShardedTable(shards).blocks(list(columns)):
+            yield from (read.Row(block, index) for index in range(len(block.table)))
 
 
 def _recorded(folder: store.DataFolder, split: str, records: Sequence[store.ShardRecord]) -> SplitFiles:
@@ -235,7 +244,7 @@ def check_card(folder: store.DataFolder) -> list[store.Finding]:
         return [store.Finding(CARD_FILE, f"is missing; next: {_AGAIN}")]
     text = folder.read_bytes(CARD_FILE).decode("utf-8", errors="replace")
     try:
-        facts = folder_summary(folder)
+        facts = FolderSummary.of(folder)
         files = [path for split in facts.splits for path in split.paths]
         files += [path for paths in facts.viewer.values() for path in paths]
         expected = _statements(card_head(facts), files)

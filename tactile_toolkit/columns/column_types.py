@@ -185,7 +185,8 @@ def from_values(values: Iterable[object]) -> pa.Array:
     """Return the column of values of JSON or Python; numbers beside texts or booleans become text."""
     given = list(values)
     with suppress(pa.ArrowException, OverflowError, UnicodeError):
-        return from_arrow(pa.array(given))
+        column = pa.array(given)  # in several parts if it is very large
+        return _plain(column) if isinstance(column, pa.Array) else from_arrow(column)
     known = [value for value in given if value is not None]
     if any(isinstance(value, (dict, bytes)) for value in known):
         return _as_json(given)
@@ -236,7 +237,11 @@ def _as_json(values: Sequence[object]) -> pa.Array:
 
 def from_arrow(values: pa.Array | pa.ChunkedArray) -> pa.Array:
     """Return the column of values of Arrow; nested lists become lists, row by row."""
-    column = _supported(values)
+    return _plain(_supported(values))
+
+
+def _plain(column: pa.Array) -> pa.Array:
+    """Return the column of values of a supported type."""
     kind = column.type
     if pa.types.is_boolean(kind) or pa.types.is_null(kind) or pa.types.is_temporal(kind):
         return column

@@ -10,6 +10,7 @@ import io
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
+from functools import cached_property
 from typing import IO
 
 import numpy as np
@@ -73,10 +74,7 @@ class Table:
     open_file : callable
         Opens the table as a binary stream.
 
-    Attributes
-    ----------
-    names : list of str
-        Names of the columns, in order; a column without a name is called ``column_1`` by its position.
+    A column without a name is called ``column_1`` by its position.
 
     Raises
     ------
@@ -91,31 +89,53 @@ class Table:
         self._is_text = self._read == self._text_batches
         self._separator = ""
         self._uneven = ""
-        self.names: list[str] = next(self._batches(), _NO_ROWS).column_names
-        self._types = column_types.ColumnTypes(is_text=self._is_text, decimal_commas=self._separator != ",")
+        self._names: list[str] = []
+        self._only: pa.Table | None = None
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the columns, in order; the first rows are read if no pass did so before."""
+        return self._names or next(self._batches(), _NO_ROWS).column_names
+
+    @cached_property
+    def _types(self) -> column_types.ColumnTypes:  # after the first rows, which show the separator
+        return column_types.ColumnTypes(is_text=self._is_text, decimal_commas=self._separator != ",")
 
     def first_row(self) -> JsonDict:
         """Return the first row, as it is stored; empty for a table without rows."""
         return next(iter(next(self._batches(), _NO_ROWS).slice(0, 1).to_pylist()), {})
 
-    def scan(self, column: str = "") -> tuple[int, pa.Array]:
-        """Read all rows to find the types of columns; return the number of rows, and values of a column."""
+    def scan(self, choose: Callable[[Sequence[str]], str] = lambda _names: "") -> tuple[int, str, pa.Array]:
+        """Read all rows to find the types of columns.
+
+        Returns the number of rows, the name of the column that ``choose`` finds among those of the first
+        rows, and its values.
+        """
         rows = 0
-        kept = []
+        column = None
+        kept: list[pa.Array] = []
         with self._named_errors():
             for batch in self._batches():
+                self._only = None if rows else batch
                 rows += len(batch)
+                if column is None:
+                    column = choose(batch.column_names)
                 self._types.add(batch, column)
                 if column in batch.column_names:  # as numbers, which take less space than text
                     kept.append(self._types.typed(batch.select([column]))[column])
-            self.names = list(self._types.known) or self.names
-            return rows, column_types.joined(kept) if kept else pa.nulls(rows)
+            self._names = list(self._types.known)
+            if not kept:
+                kept = [pa.nulls(rows)]
+            return rows, column or "", kept[0] if len(kept) == 1 else column_types.joined(kept)
 
     def rows(self, numbers: Int64) -> dict[str, pa.Array]:
-        """Return rows by their numbers, int64, shape (n,), n > 0, increasing; needs :meth:`scan` before."""
+        """Return rows by their numbers, int64, shape (n,), n > 0, increasing; needs :meth:`scan` before.
+
+        The file is read again unless all of its rows fit into one part.
+        """
         parts = []
         start = 0
-        for batch in self._batches():
+        for batch in self._batches() if self._only is None else [self._only]:
             first, last = np.searchsorted(numbers, [start, start + len(batch)])
             if first < last:
                 parts.append(batch.take(pa.array(numbers[first:last] - start)))
@@ -134,7 +154,7 @@ class Table:
             if not parts:
                 return dict.fromkeys(self.names, pa.nulls(0))
             table = pa.concat_tables(parts, promote_options="permissive")
-            self.names = table.column_names
+            self._names = table.column_names
             return self._types.whole(table, texts, numbers)
 
     def _batches(self, most_rows: int = 0) -> Iterator[pa.Table]:
@@ -183,8 +203,12 @@ class Table:
             plain = spaced.sub(r"\1\2", stream.read().decode(encoding))
             stream, reading.encoding = io.BytesIO(plain.encode()), "utf-8"
         batches = pa.csv.open_csv(stream, reading, parsing, types)
-        yield from batches
-        yield pa.RecordBatch.from_pylist([], batches.schema)  # states the columns of a table without rows
+        rows = 0
+        for batch in batches:
+            rows += len(batch)
+            yield batch
+        if not rows:
+            yield pa.RecordBatch.from_pylist([], batches.schema)  # states the columns
 
     def _note_uneven_row(self, row: pa.csv.InvalidRow) -> str:
         """Note a row that has not a value for each column, which :meth:`_named_errors` then reports."""

@@ -479,7 +479,7 @@ def _files_to_send(
         made = viewer_tables(place, manifest, scratch)
         manifest = replace(manifest, files={**manifest.files, **made})
     paths = collect(root, manifest)
-    facts = cards.folder_summary(place, manifest)
+    facts = cards.FolderSummary.of(place, manifest)
     # If the pattern of a split would match another file of the repository, its files are listed one by one.
     others, _ = _other_files(paths, held, options.delete)
     stored = cards.with_repo_name(place.read_bytes(cards.CARD_FILE).decode(), repo_id)

@@ -3,9 +3,6 @@
 from .items import (
     Gallery as Gallery,
     GalleryItem as GalleryItem,
-    gallery_of_rows as gallery_of_rows,
-    gallery_of_solids as gallery_of_solids,
-    thumbnail as thumbnail,
 )
 from .site import (
     build_site as build_site,

@@ -51,12 +51,19 @@ class GalleryItem:
     id: str  # searched for by users
     title: str
     values: JsonObject
-    thumbnail: bytes = field(repr=False)  # PNG
+    thumbnail: bytes = field(repr=False)  # see thumbnail_of
     # JSON values that the page loads when the item is opened: "notes" (pairs of a title and a text) and
     # either "mesh" (see packed_mesh) or "touches".
     content: Mapping[str, object] = field(repr=False)
     # Further files by the end of their name, such as "000.jpg".
     media: Mapping[str, bytes] = field(default_factory=dict, repr=False)
+
+    @staticmethod
+    def thumbnail_of(pixels: UInt8) -> bytes:
+        """Make a PNG thumbnail of grey levels or colours, also with opacity: (H, W) or (H, W, 2 to 4)."""
+        picture = Image.fromarray(np.ascontiguousarray(pixels))
+        picture.thumbnail((THUMBNAIL_PX, THUMBNAIL_PX), Image.Resampling.BOX)
+        return touch.encode_png(picture)
 
 
 ItemMaker: TypeAlias = Callable[[Any, str, tuple[str, ...], Any], GalleryItem]
@@ -108,55 +115,57 @@ class Gallery:
         """Number of items."""
         return sum(task.size for task in self.tasks)
 
+    @classmethod
+    def of_rows(
+        cls,
+        kind: DatasetKind,
+        name: places.Name | places.Place,
+        chosen: catalog.RowFilter,
+        title: str,
+        columns: Sequence[Column],
+        item: ItemMaker,
+        rows_per_task: int,
+        known: Callable[[Any, str], Sequence[object]] = lambda rows, _: [None] * len(rows),
+    ) -> Gallery:
+        """Plan a gallery of chosen rows of some splits; see :class:`RowsTask` for ``item``.
 
-def gallery_of_rows(
-    kind: DatasetKind,
-    name: places.Name | places.Place,
-    chosen: catalog.RowFilter,
-    title: str,
-    columns: Sequence[Column],
-    item: ItemMaker,
-    rows_per_task: int,
-    known: Callable[[Any, str], Sequence[object]] = lambda rows, _: [None] * len(rows),
-) -> Gallery:
-    """Plan a gallery of chosen rows of some splits; see :class:`RowsTask` for ``item``.
+        ``columns`` are the facets and measures, except the split. ``known`` takes the chosen rows and their
+        split, and returns an entry for each row, such as its report.
 
-    ``columns`` are the facets and measures, except the split. ``known`` takes the chosen rows and their
-    split, and returns an entry for each row, such as its report.
+        Raises InputError for an unknown data set or split, or another kind; IntegrityError for a damaged or
+        unfinished one; HubError where the repository cannot be reached or does not exist.
+        """
+        picked = pictures.ChosenRows.of(kind, name, chosen, "gallery")
+        tasks: list[RowsTask] = []
+        for split, rows in picked.splits.items():
+            known_values = tuple(known(rows, split))
+            for start in range(0, len(rows), rows_per_task):
+                part = slice(start, start + rows_per_task)
+                tasks.append(RowsTask(rows[part], split, item, known_values[part]))
+        shown = {split: len(rows) for split, rows in picked.splits.items()}
+        heading = picked.titled(f"{title} · {catalog.short_name(picked.place.name)}")
+        of_split = Column(pa.string(), name=SPLIT, role="facet", title="Split", values=tuple(shown))
+        return cls(kind.name, heading, (kind.noun, kind.nouns), (*columns, of_split), tuple(tasks), shown)
 
-    Raises InputError for an unknown data set or split, or another kind; IntegrityError for a damaged or
-    unfinished one; HubError where the repository cannot be reached or does not exist.
-    """
-    picked = pictures.ChosenRows.of(kind, name, chosen, "gallery")
-    tasks: list[RowsTask] = []
-    for split, rows in picked.splits.items():
-        known_values = tuple(known(rows, split))
-        for start in range(0, len(rows), rows_per_task):
-            part = slice(start, start + rows_per_task)
-            tasks.append(RowsTask(rows[part], split, item, known_values[part]))
-    shown = {split: len(rows) for split, rows in picked.splits.items()}
-    heading = picked.titled(f"{title} · {catalog.short_name(picked.place.name)}")
-    of_split = Column(pa.string(), name=SPLIT, role="facet", title="Split", values=tuple(shown))
-    return Gallery(kind.name, heading, (kind.noun, kind.nouns), (*columns, of_split), tuple(tasks), shown)
+    @classmethod
+    def of_solids(
+        cls,
+        kind: DatasetKind,
+        name: places.Name | places.Place,
+        chosen: catalog.RowFilter = catalog.RowFilter.ALL,
+        *,
+        title: str,
+        columns: Sequence[Column],
+        facts: Callable[[Any, Any], JsonObject] = lambda _record, _known: {},
+        known: Callable[[Any, str], Sequence[object]] = lambda rows, _: [None] * len(rows),
+    ) -> Gallery:
+        """Plan a gallery of solids that draw themselves; as :meth:`of_rows`.
 
-
-def gallery_of_solids(
-    kind: DatasetKind,
-    name: places.Name | places.Place,
-    chosen: catalog.RowFilter = catalog.RowFilter.ALL,
-    *,
-    title: str,
-    columns: Sequence[Column],
-    facts: Callable[[Any, Any], JsonObject] = lambda _record, _known: {},
-    known: Callable[[Any, str], Sequence[object]] = lambda rows, _: [None] * len(rows),
-) -> Gallery:
-    """Plan a gallery of solids that draw themselves; as :func:`gallery_of_rows`.
-
-    ``facts`` takes a record and its entry of ``known``, and returns values of columns that are neither stored
-    nor a property of the record.
-    """
-    item = partial(_solid_item, tuple(column.name for column in columns), facts)
-    return gallery_of_rows(kind, name, chosen, title, columns, item, _SOLIDS_PER_TASK, known)
+        ``facts`` takes a record and its entry of ``known``, and returns values of columns that are neither
+        stored nor a property of the record.
+        """
+        item = partial(_solid_item, tuple(column.name for column in columns), facts)
+        return cls.of_rows(kind, name, chosen, title, columns, item, _SOLIDS_PER_TASK, known)
 
 
 def _solid_item(
@@ -169,7 +178,7 @@ def _solid_item(
 ) -> GalleryItem:
     """Show a solid. IntegrityError for a stored mesh that cannot be drawn."""
     surface = mesh.Mesh(record.vertices_m, record.faces)
-    problem = mesh.array_problem(surface)
+    problem = surface.array_problem
     if problem is not None:
         raise IntegrityError(
             f"the mesh of id {record.id} in split {split!r} cannot be drawn: {problem[1]}",
@@ -189,7 +198,7 @@ def _solid_item(
         id=str(record.id),
         title=record.caption(label_names),
         values=values,
-        thumbnail=thumbnail(record.cutout(THUMBNAIL_PX)),
+        thumbnail=GalleryItem.thumbnail_of(record.cutout(THUMBNAIL_PX)),
         content={"notes": record.notes, "mesh": content},
     )
 
@@ -201,13 +210,6 @@ def _value(record: pictures.DrawnSolid, name: str) -> JsonValue:
     except InputError:
         return None
     return value
-
-
-def thumbnail(pixels: UInt8) -> bytes:
-    """Make a PNG thumbnail of grey levels or colours, with or without opacity: (H, W) or (H, W, 2 to 4)."""
-    picture = Image.fromarray(np.ascontiguousarray(pixels))
-    picture.thumbnail((THUMBNAIL_PX, THUMBNAIL_PX), Image.Resampling.BOX)
-    return touch.encode_png(picture)
 
 
 def packed_mesh(

@@ -1,7 +1,6 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
 from .solid_check import (
-    array_problem as array_problem,
     check_manifold as check_manifold,
     ManifoldCheck as ManifoldCheck,
     on_base_plate as on_base_plate,
@@ -9,9 +8,6 @@ from .solid_check import (
     require_solid as require_solid,
 )
 from .files import (
-    file_ending as file_ending,
-    find_mesh_files as find_mesh_files,
-    FORMATS as FORMATS,
     MeshFile as MeshFile,
     MeshFiles as MeshFiles,
     pack_mesh as pack_mesh,
@@ -30,9 +26,7 @@ from .box_tree import (
 )
 from .printability import (
     inspect as inspect,
-    print_advice as print_advice,
     PrintReport as PrintReport,
-    UNREADABLE as UNREADABLE,
     WARNINGS as WARNINGS,
     WARNINGS_PAGE as WARNINGS_PAGE,
 )
@@ -51,7 +45,6 @@ from .records import (
     FACES as FACES,
     flat_table as flat_table,
     MESH as MESH,
-    mesh_schema as mesh_schema,
     MeshRow as MeshRow,
     RecordStream as RecordStream,
     require_mesh_columns as require_mesh_columns,
@@ -68,8 +61,6 @@ from .threemf import (
 from .solid_tensors import (
     MeshBatch as MeshBatch,
     MeshItem as MeshItem,
-    REPRESENTATIONS as REPRESENTATIONS,
     SolidTensors as SolidTensors,
-    TARGETS as TARGETS,
     collate_meshes as collate_meshes,
 )

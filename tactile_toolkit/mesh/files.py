@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from os import PathLike, fspath
 from pathlib import Path
-from typing import IO
+from typing import IO, ClassVar
 from xml.parsers import expat
 
 import numpy as np
@@ -28,9 +28,6 @@ from tactile_toolkit.mesh.mesh import (
     merge_equal_vertices,
     welded,
 )
-
-FORMATS = (".stl", ".3mf", ".ply", ".obj", ".glb")
-"""All are in millimetres, except GLB, which is in metres, and 3MF, which states its unit."""
 
 # Readers of formats that state no unit.
 _PLAIN: dict[str, Callable[[bytes], Surface]] = {
@@ -63,7 +60,7 @@ class MeshFile:
     Attributes
     ----------
     path : Path
-        The file, with one of the endings in :data:`FORMATS`.
+        The file, with one of the endings in :attr:`FORMATS`.
     unit : str or None
         Unit in which STL, PLY and OBJ files are read; millimetres by default.
     root : Path or None
@@ -72,10 +69,41 @@ class MeshFile:
         Number of its class among those of the folder.
     """
 
+    FORMATS: ClassVar = (".stl", ".3mf", ".ply", ".obj", ".glb")
+    """All are in millimetres, except GLB, which is in metres, and 3MF, which states its unit."""
+
     path: Path
     unit: str | None = None
     root: Path | None = None
     label: int = 0
+
+    @classmethod
+    def find(cls, place: str | PathLike[str], unit: str | None = None) -> MeshFiles | None:
+        """List a mesh file, or a folder of them; None for a data set, or if there are none.
+
+        Sub-folders called ``train`` and ``test`` are splits. Other sub-folders are classes; a file outside
+        them is a class of its own, called by its name. ``unit`` is as :func:`read_mesh` takes it. InputError
+        if there is no such unit, or if there are files next to classes, or files or classes next to splits.
+        """
+        mesh_options.require_unit(unit)
+        root = store.expanded(fspath(place))
+        with store.readable(str(root)):
+            if not store.path_exists(root):
+                return None
+            if root.is_dir():
+                return _in_folder(root, unit)
+        if root.suffix.lower() not in cls.FORMATS:
+            return None
+        return MeshFiles({"": (cls(root, unit),)}, (root.stem,))
+
+    @property
+    def ending(self) -> str:
+        """Ending of the name, in lower case; InputError for an unknown one."""
+        ending = self.path.suffix.lower()
+        if ending not in self.FORMATS:
+            found = f"files ending in {ending!r}" if ending else "files without an ending"
+            raise InputError(f"{self.path}: {found} are not known; expected one of {', '.join(self.FORMATS)}")
+        return ending
 
     @property
     def name(self) -> str:
@@ -87,7 +115,7 @@ class MeshFile:
     @property
     def assumed_unit(self) -> str | None:
         """Unit by which the file is read; None for formats that state theirs."""
-        if file_ending(self.path) in _PLAIN:
+        if self.ending in _PLAIN:
             return self.unit or _USUAL_UNIT
         return None
 
@@ -107,14 +135,14 @@ class MeshFile:
     def parse(self, content: bytes) -> Mesh:
         """Read the mesh from the bytes; raises as :func:`read_mesh`, without the name of the file."""
         mesh_options.require_unit(self.unit)
-        mesh, stated = _unpacked(content, file_ending(self.path), self.unit)
+        mesh, stated = _unpacked(content, self.ending, self.unit)
         size_mm = float(np.ptp(mesh.bounds_m, axis=0).max()) * MM_PER_M
         mesh_options.require_likely_size(size_mm, self.unit, stated)
         return mesh
 
     def read(self) -> Mesh:
         """Read the mesh as :func:`read_mesh` does."""
-        file_ending(self.path)
+        _ = self.ending  # refuses unknown formats before the file is read
         try:
             return self.parse(self.content())
         except InputError as error:
@@ -127,7 +155,7 @@ def read_mesh(path: str | Path, *, unit: str | None = None) -> Mesh:
     Parameters
     ----------
     path : str or Path
-        A file with one of the endings in :data:`FORMATS`.
+        A file with one of the endings in :attr:`MeshFile.FORMATS`.
     unit : "mm", "cm", "m" or "in", optional
         Unit of STL, PLY and OBJ files, which state none; millimetres by default.
 
@@ -159,7 +187,7 @@ def _bounded(stream: IO[bytes]) -> bytes:
 
 
 def unpack_mesh(data: bytes, ending: str) -> Mesh:
-    """Read a mesh of any size from the content of a file, in the unit that :data:`FORMATS` states."""
+    """Read a mesh of any size from the content of a file, in the unit of :attr:`MeshFile.FORMATS`."""
     return _unpacked(data, ending, None)[0]
 
 
@@ -203,7 +231,7 @@ def write_mesh(path: str | Path, mesh: MeshLike) -> None:
     Parameters
     ----------
     path : str or Path
-        A file with one of the endings in :data:`FORMATS`.
+        A file with one of the endings in :attr:`MeshFile.FORMATS`.
     mesh : Mesh, record of a data set, or trimesh.Trimesh
         In metres.
 
@@ -215,7 +243,7 @@ def write_mesh(path: str | Path, mesh: MeshLike) -> None:
         The file cannot be written.
     """
     path = Path(path)
-    data = pack_mesh(Mesh.of(mesh), file_ending(path))
+    data = pack_mesh(Mesh.of(mesh), MeshFile(path).ending)
     with store.named_failures(str(path)):
         path.parent.stat()  # a mistyped folder is refused, not created
         store.write_file(path, lambda stream: stream.write(data))
@@ -237,15 +265,6 @@ def pack_mesh(mesh: Mesh, ending: str, name: str = "") -> bytes:
     return packed.encode() if isinstance(packed, str) else bytes(packed)
 
 
-def file_ending(path: Path) -> str:
-    """Return the ending of a mesh file; InputError for an unknown one."""
-    ending = path.suffix.lower()
-    if ending not in FORMATS:
-        found = f"files ending in {ending!r}" if ending else "files without an ending"
-        raise InputError(f"{path}: {found} are not known; expected one of {', '.join(FORMATS)}")
-    return ending
-
-
 @dataclass(frozen=True, slots=True)
 class MeshFiles:
     """Mesh files, numbered in the natural order of their names (2 before 10).
@@ -260,25 +279,6 @@ class MeshFiles:
 
     splits: dict[str, tuple[MeshFile, ...]]
     class_names: tuple[str, ...]
-
-
-def find_mesh_files(place: str | PathLike[str], unit: str | None = None) -> MeshFiles | None:
-    """List a mesh file, or a folder of them; None for a data set, or if there are none.
-
-    Sub-folders called ``train`` and ``test`` are splits. Other sub-folders are classes; a file outside
-    them is a class of its own, called by its name. ``unit`` is as :func:`read_mesh` takes it. InputError if
-    there is no such unit, or if there are files next to classes, or files or classes next to splits.
-    """
-    mesh_options.require_unit(unit)
-    root = store.expanded(fspath(place))
-    with store.readable(str(root)):
-        if not store.path_exists(root):
-            return None
-        if root.is_dir():
-            return _in_folder(root, unit)
-    if root.suffix.lower() not in FORMATS:
-        return None
-    return MeshFiles({"": (MeshFile(root, unit),)}, (root.stem,))
 
 
 def _in_folder(root: Path, unit: str | None) -> MeshFiles | None:
@@ -324,13 +324,13 @@ def _classes_of(root: Path, besides: tuple[str, ...] = ()) -> dict[Path, str]:
 
 def _files_in(folder: Path) -> list[Path]:
     """Return the mesh files of a folder; a warning names meshes of formats that are not read."""
-    found = list(_sorted_by_name(folder, FORMATS))
+    found = list(_sorted_by_name(folder, MeshFile.FORMATS))
     # A drawing may lie next to the mesh that was made from it.
     known = {file.stem for file in found}
     others = [each for each in _sorted_by_name(folder, _OTHER_FORMATS) if each.stem not in known]
     if found:
         for file in others:
-            _LOG.warning("%s: left out; expected one of %s", file, ", ".join(FORMATS))
+            _LOG.warning("%s: left out; expected one of %s", file, ", ".join(MeshFile.FORMATS))
     return found
 
 

@@ -56,6 +56,24 @@ class Mesh:
         # As trimesh prints its own.
         return f"<Mesh(vertices_m.shape={self.vertices_m.shape}, faces.shape={self.faces.shape})>"
 
+    @property
+    def array_problem(self) -> tuple[str, str] | None:
+        """Problem of the arrays, or None: a word of :data:`tactile_toolkit.mesh.PROBLEMS`, and a sentence."""
+        vertices, faces = self.vertices_m, self.faces
+        if vertices.ndim != 2 or faces.ndim != 2 or vertices.shape[1] != 3 or faces.shape[1] != 3:
+            shapes = f"vertices {vertices.shape}, faces {faces.shape}"
+            return "bad-shape", f"{shapes}; expected (V, 3) and (F, 3)"
+        if not len(vertices) or not len(faces):
+            found = f"{with_count(len(vertices), 'vertices')} and {with_count(len(faces), 'faces')}"
+            return "empty", f"{found}; expected a closed surface"
+        if not np.isfinite(vertices).all():
+            bad = int((~np.isfinite(vertices)).any(axis=1).sum())
+            return "not-finite", f"{bad:,} of {len(vertices):,} vertices: NaN or infinite"
+        if faces.min() < 0 or faces.max() >= len(vertices):
+            found = f"faces name vertices {faces.min()} to {faces.max()}"
+            return "index-out-of-range", f"{found}; there are 0 to {len(vertices) - 1}"
+        return None
+
     @classmethod
     def of(cls, thing: MeshLike) -> Mesh:
         """Return a mesh unchanged; convert a record or a trimesh.Trimesh, which are in metres too.

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from typing import ClassVar
 
 import numpy as np
 import pyarrow as pa
@@ -20,14 +21,11 @@ from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.mesh.mesh import Mesh, MeshLike
 from tactile_toolkit.mesh.mesh_options import PrintProfile
 from tactile_toolkit.mesh.solid_check import check_manifold
-from tactile_toolkit.rows import column, columns, row
+from tactile_toolkit.rows import TypedRow, column, row
 from tactile_toolkit.wording import with_count
 
 WARNINGS = ("thin-wall", "separate-bodies", "overhang", "small-contact", "larger-than-plate", "too-tall")
 """Print warnings; the limits behind them are those of :class:`~mnist3d.PrintProfile`."""
-
-UNREADABLE = "unreadable"
-"""Problem of a file without a readable mesh; the others are those of ``solid_check.PROBLEMS``."""
 
 NO_WARNING = "none"
 """Shown in place of warnings where there are none."""
@@ -71,7 +69,7 @@ _OFF_VERTICES = 1e-7
 
 
 @row
-class PrintReport:
+class PrintReport(TypedRow):
     """Report about one mesh; lengths in mm.
 
     Attributes
@@ -82,7 +80,7 @@ class PrintReport:
         Status of the mesh in manifold3d, ``"NoError"`` or a reason.
     problem : str or None
         Why the mesh is not a solid, a short stable word of
-        :data:`tactile_toolkit.mesh.PROBLEMS`, or :data:`UNREADABLE`.
+        :data:`tactile_toolkit.mesh.PROBLEMS`, or :attr:`UNREADABLE`.
     detail : str or None
         The problem in a sentence.
     vertices, faces : int
@@ -109,6 +107,9 @@ class PrintReport:
     notes : tuple of str
         What reading the file changed or left out (``Mesh.notes``).
     """
+
+    UNREADABLE: ClassVar = "unreadable"
+    """Problem of a file without a readable mesh."""
 
     is_solid: bool = column(pa.bool_())
     status: str = column(_WORD)
@@ -145,7 +146,7 @@ class PrintReport:
         -------
         dict
         """
-        values = {name: getattr(self, name) for name in columns(type(self))}
+        values = {name: getattr(self, name) for name in self.columns()}
         return {name: list(each) if isinstance(each, tuple) else each for name, each in values.items()}
 
     def explained(self, profile: PrintProfile) -> tuple[str, ...]:
@@ -165,7 +166,15 @@ class PrintReport:
         }
         return tuple(
             f"{word}: {found[word]}; next: {advice.removeprefix(f'{word}: ')}"
-            for word, advice in zip(self.warnings, print_advice(self.warnings), strict=True)
+            for word, advice in zip(self.warnings, self.advice(self.warnings), strict=True)
+        )
+
+    @staticmethod
+    def advice(words: Iterable[str]) -> tuple[str, ...]:
+        """Return a line for each warning: what to do, and the section that explains it."""
+        given = set(words)
+        return tuple(
+            f"{word}: {_CURES[word]} (see {WARNINGS_PAGE}#{word})" for word in WARNINGS if word in given
         )
 
 
@@ -228,12 +237,6 @@ def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
     warnings = tuple(word for word in WARNINGS if is_raised[word])
     measured = (mass_g, *size_mm, wall_mm, overhang_mm2, contact_mm2)
     return PrintReport(True, check.status, None, None, *counts, *measured, warnings, mesh.notes)
-
-
-def print_advice(words: Iterable[str]) -> tuple[str, ...]:
-    """Return a line for each warning: what to do, and the section that explains it."""
-    given = set(words)
-    return tuple(f"{word}: {_CURES[word]} (see {WARNINGS_PAGE}#{word})" for word in WARNINGS if word in given)
 
 
 def thinnest_width_mm(outlines_mm: Sequence[Float64]) -> float:

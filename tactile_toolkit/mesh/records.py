@@ -60,7 +60,7 @@ def require_mesh_columns(schema: pa.Schema, name: str, made_by: str) -> None:
 
 
 @rows.row
-class MeshRow:
+class MeshRow(rows.TypedRow):
     """A row with a mesh; row classes of each kind add their own columns after these."""
 
     id: int = rows.column(pa.int64())
@@ -75,15 +75,13 @@ class MeshRow:
         name=FACES,
     )
 
-
-def mesh_schema(
-    row_type: type[MeshRow], class_names: tuple[str, ...], without: tuple[str, ...] = ()
-) -> pa.Schema:
-    """Return the Arrow schema of rows with a mesh, except some columns; its metadata suit `datasets`."""
-    schema = pa.schema([field for field in rows.plain_schema(row_type) if field.name not in without])
-    features = {field.name: _feature(field.type) for field in schema}
-    features["label"] = read.label_feature(class_names)
-    return schema.with_metadata(read.feature_metadata(features))
+    @classmethod
+    def schema(cls, class_names: tuple[str, ...], without: tuple[str, ...] = ()) -> pa.Schema:
+        """Return the Arrow schema, except some columns; its metadata suit `datasets`."""
+        schema = pa.schema([field for field in cls.plain_schema() if field.name not in without])
+        features = {field.name: _feature(field.type) for field in schema}
+        features["label"] = read.label_feature(class_names)
+        return schema.with_metadata(read.feature_metadata(features))
 
 
 def _feature(data_type: pa.DataType) -> JsonValue:

@@ -14,7 +14,6 @@ import numpy as np
 
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.mesh import Mesh, MeshLike
-from tactile_toolkit.wording import with_count
 
 if TYPE_CHECKING:
     from manifold3d import Manifold
@@ -64,7 +63,7 @@ class ManifoldCheck:
 
 def check_manifold(mesh: Mesh) -> ManifoldCheck:
     """Decide whether a mesh, in metres, bounds a solid."""
-    problem = array_problem(mesh)
+    problem = mesh.array_problem
     if problem is not None:
         return ManifoldCheck(None, "NotTried", *problem)
     manifold = mesh.to_manifold()
@@ -95,24 +94,6 @@ def require_solid(mesh: Mesh) -> ManifoldCheck:
     if verdict.problem is not None:
         raise ItemError(verdict.problem, f"it does not bound a solid ({verdict.problem}: {verdict.detail})")
     return verdict
-
-
-def array_problem(mesh: Mesh) -> tuple[str, str] | None:
-    """Return the problem of the arrays of a mesh, or None: a word of PROBLEMS, and a sentence."""
-    vertices, faces = mesh.vertices_m, mesh.faces
-    if vertices.ndim != 2 or faces.ndim != 2 or vertices.shape[1] != 3 or faces.shape[1] != 3:
-        shapes = f"vertices {vertices.shape}, faces {faces.shape}"
-        return "bad-shape", f"{shapes}; expected (V, 3) and (F, 3)"
-    if not len(vertices) or not len(faces):
-        found = f"{with_count(len(vertices), 'vertices')} and {with_count(len(faces), 'faces')}"
-        return "empty", f"{found}; expected a closed surface"
-    if not np.isfinite(vertices).all():
-        bad = int((~np.isfinite(vertices)).any(axis=1).sum())
-        return "not-finite", f"{bad:,} of {len(vertices):,} vertices: NaN or infinite"
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        found = f"faces name vertices {faces.min()} to {faces.max()}"
-        return "index-out-of-range", f"{found}; there are 0 to {len(vertices) - 1}"
-    return None
 
 
 def _overlap_problem(parts: list[Manifold]) -> tuple[str, str] | None:

@@ -116,17 +116,7 @@ def voxels_in(grid: VoxelGrid, vertices_m: Floating, faces: Integers) -> UInt8:
 
 
 Representation = Literal["points", "voxels", "height_map", "mesh"]
-REPRESENTATIONS: tuple[Representation, ...] = get_args(Representation)
-"""Representations of items; see :class:`SolidTensors`."""
-
 Target = str | Callable[[Any], object] | None
-
-TARGETS: dict[str, Callable[[SolidRecord], object]] = {
-    "label": lambda record: record.label,
-    "id": lambda record: record.id,
-    "volume_m3": lambda record: torch.tensor(record.volume_m3, dtype=torch.float32),
-}
-"""Targets of items: class, id, or volume in cubic metres, float32."""
 
 
 class MeshItem(NamedTuple):
@@ -182,7 +172,7 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
     dataset : RecordDataset of SolidRecord
         The solids.
     representation : str
-        One of :data:`REPRESENTATIONS`.
+        One of :attr:`REPRESENTATIONS`.
     points : int
         Number of points.
     pitch_m : float
@@ -192,7 +182,7 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
     transform : callable, optional
         Applied to each tensor or :class:`MeshItem`.
     target : str, callable or None
-        One of :data:`TARGETS`, or a function of a record.
+        One of :attr:`TARGETS`, or a function of a record.
     seed : int
         Seed of the points.
 
@@ -202,6 +192,13 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         The representation or the target is unknown, or a number is impossible.
     """
 
+    REPRESENTATIONS: ClassVar[tuple[Representation, ...]] = get_args(Representation)
+    TARGETS: ClassVar[dict[str, Callable[[SolidRecord], object]]] = {
+        "label": lambda record: record.label,
+        "id": lambda record: record.id,
+        "volume_m3": lambda record: torch.tensor(record.volume_m3, dtype=torch.float32),
+    }
+    """Targets of items: class, id, or volume in cubic metres, float32."""
     extent_m: ClassVar[tuple[float, float, float]] = (0.12, 0.12, 0.01)
 
     def __init__(
@@ -216,12 +213,13 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         target: Target = "label",
         seed: int = 0,
     ) -> None:
-        if representation not in REPRESENTATIONS:
-            expected = ", ".join(REPRESENTATIONS)
+        if representation not in self.REPRESENTATIONS:
+            expected = ", ".join(self.REPRESENTATIONS)
             raise InputError(f"no representation {representation!r}; expected one of {expected}")
-        if isinstance(target, str) and target not in TARGETS:
+        if isinstance(target, str) and target not in self.TARGETS:
+            known = ", ".join(self.TARGETS)
             raise InputError(
-                f"no target {target!r}; expected one of {', '.join(TARGETS)}, a function of a record, or None"
+                f"no target {target!r}; expected one of {known}, a function of a record, or None"
             )
 
         self.dataset = dataset
@@ -261,7 +259,7 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         if self.target is None:
             return given
         # Looked up here, because functions without names do not pickle.
-        return given, (TARGETS[self.target] if isinstance(self.target, str) else self.target)(record)
+        return given, (self.TARGETS[self.target] if isinstance(self.target, str) else self.target)(record)
 
     def _tensor(self, record: SolidRecord, place: int) -> torch.Tensor | MeshItem:
         vertices_m, faces = record.vertices_m, record.faces

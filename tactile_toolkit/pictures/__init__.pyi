@@ -10,10 +10,7 @@ from .previews import (
     ChosenRows as ChosenRows,
     PicturePlan as PicturePlan,
     PlannedPicture as PlannedPicture,
-    file_stem as file_stem,
-    plan_kinds as plan_kinds,
     plan_sheets as plan_sheets,
-    write_pictures as write_pictures,
 )
 from .sheets import (
     ACCENTS as ACCENTS,
@@ -21,19 +18,14 @@ from .sheets import (
     PAPER as PAPER,
     Tile as Tile,
     bar_length_mm as bar_length_mm,
-    draw_text as draw_text,
+    Pen as Pen,
     fitted as fitted,
     sheet as sheet,
-    text_size as text_size,
-    with_scale_bar as with_scale_bar,
 )
 from .solid_views import (
     DrawnBody as DrawnBody,
     DrawnSolid as DrawnSolid,
-    OBLIQUE as OBLIQUE,
     View as View,
-    box_downsample as box_downsample,
-    draw_bodies as draw_bodies,
     draw_mesh as draw_mesh,
     relief as relief,
     solid_sheet as solid_sheet,

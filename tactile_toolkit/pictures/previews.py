@@ -28,6 +28,19 @@ class PlannedPicture:
     what: str
     draw: Callable[[], UInt8]
 
+    @staticmethod
+    def stem_of(name: str) -> str:
+        """Return the beginning of the names of pictures of a data set: the end of its path, made safe."""
+        path = store.expanded(name)
+        last = path.name
+        if path.is_dir():
+            last = path.resolve().name
+        elif path.is_file():
+            last = path.stem
+        plain = "".join(letter if letter.isalnum() or letter in "-_." else "-" for letter in last)
+        # A leading dot would hide the file, and a leading dash make it an option.
+        return plain.strip("-.") or "pictures"
+
 
 @dataclass(frozen=True, slots=True)
 class PicturePlan:
@@ -35,6 +48,52 @@ class PicturePlan:
 
     pictures: tuple[PlannedPicture, ...]
     left_out: tuple[str, ...] = ()
+
+    @classmethod
+    def of_kinds(
+        cls, asked: Sequence[str], plans: Mapping[str, Callable[[], Sequence[PlannedPicture]]]
+    ) -> PicturePlan:
+        """Plan the pictures of each requested kind, or of the first one.
+
+        ``"all"`` stands for all kinds. Kinds that cannot be drawn are left out with the reason, unless they
+        were named. Raises InputError for an unknown kind, for a named kind that cannot be drawn, and where no
+        kind can be drawn.
+        """
+        unknown = [kind for kind in asked if kind not in (*plans, "all")]
+        if unknown:
+            raise InputError(f"no pictures of kind {unknown[0]!r}; expected {', '.join(plans)} or all")
+        named = bool(asked) and "all" not in asked
+        wanted = plans if "all" in asked else asked or next(iter(plans))
+        pictures: list[PlannedPicture] = []
+        reasons: list[InputError] = []
+        for kind in filter(wanted.__contains__, plans):
+            try:
+                pictures += plans[kind]()
+            except InputError as error:
+                if named:
+                    raise
+                reasons.append(error)
+        if not pictures and reasons:
+            raise reasons[0]
+        # Several kinds may need the same missing package.
+        return cls(tuple(pictures), tuple(dict.fromkeys(str(reason) for reason in reasons)))
+
+    def write(
+        self, folder: store.DataFolder, on_progress: Callable[[int, int], None] = lambda _done, _all: None
+    ) -> list[WrittenPicture]:
+        """Draw and write the pictures; existing ones of the same name are replaced.
+
+        Each is written completely or not at all. If one fails, those before it are kept.
+        """
+        written = []
+        for done, planned in enumerate(self.pictures, start=1):
+            pixels = planned.draw()
+            content = png_bytes(pixels)
+            folder.write_bytes(planned.name, content)
+            height, width = pixels.shape[:2]
+            written.append(WrittenPicture(planned.name, planned.what, width, height, len(content)))
+            on_progress(done, len(self.pictures))
+        return written
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,68 +105,6 @@ class WrittenPicture:
     width: int
     height: int
     bytes: int
-
-
-def plan_kinds(
-    asked: Sequence[str], plans: Mapping[str, Callable[[], Sequence[PlannedPicture]]]
-) -> PicturePlan:
-    """Plan the pictures of each requested kind, or of the first one.
-
-    ``"all"`` stands for all kinds. Kinds that cannot be drawn are left out with the reason, unless they were
-    named. Raises InputError for an unknown kind, for a named kind that cannot be drawn, and where no kind can
-    be drawn.
-    """
-    unknown = [kind for kind in asked if kind not in (*plans, "all")]
-    if unknown:
-        raise InputError(f"no pictures of kind {unknown[0]!r}; expected {', '.join(plans)} or all")
-    named = bool(asked) and "all" not in asked
-    wanted = plans if "all" in asked else asked or next(iter(plans))
-    pictures: list[PlannedPicture] = []
-    reasons: list[InputError] = []
-    for kind in filter(wanted.__contains__, plans):
-        try:
-            pictures += plans[kind]()
-        except InputError as error:
-            if named:
-                raise
-            reasons.append(error)
-    if not pictures and reasons:
-        raise reasons[0]
-    # Several kinds may need the same missing package.
-    return PicturePlan(tuple(pictures), tuple(dict.fromkeys(str(reason) for reason in reasons)))
-
-
-def write_pictures(
-    folder: store.DataFolder,
-    pictures: Sequence[PlannedPicture],
-    on_progress: Callable[[int, int], None] = lambda _done, _all: None,
-) -> list[WrittenPicture]:
-    """Draw and write pictures; existing ones of the same name are replaced.
-
-    Each is written completely or not at all. If one fails, those before it are kept.
-    """
-    written = []
-    for done, planned in enumerate(pictures, start=1):
-        pixels = planned.draw()
-        content = png_bytes(pixels)
-        folder.write_bytes(planned.name, content)
-        height, width = pixels.shape[:2]
-        written.append(WrittenPicture(planned.name, planned.what, width, height, len(content)))
-        on_progress(done, len(pictures))
-    return written
-
-
-def file_stem(name: str) -> str:
-    """Return the beginning of the names of pictures of a data set: the last part of its path, made safe."""
-    path = store.expanded(name)
-    last = path.name
-    if path.is_dir():
-        last = path.resolve().name
-    elif path.is_file():
-        last = path.stem
-    plain = "".join(letter if letter.isalnum() or letter in "-_." else "-" for letter in last)
-    # A leading dot would hide the file, and a leading dash make it an option.
-    return plain.strip("-.") or "pictures"
 
 
 @dataclass(frozen=True)
@@ -138,7 +135,7 @@ class ChosenRows:
     @property
     def stem(self) -> str:
         """Beginning of the names of pictures."""
-        return file_stem(self.place.name)
+        return PlannedPicture.stem_of(self.place.name)
 
     def titled(self, title: str) -> str:
         """Return a title, with a note about unfinished data."""
@@ -169,4 +166,4 @@ def plan_sheets(
 ) -> PicturePlan:
     """Plan sheets of solids of a data set; nothing is drawn yet. Raises as :meth:`ChosenRows.of`."""
     rows = ChosenRows.of(kind, name, spec, "preview")
-    return plan_kinds(spec.kinds, {"sheet": partial(rows.plan_sheets, spec.per_class)})
+    return PicturePlan.of_kinds(spec.kinds, {"sheet": partial(rows.plan_sheets, spec.per_class)})

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import unicodedata
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
 from itertools import groupby
@@ -57,6 +57,38 @@ class Tile:
     frame: Colour | None = None
     group: str = ""
 
+    def with_scale_bar(self, px_per_mm: float) -> Tile:
+        """Add a scale bar in the lower left corner, at most a quarter of the width."""
+        return replace(self, pixels=_with_scale_bar(self.pixels, px_per_mm))
+
+
+class Pen(ImageDraw.ImageDraw):
+    """Draws on a picture of Pillow; its text has equal pixels on all machines."""
+
+    def write(
+        self,
+        at_px: tuple[float, float],
+        text: str,
+        size_px: int,
+        colour: Colour = INK,
+        anchor: str = "la",
+        halo_px: int = 0,
+    ) -> None:
+        """Write a line at a column and row; ``anchor`` is an anchor of Pillow.
+
+        ``halo_px`` is the width of an outline in the colour of the paper.
+        """
+        text = _one_line(text)
+        font = _font(size_px)
+        if halo_px:
+            self.text(at_px, text, PAPER, font, anchor, stroke_width=halo_px, stroke_fill=PAPER)
+        self.text(at_px, text, colour, font, anchor)
+
+    @staticmethod
+    def text_size(text: str, size_px: int) -> tuple[float, int]:
+        """Return the width and height of a line, pixels."""
+        return _font(size_px).getlength(_one_line(text)), round(size_px * 1.3)
+
 
 def sheet(
     tiles: Sequence[Tile],
@@ -82,27 +114,27 @@ def sheet(
     row_step = cell_height + gap_px
     if any(tile.caption for tile in tiles):
         row_step += _line_px(_CAPTION_PX)
-    label_px = max((round(text_size(label, _TEXT_PX)[0]) for label in labels), default=0)
+    label_px = max((round(Pen.text_size(label, _TEXT_PX)[0]) for label in labels), default=0)
     heading = [(title, _TITLE_PX, INK)] * bool(title) + [(line, _TEXT_PX, MUTED) for line in lines]
     left_px = top_px = margin_px
     if label_px:
         left_px += label_px + _LABEL_GAP_PX
     if heading:
         top_px += sum(_line_px(size_px) for _, size_px, _ in heading) + gap_px
-    words_px = max((round(text_size(text, size_px)[0]) for text, size_px, _ in heading), default=0)
+    words_px = max((round(Pen.text_size(text, size_px)[0]) for text, size_px, _ in heading), default=0)
     width = max(left_px + columns * (cell_width + gap_px) - gap_px, words_px + margin_px) + margin_px
     height = top_px + len(labels) * row_step - gap_px + margin_px
     if px_per_mm is not None:
         height += gap_px + _line_px(_TEXT_PX)
     picture = Image.new("RGB", (width, height), PAPER)
-    pen = ImageDraw.Draw(picture)
+    pen = Pen(picture)
     y_px = margin_px
     for text, size_px, colour in heading:
-        draw_text(pen, (margin_px, y_px), text, size_px, colour)
+        pen.write((margin_px, y_px), text, size_px, colour)
         y_px += _line_px(size_px)
     for row, label in enumerate(labels):
         middle = (left_px - _LABEL_GAP_PX, top_px + row * row_step + cell_height // 2)
-        draw_text(pen, middle, label, _TEXT_PX, anchor="rm")
+        pen.write(middle, label, _TEXT_PX, anchor="rm")
     for tile, row, column in cells:
         image = Image.fromarray(tile.pixels).convert("RGB")
         if tile.frame is not None:
@@ -111,11 +143,11 @@ def sheet(
         y = top_px + row * row_step
         picture.paste(image, (x + (cell_width - image.width) // 2, y + (cell_height - image.height) // 2))
         below = (x + cell_width / 2, y + cell_height + _LINE_GAP_PX)
-        draw_text(pen, below, tile.caption, _CAPTION_PX, MUTED, anchor="ma")
+        pen.write(below, tile.caption, _CAPTION_PX, MUTED, anchor="ma")
     if px_per_mm is None:
         return np.asarray(picture)
     length_mm = bar_length_mm(min(cell_width, width // 4), px_per_mm)  # not longer than a tile
-    return with_scale_bar(np.asarray(picture), px_per_mm, length_mm)
+    return _with_scale_bar(np.asarray(picture), px_per_mm, length_mm)
 
 
 def _in_rows(tiles: Sequence[Tile], most: int) -> tuple[list[tuple[Tile, int, int]], list[str], int]:
@@ -132,7 +164,7 @@ def _in_rows(tiles: Sequence[Tile], most: int) -> tuple[list[tuple[Tile, int, in
 
 
 def _line_px(size_px: int) -> int:
-    return text_size("", size_px)[1] + _LINE_GAP_PX
+    return Pen.text_size("", size_px)[1] + _LINE_GAP_PX
 
 
 def fitted(pixels: UInt8, width_px: float) -> UInt8:
@@ -147,14 +179,14 @@ def bar_length_mm(most_px: float, px_per_mm: float) -> float:
     return max(fitting, default=_NICE_LENGTHS_MM[0])
 
 
-def with_scale_bar(pixels: UInt8, px_per_mm: float, length_mm: float | None = None) -> UInt8:
+def _with_scale_bar(pixels: UInt8, px_per_mm: float, length_mm: float | None = None) -> UInt8:
     """Add a scale bar to a picture, (H, W, 3), in its lower left corner.
 
     It is at most a quarter of the width by default.
     """
     picture = Image.fromarray(pixels).convert("RGB")
     length_mm = length_mm or bar_length_mm(picture.width // 4, px_per_mm)
-    pen = ImageDraw.Draw(picture)
+    pen = Pen(picture)
     left = 10
     top = picture.height - 10 - _BAR_PX
     right = left + max(1, round(length_mm * px_per_mm)) - 1
@@ -162,33 +194,8 @@ def with_scale_bar(pixels: UInt8, px_per_mm: float, length_mm: float | None = No
     # A halo keeps the bar readable on any background.
     pen.rectangle((left - _HALO_PX, top - _HALO_PX, right + _HALO_PX, bottom + _HALO_PX), fill=PAPER)
     pen.rectangle((left, top, right, bottom), fill=INK)
-    draw_text(pen, (left, top - 6), f"{length_mm:g} mm", _CAPTION_PX, anchor="ls", halo_px=_HALO_PX)
+    pen.write((left, top - 6), f"{length_mm:g} mm", _CAPTION_PX, anchor="ls", halo_px=_HALO_PX)
     return np.asarray(picture)
-
-
-def draw_text(
-    pen: ImageDraw.ImageDraw,
-    at_px: tuple[float, float],
-    text: str,
-    size_px: int,
-    colour: Colour = INK,
-    anchor: str = "la",
-    halo_px: int = 0,
-) -> None:
-    """Write a line at a column and row; ``anchor`` is an anchor of Pillow.
-
-    ``halo_px`` is the width of an outline in the colour of the paper.
-    """
-    text = _one_line(text)
-    font = _font(size_px)
-    if halo_px:
-        pen.text(at_px, text, PAPER, font, anchor, stroke_width=halo_px, stroke_fill=PAPER)
-    pen.text(at_px, text, colour, font, anchor)
-
-
-def text_size(text: str, size_px: int) -> tuple[float, int]:
-    """Return the width and height of a line, pixels."""
-    return _font(size_px).getlength(_one_line(text)), round(size_px * 1.3)
 
 
 def _one_line(text: str) -> str:

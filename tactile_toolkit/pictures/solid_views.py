@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from PIL import Image
 
 from tactile_toolkit import arithmetic, mesh
 from tactile_toolkit.array_types import Float64, Floating, Int64, Integers, UInt8
@@ -40,6 +41,9 @@ _COS_SHARP = math.cos(math.radians(40.0))
 class View:
     """A direction of view, without perspective."""
 
+    OBLIQUE: ClassVar[View]
+    """From the front, slightly left and far above: digits are readable and show their height."""
+
     azimuth_deg: float  # of the viewer around the z axis, counter-clockwise from -y
     elevation_deg: float  # of the viewer: 90 looks straight down, with x right and y up
 
@@ -56,9 +60,42 @@ class View:
         """Rotate points, shape (n, 3), to coordinates right, up and towards the viewer."""
         return arithmetic.moved(np.asarray(points, np.float64), self.axes.T)
 
+    def draw(
+        self,
+        bodies: Sequence[DrawnBody],
+        size_px: tuple[int, int],
+        px_per_m: float,
+        paper: Colour = PAPER,
+    ) -> UInt8:
+        """Draw bodies in the middle of a picture of a given width and height, smooth except at sharp edges.
 
-OBLIQUE = View(-25.0, 42.0)
-"""View from the front, slightly left and far above: digits are readable and show their height."""
+        The projection is parallel: lengths along the picture plane keep their scale. Returns shape (H, W, 3).
+        """
+        counts = [len(body.mesh.faces) for body in bodies]
+        vertices_m, faces = join_surfaces([(body.mesh.vertices_m, body.mesh.faces) for body in bodies])
+        projected = self.project(vertices_m)
+        width, height = (side * _SAMPLING for side in size_px)
+        scale = px_per_m * _SAMPLING
+        middle = (projected[:, :2].min(axis=0) + projected[:, :2].max(axis=0)) / 2
+        # Rows grow downwards, and the centre of the first pixel is at column 0, row 0.
+        points_px = (projected[:, :2] - middle) * (scale, -scale) + (width / 2 - 0.5, height / 2 - 0.5)
+        nearest = highest_faces(
+            np.stack([*points_px.T, projected[:, 2]]), faces, (height, width), both_sides=True
+        )
+        row, column = np.nonzero(nearest >= 0)
+        face = nearest[row, column]
+
+        levels = np.repeat(np.array([body.colour for body in bodies], float), counts, axis=0)[face]
+        lit = np.flatnonzero(np.repeat([body.lit for body in bodies], counts)[face])
+        corners = points_px[faces[face[lit]]]
+        normals = _corner_normals(projected, faces)[face[lit]]
+        levels[lit] = _lit(levels[lit], _normals_at(column[lit], row[lit], corners, normals))
+        pixels = np.full((height, width, 3), paper, np.uint8)
+        pixels[row, column] = np.clip(np.round(levels), 0, 255)
+        return _reduced(pixels)
+
+
+View.OBLIQUE = View(-25.0, 42.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,41 +105,6 @@ class DrawnBody:
     mesh: Mesh
     colour: Colour
     lit: bool = True
-
-
-def draw_bodies(
-    bodies: Sequence[DrawnBody],
-    size_px: tuple[int, int],
-    px_per_m: float,
-    view: View = OBLIQUE,
-    paper: Colour = PAPER,
-) -> UInt8:
-    """Draw bodies in the middle of a picture of a given width and height, smooth except at sharp edges.
-
-    The projection is parallel: lengths along the picture plane keep their scale. Returns shape (H, W, 3).
-    """
-    counts = [len(body.mesh.faces) for body in bodies]
-    vertices_m, faces = join_surfaces([(body.mesh.vertices_m, body.mesh.faces) for body in bodies])
-    projected = view.project(vertices_m)
-    width, height = (side * _SAMPLING for side in size_px)
-    scale = px_per_m * _SAMPLING
-    middle = (projected[:, :2].min(axis=0) + projected[:, :2].max(axis=0)) / 2
-    # Rows grow downwards, and the centre of the first pixel is at column 0, row 0.
-    points_px = (projected[:, :2] - middle) * (scale, -scale) + (width / 2 - 0.5, height / 2 - 0.5)
-    nearest = highest_faces(
-        np.stack([*points_px.T, projected[:, 2]]), faces, (height, width), both_sides=True
-    )
-    row, column = np.nonzero(nearest >= 0)
-    face = nearest[row, column]
-
-    levels = np.repeat(np.array([body.colour for body in bodies], float), counts, axis=0)[face]
-    lit = np.flatnonzero(np.repeat([body.lit for body in bodies], counts)[face])
-    corners = points_px[faces[face[lit]]]
-    normals = _corner_normals(projected, faces)[face[lit]]
-    levels[lit] = _lit(levels[lit], _normals_at(column[lit], row[lit], corners, normals))
-    pixels = np.full((height, width, 3), paper, np.uint8)
-    pixels[row, column] = np.clip(np.round(levels), 0, 255)
-    return box_downsample(pixels, _SAMPLING)
 
 
 def _corner_normals(points: Float64, faces: Integers) -> Float64:
@@ -184,36 +186,30 @@ def relief(vertices_m: Floating, faces: Integers, px_per_m: float, *, with_opaci
     shades = np.append(_DARKEST + _RANGE * np.clip(light, 0, 1), 255.0).astype(np.uint8)
     drawn = nearest[::-1]
     if not with_opacity:
-        return box_downsample(shades[drawn], _SAMPLING)
+        return _reduced(shades[drawn])
     is_solid = drawn >= 0
-    opacity = box_downsample(np.where(is_solid, np.uint8(255), np.uint8(0)), _SAMPLING)
-    levels = box_downsample(np.where(is_solid, shades[drawn], np.uint8(0)), _SAMPLING)
+    opacity = _reduced(np.where(is_solid, np.uint8(255), np.uint8(0)))
+    levels = _reduced(np.where(is_solid, shades[drawn], np.uint8(0)))
     # Levels of the solid alone, so that no light rim shows on dark pages.
     levels = np.round(levels * (255.0 / np.maximum(opacity, 1))).clip(0, 255).astype(np.uint8)
     return np.stack([levels, opacity], axis=2)
 
 
-def box_downsample(pixels: UInt8, factor: int) -> UInt8:
-    """Reduce a picture, (H, W) or (H, W, 3), by an integer factor; each pixel is a mean.
-
-    Sides that are not a multiple of ``factor`` are padded with white.
-    """
-    height, width = (-(-side // factor) for side in pixels.shape[:2])
-    padding = [(0, height * factor - pixels.shape[0]), (0, width * factor - pixels.shape[1])]
-    padded = np.pad(pixels, [*padding, *[(0, 0)] * (pixels.ndim - 2)], constant_values=255)
-    blocks = padded.reshape(height, factor, width, factor, *pixels.shape[2:])
-    sums = blocks.sum(axis=(1, 3), dtype=np.uint32)
-    return np.asarray((sums + factor * factor // 2) // (factor * factor), np.uint8)
+def _reduced(pixels: UInt8) -> UInt8:
+    """Return a picture that was drawn larger at its size; each pixel is a mean."""
+    return np.asarray(Image.fromarray(pixels).reduce(_SAMPLING))
 
 
 class DrawnSolid(Drawn, mesh.SolidRecord):
     """A record of a mesh that draws itself, from above by default.
 
-    ``is_faceted`` shows sharp edges in a gallery, instead of smooth shading.
+    ``is_faceted`` shows sharp edges in a gallery, instead of smooth shading. ``drawn_columns`` are those that
+    a picture needs.
     """
 
     __slots__ = ()
     is_faceted: ClassVar[bool] = False
+    drawn_columns: ClassVar[tuple[str, ...]] = (mesh.VERTICES, mesh.FACES)
 
     def caption(self, label_names: Sequence[str] = ()) -> str:
         """Return the class of the solid."""

@@ -10,7 +10,6 @@ from .file_export import (
     Made as Made,
     PrintObject as PrintObject,
     Product as Product,
-    write_products as write_products,
 )
 from .plate_layouts import (
     arrange as arrange,

@@ -15,7 +15,7 @@ from itertools import count, cycle
 
 import numpy as np
 from manifold3d import CrossSection, Manifold, OpType
-from PIL import Image, ImageDraw
+from PIL import Image
 
 from tactile_toolkit import pictures
 from tactile_toolkit.array_types import Float64
@@ -26,7 +26,6 @@ from tactile_toolkit.printing.file_export import (
     Made,
     PrintObject,
     Product,
-    write_products,
 )
 
 PLATE_NAME = "calibration-plate"
@@ -238,7 +237,7 @@ def export_calibration_plate(
     """
     patterns = (f"{PLATE_NAME}.{kind}", f"{PLATE_NAME}.png", SHEET_FILE)
     product = Product(PLATE_NAME, patterns, partial(_made, tuple(solids), f".{kind}"))
-    return write_products([product], out, overwrite=overwrite, dry_run=dry_run)
+    return FileExport.of([product], out, overwrite=overwrite, dry_run=dry_run)
 
 
 def _made(solids: Sequence[PrintObject], ending: str) -> Made[WrittenPlate]:
@@ -256,17 +255,17 @@ def _made(solids: Sequence[PrintObject], ending: str) -> Made[WrittenPlate]:
 
 def _picture(plate: CalibrationPlate) -> bytes:
     """Draw the plate with the number of each touch, as PNG."""
-    seen = pictures.OBLIQUE.project(plate.mesh.vertices_m)[:, :2]
+    seen = pictures.View.OBLIQUE.project(plate.mesh.vertices_m)[:, :2]
     low, high = seen.min(axis=0), seen.max(axis=0)
     middle_px = np.array(_PICTURE_PX) / 2
     px_per_m = float((2 * (middle_px - _EDGE_PX) / (high - low)).min())
-    drawn = pictures.draw_bodies([pictures.DrawnBody(plate.mesh, _COLOUR)], _PICTURE_PX, px_per_m)
+    drawn = pictures.View.OBLIQUE.draw([pictures.DrawnBody(plate.mesh, _COLOUR)], _PICTURE_PX, px_per_m)
     picture = Image.fromarray(drawn)
-    pen = ImageDraw.Draw(picture)
+    pen = pictures.Pen(picture)
     for number, (feature, (x_mm, y_mm)) in enumerate(_touches(plate), start=1):
-        place = pictures.OBLIQUE.project(np.array([[x_mm, y_mm, feature.top_mm]]) / MM_PER_M)[0, :2]
+        place = pictures.View.OBLIQUE.project(np.array([[x_mm, y_mm, feature.top_mm]]) / MM_PER_M)[0, :2]
         x, y = (middle_px + (place - (low + high) / 2) * (px_per_m, -px_per_m)).tolist()
-        pictures.draw_text(pen, (x, y), str(number), _TEXT_PX, anchor="mm", halo_px=3)
+        pen.write((x, y), str(number), _TEXT_PX, anchor="mm", halo_px=3)
     return pictures.png_bytes(np.asarray(picture))
 
 

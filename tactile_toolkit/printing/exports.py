@@ -18,11 +18,11 @@ from tactile_toolkit import read, store
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.mesh import (
-    FORMATS,
     MM_PER_M,
     BuildItem,
     ManifoldCheck,
     Mesh,
+    MeshFile,
     SolidRecord,
     read_build,
     require_solid,
@@ -41,7 +41,6 @@ from tactile_toolkit.printing.file_export import (
     content_of,
     require_same_solid,
     require_scale,
-    write_products,
 )
 from tactile_toolkit.printing.plate_layouts import PlateLayout, arrange, draw_map
 from tactile_toolkit.printing.print_options import MODELS, ExportOptions, Physics, PlateSpec
@@ -234,7 +233,7 @@ def _made_file(item: PrintObject, ending: str, scale: float, physics: Physics) -
             state=state,
         )
 
-    if ending in FORMATS:
+    if ending in MeshFile.FORMATS:
         return Made.of_solid(item.name, ending, solid, record)
     verdict = require_solid(solid)
     files = model_files(item.name, solid, ending, physics)
@@ -250,8 +249,8 @@ def _ending_of(kind: str) -> str:
     """Return the ending of files of a format; InputError for an unknown one."""
     name = kind.lower().removeprefix(".")
     ending = MODELS.get(name, f".{name}")
-    if ending not in FORMATS and name not in MODELS:
-        formats = ", ".join([*(known[1:] for known in FORMATS), *MODELS])
+    if ending not in MeshFile.FORMATS and name not in MODELS:
+        formats = ", ".join([*(known[1:] for known in MeshFile.FORMATS), *MODELS])
         raise InputError(f"is {kind!r}; expected one of {formats}", field="file_format")
     return ending
 
@@ -311,7 +310,7 @@ def export_files(
     ending = _ending_of(kind)
     require_scale(scale)
     products = [_product(item, ending, scale, physics or Physics()) for item in objects]
-    return write_products(
+    return FileExport.of(
         products, out, overwrite=overwrite, dry_run=dry_run, workers=workers, on_progress=on_progress
     )
 
@@ -363,17 +362,17 @@ def write_plates(
     """
     unknown = _unknown_files(layout, store.local_folder_path(out))
     # The table first, because it shows whether the folder holds another export.
-    write_products([_table_product(tuple(_rows(layout)), unknown)], out, overwrite=overwrite, dry_run=True)
+    FileExport.of([_table_product(tuple(_rows(layout)), unknown)], out, overwrite=overwrite, dry_run=True)
     plates = [
         Product(solid, (solid, picture), partial(_made_plate, layout, number))
         for number, (solid, picture) in enumerate(_names(layout), 1)
     ]
-    made = write_products(plates, out, overwrite=overwrite, dry_run=dry_run, on_progress=on_progress)
+    made = FileExport.of(plates, out, overwrite=overwrite, dry_run=dry_run, on_progress=on_progress)
     written = {plate.file for plate in made.files}
     rows = tuple(row for row in _rows(layout) if row["file"] in written)
     if not dry_run:
         # Last, so that it lists only files that exist and were checked.
-        write_products([_table_product(rows, unknown)], out, overwrite=True)
+        FileExport.of([_table_product(rows, unknown)], out, overwrite=True)
     return PlateExport(made.files, (*layout.failures, *made.failed), rows, unknown)
 
 

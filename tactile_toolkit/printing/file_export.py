@@ -174,6 +174,52 @@ class FileExport(Generic[R]):
     files: tuple[R, ...]
     failed: tuple[FailedExport, ...]
 
+    @classmethod
+    def of(
+        cls,
+        products: Sequence[Product[R]],
+        out: str,
+        *,
+        overwrite: bool = False,
+        dry_run: bool = False,
+        workers: int = 1,
+        on_progress: Progress = lambda _done, _total: None,
+    ) -> FileExport[R]:
+        """Write the files of products into a folder, which is created if needed.
+
+        A ``dry_run`` makes and checks the files without writing. Raises InputError, before anything is
+        written, where other files exist under their names, and StorageError where the folder cannot be
+        written; finished files are kept.
+        """
+        folder = store.local_folder_path(out)
+        if not dry_run:
+            store.open_folder(out).require_folder()
+            store.remove_drafts(folder)  # drafts of killed exports
+        found: dict[str, tuple[str, R | FailedExport]] = {}
+
+        def run(some: Sequence[Product[R]], overwrite: bool, dry_run: bool) -> None:
+            make = partial(_exported, folder, overwrite, dry_run)
+            for name, state, record in runner_for(workers).run(make, some):
+                found[name] = state, record
+                on_progress(len(found), len(products))
+
+        # A dry run of existing products finds files in the way. Kept products are not made again, because
+        # computing convex parts takes longer than writing their file.
+        there = [product for product in products if not overwrite and _before(folder, product)]
+        run(products if dry_run else there, overwrite, True)
+        others = sorted(each.patterns[0] for each in there if found[each.name][0] == "failed")
+        if others:
+            raise InputError(
+                f"{out!r} holds {others[0]!r} with other content ({with_count(len(others), 'such files')}); "
+                "nothing was written",
+                next="add --overwrite to replace them, or choose another --out",
+            )
+        if not dry_run:
+            run([each for each in products if found.get(each.name, ("",))[0] != "kept"], True, False)
+        results = [found[product.name][1] for product in products]
+        failed = tuple(result for result in results if isinstance(result, FailedExport))
+        return cls(tuple(result for result in results if not isinstance(result, FailedExport)), failed)
+
 
 def require_same_solid(found: mesh.Mesh, meant: mesh.Mesh, verdict: mesh.ManifoldCheck) -> None:
     """Raise ItemError if a mesh that was read back differs from the intended solid, of ``verdict``."""
@@ -252,48 +298,3 @@ def _remove(paths: Iterable[Path]) -> None:
     for path in paths:
         with store.named_failures(str(path)):
             path.unlink(missing_ok=True)
-
-
-def write_products(
-    products: Sequence[Product[R]],
-    out: str,
-    *,
-    overwrite: bool = False,
-    dry_run: bool = False,
-    workers: int = 1,
-    on_progress: Progress = lambda _done, _total: None,
-) -> FileExport[R]:
-    """Write the files of products into a folder, which is created if needed.
-
-    A ``dry_run`` makes and checks the files without writing. Raises InputError, before anything is written,
-    where other files exist under their names, and StorageError where the folder cannot be written; finished
-    files are kept.
-    """
-    folder = store.local_folder_path(out)
-    if not dry_run:
-        store.open_folder(out).require_folder()
-        store.remove_drafts(folder)  # drafts of killed exports
-    found: dict[str, tuple[str, R | FailedExport]] = {}
-
-    def run(some: Sequence[Product[R]], overwrite: bool, dry_run: bool) -> None:
-        make = partial(_exported, folder, overwrite, dry_run)
-        for name, state, record in runner_for(workers).run(make, some):
-            found[name] = state, record
-            on_progress(len(found), len(products))
-
-    # A dry run of existing products finds files in the way. Kept products are not made again, because
-    # computing convex parts takes longer than writing their file.
-    there = [product for product in products if not overwrite and _before(folder, product)]
-    run(products if dry_run else there, overwrite, True)
-    others = sorted(each.patterns[0] for each in there if found[each.name][0] == "failed")
-    if others:
-        raise InputError(
-            f"{out!r} holds {others[0]!r} with other content ({with_count(len(others), 'such files')}); "
-            "nothing was written",
-            next="add --overwrite to replace them, or choose another --out",
-        )
-    if not dry_run:
-        run([each for each in products if found.get(each.name, ("",))[0] != "kept"], True, False)
-    results = [found[product.name][1] for product in products]
-    failed = tuple(result for result in results if isinstance(result, FailedExport))
-    return FileExport(tuple(result for result in results if not isinstance(result, FailedExport)), failed)

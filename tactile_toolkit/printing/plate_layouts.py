@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import manifold3d
 import numpy as np
-from PIL import Image, ImageDraw
+from PIL import Image
 
 from tactile_toolkit import mesh, pictures
 from tactile_toolkit.array_types import Float64
@@ -258,9 +258,9 @@ def draw_map(layout: PlateLayout, number: int) -> bytes:
     longer_px = min(max(_LONGER_SIDE_PX, _MIN_PX_PER_MM * max(spec.sides_mm)), _LONGEST_SIDE_PX)
     scale = longer_px / max(spec.sides_mm)
     width_px, depth_px = (round(side * scale) for side in spec.sides_mm)
-    sheet_px = max(width_px, round(pictures.text_size(title, _TITLE_PX)[0])) + 2 * _EDGE_PX
+    sheet_px = max(width_px, round(pictures.Pen.text_size(title, _TITLE_PX)[0])) + 2 * _EDGE_PX
     picture = Image.new("RGB", (sheet_px, depth_px + 2 * _EDGE_PX), pictures.PAPER)
-    chart = _Chart(ImageDraw.Draw(picture), scale, depth_px)
+    chart = _Chart(pictures.Pen(picture), scale, depth_px)
     _draw_plate(chart, spec, pictures.bar_length_mm(longer_px / _LINES, scale))
     for placed in plate:
         _draw_object(chart, placed, _FILLS[labels.index(placed.item.label) % len(_FILLS)])
@@ -269,8 +269,8 @@ def draw_map(layout: PlateLayout, number: int) -> bytes:
     if missing:
         words += f"; {missing:,} without words, for want of space: plates.csv lists them"
     foot_px = depth_px + 2 * _EDGE_PX - 20
-    pictures.draw_text(chart.pen, (_EDGE_PX, foot_px), words, _NUMBER_PX, anchor="ls")
-    pictures.draw_text(chart.pen, (_EDGE_PX, _EDGE_PX - 28), title, _TITLE_PX, anchor="ls")
+    chart.pen.write((_EDGE_PX, foot_px), words, _NUMBER_PX, anchor="ls")
+    chart.pen.write((_EDGE_PX, _EDGE_PX - 28), title, _TITLE_PX, anchor="ls")
     return pictures.png_bytes(np.asarray(picture.reduce(_FINER)))
 
 
@@ -278,7 +278,7 @@ def draw_map(layout: PlateLayout, number: int) -> bytes:
 class _Chart:
     """A picture to draw on, and the positions of points of the plate in it."""
 
-    pen: ImageDraw.ImageDraw
+    pen: pictures.Pen
     px_per_mm: float
     depth_px: int
 
@@ -304,7 +304,7 @@ def _draw_plate(chart: _Chart, spec: PlateSpec, step_mm: float) -> None:
             ends_mm[1, 1 - axis] = spec.sides_mm[1 - axis]
             chart.pen.line(chart.at(ends_mm), _GRID, 2)
             x, y = np.add(chart.at(ends_mm)[0], aside_px).tolist()
-            pictures.draw_text(chart.pen, (x, y), f"{at_mm:g}", _NUMBER_PX, anchor=anchor)
+            chart.pen.write((x, y), f"{at_mm:g}", _NUMBER_PX, anchor=anchor)
     margin_mm = spec.margin_mm
     inner_mm = (spec.width_mm - margin_mm, spec.depth_mm - margin_mm)
     chart.rectangle((margin_mm, margin_mm), inner_mm, _MARGIN, 2)
@@ -335,12 +335,12 @@ def _draw_words(chart: _Chart, plate: Sequence[PlacedObject], ids: Counter[int])
                 lines.append(item.split)
         width_mm, depth_mm = placed.outline.size_mm
         middle: Float64 = np.array(chart.at([(placed.x_mm + width_mm / 2, placed.y_mm + depth_mm / 2)])[0])
-        sides_px = max(pictures.text_size(line, _WORD_PX)[0] for line in lines), len(lines) * _LINE_PX
+        sides_px = max(pictures.Pen.text_size(line, _WORD_PX)[0] for line in lines), len(lines) * _LINE_PX
         box = np.array([middle - np.divide(sides_px, 2), middle + np.divide(sides_px, 2)])
         if any((box[1] >= other[0]).all() and (box[0] <= other[1]).all() for other in taken):
             continue
         taken.append(box)
         for row, line in enumerate(lines):
             at_px = (float(middle[0]), float(box[0, 1]) + (row + 0.5) * _LINE_PX)
-            pictures.draw_text(chart.pen, at_px, line, _WORD_PX, anchor="mm", halo_px=4)
+            chart.pen.write(at_px, line, _WORD_PX, anchor="mm", halo_px=4)
     return len(taken)

@@ -17,6 +17,7 @@ from .schemas import (
     column_names as column_names,
     column_types as column_types,
     dtype_name as dtype_name,
+    value_feature as value_feature,
     Expected as Expected,
     feature_metadata as feature_metadata,
     label_feature as label_feature,

@@ -86,6 +86,15 @@ def dtype_name(data_type: pa.DataType) -> str:
     return _DTYPES.get(str(data_type), str(data_type))
 
 
+def value_feature(data_type: pa.DataType, leaf: JsonObject | None = None) -> JsonObject:
+    """Describe a column to `datasets`: the values in lists as ``leaf``, by default by their type."""
+    if not isinstance(data_type, (pa.ListType, pa.FixedSizeListType)):
+        return leaf or {"dtype": dtype_name(data_type), "_type": "Value"}
+    length = getattr(data_type, "list_size", -1)
+    # Both old and new releases of `datasets` read "Sequence" as a list.
+    return {"feature": value_feature(data_type.value_type, leaf), "length": length, "_type": "Sequence"}
+
+
 def label_feature(names: Sequence[str]) -> JsonDict:
     """Describe the label column to `datasets`."""
     return {"names": list(names), "_type": "ClassLabel"}

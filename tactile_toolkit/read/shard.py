@@ -69,7 +69,11 @@ class Shard:
 
     @property
     def _footer(self) -> Footer:
-        return _FOOTERS.get((self.digest, self.rows)) or self._open()[1]
+        footer = _FOOTERS.get((self.digest, self.rows))
+        if footer is None:
+            with self._named_damage():
+                footer = self._open()[1]
+        return footer
 
     @property
     def metadata(self) -> parquet.FileMetaData:
@@ -120,12 +124,12 @@ class Shard:
 
     def read(self, columns: Sequence[str] | None = None, groups: Sequence[int] | None = None) -> pa.Table:
         """Decode row groups, with all columns or those named (fields of structs by dotted name)."""
-        parquet, (metadata, _) = self._open()
-        wanted = range(metadata.num_row_groups) if groups is None else groups
-        if columns is None:  # columns are not larger than their rows
-            for index in wanted:
-                self._require_bounded(index)
         with self._named_damage():
+            parquet, (metadata, _) = self._open()
+            wanted = range(metadata.num_row_groups) if groups is None else groups
+            if columns is None:  # columns are not larger than their rows
+                for index in wanted:
+                    self._require_bounded(metadata, index)
             # No threads of Arrow, because shards are already read in parallel.
             return schemas.supported_table(
                 parquet.read_row_groups(list(wanted), columns=columns, use_threads=False)
@@ -230,7 +234,6 @@ class Shard:
 
     def blocks(self, index: int, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
         """Decode the blocks of a row group one by one, without caching; all columns or those named."""
-        self._require_bounded(index)
         first_row = self.group_starts[index]
         for table in self._block_tables(index, columns):
             yield RowGroup(table, self.path, first_row)
@@ -241,14 +244,11 @@ class Shard:
             problem = f" is damaged, row group {index} holds {found} rows; expected {expected} by its footer"
             raise errors.IntegrityError.in_file(self.path, problem)
 
-    def _require_bounded(self, index: int) -> None:
+    def _require_bounded(self, metadata: parquet.FileMetaData, index: int) -> None:
         """Refuse rows that would exceed the limit when unpacked, according to the footer."""
         # A large row group is harmless, because it is unpacked in blocks, unless it may consist of one row.
-        metadata = self.metadata
         if not self.is_remote:
-            with self._named_damage():
-                self._require_same(self._found_now(), self.identity)  # the footer is that of another file
-                store.require_sound_columns(self.path, metadata, [index])
+            store.require_sound_columns(self.path, metadata, [index])
         group = metadata.row_group(index)
         columns = [group.column(number) for number in range(group.num_columns)]
         size_bytes = sum(
@@ -264,7 +264,9 @@ class Shard:
         rows = self.block_rows[index]
         waiting = None
         with self._named_damage():
-            for batch in self._open()[0].iter_batches(rows, [index], columns, use_threads=False):
+            parquet, (metadata, _) = self._open()
+            self._require_bounded(metadata, index)
+            for batch in parquet.iter_batches(rows, [index], columns, use_threads=False):
                 # The reader may return fewer rows than requested; blocks must be complete to be found again.
                 table = schemas.supported_table(pa.Table.from_batches([batch]))
                 waiting = table if waiting is None else pa.concat_tables([waiting, table])
@@ -372,11 +374,13 @@ class Shard:
         return {"file": name, "rows": len(self), "bytes": size_bytes, "footer_sha256": digest}
 
     def _open(self) -> tuple[parquet.ParquetFile, Footer]:
-        """Open the file, check that it was not replaced, and return it with its footer."""
+        """Open the file, check that it was not replaced, and return it with its footer.
+
+        The caller names the errors of a damaged file.
+        """
         key = (self.digest, self.rows)
         footer = _FOOTERS.get(key)
-        with self._named_damage():
-            parquet, identity, size_bytes = self._opened(footer and footer[0])
+        parquet, identity, size_bytes = self._opened(footer and footer[0])
         self._require_same(identity, self.identity)
         metadata = parquet.metadata
         found = {"rows": metadata.num_rows, "bytes": size_bytes}

@@ -225,18 +225,12 @@ def with_features(schema: pa.Schema, label_names: Sequence[str] | None) -> pa.Sc
 
     Without ``label_names``, the class is a plain number; an empty list means that there are no classes.
     """
-    features = {field.name: _feature(field.name, field.type, label_names) for field in schema}
+    features: dict[str, JsonObject] = {}
+    for field in schema:
+        leaf = None
+        if field.name in _MEDIA_FEATURES or read.list_depth(field.type)[1] == MEDIA_TYPE:
+            leaf = {"_type": _MEDIA_FEATURES.get(field.name, "Image")}
+        features[field.name] = read.value_feature(field.type, leaf)
+    if "label" in features and label_names is not None:
+        features["label"] = read.label_feature(label_names)
     return schema.with_metadata(read.feature_metadata(features))
-
-
-def _feature(name: str, data_type: pa.DataType, label_names: Sequence[str] | None) -> JsonObject:
-    if name == "label" and label_names is not None:
-        return read.label_feature(label_names)
-    if isinstance(data_type, (pa.ListType, pa.FixedSizeListType)):
-        length = getattr(data_type, "list_size", -1)
-        inner = _feature(name, data_type.value_type, label_names)
-        # Both old and new releases of `datasets` read "Sequence" as a list.
-        return {"feature": inner, "length": length, "_type": "Sequence"}
-    if name in _MEDIA_FEATURES or data_type == MEDIA_TYPE:
-        return {"_type": _MEDIA_FEATURES.get(name, "Image")}
-    return {"dtype": read.dtype_name(data_type), "_type": "Value"}

@@ -9,7 +9,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from tactile_toolkit.mesh import MeshRow, mesh_schema
+from tactile_toolkit.mesh import MeshRow
 from tests.mesh_columns import list_array
 from tests.realtouch import factories
 
@@ -78,7 +78,7 @@ def write_meshes(folder: Path, meshes: Sequence[Any], names: tuple[str, ...] = D
         list_array([mesh.vertices for mesh in meshes], pa.float32()),
         list_array([mesh.faces for mesh in meshes], pa.int32()),
     ]
-    table = pa.Table.from_arrays(columns, schema=mesh_schema(MeshRow, names))
+    table = pa.Table.from_arrays(columns, schema=MeshRow.schema(names))
     (folder / "data").mkdir(parents=True)
     pq.write_table(table, folder / "data" / "train-00000-of-00001.parquet")
     return folder

@@ -17,7 +17,7 @@ import mnist3d
 from mnist3d.ink.binarisation import join_bodies, stroke_width_px, thinnest_stroke_px
 from mnist3d.sources import SyntheticSource
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.mesh import WARNINGS, Mesh, check_manifold, inspect, on_base_plate, print_advice
+from tactile_toolkit.mesh import WARNINGS, Mesh, check_manifold, inspect, on_base_plate
 from tests.command_line import call
 from tests.mnist3d.drawn_pictures import child, pieces, size_mm, word
 from tests.pages import ROOT
@@ -265,7 +265,7 @@ def test_every_warning_has_a_section_and_a_cure() -> None:
     page = (ROOT / "docs" / "warnings.md").read_text(encoding="utf-8")
     headings = [line.removeprefix("## ") for line in page.splitlines() if line.startswith("## ")]
     assert headings == list(WARNINGS)
-    assert [line.partition(":")[0] for line in print_advice(WARNINGS)] == list(WARNINGS)
+    assert [line.partition(":")[0] for line in mnist3d.PrintReport.advice(WARNINGS)] == list(WARNINGS)
 
 
 def test_walls_need_two_lines_of_the_nozzle() -> None:

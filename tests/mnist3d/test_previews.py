@@ -22,7 +22,7 @@ from mnist3d.sources.picture_folder import FolderSource
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.mesh import Mesh, write_mesh
-from tactile_toolkit.pictures import INK, OBLIQUE, DrawnBody, bar_length_mm, draw_bodies, relief
+from tactile_toolkit.pictures import INK, DrawnBody, View, bar_length_mm, relief
 from tests.sealed import edit
 
 THIN = SolidSpec(target_vertices=2_000, half_thickness_mm=1.2)
@@ -153,7 +153,7 @@ def test_the_stack_shows_a_layer_where_the_view_projects_it():
     picture = _stack_view([np.ones((60, 150), bool)], 1.0, SolidSpec(pixel_pitch_mm=0.1), px_per_mm=15.0)
     # Half a layer is 7.5 x 3 mm; y grows upwards in the world and downwards in the picture.
     corners_px = 15.0 * np.array([(x, y, 0.0) for x in (-7.5, 7.5) for y in (-3.0, 3.0)])
-    right, up, _ = OBLIQUE.axes
+    right, up, _ = View.OBLIQUE.axes
     middle_px = np.array(picture.shape[:2]) / 2
     rows, columns = np.nonzero((picture < 250).any(axis=2))
     assert (columns.min(), columns.max() + 1) == pytest.approx(
@@ -192,11 +192,13 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> list[Mesh]:
     """Return the bodies that steps draw."""
     meshes: list[Mesh] = []
 
-    def look(bodies: Sequence[DrawnBody], *how: Any) -> np.ndarray:
-        meshes.extend(body.mesh for body in bodies)
-        return draw_bodies(bodies, *how)
+    draw = View.draw
 
-    monkeypatch.setattr("tactile_toolkit.pictures.draw_bodies", look)
+    def look(view: View, bodies: Sequence[DrawnBody], *how: Any) -> np.ndarray:
+        meshes.extend(body.mesh for body in bodies)
+        return draw(view, bodies, *how)
+
+    monkeypatch.setattr(View, "draw", look)
     return meshes
 
 

@@ -15,7 +15,6 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import WARNINGS, Mesh, PrintProfile, PrintReport, inspect
 from tactile_toolkit.mesh.printability import section_area_mm2, thinnest_width_mm
 from tactile_toolkit.mesh.solid_check import PROBLEMS
-from tactile_toolkit.rows import columns
 
 ANGLES = st.floats(0, 2 * math.pi)
 
@@ -254,7 +253,7 @@ def test_the_message_about_a_hole_counts_its_edges() -> None:
 @pytest.mark.parametrize("mesh", [box(), BROKEN["hole"][0]], ids=["solid", "broken"])
 def test_a_row_has_the_columns_and_types_it_promises(mesh: Mesh) -> None:
     row = inspect(mesh).to_row()
-    declared = columns(PrintReport)
+    declared = PrintReport.columns()
     assert list(row) == list(declared)
     for name, column in declared.items():
         assert pa.array([row[name]], column.data_type).to_pylist() == [pytest.approx(row[name], nan_ok=True)]

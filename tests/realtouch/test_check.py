@@ -19,9 +19,8 @@ from PIL import Image
 import realtouch
 import starstruck_gen
 import tactile_sim
-from realtouch.checks.comparisons import GELSIGHT_MINI
-from realtouch.checks.picture_measures import count_markers
-from realtouch.checks.rules import RULES
+from realtouch.checks.checking import GELSIGHT_MINI
+from realtouch.checks.rules import RULES, count_markers
 from tactile_sim.optics.taxim import taxim_package
 from tactile_toolkit.errors import InputError
 from tests.command_line import call

@@ -18,8 +18,7 @@ from PIL import Image
 
 from realtouch import ImportColumns
 from realtouch.contact import ContactRule, best_of
-from realtouch.importing.contact_cuts import MIN_MARGIN, find_contacts
-from realtouch.importing.cuts import Cutter
+from realtouch.importing.cuts import MIN_MARGIN, Cutter, find_contacts
 from realtouch.importing.source_touches import Recording
 from realtouch.video.avi import MAX_CLIP_FRAMES
 from tactile_toolkit.errors import InputError, ItemError

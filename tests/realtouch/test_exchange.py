@@ -16,7 +16,7 @@ import pytest
 
 import realtouch
 from realtouch.convert import conversion
-from realtouch.formats import exports, lerobot_metadata
+from realtouch.formats import exports, lerobot_export
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.run import Part
 from tactile_toolkit.touch import decode_image
@@ -37,7 +37,7 @@ def source(request: pytest.FixtureRequest) -> Path:
 def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
     """Write a file for each round, so that there are several."""
     monkeypatch.setattr(conversion, "_MAX_ROWS_PER_SHARD", 1)
-    monkeypatch.setattr(lerobot_metadata, "FILE_BYTES", 1 << 10)
+    monkeypatch.setattr(lerobot_export, "_FILE_BYTES", 1 << 10)
 
 
 def expected(source: Path, split: str = "train") -> list[dict[str, Any]]:

@@ -15,7 +15,7 @@ import pytest
 
 import realtouch
 from realtouch.formats.flat_parquet import find_flat
-from realtouch.importing.source_formats import IMPORTS
+from realtouch.importing.import_sources import IMPORTS
 from realtouch.importing.source_touches import FoundTouches
 from tactile_toolkit import read, store
 from tactile_toolkit.errors import InputError, ToolkitError

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import realtouch
-from realtouch.importing.source_formats import IMPORTS
+from realtouch.importing.import_sources import IMPORTS
 from realtouch.importing.source_touches import Recording
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, ToolkitError

@@ -15,6 +15,7 @@ import pytest
 
 import realtouch
 from realtouch.importing import import_plan, import_sources, streams
+from tactile_toolkit.columns import tables
 from tactile_toolkit.errors import IntegrityError
 from tests.realtouch.images_of_others import picture
 
@@ -68,9 +69,10 @@ def test_a_video_that_is_replaced_once_it_was_found(
     assert not list((tmp_path / "out").rglob("*.parquet"))
 
 
-def test_a_stream_that_changes_between_its_times_and_its_values(
+def test_a_stream_of_several_parts_that_changes_between_its_times_and_its_values(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(tables, "_BLOCK_BYTES", 512)
     source = tmp_path / "source"
     source.mkdir()
     video(source / "a.avi")

@@ -17,12 +17,13 @@ from hypothesis import given, strategies as st
 from scipy.spatial.transform import Rotation
 
 import realtouch
-from realtouch.importing import fields, import_shards, source_formats
+from realtouch import contact
+from realtouch.importing import fields, import_sources
 from realtouch.importing.fields import extra_arrays, extra_types
 from realtouch.importing.source_touches import FoundTouches, PicturePlace, Recording, touches_of
 from tactile_toolkit.columns import column_types
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.touch import encode_image
+from tactile_toolkit.touch import decode_image, encode_image
 from tests.command_line import call
 from tests.realtouch import factories, found
 from tests.realtouch.images_of_others import picture, write_table
@@ -302,8 +303,8 @@ def recordings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
             for place in places:
                 yield from pictures[place.path][place.start : place.start + max(1, place.frames)]
 
-        layout = source_formats.ImportFormat(lambda *_: iter(every), encoded, "whole", True)
-        monkeypatch.setitem(source_formats.IMPORTS, "replay", layout)
+        layout = import_sources.ImportFormat(lambda *_: iter(every), encoded, "whole", True)
+        monkeypatch.setitem(import_sources.IMPORTS, "replay", layout)
         (tmp_path / "source").mkdir(exist_ok=True)
         manifest = realtouch.import_touches(
             tmp_path / "source", tmp_path / "out", "replay", columns, **options
@@ -436,17 +437,17 @@ def test_a_format_may_state_rotation_vectors() -> None:
     assert_poses(poses({"wrist": np.hstack([PLACES, TURNS.as_rotvec()])}, columns), PLACES, TURNS)
     stated = realtouch.ImportColumns(pose=("wrist",), euler="xyz", angle_unit="rad").found_in([], rotvec=True)
     assert (stated.euler, stated.rotvec) == ("xyz", False)
-    assert source_formats.IMPORTS["oxt"].rotvec
+    assert import_sources.IMPORTS["oxt"].rotvec
 
 
 def test_contact_of_a_long_clip_is_found_by_some_of_its_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(import_shards, "_DECODED_AT_ONCE", 7)
+    monkeypatch.setattr(contact, "_DECODED_AT_ONCE", 7)
     pictures = frames_of(30, range(11, 15))
-    assert import_shards.contact_by_pictures(pictures, (24, 32)) == ((11, 14), True)
-    (first, last), is_found = import_shards.contact_by_pictures(frames_of(30, range(0)), (24, 32))
-    assert (first, last, is_found) == (0, 0, False)
-    with pytest.raises(ItemError, match="cannot be decoded"):
-        import_shards.contact_by_pictures([*pictures, pictures[0][:300]], (24, 32))
+    assert contact.contact_by_pictures(pictures, (24, 32), decode_image) == ((11, 14), True)
+    found = contact.contact_by_pictures(frames_of(30, range(0)), (24, 32), decode_image)
+    assert found == ((0, 0), False)
+    with pytest.raises(ValueError, match="cannot be decoded"):
+        contact.contact_by_pictures([*pictures, pictures[0][:300]], (24, 32), decode_image)
 
 
 _VALUES: tuple[Any, ...] = (

@@ -14,7 +14,7 @@ import pytest
 from PIL import Image, ImageOps
 
 import realtouch
-from realtouch.importing.source_formats import IMPORTS
+from realtouch.importing.import_sources import IMPORTS
 from realtouch.importing.source_touches import PicturePlace
 from tactile_toolkit.errors import SpecMismatchError
 from tests.realtouch.images_of_others import line, picture, write_table

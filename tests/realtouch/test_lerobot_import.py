@@ -16,7 +16,7 @@ import pytest
 
 import realtouch
 from realtouch.formats.lerobot_import import describe_conversion, find_lerobot
-from realtouch.importing.source_formats import IMPORTS
+from realtouch.importing.import_sources import IMPORTS
 from realtouch.importing.source_touches import FoundTouches, Recording, touches_of
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, ItemError, ToolkitError

@@ -10,7 +10,7 @@ import pytest
 
 import realtouch
 from realtouch.formats.exports import ExportLayout
-from realtouch.importing.source_formats import IMPORTS, recognised
+from realtouch.importing.import_sources import IMPORTS, recognised
 from realtouch.touch_options import IMPORT_LAYOUTS
 from tactile_toolkit.errors import InputError
 

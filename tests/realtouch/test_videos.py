@@ -15,7 +15,7 @@ import pytest
 
 import realtouch
 from realtouch.formats.media_files import describe_conversion, find_video
-from realtouch.importing.source_formats import IMPORTS
+from realtouch.importing.import_sources import IMPORTS
 from realtouch.importing.source_touches import Recording, touches_of
 from realtouch.video.avi import Avi
 from realtouch.video.videos import open_video, pictures_of_video

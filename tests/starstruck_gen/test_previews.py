@@ -10,7 +10,7 @@ import pytest
 
 import starstruck_gen
 from starstruck_gen import SceneSpec
-from starstruck_gen.scene_card import plan_previews
+from starstruck_gen.kind import KIND
 from starstruck_gen.scene_dataset import SceneSetSpec, generate
 from tactile_toolkit.catalog import PreviewSpec
 from tactile_toolkit.errors import InputError
@@ -38,7 +38,7 @@ def test_a_published_set_without_placements_is_drawn_from_its_meshes(folder, tmp
     pq.write_table(table.select(kept), tmp_path / "train.parquet")
     record = starstruck_gen.load(str(tmp_path / "train.parquet"))[0]
     assert not record.has_placements
-    (planned,) = plan_previews(str(tmp_path / "train.parquet"), PreviewSpec(kinds=("sheet",))).pictures
+    (planned,) = KIND.plan_previews(str(tmp_path / "train.parquet"), PreviewSpec(kinds=("sheet",))).pictures
     pixels = planned.draw().astype(int)
     assert pixels.std() > 10
     assert (pixels[..., 0] - pixels[..., 2]).max() < 60  # only stars are yellow
@@ -48,7 +48,7 @@ def test_a_published_set_without_placements_is_drawn_from_its_meshes(folder, tmp
 def test_sheets_show_each_scene_in_the_row_of_its_class(tmp_path):
     out = tmp_path / "mixed"
     generate(SceneSetSpec(SceneSpec(), (("train", 12),), seed=1), str(out), ("train",))
-    (planned,) = plan_previews(str(out), PreviewSpec(kinds=("sheet",), per_class=3)).pictures
+    (planned,) = KIND.plan_previews(str(out), PreviewSpec(kinds=("sheet",), per_class=3)).pictures
     assert (planned.name, planned.what) == ("mixed-train-sheet.png", "9 scenes of train from above")
     pixels = planned.draw()
     places = []
@@ -69,12 +69,12 @@ def test_sheets_show_each_scene_in_the_row_of_its_class(tmp_path):
 
 def test_bad_input_is_named(folder, tmp_path):
     with pytest.raises(InputError, match="does not exist; expected a folder"):
-        plan_previews(str(tmp_path / "absent"), PreviewSpec())
+        KIND.plan_previews(str(tmp_path / "absent"), PreviewSpec())
     with pytest.raises(InputError, match="is empty; expected a data set"):
-        plan_previews(str(tmp_path), PreviewSpec())
+        KIND.plan_previews(str(tmp_path), PreviewSpec())
     with pytest.raises(InputError, match="no split 'holdout'"):
-        plan_previews(str(folder), PreviewSpec(split="holdout"))
+        KIND.plan_previews(str(folder), PreviewSpec(split="holdout"))
     with pytest.raises(InputError, match="no object with id 77"):
-        plan_previews(str(folder), PreviewSpec(ids=(1, 77)))
+        KIND.plan_previews(str(folder), PreviewSpec(ids=(1, 77)))
     with pytest.raises(InputError, match="per_class of the previews is 0"):
         PreviewSpec(per_class=0)

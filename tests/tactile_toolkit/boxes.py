@@ -8,15 +8,15 @@ from functools import partial
 import numpy as np
 import pyarrow as pa
 
-from tactile_toolkit.cards import Card, draw_solids
+from tactile_toolkit.cards import Card
 from tactile_toolkit.checked_fields import check_fields, integer, real
-from tactile_toolkit.gallery import gallery_of_solids
+from tactile_toolkit.gallery import Gallery
 from tactile_toolkit.generation import Recipe, RowGenerator, StorageLayout
 from tactile_toolkit.kind import DatasetKind, lazy
-from tactile_toolkit.mesh import MeshRow, RecordStream, SolidDataset, mesh_schema
-from tactile_toolkit.pictures import DrawnSolid, plan_sheets
+from tactile_toolkit.mesh import MeshRow, RecordStream, SolidDataset
+from tactile_toolkit.pictures import DrawnSolid
 from tactile_toolkit.places import loader
-from tactile_toolkit.rows import column, meanings, row, with_role
+from tactile_toolkit.rows import column, row
 from tactile_toolkit.store import ParquetStyle, Skipped
 
 KIND = DatasetKind(
@@ -30,7 +30,6 @@ KIND = DatasetKind(
     write_card=lazy("tests.tactile_toolkit.boxes:write_card"),
     schema=lazy("tests.tactile_toolkit.boxes:schema"),
     class_names=("box",),
-    plan_previews=lazy("tests.tactile_toolkit.boxes:plan_previews"),
     plan_gallery=lazy("tests.tactile_toolkit.boxes:plan_gallery"),
     recipe=lazy("tests.tactile_toolkit.boxes:recipe"),
 )
@@ -43,7 +42,7 @@ class BoxRow(MeshRow):
 
 
 def schema(_manifest=None):
-    return mesh_schema(BoxRow, ("box",))
+    return BoxRow.schema(("box",))
 
 
 @dataclass(frozen=True)
@@ -94,8 +93,8 @@ def write_card(folder, manifest):
     Card(
         template="mesh_tables.md",
         title="Boxes",
-        columns=meanings(BoxRow),
-        picture=("boxes.png", draw_solids, "The first boxes from above"),
+        columns=BoxRow.meanings(),
+        picture=("boxes.png", "The first boxes from above"),
         licence="cc0-1.0",
         tags=["3d"],
         values={"licence_text": "Anybody may use them.", "citation_text": "Nobody need be cited."},
@@ -114,5 +113,4 @@ class BoxDataset(SolidDataset):
 
 
 load = loader(KIND, BoxDataset, RecordStream)
-plan_previews = partial(plan_sheets, KIND)
-plan_gallery = partial(gallery_of_solids, KIND, title="Boxes", columns=with_role(BoxRow, "measure"))
+plan_gallery = partial(Gallery.of_solids, KIND, title="Boxes", columns=BoxRow.with_role("measure"))

@@ -19,7 +19,7 @@ PACKAGES = sorted(
 )
 NEEDS = {"RayRunner"}
 """Names that need a package of an extra."""
-TORCH = ("MeshBatch", "MeshItem", "REPRESENTATIONS", "SolidTensors", "TARGETS", "TrainingBatches")
+TORCH = ("MeshBatch", "MeshItem", "SolidTensors", "TrainingBatches")
 
 
 @pytest.mark.parametrize("package", PACKAGES)

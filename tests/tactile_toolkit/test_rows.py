@@ -10,13 +10,13 @@ import pytest
 
 from mnist3d.digit_card import facts_table, summarise_columns
 from tactile_toolkit.read import vectors_type
-from tactile_toolkit.rows import column, meanings, plain_schema, row, table_of, with_role
+from tactile_toolkit.rows import TypedRow, column, row, table_of
 
 OBJECTS = pa.list_(pa.struct([("name", pa.string()), ("x_m", pa.float64())]))
 
 
 @row
-class Base:
+class Base(TypedRow):
     id: int = column(pa.int64())
     points: np.ndarray = column(vectors_type(pa.float32(), 2), "N x 2, m", "corners", name="base.points")
 
@@ -35,22 +35,22 @@ def full(number: int, objects: list, points: int = 2) -> Full:
 
 
 def test_columns_of_the_base_come_first_and_other_attributes_are_not_stored():
-    assert plain_schema(Full).names == ["id", "base.points", "objects", "tags"]
-    assert plain_schema(Full).types == [
+    assert Full.plain_schema().names == ["id", "base.points", "objects", "tags"]
+    assert Full.plain_schema().types == [
         pa.int64(),
         vectors_type(pa.float32(), 2),
         OBJECTS,
         pa.list_(pa.string()),
     ]
-    assert meanings(Full)["base.points"] == ("N x 2, m", "corners")
-    assert meanings(Full)["id"] == ("", "number")
+    assert Full.meanings()["base.points"] == ("N x 2, m", "corners")
+    assert Full.meanings()["id"] == ("", "number")
     with pytest.raises(FrozenInstanceError):
         full(1, []).id = 2  # type: ignore[misc]
 
 
 @pytest.mark.parametrize("objects", [[], [("box", 0.5), ("disc", 1.5)]])
 def test_a_table_holds_the_rows(objects):
-    schema = plain_schema(Full).with_metadata({"made": "here"})
+    schema = Full.plain_schema().with_metadata({"made": "here"})
     table = table_of([full(1, objects), full(2, [], points=0), full(3, objects)], schema)
     table.validate(full=True)
     assert table.schema.equals(schema, check_metadata=True)
@@ -64,7 +64,7 @@ def test_a_table_holds_the_rows(objects):
 
 
 @row
-class Print:
+class Print(TypedRow):
     split: str = column(pa.string())
     words: tuple = column(pa.list_(pa.string()), role="facet", title="Warnings")
     height_mm: float = column(pa.float64(), "mm", role="measure", title="Height", decimals=1)
@@ -84,9 +84,9 @@ def test_a_split_is_summed_up_by_the_roles_of_its_columns():
         Print("train", ("thin", "tall"), 9.0, 200),
         Print("train", (), 2.0, 30),
     ]
-    table = table_of(rows, plain_schema(Print))
+    table = table_of(rows, Print.plain_schema())
     assert table.column_names == ["split", "words", "height_mm", "touches"]
-    declared = with_role(Print, "facet", "measure", "sum")
+    declared = Print.with_role("facet", "measure", "sum")
     train, test = summarise_columns(Splits, table, declared)
     assert train.to_dict() == {
         "split": "train",

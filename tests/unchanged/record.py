@@ -170,7 +170,7 @@ def pictures(sets: Path) -> dict[str, str]:
         mnist3d.digit_previews.plan_previews(
             str(sets / "coarse"), DigitPreviewSpec(kinds=("sheet", "steps"), per_class=2)
         ),
-        starstruck_gen.scene_card.plan_previews(str(sets / "scenes"), PreviewSpec(split="test", per_class=2)),
+        starstruck_gen.kind.KIND.plan_previews(str(sets / "scenes"), PreviewSpec(split="test", per_class=2)),
         realtouch.touch_previews.plan_previews(str(sets / "clips"), TouchPreviewSpec(("grid", "overlay"))),
     )
     drawn = {planned.name: planned.draw() for plan in plans for planned in plan.pictures}

@@ -17,7 +17,7 @@ from hypothesis import given, strategies as st
 from mnist3d.digit_generation import DigitSetSpec, generate
 from mnist3d.digit_options import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
-from tactile_toolkit.cards import check_card, folder_summary, with_head, with_repo_name
+from tactile_toolkit.cards import FolderSummary, check_card, with_head, with_repo_name
 from tactile_toolkit.cards.card import column_type_text
 from tactile_toolkit.cards.yaml_head import size_category
 from tactile_toolkit.read import yaml_features
@@ -44,7 +44,7 @@ def test_unpacked_bytes_are_those_that_datasets_counts(digits_set, tmp_path):
     bare = tmp_path / "bare"  # without a card, `datasets` counts the rows
     shutil.copytree(digits_set / "data", bare / "data")
     loaded = datasets.load_dataset(str(bare))
-    facts = folder_summary(open_folder(str(digits_set)))
+    facts = FolderSummary.of(open_folder(str(digits_set)))
     assert {split.split for split in facts.splits} == set(loaded)
     for split in facts.splits:
         counted = loaded[split.split].info.splits[split.split].num_bytes

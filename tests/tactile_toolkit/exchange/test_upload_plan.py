@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from starstruck_gen.scene_dataset import SceneSetSpec, generate
-from tactile_toolkit.cards import configs, folder_summary
+from tactile_toolkit.cards import FolderSummary, configs
 from tactile_toolkit.exchange.upload import LocalFile, collect, compare
 from tactile_toolkit.hub import HubRepository
 from tactile_toolkit.store import HubFile, open_folder, read_manifest
@@ -82,7 +82,7 @@ def test_only_the_data_set_is_sent(folder):
 
 
 def test_shards_beside_foreign_ones_are_named(folder):
-    facts = folder_summary(open_folder(str(folder)))
+    facts = FolderSummary.of(open_folder(str(folder)))
     assert [entry["path"] for entry in configs(facts, ["notes.txt"])[0]["data_files"]] == [
         "data/train-*",
         "data/test-*",

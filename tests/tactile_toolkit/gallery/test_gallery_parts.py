@@ -15,7 +15,7 @@ from hypothesis import given, strategies as st
 
 from tactile_toolkit.catalog import choose_rows
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.gallery import Gallery, GalleryItem, thumbnail
+from tactile_toolkit.gallery import Gallery, GalleryItem
 from tactile_toolkit.gallery.items import STEP_MM, THUMBNAIL_PX, _solid_item, packed_mesh
 from tactile_toolkit.gallery.site import index_of, script_json
 from tactile_toolkit.pictures import relief
@@ -95,13 +95,13 @@ def read_png(content: bytes) -> np.ndarray:
 def test_thumbnails_have_no_light_rim():
     pixels = np.zeros((400, 200, 2), np.uint8)
     pixels[101:300, 51:150] = (80, 255)
-    small = read_png(thumbnail(pixels))
+    small = read_png(GalleryItem.thumbnail_of(pixels))
     assert small.shape == (THUMBNAIL_PX, THUMBNAIL_PX // 2, 2)
     assert small[0, 0, 1] == 0
     middle = small[THUMBNAIL_PX // 2, THUMBNAIL_PX // 4]
     assert middle.tolist() == [80, 255]
     assert small[..., 0][small[..., 1] > 0].max() <= 82
-    plain = read_png(thumbnail(np.full((9, 9, 3), 7, np.uint8)))
+    plain = read_png(GalleryItem.thumbnail_of(np.full((9, 9, 3), 7, np.uint8)))
     assert (plain.shape, plain.max()) == ((9, 9, 3), 7)
 
 

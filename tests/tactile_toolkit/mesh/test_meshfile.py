@@ -13,8 +13,8 @@ import pytest
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import (
-    FORMATS,
     Mesh,
+    MeshFile,
     inspect,
     read_mesh,
     unpack_mesh,
@@ -32,7 +32,7 @@ def ring() -> Mesh:
     return Mesh(vertices_m.astype(np.float32), np.asarray(arrays.tri_verts).astype(np.int32))
 
 
-@pytest.mark.parametrize("ending", FORMATS)
+@pytest.mark.parametrize("ending", MeshFile.FORMATS)
 def test_a_file_holds_the_solid_that_was_written(ending: str, ring: Mesh, tmp_path: Path) -> None:
     path = tmp_path / f"ring{ending}"
     write_mesh(path, ring)
@@ -58,14 +58,14 @@ def test_a_closed_surface_is_read_without_search_trees(ending: str, ring: Mesh, 
     subprocess.run([sys.executable, "-c", code, str(path)], check=True)
 
 
-@pytest.mark.parametrize("ending", FORMATS)
+@pytest.mark.parametrize("ending", MeshFile.FORMATS)
 def test_the_same_mesh_gives_the_same_bytes(ending: str, ring: Mesh, tmp_path: Path) -> None:
     for name in ("a", "b"):
         write_mesh(tmp_path / f"{name}{ending}", ring)
     assert (tmp_path / f"a{ending}").read_bytes() == (tmp_path / f"b{ending}").read_bytes()
 
 
-@pytest.mark.parametrize("ending", FORMATS)
+@pytest.mark.parametrize("ending", MeshFile.FORMATS)
 @pytest.mark.parametrize("share", [0.02, 0.3, 0.6, 0.9])
 def test_a_file_cut_short_is_refused_or_seen_to_be_open(
     ending: str, share: float, ring: Mesh, tmp_path: Path

@@ -14,15 +14,13 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh
 from tactile_toolkit.pictures import (
     INK,
+    Pen,
+    PicturePlan,
     PlannedPicture,
     Tile,
     bar_length_mm,
-    plan_kinds,
     png_bytes,
     sheet,
-    text_size,
-    with_scale_bar,
-    write_pictures,
 )
 from tactile_toolkit.store import open_folder
 
@@ -73,7 +71,7 @@ def test_letters_of_many_languages_differ_from_the_box_of_a_letter_that_is_missi
 def test_a_line_of_text_stays_one_line(written, as_if):
     titled = [sheet([], 1, title, (title,)) for title in (written, as_if)]
     assert np.array_equal(*titled)
-    assert text_size(written, 16) == text_size(as_if, 16)
+    assert Pen.text_size(written, 16) == Pen.text_size(as_if, 16)
 
 
 # ---------------------------------------------------------------- files
@@ -96,14 +94,12 @@ def test_pictures_before_a_failing_one_stay_and_no_partial_file_remains(tmp_path
     good = PlannedPicture("good.png", "good", lambda: np.zeros((2, 3), np.uint8))
     told: list[tuple[int, int]] = []
     with pytest.raises(InputError):
-        write_pictures(
-            open_folder(str(tmp_path)),
-            [good, PlannedPicture("bad.png", "", fails)],
-            lambda *n: told.append(n),
+        PicturePlan((good, PlannedPicture("bad.png", "", fails))).write(
+            open_folder(str(tmp_path)), lambda *n: told.append(n)
         )
     assert [path.name for path in tmp_path.iterdir()] == ["good.png"]
     assert told == [(1, 2)]
-    (written,) = write_pictures(open_folder(str(tmp_path)), [good])
+    (written,) = PicturePlan((good,)).write(open_folder(str(tmp_path)))
     assert (written.width, written.height) == (3, 2)
     assert written.bytes == (tmp_path / "good.png").stat().st_size
 
@@ -113,7 +109,7 @@ def test_kinds_are_planned_once():
     plans = {name: lambda name=name: [drawn[name]] for name in drawn}
 
     def planned(*asked: str) -> list[str]:
-        return [picture.name[0] for picture in plan_kinds(asked, plans).pictures]
+        return [picture.name[0] for picture in PicturePlan.of_kinds(asked, plans).pictures]
 
     assert planned() == ["a"]
     assert planned("c", "b", "c") == ["b", "c"]
@@ -137,7 +133,7 @@ def test_a_scale_bar_has_the_stated_length(width_px, px_per_mm):
 @pytest.mark.parametrize("px_per_mm", [3.3, 7.0, 12.4])
 def test_the_drawn_bar_has_that_many_pixels(px_per_mm):
     grey = np.full((120, 300, 3), 128, np.uint8)
-    drawn = with_scale_bar(grey, px_per_mm)
+    drawn = Tile(grey).with_scale_bar(px_per_mm).pixels
     bar_px = round(bar_length_mm(75, px_per_mm) * px_per_mm)
     rows = ink(drawn).sum(axis=1)
     assert (rows == bar_px).sum() == 5
@@ -170,7 +166,7 @@ def test_tiles_lie_in_rows_of_one_height_with_any_text_around_them():
     rows, columns = np.nonzero((drawn == (1, 2, 3)).all(axis=2))
     assert (np.ptp(rows) + 1, np.ptp(columns) + 1) == (26, 36)
     assert len(rows) == 26 * 36 - 20 * 30
-    assert sheet(tiles, 2, "A title").shape[1] >= text_size("A title", 20)[0]
+    assert sheet(tiles, 2, "A title").shape[1] >= Pen.text_size("A title", 20)[0]
     lengths = [len(sheet(tiles, 2, gap_px=6, px_per_mm=scale)) for scale in (None, 2.0)]
     assert lengths[1] - lengths[0] == 6 + 22, "the height of a line for the scale bar"
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from tactile_toolkit.mesh import Mesh
-from tactile_toolkit.pictures import DrawnBody, View, box_downsample, draw_bodies
+from tactile_toolkit.pictures import DrawnBody, View
 from tests.processes import printed_by
 
 CLAY = (200, 120, 40)
@@ -39,8 +39,8 @@ def test_a_view_has_three_directions_at_right_angles(azimuth, elevation):
 
 
 def test_a_box_from_above_covers_its_area_to_the_pixel():
-    picture = (DrawnBody(box(20, 10, 5), CLAY),), (260, 160), 10_000.0, TOP
-    covered = (draw_bodies(*picture) < 250).any(axis=2)
+    picture = (DrawnBody(box(20, 10, 5), CLAY),), (260, 160), 10_000.0
+    covered = (TOP.draw(*picture) < 250).any(axis=2)
     rows, columns = np.nonzero(covered)
     assert (np.ptp(columns) + 1, np.ptp(rows) + 1) == (200, 100)
     assert covered.sum() == 200 * 100
@@ -51,17 +51,10 @@ def test_closer_surfaces_hide_those_behind():
     high, low = box(4, 4, 4), box(10, 10, 1)
     red, green = DrawnBody(lifted(high, 0.01), (250, 0, 0)), DrawnBody(low, (0, 250, 0))
     for bodies in ((red, green), (green, red)):
-        drawn = draw_bodies(bodies, (100, 100), 8_000.0, TOP)
+        drawn = TOP.draw(bodies, (100, 100), 8_000.0)
         assert drawn[50, 50, 0] > 100
         assert drawn[50, 50, 1] == 0
         assert drawn[14, 50, 1] > 100
-
-
-@given(st.integers(1, 4), st.integers(1, 6), st.integers(1, 6), st.integers(0, 255))
-def test_averaging_keeps_levels(factor, height, width, level):
-    large = np.full((height * factor, width * factor, 3), level, np.uint8)
-    assert np.array_equal(box_downsample(large, factor), np.full((height, width, 3), level, np.uint8))
-    assert box_downsample(np.zeros((factor + 1, 1), np.uint8), factor).shape == (2, 1)
 
 
 def colours_of(pixels: np.ndarray) -> np.ndarray:
@@ -72,7 +65,7 @@ def colours_of(pixels: np.ndarray) -> np.ndarray:
 
 def test_sides_of_a_box_are_flat_and_its_edges_sharp():
     bodies = (DrawnBody(box(20, 10, 8), CLAY),)
-    drawn = draw_bodies(bodies, (240, 180), 9_000.0)
+    drawn = View.OBLIQUE.draw(bodies, (240, 180), 9_000.0)
     assert len(colours_of(drawn)) == 3 + 1  # three sides are visible, and the paper
 
 
@@ -83,7 +76,7 @@ def test_round_surfaces_are_shaded_smoothly():
     views = []
     for made in (trimesh.creation.icosphere(3, 0.01), trimesh.creation.uv_sphere(0.01, [36, 36])):
         body = DrawnBody(Mesh(np.asarray(made.vertices), np.asarray(made.faces, np.int32)), CLAY)
-        views.append(draw_bodies((body,), (120, 120), 5_000.0).astype(int))
+        views.append(View.OBLIQUE.draw((body,), (120, 120), 5_000.0).astype(int))
     inside = np.hypot(*(np.indices((120, 120)) - 59.5)) < 45
     assert np.abs(views[0] - views[1])[inside].max() <= 6
     steps = np.abs(np.diff(views[0], axis=1))[inside[:, 1:] & inside[:, :-1]]
@@ -92,28 +85,28 @@ def test_round_surfaces_are_shaded_smoothly():
 
 def test_unlit_bodies_keep_their_colour_on_any_paper():
     body, paper = DrawnBody(box(20, 10, 5), CLAY, lit=False), (10, 20, 30)
-    drawn = draw_bodies((body,), (120, 90), 3_000.0, paper=paper)
+    drawn = View.OBLIQUE.draw((body,), (120, 90), 3_000.0, paper=paper)
     assert {tuple(colour) for colour in colours_of(drawn).tolist()} == {CLAY, paper}
 
 
 def test_a_mesh_that_is_inside_out_is_lit_all_the_same():
     right = box(20, 10, 5)
     wrong = Mesh(right.vertices_m, right.faces[:, ::-1])
-    views = [draw_bodies((DrawnBody(mesh, CLAY),), (120, 90), 3_000.0) for mesh in (right, wrong)]
+    views = [View.OBLIQUE.draw((DrawnBody(mesh, CLAY),), (120, 90), 3_000.0) for mesh in (right, wrong)]
     assert np.array_equal(*views)
 
 
 DRAW = """
 import hashlib, numpy as np
 from tactile_toolkit.pictures import ACCENTS
-from tactile_toolkit.pictures import DrawnBody, View, draw_bodies
+from tactile_toolkit.pictures import DrawnBody, View
 from tactile_toolkit.pictures import png_bytes
 from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.pictures import Tile, sheet, with_scale_bar
+from tactile_toolkit.pictures import Tile, sheet
 corners = np.array([(0, 0, 0), (.02, 0, 0), (0, .01, 0), (0, 0, .01)])
 mesh = Mesh(corners, np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)], np.int32))
-view = with_scale_bar(draw_bodies((DrawnBody(mesh, (200, 120, 40)),), (120, 90), 4000.0), 4.0)
-drawn = sheet([Tile(view, "20 mm²", ACCENTS[0], "a")] * 3, 2, "Title", ("line",))
+view = View.OBLIQUE.draw((DrawnBody(mesh, (200, 120, 40)),), (120, 90), 4000.0)
+drawn = sheet([Tile(view, "20 mm²", ACCENTS[0], "a").with_scale_bar(4.0)] * 3, 2, "Title", ("line",))
 print(hashlib.sha256(png_bytes(drawn)).hexdigest())
 """
 

@@ -19,7 +19,7 @@ from PIL import Image
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import BuildItem, Mesh, check_manifold, read_build, write_build
-from tactile_toolkit.pictures import draw_text, text_size
+from tactile_toolkit.pictures import Pen
 from tactile_toolkit.printing import PlateSpec, PrintObject, arrange, write_plates
 from tactile_toolkit.printing.plate_layouts import PlacedObject, PlateLayout, draw_map
 from tactile_toolkit.printing.print_options import BEDS_MM
@@ -99,7 +99,7 @@ def test_pixels_of_maps_grow_with_the_plate(plate: str, shape: tuple[int, int]) 
     spec = PlateSpec.parse(plate, margin_mm=0)
     picture = np.asarray(Image.open(io.BytesIO(draw_map(PlateLayout(spec, 1.0, ((),)), 1))).convert("L"))
     assert picture.shape[0] == shape[0]
-    title_px = text_size(f"plate 1 of 1: 0 objects, {spec.text}", 40)[0] / 2
+    title_px = Pen.text_size(f"plate 1 of 1: 0 objects, {spec.text}", 40)[0] / 2
     assert picture.shape[1] == pytest.approx(max(shape[1], title_px + 120), abs=2)
     # The plate is paper with lines on it, not only lines.
     middle = picture[60 : shape[0] - 60, 60 : shape[1] - 60]
@@ -109,13 +109,14 @@ def test_pixels_of_maps_grow_with_the_plate(plate: str, shape: tuple[int, int]) 
 def written_on(monkeypatch: pytest.MonkeyPatch, layout: PlateLayout) -> list[str]:
     """Return all texts on the map of the first plate."""
     written: list[str] = []
+    write = Pen.write
 
     def noted(*arguments: Any, **options: Any) -> None:
         written.append(arguments[2])
-        draw_text(*arguments, **options)
+        write(*arguments, **options)
 
     with monkeypatch.context() as patched:
-        patched.setattr("tactile_toolkit.pictures.draw_text", noted)
+        patched.setattr(Pen, "write", noted)
         draw_map(layout, 1)
     return written
 

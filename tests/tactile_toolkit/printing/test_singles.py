@@ -10,7 +10,7 @@ import pytest
 
 from tactile_toolkit.catalog.row_options import id_range, id_text, parse_ids
 from tactile_toolkit.errors import InputError, ItemError, StorageError
-from tactile_toolkit.mesh import FORMATS, Mesh, check_manifold, read_mesh, require_solid
+from tactile_toolkit.mesh import Mesh, MeshFile, check_manifold, read_mesh, require_solid
 from tactile_toolkit.printing import export_files
 from tactile_toolkit.printing.file_export import require_same_solid
 from tests.tactile_toolkit.printing.solids import box, ell, named, open_box, ring
@@ -19,7 +19,7 @@ from tests.tactile_toolkit.toy import folder_bytes
 SHAPES = [box(20, 10), ell(30, 8), ring(12, 6)]
 
 
-@pytest.mark.parametrize("ending", FORMATS)
+@pytest.mark.parametrize("ending", MeshFile.FORMATS)
 def test_every_format_comes_back_as_the_solid_on_the_plate(ending: str, tmp_path: Path) -> None:
     raised = [Mesh(mesh.vertices_m + np.array([0.1, 0.2, 0.05]), mesh.faces) for mesh in SHAPES]
     made = export_files(named(raised), str(tmp_path / "out"), ending[1:])

@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 from hypothesis import given, strategies as st
 
-from tactile_toolkit.cards import card_head, check_card, configs, folder_summary
+from tactile_toolkit.cards import FolderSummary, card_head, check_card, configs
 from tactile_toolkit.cards.yaml_head import head_text
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.places.split_files import parquet_paths
@@ -73,7 +73,7 @@ def test_datasets_reads_the_rows_in_the_order_of_the_numbers(tmp_path):
     tasks = tuple(ToyTask(ShardName("train", number, COUNT), (10 * number,)) for number in numbers)
     folder = open_folder(str(tmp_path))
     build(folder, replace(toy_plan(), tasks=tasks, report_file=None))
-    facts = folder_summary(folder)
+    facts = FolderSummary.of(folder)
     (entry,) = configs(facts)[0]["data_files"]
     assert entry["path"] == ["data/train-?????-of-*", "data/train-??????-of-*"]
     head = card_head(facts, license="mit", pretty_name="x", task_categories=["other"], tags=["x"])
