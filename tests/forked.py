@@ -29,29 +29,15 @@ _CONTEXT = multiprocessing.get_context("forkserver")
 # a test from `tests.tactile_toolkit.hub.client`.
 _CONTEXT.set_forkserver_preload(
     [
-        "PIL.JpegImagePlugin",
-        "PIL.PngImagePlugin",
-        "env_assets.provider",
-        "huggingface_hub.file_download",
-        "huggingface_hub.hf_api",
-        "mnist3d.digit_generation",
-        "pandas",
-        "pyarrow.parquet",
-        "pytest",
-        "realtouch.touches.datasets",
-        "realtouch.touches.image_contacts",
-        "skimage.measure",
-        "starstruck_gen.scene_dataset",
-        "starstruck_gen.scene_dataset",
-        "tactile_toolkit.gallery.site",
-        "tactile_toolkit.mesh.files",
-        "tactile_toolkit.mesh.raster",
-        "tactile_toolkit.mesh.crossings",
-        "tactile_toolkit.mesh.walls",
-        "tactile_toolkit.printing.file_export",
-        "tactile_toolkit.run.processes",
-        "tactile_toolkit.store.building",
-        "trimesh",
+        *("PIL.JpegImagePlugin", "PIL.PngImagePlugin", "env_assets.provider"),
+        *("huggingface_hub.file_download", "huggingface_hub.hf_api", "mnist3d.digit_generation"),
+        *("pandas", "pyarrow.parquet", "pytest", "realtouch.touches.datasets"),
+        *("realtouch.touches.image_contacts", "skimage.measure", "starstruck_gen.scene_dataset"),
+        *("starstruck_gen.scene_dataset", "tactile_toolkit.gallery.site"),
+        *("tactile_toolkit.mesh.files", "tactile_toolkit.mesh.raster"),
+        *("tactile_toolkit.mesh.crossings", "tactile_toolkit.mesh.walls"),
+        *("tactile_toolkit.printing.file_export", "tactile_toolkit.run.processes"),
+        *("tactile_toolkit.store.building", "trimesh"),
     ]
 )
 

@@ -13,7 +13,7 @@ from PIL import Image
 
 from realtouch import contact
 from realtouch.convert import conversion, picture_files
-from realtouch.touches import media, schema, stored_images, stored_round
+from realtouch.touches import media, schema, stored_round
 from realtouch.video import avi
 from tactile_toolkit import errors, kind, places, read, store, touch
 from tactile_toolkit.array_types import Float32, UInt8
@@ -142,7 +142,7 @@ class TakeContactFrames:
         for each in shown:
             _ = each.pixels  # what passes through must be intact
         pictures = [each.stored for each in shown]
-        made = {"sensor_image": stored_images.numbered_media(pictures, "jpg")}
+        made = {"sensor_image": media.numbered_media(pictures, "jpg")}
         if row.has_poses:
             found = np.concatenate([np.empty((0, 7)), *(each.pose[None] for each in shown)])
             for (part, width), values in zip(_WIDTHS.items(), np.hsplit(found, [3]), strict=True):
@@ -244,10 +244,10 @@ class ResizeMedia:
         else:
             sizes = [clip.size for clip in media.SensorClips(row)]
             blobs = [self._clip(clip) for clip in media.SensorClips(row)]
-        made = {row.media_column: stored_images.numbered_media(blobs, _SUFFIX[kind])}
+        made = {row.media_column: media.numbered_media(blobs, _SUFFIX[kind])}
         for name in filter(row.has, (media.DEPTH, media.DEPTH_ERROR)):
             maps = [media.encode_map(self._map(each)) for each in media.DepthMaps(row, name)]
-            made[name] = stored_images.numbered_media(maps, media.SUFFIX)
+            made[name] = media.numbered_media(maps, media.SUFFIX)
         for name, stored in schema.extra_columns(flat.column_names).items():
             if name in _MIDDLE_OF_FIRST_PX:
                 entries = row.extra_entries(stored).to_pylist()
@@ -401,6 +401,6 @@ class AddDepth:
                 maps[media.DEPTH_ERROR].append(media.encode_map(error_m))
                 numbers[DEEPEST].append(float(depth_m.max()))
                 numbers[MEAN_ERROR].append(float(error_m.mean(dtype=np.float64)))
-        made = {name: stored_images.numbered_media(blobs, media.SUFFIX) for name, blobs in maps.items()}
+        made = {name: media.numbered_media(blobs, media.SUFFIX) for name, blobs in maps.items()}
         made |= {name: pa.array(values, pa.float32()) for name, values in numbers.items()}
         return schema.row_with(flat, made, self.schema(flat.schema)), {}

@@ -15,7 +15,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from realtouch import convert
-from realtouch.touches import datasets, media, poses, schema, stored_images, stored_round
+from realtouch.touches import datasets, media, poses, schema, stored_round
 from realtouch.touches.schema import POSE_COLUMN
 from tactile_toolkit import errors, read, store
 from tactile_toolkit.array_types import AnyArray, Int64
@@ -130,7 +130,7 @@ class Episodes:
             columns |= {name: [value] * count for name, value in (*of_row.items(), ("touch", touch))}
             columns |= {each.name: each.of_frames(row, touch, count) for each in self.extras}
             columns["id"] = names = [f"{start}_{frame:04d}" for frame in range(count)]
-            columns[IMAGE] = stored_images.image_column(images, names)
+            columns[IMAGE] = media.image_column(images, names)
             columns["frame_index"] = np.arange(count)
             columns["timestamp"] = (np.arange(count) / self.fps).astype(np.float32)
             tables.append(convert.table_of_columns(schema, columns))

@@ -16,7 +16,7 @@ from typing import Literal, Unpack
 import pyarrow as pa
 
 from realtouch import contact, convert, touch_options
-from realtouch.touches import rounds, stored_images, stored_round
+from realtouch.touches import media, rounds, stored_round
 from realtouch.touches.schema import POSE_COLUMN
 from tactile_toolkit import errors, kind, places, store
 from tactile_toolkit.touch import MEDIA_TYPE, intact_size
@@ -205,7 +205,5 @@ class _Touches:
                     raise
         columns["id"] = [rounds.touch_id(name, each.touch) for each in shown]
         stem = convert.stem_of_id(name)
-        columns[_IMAGE] = stored_images.image_column(
-            images, [rounds.touch_id(stem, each.touch) for each in shown]
-        )
+        columns[_IMAGE] = media.image_column(images, [rounds.touch_id(stem, each.touch) for each in shown])
         return convert.table_of_columns(self.schema(row.group.table.schema), columns), {}

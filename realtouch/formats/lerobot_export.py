@@ -28,7 +28,7 @@ from realtouch import contact, convert
 from realtouch.formats.episodes import ACTION, DEPTH, STATE, EpisodeNumbers, Episodes
 from realtouch.formats.lerobot_import import Mark
 from realtouch.touches import datasets, media, schema, stored_round
-from realtouch.touches.stored_images import decoded
+from realtouch.touches.media import decoded
 from tactile_toolkit import read, store, touch
 from tactile_toolkit.array_types import Float32, Float64, Int64
 from tactile_toolkit.json_types import JsonDict

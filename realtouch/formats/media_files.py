@@ -23,7 +23,7 @@ import pyarrow as pa
 
 from realtouch import convert, importing
 from realtouch.formats.exports import NamedImage, TouchFormat
-from realtouch.touches import stored_images
+from realtouch.touches import media
 from realtouch.video import video_files, videos
 from tactile_toolkit import errors, read, store
 from tactile_toolkit.columns import column_types, tables
@@ -259,9 +259,9 @@ def _pack_anytouch(shard: store.ShardName, index: pa.Table, images: Iterator[Nam
     for name, touches in groupby(stored, key=itemgetter(0)):
         folder = f"{shard.split}-{convert.stem_of_id(name)}"
         home = f"{_ANYTOUCH_FOLDER}/{_ANYTOUCH_IMAGES}/{folder}/{_ANYTOUCH_FRAMES}"
-        found = {f"{home}/{touch:010d}.jpg": stored_images.as_jpeg(image) for _, touch, (_, image) in touches}
+        found = {f"{home}/{touch:010d}.jpg": media.as_jpeg(image) for _, touch, (_, image) in touches}
         background = f"{home}/{_BACKGROUND}"
-        files |= {**found, background: stored_images.background_of(list(found.values()), list(found))}
+        files |= {**found, background: media.background_of(list(found.values()), list(found))}
         paths += found
         backgrounds += [background] * len(found)
     return convert.with_files(index, files, [paths, backgrounds])

@@ -24,7 +24,7 @@ import pyarrow as pa
 
 from realtouch import convert, importing, tars, touch_options
 from realtouch.formats import exports
-from realtouch.touches import stored_images
+from realtouch.touches import media
 from tactile_toolkit import errors, store
 from tactile_toolkit.columns import column_types
 from tactile_toolkit.json_types import JsonDict, JsonObject
@@ -274,7 +274,7 @@ def _fields(content: bytes) -> JsonDict:
 def _pack_fota(shard: store.ShardName, index: pa.Table, images: Iterator[exports.NamedImage]) -> convert.Made:
     """Return the touches of a shard as one tar."""
     samples = (
-        (f"{PurePath(name).stem}.jpg", stored_images.as_jpeg(image), {**fields, **_pose_mm(fields)})
+        (f"{PurePath(name).stem}.jpg", media.as_jpeg(image), {**fields, **_pose_mm(fields)})
         for (name, image), fields in zip(images, index.to_pylist(), strict=True)
     )
     return convert.with_files(

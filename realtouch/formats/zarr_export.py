@@ -31,7 +31,7 @@ import pyarrow as pa
 
 from realtouch import contact, convert
 from realtouch.formats import episodes, zarr_recordings
-from realtouch.touches import poses, schema, stored_images, stored_round
+from realtouch.touches import media, poses, schema, stored_round
 from tactile_toolkit import read, store
 from tactile_toolkit.array_types import AnyArray, UInt8
 
@@ -219,7 +219,7 @@ def _pictures(size: tuple[int, int], rows: int, shards: Sequence[read.Shard]) ->
     at = 0
     for row in stored_round.stored_rows(shards, [episodes.IMAGE]):
         image = row.group.table[episodes.IMAGE][row.index].as_py()
-        stored_images.decoded(image["bytes"], image["path"], block[at])
+        media.decoded(image["bytes"], image["path"], block[at])
         at = (at + 1) % rows
         if not at:
             yield block

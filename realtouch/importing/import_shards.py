@@ -18,7 +18,7 @@ import pyarrow as pa
 
 from realtouch import contact, touch_options
 from realtouch.importing import fields, import_columns, import_sources, source_touches
-from realtouch.touches import schema as stored_schema, stored_images
+from realtouch.touches import media, schema as stored_schema
 from realtouch.video import avi
 from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import AnyArray, Float64, Int64
@@ -345,7 +345,7 @@ def _media_and_poses(stored: StoredTouches, schema: pa.Schema) -> dict[str, pa.A
     if kind == "seq":
         paths = [f"{path}.avi" for path in paths]
         made |= _clip_times(stored.clips)
-    made[stored_schema.MEDIA_COLUMN[kind]] = stored_images.media_array(stored.media, paths)
+    made[stored_schema.MEDIA_COLUMN[kind]] = media.media_array(stored.media, paths)
     made["pos_in_cell"] = _vectors(stored.positions, 2)
     for part, numbers in _POSE_PARTS.items():
         name = f"{stored_schema.POSE_COLUMN[kind]}.{part}"
@@ -410,7 +410,7 @@ def clip_of(
     jpegs = pictures
     if not all(map(is_jpeg, pictures)):
         notes.append("pictures encoded as JPEG")
-        jpegs = list(map(stored_images.as_jpeg, pictures))
+        jpegs = list(map(media.as_jpeg, pictures))
     step_s = float(np.median(np.diff(time_s))) if len(pictures) > 1 else 0.0
     fps = min(max(1 / step_s, _RATES[0]), _RATES[1]) if step_s > 0 else FRAMES_PER_SECOND
     contact_ends = touches.where["contact"][row].as_py()

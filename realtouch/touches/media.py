@@ -17,6 +17,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import DTypeLike
 from PIL import Image
 
@@ -28,7 +29,14 @@ from realtouch.video import avi
 from tactile_toolkit import errors, pictures, read, wording
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Floating, UInt8
 from tactile_toolkit.run import in_threads
-from tactile_toolkit.touch import MAX_IMAGE_PIXELS, decode_image, encode_image, image_size
+from tactile_toolkit.touch import (
+    MAX_IMAGE_PIXELS,
+    MEDIA_TYPE,
+    decode_image,
+    encode_image,
+    image_size,
+    is_jpeg,
+)
 
 if TYPE_CHECKING:
     from torchcodec.decoders import VideoDecoder
@@ -36,18 +44,18 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 S = TypeVar("S")
+
 # Long enough that overhead is small, short enough that threads end together.
 _LONGEST_RUN = 16
 MAX_BATCH_PIXELS = 1 << 31
 """Most pixels that are decoded into one new array (6 GiB): every frame of 256 clips of 90 frames fits."""
-
 DEPTH, DEPTH_ERROR = "depth_um", "depth_error_um"
 """Columns of the maps of a round of images, with an entry for each touch."""
 SUFFIX = "png"
 _PER_M, _MOST = 1e6, 65_535
 _MODES = ("I;16", "I;16B")
-
 _SHOWN_FRAMES = 8
+_ENDINGS = {b"\xff\xd8": "jpg", b"\x89P": "png"}
 
 
 def in_parallel(work: Callable[[int], object], count: int, threads: int) -> None:
@@ -550,3 +558,53 @@ def decode_frames(
             ) from error
 
     in_parallel(decode, len(encoded), threads)
+
+
+def media_array(contents: Sequence[bytes | memoryview], names: Sequence[str]) -> pa.Array:
+    """Return encoded images or clips, and the names of their files, as they are stored."""
+    parts = [pa.array(contents, pa.binary()), pa.array(names, pa.string())]
+    return pa.StructArray.from_arrays(parts, fields=list(MEDIA_TYPE))
+
+
+def numbered_media(contents: Sequence[bytes | memoryview], suffix: str) -> pa.Array:
+    """Return the encoded images or clips of the touches of a round; their files are ``TOUCH.suffix``."""
+    return media_array(contents, [f"{touch:03d}.{suffix}" for touch in range(len(contents))])
+
+
+def image_column(images: Sequence[bytes | memoryview], names: Sequence[str]) -> pa.Array:
+    """Return images as a column with file names, whose endings follow from their first bytes."""
+    endings = (_ENDINGS.get(bytes(each[:2]), "webp") for each in images)
+    paths = [f"{name}.{ending}" for name, ending in zip(names, endings, strict=True)]
+    return media_array(images, paths)
+
+
+def as_jpeg(image: bytes | memoryview) -> bytes:
+    """Return an image for readers that only know JPEG: unchanged, or encoded again."""
+    return bytes(image) if is_jpeg(image) else encode_image(decode_image(image))
+
+
+def decoded(image: bytes | memoryview, name: str, out: UInt8 | None = None) -> UInt8:
+    """Return the pixels of an image; IntegrityError if it is damaged between its header and its end."""
+    try:
+        return decode_image(image, out)
+    except ValueError as error:
+        raise errors.IntegrityError(
+            f"{name!r}: {error}",
+            next="run `realtouch verify` on the source, and leave the round out first (`realtouch select`)",
+        ) from error
+
+
+def background_of(images: Sequence[bytes | memoryview], names: Sequence[str]) -> bytes:
+    """Return the median of some images as JPEG: the gel at rest; InputError if they differ in size.
+
+    Raises IntegrityError, with the name, for one that cannot be decoded.
+    """
+    sizes = {image_size(image) for image in images}
+    if len(sizes) > 1:
+        found = ", ".join(f"{width} x {height}" for height, width in sorted(sizes))
+        raise errors.InputError(
+            f"images of {found} pixels have no common background; expected one size",
+            next="make them alike with `realtouch resize`",
+        )
+    pixels = [decoded(image, name) for image, name in zip(images, names, strict=True)]
+    return encode_image(contact.median_in_memory(np.stack(pixels)))

@@ -17,7 +17,7 @@ import pyarrow as pa
 from tactile_toolkit import checked_fields, wording
 from tactile_toolkit.array_types import AnyArray, Int64
 from tactile_toolkit.errors import InputError, ToolkitError
-from tactile_toolkit.read import columns, order, schemas, shard, sharded_table
+from tactile_toolkit.read import order, record, schemas, shard, sharded_table
 from tactile_toolkit.read.record import Record, Row
 
 if TYPE_CHECKING:
@@ -127,7 +127,7 @@ class RecordDataset(Sequence[T], Generic[T]):
     def ids(self) -> AnyArray:
         """Id of each row, shape (len,); reads the id column only."""
         values = self.column("id")
-        are_whole = values.dtype.kind == "f" and columns.whole_numbers(values).all()
+        are_whole = values.dtype.kind == "f" and record.whole_numbers(values).all()
         if are_whole:
             values = values.astype(np.int64)
         return values
@@ -231,7 +231,7 @@ class RecordDataset(Sequence[T], Generic[T]):
             A value is missing, not an integer, or does not fit into 64 bits; names file and row.
         """
         values = self.column(name)
-        usable = columns.whole_numbers(values)
+        usable = record.whole_numbers(values)
         if usable.all():
             return np.ascontiguousarray(values, np.int64)
         # A missing value in any row makes large ones inexact, so they are read from the row itself.

@@ -15,8 +15,7 @@ import pyarrow as pa
 
 from tactile_toolkit import run
 from tactile_toolkit.array_types import AnyArray, Int64
-from tactile_toolkit.read.columns import numpy_values
-from tactile_toolkit.read.record import RowGroup
+from tactile_toolkit.read.record import RowGroup, numpy_values
 from tactile_toolkit.read.shard import Shard
 from tactile_toolkit.wording import with_count
 

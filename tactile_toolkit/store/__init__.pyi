@@ -48,12 +48,19 @@ from .files import (
     write_file as write_file,
 )
 from .job import (
+    AnyTask as AnyTask,
     BuildJob as BuildJob,
+    BuildPlan as BuildPlan,
     inspect_job as inspect_job,
     manifest_so_far as manifest_so_far,
     MissingPartsError as MissingPartsError,
     pending_shards as pending_shards,
+    Progress as Progress,
     refuse_unknown_files as refuse_unknown_files,
+    RunKeywords as RunKeywords,
+    RunOptions as RunOptions,
+    ShardContent as ShardContent,
+    ShardTask as ShardTask,
 )
 from .locks import (
     LOCK_FILE as LOCK_FILE,
@@ -88,15 +95,6 @@ from .parquet import (
     read_report as read_report,
     require_sound_columns as require_sound_columns,
     sha256_hex as sha256_hex,
-)
-from .plan import (
-    AnyTask as AnyTask,
-    BuildPlan as BuildPlan,
-    Progress as Progress,
-    RunKeywords as RunKeywords,
-    RunOptions as RunOptions,
-    ShardContent as ShardContent,
-    ShardTask as ShardTask,
 )
 from .remote import (
     CallFailure as CallFailure,

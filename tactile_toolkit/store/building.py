@@ -26,7 +26,12 @@ from tactile_toolkit.store import parquet
 from tactile_toolkit.store.files import DRAFT, is_hidden
 from tactile_toolkit.store.folder import NEXT_FOLDER, PENDING_FOLDER, DataFolder, LocalFolder
 from tactile_toolkit.store.job import (
+    AnyTask,
     BuildJob,
+    BuildPlan,
+    Progress,
+    RunKeywords,
+    RunOptions,
     begin_job,
     is_pending,
     pending_records,
@@ -49,7 +54,6 @@ from tactile_toolkit.store.manifest import (
     require_rows,
     write_manifest,
 )
-from tactile_toolkit.store.plan import AnyTask, BuildPlan, Progress, RunKeywords, RunOptions
 from tactile_toolkit.store.verification import RECORD_FILE
 
 WriteCard = Callable[[DataFolder, Manifest], None]

@@ -83,8 +83,7 @@ class Solid:
 
 
 @pytest.mark.parametrize(
-    ("wrong", "words"),
-    [(HOLLOW, "has no vertices"), (STRANGE, "name vertex 8, but only 8 vertices")],
+    ("wrong", "words"), [(HOLLOW, "has no vertices"), (STRANGE, "name vertex 8, but only 8 vertices")]
 )
 def test_unsound_meshes_are_named(tmp_path, wrong, words):
     write_meshes(tmp_path / "solids", [Solid(SMALL), Solid(wrong)], ("a", "b"))

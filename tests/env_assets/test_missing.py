@@ -81,15 +81,7 @@ def test_only_known_kinds_are_made(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"seed": -1},
-        {"per_class": 0},
-        {"per_class": 1.5},
-        {"workers": 0},
-    ],
-)
+@pytest.mark.parametrize("options", [{"seed": -1}, {"per_class": 0}, {"per_class": 1.5}, {"workers": 0}])
 def test_numbers_without_any_object_are_refused_at_once(tmp_path, options):
     (name,) = options
     with pytest.raises(InputError, match=f"{name} of the AssetProvider is"):

@@ -180,6 +180,16 @@ def _placed(cover: Floats, at: tuple[float, float]) -> Floats:
     return sheet
 
 
+def _border(rng: np.random.Generator) -> NDArray[np.bool_]:
+    """Return the pixels beside the paper, which the lid of a scanner shows dark."""
+    wide = rng.integers(3, 40, 4) * (rng.random(4) < 0.8)
+    wide[rng.integers(4)] = rng.integers(6, 40)
+    y, x = np.mgrid[:SIDE_PX, :SIDE_PX].astype(np.float64)
+    lean = rng.uniform(-0.02, 0.02, 4)
+    rows = (y + lean[0] * x < wide[0]) | (SIDE_PX - 1 - y + lean[1] * x < wide[1])
+    return np.asarray(rows | (x + lean[2] * y < wide[2]) | (SIDE_PX - 1 - x + lean[3] * y < wide[3]))
+
+
 def compose(covers: Sequence[Floats], kind: str, seed: int, pen_px: float = 40.0) -> Photograph:
     """Compose a photograph of a kind from the cropped ink of one digit, several or none."""
     rng = np.random.default_rng([seed, (*EASY, *HARD, *REFUSED).index(kind)])
@@ -195,11 +205,7 @@ def compose(covers: Sequence[Floats], kind: str, seed: int, pen_px: float = 40.0
     ruling = {"ruled": "ruled", "squared": "squared", "blank ruled": "ruled"}.get(kind, "")
     if kind == "thin" and rng.random() < 0.3:
         ruling = "ruled"
-    colours = {
-        "pen": ("blue", "red"),
-        "ruled": ("black", "blue", "pencil"),
-        "thin": ("black", "blue", "pencil"),
-    }
+    colours = {"pen": ("blue", "red"), **dict.fromkeys(("ruled", "thin"), ("black", "blue", "pencil"))}
     names = colours.get(kind, ("black", "black", "blue"))
     tone = np.array(_INKS[names[rng.integers(len(names))]])
     layers = _paper(rng)
@@ -215,37 +221,19 @@ def compose(covers: Sequence[Floats], kind: str, seed: int, pen_px: float = 40.0
     )
     if is_placed:
         projection = _onto(_quad(kind, rng))
-        scene, ink = (
-            np.stack([_seen(each, projection) for each in np.moveaxis(layers, -1, 0)], axis=-1),
-            _seen(ink, projection),
-        )
+        scene = np.stack([_seen(each, projection) for each in np.moveaxis(layers, -1, 0)], axis=-1)
+        ink = _seen(ink, projection)
         desk = _desk(rng)
         beside = np.isnan(scene)
         shade = 1 - 0.35 * ndimage.gaussian_filter((~beside[..., 0]).astype(np.float64), 5)
         layers = np.where(beside, desk * shade[..., None], scene)
         ink = np.nan_to_num(ink)
     if kind == "border":
-        wide = rng.integers(3, 40, 4) * (rng.random(4) < 0.8)
-        wide[rng.integers(4)] = rng.integers(6, 40)
-        dark = np.zeros((SIDE_PX, SIDE_PX), bool)
-        y, x = np.mgrid[:SIDE_PX, :SIDE_PX].astype(np.float64)
-        lean = rng.uniform(-0.02, 0.02, 4)
-        for gone in (
-            y + lean[0] * x < wide[0],
-            SIDE_PX - 1 - y + lean[1] * x < wide[1],
-            x + lean[2] * y < wide[2],
-            SIDE_PX - 1 - x + lean[3] * y < wide[3],
-        ):
-            dark |= gone
-        dark &= ink < 0.01
+        dark = _border(rng) & (ink < 0.01)
         layers = np.where(dark[..., None], rng.uniform(0.0, 0.12), layers)
-    light = (
-        kind
-        if kind in ("hand", "corner", "gradient")
-        else "even"
-        if rng.random() < 0.5
-        else str(rng.choice(["gradient", "hand"]))
-    )
+    light = kind
+    if kind not in ("hand", "corner", "gradient"):
+        light = "even" if rng.random() < 0.5 else str(rng.choice(["gradient", "hand"]))
     if kind == "border":
         light = "even"
     pixels = _camera(layers * _light(light, rng)[..., None], rng)

@@ -17,11 +17,7 @@ from mnist3d.digit_generation import DigitSetSpec, generate
 from mnist3d.sources import FolderSource, SyntheticSource
 from tactile_toolkit.mesh import Mesh, check_manifold
 from tests.command_line import call, program
-from tests.mnist3d.drawn_pictures import (
-    child,
-    photographed,
-    word,
-)
+from tests.mnist3d.drawn_pictures import child, photographed, word
 
 
 @pytest.fixture(scope="module")

@@ -63,13 +63,8 @@ def item_refusal(root: Path, reason: str, ink: str = "auto") -> str:
 
 def test_ids_follow_label_then_natural_name(tmp_path: Path) -> None:
     for name in (
-        "3/b10.png",
-        "3/b2.png",
-        "0/z.jpg",
-        "x_label1_writer12.png",
-        "3/A.PNG",
-        "3/B1.png",
-        "0/writer7.bmp",
+        *("3/b10.png", "3/b2.png", "0/z.jpg", "x_label1_writer12.png"),
+        *("3/A.PNG", "3/B1.png", "0/writer7.bmp"),
     ):
         save(tmp_path / name)
     for name in ("3/.hidden.png", "3/notes.txt", ".git/1.png", "README.md"):

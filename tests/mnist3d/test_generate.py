@@ -103,14 +103,8 @@ def test_shard_sizes_follow_from_the_split_alone():
 
 
 COMMAND = (
-    "generate",
-    "--split-sizes",
-    "train=1,test=1,holdout=1",
-    "--limit",
-    "2",
-    "--vertices",
-    "2000",
-    "--quiet",
+    *("generate", "--split-sizes", "train=1,test=1,holdout=1", "--limit"),
+    *("2", "--vertices", "2000", "--quiet"),
 )
 
 
@@ -122,13 +116,7 @@ def unbroken(tmp_path_factory):
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize(
-    ("blow", "workers"),
-    [
-        (signal.SIGINT, 1),
-        (signal.SIGKILL, 2),
-    ],
-)
+@pytest.mark.parametrize(("blow", "workers"), [(signal.SIGINT, 1), (signal.SIGKILL, 2)])
 def test_interrupted_run_continues_to_the_same_bytes(unbroken, tmp_path, workers, blow):
     folder = tmp_path / "set"
     words = (*COMMAND, "--workers", workers, "--out", folder)

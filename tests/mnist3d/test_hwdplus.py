@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import io
 import re
 from pathlib import Path
 from typing import Any
@@ -158,14 +159,8 @@ def test_labels_of_every_kind(tmp_path: Path, labels: NDArray[Any]) -> None:
         (np.array([0, 1.5, 2]), "row 1, column 0: found 1.5, expected a digit from 0 to 9"),
         (np.array([np.nan, 1, 2]), "row 0, column 0: found nan, expected a digit from 0 to 9"),
         (np.array([1e300, 1, 2]), "row 0, column 0: found 1e+300, expected a digit from 0 to 9"),
-        (
-            np.array(["1", "two", "3"]),
-            "column 0 holds text that is not a number, expected a digit",
-        ),
-        (
-            np.array([b"1", b"\xff", b"3"]),
-            "column 0 holds text that is not a number, expected a digit",
-        ),
+        (np.array(["1", "two", "3"]), "column 0 holds text that is not a number, expected a digit"),
+        (np.array([b"1", b"\xff", b"3"]), "column 0 holds text that is not a number, expected a digit"),
     ],
 )
 def test_labels_that_are_no_digits(tmp_path: Path, labels: NDArray[Any], found: str) -> None:
@@ -203,55 +198,41 @@ def test_invalid_tables(tmp_path: Path, info: NDArray[Any]) -> None:
     assert f"WriterInfo.npy: found shape {info.shape} of {info.dtype}, expected one row per image" in message
 
 
+def stored(values: Any) -> bytes:
+    """Return a file of NumPy; of a dictionary, one with this header and 64 bytes."""
+    stream = io.BytesIO()
+    if isinstance(values, dict):
+        np.lib.format.write_array_header_1_0(stream, values)
+        stream.write(bytes(64))
+    else:
+        np.save(stream, values, allow_pickle=True)
+    return stream.getvalue()
+
+
 @pytest.mark.parametrize("name", ["Images(500x500).npy", "WriterInfo.npy"])
-class TestDamagedFiles:
-    def test_missing(self, tmp_path: Path, name: str) -> None:
-        made = source(tmp_path)
-        (tmp_path / name).unlink()
-        assert refusal(made).startswith(
-            f"{tmp_path}/{name}: cannot be read ([Errno 2] No such file or directory"
-        )
-
-    def test_folder(self, tmp_path: Path, name: str) -> None:
-        made = source(tmp_path)
-        (tmp_path / name).unlink()
-        (tmp_path / name).mkdir()
-        assert "cannot be read ([Errno 21] Is a directory" in refusal(made)
-
-    @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 a zip archive", b"label,writer\n3,4\n"])
-    def test_something_else(self, tmp_path: Path, name: str, content: bytes) -> None:
-        made = source(tmp_path)
-        (tmp_path / name).write_bytes(content)
-        assert f"{name}: cannot be read" in refusal(made)
-
-    def test_cut_off(self, tmp_path: Path, name: str) -> None:
-        made = source(tmp_path)
-        made.catalog()
-        whole = (tmp_path / name).stat().st_size
-        with (tmp_path / name).open("r+b") as stream:
-            stream.truncate(whole - 5)
-        assert f"{name}: cannot be read (mmap length" in refusal(made)
-
-    @pytest.mark.parametrize("kept", [7, 9, 20, 60])
-    def test_cut_off_in_the_header(self, tmp_path: Path, name: str, kept: int) -> None:
-        made = source(tmp_path)
-        (tmp_path / name).write_bytes((tmp_path / name).read_bytes()[:kept])
-        assert f"{name}: cannot be read" in refusal(made)
-
-    def test_a_negative_shape(self, tmp_path: Path, name: str) -> None:
-        made = source(tmp_path)
-        with (tmp_path / name).open("wb") as stream:
-            header = {"descr": "|u1", "fortran_order": False, "shape": (-3, 1)}
-            np.lib.format.write_array_header_1_0(stream, header)
-            stream.write(bytes(64))
-        assert f"{name}: cannot be read" in refusal(made)
-
-    def test_pickled_objects_are_never_loaded(self, tmp_path: Path, name: str) -> None:
-        made = source(tmp_path)
-        np.save(tmp_path / name, np.array([[1, None]] * 3, object), allow_pickle=True)
-        message = refusal(made)
-        assert f"{name}: cannot be read" in message
-        assert "Python objects" in message
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        *((content, "") for content in (b"", b"PK\x03\x04 a zip archive", b"label,writer\n3,4\n")),
+        *((kept, "") for kept in (7, 9, 20, 60)),
+        (-5, "(mmap length"),
+        (stored({"descr": "|u1", "fortran_order": False, "shape": (-3, 1)}), ""),
+        (stored(np.array([[1, None]] * 3, object)), "Python objects"),  # which are never unpickled
+        (None, "([Errno 2] No such file or directory"),
+        ("folder", "([Errno 21] Is a directory"),
+    ],
+)
+def test_a_damaged_file_is_named(tmp_path: Path, name: str, content: Any, words: str) -> None:
+    made, path = source(tmp_path), tmp_path / name
+    whole = path.read_bytes()
+    path.unlink()
+    if content == "folder":
+        path.mkdir()
+    elif content is not None:
+        path.write_bytes(whole[:content] if isinstance(content, int) else content)
+    message = refusal(made)
+    assert message.startswith(f"{path}: cannot be read")
+    assert words in message
 
 
 def test_a_replaced_file_is_read_again(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import gc
+import gzip
 import hashlib
 import importlib.util
 import sys
@@ -105,82 +106,51 @@ def test_compression_is_detected_by_content(tmp_path: Path) -> None:
     assert a == b == c
 
 
-class TestRefusals:
-    def test_no_folder(self, tmp_path: Path) -> None:
-        message = refusal(MnistSource(str(tmp_path / "no")))
-        assert message.startswith(f"{tmp_path}/no: found no folder, expected train-images-idx3-ubyte")
+def test_no_folder(tmp_path: Path) -> None:
+    message = refusal(MnistSource(str(tmp_path / "no")))
+    assert message.startswith(f"{tmp_path}/no: found no folder, expected train-images-idx3-ubyte")
 
-    def test_a_folder_without_files_of_mnist(self, tmp_path: Path) -> None:
-        (tmp_path / "notes.txt").touch()
-        message = refusal(MnistSource(str(tmp_path)))
-        assert "found ['notes.txt'], expected train-images-idx3-ubyte or the same with .gz" in message
-        assert "--download" in message
 
-    @pytest.mark.parametrize("kind", ["images", "labels"])
-    def test_half_a_pair(self, tmp_path: Path, kind: str) -> None:
-        write(tmp_path)
-        (tmp_path / name_of("test", kind)).unlink()
-        assert f"expected {name_of('test', kind)} or" in refusal(MnistSource(str(tmp_path)))
+def test_a_folder_without_files_of_mnist(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").touch()
+    message = refusal(MnistSource(str(tmp_path)))
+    assert "found ['notes.txt'], expected train-images-idx3-ubyte or the same with .gz" in message
+    assert "--download" in message
 
-    def test_wrong_magic(self, tmp_path: Path) -> None:
-        write(tmp_path)
-        (tmp_path / name_of("test", "images")).write_bytes(idx(bars(4)[1]) + bytes(99))
-        message = refusal(MnistSource(str(tmp_path)))
-        assert f"{name_of('test', 'images')}: found magic number 2049, expected 2051" in message
 
-    def test_labels_that_are_images(self, tmp_path: Path) -> None:
-        write(tmp_path)
-        (tmp_path / name_of("test", "labels")).write_bytes(idx(bars(4)[0]))
-        assert "found magic number 2051, expected 2049" in refusal(MnistSource(str(tmp_path)))
+@pytest.mark.parametrize("kind", ["images", "labels"])
+def test_half_a_pair(tmp_path: Path, kind: str) -> None:
+    write(tmp_path)
+    (tmp_path / name_of("test", kind)).unlink()
+    assert f"expected {name_of('test', kind)} or" in refusal(MnistSource(str(tmp_path)))
 
-    @pytest.mark.parametrize("change", [-1, 3])
-    def test_wrong_length(self, tmp_path: Path, change: int) -> None:
-        write(tmp_path)
-        path = tmp_path / name_of("test", "images")
-        path.write_bytes((path.read_bytes() + bytes(9))[: 16 + 4 * 784 + change])
-        message = refusal(MnistSource(str(tmp_path)))
-        assert f"{path}: found {3136 + min(change, 1)} bytes or more of numbers, expected 3136 for" in message
 
-    def test_empty_file(self, tmp_path: Path) -> None:
-        write(tmp_path)
-        (tmp_path / name_of("test", "labels")).write_bytes(b"")
-        assert "expected an intact IDX file" in refusal(MnistSource(str(tmp_path)))
+IMAGES, LABELS = map(idx, bars(4))
+PACKED = gzip.compress(IMAGES)
 
-    def test_shorter_than_its_header(self, tmp_path: Path) -> None:
-        write(tmp_path)
-        images, labels = (tmp_path / name_of("test", kind) for kind in ("images", "labels"))
-        images.write_bytes(labels.read_bytes()[:12])
-        message = refusal(MnistSource(str(tmp_path)))
-        assert f"{images}: found a file that cannot be read (damaged or cut off)" in message
 
-    @pytest.mark.parametrize("kept", [5, 40, -4])
-    def test_gzip_cut_off(self, tmp_path: Path, kept: int) -> None:
-        write(tmp_path, end=".gz")
-        path = tmp_path / name_of("test", "images", end=".gz")
-        path.write_bytes(path.read_bytes()[:kept])
-        assert f"{path}: found a file that cannot be read" in refusal(MnistSource(str(tmp_path)))
-
-    def test_gzip_damaged(self, tmp_path: Path) -> None:
-        write(tmp_path, end=".gz")
-        path = tmp_path / name_of("test", "labels", end=".gz")
-        data = bytearray(path.read_bytes())
-        data[12] ^= 255
-        path.write_bytes(data)
-        assert f"{path}: found a file that cannot be read" in refusal(MnistSource(str(tmp_path)))
-
-    def test_counts_differ(self, tmp_path: Path) -> None:
-        write(tmp_path, labels=bars(3)[1])
-        message = refusal(MnistSource(str(tmp_path)))
-        assert f"{name_of('test', 'labels')}: found 3 labels for 4 images" in message
-
-    def test_label_that_is_no_digit(self, tmp_path: Path) -> None:
-        write(tmp_path, labels=np.array([1, 2, 10, 11], np.uint8))
-        message = refusal(MnistSource(str(tmp_path)))
-        assert f"{name_of('test', 'labels')}: found label 11 in row 3, expected digits from 0 to 9" in message
-
-    def test_other_image_size(self, tmp_path: Path) -> None:
-        write(tmp_path, images=np.zeros((4, 32, 32), np.uint8))
-        assert "found images of (32, 32) pixels, expected (28, 28)" in refusal(MnistSource(str(tmp_path)))
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("images-idx3-ubyte", LABELS + bytes(99), "found magic number 2049, expected 2051"),
+        ("labels-idx1-ubyte", IMAGES, "found magic number 2051, expected 2049"),
+        ("images-idx3-ubyte", IMAGES[:-1], "found 3135 bytes or more of numbers, expected 3136 for"),
+        ("images-idx3-ubyte", IMAGES + bytes(3), "found 3137 bytes or more of numbers, expected 3136 for"),
+        ("labels-idx1-ubyte", b"", "expected an intact IDX file"),
+        ("images-idx3-ubyte", LABELS[:12], "found a file that cannot be read (damaged or cut off)"),
+        *(("images-idx3-ubyte", PACKED[:kept], "found a file that cannot be read") for kept in (5, 40, -4)),
+        ("images-idx3-ubyte", PACKED[:12] + bytes(4) + PACKED[16:], "found a file that cannot be read"),
+        ("labels-idx1-ubyte", idx(bars(3)[1]), "found 3 labels for 4 images"),
+        ("labels-idx1-ubyte", idx(np.array([1, 2, 10, 11], np.uint8)), "label 11 in row 3, expected digits"),
+        ("images-idx3-ubyte", idx(np.zeros((4, 32, 32), np.uint8)), "(32, 32) pixels, expected (28, 28)"),
+    ],
+)
+def test_an_unusable_file_is_named(tmp_path: Path, name: str, content: bytes, words: str) -> None:
+    write(tmp_path)
+    (tmp_path / f"t10k-{name}").write_bytes(content)
+    message = refusal(MnistSource(str(tmp_path)))
+    assert f"t10k-{name}: " in message
+    assert words in message
 
 
 def slanted_edge(slope: float, contrast: float) -> NDArray[np.uint8]:

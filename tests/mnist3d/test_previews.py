@@ -32,11 +32,7 @@ THIN = SolidSpec(target_vertices=2_000, half_thickness_mm=1.2)
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Thirty digits in train, ten in test."""
     out = tmp_path_factory.mktemp("previews") / "digits"
-    spec = DigitSetSpec(
-        SyntheticSource(count=280),
-        THIN,
-        SplitSpec(sizes=(("train", 3), ("test", 1))),
-    )
+    spec = DigitSetSpec(SyntheticSource(count=280), THIN, SplitSpec(sizes=(("train", 3), ("test", 1))))
     generate(spec, str(out), ("train", "test"))
     return out
 
@@ -49,11 +45,14 @@ def drawn(name: object, **options: object) -> dict[str, np.ndarray]:
 def find(pixels: np.ndarray, part: np.ndarray) -> list[tuple[int, int]]:
     """Return the corners at which a picture contains another one exactly."""
     height, width = part.shape[:2]
-    wanted, places = part[height // 2].tobytes(), []
-    for top in range(pixels.shape[0] - height + 1):
-        left = pixels[top + height // 2].tobytes().find(wanted) // 3
-        if left >= 0 and np.array_equal(pixels[top : top + height, left : left + width], part):
+    wanted, all_rows, places = part[height // 2].tobytes(), pixels.tobytes(), []
+    at = all_rows.find(wanted)
+    while at >= 0:
+        row, left = divmod(at // 3, pixels.shape[1])
+        top = row - height // 2
+        if np.array_equal(pixels[max(top, 0) : top + height, left : left + width], part):
             places.append((top, left))
+        at = all_rows.find(wanted, at + 1)
     return places
 
 

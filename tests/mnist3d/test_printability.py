@@ -205,10 +205,7 @@ def shell() -> Mesh:
 
 
 BROKEN = {
-    "cavities that overlap": (
-        pile(shell(), turned(mesh_of(cube(10, (8, 8, 8))))),
-        "overlap",
-    ),
+    "cavities that overlap": (pile(shell(), turned(mesh_of(cube(10, (8, 8, 8))))), "overlap"),
     "a body that sticks in the wall of a cavity": (pile(shell(), mesh_of(cube(6, (11, 7, 7)))), "overlap"),
     "inside out": (turned(box()), "inside-out"),
     "hole": (Mesh(box().vertices_m, box().faces[1:]), "not-manifold"),

@@ -48,10 +48,7 @@ BOTH_WAYS = pytest.mark.parametrize("method", ["fast", pytest.param("literal", m
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     ("method", "profile"),
-    [
-        *(("fast", profile) for profile in PROFILES),
-        *(("literal", profile) for profile in PROFILES),
-    ],
+    [*(("fast", profile) for profile in PROFILES), *(("literal", profile) for profile in PROFILES)],
 )
 def test_every_method_gives_a_solid_on_the_plate(method: Any, profile: str) -> None:
     mesh = solidify(six(), SolidSpec(profile=profile), method=method)

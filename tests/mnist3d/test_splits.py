@@ -68,12 +68,7 @@ def test_small_sources_keep_the_proportions(count):
         assert min(sizes) >= 1
 
 
-@given(
-    source=catalogs,
-    seed=st.integers(0, 99),
-    per_class=st.integers(1, 20),
-    limit=st.integers(1, 60),
-)
+@given(source=catalogs, seed=st.integers(0, 99), per_class=st.integers(1, 20), limit=st.integers(1, 60))
 def test_per_class_and_limit_only_shorten(source, seed, per_class, limit):
     plan = plan_splits(source, SplitSpec(seed))
     for split in SPLITS:
@@ -127,10 +122,7 @@ def test_impossible_divisions_are_refused(wrong, message):
         SplitSpec(**wrong)
 
 
-@given(
-    counts=st.lists(st.integers(1, 40), min_size=5, max_size=60),
-    seed=st.integers(0, 1000),
-)
+@given(counts=st.lists(st.integers(1, 40), min_size=5, max_size=60), seed=st.integers(0, 1000))
 def test_no_writer_is_in_two_splits(counts, seed):
     writers = np.repeat(np.arange(len(counts)) * 7, counts)
     source = catalog(np.arange(len(writers)) % 10, writers)

@@ -13,19 +13,7 @@ from scipy import ndimage
 from mnist3d.compiled_loops import signed_distance_px
 from mnist3d.digit_options import SolidSpec
 from mnist3d.ink.binarisation import binarise
-from mnist3d.solid.algorithm import (
-    Surface,
-    decimate,
-    erode,
-    eroded_by_disc,
-    erosion_radii_px,
-    isosurface,
-    mirror,
-    scale,
-    smooth,
-    solidify,
-    stack,
-)
+from mnist3d.solid.algorithm import erode, eroded_by_disc, erosion_radii_px, isosurface, smooth, solidify
 from mnist3d.solid.lattice import lattice_of
 from tactile_toolkit.mesh import Mesh, inspect
 from tests.mnist3d.drawings import six
@@ -78,41 +66,9 @@ def test_the_continuous_erosion_equals_the_published_one() -> None:
         assert (left != printed).sum() <= 0.02 * fine.ink.sum()
 
 
-def test_erosion_radii_follow_a_quarter_circle() -> None:
-    radii = erosion_radii_px(SolidSpec())
-    heights = np.arange(20) + 0.5
-    assert np.allclose((20 - radii) ** 2 + heights**2, 20**2)
-    assert (np.diff(radii) > 0).all()
-
-
 def test_erosion_radii_of_the_other_profiles() -> None:
     assert np.array_equal(erosion_radii_px(SolidSpec(profile="linear")), np.arange(20) + 0.5)
     assert np.array_equal(erosion_radii_px(SolidSpec(profile="flat")), np.zeros(20))
-
-
-def test_stack_orders_the_layers() -> None:
-    assert stack([np.full((2, 3), k) for k in range(3)])[1, 2].tolist() == [0, 1, 2]
-
-
-def test_mirror_closes_a_half_surface() -> None:
-    tip = np.array([(1, 1, 2)], np.float32)
-    rim = np.array([(0, 0, 0), (0, 2, 0), (2, 2, 0), (2, 0, 0)], np.float32)
-    faces = np.array([(0, 2, 1), (0, 3, 2), (0, 4, 3), (0, 1, 4)], np.int32)
-    whole = mirror(Surface(np.concatenate([tip, rim]), faces, rim=np.arange(1, 5)))
-    assert whole.vertices_px[5:].tolist() == [[1, 1, -2]]
-    solid = Mesh(whole.vertices_px, whole.faces).to_trimesh()
-    assert solid.is_watertight
-    assert abs(solid.volume) == pytest.approx(2 * 4 * 2 / 3)
-
-
-def test_marching_cubes_faces_outwards() -> None:
-    volume = np.zeros((6, 7, 8))
-    volume[2:4, 2:5, 2:6] = 1
-    vertices, faces = isosurface(volume, 0.5)
-    assert vertices.dtype == np.float32
-    assert faces.dtype == np.int32
-    # A box of 2 x 3 x 4 nodes is cut at its twelve edges and eight corners.
-    assert 20 < Mesh(vertices, faces).volume_m3 < 24
 
 
 def test_smoothing_evens_out_and_keeps_the_volume() -> None:
@@ -122,15 +78,6 @@ def test_smoothing_evens_out_and_keeps_the_volume() -> None:
     radii = [np.linalg.norm(v - 12, axis=1) for v in (vertices, smoothed)]
     assert radii[1].std() < 0.5 * radii[0].std()
     assert Mesh(smoothed, faces).volume_m3 == pytest.approx(Mesh(vertices, faces).volume_m3, rel=0.01)
-
-
-def test_scale_puts_the_image_centre_at_the_origin_and_the_lowest_point_on_the_plate() -> None:
-    corners = np.array([[0, 0, -3], [9, 0, 0], [0, 19, 2]], dtype=np.float32)
-    surface = Surface(corners, np.array([[0, 1, 2]], np.int32))
-    mesh = scale(surface, (10, 20), SolidSpec(vertex_quantum_mm=0))
-    expected_mm = [[-1.9, 0.9, 0], [-1.9, -0.9, 0.6], [1.9, 0.9, 1.0]]
-    assert np.allclose(mesh.vertices_m * 1000, expected_mm, atol=1e-6)
-    assert mesh.vertices_m.dtype == np.float32
 
 
 def test_decimation_keeps_to_the_budget_and_to_the_solid() -> None:

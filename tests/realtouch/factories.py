@@ -300,12 +300,7 @@ def _nest(columns: dict[str, Any]) -> dict[str, Any]:
     return nested
 
 
-def write_set(
-    folder: Path,
-    rows: dict[str, list[dict]],
-    kind: str,
-    layout: Layout = Layout(),
-) -> Path:
+def write_set(folder: Path, rows: dict[str, list[dict]], kind: str, layout: Layout = Layout()) -> Path:
     """Write splits as ``data/SPLIT-00000-of-00001.parquet``, the way ``datasets`` uploads them."""
     (folder / "data").mkdir(parents=True, exist_ok=True)
     for split, split_rows in rows.items():

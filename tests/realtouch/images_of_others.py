@@ -17,10 +17,7 @@ POSE = ("gel_x_m", "gel_y_m", "gel_z_m", "gel_qx", "gel_qy", "gel_qz", "gel_qw")
 
 
 COLUMNS = realtouch.ImportColumns(
-    round="round_id",
-    object_id="object_id",
-    position=("pos_in_cell_x_m", "pos_in_cell_y_m"),
-    pose=POSE,
+    round="round_id", object_id="object_id", position=("pos_in_cell_x_m", "pos_in_cell_y_m"), pose=POSE
 )
 
 

@@ -92,11 +92,7 @@ def test_pictures_of_any_lossless_type_become_the_same_pixels(
     words = ("--format", "replay", "--map", "image=img", "--out", tmp_path / "out", "-w", 1)
     assert call("realtouch", "import", source, *words) == 0
     shown = capsys.readouterr().err
-    assert ("pictures: " in shown, "without loss" in shown, said in shown) == (
-        bool(said),
-        bool(said),
-        True,
-    )
+    assert ("pictures: " in shown, "without loss" in shown, said in shown) == (bool(said), bool(said), True)
     touches = realtouch.load(tmp_path / "out", "train").touches()
     assert np.array_equal(np.stack([touch.image for touch in touches]), pixels)
 

@@ -63,16 +63,6 @@ def test_contact_frames_are_the_true_ones(seq_folder: Path, truth: list[RoundTru
             assert clip[clip.contact_window].shape[0] == made.contact_end - made.contact_start + 1
 
 
-def test_contact_frames_of_a_round(seq_folder: Path) -> None:
-    record = realtouch.load(seq_folder, "train")[1]
-    for method in ("contact_end", "peak"):
-        expected = np.stack([clip.contact_frame(method) for clip in record.sensor_video])
-        np.testing.assert_array_equal(record.contact_frames(method), expected)
-        out = np.zeros_like(expected)
-        assert record.contact_frames(method, threads=2, out=out) is out
-        np.testing.assert_array_equal(out, expected)
-
-
 @given(st.lists(st.floats(0, 10), min_size=1, max_size=30), st.floats(-1, 11), st.floats(0, 5))
 def test_a_window_holds_a_frame_and_only_frames_of_contact(
     times: list[float], start: float, span: float

@@ -234,10 +234,7 @@ def test_a_replay_buffer_is_one_group_and_asks_for_its_extra(
     refused(InputError, "has no arrays in its group 'data'; expected a replay buffer")
     (source / "b.zarr.zip").rmdir()
     pixels = np.zeros((2, 4, 4, 3), np.uint8)
-    with (
-        (source / "b.zarr.zip").open("wb") as stream,
-        ZarrWriter(stream) as group,
-    ):
+    with (source / "b.zarr.zip").open("wb") as stream, ZarrWriter(stream) as group:
         for name, values in (("data/tactile", pixels), ("meta/episode_ends", np.array([2]))):
             group.add_array(name, values)
     with zipfile.ZipFile(source / "b.zarr.zip") as archive:

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import io
 import itertools
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
@@ -76,11 +73,9 @@ def test_a_gel_pressed_most_of_the_time_at_changing_places_is_found_at_rest() ->
 
 
 def test_flicker_is_joined_and_short_contacts_are_dropped_and_counted() -> None:
-    made = MadeRecording(400, [(50, 60), (64, 80), (120, 121), (200, 220), (232, 240)], noise=1.0)
-    for fps, expected in (
-        (25.0, [(50, 80), (200, 220), (232, 240)]),
-        (None, [(50, 80), (200, 220), (232, 240)]),
-    ):
+    made = MadeRecording(300, [(50, 60), (64, 80), (120, 121), (200, 220), (232, 240)], noise=1.0)
+    expected = [(50, 80), (200, 220), (232, 240)]
+    for fps in (25.0, None):
         recording = made.recording(fps=fps)
         assert np.abs(np.subtract(contacts(cut([recording], "contact", made)), expected)).max() <= 1
         assert find_contacts(recording, made.contents, ContactRule()).too_short == 1
@@ -184,23 +179,6 @@ def test_a_table_states_start_and_end_of_touches(text: str, tmp_path: Path) -> N
     assert not any(each.problem or each.contact for each in found)
 
 
-@pytest.mark.parametrize("ending", ["jsonl", "parquet"])
-def test_tables_with_types_say_it_too(ending: str, tmp_path: Path) -> None:
-    lines = [
-        {"start_ms": 400, "end_ms": 800.0, "label": 3},
-        {"start_ms": 600, "end_ms": 1200.0, "label": None},
-    ]
-    if ending == "parquet":
-        pq.write_table(pa.Table.from_pylist(lines), tmp_path / "cuts.parquet")
-    else:
-        table(tmp_path, "".join(f"{json.dumps(line)}\n" for line in lines), "cuts.jsonl")
-    found = cut([plain()], str(tmp_path / f"cuts.{ending}"))
-    assert [(each.start, each.frames, each.values.get("label")) for each in found] == [
-        (10, 11, 3),
-        (15, 16, None),
-    ]
-
-
 def test_the_unit_of_start_and_end_may_be_given(tmp_path: Path) -> None:
     path = table(tmp_path, "start,end\n400,800\n")
     (only,) = cut_by(Cutter(path, MadeRecording(1, []).contents, ImportColumns(time_unit="ms")), [plain()])
@@ -209,16 +187,8 @@ def test_the_unit_of_start_and_end_may_be_given(tmp_path: Path) -> None:
 
 def test_lines_that_cannot_be_cut_are_problems_of_their_touches(tmp_path: Path) -> None:
     lines = [
-        "a,0,0.4",
-        "a,1,3",
-        "a,-1,1",
-        "a,0.5,0.4",
-        "a,0.41,0.43",
-        "a,x,1",
-        "a,,1",
-        "b,0,1",
-        "c,0,1",
-        "d,0,1",
+        *("a,0,0.4", "a,1,3", "a,-1,1", "a,0.5,0.4", "a,0.41,0.43"),
+        *("a,x,1", "a,,1", "b,0,1", "c,0,1", "d,0,1"),
     ]
     path = table(tmp_path, "recording,start_s,end_s\n" + "\n".join(lines) + "\n")
     found = cut([plain(name="a"), plain(name="b", time_s=None), plain(name="e")], path)
@@ -228,15 +198,10 @@ def test_lines_that_cannot_be_cut_are_problems_of_their_touches(tmp_path: Path) 
         [
             "",
             "start_s is 1, end_s 3; expected pictures of the recording, which lasts from 0 to 1.96",
-            "start_s is -1, end_s 1",
-            "start_s is 0.5, end_s 0.4",
-            "start_s is 0.41, end_s 0.43",
+            *("start_s is -1, end_s 1", "start_s is 0.5, end_s 0.4", "start_s is 0.41, end_s 0.43"),
             "the times ['x', '1.0'] from number 1 on; expected finite numbers",
-            "the times [None, 1.0]",
-            "no times; next: state start_frame and end_frame",
-            "names this recording",
-            "names 'c'",
-            "names 'd'",
+            *("the times [None, 1.0]", "no times; next: state start_frame and end_frame"),
+            *("names this recording", "names 'c'", "names 'd'"),
         ],
         strict=True,
     ):

@@ -221,11 +221,8 @@ def test_damage_is_named_and_listed(
 @pytest.mark.parametrize(
     "field",
     [
-        "gel_pose_cell_frame_seq.position",
-        "gel_pose_cell_frame_seq.quaternion",
-        "time_stamp_rel_seq",
-        "video_length_frames",
-        "touch_start_time_rel",
+        *("gel_pose_cell_frame_seq.position", "gel_pose_cell_frame_seq.quaternion", "time_stamp_rel_seq"),
+        *("video_length_frames", "touch_start_time_rel"),
     ],
 )
 def test_the_last_touch_never_gets_values_of_the_next_round(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import json
 import tarfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,10 @@ from tests.realtouch.factories import Layout, RoundTruth
 from tests.tactile_toolkit.toy import folder_bytes
 
 LAYOUTS = ("flat", "webdataset", "lerobot")
-FIELDS = ("gel_x_m", "gel_y_m", "gel_z_m", "gel_qx", "gel_qy", "gel_qz", "gel_qw")
+FIELDS = (
+    *("pos_in_cell_x_m", "pos_in_cell_y_m", "gel_x_m", "gel_y_m", "gel_z_m"),
+    *("gel_qx", "gel_qy", "gel_qz", "gel_qw"),
+)
 
 
 @pytest.fixture(params=["single", "seq"])
@@ -64,10 +68,7 @@ def expected(source: Path, split: str = "train") -> list[dict[str, Any]]:
                     "round_id": record.id,
                     "touch": touch,
                     "frame": frame,
-                    **dict(
-                        zip(("pos_in_cell_x_m", "pos_in_cell_y_m"), record.pos_in_cell_m[touch], strict=True)
-                    ),
-                    **dict(zip(FIELDS, [*position, *quaternion], strict=True)),
+                    **dict(zip(FIELDS, [*record.pos_in_cell_m[touch], *position, *quaternion], strict=True)),
                 }
             )
     return rows
@@ -255,69 +256,76 @@ def test_lerobot_reads_its_data_set(source: Path, step_s: float, tmp_path: Path)
     np.testing.assert_allclose(means, states.astype(float).mean(axis=0), rtol=1e-6, atol=1e-9)
 
 
-def test_impossible_exports_are_named(single_rows: list[dict], single_folder: Path, tmp_path: Path) -> None:
-    for layout, options, words in (
+@pytest.mark.parametrize(
+    ("layout", "options", "words"),
+    [
         ("flat", {"split": "held"}, "held"),
         ("flat", {"frame": "last"}, "last"),
         ("arrow", {}, "arrow"),
         ("lerobot", {}, "add --split"),
-    ):
-        with pytest.raises(InputError, match=words):
-            realtouch.export(single_folder, tmp_path / "no", layout, **options)  # type: ignore[arg-type]
+    ],
+)
+def test_impossible_exports_are_named(
+    layout: Any, options: dict[str, Any], words: str, single_folder: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=words):
+        realtouch.export(single_folder, tmp_path / "no", layout, **options)
     with pytest.raises(InputError, match="source"):
         realtouch.export(single_folder, single_folder / "in", "flat")
 
-    def cut(row: dict[str, Any], index: int) -> None:
-        if index == 1:
-            row["sensor_image"] = [dict(each) for each in row["sensor_image"]]
-            row["sensor_image"][3]["bytes"] = row["sensor_image"][3]["bytes"][:-400]
 
-    def grow(row: dict[str, Any], index: int) -> None:
-        if index == 1:
-            pixels = np.zeros((10, 20, 3), np.uint8)
-            row["sensor_image"] = [dict(each) for each in row["sensor_image"]]
-            row["sensor_image"][2] = {"bytes": factories.encode_jpeg(pixels), "path": "2.jpg"}
+def with_image(row: dict[str, Any], touch: int, change: Callable[[bytes], bytes]) -> None:
+    images = [dict(each) for each in row["sensor_image"]]
+    images[touch]["bytes"] = change(images[touch]["bytes"])
+    row["sensor_image"] = images
 
-    def rename(row: dict[str, Any], index: int) -> None:
-        row["id"] = ("../up", row["id"], "a/b")[index]
 
-    def halve(row: dict[str, Any], index: int) -> None:
-        if index == 1:
-            row["sensor_image"] = [dict(each) for each in row["sensor_image"]]
-            data = row["sensor_image"][3]["bytes"]
-            row["sensor_image"][3]["bytes"] = data[: -len(data) // 3] + b"\xff\xd9"
+SMALL = factories.encode_jpeg(np.zeros((10, 20, 3), np.uint8))
+EDITS: dict[str, Callable[[dict[str, Any], int], object]] = {
+    "cut": lambda row, index: index == 1 and with_image(row, 3, lambda data: data[:-400]),
+    "half": lambda row, index: (
+        index == 1 and with_image(row, 3, lambda data: data[: -len(data) // 3] + b"\xff\xd9")
+    ),
+    "other size": lambda row, index: index == 1 and with_image(row, 2, lambda _: SMALL),
+    "ids": lambda row, index: row.update(id=("../up", row["id"], "a/b")[index]),
+    "labels": lambda row, index: row.update(label=10 * index),
+}
 
-    def relabel(row: dict[str, Any], index: int) -> None:
-        row["label"] = 10 * index
 
-    for name, edit in (
-        ("cut", cut),
-        ("half", halve),
-        ("grown", grow),
-        ("named", rename),
-        ("labels", relabel),
-    ):
-        factories.write_set(tmp_path / name, {"train": single_rows}, "single", Layout(edit=edit))
-    for layout in ("flat", "webdataset"):
-        manifest = realtouch.export(tmp_path / "cut", tmp_path / f"{layout}-cut", layout)  # type: ignore[arg-type]
-        assert manifest.split_table()["train"] == manifest.split_table()["train"] | {"rows": 10, "skipped": 1}
-        assert "touch 3" in manifest.shards[0].skipped[0].message
-        half = realtouch.export(tmp_path / "half", tmp_path / f"{layout}-half", layout)  # type: ignore[arg-type]
-        assert half.split_table()["train"]["rows"] == 15  # complete at both ends
-        (found,) = realtouch.verify(tmp_path / f"{layout}-half").findings
-        assert "cannot be decoded" in found.problem
-        assert realtouch.verify(tmp_path / f"{layout}-half", quick=True).ok
-        named = realtouch.export(tmp_path / "named", tmp_path / f"{layout}-named", layout)  # type: ignore[arg-type]
-        assert not named.skipped_reasons()
-        sizes = realtouch.export(tmp_path / "grown", tmp_path / f"{layout}-grown", layout)  # type: ignore[arg-type]
-        assert sizes.split_table()["train"]["rows"] == 15  # each has a size of its own there
-        labels = realtouch.export(tmp_path / "labels", tmp_path / f"{layout}-labels", layout)  # type: ignore[arg-type]
-        assert [item.id for item in labels.shards[0].skipped] == [1, 2]
-    with pytest.raises(IntegrityError, match=r"touch 3.*without gaps"):
-        realtouch.export(tmp_path / "cut", tmp_path / "robots", "lerobot")
-    assert not (tmp_path / "robots").exists()
-    with pytest.raises(InputError, match=r"20 x 10 pixels; expected 96 x 72.*resize"):
-        realtouch.export(tmp_path / "grown", tmp_path / "robots", "lerobot")
+@pytest.fixture
+def edited(single_rows: list[dict], tmp_path: Path) -> Callable[[str], Path]:
+    """Write a set with one of the edits."""
+    return lambda name: factories.write_set(
+        tmp_path / name, {"train": single_rows}, "single", Layout(edit=EDITS[name])
+    )
+
+
+@pytest.mark.parametrize("layout", ["flat", "webdataset"])
+def test_rounds_that_cannot_be_read_are_left_out(layout: Any, edited: Any, tmp_path: Path) -> None:
+    made = {name: realtouch.export(edited(name), tmp_path / f"{name}-out", layout) for name in EDITS}
+    rows = {name: manifest.split_table()["train"]["rows"] for name, manifest in made.items()}
+    # Half an image is complete at both ends; images may have sizes of their own.
+    assert rows == {"cut": 10, "half": 15, "other size": 15, "ids": 15, "labels": 5}
+    (skipped,) = made["cut"].shards[0].skipped
+    assert "touch 3" in skipped.message
+    (found,) = realtouch.verify(tmp_path / "half-out").findings
+    assert "cannot be decoded" in found.problem
+    assert realtouch.verify(tmp_path / "half-out", quick=True).ok
+    assert [item.id for item in made["labels"].shards[0].skipped] == [1, 2]
+
+
+@pytest.mark.parametrize(
+    ("name", "error", "words"),
+    [
+        ("cut", IntegrityError, r"touch 3.*without gaps"),
+        ("other size", InputError, r"20 x 10 pixels; expected 96 x 72.*resize"),
+    ],
+)
+def test_lerobot_needs_every_image_in_one_size(
+    name: str, error: type[Exception], words: str, edited: Any, tmp_path: Path
+) -> None:
+    with pytest.raises(error, match=words):
+        realtouch.export(edited(name), tmp_path / "robots", "lerobot")
     assert not (tmp_path / "robots").exists()
 
 

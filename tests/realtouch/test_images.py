@@ -10,7 +10,6 @@ from hypothesis import given, strategies as st
 from PIL import Image
 
 import realtouch
-from tactile_toolkit.read.dataset import positions
 from tactile_toolkit.touch import decode_image, encode_image, image_size
 from tests.realtouch.factories import encode_jpeg
 
@@ -93,30 +92,10 @@ def test_a_picture_of_another_size_than_its_place_is_refused(kind: str, size: tu
         decode_image(encode_image(smooth(*size), kind), out)
 
 
-def test_bombs_are_refused_before_decoding() -> None:
-    data = bytearray(encode_jpeg(PICTURES))
-    start = data.find(b"\xff\xc0")
-    data[start + 5 : start + 9] = b"\xf0\x00\xf0\x00"
-    with pytest.raises(ValueError, match="61440 x 61440 pixels; the limit is 16,777,216"):
-        decode_image(bytes(data))
-
-
 def test_other_bytes_are_named() -> None:
     for data in (b"", b"GIF89a..", b"\xff\xd8\xff", b"RIFFxxxx"):
         with pytest.raises(ValueError, match="expected a"):
             decode_image(data)
-
-
-@given(st.integers(0, 9), st.lists(st.integers(-9, 8), max_size=12))
-def test_positions_agree_with_numpy(count: int, index: list[int]) -> None:
-    reference = np.arange(count)
-    try:
-        expected = reference[np.asarray(index, int)]
-    except IndexError:
-        with pytest.raises(IndexError):
-            positions(index, count)
-    else:
-        assert list(positions(index, count)) == expected.tolist()
 
 
 def test_threads_share_a_round(single_folder: Path) -> None:

@@ -27,11 +27,7 @@ def lists(server: Any) -> list[str]:
 
 @pytest.mark.parametrize("layout", ["folder", "webdataset"])
 def test_imports_from_a_store_equal_those_from_a_folder(
-    layout: Any,
-    single_folder: Path,
-    tmp_path: Path,
-    s3: Any,
-    bucket: str,
+    layout: Any, single_folder: Path, tmp_path: Path, s3: Any, bucket: str
 ) -> None:
     columns = COLUMNS
     if layout == "folder":

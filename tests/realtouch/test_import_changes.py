@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import csv
-import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 
 import realtouch
@@ -135,20 +132,6 @@ def test_a_table_that_names_a_video_outside_leaves_that_line_out(tmp_path: Path)
     touches = realtouch.load(tmp_path / "out", "train").touches()
     assert [touch.round.id for touch in touches] == ["a"]
     assert np.asarray(touches.labels).tolist() == [1]
-
-
-@pytest.mark.parametrize("ending", ["parquet", "jsonl"])
-def test_a_table_of_videos_has_any_ending(ending: str, tmp_path: Path) -> None:
-    source, line = tmp_path / "source", {"file": "a.avi", "label": "mug", "force": 1.5}
-    source.mkdir()
-    video(source / "a.avi", 5)
-    if ending == "parquet":
-        pq.write_table(pa.Table.from_pylist([line]), source / "about.parquet")
-    else:
-        (source / "about.jsonl").write_text(json.dumps(line))
-    realtouch.import_touches(source, tmp_path / "out")
-    rounds = realtouch.load(tmp_path / "out", "train")
-    assert (rounds.label_names, rounds[0].extra["force"].tolist()) == (("mug",), [1.5])
 
 
 POSE = {"x_m": 0.01, "y_m": 0.02, "z_m": 0.001, "qx": 0, "qy": 0, "qz": 0, "qw": 1}

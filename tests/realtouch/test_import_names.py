@@ -20,8 +20,7 @@ def test_names_of_classes_of_our_own_exports_stay(layout: Any, home: Path, tmp_p
     """Also for a data set without poses and positions."""
     names = ["zebra", "ant", "cat"]
     write_table(
-        home,
-        [line(f"pictures/{number}.jpg", names[number % 3]) | {"object_id": "7"} for number in range(4)],
+        home, [line(f"pictures/{number}.jpg", names[number % 3]) | {"object_id": "7"} for number in range(4)]
     )
     realtouch.import_touches(home, tmp_path / "named", "folder", classes=names)
     there = tmp_path / "there" / ("webdataset" if layout == "webdataset" else "")

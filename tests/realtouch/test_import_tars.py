@@ -136,7 +136,6 @@ _VALUES = st.one_of(
 
 
 @given(st.lists(_VALUES | st.lists(_VALUES, max_size=3), max_size=12))
-@settings(max_examples=2 * settings.default.max_examples)
 def test_fields_are_written_as_json_writes_them(values: list[Any]) -> None:
     fields = {f"{number}": value for number, value in enumerate(values)}
     with tarfile.open(fileobj=io.BytesIO(tar_of([("a.jpg", b"", fields)]))) as tar:

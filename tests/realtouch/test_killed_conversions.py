@@ -78,11 +78,7 @@ def undisturbed(
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("name", CONVERSIONS)
 def test_killed_again_and_again_it_ends_with_the_same_bytes(
-    name: str,
-    undisturbed: dict[str, dict[str, bytes]],
-    seq_folder: Path,
-    single_folder: Path,
-    tmp_path: Path,
+    name: str, undisturbed: dict[str, dict[str, bytes]], seq_folder: Path, single_folder: Path, tmp_path: Path
 ) -> None:
     source = seq_folder if CONVERSIONS[name][1] == "seq" else single_folder
     out = tmp_path / "out"

@@ -111,27 +111,6 @@ def test_opening_reads_no_row(single_folder: Path, monkeypatch: pytest.MonkeyPat
     assert len(dataset.touches()) == 15  # the lists have a fixed length in the schema
 
 
-def test_where_may_look_at_the_picture(single_folder: Path) -> None:
-    touches = realtouch.load(single_folder, "train").touches()
-    bright = [touch.image.mean() > 120 for touch in touches]
-    assert [touch.round_id for touch in touches.filter(lambda touch: touch.image.mean() > 120)] == [
-        touch.round_id for touch, wanted in zip(touches, bright, strict=True) if wanted
-    ]
-
-
-def test_rounds_are_chosen_joined_and_filtered(single_folder: Path) -> None:
-    dataset = realtouch.load(single_folder, "train")
-    assert [record.label for record in dataset[1:]] == [1, 2]
-    assert [record.label for record in dataset[[2, 0]]] == [2, 0]
-    assert [record.label for record in dataset[np.array([True, False, True])]] == [0, 2]
-    assert [record.label for record in dataset.filter_labels(["1", 2])] == [1, 2]
-    both = dataset + dataset[::-1]
-    assert [record.label for record in both] == [0, 1, 2, 2, 1, 0]
-    assert [touch.label for touch in both.touches()][-5:] == [0] * 5
-    assert len(both.touches().with_contact()) == 24
-    assert dataset.by_label()["1"][0].id == dataset[1].id
-
-
 def test_records_are_frozen_and_pickle(seq_folder: Path, single_folder: Path) -> None:
     for folder in (seq_folder, single_folder):
         record = realtouch.load(folder, "train")[1]

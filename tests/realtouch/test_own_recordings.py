@@ -16,12 +16,8 @@ from tests.realtouch.own_recordings import Session
 LEAST_PSNR_DB = 30.0  # of x264 at CRF 12 and of FFmpeg at its best quality, stored as JPEG of quality 95
 
 MAKERS = (
-    own.mjpeg_avi,
-    own.h264_mp4,
-    own.png_and_euler,
-    own.class_folders,
-    own.long_video,
-    own.zarr3_buffer,
+    *(own.mjpeg_avi, own.h264_mp4, own.png_and_euler),
+    *(own.class_folders, own.long_video, own.zarr3_buffer),
 )
 BY_EXPORT = ("lerobot", "oxt", "flat")
 
@@ -116,15 +112,3 @@ def test_it_goes_out_and_comes_back(made: tuple[Session, Path], layout: str, tmp
             poses = [each.clip.poses if of_clip else each.gel_pose for each in (old, new)]
             tolerance_m = {"lerobot": 1e-6}.get(layout, 1e-9)  # single precision there
             np.testing.assert_allclose(poses[0].translation, poses[1].translation, atol=tolerance_m)
-
-
-@pytest.mark.one_at_a_desk
-def test_each_loads_in_torch(made: tuple[Session, Path]) -> None:
-    pytest.importorskip("torch", reason="torch (extra `torch`) is not installed")
-    from realtouch.touch_tensors import TouchTensors
-
-    _, out = made
-    touches = realtouch.load(out, "train").touches()
-    picture, _ = TouchTensors(touches)[0]
-    wanted = pixels_of(touches[:1])[0]
-    np.testing.assert_array_equal(np.asarray(picture), np.moveaxis(wanted, -1, -3))

@@ -330,11 +330,7 @@ def test_importers_open_only_regular_files_below_the_source(home: Path, tmp_path
     manifest = realtouch.import_touches(home, tmp_path / "out", "folder")
     reasons = [(item.id, item.reason) for item in manifest.shards[0].skipped]
     assert reasons == [(0, "name"), (1, "file"), (3, "name"), (4, "file")]
-    for layout, name in (
-        ("webdataset", "a.tar"),
-        ("anytouch", "a_bg.txt"),
-        ("folder", "a.csv"),
-    ):
+    for layout, name in (("webdataset", "a.tar"), ("anytouch", "a_bg.txt"), ("folder", "a.csv")):
         for make in (lambda place: place.symlink_to(secret), os.mkfifo):
             source = tmp_path / f"{layout}-{make.__name__}"
             source.mkdir()

@@ -219,11 +219,7 @@ REFERENCES = {
 
 @pytest.mark.parametrize("name", REFERENCES)
 def test_a_clip_that_refers_to_something_else_is_damaged(
-    name: str,
-    truth: list[RoundTruth],
-    seq_rows: list[dict],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    name: str, truth: list[RoundTruth], seq_rows: list[dict], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Video players would open files of the user, or a socket, and return their content."""
 

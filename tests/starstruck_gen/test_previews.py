@@ -13,7 +13,6 @@ from starstruck_gen import SceneSpec
 from starstruck_gen.kind import KIND
 from starstruck_gen.scene_dataset import SceneSetSpec, generate
 from tactile_toolkit.catalog import PreviewSpec
-from tactile_toolkit.errors import InputError
 
 
 @cache
@@ -65,16 +64,3 @@ def test_sheets_show_each_scene_in_the_row_of_its_class(tmp_path):
     tops = {count: {row for each, (row, _) in places if each == count} for count in (1, 2, 3)}
     assert all(len(rows) == 1 for rows in tops.values())
     assert max(tops[1]) < max(tops[2]) < max(tops[3])
-
-
-def test_bad_input_is_named(folder, tmp_path):
-    with pytest.raises(InputError, match="does not exist; expected a folder"):
-        KIND.plan_previews(str(tmp_path / "absent"), PreviewSpec())
-    with pytest.raises(InputError, match="is empty; expected a data set"):
-        KIND.plan_previews(str(tmp_path), PreviewSpec())
-    with pytest.raises(InputError, match="no split 'holdout'"):
-        KIND.plan_previews(str(folder), PreviewSpec(split="holdout"))
-    with pytest.raises(InputError, match="no object with id 77"):
-        KIND.plan_previews(str(folder), PreviewSpec(ids=(1, 77)))
-    with pytest.raises(InputError, match="per_class of the previews is 0"):
-        PreviewSpec(per_class=0)

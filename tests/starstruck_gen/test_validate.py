@@ -48,6 +48,33 @@ def test_all_stand_on_the_plate_in_the_published_columns(table, tmp_path):
     assert (checked.failed, checked.declared, checked.stars) == (0, False, 0)
 
 
+def _turn_over(row):
+    row["mesh.faces"] = [face[::-1] for face in row["mesh.faces"]]
+
+
+def _lift(row):
+    row["mesh.vertices"] = [[x, y, z + 0.001] for x, y, z in row["mesh.vertices"]]
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        (_turn_over, "inside-out"),
+        (lambda row: row["mesh.faces"].pop(), "not-manifold"),
+        (_lift, "lowest point"),
+        (lambda row: row.update(label=(row["label"] + 1) % 3), "an index into"),
+        (lambda row: row["placements"].pop(), "one for each object"),
+        (lambda row: row.update(distractor_count=5), "other objects; expected"),
+        (lambda row: row["placements"][0].update(x_m=0.03), "not that of the declared objects"),
+        (lambda row: row["placements"][0].update(shape="star(points=1e9)"), "points of shape 'star'"),
+    ],
+)
+def test_a_fault_is_a_finding_of_its_scene_alone(table, tmp_path, change, problem):
+    checked = validate_folder(_written(table, tmp_path, change))
+    assert [(failure.id, checked.checked) for failure in checked.failures] == [(4, 9)]
+    assert problem in checked.failures[0].problem
+
+
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     ("change", "field"),

@@ -9,14 +9,11 @@ import numpy as np
 
 import tactile_envs
 
-SPACES = (
-    "single_action_space",
-    "action_space",
-    "single_observation_space",
-    "observation_space",
-    "single_prediction_target_space",
-    "prediction_target_space",
-)
+SPACES = [
+    f"{which}{name}_space"
+    for name in ("action", "observation", "prediction_target")
+    for which in ("single_", "")
+]
 HALF_MICROMETRE = 0.5e-6 / 2.125e-3
 """Tolerance of depth, in units of an image."""
 

@@ -22,14 +22,10 @@ pytestmark = [pytest.mark.oracle, pytest.mark.sim, pytest.mark.filterwarnings("i
 ENVS = 4
 STEPS = 68  # four episodes of digits, two of other objects
 CASES = (
-    "TactileMNIST-Depth-train-v0",
-    "TactileMNIST-Depth-test-sparse-v0",
-    "TactileMNISTSnap-Depth-train-v0",
-    "TactileMNISTVolume-Depth-train-v0",
-    "TactileMNISTCenterOfMass-Depth-train-v0",
-    "Starstruck-Depth-train-v0",
-    "Toolbox-Depth-v0",
-    "Toolbox-small-Depth-sparse-v0",
+    *("TactileMNIST-Depth-train-v0", "TactileMNIST-Depth-test-sparse-v0"),
+    *("TactileMNISTSnap-Depth-train-v0", "TactileMNISTVolume-Depth-train-v0"),
+    *("TactileMNISTCenterOfMass-Depth-train-v0", "Starstruck-Depth-train-v0"),
+    *("Toolbox-Depth-v0", "Toolbox-small-Depth-sparse-v0"),
 )
 SPARSE = [
     f"{family}-Depth-sparse-v0"

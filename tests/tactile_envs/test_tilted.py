@@ -12,11 +12,7 @@ import trimesh
 
 pytest.importorskip("ap_gym", reason="ap-gym (extra `envs`) is not installed")
 
-from hypothesis import (
-    given,
-    settings,
-    strategies as st,
-)
+from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import mnist3d

@@ -170,55 +170,36 @@ def sync(assets: Path, mode: AutoresetMode, kind: str, **options: Any) -> Any:
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 def test_single_ones_side_by_side(assets, mode):
-    """As one by one, with the seeds of gymnasium; ends, resets and infos follow its mode."""
+    """As one by one, with the seeds of gymnasium, to the end of the episode; then by its mode."""
     env = sync(assets, mode, "sync")
     alone = [gym.make(DEPTH, assets=str(assets), config={"step_limit": 4}) for _ in range(2)]
-    env.reset(seed=7)
-    firsts = [each.reset(seed=7 + row)[0] for row, each in enumerate(alone)]
-    ends = 0
-    for _ in range(11):
-        action = env.action_space.sample()
-        observation, _, terminated, _, info = env.step(action)
-        parts = [
-            {"action": {name: part[row] for name, part in action["action"].items()}, "prediction": prediction}
-            for row, prediction in enumerate(action["prediction"])
-        ]
-        if mode is AutoresetMode.NEXT_STEP and firsts is None:
-            firsts = [each.reset()[0] for each in alone]
-            wanted = firsts
-        else:
-            firsts = []
-            results = [each.step(part) for each, part in zip(alone, parts, strict=True)]
-            wanted = [result[0] for result in results]
-            assert [result[2] for result in results] == terminated.tolist()
-            np.testing.assert_array_equal(
-                (info.get("final_info") or info)["sensor_pose"],
-                [result[-1]["sensor_pose"] for result in results],
-            )
-        if terminated.any():
-            ends += 1
-            firsts = None
-            if mode is AutoresetMode.SAME_STEP:
-                np.testing.assert_equal(list(info["final_obs"]), wanted)
-                wanted = [each.reset()[0] for each in alone]
-            elif mode is AutoresetMode.DISABLED:
-                for each in alone:
-                    each.reset()
+    wanted = [each.reset(seed=7 + row)[0] for row, each in enumerate(alone)]
+    observation, _ = env.reset(seed=7)
+    for step in range(5):
         for row, each in enumerate(wanted):
             np.testing.assert_equal({name: values[row] for name, values in observation.items()}, each)
-        if terminated.any() and mode is AutoresetMode.DISABLED:
-            env.reset(options={"reset_mask": terminated})
-    assert ends == 2
+        if step == 4:
+            break
+        action = env.action_space.sample()
+        observation, _, terminated, _, info = env.step(action)
+        parts = [{name: part[row] for name, part in action["action"].items()} for row in range(2)]
+        pairs = zip(alone, parts, action["prediction"], strict=True)
+        results = [each.step({"action": part, "prediction": guess}) for each, part, guess in pairs]
+        wanted = [result[0] for result in results]
+        assert [result[2] for result in results] == terminated.tolist() == [step == 3] * 2
+        poses = [result[-1]["sensor_pose"] for result in results]
+        np.testing.assert_array_equal((info.get("final_info") or info)["sensor_pose"], poses)
+        if step == 3 and mode is AutoresetMode.SAME_STEP:
+            np.testing.assert_equal(list(info["final_obs"]), wanted)
+            wanted = [each.reset()[0] for each in alone]
 
 
 @pytest.mark.thorough
 @pytest.mark.own_process
 def test_single_ones_in_processes(assets):
     """The results are those of environments side by side in one process."""
-    pair = [
-        sync(assets, AutoresetMode.SAME_STEP, "sync"),
-        sync(assets, AutoresetMode.SAME_STEP, "async", context="fork"),
-    ]
+    mode = AutoresetMode.SAME_STEP
+    pair = [sync(assets, mode, "sync"), sync(assets, mode, "async", context="fork")]
     np.testing.assert_equal(*(env.reset(seed=7) for env in pair))
     for _ in range(6):
         action = pair[0].action_space.sample()

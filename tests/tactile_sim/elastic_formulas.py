@@ -85,17 +85,6 @@ def stiffness(ratio, poisson_ratio, nodes=160):
     return float(weights_x @ np.linalg.solve(np.eye(nodes) - both * weights_x / math.pi, np.ones(nodes)))
 
 
-def thin_incompressible(ratio, shear_pa, depth_m, layer_m):
-    """Force of a flat punch, nu = 0.5, a >> h: squeeze flow, Johnson, section 5.8."""
-    return 3 * math.pi * shear_pa * depth_m * layer_m * ratio**4 / 8
-
-
-def thin_compressible(ratio, shear_pa, poisson_ratio, depth_m, layer_m):
-    """Force of a flat punch, a >> h: each column is compressed for itself, Johnson, 5.70."""
-    confined_pa = 2 * shear_pa * (1 - poisson_ratio) / (1 - 2 * poisson_ratio)
-    return confined_pa * math.pi * ratio**2 * layer_m * depth_m
-
-
 def mindlin_slide(share, friction, force_n, contact_m, shear_pa, poisson_ratio):
     """Slide for a share of the greatest force, and c / a: Johnson, 7.42 and 7.43, with one rigid body."""
     full_m = 3 * friction * force_n * (2 - poisson_ratio) / (16 * shear_pa * contact_m)

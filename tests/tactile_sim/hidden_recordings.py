@@ -45,16 +45,8 @@ class Recording:
 
     def take(self, rows: Any) -> Recording:
         """Return some of the touches."""
-        names = (
-            "images",
-            "object_ids",
-            "sensor_m",
-            "object_poses",
-            "depth_m",
-            "clean",
-            "true_poses",
-            "press_m",
-        )
+        stated = ("images", "object_ids", "sensor_m", "object_poses")
+        names = (*stated, "depth_m", "clean", "true_poses", "press_m")
         return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
     def write(self, folder: Path) -> None:

@@ -7,13 +7,10 @@ Three families of optics::
     taxim      slopes of a gel, coloured by the published calibration of Taxim, with its shadows
     phong      another gel, lit by coloured lamps: Lambert's law, Phong's highlights, light that fades
     published  Taxim with its own gel and window, without a camera; noise of one level
-
-Example: ``python -m tests.tactile_sim.hidden_sensors folder --seed 3 --touches 20`` writes a recording.
 """
 
 from __future__ import annotations
 
-import argparse
 import io
 import json
 from collections.abc import Mapping
@@ -39,15 +36,8 @@ Family = Literal["taxim", "phong", "published"]
 Array = NDArray[Any]
 
 MISTAKES = (
-    "channels",
-    "mesh",
-    "units",
-    "mirrored",
-    "markers",
-    "saturated",
-    "gel-changed",
-    "too-few",
-    "flat",
+    *("channels", "mesh", "units", "mirrored", "markers"),
+    *("saturated", "gel-changed", "too-few", "flat"),
 )
 """Mistakes that :meth:`HiddenSensor.record` plants."""
 
@@ -308,13 +298,8 @@ class HiddenSensor:
         normal /= np.linalg.norm(normal, axis=2, keepdims=True)
         shown = np.zeros((rows, columns, 3))
         for direction, elevation, red, green, blue, fall, shine, sharp in self.lamps:
-            lamp = np.array(
-                [
-                    np.cos(elevation) * np.cos(direction),
-                    np.cos(elevation) * np.sin(direction),
-                    np.sin(elevation),
-                ]
-            )
+            level, up = np.cos(elevation), np.sin(elevation)
+            lamp = np.array([level * np.cos(direction), level * np.sin(direction), up])
             cosine = np.maximum(normal @ lamp, 0)
             mirrored = 2 * cosine[..., None] * normal - lamp
             highlight = shine * np.maximum(mirrored[..., 2], 0) ** sharp
@@ -339,10 +324,8 @@ class HiddenSensor:
 
     def _marker_field(self, height: int, width: int) -> Array:
         y, x = np.mgrid[:height, :width] * self.pitch_mm
-        away = np.hypot(
-            (x + 0.4) % _MARKER_MM - _MARKER_MM / 2,
-            (y + 0.3) % _MARKER_MM - _MARKER_MM / 2,
-        )
+        half_mm = _MARKER_MM / 2
+        away = np.hypot((x + 0.4) % _MARKER_MM - half_mm, (y + 0.3) % _MARKER_MM - half_mm)
         dots: Array = 1 - 0.75 / (1 + np.exp((away - 0.28) / 0.04))
         return dots
 
@@ -397,8 +380,12 @@ def draw_sensor(seed: int, family: Family = "taxim", size_px: tuple[int, int] = 
 
 def digits(count: int = 4, seed: int = 5) -> dict[int, Mesh]:
     """Return digits of different classes, by number."""
-    source = SyntheticSource(seed)
-    return {n: mnist3d.solidify(source.image(14 * (n % 10) + n // 10).pixels) for n in range(count)}
+    return {number: _digit(number, seed) for number in range(count)}
+
+
+@cache
+def _digit(number: int, seed: int) -> Mesh:
+    return mnist3d.solidify(SyntheticSource(seed).image(14 * (number % 10) + number // 10).pixels)
 
 
 def _planted(
@@ -469,21 +456,3 @@ def _taxim() -> tuple[Any, Array, Array, Array]:
     frame = np.load(folder / "dataPack.npz")["f0"][..., ::-1] / 255
     smooth = ndimage.gaussian_filter(frame, (50, 50, 0))
     return settings, colours, shadows, np.where(frame > smooth, smooth, 0.15 * smooth + 0.85 * frame)
-
-
-def main() -> None:
-    """Write a recording of a drawn sensor."""
-    parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--touches", type=int, default=20)
-    parser.add_argument("--digits", type=int, default=4)
-    parser.add_argument("--family", choices=("taxim", "phong", "published"), default="taxim")
-    parser.add_argument("--mistake", choices=MISTAKES)
-    given = parser.parse_args()
-    sensor = draw_sensor(given.seed, given.family)
-    sensor.record(digits(given.digits), given.touches, mistake=given.mistake).write(given.folder)
-
-
-if __name__ == "__main__":
-    main()

@@ -17,20 +17,8 @@ def touch_sets(scenes: Path, folder: Path) -> None:
     )
     noisy = tactile_sim.GenerateSpec((64, 64), "taxim", "full", plan, noise=NOISE, limit=1)
     many = tactile_sim.GenerateSpec((32, 32), "depth", plan=tactile_sim.TouchPlan(20, 4, seed=5), limit=1)
-    press = tactile_sim.ElasticPress(
-        force_n=(1.0, 6.0),
-        slide_m=(0.0, 0.0005),
-        twist_rad=(-0.1, 0.1),
-        markers=(5, 4),
-        draw_markers=True,
-        contact_maps=True,
-    )
+    loads = {"force_n": (1.0, 6.0), "slide_m": (0.0, 0.0005), "twist_rad": (-0.1, 0.1)}
+    press = tactile_sim.ElasticPress(**loads, markers=(5, 4), draw_markers=True, contact_maps=True)
     elastic = tactile_sim.GenerateSpec((40, 30), "taxim", "full", plan, "png", limit=1, press=press)
-    named = {
-        "touches-depth": printed,
-        "touches-taxim": noisy,
-        "touches-many": many,
-        "touches-elastic": elastic,
-    }
-    for name, spec in named.items():
-        tactile_sim.generate(str(scenes), spec, folder / name, ["train"])
+    for name, spec in {"depth": printed, "taxim": noisy, "many": many, "elastic": elastic}.items():
+        tactile_sim.generate(str(scenes), spec, folder / f"touches-{name}", ["train"])

@@ -90,8 +90,14 @@ STIFFNESS = {
 another solution of Fredholm's equation."""
 
 
-@pytest.mark.parametrize("poisson_ratio", STIFFNESS)
-@pytest.mark.parametrize("number", range(4))
+@pytest.mark.parametrize(
+    ("poisson_ratio", "number"),
+    [
+        pytest.param(poisson_ratio, number, marks=[thorough] * (number != row))
+        for row, poisson_ratio in enumerate(STIFFNESS)
+        for number in range(4)
+    ],
+)
 def test_punch_on_the_bonded_layer(poisson_ratio, number):
     ratio = (0.2, 0.4, 1.0, 2.0)[number]
     expected = formulas.stiffness(ratio, poisson_ratio, nodes=80)
@@ -99,27 +105,6 @@ def test_punch_on_the_bonded_layer(poisson_ratio, number):
     unit_n = 4 * shear_pa(poisson_ratio) * ratio * LAYER_M * 1e-5 / (1 - poisson_ratio)
     found = punch_on_layer(ratio, poisson_ratio, 160) / unit_n
     assert found == pytest.approx(expected, rel=0.01)
-
-
-@pytest.mark.parametrize(
-    ("poisson_ratio", "ratio", "over"),
-    [(0.4999, 5, 2.71), (0.4999, 8, 1.92), (0.3, 4, 1.063), (0.3, 8, 1.031)],
-)
-def test_thin_layer_approaches_its_limit_from_above(poisson_ratio, ratio, over):
-    force_n = punch_on_layer(ratio, poisson_ratio, 160)
-    shear = shear_pa(poisson_ratio)
-    if poisson_ratio == 0.3:
-        limit_n = formulas.thin_compressible(ratio, shear, poisson_ratio, 1e-5, LAYER_M)
-        assert force_n / limit_n == pytest.approx(over, rel=0.01)
-        return
-    limit_n = formulas.thin_incompressible(ratio, shear, 1e-5, LAYER_M)
-    assert force_n / limit_n == pytest.approx(over, rel=0.02)
-
-
-def test_punch_on_a_thin_incompressible_layer_acts_like_a_wider_one():
-    """The surface bulges beside it: the limit is reached with a + 1.45 h in place of the radius a."""
-    wider_n = formulas.thin_incompressible(8 + 1.45, shear_pa(0.5), 1e-5, LAYER_M)
-    assert punch_on_layer(8, 0.5, 160) / wider_n == pytest.approx(1.0, rel=0.01)
 
 
 @given(st.floats(0.05, 8), st.sampled_from([0.0, 0.3, 0.45, 0.49, 0.4999]))
@@ -388,10 +373,7 @@ def test_reciprocity_of_single_loads():
         ({"gel": "elastic"}, "gel is 'elastic'; expected a Gel"),
         ({"thickness_m": 1e-9}, "thickness_m is 1e-09; expected a number from"),
         ({"thickness_m": "4"}, "thickness_m is '4'"),
-        (
-            {"height_m": np.zeros((4, 4)), "pixel_m": 0.005},
-            "are 5 mm wide; expected no more than",
-        ),
+        ({"height_m": np.zeros((4, 4)), "pixel_m": 0.005}, "are 5 mm wide; expected no more than"),
         ({"pixel_m": (1e-3, 1e-6)}, "one at most 100 times the other"),
         ({"twist_rad": math.nan}, "twist_rad is nan"),
         ({"block_px": 2.0}, "block_px is 2.0"),
@@ -406,16 +388,9 @@ def test_reciprocity_of_single_loads():
     ],
 )
 def test_invalid_arguments_are_refused(change, words):
-    arguments = {
-        "height_m": bumps(1),
-        "pixel_m": 1e-4,
-        "gel": tactile_sim.Gel(),
-        "thickness_m": LAYER_M,
-        "force_n": 1.0,
-        **change,
-    }
+    arguments = {"height_m": bumps(1), "pixel_m": 1e-4, "gel": tactile_sim.Gel(), "thickness_m": LAYER_M}
     with pytest.raises(InputError) as caught:
-        tactile_sim.solve_contact(**arguments)
+        tactile_sim.solve_contact(**{**arguments, "force_n": 1.0, **change})
     assert words in str(caught.value)
 
 

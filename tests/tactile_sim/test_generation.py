@@ -201,14 +201,8 @@ def test_shifts_are_as_large_as_those_of_the_environments():
 @pytest.mark.parametrize(
     "values",
     [
-        {"rounds": 0},
-        {"touches": 1.5},
-        {"positions": "moon"},
-        {"turn_rad": 4.0},
-        {"turn_rad": "far"},
-        {"object_placement": "there"},
-        {"perturb": 3},
-        {"seed": -1},
+        *({"rounds": 0}, {"touches": 1.5}, {"positions": "moon"}, {"turn_rad": 4.0}, {"turn_rad": "far"}),
+        *({"object_placement": "there"}, {"perturb": 3}, {"seed": -1}),
     ],
 )
 def test_invalid_plans_are_refused(values):
@@ -241,15 +235,7 @@ def test_the_command_line_makes_shows_and_checks_a_set(scenes, tmp_path):
     command = [
         "generate",
         scenes,
-        "--split",
-        "test",
-        "--rounds",
-        "1",
-        "--touches",
-        "3",
-        "-w",
-        "1",
-        "--out",
+        *["--split", "test", "--rounds", "1", "--touches", "3", "-w", "1", "--out"],
         out,
     ]
 
@@ -340,15 +326,8 @@ def test_optics_that_are_not_there_are_named(given, words):
 def test_some_objects_are_touched_as_among_all(scenes, touches, tmp_path):
     of_all = {row.id: row for split in ("train", "test") for row in realtouch.load(touches, split)}
     ids = realtouch.load(touches, "train").touches().object_ids
-    some = tactile_sim.GenerateSpec(
-        (64, 48),
-        "depth",
-        plan=PLAN,
-        image_format="png",
-        ids=[int(ids[0]), (2, 4)],
-        labels=["1", "2"],
-        per_class=1,
-    )
+    chosen = {"ids": [int(ids[0]), (2, 4)], "labels": ["1", "2"], "per_class": 1}
+    some = tactile_sim.GenerateSpec((64, 48), "depth", plan=PLAN, image_format="png", **chosen)
     manifest = tactile_sim.generate(scenes, some, tmp_path / "some", ["train"])
     assert manifest.spec["options"]["per_class"] == 1
     made = realtouch.load(tmp_path / "some", "train")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import json
 import os
 import signal
 import socket
@@ -419,11 +418,3 @@ def test_a_step_takes_the_rate_of_its_number():
         networks.step(number, Batch(depth, touch, depth[:, :2], None, met, None), rng)
         groups = [group for each in networks.optimisers.values() for group in each.param_groups]
         assert {group["lr"] for group in groups} == {config.rate(number)}
-
-
-def test_the_manifest_of_pairs_names_their_sources(sources, pairs):
-    source = json.loads((Path(pairs) / "manifest.json").read_text())["spec"]["source"]
-    shards = [json.loads((Path(folder) / "manifest.json").read_text())["shards"][0] for folder in sources]
-    assert set(source) == {"depth", "real"}
-    assert [found["sha256"] for found in source["depth"]] == [shards[0]["sha256"]]
-    assert [found["bytes"] for found in source["real"]] == [shards[1]["bytes"]]

@@ -11,18 +11,9 @@ import tactile_sim
 from tactile_sim.optics.sensor_noise import EpisodeNoise, add_noise
 from tactile_toolkit.errors import InputError
 from tests.tactile_sim.oracle import require_package
+from tests.tactile_sim.sets import NOISE
 
-VALUES = {
-    "frame_noise_std": 0.0038,
-    "frame_noise_spectrum_exponent": 1.4,
-    "frame_noise_channel_correlation": 0.3,
-    "episode_pattern_std": 0.0093,
-    "episode_pattern_spectrum_exponent": 4.0,
-    "episode_pattern_channel_correlation": 0.3,
-    "episode_gain_std": 0.047,
-    "episode_offset_std": 0.0094,
-}
-NOISE = tactile_sim.SensorNoise(**VALUES)
+VALUES = NOISE.to_dict()
 
 
 def _pictures(count, height, width):
@@ -96,12 +87,8 @@ def test_noise_has_the_requested_deviation_and_correlation(part):
     values = {name: 0.0 if name.endswith("_std") else value for name, value in VALUES.items()}
     noise = tactile_sim.SensorNoise(**values | {f"{part}_std": 0.05})
     grey = np.full((200, 64, 64, 3), 128, np.uint8)
-    of_rounds = np.concatenate(
-        [
-            add_noise(grey[[number]], noise, _rng(number), lambda touch: _rng(3, touch))
-            for number in range(200)
-        ]
-    )
+    rounds = [add_noise(grey[[n]], noise, _rng(n), lambda touch: _rng(3, touch)) for n in range(200)]
+    of_rounds = np.concatenate(rounds)
     if part == "frame_noise":
         of_rounds = add_noise(grey, noise, _rng(0), lambda touch: _rng(touch))
     side_by_side = EpisodeNoise(noise, grey.shape)
@@ -120,12 +107,8 @@ def test_noise_has_the_requested_deviation_and_correlation(part):
 def test_rounds_have_the_requested_spread_of_gain_and_offset():
     ramp = np.tile(np.linspace(40, 200, 64).astype(np.uint8)[None, None, :, None], (1, 64, 1, 3))
     values = {**VALUES, "frame_noise_std": 0.0, "episode_pattern_std": 0.0}
-    made = np.concatenate(
-        [
-            add_noise(ramp, tactile_sim.SensorNoise(**values), _rng(k), lambda touch: _rng(9))
-            for k in range(400)
-        ]
-    )
+    noise = tactile_sim.SensorNoise(**values)
+    made = np.concatenate([add_noise(ramp, noise, _rng(k), lambda _: _rng(9)) for k in range(400)])
     assert made.mean(axis=(1, 2, 3)).std() / 255 == pytest.approx(0.0094, rel=0.15)
     assert (made.std(axis=(1, 2, 3)) / ramp.std()).std() == pytest.approx(0.047, rel=0.15)
 
@@ -154,9 +137,8 @@ def test_sets_have_noise_of_their_own_for_each_touch(tmp_path):
             (32, 32), "taxim", plan=plan, image_format="png", noise=noise, limit=2
         )
         tactile_sim.generate(scenes, spec, tmp_path / name)
-        made[name] = np.stack([r.sensor_image[:] for r in realtouch.load(tmp_path / name, "train")]).astype(
-            float
-        )
+        rounds = realtouch.load(tmp_path / name, "train")
+        made[name] = np.stack([each.sensor_image[:] for each in rounds]).astype(float)
     assert (made["noisy"] == made["again"]).all()
     assert (made["noisy"] != made["other"]).any()
     assert (made["clean"] == made["clean"][0, 0]).all()

@@ -159,16 +159,9 @@ def test_bad_input_is_named(change, words):
 @pytest.mark.parametrize(
     "values",
     [
-        {"size_px": (64, "a")},
-        {"size_px": (0, 64)},
-        {"size_px": (64.5, 64)},
-        {"size_px": (10**5, 10**5)},
-        {"size_px": 64},
-        {"window_m": (np.nan, 0.01)},
-        {"window_m": (0.0, 0.01)},
-        {"press_m": 0.005},
-        {"press_m": "deep"},
-        {"sample_px": (0.6, 0.0)},
+        *({"size_px": wrong} for wrong in ((64, "a"), (0, 64), (64.5, 64), (10**5, 10**5), 64)),
+        *({"window_m": (np.nan, 0.01)}, {"window_m": (0.0, 0.01)}),
+        *({"press_m": 0.005}, {"press_m": "deep"}, {"sample_px": (0.6, 0.0)}),
     ],
 )
 def test_invalid_sensors_are_refused(values):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -16,20 +17,9 @@ from tactile_toolkit.errors import InputError, ToolkitError
 from tests.command_line import call
 from tests.tactile_sim.hidden_recordings import Recording
 from tests.tactile_sim.hidden_sensors import MISTAKES, Family, digits, draw_sensor
+from tests.tactile_sim.twin_scores import recordings_of
 
 SIZE = (160, 120)
-
-
-def as_given(made: Recording, *, has_backgrounds: bool = True) -> Recordings:
-    backgrounds = made.backgrounds if has_backgrounds else made.backgrounds[:0]
-    return Recordings(
-        made.images,
-        made.object_ids,
-        made.solids,
-        backgrounds,
-        sensor_m=made.sensor_m,
-        object_poses=made.object_poses,
-    )
 
 
 @cache
@@ -53,7 +43,7 @@ def folder(recording: Recording, tmp_path: Path) -> Path:
 def same(found: Recordings, made: Recording) -> None:
     np.testing.assert_array_equal(found.images, made.images)
     np.testing.assert_array_equal(found.object_ids, made.object_ids)
-    np.testing.assert_allclose(found.places(), as_given(made).places(), atol=1e-9)
+    np.testing.assert_allclose(found.places(), recordings_of(made).places(), atol=1e-9)
 
 
 def test_a_folder_of_images_with_a_table_is_read(folder: Path, recording: Recording) -> None:
@@ -108,7 +98,7 @@ def test_touches_of_our_own_are_read_with_their_poses(folder: Path) -> None:
     assert [each.kind for each in tactile_sim.find_mistakes(found) if each.kind in ("mesh", "mirrored")] == []
 
 
-def test_images_alone_have_no_poses_and_one_solid_needs_no_name(folder: Path, recording: Recording) -> None:
+def test_images_alone_have_no_poses_and_one_solid_needs_no_name(folder: Path) -> None:
     (folder / "images" / "touches.csv").unlink()
     found = tactile_sim.read_recordings(folder / "images", folder / "solids" / "000.stl")
     assert found.sensor_m is None
@@ -144,12 +134,12 @@ def test_a_folder_of_a_data_set_holds_no_image_files(folder: Path) -> None:
     assert image_paths(folder / "images") == []
 
 
-@pytest.mark.parametrize("has_backgrounds", [True, False])
+@pytest.mark.parametrize("has_backgrounds", [True, pytest.param(False, marks=pytest.mark.thorough)])
 @pytest.mark.parametrize("mistake", [None, *MISTAKES])
 def test_each_mistake_is_named_and_no_other(mistake: str | None, has_backgrounds: bool) -> None:
     if mistake == "channels" and not has_backgrounds:
         pytest.skip("without images of the gel at rest, another order of the channels is another sensor")
-    found = tactile_sim.find_mistakes(as_given(record(mistake=mistake), has_backgrounds=has_backgrounds))
+    found = tactile_sim.find_mistakes(recordings_of(record(mistake=mistake), has_backgrounds=has_backgrounds))
     assert [each.kind for each in found] == [mistake] * (mistake is not None)
     assert all(any(letter.isdigit() for letter in str(each)) for each in found)  # the figure that shows it
 
@@ -160,7 +150,7 @@ def test_each_mistake_is_named_and_no_other(mistake: str | None, has_backgrounds
 @pytest.mark.parametrize("family", ["taxim", "phong"])
 def test_mistakes_of_many_sensors(family: Family, seed: int) -> None:
     for mistake in (None, *MISTAKES):
-        found = tactile_sim.find_mistakes(as_given(record(family, mistake, seed)))
+        found = tactile_sim.find_mistakes(recordings_of(record(family, mistake, seed)))
         assert {each.kind for each in found} == {mistake} - {None}, mistake
 
 
@@ -168,23 +158,15 @@ def test_mistakes_of_many_sensors(family: Family, seed: int) -> None:
 def test_contacts_of_few_touches_are_no_change_of_the_gel(mistake: str | None, named: list[str]) -> None:
     """Medians of five images show contacts, more strongly than some gels that changed."""
     made = draw_sensor(1, "phong", (160, 120)).record(digits(4, 5), 10, seed=1, mistake=mistake)
-    assert [each.kind for each in tactile_sim.find_mistakes(as_given(made))] == named
+    assert [each.kind for each in tactile_sim.find_mistakes(recordings_of(made))] == named
     made.images[:5] = 255  # these show no gel
-    assert "gel-changed" not in {each.kind for each in tactile_sim.find_mistakes(as_given(made))}
+    assert "gel-changed" not in {each.kind for each in tactile_sim.find_mistakes(recordings_of(made))}
 
 
 def test_a_solid_that_is_not_there_is_named() -> None:
     made = record()
     others = {key: solid for key, solid in enumerate(digits(7, seed=40).values()) if key >= 4}
     strange = {key: others[key + 4] for key in range(3)}
-    given = Recordings(
-        made.images,
-        made.object_ids,
-        strange,
-        made.backgrounds,
-        sensor_m=made.sensor_m,
-        object_poses=made.object_poses,
-    )
-    (found,) = tactile_sim.find_mistakes(given)
+    (found,) = tactile_sim.find_mistakes(recordings_of(replace(made, solids=strange)))
     assert found.kind == "mesh"
     assert "agree by 0." in str(found)

@@ -7,7 +7,6 @@ import pytest
 
 import tactile_sim
 from tactile_sim.sets.generation import TouchGenerator
-from tactile_toolkit.columns import tables
 from tactile_toolkit.errors import InputError
 from tests.tactile_sim.solids import block
 
@@ -32,11 +31,8 @@ def _write(folder, suffix, table):
 
 @pytest.mark.parametrize("suffix", [".csv", ".tsv"])
 def test_files_of_all_formats_give_the_same_table(suffix, tmp_path):
-    made, read = (
-        tactile_sim.TouchTable(**TABLE),
-        tactile_sim.TouchTable.read(_write(tmp_path, suffix, TABLE)),
-    )
-    assert made.to_dict() == read.to_dict()
+    read = tactile_sim.TouchTable.read(_write(tmp_path, suffix, TABLE))
+    assert tactile_sim.TouchTable(**TABLE).to_dict() == read.to_dict()
     assert (read.rounds, read.longest) == (2, 2)
     places, lies = read.of(1, 1)
     assert places.tolist() == [[-0.02, 0.01], [0.03, 0.0]]
@@ -50,23 +46,9 @@ def test_columns_state_their_units_and_an_index_is_ignored(tmp_path):
     for name, values in TABLE.items():
         other, scale = scales.get(name, (name, 1))
         table[other] = [scale * value for value in values]
-    made = tactile_sim.TouchTable(**TABLE)
-    text = _write(tmp_path, ".csv", table).read_text()
-    written = {
-        "comma.CSV": text,
-        "tab.TSV": text.replace(",", "\t"),
-        "blanks.csv": text.replace(",", ", "),
-        "excel.CSV": text.replace(",", ";").replace(".", ","),
-    }
-    for name, content in written.items():
-        for encoding in ("utf-8", "utf-8-sig", "utf-16"):
-            file = tmp_path / name
-            file.write_bytes(content.encode(encoding))
-            read = tactile_sim.TouchTable.read(file)
-            for column in TABLE:
-                np.testing.assert_allclose(
-                    getattr(read, column), getattr(made, column), rtol=1e-12, atol=1e-15
-                )
+    made, read = tactile_sim.TouchTable(**TABLE), tactile_sim.TouchTable.read(_write(tmp_path, ".csv", table))
+    for column in TABLE:
+        np.testing.assert_allclose(getattr(read, column), getattr(made, column), rtol=1e-12, atol=1e-15)
     for wrong in ({"x_mm": [1.0], "x_m": [0.001], "y_m": [0.0]}, {"x_deg": [1.0], "y_m": [0.0]}, {"": [1]}):
         with pytest.raises(InputError, match="expected x_m, y_m"):
             tactile_sim.TouchTable.read(_write(tmp_path, ".csv", wrong))
@@ -126,20 +108,16 @@ def test_a_set_holds_the_rounds_that_are_given(tmp_path):
         ({"x_m": [0.0]}, "columns of lengths x_m 1, y_m 4"),
     ],
 )
-def test_invalid_tables_are_refused(changed, message, tmp_path):
-    table = {**TABLE, **changed}
+def test_invalid_tables_are_refused(changed, message):
     with pytest.raises(InputError, match=message):
-        tactile_sim.TouchTable(**table)
+        tactile_sim.TouchTable(**{**TABLE, **changed})
 
 
-def test_invalid_files_are_refused(tmp_path, monkeypatch):
-    read = tactile_sim.TouchTable.read
+def test_invalid_files_are_refused(tmp_path):
     for name, content, message in (
         ("no.csv", None, "cannot be read"),
         ("poses.txt", b"", r"expected a file \.csv"),
-        ("binary.csv", b"x_m,y_m\n\xff,0\n", "cannot be read as a table: .*; next: save it as UTF-8"),
         ("words.csv", b"x_m,y_m\na,0\n", "column x_m: .*'a'; expected numbers"),
-        ("twice.csv", b"x_m,y_m,x_m,y_m\n0,0,0,0\n", "has two columns 'x_m'"),
         ("other.csv", b"x_m,q,p,o,n,m\n0,0,0,0,0,0\n", "its columns are x_m, q, p, o, n, m; expected x_m"),
         ("half.csv", b"x_m\n0\n", "its columns are x_m; expected"),
         ("hole.csv", b"x_m,y_m\n0.0,\n0.0,0.0\n", "row 0; expected metres"),
@@ -149,7 +127,7 @@ def test_invalid_files_are_refused(tmp_path, monkeypatch):
         if content is not None:
             file.write_bytes(content)
         with pytest.raises(InputError, match=message):
-            read(file)
+            tactile_sim.TouchTable.read(file)
 
 
 def test_a_plan_has_given_touches_or_none():
@@ -157,16 +135,3 @@ def test_a_plan_has_given_touches_or_none():
     for values in ({"positions": "given"}, {"given": given}, {"positions": "given", "given": [(0.0, 0.0)]}):
         with pytest.raises(InputError, match="expected positions 'given' and a TouchTable"):
             tactile_sim.TouchPlan(**values)
-
-
-def test_a_small_file_with_millions_of_rows_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(tables, "MAX_HELD_ROWS", 1000)
-    (tmp_path / "rows.csv").write_bytes(b"x_m,y_m\n" + b"0,0\n" * 2_000)
-    (tmp_path / "columns.csv").write_bytes(b"x_m,y_m" + b",a" * 100_000 + b"\n")
-    words = {
-        "rows.csv": "has more than 1,000 rows",
-        "columns.csv": "columns; expected at most 1,000",
-    }
-    for name, expected in words.items():
-        with pytest.raises(InputError, match=f"{name}.*{expected}"):
-            tactile_sim.TouchTable.read(tmp_path / name)

@@ -60,18 +60,22 @@ def test_simple_shapes_have_walls_of_less_than_a_press_and_fit_under_the_gel():
     assert walled >= 10
 
 
-def small_fit(touches: int = 6) -> tuple[Fit, object]:
+@pytest.fixture(scope="module")
+def six_touches() -> tactile_sim.Recordings:
     sensor = dataclasses.replace(draw_sensor(2, "phong", (64, 48)), noise=0.5, jpeg=0)
-    recording = sensor.record(digits(2), touches)
-    recordings = recordings_of(recording)
-    start = tactile_sim.SENSORS["gelsight-mini"]
+    return recordings_of(sensor.record(digits(2), 6))
+
+
+def begun(recordings: tactile_sim.Recordings) -> Fit:
+    """Return a fit from the poses that the recordings state."""
     assert recordings.sensor_m is not None
-    return start_fit(recordings, recordings.places(), recordings.sensor_m[:, 2], start), recording
+    start = tactile_sim.SENSORS["gelsight-mini"]
+    return start_fit(recordings, recordings.places(), recordings.sensor_m[:, 2], start)
 
 
-def test_a_fit_explains_its_images_and_finds_the_gel():
+def test_a_fit_explains_its_images_and_finds_the_gel(six_touches):
     """Colours alone explain most of the images; moving the geometry explains more, whatever the start."""
-    fit, _ = small_fit()
+    fit = begun(six_touches)
     fit.step()
     fit.step()
     change = np.mean([np.abs(fit.image(each)[0] - fit.behind).mean() for each in range(6)])
@@ -84,8 +88,10 @@ def test_a_fit_explains_its_images_and_finds_the_gel():
     assert abs(fit.poses[:, 3].mean()) < 1e-12  # a press that all share is the gel's thickness
 
 
-@pytest.mark.parametrize("too_far", [1.0, 3.0, 6.0])
-def test_a_step_that_makes_images_worse_is_shortened(too_far: float, monkeypatch: pytest.MonkeyPatch):
+@pytest.mark.parametrize("too_far", [1.0, pytest.param(3.0, marks=pytest.mark.thorough), 6.0])
+def test_a_step_that_makes_images_worse_is_shortened(
+    too_far: float, six_touches: tactile_sim.Recordings, monkeypatch: pytest.MonkeyPatch
+):
     """Three times the step to a minimum leaves four times the squares, and half of that a quarter."""
     solve = fitting._Sums.solve
 
@@ -96,7 +102,7 @@ def test_a_step_that_makes_images_worse_is_shortened(too_far: float, monkeypatch
         return too_far * moved
 
     monkeypatch.setattr(fitting._Sums, "solve", solve_too_far)
-    fit, _ = small_fit()
+    fit = begun(six_touches)
     changes = [fit.change(each) for each in range(6)]
     fit.step()
     for each in range(6):
@@ -183,13 +189,8 @@ SMALL = np.full((1, 4, 4), 0.004)
 @pytest.mark.parametrize(
     "wrong",
     [
-        SMALL[0],
-        SMALL[..., None],
-        SMALL.astype(int),
-        SMALL.astype(np.float16),
-        SMALL * np.nan,
-        SMALL * 1e9,
-        -SMALL * np.inf,
+        *(SMALL[0], SMALL[..., None], SMALL.astype(int), SMALL.astype(np.float16)),
+        *(SMALL * np.nan, SMALL * 1e9, -SMALL * np.inf),
     ],
 )
 def test_maps_that_kernels_cannot_take_are_refused(optics: str, wrong: np.ndarray):
@@ -257,7 +258,7 @@ def _array_file(shape: str) -> bytes:
 
 
 @pytest.mark.parametrize(
-    "harm", ["changed", "pickle", "huge", "missing", "geometry", "json", "link", "report", "size"]
+    "harm", ["changed", "pickle", "huge", "missing", "geometry", "json", "link", "report", "size", "gel"]
 )
 def test_a_damaged_or_hostile_folder_is_refused(tmp_path, harm):
     """No array of another kind is accepted, no object is unpickled, nothing huge is made."""
@@ -277,7 +278,7 @@ def test_a_damaged_or_hostile_folder_is_refused(tmp_path, harm):
         np.savez(file, **arrays)
     if harm == "huge":
         with zipfile.ZipFile(file, "w") as archive:
-            archive.writestr("shape.npy", _array_file("(1 << 50,)".replace("1 << 50", "1125899906842624")))
+            archive.writestr("shape.npy", _array_file("(1125899906842624,)"))
     document = json.loads(text.read_text())
     if harm == "report":
         del document["report"]["noise_levels"]
@@ -421,16 +422,13 @@ def test_touches_without_poses_are_found_or_left_out():
 def test_stated_poses_may_be_off_by_a_millimetre():
     """They are searched around, and found; those that are off by a tenth of that are taken as they are."""
     sensor = dataclasses.replace(draw_sensor(2, "phong", (160, 120)), noise=1.0, jpeg=0)
-    start = tactile_sim.SENSORS["gelsight-mini"]
     for off, is_off in (((1e-4, np.radians(0.5)), False), ((1e-3, np.radians(5)), True)):
         recording = sensor.record(digits(4), 10, pose_errors=off)
         recordings = recordings_of(recording)
-        stated = recordings.places()
-        assert recordings.sensor_m is not None
-        fit = start_fit(recordings, stated, recordings.sensor_m[:, 2], start)
-        assert are_off(fit) == is_off
+        assert are_off(begun(recordings)) == is_off
+    stated = recordings.places()
     assert np.median(_away_m(stated, recording)) > 7e-4
-    places, likely = matched_places(recordings, start, stated)
+    places, likely = matched_places(recordings, tactile_sim.SENSORS["gelsight-mini"], stated)
     assert likely.all()
     assert np.median(_away_m(places, recording)) < 2e-4
     assert _away_m(places, recording).max() < 1e-3

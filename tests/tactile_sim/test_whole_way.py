@@ -120,8 +120,7 @@ def test_without_taxim_the_missing_extra_is_named(made, tmp_path, monkeypatch):
     monkeypatch.setattr("tactile_sim.optics.taxim.find_spec", lambda _: None)
     tactile_sim.optics.taxim.taxim_package.cache_clear()
     result = CliRunner().invoke(
-        app,
-        ["generate", str(made.parent / "scenes"), "--optics", "taxim", "--out", str(tmp_path / "out")],
+        app, ["generate", str(made.parent / "scenes"), "--optics", "taxim", "--out", str(tmp_path / "out")]
     )
     tactile_sim.optics.taxim.taxim_package.cache_clear()
     assert result.exit_code == 2

@@ -45,13 +45,13 @@ class Score:
     read_s: float
 
 
-def recordings_of(recording: Recording) -> tactile_sim.Recordings:
+def recordings_of(recording: Recording, *, has_backgrounds: bool = True) -> tactile_sim.Recordings:
     """Return the parts of a recording that a user has."""
     return tactile_sim.Recordings(
         recording.images,
         recording.object_ids,
         recording.solids,
-        recording.backgrounds,
+        recording.backgrounds if has_backgrounds else recording.backgrounds[:0],
         sensor_m=recording.sensor_m,
         object_poses=recording.object_poses,
     )

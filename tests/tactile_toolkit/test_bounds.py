@@ -204,16 +204,10 @@ def packed_as(method: int) -> bytes:
 
 # Small files, and words of the error for each; they state contents that would take gigabytes or minutes.
 BOMBS = {
-    "zeros.glb": (
-        lambda: glb(150_000_000, 150_000_000, stored=False),
-        "has no data",
-    ),
+    "zeros.glb": (lambda: glb(150_000_000, 150_000_000, stored=False), "has no data"),
     "placed.glb": (lambda: glb(9_000, 9_000, placed=1_000), "what the file places unpacks to"),
     "parts.glb": (lambda: glb(3, 3, placed=20_000), "was read: 20000"),
-    "stated.ply": (
-        lambda: ply("ascii", 10**9, 1, b"0 0 0\n3 0 0 0\n"),
-        "is cut short",
-    ),
+    "stated.ply": (lambda: ply("ascii", 10**9, 1, b"0 0 0\n3 0 0 0\n"), "is cut short"),
     "lines.ply": (
         lambda: ply("ascii", 375_000, 1, b"0 0 0\n" * 375_000),
         "the file is cut short; its header states 1 of 'face'",

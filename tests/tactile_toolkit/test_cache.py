@@ -12,14 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tactile_toolkit.cache import (
-    _NAMES,
-    CACHE_VARIABLE,
-    CacheContents,
-    DiskCache,
-    MemoryCache,
-    cache_folder,
-)
+from tactile_toolkit.cache import _NAMES, CACHE_VARIABLE, CacheContents, DiskCache, MemoryCache, cache_folder
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store import open_folder
 from tests.forked import run_forked, start_forked

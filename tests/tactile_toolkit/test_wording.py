@@ -26,14 +26,8 @@ from tactile_toolkit.wording import (
 )
 
 WILD = [
-    "[/b0]",
-    "part[b]one.stl",
-    "\x1b[2J\x07",
-    "\u202egnp.exe",
-    "\u2066x\u2069",
-    "a\x9b31m",
-    "\x85\u2028\x00",
-    ":smile:",
+    *("[/b0]", "part[b]one.stl", "\x1b[2J\x07", "\u202egnp.exe"),
+    *("\u2066x\u2069", "a\x9b31m", "\x85\u2028\x00", ":smile:"),
 ]
 wild = st.text() | st.sampled_from(WILD)
 

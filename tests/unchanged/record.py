@@ -54,25 +54,13 @@ def recorded() -> dict[str, Any]:
 
 
 PACKAGES = (
-    "mnist3d",
-    "starstruck_gen",
-    "realtouch",
-    "realtouch.touch_tensors",
-    "tactile_sim",
-    "env_assets",
-    "tactile_envs",
+    *("mnist3d", "starstruck_gen", "realtouch", "realtouch.touch_tensors"),
+    *("tactile_sim", "env_assets", "tactile_envs"),
 )
 OUR_PACKAGES = {name.partition(".")[0] for name in PACKAGES} | {"tactile_toolkit"}
 LIBRARIES = (
-    "pyarrow",
-    "numpy",
-    "scipy",
-    "scikit-image",
-    "simplejpeg",
-    "pillow",
-    "manifold3d",
-    "trimesh",
-    "av",
+    *("pyarrow", "numpy", "scipy", "scikit-image", "simplejpeg"),
+    *("pillow", "manifold3d", "trimesh", "av"),
 )
 """Libraries whose versions decide bytes."""
 

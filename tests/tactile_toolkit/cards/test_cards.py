@@ -110,10 +110,7 @@ def _wrong_class(head: dict) -> None:
             _drop_split,
             "files of split 'holdout' in configuration 'default' is missing, expected ['data/holdout-",
         ),
-        (
-            _wrong_pattern,
-            "files of split 'test' in configuration 'default' is ['data/holdout-",
-        ),
+        (_wrong_pattern, "files of split 'test' in configuration 'default' is ['data/holdout-"),
         (_more_rows, "num_examples of split 'test' is 11, expected 10"),
         (_further_split, "num_examples of split 'train' is 1, expected missing"),
         (_wrong_column, "column 'id' is {'dtype': 'string'}, expected {'dtype': 'int64'}"),

@@ -15,14 +15,8 @@ from tests.command_line import call
 
 BIBTEX = "@misc{mine, title={My digits}, author={Lovelace, Ada}}"
 WORDS = (
-    "--license",
-    "CC-BY-4.0",
-    "--author",
-    "Ada Lovelace",
-    "--author",
-    "É. *x* <b>",
-    "--title",
-    "My # digits",
+    *("--license", "CC-BY-4.0", "--author", "Ada Lovelace"),
+    *("--author", "É. *x* <b>", "--title", "My # digits"),
 )
 
 

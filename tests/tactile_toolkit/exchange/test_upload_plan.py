@@ -73,11 +73,8 @@ def test_only_the_data_set_is_sent(folder):
     manifest = read_manifest(open_folder(str(folder)))
     assert manifest is not None
     assert sorted(collect(folder, manifest)) == [
-        "README.md",
-        "data/test-00000-of-00001.parquet",
-        "data/train-00000-of-00001.parquet",
-        "manifest.json",
-        "previews/scenes.png",
+        *("README.md", "data/test-00000-of-00001.parquet", "data/train-00000-of-00001.parquet"),
+        *("manifest.json", "previews/scenes.png"),
     ]
 
 

@@ -8,12 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tactile_toolkit.errors import (
-    InputError,
-    IntegrityError,
-    ItemError,
-    StorageError,
-)
+from tactile_toolkit.errors import InputError, IntegrityError, ItemError, StorageError
 from tactile_toolkit.gallery import Gallery, build_site, site as site_module
 from tactile_toolkit.gallery.site import ASSETS, MAX_ITEMS, PAGE_FILE, THREE, asset
 from tactile_toolkit.run import InlineRunner, ProcessRunner
@@ -185,8 +180,7 @@ def test_links_are_not_followed(tmp_path, link):
 
 @pytest.mark.parametrize("there", [False, True])
 @pytest.mark.parametrize(
-    "error",
-    [InputError("no"), IntegrityError("damaged"), ItemError("odd", "odd"), KeyboardInterrupt()],
+    "error", [InputError("no"), IntegrityError("damaged"), ItemError("odd", "odd"), KeyboardInterrupt()]
 )
 def test_a_failure_in_the_middle_leaves_things_as_they_were(tmp_path, there, error):
     out = tmp_path / "site"

@@ -54,11 +54,7 @@ def test_a_part_of_a_repository_is_not_a_repository():
 
 
 def test_numbered_files_belong_to_the_split_of_their_folder():
-    paths = [
-        "test/0000.parquet",
-        "default/train/0001.parquet",
-        "default/train/0000.parquet",
-    ]
+    paths = ["test/0000.parquet", "default/train/0001.parquet", "default/train/0000.parquet"]
     assert splits_by_name(paths, "here") == {
         "test": ("test/0000.parquet",),
         "train": ("default/train/0000.parquet", "default/train/0001.parquet"),

@@ -162,11 +162,8 @@ def test_files_of_one_split_in_two_folders_are_refused(files):
 @pytest.mark.parametrize(
     "text",
     [
-        "# no head",
-        "---\nconfigs: [\n---\n",
-        "---\nlicense: mit\n---\nconfigs: below",
-        "---\nconfigs: &a [*a, *a]\n--- no end",
-        "---\nconfigs:\n---\n",
+        *("# no head", "---\nconfigs: [\n---\n", "---\nlicense: mit\n---\nconfigs: below"),
+        *("---\nconfigs: &a [*a, *a]\n--- no end", "---\nconfigs:\n---\n"),
     ],
 )
 def test_without_configurations_in_the_card_file_names_decide(text):
@@ -176,17 +173,9 @@ def test_without_configurations_in_the_card_file_names_decide(text):
 @pytest.mark.parametrize(
     "data_files",
     [
-        "../x.parquet",
-        "/etc/*",
-        "https://evil/x.parquet",
-        "hf://datasets/a/b/x.parquet",
-        "data/../../x.parquet",
-        "C:\\\\x.parquet",
-        "[{split: '../train', path: x.parquet}]",
-        "[{split: train, path: 3}]",
-        "[{split: [], path: x.parquet}]",
-        "{train: {a: b}}",
-        "7",
+        *("../x.parquet", "/etc/*", "https://evil/x.parquet", "hf://datasets/a/b/x.parquet"),
+        *("data/../../x.parquet", "C:\\\\x.parquet", "[{split: '../train', path: x.parquet}]"),
+        *("[{split: train, path: 3}]", "[{split: [], path: x.parquet}]", "{train: {a: b}}", "7"),
     ],
 )
 def test_links_out_of_the_folder_and_unreadable_files_are_refused(data_files):

@@ -26,15 +26,7 @@ def outside_mm(mesh: Mesh, parts: list[Mesh]) -> float:
 
 # The last one has a stroke that swells: its outline has no bay, and yet its hull adds a tenth.
 @pytest.mark.one_at_a_desk
-@pytest.mark.parametrize(
-    ("seed", "number"),
-    [
-        (2, 3),
-        (2, 1000),
-        (2, 13000),
-        (0, 10449),
-    ],
-)
+@pytest.mark.parametrize(("seed", "number"), [(2, 3), (2, 1000), (2, 13000), (0, 10449)])
 def test_parts_of_a_digit(seed: int, number: int):
     solid = mnist3d.solidify(SyntheticSource(seed=seed).image(number).pixels)
     parts = convex_parts(solid)

@@ -14,7 +14,7 @@ from tactile_toolkit.cache import cache_folder
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.places import open_place
 from tactile_toolkit.read import Record, RecordDataset, Shard, ShardedTable
-from tactile_toolkit.read.columns import ragged_column
+from tactile_toolkit.read.record import ragged_column
 from tactile_toolkit.store import build, open_folder
 from tests.forked import run_forked
 from tests.mesh_columns import list_array
@@ -230,11 +230,7 @@ def test_folder_without_manifest_is_found_by_names(folder, tmp_path):
         open_place(str(tmp_path)).shards("test")
 
 
-@given(
-    lengths=st.lists(st.integers(0, 5), max_size=8),
-    fixed=st.booleans(),
-    first=st.integers(0, 3),
-)
+@given(lengths=st.lists(st.integers(0, 5), max_size=8), fixed=st.booleans(), first=st.integers(0, 3))
 def test_ragged_columns_of_every_list_type(lengths, fixed, first):
     rows = [np.arange(n * 3, dtype=np.float32).reshape(n, 3) + 100 * i for i, n in enumerate(lengths)]
     if fixed:

@@ -339,12 +339,8 @@ def test_recordings_are_imported_from_types_of_others(
 @pytest.mark.parametrize(
     "name",
     [
-        "datafusion",
-        "pandas_category_id",
-        "pandas_float_label",
-        "polars",
-        "duckdb_v2_zstd",
-        "pandas_id_as_index",
+        *("datafusion", "pandas_category_id", "pandas_float_label"),
+        *("polars", "duckdb_v2_zstd", "pandas_id_as_index"),
     ],
 )
 def test_files_from_public_reports(name: str) -> None:

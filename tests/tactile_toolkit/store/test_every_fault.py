@@ -115,14 +115,8 @@ COMMANDS = {
     "failure": Command(nothing, failing, run, run, (run,)),
 }
 CHANGES = (
-    "write_bytes",
-    "create_bytes",
-    "move",
-    "remove",
-    "remove_empty",
-    "require_folder",
-    "locked",
-    "write",
+    *("write_bytes", "create_bytes", "move", "remove"),
+    *("remove_empty", "require_folder", "locked", "write"),
 )
 FAULTS = ("refused", "Ctrl-C", "ended", "another run")
 MOMENTS = ("before", "in", "after")

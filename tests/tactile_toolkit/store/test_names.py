@@ -18,43 +18,13 @@ from tests.sealed import sealed
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
 
 WILD = [
-    "../victim",
-    "reports/../../victim",
-    "/etc/passwd",
-    "/dev/zero",
-    "..",
-    ".",
-    "",
-    "reports//x",
-    "./reports/x",
-    "reports/",
-    "..\\victim",
-    "reports\\..\\..\\victim",
-    "\\\\server\\share\\x",
-    "C:\\victim",
-    "C:victim",
-    "c:/victim",
-    "reports/x\0.txt",
-    "reports/x\n.txt",
-    "reports/\x1b[2J",
-    "reports/\u202etxt.exe",
-    "reports/\udcff",
-    ".git",
-    ".git/config",
-    "reports/.hidden",
-    ".pending/x.json",
-    ".download.json",
-    "CON",
-    "reports/nul.parquet",
-    "reports/com¹.txt",
-    "aux .txt",
-    "reports/x.",
-    "reports/x ",
-    "reports/" + "x" * 151,
-    "/".join("x" * 100 for _ in range(11)),
-    7,
-    None,
-    ["reports/x"],
+    *("../victim", "reports/../../victim", "/etc/passwd", "/dev/zero", "..", ".", ""),
+    *("reports//x", "./reports/x", "reports/", "..\\victim", "reports\\..\\..\\victim"),
+    *("\\\\server\\share\\x", "C:\\victim", "C:victim", "c:/victim"),
+    *("reports/x\0.txt", "reports/x\n.txt", "reports/\x1b[2J", "reports/\u202etxt.exe", "reports/\udcff"),
+    *(".git", ".git/config", "reports/.hidden", ".pending/x.json", ".download.json"),
+    *("CON", "reports/nul.parquet", "reports/com¹.txt", "aux .txt", "reports/x.", "reports/x "),
+    *("reports/" + "x" * 151, "/".join("x" * 100 for _ in range(11)), 7, None, ["reports/x"]),
 ]
 SOME = ["../victim", "reports/../../victim", "/etc/passwd", ".git", "C:\\victim", "reports/nul.parquet"]
 FINE = [
@@ -219,22 +189,11 @@ def test_a_folder_does_nothing_outside_of_itself(tmp_path, action, remote):
     folder = open_folder("memory://bucket/set" if remote else str(tmp_path / "set"))
     (tmp_path / "victim").write_text("years of work")
     windows = (
-        r"..\victim",
-        r"data\..\..\victim",
-        "C:victim",
-        "data/c:/victim",
-        "NUL",
-        "data/com1.txt",
-        "Aux /x",
+        *(r"..\victim", r"data\..\..\victim", "C:victim", "data/c:/victim"),
+        *("NUL", "data/com1.txt", "Aux /x"),
     )
-    for path in (
-        "../victim",
-        "data/../../victim",
-        str(tmp_path / "victim"),
-        "data/x\0y",
-        "data/..",
-        *windows,
-    ):
+    others = ("../victim", "data/../../victim", str(tmp_path / "victim"), "data/x\0y", "data/..")
+    for path in (*others, *windows):
         with pytest.raises(StorageError, match="leads out of"):
             action(folder, path)
     assert folder_bytes(tmp_path) == {"victim": b"years of work"}

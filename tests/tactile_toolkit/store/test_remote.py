@@ -16,13 +16,7 @@ import pytest
 
 from tactile_toolkit.errors import InputError, IntegrityError, RemoteError
 from tactile_toolkit.run import ProcessRunner
-from tactile_toolkit.store import (
-    build,
-    open_folder,
-    read_manifest,
-    remote,
-    verify,
-)
+from tactile_toolkit.store import build, open_folder, read_manifest, remote, verify
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
 
 pytestmark = pytest.mark.s3

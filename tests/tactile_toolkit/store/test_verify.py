@@ -79,14 +79,8 @@ NO_ID = "holds no column 'id' of one value for each row"
     ("change", "found"),
     [
         (lambda table: table.slice(1), ["has 4 rows, expected 5"]),
-        (
-            with_ids(pa.array([10, 11, 12, 13, 11])),
-            ["id 11 is not unique, it is also in {} (1 such id)"],
-        ),
-        (
-            with_ids(pa.array([0, 11, 4, 12, 1])),
-            ["id 0 is not unique, it is also in {first} (3 such ids)"],
-        ),
+        (with_ids(pa.array([10, 11, 12, 13, 11])), ["id 11 is not unique, it is also in {} (1 such id)"]),
+        (with_ids(pa.array([0, 11, 4, 12, 1])), ["id 0 is not unique, it is also in {first} (3 such ids)"]),
         (
             with_ids(pa.array([[1]] * 5)),
             [NO_ID, "schema differs: ['id: list<element: int64>'] there, ['id: int64'] expected"],
@@ -96,10 +90,7 @@ NO_ID = "holds no column 'id' of one value for each row"
             lambda table: table.rename_columns(["id", "class", "points"]),
             ["schema differs: ['class: int64'] there, ['label: int64'] expected"],
         ),
-        (
-            lambda table: table.select(["label", "id", "points"]),
-            ["schema differs: the order of columns"],
-        ),
+        (lambda table: table.select(["label", "id", "points"]), ["schema differs: the order of columns"]),
     ],
 )
 def test_shards_that_are_as_recorded_and_not_as_they_should_be(folder, change, found):
