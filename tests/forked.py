@@ -32,7 +32,7 @@ _CONTEXT.set_forkserver_preload(
         *("PIL.JpegImagePlugin", "PIL.PngImagePlugin", "env_assets.provider"),
         *("huggingface_hub.file_download", "huggingface_hub.hf_api", "mnist3d.digit_generation"),
         *("pandas", "pyarrow.parquet", "pytest", "realtouch.touches.datasets"),
-        *("realtouch.touches.image_contacts", "skimage.measure", "starstruck_gen.scene_dataset"),
+        *("realtouch.touches.image_contacts", "skimage.measure"),
         *("starstruck_gen.scene_dataset", "tactile_toolkit.gallery.site"),
         *("tactile_toolkit.mesh.files", "tactile_toolkit.mesh.raster"),
         *("tactile_toolkit.mesh.crossings", "tactile_toolkit.mesh.walls"),
