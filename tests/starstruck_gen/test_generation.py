@@ -12,7 +12,7 @@ import pytest
 
 from starstruck_gen.sampling import SamplingExhausted, SceneSpec
 from starstruck_gen.scene_checks import validate_folder
-from starstruck_gen.scene_generation import SceneGenerator, SceneSetSpec, generate, make_rows, scene_schema
+from starstruck_gen.scene_dataset import SceneGenerator, SceneSetSpec, generate, make_rows, scene_schema
 from starstruck_gen.shapes import Disc, Shape, Star
 from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.generation import plan_build
