@@ -14,7 +14,7 @@ from mnist3d import digit_options, digit_records, solid
 from mnist3d.digit_options import OWN_SIZES, PUBLISHED_SIZES, SPLITS, SplitSpec
 from mnist3d.kind import KIND
 from mnist3d.sources import digit_arrays, digit_source, picture_folder, synthetic
-from mnist3d.splits import plan_splits
+from mnist3d.sources.digit_source import plan_splits
 from tactile_toolkit import generation, mesh, store
 from tactile_toolkit.array_types import Int64
 from tactile_toolkit.checked_fields import check_fields, integer

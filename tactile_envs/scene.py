@@ -14,7 +14,7 @@ from realtouch import Poses
 from tactile_envs import motion
 from tactile_envs.config import Action, Config, EpisodeConfig, Space
 from tactile_envs.drawing import EnvDrawing
-from tactile_envs.toucher import SensorReadings
+from tactile_envs.motion import SensorReadings
 from tactile_sim.optics.rendering import Optics, make_optics
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Floating, Int64
 from tactile_toolkit.errors import InputError

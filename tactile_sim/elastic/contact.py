@@ -198,7 +198,7 @@ def _solve(
     if not is_force:
         wanted = max(target - higher, _MIN_DEPTH_M)
     stiffness = gel.youngs_modulus_pa / min(thickness_m, math.sqrt(width_m * height_m) * coarse.shape[1])
-    solution = solver.solve(
+    problem = solver.ContactProblem(
         coarse.max() - coarse,
         (width_m, height_m),
         wanted,
@@ -208,6 +208,7 @@ def _solve(
         tables,
         stiffness,
     )
+    solution = problem.solve()
     force_n, torque_nm = _resultants(solution.fields[:3], (width_m, height_m))
     depth = solution.depth_m + higher if is_force else target
     fields = solution.fields

@@ -26,11 +26,16 @@ import numpy as np
 import pyarrow as pa
 import torch
 
-from tactile_sim.learned import cyclegan, processes
+from tactile_sim.learned import cyclegan
 from tactile_sim.learned.batches import Batches, by_taxim
-from tactile_sim.learned.inference import depth_channels, picture_channels, pictures_from, shades_of
+from tactile_sim.learned.inference import (
+    chosen_device,
+    depth_channels,
+    picture_channels,
+    pictures_from,
+    shades_of,
+)
 from tactile_sim.learned.networks import weights_of, write_weights
-from tactile_sim.learned.processes import Process
 from tactile_sim.sets.data_cards import sheet_png
 from tactile_sim.sets.learning_specs import TrainConfig
 from tactile_sim.sets.pairs import SPLITS, Pairs
@@ -42,6 +47,16 @@ from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.wording import with_count
 
 SETTINGS = "training.json"
+
+TOUCH_WEIGHTS = "depth_to_touch.npz"
+
+DEPTH_WEIGHTS = "touch_to_depth.npz"
+
+_CHECKPOINT = "checkpoint.pt"
+
+_DIGEST_BYTES = 32
+
+_SAMPLES = 4
 
 
 class _Settings(msgspec.Struct):
@@ -87,13 +102,6 @@ def held(folder: store.DataFolder, process: Process) -> Iterator[None]:
     folder.require_folder()
     with folder.locked(patience_s=0):
         yield
-
-
-TOUCH_WEIGHTS = "depth_to_touch.npz"
-DEPTH_WEIGHTS = "touch_to_depth.npz"
-_CHECKPOINT = "checkpoint.pt"
-_DIGEST_BYTES = 32
-_SAMPLES = 4
 
 
 @dataclass(frozen=True)
@@ -156,10 +164,7 @@ def train(
     config = config or TrainConfig()
     data = _trainable(pairs, config)
     folder = store.open_folder(os.fspath(out))
-    with (
-        processes.joined_processes(device, deterministic=deterministic) as process,
-        held(folder, process),
-    ):
+    with joined_processes(device, deterministic=deterministic) as process, held(folder, process):
         if process.rank == 0:
             claim(folder, config, data.fingerprint, resume=resume)
         process.wait()
@@ -197,7 +202,7 @@ class _Run:
     config: TrainConfig
     data: Pairs
     folder: store.DataFolder
-    process: processes.Process
+    process: Process
     model: cyclegan.CycleGan
     on_progress: Callable[[int, int], None]
 
@@ -326,3 +331,63 @@ class _Run:
                 "last checkpoint stays",
                 next="train with a smaller learning rate in another folder",
             )
+
+
+@dataclass(frozen=True)
+class Process:
+    """One of the processes of ``torchrun``: its number, how many there are, and its device."""
+
+    rank: int
+    count: int
+    device: str
+
+    def wait(self) -> None:
+        """Wait for the other processes."""
+        if self.count > 1:
+            torch.distributed.barrier()
+
+
+@contextmanager
+def joined_processes(device: str, *, deterministic: bool) -> Iterator[Process]:
+    """Choose a device, and join the other processes of ``torchrun`` if there are any."""
+    # torchrun names each process by these variables.
+    rank = int(os.environ.get("RANK", "0"))
+    count = int(os.environ.get("WORLD_SIZE", "1"))
+    chosen = chosen_device(device)
+    if deterministic and chosen != "cpu":
+        raise InputError(
+            "deterministic training runs on the CPU", next="use --device cpu, or leave out --deterministic"
+        )
+    if chosen == "cuda":
+        chosen = f"cuda:{int(os.environ.get('LOCAL_RANK', '0'))}"
+        torch.cuda.set_device(chosen)
+    if count > 1:
+        torch.distributed.init_process_group({"cpu": "gloo"}.get(chosen, "nccl"))
+    process = Process(rank, count, chosen)
+    try:
+        with _determinism(deterministic=deterministic):
+            yield process
+        # The first process serves the store that the others use until they leave.
+        process.wait()
+    finally:
+        if count > 1:
+            torch.distributed.destroy_process_group()
+
+
+@contextmanager
+def _determinism(*, deterministic: bool) -> Iterator[None]:
+    """Make PyTorch deterministic on one thread if requested, and restore its settings afterwards."""
+    before = torch.are_deterministic_algorithms_enabled()
+    threads = torch.get_num_threads()
+    fills = torch.utils.deterministic.fill_uninitialized_memory
+    torch.use_deterministic_algorithms(deterministic)
+    if deterministic:
+        # Uninitialized memory is never read; not filling it saves an eighth of the time.
+        torch.utils.deterministic.fill_uninitialized_memory = False
+        torch.set_num_threads(1)  # sums are divided among threads, and a run may continue on another machine
+    try:
+        yield
+    finally:
+        torch.use_deterministic_algorithms(before)
+        torch.utils.deterministic.fill_uninitialized_memory = fills
+        torch.set_num_threads(threads)

@@ -37,6 +37,10 @@ _TRIES = 16
 _POSES = ("gel_pose_cell_frame.position", "gel_pose_cell_frame_seq.position")
 _contacts_by_image = lazy("realtouch:contacts_by_image")
 
+# Images of 256 x 256 pixels take some 100 MB then.
+_ROWS_PER_SHARD = 1000
+_OF_OBJECT = ("label", "object_id")
+
 
 def drawn_depth(spec: PairsSpec, solid: Pressable, object_id: int, number: int) -> Float32:
     """Return the depth image of one touch: the first of some places in the cell with contact."""
@@ -88,11 +92,6 @@ def draw_touches(touches: read.RecordDataset[Any], spec: PairsSpec, real: str) -
     touching_drawn = iter(np.sort(rng.permutation(touching)[:with_contact]).tolist())
     free_drawn = iter(np.sort(rng.permutation(free)[:without_contact]).tolist())
     return [(next(touching_drawn if flag else free_drawn), flag) for flag in flags]
-
-
-# Images of 256 x 256 pixels take some 100 MB then.
-_ROWS_PER_SHARD = 1000
-_OF_OBJECT = ("label", "object_id")
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,15 @@ _CAMERA_REACH = 3.0
 _MIN_RIM_M = 1e-6
 _MARGIN = 0.12  # of the width of an image
 _EDGE = 0.7  # range of depth in which contact begins, in pixels: slopes there are about 1
+LEAST = np.array([-1.0, -1.0, -0.3, 1e-4, 1e-4, 1e-5, 0.05, 1e-6])
+MOST = np.array([1.0, 1.0, 0.3, 0.05, 5e-3, 5e-4, 0.95, 5e-4])
+"""Least and greatest values of a geometry."""
+
+WHOLE = np.ones(2)
+"""Share of the image, along x and y, of a map that shows all of it."""
+
+Seen: TypeAlias = tuple[Int64, Float32]
+"""Entries of the response that each pixel depends on, and their shares."""
 
 
 class Fitted(IntEnum):
@@ -51,17 +60,6 @@ class Fitted(IntEnum):
     LAST = 5
     CONTACT = 6
     BLUR = 7
-
-
-LEAST = np.array([-1.0, -1.0, -0.3, 1e-4, 1e-4, 1e-5, 0.05, 1e-6])
-MOST = np.array([1.0, 1.0, 0.3, 0.05, 5e-3, 5e-4, 0.95, 5e-4])
-"""Least and greatest values of a geometry."""
-
-WHOLE = np.ones(2)
-"""Share of the image, along x and y, of a map that shows all of it."""
-
-Seen: TypeAlias = tuple[Int64, Float32]
-"""Entries of the response that each pixel depends on, and their shares."""
 
 
 def half_kernel(sigma_px: float, longest: int, reach: float = _CAMERA_REACH) -> Float64:

@@ -30,6 +30,17 @@ _RATE, _BATCH = 5e-3, 4096
 _MAX_ROWS = 100_000  # about as many give the mean and the spread of inputs
 _DECAYS = (0.9, 0.999)  # of Adam, as published (Kingma and Ba, 2015)
 _BLOCK = 1 << 14  # rows that fit into the processor's cache
+_WIDTHS = {"full": 160, "fast": 80}  # of the images that are read, pixels
+_TOUCHES = 480  # that are rendered for the training of the networks
+_PER_TOUCH = 1500  # pixels of each touch on which the networks are trained
+_SLOPE_STEPS, _DEPTH_STEPS = 1000, 3000
+_SLOPE_HIDDEN = (24, 24)
+_DEPTH_HIDDEN = (64, 64)
+_BLURS = (0.01, 0.03, 0.09)  # of the width
+_NO_CONTACT_MM = 0.02  # a smaller depth counts as no contact
+_SMOOTH_MM = 0.01  # the loss is quadratic in smaller errors
+_RECORDING_WEIGHT = 3  # pixels of a recording for each pixel of a rendered touch
+_SIMPLE_SHARE = 0.2  # of the rendered touches
 
 
 def network_output(weights: Mapping[str, Float32], name: str, inputs: Float32) -> Float32:
@@ -108,19 +119,6 @@ def _gradients(
         if number:
             gradient = (gradient @ layers[number].T) * np.where(before > 0, np.float32(1), _LEAK)
     return gradients
-
-
-_WIDTHS = {"full": 160, "fast": 80}  # of the images that are read, pixels
-_TOUCHES = 480  # that are rendered for the training of the networks
-_PER_TOUCH = 1500  # pixels of each touch on which the networks are trained
-_SLOPE_STEPS, _DEPTH_STEPS = 1000, 3000
-_SLOPE_HIDDEN = (24, 24)
-_DEPTH_HIDDEN = (64, 64)
-_BLURS = (0.01, 0.03, 0.09)  # of the width
-_NO_CONTACT_MM = 0.02  # a smaller depth counts as no contact
-_SMOOTH_MM = 0.01  # the loss is quadratic in smaller errors
-_RECORDING_WEIGHT = 3  # pixels of a recording for each pixel of a rendered touch
-_SIMPLE_SHARE = 0.2  # of the rendered touches
 
 
 def reader_shapes() -> dict[str, tuple[int, ...]]:

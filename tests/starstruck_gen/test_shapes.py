@@ -12,7 +12,7 @@ from hypothesis import given
 
 from starstruck_gen.sampling import SceneSpec
 from starstruck_gen.scene_checks import check_scene
-from starstruck_gen.scene_generation import make_rows, scene_schema
+from starstruck_gen.scene_dataset import make_rows, scene_schema
 from starstruck_gen.shapes import KINDS, Crescent, Cross, Disc, Ring, Shape, Star, outline, prism
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh, check_manifold

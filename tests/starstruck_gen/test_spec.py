@@ -9,7 +9,7 @@ from hypothesis import given
 
 from starstruck_gen.sampling import SceneSpec
 from starstruck_gen.scene_checks import validate_folder
-from starstruck_gen.scene_generation import make_rows, scene_schema
+from starstruck_gen.scene_dataset import make_rows, scene_schema
 from starstruck_gen.shapes import Disc, Shape
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.rows import table_of

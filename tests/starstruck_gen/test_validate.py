@@ -11,8 +11,7 @@ import pytest
 from starstruck_gen.sampling import SceneSpec
 from starstruck_gen.scene import Placement, build_meshes
 from starstruck_gen.scene_checks import check_scene, validate_folder
-from starstruck_gen.scene_dataset import load
-from starstruck_gen.scene_generation import make_rows, scene_schema
+from starstruck_gen.scene_dataset import load, make_rows, scene_schema
 from tactile_toolkit.mesh import Mesh, check_manifold
 from tactile_toolkit.rows import table_of
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from starstruck_gen.scene_generation import SceneSetSpec, generate
+from starstruck_gen.scene_dataset import SceneSetSpec, generate
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.exchange.upload import Upload, UploadOptions
 from tactile_toolkit.store import open_folder, read_manifest
