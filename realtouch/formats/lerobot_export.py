@@ -25,7 +25,7 @@ import pyarrow as pa
 from PIL import Image
 
 from realtouch import contact, convert
-from realtouch.formats.episodes import ACTION, DEPTH, STATE, EpisodeNumbers, Episodes
+from realtouch.formats.exports import ACTION, DEPTH, STATE, EpisodeNumbers, Episodes
 from realtouch.formats.lerobot_import import Mark
 from realtouch.touches import datasets, media, schema, stored_round
 from realtouch.touches.media import decoded

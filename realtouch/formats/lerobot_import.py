@@ -19,7 +19,7 @@ import numpy as np
 import pyarrow as pa
 
 from realtouch import importing, touch_options
-from realtouch.formats import episodes, flat_parquet, media_files, zarr_recordings
+from realtouch.formats import exports, flat_parquet, media_files, zarr_recordings
 from realtouch.touches.rounds import touch_id
 from realtouch.video import videos
 from tactile_toolkit import errors, store, wording
@@ -29,7 +29,7 @@ from tactile_toolkit.json_types import JsonObject
 
 _ROWS = ".parquet"
 _INDICES = ("index", "frame_index", "episode_index", "task_index", "timestamp")
-_VECTORS = {episodes.STATE: touch_options.POSE_COLUMNS, episodes.ACTION: touch_options.POSITION_COLUMNS}
+_VECTORS = {exports.STATE: touch_options.POSE_COLUMNS, exports.ACTION: touch_options.POSITION_COLUMNS}
 _OF_EPISODE = ("label", "label_name", "object_id")
 _INFO = "meta/info.json"
 _PICTURES = ("image", "video")
@@ -209,8 +209,8 @@ def _as_ours(recording: importing.Recording, mark: Mark) -> importing.Recording:
     columns = {name: column for name, column in every.items() if name not in mark.extra}
     values = dict(recording.values)
     time_s = recording.time_s
-    if episodes.TIME in columns:
-        time_s = columns.pop(episodes.TIME).to_numpy(zero_copy_only=False)
+    if exports.TIME in columns:
+        time_s = columns.pop(exports.TIME).to_numpy(zero_copy_only=False)
     values.pop("task", None)  # it is the label
     name = round_id = str(values.pop("round_id", recording.name))
     touch = values.pop("touch", None)

@@ -18,7 +18,7 @@ import pyarrow as pa
 
 from realtouch import importing, touch_options
 from realtouch.formats import picture_arrays, zarr_arrays
-from realtouch.formats.episodes import CONTACT
+from realtouch.formats.exports import CONTACT
 from realtouch.touches.rounds import touch_id
 from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import Int64
