@@ -9,7 +9,7 @@ import re
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from itertools import groupby
 
@@ -232,7 +232,7 @@ def finding_of(
     return RecordingFinding(
         rule,
         problem,
-        message.expected_text(limits),
+        message.expected.format(**asdict(limits)),
         splits_text,
         tuple(names[:MAX_NAMED]),
         total,

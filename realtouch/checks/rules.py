@@ -6,14 +6,13 @@ Measures are averages over cells, steps of brightness, numbers of markers, and r
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from PIL import Image
 from scipy import ndimage
 
-from realtouch.touch_options import CheckLimits
 from tactile_toolkit.array_types import Bool, Float32, Float64, Floating, UInt8
 from tactile_toolkit.touch import decode_image
 
@@ -84,10 +83,6 @@ class FaultRule:
     found: str
     expected: str
     next: str
-
-    def expected_text(self, limits: CheckLimits) -> str:
-        """Return the expectation, as text."""
-        return self.expected.format(**asdict(limits))
 
 
 RULES: dict[str, FaultRule] = {

@@ -22,9 +22,7 @@ INDEXED = ("frames", "export")
 # mark of a field that follows on the one before it (Thrift's compact protocol).
 _CHECKED_PAGE = re.compile(rb"(?:\x15[\x80-\xff]*[\x00-\x7f]){4}", re.DOTALL)
 
-_SizeOf = Callable[[memoryview], tuple[int, int]]
 _Noted = Callable[[], AbstractContextManager[None]]
-_PictureSize = Callable[[stored_round.StoredRound, int, _SizeOf, _Noted], tuple[int, ...]]
 
 
 def check_index(
@@ -379,14 +377,8 @@ def _check_touches(
     row: stored_round.StoredRound, count: int, noted: _Noted, *, decode: bool
 ) -> dict[int, tuple[int, ...]]:
     """Check position, pose and picture of each touch; return height and width of the pictures."""
-    read_pose: Callable[[int], object] = row.poses
-    picture_size: _PictureSize = _image_size
-    size_of: _SizeOf = image_size
-    if row.kind == "seq":
-        read_pose = row.pose_sequences
-        picture_size = _clip_size
-    if decode:
-        size_of = _decoded_size
+    is_clip = row.kind == "seq"
+    read_pose: Callable[[int], object] = row.pose_sequences if is_clip else row.poses
     start, stop = row.column_of(row.media_column).inside(0, row.index, row.index + 1)
     sizes: dict[int, tuple[int, ...]] = {}
     for touch in range(count):
@@ -398,7 +390,11 @@ def _check_touches(
                 read_pose(touch)
         if touch < stop - start:  # if images or clips are missing, the others are checked
             with noted():
-                sizes[touch] = picture_size(row, touch, size_of, noted)
+                if is_clip:
+                    sizes[touch] = _clip_size(row, touch, noted, decode=decode)
+                else:
+                    with row.naming("sensor_image", touch):
+                        sizes[touch] = _size_of(media.SensorImages(row).encoded(touch), decode=decode)
     return sizes
 
 
@@ -415,20 +411,12 @@ def _noted(damages: list[damage.Damage], row: stored_round.StoredRound) -> Itera
         damages.append(damage.Damage(row.path, row.number, None, "", str(error)))
 
 
-def _decoded_size(data: bytes | memoryview) -> tuple[int, int]:
-    height, width, _ = decode_image(data).shape
-    return height, width
-
-
-def _image_size(
-    row: stored_round.StoredRound, touch: int, size_of: _SizeOf, _noted: _Noted
-) -> tuple[int, ...]:
+def _size_of(data: bytes | memoryview, *, decode: bool) -> tuple[int, ...]:
     """Return height and width of an image."""
-    with row.naming("sensor_image", touch):
-        return size_of(media.SensorImages(row).encoded(touch))
+    return decode_image(data).shape[:2] if decode else image_size(data)
 
 
-def _clip_size(row: stored_round.StoredRound, touch: int, size_of: _SizeOf, noted: _Noted) -> tuple[int, ...]:
+def _clip_size(row: stored_round.StoredRound, touch: int, noted: _Noted, *, decode: bool) -> tuple[int, ...]:
     """Return height and width of all frames of a clip; empty for a clip without frames."""
     clip = media.TouchClip(row, touch)
     with noted():
@@ -439,7 +427,7 @@ def _clip_size(row: stored_round.StoredRound, touch: int, size_of: _SizeOf, note
     first: tuple[int, ...] = ()
     for frame in range(len(clip)):
         with row.naming("sensor_video", touch, f"frame {frame}: "):
-            size = size_of(clip.encoded(frame))
+            size = _size_of(clip.encoded(frame), decode=decode)
             first = first or size
             if size != first:
                 raise ValueError(f"{_describe(size)}; expected {_describe(first)} as of the first frame")

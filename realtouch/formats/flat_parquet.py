@@ -233,18 +233,15 @@ class ForeignParquet:
                 cache.require_unpackable(unpacked, f"{self.place!r}:", self.size_bytes)
                 yield table
 
-    def _require_bounded_pages(self, chunks: Sequence[_Chunk]) -> None:
-        with _named_values(self.place), self._home.open_inside(self._path) as stream:
-            for chunk in chunks:
-                require_bounded_pages(stream, chunk.start, chunk.stored_bytes, _BYTES_AT_ONCE)
-
     def _tables(self, group: int, names: Sequence[str]) -> Iterator[pa.Table]:
         """Yield the rows of a row group, a few at a time; IntegrityError if it holds fewer than stated."""
         chunks = _of_columns(self._chunks[group], names)
         largest = max((1, *(chunk.size_bytes for chunk in chunks if chunk.is_text)))
         rows = min(_ROWS_AT_ONCE, max(1, _BYTES_AT_ONCE // largest))
         missing = self._starts[group + 1] - self._starts[group]
-        self._require_bounded_pages(chunks)
+        with _named_values(self.place), self._home.open_inside(self._path) as stream:
+            for chunk in chunks:
+                require_bounded_pages(stream, chunk.start, chunk.stored_bytes, _BYTES_AT_ONCE)
         with store.named_damage(self.place):
             # Arrow uses no threads of its own, as shards are imported in parallel.
             for batch in self._file.iter_batches(rows, [group], list(names), use_threads=False):

@@ -339,7 +339,8 @@ def extra_types(
     A column of objects, bytes or lists of several lengths is not kept, nor one without any value.
     """
     types: dict[str, pa.DataType] = {}
-    known, of_frames = touches.known, touches.frame_types()
+    known = touches.known
+    of_frames = {name: touches.of_frames(name).type.value_type for name in touches.per_frame.column_names}
     for name, source in extra_sources(touches, columns).items():
         is_frame = source in of_frames
         kind = of_frames[source] if is_frame else touches.per_touch[source].type

@@ -209,10 +209,6 @@ class FoundTouches(Sequence[PicturePlace]):
         rows[is_known[of_clips]] = np.arange(len(inside))
         return column_types.lists_of(entries.take(pa.array(rows)), lengths)
 
-    def frame_types(self) -> dict[str, pa.DataType]:
-        """Return the type of an entry of each field of pictures, as :meth:`of_frames` returns it."""
-        return {name: self.of_frames(name).type.value_type for name in self.per_frame.column_names}
-
     def of_pictures(self, name: str) -> pa.Array:
         """Return a field as a column with an entry for each picture of all touches; null without a value."""
         if name in self.per_frame.column_names:
