@@ -24,7 +24,7 @@ from realtouch import importing, touch_options
 from realtouch.formats import picture_arrays, zarr_recordings
 from tactile_toolkit import cache, errors, store
 from tactile_toolkit.array_types import AnyArray
-from tactile_toolkit.columns import column_types
+from tactile_toolkit.columns import column_types, tables
 
 H5Object = Any
 """A file, group or dataset of h5py, which has no types for type checkers."""
@@ -147,7 +147,7 @@ def find_hdf5(
     image = columns.image_name.strip("/")
     for name in names:
         address = home.address(name)
-        with importing.open_source(home, name) as stream, in_words(address):
+        with tables.open_source(home, name) as stream, in_words(address):
             root = open_file(stream)
             kinds = dict(islice(_members(address, root, "", _DEEPEST), _MAX_OBJECTS + 1))
             if len(kinds) > _MAX_OBJECTS:
@@ -228,7 +228,7 @@ def _recording(
 def _open_pictures(home: store.DataFolder, path: str, part: str) -> picture_arrays.PictureArray:
     divisor, name = part.split(" ", 1)
     with ExitStack() as closing, in_words(home.address(path)):
-        root = open_file(closing.enter_context(importing.open_source(home, path)))
+        root = open_file(closing.enter_context(tables.open_source(home, path)))
         array = dataset_in(home.address(path), root, name)
         weakref.finalize(array, closing.pop_all().close)
     return picture_arrays.PictureArray(array, float(divisor))

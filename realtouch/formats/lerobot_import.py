@@ -24,7 +24,7 @@ from realtouch.touches.rounds import touch_id
 from realtouch.video import videos
 from tactile_toolkit import errors, store, wording
 from tactile_toolkit.array_types import Float64
-from tactile_toolkit.columns import column_types
+from tactile_toolkit.columns import column_types, tables
 from tactile_toolkit.json_types import JsonObject
 
 _ROWS = ".parquet"
@@ -417,7 +417,7 @@ def _lines(home: store.DataFolder, path: str) -> Iterator[JsonObject]:
 
 
 def _content(home: store.DataFolder, path: str) -> bytes:
-    with importing.open_source(home, path) as stream:
+    with tables.open_source(home, path) as stream:
         content = stream.read(_MAX_BYTES + 1)
     if len(content) > _MAX_BYTES:
         raise errors.InputError(f"{home.address(path)!r} is larger than the limit of {_MAX_BYTES:,} bytes")

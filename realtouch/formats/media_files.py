@@ -67,9 +67,10 @@ def find_folder(
                 next="name it with --table",
             )
         table_name = named[0]
-    lines = importing.read_table(folder, table_name, columns, [columns.image])
+    opened = tables.open_table(folder, table_name)
+    lines = importing.read_table(opened, columns, [columns.image])
     wanted = [columns.image, *columns.found_in(lines.columns).names()]
-    importing.require_columns(lines.columns, wanted, folder.address(table_name))
+    importing.require_columns(lines.columns, wanted, opened.path)
     paths = list(map(importing.path_of, lines.texts(columns.image)))
     duplicates = importing.duplicates_of(paths, importing.FILE_OF_TABLE)
     yield importing.image_files(home, paths, lines.columns, duplicates)
@@ -190,7 +191,7 @@ def _table_of_videos(
     """Return the table of the videos; None if there is no such table."""
 
     def read(of_videos: tables.Table) -> importing.SourceTable:
-        rows = importing.rows_of_table(of_videos, columns, [image])
+        rows = importing.read_table(of_videos, columns, [image])
         importing.require_columns(rows.columns, [image], of_videos.path)
         return rows
 
@@ -299,7 +300,7 @@ def find_anytouch(
     folder_of_lists, lists = importing.files_to_read(named, f"lists (*{_LIST_END})", find)
     for list_name in lists:
         split = list_name.removesuffix(_LIST_END)
-        with importing.open_source(folder_of_lists, list_name) as stream:
+        with tables.open_source(folder_of_lists, list_name) as stream:
             lines = stream.read().decode(errors="replace").splitlines()
         paths, labels, rounds = list[str](), list[str](), list[str]()
         for line in lines:

@@ -25,7 +25,7 @@ from realtouch import convert, importing, touch_options
 from realtouch.formats import exports
 from realtouch.touches import media
 from tactile_toolkit import errors, store
-from tactile_toolkit.columns import column_types
+from tactile_toolkit.columns import column_types, tables
 from tactile_toolkit.json_types import JsonDict, JsonObject
 
 _FOLDER = "webdataset"
@@ -150,7 +150,7 @@ _NO_FILE = _Member("", "", 0, 0, b"")
 
 def _members(folder: store.DataFolder, name: str) -> Iterator[_Member]:
     try:
-        with importing.open_source(folder, name) as stream:
+        with tables.open_source(folder, name) as stream:
             if stream.read(4).startswith(_COMPRESSED):
                 raise errors.InputError(
                     f"{folder.address(name)!r} is compressed; expected a tar", next="unpack it"

@@ -15,7 +15,7 @@ from realtouch.importing import fields, source_files, source_touches
 from realtouch.video import avi
 from tactile_toolkit import errors, pictures, touch, wording
 from tactile_toolkit.array_types import Bool, Float64, Int64, UInt8
-from tactile_toolkit.columns import column_types, units
+from tactile_toolkit.columns import column_types, tables, units
 
 RECORDING_COLUMNS = ("recording", "file")
 _FRAME = "start_frame"
@@ -66,7 +66,7 @@ class CutTable:
                 f"{', '.join(source_touches.CUTS)} or the path of a table"
             )
         self._place = home.address(name)
-        self._table = source_files.read_table(home, name, columns, RECORDING_COLUMNS)
+        self._table = source_files.read_table(tables.open_table(home, name), columns, RECORDING_COLUMNS)
         names = [*self._table.columns]
         known = [_FRAME, *(f"start_{unit}" for unit in units.PER_SECOND)]
         if columns.time_unit:

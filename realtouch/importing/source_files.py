@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from functools import cache, partial
 from itertools import chain, groupby, islice, repeat
 from operator import itemgetter
-from typing import IO, NamedTuple
+from typing import NamedTuple
 
 import pyarrow as pa
 
@@ -51,14 +51,6 @@ def source_of(path_or_address: str) -> tuple[store.DataFolder, str]:
     """Return the folder of a file that the user named, and its name there; the file may be a link."""
     path = store.local_path(path_or_address)
     return store.split_uri(path_or_address if path is None else os.path.realpath(path))
-
-
-def open_source(folder: store.DataFolder, name: str) -> IO[bytes]:
-    """Open a table or archive of a source; an InputError names it if it cannot be read."""
-    try:
-        return folder.open_inside(name)
-    except errors.ItemError as error:
-        raise errors.InputError(f"{folder.address(name)!r} cannot be read: {error.what}") from error
 
 
 def visible_files(home: store.DataFolder, endings: str | tuple[str, ...]) -> list[str]:
@@ -104,25 +96,15 @@ class SourceTable(NamedTuple):
         return {name: column[row].as_py() for name, column in self.columns.items()}
 
 
+@store.without_collecting()
 def read_table(
-    folder: store.DataFolder,
-    name: str,
-    columns: touch_options.ImportColumns,
-    names: Iterable[str | None] = (),
+    table: tables.Table, columns: touch_options.ImportColumns, names: Iterable[str | None] = ()
 ) -> SourceTable:
-    """Read a table; InputError if it cannot be read.
+    """Read a whole table; InputError if it cannot be read.
 
     In text tables, the columns of labels, rounds, objects and splits stay text, and so do those in ``names``.
     Other columns get types, and lists of numbers in brackets become vectors.
     """
-    return rows_of_table(tables.open_table(folder, name), columns, names)
-
-
-@store.without_collecting()
-def rows_of_table(
-    table: tables.Table, columns: touch_options.ImportColumns, names: Iterable[str | None] = ()
-) -> SourceTable:
-    """Read an opened table as :func:`read_table` does."""
     known = columns.found_in(table.names)
     texts = {NUMBERED, known.label, known.round, known.object_id, known.split, *names}
     numbers = {*(known.position or ()), *(known.pose or ()), known.time}

@@ -56,12 +56,17 @@ def open_table(folder: store.DataFolder, name: str) -> Table:
             raise IntegrityError(
                 f"{address!r} was replaced or changed while it was read", next="run the same command again"
             )
-        try:
-            return folder.open_inside(name)
-        except ItemError as error:
-            raise InputError(f"{address!r} cannot be read: {error.what}") from error
+        return open_source(folder, name)
 
     return Table(address, opened)
+
+
+def open_source(folder: store.DataFolder, name: str) -> IO[bytes]:
+    """Open a table or archive of a source; an InputError names it if it cannot be read."""
+    try:
+        return folder.open_inside(name)
+    except ItemError as error:
+        raise InputError(f"{folder.address(name)!r} cannot be read: {error.what}") from error
 
 
 class Table:
