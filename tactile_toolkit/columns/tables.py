@@ -72,6 +72,8 @@ def open_source(folder: store.DataFolder, name: str) -> IO[bytes]:
 class Table:
     """A table that is read several times, a few rows at a time.
 
+    A column without a name is called ``column_1`` by its position.
+
     Parameters
     ----------
     path : str
@@ -79,12 +81,10 @@ class Table:
     open_file : callable
         Opens the table as a binary stream.
 
-    A column without a name is called ``column_1`` by its position.
-
     Raises
     ------
     InputError
-        It cannot be read, or exceeds a limit.
+        It cannot be read, or exceeds a limit; raised by the first pass.
     """
 
     def __init__(self, path: str, open_file: Callable[[], IO[bytes]]) -> None:
