@@ -160,7 +160,7 @@ class RowGenerator(ABC):
         if options.overwrite and store.require_replaceable(folder, plan):
             job = store.BuildJob(folder, plan, plan.new_manifest(), plan.tasks)
         else:
-            job = store.inspect_job(folder, plan, options)
+            job = plan.compared_with(folder, options)
         rows = Counter[str]()
         left = Counter[str]()
         for task in job.tasks:
@@ -341,4 +341,4 @@ class Recipe:
     def rows_left(self, out: str, split: str) -> int:
         """Return the number of rows that :meth:`make` would make in a folder; raises as it would."""
         plan = plan_build(self.generator, (split,))
-        return sum(task.size for task in store.inspect_job(store.open_folder(out), plan).remaining)
+        return sum(task.size for task in plan.compared_with(store.open_folder(out)).remaining)
