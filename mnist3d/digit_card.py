@@ -37,24 +37,19 @@ class SplitSummary:
         Number of rows with each value.
     measures : mapping
         Minimum, median and maximum; empty without rows.
-    sums : mapping
-        Totals.
     """
 
     split: str
     counts: Mapping[str, int]
     facets: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     measures: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
-    sums: Mapping[str, int] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, object]:
         """Return JSON values."""
-        return {"split": self.split, **self.counts, **self.facets, **self.measures, **self.sums}
+        return {"split": self.split, **self.counts, **self.facets, **self.measures}
 
     def text(self, column: Column) -> str:
         """Return the figures of a column as text."""
-        if column.role == "sum":
-            return figure_text(column, self.sums[column.name])
         if column.role == "measure":
             spread = self.measures[column.name]
             if not spread:
@@ -93,7 +88,6 @@ def summarise_columns(
                 counts,
                 {each.name: _counts(rows[each.name]) for each in declared if each.role == "facet"},
                 {each.name: _spread(rows[each.name]) for each in declared if each.role == "measure"},
-                {each.name: int(rows[each.name].to_numpy().sum()) for each in declared if each.role == "sum"},
             )
         )
     return found
