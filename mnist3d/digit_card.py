@@ -16,7 +16,6 @@ from mnist3d.sources.picture_folder import FolderSource
 from tactile_toolkit import cards, kind, store, wording
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.rows import Column
-from tactile_toolkit.wording import class_name, with_count
 
 _MAX_LISTED = 12
 COLUMNS = DigitRow.meanings()
@@ -61,7 +60,7 @@ class SplitSummary:
         if is_even and not pa.types.is_list(column.data_type):
             return f"{next(iter(counts.values())):,} of each of {len(counts):,}"
         if len(counts) > _MAX_LISTED:
-            return with_count(len(counts), "values")
+            return wording.with_count(len(counts), "values")
         return ", ".join(f"{value}: {count:,}" for value, count in counts.items()) or "none"
 
 
@@ -129,7 +128,9 @@ def _summaries(manifest: store.Manifest, report: pa.Table) -> list[SplitSummary]
     names = classes_of(manifest)
     summaries = []
     for summary in summarise_columns(manifest, report, SUMMED_UP):
-        labels = {class_name(names, int(label)): count for label, count in summary.facets["label"].items()}
+        labels = {
+            wording.class_name(names, int(label)): count for label, count in summary.facets["label"].items()
+        }
         summaries.append(replace(summary, facets={**summary.facets, "label": labels}))
     return summaries
 
@@ -216,7 +217,8 @@ def _limits(manifest: store.Manifest, summaries: list[SplitSummary], words: Mapp
     lines = [
         words["limit"],
         f"{in_pieces}; `--join-bodies` makes bridges.",
-        f"The print profile raises {with_count(warned, 'warnings')}; a digit with a warning may still print.",
+        f"The print profile raises {wording.with_count(warned, 'warnings')}; a digit with a warning may still "
+        "print.",
         "Heights and shoulders are inferred from the published meshes: the erosion sizes were not published.",
     ]
     if manifest.spec["per_class"] is not None or manifest.spec["limit"] is not None:
