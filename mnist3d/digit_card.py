@@ -217,8 +217,8 @@ def _limits(manifest: store.Manifest, summaries: list[SplitSummary], words: Mapp
     lines = [
         words["limit"],
         f"{in_pieces}; `--join-bodies` makes bridges.",
-        f"The print profile raises {wording.with_count(warned, 'warnings')}; a digit with a warning may still "
-        "print.",
+        f"The print profile raises {wording.with_count(warned, 'warnings')}; a digit with a warning may "
+        "still print.",
         "Heights and shoulders are inferred from the published meshes: the erosion sizes were not published.",
     ]
     if manifest.spec["per_class"] is not None or manifest.spec["limit"] is not None:
