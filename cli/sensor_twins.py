@@ -162,7 +162,7 @@ def download_sensor(
     --out.
     """
     repository = None
-    if out is not None and not split and places.kind_of_published(name) is None:
+    if out is not None and not split and places.published_set(name) is None:
         hub_commands.quiet_client(is_all=True)
         repository = places.find_repository(name, revision, sink.info)
     if repository is None or out is None or SENSOR_FILE not in repository.remote:

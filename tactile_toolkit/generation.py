@@ -18,7 +18,6 @@ from tactile_toolkit.array_types import Int64
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.rows import table_of
 from tactile_toolkit.run import usable_cores
 
 if TYPE_CHECKING:
@@ -161,7 +160,7 @@ class RowGenerator(ABC):
         if options.overwrite and store.require_replaceable(folder, plan):
             job = store.BuildJob(folder, plan, plan.new_manifest(), plan.tasks)
         else:
-            job = store.inspect_job(folder, plan, options)
+            job = plan.compared_with(folder, options)
         rows = Counter[str]()
         left = Counter[str]()
         for task in job.tasks:
@@ -206,7 +205,8 @@ def make_shard(generator: RowGenerator, shard: store.ShardName, items: AnyRows) 
     rows = [each for each in made if not isinstance(each, store.Skipped)]
     skipped = tuple(each for each in made if isinstance(each, store.Skipped))
     with store.without_collecting():
-        table = table_of(rows, generator.schema(shard.split))
+        schema = generator.schema(shard.split)
+        table = type(rows[0]).table(rows, schema) if rows else schema.empty_table()
     return store.ShardContent(table, skipped, generator.report(shard, rows), generator.statistics(rows))
 
 
@@ -341,4 +341,4 @@ class Recipe:
     def rows_left(self, out: str, split: str) -> int:
         """Return the number of rows that :meth:`make` would make in a folder; raises as it would."""
         plan = plan_build(self.generator, (split,))
-        return sum(task.size for task in store.inspect_job(store.open_folder(out), plan).remaining)
+        return sum(task.size for task in plan.compared_with(store.open_folder(out)).remaining)

@@ -62,7 +62,6 @@ class WrenchDataset(mesh.SolidDataset[WrenchRecord]):
 load = places.loader(KIND, WrenchDataset, mesh.RecordStream[WrenchRecord])
 
 
-@rows.row
 class WrenchRow(mesh.MeshRow):
     """One wrench; columns in mm and degrees are lengths of its specification."""
 

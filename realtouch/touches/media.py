@@ -474,7 +474,9 @@ class TouchClip(read.LazySequence[UInt8, UInt8]):
         """Show frames from first to last in a notebook; those that are damaged are left out."""
         frames = picture_views.evenly_spaced(len(self), _SHOWN_FRAMES)
         images = [(f"frame {frame}", partial(self.__getitem__, frame)) for frame in frames]
-        return pictures.grid_html(f"Touch {self.touch}", [wording.with_count(len(self), "frames")], images)
+        return pictures.Drawn.grid_html(
+            f"Touch {self.touch}", [wording.with_count(len(self), "frames")], images
+        )
 
 
 class SensorClips(_StoredMedia[TouchClip, list[TouchClip]]):

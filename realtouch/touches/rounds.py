@@ -118,7 +118,9 @@ class TouchRound(pictures.Drawn, read.Record):
         touches = picture_views.evenly_spaced(self.touch_count, picture_views.MAX_TILES)
         images = [(f"{touch}", partial(self.contact_image, touch)) for touch in touches]
         title = self.describe_field("id", str) or "Round"
-        return pictures.grid_html(title, [*words, wording.with_count(self.touch_count, "touches")], images)
+        return pictures.Drawn.grid_html(
+            title, [*words, wording.with_count(self.touch_count, "touches")], images
+        )
 
     def caption(self, label_names: Sequence[str] = ()) -> str:
         """Return the label, if there is one, and the number of touches."""

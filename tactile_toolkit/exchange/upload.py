@@ -122,26 +122,19 @@ def compare(
 ) -> UploadPlan:
     """Compare the files for a repository with those of a commit, by path and checksum."""
     local = {file.path: file for file in files}
-    remote = _remote_files(held)
+    remote = {} if held is None else held.remote
     missing = tuple(local[path] for path in sorted(local) if not local[path].has_content_of(remote.get(path)))
-    return UploadPlan(missing, *_other_files(local, held, delete))
-
-
-def _remote_files(held: hub.HubRepository | None) -> Mapping[str, store.HubFile]:
-    if held is None:
-        return {}
-    return held.remote
+    return UploadPlan(missing, *_other_files(local, remote, delete))
 
 
 def _other_files(
-    paths: Iterable[str], held: hub.HubRepository | None, delete: bool
+    paths: Iterable[str], remote: Iterable[str], delete: bool
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the other files of a commit that stay, and those that are removed.
 
     Files that former uploads made for the viewer of the Hub are removed, and with ``delete`` all others, too.
     """
-    remote = _remote_files(held)
-    others = sorted(remote.keys() - set(paths) - _WRITTEN_BY_HUB)
+    others = sorted(set(remote) - set(paths) - _WRITTEN_BY_HUB)
     removed = tuple(path for path in others if delete or _is_for_page(path))
     return tuple(path for path in others if path not in removed), removed
 
@@ -481,7 +474,7 @@ def _files_to_send(
     paths = collect(root, manifest)
     facts = cards.FolderSummary.of(place, manifest)
     # If the pattern of a split would match another file of the repository, its files are listed one by one.
-    others, _ = _other_files(paths, held, options.delete)
+    others, _ = _other_files(paths, {} if held is None else held.remote, options.delete)
     stored = cards.with_repo_name(place.read_bytes(cards.CARD_FILE).decode(), repo_id)
     card = cards.with_head(stored, lambda head: head.update(configs=cards.configs(facts, others)))
     rendered = {cards.CARD_FILE: card}

@@ -51,7 +51,6 @@ from .job import (
     AnyTask as AnyTask,
     BuildJob as BuildJob,
     BuildPlan as BuildPlan,
-    inspect_job as inspect_job,
     manifest_so_far as manifest_so_far,
     MissingPartsError as MissingPartsError,
     pending_shards as pending_shards,

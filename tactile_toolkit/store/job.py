@@ -197,6 +197,15 @@ class BuildPlan:
             libraries={name: version(name) for name in self.libraries},
         )
 
+    def compared_with(self, folder: DataFolder, options: RunOptions | None = None) -> BuildJob:
+        """Compare a folder with the plan, or with the tasks of a part, and change nothing.
+
+        Raises SpecMismatchError when the folder is made by another specification, or by libraries that write
+        other bytes (the message states the differences), InputError when it holds something else, and
+        MissingPartsError where shards are missing that ``finish`` needs.
+        """
+        return _compare(folder, self, options or RunOptions(), read_manifest(folder))
+
 
 @dataclass(frozen=True)
 class Progress:
@@ -321,7 +330,7 @@ class BuildJob:
 def begin_job(folder: DataFolder, plan: BuildPlan, options: RunOptions) -> BuildJob:
     """Find out what a run has to do in a folder, and create its manifest if there is none.
 
-    Raises as :func:`inspect_job`.
+    Raises as :meth:`BuildPlan.compared_with`.
     """
     current = read_manifest(folder)
     while True:
@@ -351,18 +360,8 @@ def _remove_outdated_records(folder: DataFolder, plan: BuildPlan, manifest: Mani
             folder.remove(shard.record_path)
 
 
-def inspect_job(folder: DataFolder, plan: BuildPlan, options: RunOptions | None = None) -> BuildJob:
-    """Compare a folder with a plan, or with the tasks of a part, and change nothing.
-
-    Raises SpecMismatchError when the folder is made by another specification, or by libraries that write
-    other bytes (the message states the differences), InputError when it holds something else, and
-    MissingPartsError where shards are missing that ``finish`` needs.
-    """
-    return _compare(folder, plan, options or RunOptions(), read_manifest(folder))
-
-
 def _compare(folder: DataFolder, plan: BuildPlan, options: RunOptions, manifest: Manifest | None) -> BuildJob:
-    """Compare a folder, which has this manifest, with a plan; raises as :func:`inspect_job`."""
+    """Compare a folder, which has this manifest, with a plan; raises as :meth:`BuildPlan.compared_with`."""
     new = plan.new_manifest()
     check = options.check
     tasks = plan.tasks if options.part is None else tuple(options.part.of(plan.tasks))
