@@ -19,7 +19,7 @@ from tactile_toolkit.array_types import Int64
 from tactile_toolkit.checked_fields import Declared
 from tactile_toolkit.json_types import JsonValue
 
-Role: TypeAlias = Literal["plain", "facet", "measure", "sum", "hidden"]
+Role: TypeAlias = Literal["plain", "facet", "measure", "hidden"]
 
 _COLUMN = "column"
 
@@ -41,7 +41,7 @@ class Column:
     role : str
         Use of the column. Objects are filtered and counted by the values of a ``"facet"``, which may be
         lists. A ``"measure"`` is a number of each object, with minimum, median and maximum of a split. A
-        ``"sum"`` is a number with a total of a split. A ``"hidden"`` column is not stored.
+        ``"hidden"`` column is not stored.
     title : str
         Heading in tables and galleries.
     decimals : int
