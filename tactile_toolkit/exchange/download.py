@@ -18,7 +18,7 @@ from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import DatasetKind, PublishedSet
 
 # Files that are adapted to the splits of the folder.
-_METADATA_FILES = (cards.CARD_FILE, store.MANIFEST_FILE)
+_METADATA_FILES = (store.CARD_FILE, store.MANIFEST_FILE)
 
 _EXTRA_FOLDERS = ("reports/", "previews/")
 _EXTRA_FILES = ("LICENSE", "LICENSE.md", "LICENSE.txt")
@@ -298,13 +298,13 @@ def _write_metadata(plan: DownloadPlan, folder: store.DataFolder, manifest: stor
     # In this order: the card follows from the manifest.
     if store.MANIFEST_FILE in contents:
         folder.write_bytes(store.MANIFEST_FILE, contents[store.MANIFEST_FILE])
-    if cards.CARD_FILE in contents:
-        card = contents[cards.CARD_FILE]
+    if store.CARD_FILE in contents:
+        card = contents[store.CARD_FILE]
         if is_fitted:
             # An unreadable card stays unchanged.
             with contextlib.suppress(ToolkitError, ValueError, TypeError, RecursionError):
                 card = _fitted_card(plan, folder, is_part, card.decode()).encode()
-        folder.write_bytes(cards.CARD_FILE, card)
+        folder.write_bytes(store.CARD_FILE, card)
 
 
 def _fitted_card(plan: DownloadPlan, folder: store.DataFolder, is_part: bool, card: str) -> str:

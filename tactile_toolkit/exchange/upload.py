@@ -147,7 +147,7 @@ def _is_for_page(path: str) -> bool:
 def collect(root: Path, manifest: store.Manifest) -> list[str]:
     """List the files of a verified folder that are sent: files of the manifest, card, pictures."""
     place = store.open_folder(str(root))
-    found = [cards.CARD_FILE, store.MANIFEST_FILE]
+    found = [store.CARD_FILE, store.MANIFEST_FILE]
     for folder in (cards.PREVIEW_FOLDER, _PICTURE_FOLDER):
         paths = [path.relative_to(root).as_posix() for path in sorted((root / folder).rglob("*"))]
         # Names with a leading dot are unfinished files; links may lead to any file.
@@ -475,9 +475,9 @@ def _files_to_send(
     facts = cards.FolderSummary.of(place, manifest)
     # If the pattern of a split would match another file of the repository, its files are listed one by one.
     others, _ = _other_files(paths, {} if held is None else held.remote, options.delete)
-    stored = cards.with_repo_name(place.read_bytes(cards.CARD_FILE).decode(), repo_id)
+    stored = cards.with_repo_name(place.read_bytes(store.CARD_FILE).decode(), repo_id)
     card = cards.with_head(stored, lambda head: head.update(configs=cards.configs(facts, others)))
-    rendered = {cards.CARD_FILE: card}
+    rendered = {store.CARD_FILE: card}
     if made:
         rendered[store.MANIFEST_FILE] = manifest.to_json()
     for path, content in rendered.items():

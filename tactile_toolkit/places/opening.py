@@ -13,7 +13,6 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.places.place import Place, named_on_hub, published_set, shards_by_split
 from tactile_toolkit.places.split_files import (
-    CARD_FILE,
     PARQUET,
     USUAL_SPLIT,
     has_shards,
@@ -171,8 +170,8 @@ def _local_place(name: str, folder: store.DataFolder, file: str, config: str | N
         return Place(name, folder, shards_by_split(manifest), manifest, manifest.complete)
     if is_interrupted(folder):
         raise not_a_set(folder, name)
-    if folder.exists(CARD_FILE):
-        named = splits_by_card(folder.read_bytes(CARD_FILE), _walked(folder), config, name)
+    if folder.exists(store.CARD_FILE):
+        named = splits_by_card(folder.read_bytes(store.CARD_FILE), _walked(folder), config, name)
         if named is not None:
             return Place(name, folder, require_some(named, name), config=config)
     in_data = [f"{store.DATA_FOLDER}/{each}" for each in folder.names(store.DATA_FOLDER)]
@@ -237,8 +236,8 @@ def repository_place(
         listed = shards_by_split(manifest)
         files = {split: tuple(each for each in found if each in {*paths}) for split, found in listed.items()}
         return Place(name, repository, files, manifest)
-    if paths and CARD_FILE in repository.remote and not path:
-        card = repository.local_paths((CARD_FILE,))[0].read_bytes()
+    if paths and store.CARD_FILE in repository.remote and not path:
+        card = repository.local_paths((store.CARD_FILE,))[0].read_bytes()
         named = splits_by_card(card, paths, config, name)
         if named is not None:
             if repository.is_cache and not any(named.values()):

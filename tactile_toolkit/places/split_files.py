@@ -14,10 +14,9 @@ from tactile_toolkit import store, wording
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.kind import kinds
-from tactile_toolkit.wording import did_you_mean, with_count
 
-CARD_FILE = "README.md"
 PARQUET = ".parquet"
+_CARD = store.CARD_FILE
 USUAL_SPLIT = "train"
 # Words for each split in names of files and folders, between separators.
 _KEYWORDS = {
@@ -109,9 +108,9 @@ def splits_by_name(paths: Iterable[str], where: str) -> Splits:
         if len(folders) > 1:
             named = " and ".join(repr(folder or ".") for folder in list(folders)[:2])
             raise InputError(
-                f"{where!r} has files of split {split!r} in {named}, and no {CARD_FILE} states which of "
+                f"{where!r} has files of split {split!r} in {named}, and no {_CARD} states which of "
                 "them is the split",
-                next=f"give one of these folders, or name the files of each split in {CARD_FILE} (`configs`)",
+                next=f"give one of these folders, or name the files of each split in {_CARD} (`configs`)",
             )
     return {split: tuple(next(iter(folders.values()))) for split, folders in sorted(holders.items())}
 
@@ -213,9 +212,8 @@ def require_some(splits: Splits, where: str) -> Splits:
     if any(splits.values()):
         return splits
     raise InputError(
-        f"{CARD_FILE} of {where!r} names the files of {', '.join(splits)}; none of them is a Parquet file "
-        "there",
-        next=f"correct {CARD_FILE}, or give a Parquet file",
+        f"{_CARD} of {where!r} names the files of {', '.join(splits)}; none of them is a Parquet file there",
+        next=f"correct {_CARD}, or give a Parquet file",
     )
 
 
@@ -243,7 +241,8 @@ def _configurations(card: bytes, where: str) -> dict[str, JsonObject]:
 
 def _unreadable(where: str, field: str, expected: str) -> InputError:
     return InputError(
-        f"{CARD_FILE} of {where!r}: {field!r} of its YAML is not {expected}", next=f"correct {CARD_FILE}"
+        f"{_CARD} of {where!r}: {field!r} of its YAML is not {expected}",
+        next=f"correct {_CARD}",
     )
 
 
@@ -252,7 +251,7 @@ def _chosen(names: Sequence[str], configs: Mapping[str, JsonObject], config: str
     if config is not None:
         if config in configs:
             return config
-        known = f"it has {', '.join(names)}{did_you_mean(config, names)}"
+        known = f"it has {', '.join(names)}{wording.did_you_mean(config, names)}"
         raise InputError(f"no configuration {config!r} in {where!r}: {known}", next="choose one of them")
     marked = [name for name in names if name == "default" or configs[name].get("default") is True]
     candidates = marked or names
@@ -285,7 +284,7 @@ def _patterns(data_files: object, where: str) -> dict[str, list[str]]:
         for pattern in patterns:
             if "://" in pattern or store.problem_of_name(pattern.replace("*", "x").removeprefix("./")):
                 raise InputError(
-                    f"{CARD_FILE} of {where!r} names the files {pattern[:80]!r}; expected files in it",
+                    f"{_CARD} of {where!r} names the files {pattern[:80]!r}; expected files in it",
                     next="do not use this data set, or ask who made it",
                 )
         found.setdefault(split, []).extend(patterns)
@@ -332,7 +331,7 @@ def files_of_split(splits: Mapping[str, tuple[str, ...]], split: str, where: str
     expected = max(counts) if len(counts) == 1 and None not in names else len(chosen)
     if chosen and len(chosen) >= expected:
         return chosen
-    found = f"{len(chosen)} of {with_count(max(expected, 1), 'files')}"
+    found = f"{len(chosen)} of {wording.with_count(max(expected, 1), 'files')}"
     raise IntegrityError(
         f"{where!r} has {found} of split {split!r}; expected all",
         next="download or generate the data set again (with a network, if it is on the Hub)",
@@ -345,7 +344,7 @@ def unknown_split(split: str, known: tuple[str, ...], where: str) -> InputError:
         return InputError(
             f"no Parquet files in {where!r}", next="give the folder or repository of a data set"
         )
-    found = f"it has {', '.join(known)}{did_you_mean(split, known)}"
+    found = f"it has {', '.join(known)}{wording.did_you_mean(split, known)}"
     return InputError(f"no split {split!r} in {where!r}: {found}", next="choose one of them, or make it")
 
 
@@ -384,7 +383,7 @@ def _folder_in_words(folder: store.DataFolder) -> tuple[str, str]:
     if sets:
         shown = ", ".join(sets[:_MAX_SHOWN])
         return (
-            f"holds {with_count(len(sets), 'data sets')} ({shown})",
+            f"holds {wording.with_count(len(sets), 'data sets')} ({shown})",
             f"give one of them, such as {sets[0]!r}",
         )
     return _contents_in_words(folder)

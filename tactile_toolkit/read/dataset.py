@@ -362,17 +362,15 @@ class RecordDataset(Sequence[T], Generic[T]):
         TypeError
             The index has another type.
         """
-        if isinstance(index, int):
+        if isinstance(index, int):  # first: most are
             return self._item(index)
-        if isinstance(index, slice):
-            return self._select(index)
         if _picks_several(index):
             return self._chosen(index)
         return self._item(operator.index(index))
 
     def _chosen(self, index: object) -> Self:
         """Return a view of the items that a slice, ints or a mask select."""
-        return self._select(positions(index, len(self)))
+        return self._select(index if isinstance(index, slice) else positions(index, len(self)))
 
     def by_id(self, id: int | str) -> T:
         """Return the first item with an id; reads only the ids.

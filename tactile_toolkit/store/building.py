@@ -44,6 +44,7 @@ from tactile_toolkit.store.job import (
 )
 from tactile_toolkit.store.locks import locked
 from tactile_toolkit.store.manifest import (
+    CARD_FILE,
     DATA_FOLDER,
     MANIFEST_FILE,
     Manifest,
@@ -60,8 +61,6 @@ WriteCard = Callable[[DataFolder, Manifest], None]
 """Writes the card of a finished folder, after its report."""
 PROMOTION_FILE = f"{NEXT_FOLDER}/.promotion.json"
 """Lists the files of the former data set that the next one lacks."""
-CARD_FILE = "README.md"
-"""The data card."""
 _USUAL = ("reports/*.parquet", "previews/*.png", CARD_FILE, RECORD_FILE, MANIFEST_FILE)
 
 
@@ -79,18 +78,16 @@ class _WriteShard:
         folder, shard = self.folder, task.shard
         content = task.make()
         data = content.encoded or parquet.encode_parquet(content.table, self.style)
-        report = report_sha256 = report_bytes = None
+        report = None
         if content.report is not None:
             report = parquet.encode_parquet(content.report, parquet.REPORT_STYLE)
-            report_sha256 = parquet.sha256_hex(report)
-            report_bytes = len(report)
         record = ShardRecord(
             shard.data_path,
             shard.split,
             len(content.table),
             len(data),
             parquet.sha256_hex(data),
-            report_sha256=report_sha256,
+            report_sha256=None if report is None else parquet.sha256_hex(report),
             skipped=content.skipped,
             statistics=content.statistics,
             unpacked_bytes=content.table.nbytes,
@@ -104,7 +101,7 @@ class _WriteShard:
                 folder.write_bytes(shard.report_path, report)
             for path, further in content.files.items():
                 folder.write_bytes(path, further)
-            write_shard_record(folder, record, self.identity, report_bytes)
+            write_shard_record(folder, record, self.identity, None if report is None else len(report))
         return record
 
 

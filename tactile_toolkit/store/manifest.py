@@ -24,6 +24,8 @@ from tactile_toolkit.wording import printable, printable_json, with_count
 
 MANIFEST_FILE = "manifest.json"
 DATA_FOLDER = "data"
+CARD_FILE = "README.md"
+"""The data card."""
 SCHEMA_VERSION = 3
 """The only version that is written and read."""
 T = TypeVar("T")
