@@ -15,12 +15,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from tactile_toolkit import cards, hub, places, run, store
+from tactile_toolkit import cards, hub, places, run, store, wording
 from tactile_toolkit.checked_fields import switch, text
 from tactile_toolkit.errors import HubError, InputError, IntegrityError
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.wording import with_count
 
 MAIN_BRANCH = "main"
 # Written by the Hub itself; every repository has them.
@@ -163,9 +162,9 @@ class Upload:
     """Files for a repository, and how they differ from what it holds.
 
     ``held`` is the head of the branch, or of ``main``, where a new branch starts; None without a repository.
-    ``has_branch`` states whether the branch exists, ``plan`` is the difference. ``scratch`` holds files that
-    were made for the upload, as long as the planned upload lives; :meth:`send` returns a copy of that, which
-    does not keep them. ``ask`` calls a function that uses the Hub, with retries. ``left_out`` are files of
+    ``has_branch`` states whether the branch exists, ``plan`` is the difference. Files that were made for
+    the upload stay as long as the planned upload lives; :meth:`send` returns a copy of that, which does not
+    keep them. ``ask`` calls a function that uses the Hub, with retries. ``left_out`` are files of
     the folder that do not belong to the data set. ``unasked`` states why a dry run could not reach the Hub.
     ``commit`` holds the files after :meth:`send`, and ``pull`` is its pull request, if it is not on a branch.
     """
@@ -176,7 +175,6 @@ class Upload:
     has_branch: bool
     files: tuple[LocalFile, ...]
     plan: UploadPlan
-    scratch: Path
     ask: _Ask = field(repr=False)
     what: str
     manifest: store.Manifest | None = None
@@ -221,7 +219,7 @@ class Upload:
             sent = {file.path.partition("/")[0] for file in files}
             what = f"{manifest.kind} made by tactile-toolkit {manifest.toolkit_version}"
             upload = replace(
-                _compared(repo_id, chosen, state, files, scratch, ask, what),
+                _compared(repo_id, chosen, state, files, ask, what),
                 manifest=manifest,
                 left_out=tuple(sorted(set(place.names()) - sent)),
                 unasked=unasked,
@@ -251,7 +249,7 @@ class Upload:
                 (scratch / path).write_bytes(content)
             state, unasked = _asked_state(ask, repo_id, options.branch, dry_run=dry_run)
             local = tuple(LocalFile(path, scratch / path, len(content)) for path, content in files.items())
-            compared = _compared(repo_id, options, state, local, scratch, ask, what)
+            compared = _compared(repo_id, options, state, local, ask, what)
             upload = replace(compared, unasked=unasked)
             weakref.finalize(upload, stack.pop_all().close)
         return upload
@@ -331,7 +329,7 @@ class Upload:
             paths = [*(file.path for file in wrong.to_send), *wrong.removed]
             raise IntegrityError(
                 f"{self.repo_id!r} does not hold what was sent (commit {commit[:12]}): "
-                f"{paths[0]} differs ({with_count(len(paths), 'such files')})",
+                f"{paths[0]} differs ({wording.with_count(len(paths), 'such files')})",
                 next="run the same upload again, which sends what is missing",
             )
         if options.tag:
@@ -364,7 +362,6 @@ def _compared(
     chosen: UploadOptions,
     state: _State,
     files: tuple[LocalFile, ...],
-    scratch: Path,
     ask: _Ask,
     what: str,
 ) -> Upload:
@@ -381,7 +378,7 @@ def _compared(
     options = chosen
     if named:
         options = replace(chosen, tag=None)
-    return Upload(repo_id, options, held, has_branch, files, plan, scratch, ask, what)
+    return Upload(repo_id, options, held, has_branch, files, plan, ask, what)
 
 
 def _refuse_public(repo_id: str, options: UploadOptions, held: hub.HubRepository | None) -> None:

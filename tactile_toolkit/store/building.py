@@ -19,8 +19,7 @@ from typing import Unpack
 
 import msgspec
 
-from tactile_toolkit import run
-from tactile_toolkit.errors import BusyError, InputError, IntegrityError, StorageError, ToolkitError
+from tactile_toolkit import errors, run
 from tactile_toolkit.kind import kinds
 from tactile_toolkit.store import parquet
 from tactile_toolkit.store.files import DRAFT, is_hidden
@@ -168,9 +167,9 @@ def _begun(
             yield job, hold
         except BaseException as error:
             # A run that waited in vain does not wait again.
-            patience_s = 0.0 if isinstance(error, BusyError) else None
+            patience_s = 0.0 if isinstance(error, errors.BusyError) else None
             # The first error is the one to report, even if the disk does not let us remove anything.
-            with contextlib.suppress(ToolkitError, OSError), folder.locked(patience_s=patience_s):
+            with contextlib.suppress(errors.ToolkitError, OSError), folder.locked(patience_s=patience_s):
                 if options.is_whole:
                     _roll_back(target, plan, had_manifest)
                 hold.close()
@@ -244,7 +243,7 @@ def _finish(
     if current != finished:
         write_manifest(folder, finished)
         if read_manifest(folder) != finished:
-            raise StorageError(
+            raise errors.StorageError(
                 f"{folder.address(MANIFEST_FILE)!r} is not what was written there a moment ago",
                 next="run the same command again, and check the disk",
             )
@@ -294,7 +293,7 @@ def require_replaceable(folder: DataFolder, plan: BuildPlan | None = None) -> li
         refuse_unknown_files(folder, plan)
         return []
     if not isinstance(folder, LocalFolder):
-        raise InputError(
+        raise errors.InputError(
             f"{folder.address()!r} holds a data set, and --overwrite does not work in an object store: the "
             "data set could not be restored if the new run fails; nothing was changed",
             next="choose another folder (--out or OUT), or remove that one with the store's own tools",
@@ -311,7 +310,7 @@ def require_replaceable(folder: DataFolder, plan: BuildPlan | None = None) -> li
     if manifest is None and not {DATA_FOLDER, PENDING_FOLDER} & names:
         unknown = [MANIFEST_FILE]
     if unknown:
-        raise InputError(
+        raise errors.InputError(
             f"{folder.address()!r} holds more than a data set of this toolkit (found {unknown[0]!r}); "
             "nothing was changed",
             next="move that file away, or choose an empty or new folder (--out or OUT)",
@@ -322,7 +321,7 @@ def require_replaceable(folder: DataFolder, plan: BuildPlan | None = None) -> li
 def _manifest(folder: DataFolder) -> Manifest | None:
     try:
         return read_manifest(folder)
-    except IntegrityError:
+    except errors.IntegrityError:
         return None
 
 
@@ -395,7 +394,7 @@ def _move_files(folder: LocalFolder) -> None:
         missing = [record.shard.data_path for record in manifest.shards if not record.is_size_of(sizes)]
         if missing:
             remove_next(folder)  # the same run makes them again in their place
-            raise IntegrityError(
+            raise errors.IntegrityError(
                 f"{folder.address(missing[0])!r} is missing or has another size, though it was made to "
                 "replace a former file",
                 next="run the same command again without --overwrite",
