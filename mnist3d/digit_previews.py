@@ -13,7 +13,6 @@ import pyarrow.compute as pc
 from PIL import Image
 
 from mnist3d import digit_generation, digit_options, digit_records, ink, sources
-from mnist3d.digit_options import SolidSpec
 from mnist3d.ink.binarisation import binarise
 from mnist3d.kind import KIND
 from mnist3d.solid import algorithm
@@ -99,7 +98,7 @@ def _plan_pages(path: Path, stem: str) -> list[tuple[str, partial[UInt8]]]:
             title = f"{path.name}, page {number}"
         # Fitted into 500 px, as by the sources; the default specification is for that size.
         pixels = ink.fit(picture_files.read_picture(path, page=page, whole=True))
-        drawings.append((file, partial(draw_steps, pixels, SolidSpec(), title)))
+        drawings.append((file, partial(draw_steps, pixels, digit_options.SolidSpec(), title)))
     return drawings
 
 
@@ -117,7 +116,7 @@ def _plan_steps(
         files = {"images": spec.images, "writer_info": spec.writer_info}
         options = {option: str(path) for option, path in files.items() if path is not None}
         source = digit_generation.source_again(made_by["source"], **options)
-        solid_spec = SolidSpec(**made_by["solid"])
+        solid_spec = digit_options.SolidSpec(**made_by["solid"])
 
     def draw(number: int, title: str) -> UInt8:
         return draw_steps(source.image(number).pixels, solid_spec, title)
@@ -160,7 +159,7 @@ def _facts(record: digit_records.DigitRecord, report: JsonObject | None) -> Json
     return {**report, "writer": None if record.writer == sources.NO_WRITER else record.writer}
 
 
-def draw_steps(pixels: AnyArray, spec: SolidSpec, title: str) -> UInt8:
+def draw_steps(pixels: AnyArray, spec: digit_options.SolidSpec, title: str) -> UInt8:
     """Draw how an image, shape (H, W), 0 for ink and 255 for paper, becomes the solid that a data set stores.
 
     Raises ItemError, with the title of the picture, where the image is not a usable digit.
@@ -234,7 +233,9 @@ def _window(mask: Bool) -> tuple[slice, slice]:
     return spans[0], spans[1]
 
 
-def _stack_view(layers: Sequence[Bool], pitch_px: float, spec: SolidSpec, px_per_mm: float) -> UInt8:
+def _stack_view(
+    layers: Sequence[Bool], pitch_px: float, spec: digit_options.SolidSpec, px_per_mm: float
+) -> UInt8:
     """Draw the stack in an oblique view, its layers apart."""
     side = _PANEL_PX * _SAMPLING
     picture = Image.new("RGB", (side, side), (255, 255, 255))

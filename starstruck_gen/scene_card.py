@@ -11,7 +11,6 @@ from starstruck_gen import kind, sampling, scene_dataset
 from tactile_toolkit import cards, gallery, mesh, rows, store, wording
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import is_copy
-from tactile_toolkit.wording import with_count
 
 _RULES = {
     "circles": "the circumscribed circles of two objects do not meet",
@@ -72,7 +71,7 @@ def _placement_values(spec: sampling.SceneSpec) -> dict[str, str]:
         rule = f"{rule} and keep {1e3 * spec.clearance_m:g} mm"
     if turned:
         rotation = f" by 0 to {turned:g} degrees about z"
-    distractors = with_count(most, "objects")
+    distractors = wording.with_count(most, "objects")
     if least < most:
         distractors = f"{least:,} to {most:,} objects"
     return {

@@ -63,7 +63,6 @@ PUBLISHED_SIZES = (("train", 3_000), ("test", 300))
 """Scenes of each split (Tactile MNIST paper, section Starstruck)."""
 
 
-@rows.row
 class SceneRow(mesh.MeshRow):
     """One scene."""
 
@@ -462,15 +461,15 @@ class MadeScenes:
 
     def made(self, start: int, count: int) -> pa.Table:
         """Make a block of rows as an Arrow table."""
-        return rows.table_of(make_rows(self.spec, self.split, self.seed, start, count), self.schema)
+        return SceneRow.table(make_rows(self.spec, self.split, self.seed, start, count), self.schema)
 
     def column(self, name: str) -> pa.Array:
         """Return one column of all rows, which must be known without the scenes."""
         return pa.array(self.known(name, range(self.size)))
 
-    def known(self, name: str, rows: range) -> Int64:
+    def known(self, name: str, held: range) -> Int64:
         """Return a column that follows from row numbers; KeyError for any other column."""
-        numbers = np.arange(rows.start, rows.stop, dtype=np.int64)
+        numbers = np.arange(held.start, held.stop, dtype=np.int64)
         classes = numbers % len(self.spec.stars)
         if name == "id":
             return numbers + sampling.scene_id(self.split, 0)
@@ -479,7 +478,7 @@ class MadeScenes:
         if name == "star_count":
             return np.array(self.spec.stars, dtype=np.int64)[classes]
         if name == "seed":
-            return np.array([sampling.scene_seed(self.seed, self.split, row) for row in rows], dtype=np.int64)
+            return np.array([sampling.scene_seed(self.seed, self.split, row) for row in held], dtype=np.int64)
         raise KeyError(name)
 
 

@@ -14,7 +14,6 @@ from tactile_envs import episode_kernels, mesh_pool, motion, scene
 from tactile_envs.config import Config
 from tactile_envs.drawing import EnvDrawing
 from tactile_envs.motion import Motion, Rows, SensorReadings
-from tactile_envs.scene import Camera
 from tactile_sim import Sensor
 from tactile_sim.optics.sensor_noise import EpisodeNoise
 from tactile_sim.press.elastic_press import WholeGel, loads_of
@@ -49,7 +48,7 @@ class MeshScene(scene.TouchScene):
     config: Config
 
     def __init__(
-        self, config: Config, records: Sequence[MeshRecord], num_envs: int, threads: int, camera: Camera
+        self, config: Config, records: Sequence[MeshRecord], num_envs: int, threads: int, camera: scene.Camera
     ) -> None:
         super().__init__(config, num_envs, camera.channels)
         self._records, self._pool = records, mesh_pool.MeshPool.of(records, self._most_tilt_rad)

@@ -16,7 +16,6 @@ import trimesh
 from env_assets.mesh_view import LazyMesh, MeshRecord
 from tactile_envs import config, episode_kernels, mesh_pool, mesh_scene, motion, scene
 from tactile_envs.config import Config
-from tactile_envs.scene import Camera
 from tactile_envs.touch_kernels import (
     EDGE_PX,
     PADDING,
@@ -48,7 +47,7 @@ class TiltedScene(mesh_scene.MeshScene):
     """
 
     def __init__(
-        self, config: Config, records: Sequence[MeshRecord], num_envs: int, threads: int, camera: Camera
+        self, config: Config, records: Sequence[MeshRecord], num_envs: int, threads: int, camera: scene.Camera
     ) -> None:
         super().__init__(config, records, num_envs, threads, camera)
         widest_rad = config.longest_way(config.angular_velocity, config.angular_acceleration)

@@ -17,7 +17,6 @@ from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import Int64
 from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.rows import table_of
 from tactile_toolkit.run import usable_cores
 
 if TYPE_CHECKING:
@@ -205,7 +204,8 @@ def make_shard(generator: RowGenerator, shard: store.ShardName, items: AnyRows) 
     rows = [each for each in made if not isinstance(each, store.Skipped)]
     skipped = tuple(each for each in made if isinstance(each, store.Skipped))
     with store.without_collecting():
-        table = table_of(rows, generator.schema(shard.split))
+        schema = generator.schema(shard.split)
+        table = type(rows[0]).table(rows, schema) if rows else schema.empty_table()
     return store.ShardContent(table, skipped, generator.report(shard, rows), generator.statistics(rows))
 
 

@@ -18,7 +18,6 @@ from tactile_toolkit.arithmetic import cosine_sine
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import is_copy
-from tactile_toolkit.mesh import MM_PER_M, Mesh, MeshRow, PrintReport, inspect, write_mesh
 
 # Sides of a full circle: 0.03 mm from round at 60 mm across, less than a printer can show.
 _SEGMENTS = 96
@@ -63,8 +62,7 @@ class WrenchDataset(mesh.SolidDataset[WrenchRecord]):
 load = places.loader(KIND, WrenchDataset, mesh.RecordStream[WrenchRecord])
 
 
-@rows.row
-class WrenchRow(MeshRow):
+class WrenchRow(mesh.MeshRow):
     """One wrench; columns in mm and degrees are lengths of its specification."""
 
     id: int = rows.column(pa.int64(), "", "0")
@@ -158,7 +156,7 @@ def write_wrench(
     Equal specifications give byte-identical Parquet.
     """
     if mesh_file is not None:  # before the folder, so that a refusal leaves nothing behind
-        write_mesh(store.expanded(mesh_file), wrench_mesh(spec))
+        mesh.write_mesh(store.expanded(mesh_file), wrench_mesh(spec))
     return WrenchGenerator(spec).generate(out, overwrite=overwrite)
 
 
@@ -167,7 +165,7 @@ def wrench_recipe(seed: int, per_class: int | None) -> generation.Recipe:
     return generation.Recipe(WrenchGenerator(kind.WrenchSpec()))
 
 
-def wrench_facts(spec: kind.WrenchSpec, report: PrintReport) -> JsonDict:
+def wrench_facts(spec: kind.WrenchSpec, report: mesh.PrintReport) -> JsonDict:
     """Return lengths, solid and printability of a wrench as JSON values."""
     return {
         "spec": spec.lengths(),
@@ -191,7 +189,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         cards.Card.of_copy(manifest, KIND, title, columns, "mit", **terms).write(folder, manifest, KIND)
         return
     spec = kind.WrenchSpec(**manifest.spec)
-    report = inspect(wrench_mesh(spec))
+    report = mesh.inspect(wrench_mesh(spec))
     cards.Card(
         template=KIND.card_template,
         title=title,
@@ -213,7 +211,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     ).write(folder, manifest, KIND)
 
 
-def wrench_mesh(spec: WrenchSpec) -> Mesh:
+def wrench_mesh(spec: WrenchSpec) -> mesh.Mesh:
     """Make the solid of a wrench.
 
     Parameters
@@ -270,7 +268,7 @@ def _grown(shape: CrossSection, by_mm: float) -> CrossSection:
     return shape.offset(by_mm, JoinType.Round, 2.0, _SEGMENTS)
 
 
-def _chamfered_plate(outline: Sequence[Float64], thickness_mm: float) -> Mesh:
+def _chamfered_plate(outline: Sequence[Float64], thickness_mm: float) -> mesh.Mesh:
     """Make a plate that lies on z = 0, its edges cut at 45 degrees above and below; float32 metres."""
     # As many corners as the outline, so that levels are joined corner by corner: offsets of manifold3d add
     # and drop some.
@@ -288,7 +286,7 @@ def _chamfered_plate(outline: Sequence[Float64], thickness_mm: float) -> Mesh:
     top = np.asarray(triangulate(inner), np.int64)
     above = (len(levels) - 1) * sum(map(len, inner))
     faces = [top[:, ::-1], top + above, *_sides(outline, len(levels))]
-    return Mesh((vertices_mm / MM_PER_M).astype(np.float32), np.concatenate(faces).astype(np.int32))
+    return mesh.Mesh((vertices_mm / mesh.MM_PER_M).astype(np.float32), np.concatenate(faces).astype(np.int32))
 
 
 def _moved_in(line: Float64) -> Float64:

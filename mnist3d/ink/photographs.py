@@ -16,7 +16,6 @@ from PIL import Image
 from scipy import ndimage
 
 from mnist3d.ink import grey_levels, pages
-from mnist3d.ink.grey_levels import refuse
 from mnist3d.ink.pages import (
     WIDEST_STROKE,
     Ink,
@@ -230,7 +229,7 @@ def find_one_digit(mask: Bool, inside: Bool, found: Ink) -> Bool:
     # Ink along the rim only is the border of a scan.
     possible &= pieces.farthest > _RIM * max(mask.shape)
     if not possible.any():
-        refuse("no-ink", sentence="empty-page")
+        grey_levels.refuse("no-ink", sentence="empty-page")
     main = int(np.where(possible, np.bincount(labels[mask])[1:], 0).argmax())
     stroke = float(np.percentile(depth[labels == main + 1], 90))
     possible &= spans >= _PART * spans[main]
@@ -240,13 +239,13 @@ def find_one_digit(mask: Bool, inside: Bool, found: Ink) -> Bool:
     groups = pieces.greatest(ndimage.label(away <= _GAP / 2 * spans[main])[0])
     digits = np.unique(groups[possible & (spans >= _OTHER * spans[main])])
     if len(digits) > 1:
-        refuse("several-digits", len(digits))
+        grey_levels.refuse("several-digits", len(digits))
     digit = np.isin(labels, numbers[possible & (groups == groups[main])])
     if pieces.from_rim[digit].min() <= NEAR_PX:
-        refuse("cut-off")
+        grey_levels.refuse("cut-off")
     _check(digit, float(depth[digit].max()), inside)
     if np.percentile(pieces.slopes[digit & pieces.edges], 10) < _SOFT:
-        refuse("not-a-digit", "ink with partly blurred edges", "sharp edges, as of a pen")
+        grey_levels.refuse("not-a-digit", "ink with partly blurred edges", "sharp edges, as of a pen")
     return digit
 
 
@@ -265,7 +264,7 @@ def find_drawing(mask: Bool, inside: Bool, found: Ink) -> Bool:
     along = ndimage.sum(at_rim, pieces.labels, numbers) / NEAR_PX
     is_inner = (pieces.farthest > _RIM * max(mask.shape)) | (along < _ALONG * spans)
     if not (sharp & is_inner).any():
-        refuse("no-ink", sentence="empty-page")
+        grey_levels.refuse("no-ink", sentence="empty-page")
     depth = pieces.depth
     stroke = float(np.percentile(depth[np.isin(pieces.labels, numbers[sharp & is_inner])], 90))
     # A border is thinner, or longer, than what a pen leaves along the edge.
@@ -275,7 +274,7 @@ def find_drawing(mask: Bool, inside: Bool, found: Ink) -> Bool:
     touching = drawing & at_rim
     beside = drawing & ndimage.binary_dilation(touching, iterations=2 * math.ceil(stroke))
     if touching.sum() > _TOUCHING * at_rim.sum() or depth[beside].max(initial=0) > _THICK * stroke:
-        refuse("cut-off", sentence="drawing-cut-off")
+        grey_levels.refuse("cut-off", sentence="drawing-cut-off")
     return drawing
 
 
@@ -301,7 +300,7 @@ class _Pieces(NamedTuple):
         """Find the pieces; ItemError ``no-ink`` if there are none."""
         labels, count = ndimage.label(mask, np.ones((3, 3)))
         if not count:
-            refuse("no-ink", sentence="empty-page")
+            grey_levels.refuse("no-ink", sentence="empty-page")
         numbers = np.arange(1, count + 1)
         depth = np.asarray(ndimage.distance_transform_edt(mask))
         from_rim = ndimage.distance_transform_cdt(np.pad(inside, 1))[1:-1, 1:-1]
@@ -332,4 +331,4 @@ def _check(digit: Bool, depth_px: float, inside: Bool) -> None:
         (thick <= _BLOB, f"ink as thick as {thick:.0%} of its length", f"at most {_BLOB:.0%}"),
     ):
         if not fits:
-            refuse("not-a-digit", what, expected)
+            grey_levels.refuse("not-a-digit", what, expected)

@@ -26,7 +26,6 @@ from skimage import measure
 from mnist3d import compiled_loops
 from mnist3d.digit_options import SolidSize, SolidSpec
 from mnist3d.ink import binarisation, grey_levels
-from mnist3d.ink.grey_levels import refuse
 from mnist3d.solid import picture_ink
 from mnist3d.solid.lattice import Lattice, depth_px, erosion_radius_px, lattice_of
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int32, Int64, UInt8
@@ -453,7 +452,7 @@ def decimate(mesh: Mesh, target_vertices: int) -> Mesh:
     found = solid.num_vert()
     if found > most:
         enough = math.ceil(found / BUDGET_SLACK)
-        refuse("vertex-budget", found, *counts, target_vertices, BUDGET_SLACK, enough)
+        grey_levels.refuse("vertex-budget", found, *counts, target_vertices, BUDGET_SLACK, enough)
     return _mesh_of(solid)
 
 

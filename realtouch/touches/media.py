@@ -21,7 +21,7 @@ import pyarrow as pa
 from numpy.typing import DTypeLike
 from PIL import Image
 
-from realtouch import contact, picture_views
+from realtouch import contact
 from realtouch.touches import schema, stored_round
 from realtouch.touches.poses import Poses
 from realtouch.video import avi
@@ -471,7 +471,7 @@ class TouchClip(read.LazySequence[UInt8, UInt8]):
 
     def _repr_html_(self) -> str:
         """Show frames from first to last in a notebook; those that are damaged are left out."""
-        frames = picture_views.evenly_spaced(len(self), _SHOWN_FRAMES)
+        frames = evenly_spaced(len(self), _SHOWN_FRAMES)
         images = [(f"frame {frame}", partial(self.__getitem__, frame)) for frame in frames]
         return pictures.Drawn.grid_html(
             f"Touch {self.touch}", [wording.with_count(len(self), "frames")], images
@@ -559,6 +559,12 @@ def decode_frames(
             ) from error
 
     in_parallel(decode, len(encoded), threads)
+
+
+def evenly_spaced(count: int, most: int) -> list[int]:
+    """Choose up to ``most`` of ``count`` indices, first and last among them."""
+    indices: list[int] = np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()
+    return indices
 
 
 def media_array(contents: Sequence[bytes | memoryview], names: Sequence[str]) -> pa.Array:

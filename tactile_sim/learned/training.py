@@ -42,7 +42,6 @@ from tactile_sim.sets.pairs import SPLITS, Pairs
 from tactile_sim.sets.round_plan import keyed_rng
 from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import Float32, UInt8
-from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.wording import with_count
 
@@ -75,7 +74,7 @@ def claim(folder: store.DataFolder, config: TrainConfig, pairs: str, *, resume: 
         found = {**there.config, "pairs": there.pairs}
         for name, value in {**wanted["config"], "pairs": wanted["pairs"]}.items():
             if found.get(name) != value:
-                raise SpecMismatchError(
+                raise errors.SpecMismatchError(
                     f"{folder.address()!r} holds a training with other settings: {name} is "
                     f"{found.get(name)!r:.60} there, {value!r:.60} was asked for; nothing was changed",
                     next="choose another folder (--out)",
@@ -85,7 +84,7 @@ def claim(folder: store.DataFolder, config: TrainConfig, pairs: str, *, resume: 
     others = [name for name in folder.names() if not store.is_hidden(name)]
     if resume or others:
         held = "".join(f" (found {name!r})" for name in others[:1])
-        raise InputError(
+        raise errors.InputError(
             f"{folder.address()!r} holds no training to continue{held}; nothing was changed",
             next="leave out --resume, and choose an empty or new folder (--out)",
         )
@@ -355,7 +354,7 @@ def joined_processes(device: str, *, deterministic: bool) -> Iterator[Process]:
     count = int(os.environ.get("WORLD_SIZE", "1"))
     chosen = chosen_device(device)
     if deterministic and chosen != "cpu":
-        raise InputError(
+        raise errors.InputError(
             "deterministic training runs on the CPU", next="use --device cpu, or leave out --deterministic"
         )
     if chosen == "cuda":

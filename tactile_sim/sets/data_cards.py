@@ -18,7 +18,6 @@ from tactile_toolkit import cards, store, touch, wording
 from tactile_toolkit.array_types import AnyArray, UInt8
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.pictures import Tile, png_bytes, sheet
-from tactile_toolkit.wording import with_count
 
 _RIGID_LIMIT = (
     "No force, dynamics or tilt: the gel stops by geometry only, and nothing moves while it is touched."
@@ -203,7 +202,7 @@ def _objects_in_words(source: Mapping[str, Sequence[JsonObject]]) -> list[tuple[
     if not files:
         return []
     units = sorted({each["unit"] for each in files if "unit" in each})
-    words = f"{with_count(len(files), 'meshes')}, numbered as `manifest.json` lists them"
+    words = f"{wording.with_count(len(files), 'meshes')}, numbered as `manifest.json` lists them"
     if units:
         words += f"; STL, PLY and OBJ are in {units[0]}"
     return [("objects", words)]

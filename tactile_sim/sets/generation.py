@@ -64,7 +64,6 @@ def _extra(name: str, unit: str, meaning: str) -> Any:
     return rows.column(pa.null(), unit, meaning, name=f"{EXTRA}{name}", default=None)
 
 
-@rows.row
 class SyntheticRound(rows.TypedRow):
     """One round."""
 

@@ -22,7 +22,6 @@ from tactile_sim.press.pressing import render_touch
 from tactile_sim.press.sensors import sensor_of_window
 from tactile_sim.sets import pairs, round_plan, touched_solids
 from tactile_sim.sets.learning_specs import PairsSpec
-from tactile_sim.sets.round_plan import plan_round
 from tactile_sim.sets.touch_spec import TouchPlan
 from tactile_toolkit import generation, places, read, store, touch
 from tactile_toolkit.array_types import Float32, Float64
@@ -51,7 +50,7 @@ def drawn_depth(spec: PairsSpec, solid: Pressable, object_id: int, number: int) 
         return np.ones(spec.size_px[::-1], np.float32)
     for positions in ("cell", "object"):  # small objects are seldom met by chance
         plan = TouchPlan(1, _TRIES, positions, turn_rad=spec.turn_rad, perturb=False, seed=spec.seed)
-        drawn = plan_round(plan, solid, "depth", object_id, number)
+        drawn = round_plan.plan_round(plan, solid, "depth", object_id, number)
         for position in drawn.positions_m:
             target = np.eye(4)
             target[:2, 3] = position

@@ -17,14 +17,12 @@ from tactile_sim.press.elastic_press import Load, draw_markers, marker_grid_px, 
 from tactile_sim.press.press_spec import ElasticPress, Span
 from tactile_sim.press.pressable import Pressable
 from tactile_sim.press.pressing import Pressed, pose, render_touch
-from tactile_sim.press.sensors import Sensor
 from tactile_sim.sets.round_plan import keyed_rng, on_object
 from tactile_sim.sets.touch_spec import GenerateSpec
 from tactile_toolkit import arithmetic, read, store, touch
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, UInt8
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.mesh import MeshLike
-from tactile_toolkit.touch import PRESS_DEPTH_M
 
 # On a surface as large as the cell they are two millimetres apart.
 _POINTS = 4096
@@ -75,7 +73,7 @@ def press_round(
     further = JsonDict()
     shown = _depth_sensor(spec, optics)
     if press is None:
-        if spec.sensor.press_m != PRESS_DEPTH_M:
+        if spec.sensor.press_m != touch.PRESS_DEPTH_M:
             further["plate_z_m"] = shown.press_m
         pressed = render_touch(solid, poses, targets, shown)
     else:
@@ -125,7 +123,7 @@ def _with_noise(spec: GenerateSpec, images: UInt8, key: tuple[str, int, int]) ->
 def further_types(spec: GenerateSpec) -> Mapping[str, pa.DataType]:
     """Return the types of the columns that only some sets have; a GelSight Mini has the published ones."""
     types: dict[str, pa.DataType] = {}
-    if spec.press is not None or spec.sensor.press_m != PRESS_DEPTH_M:
+    if spec.press is not None or spec.sensor.press_m != touch.PRESS_DEPTH_M:
         types["plate_z_m"] = pa.float64()
     if spec.press is not None:
         types |= elastic_types(spec.press, spec.size_px)
@@ -237,7 +235,7 @@ def _within(span: Span, shares: Float64) -> Float64:
     return span[0] + (span[1] - span[0]) * shares
 
 
-def bare_plate_z_m(press: ElasticPress, sensor: Sensor) -> float:
+def bare_plate_z_m(press: ElasticPress, sensor: sensors.Sensor) -> float:
     """Return the greatest height at which the sensor stops on the bare plate, metres."""
     assert press.gel is not None
     force_n, depth_m = (span and span[0] for span in (press.force_n, press.press_m))
@@ -268,7 +266,7 @@ def elastic_types(press: ElasticPress, size_px: tuple[int, int]) -> Mapping[str,
 
 
 def elastic_values(
-    press: ElasticPress, pressed: Pressed, loads: DrawnLoads, sensor: Sensor, size_px: tuple[int, int]
+    press: ElasticPress, pressed: Pressed, loads: DrawnLoads, sensor: sensors.Sensor, size_px: tuple[int, int]
 ) -> dict[str, AnyArray]:
     """Return the attributes of a row of touches of an elastic gel."""
     contacts = pressed.contacts
@@ -299,7 +297,7 @@ def elastic_values(
 
 
 def markers_px(
-    markers: tuple[int, int], pressed: Pressed, sensor: Sensor, size_px: tuple[int, int]
+    markers: tuple[int, int], pressed: Pressed, sensor: sensors.Sensor, size_px: tuple[int, int]
 ) -> Float64:
     """Return the positions of the markers of T touches, shape (T, rows, columns, 2), pixels."""
     moved = [

@@ -17,8 +17,6 @@ import numpy as np
 
 from tactile_sim.optics import taxim_kernels
 from tactile_sim.twin import gel_kernels, surface_kernels
-from tactile_sim.twin.gel_kernels import SurfaceView
-from tactile_sim.twin.surface_kernels import Blur
 from tactile_toolkit.arithmetic import exp_neg
 from tactile_toolkit.array_types import Float32, Float64, Floating, Int64
 
@@ -136,7 +134,9 @@ def _across_of(pitch_m: Float64, size: tuple[int, ...], span: Float64) -> float:
 
 
 @lru_cache(maxsize=256)
-def _blur(sigma_px: tuple[float, float], size: tuple[int, int], reach: float, halved_px: float) -> Blur:
+def _blur(
+    sigma_px: tuple[float, float], size: tuple[int, int], reach: float, halved_px: float
+) -> surface_kernels.Blur:
     (sigma_x, sigma_y), (rows, columns), halvings = sigma_px, size, 0
     while min(sigma_x, sigma_y) >= halved_px and columns >= _MIN_HALVED_PX:
         # Halving and doubling blur too: each has a variance of 3 / 4 square pixels.
@@ -147,20 +147,22 @@ def _blur(sigma_px: tuple[float, float], size: tuple[int, int], reach: float, ha
         halved_px = _HALVED_PX[1]
     across = half_kernel(sigma_x, columns, reach)
     down = half_kernel(sigma_y, rows, reach)
-    return Blur(halvings, across.astype(np.float32), down.astype(np.float32))
+    return surface_kernels.Blur(halvings, across.astype(np.float32), down.astype(np.float32))
 
 
-def gel_blur(sigma_px: Float64, size: tuple[int, ...]) -> Blur:
+def gel_blur(sigma_px: Float64, size: tuple[int, ...]) -> surface_kernels.Blur:
     """Return the kernels of a blur of the gel from its standard deviations along x and y."""
     return _blur((float(sigma_px[0]), float(sigma_px[1])), (size[0], size[1]), _REACH, _HALVED_PX[0])
 
 
-def view_of(soft: Float32, pitch_m: Float64, shape: Float64, span: Float64 = WHOLE) -> SurfaceView:
+def view_of(
+    soft: Float32, pitch_m: Float64, shape: Float64, span: Float64 = WHOLE
+) -> gel_kernels.SurfaceView:
     """Return how a surface is seen through the lens of ``shape``."""
     rim_m = max(-float(shape[Fitted.CONTACT] * soft.min()), _MIN_RIM_M)
     (pitch_x, pitch_y), (span_x, span_y) = pitch_m.tolist(), span.tolist()
     across = _across_of(pitch_m, soft.shape, span)
-    return SurfaceView(pitch_x, pitch_y, span_x, span_y, float(shape[Fitted.LENS]), across, rim_m)
+    return gel_kernels.SurfaceView(pitch_x, pitch_y, span_x, span_y, float(shape[Fitted.LENS]), across, rim_m)
 
 
 def seen_features(soft: Float32, pitch_m: Float64, shape: Float64) -> Seen:

@@ -19,7 +19,6 @@ from tactile_sim.optics.taxim_kernels import blur
 from tactile_sim.press.sensors import DepthReading
 from tactile_sim.twin import gel
 from tactile_sim.twin.fitting import Fit, shrunk
-from tactile_sim.twin.gel import Fitted
 from tactile_sim.twin.gel_kernels import sample_relief
 from tactile_sim.twin.recordings import Relief
 from tactile_sim.twin.twin import Twin, TwinOptics, resized_depth
@@ -293,7 +292,7 @@ def _true_slopes(depth_mm: Float32, twin: Twin, shrink: int) -> Float32:
     rows, columns = depth_mm.shape
     pitch_m = 2 * twin.half_m / [columns, rows]
     shape = twin.shape.copy()
-    shape[Fitted.LENS] = 0.0  # the depth is already seen through it
+    shape[gel.Fitted.LENS] = 0.0  # the depth is already seen through it
     soft = 1e3 * gel.gel_surface(depth_mm.astype(np.float64) / 1e3, pitch_m, shape)
     down, across = np.gradient(soft)
     return np.stack([across, -down], axis=-1).astype(np.float32)
@@ -318,7 +317,7 @@ def _samples(twin: Twin, fit: Fit, rng: np.random.Generator) -> Iterator[tuple[F
         margin = gel.margin_px(twin.size_px[0])
         reach_m: Float32 | Float64 = _pressed(twin, relief, rng, presses, margin)
         clean = twin.background + optics.response(reach_m, margin=margin)
-        reach_m = gel.seen_through(reach_m, twin.pitch_m, float(twin.shape[Fitted.LENS]), margin)
+        reach_m = gel.seen_through(reach_m, twin.pitch_m, float(twin.shape[gel.Fitted.LENS]), margin)
         # Residuals of recordings: the noise of the sensor, and effects that the twin does not render.
         noise = residuals[number % len(residuals)]
         image = np.clip(np.rint(clean + noise[:: rng.choice([1, -1]), :: rng.choice([1, -1])]), 0, 255)
