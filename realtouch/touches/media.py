@@ -21,10 +21,9 @@ import pyarrow as pa
 from numpy.typing import DTypeLike
 from PIL import Image
 
-from realtouch import contact, picture_views
+from realtouch import contact
 from realtouch.touches import schema, stored_round
 from realtouch.touches.poses import Poses
-from realtouch.touches.stored_round import StoredRound
 from realtouch.video import avi
 from tactile_toolkit import errors, pictures, read, wording
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Floating, UInt8
@@ -103,7 +102,7 @@ class _StoredMedia(read.LazySequence[T, S]):
     thing = "touch"
     things = "touches"
 
-    def __init__(self, row: StoredRound, name: str) -> None:
+    def __init__(self, row: stored_round.StoredRound, name: str) -> None:
         self.row = row
         self.name = name
         self._column = row.column_of(name)
@@ -133,7 +132,7 @@ class SensorImages(_StoredMedia[UInt8, UInt8]):
 
     __slots__ = ()
 
-    def __init__(self, row: StoredRound, name: str = "sensor_image") -> None:
+    def __init__(self, row: stored_round.StoredRound, name: str = "sensor_image") -> None:
         super().__init__(row, name)
 
     def batch(self, index: object = slice(None), *, threads: int = 1, out: UInt8 | None = None) -> UInt8:
@@ -235,7 +234,7 @@ class DepthMaps(_StoredMedia[Float32, Float32]):
 
     __slots__ = ()
 
-    def __init__(self, row: StoredRound, name: str) -> None:
+    def __init__(self, row: stored_round.StoredRound, name: str) -> None:
         row.entries_of(name)  # refuses a round with more or less than T maps
         super().__init__(row, name)
 
@@ -472,7 +471,7 @@ class TouchClip(read.LazySequence[UInt8, UInt8]):
 
     def _repr_html_(self) -> str:
         """Show frames from first to last in a notebook; those that are damaged are left out."""
-        frames = picture_views.evenly_spaced(len(self), _SHOWN_FRAMES)
+        frames = evenly_spaced(len(self), _SHOWN_FRAMES)
         images = [(f"frame {frame}", partial(self.__getitem__, frame)) for frame in frames]
         return pictures.Drawn.grid_html(
             f"Touch {self.touch}", [wording.with_count(len(self), "frames")], images
@@ -484,7 +483,7 @@ class SensorClips(_StoredMedia[TouchClip, list[TouchClip]]):
 
     __slots__ = ()
 
-    def __init__(self, row: StoredRound, name: str = "sensor_video") -> None:
+    def __init__(self, row: stored_round.StoredRound, name: str = "sensor_video") -> None:
         row.entries_of(name)
         super().__init__(row, name)
 
@@ -560,6 +559,12 @@ def decode_frames(
             ) from error
 
     in_parallel(decode, len(encoded), threads)
+
+
+def evenly_spaced(count: int, most: int) -> list[int]:
+    """Choose up to ``most`` of ``count`` indices, first and last among them."""
+    indices: list[int] = np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()
+    return indices
 
 
 def media_array(contents: Sequence[bytes | memoryview], names: Sequence[str]) -> pa.Array:
