@@ -129,7 +129,7 @@ def upload_sensor(
     hub_commands.quiet_client(is_all=sink.quiet or not sys.stderr.isatty())
     model, root = SensorModel.load(folder), store.open_folder(folder)
     files = {name: root.read_bytes(name) for name in _FILES}
-    files[cards.CARD_FILE] = _card(model, repository).encode()
+    files[store.CARD_FILE] = _card(model, repository).encode()
     what = f"twin of a sensor made by tactile-toolkit {__version__}"
     prepared = exchange.Upload.of_files(
         files, repository, options, what=what, dry_run=dry_run, on_wait=sink.info

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, Unpack
 
 import pyarrow as pa
 
-from tactile_toolkit import store
+from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import Int64
-from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.run import usable_cores
@@ -218,7 +217,7 @@ def plan_build(generator: RowGenerator, splits: Sequence[str] | None = None) -> 
     wanted = splits or known
     for split in wanted:
         if split not in known:
-            raise InputError(f"unknown split {split!r}; expected one of {', '.join(known)}, or all")
+            raise errors.InputError(f"unknown split {split!r}; expected one of {', '.join(known)}, or all")
     # Tasks are in canonical order, whatever the order of ``splits``, and so are shards in the manifest.
     chosen = {split: each for split, each in items.items() if split in wanted}
     tasks = tuple(
@@ -235,7 +234,7 @@ def plan_build(generator: RowGenerator, splits: Sequence[str] | None = None) -> 
     )
     if not tasks:
         sizes = {split: len(each) for split, each in items.items()}
-        raise InputError(
+        raise errors.InputError(
             f"no {generator.kind.nouns} to make for {', '.join(wanted)}: the splits have {sizes}",
             next="choose another --split, or larger ones",
         )
@@ -288,7 +287,7 @@ def _existing_rows(folder: store.DataFolder) -> dict[str, int] | None:
     """Return the number of rows of each split; empty if the manifest is damaged, None without one."""
     try:
         manifest = store.manifest_so_far(folder)
-    except IntegrityError:
+    except errors.IntegrityError:
         return {}
     if manifest is None:
         return None

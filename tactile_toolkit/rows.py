@@ -14,9 +14,8 @@ from typing import Literal, TypeAlias, dataclass_transform
 import numpy as np
 import pyarrow as pa
 
-from tactile_toolkit import read
+from tactile_toolkit import checked_fields, read
 from tactile_toolkit.array_types import Int64
-from tactile_toolkit.checked_fields import Declared
 from tactile_toolkit.json_types import JsonValue
 
 Role: TypeAlias = Literal["plain", "facet", "measure", "hidden"]
@@ -67,7 +66,7 @@ def column(
     *,
     default: object = MISSING,
     **facts: JsonValue,
-) -> Declared:
+) -> checked_fields.Declared:
     """Declare an attribute of a row as a column; ``facts`` are further attributes of :class:`Column`.
 
     ``name`` is for columns whose name is not an identifier (``mesh.vertices``).

@@ -187,7 +187,7 @@ def _motion(stored: stored_round.StoredRound, touches: Sequence[rules.Spot]) -> 
     time_s = np.zeros(0)
     poses = None
     if is_clip and stored.has(_TIMES):
-        time_s = stored_round.as_seconds(stored.cut(_TIMES, 0, touches[0].touch)[0])
+        time_s = schema.as_seconds(stored.cut(_TIMES, 0, touches[0].touch)[0])
     if stored.has_poses and stored.has(f"{schema.POSE_COLUMN[stored.kind]}.quaternion"):
         if is_clip:
             return stored.pose_sequences(touches[0].touch)[0], time_s

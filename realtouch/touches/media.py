@@ -24,7 +24,6 @@ from PIL import Image
 from realtouch import contact
 from realtouch.touches import schema, stored_round
 from realtouch.touches.poses import Poses
-from realtouch.touches.stored_round import StoredRound
 from realtouch.video import avi
 from tactile_toolkit import errors, pictures, read, wording
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Floating, UInt8
@@ -103,7 +102,7 @@ class _StoredMedia(read.LazySequence[T, S]):
     thing = "touch"
     things = "touches"
 
-    def __init__(self, row: StoredRound, name: str) -> None:
+    def __init__(self, row: stored_round.StoredRound, name: str) -> None:
         self.row = row
         self.name = name
         self._column = row.column_of(name)
@@ -133,7 +132,7 @@ class SensorImages(_StoredMedia[UInt8, UInt8]):
 
     __slots__ = ()
 
-    def __init__(self, row: StoredRound, name: str = "sensor_image") -> None:
+    def __init__(self, row: stored_round.StoredRound, name: str = "sensor_image") -> None:
         super().__init__(row, name)
 
     def batch(self, index: object = slice(None), *, threads: int = 1, out: UInt8 | None = None) -> UInt8:
@@ -235,7 +234,7 @@ class DepthMaps(_StoredMedia[Float32, Float32]):
 
     __slots__ = ()
 
-    def __init__(self, row: StoredRound, name: str) -> None:
+    def __init__(self, row: stored_round.StoredRound, name: str) -> None:
         row.entries_of(name)  # refuses a round with more or less than T maps
         super().__init__(row, name)
 
@@ -484,7 +483,7 @@ class SensorClips(_StoredMedia[TouchClip, list[TouchClip]]):
 
     __slots__ = ()
 
-    def __init__(self, row: StoredRound, name: str = "sensor_video") -> None:
+    def __init__(self, row: stored_round.StoredRound, name: str = "sensor_video") -> None:
         row.entries_of(name)
         super().__init__(row, name)
 

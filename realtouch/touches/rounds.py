@@ -202,7 +202,8 @@ class TouchSeqRound(TouchRound):
     @property
     def time_stamp_rel_seq(self) -> tuple[NDArray[np.timedelta64], ...]:
         """Time stamp of each frame: T arrays of ``timedelta64``, shapes (N_i,)."""
-        return self._once("time_stamp_rel_seq", lambda: self.row.frame_times())
+        times = partial(self.row.cut, "time_stamp_rel_seq", 0)
+        return self._once("time_stamp_rel_seq", lambda: tuple(map(schema.as_timedelta, times())))
 
     @property
     def touch_start_time_rel(self) -> NDArray[np.timedelta64]:

@@ -10,7 +10,7 @@ import io
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
-from functools import cached_property
+from functools import cached_property, partial
 from typing import IO
 
 import numpy as np
@@ -49,20 +49,19 @@ _SEPARATOR_LINE = re.compile(r"sep=([,;\t])\r?\n")
 
 def open_table(folder: store.DataFolder, name: str) -> Table:
     """Return a table of a folder; a pass raises IntegrityError if the file has changed since."""
-    address, version = folder.address(name), folder.version(name)
-
-    def opened() -> IO[bytes]:
-        if folder.version(name) != version:
-            raise IntegrityError(
-                f"{address!r} was replaced or changed while it was read", next="run the same command again"
-            )
-        return open_source(folder, name)
-
-    return Table(address, opened)
+    return Table(folder.address(name), partial(open_source, folder, name, folder.version(name)))
 
 
-def open_source(folder: store.DataFolder, name: str) -> IO[bytes]:
-    """Open a table or archive of a source; an InputError names it if it cannot be read."""
+def open_source(folder: store.DataFolder, name: str, version: tuple[object, ...] | None = None) -> IO[bytes]:
+    """Open a table or archive of a source; an InputError names it if it cannot be read.
+
+    Raises IntegrityError if a ``version`` is stated and the file has another one.
+    """
+    if version is not None and folder.version(name) != version:
+        raise IntegrityError(
+            f"{folder.address(name)!r} was replaced or changed while it was read",
+            next="run the same command again",
+        )
     try:
         return folder.open_inside(name)
     except ItemError as error:

@@ -125,6 +125,20 @@ class NestedColumn:
         values: AnyArray = self.values[start:stop]
         return values
 
+    def padded(self, first: int, last: int, width: int) -> AnyArray | None:
+        """View lists ``first`` to ``last`` of level 1 as one array (n, m, width), or (n, m) for a width of 0.
+
+        None unless each of them has m inner lists of ``width`` values, or m values.
+        """
+        start, stop = self.inside(1, first, last)
+        length = (stop - start) // max(last - first, 1)
+        values = self.flat(1, first, last)
+        starts = self.levels[1]
+        is_even = isinstance(starts, int) or (np.diff(starts[first : last + 1]) == length).all()
+        if not is_even or len(values) != (last - first) * length * max(width, 1):
+            return None
+        return values.reshape((last - first, length, width) if width else (last - first, length))
+
     def lengths(self, level: int) -> Int64:
         """Return the length of each list of a level that has offsets, not one shared length."""
         return np.diff(np.asarray(self.levels[level])).astype(np.int64)

@@ -67,6 +67,7 @@ from .locks import (
 )
 from .manifest import (
     add_up as add_up,
+    CARD_FILE as CARD_FILE,
     Count as Count,
     damaged_error as damaged_error,
     DATA_FOLDER as DATA_FOLDER,

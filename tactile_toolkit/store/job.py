@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypedDict, TypeVar
 
 import msgspec
 
-from tactile_toolkit import __version__, run
-from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
+from tactile_toolkit import __version__, errors, run, wording
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.store.files import is_hidden
 from tactile_toolkit.store.folder import PENDING_FOLDER, TEMPORARY, DataFolder
@@ -37,7 +36,6 @@ from tactile_toolkit.store.manifest import (
     write_manifest,
 )
 from tactile_toolkit.store.parquet import ParquetStyle, sha256_hex
-from tactile_toolkit.wording import shortened, with_count
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -171,14 +169,14 @@ class BuildPlan:
             text.encode()
         except UnicodeEncodeError as error:
             found = text[max(0, error.start - 20) : error.end + 20]
-            raise InputError(
+            raise errors.InputError(
                 f"the specification holds {found!r}, which is not Unicode text", next="give another name"
             ) from error
         splits: dict[str, str] = {}
         for shard in (task.shard for task in self.tasks):
             first = splits.setdefault(shard.split.casefold(), shard.split)
             if first != shard.split or not shard.can_be_read_back:
-                raise InputError(
+                raise errors.InputError(
                     f"the file of shard {shard} would not be found again; expected a split of letters, "
                     "digits and underscores that does not differ from another only in case, and an index "
                     "below the count; nothing was changed",
@@ -261,11 +259,11 @@ class RunOptions:
 
     def __post_init__(self) -> None:
         if self.part is not None and self.finish:
-            raise InputError(
+            raise errors.InputError(
                 "was given with --finish; expected --finish when all parts have ended", field="part"
             )
         if self.overwrite and not self.is_whole:
-            raise InputError(
+            raise errors.InputError(
                 "was given with --part or --finish: each part would remove what the others made; nothing was "
                 "changed",
                 next="leave it out and choose another folder (--out or OUT)",
@@ -278,7 +276,7 @@ class RunOptions:
         return self.part is None and not self.finish
 
 
-class MissingPartsError(IntegrityError):
+class MissingPartsError(errors.IntegrityError):
     """A data set cannot be finished, because shards are missing.
 
     ``shards`` of ``parts`` shards are missing; ``array`` names the parts that make them, one part a shard, as
@@ -415,7 +413,7 @@ def require_same_job(folder: DataFolder, identity: str) -> Manifest:
         folder.refresh("")  # a network file system may have shown an earlier state
         manifest = read_manifest(folder)
     if manifest is None or manifest.identity != identity:
-        raise InputError(
+        raise errors.InputError(
             f"the data set in {folder.address()!r} was removed or replaced while this run was at work, or "
             f"node {socket.gethostname()} writes to a folder that this machine does not see; the run has "
             "stopped and changed nothing in the folder",
@@ -463,7 +461,10 @@ def _intact_records(
                 if sha256 is not None and folder.sha256(path) != sha256:
                     return False
             return tasks[record.shard].source_digest() == record.source_digest
-        except (IntegrityError, FileNotFoundError):  # damaged without a change of size, or just removed
+        except (
+            errors.IntegrityError,
+            FileNotFoundError,
+        ):  # damaged without a change of size, or just removed
             return False
 
     intact = {}
@@ -487,7 +488,7 @@ def refuse_unknown_files(folder: DataFolder, plan: BuildPlan | None = None) -> N
     if not unknown or MANIFEST_FILE in unknown:  # another run may have begun at this moment
         return
     if plan is None or not pending_records(folder, plan.new_manifest().identity):
-        raise InputError(
+        raise errors.InputError(
             f"{folder.address()!r} is not empty and holds no {MANIFEST_FILE} (found {unknown[0]!r}); nothing "
             "was changed",
             next="choose an empty or new folder (--out or OUT)",
@@ -498,7 +499,7 @@ def _refuse_difference(folder: DataFolder, found: object, wanted: object, next_s
     lines = _differences(found, wanted)
     if lines:
         more = f"; and {len(lines) - _DIFFERENCES_SHOWN:,} more" if len(lines) > _DIFFERENCES_SHOWN else ""
-        raise SpecMismatchError(
+        raise errors.SpecMismatchError(
             f"{'; '.join(lines[:_DIFFERENCES_SHOWN])}{more}: {folder.address()!r} holds a data set of "
             "another specification, or was begun with other versions, which write other bytes; nothing "
             "was changed",
@@ -523,11 +524,11 @@ def _differences(found: object, wanted: object, path: str = "") -> list[str]:
 def _short(value: object) -> str:
     """Return a value as text; a long one, such as the files of a source, is cut and gets a digest."""
     text = repr(value)
-    short = shortened(text, _LONGEST_SHOWN)
+    short = wording.shortened(text, _LONGEST_SHOWN)
     if short == text:
         return text
     if isinstance(value, list):
-        short = with_count(len(value), "entries")
+        short = wording.with_count(len(value), "entries")
     return f"{short} (fingerprint {sha256_hex(text.encode())[:8]})"
 
 
@@ -541,7 +542,7 @@ def _reject_unexpected_files(folder: DataFolder, plan: BuildPlan, names: Iterabl
     for name in names:
         shard = ShardName.parse(name)
         if not is_hidden(name) and shard not in planned and (shard is None or shard.split not in others):
-            raise InputError(
+            raise errors.InputError(
                 f"{folder.address(f'{DATA_FOLDER}/{name}')!r} is not a file of this data set; nothing was "
                 "changed",
                 next="move it to another folder",
@@ -585,7 +586,7 @@ def pending_records(
     for shard, content in zip(chosen, contents, strict=True):
         # If a record cannot be read, its shard is made again. It may also have been removed since the
         # listing, because the run has just ended.
-        with contextlib.suppress(IntegrityError, ValueError):
+        with contextlib.suppress(errors.IntegrityError, ValueError):
             require_seal(content or b"", shard.record_path)
             pending = decode(content or b"", _Pending, shard.record_path)
             if (pending.of, pending.report_bytes) == (of, waiting.get(shard.report_path.rpartition("/")[2])):
@@ -602,7 +603,7 @@ def manifest_so_far(folder: DataFolder) -> Manifest | None:
     """
     try:
         manifest = read_manifest(folder)
-    except IntegrityError:
+    except errors.IntegrityError:
         if is_of_others(folder.read_bytes(MANIFEST_FILE)):
             return None
         raise

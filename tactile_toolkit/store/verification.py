@@ -61,7 +61,6 @@ class Verification:
 def verify(
     folder: DataFolder,
     schema: pa.Schema | None = None,
-    on_file: Callable[[str], None] = lambda _: None,
     *,
     check_card: Callable[[DataFolder], Iterable[Finding]] | None = None,
     workers: int = 1,
@@ -77,8 +76,6 @@ def verify(
         Folder of a finished data set.
     schema : pyarrow.Schema, optional
         Schema that every shard must have; not required of data sets of others.
-    on_file : callable
-        Called with each path before it is read.
     check_card : callable, optional
         Compares the data card with the data, such as :func:`tactile_toolkit.cards.check_card`.
     workers : int
@@ -109,13 +106,8 @@ def verify(
         reference = MANIFEST_FILE
         findings = _incomplete(folder, manifest)
 
-    def announced() -> Iterator[HubFile]:
-        for path, file in files.items():
-            on_file(path)
-            yield file
-
     check = partial(_check_file, folder, schema, shards)
-    checked = dict(zip(files, run.in_threads(check, announced(), workers), strict=True))
+    checked = dict(zip(files, run.in_threads(check, files.values(), workers), strict=True))
     findings += [finding for found in checked.values() for finding in found.findings]
     # Data sets of others may have the same ids in several splits.
     findings += _repeated_ids({path: checked[path].ids for path in shards})
