@@ -113,9 +113,7 @@ def test_workers_limit_threads_before_their_first_task():
 
 
 @pytest.mark.parametrize("allowed", [0b1100, 1, 0])
-def test_windows_limits_the_threads_of_manifold3d_and_restores_the_processors(
-    monkeypatch: pytest.MonkeyPatch, allowed: int
-) -> None:
+def test_windows_limits_the_threads_of_manifold3d_and_restores_the_processors(monkeypatch, allowed):
     set_masks: list[int] = []
 
     class Kernel32:
