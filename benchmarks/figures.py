@@ -88,7 +88,7 @@ BENCHMARKS = {
     "simulators": Benchmark(("tactile_toolkit/printing/simulator.py",)),
     "height_maps": Benchmark(
         (
-            "env_assets/height_map.py",
+            "env_assets/mesh_view.py",
             "tactile_toolkit/mesh/raster.py",
         )
     ),

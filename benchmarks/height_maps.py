@@ -23,7 +23,7 @@ import numpy as np
 from figures import tell
 
 import env_assets
-from env_assets.height_map import HeightMap, top_surface
+from env_assets.mesh_view import HeightMap, top_surface
 from mnist3d.digit_records import DigitRecord
 
 

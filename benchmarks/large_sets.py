@@ -254,7 +254,7 @@ def planning_digits(_: Path) -> dict[str, float]:
 
 
 def planning_scenes(_: Path) -> dict[str, float]:
-    from starstruck_gen.scene_generation import SceneGenerator, SceneSetSpec
+    from starstruck_gen.scene_dataset import SceneGenerator, SceneSetSpec
     from tactile_toolkit.generation import plan_build
 
     start_s = time.perf_counter()

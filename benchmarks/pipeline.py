@@ -28,7 +28,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from tactile_toolkit.rows import table_of
 from tactile_toolkit.run.this_process import keep_memory, limit_threads
 
 limit_threads()
@@ -39,7 +38,7 @@ from figures import tell
 from plain_digit import NAME, plain_row
 
 from mnist3d.digit_generation import DigitSetSpec, generate, make_row
-from mnist3d.digit_records import PARQUET_STYLE, digit_schema
+from mnist3d.digit_records import PARQUET_STYLE, DigitRow, digit_schema
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.store import encode_parquet
 
@@ -100,7 +99,7 @@ def report_written(count: int) -> None:
 
 
 def written_row(spec: DigitSetSpec, digit_id: int) -> None:
-    encode_parquet(table_of([make_row(digit_id, spec)], digit_schema()), PARQUET_STYLE)
+    encode_parquet(DigitRow.table([make_row(digit_id, spec)], digit_schema()), PARQUET_STYLE)
 
 
 def processor_s(way: Callable[[int], object], digit_id: int) -> float:

@@ -30,7 +30,6 @@ from mnist3d.digit_records import PARQUET_STYLE, DigitRow, digit_schema
 from mnist3d.ink.binarisation import binarise, count_bodies_and_holes
 from mnist3d.solid.algorithm import literal_solid, solidify
 from tactile_toolkit.mesh import MM_PER_M, Mesh, PrintProfile, PrintReport, inspect
-from tactile_toolkit.rows import table_of
 from tactile_toolkit.store import encode_parquet
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -120,7 +119,7 @@ def our_row(pixels: np.ndarray) -> DigitRow:
 
 def our_shard(rows: list[DigitRow]) -> None:
     """Write rows as `mnist3d generate` does."""
-    encode_parquet(table_of(rows, digit_schema()), PARQUET_STYLE)
+    encode_parquet(DigitRow.table(rows, digit_schema()), PARQUET_STYLE)
 
 
 def peer_table(images: list[np.ndarray]) -> None:

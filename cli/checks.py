@@ -102,7 +102,7 @@ def verify(
             sink.document(document)
         return
     sink.document(document)
-    store.require_finished(place, result.findings)
+    store.require_finished(place, [each.file for each in result.findings])
     for finding in result.findings:
         sink.warn(f"damaged: {finding.file}: {finding.problem}")  # the error below states only their number
     record = store.read_download_record(place)

@@ -78,7 +78,7 @@ def _export_flat(
 ) -> None:
     if job.dry_run:
         if not job.overwrite:
-            store.inspect_job(store.open_folder(out), plan)
+            plan.compared_with(store.open_folder(out))
         rows = sum(task.size for task in plan.tasks)
         sink.document({"folder": out, "rows": rows})
         sink.line(f"would write {with_count(rows, kind.nouns)} to {out}; nothing was written")

@@ -143,7 +143,7 @@ class Work:
         if name == "ray":
             keywords["workers"] = run.RayRunner(address or None, self.workers)
         if self.part is not None:
-            keywords["part"] = run.parse_part(self.part)
+            keywords["part"] = run.Part.parse(self.part)
         return keywords
 
 

@@ -122,7 +122,7 @@ def verify(
     unprotected = list(result.unprotected)
     sink.document({"ok": result.ok, **counts_of, "findings": findings, "unprotected": unprotected})
     if place.folder is not None:
-        store.require_finished(place.folder, result.findings)
+        store.require_finished(place.folder, [each.file for each in result.findings])
     _require_intact(sink, result, name, unfinished=bool(place.unfinished))
     how = "every header was read" if quick else "every picture was decoded"
     counts = f"{with_count(result.rounds, 'rounds')}, {with_count(result.touches, 'touches')}"

@@ -129,7 +129,7 @@ def upload_sensor(
     hub_commands.quiet_client(is_all=sink.quiet or not sys.stderr.isatty())
     model, root = SensorModel.load(folder), store.open_folder(folder)
     files = {name: root.read_bytes(name) for name in _FILES}
-    files[cards.CARD_FILE] = _card(model, repository).encode()
+    files[store.CARD_FILE] = _card(model, repository).encode()
     what = f"twin of a sensor made by tactile-toolkit {__version__}"
     prepared = exchange.Upload.of_files(
         files, repository, options, what=what, dry_run=dry_run, on_wait=sink.info
@@ -162,7 +162,7 @@ def download_sensor(
     --out.
     """
     repository = None
-    if out is not None and not split and places.kind_of_published(name) is None:
+    if out is not None and not split and places.published_set(name) is None:
         hub_commands.quiet_client(is_all=True)
         repository = places.find_repository(name, revision, sink.info)
     if repository is None or out is None or SENSOR_FILE not in repository.remote:

@@ -13,7 +13,6 @@ import realtouch
 from cli import application, options, output, runs
 from cli.options import TOUCH_SET, Making, Opening, Work, argument, out_folder
 from realtouch import touch_options
-from realtouch.importing import import_columns
 from realtouch.kind import KIND
 from realtouch.touches import damage
 from tactile_toolkit import catalog, checked_fields, places, store, touch
@@ -232,7 +231,7 @@ def import_touches(
         help="Format of the source; by default it is recognised by its content.",
     ),
     out: str = out_folder(),
-    columns: import_columns.ImportColumns,
+    columns: touch_options.ImportColumns,
     mapped: list[str] | None = _MAPPED,
     table: str | None = text(
         metavar="FILE", help="Table of the images or videos; by default the only one in SOURCE."

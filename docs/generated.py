@@ -353,10 +353,10 @@ def _formats_page() -> str:
     from mnist3d.digit_records import DigitRow, digit_schema
     from realtouch.touch_card import WORDS
     from realtouch.touches.schema import KNOWN_COLUMNS
-    from starstruck_gen.scene_generation import SceneRow, scene_schema
+    from starstruck_gen.scene_dataset import SceneRow, scene_schema
     from tactile_sim import ElasticPress
-    from tactile_sim.sets.elastic_rows import elastic_types
     from tactile_sim.sets.generation import SyntheticRound, synthetic_schema
+    from tactile_sim.sets.round_press import elastic_types
     from tactile_toolkit.cards import FolderSummary
     from tactile_toolkit.cards.card import Card, field_table, markdown_table
 

@@ -8,17 +8,18 @@ from .provider import (
     THIRD_PARTY_ASSETS as THIRD_PARTY_ASSETS,
 )
 from .mesh_view import (
+    HeightMap as HeightMap,
     MeshView as MeshView,
     require_fitting_meshes as require_fitting_meshes,
+    top_surface as top_surface,
 )
-from .height_map import HeightMap as HeightMap, top_surface as top_surface
 from .wrench.dataset import (
     wrench_facts as wrench_facts,
+    wrench_mesh as wrench_mesh,
     WrenchDataset as WrenchDataset,
     WrenchRecord as WrenchRecord,
     write_wrench as write_wrench,
 )
-from .wrench.shape import wrench_mesh as wrench_mesh
 from .wrench.kind import WrenchSpec as WrenchSpec
 
 __version__: str

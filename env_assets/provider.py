@@ -19,7 +19,6 @@ from env_assets import mesh_view
 from env_assets.wrench.dataset import WrenchDataset
 from tactile_toolkit import checked_fields, errors, hub, mesh, places, read, store
 from tactile_toolkit.array_types import Float64
-from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind, kinds
 from tactile_toolkit.mesh import SolidDataset as SolidDataset
 from tactile_toolkit.places import open_place
@@ -77,7 +76,7 @@ def open_meshes(shards: tuple[read.Shard, ...], name: str) -> MeshSet:
     expected = KINDS.get(name)
     names = read.class_names(table.schema, getattr(kind, "class_names", ()))
     if expected is not None and kind is not expected and (kind is not None or expected.published):
-        raise InputError(
+        raise errors.InputError(
             f"{name!r} was expected to hold {expected.nouns}, found "
             f"{getattr(kind, 'nouns', 'other meshes')} (classes {', '.join(names) or 'without names'})",
             next=f"give this data set another name, or give a data set of {expected.nouns}",

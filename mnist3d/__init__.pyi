@@ -28,7 +28,7 @@ from .digit_checks import (
     read_mesh as read_mesh,
     write_mesh as write_mesh,
 )
-from .splits import plan_splits as plan_splits
+from .sources.digit_source import plan_splits as plan_splits
 from .solid import solidify as solidify
 from .digit_options import (
     SPLITS as SPLITS,

@@ -16,7 +16,6 @@ from mnist3d.sources.picture_folder import FolderSource
 from tactile_toolkit import cards, kind, store, wording
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.rows import Column
-from tactile_toolkit.wording import class_name, with_count
 
 _MAX_LISTED = 12
 COLUMNS = DigitRow.meanings()
@@ -37,24 +36,19 @@ class SplitSummary:
         Number of rows with each value.
     measures : mapping
         Minimum, median and maximum; empty without rows.
-    sums : mapping
-        Totals.
     """
 
     split: str
     counts: Mapping[str, int]
     facets: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     measures: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
-    sums: Mapping[str, int] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, object]:
         """Return JSON values."""
-        return {"split": self.split, **self.counts, **self.facets, **self.measures, **self.sums}
+        return {"split": self.split, **self.counts, **self.facets, **self.measures}
 
     def text(self, column: Column) -> str:
         """Return the figures of a column as text."""
-        if column.role == "sum":
-            return figure_text(column, self.sums[column.name])
         if column.role == "measure":
             spread = self.measures[column.name]
             if not spread:
@@ -66,7 +60,7 @@ class SplitSummary:
         if is_even and not pa.types.is_list(column.data_type):
             return f"{next(iter(counts.values())):,} of each of {len(counts):,}"
         if len(counts) > _MAX_LISTED:
-            return with_count(len(counts), "values")
+            return wording.with_count(len(counts), "values")
         return ", ".join(f"{value}: {count:,}" for value, count in counts.items()) or "none"
 
 
@@ -93,7 +87,6 @@ def summarise_columns(
                 counts,
                 {each.name: _counts(rows[each.name]) for each in declared if each.role == "facet"},
                 {each.name: _spread(rows[each.name]) for each in declared if each.role == "measure"},
-                {each.name: int(rows[each.name].to_numpy().sum()) for each in declared if each.role == "sum"},
             )
         )
     return found
@@ -135,7 +128,9 @@ def _summaries(manifest: store.Manifest, report: pa.Table) -> list[SplitSummary]
     names = classes_of(manifest)
     summaries = []
     for summary in summarise_columns(manifest, report, SUMMED_UP):
-        labels = {class_name(names, int(label)): count for label, count in summary.facets["label"].items()}
+        labels = {
+            wording.class_name(names, int(label)): count for label, count in summary.facets["label"].items()
+        }
         summaries.append(replace(summary, facets={**summary.facets, "label": labels}))
     return summaries
 
@@ -222,7 +217,8 @@ def _limits(manifest: store.Manifest, summaries: list[SplitSummary], words: Mapp
     lines = [
         words["limit"],
         f"{in_pieces}; `--join-bodies` makes bridges.",
-        f"The print profile raises {with_count(warned, 'warnings')}; a digit with a warning may still print.",
+        f"The print profile raises {wording.with_count(warned, 'warnings')}; a digit with a warning may "
+        "still print.",
         "Heights and shoulders are inferred from the published meshes: the erosion sizes were not published.",
     ]
     if manifest.spec["per_class"] is not None or manifest.spec["limit"] is not None:

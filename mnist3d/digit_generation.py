@@ -11,10 +11,8 @@ import numpy as np
 import pyarrow as pa
 
 from mnist3d import digit_options, digit_records, solid
-from mnist3d.digit_options import OWN_SIZES, PUBLISHED_SIZES, SPLITS, SplitSpec
 from mnist3d.kind import KIND
 from mnist3d.sources import digit_arrays, digit_source, picture_folder, synthetic
-from mnist3d.splits import plan_splits
 from tactile_toolkit import generation, mesh, store
 from tactile_toolkit.array_types import Int64
 from tactile_toolkit.checked_fields import check_fields, integer
@@ -126,7 +124,7 @@ class DigitSetSpec:
 
     source: digit_source.DigitSource
     solid: digit_options.SolidSpec = field(default_factory=digit_options.SolidSpec)
-    split: SplitSpec = field(default_factory=SplitSpec)
+    split: digit_options.SplitSpec = field(default_factory=digit_options.SplitSpec)
     profile: mesh.PrintProfile = field(default_factory=mesh.PrintProfile)
     per_class: int | None = integer(None, 1, optional=True)
     limit: int | None = integer(None, 1, optional=True)
@@ -169,14 +167,14 @@ class DigitGenerator(generation.RowGenerator):
 
     def items(self) -> Mapping[str, Int64]:
         """Return the ids of each split; reads the catalog of the source only."""
-        sizes: Mapping[str, int] = PUBLISHED_SIZES
-        splits: tuple[str, ...] = SPLITS
+        sizes: Mapping[str, int] = digit_options.PUBLISHED_SIZES
+        splits: tuple[str, ...] = digit_options.SPLITS
         catalog = self.spec.source.catalog()
         if catalog.has_files:
-            sizes = OWN_SIZES
+            sizes = digit_options.OWN_SIZES
             named = dict(self.spec.split.sizes or sizes)
-            splits = tuple(split for split in SPLITS if split in named)
-        plan = plan_splits(catalog, self.spec.split, sizes)
+            splits = tuple(split for split in digit_options.SPLITS if split in named)
+        plan = digit_source.plan_splits(catalog, self.spec.split, sizes)
         return {split: plan.rows(split, self.spec.per_class, self.spec.limit) for split in splits}
 
     def layout(self) -> generation.StorageLayout:
@@ -303,7 +301,7 @@ def digit_recipe(seed: int, per_class: int | None) -> generation.Recipe:
     """Return the recipe that makes digits without input, from the embedded synthetic source."""
     spec = DigitSetSpec(
         chosen_source("synthetic", {}, seed),
-        split=SplitSpec(seed=seed),
+        split=digit_options.SplitSpec(seed=seed),
         per_class=per_class,
     )
     making = DigitGenerator(spec)

@@ -15,7 +15,7 @@ from mnist3d.sources.picture_folder import FolderSource
 from tactile_toolkit import mesh, pictures, places, store
 from tactile_toolkit.array_types import Int64
 from tactile_toolkit.json_types import JsonDict
-from tactile_toolkit.rows import column, row, table_of
+from tactile_toolkit.rows import column
 from tactile_toolkit.wording import class_name
 
 PARQUET_STYLE = store.ParquetStyle(
@@ -39,7 +39,6 @@ REPORT_FILE = "reports/printability.parquet"
 """Printability report, one row per digit."""
 
 
-@row
 class DigitRow(mesh.MeshRow):
     """One digit."""
 
@@ -93,7 +92,7 @@ def report_table(shard: store.ShardName, rows: Sequence[DigitRow]) -> pa.Table:
         }
     )
     # The columns of the report are those of `PrintReport`: a further measure needs no edit here.
-    reports = table_of([each.report for each in rows], mesh.PrintReport.plain_schema())
+    reports = mesh.PrintReport.table([each.report for each in rows])
     return pa.table([*origins.columns, *reports.columns], [*origins.column_names, *reports.column_names])
 
 

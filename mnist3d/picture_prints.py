@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from mnist3d import digit_options, solid
-from mnist3d.solid.step_pictures import CLAY
+from mnist3d.digit_previews import CLAY
 from mnist3d.sources.picture_files import is_picture_name, pages_of
 from tactile_toolkit import mesh, pictures, printing, store
 from tactile_toolkit.array_types import Bool, UInt8

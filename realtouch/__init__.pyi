@@ -1,6 +1,10 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
-from .touch_options import Alignment as Alignment, CheckLimits as CheckLimits
+from .touch_options import (
+    Alignment as Alignment,
+    CheckLimits as CheckLimits,
+    ImportColumns as ImportColumns,
+)
 from .contact import (
     ContactRule as ContactRule,
     ContactScore as ContactScore,
@@ -55,7 +59,6 @@ from .touches.datasets import (
     TouchSingleDataset as TouchSingleDataset,
     TouchStream as TouchStream,
 )
-from .importing.import_columns import ImportColumns as ImportColumns
 from .checks.verification import TouchVerification as TouchVerification, verify as verify
 
 __version__: str

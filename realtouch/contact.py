@@ -88,8 +88,8 @@ def median_in_memory(pictures: UInt8) -> UInt8:
     values = pictures.reshape(len(pictures), -1)
     starts = range(0, values.shape[1], _PIXELS_AT_ONCE)
     parts = (values[:, start : start + _PIXELS_AT_ONCE] for start in starts)
-    found = np.concatenate([_median_by_bits([[part]] * 8, 1) for part in parts])
-    return found.reshape(pictures.shape[1:])
+    median = np.concatenate([_median_by_bits([[part]] * 8, 1) for part in parts])
+    return median.reshape(pictures.shape[1:])
 
 
 def median_of(batches: Callable[[], Iterable[UInt8]]) -> UInt8:
@@ -107,16 +107,16 @@ def _median_by_bits(passes: Iterable[Iterable[UInt8]], bits: int) -> UInt8:
 
     The value at rank k of the sorted pictures is the largest value that at most k pictures are below.
     """
-    found: list[UInt8] = []  # for the middle rank, or for both middle ranks
+    values: list[UInt8] = []  # for the middle rank, or for both middle ranks
     for number, batches in enumerate(passes, 1):
         steps = (np.arange(1, 1 << bits) << (8 - number * bits)).astype(np.uint8)
         total = 0
         below: AnyArray = np.zeros(0, np.int32)
         for batch in batches:
-            if not found:
-                found = [np.zeros(batch.shape[1:], np.uint8)]
+            if not values:
+                values = [np.zeros(batch.shape[1:], np.uint8)]
             if not total:
-                below = np.zeros((len(found), len(steps), *batch.shape[1:]), np.int32)
+                below = np.zeros((len(values), len(steps), *batch.shape[1:]), np.int32)
             elif below.shape[2:] != batch.shape[1:]:
                 (first_height, first_width), (height, width) = below.shape[2:4], batch.shape[1:3]
                 raise InputError(
@@ -126,39 +126,39 @@ def _median_by_bits(passes: Iterable[Iterable[UInt8]], bits: int) -> UInt8:
                 )
             total += len(batch)
             counted = np.min_scalar_type(len(batch))
-            for counts, value in zip(below, found, strict=True):
+            for counts, value in zip(below, values, strict=True):
                 for count, step in zip(counts, steps, strict=True):
                     count += (batch < value + step).sum(axis=0, dtype=counted)
         ranks = sorted({(total - 1) // 2, total // 2})
         # If there are two middle ranks, the first pass turns the one value into two.
-        found = [
-            found[-place] + ((below[-place] <= rank).sum(axis=0) << (8 - number * bits)).astype(np.uint8)
-            for place, rank in enumerate(ranks)
+        values = [
+            values[-index] + ((below[-index] <= rank).sum(axis=0) << (8 - number * bits)).astype(np.uint8)
+            for index, rank in enumerate(ranks)
         ]
-    return ((found[0].astype(np.int64) + found[-1]) // 2).astype(np.uint8)
+    return ((values[0].astype(np.int64) + values[-1]) // 2).astype(np.uint8)
 
 
 def as_pictures(pictures: object, dimensions: tuple[int, ...] = (4,)) -> UInt8:
     """Return pictures as an array of uint8 with three channels; InputError for any other."""
-    found = np.asarray(pictures)
-    if found.dtype != np.uint8 or found.ndim not in dimensions or found.shape[-1] != 3:
-        expected = " or ".join(_SHAPES[each] for each in dimensions)
+    array = np.asarray(pictures)
+    if array.dtype != np.uint8 or array.ndim not in dimensions or array.shape[-1] != 3:
+        expected = " or ".join(_SHAPES[count] for count in dimensions)
         raise InputError(
-            f"pictures are an array of shape {found.shape}, {found.dtype}; expected {expected}, uint8, or a "
+            f"pictures are an array of shape {array.shape}, {array.dtype}; expected {expected}, uint8, or a "
             "clip, a round or touches"
         )
-    return found
+    return array
 
 
 def _with_background(pictures: object, background: object) -> tuple[UInt8, UInt8]:
     """Return pictures and a background of the same size; InputError for any other."""
-    found = as_pictures(pictures, (3, 4))
+    stack = as_pictures(pictures, (3, 4))
     base = as_pictures(background, (3,))
-    if found.shape[-3:] != base.shape:
+    if stack.shape[-3:] != base.shape:
         raise InputError(
-            f"the background has the shape {base.shape}; expected {found.shape[-3:]}, as the pictures"
+            f"the background has the shape {base.shape}; expected {stack.shape[-3:]}, as the pictures"
         )
-    return found, base
+    return stack, base
 
 
 def difference(pictures: UInt8, background: UInt8, representation: Representation = "signed") -> AnyArray:
@@ -185,8 +185,8 @@ def difference(pictures: UInt8, background: UInt8, representation: Representatio
     """
     if representation not in REPRESENTATIONS:
         raise InputError(f"no difference {representation!r}; expected one of {', '.join(REPRESENTATIONS)}")
-    found, base = _with_background(pictures, background)
-    signed = found.astype(np.int16) - base
+    stack, base = _with_background(pictures, background)
+    signed = stack.astype(np.int16) - base
     if representation == "signed":
         return signed
     unsigned: AnyArray = np.abs(signed) if representation == "absolute" else (signed + 256) // 2
@@ -283,10 +283,10 @@ def contact_score(pictures: UInt8, background: UInt8, rule: ContactRule | None =
         As :func:`difference`.
     """
     rule = rule or _DEFAULT_RULE
-    found, base = _with_background(pictures, background)
+    stack, base = _with_background(pictures, background)
     rows, columns = rule.window(*base.shape[:2])
-    score = _score(found.reshape(-1, *base.shape)[:, rows, columns], base[rows, columns], rule.min_change)
-    return score.of_picture(0) if found.ndim == 3 else score
+    score = _score(stack.reshape(-1, *base.shape)[:, rows, columns], base[rows, columns], rule.min_change)
+    return score.of_picture(0) if stack.ndim == 3 else score
 
 
 def _score(pictures: UInt8, base: UInt8, min_change: int) -> ContactScore:
@@ -336,10 +336,10 @@ def contact_by_pictures(
     at_once = min(_DECODED_AT_ONCE, max(1, _DECODED_BYTES // (3 * height * width)))
 
     def decoded(some: Sequence[bytes]) -> UInt8:
-        found = np.empty((len(some), height, width, 3), np.uint8)
+        cropped = np.empty((len(some), height, width, 3), np.uint8)
         for number, picture in enumerate(some):
-            found[number] = decode(picture)[rows, columns]  # a view would keep the whole picture
-        return found
+            cropped[number] = decode(picture)[rows, columns]  # a view would keep the whole picture
+        return cropped
 
     samples = decoded(pictures[:: -(-len(pictures) // at_once)])
     base = median_in_memory(samples)

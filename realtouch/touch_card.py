@@ -12,14 +12,13 @@ from typing import Any, TypeVar
 import numpy as np
 import pyarrow as pa
 
-from realtouch import picture_views
 from realtouch.kind import KIND
-from realtouch.touches import datasets, image_contacts, rounds, schema, stored_round
+from realtouch.touches import datasets, image_contacts, media, rounds, schema, stored_round
 from realtouch.touches.rounds import Touch
 from tactile_toolkit import cards, errors, read, store, touch, wording
 from tactile_toolkit.array_types import Int64, UInt8
 from tactile_toolkit.json_types import JsonDict
-from tactile_toolkit.pictures import png_bytes
+from tactile_toolkit.pictures import Tile, fitted, png_bytes, sheet
 
 WORDS = "touch_words.toml"
 """File of ``data_cards`` with the words of all cards of touches."""
@@ -27,6 +26,7 @@ WORDS = "touch_words.toml"
 T = TypeVar("T")
 _TILES = 16
 _TILE_WIDTH = 96
+_GAP_PX = 4
 # Each round requires unpacking a block; a card does not try all blocks of a damaged set.
 _ROUNDS_SEEN = 4
 _COMMANDS = {"to-single": "clips-to-images"}  # command of an operation that manifests name differently
@@ -210,20 +210,20 @@ def _extra_words(facts: cards.FolderSummary, types: Mapping[str, pa.DataType]) -
     for shard in (shard for split in facts.splits for shard in split.shards):
         for chunk in shard.column_chunks():
             name = _LIST_SUFFIX.sub("", chunk.path_in_schema)
-            found = chunk.statistics
-            if found is not None and found.has_min_max:
-                ends.setdefault(name, []).extend([found.min, found.max])
-            elif found is None or found.null_count < chunk.num_values:
+            statistics = chunk.statistics
+            if statistics is not None and statistics.has_min_max:
+                ends.setdefault(name, []).extend([statistics.min, statistics.max])
+            elif statistics is None or statistics.null_count < chunk.num_values:
                 ends.setdefault(name, []).append("")  # a range of the rest would be too small
     words = {}
     names = schema.extra_columns(types)
     codes = [wording.markdown_code(name) for name in names]
     for code, stored in zip(codes, names.values(), strict=True):
         shape = "T x N; cut to N_i" if stored.startswith(schema.EXTRA_PREFIX["frame"]) else "T"
-        found = ends.get(stored, [""])
-        is_known = all(isinstance(end, (int, float)) for end in found)
+        numbers = ends.get(stored, [""])
+        is_known = all(isinstance(end, (int, float)) for end in numbers)
         # Parquet may state 0 as -0, so 0 is added.
-        between = f", {min(found) + 0:g} to {max(found) + 0:g}" if is_known else ""
+        between = f", {min(numbers) + 0:g} to {max(numbers) + 0:g}" if is_known else ""
         words[stored] = (shape, f"{code} of the source{between}")
     return words
 
@@ -245,7 +245,7 @@ def _seen(facts: cards.FolderSummary, kind: schema.Kind) -> tuple[tuple[int, int
     pictures: list[UInt8 | None] = []
     for record in _first_rounds(facts, kind):
         count = _or_none(attrgetter("touch_count"), record) or 0
-        tiles = picture_views.evenly_spaced(count, _TILES)
+        tiles = media.evenly_spaced(count, _TILES)
         pictures = [_or_none(attrgetter("image"), Touch(record, number)) for number in tiles]
         intact = next((picture for picture in pictures if picture is not None), None)
         if intact is not None:
@@ -256,7 +256,17 @@ def _seen(facts: cards.FolderSummary, kind: schema.Kind) -> tuple[tuple[int, int
 
 def _sheet(pictures: Iterable[UInt8 | None]) -> bytes | None:
     intact = [image for image in pictures if image is not None]
-    return png_bytes(picture_views.contact_sheet(intact, tile_width=_TILE_WIDTH)) if intact else None
+    return png_bytes(contact_sheet(intact, tile_width=_TILE_WIDTH)) if intact else None
+
+
+def contact_sheet(images: Sequence[UInt8], columns: int = 8, tile_width: int = 120) -> UInt8:
+    """Arrange RGB images, (H, W, 3), in rows of ``columns``, each ``tile_width`` pixels wide.
+
+    All get the proportions of the first.
+    """
+    height = fitted(images[0], tile_width).shape[0]
+    tiles = [Tile(touch.resized(image, tile_width, height)) for image in images]
+    return sheet(tiles, min(columns, len(images)), gap_px=_GAP_PX, margin_px=_GAP_PX)
 
 
 def _first_rounds(
@@ -285,11 +295,11 @@ def _missed(touches: list[int | None], shares: list[float | None], rule: touch.H
 
     ``touches`` and ``shares`` have one entry for each split: its touches, and the share that met an object.
     """
-    found = [(count, share) for count, share in zip(touches, shares, strict=True) if count]
-    if any(share is None for _, share in found):
+    known = [(count, share) for count, share in zip(touches, shares, strict=True) if count]
+    if any(share is None for _, share in known):
         return []
-    total = sum(count for count, _ in found)
-    in_contact = sum(count * (share or 0) for count, share in found)
+    total = sum(count for count, _ in known)
+    in_contact = sum(count * (share or 0) for count, share in known)
     return rule.missed_lines(total - round(in_contact), total)
 
 
@@ -297,7 +307,7 @@ def _made(manifest: store.Manifest) -> list[tuple[str, str]]:
     operation, source = manifest.spec["operation"], manifest.spec["source"]
     files = ", ".join(f"{split}: {len(names)}" for split, names in source.items())
     rows = ", ".join(f"{split}: {sum(file['rows'] for file in names):,}" for split, names in source.items())
-    found = f"files {files}; rounds {rows}; `manifest.json` names and fingerprints each file"
+    text = f"files {files}; rounds {rows}; `manifest.json` names and fingerprints each file"
     if operation == "import":
-        found = f"images {rows}; `manifest.json` has the checksum of their list"
-    return [("command", f"`{KIND.command} {_COMMANDS.get(operation, operation)}`"), ("source", found)]
+        text = f"images {rows}; `manifest.json` has the checksum of their list"
+    return [("command", f"`{KIND.command} {_COMMANDS.get(operation, operation)}`"), ("source", text)]

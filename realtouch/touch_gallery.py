@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import pyarrow as pa
 
-from realtouch import force_pictures, kind, picture_views
+from realtouch import force_pictures, kind
 from realtouch.touches import datasets, media, rounds
 from realtouch.touches.rounds import Touch
 from realtouch.touches.schema import origin_of
@@ -88,10 +88,10 @@ def _item(
 ) -> gallery.GalleryItem:
     """Show a round."""
     most, heights_m, least_m = known
-    touches = [Touch(record, number) for number in picture_views.evenly_spaced(record.touch_count, most)]
+    touches = [Touch(record, number) for number in media.evenly_spaced(record.touch_count, most)]
     views = [force_pictures.force_views(touch) for touch in touches]
     stills, columns, tile_px = sheet_of([np.hstack(each) for each in views], views=len(views[0]))
-    media = {"stills.jpg": stills}
+    images = {"stills.jpg": stills}
     listed = []
     for touch in touches:
         entry: JsonDict = dict.fromkeys(("number", "contact", "height_mm", "film"))
@@ -101,7 +101,7 @@ def _item(
             entry |= {"contact": height_m >= least_m, "height_mm": round(height_m * mesh.MM_PER_M, 2)}
         if isinstance(record, rounds.TouchSeqRound):
             name = f"{touch.touch_index:03d}.jpg"
-            media[name], entry["film"] = film_of(touch.clip, name)
+            images[name], entry["film"] = film_of(touch.clip, name)
         listed.append(entry)
     label = wording.class_name(names, record.label) if record.label >= 0 else None
     title = [f"class {label}" if label else "touches"]
@@ -135,7 +135,7 @@ def _item(
         },
         thumbnail=gallery.GalleryItem.thumbnail_of(cover.image),
         content={"notes": notes, "touches": {"tile": list(tile_px), "columns": columns, "list": listed}},
-        media=media,
+        media=images,
     )
 
 
@@ -190,9 +190,7 @@ def film_of(clip: media.TouchClip, name: str) -> tuple[bytes, JsonDict]:
     """
     window = clip.contact_window
     # Both ends of the contact are always included, because they are of most interest.
-    numbers = np.unique(
-        [*picture_views.evenly_spaced(len(clip), FRAMES_PER_FILM), window.start, window.stop - 1]
-    )
+    numbers = np.unique([*media.evenly_spaced(len(clip), FRAMES_PER_FILM), window.start, window.stop - 1])
     jpeg, columns, _ = sheet_of(list(clip.frames(numbers)), _FILM_COLUMNS)
     return jpeg, {
         "name": name,

@@ -1,15 +1,21 @@
-"""Options of the commands for touches; importing this module is fast."""
+"""Options of the commands for touches, and the meaning of imported columns; importing this module is fast."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import difflib
+import io
+import os
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TypeVar
 
-from tactile_toolkit import checked_fields, errors
+from tactile_toolkit import checked_fields, errors, wording
+from tactile_toolkit.columns import units
+from tactile_toolkit.json_types import JsonDict
 
 T = TypeVar("T")
-
 ONE_SPLIT = checked_fields.text(metavar="NAME", help="Split to open; required if there are several.")
 IMPORT_LAYOUTS = (
     "folder",
@@ -24,7 +30,6 @@ IMPORT_LAYOUTS = (
     "anytouch",
 )
 """Formats of recordings, each a module of ``realtouch.formats``."""
-
 STREAM_HEADER = (
     "recording",
     "stream",
@@ -38,22 +43,58 @@ STREAM_HEADER = (
     "columns",
 )
 """Columns of a table of streams, each a row of ``realtouch.importing.streams``."""
-
 LEFT_OUT = "left_out"
 """Key of the specification of an import: data of recordings that are not imported."""
-
 STREAMS = "streams"
 """Key of the specification of an import: rows of a table of streams, below :data:`STREAM_HEADER`."""
-
 CLIPS = "clips"
 """Key of the statistics of an import: how clips were made, with the number of clips."""
-
 POSITION_COLUMNS = ("pos_in_cell_x_m", "pos_in_cell_y_m")
 POSE_COLUMNS = ("gel_x_m", "gel_y_m", "gel_z_m", "gel_qx", "gel_qy", "gel_qz", "gel_qw")
 FOTA_POSE_COLUMNS = ("x_mm", "y_mm", "z_mm", "quat_x", "quat_y", "quat_z", "quat_w")
-
-
 ALIGN_METHODS = ("nearest", "linear")
+# Fields of `ImportColumns` and their default columns, which are used if the source has them.
+_DEFAULT_COLUMNS: tuple[tuple[str, str | tuple[str, ...]], ...] = (
+    ("label", "label_name"),
+    ("label", "label"),
+    ("round", "round_id"),
+    ("object_id", "object_id"),
+    ("position", POSITION_COLUMNS),
+    ("pose", POSE_COLUMNS),
+    ("pose", FOTA_POSE_COLUMNS),
+    ("split", "split"),
+)
+MAPPED = {
+    "image": "image",
+    "label": "label",
+    "round": "round",
+    "object": "object_id",
+    "position": "position",
+    "pose": "pose",
+    "split": "split",
+    "time": "time",
+}
+"""Names for ``--map``, and the field of :class:`ImportColumns` that each sets."""
+Matrix = tuple[tuple[float, ...], ...]
+_DEFAULT_IMAGE = "file"
+_LENGTHS = 3  # numbers at the start of a pose that are lengths
+_POSITION_AND_ROTATION = 2  # columns of a pose that is given as two vectors
+_QUATERNION_POSE = 7
+_ANGLE_POSE = 6
+_MATRIX_POSES = (12, 16)
+# Which numbers of a position or pose are lengths, and which are angles, by how many it has.
+_PLACES = {
+    2: (range(2), range(0)),
+    _ANGLE_POSE: (range(3), range(3, 6)),
+    _QUATERNION_POSE: (range(3), range(0)),
+    **dict.fromkeys(_MATRIX_POSES, (range(3, 12, 4), range(0))),
+}
+_EULER = re.compile(r"(?:[xyz]{3}|[XYZ]{3})\Z")
+LONGEST_NAME = 100  # characters
+_SIMILARITY = 0.8  # a name that is so similar to a known one is a misspelling of it
+_LARGEST_FILE = 1 << 20  # bytes
+_SEPARATORS = re.compile(r"[\[\](){},;]")
+_NUMPY_MARK = b"\x93NUMPY"
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,3 +204,356 @@ class Alignment:
 
     def __post_init__(self) -> None:
         checked_fields.check_fields(self, "the alignment")
+
+
+def read_frame(path: str | os.PathLike[str]) -> Matrix:
+    """Read a rigid transform, 4 x 4 numbers, from a file of text, CSV, JSON or NPY.
+
+    Raises InputError if the file cannot be read or holds no rigid transform.
+    """
+    content = _content_of(path)
+    values: object = content
+    if not content.startswith(_NUMPY_MARK):
+        words = _SEPARATORS.sub(" ", content.decode("utf-8-sig", errors="replace")).split()
+        values = [words[start : start + 4] for start in range(0, len(words), 4)]
+    return rigid_frame(values, repr(os.fspath(path)))
+
+
+def _content_of(path: str | os.PathLike[str]) -> bytes:
+    """Return a small file that the user named; InputError if it cannot be read."""
+    try:
+        with Path(path).expanduser().open("rb") as stream:
+            content = stream.read(_LARGEST_FILE + 1)
+    except (OSError, ValueError) as error:
+        raise errors.InputError(f"{os.fspath(path)!r} cannot be read", next="check the path") from error
+    if len(content) > _LARGEST_FILE:
+        raise errors.InputError(
+            f"{os.fspath(path)!r} has more than {_LARGEST_FILE:,} bytes; expected a small file"
+        )
+    return content
+
+
+def rigid_frame(values: object, source: str) -> Matrix:
+    """Return a 4 x 4 matrix, or the content of an NPY file with one, as tuples.
+
+    Raises InputError if it is not a rigid transform.
+    """
+    import numpy as np  # these imports are slow, and few commands name a frame
+
+    from tactile_toolkit.arithmetic import are_rigid
+
+    try:
+        if isinstance(values, bytes):
+            values = np.load(io.BytesIO(values), allow_pickle=False)
+        matrix = np.array(values, np.float64)
+    except (TypeError, ValueError, OverflowError, EOFError, OSError):
+        matrix = np.empty(0)
+    if matrix.shape != (4, 4):
+        raise errors.InputError(f"the frame {source} is no matrix of numbers; expected 4 x 4 numbers")
+    if not np.isfinite(matrix).all() or not are_rigid(matrix[None]):
+        raise errors.InputError(
+            f"the frame {source} is no rigid transform; expected a rotation of determinant 1, a translation, "
+            "and the last row 0 0 0 1"
+        )
+    return tuple(map(tuple, matrix.tolist()))
+
+
+@dataclass(frozen=True, slots=True)
+class ImportColumns:
+    """Which columns of a table, fields of JSON files or arrays hold labels, positions and so on; their units.
+
+    Fields that are None are read from the columns that :func:`realtouch.export` and :func:`realtouch.frames`
+    write, if the source has them: ``label_name`` or ``label``, ``round_id``, ``object_id``, ``split``,
+    ``pos_in_cell_x_m`` and ``_y_m``, ``gel_x_m`` to ``gel_qw``; the pose also from those of FoTa, ``x_mm`` to
+    ``quat_w``. An empty text or tuple stands for no column. Every other column is kept as an extra one.
+
+    The end of its name states the unit of a column: ``_mm``, ``_cm`` or ``_m``; ``_deg`` or ``_rad``; ``_s``,
+    ``_ms``, ``_us`` or ``_ns``. Otherwise it is ``length_unit``, ``angle_unit`` or ``time_unit``.
+
+    Attributes
+    ----------
+    image : str or None
+        Path of the image below the folder; for WebDataset, its file extension, or None for the first image of
+        a sample; for a replay buffer, its array of pixels.
+    label : str or None
+        Class: a number, or a name. Without such a column all touches have the label -1 and no class.
+    round : str or None
+        Which touches belong together; without it each touch is a round of its own.
+    object_id : str or None
+        Number of the touched object, an integer.
+    position : tuple of str or None
+        x and y of the intended position, cell frame; or one field that holds both.
+    pose : tuple of str or None
+        Position and orientation of the gel, cell frame: seven columns with a quaternion; six with Euler
+        angles or a rotation vector; twelve or sixteen with a matrix of 3 x 4 or 4 x 4, row by row; or one
+        field that holds all of these.
+    split : str or None
+        Split of each touch.
+    time : str or None
+        Time of each picture.
+    extra : tuple of (str, str)
+        New names of extra columns, each with the name that the source has for it; an empty one leaves the
+        column out.
+    length_unit : "mm", "cm" or "m", optional
+        Unit of lengths whose columns do not state theirs; metres by default.
+    angle_unit : "deg" or "rad", optional
+        Unit of angles whose columns do not state theirs. Euler angles need a stated unit; a rotation vector
+        is in radians by default.
+    time_unit : "s", "ms", "us" or "ns", optional
+        Unit of times whose column does not state its own; seconds by default.
+    quaternion_order : "xyzw" or "wxyz", optional
+        Order of the last four of a pose; ``"xyzw"`` by default.
+    euler : str or None
+        Axes of the last three of six, as SciPy has them: ``"xyz"`` about fixed axes (extrinsic), ``"XYZ"``
+        about axes that turn along (intrinsic).
+    rotvec : bool
+        The last three of six are a rotation vector: the axis times the angle.
+    frame : array of shape (4, 4), or path of a file with it; optional
+        Rigid transform from the frame of the source, such as the base of a robot, to the cell frame. Its
+        translation is in ``length_unit``; metres by default. It applies to poses and positions.
+    """
+
+    image: str | None = _DEFAULT_IMAGE
+    label: str | None = None
+    round: str | None = None
+    object_id: str | None = None
+    position: tuple[str, ...] | None = None
+    pose: tuple[str, ...] | None = None
+    split: str | None = None
+    time: str | None = None
+    extra: tuple[tuple[str, str], ...] = ()
+    length_unit: str | None = checked_fields.choice(
+        None,
+        tuple(units.Quantity.LENGTH.per_unit),
+        optional=True,
+        shown="m",
+        help="Unit of lengths whose columns do not end in _mm, _cm or _m.",
+    )
+    angle_unit: str | None = checked_fields.choice(
+        None,
+        tuple(units.Quantity.ANGLE.per_unit),
+        optional=True,
+        help="Unit of angles whose columns do not end in _deg or _rad.",
+    )
+    time_unit: str | None = checked_fields.choice(
+        None,
+        tuple(units.Quantity.TIME.per_unit),
+        optional=True,
+        shown="s",
+        help="Unit of times whose column does not end in _s, _ms, _us or _ns.",
+    )
+    quaternion_order: str | None = checked_fields.choice(
+        None, ("xyzw", "wxyz"), optional=True, shown="xyzw", help="Order of the last four columns of a pose."
+    )
+    euler: str | None = checked_fields.text(
+        metavar="SEQ",
+        help="Axes of the last three of six columns of a pose: xyz about fixed axes, XYZ about turning ones.",
+    )
+    rotvec: bool = checked_fields.switch(
+        False, help="The last three of six columns of a pose are a rotation vector."
+    )
+    frame: Matrix | None = checked_fields.text(
+        metavar="FILE",
+        read=read_frame,
+        help="File of 4 x 4 numbers: the transform from the frame of the source to that of the cell.",
+    )
+
+    def __post_init__(self) -> None:
+        checked_fields.check_fields(self, "the columns")
+        frame: object = self.frame
+        if isinstance(frame, str | os.PathLike):
+            frame = read_frame(frame)
+        elif frame is not None:
+            frame = rigid_frame(frame, "of the columns")
+        for name, value in (("frame", frame), ("extra", tuple(map(tuple, self.extra)))):
+            object.__setattr__(self, name, value)
+        self._check_orientation()
+        for what, names, counts in (
+            ("position", self.position or (), (2,)),
+            ("pose", self.pose or (), self.pose_sizes),
+        ):
+            if len(names) not in (0, 1, 2, *counts):
+                raise errors.InputError(
+                    f"{len(names)} {what} columns ({', '.join(names)}); expected {expected_counts(counts)}, "
+                    "one that holds a list of them, or two with the position and the orientation",
+                    next="of six numbers, --euler or --rotvec states what the last three are",
+                )
+            if names:
+                self.divisors(names, max(len(names), min(counts)))
+        order = "".join(name[-1:].lower() for name in (self.pose or ())[_LENGTHS:])
+        if sorted(order) == sorted("wxyz") and order != self.order:
+            raise errors.InputError(
+                f"the columns of the quaternion are {', '.join((self.pose or ())[_LENGTHS:])}; expected the "
+                f"order {', '.join(self.order)}",
+                next="name them in that order, or add --quaternion-order wxyz",
+            )
+        self._check_extra()
+
+    def _check_orientation(self) -> None:
+        """Refuse contradictory kinds of orientation, invalid axes, and angles of unknown unit."""
+        stated = {
+            "quaternion_order": self.quaternion_order,
+            "euler": self.euler,
+            "rotvec": self.rotvec or None,
+        }
+        options = [name for name, value in stated.items() if value is not None]
+        if len(options) > 1:
+            raise errors.InputError(f"contradicts {options[1]}; expected one of them", field=options[0])
+        if self.euler is None:
+            return
+        if not _EULER.match(self.euler) or any(map(str.__eq__, self.euler, self.euler[1:])):
+            raise errors.InputError(
+                f"the Euler angles are {self.euler!r}; expected three axes such as xyz (fixed) or XYZ "
+                "(turning), neighbours different"
+            )
+        names = self.pose or ()
+        is_stated = len(names) == _ANGLE_POSE and all(map(units.Quantity.stated_unit, names[_LENGTHS:]))
+        if names and self.angle_unit is None and not is_stated:
+            raise errors.InputError(
+                "the unit of the Euler angles is not known", next="add --angle-unit deg or --angle-unit rad"
+            )
+
+    def _check_extra(self) -> None:
+        """Refuse names of extra columns that cannot be used."""
+        names = [name for name, _ in self.extra]
+        for name in names:
+            if not is_extra_name(name):
+                raise errors.InputError(
+                    f"the extra column {name[:LONGEST_NAME]!r}; expected a name of 1 to {LONGEST_NAME} "
+                    "printable characters"
+                )
+            if names.count(name) > 1:
+                raise errors.InputError(f"the extra column {name!r} is named twice; expected different names")
+
+    def with_mapped(self, pairs: Sequence[str]) -> ImportColumns:
+        """Return these columns, changed by texts ``NAME=COLUMN``, or ``@FILE`` for a file of such lines.
+
+        Names other than those of ``MAPPED`` are new names of extra columns. Raises InputError for a text of
+        another form, a name that is given twice, and a name that is almost one of ``MAPPED``.
+        """
+        mapped: dict[str, str] = read_mapped(pairs)
+        changes: JsonDict = {MAPPED[name]: column for name, column in mapped.items() if name in MAPPED}
+        for several in ("position", "pose"):
+            if several in mapped:
+                changes[several] = tuple(wording.comma_separated(mapped[several]))
+        extra = {**dict(self.extra), **{name: mapped[name] for name in mapped if name not in MAPPED}}
+        return replace(self, **changes, extra=tuple(extra.items()))
+
+    @property
+    def image_name(self) -> str:
+        """Name of the images if one was given; empty by default."""
+        if self.image == _DEFAULT_IMAGE:
+            return ""
+        return self.image or ""
+
+    @property
+    def order(self) -> str:
+        """Order of the quaternion: ``"xyzw"`` or ``"wxyz"``."""
+        return self.quaternion_order or "xyzw"
+
+    @property
+    def pose_sizes(self) -> tuple[int, ...]:
+        """Numbers of values that a pose may have."""
+        if self.euler is not None or self.rotvec:
+            return (_ANGLE_POSE,)
+        if self.quaternion_order is not None:
+            return (_QUATERNION_POSE,)
+        return (_QUATERNION_POSE, *_MATRIX_POSES)
+
+    def divisors(self, names: tuple[str, ...], count: int) -> tuple[float, ...]:
+        """Return the divisors that convert the values of some columns to metres and radians.
+
+        ``count`` is the number of values of a position (2) or of a pose. Raises InputError for conflicting
+        units.
+        """
+        divisors = [1.0] * count
+        lengths, angles = _PLACES[count]
+        for quantity, unit, places in (
+            (units.Quantity.LENGTH, self.length_unit, lengths),
+            (units.Quantity.ANGLE, self.angle_unit, angles),
+        ):
+            for index in places:
+                name = ""
+                if len(names) in (1, count):
+                    name = names[index % len(names)]
+                elif len(names) == _POSITION_AND_ROTATION:
+                    name = names[index >= _LENGTHS]
+                if (
+                    quantity is units.Quantity.ANGLE
+                    and len(names) == 1
+                    and units.Quantity.stated_unit(name) not in units.Quantity.ANGLE.per_unit
+                ):
+                    name = ""  # it states the unit of its lengths
+                divisors[index] = quantity.divisor(name, unit)
+        return tuple(divisors)
+
+    def found_in(self, known: Collection[str], *, rotvec: bool = False) -> ImportColumns:
+        """Return these columns, completed by the default columns that are known.
+
+        ``rotvec`` says that a pose of six numbers holds a rotation vector in this format.
+        """
+        completed: JsonDict = {}
+        for field, columns in _DEFAULT_COLUMNS:
+            names = {columns} if isinstance(columns, str) else {*columns}
+            if getattr(self, field) is None and field not in completed and names <= {*known}:
+                completed[field] = columns
+        is_stated = self.euler is not None or self.quaternion_order is not None
+        return replace(
+            self, **completed, rotvec=self.rotvec or (rotvec and bool(self.pose) and not is_stated)
+        )
+
+    def names(self) -> list[str]:
+        """Return the columns that the source must have."""
+        plain = (self.label, self.round, self.object_id, self.split, self.time)
+        several = (*(self.position or ()), *(self.pose or ()), *(column for _, column in self.extra))
+        return list(dict.fromkeys(filter(None, (*plain, *several))))
+
+
+def is_extra_name(name: str) -> bool:
+    """Return whether an extra column may have this name."""
+    return name.isprintable() and name == name.strip() and 0 < len(name) <= LONGEST_NAME
+
+
+def expected_counts(counts: Sequence[int]) -> str:
+    """Return numbers as text for a message: ``7``, or ``7, 12 or 16``."""
+    *most, last = map(str, counts)
+    return f"{', '.join(most)} or {last}" if most else last
+
+
+def read_mapped(texts: Sequence[str]) -> dict[str, str]:
+    """Return the column for each name; raises InputError as :meth:`ImportColumns.with_mapped`."""
+    mapped: dict[str, str] = {}
+    for name, column in _pairs(texts):
+        if name in mapped:
+            raise errors.InputError(f"names {name!r} twice; expected each name once", field="mapped")
+        close = difflib.get_close_matches(name.lower(), (*MAPPED, *MAPPED.values()), 1, _SIMILARITY)
+        if name not in MAPPED and close:
+            raise errors.InputError(
+                f"names {name!r}; expected one of {', '.join(MAPPED)}{wording.did_you_mean(name, MAPPED)}",
+                next="correct it; an extra column needs a name that is less like these",
+                field="mapped",
+            )
+        mapped[name] = column
+    return mapped
+
+
+def _pairs(texts: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Yield the names and columns that are stated by texts ``NAME=COLUMN`` and files of such lines."""
+    for text in texts:
+        lines = [text]
+        source = ""
+        if text.startswith("@"):
+            source = f"{text} "
+            content = _content_of(text[1:]).decode("utf-8-sig", errors="replace")
+            lines = [
+                line for line in content.splitlines() if line.strip() and not line.lstrip().startswith("#")
+            ]
+        for line in lines:
+            name, equals, column = line.partition("=")
+            if not equals or not name.strip():
+                raise errors.InputError(
+                    f"{source}has {line[:LONGEST_NAME]!r}; expected NAME=COLUMN, such as label=class or "
+                    "pose=x,y,z,qx,qy,qz,qw",
+                    field="mapped",
+                )
+            yield name.strip(), column.strip()

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image
 
-from realtouch import contact, force_pictures, picture_views, touch_options
+from realtouch import contact, force_pictures, touch_options
 from realtouch.kind import KIND
 from realtouch.touches import media, opening, rounds
 from realtouch.touches.rounds import Touch
@@ -85,7 +85,7 @@ def draw_grid(record: rounds.TouchRound, most: int) -> UInt8:
         heights_m = contact.contact_heights_m(row.contact_z_m(row.kind), plate_z_m=row.plate_z_m(rule))
     tiles = []
     most_views = 1
-    for number in picture_views.evenly_spaced(record.touch_count, most):
+    for number in media.evenly_spaced(record.touch_count, most):
         caption = f"{number}"
         frame = None
         if heights_m is not None:

@@ -21,16 +21,14 @@ from .scene_checks import (
     validate_folder as validate_folder,
 )
 from .scene_dataset import (
+    generate as generate,
     load as load,
+    PUBLISHED_SIZES as PUBLISHED_SIZES,
     SceneDataset as SceneDataset,
+    SceneGenerator as SceneGenerator,
     SceneMeshDataset as SceneMeshDataset,
     SceneRecord as SceneRecord,
-)
-from .scene_generation import (
-    PUBLISHED_SIZES as PUBLISHED_SIZES,
-    SceneGenerator as SceneGenerator,
     SceneSetSpec as SceneSetSpec,
-    generate as generate,
 )
 from .shapes import (
     Crescent as Crescent,

@@ -13,12 +13,12 @@ KIND = DatasetKind(
     made_by="starstruck generate",
     card_template="starstruck.md",
     write_card=lazy("starstruck_gen.scene_card:write_card"),
-    schema=lazy("starstruck_gen.scene_generation:published_schema"),
+    schema=lazy("starstruck_gen.scene_dataset:published_schema"),
     class_names=("1", "2", "3"),  # Tactile MNIST paper, section Starstruck
     columns=("star_count",),
     splits=("train", "test"),
     published=(tactile_mnist_set("starstruck", "starstruck", "3,300 scenes with one to three stars"),),
     plan_gallery=lazy("starstruck_gen.scene_card:plan_gallery"),
     dataset=lazy("starstruck_gen:SceneMeshDataset"),
-    recipe=lazy("starstruck_gen.scene_generation:scene_recipe"),
+    recipe=lazy("starstruck_gen.scene_dataset:scene_recipe"),
 )

@@ -15,7 +15,6 @@ import numpy as np
 from starstruck_gen import scene
 from starstruck_gen.shapes import STAR, Shape, require_fine_steps
 from tactile_toolkit import checked_fields, mesh, touch
-from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.wording import with_count
@@ -89,7 +88,9 @@ def scene_id(split: str, index: int) -> int:
 
 def scene_rng(seed: int) -> np.random.Generator:
     """Return the generator of one scene from the seed of the scene (:func:`scene_seed`)."""
-    return np.random.Generator(np.random.Philox(key=checked_integer(seed, "the seed of a scene")))
+    return np.random.Generator(
+        np.random.Philox(key=checked_fields.checked_integer(seed, "the seed of a scene"))
+    )
 
 
 class SceneStreams:
@@ -122,7 +123,7 @@ class SceneStreams:
 def _split_start(seed: int, split: str) -> int:
     if split not in SPLITS:
         raise InputError(f"unknown split {split!r}; expected one of {', '.join(SPLITS)}")
-    start = checked_integer(seed, "seed")
+    start = checked_fields.checked_integer(seed, "seed")
     words = np.random.SeedSequence(start, spawn_key=(SPLITS.index(split),)).generate_state(1, np.uint64)
     return int(words[0])
 

@@ -11,7 +11,6 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from starstruck_gen import shapes
-from starstruck_gen.shapes import outline, prisms
 from tactile_toolkit import mesh, read
 from tactile_toolkit.arithmetic import cosine_sine, moved
 from tactile_toolkit.array_types import UInt8
@@ -159,9 +158,9 @@ def build_meshes(layouts: Sequence[Sequence[Placement]]) -> SceneMeshes:
     """
     from starstruck_gen.compiled_vertices import standing_vertices  # numba takes 0.5 s to import
 
-    outlines = [prisms(tuple([placement.shape for placement in layout])) for layout in layouts]
+    outlines = [shapes.prisms(tuple([placement.shape for placement in layout])) for layout in layouts]
     poses = np.array([placement[1:] for layout in layouts for placement in layout], np.float64)
-    parts = outlines or [prisms(())]  # there may be no layout
+    parts = outlines or [shapes.prisms(())]  # there may be no layout
     corners = np.concatenate([made.corners for made in parts])
     corner_counts = np.concatenate([made.corner_counts for made in parts])
     faces = np.concatenate([made.faces for made in parts])
@@ -205,7 +204,7 @@ def _paint_object(picture: Image.Image, placement: Placement, px_per_m: float) -
     """Paint an object and its edge in its place; ``px_per_m`` is the scale of the enlarged drawing."""
     c, s = cosine_sine(placement.angle_rad)
     rings = []
-    for ring in outline(placement.shape):
+    for ring in shapes.outline(placement.shape):
         turned = moved(ring, np.array([[c, s], [-s, c]]))
         standing_m = placement.radius_m * turned + (placement.x_m, placement.y_m)
         rings.append(standing_m * px_per_m * (1.0, -1.0) + np.array(picture.size) / 2)

@@ -7,20 +7,19 @@ from functools import partial
 
 import pyarrow as pa
 
-from starstruck_gen import kind, sampling, scene_dataset, scene_generation
+from starstruck_gen import kind, sampling, scene_dataset
 from tactile_toolkit import cards, gallery, mesh, rows, store, wording
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import is_copy
-from tactile_toolkit.wording import with_count
 
 _RULES = {
     "circles": "the circumscribed circles of two objects do not meet",
     "exact": "the outlines of two objects do not touch",
 }
-COLUMNS = scene_generation.SceneRow.meanings()
+COLUMNS = scene_dataset.SceneRow.meanings()
 
 _SHOWN = (
-    *scene_generation.SceneRow.with_role("facet", "measure"),
+    *scene_dataset.SceneRow.with_role("facet", "measure"),
     rows.Column(pa.list_(pa.string()), name="shapes", role="facet", title="Shapes"),
     rows.Column(pa.int64(), name="objects", role="measure", title="Objects"),
     rows.Column(pa.int64(), name="positions", role="measure", title="Positions drawn"),
@@ -72,7 +71,7 @@ def _placement_values(spec: sampling.SceneSpec) -> dict[str, str]:
         rule = f"{rule} and keep {1e3 * spec.clearance_m:g} mm"
     if turned:
         rotation = f" by 0 to {turned:g} degrees about z"
-    distractors = with_count(most, "objects")
+    distractors = wording.with_count(most, "objects")
     if least < most:
         distractors = f"{least:,} to {most:,} objects"
     return {

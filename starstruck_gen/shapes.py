@@ -273,12 +273,10 @@ class Crescent(Proportions):
         return (np.array(back + bite),)
 
 
+# Star, box and disc are published (package tactile-mnist 0.13.0).
 KINDS: dict[str, type[Proportions]] = {
     kind.name: kind for kind in (Star, Box, Disc, Triangle, Hexagon, Ring, Cross, Crescent)
 }
-
-
-# Star, box and disc are published (package tactile-mnist 0.13.0).
 
 
 def kind_named(name: str) -> type[Proportions]:
@@ -499,17 +497,13 @@ def prisms(keys: tuple[str, ...]) -> Prisms:
 
     Results are cached, as scenes have few shapes in few orders; the published specification has 189 orders.
     """
-    each = [prism(key) for key in keys]
+    solids = [prism(key) for key in keys]
+    counts = np.array([len(solid.corners) for solid in solids], dtype=np.int64)
+    first_vertices = 2 * (np.cumsum(counts) - counts)
+    numbered = (solid.faces + np.int32(first) for solid, first in zip(solids, first_vertices, strict=True))
     # Begins with empty arrays, since a layout may be empty.
-    corners = [np.zeros((0, 2))]
-    faces = [np.zeros((0, 3), np.int32)]
-    vertices = 0
-    for one in each:
-        corners.append(one.corners)
-        faces.append(one.faces + np.int32(vertices))
-        vertices += 2 * len(one.corners)
-    counts = np.array([len(one.corners) for one in each], dtype=np.int64)
-    made = Prisms(np.concatenate(corners), counts, np.concatenate(faces))
+    corners = np.concatenate([np.zeros((0, 2)), *(solid.corners for solid in solids)])
+    made = Prisms(corners, counts, np.concatenate([np.zeros((0, 3), np.int32), *numbered]))
     for array in (made.corners, made.corner_counts, made.faces):
         array.setflags(write=False)
     return made

@@ -42,6 +42,24 @@ _MAX_IMAGE_BYTES = 32 << 30
 # tactile-mnist 0.13.0, CELL_PADDING: a gap, half the sensor, half the border between cells.
 _PADDING_M = (0.003 + GELSIGHT_M[0] / 2 + 0.0025, 0.003 + GELSIGHT_M[1] / 2 + 0.0025)
 
+Space: TypeAlias = "gym.Space[Any]"
+"""The valid values of an action, an observation or a part of one."""
+
+Nested: TypeAlias = Any
+"""An array, or a dictionary of such values by name."""
+
+Action: TypeAlias = Mapping[str, Nested]
+"""Parts of an action by name: arrays, or further parts."""
+
+Observation: TypeAlias = dict[str, AnyArray]
+"""Parts of an observation by name."""
+
+Info: TypeAlias = dict[str, Nested]
+"""Further results of a step."""
+
+Options: TypeAlias = Mapping[str, Any]
+"""Options of a reset by name."""
+
 
 class NetworkOptions(TypedDict, total=False):
     """Device and precision of networks; see :func:`tactile_sim.make_optics`."""
@@ -346,17 +364,3 @@ def checked_counts(config: EpisodeConfig, num_envs: object, threads: object) -> 
             next="make fewer environments, or smaller images (`sensor_output_size`)",
         )
     return count, checked_fields.checked_integer(threads, "threads", 1, _MAX_THREADS)
-
-
-Space: TypeAlias = "gym.Space[Any]"
-"""The valid values of an action, an observation or a part of one."""
-Nested: TypeAlias = Any
-"""An array, or a dictionary of such values by name."""
-Action: TypeAlias = Mapping[str, Nested]
-"""Parts of an action by name: arrays, or further parts."""
-Observation: TypeAlias = dict[str, AnyArray]
-"""Parts of an observation by name."""
-Info: TypeAlias = dict[str, Nested]
-"""Further results of a step."""
-Options: TypeAlias = Mapping[str, Any]
-"""Options of a reset by name."""

@@ -28,6 +28,7 @@ REAL_TOUCHES = "TimSchneider42/tactile-mnist-touch-real-single-t256-320x240"
 
 # tactile-mnist 0.13.0: DR_PENETRATION_DEPTH_REDUCTION_STD, DR_MAX_PLATFORM_PENETRATION.
 _DR_REDUCTION_M, _DR_PLATFORM_M = 0.00065, 0.0
+NAMESPACE = "tactile_envs"
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,9 +212,6 @@ def _row(name: str, spec: EnvSpec) -> EnvId:
         split=spec.split,
         sparse=spec.sparse,
     )
-
-
-NAMESPACE = "tactile_envs"
 
 
 def register() -> None:

@@ -10,12 +10,10 @@ import numpy as np
 
 from env_assets.mesh_view import MeshRecord
 from realtouch import Poses
-from tactile_envs import episode_kernels, mesh_pool, motion, scene, toucher
+from tactile_envs import episode_kernels, mesh_pool, motion, scene
 from tactile_envs.config import Config
 from tactile_envs.drawing import EnvDrawing
-from tactile_envs.motion import Motion, Rows
-from tactile_envs.scene import Camera
-from tactile_envs.toucher import SensorReadings
+from tactile_envs.motion import Motion, Rows, SensorReadings
 from tactile_sim import Sensor
 from tactile_sim.optics.sensor_noise import EpisodeNoise
 from tactile_sim.press.elastic_press import WholeGel, loads_of
@@ -50,7 +48,7 @@ class MeshScene(scene.TouchScene):
     config: Config
 
     def __init__(
-        self, config: Config, records: Sequence[MeshRecord], num_envs: int, threads: int, camera: Camera
+        self, config: Config, records: Sequence[MeshRecord], num_envs: int, threads: int, camera: scene.Camera
     ) -> None:
         super().__init__(config, num_envs, camera.channels)
         self._records, self._pool = records, mesh_pool.MeshPool.of(records, self._most_tilt_rad)
@@ -60,7 +58,7 @@ class MeshScene(scene.TouchScene):
         if config.elastic_gel is not None:
             self._elastic = ElasticGel(config, camera.sensor)
             met = self._elastic.sensor
-        self._toucher = toucher.Toucher(met, config.least_height_m, num_envs, threads)
+        self._toucher = motion.Toucher(met, config.least_height_m, num_envs, threads)
         self._upcoming, self._sensors = np.full(num_envs, -1, np.int64), np.zeros((num_envs, 3))
         self._felt: Float32 = np.zeros((num_envs, 1, 1, camera.channels), np.float32)
         self._poses = np.tile(np.eye(4), (num_envs, 1, 1))  # of sensors, but for where they are
@@ -203,7 +201,7 @@ class MeshScene(scene.TouchScene):
         places: Float64,
         drift: Float64,
         has_depth: bool,
-    ) -> toucher.SensorReadings:
+    ) -> motion.SensorReadings:
         """Press sensors onto objects, which slip by ``drift``; both are moved."""
         numbers = self.numbers[rows]
         return self._toucher.touch(

@@ -1,22 +1,40 @@
-"""Limits and costs of the motion of sensors, and the options of a reset."""
+"""Motion of sensors in many environments: limits, costs and options of a reset, and touches on threads."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
 from tactile_envs.config import Action, EpisodeConfig, Options
 from tactile_envs.episode_kernels import aim
-from tactile_toolkit.array_types import Float32, Float64, Int64
+from tactile_envs.mesh_pool import MeshPool
+from tactile_envs.touch_kernels import PADDING, touch
+from tactile_sim import Sensor
+from tactile_toolkit.array_types import Bool, Float32, Float64, Int64
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import with_count
 
 # The square of this times the largest `action_regularization` is finite in single precision.
 _MAX_MOVE = 1e12
 _TOP_M = 0.02  # tactile-mnist 0.13.0: range of the observed height of the sensor
+
+Rows = slice | Int64
+"""Numbers of environments, or a slice of them."""
+
+EVERY = slice(None)
+"""All environments."""
+
+_NUMBERS = "datapoint_idx"
+_POSES = "initial_object_pose"
+_STARTS = "initial_sensor_target_pose"
+_RESET_MASK = "reset_mask"
+_OPTIONS = (_NUMBERS, _POSES, _STARTS, _RESET_MASK)
+_ORTHONORMAL = 1e-3
+_PARTS_A_THREAD = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,16 +99,6 @@ def require_move(action: Action, name: str, num_envs: int) -> Float32:
     )
 
 
-Rows = slice | Int64
-"""Numbers of environments, or a slice of them."""
-EVERY = slice(None)
-"""All environments."""
-_NUMBERS, _POSES, _STARTS = "datapoint_idx", "initial_object_pose", "initial_sensor_target_pose"
-_RESET_MASK = "reset_mask"
-_OPTIONS = (_NUMBERS, _POSES, _STARTS, _RESET_MASK)
-_ORTHONORMAL = 1e-3
-
-
 @dataclass(frozen=True, eq=False)
 class SensorStart:
     """First target of a sensor: position (3,), metres, and axes in columns (3, 3), cell frame."""
@@ -115,7 +123,9 @@ class ResetOptions:
     @classmethod
     def of(cls, options: Options, num_envs: int) -> Self:
         """Check options; InputError for unknown ones, and for values that cannot be used."""
-        _require_options(options)
+        unknown = [name for name in options if name not in _OPTIONS]
+        if unknown:
+            raise InputError(f"option {unknown[0]!r} is unknown; expected {', '.join(_OPTIONS)}")
         numbers = [None if each is None else int(each) for each in _given(options, _NUMBERS, num_envs)]
         return cls(
             _rows(options, num_envs),
@@ -128,12 +138,6 @@ class ResetOptions:
     def drawn(cls, num_envs: int) -> Self:
         """Return the options of episodes that are drawn at random."""
         return cls.of({}, num_envs)
-
-
-def _require_options(options: Options) -> None:
-    """Refuse options of a reset that are unknown (InputError)."""
-    if unknown := [name for name in options if name not in _OPTIONS]:
-        raise InputError(f"option {unknown[0]!r} is unknown; expected {', '.join(_OPTIONS)}")
 
 
 def _rows(options: Options, num_envs: int) -> Rows:
@@ -191,3 +195,117 @@ def _numbers(given: object) -> Float64 | None:
     except (TypeError, ValueError):
         return None
     return numbers if np.isfinite(numbers).all() else None
+
+
+class SensorReadings(NamedTuple):
+    """One touch of each environment.
+
+    ``images`` (n, H, W) are depth images; ``depths_m``, of the same shape or (0, 0, 0), are
+    distances from the camera of the gel, metres; ``positions`` (n, 3) are the observed positions of the
+    sensors, -1 to 1; ``is_bare`` (n,) states whether the gel touched only the plate.
+    """
+
+    images: Float32
+    depths_m: Float32
+    positions: Float32
+    is_bare: Bool
+
+
+Press = Callable[[int, int, Float32, SensorReadings], None]
+"""Presses the sensors from the first number to before the second; further arguments: work array, results."""
+
+
+class Toucher:
+    """Presses sensors onto objects.
+
+    Parameters
+    ----------
+    sensor : Sensor
+        The sensor; its image is the depth image.
+    least_m : float
+        Least height of sensors, metres.
+    num_envs : int
+        Number of environments.
+    threads : int
+        Number of threads that share a touch.
+
+    Attributes
+    ----------
+    window : ndarray of float64, shape (6,)
+        Window of the gel, as :func:`tactile_envs.touch_kernels.touch` takes it.
+    """
+
+    def __init__(self, sensor: Sensor, least_m: float, num_envs: int, threads: int) -> None:
+        size_px = sensor.size_px
+        self._image_shape = size_px[::-1]
+        middle = [size / 2 - 0.5 - at for size, at in zip(size_px, sensor.sample_px, strict=True)]
+        per_m = size_px[0] / sensor.window_m[0]
+        self.window = np.array([per_m, *middle, sensor.press_m, sensor.gel_m, least_m])
+        self._most_parts = max(1, (threads > 1) * threads * _PARTS_A_THREAD)
+        room = (size_px[1], size_px[0] + PADDING)
+        self._rooms = [np.empty(room, np.float32) for _ in range(min(threads, num_envs))]
+        self._threads: ThreadPoolExecutor | None = None
+
+    def __getstate__(self) -> dict[str, object]:
+        """Leave out threads, which a copy starts again."""
+        return {**self.__dict__, "_threads": None}
+
+    def touch(
+        self,
+        pool: MeshPool,
+        numbers: Int64,
+        lifts: Float64,
+        sensors: Float64,
+        objects: Float64,
+        motion: Motion,
+        drift: Float64,
+        *,
+        with_depth: bool,
+    ) -> SensorReadings:
+        """Press sensors (n, 3) onto objects (n, 3) of the meshes ``numbers``, (n,).
+
+        The heights of the sensors are written, and the objects slip by ``drift``; ``lifts``, shape (n,), as
+        of the kernel.
+        """
+        read = (self.window, motion.numbers, drift, pool.arrays, numbers, lifts)
+
+        def press(begin: int, end: int, room: Float32, readings: SensorReadings) -> None:
+            touch(begin, end, *read, sensors, objects, room, *readings)
+
+        return self.shared(len(numbers), press, with_depth=with_depth)
+
+    def shared(self, count: int, press: Press, *, with_depth: bool) -> SensorReadings:
+        """Press all sensors in parts, shared by the threads; return the readings of all."""
+        shape = (count, *self._image_shape)
+        depth_shape: Sequence[int] = (0, 0, 0)
+        if with_depth:
+            depth_shape = shape
+        touches = SensorReadings(
+            np.empty(shape, np.float32),
+            np.empty(depth_shape, np.float32),
+            np.empty((count, 3), np.float32),
+            np.empty(count, np.bool_),
+        )
+        # Touches of objects take ten times as long as others: threads take small parts in turns.
+        size = -(-count // self._most_parts)
+        # Shared by the threads: taking the next is one step for all of them.
+        parts = iter(range(0, count, size))
+
+        def run(room: Float32) -> None:
+            for begin in parts:
+                press(begin, min(begin + size, count), room, touches)
+
+        helpers = []
+        if len(self._rooms) > 1:
+            self._threads = self._threads or ThreadPoolExecutor(len(self._rooms) - 1)
+            helpers = [self._threads.submit(run, room) for room in self._rooms[1:]]
+        run(self._rooms[0])
+        for helper in helpers:
+            if not helper.cancel():  # a thread that did not start has no work left
+                helper.result()
+        return touches
+
+    def close(self) -> None:
+        """End the threads."""
+        if self._threads is not None:
+            self._threads.shutdown()

@@ -32,6 +32,25 @@ _NAMES = [name for name, stored in realtouch.SHORT_NAMES.items() if stored == _R
 # Names of the folder of touches in a folder of data sets; messages suggest the shortest.
 _FOLDERS = sorted([*_NAMES, _REPOSITORY], key=len)
 
+NO_CONTACT_M = 1e-3
+"""Height above the plate up to which a touch had no contact (0.13.0, EMPTY_TOUCH_Z_TOLERANCE_M), metres."""
+
+_SEED = 0
+_BATCH = 4
+_QUIET_S = 2.0
+_FORMAT = 1
+_CHECKSUM_BYTES = 16
+_SETTING = "real_base_depth_dataset"
+_LEAVE_OUT = f'config={{"{_SETTING}": None}} to leave it out'
+
+_ESTIMATES = cache.DiskCache(
+    "environments", 8 << 30, warning="the depth of real touches is estimated again each time: {problem}"
+)
+
+_LOG = logging.getLogger(__name__)
+_estimator = kind.lazy("tactile_sim.learned:DepthEstimator")  # imported by name: it needs the extra `torch`
+Source = str | PathLike[str] | realtouch.TouchSingleDataset
+
 
 class RecordedSources(NamedTuple):
     """Names of a data set of touches, and of the digits that were touched; None if they are not known."""
@@ -191,23 +210,6 @@ class TouchedObjects:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state, pool=mesh_pool.MeshPool.of(state["records"]))
-
-
-NO_CONTACT_M = 1e-3
-"""Height above the plate up to which a touch had no contact (0.13.0, EMPTY_TOUCH_Z_TOLERANCE_M), metres."""
-_SEED = 0
-_BATCH = 4
-_QUIET_S = 2.0
-_FORMAT = 1
-_CHECKSUM_BYTES = 16
-_SETTING = "real_base_depth_dataset"
-_LEAVE_OUT = f'config={{"{_SETTING}": None}} to leave it out'
-_ESTIMATES = cache.DiskCache(
-    "environments", 8 << 30, warning="the depth of real touches is estimated again each time: {problem}"
-)
-_LOG = logging.getLogger(__name__)
-_estimator = kind.lazy("tactile_sim.learned:DepthEstimator")  # imported by name: it needs the extra `torch`
-Source = str | PathLike[str] | realtouch.TouchSingleDataset
 
 
 def base_depths_m(given: Source, count: int, size_px: tuple[int, int]) -> Float32:

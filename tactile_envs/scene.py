@@ -14,7 +14,6 @@ from realtouch import Poses
 from tactile_envs import motion
 from tactile_envs.config import Action, Config, EpisodeConfig, Space
 from tactile_envs.drawing import EnvDrawing
-from tactile_envs.toucher import SensorReadings
 from tactile_sim.optics.rendering import Optics, make_optics
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Floating, Int64
 from tactile_toolkit.errors import InputError
@@ -183,7 +182,7 @@ class Camera:
         """Number of depth maps that lie behind those of touches."""
         return 0 if self._behind is None else len(self._behind)
 
-    def pictures(self, touches: SensorReadings, bases: Int64) -> Float32:
+    def pictures(self, touches: motion.SensorReadings, bases: Int64) -> Float32:
         """Return images (n, H, W, channels), 0 to 1; ``bases`` (n,) are the numbers of the maps behind."""
         if not self.sees_depth:
             images = touches.images

@@ -14,9 +14,8 @@ import numpy as np
 import trimesh
 
 from env_assets.mesh_view import LazyMesh, MeshRecord
-from tactile_envs import config, episode_kernels, mesh_pool, mesh_scene, motion, scene, toucher
+from tactile_envs import config, episode_kernels, mesh_pool, mesh_scene, motion, scene
 from tactile_envs.config import Config
-from tactile_envs.scene import Camera
 from tactile_envs.touch_kernels import (
     EDGE_PX,
     PADDING,
@@ -48,7 +47,7 @@ class TiltedScene(mesh_scene.MeshScene):
     """
 
     def __init__(
-        self, config: Config, records: Sequence[MeshRecord], num_envs: int, threads: int, camera: Camera
+        self, config: Config, records: Sequence[MeshRecord], num_envs: int, threads: int, camera: scene.Camera
     ) -> None:
         super().__init__(config, records, num_envs, threads, camera)
         widest_rad = config.longest_way(config.angular_velocity, config.angular_acceleration)
@@ -114,13 +113,13 @@ class TiltedScene(mesh_scene.MeshScene):
         places: Float64,
         drift: Float64,
         has_depth: bool,
-    ) -> toucher.SensorReadings:
+    ) -> motion.SensorReadings:
         numbers = self.numbers[rows]
         axes = np.ascontiguousarray(self._axes[rows])
         pools = (self._pool.arrays, self._plate.arrays)
         read = (self._toucher.window, self._motion.numbers, drift, *pools, self._far_m)
 
-        def press(begin: int, end: int, room: Float32, readings: toucher.SensorReadings) -> None:
+        def press(begin: int, end: int, room: Float32, readings: motion.SensorReadings) -> None:
             touch_tilted(begin, end, *read, numbers, lifts_m, axes, sensors, places, room, *readings)
 
         return self._toucher.shared(len(numbers), press, with_depth=has_depth)

@@ -17,6 +17,8 @@ from tactile_toolkit.errors import InputError
 LOGIT_LIMIT = 5.0
 """Bound of parts of an action that have none; the probability of one of ten classes is at most 0.9996."""
 
+_Path = tuple[str, ...]
+
 
 class FlatAction(gym.Wrapper, RecordConstructorArgs):
     """Environment with one flat action, and observations and rewards as libraries expect them.
@@ -97,9 +99,6 @@ class FlatActionVector(gym.vector.VectorWrapper):
         if "final_obs" in info:
             info["final_obs"] = self._form.shaped(info["final_obs"], self.num_envs)
         return self._form.shaped(observation, self.num_envs), reward, terminated, truncated, info
-
-
-_Path = tuple[str, ...]
 
 
 class _Part(NamedTuple):

@@ -1,14 +1,17 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
 from .elastic.contact import Contact as Contact, Gel as Gel, solve_contact as solve_contact
-from .press.elastic_press import fit_youngs_modulus as fit_youngs_modulus
+from .press.elastic_press import (
+    fit_youngs_modulus as fit_youngs_modulus,
+    marker_grid_px as marker_grid_px,
+    marker_positions_px as marker_positions_px,
+)
 from .sets.generation import (
     generate as generate,
     synthetic_schema as synthetic_schema,
     SyntheticRound as SyntheticRound,
     TouchGenerator as TouchGenerator,
 )
-from .press.markers import marker_grid_px as marker_grid_px, marker_positions_px as marker_positions_px
 from .optics.rendering import make_optics as make_optics
 from .sets.pair_generation import PairsGenerator as PairsGenerator, make_pairs as make_pairs
 from .sets.learning_specs import PairsSpec as PairsSpec, TrainConfig as TrainConfig

@@ -25,8 +25,7 @@ from pathlib import Path
 from threading import RLock
 from typing import IO, Generic, TypeVar
 
-from tactile_toolkit import store
-from tactile_toolkit.errors import InputError, ToolkitError
+from tactile_toolkit import errors, store
 
 LOCKS = "locks"
 """Folder of the cache with files that processes lock while they write others."""
@@ -79,7 +78,7 @@ def cache_folder() -> Path:
         return store.expanded(of_system, "XDG_CACHE_HOME") / "tactile-toolkit"
     try:
         return store.expanded("~/.cache") / "tactile-toolkit"
-    except InputError:  # a user without a home, as in some containers
+    except errors.InputError:  # a user without a home, as in some containers
         return _temporary_cache()
 
 
@@ -166,7 +165,7 @@ class DiskCache:
             if self.warning:
                 problem = f"{str(path.parent)!r} cannot be written: {error.strerror or error}"
                 advice = f"make room there, or set {CACHE_VARIABLE} to another folder"
-                message = ToolkitError(self.warning.format(problem=problem), next=advice).message
+                message = errors.ToolkitError(self.warning.format(problem=problem), next=advice).message
                 warnings.warn(message, RuntimeWarning, stacklevel=2)
             return False
         return True
@@ -299,7 +298,9 @@ def _limit_bytes(variable: str, default_mib: int) -> int:
     named = os.environ.get(variable) or str(default_mib)
     # Eleven digits of MiB are less than 2^63 bytes, the limit of Arrow and file systems.
     if not (named.isascii() and named.isdigit() and len(named) < 12):
-        raise InputError(f"{variable} is {named[:40]!r}; expected an integer of MiB, such as {default_mib}")
+        raise errors.InputError(
+            f"{variable} is {named[:40]!r}; expected an integer of MiB, such as {default_mib}"
+        )
     return int(named) << 20
 
 
@@ -311,7 +312,7 @@ def require_unpackable(size_bytes: int, what: str, file_bytes: int = 0) -> None:
     limit = max(_limit_bytes(UNPACKED_VARIABLE, _UNPACKED_MIB), _USUAL_EXPANSION * file_bytes)
     if size_bytes > limit:
         needed_mib = -(-size_bytes // (1 << 20))
-        raise InputError(
+        raise errors.InputError(
             f"{what} unpacks to {size_bytes:,} bytes; expected at most {limit:,}; nothing was unpacked",
             next=f"if it is meant to be that large, set {UNPACKED_VARIABLE}={needed_mib}",
         )

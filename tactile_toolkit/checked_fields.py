@@ -13,8 +13,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields
 from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict, Unpack
 
-from tactile_toolkit import wording
-from tactile_toolkit.errors import InputError
+from tactile_toolkit import errors, wording
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -79,7 +78,7 @@ class Rule:
         """
         spelled = to_builtin(value, self.kind)
         if not self.fits(spelled):
-            raise InputError(f"{of}is {value!r}; expected {self.expected}", field=name)
+            raise errors.InputError(f"{of}is {value!r}; expected {self.expected}", field=name)
         return spelled
 
 
@@ -196,7 +195,7 @@ def split_counts(
         for pair in pairs
     )
     if not fits or len(dict(pairs)) < len(pairs) or not all(0 <= count <= most for _, count in pairs):
-        raise InputError(
+        raise errors.InputError(
             f"{of}is {value!r}; expected each of {', '.join(splits)} once at most, with an integer from 0 "
             f"to {most:,}, such as {{{splits[0]!r}: 8}}",
             field=name,
@@ -208,7 +207,9 @@ def read_split_counts(name: str, words: str) -> tuple[tuple[str, int], ...]:
     """Read ``train=8,test=2``; :func:`split_counts` checks the names of splits."""
     pairs = [tuple(piece.strip() for piece in part.partition("=")) for part in words.split(",")]
     if not all(wording.is_count(count) for _, _, count in pairs):
-        raise InputError(f"is {words!r}; expected SPLIT=N once per split, such as train=8,test=2", field=name)
+        raise errors.InputError(
+            f"is {words!r}; expected SPLIT=N once per split, such as train=8,test=2", field=name
+        )
     return tuple((split, int(count)) for split, _, count in pairs)
 
 

@@ -70,12 +70,9 @@ class ToolkitError(Exception):
         # Kept apart: a path may contain the words "; next: ".
         self._found = redact(str(what))
         self._next = redact(f"; next: {next}") if next else ""
+        # The whole message. Not a property: a loader of torch would make the error of a worker anew by it.
+        self.message = self.naming(field)
         super().__init__(self.message)
-
-    @property
-    def message(self) -> str:
-        """The whole message."""
-        return self.naming(self.field)
 
     @property
     def what(self) -> str:

@@ -13,12 +13,10 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, Unpack
 
 import pyarrow as pa
 
-from tactile_toolkit import store
+from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import Int64
-from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.rows import table_of
 from tactile_toolkit.run import usable_cores
 
 if TYPE_CHECKING:
@@ -161,7 +159,7 @@ class RowGenerator(ABC):
         if options.overwrite and store.require_replaceable(folder, plan):
             job = store.BuildJob(folder, plan, plan.new_manifest(), plan.tasks)
         else:
-            job = store.inspect_job(folder, plan, options)
+            job = plan.compared_with(folder, options)
         rows = Counter[str]()
         left = Counter[str]()
         for task in job.tasks:
@@ -206,7 +204,8 @@ def make_shard(generator: RowGenerator, shard: store.ShardName, items: AnyRows) 
     rows = [each for each in made if not isinstance(each, store.Skipped)]
     skipped = tuple(each for each in made if isinstance(each, store.Skipped))
     with store.without_collecting():
-        table = table_of(rows, generator.schema(shard.split))
+        schema = generator.schema(shard.split)
+        table = type(rows[0]).table(rows, schema) if rows else schema.empty_table()
     return store.ShardContent(table, skipped, generator.report(shard, rows), generator.statistics(rows))
 
 
@@ -218,7 +217,7 @@ def plan_build(generator: RowGenerator, splits: Sequence[str] | None = None) -> 
     wanted = splits or known
     for split in wanted:
         if split not in known:
-            raise InputError(f"unknown split {split!r}; expected one of {', '.join(known)}, or all")
+            raise errors.InputError(f"unknown split {split!r}; expected one of {', '.join(known)}, or all")
     # Tasks are in canonical order, whatever the order of ``splits``, and so are shards in the manifest.
     chosen = {split: each for split, each in items.items() if split in wanted}
     tasks = tuple(
@@ -235,7 +234,7 @@ def plan_build(generator: RowGenerator, splits: Sequence[str] | None = None) -> 
     )
     if not tasks:
         sizes = {split: len(each) for split, each in items.items()}
-        raise InputError(
+        raise errors.InputError(
             f"no {generator.kind.nouns} to make for {', '.join(wanted)}: the splits have {sizes}",
             next="choose another --split, or larger ones",
         )
@@ -288,7 +287,7 @@ def _existing_rows(folder: store.DataFolder) -> dict[str, int] | None:
     """Return the number of rows of each split; empty if the manifest is damaged, None without one."""
     try:
         manifest = store.manifest_so_far(folder)
-    except IntegrityError:
+    except errors.IntegrityError:
         return {}
     if manifest is None:
         return None
@@ -341,4 +340,4 @@ class Recipe:
     def rows_left(self, out: str, split: str) -> int:
         """Return the number of rows that :meth:`make` would make in a folder; raises as it would."""
         plan = plan_build(self.generator, (split,))
-        return sum(task.size for task in store.inspect_job(store.open_folder(out), plan).remaining)
+        return sum(task.size for task in plan.compared_with(store.open_folder(out)).remaining)

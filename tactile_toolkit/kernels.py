@@ -22,9 +22,8 @@ from numba import extending
 from numba.core import caching, sigutils
 from numba.core.compiler_lock import global_compiler_lock
 
-from tactile_toolkit import store
+from tactile_toolkit import errors, store
 from tactile_toolkit.cache import LOCKS, cache_folder
-from tactile_toolkit.errors import BusyError, ToolkitError
 
 F = TypeVar("F", bound=Callable[..., Any])
 T = TypeVar("T")
@@ -87,7 +86,7 @@ def prepare(*modules: str) -> None:
     for module in modules:
         import_module(module)
         for kernel, types in _planned.get(module, ()):
-            with contextlib.suppress(BusyError):
+            with contextlib.suppress(errors.BusyError):
                 # The cache knows a kernel by its types, not by how they are written.
                 kernel.compile(tuple(parsed(types)[0]), patience_s=0.0)
 
@@ -110,10 +109,10 @@ class _CompileOnce:
                 folder = cache_folder() / LOCKS
                 folder.mkdir(parents=True, exist_ok=True)
                 stack.enter_context(store.locked(folder / self._lock, patience_s=patience_s))
-            except BusyError:
+            except errors.BusyError:
                 if patience_s is not None:
                     raise
-            except (OSError, ToolkitError):  # no lock: two processes may do the same work
+            except (OSError, errors.ToolkitError):  # no lock: two processes may do the same work
                 pass
             # The collector takes an eighth of the time, and finds nothing.
             stack.enter_context(store.without_collecting())

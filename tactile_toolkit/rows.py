@@ -9,18 +9,16 @@ from __future__ import annotations
 from collections.abc import Sequence, Sized
 from dataclasses import MISSING, dataclass, field, fields, replace
 from itertools import chain
-from typing import Literal, TypeAlias, TypeVar, dataclass_transform
+from typing import Literal, TypeAlias, dataclass_transform
 
 import numpy as np
 import pyarrow as pa
 
-from tactile_toolkit import read
+from tactile_toolkit import checked_fields, read
 from tactile_toolkit.array_types import Int64
-from tactile_toolkit.checked_fields import Declared
 from tactile_toolkit.json_types import JsonValue
 
-T = TypeVar("T")
-Role: TypeAlias = Literal["plain", "facet", "measure", "sum", "hidden"]
+Role: TypeAlias = Literal["plain", "facet", "measure", "hidden"]
 
 _COLUMN = "column"
 
@@ -42,7 +40,7 @@ class Column:
     role : str
         Use of the column. Objects are filtered and counted by the values of a ``"facet"``, which may be
         lists. A ``"measure"`` is a number of each object, with minimum, median and maximum of a split. A
-        ``"sum"`` is a number with a total of a split. A ``"hidden"`` column is not stored.
+        ``"hidden"`` column is not stored.
     title : str
         Heading in tables and galleries.
     decimals : int
@@ -68,7 +66,7 @@ def column(
     *,
     default: object = MISSING,
     **facts: JsonValue,
-) -> Declared:
+) -> checked_fields.Declared:
     """Declare an attribute of a row as a column; ``facts`` are further attributes of :class:`Column`.
 
     ``name`` is for columns whose name is not an identifier (``mesh.vertices``).
@@ -77,15 +75,11 @@ def column(
 
 
 @dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(column, field))
-def row(declared: type[T]) -> type[T]:
-    """Make a class of rows, a :class:`TypedRow`, whose attributes are columns: frozen, with slots."""
-    return dataclass(frozen=True, slots=True, eq=False)(declared)
-
-
 class TypedRow:
-    """Base class of rows: facts that follow from their columns."""
+    """Base class of rows, frozen dataclasses whose attributes are columns; facts follow from these."""
 
-    __slots__ = ()
+    def __init_subclass__(cls) -> None:
+        dataclass(frozen=True, eq=False)(cls)
 
     @classmethod
     def columns(cls) -> dict[str, Column]:
@@ -114,16 +108,17 @@ class TypedRow:
             [(each.name, each.data_type) for each in cls.columns().values() if each.role != "hidden"]
         )
 
-
-def table_of(rows: Sequence[TypedRow], schema: pa.Schema) -> pa.Table:
-    """Pack rows of one class into a table of the columns that ``schema`` has, with its types and metadata."""
-    if not rows:
-        return schema.empty_table()
-    attributes = {each.name: attribute for attribute, each in type(rows[0]).columns().items()}
-    arrays = [
-        _array([getattr(each, attributes[field.name]) for each in rows], field.type) for field in schema
-    ]
-    return pa.Table.from_arrays(arrays, schema=schema)
+    @classmethod
+    def table(cls, rows: Sequence[TypedRow], schema: pa.Schema | None = None) -> pa.Table:
+        """Pack rows into a table of the columns that ``schema`` has, all stored ones by default."""
+        schema = schema or cls.plain_schema()
+        if not rows:
+            return schema.empty_table()
+        attributes = {each.name: attribute for attribute, each in cls.columns().items()}
+        arrays = [
+            _array([getattr(each, attributes[field.name]) for each in rows], field.type) for field in schema
+        ]
+        return pa.Table.from_arrays(arrays, schema=schema)
 
 
 def _array(values: list[JsonValue], data_type: pa.DataType) -> pa.Array:

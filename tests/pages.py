@@ -40,7 +40,7 @@ _IMPORTED_BEFORE = [
     *(f"cli.{name}" for name in ("mnist3d", "starstruck", "realtouch", "tactile_sim", "env_assets")),
     *(
         "mnist3d.digit_generation",
-        "starstruck_gen.scene_generation",
+        "starstruck_gen.scene_dataset",
         "realtouch.touches.opening",
         "tactile_sim.sets.generation",
     ),

@@ -262,21 +262,19 @@ def join_bodies(mask: Bool, width_px: float) -> Bool:
     ink at both ends by half its width, so that the joint is as wide as the bar. Bars are as wide as the
     strokes, and at most ``width_px``: wider ones would fill letters.
     """
-    labels, count = ndimage.label(mask)
-    if count < 2:
-        return mask
-    width_px = min(width_px, stroke_width_px(mask))
+    bar_px = None
     while True:
         labels, count = ndimage.label(mask)
         if count < 2:
             return mask
+        bar_px = bar_px or min(width_px, stroke_width_px(mask))
         here, there = (np.argwhere(part).astype(np.float64) for part in (labels == 1, labels > 1))
         found = cKDTree(there).query(here)
         distances, nearest = np.asarray(found[0]), np.asarray(found[1])
         # Straight edges are close along a stretch; a bridge in its middle is better than at its end.
         close = np.flatnonzero(distances <= distances.min() + 0.5)
         middle = int(close[len(close) // 2])
-        mask = repair_corners(mask | _bar(mask.shape, here[middle], there[nearest[middle]], width_px))
+        mask = repair_corners(mask | _bar(mask.shape, here[middle], there[nearest[middle]], bar_px))
 
 
 def stroke_width_px(mask: Bool) -> float:

@@ -16,7 +16,6 @@ from PIL import Image
 from scipy import ndimage
 
 from mnist3d.ink import grey_levels, pages
-from mnist3d.ink.grey_levels import refuse
 from mnist3d.ink.pages import (
     WIDEST_STROKE,
     Ink,
@@ -223,31 +222,30 @@ def find_one_digit(mask: Bool, inside: Bool, found: Ink) -> Bool:
     """
     pieces = _Pieces.of(mask, inside, found)
     labels = pieces.labels
-    piece = pieces.piece
     numbers = pieces.numbers
     depth = pieces.depth
-    possible = pieces.is_sharp & (pieces.spans > _SPECK * max(mask.shape))
+    spans = pieces.spans
+    possible = pieces.is_sharp & (spans > _SPECK * max(mask.shape))
     # Ink along the rim only is the border of a scan.
     possible &= pieces.farthest > _RIM * max(mask.shape)
     if not possible.any():
-        refuse("no-ink", sentence="empty-page")
-    main = int(np.where(possible, np.bincount(piece)[1:], 0).argmax())
+        grey_levels.refuse("no-ink", sentence="empty-page")
+    main = int(np.where(possible, np.bincount(labels[mask])[1:], 0).argmax())
     stroke = float(np.percentile(depth[labels == main + 1], 90))
-    possible &= pieces.spans >= _PART * pieces.spans[main]
-    possible &= ndimage.maximum(depth[mask], piece, numbers) >= _THIN_PART * stroke
+    possible &= spans >= _PART * spans[main]
+    possible &= pieces.greatest(depth) >= _THIN_PART * stroke
     # Pieces near each other form one digit.
-    spans = pieces.spans
     away = ndimage.distance_transform_cdt(~np.isin(labels, numbers[possible]))
-    groups = ndimage.maximum(ndimage.label(away <= _GAP / 2 * spans[main])[0][mask], piece, numbers)
+    groups = pieces.greatest(ndimage.label(away <= _GAP / 2 * spans[main])[0])
     digits = np.unique(groups[possible & (spans >= _OTHER * spans[main])])
     if len(digits) > 1:
-        refuse("several-digits", len(digits))
+        grey_levels.refuse("several-digits", len(digits))
     digit = np.isin(labels, numbers[possible & (groups == groups[main])])
     if pieces.from_rim[digit].min() <= NEAR_PX:
-        refuse("cut-off")
+        grey_levels.refuse("cut-off")
     _check(digit, float(depth[digit].max()), inside)
     if np.percentile(pieces.slopes[digit & pieces.edges], 10) < _SOFT:
-        refuse("not-a-digit", "ink with partly blurred edges", "sharp edges, as of a pen")
+        grey_levels.refuse("not-a-digit", "ink with partly blurred edges", "sharp edges, as of a pen")
     return digit
 
 
@@ -258,36 +256,36 @@ def find_drawing(mask: Bool, inside: Bool, found: Ink) -> Bool:
     reaches it, such as a finger or the desk: it is thicker than the strokes, or touches much of the edge.
     """
     pieces = _Pieces.of(mask, inside, found)
-    piece, numbers, spans = pieces.piece, pieces.numbers, pieces.spans
+    numbers = pieces.numbers
+    spans = pieces.spans
     sharp = pieces.is_sharp & (spans > _DOT * max(mask.shape))
     at_rim = inside & (pieces.from_rim <= NEAR_PX)
     # The border of a scan lies along the rim; parts of a drawing may lie near it, or run into it.
-    along = ndimage.sum(at_rim[mask], piece, numbers) / NEAR_PX
+    along = ndimage.sum(at_rim, pieces.labels, numbers) / NEAR_PX
     is_inner = (pieces.farthest > _RIM * max(mask.shape)) | (along < _ALONG * spans)
     if not (sharp & is_inner).any():
-        refuse("no-ink", sentence="empty-page")
+        grey_levels.refuse("no-ink", sentence="empty-page")
     depth = pieces.depth
     stroke = float(np.percentile(depth[np.isin(pieces.labels, numbers[sharp & is_inner])], 90))
     # A border is thinner, or longer, than what a pen leaves along the edge.
-    is_mark = ndimage.maximum(depth[mask], piece, numbers) >= _THIN_PART * stroke
+    is_mark = pieces.greatest(depth) >= _THIN_PART * stroke
     is_mark &= spans < _OTHER * max(mask.shape)
     drawing = np.isin(pieces.labels, numbers[sharp & (is_inner | is_mark)])
     touching = drawing & at_rim
     beside = drawing & ndimage.binary_dilation(touching, iterations=2 * math.ceil(stroke))
     if touching.sum() > _TOUCHING * at_rim.sum() or depth[beside].max(initial=0) > _THICK * stroke:
-        refuse("cut-off", sentence="drawing-cut-off")
+        grey_levels.refuse("cut-off", sentence="drawing-cut-off")
     return drawing
 
 
 class _Pieces(NamedTuple):
     """The pieces of the ink on a page.
 
-    ``labels`` numbers the piece of each pixel, ``piece`` those of the ink only. The others up to ``farthest``
-    have a value for each piece: its longer side, whether its edges are sharp, and its reach from the rim.
+    ``labels`` numbers the piece of each pixel. The others up to ``farthest`` have a value for each piece: its
+    number, its longer side, whether its edges are sharp, and its reach from the rim.
     """
 
     labels: AnyArray
-    piece: AnyArray
     numbers: Int64
     spans: Int64
     is_sharp: Bool
@@ -302,9 +300,8 @@ class _Pieces(NamedTuple):
         """Find the pieces; ItemError ``no-ink`` if there are none."""
         labels, count = ndimage.label(mask, np.ones((3, 3)))
         if not count:
-            refuse("no-ink", sentence="empty-page")
+            grey_levels.refuse("no-ink", sentence="empty-page")
         numbers = np.arange(1, count + 1)
-        piece = labels[mask]
         depth = np.asarray(ndimage.distance_transform_edt(mask))
         from_rim = ndimage.distance_transform_cdt(np.pad(inside, 1))[1:-1, 1:-1]
         # A blur of a pixel removes noise.
@@ -313,9 +310,13 @@ class _Pieces(NamedTuple):
         edges = (depth > 0) & (depth <= 1)
         boxes = ndimage.find_objects(labels)
         spans = np.array([max(part.stop - part.start for part in box) for box in boxes])
-        farthest = np.asarray(ndimage.maximum(from_rim[mask], piece, numbers))
+        farthest = np.asarray(ndimage.maximum(from_rim, labels, numbers))
         is_sharp = np.asarray(ndimage.median(slopes[edges], labels[edges], numbers)) >= _SOFT
-        return cls(labels, piece, numbers, spans, is_sharp, farthest, depth, from_rim, slopes, edges)
+        return cls(labels, numbers, spans, is_sharp, farthest, depth, from_rim, slopes, edges)
+
+    def greatest(self, values: AnyArray) -> AnyArray:
+        """Return the greatest value of a map in each piece."""
+        return np.asarray(ndimage.maximum(values, self.labels, self.numbers))
 
 
 def _check(digit: Bool, depth_px: float, inside: Bool) -> None:
@@ -330,4 +331,4 @@ def _check(digit: Bool, depth_px: float, inside: Bool) -> None:
         (thick <= _BLOB, f"ink as thick as {thick:.0%} of its length", f"at most {_BLOB:.0%}"),
     ):
         if not fits:
-            refuse("not-a-digit", what, expected)
+            grey_levels.refuse("not-a-digit", what, expected)

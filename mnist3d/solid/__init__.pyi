@@ -11,4 +11,3 @@ from .picture_ink import (
     THRESHOLDS as THRESHOLDS,
     sized_ink as sized_ink,
 )
-from .step_pictures import draw_steps as draw_steps

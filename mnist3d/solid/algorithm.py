@@ -13,10 +13,12 @@ pixels apart. The paper mirrors before marching cubes.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
+import manifold3d
 import numpy as np
 from scipy import ndimage
 from skimage import measure
@@ -26,10 +28,9 @@ from mnist3d.digit_options import SolidSize, SolidSpec
 from mnist3d.ink import binarisation, grey_levels
 from mnist3d.solid import picture_ink
 from mnist3d.solid.lattice import Lattice, depth_px, erosion_radius_px, lattice_of
-from mnist3d.solid.surfaces import BUDGET_SLACK, Surface, bodies_and_holes, decimate, without_flat_vertices
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int32, Int64, UInt8
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import MM_PER_M, Mesh, on_base_plate
+from tactile_toolkit.mesh import MM_PER_M, Mesh, connected, on_base_plate
 
 CHORD_LOSS = 0.11
 """Distance by which the surface is moved outwards, in units of pitch^2 / R.
@@ -37,9 +38,25 @@ CHORD_LOSS = 0.11
 Triangles with corners on a cylinder of radius R lie inside it by this much on average: 1/12 to 1/8 by
 geometry, 0.11 as measured on 20 real digits against the literal solid.
 """
-
 TAUBIN_RATIO = -1.06
 """Ratio of the outward to the inward step that keeps the volume (Taubin 1995: slightly above one)."""
+
+FIRST_TOLERANCE_MM = 0.01
+
+# Several passes of growing tolerance leave fewer and better placed vertices than one with a wide tolerance.
+TOLERANCE_GROWTH = 1.25
+
+# A single pass is tried for meshes of up to this many times the allowed vertices.
+MAX_FOR_ONE_PASS = 2.0
+
+E_FOLD_MM = 0.1
+"""Tolerance at which one pass leaves about 1/e of the vertices."""
+
+FLAT_MM = 0.005
+"""Largest distance of a vertex from the surface without it, in even parts of drawings."""
+
+BUDGET_SLACK = 1.5
+"""Largest number of vertices, as a multiple of the budget."""
 
 
 def solidify(
@@ -323,7 +340,7 @@ def literal_solid(ink: Bool, spec: SolidSpec, *, decimated: bool = True) -> Mesh
     vertex budget; ``decimated=False`` leaves the solid as fine as its pixels.
 
     Raises ItemError ``topology`` if the surface has other numbers of bodies or holes than the ink, and
-    ``vertex-budget`` as :func:`mnist3d.solid.surfaces.decimate` does.
+    ``vertex-budget`` as :func:`mnist3d.solid.algorithm.decimate` does.
     """
     upper_half = stack([eroded_by_disc(ink, radius_px) for radius_px in erosion_radii_px(spec)])
     volume = np.concatenate([upper_half[:, :, ::-1], upper_half], axis=2)
@@ -359,3 +376,109 @@ def eroded_by_disc(ink: Bool, radius_px: float) -> Bool:
     # One transform serves any radius; repeated small erosions would draw polygons.
     distance = np.asarray(ndimage.distance_transform_edt(np.pad(ink, 1)))
     return np.asarray(ink & (distance[1:-1, 1:-1] >= radius_px + 0.5))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """A whole surface in pixels, or the upper half of one, whose rim lies in the mid-plane.
+
+    Attributes
+    ----------
+    vertices_px : ndarray of float32, shape (V, 3)
+        Row, column and height, counted from ``corner_px``.
+    faces : ndarray of int32, shape (F, 3)
+        Rows of the vertices, counter-clockwise seen from outside.
+    corner_px : tuple
+        Row, column and height.
+    rim, still : ndarray of int
+        Rows of the vertices that smoothing keeps in the mid-plane, and of those that it does not move.
+    least_px : float
+        Least height of all other vertices after smoothing.
+    """
+
+    vertices_px: Float32
+    faces: Int32
+    corner_px: tuple[int, int, int] = (0, 0, 0)
+    rim: Int64 = field(default_factory=lambda: np.zeros(0, np.intp))
+    still: Int64 = field(default_factory=lambda: np.zeros(0, np.intp))
+    least_px: float = -math.inf
+
+
+def bodies_and_holes(vertices: int, faces: AnyArray, rim: int = 0) -> tuple[int, int]:
+    """Count the bodies of a closed surface and the holes through them.
+
+    ``vertices`` is the number of vertices. For the upper half of a surface, ``rim`` is the number of those in
+    the mid-plane.
+    """
+    corners = faces.astype(np.int64)
+    least = connected(corners[:, :2].ravel(), corners[:, 1:].ravel(), vertices)
+    bodies = int(np.count_nonzero(least == np.arange(vertices)))
+    # Every edge of a closed surface borders two triangles, so V - E + F is V - F / 2.
+    euler = vertices - len(faces) // 2
+    if rim:
+        euler = 2 * vertices - rim - len(faces)
+    return bodies, bodies - euler // 2
+
+
+def decimate(mesh: Mesh, target_vertices: int) -> Mesh:
+    """Remove the least important vertices until the budget is met; a smaller mesh is returned unchanged.
+
+    A mesh with 1.5 to 3 times the budget may keep up to 1.5 times. Raises ItemError ``vertex-budget`` if
+    these are too few for its bodies and holes.
+    """
+    if len(mesh.vertices_m) <= target_vertices:
+        return mesh
+    counts = bodies_and_holes(len(mesh.vertices_m), mesh.faces)
+    most = BUDGET_SLACK * target_vertices
+    passes = [mesh.to_manifold()]
+    tolerance_mm = FIRST_TOLERANCE_MM
+    over = len(mesh.vertices_m) / most
+    if 1 < over <= MAX_FOR_ONE_PASS:
+        solid = passes[0].simplify(tolerance_mm + E_FOLD_MM * math.log(over))
+        simpler = _mesh_of(solid)
+        fits = len(simpler.vertices_m) <= most
+        if fits and _keeps_topology(solid, counts) and simpler.crossing_mm(counts[0]) is None:
+            return simpler
+    while passes[-1].num_vert() > target_vertices:
+        simpler = passes[-1].simplify(tolerance_mm)
+        if not _keeps_topology(simpler, counts):
+            break
+        passes.append(simpler)
+        tolerance_mm *= TOLERANCE_GROWTH
+    # A pass may fold a thin tip onto itself. That check is slow, so it starts at the last pass.
+    while len(passes) > 1 and _mesh_of(passes[-1]).crossing_mm(counts[0]) is not None:
+        passes.pop()
+    solid = passes[-1]
+    found = solid.num_vert()
+    if found > most:
+        enough = math.ceil(found / BUDGET_SLACK)
+        grey_levels.refuse("vertex-budget", found, *counts, target_vertices, BUDGET_SLACK, enough)
+    return _mesh_of(solid)
+
+
+def without_flat_vertices(mesh: Mesh) -> Mesh:
+    """Remove vertices that change the surface by 0.005 mm at most, unless bodies or holes would be lost.
+
+    Fine lattices have many of them in even parts: a drawing keeps a fifth of its triangles.
+    """
+    counts = bodies_and_holes(len(mesh.vertices_m), mesh.faces)
+    solid = mesh.to_manifold().simplify(FLAT_MM)
+    simpler = _mesh_of(solid)
+    if _keeps_topology(solid, counts) and simpler.crossing_mm(counts[0]) is None:
+        return simpler
+    return mesh
+
+
+def _mesh_of(solid: manifold3d.Manifold) -> Mesh:
+    mesh = Mesh.from_manifold(solid)
+    mesh.vertices_m[:, 2] -= mesh.vertices_m[:, 2].min()
+    return Mesh(mesh.vertices_m.astype(np.float32), mesh.faces)
+
+
+def _keeps_topology(solid: manifold3d.Manifold, counts: tuple[int, int]) -> bool:
+    """Return whether a symmetric solid has these bodies and holes, and none of its walls have met."""
+    if bodies_and_holes(solid.num_vert(), np.asarray(solid.to_mesh64().tri_verts)) != counts:
+        return False
+    low, high = solid.bounding_box()[2], solid.bounding_box()[5]
+    # Walls meet first in the mid-plane, where the solid is widest.
+    return len(solid.slice((low + high) / 2).to_polygons()) == sum(counts)

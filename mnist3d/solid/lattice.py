@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mnist3d import compiled_loops, digit_options
-from mnist3d.digit_options import SolidSpec
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Floating, Int64
 
 _DISC_OFFSETS_PX = {"outline": 0.0, "disc": 0.5}
@@ -61,7 +60,7 @@ MIN_NODE_DEPTH = 0.03
 """Least depth of a node, in pitches: it keeps the vertices on the edges around a node apart."""
 
 
-def erosion_radius_px(z_px: Floating, spec: SolidSpec) -> Floating:
+def erosion_radius_px(z_px: Floating, spec: digit_options.SolidSpec) -> Floating:
     """Return how far the outline moves inwards at heights from 0 to the half thickness, pixels."""
     half_px = spec.half_thickness_px
     if spec.profile == "flat":
@@ -72,12 +71,12 @@ def erosion_radius_px(z_px: Floating, spec: SolidSpec) -> Floating:
     return np.asarray(np.maximum(radius - disc_offset_px(spec), 0))
 
 
-def disc_offset_px(spec: SolidSpec) -> np.float32:
+def disc_offset_px(spec: digit_options.SolidSpec) -> np.float32:
     """Return by how much an erosion is less than its radius: a disc keeps the pixels that it touches."""
     return np.float32(_DISC_OFFSETS_PX[spec.erosion])
 
 
-def half_height_px(s_px: Floating, spec: SolidSpec) -> Floating:
+def half_height_px(s_px: Floating, spec: digit_options.SolidSpec) -> Floating:
     """Return the height of the solid above the mid-plane, pixels; 0 outside the ink."""
     half_px = spec.half_thickness_px
     depth = np.where(s_px > 0, np.clip(s_px + disc_offset_px(spec), 0, half_px), 0)
@@ -89,7 +88,7 @@ def half_height_px(s_px: Floating, spec: SolidSpec) -> Floating:
     return np.where(s_px > 0, np.float32(half_px), np.float32(0))
 
 
-def depth_px(s_px: Floating, z_px: Floating, spec: SolidSpec) -> Floating:
+def depth_px(s_px: Floating, z_px: Floating, spec: digit_options.SolidSpec) -> Floating:
     """Return the depth of points in the solid, pixels, positive inside; the two shapes broadcast.
 
     Values are true distances wherever one side of the solid is nearest, so their zero between two nodes is

@@ -236,14 +236,11 @@ def _misplaced(root: str, name: str) -> InputError:
 
 def _problem_of(path: Path, base: Path) -> str:
     """Return why a file must not be opened, or ""; a file that cannot be opened is named when it is read."""
-    if path.is_dir():
-        return ""
     try:
-        store.open_regular(path, below=base).close()
+        with suppress(OSError):
+            store.open_regular(path, below=base).close()
     except IntegrityError:
         return "a link out of the folder" if path.is_file() else "not a regular file"
-    except OSError:
-        return ""
     return ""
 
 

@@ -9,7 +9,7 @@ import re
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from itertools import groupby
 
@@ -85,21 +85,21 @@ def check(
         A file is damaged; :func:`realtouch.verify` lists what else is.
     """
     chosen = limits or touch_options.CheckLimits()
-    place = places.open_place(name).require(kind.KIND, "check").require_complete(split)
+    data_set = places.open_place(name).require(kind.KIND, "check").require_complete(split)
     files = {
-        each: opening.agreeing_files(place.shards(each, kind=kind.KIND), place.name)
-        for each in convert.parts_of(place, split)
+        part: opening.agreeing_files(data_set.shards(part, kind=kind.KIND), data_set.name)
+        for part in convert.parts_of(data_set, split)
     }
     damaged: list[rules.Fault] = []
-    touches, found = _sections_of(files, chosen, damaged, workers)
-    total = sum(len(shard) for each in files.values() for shard in each)
-    sections = list(_counted(found, total, on_progress))
+    touches, sections_found = _sections_of(files, chosen, damaged, workers)
+    total = sum(len(shard) for shards in files.values() for shard in shards)
+    sections = list(_counted(sections_found, total, on_progress))
     faults = [*damaged, *(fault for section in sections for fault in section.faults)]
     faults += all_comparisons(sections, chosen)
     by_rule: dict[str, list[rules.Fault]] = defaultdict(list)
     for fault in faults:
         by_rule[fault.rule].append(fault)
-    rounds = {each.spot: each for section in sections for each in section.rounds}
+    rounds = {of_round.spot: of_round for section in sections for of_round in section.rounds}
     findings = tuple(
         finding_of(rule, by_rule[rule], rounds, chosen) for rule in rules.RULES if rule in by_rule
     )
@@ -114,7 +114,7 @@ def _sections_of(
     workers: int,
 ) -> tuple[int, Iterator[Section]]:
     """Return the number of touches, and their sections as they are checked; adds unreadable rows."""
-    shards = [shard for each in files.values() for shard in each]
+    shards = [shard for of_split in files.values() for shard in of_split]
     touches = sum(int(stored_round.stored_touch_counts(shard).sum()) for shard in shards)
     frames = max(_MIN_FRAMES, MAX_PICTURES // max(touches, 1))
     is_rendered = schema.origin_of(shards[0].schema, catalog.manifest_beside(shards[0].path)) == "synthetic"
@@ -140,14 +140,14 @@ def _placed_rows(
         starts = dict(
             zip((shard.path for shard in shards), np.cumsum([0, *map(len, shards)]).tolist(), strict=False)
         )
-        for found in verification.readable_rows(shards):
-            if isinstance(found, damage.Damage):
-                number = starts[found.file] + (found.row or 0)
+        for row in verification.readable_rows(shards):
+            if isinstance(row, damage.Damage):
+                number = starts[row.file] + (row.row or 0)
                 damaged.append(
                     rules.Fault("unreadable-touches", rules.Spot(split, number, rules.WHOLE_ROUND), 0.0)
                 )
             else:
-                yield PlacedRow(split, starts[found.path] + found.number, found)
+                yield PlacedRow(split, starts[row.path] + row.number, row)
 
 
 def _in_sections(rows: Iterable[PlacedRow]) -> Iterator[list[PlacedRow]]:
@@ -227,10 +227,16 @@ def finding_of(
         names.append(f"{spot.split}/{named}" if len(splits) > 1 else named)
         total += count
     message = rules.RULES[rule]
-    found = message.found.format(value=max(fault.value for fault in faults))
-    where = " and ".join(splits)
+    problem = message.found.format(value=max(fault.value for fault in faults))
+    splits_text = " and ".join(splits)
     return RecordingFinding(
-        rule, found, message.expected_text(limits), where, tuple(names[:MAX_NAMED]), total, message.next
+        rule,
+        problem,
+        message.expected.format(**asdict(limits)),
+        splits_text,
+        tuple(names[:MAX_NAMED]),
+        total,
+        message.next,
     )
 
 
@@ -284,9 +290,9 @@ def _equal_pictures(sections: Sequence[Section]) -> Iterator[rules.Fault]:
 
 def _shared_objects(sections: Sequence[Section]) -> Iterator[rules.Fault]:
     owners: dict[int, list[rules.Spot]] = defaultdict(list)
-    for each in (found for section in sections for found in section.rounds):
-        if each.object_id is not None:
-            owners[each.object_id].append(each.spot)
+    for of_round in (of_round for section in sections for of_round in section.rounds):
+        if of_round.object_id is not None:
+            owners[of_round.object_id].append(of_round.spot)
     for spots in owners.values():
         splits = len({spot.split for spot in spots})
         if splits > 1:
@@ -350,8 +356,8 @@ def _mixed_markers(sections: Sequence[Section]) -> Iterator[rules.Fault]:
     if not marked or not plain:
         return
     dots = float(np.median([section.markers for section in marked if section.markers]))
-    for each in (found for section in min(plain, marked, key=len) for found in section.rounds):
-        yield rules.Fault("mixed-markers", each.spot, dots)
+    for of_round in (found for section in min(plain, marked, key=len) for found in section.rounds):
+        yield rules.Fault("mixed-markers", of_round.spot, dots)
 
 
 def _sessions(sections: Sequence[Section]) -> list[list[Section]]:
@@ -371,7 +377,7 @@ def _changes_of_gel(session: Sequence[Section], limits: CheckLimits) -> Iterator
     rounds = [section.rounds[0].spot for section in session]
     for index, step in rules.outlying_steps(gels, limits.exposure):
         # A step inside a round also changes the average of its gel; it is reported for its touch.
-        around = (fault.rule for each in session[index - 1 : index + 1] for fault in each.faults)
+        around = (fault.rule for section in session[index - 1 : index + 1] for fault in section.faults)
         if "exposure-jumps" not in around:
             yield rules.Fault("exposure-jumps", rounds[index], step)
     if len(gels) < rules.MIN_ROUNDS:

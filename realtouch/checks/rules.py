@@ -6,14 +6,13 @@ Measures are averages over cells, steps of brightness, numbers of markers, and r
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from PIL import Image
 from scipy import ndimage
 
-from realtouch.touch_options import CheckLimits
 from tactile_toolkit.array_types import Bool, Float32, Float64, Floating, UInt8
 from tactile_toolkit.touch import decode_image
 
@@ -84,10 +83,6 @@ class FaultRule:
     found: str
     expected: str
     next: str
-
-    def expected_text(self, limits: CheckLimits) -> str:
-        """Return the expectation, as text."""
-        return self.expected.format(**asdict(limits))
 
 
 RULES: dict[str, FaultRule] = {
@@ -236,17 +231,17 @@ def outlying_steps(cells: Float32, least: float) -> list[tuple[int, float]]:
     if len(steps) > 1:
         usual_step = np.median(np.sort(steps)[:-1])  # without the largest, which is the one in question
     limit = max(least, NOISE_FACTOR * float(usual_step))
-    found: list[tuple[int, float]] = []
+    jumps: list[tuple[int, float]] = []
     usual = 0  # the last picture before the first step
     for step in np.flatnonzero(steps > limit).tolist():
-        is_back = bool(found) and brightness_steps(cells[[usual, step + 1]])[0] <= limit
+        is_back = bool(jumps) and brightness_steps(cells[[usual, step + 1]])[0] <= limit
         if is_back:
             usual = step + 1
             continue
-        if not found:
+        if not jumps:
             usual = step
-        found.append((step + 1, float(steps[step])))
-    return found
+        jumps.append((step + 1, float(steps[step])))
+    return jumps
 
 
 def colour_pattern(cells: Float32) -> Float32:
@@ -258,8 +253,8 @@ def colour_pattern(cells: Float32) -> Float32:
 def normalised(pattern: Floating) -> Float32:
     """Subtract the mean of a pattern and divide by its standard deviation; zeros for a constant pattern."""
     deviation = float(pattern.std()) or 1.0
-    found: Float32 = ((pattern - pattern.mean()) / deviation).astype(np.float32)
-    return found
+    scaled: Float32 = ((pattern - pattern.mean()) / deviation).astype(np.float32)
+    return scaled
 
 
 def with_red_as_blue(patterns: Float32) -> Float32:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import xxhash
 
-from realtouch import contact, picture_views, touch_options
+from realtouch import contact, touch_options
 from realtouch.checks import rules
 from realtouch.checks.rules import spans_of
 from realtouch.touches import media, schema, stored_round
@@ -99,7 +99,7 @@ def check_section(
             section.touches += _touches(strip)
             pictures += strip.seen.values()
     if pictures and not is_rendered:  # no light that could change
-        steps = rules.outlying_steps(np.stack([each.cells for each in pictures]), limits.exposure)
+        steps = rules.outlying_steps(np.stack([picture.cells for picture in pictures]), limits.exposure)
         section.faults += [rules.Fault("exposure-jumps", pictures[index].spot, step) for index, step in steps]
         _add_bare_gel(section, pictures)
     return section
@@ -161,7 +161,7 @@ def _strip(
     digests = list(map(xxhash.xxh3_128_digest, encoded))
     pictures: dict[int, Picture] = {}
     empty: dict[int, rules.Fault] = {}
-    for number in picture_views.evenly_spaced(len(encoded), frames):
+    for number in media.evenly_spaced(len(encoded), frames):
         spot, picture = spots[number], encoded[number]
         try:
             cells = rules.cells_of(picture)
@@ -172,7 +172,7 @@ def _strip(
         section.decoded += 1
         if share > rules.MAX_ONE_VALUE and not is_rendered:
             empty[spot.touch] = rules.Fault("empty-pictures", spot, share)
-            digests = [b"" if each == digests[number] else each for each in digests]
+            digests = [b"" if digest == digests[number] else digest for digest in digests]
         else:
             pictures[number] = Picture(spot, cells, picture)
     section.faults += empty.values()
@@ -187,7 +187,7 @@ def _motion(stored: stored_round.StoredRound, touches: Sequence[rules.Spot]) -> 
     time_s = np.zeros(0)
     poses = None
     if is_clip and stored.has(_TIMES):
-        time_s = stored_round.as_seconds(stored.cut(_TIMES, 0, touches[0].touch)[0])
+        time_s = schema.as_seconds(stored.cut(_TIMES, 0, touches[0].touch)[0])
     if stored.has_poses and stored.has(f"{schema.POSE_COLUMN[stored.kind]}.quaternion"):
         if is_clip:
             return stored.pose_sequences(touches[0].touch)[0], time_s
@@ -212,9 +212,9 @@ def _add_bare_gel(section: Section, pictures: Sequence[Picture]) -> None:
     by_touch = [list(group) for _, group in groupby(pictures, key=lambda each: each.spot[:3])]
     section.gel = np.median([touch[0].cells for touch in by_touch], axis=0).astype(np.float32)
     each_of = min(_FIRST_FRAMES, max(1, GEL_PICTURES // len(by_touch)))
-    bare = [each.encoded for touch in by_touch for each in touch[:each_of]]
-    decoded = [decode_image(bare[index]) for index in picture_views.evenly_spaced(len(bare), GEL_PICTURES)]
-    same = [each for each in decoded if each.shape == decoded[0].shape]
+    bare = [picture.encoded for touch in by_touch for picture in touch[:each_of]]
+    decoded = [decode_image(bare[index]) for index in media.evenly_spaced(len(bare), GEL_PICTURES)]
+    same = [pixels for pixels in decoded if pixels.shape == decoded[0].shape]
     section.decoded += len(decoded)
     if len(same) >= _MIN_BARE:
         section.markers = rules.count_markers(contact.median_in_memory(np.stack(same)))
@@ -266,14 +266,14 @@ def still(strip: Strip, limits: touch_options.CheckLimits) -> Iterator[rules.Fau
     moved = np.abs(np.diff(strip.poses.position_m, axis=0)).max(axis=1, initial=0)
     turned = np.abs(np.diff(strip.poses.quaternion, axis=0)).max(axis=1, initial=0)
     for start, length in spans_of((moved <= _SAME_M) & (turned <= _SAME_QUATERNION), rules.MIN_STILL):
-        inside = [each for number, each in strip.seen.items() if start <= number < start + length]
+        inside = [picture for number, picture in strip.seen.items() if start <= number < start + length]
         if len(inside) < 2:
             continue
-        cells = np.stack([each.cells for each in inside])
+        cells = np.stack([picture.cells for picture in inside])
         # An even step of brightness is not a contact.
         cells -= np.median(cells, axis=(1, 2), keepdims=True)
         if np.ptp(cells, axis=0).max() >= rules.MIN_CHANGE:
-            concerned = {each.spot.touch: each.spot for each in inside}
+            concerned = {picture.spot.touch: picture.spot for picture in inside}
             yield from (rules.Fault("still-poses", spot, length) for spot in concerned.values())
 
 

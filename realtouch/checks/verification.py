@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 
-from realtouch import convert, kind, tars
+from realtouch import convert, kind
 from realtouch.touches import damage, media, opening, schema, stored_round
 from tactile_toolkit import cards, catalog, errors, places, read, run, store, wording
 from tactile_toolkit.touch import decode_image, image_size
@@ -22,9 +22,7 @@ INDEXED = ("frames", "export")
 # mark of a field that follows on the one before it (Thrift's compact protocol).
 _CHECKED_PAGE = re.compile(rb"(?:\x15[\x80-\xff]*[\x00-\x7f]){4}", re.DOTALL)
 
-_SizeOf = Callable[[memoryview], tuple[int, int]]
 _Noted = Callable[[], AbstractContextManager[None]]
-_PictureSize = Callable[[stored_round.StoredRound, int, _SizeOf, _Noted], tuple[int, ...]]
 
 
 def check_index(
@@ -87,7 +85,7 @@ def _images_in(folder: store.DataFolder, path: str) -> Iterator[tuple[str, bytes
     """Yield the images of a tar, of the columns of a Parquet file, or of an image file."""
     if path.endswith(".tar"):
         with folder.open(path) as stream:
-            for member in tars.files_of_tar(stream, folder.size_bytes(path)):
+            for member in convert.files_of_tar(stream, folder.size_bytes(path)):
                 if not member.name.endswith(".json"):
                     stream.seek(member.offset_data)
                     yield member.name, stream.read(member.size)
@@ -156,34 +154,38 @@ def verify(
     InputError
         Nothing of that name, or no data set of touches.
     """
-    place = replace(places.open_place(name), allow_incomplete=True).require(kind.KIND, "verify")
+    data_set = replace(places.open_place(name), allow_incomplete=True).require(kind.KIND, "verify")
     findings: list[damage.Damage] = []
-    has_checksums = _compare_files(place, findings, workers)
-    if place.folder is not None and place.manifest is not None and place.spec.get("operation") in INDEXED:
+    has_checksums = _compare_files(data_set, findings, workers)
+    if (
+        data_set.folder is not None
+        and data_set.manifest is not None
+        and data_set.spec.get("operation") in INDEXED
+    ):
         counts = (0, 0)
-        if place.manifest.complete:  # the index is written last
-            counts = check_index(place.folder, place.manifest, findings, on_progress, decode=not quick)
+        if data_set.manifest.complete:  # the index is written last
+            counts = check_index(data_set.folder, data_set.manifest, findings, on_progress, decode=not quick)
         return TouchVerification(*counts, tuple(findings))
     splits = []
-    for part in convert.parts_of(place, split):
-        splits.append(opening.agreeing_files(place.shards(part), place.name, findings))
+    for part in convert.parts_of(data_set, split):
+        splits.append(opening.agreeing_files(data_set.shards(part), data_set.name, findings))
         findings += _lacking_columns(splits[-1])
     rounds, touches = _check_rounds(splits, findings, on_progress, decode=not quick, workers=workers)
     unprotected: list[str] = []
     if not has_checksums:
-        fetched = place.fetched_paths()  # compared when they were fetched
+        fetched = data_set.fetched_paths()  # compared when they were fetched
         paths = [shard.path for files in splits for shard in files if shard.path not in fetched]
         unprotected = [path for path in paths if not has_page_checksums(*store.split_uri(path))]
     return TouchVerification(rounds, touches, tuple(findings), tuple(unprotected))
 
 
-def _compare_files(place: places.Place, findings: list[damage.Damage], workers: int) -> bool:
+def _compare_files(data_set: places.Place, findings: list[damage.Damage], workers: int) -> bool:
     """Compare the files of a folder with its manifest or download record; return whether it has one."""
-    folder, manifest = place.folder, place.manifest
+    folder, manifest = data_set.folder, data_set.manifest
     if folder is None or (manifest is None and store.read_download_record(folder) is None):
         return False
     listed = store.verify(folder, check_card=cards.check_card, workers=workers).findings
-    findings += [damage.Damage(each.file, None, None, "", each.problem) for each in listed]
+    findings += [damage.Damage(finding.file, None, None, "", finding.problem) for finding in listed]
     if manifest is not None:
         try:
             manifest.operation(store.MANIFEST_FILE)
@@ -220,8 +222,10 @@ def _check_rounds(
 
 def list_findings(folder: store.DataFolder, workers: int = 1) -> list[store.Finding]:
     """List the problems of a folder before it is uploaded; decodes no picture."""
-    found = verify(folder.address(), quick=True, workers=workers).findings
-    return [store.Finding(each.file, f"({each})") for each in found] or list(cards.check_card(folder))
+    damaged = verify(folder.address(), quick=True, workers=workers).findings
+    return [store.Finding(finding.file, f"({finding})") for finding in damaged] or list(
+        cards.check_card(folder)
+    )
 
 
 def _lacking_columns(shards: Sequence[read.Shard]) -> list[damage.Damage]:
@@ -298,11 +302,11 @@ def checked_rows(
     """
 
     def checked(
-        found: stored_round.StoredRound | damage.Damage,
+        row: stored_round.StoredRound | damage.Damage,
     ) -> tuple[stored_round.StoredRound | None, list[damage.Damage]]:
-        if isinstance(found, damage.Damage):
-            return None, [found]
-        return found, check_round(found, expected_touches, decode=decode, class_names=class_names)
+        if isinstance(row, damage.Damage):
+            return None, [row]
+        return row, check_round(row, expected_touches, decode=decode, class_names=class_names)
 
     return run.in_threads(checked, readable_rows(shards), workers)
 
@@ -331,8 +335,8 @@ def check_round(
     ``expected_touches`` is the T that it must have, where that is known; the label must be one of
     ``class_names``, where those are stated. Without ``decode``, only headers of images and frames are read.
     """
-    found: list[damage.Damage] = []
-    noted = partial(_noted, found, row)
+    damages: list[damage.Damage] = []
+    noted = partial(_noted, damages, row)
     scalars: dict[str, Callable[[], object]] = {
         "id": row.name,
         "object_id": partial(row.integer, "object_id"),
@@ -348,11 +352,11 @@ def check_round(
             if not row.group.arrow(name)[row.index].is_valid:
                 raise row.damaged(name, "no values are stored")
             row.entries_of(name)
-        if found and found[-1].field == "pos_in_cell":
-            return found  # the number of touches is unknown
+        if damages and damages[-1].field == "pos_in_cell":
+            return damages  # the number of touches is unknown
     count = row.touch_total()
     if expected_touches is not None and count != expected_touches:
-        found.append(
+        damages.append(
             damage.Damage(
                 row.path,
                 row.number,
@@ -366,21 +370,15 @@ def check_round(
             row.extra_values(name)
     sizes = _check_touches(row, count, noted, decode=decode)
     # Several fields may report the same fault.
-    return list(dict.fromkeys([*found, *_odd_sizes(row, sizes, row.media_column)]))
+    return list(dict.fromkeys([*damages, *_odd_sizes(row, sizes, row.media_column)]))
 
 
 def _check_touches(
     row: stored_round.StoredRound, count: int, noted: _Noted, *, decode: bool
 ) -> dict[int, tuple[int, ...]]:
     """Check position, pose and picture of each touch; return height and width of the pictures."""
-    read_pose: Callable[[int], object] = row.poses
-    picture_size: _PictureSize = _image_size
-    size_of: _SizeOf = image_size
-    if row.kind == "seq":
-        read_pose = row.pose_sequences
-        picture_size = _clip_size
-    if decode:
-        size_of = _decoded_size
+    is_clip = row.kind == "seq"
+    read_pose: Callable[[int], object] = row.pose_sequences if is_clip else row.poses
     start, stop = row.column_of(row.media_column).inside(0, row.index, row.index + 1)
     sizes: dict[int, tuple[int, ...]] = {}
     for touch in range(count):
@@ -392,37 +390,33 @@ def _check_touches(
                 read_pose(touch)
         if touch < stop - start:  # if images or clips are missing, the others are checked
             with noted():
-                sizes[touch] = picture_size(row, touch, size_of, noted)
+                if is_clip:
+                    sizes[touch] = _clip_size(row, touch, noted, decode=decode)
+                else:
+                    with row.naming("sensor_image", touch):
+                        sizes[touch] = _size_of(media.SensorImages(row).encoded(touch), decode=decode)
     return sizes
 
 
 @contextmanager
-def _noted(found: list[damage.Damage], row: stored_round.StoredRound) -> Iterator[None]:
+def _noted(damages: list[damage.Damage], row: stored_round.StoredRound) -> Iterator[None]:
     """Add the damage to a list instead of raising it."""
     try:
         yield
     except damage.DamagedRoundError as error:
-        found.append(error.damage)
+        damages.append(error.damage)
     except (errors.InputError, errors.IntegrityError) as error:
-        found.append(damage.Damage(row.path, row.number, None, "", error.what))
+        damages.append(damage.Damage(row.path, row.number, None, "", error.what))
     except ValueError as error:
-        found.append(damage.Damage(row.path, row.number, None, "", str(error)))
+        damages.append(damage.Damage(row.path, row.number, None, "", str(error)))
 
 
-def _decoded_size(data: bytes | memoryview) -> tuple[int, int]:
-    height, width, _ = decode_image(data).shape
-    return height, width
-
-
-def _image_size(
-    row: stored_round.StoredRound, touch: int, size_of: _SizeOf, _noted: _Noted
-) -> tuple[int, ...]:
+def _size_of(data: bytes | memoryview, *, decode: bool) -> tuple[int, ...]:
     """Return height and width of an image."""
-    with row.naming("sensor_image", touch):
-        return size_of(media.SensorImages(row).encoded(touch))
+    return decode_image(data).shape[:2] if decode else image_size(data)
 
 
-def _clip_size(row: stored_round.StoredRound, touch: int, size_of: _SizeOf, noted: _Noted) -> tuple[int, ...]:
+def _clip_size(row: stored_round.StoredRound, touch: int, noted: _Noted, *, decode: bool) -> tuple[int, ...]:
     """Return height and width of all frames of a clip; empty for a clip without frames."""
     clip = media.TouchClip(row, touch)
     with noted():
@@ -433,7 +427,7 @@ def _clip_size(row: stored_round.StoredRound, touch: int, size_of: _SizeOf, note
     first: tuple[int, ...] = ()
     for frame in range(len(clip)):
         with row.naming("sensor_video", touch, f"frame {frame}: "):
-            size = size_of(clip.encoded(frame))
+            size = _size_of(clip.encoded(frame), decode=decode)
             first = first or size
             if size != first:
                 raise ValueError(f"{_describe(size)}; expected {_describe(first)} as of the first frame")

@@ -21,6 +21,7 @@ from .conversion import (
 )
 from .picture_files import (
     columns_of_touches as columns_of_touches,
+    files_of_tar as files_of_tar,
     id_of_stem as id_of_stem,
     plain_extras as plain_extras,
     shown_touches as shown_touches,

@@ -46,9 +46,9 @@ _PAGE_BYTES = 256 << 10  # images of a round do not compress better in larger pa
 _MAX_ROWS_PER_SHARD = 64
 
 
-def parts_of(place: places.Place, split: str | None) -> tuple[str, ...]:
+def parts_of(data_set: places.Place, split: str | None) -> tuple[str, ...]:
     """Return the named split, or all splits."""
-    return place.splits if split is None else (split,)
+    return data_set.splits if split is None else (split,)
 
 
 @dataclass(frozen=True)
@@ -66,13 +66,16 @@ class Source:
 
         Reads footers. Raises as :func:`realtouch.load`.
         """
-        place = places.open_place(name).require_complete(split)
-        splits = parts_of(place, split)
-        shards = {each: place.shards(each, kind=KIND) for each in splits}
-        for found in shards.values():
-            deque(run.in_threads(schema.require_types, found, _READERS), maxlen=0)
+        data_set = places.open_place(name).require_complete(split)
+        splits = parts_of(data_set, split)
+        shards = {part: data_set.shards(part, kind=KIND) for part in splits}
+        for files in shards.values():
+            deque(run.in_threads(schema.require_types, files, _READERS), maxlen=0)
         return cls(
-            place.name, shards, schema.media_kind(shards[splits[0]][0].schema, place.name), place.unfinished
+            data_set.name,
+            shards,
+            schema.media_kind(shards[splits[0]][0].schema, data_set.name),
+            data_set.unfinished,
         )
 
     @property
@@ -101,10 +104,10 @@ class Source:
 
     def media_bytes(self) -> int:
         """Return the size of an image or clip, on average over the data set; at least 1."""
-        found = run.in_threads(
+        sizes = run.in_threads(
             partial(_media_bytes, f"{schema.MEDIA_COLUMN[self.kind]}."), self._files(), _READERS
         )
-        count, size = map(sum, zip(*found, strict=True))
+        count, size = map(sum, zip(*sizes, strict=True))
         return max(size // max(count, 1), 1)
 
     def image_bytes(self) -> int:
@@ -121,8 +124,8 @@ class Source:
         reading 28 GB to plan a conversion would cost minutes.
         """
         return {
-            split: list(run.in_threads(read.Shard.fingerprint, found, _READERS))
-            for split, found in self.shards.items()
+            split: list(run.in_threads(read.Shard.fingerprint, files, _READERS))
+            for split, files in self.shards.items()
         }
 
 
@@ -205,9 +208,9 @@ def marked_repetitions(source: Source, choices: Choices) -> Choices:
     for split, chosen in choices.items():
         ids = datasets.dataset_of(source.shards[split]).ids
         first: dict[object, int] = {}
-        rows = (first.setdefault(ids[each.row], each.row) for each in chosen)
+        rows = (first.setdefault(ids[choice.row], choice.row) for choice in chosen)
         marked[split] = [
-            each._replace(is_repeated=row != each.row) for each, row in zip(chosen, rows, strict=True)
+            choice._replace(is_repeated=row != choice.row) for choice, row in zip(chosen, rows, strict=True)
         ]
     return marked
 
@@ -227,13 +230,13 @@ def with_files(
 def files_of(folder: store.DataFolder, path: str) -> dict[str, str]:
     """Return the checksum of each file that the index of a finished shard names, by path."""
     shard = read.Shard(folder.address(path))
-    found: dict[str, str] = {}
+    checksums_of: dict[str, str] = {}
     for prefix in _PREFIXES:
         names = [f"{prefix}file", f"{prefix}sha256"]
         if all(name in shard.types for name in names):
             paths, digests = (column.to_pylist() for column in shard.read(columns=names).columns)
-            found |= dict(zip(paths, digests, strict=True))
-    return found
+            checksums_of |= dict(zip(paths, digests, strict=True))
+    return checksums_of
 
 
 def checksums(folder: store.DataFolder, manifest: store.Manifest) -> dict[str, str]:
@@ -253,7 +256,7 @@ def schema_of(source: pa.Schema, wanted: Mapping[str, tuple[pa.DataType, Collect
     return pa.schema(
         (name, data_type)
         for name, (data_type, needed) in wanted.items()
-        if not needed or any(each in known for each in needed)
+        if not needed or any(column in known for column in needed)
     )
 
 
@@ -311,8 +314,8 @@ class _ConvertRows:
                 files |= beside
             except errors.IntegrityError as error:
                 message = str(error)
-                for each in self.shards:  # as the manifest names them: their folder may be private
-                    message = message.replace(each.path, each.path.rpartition("/")[2])
+                for source_shard in self.shards:  # as the manifest names them: their folder may be private
+                    message = message.replace(source_shard.path, source_shard.path.rpartition("/")[2])
                 skipped.append(store.Skipped(choice.row, store.Skipped.DAMAGED, message))
         kept = pa.concat_tables(tables)
         if self.pack is not None:
@@ -416,7 +419,7 @@ def write_conversion(
     opened = Source.open(source, split=split)
     folder = store.open_folder(fspath(out))
     conversion = plan(opened, require_limit(limit))
-    folder.refuse_source(opened.name, (shard.path for each in opened.shards.values() for shard in each))
+    folder.refuse_source(opened.name, (shard.path for files in opened.shards.values() for shard in files))
     origin = schema.origin_of(opened.schema, opened.manifest())
     # Recorded here, as pictures do not show whether touches were imported or rendered; rounds do.
     if opened.unfinished:

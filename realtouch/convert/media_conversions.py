@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from os import PathLike, fspath
-from typing import Protocol, Unpack
+from typing import Any, Unpack
 
 import numpy as np
 import pyarrow as pa
@@ -13,11 +13,10 @@ from PIL import Image
 
 from realtouch import contact
 from realtouch.convert import conversion, picture_files
-from realtouch.touches import media, schema, stored_images, stored_round
+from realtouch.touches import media, schema, stored_round
 from realtouch.video import avi
 from tactile_toolkit import errors, kind, places, read, store, touch
 from tactile_toolkit.array_types import Float32, UInt8
-from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS, MEDIA_TYPE, encode_image, resized
 
 _CONTACT_FRAME_ROWS = 16
@@ -139,13 +138,13 @@ class TakeContactFrames:
         flat = schema.flat_row(row)
         wanted = self.schema(flat.schema)
         shown = list(picture_files.shown_touches(row, self.method))
-        for each in shown:
-            _ = each.pixels  # what passes through must be intact
-        pictures = [each.stored for each in shown]
-        made = {"sensor_image": stored_images.numbered_media(pictures, "jpg")}
+        for picture in shown:
+            _ = picture.pixels  # what passes through must be intact
+        pictures = [picture.stored for picture in shown]
+        made = {"sensor_image": media.numbered_media(pictures, "jpg")}
         if row.has_poses:
-            found = np.concatenate([np.empty((0, 7)), *(each.pose[None] for each in shown)])
-            for (part, width), values in zip(_WIDTHS.items(), np.hsplit(found, [3]), strict=True):
+            poses = np.concatenate([np.empty((0, 7)), *(picture.pose[None] for picture in shown)])
+            for (part, width), values in zip(_WIDTHS.items(), np.hsplit(poses, [3]), strict=True):
                 made[f"{_POSE}.{part}"] = pa.FixedSizeListArray.from_arrays(values.ravel(), width)
         for name in flat.column_names:
             if name.startswith(schema.EXTRA_PREFIX["frame"]):
@@ -244,16 +243,16 @@ class ResizeMedia:
         else:
             sizes = [clip.size for clip in media.SensorClips(row)]
             blobs = [self._clip(clip) for clip in media.SensorClips(row)]
-        made = {row.media_column: stored_images.numbered_media(blobs, _SUFFIX[kind])}
+        made = {row.media_column: media.numbered_media(blobs, _SUFFIX[kind])}
         for name in filter(row.has, (media.DEPTH, media.DEPTH_ERROR)):
-            maps = [media.encode_map(self._map(each)) for each in media.DepthMaps(row, name)]
-            made[name] = stored_images.numbered_media(maps, media.SUFFIX)
+            maps = [media.encode_map(self._map(depth_map)) for depth_map in media.DepthMaps(row, name)]
+            made[name] = media.numbered_media(maps, media.SUFFIX)
         for name, stored in schema.extra_columns(flat.column_names).items():
             if name in _MIDDLE_OF_FIRST_PX:
                 entries = row.extra_entries(stored).to_pylist()
                 with row.naming(stored):
                     moved = [
-                        self._moved(name, each, size) for each, size in zip(entries, sizes, strict=False)
+                        self._moved(name, values, size) for values, size in zip(entries, sizes, strict=False)
                     ]
                 made[stored] = pa.array(moved, schema.extra_type(stored, flat.schema.field(stored).type))
         return schema.row_with(flat, made, flat.schema), {}
@@ -262,8 +261,8 @@ class ResizeMedia:
         """Return pixel coordinates in a picture of a size (height, width) as those in the new picture."""
         if not isinstance(values, list):
             return values
-        if any(isinstance(each, list) for each in values):
-            return [self._moved(name, each, size) for each in values]
+        if any(isinstance(inner, list) for inner in values):
+            return [self._moved(name, inner, size) for inner in values]
         scale = np.array([self.width / size[1], self.height / size[0]])
         first = _MIDDLE_OF_FIRST_PX[name]
         pairs = np.array(values, np.float64).reshape(-1, 2)
@@ -288,25 +287,6 @@ class ResizeMedia:
 
     def _encode(self, pixels: UInt8) -> bytes:
         return encode_image(resized(pixels, self.width, self.height), "jpeg", self.quality)
-
-
-class DepthAndError(Protocol):
-    """Depth of some images, (N, H, W), float32, metres, and its expected error."""
-
-    depth_m: Float32
-    error_m: Float32
-
-
-class DepthReader(Protocol):
-    """Reader of depth from images (N, H, W, 3), uint8, such as :class:`tactile_sim.SensorModel`."""
-
-    def read_depth(self, images: UInt8, *, fast: bool = False) -> DepthAndError:
-        """Return how far each point of the gel is pressed in."""
-        ...
-
-    def to_dict(self) -> JsonDict:
-        """Return JSON values that identify the reader by its content."""
-        ...
 
 
 def add_depth(
@@ -361,9 +341,9 @@ def add_depth(
 
 
 @lru_cache(maxsize=1)
-def _reader(folder: str) -> DepthReader:
-    found: DepthReader = _load_sensor(folder)
-    return found
+def _reader(folder: str) -> Any:
+    """Return a :class:`tactile_sim.SensorModel`, which reads depth from images."""
+    return _load_sensor(folder)
 
 
 @dataclass(frozen=True)
@@ -383,7 +363,7 @@ class AddDepth:
             MEAN_ERROR: pa.float32(),
         }
         kept = [field for field in source if field.name not in added]
-        return pa.schema([*kept, *(pa.field(name, pa.list_(each, count)) for name, each in added.items())])
+        return pa.schema([*kept, *(pa.field(name, pa.list_(kind, count)) for name, kind in added.items())])
 
     def apply(
         self, row: stored_round.StoredRound, choice: conversion.RowChoice, split: str
@@ -393,14 +373,14 @@ class AddDepth:
         maps: dict[str, list[bytes]] = {media.DEPTH: [], media.DEPTH_ERROR: []}
         numbers: dict[str, list[float]] = {DEEPEST: [], MEAN_ERROR: []}
         for start in range(0, len(images), _BATCH):
-            found = _reader(self.sensor).read_depth(
+            depth = _reader(self.sensor).read_depth(
                 images.batch(slice(start, start + _BATCH)), fast=self.fast
             )
-            for depth_m, error_m in zip(found.depth_m, found.error_m, strict=True):
+            for depth_m, error_m in zip(depth.depth_m, depth.error_m, strict=True):
                 maps[media.DEPTH].append(media.encode_map(depth_m))
                 maps[media.DEPTH_ERROR].append(media.encode_map(error_m))
                 numbers[DEEPEST].append(float(depth_m.max()))
                 numbers[MEAN_ERROR].append(float(error_m.mean(dtype=np.float64)))
-        made = {name: stored_images.numbered_media(blobs, media.SUFFIX) for name, blobs in maps.items()}
+        made = {name: media.numbered_media(blobs, media.SUFFIX) for name, blobs in maps.items()}
         made |= {name: pa.array(values, pa.float32()) for name, values in numbers.items()}
         return schema.row_with(flat, made, self.schema(flat.schema)), {}

@@ -1,4 +1,4 @@
-"""Touches as plain image files with an index in CSV and Parquet."""
+"""Touches as plain image files with an index in CSV and Parquet; names of files, and files in tars."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ import csv
 import hashlib
 import io
 import re
+import tarfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from os import PathLike
-from typing import Literal, Unpack
+from typing import IO, Literal, Unpack
 from urllib.parse import unquote
 
 import numpy as np
@@ -163,10 +164,10 @@ class WritePictures:
             base = image_contacts.background(rounds.TouchSingleRound(row))
         folder = f"{IMAGE_FOLDER}/{split}/{name}"
         suffix = touch.IMAGE_SUFFIX[self.kind]
-        files = {f"{folder}/{each.touch:03d}.{suffix}": self._encoded(each, base) for each in shown}
+        files = {f"{folder}/{picture.touch:03d}.{suffix}": self._encoded(picture, base) for picture in shown}
         columns = {
             **columns_of_touches(row, shown, self.names),
-            "id": [f"{name}/{each.touch:03d}" for each in shown],
+            "id": [f"{name}/{picture.touch:03d}" for picture in shown],
             "file": list(files),
             "sha256": list(map(store.sha256_hex, files.values())),
         }
@@ -255,7 +256,7 @@ def columns_of_touches(
         "label_name": [dict(enumerate(names)).get(label)] * count,
         "round_id": [row.name()] * count,
         "touch": np.arange(count),
-        "frame": [each.frame for each in shown],
+        "frame": [picture.frame for picture in shown],
     }
     if row.has("object_id"):
         columns["object_id"] = np.full(count, row.integer("object_id"))
@@ -263,7 +264,7 @@ def columns_of_touches(
         columns |= dict(zip(touch_options.POSITION_COLUMNS, row.intended_positions().T, strict=True))
     if shown:
         columns |= dict(
-            zip(touch_options.POSE_COLUMNS, np.stack([each.pose for each in shown]).T, strict=False)
+            zip(touch_options.POSE_COLUMNS, np.stack([picture.pose for picture in shown]).T, strict=False)
         )
     for stored, field in plain_extras(row.group.table.schema).items():
         columns[field.name] = shown_extra(row, stored, shown)
@@ -277,14 +278,14 @@ def plain_extras(source: pa.Schema) -> dict[str, pa.Field]:
     """
     types = read.column_types(source)
     taken = {*_OTHER_COLUMNS}
-    found = {}
+    fields = {}
     for name, stored in schema.extra_columns(types).items():
         plain = name
         while plain in taken:
             plain = f"extra_{plain}"
         taken.add(plain)
-        found[stored] = pa.field(plain, schema.extra_type(stored, types[stored]))
-    return found
+        fields[stored] = pa.field(plain, schema.extra_type(stored, types[stored]))
+    return fields
 
 
 def shown_extra(row: stored_round.StoredRound, stored: str, shown: Sequence[TouchPicture]) -> pa.Array:
@@ -292,11 +293,11 @@ def shown_extra(row: stored_round.StoredRound, stored: str, shown: Sequence[Touc
     entries = row.extra_entries(stored)
     if not stored.startswith(schema.EXTRA_PREFIX["frame"]):
         return entries
-    found = [pa.nulls(0, entries.type.value_type)]
-    for each in shown:
-        frames = row.extra_of_frames(stored, entries, each.touch, each.frame + 1)
-        found.append(frames.slice(each.frame))
-    return pa.concat_arrays(found)
+    parts = [pa.nulls(0, entries.type.value_type)]
+    for picture in shown:
+        frames = row.extra_of_frames(stored, entries, picture.touch, picture.frame + 1)
+        parts.append(frames.slice(picture.frame))
+    return pa.concat_arrays(parts)
 
 
 def stem_of_id(round_id: str) -> str:
@@ -319,3 +320,34 @@ def id_of_stem(stem: str) -> str:
     """Return the id from which :func:`stem_of_id` made a name; other names are returned unchanged."""
     round_id = unquote(stem)
     return round_id if stem_of_id(round_id) == stem else stem
+
+
+def files_of_tar(stream: IO[bytes], size: int) -> Iterator[tarfile.TarInfo]:
+    """Yield the header of each file in a tar of ``size`` bytes; its content is inside the tar.
+
+    Raises tarfile.ReadError, which names the member, for a damaged or inconsistent header and for a
+    truncated tar.
+    """
+    name, end = "", 0
+    try:
+        with tarfile.open(fileobj=stream, mode="r:") as tar:
+            for member in tar:
+                # `tarfile` reads 0 from an extended header that does not state a number.
+                stated = member.pax_headers.get("size", str(member.size))
+                if stated.lstrip("0") != str(member.size).lstrip("0") or member.size < 0 or member.issparse():
+                    raise tarfile.ReadError(
+                        f"{member.name!r} is sparse, or its size is not a number of bytes"
+                    )
+                blocks = -(-member.size // tarfile.BLOCKSIZE)
+                name = member.name
+                end = member.offset_data + blocks * tarfile.BLOCKSIZE
+                if end > size:
+                    raise tarfile.ReadError(f"it ends in {name!r}")
+                if member.isfile():
+                    yield member
+        stream.seek(end)
+        # `tarfile` takes a damaged header for the end of the tar, which is a block of zeros.
+        if stream.read(tarfile.BLOCKSIZE) != bytes(tarfile.BLOCKSIZE):
+            raise tarfile.ReadError(f"neither a header nor the mark of its end follows {name!r}")
+    except (ValueError, IndexError, RecursionError) as error:  # from values of extended headers
+        raise tarfile.ReadError(f"the headers after {name!r} cannot be read: {error}") from error

@@ -73,7 +73,7 @@ def select(
         "min_height_m": min_height_m,
         "recalibrate_z": recalibrate_z,
         "labels": [str(label) for label in labels],
-        "objects": [_object_ids(each) for each in objects],
+        "objects": [_object_ids(chosen_id) for chosen_id in objects],
     }
     if per_class is not None:
         chosen["per_class"] = conversion.require_limit(per_class, "per_class")
@@ -94,7 +94,7 @@ def _selection(chosen: JsonObject, opened: conversion.Source, limit: int | None)
         options["min_height_m"] = touch.HeightRule.REAL_M
         if options["contact"]:
             options["min_height_m"] = touch.HeightRule.of(read.column_types(opened.schema)).min_height_m
-    choices = {each: _chosen_rows(opened, each, options) for each in opened.shards}
+    choices = {of_split: _chosen_rows(opened, of_split, options) for of_split in opened.shards}
     if options["contact"] and not any(choices.values()):
         if by_image:
             raise errors.InputError(
@@ -111,7 +111,7 @@ def _no_contact(source: conversion.Source, height_m: float) -> errors.InputError
     return errors.InputError(
         f"no chosen touch of {source.name!r} is a contact (a touch is one if "
         f"{touch.HeightRule(height_m, 'known').height_text}); the highest of all touches is "
-        f"{1e3 * max(each.max(initial=-math.inf) for each in heights_m):.1f} mm above it",
+        f"{1e3 * max(of_split.max(initial=-math.inf) for of_split in heights_m):.1f} mm above it",
         next="give a smaller --min-height-mm, or fewer filters",
     )
 
@@ -148,9 +148,9 @@ def _chosen_rows(source: conversion.Source, split: str, options: JsonObject) -> 
     touches = dataset.touches().with_contact(options["min_height_m"], options["recalibrate_z"])
     places = zip(touches.round_positions.tolist(), touches.touch_indices.tolist(), strict=True)
     kept = groupby(sorted(places), key=itemgetter(0))
-    return [conversion.RowChoice(rows[place], tuple(touch for _, touch in group)) for place, group in kept][
-        :limit
-    ]
+    return [
+        conversion.RowChoice(rows[position], tuple(touch for _, touch in group)) for position, group in kept
+    ][:limit]
 
 
 def _object_ids(value: SupportsIndex | tuple[SupportsIndex, SupportsIndex]) -> int | tuple[int, ...]:
@@ -176,9 +176,9 @@ class KeepTouches:
         if not self.some_touches:
             return source
         fields = list(source)
-        for place, field in enumerate(source):
+        for index, field in enumerate(source):
             if schema.is_per_touch(field.name, field.type):
-                fields[place] = pa.field(field.name, pa.list_(field.type.value_type))
+                fields[index] = pa.field(field.name, pa.list_(field.type.value_type))
         types = read.column_types(source)
         if touch.HeightRule.PLATE_COLUMN not in types and schema.has_poses(types):
             fields.append(pa.field(touch.HeightRule.PLATE_COLUMN, pa.float64()))

@@ -17,7 +17,7 @@ from typing import IO, TYPE_CHECKING, NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from realtouch import importing
+from realtouch import importing, touch_options
 from realtouch.formats import exports
 from realtouch.touches import schema as stored_schema
 from tactile_toolkit import cache, errors, read, store
@@ -58,7 +58,7 @@ _MAX_BITS = 63
 
 
 def find_flat(
-    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+    home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
 ) -> Iterator[importing.FoundTouches]:
     """Yield a touch for each row of each file, in their order; the split is that of the file's name."""
     home, paths = importing.files_to_read(
@@ -98,16 +98,16 @@ def _touches(
     size, stem = parquet.picture_bytes(column), path.removesuffix(_ENDING)
     shard = store.ShardName.parse(path.rpartition("/")[2])
     left_out = _ORDER_COLUMNS if {*names} >= _OURS else ()
-    said = parquet.columns([name for name in names if name not in left_out])
+    fields = parquet.columns([name for name in names if name not in left_out])
     if shard is not None and _SPLIT not in names:
-        said = {_SPLIT: column_types.repeated(shard.split, len(parquet)), **said}
+        fields = {_SPLIT: column_types.repeated(shard.split, len(parquet)), **fields}
     # The name of the file of each picture, without its folder.
     files = [importing.path_of(name or "").rpartition("/")[2] for name in parquet.picture_names(column)]
     return importing.FoundTouches.of(
         [name or f"{stem}_{number:06d}" for number, name in enumerate(files)],
         home.address(),
         path,
-        said,
+        fields,
         part=column,
         start=np.arange(len(parquet)),
         size=size,
@@ -163,39 +163,39 @@ class ForeignParquet:
 
     def picture_bytes(self, name: str) -> int:
         """Return the approximate size of a picture of a column in bytes."""
-        size = sum(each.size_bytes for group in self._chunks for each in _of_columns(group, [name]))
+        size = sum(chunk.size_bytes for group in self._chunks for chunk in _of_columns(group, [name]))
         return size // max(1, len(self)) + 1
 
     def rows(self, names: Sequence[str]) -> Iterator[JsonDict]:
         """Yield some columns of each row; InputError for more than may be unpacked."""
         for table in self._bounded(names):
             with _named_values(self.place):
-                found = table.to_pylist()
-            yield from found or ({} for _ in range(len(table)))
+                rows = table.to_pylist()
+            yield from rows or ({} for _ in range(len(table)))
 
     def columns(self, names: Sequence[str]) -> dict[str, pa.Array]:
         """Return columns with an entry for each row; see :mod:`tactile_toolkit.column_types`.
 
         Raises as :meth:`rows` does.
         """
-        found = list(self._bounded(names))
-        if not found:
+        parts = list(self._bounded(names))
+        if not parts:
             return {name: pa.nulls(0) for name in names}
         with _named_values(self.place):
-            joined = pa.concat_tables(found)
+            joined = pa.concat_tables(parts)
             return {name: column_types.from_arrow(joined[name]) for name in names}
 
     def picture_names(self, name: str) -> list[str | None]:
         """Return the paths that a column of pictures states; None for a picture without a path."""
         if not pa.types.is_struct(self.types[name]) or self.types[name].get_field_index("path") < 0:
             return [None] * len(self)
-        found = list[str | None]()
+        paths = list[str | None]()
         for table in self._bounded([f"{name}.path"]):
             values = table[name].combine_chunks().to_pylist()
-            found += [
+            paths += [
                 value["path"] if isinstance((value or {}).get("path"), str) else None for value in values
             ]
-        return found
+        return paths
 
     def pictures(self, name: str, rows: Iterable[int]) -> Iterator[bytes | errors.ItemError]:
         """Yield the encoded picture of each of some rows; rows in ascending order are read once."""
@@ -223,8 +223,8 @@ class ForeignParquet:
 
     def _bounded(self, names: Sequence[str]) -> Iterator[pa.Table]:
         """Yield some columns of all rows, a few rows at a time; InputError for more than may be unpacked."""
-        stated = [each for group in self._chunks for each in _of_columns(group, names)]
-        unpacked = sum(max(each.size_bytes, _VALUE_BYTES * each.values) for each in stated)
+        stated = [chunk for group in self._chunks for chunk in _of_columns(group, names)]
+        unpacked = sum(max(chunk.size_bytes, _VALUE_BYTES * chunk.values) for chunk in stated)
         cache.require_unpackable(unpacked, f"{self.place!r}:", self.size_bytes)
         unpacked = 0
         for group in range(len(self._chunks)):
@@ -233,18 +233,15 @@ class ForeignParquet:
                 cache.require_unpackable(unpacked, f"{self.place!r}:", self.size_bytes)
                 yield table
 
-    def _require_bounded_pages(self, chunks: Sequence[_Chunk]) -> None:
-        with _named_values(self.place), self._home.open_inside(self._path) as stream:
-            for each in chunks:
-                require_bounded_pages(stream, each.start, each.stored_bytes, _BYTES_AT_ONCE)
-
     def _tables(self, group: int, names: Sequence[str]) -> Iterator[pa.Table]:
         """Yield the rows of a row group, a few at a time; IntegrityError if it holds fewer than stated."""
         chunks = _of_columns(self._chunks[group], names)
-        largest = max((1, *(each.size_bytes for each in chunks if each.is_text)))
+        largest = max((1, *(chunk.size_bytes for chunk in chunks if chunk.is_text)))
         rows = min(_ROWS_AT_ONCE, max(1, _BYTES_AT_ONCE // largest))
         missing = self._starts[group + 1] - self._starts[group]
-        self._require_bounded_pages(chunks)
+        with _named_values(self.place), self._home.open_inside(self._path) as stream:
+            for chunk in chunks:
+                require_bounded_pages(stream, chunk.start, chunk.stored_bytes, _BYTES_AT_ONCE)
         with store.named_damage(self.place):
             # Arrow uses no threads of its own, as shards are imported in parallel.
             for batch in self._file.iter_batches(rows, [group], list(names), use_threads=False):
@@ -259,7 +256,7 @@ class ForeignParquet:
 
 def _chunks(group: pq.RowGroupMetaData) -> list[_Chunk]:
     """Return the columns of a row group; for a struct or list, the columns in it."""
-    found = map(group.column, range(group.num_columns))
+    columns = map(group.column, range(group.num_columns))
     return [
         _Chunk(
             of.path_in_schema,
@@ -269,7 +266,7 @@ def _chunks(group: pq.RowGroupMetaData) -> list[_Chunk]:
             min(of.data_page_offset, of.dictionary_page_offset or of.data_page_offset),
             of.total_compressed_size,
         )
-        for of in found
+        for of in columns
     ]
 
 
@@ -277,30 +274,32 @@ def _picture_bytes(pictures: pa.Array) -> list[bytes | None]:
     """Return the bytes of each picture; None for a missing one."""
     if pa.types.is_struct(pictures.type):
         pictures = pictures.flatten()[pictures.type.get_field_index("bytes")]
-    found: list[bytes | None] = pictures.to_pylist()
-    return found
+    contents: list[bytes | None] = pictures.to_pylist()
+    return contents
 
 
 def _of_columns(chunks: Sequence[_Chunk], names: Sequence[str]) -> list[_Chunk]:
     prefixes = tuple(f"{name}." for name in names)
-    return [each for each in chunks if f"{each.path}.".startswith(prefixes)]
+    return [chunk for chunk in chunks if f"{chunk.path}.".startswith(prefixes)]
 
 
 @contextmanager
-def _named_values(place: str) -> Iterator[None]:
+def _named_values(address: str) -> Iterator[None]:
     """Turn errors about values that Python and NumPy do not have into an IntegrityError."""
     try:
-        with store.named_damage(place):
+        with store.named_damage(address):
             yield
     except (ValueError, OverflowError) as error:
-        raise errors.IntegrityError.in_file(place, f" holds a value that cannot be read ({error})") from error
+        raise errors.IntegrityError.in_file(
+            address, f" holds a value that cannot be read ({error})"
+        ) from error
 
 
 def read_rows(
-    home: store.DataFolder, place: importing.PicturePlace, numbers: Sequence[int]
+    home: store.DataFolder, picture: importing.PicturePlace, numbers: Sequence[int]
 ) -> Iterator[bytes | errors.ItemError]:
     """Yield the pictures of some rows; ``part`` of the place is their column."""
-    return ForeignParquet(home, place.path).pictures(place.part, numbers)
+    return ForeignParquet(home, picture.path).pictures(picture.part, numbers)
 
 
 read_contents = partial(importing.pictures_by_file, read_rows)

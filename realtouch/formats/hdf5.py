@@ -20,11 +20,11 @@ from typing import IO, Any
 
 import numpy as np
 
-from realtouch import importing
+from realtouch import importing, touch_options
 from realtouch.formats import picture_arrays, zarr_recordings
 from tactile_toolkit import cache, errors, store
 from tactile_toolkit.array_types import AnyArray
-from tactile_toolkit.columns import column_types
+from tactile_toolkit.columns import column_types, tables
 
 H5Object = Any
 """A file, group or dataset of h5py, which has no types for type checkers."""
@@ -44,13 +44,13 @@ _SHOWN, _PICTURE_AXES = 8, 4
 
 
 @contextmanager
-def in_words(place: str) -> Iterator[None]:
+def in_words(address: str) -> Iterator[None]:
     """Turn errors of the library into InputError."""
     try:
         yield
     except _DAMAGE as error:
         raise errors.InputError(
-            f"{place!r}: not an intact file of HDF5", next="write the file again"
+            f"{address!r}: not an intact file of HDF5", next="write the file again"
         ) from error
 
 
@@ -69,27 +69,27 @@ def kind_of_member(group: H5Object, name: str) -> str:
 
 def dataset_in(file: str, root: H5Object, path: str) -> picture_arrays.StoredArray:
     """Open a dataset by its path in the file, not through links; InputError if it cannot be used."""
-    place = f"{file}/{path}"
-    found = root
-    with in_words(place):
+    address = f"{file}/{path}"
+    member = root
+    with in_words(address):
         for name in path.split("/"):
-            if kind_of_member(found, name) == "link":
-                raise errors.InputError(f"{place!r} lies behind a link")
-            found = found[name]
-        shape = tuple(found.shape or ())
-        dtype = np.dtype(found.dtype)
+            if kind_of_member(member, name) == "link":
+                raise errors.InputError(f"{address!r} lies behind a link")
+            member = member[name]
+        shape = tuple(member.shape or ())
+        dtype = np.dtype(member.dtype)
         step = max(1, _STEP_BYTES // max(1, math.prod(shape[1:]) * dtype.itemsize))
-        if found.chunks:
-            step = int(found.chunks[0])
-            cache.require_unpackable(_chunk_bytes(found), f"{place}: a chunk")
-        filters = _filters(found)
+        if member.chunks:
+            step = int(member.chunks[0])
+            cache.require_unpackable(_chunk_bytes(member), f"{address}: a chunk")
+        filters = _filters(member)
         array = picture_arrays.StoredArray(
-            place, shape, dtype, step, partial(_block, place, found, step), found.id.get_storage_size
+            address, shape, dtype, step, partial(_block, address, member, step), member.id.get_storage_size
         )
-        if found.is_virtual or found.external:
+        if member.is_virtual or member.external:
             raise array.refused("its values lie in other files; expected them in this file")
-    if filters != [each for each in _FILTERS if each in filters] or {_DEFLATE, _LZF} <= {*filters}:
-        named = ", ".join(_FILTERS.get(each, f"number {each}") for each in filters)
+    if filters != [number for number in _FILTERS if number in filters] or {_DEFLATE, _LZF} <= {*filters}:
+        named = ", ".join(_FILTERS.get(number, f"number {number}") for number in filters)
         raise array.refused(f"the filters {named}; expected {', '.join(_FILTERS.values())}, in this order")
     if dtype.kind not in "biufSU":
         raise array.refused(f"values of type {dtype}; expected numbers or text of a fixed length")
@@ -105,38 +105,38 @@ def _chunk_bytes(dataset: H5Object) -> int:
     return int(math.prod(dataset.chunks) * dataset.dtype.itemsize)
 
 
-def _block(place: str, dataset: H5Object, step: int, number: int) -> AnyArray:
+def _block(address: str, dataset: H5Object, step: int, number: int) -> AnyArray:
     start = number * step
     stop = min((number + 1) * step, dataset.shape[0])
     size = (stop - start, *dataset.shape[1:])
-    cache.require_unpackable(math.prod(size) * dataset.dtype.itemsize, f"{place}: {size} values")
-    with in_words(place):
+    cache.require_unpackable(math.prod(size) * dataset.dtype.itemsize, f"{address}: {size} values")
+    with in_words(address):
         if dataset.chunks and math.prod(size):
             for chunk in dataset.iter_chunks((slice(start, stop), *map(slice, size[1:]))):
-                _require_chunk(place, dataset, tuple(each.start for each in chunk))
-        found: AnyArray = dataset[start:stop]
-    return found
+                _require_chunk(address, dataset, tuple(part.start for part in chunk))
+        values: AnyArray = dataset[start:stop]
+    return values
 
 
-def _require_chunk(place: str, dataset: H5Object, at: tuple[int, ...]) -> None:
+def _require_chunk(address: str, dataset: H5Object, at: tuple[int, ...]) -> None:
     """Refuse a chunk that unpacks to more than its size, as HDF5 would allocate that."""
     filters, size = _filters(dataset), _chunk_bytes(dataset)
     stored = dataset.id.get_chunk_info_by_coord(at).size
     if stored > 2 * size + _SPARE_BYTES:
         raise errors.InputError(
-            f"{place!r}: a chunk of {stored:,} bytes; expected at most twice what it unpacks to"
+            f"{address!r}: a chunk of {stored:,} bytes; expected at most twice what it unpacks to"
         )
     if stored and _LZF in filters:
-        cache.require_unpackable(_LZF_RATIO * stored, f"{place}: a chunk")
+        cache.require_unpackable(_LZF_RATIO * stored, f"{address}: a chunk")
     if stored and _DEFLATE in filters:
         unused, packed = dataset.id.read_direct_chunk(at)
         is_packed = not unused >> filters.index(_DEFLATE) & 1
         if is_packed and len(zlib.decompressobj().decompress(packed, size + 1)) != size:
-            raise errors.InputError(f"{place!r}: a damaged chunk; expected {size:,} bytes unpacked")
+            raise errors.InputError(f"{address!r}: a damaged chunk; expected {size:,} bytes unpacked")
 
 
 def find_hdf5(
-    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+    home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
 ) -> Iterator[importing.Recording]:
     """Yield a recording for each group that has the dataset of pictures; InputError lists such datasets.
 
@@ -146,13 +146,13 @@ def find_hdf5(
     home, names = importing.files_to_read(home, expected, partial(importing.visible_files, endings=_ENDINGS))
     image = columns.image_name.strip("/")
     for name in names:
-        place = home.address(name)
-        with importing.open_source(home, name) as stream, in_words(place):
+        address = home.address(name)
+        with tables.open_source(home, name) as stream, in_words(address):
             root = open_file(stream)
-            kinds = dict(islice(_members(place, root, "", _DEEPEST), _MAX_OBJECTS + 1))
+            kinds = dict(islice(_members(address, root, "", _DEEPEST), _MAX_OBJECTS + 1))
             if len(kinds) > _MAX_OBJECTS:
-                raise errors.InputError(f"{place!r}: more than {_MAX_OBJECTS:,} datasets and groups")
-            for group in sorted(_groups(place, root, kinds, image), key=importing.natural_order):
+                raise errors.InputError(f"{address!r}: more than {_MAX_OBJECTS:,} datasets and groups")
+            for group in sorted(_groups(address, root, kinds, image), key=importing.natural_order):
                 parts = [group.strip("/")]
                 if len(names) > 1 or not group:
                     parts.insert(0, name.rpartition(".")[0])
@@ -160,18 +160,18 @@ def find_hdf5(
                 yield _recording(home, name, root, kinds, (title, group, image), columns)
 
 
-def _members(place: str, group: H5Object, path: str, deepest: int) -> Iterator[tuple[str, str]]:
+def _members(address: str, group: H5Object, path: str, deepest: int) -> Iterator[tuple[str, str]]:
     """Yield the path and kind of each member of a group and of the groups in it; links are not followed."""
     if not deepest:
-        raise errors.InputError(f"{place!r}: more than {_DEEPEST} nested groups")
+        raise errors.InputError(f"{address!r}: more than {_DEEPEST} nested groups")
     for name in group:
         kind = kind_of_member(group, name)
         yield f"{path}{name}", kind
         if kind == "Group":
-            yield from _members(place, group[name], f"{path}{name}/", deepest - 1)
+            yield from _members(address, group[name], f"{path}{name}/", deepest - 1)
 
 
-def _groups(place: str, root: H5Object, kinds: dict[str, str], image: str) -> list[str]:
+def _groups(address: str, root: H5Object, kinds: dict[str, str], image: str) -> list[str]:
     """Return the paths of groups with a dataset of pictures; an InputError lists possible datasets."""
     datasets = [path for path, kind in kinds.items() if kind == "Dataset"]
     groups = [path.removesuffix(image) for path in datasets if f"/{path}".endswith(f"/{image}")]
@@ -180,7 +180,7 @@ def _groups(place: str, root: H5Object, kinds: dict[str, str], image: str) -> li
         shown = ", ".join(sorted(several, key=importing.natural_order)[:_SHOWN])
         wanted = f"no dataset of pictures {image!r}" if image else "datasets; none was named as the pictures"
         raise errors.InputError(
-            f"{place!r} has {wanted}; found {shown or 'none'}",
+            f"{address!r} has {wanted}; found {shown or 'none'}",
             next="add --map image=PATH, with the path below the group of each episode: obs/tactile for "
             "data/demo_0/obs/tactile",
         )
@@ -193,24 +193,24 @@ def _recording(
     root: H5Object,
     kinds: dict[str, str],
     named: tuple[str, str, str],
-    columns: importing.ImportColumns,
+    columns: touch_options.ImportColumns,
 ) -> importing.Recording:
     title, group, image = named
-    place = home.address(path)
-    below = {each.removeprefix(group): kind for each, kind in kinds.items() if each.startswith(group)}
+    address = home.address(path)
+    below = {member.removeprefix(group): kind for member, kind in kinds.items() if member.startswith(group)}
     inside = {
-        each: partial(dataset_in, place, root, f"{group}{each}")
-        for each, kind in below.items()
+        member: partial(dataset_in, address, root, f"{group}{member}")
+        for member, kind in below.items()
         if kind == "Dataset"
     }
     pictures = picture_arrays.PictureArray.of(inside.pop(image)())
     wanted = {importing.NUMBERED, *columns.found_in(inside).names()}
-    found, left_out = picture_arrays.columns_of(inside, len(pictures), wanted)
-    per_frame = {each: column_types.from_numpy(values) for each, values in found.items()}
-    left_out += [f"{each} (a link)" for each, kind in below.items() if kind == "link"]
+    arrays, left_out = picture_arrays.columns_of(inside, len(pictures), wanted)
+    per_frame = {member: column_types.from_numpy(values) for member, values in arrays.items()}
+    left_out += [f"{member} (a link)" for member, kind in below.items() if kind == "link"]
     values: dict[str, object] = {}
-    for each in dict.fromkeys(("/", f"/{group}")):
-        for name, value in root[each].attrs.items():
+    for member in dict.fromkeys(("/", f"/{group}")):
+        for name, value in root[member].attrs.items():
             stated = np.asarray(value)
             is_text = isinstance(value, str) and len(value) <= _MAX_LETTERS
             if is_text or (stated.dtype.kind in "biuf" and stated.size <= _MAX_NUMBERS and stated.ndim < 2):
@@ -228,7 +228,7 @@ def _recording(
 def _open_pictures(home: store.DataFolder, path: str, part: str) -> picture_arrays.PictureArray:
     divisor, name = part.split(" ", 1)
     with ExitStack() as closing, in_words(home.address(path)):
-        root = open_file(closing.enter_context(importing.open_source(home, path)))
+        root = open_file(closing.enter_context(tables.open_source(home, path)))
         array = dataset_in(home.address(path), root, name)
         weakref.finalize(array, closing.pop_all().close)
     return picture_arrays.PictureArray(array, float(divisor))

@@ -25,10 +25,10 @@ import pyarrow as pa
 from PIL import Image
 
 from realtouch import contact, convert
-from realtouch.formats.episodes import ACTION, DEPTH, STATE, EpisodeNumbers, Episodes
+from realtouch.formats.exports import ACTION, DEPTH, STATE, EpisodeNumbers, Episodes
 from realtouch.formats.lerobot_import import Mark
 from realtouch.touches import datasets, media, schema, stored_round
-from realtouch.touches.stored_images import decoded
+from realtouch.touches.media import decoded
 from tactile_toolkit import read, store, touch
 from tactile_toolkit.array_types import Float32, Float64, Int64
 from tactile_toolkit.json_types import JsonDict
@@ -105,7 +105,7 @@ class _PackEpisodes:
         lengths = np.diff([*firsts, len(rows)])
         frames = self._frames(rows, np.repeat(episodes, lengths), frame)
         chunk, number = divmod(shard.index, _FILES_PER_CHUNK)
-        place = f"chunk-{chunk:03d}/file-{number:03d}.parquet"
+        file = f"chunk-{chunk:03d}/file-{number:03d}.parquet"
         chunks, files = np.full(len(firsts), chunk), np.full(len(firsts), number)
         labels = rows["label"].to_numpy()[firsts]
         meta = {
@@ -121,7 +121,7 @@ class _PackEpisodes:
             **{name: rows[name].take(firsts) for name in _META_COLUMNS if name in rows.schema.names},
             **columns_of_episodes(frames, firsts.tolist(), lengths.tolist()),
         }
-        pictures = [each.name for each in rows.schema if each.type == touch.MEDIA_TYPE]
+        pictures = [field.name for field in rows.schema if field.type == touch.MEDIA_TYPE]
         encodings = tuple((f"{name}.bytes", "PLAIN") for name in pictures)
         style = store.ParquetStyle(self.rows_per_group, compression_level=3, encodings=encodings)
         index = {"id": episodes, "first_frame": frame + firsts, "frames": lengths}
@@ -129,8 +129,8 @@ class _PackEpisodes:
         return convert.with_files(
             pa.table(index),
             {
-                f"{_FOLDER}/data/{place}": store.encode_parquet(frames, style),
-                f"{_FOLDER}/meta/episodes/{place}": store.encode_parquet(pa.table(meta), _META_STYLE),
+                f"{_FOLDER}/data/{file}": store.encode_parquet(frames, style),
+                f"{_FOLDER}/meta/episodes/{file}": store.encode_parquet(pa.table(meta), _META_STYLE),
             },
         )
 
@@ -178,12 +178,14 @@ def columns_of_episodes(frames: pa.Table, starts: list[int], lengths: list[int])
     for name in _counted(frames.schema):
         whole = frames.column(name).combine_chunks()
         data_type = pa.list_(pa.float64())
-        found = [_episode(name, whole.slice(*part)) for part in zip(starts, lengths, strict=True)]
+        of_episodes = [_episode(name, whole.slice(*part)) for part in zip(starts, lengths, strict=True)]
         if whole.type == touch.MEDIA_TYPE:
             data_type = pa.list_(pa.list_(data_type))
         types = {**dict.fromkeys(_NAMES, data_type), "count": pa.list_(pa.int64())}
         for statistic, stored in types.items():
-            columns[f"stats/{name}/{statistic}"] = pa.array([each[statistic] for each in found], stored)
+            columns[f"stats/{name}/{statistic}"] = pa.array(
+                [statistics[statistic] for statistics in of_episodes], stored
+            )
     return columns
 
 
@@ -191,8 +193,8 @@ def _episode(name: str, values: pa.Array) -> dict[str, object]:
     """Return the statistics of a feature in an episode; for images, those of a sample of them."""
     if values.type != touch.MEDIA_TYPE:
         numbers = _flat_rows(values)
-        found = [_statistics(*np.unique(column, return_counts=True)) for column in numbers.T]
-        return {**_transposed(found), "count": [len(values)]}
+        statistics = [_statistics(*np.unique(column, return_counts=True)) for column in numbers.T]
+        return {**_transposed(statistics), "count": [len(values)]}
     seen = np.unique(np.linspace(0, len(values) - 1, _IMAGE_SAMPLES).round().astype(int)).tolist()
     images = [values[number].as_py() for number in seen]
     if name == DEPTH:
@@ -203,16 +205,16 @@ def _episode(name: str, values: pa.Array) -> dict[str, object]:
             pixels = Image.fromarray(decoded(image["bytes"], image["path"]))
             counts += np.reshape(pixels.histogram(), (3, _LEVELS))
         # Colours are scaled to 1.
-        channels = [(np.flatnonzero(each) / (_LEVELS - 1), each[each > 0]) for each in counts]
-    found = [_statistics(*each) for each in channels]
+        channels = [(np.flatnonzero(counted) / (_LEVELS - 1), counted[counted > 0]) for counted in counts]
+    statistics = [_statistics(*channel) for channel in channels]
     return {
-        **{key: [[[each]] for each in column] for key, column in _transposed(found).items()},
+        **{key: [[[number]] for number in column] for key, column in _transposed(statistics).items()},
         "count": [len(seen)],
     }
 
 
-def _transposed(found: Sequence[dict[str, float]]) -> dict[str, list[float]]:
-    return {name: [each[name] for each in found] for name in found[0]}
+def _transposed(rows: Sequence[dict[str, float]]) -> dict[str, list[float]]:
+    return {name: [row[name] for row in rows] for name in rows[0]}
 
 
 def _statistics(values: Float64, counts: Int64) -> dict[str, float]:
@@ -229,12 +231,12 @@ def _statistics(values: Float64, counts: Int64) -> dict[str, float]:
     below = np.cumsum(counts)
     mean = math.fsum(values * counts) / total
     spread = math.sqrt(math.fsum(counts * (values - mean) ** 2) / total)
-    found = {"min": values[0], "max": values[-1], "mean": mean, "std": spread}
+    statistics = {"min": values[0], "max": values[-1], "mean": mean, "std": spread}
     for name, share in _QUANTILES.items():
         rank = share * (total - 1)
         ends = np.searchsorted(below, [math.floor(rank), math.ceil(rank)], side="right")
-        found[name] = values[ends[0]] + (values[ends[1]] - values[ends[0]]) * (rank % 1)
-    return {name: float(value) for name, value in found.items()}
+        statistics[name] = values[ends[0]] + (values[ends[1]] - values[ends[0]]) * (rank % 1)
+    return {name: float(value) for name, value in statistics.items()}
 
 
 def statistics_of_all(episodes: Sequence[read.Shard], frames: Sequence[read.Shard]) -> dict[str, object]:
@@ -242,12 +244,12 @@ def statistics_of_all(episodes: Sequence[read.Shard], frames: Sequence[read.Shar
 
     Only a few numbers of each frame are in memory at a time; one if there are many frames.
     """
-    found: JsonDict = {}
+    statistics: JsonDict = {}
     total = sum(map(len, frames))
     for name in _counted(frames[0].schema):
         data_type = frames[0].schema.field(name).type
         if data_type == touch.MEDIA_TYPE:
-            found[name] = _combined(episodes, name)
+            statistics[name] = _combined(episodes, name)
             continue
         width = getattr(data_type, "list_size", 1)
         columns = []
@@ -256,30 +258,33 @@ def statistics_of_all(episodes: Sequence[read.Shard], frames: Sequence[read.Shar
             parts = [_flat_rows(shard.column(name))[:, start : start + step] for shard in frames]
             for column in np.concatenate(parts).T:
                 columns.append(_statistics(*np.unique(column, return_counts=True)))
-        found[name] = {**_transposed(columns), "count": [total]}
-    return found
+        statistics[name] = {**_transposed(columns), "count": [total]}
+    return statistics
 
 
 def _counted(frames: pa.Schema) -> list[str]:
     """Return the features that have statistics: numbers and images, but not texts."""
-    return [each.name for each in frames if not pa.types.is_string(read.list_depth(each.type)[1])]
+    return [field.name for field in frames if not pa.types.is_string(read.list_depth(field.type)[1])]
 
 
 def _combined(episodes: Sequence[read.Shard], name: str) -> dict[str, object]:
     """Return the statistics of the images of all episodes, weighted by their counts."""
     columns = [f"stats/{name}/{statistic}" for statistic in _NAMES]
     table = pa.concat_tables([shard.read(columns=columns) for shard in episodes])
-    parts = {each: _flat_rows(table[f"stats/{name}/{each}"]) for each in _NAMES}
+    parts = {statistic: _flat_rows(table[f"stats/{name}/{statistic}"]) for statistic in _NAMES}
     weights = parts.pop("count")[:, 0]
     total = int(weights.sum())
 
     def weighted_mean(values: Float64) -> Float64:
         return np.array([math.fsum(column * weights) / total for column in values.T])
 
-    found = {each: weighted_mean(values) for each, values in parts.items()}
-    variance = weighted_mean(parts["std"] ** 2 + (parts["mean"] - found["mean"]) ** 2)
-    found |= {"min": parts["min"].min(axis=0), "max": parts["max"].max(axis=0), "std": np.sqrt(variance)}
-    return {**{each: values.reshape(-1, 1, 1).tolist() for each, values in found.items()}, "count": [total]}
+    combined = {statistic: weighted_mean(values) for statistic, values in parts.items()}
+    variance = weighted_mean(parts["std"] ** 2 + (parts["mean"] - combined["mean"]) ** 2)
+    combined |= {"min": parts["min"].min(axis=0), "max": parts["max"].max(axis=0), "std": np.sqrt(variance)}
+    return {
+        **{statistic: values.reshape(-1, 1, 1).tolist() for statistic, values in combined.items()},
+        "count": [total],
+    }
 
 
 def _flat_rows(values: pa.Array | pa.ChunkedArray) -> Float64:
@@ -292,7 +297,7 @@ def _flat_rows(values: pa.Array | pa.ChunkedArray) -> Float64:
 
 def _counted_depths(files: Iterable[bytes]) -> tuple[Float64, Int64]:
     """Return the sorted values of some maps, and how often each occurs."""
-    maps = [np.asarray(Image.open(io.BytesIO(each), formats=["TIFF"]), np.float64) for each in files]
+    maps = [np.asarray(Image.open(io.BytesIO(content), formats=["TIFF"]), np.float64) for content in files]
     values, counts = np.unique(np.concatenate(maps), return_counts=True)
     return values, counts
 
@@ -321,7 +326,7 @@ class _WriteMeta:
 
     def _info(self, frames: pa.Schema, episodes: int, total_frames: int) -> dict[str, object]:
         step = self.step
-        mark = Mark(step.names, step.are_clips, {each.name: each.stored for each in step.extras})
+        mark = Mark(step.names, step.are_clips, {extra.name: extra.stored for extra in step.extras})
         return {
             "codebase_version": _VERSION,
             "robot_type": None,
@@ -335,21 +340,21 @@ class _WriteMeta:
             "splits": {step.split: f"0:{episodes}"},
             "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
             "video_path": None,
-            "features": {each.name: self._feature(each) for each in frames},
+            "features": {field.name: self._feature(field) for field in frames},
             "realtouch": msgspec.to_builtins(mark),
         }
 
-    def _feature(self, each: pa.Field) -> dict[str, object]:
-        if each.type == touch.MEDIA_TYPE:
+    def _feature(self, field: pa.Field) -> dict[str, object]:
+        if field.type == touch.MEDIA_TYPE:
             picture: dict[str, object] = {"dtype": "image", "shape": [*self.step.size, 3], "names": [*_AXES]}
-            if each.name == DEPTH:
+            if field.name == DEPTH:
                 picture |= {"shape": [*self.step.size, 1], "info": _DEPTH_INFO}
             return picture
         width = 1
-        leaf = each.type
+        leaf = field.type
         if pa.types.is_fixed_size_list(leaf):
             width, leaf = leaf.list_size, leaf.value_type
-        return {"dtype": read.dtype_name(leaf), "shape": [width], "names": _COMPONENTS.get(each.name)}
+        return {"dtype": read.dtype_name(leaf), "shape": [width], "names": _COMPONENTS.get(field.name)}
 
 
 def _json_bytes(values: Mapping[str, object]) -> bytes:

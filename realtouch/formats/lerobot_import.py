@@ -19,17 +19,17 @@ import numpy as np
 import pyarrow as pa
 
 from realtouch import importing, touch_options
-from realtouch.formats import episodes, flat_parquet, media_files, zarr_recordings
+from realtouch.formats import exports, flat_parquet, media_files, zarr_recordings
 from realtouch.touches.rounds import touch_id
 from realtouch.video import videos
 from tactile_toolkit import errors, store, wording
 from tactile_toolkit.array_types import Float64
-from tactile_toolkit.columns import column_types
+from tactile_toolkit.columns import column_types, tables
 from tactile_toolkit.json_types import JsonObject
 
 _ROWS = ".parquet"
 _INDICES = ("index", "frame_index", "episode_index", "task_index", "timestamp")
-_VECTORS = {episodes.STATE: touch_options.POSE_COLUMNS, episodes.ACTION: touch_options.POSITION_COLUMNS}
+_VECTORS = {exports.STATE: touch_options.POSE_COLUMNS, exports.ACTION: touch_options.POSITION_COLUMNS}
 _OF_EPISODE = ("label", "label_name", "object_id")
 _INFO = "meta/info.json"
 _PICTURES = ("image", "video")
@@ -45,7 +45,7 @@ _Count = Annotated[int, msgspec.Meta(ge=0, lt=1 << 50)]
 
 
 def find_lerobot(
-    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+    home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
 ) -> Iterator[importing.Recording]:
     """Yield each episode with the pictures of the named or the only camera; InputError for several.
 
@@ -67,12 +67,12 @@ def describe_conversion(touches: importing.FoundTouches) -> str:
 
 
 def _read_frames(
-    home: store.DataFolder, place: importing.PicturePlace, numbers: Sequence[int]
+    home: store.DataFolder, picture: importing.PicturePlace, numbers: Sequence[int]
 ) -> Iterator[bytes | errors.ItemError]:
     """Yield the pictures with some numbers of a Parquet file or video."""
-    if place.path.endswith(_ROWS):
-        return flat_parquet.read_rows(home, place, numbers)
-    return media_files.read_frames(home, place, numbers)
+    if picture.path.endswith(_ROWS):
+        return flat_parquet.read_rows(home, picture, numbers)
+    return media_files.read_frames(home, picture, numbers)
 
 
 read_contents = partial(importing.pictures_by_file, _read_frames)
@@ -93,15 +93,15 @@ class _Episodes:
     def recording(self, episode: Episode) -> importing.Recording:
         """Return the recording of an episode; if it cannot be used, it has a problem and one picture."""
         others = tuple(name for name in self.info.pictures if name != self.camera)
-        place = self.home.address(), episode.data_path, self.camera
-        found = importing.Recording(episode.name, *place, 0, 1, 0, episode.values, left_out=others)
+        source = self.home.address(), episode.data_path, self.camera
+        recording = importing.Recording(episode.name, *source, 0, 1, 0, episode.values, left_out=others)
         try:
-            found = self._read(found, episode)
+            recording = self._read(recording, episode)
         except (errors.ItemError, errors.IntegrityError) as error:
-            return replace(found, problem=errors.ItemError(getattr(error, "reason", "file"), error.what))
-        return found if self.info.realtouch is None else _as_ours(found, self.info.realtouch)
+            return replace(recording, problem=errors.ItemError(getattr(error, "reason", "file"), error.what))
+        return recording if self.info.realtouch is None else _as_ours(recording, self.info.realtouch)
 
-    def _read(self, found: importing.Recording, episode: Episode) -> importing.Recording:
+    def _read(self, recording: importing.Recording, episode: Episode) -> importing.Recording:
         self._read_columns(episode.data_path)
         rows = _rows_of(episode, self._columns)
         per_frame = {
@@ -110,13 +110,13 @@ class _Episodes:
         time_s = _times(per_frame, self.info.fps)
         values = {**self._task(per_frame), **episode.values}
         per_frame = {name: column for name, column in per_frame.items() if name not in _INDICES}
-        found = replace(found, frames=len(time_s), values=values, per_frame=per_frame, time_s=time_s)
+        recording = replace(recording, frames=len(time_s), values=values, per_frame=per_frame, time_s=time_s)
         if self.info.features[self.camera].dtype == "image":
-            return replace(found, first=rows.start, frame_bytes=self._picture_bytes)
+            return replace(recording, first=rows.start, frame_bytes=self._picture_bytes)
         self.home.size_inside(episode.video_path)
         opened = videos.open_video(self.home, episode.video_path)
         first = _first_picture(opened.time_s, episode.video_start_s + time_s, self.info.fps)
-        return replace(found, path=episode.video_path, first=first, frame_bytes=opened.picture_bytes)
+        return replace(recording, path=episode.video_path, first=first, frame_bytes=opened.picture_bytes)
 
     def _read_columns(self, path: str) -> None:
         """Read all columns of a file except pictures, unless it was the last one that was read."""
@@ -145,11 +145,11 @@ class _Episodes:
         numbers = per_frame.get("task_index", pa.nulls(0))
         if not pa.types.is_integer(numbers.type):
             return {}
-        found = [self.tasks.get(number) for number in numbers.to_pylist()]
-        if len({*found}) > 1:
-            per_frame["task"] = pa.array(found, pa.string())
-        elif found[0] is not None:
-            return {"task": found[0]}
+        tasks = [self.tasks.get(number) for number in numbers.to_pylist()]
+        if len({*tasks}) > 1:
+            per_frame["task"] = pa.array(tasks, pa.string())
+        elif tasks[0] is not None:
+            return {"task": tasks[0]}
         return {}
 
 
@@ -193,8 +193,8 @@ def _first_picture(shown_s: Float64, wanted_s: Float64, fps: float) -> int:
     Raises ItemError unless the video shows the pictures after it at the other times.
     """
     first = int(np.abs(shown_s - wanted_s[0]).argmin())
-    found = shown_s[first : first + len(wanted_s)]
-    if len(found) < len(wanted_s) or np.abs(found - wanted_s).max() * fps > 0.5:
+    stated_s = shown_s[first : first + len(wanted_s)]
+    if len(stated_s) < len(wanted_s) or np.abs(stated_s - wanted_s).max() * fps > 0.5:
         raise errors.ItemError(
             "video",
             f"the video shows its {wording.with_count(len(shown_s), 'pictures')} until {shown_s[-1]:.3f} s, "
@@ -203,32 +203,36 @@ def _first_picture(shown_s: Float64, wanted_s: Float64, fps: float) -> int:
     return first
 
 
-def _as_ours(found: importing.Recording, mark: Mark) -> importing.Recording:
+def _as_ours(recording: importing.Recording, mark: Mark) -> importing.Recording:
     """Return an episode that this toolkit wrote, with its columns named as in its tables."""
-    every = found.per_frame
+    every = recording.per_frame
     columns = {name: column for name, column in every.items() if name not in mark.extra}
-    values = dict(found.values)
-    time_s = found.time_s
-    if episodes.TIME in columns:
-        time_s = columns.pop(episodes.TIME).to_numpy(zero_copy_only=False)
+    values = dict(recording.values)
+    time_s = recording.time_s
+    if exports.TIME in columns:
+        time_s = columns.pop(exports.TIME).to_numpy(zero_copy_only=False)
     values.pop("task", None)  # it is the label
-    name = round_id = str(values.pop("round_id", found.name))
+    name = round_id = str(values.pop("round_id", recording.name))
     touch = values.pop("touch", None)
     of_episode = list(_OF_EPISODE)
     cut = "frames"
     if mark.clips:
-        name = found.name
+        name = recording.name
         cut = "whole"
         if isinstance(touch, int):
             name = touch_id(round_id, touch)
         of_episode += [*touch_options.POSITION_COLUMNS, *mark.per_touch]
-    found = replace(found, name=name, round=round_id, cut=cut, time_s=time_s, per_frame=columns)
-    found = zarr_recordings.with_contact(found)
-    ours = zarr_recordings.name_ours(found, _VECTORS, mark.class_names).per_frame
+    recording = replace(recording, name=name, round=round_id, cut=cut, time_s=time_s, per_frame=columns)
+    recording = zarr_recordings.with_contact(recording)
+    ours = zarr_recordings.name_ours(recording, _VECTORS, mark.class_names).per_frame
     # Further columns are added last: one may have the name of a column of ours, which is kept then.
     per_frame = {**{mark.own_name(name): every[name] for name in mark.extra if name in every}, **ours}
-    values |= {each: per_frame.pop(each)[0].as_py() for each in of_episode if each in per_frame}
-    return replace(found, values=values, per_frame=per_frame)
+    values |= {
+        field_name: per_frame.pop(field_name)[0].as_py()
+        for field_name in of_episode
+        if field_name in per_frame
+    }
+    return replace(recording, values=values, per_frame=per_frame)
 
 
 class Mark(msgspec.Struct, frozen=True):
@@ -279,26 +283,26 @@ class Info(msgspec.Struct, frozen=True):
     @property
     def pictures(self) -> list[str]:
         """Names of the features that are pictures: colour images or depth maps."""
-        return [name for name, each in self.features.items() if each.dtype in _PICTURES]
+        return [name for name, feature in self.features.items() if feature.dtype in _PICTURES]
 
     @property
     def is_v2(self) -> bool:
         """Whether each episode has a file of its own, as in version 2."""
         return self.codebase_version.startswith("v2")
 
-    def camera(self, name: str, where: str) -> str:
+    def camera(self, name: str, source: str) -> str:
         """Return the feature of the pictures to import: the named one, or the only one that is not depth.
 
         Raises InputError if there is no such feature, or if there are several.
         """
         cameras = [key for key in self.pictures if not self.features[key].is_depth]
-        return importing.chosen_pictures(cameras, name, where, "cameras", self.features)
+        return importing.chosen_pictures(cameras, name, source, "cameras", self.features)
 
     def split_of(self, episode: int) -> dict[str, object]:
         """Return the split of an episode as a field; empty if it is not stated."""
         for name, text in (self.splits or {}).items():
-            found = _RANGE.fullmatch(text)
-            if found and int(found[1]) <= episode < int(found[2]):
+            ends = _RANGE.fullmatch(text)
+            if ends and int(ends[1]) <= episode < int(ends[2]):
                 return {"split": name}
         return {}
 
@@ -393,8 +397,8 @@ def _episode(info: Info, camera: str, line: JsonObject) -> Episode:
 
 
 def _files(line: JsonObject, prefix: str) -> _Files:
-    found = {name.removeprefix(prefix): value for name, value in line.items() if name.startswith(prefix)}
-    return msgspec.convert(found, _Files)
+    fields = {name.removeprefix(prefix): value for name, value in line.items() if name.startswith(prefix)}
+    return msgspec.convert(fields, _Files)
 
 
 def _filled(template: str, values: Mapping[str, object]) -> str:
@@ -413,7 +417,7 @@ def _lines(home: store.DataFolder, path: str) -> Iterator[JsonObject]:
 
 
 def _content(home: store.DataFolder, path: str) -> bytes:
-    with importing.open_source(home, path) as stream:
+    with tables.open_source(home, path) as stream:
         content = stream.read(_MAX_BYTES + 1)
     if len(content) > _MAX_BYTES:
         raise errors.InputError(f"{home.address(path)!r} is larger than the limit of {_MAX_BYTES:,} bytes")

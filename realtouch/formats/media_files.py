@@ -21,9 +21,9 @@ from pathlib import PurePosixPath
 import numpy as np
 import pyarrow as pa
 
-from realtouch import convert, importing
+from realtouch import convert, importing, touch_options
 from realtouch.formats.exports import NamedImage, TouchFormat
-from realtouch.touches import stored_images
+from realtouch.touches import media
 from realtouch.video import video_files, videos
 from tactile_toolkit import errors, read, store
 from tactile_toolkit.columns import column_types, tables
@@ -43,7 +43,7 @@ _LEFT_OUT = "-1"
 
 
 def find_folder(
-    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+    home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
 ) -> Iterator[importing.FoundTouches]:
     """Yield a touch for each row of the table; the touch of a missing file has a problem.
 
@@ -52,7 +52,7 @@ def find_folder(
     if columns.image is None:
         raise errors.InputError("no column names the images", next="add --map image=COLUMN")
     if table is not None:
-        folder, found = importing.source_of(table)
+        folder, table_name = importing.source_of(table)
     else:
         folder = home
         named = importing.visible_files(home, tables.ENDINGS)
@@ -66,10 +66,11 @@ def find_folder(
                 f"{home.address()!r} should be a folder with one table; found {', '.join(named) or 'none'}",
                 next="name it with --table",
             )
-        found = named[0]
-    lines = importing.read_table(folder, found, columns, [columns.image])
+        table_name = named[0]
+    opened = tables.open_table(folder, table_name)
+    lines = importing.read_table(opened, columns, [columns.image])
     wanted = [columns.image, *columns.found_in(lines.columns).names()]
-    importing.require_columns(lines.columns, wanted, folder.address(found))
+    importing.require_columns(lines.columns, wanted, opened.path)
     paths = list(map(importing.path_of, lines.texts(columns.image)))
     duplicates = importing.duplicates_of(paths, importing.FILE_OF_TABLE)
     yield importing.image_files(home, paths, lines.columns, duplicates)
@@ -77,15 +78,15 @@ def find_folder(
 
 def _images(home: store.DataFolder) -> list[str]:
     """List the visible images in a folder and its sub-folders, in natural order; InputError for too many."""
-    found: list[str] = []
+    paths: list[str] = []
     for path in home.walk():
         if path.lower().endswith(_IMAGES) and not store.is_hidden(path):
-            found.append(path)
-        if len(found) > _MAX_IMAGES:
+            paths.append(path)
+        if len(paths) > _MAX_IMAGES:
             raise errors.InputError(
                 f"{home.address()!r} holds more than {_MAX_IMAGES:,} images; expected fewer"
             )
-    return sorted(found, key=importing.natural_order)
+    return sorted(paths, key=importing.natural_order)
 
 
 def _labelled(home: store.DataFolder, paths: list[str]) -> importing.FoundTouches:
@@ -98,18 +99,18 @@ def _labelled(home: store.DataFolder, paths: list[str]) -> importing.FoundTouche
     is_split = all(folders) and {names[0] for names in folders} <= _SPLITS
     inner = [names[is_split:] for names in folders]
     has_classes = is_split or len({names[0] for names in inner if names}) > 1
-    said = {}
+    fields = {}
     if is_split:
-        said["split"] = pa.array([names[0] for names in folders])
+        fields["split"] = pa.array([names[0] for names in folders])
     if has_classes and any(inner):
         # An image in a folder whose name is not Unicode has a problem; here only the text matters.
         labels = [names[0].encode(errors="replace").decode() if names else None for names in inner]
-        said["label"] = pa.array(labels, pa.string())
-    return importing.image_files(home, paths, said)
+        fields["label"] = pa.array(labels, pa.string())
+    return importing.image_files(home, paths, fields)
 
 
 def find_video(
-    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+    home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
 ) -> Iterator[importing.Recording]:
     """Yield a recording for each video: the file that was named, or those of a folder and its sub-folders.
 
@@ -124,10 +125,12 @@ def find_video(
     column = columns.image or _FILE
     rows = _table_of_videos(folder, columns, column, table, paths)
     if rows is None:
-        said = _classes(paths)
+        classes = _classes(paths)
         problems = importing.problems_of_names(paths)
         for number, path in enumerate(paths):
-            yield _recording(folder, path, {column: path, **said.get(path, {})}, problems.get(number), stems)
+            yield _recording(
+                folder, path, {column: path, **classes.get(path, {})}, problems.get(number), stems
+            )
         return
     named = list(map(importing.path_of, rows.texts(column)))
     problems = importing.problems_of_names(named)
@@ -143,20 +146,20 @@ def find_video(
 def _recording(
     folder: store.DataFolder,
     path: str,
-    said: Mapping[str, object],
+    fields: Mapping[str, object],
     problem: errors.ItemError | None,
     stems: Mapping[str, int],
 ) -> importing.Recording:
     """Return a video with its fields; one that cannot be used has a problem and one picture."""
     name = path if stems[_stem(path)] > 1 else _stem(path)
-    found = _UNREADABLE
+    video = _UNREADABLE
     if problem is None:
         try:
-            found = videos.open_video(folder, path)
+            video = videos.open_video(folder, path)
         except errors.ItemError as error:
             problem = error
-    place = (folder.address(), path, found.conversion, 0, len(found), found.picture_bytes)
-    return importing.Recording(name, *place, said, time_s=found.time_s, problem=problem)
+    source = (folder.address(), path, video.conversion, 0, len(video), video.picture_bytes)
+    return importing.Recording(name, *source, fields, time_s=video.time_s, problem=problem)
 
 
 def _stem(path: str) -> str:
@@ -180,21 +183,21 @@ def _classes(paths: Sequence[str]) -> dict[str, dict[str, object]]:
 
 def _table_of_videos(
     home: store.DataFolder,
-    columns: importing.ImportColumns,
+    columns: touch_options.ImportColumns,
     image: str,
     table: str | None,
     paths: Sequence[str],
 ) -> importing.SourceTable | None:
     """Return the table of the videos; None if there is no such table."""
 
-    def read(found: tables.Table) -> importing.SourceTable:
-        rows = importing.rows_of_table(found, columns, [image])
-        importing.require_columns(rows.columns, [image], found.path)
+    def read(of_videos: tables.Table) -> importing.SourceTable:
+        rows = importing.read_table(of_videos, columns, [image])
+        importing.require_columns(rows.columns, [image], of_videos.path)
         return rows
 
     if table is not None:
         return read(tables.open_table(*importing.source_of(table)))
-    found = {}
+    of_videos = {}
     refused: tuple[str, str] | None = None
     streams = tuple(f"{_stem(path)}{mark}" for path in paths for mark in "._")
     for name in importing.visible_files(home, tables.ENDINGS):
@@ -205,22 +208,22 @@ def _table_of_videos(
         if image in first:
             rows = read(opened)
             if {*map(importing.path_of, rows.texts(image))}.intersection(paths):
-                found[name] = rows
+                of_videos[name] = rows
         elif refused is None and not {*importing.RECORDING_COLUMNS}.intersection(first):  # no table of cuts
             values = {column: importing.path_of(str(value)) for column, value in first.items() if value}
             refused = next(((name, column) for column, value in values.items() if value in paths), None)
-    if len(found) > 1:
+    if len(of_videos) > 1:
         raise errors.InputError(
-            f"{home.address()!r} has several tables of its videos: {', '.join(found)}",
+            f"{home.address()!r} has several tables of its videos: {', '.join(of_videos)}",
             next="name one with --table",
         )
-    if refused and not found:
+    if refused and not of_videos:
         name, column = refused
         raise errors.InputError(
             f"{home.address(name)!r} names videos in its column {column!r}; expected a column {image!r}",
             next=f"add --map image={column}, or move the table out of the folder",
         )
-    return next(iter(found.values()), None)
+    return next(iter(of_videos.values()), None)
 
 
 def _first_row(table: tables.Table) -> JsonDict:
@@ -232,14 +235,14 @@ def _first_row(table: tables.Table) -> JsonDict:
 
 def describe_conversion(touches: importing.FoundTouches) -> str:
     """Return how the pictures of videos are converted; empty if they are stored as they are."""
-    return "; ".join(sorted({*touches.where["part"].unique().to_pylist()} - {""}))
+    return "; ".join(sorted({*touches.listing["part"].unique().to_pylist()} - {""}))
 
 
 def read_frames(
-    home: store.DataFolder, place: importing.PicturePlace, numbers: Sequence[int]
+    home: store.DataFolder, picture: importing.PicturePlace, numbers: Sequence[int]
 ) -> Iterator[bytes | errors.ItemError]:
     """Yield the pictures of a video with some numbers."""
-    return videos.pictures_of_video(home, place.path, numbers)
+    return videos.pictures_of_video(home, picture.path, numbers)
 
 
 read_contents = partial(importing.pictures_by_file, read_frames)
@@ -259,11 +262,16 @@ def _pack_anytouch(shard: store.ShardName, index: pa.Table, images: Iterator[Nam
     for name, touches in groupby(stored, key=itemgetter(0)):
         folder = f"{shard.split}-{convert.stem_of_id(name)}"
         home = f"{_ANYTOUCH_FOLDER}/{_ANYTOUCH_IMAGES}/{folder}/{_ANYTOUCH_FRAMES}"
-        found = {f"{home}/{touch:010d}.jpg": stored_images.as_jpeg(image) for _, touch, (_, image) in touches}
+        images_of_round = {
+            f"{home}/{touch:010d}.jpg": media.as_jpeg(image) for _, touch, (_, image) in touches
+        }
         background = f"{home}/{_BACKGROUND}"
-        files |= {**found, background: stored_images.background_of(list(found.values()), list(found))}
-        paths += found
-        backgrounds += [background] * len(found)
+        files |= {
+            **images_of_round,
+            background: media.background_of(list(images_of_round.values()), list(images_of_round)),
+        }
+        paths += images_of_round
+        backgrounds += [background] * len(images_of_round)
     return convert.with_files(index, files, [paths, backgrounds])
 
 
@@ -277,22 +285,22 @@ def _write_lists(folder: store.DataFolder, manifest: store.Manifest) -> dict[str
             _, _, name, _, base = image.split("/")
             lines.setdefault(path, []).append(f"{name}/{base},{label},{_BACKGROUND}\n")
     # The index has the checksums of the images; in the manifest they would take too much space.
-    return convert.write_changed(folder, {path: "".join(each).encode() for path, each in lines.items()})
+    return convert.write_changed(folder, {path: "".join(entries).encode() for path, entries in lines.items()})
 
 
 plan_anytouch = TouchFormat(_ANYTOUCH_FOLDER, _pack_anytouch, _write_lists).plan
 
 
 def find_anytouch(
-    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+    home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
 ) -> Iterator[importing.FoundTouches]:
     """Yield the lines of each list, or of one list, as touches; the touch of a missing file has a problem."""
     named = home if table is None else store.open_folder(table)
     find = partial(importing.visible_files, endings=_LIST_END)
-    place, lists = importing.files_to_read(named, f"lists (*{_LIST_END})", find)
-    for each in lists:
-        split = each.removesuffix(_LIST_END)
-        with importing.open_source(place, each) as stream:
+    folder_of_lists, lists = importing.files_to_read(named, f"lists (*{_LIST_END})", find)
+    for list_name in lists:
+        split = list_name.removesuffix(_LIST_END)
+        with tables.open_source(folder_of_lists, list_name) as stream:
             lines = stream.read().decode(errors="replace").splitlines()
         paths, labels, rounds = list[str](), list[str](), list[str]()
         for line in lines:
@@ -303,9 +311,9 @@ def find_anytouch(
             rounds.append(convert.id_of_stem(folder.removeprefix(f"{split}-")))
         problem = errors.ItemError("label", "the list leaves it out: its label is -1")
         left_out = [number for number, label in enumerate(labels) if label == _LEFT_OUT]
-        said = {
+        fields = {
             "label": pa.array(labels, pa.string()),
             "round_id": pa.array(rounds, pa.string()),
             "split": column_types.repeated(split, len(paths)),
         }
-        yield importing.image_files(home, paths, said, dict.fromkeys(left_out, problem))
+        yield importing.image_files(home, paths, fields, dict.fromkeys(left_out, problem))

@@ -118,10 +118,10 @@ class PictureArray:
 
     def pixels(self, number: int) -> UInt8:
         """Return the pictures of a block of the array, shape (n, H, W, 3); uint8."""
-        found = self._upright(self.array.block(number))
-        if found.dtype != np.uint8:
-            found = np.rint(found / self.divisor).astype(np.uint8)
-        return found.repeat(3 // found.shape[3], axis=3)
+        pictures = self._upright(self.array.block(number))
+        if pictures.dtype != np.uint8:
+            pictures = np.rint(pictures / self.divisor).astype(np.uint8)
+        return pictures.repeat(3 // pictures.shape[3], axis=3)
 
     def described(self) -> str:
         """Return how the pictures are converted; empty if they are taken as they are."""
@@ -148,7 +148,7 @@ class PictureArray:
         high = -math.inf
         for values in map(self._upright, self.array.blocks()):
             low, high = np.minimum(low, values.min()), np.maximum(high, values.max())
-            fitting = [each for each in fitting if _fits(values / each, tolerance)]
+            fitting = [divisor for divisor in fitting if _fits(values / divisor, tolerance)]
             if not fitting:
                 raise self.array.refused(
                     f"pictures of type {dtype}, values from {low:g} to {high:g}; expected levels that 8 bits "
@@ -177,12 +177,12 @@ def read_contents(
 
 
 def _read_pictures(
-    opened: OpenPictures, home: store.DataFolder, place: importing.PicturePlace, numbers: Sequence[int]
+    opened: OpenPictures, home: store.DataFolder, picture: importing.PicturePlace, numbers: Sequence[int]
 ) -> Iterator[bytes]:
     """Yield pictures of an array by their numbers; consecutive pictures of a block read it once."""
-    pictures = opened(home, place.path, place.part)
+    pictures = opened(home, picture.path, picture.part)
     pixels = lru_cache(1)(PictureArray.pixels)
-    encoding: Literal["jpeg", "png"] = "jpeg" if place.frames else "png"
+    encoding: Literal["jpeg", "png"] = "jpeg" if picture.frames else "png"
     for number in numbers:
         block, row = divmod(number, pictures.array.step)
         yield touch.encode_image(pixels(pictures, block)[row], encoding)
@@ -205,7 +205,7 @@ def columns_of(
     ``arrays`` holds functions that open arrays, by name. Also returns the names of the arrays that are left
     out, each with its shape or the reason. Raises InputError if such an array is wanted.
     """
-    found: dict[str, AnyArray] = {}
+    columns: dict[str, AnyArray] = {}
     others = []
     size = 0
     for name, opened in arrays.items():
@@ -221,12 +221,12 @@ def columns_of(
             size += frames * width * array.dtype.itemsize
             cache.require_unpackable(size, f"{array.place}, with all arrays before it,")
             rows = _rows_with_checked_text(array).reshape(frames, width)
-            found[name] = rows[:, 0] if width == 1 else rows
+            columns[name] = rows[:, 0] if width == 1 else rows
         elif name in wanted:
             raise array.refused(f"an array {array.shape}; expected {frames:,} rows of numbers, as frames")
         else:
             others.append(f"{name} {array.shape}")
-    return found, others
+    return columns, others
 
 
 def _rows_with_checked_text(array: StoredArray) -> AnyArray:

@@ -8,7 +8,6 @@ Facts of the format: a sample is ``KEY.jpg`` and ``KEY.json``; poses are ``x_mm`
 from __future__ import annotations
 
 import json
-import re
 import tarfile
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -22,29 +21,14 @@ from typing import NamedTuple
 import msgspec
 import pyarrow as pa
 
-from realtouch import convert, importing, tars, touch_options
+from realtouch import convert, importing, touch_options
 from realtouch.formats import exports
-from realtouch.touches import stored_images
+from realtouch.touches import media
 from tactile_toolkit import errors, store
-from tactile_toolkit.columns import column_types
+from tactile_toolkit.columns import column_types, tables
 from tactile_toolkit.json_types import JsonDict, JsonObject
 
 _FOLDER = "webdataset"
-_WITHOUT_NAN = json.JSONEncoder(ensure_ascii=False, separators=(",", ":"), allow_nan=False)
-_encode = msgspec.json.Encoder().encode
-
-# Signs of values that msgspec, which is ten times as fast, writes in another way than `json`: NaN, infinity,
-# and numbers that one of them writes with an exponent.
-_UNLIKE_JSON = (b"null", b"0.0000")
-_EXPONENT = re.compile(rb"e[-\d]")
-
-# Fields of a header (POSIX.1-1988, ustar): name, size and checksum. The checksum is the sum of all bytes,
-# with blanks in its own place.
-_NAME_BYTES = 100
-_SIZE = slice(124, 135)
-_SUM = slice(148, 154)
-_HEADER = tarfile.TarInfo().tobuf(tarfile.USTAR_FORMAT)
-_SUM_OF_OTHERS = int(_HEADER[_SUM], 8) - sum(_HEADER[_SIZE])
 Sample = tuple[str, bytes | memoryview, Mapping[str, object]]
 """The name of an image, its bytes, and the fields for its JSON file."""
 
@@ -70,33 +54,18 @@ def tar_of(samples: Iterable[Sample]) -> bytes:
 
 
 def _header(member: str, size: int) -> bytes:
-    """Return the header of a file as `tarfile` writes it, but ten times as fast unless the name is long."""
-    name = member.encode()
-    digits = b"%011o" % size
-    if len(name) > _NAME_BYTES:
-        header = tarfile.TarInfo(member)
-        header.size = size
-        try:
-            return header.tobuf(tarfile.USTAR_FORMAT)
-        except ValueError:  # ustar cannot divide the name
-            return header.tobuf(tarfile.PAX_FORMAT)
-    found = bytearray(_HEADER)
-    found[: len(name)] = name
-    found[_SIZE] = digits
-    found[_SUM] = b"%06o" % (_SUM_OF_OTHERS + sum(name) + sum(digits))
-    return bytes(found)
+    header = tarfile.TarInfo(member)
+    header.size = size
+    try:
+        return header.tobuf(tarfile.USTAR_FORMAT)
+    except ValueError:  # ustar cannot divide the name
+        return header.tobuf(tarfile.PAX_FORMAT)
 
 
 def _json_of(fields: Mapping[str, object]) -> bytes:
-    """Return fields as `json` writes them; NaN becomes null, as JSON has no NaN."""
-    content = _encode(fields)
-    if not (any(each in content for each in _UNLIKE_JSON) or _EXPONENT.search(content)):
-        return content
-    try:
-        return _WITHOUT_NAN.encode(fields).encode()
-    except ValueError:
-        known = {name: _without_nan(value) for name, value in fields.items()}
-        return json.dumps(known, ensure_ascii=False, separators=(",", ":")).encode()
+    """Return fields as JSON; NaN becomes null, as JSON has no NaN."""
+    known = {name: _without_nan(value) for name, value in fields.items()}
+    return json.dumps(known, ensure_ascii=False, separators=(",", ":")).encode()
 
 
 def _without_nan(value: object) -> object:
@@ -115,7 +84,7 @@ plan_webdataset = exports.TouchFormat(_FOLDER, _pack).plan
 
 
 def find_webdataset(
-    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+    home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
 ) -> Iterator[importing.FoundTouches]:
     """Yield the samples of each tar as touches; only headers and short texts are read."""
     if table is not None:
@@ -149,17 +118,17 @@ def _touches(folder: store.DataFolder, name: str, samples: Sequence[_Sample]) ->
             f"{folder.address(name)!r} has {len(names):,} different fields; the limit is {_MAX_FIELDS:,}",
             next="check that no names of fields are values",
         )
-    said = {}
+    fields = {}
     for field in names:
         column = column_types.from_values([sample.values.get(field) for sample in samples])
         if pa.types.is_string(column.type) and any(field in sample.endings for sample in samples):
             column = column_types.from_text(column)
-        said[field.encode(errors="backslashreplace").decode()] = column
+        fields[field.encode(errors="backslashreplace").decode()] = column
     return importing.FoundTouches.of(
         [sample.key for sample in samples],
         folder.address(),
         name,
-        said,
+        fields,
         problems=problems,
         start=[sample.image.start for sample in samples],
         size=[sample.image.size for sample in samples],
@@ -181,13 +150,13 @@ _NO_FILE = _Member("", "", 0, 0, b"")
 
 def _members(folder: store.DataFolder, name: str) -> Iterator[_Member]:
     try:
-        with importing.open_source(folder, name) as stream:
+        with tables.open_source(folder, name) as stream:
             if stream.read(4).startswith(_COMPRESSED):
                 raise errors.InputError(
                     f"{folder.address(name)!r} is compressed; expected a tar", next="unpack it"
                 )
             stream.seek(0)
-            for member in tars.files_of_tar(stream, folder.size_bytes(name)):
+            for member in convert.files_of_tar(stream, folder.size_bytes(name)):
                 start = member.offset_data
                 path = importing.path_of(member.name)
                 if store.is_hidden(path):  # macOS adds such a file to archives for each file
@@ -222,7 +191,7 @@ class _Sample(NamedTuple):
     problems: Sequence[errors.ItemError]
 
 
-def _sample(key: str, members: Sequence[_Member], columns: importing.ImportColumns) -> _Sample:
+def _sample(key: str, members: Sequence[_Member], columns: touch_options.ImportColumns) -> _Sample:
     """Combine the files of one key."""
     problems: list[errors.ItemError] = []
     named = store.problem_of_name(key)
@@ -230,14 +199,16 @@ def _sample(key: str, members: Sequence[_Member], columns: importing.ImportColum
         problems.append(errors.ItemError("name", f"the key {named}"))
         key = key.encode(errors="backslashreplace").decode()
     wanted = columns.image_name.lower()
-    images = [each for each in members if _is_image(each.ending) and wanted in ("", each.ending)]
+    images = [member for member in members if _is_image(member.ending) and wanted in ("", member.ending)]
     if not images:
         expected = wanted or ", ".join(importing.IMAGE_ENDINGS)
         problems.append(errors.ItemError("missing", f"no image; expected one of {expected}"))
     if len(images) > 1:
-        found = ", ".join(each.ending for each in images)
+        endings_found = ", ".join(image.ending for image in images)
         problems.append(
-            errors.ItemError("images", f"the images {found}; expected one (--map image=ENDING names it)")
+            errors.ItemError(
+                "images", f"the images {endings_found}; expected one (--map image=ENDING names it)"
+            )
         )
     values: JsonDict = {}
     for member in members:
@@ -274,7 +245,7 @@ def _fields(content: bytes) -> JsonDict:
 def _pack_fota(shard: store.ShardName, index: pa.Table, images: Iterator[exports.NamedImage]) -> convert.Made:
     """Return the touches of a shard as one tar."""
     samples = (
-        (f"{PurePath(name).stem}.jpg", stored_images.as_jpeg(image), {**fields, **_pose_mm(fields)})
+        (f"{PurePath(name).stem}.jpg", media.as_jpeg(image), {**fields, **_pose_mm(fields)})
         for (name, image), fields in zip(images, index.to_pylist(), strict=True)
     )
     return convert.with_files(
@@ -302,14 +273,16 @@ plan_fota = exports.TouchFormat(_FOTA_FOLDER, _pack_fota, _write_counts, no_gaps
 
 
 def find_fota(
-    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+    home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
 ) -> Iterator[importing.FoundTouches]:
     """Yield the samples of each tar of one split; the folder has the name of the split."""
     split = home.address().rstrip("/").rpartition("/")[2]
     in_both_units = {*touch_options.POSE_COLUMNS, *touch_options.FOTA_POSE_COLUMNS}
     for touches in find_webdataset(home, columns, table):
         if {*touches.names} >= in_both_units:  # our exports have the pose twice
-            touches = replace(touches, said=touches.said.drop_columns(list(touch_options.FOTA_POSE_COLUMNS)))
+            touches = replace(
+                touches, per_touch=touches.per_touch.drop_columns(list(touch_options.FOTA_POSE_COLUMNS))
+            )
         if "split" not in touches.names:
-            touches = touches.with_said({"split": column_types.repeated(split, len(touches))})
+            touches = touches.with_fields({"split": column_types.repeated(split, len(touches))})
         yield touches

@@ -58,7 +58,9 @@ def _by_numcodecs(name: str, sizes_at: Sequence[int], data: bytes, size: int) ->
     with errors.needs_extra("reading this Zarr group", "numcodecs", "zarr"):
         codec = import_module(f"numcodecs.{name}")
     expected = zip(sizes_at, (size, len(data)), strict=False)
-    is_stated = all(int.from_bytes(data[at : at + 4], "little") == each for at, each in expected)
+    is_stated = all(
+        int.from_bytes(data[at : at + 4], "little") == size_expected for at, size_expected in expected
+    )
     return bytes(codec.decompress(data)) if is_stated else b""
 
 
@@ -148,7 +150,7 @@ def _layout_of_2(stated: JsonObject) -> ZarrLayout:
         chunks=tuple(stated["chunks"]),
         dtype=dtype,
         fill=_fill(stated["fill_value"], dtype),
-        codecs=tuple(str(each["id"]) for each in codecs),
+        codecs=tuple(str(codec["id"]) for codec in codecs),
         axes=tuple(range(len(stated["shape"]))[:: _DIRECTIONS[stated["order"]]]),
         prefix="",
         separator=str(stated.get("dimension_separator", ".")),
@@ -156,7 +158,7 @@ def _layout_of_2(stated: JsonObject) -> ZarrLayout:
 
 
 def _layout_of_3(stated: JsonObject) -> ZarrLayout:
-    configurations = {each["name"]: each.get("configuration", {}) for each in stated["codecs"]}
+    configurations = {codec["name"]: codec.get("configuration", {}) for codec in stated["codecs"]}
     keys, grid = stated["chunk_key_encoding"], stated["chunk_grid"]
     prefix, separator = _CHUNK_KEYS[keys["name"]]
     separator = str(keys.get("configuration", {}).get("separator", separator))
@@ -211,16 +213,16 @@ class ZarrGroup:
         """Return a file of the group, at most ``most`` bytes; None if it does not exist."""
         try:
             with self._open(path) as stream:
-                found = stream.read(most + 1)
+                content = stream.read(most + 1)
         except errors.ItemError as error:
             if error.reason == "missing":
                 return None
             raise self.refused(path, error.what) from error
         except UNREADABLE as error:
             raise self.refused(path, "a damaged file or zip") from error
-        if len(found) > most:
+        if len(content) > most:
             raise self.refused(path, f"a file of more than {most:,} bytes; expected at most that many")
-        return found
+        return content
 
     def json(self, path: str) -> JsonDict:
         """Return a file of the group as a JSON object; empty if the file does not exist."""
@@ -237,12 +239,12 @@ class ZarrGroup:
             names = set(self.home.names(self._below(folder)))
         visible = sorted(name for name in names if not store.is_hidden(name))
         stated = {name: self._stated(f"{folder}/{name}")[1] for name in visible}
-        return {name: each["shape"] for name, each in stated.items() if "shape" in each}
+        return {name: metadata["shape"] for name, metadata in stated.items() if "shape" in metadata}
 
     def _stated(self, path: str) -> tuple[int, JsonDict]:
         """Return the Zarr version and the metadata of an array; 0 and empty if it does not exist."""
-        found = {version: self.json(f"{path}/{name}") for version, name in _METADATA.items()}
-        return next(((version, stated) for version, stated in found.items() if stated), (0, {}))
+        by_version = {version: self.json(f"{path}/{name}") for version, name in _METADATA.items()}
+        return next(((version, stated) for version, stated in by_version.items() if stated), (0, {}))
 
     def array(self, path: str) -> picture_arrays.StoredArray:
         """Return an array after a check of its metadata; InputError if it cannot be read."""
@@ -252,18 +254,18 @@ class ZarrGroup:
         except UNREADABLE as error:
             raise self.refused(path, "no array, or not with the metadata of Zarr 2 or 3") from error
         problem = layout.problem()
-        place = f"{self.place}/{path}"
+        address = f"{self.place}/{path}"
         if problem:
             raise self.refused(path, problem)
-        cache.require_unpackable(layout.chunk_bytes, f"{place}: a chunk")
+        cache.require_unpackable(layout.chunk_bytes, f"{address}: a chunk")
         read = partial(self._block, path, layout)
         size = partial(self._stored_bytes, path)
-        return picture_arrays.StoredArray(place, layout.shape, layout.dtype, layout.chunks[0], read, size)
+        return picture_arrays.StoredArray(address, layout.shape, layout.dtype, layout.chunks[0], read, size)
 
     def refused(self, path: str, problem: str) -> errors.InputError:
         """Return the error for a part of the group that cannot be used."""
-        where = f"{self.place}/{path}".rstrip("/")
-        return errors.InputError(f"{where!r}: {problem}")
+        address = f"{self.place}/{path}".rstrip("/")
+        return errors.InputError(f"{address!r}: {problem}")
 
     def _stored_bytes(self, path: str) -> int:
         """Return the size of the stored array in bytes; for a zipped group, the size of the zip."""
@@ -276,16 +278,16 @@ class ZarrGroup:
         size = (min(step, layout.shape[0] - number * step), *layout.shape[1:])
         dtype = layout.dtype.newbyteorder("=")
         cache.require_unpackable(math.prod(size) * dtype.itemsize, f"{self.place}/{path}: {size} values")
-        found: AnyArray = np.broadcast_to(layout.fill, size)  # the value where no chunk is stored
+        values: AnyArray = np.broadcast_to(layout.fill, size)  # the value where no chunk is stored
         for index in product(*map(range, layout.counts[1:])):
             chunk = self._chunk(path, layout, (number, *index))
             if chunk is not None:
-                if not found.flags.writeable:
-                    found = np.array(found, dtype)
+                if not values.flags.writeable:
+                    values = np.array(values, dtype)
                 spans = (slice(at * part, (at + 1) * part) for at, part in zip(index, parts, strict=True))
-                target = found[(slice(None), *spans)]
+                target = values[(slice(None), *spans)]
                 target[...] = chunk[tuple(map(slice, target.shape))]
-        return found
+        return values
 
     def _chunk(self, path: str, layout: ZarrLayout, index: tuple[int, ...]) -> AnyArray | None:
         name = f"{path}/{layout.chunk_name(index)}"

@@ -30,8 +30,8 @@ import numpy as np
 import pyarrow as pa
 
 from realtouch import contact, convert
-from realtouch.formats import episodes, zarr_recordings
-from realtouch.touches import poses, schema, stored_images, stored_round
+from realtouch.formats import exports, zarr_recordings
+from realtouch.touches import media, poses, schema, stored_round
 from tactile_toolkit import read, store
 from tactile_toolkit.array_types import AnyArray, UInt8
 
@@ -39,17 +39,17 @@ CHUNK_BYTES = 2 << 20
 _LEVEL = 1
 OUR_NAMES = {
     **{
-        episodes.STATE: "gel_pose",
-        episodes.ACTION: "pos_in_cell",
-        episodes.TIME: "time_s",
-        episodes.CONTACT: episodes.CONTACT,
+        exports.STATE: "gel_pose",
+        exports.ACTION: "pos_in_cell",
+        exports.TIME: "time_s",
+        exports.CONTACT: exports.CONTACT,
     },
     **{name: name for name in ("label", "object_id")},
 }
 """Names of columns of frames, as :data:`COLUMNS` states them."""
-_PICTURE = {episodes.IMAGE, f"{episodes.IMAGE}.bytes", f"{episodes.IMAGE}.path"}
+_PICTURE = {exports.IMAGE, f"{exports.IMAGE}.bytes", f"{exports.IMAGE}.path"}
 _IN_MEMORY_BYTES = 64 << 20
-AddArrays = Callable[[episodes.Episodes, pa.Table, dict[str, AnyArray]], Mapping[str, object]]
+AddArrays = Callable[[exports.Episodes, pa.Table, dict[str, AnyArray]], Mapping[str, object]]
 """Adds arrays to those of ``data``, given a table of the frames; returns attributes of ``meta``."""
 
 _TACTILE = "right_tactile_{}_gelsight"
@@ -142,7 +142,7 @@ class GroupFormat:
         options: Mapping[str, object],
     ) -> convert.Conversion:
         """Plan a group; reads footers and the header of one image. InputError for several splits."""
-        step = episodes.Episodes.of(source, choices, self.name, self.number)
+        step = exports.Episodes.of(source, choices, self.name, self.number)
         options = {**options, "image_size": [step.size[1], step.size[0]]}
         write = partial(self._write_group, step)
         return convert.Conversion(
@@ -150,7 +150,7 @@ class GroupFormat:
         )
 
     def _write_group(
-        self, step: episodes.Episodes, folder: store.DataFolder, manifest: store.Manifest
+        self, step: exports.Episodes, folder: store.DataFolder, manifest: store.Manifest
     ) -> dict[str, str]:
         """Write the frames of all shards as a zipped group.
 
@@ -168,7 +168,7 @@ class GroupFormat:
                 folder.write(path, lambda stream: _copy(made, stream))
         return {path: digest}
 
-    def _write(self, step: episodes.Episodes, stream: IO[bytes], shards: Sequence[read.Shard]) -> None:
+    def _write(self, step: exports.Episodes, stream: IO[bytes], shards: Sequence[read.Shard]) -> None:
         table = pa.concat_tables(
             [shard.read(columns=[name for name in shard.types if name not in _PICTURE]) for shard in shards]
         )
@@ -181,11 +181,11 @@ class GroupFormat:
             group.add_json(zarr_recordings.ATTRIBUTES, attributes)
             for name, values in arrays.items():
                 group.add_array(name, values)
-            blocks = (each.reshape(-1, *shape[1:]) for each in _pictures(size, rows, shards))
+            blocks = (block.reshape(-1, *shape[1:]) for block in _pictures(size, rows, shards))
             group.add_blocks(path, shape, np.dtype("|u1"), rows, blocks)
 
     def _arrays(
-        self, step: episodes.Episodes, table: pa.Table
+        self, step: exports.Episodes, table: pa.Table
     ) -> tuple[dict[str, AnyArray], dict[str, object]]:
         """Return all arrays except the pictures, and the attributes of ``meta``, which describe them."""
         columns = {name: table[name].combine_chunks() for name in table.schema.names}
@@ -193,19 +193,19 @@ class GroupFormat:
         kept = {array: OUR_NAMES[name] for name, array in known.items()}
         of_clips = []
         for extra in step.extras:
-            known[extra.name] = array = extra.name.removeprefix(episodes.FEATURE)
+            known[extra.name] = array = extra.name.removeprefix(exports.FEATURE)
             kept[array] = own_name = extra.stored.partition(".")[2]
             if extra.stored.startswith(schema.EXTRA_PREFIX["touch"]):
                 of_clips.append(own_name)
         arrays = {array: _numbers(columns[name]) for name, array in known.items()}
         stated = self.add(step, table, arrays)
         starts = np.flatnonzero(table["frame_index"].to_numpy() == 0)
-        found = {f"data/{name}": values for name, values in arrays.items()}
+        by_path = {f"data/{name}": values for name, values in arrays.items()}
         for name in (zarr_recordings.ROUND, zarr_recordings.TOUCH):
             if name in columns:
-                found[f"meta/{name}"] = _numbers(columns[name].take(starts))
-        found[zarr_recordings.ENDS] = np.append(starts[1:], len(table)).astype("<i8")
-        return found, {
+                by_path[f"meta/{name}"] = _numbers(columns[name].take(starts))
+        by_path[zarr_recordings.ENDS] = np.append(starts[1:], len(table)).astype("<i8")
+        return by_path, {
             zarr_recordings.CLASSES: step.names,
             zarr_recordings.COLUMNS: kept,
             zarr_recordings.PER_CLIP: of_clips,
@@ -217,9 +217,9 @@ def _pictures(size: tuple[int, int], rows: int, shards: Sequence[read.Shard]) ->
     """Yield the pixels of all frames in blocks of ``rows`` frames; all blocks use the same memory."""
     block = np.empty((rows, *size, 3), np.uint8)
     at = 0
-    for row in stored_round.stored_rows(shards, [episodes.IMAGE]):
-        image = row.group.table[episodes.IMAGE][row.index].as_py()
-        stored_images.decoded(image["bytes"], image["path"], block[at])
+    for row in stored_round.stored_rows(shards, [exports.IMAGE]):
+        image = row.group.table[exports.IMAGE][row.index].as_py()
+        media.decoded(image["bytes"], image["path"], block[at])
         at = (at + 1) % rows
         if not at:
             yield block
@@ -238,24 +238,22 @@ def _numbers(values: pa.Array) -> AnyArray:
         return _numbers(values.flatten()).reshape(len(values), -1)
     if pa.types.is_string(values.type):
         return np.array([text or "" for text in values.to_pylist()], "<U")
-    found: AnyArray = values.to_numpy(zero_copy_only=False)
-    return found.astype(found.dtype.newbyteorder("<"))
+    numbers: AnyArray = values.to_numpy(zero_copy_only=False)
+    return numbers.astype(numbers.dtype.newbyteorder("<"))
 
 
 plan_replay = GroupFormat(
     name="replay buffer",
     folder="replay",
     pictures=zarr_recordings.PIXELS,
-    arrays={**OUR_NAMES, episodes.STATE: "state", episodes.ACTION: "action"},
+    arrays={**OUR_NAMES, exports.STATE: "state", exports.ACTION: "action"},
 ).plan
 
 
-def _add_arrays(
-    step: episodes.Episodes, table: pa.Table, arrays: dict[str, AnyArray]
-) -> Mapping[str, object]:
+def _add_arrays(step: exports.Episodes, table: pa.Table, arrays: dict[str, AnyArray]) -> Mapping[str, object]:
     """Add the arrays of the format that follow from columns, and stand-ins; return what stands for what."""
     count = len(table)
-    exact = arrays.get(OUR_NAMES[episodes.STATE])
+    exact = arrays.get(OUR_NAMES[exports.STATE])
     pose = np.broadcast_to(0.0, (count, 6))
     meaning_of_pose = _NO_POSE
     if exact is not None:
@@ -279,7 +277,7 @@ plan_oxt = GroupFormat(
     name="group of Open-X-Tactile",
     folder="oxt",
     pictures=_TACTILE.format("data"),
-    arrays={**OUR_NAMES, episodes.TIME: _TIMES},
+    arrays={**OUR_NAMES, exports.TIME: _TIMES},
     add=_add_arrays,
     sensors=(1,),
     number=pa.float64(),

@@ -18,7 +18,7 @@ import pyarrow as pa
 
 from realtouch import importing, touch_options
 from realtouch.formats import picture_arrays, zarr_arrays
-from realtouch.formats.episodes import CONTACT
+from realtouch.formats.exports import CONTACT
 from realtouch.touches.rounds import touch_id
 from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import Int64
@@ -47,7 +47,7 @@ _OUR_VALUES = ("label", "label_name", "object_id", *touch_options.POSITION_COLUM
 
 
 def find_replay(
-    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+    home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
 ) -> Iterator[importing.Recording]:
     """Yield a recording for each episode of the buffer; its arrays are columns.
 
@@ -60,7 +60,7 @@ def find_replay(
 
 
 def find_oxt(
-    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+    home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
 ) -> Iterator[importing.Recording]:
     """Yield a recording for each episode; the pictures are those of the only sensor, or of the named one.
 
@@ -112,7 +112,7 @@ def recordings_of(
     group: zarr_arrays.ZarrGroup,
     names: Iterable[str],
     pictures: tuple[str, int | None],
-    columns: importing.ImportColumns,
+    columns: touch_options.ImportColumns,
 ) -> Iterator[importing.Recording]:
     """Return all episodes; ``pictures`` is an array of ``data``, and the number of the sensor in it.
 
@@ -122,31 +122,33 @@ def recordings_of(
     name, sensor = pictures
     shown = picture_arrays.PictureArray.of(group.array(f"{DATA}/{name}"), sensor)
     part = f"{shown.divisor!r} {'' if sensor is None else sensor} {DATA}/{name}"
-    arrays = {each: partial(group.array, f"{DATA}/{each}") for each in names if each != name}
+    arrays = {array: partial(group.array, f"{DATA}/{array}") for array in names if array != name}
     of_meta = {
-        each: partial(group.array, f"meta/{each}") for each in group.arrays("meta") if each in _OF_META
+        array: partial(group.array, f"meta/{array}") for array in group.arrays("meta") if array in _OF_META
     }
     wanted = {*columns.found_in(arrays).names(), importing.NUMBERED}
-    found, left_out = picture_arrays.columns_of(arrays, len(shown), wanted)
-    per_frame = {each: column_types.from_numpy(values) for each, values in found.items()}
-    where = (name, group.home.address(), group.path, part)
+    arrays_read, left_out = picture_arrays.columns_of(arrays, len(shown), wanted)
+    per_frame = {array: column_types.from_numpy(values) for array, values in arrays_read.items()}
+    source = (name, group.home.address(), group.path, part)
     size = math.prod(shown.shape[1:])
-    whole = importing.Recording(*where, 0, len(shown), size, per_frame=per_frame, left_out=tuple(left_out))
+    whole = importing.Recording(*source, 0, len(shown), size, per_frame=per_frame, left_out=tuple(left_out))
     ends = episode_ends(group, len(shown))
     stated = group.json(ATTRIBUTES)
-    said, _ = picture_arrays.columns_of(of_meta, len(ends), ())
+    meta, _ = picture_arrays.columns_of(of_meta, len(ends), ())
     kept = stated.get(COLUMNS)
-    if ROUND not in said or not isinstance(kept, dict):
+    if ROUND not in meta or not isinstance(kept, dict):
         return episodes_of(whole, ends, (), of_episodes(whole, columns))
     per_frame = {str(kept[name]): values for name, values in per_frame.items() if name in kept}
     whole = replace(whole, per_frame=per_frame, left_out=())
     whole = name_ours(whole, _OUR_VECTORS, _texts(stated, CLASSES))
-    round_ids = ids = list(map(str, said[ROUND].tolist()))
-    if TOUCH in said:
+    round_ids = ids = list(map(str, meta[ROUND].tolist()))
+    if TOUCH in meta:
         whole = replace(whole, cut="whole")
-        ids = list(map(touch_id, round_ids, said[TOUCH].astype(int).tolist()))
+        ids = list(map(touch_id, round_ids, meta[TOUCH].astype(int).tolist()))
     episodes = episodes_of(whole, ends, ids, {*_OUR_VALUES, *_texts(stated, PER_CLIP)})
-    return (replace(with_contact(each), round=name) for each, name in zip(episodes, round_ids, strict=True))
+    return (
+        replace(with_contact(episode), round=name) for episode, name in zip(episodes, round_ids, strict=True)
+    )
 
 
 def _open_pictures(home: store.DataFolder, path: str, part: str) -> picture_arrays.PictureArray:
@@ -176,7 +178,7 @@ def episode_ends(group: zarr_arrays.ZarrGroup, frames: int) -> Int64:
     return ends
 
 
-def of_episodes(whole: importing.Recording, columns: importing.ImportColumns) -> set[str]:
+def of_episodes(whole: importing.Recording, columns: touch_options.ImportColumns) -> set[str]:
     """Return the columns that may describe whole episodes: labels, objects, rounds, splits and all texts."""
     known = columns.found_in(whole.per_frame)
     stated = {importing.NUMBERED, known.label, known.object_id, known.round, known.split}
@@ -209,7 +211,7 @@ def episodes_of(
     if time == importing.TIME_S:
         per_frame.pop(importing.TIME_S, None)
     for number, (start, end) in enumerate(pairwise([0, *ends.tolist()])):
-        values = {name: each[number].as_py() for name, each in constant.items()}
+        values = {name: constant_values[number].as_py() for name, constant_values in constant.items()}
         yield replace(
             whole,
             name=names[number],
@@ -239,8 +241,8 @@ def _holds_times(column: pa.Array | None, starts: Int64) -> bool:
 
 def _texts(stated: Mapping[str, object], name: str) -> list[str]:
     """Return a list of texts from attributes; empty if they have no such list."""
-    found = stated.get(name)
-    return [str(each) for each in found] if isinstance(found, list) else []
+    texts = stated.get(name)
+    return [str(text) for text in texts] if isinstance(texts, list) else []
 
 
 def name_ours(
@@ -253,7 +255,9 @@ def name_ours(
             with suppress(ValueError):
                 values = column_types.floats_of(per_frame.pop(name))
                 columns = np.atleast_2d(values.T)
-                per_frame |= {each: pa.array(part) for each, part in zip(names, columns, strict=False)}
+                per_frame |= {
+                    own_name: pa.array(part) for own_name, part in zip(names, columns, strict=False)
+                }
     label = per_frame.get(importing.NUMBERED)
     if label is not None and pa.types.is_integer(label.type) and not label.null_count:
         numbers = label.to_numpy()
@@ -265,13 +269,13 @@ def name_ours(
     return replace(whole, per_frame=per_frame)
 
 
-def with_contact(found: importing.Recording) -> importing.Recording:
+def with_contact(recording: importing.Recording) -> importing.Recording:
     """Return a clip that this toolkit wrote, with its first and last picture of contact if it states them."""
-    per_frame = dict(found.per_frame)
+    per_frame = dict(recording.per_frame)
     stated = per_frame.pop(CONTACT, None)
     contact = None
     if stated is not None:
         in_contact = np.flatnonzero(np.array(stated.to_pylist(), object)).tolist()
         if in_contact:
             contact = in_contact[0], in_contact[-1]
-    return replace(found, per_frame=per_frame, contact=contact)
+    return replace(recording, per_frame=per_frame, contact=contact)

@@ -12,9 +12,6 @@ from .source_touches import (
     Recording as Recording,
     TIME_S as TIME_S,
 )
-from .import_columns import (
-    ImportColumns as ImportColumns,
-)
 from .source_files import (
     FILE_OF_TABLE as FILE_OF_TABLE,
     IMAGE_ENDINGS as IMAGE_ENDINGS,
@@ -25,12 +22,10 @@ from .source_files import (
     files_to_read as files_to_read,
     image_files as image_files,
     natural_order as natural_order,
-    open_source as open_source,
     path_of as path_of,
     pictures_by_file as pictures_by_file,
     problems_of_names as problems_of_names,
     read_table as read_table,
-    rows_of_table as rows_of_table,
     duplicates_of as duplicates_of,
     require_columns as require_columns,
     source_of as source_of,

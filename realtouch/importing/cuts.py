@@ -9,13 +9,13 @@ from pathlib import PurePosixPath
 import numpy as np
 from scipy.ndimage import median_filter
 
-from realtouch import contact
+from realtouch import contact, touch_options
 from realtouch.contact import ContactRule
-from realtouch.importing import fields, import_columns, source_files, source_touches
+from realtouch.importing import fields, source_files, source_touches
 from realtouch.video import avi
 from tactile_toolkit import errors, pictures, touch, wording
 from tactile_toolkit.array_types import Bool, Float64, Int64, UInt8
-from tactile_toolkit.columns import column_types, units
+from tactile_toolkit.columns import column_types, tables, units
 
 RECORDING_COLUMNS = ("recording", "file")
 _FRAME = "start_frame"
@@ -58,7 +58,7 @@ class CutTable:
         There is no table at ``path``, or it does not say when touches start and end.
     """
 
-    def __init__(self, path: str, columns: import_columns.ImportColumns) -> None:
+    def __init__(self, path: str, columns: touch_options.ImportColumns) -> None:
         home, name = source_files.source_of(path)
         if not home.exists(name):
             raise errors.InputError(
@@ -66,22 +66,22 @@ class CutTable:
                 f"{', '.join(source_touches.CUTS)} or the path of a table"
             )
         self._place = home.address(name)
-        self._table = source_files.read_table(home, name, columns, RECORDING_COLUMNS)
+        self._table = source_files.read_table(tables.open_table(home, name), columns, RECORDING_COLUMNS)
         names = [*self._table.columns]
-        known = [_FRAME, *(f"start_{unit}" for unit in units.PER_SECOND)]
+        known = [_FRAME, *(f"start_{unit}" for unit in units.Quantity.TIME.per_unit)]
         if columns.time_unit:
             known.append("start")
-        starts = [each for each in known if each in names]
+        starts = [name for name in known if name in names]
         if len(starts) != 1:
-            found = " and ".join(starts) or ", ".join(map(str, names)) or "none"
+            columns_text = " and ".join(starts) or ", ".join(map(str, names)) or "none"
             raise errors.InputError(
                 f"{self._place!r} needs one column for the start of touches and one for the end; "
-                f"found columns {found}",
+                f"found columns {columns_text}",
                 next="name the columns start_s and end_s (or _ms, _us, _ns), or start_frame and end_frame",
             )
         (self._start_column,) = starts
         self._end_column = self._start_column.replace("start", "end")
-        self._recording_column = next((each for each in RECORDING_COLUMNS if each in names), None)
+        self._recording_column = next((name for name in RECORDING_COLUMNS if name in names), None)
         self._own_columns = list(filter(None, (self._start_column, self._end_column, self._recording_column)))
         source_files.require_columns(names, self._own_columns, self._place)
         # Another name than "start" states the unit.
@@ -116,8 +116,8 @@ class CutTable:
                 clips.append(recording.unusable(error, name))
                 continue
             values = self._table.values(row)
-            said = {key: value for key, value in values.items() if key not in self._own_columns}
-            clips.append(source_touches.Clip(start, stop, name, said=said))
+            fields = {key: value for key, value in values.items() if key not in self._own_columns}
+            clips.append(source_touches.Clip(start, stop, name, fields=fields))
         if not clips:
             problem = errors.ItemError("cut", f"no row of {self._place!r} names this recording")
             clips = [recording.unusable(problem)]
@@ -205,7 +205,7 @@ class Cutter:
         self,
         cut: str | None,
         contents: source_files.ReadContents,
-        columns: import_columns.ImportColumns | None = None,
+        columns: touch_options.ImportColumns | None = None,
         default: str = "frames",
     ) -> None:
         self.pictures: dict[str, bytes] = {}
@@ -213,7 +213,7 @@ class Cutter:
         self._cut, self._contents, self._default, self._rule = cut, contents, default, ContactRule()
         self._table = None
         if cut is not None and cut not in source_touches.CUTS:
-            self._table = CutTable(cut, columns or import_columns.ImportColumns())
+            self._table = CutTable(cut, columns or touch_options.ImportColumns())
 
     def cut(self, recording: source_touches.Recording) -> source_touches.FoundTouches:
         """Return the touches of a recording in order; a recording that cannot be cut is one touch.
@@ -235,14 +235,14 @@ class Cutter:
 
     def _by_contact(self, recording: source_touches.Recording) -> Iterator[source_touches.Clip]:
         try:
-            found = find_contacts(recording, self._contents, self._rule)
+            contacts = find_contacts(recording, self._contents, self._rule)
         except errors.ItemError as error:
             yield recording.unusable(error)
             return
         if len(self.pictures) < MAX_PICTURES:
             name = recording.name.replace("/", "-")
-            self.pictures[name] = draw_cuts(recording, found, self._contents, self._rule)
-        for number, run in enumerate(found.runs):
+            self.pictures[name] = draw_cuts(recording, contacts, self._contents, self._rule)
+        for number, run in enumerate(contacts.runs):
             name = f"{recording.name}_{number:03d}"
             yield source_touches.Clip(
                 run.start, run.stop, name, (run.first - run.start, run.last - run.start)
@@ -312,15 +312,15 @@ class GelAtRest:
         rule: contact.ContactRule,
     ) -> None:
         self.shape: tuple[int, ...] = ()
-        found = self._read_samples(recording, contents, rule)
-        self._numbers, samples = list(found), np.stack(list(found.values()))
+        cropped = self._read_samples(recording, contents, rule)
+        self._numbers, samples = list(cropped), np.stack(list(cropped.values()))
         self._base = contact.median_in_memory(samples)
         self._levels = self._levels_of(samples)
         uncropped = replace(rule, crop=1.0)
         shows_contact = np.array(
             [
                 rule.holds(contact.contact_score(sample, self.at(number), uncropped))
-                for number, sample in found.items()
+                for number, sample in cropped.items()
             ]
         )
         at_rest = ~shows_contact
@@ -339,7 +339,7 @@ class GelAtRest:
         """Return samples by their number, cropped; the first readable one sets shape and window."""
         numbers = np.linspace(0, recording.frames - 1, _MAX_SAMPLES).round().astype(np.int64)
         spread = np.unique(numbers).tolist()
-        found: dict[int, UInt8] = {}
+        samples: dict[int, UInt8] = {}
         step = 1
         seen = pictures_of(recording, (range(number, number + 1) for number in spread), contents)
         for index, (number, picture) in enumerate(zip(spread, seen, strict=False)):
@@ -348,11 +348,11 @@ class GelAtRest:
                 fitting = max(_MIN_SAMPLES, _SAMPLE_BYTES // picture[self.window].nbytes)
                 step = -(-_MAX_SAMPLES // fitting)
             cropped = self.cropped(picture)
-            if cropped is not None and (index % step == 0 or not found):
-                found[number] = cropped.copy()
-        if not found:
+            if cropped is not None and (index % step == 0 or not samples):
+                samples[number] = cropped.copy()
+        if not samples:
             raise errors.ItemError("image", f"none of {len(spread):,} pictures of the recording can be read")
-        return found
+        return samples
 
     def cropped(self, picture: UInt8 | None) -> UInt8 | None:
         """Return the window of a picture; None if it is unreadable or of another size."""
@@ -362,14 +362,16 @@ class GelAtRest:
 
     def at(self, number: int) -> UInt8:
         """Return the background of the picture with this number."""
-        levels = np.array([np.interp(number, self._numbers, each) for each in self._levels.T], np.float32)
-        found: UInt8 = np.minimum(np.rint(self._base * levels), 255).astype(np.uint8)
-        return found
+        levels = np.array(
+            [np.interp(number, self._numbers, channel) for channel in self._levels.T], np.float32
+        )
+        background: UInt8 = np.minimum(np.rint(self._base * levels), 255).astype(np.uint8)
+        return background
 
     def _levels_of(self, pictures: UInt8) -> Float64:
         """Return the levels of n samples relative to the background, (n, 3) channels, smooth in time."""
         levels = np.ones((len(pictures), 3))
-        parts, base = (each[..., ::_PIXEL_STEP, ::_PIXEL_STEP, :] for each in (pictures, self._base))
+        parts, base = (pixels[..., ::_PIXEL_STEP, ::_PIXEL_STEP, :] for pixels in (pictures, self._base))
         for channel in range(3):
             bright = base[..., channel] >= _DARK
             if bright.any():
@@ -440,7 +442,7 @@ def _with_margins(starts: Int64, stops: Int64, change: Int64) -> Iterator[Contac
 
 def draw_cuts(
     recording: source_touches.Recording,
-    found: ContactRuns,
+    contacts: ContactRuns,
     contents: source_files.ReadContents,
     rule: contact.ContactRule,
 ) -> bytes:
@@ -448,22 +450,22 @@ def draw_cuts(
 
     If there are many touches, only the first ones are shown by a picture.
     """
-    best = [run.best for run in found.runs[:_MAX_TILES]]
+    best = [run.best for run in contacts.runs[:_MAX_TILES]]
     seen = pictures_of(recording, [range(frame, frame + 1) for frame in best], contents)
     tiles = [
         pictures.Tile(_small(picture), f"{number:03d}: #{frame:,}")
         for number, (frame, picture) in enumerate(zip(best, seen, strict=True))
         if picture is not None
     ]
-    touches = wording.with_count(len(found.runs), "touches")
+    touches = wording.with_count(len(contacts.runs), "touches")
     frames = f"{recording.frames:,} pictures"
     captions = [
         f"{touches} in {frames}: "
         f"{rule.min_area_px} changed pixels or more (red line), by {rule.min_intensity:g} levels on average",
         "height: square root of the changed pixels; orange: contact; blue: margin of the clip; "
-        f"{found.too_short:,} too short, {wording.with_count(found.unreadable, 'unreadable pictures')}",
+        f"{contacts.too_short:,} too short, {wording.with_count(contacts.unreadable, 'unreadable pictures')}",
     ]
-    strip = pictures.sheet([pictures.Tile(_strip(found, rule))], 1, recording.name, captions)
+    strip = pictures.sheet([pictures.Tile(_strip(contacts, rule))], 1, recording.name, captions)
     small = pictures.sheet(tiles, _TILES_PER_ROW, gap_px=_GAP_PX)
     width = max(strip.shape[1], small.shape[1])
     parts = [
@@ -479,15 +481,15 @@ def _small(picture: UInt8) -> UInt8:
     return touch.resized(picture, max(1, round(scale * width)), max(1, round(scale * height)))
 
 
-def _strip(found: ContactRuns, rule: contact.ContactRule) -> UInt8:
+def _strip(contacts: ContactRuns, rule: contact.ContactRule) -> UInt8:
     """Draw the changed area over all pictures; a column shows the largest area of its pictures."""
-    frames = len(found.area_px)
+    frames = len(contacts.area_px)
     colours = np.full((_WIDTH_PX, 3), _GREY, np.uint8)
-    clips = [(run.start, run.stop - 1, _CLIP) for run in found.runs]
-    for first, last, colour in [*clips, *((run.first, run.last, _CONTACT) for run in found.runs)]:
+    clips = [(run.start, run.stop - 1, _CLIP) for run in contacts.runs]
+    for first, last, colour in [*clips, *((run.first, run.last, _CONTACT) for run in contacts.runs)]:
         colours[first * _WIDTH_PX // frames : last * _WIDTH_PX // frames + 1] = colour
     edges = np.arange(_WIDTH_PX) * frames // _WIDTH_PX
-    heights = np.sqrt([*np.maximum.reduceat(found.area_px, edges), rule.min_area_px])
+    heights = np.sqrt([*np.maximum.reduceat(contacts.area_px, edges), rule.min_area_px])
     *heights, limit = (heights / heights.max() * (_STRIP_PX - 1)).round()
     above = np.arange(_STRIP_PX)[::-1, np.newaxis]
     strip = np.repeat(colours[np.newaxis], _STRIP_PX, axis=0)

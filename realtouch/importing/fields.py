@@ -14,7 +14,8 @@ import numpy as np
 import pyarrow as pa
 from scipy.spatial.transform import Rotation
 
-from realtouch.importing import import_columns, source_files, source_touches
+from realtouch import touch_options
+from realtouch.importing import source_files, source_touches
 from realtouch.touches.poses import bad_pose
 from realtouch.touches.schema import EXTRA_PREFIX, extra_columns
 from tactile_toolkit import arithmetic, errors, wording
@@ -60,9 +61,9 @@ def labels_of(
     """Return the class number of each touch, -1 if it is unknown, and the problems by index."""
     numbers = {name: number for number, name in reversed([*enumerate(names)])}
     problems = _nested_labels(touches.value(column or source_files.NUMBERED))
-    found = np.full(len(touches), -1)
+    numbers_found = np.full(len(touches), -1)
     if not numbers:
-        return found, problems
+        return numbers_found, problems
     seen: dict[str, int | None] = dict.fromkeys(UNKNOWN, -1)
     stated = zip(touches.texts(column), touches.texts(source_files.NUMBERED), strict=True)
     for index, (name, digits) in enumerate(stated):
@@ -73,8 +74,8 @@ def labels_of(
         if number is None:
             problems[index] = errors.ItemError("label", f"the label {shown(label)!r}; expected a class")
         else:
-            found[index] = number
-    return found, problems
+            numbers_found[index] = number
+    return numbers_found, problems
 
 
 def _nested_labels(column: pa.Array | None) -> dict[int, errors.ItemError]:
@@ -93,22 +94,22 @@ def objects_of(
     touches: source_touches.FoundTouches, column: str | None
 ) -> tuple[Int64, dict[int, errors.ItemError]]:
     """Return the object id of each touch, 0 without such a column, and the problems by index."""
-    found = np.zeros(len(touches), np.int64)
+    object_ids = np.zeros(len(touches), np.int64)
     problems = dict[int, errors.ItemError]()
     if not column:
-        return found, problems
+        return object_ids, problems
     for index, text in enumerate(map(integer_text, touches.texts(column))):
         if text.isdecimal() and text.isascii() and len(text) <= _LONGEST_INTEGER:
-            found[index] = int(text)
+            object_ids[index] = int(text)
         else:
             problems[index] = errors.ItemError("object", f"the object {shown(text)!r}; expected an integer")
-    return found, problems
+    return object_ids, problems
 
 
 def each_of(
-    read: Callable[[Fields, import_columns.ImportColumns], Float64],
+    read: Callable[[Fields, touch_options.ImportColumns], Float64],
     fields: Fields,
-    columns: import_columns.ImportColumns,
+    columns: touch_options.ImportColumns,
     rows: Int64,
 ) -> tuple[Float64 | None, dict[int, errors.ItemError]]:
     """Read the values of some touches or pictures at once, or in smaller parts where some are wrong.
@@ -117,7 +118,7 @@ def each_of(
     the problems by index. Instead of the array it returns None if no value can be used.
     """
     problems: dict[int, errors.ItemError] = {}
-    found: Float64 | None = None
+    values: Float64 | None = None
     parts = [rows]
     while parts:
         part = parts.pop()
@@ -129,20 +130,20 @@ def each_of(
             elif len(part):
                 parts += np.array_split(part, 2)[::-1]
             continue
-        if found is None:
+        if values is None:
             count = max(map(len, fields.values()))
-            found = np.full((count, *some.shape[1:]), np.nan)
-        found[part] = some
-    return found, dict(sorted(problems.items()))
+            values = np.full((count, *some.shape[1:]), np.nan)
+        values[part] = some
+    return values, dict(sorted(problems.items()))
 
 
-def stated_positions(fields: Fields, columns: import_columns.ImportColumns) -> Float64:
+def stated_positions(fields: Fields, columns: touch_options.ImportColumns) -> Float64:
     """Return intended positions, x and y in metres, cell frame, shape (n, 2).
 
     Raises ItemError for other values, and InputError for a tilted frame, as x and y then depend on the
     height.
     """
-    place = _numbers(fields, columns, columns.position or (), (2,), "position")
+    position_m = _numbers(fields, columns, columns.position or (), (2,), "position")
     if columns.frame is not None:
         turn, shift = _frame(columns)
         if np.abs(turn[:2, 2]).max() > _MAX_TILT:
@@ -150,28 +151,28 @@ def stated_positions(fields: Fields, columns: import_columns.ImportColumns) -> F
                 "the frame tilts, so that x and y in the cell depend on the height in the source",
                 next="leave out the positions: --map position=",
             )
-        place = place @ turn[:2, :2].T + shift[:2]
-    _require_metres(place, "position")
-    return place
+        position_m = position_m @ turn[:2, :2].T + shift[:2]
+    _require_metres(position_m, "position")
+    return position_m
 
 
-def poses(fields: Fields, columns: import_columns.ImportColumns) -> Float64:
+def poses(fields: Fields, columns: touch_options.ImportColumns) -> Float64:
     """Return poses in the cell frame, shape (n, 7): position in metres, quaternion x, y, z, w.
 
     Raises ItemError for other values.
     """
     numbers = _numbers(fields, columns, columns.pose or (), columns.pose_sizes, "pose")
     read = {6: _of_angles, 7: _of_quaternions}.get(numbers.shape[1], _of_matrices)
-    place, turns = read(numbers, columns)
-    wrong = bad_pose(place, turns)
+    position_m, turns = read(numbers, columns)
+    wrong = bad_pose(position_m, turns)
     if wrong is not None:
         raise errors.ItemError("pose", wrong[1])
     if columns.frame is not None:
         turn, shift = _frame(columns)
-        place = place @ turn.T + shift
+        position_m = position_m @ turn.T + shift
         turns = (Rotation.from_matrix(turn) * Rotation.from_quat(turns)).as_quat()
-    _require_metres(place, "pose")
-    return np.hstack([place, turns])
+    _require_metres(position_m, "pose")
+    return np.hstack([position_m, turns])
 
 
 def times_s(values: pa.Array, name: str, time_unit: str | None) -> Float64:
@@ -180,25 +181,25 @@ def times_s(values: pa.Array, name: str, time_unit: str | None) -> Float64:
     The ``name`` of the column states the unit of numbers, or ``time_unit`` does; else they are seconds.
     Raises ItemError for values that are neither finite numbers nor points in time.
     """
-    found = _instants_s(values)
+    seconds = _instants_s(values)
     divisor = 1.0
-    if found is None:
-        divisor = units.TIME.divisor(name, time_unit)
+    if seconds is None:
+        divisor = units.Quantity.TIME.divisor(name, time_unit)
         try:
-            found = column_types.floats_of(values)
+            seconds = column_types.floats_of(values)
         except (ValueError, OverflowError):
-            found = np.empty(0)
-    if found.ndim == 2 and found.shape[1] == 1:
-        found = found[:, 0]
-    is_flat = found.shape == (len(values),)
-    if not is_flat or not np.isfinite(found).all():
-        wrong = int(np.isfinite(found).argmin()) if is_flat else 0
+            seconds = np.empty(0)
+    if seconds.ndim == 2 and seconds.shape[1] == 1:
+        seconds = seconds[:, 0]
+    is_flat = seconds.shape == (len(values),)
+    if not is_flat or not np.isfinite(seconds).all():
+        wrong = int(np.isfinite(seconds).argmin()) if is_flat else 0
         raise errors.ItemError(
             "time",
             f"the times {shown(values.slice(wrong, 4).to_pylist())} from number {wrong + 1:,} on; "
             "expected finite numbers, or points in time",
         )
-    return found / divisor
+    return seconds / divisor
 
 
 def _instants_s(values: pa.Array) -> Float64 | None:
@@ -219,27 +220,27 @@ def _instants_s(values: pa.Array) -> Float64 | None:
     return None
 
 
-def _of_quaternions(numbers: Float64, columns: import_columns.ImportColumns) -> tuple[Float64, Float64]:
+def _of_quaternions(numbers: Float64, columns: touch_options.ImportColumns) -> tuple[Float64, Float64]:
     """Return positions and quaternions x, y, z, w of poses of seven numbers."""
     order = [3 + columns.order.index(axis) for axis in "xyzw"]
     return numbers[:, :3], numbers[:, order]
 
 
-def _of_angles(numbers: Float64, columns: import_columns.ImportColumns) -> tuple[Float64, Float64]:
+def _of_angles(numbers: Float64, columns: touch_options.ImportColumns) -> tuple[Float64, Float64]:
     """Return positions and quaternions of poses with Euler angles or rotation vectors in radians."""
-    place, angles = numbers[:, :3], numbers[:, 3:]
+    position, angles = numbers[:, :3], numbers[:, 3:]
     if columns.euler is not None:
-        return place, Rotation.from_euler(columns.euler, angles).as_quat()
+        return position, Rotation.from_euler(columns.euler, angles).as_quat()
     if columns.angle_unit is None and np.abs(angles).max(initial=0) > _MAX_TURN:
         raise errors.ItemError(
             "pose",
             f"the rotation vector {shown(angles[0])} has more than two turns in radians; expected radians "
             "(--angle-unit states another unit)",
         )
-    return place, Rotation.from_rotvec(angles).as_quat()
+    return position, Rotation.from_rotvec(angles).as_quat()
 
 
-def _of_matrices(numbers: Float64, _columns: import_columns.ImportColumns) -> tuple[Float64, Float64]:
+def _of_matrices(numbers: Float64, _columns: touch_options.ImportColumns) -> tuple[Float64, Float64]:
     """Return positions and quaternions of matrices, (n, 12) or (n, 16); ItemError if one is not rigid."""
     matrices = numbers.reshape(len(numbers), -1, 4)
     if not arithmetic.are_rigid(matrices):
@@ -251,7 +252,7 @@ def _of_matrices(numbers: Float64, _columns: import_columns.ImportColumns) -> tu
     return matrices[:, :3, 3], Rotation.from_matrix(matrices[:, :3, :3]).as_quat()
 
 
-def _frame(columns: import_columns.ImportColumns) -> tuple[Float64, Float64]:
+def _frame(columns: touch_options.ImportColumns) -> tuple[Float64, Float64]:
     """Return rotation and translation, in metres, from the frame of the source to the cell frame."""
     matrix = np.array(columns.frame)
     per_metre = columns.divisors((), 2)[0]
@@ -271,30 +272,30 @@ def _require_metres(places: Float64, reason: str) -> None:
 
 def _numbers(
     fields: Fields,
-    columns: import_columns.ImportColumns,
+    columns: touch_options.ImportColumns,
     names: tuple[str, ...],
     sizes: tuple[int, ...],
     reason: str,
 ) -> Float64:
     """Return the numbers of columns, or of one column of lists, shape (n, size), in metres and radians."""
-    found = [fields[name] for name in names]
+    stated = [fields[name] for name in names]
     try:
-        parts = [column_types.floats_of(each) for each in found]
+        parts = [column_types.floats_of(column) for column in stated]
         numbers = np.hstack([part.reshape(len(part), -1) for part in parts])
     except (ValueError, OverflowError):
         numbers = np.empty((0, 0))
     if numbers.shape[1] not in sizes or not np.isfinite(numbers).all():
-        first = [each[0].as_py() for each in found if len(each)] or ["nothing"]
+        first = [column[0].as_py() for column in stated if len(column)] or ["nothing"]
         example = first[0] if len(first) == 1 else first
         expected = f"{sizes[0]} finite numbers"
         if len(sizes) > 1:
-            counts = import_columns.expected_counts(sizes[1:])
+            counts = touch_options.expected_counts(sizes[1:])
             expected += f", or {counts} of a matrix (6 with --euler or --rotvec)"
         raise errors.ItemError(reason, f"{shown(example)}; expected {expected}")
     return numbers / columns.divisors(names, numbers.shape[1])
 
 
-def used_names(columns: import_columns.ImportColumns) -> set[str | None]:
+def used_names(columns: touch_options.ImportColumns) -> set[str | None]:
     """Return the columns of a source that hold labels, poses and so on, not extra values."""
     named = {source for _, source in columns.extra}
     used: set[str | None] = {*columns.names(), columns.image} - named
@@ -304,7 +305,7 @@ def used_names(columns: import_columns.ImportColumns) -> set[str | None]:
 
 
 def extra_sources(
-    touches: source_touches.FoundTouches, columns: import_columns.ImportColumns
+    touches: source_touches.FoundTouches, columns: touch_options.ImportColumns
 ) -> dict[str, str]:
     """Return the extra columns of touches: the name in the source by the new name.
 
@@ -325,23 +326,24 @@ def extra_sources(
                 f"the columns {sources[name]!r} and {source!r} would both be kept as {name!r}",
                 next=f"name one of them: --map NEW={sources[name]}",
             )
-        if import_columns.is_extra_name(name) and len(sources) < _MAX_COLUMNS:
+        if touch_options.is_extra_name(name) and len(sources) < _MAX_COLUMNS:
             sources[name] = source
     return sources
 
 
 def extra_types(
-    touches: source_touches.FoundTouches, columns: import_columns.ImportColumns
+    touches: source_touches.FoundTouches, columns: touch_options.ImportColumns
 ) -> dict[str, pa.DataType]:
     """Return the type of the value of a touch in each extra column, by the name of the column in a data set.
 
     A column of objects, bytes or lists of several lengths is not kept, nor one without any value.
     """
     types: dict[str, pa.DataType] = {}
-    known, of_frames = touches.known, touches.frame_types()
+    known = touches.known
+    of_frames = {name: touches.of_frames(name).type.value_type for name in touches.per_frame.column_names}
     for name, source in extra_sources(touches, columns).items():
         is_frame = source in of_frames
-        kind = of_frames[source] if is_frame else touches.said[source].type
+        kind = of_frames[source] if is_frame else touches.per_touch[source].type
         leaf = kind.value_type if pa.types.is_list(kind) else kind
         if leaf == column_types.UNTYPED or pa.types.is_null(leaf) or source not in known:
             continue
@@ -357,7 +359,7 @@ def extra_types(
 
 def extra_arrays(
     touches: source_touches.FoundTouches,
-    columns: import_columns.ImportColumns,
+    columns: touch_options.ImportColumns,
     types: Mapping[str, pa.DataType],
 ) -> dict[str, pa.Array]:
     """Return the values of each extra column, an entry for each touch."""
@@ -370,21 +372,21 @@ def extra_arrays(
     return made
 
 
-def kept_sources(columns: import_columns.ImportColumns, types: Iterable[str]) -> dict[str, str]:
+def kept_sources(columns: touch_options.ImportColumns, types: Iterable[str]) -> dict[str, str]:
     """Return the fields that some extra columns of a data set keep, with their names there."""
     sources = dict(columns.extra)
     return {sources.get(name, name): name for name in extra_columns(types)}
 
 
 def not_kept(
-    touches: source_touches.FoundTouches, columns: import_columns.ImportColumns, types: Iterable[str]
+    touches: source_touches.FoundTouches, columns: touch_options.ImportColumns, types: Iterable[str]
 ) -> dict[str, int]:
     """Return the number of touches with each field that is neither used nor kept, by its printable name."""
     kept = used_names(columns) | kept_sources(columns, types).keys()
     counts: dict[str, int] = {}
     for name in touches.names:
         if name not in kept:
-            tables = [table for table in (touches.said, touches.per_frame) if name in table.column_names]
+            tables = [table for table in (touches.per_touch, touches.per_frame) if name in table.column_names]
             count = max(len(table) - table[name].null_count for table in tables)
             shown = wording.printable(name)
             counts[shown] = counts.get(shown, 0) + count

@@ -20,7 +20,6 @@ import pyarrow.compute as pc
 from realtouch import convert, kind, touch_card, touch_options
 from realtouch.importing import (
     fields,
-    import_columns,
     import_shards,
     import_sources,
     source_files,
@@ -62,7 +61,7 @@ def import_touches(
     source: str | PathLike[str],
     out: str | PathLike[str],
     layout: str | None = None,
-    columns: import_columns.ImportColumns | None = None,
+    columns: touch_options.ImportColumns | None = None,
     *,
     table: str | None = None,
     streams: Sequence[str] = (),
@@ -113,16 +112,16 @@ def import_touches(
     """
     folder = store.open_folder(fspath(out))
     reading = import_sources.Reading(layout, columns, table, tuple(streams), alignment, cut)
-    found = import_sources.find_source(fspath(source), reading)
-    folder.refuse_source(found.home.address(), [found.home.address("any file")])
-    plan = plan_of(arranged(found, classes, split), found)
-    del found  # there may be many touches; from here on, shards hold them
+    recordings = import_sources.find_source(fspath(source), reading)
+    folder.refuse_source(recordings.home.address(), [recordings.home.address("any file")])
+    plan = plan_of(arranged(recordings, classes, split), recordings)
+    del recordings  # there may be many touches; from here on, shards hold them
     return store.build(folder, plan, write_card=touch_card.write_card, **run)
 
 
-def plan_of(touches: Arranged, found: import_sources.FoundSource) -> store.BuildPlan:
+def plan_of(touches: Arranged, recordings: import_sources.FoundSource) -> store.BuildPlan:
     """Return the plan of an import: a task for each shard, and its specification for the manifest."""
-    every = found.touches
+    every = recordings.touches
     work: Any = touches.work  # takes touches; the type of a task only knows items that can be counted
     tasks = []
     for split, parts in touches.shards.items():
@@ -132,7 +131,7 @@ def plan_of(touches: Arranged, found: import_sources.FoundSource) -> store.Build
     spec: JsonDict = {
         "operation": "import",
         "options": {
-            "layout": found.layout,
+            "layout": recordings.layout,
             "columns": {key: value for key, value in asdict(work.columns).items() if value},
             "classes": list(work.names),
             "image_size": work.image_size and [work.image_size[1], work.image_size[0]],
@@ -143,16 +142,16 @@ def plan_of(touches: Arranged, found: import_sources.FoundSource) -> store.Build
         },
         "listing_sha256": _listing_digest(every),
     }
-    if found.cut:
-        spec["options"]["cut"] = found.cut
-    if found.streams:
-        spec[touch_options.STREAMS] = list(found.streams[:_MAX_STREAMS])
-    if found.left_out:
-        spec[touch_options.LEFT_OUT] = list(map(wording.printable, found.left_out[:_MAX_LEFT_OUT]))
-    conversion = import_sources.IMPORTS[found.layout].describe(every)
+    if recordings.cut:
+        spec["options"]["cut"] = recordings.cut
+    if recordings.streams:
+        spec[touch_options.STREAMS] = list(recordings.streams[:_MAX_STREAMS])
+    if recordings.left_out:
+        spec[touch_options.LEFT_OUT] = list(map(wording.printable, recordings.left_out[:_MAX_LEFT_OUT]))
+    conversion = import_sources.IMPORTS[recordings.layout].describe(every)
     if conversion:
         spec["options"][CONVERSION] = conversion
-    pictures = {f"{_CUTS}/{name}.png": content for name, content in found.pictures.items()}
+    pictures = {f"{_CUTS}/{name}.png": content for name, content in recordings.pictures.items()}
     return store.BuildPlan(
         kind.KIND.name,
         spec,
@@ -175,8 +174,8 @@ def _write_pictures(
 def _listing_digest(touches: source_touches.FoundTouches) -> str:
     """Return the checksum of the names, places, times and fields of all touches."""
     digest = hashlib.sha256()
-    where = touches.where.select(["name", "start", "size", "time_s"])
-    for table in (where, touches.said, touches.per_frame):
+    listing = touches.listing.select(["name", "start", "size", "time_s"])
+    for table in (listing, touches.per_touch, touches.per_frame):
         digest.update(f"{len(table)}\n".encode())
         for name, column in zip(table.column_names, table.columns, strict=True):
             digest.update(f"{name} {column.type}\n".encode())
@@ -188,9 +187,9 @@ def _style(
     touches: source_touches.FoundTouches, shards: Mapping[str, Sequence[source_touches.FoundTouches]]
 ) -> store.ParquetStyle:
     """Return how many rounds are stored in a row group, and how the images are encoded."""
-    touch_bytes = pc.sum(touches.where["size"]).as_py() // len(touches) + 1
+    touch_bytes = pc.sum(touches.listing["size"]).as_py() // len(touches) + 1
     per_group = min(_TOUCHES_PER_GROUP, _GROUP_BYTES // touch_bytes)
-    rounds = sum(len(part.where["round"].unique()) for parts in shards.values() for part in parts)
+    rounds = sum(len(part.listing["round"].unique()) for parts in shards.values() for part in parts)
     column = "sensor_video" if touches.has_clips else "sensor_image"
     return store.ParquetStyle(
         max(1, per_group // max(1, len(touches) // rounds)),
@@ -211,28 +210,29 @@ class Arranged:
     work: import_shards.ImportTouches
 
 
-def arranged(found: import_sources.FoundSource, classes: Sequence[str], split: str | None) -> Arranged:
+def arranged(recordings: import_sources.FoundSource, classes: Sequence[str], split: str | None) -> Arranged:
     """Divide the touches of a source into rounds and splits; InputError if nothing can be imported."""
     if split is not None and not _SPLIT.fullmatch(split):
         raise errors.InputError(f"the split is {split!r}; expected letters, digits and underscores")
-    touches = found.touches
-    columns = found.columns
-    read = import_sources.IMPORTS[found.layout]
+    touches = recordings.touches
+    columns = recordings.columns
+    read = import_sources.IMPORTS[recordings.layout]
     names = tuple(classes) or _class_names(touches, columns.label)
     if len(set(map(fields.integer_text, classes))) < len(classes):
         raise errors.InputError(f"the classes are {', '.join(names)}; expected each once")
-    most_bytes = _ROUND_BYTES if found.cut else _SHARD_BYTES
-    sizes = touches.where["size"].to_pylist()
+    most_bytes = _ROUND_BYTES if recordings.cut else _SHARD_BYTES
+    sizes = touches.listing["size"].to_pylist()
     whole = _rounds(touches, columns, split)
     taken = {name for of_split in whole.values() for name in of_split}
     shards = {}
-    for each, of_split in whole.items():
+    for name, of_split in whole.items():
         rounds = _in_pieces(of_split, sizes, most_bytes, taken)
-        shards[each] = [_shard(touches, part) for part in _divided(rounds, sizes, touches.has_clips)]
+        shards[name] = [_shard(touches, part) for part in _divided(rounds, sizes, touches.has_clips)]
     size = common_size(touches, read.contents, read.one_size_per_file)
     schema = import_shards.touch_schema(columns, names, touches)
     return Arranged(
-        shards, import_shards.ImportTouches(found.layout, columns, names, size, schema, found.versions)
+        shards,
+        import_shards.ImportTouches(recordings.layout, columns, names, size, schema, recordings.versions),
     )
 
 
@@ -242,7 +242,7 @@ def _shard(
     """Return the touches of some rounds, one round after the other."""
     rows = np.concatenate([np.array(numbers, np.int64) for numbers in rounds.values()])
     names = [name for name, numbers in rounds.items() for _ in numbers]
-    return touches.take(rows).with_where(round=names)
+    return touches.take(rows).with_listing(round=names)
 
 
 def _divided(
@@ -277,39 +277,39 @@ def _class_names(touches: source_touches.FoundTouches, column: str | None) -> tu
 
 
 def _rounds(
-    touches: source_touches.FoundTouches, columns: import_columns.ImportColumns, split: str | None
+    touches: source_touches.FoundTouches, columns: touch_options.ImportColumns, split: str | None
 ) -> dict[str, dict[str, list[int]]]:
     """Return the touches of each round of each split, in order; a touch without a round gets its own."""
-    found: dict[str, dict[str, list[int]]] = {}
+    by_split: dict[str, dict[str, list[int]]] = {}
     split_of: dict[str, str] = {}
     rounds = touches.texts(columns.round)
     named = set(rounds)
-    names, numbers = (touches.where[name].to_pylist() for name in ("name", "number"))
-    splits = _splits(touches.texts(columns.split), source_touches.texts_in(touches.where["path"]), split)
-    for place, (name, part) in enumerate(zip(rounds, splits, strict=True)):
+    names, numbers = (touches.listing[name].to_pylist() for name in ("name", "number"))
+    splits = _splits(touches.texts(columns.split), source_touches.texts_in(touches.listing["path"]), split)
+    for index, (name, part) in enumerate(zip(rounds, splits, strict=True)):
         if not _SPLIT.fullmatch(part):
             raise errors.InputError(
-                f"{names[place]!r}: the split {fields.shown(part)!r}; expected letters and digits"
+                f"{names[index]!r}: the split {fields.shown(part)!r}; expected letters and digits"
             )
         if not name:
             # macOS writes letters and their accents as separate characters.
-            stem = unicodedata.normalize("NFC", names[place].rpartition(".")[0] or names[place])
+            stem = unicodedata.normalize("NFC", names[index].rpartition(".")[0] or names[index])
             name = _UNNAMED.sub("_", stem)[-_LONGEST_ID:]
             while name in split_of or name in named:
-                name = f"{name}_{numbers[place]}"
+                name = f"{name}_{numbers[index]}"
         if split_of.setdefault(name, part) != part:
             raise errors.InputError(
-                f"{names[place]!r}: round {fields.shown(name)!r} is in the splits {split_of[name]!r} and "
+                f"{names[index]!r}: round {fields.shown(name)!r} is in the splits {split_of[name]!r} and "
                 f"{part!r}; expected each round in one split"
             )
-        found.setdefault(part, {}).setdefault(name, []).append(place)
-    return found
+        by_split.setdefault(part, {}).setdefault(name, []).append(index)
+    return by_split
 
 
 def _splits(stated: Sequence[str], paths: Sequence[str], split: str | None) -> Iterator[str]:
     """Yield the split of each touch: as its column states, as given, as the name of its tar, or ``train``."""
-    for each, path in zip(stated, paths, strict=True):
-        yield each or split or next(iter(_OUR_TAR.findall(path.rpartition("/")[2])), "train")
+    for stated_split, path in zip(stated, paths, strict=True):
+        yield stated_split or split or next(iter(_OUR_TAR.findall(path.rpartition("/")[2])), "train")
 
 
 def _in_pieces(
@@ -319,7 +319,7 @@ def _in_pieces(
 
     ``taken`` holds the names of all rounds; new names are added.
     """
-    found: dict[str, list[int]] = {}
+    divided: dict[str, list[int]] = {}
     for name, numbers in rounds.items():
         parts = _ranges_of([sizes[number] for number in numbers], most_bytes)
         pieces = [numbers[part] for part in parts]
@@ -328,8 +328,8 @@ def _in_pieces(
             name = f"{name}-"
             names = [f"{name}{number}" for number in range(len(pieces))]
         taken.update(names)
-        found |= dict(zip(names, pieces, strict=True))
-    return found
+        divided |= dict(zip(names, pieces, strict=True))
+    return divided
 
 
 def _ranges_of(sizes: Sequence[int], most_bytes: int) -> Iterator[slice]:
@@ -358,7 +358,7 @@ def common_size(
     places = list[source_touches.PicturePlace]()
     counts = dict[source_touches.PicturePlace, int]()
     if one_size_per_file:
-        of_files = usable.where.group_by(["home", "path", "part"])
+        of_files = usable.listing.group_by(["home", "path", "part"])
         files = of_files.aggregate([("number", "min"), ("frames", "sum"), ("frames", "count")])
         for row in files.sort_by("number_min").to_pylist():
             places.append(touches[row["number_min"]]._replace(frames=0))
@@ -378,10 +378,10 @@ def _sizes(
 ) -> Counter[tuple[int, int]]:
     """Count the sizes of intact images; ``counts`` says for how many pictures of its file an image stands."""
     sizes = Counter[tuple[int, int]]()
-    for content, place in zip(read(places), places, strict=True):
+    for content, picture in zip(read(places), places, strict=True):
         if isinstance(content, bytes):
             with suppress(ValueError):
-                sizes[touch.intact_size(content)] += counts.get(place, 1)
+                sizes[touch.intact_size(content)] += counts.get(picture, 1)
     return sizes
 
 
@@ -430,7 +430,7 @@ class ImportPreview:
 def preview_import(
     source: str | PathLike[str],
     layout: str | None = None,
-    columns: import_columns.ImportColumns | None = None,
+    columns: touch_options.ImportColumns | None = None,
     *,
     table: str | None = None,
     streams: Sequence[str] = (),
@@ -451,38 +451,40 @@ def preview_import(
         As :func:`import_touches`.
     """
     reading = import_sources.Reading(layout, columns, table, tuple(streams), alignment, cut)
-    found = import_sources.find_source(fspath(source), reading)
-    touches = arranged(found, classes, split)
+    recordings = import_sources.find_source(fspath(source), reading)
+    touches = arranged(recordings, classes, split)
     usable = {
         name: sum(int(part.is_usable.sum()) for part in parts) for name, parts in touches.shards.items()
     }
     messages: dict[str, list[str]] = {}
-    for _, name, error in found.touches.problems():
+    for _, name, error in recordings.touches.problems():
         messages.setdefault(error.reason, []).append(f"{name!r}: {error.message}")
     first = _first(touches, messages)
     return ImportPreview(
-        found.layout,
-        found.recognised_by,
-        found.cut,
+        recordings.layout,
+        recordings.recognised_by,
+        recordings.cut,
         sum(usable.values()),
-        sum(len(part.where["round"].unique()) for parts in touches.shards.values() for part in parts),
+        sum(len(part.listing["round"].unique()) for parts in touches.shards.values() for part in parts),
         usable,
         touches.work.names,
-        _pictures_in_words(found, touches),
-        _uses(found, import_shards.extras_in(touches.work.schema)),
+        _pictures_in_words(recordings, touches),
+        _uses(recordings, import_shards.extras_in(touches.work.schema)),
         first,
-        list(found.streams),
-        [(reason, len(each), each[0]) for reason, each in messages.items()],
+        list(recordings.streams),
+        [(reason, len(texts), texts[0]) for reason, texts in messages.items()],
     )
 
 
 def _first(touches: Arranged, messages: dict[str, list[str]]) -> list[dict[str, str]]:
     """Make the first touches as an import would, and note why others cannot be used."""
-    parts = [part.take(np.flatnonzero(part.is_usable)) for each in touches.shards.values() for part in each]
+    parts = [
+        part.take(np.flatnonzero(part.is_usable)) for of_split in touches.shards.values() for part in of_split
+    ]
     some = next((part for part in parts if len(part)), parts[0])[:_TOUCHES_SHOWN]
     content = touches.work(store.ShardName("preview", 0, 1), some)
-    for each in content.skipped:
-        messages.setdefault(each.reason, []).append(each.message)
+    for skipped in content.skipped:
+        messages.setdefault(skipped.reason, []).append(skipped.message)
     shown = []
     (media,) = [field.name for field in content.table.schema if field.type == pa.list_(MEDIA_TYPE)]
     counts = pc.list_value_length(content.table[media]).to_pylist()
@@ -500,15 +502,15 @@ def _in_words(value: JsonValue, touch: int) -> str:
     return wording.printable(str(value))[:_LONGEST_SHOWN]
 
 
-def _pictures_in_words(found: import_sources.FoundSource, touches: Arranged) -> str:
-    words = import_sources.IMPORTS[found.layout].describe(found.touches) or "stored as they are"
+def _pictures_in_words(recordings: import_sources.FoundSource, touches: Arranged) -> str:
+    words = import_sources.IMPORTS[recordings.layout].describe(recordings.touches) or "stored as they are"
     size = touches.work.image_size
     return words if size is None else f"{size[1]} x {size[0]} pixels, {words}"
 
 
-def _uses(found: import_sources.FoundSource, extras: Iterable[str]) -> list[tuple[str, str, str]]:
+def _uses(recordings: import_sources.FoundSource, extras: Iterable[str]) -> list[tuple[str, str, str]]:
     """Return each column of the source, what it becomes, and its unit; ``extras`` are the extra columns."""
-    columns = found.columns
+    columns = recordings.columns
     roles: dict[str | None, str] = {
         **{source: f"extra {name!r}" for source, name in fields.kept_sources(columns, extras).items()},
         columns.label: "label",
@@ -522,9 +524,9 @@ def _uses(found: import_sources.FoundSource, extras: Iterable[str]) -> list[tupl
     }
     lengths = {*(columns.position or ()), *(columns.pose or ())[:3]}
     uses = []
-    for name in found.touches.names:
-        unit = units.stated_unit(name) or ""
+    for name in recordings.touches.names:
+        unit = units.Quantity.stated_unit(name) or ""
         if name in lengths:
             unit = unit or columns.length_unit or "m"
         uses.append((wording.printable(name), roles.get(name, "left out"), unit))
-    return [*uses, *((wording.printable(each), "left out", "") for each in found.left_out)]
+    return [*uses, *((wording.printable(field_name), "left out", "") for field_name in recordings.left_out)]

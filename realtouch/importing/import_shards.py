@@ -17,8 +17,8 @@ import numpy as np
 import pyarrow as pa
 
 from realtouch import contact, touch_options
-from realtouch.importing import fields, import_columns, import_sources, source_touches
-from realtouch.touches import schema as stored_schema, stored_images
+from realtouch.importing import fields, import_sources, source_touches
+from realtouch.touches import media, schema as stored_schema
 from realtouch.video import avi
 from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import AnyArray, Float64, Int64
@@ -72,7 +72,7 @@ class ImportTouches:
     """
 
     layout: str
-    columns: import_columns.ImportColumns
+    columns: touch_options.ImportColumns
     names: tuple[str, ...]
     image_size: tuple[int, int] | None
     schema: pa.Schema
@@ -83,9 +83,9 @@ class ImportTouches:
 
     def digest(self, touches: source_touches.FoundTouches) -> str:
         """Read the images of touches and return the checksum of them all."""
-        found = hashlib.sha256()
-        _add_contents(found, self._contents(touches))
-        return found.hexdigest()
+        digest = hashlib.sha256()
+        _add_contents(digest, self._contents(touches))
+        return digest.hexdigest()
 
     @store.without_collecting()
     def __call__(self, shard: store.ShardName, touches: source_touches.FoundTouches) -> store.ShardContent:
@@ -95,10 +95,10 @@ class ImportTouches:
         skipped = list[store.Skipped]()
         notes, others = Counter[str](), Counter[str]()
         extras = extras_in(self.schema)
-        said = self._read_fields(touches)
+        values = self._read_fields(touches)
         contents = self._contents(touches)
         for rows in _pieces(touches):
-            stored, problems = self._stored(touches, rows, said, contents, digest)
+            stored, problems = self._stored(touches, rows, values, contents, digest)
             tables.append(table_of_touches(stored, self.columns, self.schema))
             notes.update(note for clip in stored.clips for note in clip.notes)
             others.update(fields.not_kept(stored.touches, self.columns, extras))
@@ -118,7 +118,7 @@ class ImportTouches:
         """Raise IntegrityError if a file with several images is not the one whose places were read."""
         if not self.versions:
             return
-        files = self.versions.keys() & {(place.home, place.path) for place in touches}
+        files = self.versions.keys() & {(picture.home, picture.path) for picture in touches}
         for file, version in import_sources.versions_of(files, cache(store.open_folder)).items():
             if version != self.versions[file]:
                 raise errors.IntegrityError(
@@ -151,7 +151,7 @@ class ImportTouches:
     def _of_pictures(
         self,
         touches: source_touches.FoundTouches,
-        read: Callable[[fields.Fields, import_columns.ImportColumns], Float64],
+        read: Callable[[fields.Fields, touch_options.ImportColumns], Float64],
         names: tuple[str, ...],
         width: int,
         owners: Int64,
@@ -163,52 +163,52 @@ class ImportTouches:
         if not names or not len(rows):
             return no_values, problems
         values = {name: touches.of_pictures(name) for name in names}
-        found, wrong = fields.each_of(read, values, self.columns, rows)
+        numbers, wrong = fields.each_of(read, values, self.columns, rows)
         for row, error in wrong.items():
             touch = int(owners[row])
             if not {*names}.isdisjoint(touches.per_frame.column_names):
                 number = row - int(np.searchsorted(owners, touch))
                 error = errors.ItemError(error.reason, f"picture {number}: {error.message}")
             problems.setdefault(touch, error)
-        if found is None:
-            found = no_values
-        return found, problems
+        if numbers is None:
+            numbers = no_values
+        return numbers, problems
 
     def _stored(
         self,
         touches: source_touches.FoundTouches,
         rows: Int64,
-        said: _TouchFields,
+        values: _TouchFields,
         contents: Iterator[bytes | errors.ItemError],
         digest: Any,
     ) -> tuple[StoredTouches, dict[int, errors.ItemError]]:
         """Read the pictures of touches of whole rounds; also return problems, by index in ``rows``."""
         piece = touches.take(rows)
-        frames = piece.where["frames"].to_pylist()
+        frames = piece.listing["frames"].to_pylist()
         numbers = rows.tolist()
         made, clips = dict[int, bytes](), dict[int, ImportedClip]()
         problems: dict[int, errors.ItemError] = {}
-        for place in np.flatnonzero(piece.is_usable).tolist():
-            pictures = list(islice(contents, max(1, frames[place])))
+        for index in np.flatnonzero(piece.is_usable).tolist():
+            pictures = list(islice(contents, max(1, frames[index])))
             _add_contents(digest, pictures)
             try:
-                size = self._size(pictures, is_clip=frames[place] > 0)
-                if numbers[place] in said.problems:
-                    raise said.problems[numbers[place]]
+                size = self._size(pictures, is_clip=frames[index] > 0)
+                if numbers[index] in values.problems:
+                    raise values.problems[numbers[index]]
                 media = cast(bytes, pictures[0])
-                if frames[place]:
-                    clips[place] = clip_of(piece, place, cast(Sequence[bytes], pictures), size, self.columns)
-                    media = clips[place].video
-                made[place] = media
+                if frames[index]:
+                    clips[index] = clip_of(piece, index, cast(Sequence[bytes], pictures), size, self.columns)
+                    media = clips[index].video
+                made[index] = media
             except errors.ItemError as error:
-                problems[place] = error
-        problems |= _of_other_rounds(piece, said, rows, list(made))
-        kept = np.array([place for place in made if place not in problems], np.int64)
-        encoded = [made[place] for place in kept.tolist()]
-        kept_clips = [clips[place] for place in kept.tolist() if place in clips]
-        places = said.positions[rows[kept]]
-        turns = said.poses[np.isin(said.owners, rows[kept])]
-        about = said.labels[rows[kept]], said.objects[rows[kept]], places, turns
+                problems[index] = error
+        problems |= _of_other_rounds(piece, values, rows, list(made))
+        kept = np.array([index for index in made if index not in problems], np.int64)
+        encoded = [made[index] for index in kept.tolist()]
+        kept_clips = [clips[index] for index in kept.tolist() if index in clips]
+        places = values.positions[rows[kept]]
+        turns = values.poses[np.isin(values.owners, rows[kept])]
+        about = values.labels[rows[kept]], values.objects[rows[kept]], places, turns
         return StoredTouches(piece.take(kept), *about, encoded, kept_clips), problems
 
     def _size(self, pictures: Sequence[bytes | errors.ItemError], *, is_clip: bool) -> tuple[int, int]:
@@ -227,18 +227,18 @@ class ImportTouches:
                 if common in (None, size):
                     common = size
                     continue
-                found = f"{size[1]} x {size[0]} pixels"
+                stated = f"{size[1]} x {size[0]} pixels"
                 problem = errors.ItemError(
-                    "size", f"{found}; expected {common[1]} x {common[0]} as most images"
+                    "size", f"{stated}; expected {common[1]} x {common[0]} as most images"
                 )
-            where = f"picture {number}: " if is_clip else ""
-            raise errors.ItemError(problem.reason, f"{where}{problem.message}") from problem
+            prefix = f"picture {number}: " if is_clip else ""
+            raise errors.ItemError(problem.reason, f"{prefix}{problem.message}") from problem
         return common or (0, 0)
 
 
 def _pieces(touches: source_touches.FoundTouches) -> Iterator[Int64]:
     """Yield the rows of a few whole rounds at a time, so that few pictures are in memory twice."""
-    rounds, sizes = (touches.where[name].to_pylist() for name in ("round", "size"))
+    rounds, sizes = (touches.listing[name].to_pylist() for name in ("round", "size"))
     start = size_bytes = 0
     for number, size in enumerate(sizes):
         if size_bytes > _PIECE_BYTES and rounds[number] != rounds[number - 1]:
@@ -249,15 +249,15 @@ def _pieces(touches: source_touches.FoundTouches) -> Iterator[Int64]:
 
 
 def _of_other_rounds(
-    piece: source_touches.FoundTouches, said: _TouchFields, rows: Int64, kept: Sequence[int]
+    piece: source_touches.FoundTouches, values: _TouchFields, rows: Int64, kept: Sequence[int]
 ) -> dict[int, errors.ItemError]:
     """Return a problem for each touch whose label or object differs from the first one of its round."""
     places = np.array(kept, np.int64)
-    codes = source_touches.one_chunk(piece.where["round"]).dictionary_encode().indices.to_numpy()[places]
+    codes = source_touches.one_chunk(piece.listing["round"]).dictionary_encode().indices.to_numpy()[places]
     _, first, of_round = np.unique(codes, return_index=True, return_inverse=True)
     error = errors.ItemError("round", "another label or object than the first touch of its round")
     differs = np.zeros(len(places), bool)
-    for about in (said.labels[rows[places]], said.objects[rows[places]]):
+    for about in (values.labels[rows[places]], values.objects[rows[places]]):
         differs |= about != about[first[of_round]]
     return dict.fromkeys(places[differs].tolist(), error)
 
@@ -280,7 +280,7 @@ class StoredTouches:
 
 
 def touch_schema(
-    columns: import_columns.ImportColumns, names: Sequence[str], touches: source_touches.FoundTouches
+    columns: touch_options.ImportColumns, names: Sequence[str], touches: source_touches.FoundTouches
 ) -> pa.Schema:
     """Return the schema of imported rounds, of clips or of single images, with the columns that are known."""
     kind: stored_schema.Kind = "seq" if touches.has_clips else "single"
@@ -316,10 +316,10 @@ def extras_in(schema: pa.Schema) -> dict[str, pa.DataType]:
 
 
 def table_of_touches(
-    stored: StoredTouches, columns: import_columns.ImportColumns, schema: pa.Schema
+    stored: StoredTouches, columns: touch_options.ImportColumns, schema: pa.Schema
 ) -> pa.Table:
     """Return touches of whole rounds, one round after the other, as rows."""
-    rounds = source_touches.one_chunk(stored.touches.where["round"])
+    rounds = source_touches.one_chunk(stored.touches.listing["round"])
     codes = rounds.dictionary_encode().indices.to_numpy()
     starts = np.flatnonzero(np.diff(codes, prepend=-1))
     made: dict[str, pa.Array] = {
@@ -340,12 +340,12 @@ def table_of_touches(
 def _media_and_poses(stored: StoredTouches, schema: pa.Schema) -> dict[str, pa.Array]:
     """Return the columns with an entry for each touch, except the extra ones."""
     kind: stored_schema.Kind = "seq" if stored_schema.MEDIA_COLUMN["seq"] in schema.names else "single"
-    paths = [name.rpartition("/")[2] for name in stored.touches.where["name"].to_pylist()]
+    paths = [name.rpartition("/")[2] for name in stored.touches.listing["name"].to_pylist()]
     made: dict[str, pa.Array] = {}
     if kind == "seq":
         paths = [f"{path}.avi" for path in paths]
         made |= _clip_times(stored.clips)
-    made[stored_schema.MEDIA_COLUMN[kind]] = stored_images.media_array(stored.media, paths)
+    made[stored_schema.MEDIA_COLUMN[kind]] = media.media_array(stored.media, paths)
     made["pos_in_cell"] = _vectors(stored.positions, 2)
     for part, numbers in _POSE_PARTS.items():
         name = f"{stored_schema.POSE_COLUMN[kind]}.{part}"
@@ -394,7 +394,7 @@ def clip_of(
     row: int,
     pictures: Sequence[bytes],
     size: tuple[int, int],
-    columns: import_columns.ImportColumns,
+    columns: touch_options.ImportColumns,
 ) -> ImportedClip:
     """Return a clip of pictures that are intact and of one size (height, width).
 
@@ -410,10 +410,10 @@ def clip_of(
     jpegs = pictures
     if not all(map(is_jpeg, pictures)):
         notes.append("pictures encoded as JPEG")
-        jpegs = list(map(stored_images.as_jpeg, pictures))
+        jpegs = list(map(media.as_jpeg, pictures))
     step_s = float(np.median(np.diff(time_s))) if len(pictures) > 1 else 0.0
     fps = min(max(1 / step_s, _RATES[0]), _RATES[1]) if step_s > 0 else FRAMES_PER_SECOND
-    contact_ends = touches.where["contact"][row].as_py()
+    contact_ends = touches.listing["contact"][row].as_py()
     if contact_ends is None:  # from the pictures as they are stored, so that a copy gives the same
         try:
             contact_ends, is_found = contact.contact_by_pictures(jpegs, size, decode_image)
@@ -427,14 +427,14 @@ def clip_of(
 
 
 def clip_times_s(
-    touches: source_touches.FoundTouches, row: int, columns: import_columns.ImportColumns
+    touches: source_touches.FoundTouches, row: int, columns: touch_options.ImportColumns
 ) -> Float64 | None:
     """Return the time of each picture from the first one, seconds, shape (frames,); None if not known.
 
     The times are finite and do not decrease: the recording was checked. Raises ItemError if they last longer
     than a clip may, or if the column of times is named and has none for this touch.
     """
-    stated = touches.where["time_s"][row].values
+    stated = touches.listing["time_s"][row].values
     if stated is None:
         if columns.time:
             raise errors.ItemError("time", f"no {columns.time!r} for each picture; expected the time of each")

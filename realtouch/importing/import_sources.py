@@ -15,7 +15,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from realtouch.importing import cuts, import_columns, source_files, source_touches
+from realtouch import touch_options
+from realtouch.importing import cuts, source_files, source_touches
 from realtouch.importing.fields import each_of, times_s
 from realtouch.importing.streams import Aligner, StreamReport
 from realtouch.kind import KIND
@@ -28,7 +29,7 @@ from tactile_toolkit.columns import column_types, tables
 _SPLIT_FOLDERS = ("fota",)  # formats whose exports have a folder for each split, with its name
 Version = tuple[object, ...] | None
 FindTouches = Callable[
-    [store.DataFolder, import_columns.ImportColumns, str | None],
+    [store.DataFolder, touch_options.ImportColumns, str | None],
     Iterator[source_touches.FoundTouches | source_touches.Recording],
 ]
 """Yields the touches of a folder, or recordings to cut, given columns and the path of a table."""
@@ -61,7 +62,7 @@ class Reading:
     """How a source is read; see :func:`realtouch.import_touches`."""
 
     layout: str | None = None
-    columns: import_columns.ImportColumns | None = None
+    columns: touch_options.ImportColumns | None = None
     table: str | None = None
     streams: tuple[str, ...] = ()
     alignment: Alignment | None = None
@@ -83,7 +84,7 @@ class FoundSource:
     layout: str
     recognised_by: str
     touches: source_touches.FoundTouches
-    columns: import_columns.ImportColumns
+    columns: touch_options.ImportColumns
     cut: str = ""
     pictures: Mapping[str, bytes] = field(default_factory=dict)
     streams: Sequence[StreamReport] = ()
@@ -98,10 +99,10 @@ def versions_of(
     return {(home, path): opened(home).version(path) for home, path in files}
 
 
-def find_source(place: str, reading: Reading) -> FoundSource:
+def find_source(address: str, reading: Reading) -> FoundSource:
     """Recognise a source and find its touches; InputError if it cannot be used."""
-    home = store.open_folder(place)
-    columns = reading.columns or import_columns.ImportColumns()
+    home = store.open_folder(address)
+    columns = reading.columns or touch_options.ImportColumns()
     format_ = Recognised(reading.layout or "", "")
     if reading.layout is not None:
         require_layout(reading.layout, IMPORTS)
@@ -111,7 +112,7 @@ def find_source(place: str, reading: Reading) -> FoundSource:
             next="check the name",
         )
     if reading.layout is None:
-        format_ = recognised(place)
+        format_ = recognised(address)
     read = IMPORTS[format_.layout]
     cutter = cuts.Cutter(reading.cut, read.contents, columns, read.cut)
     no_streams = [
@@ -141,21 +142,21 @@ def find_source(place: str, reading: Reading) -> FoundSource:
     if missing and touches.is_usable.any():
         source_files.require_columns(touches.names, sorted(missing), home.address())
     completed = columns.found_in(touches.known, rotvec=read.rotvec)
-    touches = said_of_whole(_checked(touches), completed)
+    touches = fields_of_whole(_checked(touches), completed)
     of_cuts = (cutter.done, cutter.pictures, aligner.reports, tuple(left_out), versions)
     return FoundSource(home, format_.layout, format_.by, touches, completed, *of_cuts)
 
 
 def _read_folders(
-    home: store.DataFolder, layout: str, columns: import_columns.ImportColumns, table: str | None
+    home: store.DataFolder, layout: str, columns: touch_options.ImportColumns, table: str | None
 ) -> Iterator[source_touches.FoundTouches | source_touches.Recording]:
     """Yield the touches and recordings of a folder, or of each split of an export of this toolkit."""
     folders = [home]
     if layout in home.entries():
         folders = [store.open_folder(home.address(layout))]
-    found = {name: size for name, size in folders[0].entries().items() if not store.is_hidden(name)}
-    splits = [name for name, size in found.items() if size is None]
-    if layout in _SPLIT_FOLDERS and len(splits) == len(found) > 0:
+    entries = {name: size for name, size in folders[0].entries().items() if not store.is_hidden(name)}
+    splits = [name for name, size in entries.items() if size is None]
+    if layout in _SPLIT_FOLDERS and len(splits) == len(entries) > 0:
         folders = [store.open_folder(folders[0].address(split)) for split in splits]
     for folder in folders:
         yield from IMPORTS[layout].find(folder, columns, table)
@@ -167,12 +168,12 @@ def _files_of_several(
     """Return the files with several pictures: recordings, and those with an image that starts later."""
     if isinstance(part, source_touches.Recording):
         return set() if part.problem is not None else {(part.home, part.path)}
-    files = part.where.filter(pc.greater(part.where["start"], 0)).group_by(["home", "path"])
+    files = part.listing.filter(pc.greater(part.listing["start"], 0)).group_by(["home", "path"])
     return {(row["home"], row["path"]) for row in files.aggregate([]).to_pylist()}
 
 
 def _timed(
-    touches: source_touches.FoundTouches, columns: import_columns.ImportColumns
+    touches: source_touches.FoundTouches, columns: touch_options.ImportColumns
 ) -> source_touches.FoundTouches:
     """Return images with a field of times in seconds, as the pictures of recordings have it."""
     values = touches.value(columns.time) if columns.time else None
@@ -185,28 +186,28 @@ def _timed(
         )
     rows = np.flatnonzero(values.is_valid().to_numpy(zero_copy_only=False))
 
-    def read(fields: Mapping[str, pa.Array], how: import_columns.ImportColumns) -> Float64:
+    def read(fields: Mapping[str, pa.Array], how: touch_options.ImportColumns) -> Float64:
         return times_s(fields[source_touches.TIME_S], how.time or "", how.time_unit)
 
     time_s, problems = each_of(read, {source_touches.TIME_S: values}, columns, rows)
     column = pa.nulls(len(touches)) if time_s is None else pa.array(time_s, from_pandas=True)
-    return touches.with_problems(problems).with_said({source_touches.TIME_S: column})
+    return touches.with_problems(problems).with_fields({source_touches.TIME_S: column})
 
 
 def _checked(touches: source_touches.FoundTouches) -> source_touches.FoundTouches:
     """Return all touches of a source with their numbers; an image that is too large has a problem."""
-    where = touches.where
-    is_large = pc.and_(pc.equal(where["frames"], 0), pc.greater(where["size"], touch.MAX_IMAGE_BYTES))
+    listing = touches.listing
+    is_large = pc.and_(pc.equal(listing["frames"], 0), pc.greater(listing["size"], touch.MAX_IMAGE_BYTES))
     problems = {}
     for number in np.flatnonzero(is_large.to_numpy()).tolist():
         problems[number] = errors.ItemError(
-            "image", f"{where['size'][number].as_py():,} bytes; the limit is {touch.MAX_IMAGE_BYTES:,}"
+            "image", f"{listing['size'][number].as_py():,} bytes; the limit is {touch.MAX_IMAGE_BYTES:,}"
         )
-    return touches.with_problems(problems).with_where(number=np.arange(len(touches)))
+    return touches.with_problems(problems).with_listing(number=np.arange(len(touches)))
 
 
-def said_of_whole(
-    touches: source_touches.FoundTouches, columns: import_columns.ImportColumns
+def fields_of_whole(
+    touches: source_touches.FoundTouches, columns: touch_options.ImportColumns
 ) -> source_touches.FoundTouches:
     """Return clips with the label, round, object and split of their pictures as fields of the clip.
 
@@ -225,7 +226,7 @@ def said_of_whole(
             has_own = stated.is_valid().to_numpy(zero_copy_only=False)
             both = column_types.joined([stated, values])
             values = both.take(pa.array(np.where(has_own, 0, len(values)) + np.arange(len(values))))
-        touches = touches.with_said({name: values})
+        touches = touches.with_fields({name: values})
         if name == source_files.NUMBERED:
             continue
         texts = column_types.texts_of(entries).fill_null("").dictionary_encode().indices.to_numpy()
@@ -315,44 +316,44 @@ _PICKLES = _ends_with(".pkl", ".pickle")
 _TABLES = _ends_with(*tables.ENDINGS)
 
 
-def recognised(place: str) -> Recognised:
+def recognised(address: str) -> Recognised:
     """Return the format of a file or folder.
 
     Raises InputError if no format or several formats are recognised; it names the option that states one.
     """
-    home = store.open_folder(place)
-    if home.is_local and Path(place).is_file():
-        return _of_file(place)
+    home = store.open_folder(address)
+    if home.is_local and Path(address).is_file():
+        return _of_file(address)
     ours = _of_export(home)
     if ours is not None:
         return ours
     paths = _paths(home)
-    found: dict[str, str] = {}
+    marked: dict[str, str] = {}
     for layout, fits in _MARKS:
-        if layout not in found:
+        if layout not in marked:
             first = next(filter(fits, paths), None)
             if first is not None:
-                found[layout] = first
-    for whole in [each for each in found if each in _PARTS]:
-        found = {layout: first for layout, first in found.items() if layout not in _PARTS[whole]}
-    if len(found) > 1:  # a table describes the files beside it
-        found = {layout: first for layout, first in found.items() if not _TABLES(first)} or found
-    if [*found] == ["folder"]:
+                marked[layout] = first
+    for whole in [layout for layout in marked if layout in _PARTS]:
+        marked = {layout: first for layout, first in marked.items() if layout not in _PARTS[whole]}
+    if len(marked) > 1:  # a table describes the files beside it
+        marked = {layout: first for layout, first in marked.items() if not _TABLES(first)} or marked
+    if [*marked] == ["folder"]:
         # The images beside the pickles of Sparsh are backgrounds, which must not pass for touches.
         _refuse_pickles([path for path in paths if path.count("/") < 2])
-    if not found:
+    if not marked:
         _refuse_pickles(paths)
         shown = ", ".join(paths[:_PATHS_SHOWN]) or "nothing"
         raise errors.InputError(
-            f"{place!r} holds no recordings of a known format (found {shown})",
+            f"{address!r} holds no recordings of a known format (found {shown})",
             next=f"name the format with --format: {', '.join(IMPORTS)}",
         )
-    if len(found) > 1:
-        words = ", ".join(f"{layout} ({first})" for layout, first in found.items())
+    if len(marked) > 1:
+        words = ", ".join(f"{layout} ({first})" for layout, first in marked.items())
         raise errors.InputError(
-            f"{place!r} can be read in several formats: {words}", next="name one with --format"
+            f"{address!r} can be read in several formats: {words}", next="name one with --format"
         )
-    ((layout, first),) = found.items()
+    ((layout, first),) = marked.items()
     return Recognised(layout, first)
 
 
@@ -368,8 +369,8 @@ def _refuse_pickles(paths: Sequence[str]) -> None:
         )
 
 
-def _of_file(place: str) -> Recognised:
-    folder, name = source_files.source_of(place)
+def _of_file(path: str) -> Recognised:
+    folder, name = source_files.source_of(path)
     with folder.open_inside(name) as stream:
         head = video_files.read_start(stream)
         if head.startswith(_ZIP) and _is_oxt(stream):
@@ -380,11 +381,11 @@ def _of_file(place: str) -> Recognised:
         if any(head[at : at + len(mark)] == mark for at, mark in marks):
             return Recognised(layout, name)
     _refuse_pickles([name])
-    found = "is empty"
+    content = "is empty"
     if head:
-        found = f"begins with {head[:8].hex(' ')}"
+        content = f"begins with {head[:8].hex(' ')}"
     raise errors.InputError(
-        f"{place!r} {found}; expected a video, a tar, or a file of Parquet, HDF5 or Zarr",
+        f"{path!r} {content}; expected a video, a tar, or a file of Parquet, HDF5 or Zarr",
         next="give its folder, with --table for a table; or name the format with --format",
     )
 
@@ -400,13 +401,13 @@ def _of_export(home: store.DataFolder) -> Recognised | None:
     """Return the format of an export of this toolkit, as its manifest states it; None for other folders."""
     if store.manifest_so_far(home) is None:
         return None
-    place = places.open_place(home.address()).require(KIND, "import")
-    if place.spec.get("operation") not in ("export", "frames"):
+    data_set = places.open_place(home.address()).require(KIND, "import")
+    if data_set.spec.get("operation") not in ("export", "frames"):
         raise errors.InputError(
             f"{home.address()!r} is a data set already; it needs no import",
             next="open it with `realtouch.load`",
         )
-    layout = dict(place.spec["options"]).get("layout", "folder")
+    layout = dict(data_set.spec["options"]).get("layout", "folder")
     return Recognised(str(layout), store.MANIFEST_FILE)
 
 

@@ -8,11 +8,12 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from functools import cache, partial
 from itertools import chain, groupby, islice, repeat
 from operator import itemgetter
-from typing import IO, NamedTuple
+from typing import NamedTuple
 
 import pyarrow as pa
 
-from realtouch.importing import import_columns, source_touches
+from realtouch import touch_options
+from realtouch.importing import source_touches
 from tactile_toolkit import errors, run, store, wording
 from tactile_toolkit.columns import column_types, tables
 from tactile_toolkit.json_types import JsonDict
@@ -46,18 +47,10 @@ def path_of(text: str) -> str:
     return _CURRENT_FOLDER.sub("", path) if path.startswith(".") else path
 
 
-def source_of(place: str) -> tuple[store.DataFolder, str]:
+def source_of(path_or_address: str) -> tuple[store.DataFolder, str]:
     """Return the folder of a file that the user named, and its name there; the file may be a link."""
-    path = store.local_path(place)
-    return store.split_uri(place if path is None else os.path.realpath(path))
-
-
-def open_source(folder: store.DataFolder, name: str) -> IO[bytes]:
-    """Open a table or archive of a source; an InputError names it if it cannot be read."""
-    try:
-        return folder.open_inside(name)
-    except errors.ItemError as error:
-        raise errors.InputError(f"{folder.address(name)!r} cannot be read: {error.what}") from error
+    path = store.local_path(path_or_address)
+    return store.split_uri(path_or_address if path is None else os.path.realpath(path))
 
 
 def visible_files(home: store.DataFolder, endings: str | tuple[str, ...]) -> list[str]:
@@ -84,7 +77,7 @@ def files_to_read(
 
 def natural_order(path: str) -> list[tuple[int, str]]:
     """Return a key by which ``demo_2`` stands before ``demo_10``."""
-    return [(int(each), "") if each.isdecimal() else (-1, each) for each in _DIGITS.split(path)]
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in _DIGITS.split(path)]
 
 
 class SourceTable(NamedTuple):
@@ -95,33 +88,23 @@ class SourceTable(NamedTuple):
 
     def texts(self, name: str) -> list[str]:
         """Return a column as text; empty where there is no value."""
-        found: list[str] = column_types.texts_of(self.columns[name]).fill_null("").to_pylist()
-        return found
+        texts: list[str] = column_types.texts_of(self.columns[name]).fill_null("").to_pylist()
+        return texts
 
     def values(self, row: int) -> JsonDict:
         """Return the values of a row by column."""
         return {name: column[row].as_py() for name, column in self.columns.items()}
 
 
+@store.without_collecting()
 def read_table(
-    folder: store.DataFolder,
-    name: str,
-    columns: import_columns.ImportColumns,
-    names: Iterable[str | None] = (),
+    table: tables.Table, columns: touch_options.ImportColumns, names: Iterable[str | None] = ()
 ) -> SourceTable:
-    """Read a table; InputError if it cannot be read.
+    """Read a whole table; InputError if it cannot be read.
 
     In text tables, the columns of labels, rounds, objects and splits stay text, and so do those in ``names``.
     Other columns get types, and lists of numbers in brackets become vectors.
     """
-    return rows_of_table(tables.open_table(folder, name), columns, names)
-
-
-@store.without_collecting()
-def rows_of_table(
-    table: tables.Table, columns: import_columns.ImportColumns, names: Iterable[str | None] = ()
-) -> SourceTable:
-    """Read an opened table as :func:`read_table` does."""
     known = columns.found_in(table.names)
     texts = {NUMBERED, known.label, known.round, known.object_id, known.split, *names}
     numbers = {*(known.position or ()), *(known.pose or ()), known.time}
@@ -129,42 +112,42 @@ def rows_of_table(
     return SourceTable(read, len(next(iter(read.values()), ())))
 
 
-def require_columns(known: Collection[str], wanted: Iterable[str], where: str) -> None:
+def require_columns(known: Collection[str], wanted: Iterable[str], source: str) -> None:
     """Raise InputError for a missing column."""
     for name in wanted:
         if name not in known:
             raise errors.InputError(
-                f"{where!r} has no column {name!r}{wording.did_you_mean(name, known)}; "
+                f"{source!r} has no column {name!r}{wording.did_you_mean(name, known)}; "
                 f"found {', '.join(known) or 'none'}",
                 next="name the column with --map, such as --map image=COLUMN for the pictures",
             )
 
 
 def chosen_pictures(
-    known: Collection[str], name: str, where: str, what: str, others: Iterable[str] = ()
+    known: Collection[str], name: str, source: str, what: str, others: Iterable[str] = ()
 ) -> str:
     """Return the name of the pictures to import: the given name, or else the only known one.
 
     Raises InputError if there is no such name or if there are several. The message says ``what`` the names
     are, and lists the ``others`` if none is known.
     """
-    chosen = [each for each in known if name in ("", each)]
+    chosen = [choice for choice in known if name in ("", choice)]
     if len(chosen) == 1:
         return chosen[0]
-    found = f"the {what} {', '.join(known)}"
+    held = f"the {what} {', '.join(known)}"
     if not known:
-        found = f"no {what}, but {', '.join(others)}"
+        held = f"no {what}, but {', '.join(others)}"
     expected = f"{name!r}{wording.did_you_mean(name, known)}" if name else "one"
     raise errors.InputError(
-        f"{where!r} has {found}; expected {expected}", next="choose one with --map image=NAME"
+        f"{source!r} has {held}; expected {expected}", next="choose one with --map image=NAME"
     )
 
 
-def duplicates_of(names: Sequence[str], where: str) -> dict[int, errors.ItemError]:
-    """Return a problem for each name that occurs again; ``where`` is formatted with its first number."""
+def duplicates_of(names: Sequence[str], template: str) -> dict[int, errors.ItemError]:
+    """Return a problem for each name that occurs again; ``template`` is formatted with its first number."""
     first: dict[str, int] = {}
     return {
-        number: errors.ItemError("duplicate", f"the same {where.format(first[name])}")
+        number: errors.ItemError("duplicate", f"the same {template.format(first[name])}")
         for number, name in enumerate(names)
         if first.setdefault(name, number) != number
     }
@@ -182,14 +165,14 @@ def problems_of_names(paths: Iterable[str]) -> dict[int, errors.ItemError]:
 def image_files(
     home: store.DataFolder,
     paths: Sequence[str],
-    said: Mapping[str, pa.Array],
+    fields: Mapping[str, pa.Array],
     problems: Mapping[int, errors.ItemError] | None = None,
 ) -> source_touches.FoundTouches:
     """Return a touch for each path of an image; the touch of a missing file has a problem.
 
     Folders are listed once. An image is opened and checked when it is imported.
     """
-    found = cache(home.entries)
+    entries_of = cache(home.entries)
     sizes = [0] * len(paths)
     unnamed = problems_of_names(paths)
     wrong = {**(problems or {}), **unnamed}
@@ -198,7 +181,7 @@ def image_files(
         if number in unnamed:
             continue
         try:
-            size = found(parent).get(base, -1)
+            size = entries_of(parent).get(base, -1)
         except errors.InputError:  # the folder cannot be listed
             size = 0
         if size == -1:
@@ -207,11 +190,11 @@ def image_files(
             sizes[number] = size or 0  # a folder has no size; reading it gives the problem
     # A name that is not Unicode has a problem already; this makes it printable.
     shown = [path.encode(errors="backslashreplace").decode() for path in paths]
-    return source_touches.FoundTouches.of(shown, home.address(), shown, said, problems=wrong, size=sizes)
+    return source_touches.FoundTouches.of(shown, home.address(), shown, fields, problems=wrong, size=sizes)
 
 
-def _sequence_of(place: source_touches.PicturePlace) -> tuple[str, str, str, bool]:
-    return place.home, place.path, place.part, place.frames > 0
+def _sequence_of(picture: source_touches.PicturePlace) -> tuple[str, str, str, bool]:
+    return picture.home, picture.path, picture.part, picture.frames > 0
 
 
 def pictures_by_file(
@@ -224,7 +207,7 @@ def pictures_by_file(
     opened = cache(store.open_folder)
     for (home, *_), group in groupby(places, key=_sequence_of):
         of_file = list(group)
-        numbers = [place.start + each for place in of_file for each in range(max(1, place.frames))]
+        numbers = [picture.start + offset for picture in of_file for offset in range(max(1, picture.frames))]
         some = list[bytes | errors.ItemError]()
         left = len(numbers)
         try:
@@ -250,29 +233,29 @@ def contents_of(places: Iterable[source_touches.PicturePlace]) -> Iterator[bytes
         return
     threads = 1 if store.open_folder(first[0].home).is_local else _REMOTE_READERS
     read = partial(_contents, cache(lambda home: (store.open_folder(home), set())))
-    for found in run.in_threads(read, chain([first], groups), threads):
-        yield from found
+    for pictures in run.in_threads(read, chain([first], groups), threads):
+        yield from pictures
 
 
 def _contents(
     open_folder: Callable[[str], tuple[store.DataFolder, set[str]]],
     places: Sequence[source_touches.PicturePlace],
 ) -> list[bytes | errors.ItemError]:
-    found: list[bytes | errors.ItemError] = []
+    contents: list[bytes | errors.ItemError] = []
     try:
         folder, known = open_folder(places[0].home)
         if len(places) == 1 and not places[0].start:
             return [folder.read_inside(places[0].path, places[0].size, known)]
         with folder.open_inside(places[0].path, known) as stream:
             at = 0
-            for place in places:
-                if place.start != at:
-                    stream.seek(place.start)
-                content = stream.read(place.size)
-                found.append(content)
-                at = place.start + len(content)
+            for picture in places:
+                if picture.start != at:
+                    stream.seek(picture.start)
+                content = stream.read(picture.size)
+                contents.append(content)
+                at = picture.start + len(content)
     except errors.ItemError as error:
-        found += [error] * (len(places) - len(found))
+        contents += [error] * (len(places) - len(contents))
     except (OSError, errors.InputError):  # their messages differ between systems
-        found += [errors.ItemError("image", "the file cannot be read")] * (len(places) - len(found))
-    return found
+        contents += [errors.ItemError("image", "the file cannot be read")] * (len(places) - len(contents))
+    return contents

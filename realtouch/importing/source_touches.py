@@ -16,7 +16,7 @@ from tactile_toolkit import errors, wording
 from tactile_toolkit.array_types import Bool, Float64, Int64
 from tactile_toolkit.columns import column_types
 
-_WHERE = pa.schema(
+_LISTING = pa.schema(
     {
         "name": pa.string(),
         "home": pa.string(),
@@ -75,19 +75,19 @@ class FoundTouches(Sequence[PicturePlace]):
 
     Attributes
     ----------
-    where : pyarrow.Table
+    listing : pyarrow.Table
         A row for each touch. ``name``: name in messages. ``home`` to ``frames``: see :class:`PicturePlace`.
         ``contact``: first and last picture of a clip with contact, if known. ``time_s``: time of each picture
         of a clip, if known, seconds, not decreasing. ``reason``, ``problem``: why the touch cannot be used,
         else null. ``number``: number among all touches of the source. ``round``: round to store it in.
-    said : pyarrow.Table
+    per_touch : pyarrow.Table
         Fields of each touch, by their names in the source; see :mod:`tactile_toolkit.column_types`.
     per_frame : pyarrow.Table
         Fields of each picture of a clip: lists with an entry for each picture, or null.
     """
 
-    where: pa.Table
-    said: pa.Table
+    listing: pa.Table
+    per_touch: pa.Table
     per_frame: pa.Table
 
     @classmethod
@@ -96,38 +96,46 @@ class FoundTouches(Sequence[PicturePlace]):
         names: Sequence[str],
         home: str,
         paths: Sequence[str] | str,
-        said: Mapping[str, pa.Array] | pa.Table,
+        fields: Mapping[str, pa.Array] | pa.Table,
         *,
         per_frame: Mapping[str, pa.Array] | None = None,
         problems: Mapping[int, errors.ItemError] | None = None,
         **columns: object,
     ) -> FoundTouches:
-        """Return touches of one source; a single value of ``columns`` of ``where`` holds for all touches."""
+        """Return touches of one source; a single value in ``columns`` of the listing holds for all."""
         count = len(names)
-        given = {"name": names, "home": home, "path": paths, "part": "", "start": 0, "size": 0, "frames": 0}
-        given |= columns
-        made = [_as_column(given.get(field.name), field.type, count) for field in _WHERE]
-        said = said if isinstance(said, pa.Table) else pa.table(dict(said))
-        found = cls(pa.table(made, schema=_WHERE), said, pa.table(dict(per_frame or {})))
-        return found.with_problems(problems or {})
+        columns_given = {
+            "name": names,
+            "home": home,
+            "path": paths,
+            "part": "",
+            "start": 0,
+            "size": 0,
+            "frames": 0,
+        }
+        columns_given |= columns
+        made = [_as_column(columns_given.get(field.name), field.type, count) for field in _LISTING]
+        per_touch = fields if isinstance(fields, pa.Table) else pa.table(dict(fields))
+        touches = cls(pa.table(made, schema=_LISTING), per_touch, pa.table(dict(per_frame or {})))
+        return touches.with_problems(problems or {})
 
     @classmethod
     def joined(cls, parts: Sequence[FoundTouches]) -> FoundTouches:
         """Return the touches of several sources; the type of a column fits the values of all sources."""
         if len(parts) == 1:
             return parts[0]
-        where = pa.concat_tables([_WHERE.empty_table(), *(part.where for part in parts)])
+        listing = pa.concat_tables([_LISTING.empty_table(), *(part.listing for part in parts)])
         counts = list(map(len, parts))
-        said = _columns_of([part.said for part in parts], counts)
+        per_touch = _columns_of([part.per_touch for part in parts], counts)
         lists = _columns_of([part.per_frame for part in parts], counts)
         return cls(
-            where.combine_chunks(),
-            pa.table({name: column_types.joined(columns) for name, columns in said.items()}),
+            listing.combine_chunks(),
+            pa.table({name: column_types.joined(columns) for name, columns in per_touch.items()}),
             pa.table({name: column_types.joined_lists(columns) for name, columns in lists.items()}),
         )
 
     def __len__(self) -> int:
-        return len(self.where)
+        return len(self.listing)
 
     @overload
     def __getitem__(self, number: int) -> PicturePlace: ...
@@ -140,46 +148,46 @@ class FoundTouches(Sequence[PicturePlace]):
 
     def __iter__(self) -> Iterator[PicturePlace]:
         return map(
-            PicturePlace._make, zip(*(self.where[name].to_pylist() for name in _PLACE_COLUMNS), strict=True)
+            PicturePlace._make, zip(*(self.listing[name].to_pylist() for name in _PLACE_COLUMNS), strict=True)
         )
 
     def take(self, rows: Int64) -> FoundTouches:
         """Return some touches in this order; the others are not kept in memory."""
         taken = pa.array(rows, pa.int64())
-        return FoundTouches(*(each.take(taken) for each in (self.where, self.said, self.per_frame)))
+        return FoundTouches(*(table.take(taken) for table in (self.listing, self.per_touch, self.per_frame)))
 
     @property
     def is_usable(self) -> Bool:
         """Whether each touch has no problem, shape (n,)."""
-        found: Bool = pc.is_null(self.where["problem"]).to_numpy()
-        return found
+        usable: Bool = pc.is_null(self.listing["problem"]).to_numpy()
+        return usable
 
     @property
     def has_clips(self) -> bool:
         """Whether the touches are clips; the first touch decides."""
-        return bool(len(self)) and self.where["frames"][0].as_py() > 0
+        return bool(len(self)) and self.listing["frames"][0].as_py() > 0
 
     @property
     def names(self) -> list[str]:
         """Names of all fields, in order."""
-        return list(dict.fromkeys([*self.said.column_names, *self.per_frame.column_names]))
+        return list(dict.fromkeys([*self.per_touch.column_names, *self.per_frame.column_names]))
 
     @property
     def known(self) -> set[str]:
         """Names of the fields that at least one touch has."""
-        tables = (self.said, self.per_frame)
+        tables = (self.per_touch, self.per_frame)
         return {
             name for table in tables for name in table.column_names if table[name].null_count < len(table)
         }
 
     def value(self, name: str) -> pa.Array | None:
         """Return a field of the touches as a column; None if there is no such field."""
-        return one_chunk(self.said[name]) if name in self.said.column_names else None
+        return one_chunk(self.per_touch[name]) if name in self.per_touch.column_names else None
 
     @property
     def picture_counts(self) -> Int64:
         """Number of pictures of each touch, shape (n,): those of a clip, or one."""
-        frames: Int64 = self.where["frames"].to_numpy()
+        frames: Int64 = self.listing["frames"].to_numpy()
         return frames if self.has_clips else np.ones_like(frames)
 
     def of_frames(self, name: str) -> pa.Array:
@@ -190,26 +198,22 @@ class FoundTouches(Sequence[PicturePlace]):
         values = one_chunk(self.per_frame[name])
         if not values.null_count:
             return values
-        whole = _column(self.said, name, len(self))
+        whole = _column(self.per_touch, name, len(self))
         inside = values.flatten()
         is_known = values.is_valid().to_numpy(zero_copy_only=False)
         known = pc.list_value_length(values).fill_null(0).to_numpy()
-        lengths = np.where(is_known, known, self.where["frames"].to_numpy())
+        lengths = np.where(is_known, known, self.listing["frames"].to_numpy())
         entries = column_types.joined([inside, whole])
         of_clips = np.repeat(np.arange(len(self)), lengths)
         rows = len(inside) + of_clips
         rows[is_known[of_clips]] = np.arange(len(inside))
         return column_types.lists_of(entries.take(pa.array(rows)), lengths)
 
-    def frame_types(self) -> dict[str, pa.DataType]:
-        """Return the type of an entry of each field of pictures, as :meth:`of_frames` returns it."""
-        return {name: self.of_frames(name).type.value_type for name in self.per_frame.column_names}
-
     def of_pictures(self, name: str) -> pa.Array:
         """Return a field as a column with an entry for each picture of all touches; null without a value."""
         if name in self.per_frame.column_names:
             return self.of_frames(name).flatten()
-        whole = _column(self.said, name, len(self))
+        whole = _column(self.per_touch, name, len(self))
         return whole.take(pa.array(np.repeat(np.arange(len(self)), self.picture_counts)))
 
     def texts(self, name: str | None) -> list[str]:
@@ -219,41 +223,41 @@ class FoundTouches(Sequence[PicturePlace]):
             return [""] * len(self)
         return texts_in(column_types.texts_of(column).fill_null(""))
 
-    def with_where(self, **columns: object) -> FoundTouches:
-        """Return the touches with other columns of ``where``."""
-        where = self.where
+    def with_listing(self, **columns: object) -> FoundTouches:
+        """Return the touches with other columns of ``listing``."""
+        listing = self.listing
         for name, values in columns.items():
-            field = _WHERE.field(name)
+            field = _LISTING.field(name)
             column = _as_column(values, field.type, len(self))
-            where = where.set_column(_WHERE.get_field_index(name), field, column)
-        return replace(self, where=where)
+            listing = listing.set_column(_LISTING.get_field_index(name), field, column)
+        return replace(self, listing=listing)
 
-    def with_said(self, columns: Mapping[str, pa.Array]) -> FoundTouches:
+    def with_fields(self, columns: Mapping[str, pa.Array]) -> FoundTouches:
         """Return the touches with fields added or replaced."""
-        said = dict(zip(self.said.column_names, self.said.columns, strict=True))
-        return replace(self, said=pa.table({**said, **columns}))
+        fields = dict(zip(self.per_touch.column_names, self.per_touch.columns, strict=True))
+        return replace(self, per_touch=pa.table({**fields, **columns}))
 
     def with_problems(self, problems: Mapping[int, errors.ItemError]) -> FoundTouches:
         """Return the touches with problems added, by index; the first problem of a touch is kept."""
         if not problems:
             return self
-        reasons, messages = (self.where[name].to_pylist() for name in ("reason", "problem"))
+        reasons, messages = (self.listing[name].to_pylist() for name in ("reason", "problem"))
         for number, error in problems.items():
             if messages[number] is None:
                 reasons[number], messages[number] = error.reason, error.message
-        return self.with_where(reason=reasons, problem=messages)
+        return self.with_listing(reason=reasons, problem=messages)
 
     def problems(self) -> Iterator[tuple[int, str, errors.ItemError]]:
         """Yield number, name and problem of each touch that cannot be used."""
-        held = self.where.filter(pc.is_valid(self.where["problem"]))
+        held = self.listing.filter(pc.is_valid(self.listing["problem"]))
         for row in held.select(["number", "name", "reason", "problem"]).to_pylist():
             yield row["number"], row["name"], errors.ItemError(row["reason"], row["problem"])
 
 
 def texts_in(column: pa.Array | pa.ChunkedArray) -> list[str]:
     """Return a column as a list of texts; equal texts are one object, which saves memory."""
-    found = one_chunk(column) if isinstance(column, pa.ChunkedArray) else column
-    encoded = found.dictionary_encode()
+    values = one_chunk(column) if isinstance(column, pa.ChunkedArray) else column
+    encoded = values.dictionary_encode()
     names: list[str] = encoded.dictionary.to_pylist()
     return [names[code] for code in encoded.indices.to_pylist()]
 
@@ -307,7 +311,7 @@ class Clip:
     """Pictures of a recording that become a touch, from ``start`` to the one before ``stop``.
 
     ``contact`` is the first and last picture with contact, counted from the start of the clip. ``problem``
-    says why the clip cannot be used. ``said`` holds fields of the clip, which replace those of the recording.
+    says why the clip cannot be used. ``fields`` are those of the clip, which replace those of the recording.
     """
 
     start: int
@@ -315,7 +319,7 @@ class Clip:
     name: str
     contact: tuple[int, int] | None = None
     problem: errors.ItemError | None = None
-    said: Mapping[str, object] = field(default_factory=dict)
+    fields: Mapping[str, object] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -382,15 +386,17 @@ class Recording:
         if problem is None and not self.frames:
             problem = errors.ItemError("empty", "the recording has no picture")
         if problem is None and self.time_s is not None and len(self.time_s) != self.frames:
-            found = f"{wording.with_count(len(self.time_s), 'times')} of {self.frames:,} pictures"
-            problem = errors.ItemError("time", f"{found}; expected one for each")
+            problem_text = f"{wording.with_count(len(self.time_s), 'times')} of {self.frames:,} pictures"
+            problem = errors.ItemError("time", f"{problem_text}; expected one for each")
         elif problem is None and self.time_s is not None:
             is_later = np.diff(self.time_s) >= 0  # False for NaN
             if not is_later.all():
                 number = int(is_later.argmin()) + 1
                 before, after = self.time_s[number - 1 : number + 1].tolist()
-                found = f"picture {number:,} was taken at {after:g} s, the one before it at {before:g} s"
-                problem = errors.ItemError("times", f"{found}; expected times that do not decrease")
+                problem_text = (
+                    f"picture {number:,} was taken at {after:g} s, the one before it at {before:g} s"
+                )
+                problem = errors.ItemError("times", f"{problem_text}; expected times that do not decrease")
         return replace(self, problem=problem)
 
     def unusable(self, problem: errors.ItemError | None, name: str = "") -> Clip:
@@ -413,11 +419,11 @@ class Recording:
                     next=_SHORTER,
                 ),
             )
-        own = dict.fromkeys(name for clip in clips for name in clip.said)
-        said = self._repeated_fields(self.round or self.name, len(clips))
+        own = dict.fromkeys(name for clip in clips for name in clip.fields)
+        fields = self._repeated_fields(self.round or self.name, len(clips))
         for name in own:
             whole = self.values.get(name)
-            said[name] = column_types.from_values([clip.said.get(name, whole) for clip in clips])
+            fields[name] = column_types.from_values([clip.fields.get(name, whole) for clip in clips])
         taken = pa.array(rows)
         per_frame = {}
         for name, column in self.per_frame.items():
@@ -429,7 +435,7 @@ class Recording:
             [clip.name for clip in clips],
             self.home,
             self.path,
-            said,
+            fields,
             per_frame=per_frame,
             problems=problems,
             part=self.part,
@@ -444,14 +450,14 @@ class Recording:
         """Return each picture as a touch, with the fields of the picture and of the recording."""
         stem = self.name.replace("/", "-")
         count = self.frames
-        said = {**self._repeated_fields(self.name, count), **self.per_frame}
+        fields = {**self._repeated_fields(self.name, count), **self.per_frame}
         if self.time_s is not None and TIME_S not in self.per_frame:
-            said[TIME_S] = pa.array(self.time_s)
+            fields[TIME_S] = pa.array(self.time_s)
         return FoundTouches.of(
             [f"{stem}_{frame:06d}.png" for frame in range(count)],
             self.home,
             self.path,
-            said,
+            fields,
             part=self.part,
             start=np.arange(count) + self.first,
             size=self.frame_bytes,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
@@ -11,7 +12,8 @@ import numpy as np
 import pyarrow as pa
 from scipy.spatial.transform import Rotation
 
-from realtouch.importing import fields, import_columns, source_files, source_touches
+from realtouch import touch_options
+from realtouch.importing import fields, source_files, source_touches
 from realtouch.touch_options import Alignment
 from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import Bool, Float64, Floating, Int64
@@ -68,7 +70,7 @@ class Stream:
 
 
 def open_stream(
-    folder: store.DataFolder, name: str, columns: import_columns.ImportColumns, stem: str = ""
+    folder: store.DataFolder, name: str, columns: touch_options.ImportColumns, stem: str = ""
 ) -> Stream:
     """Read the times of a table.
 
@@ -90,53 +92,55 @@ def open_stream(
         backwards or have no known unit.
     """
     table = tables.open_table(folder, name)
-    place = table.path
-    rows, column, values = table.scan(partial(_time_column, columns.time, place))
+    address = table.path
+    rows, column, values = table.scan(partial(_time_column, columns.time, address))
     if not rows:
-        raise errors.InputError(f"{place!r} has no rows; expected a row for each sample")
+        raise errors.InputError(f"{address!r} has no rows; expected a row for each sample")
     whole = PurePosixPath(name).stem
     shown = whole.removeprefix(stem).lstrip(_JOINTS) or whole
     if not column:
-        return Stream(shown, place, table, rows)
-    return Stream(shown, place, table, rows, column, _seconds(values, column, columns.time_unit, place))
+        return Stream(shown, address, table, rows)
+    return Stream(shown, address, table, rows, column, _seconds(values, column, columns.time_unit, address))
 
 
-def _time_column(time: str | None, place: str, names: Sequence[str]) -> str:
+def _time_column(time: str | None, address: str, names: Sequence[str]) -> str:
     if time is not None and (not time or time in names):
         return time
     # The name may end in a unit of time only: a column `t_mm` does not hold times.
-    known = {name for base in TIME_NAMES for name in (base, *(f"{base}_{unit}" for unit in units.PER_SECOND))}
-    found = [name for name in names if name.lower() in known]
-    if len(found) > 1:
+    endings = ["", *(f"_{unit}" for unit in units.Quantity.TIME.per_unit)]
+    known = {f"{base}{ending}" for base in TIME_NAMES for ending in endings}
+    candidates = [name for name in names if name.lower() in known]
+    if len(candidates) > 1:
         raise errors.InputError(
-            f"{place!r} has several columns of times: {', '.join(found)}",
+            f"{address!r} has several columns of times: {', '.join(candidates)}",
             next="name one: `--map time=COLUMN`",
         )
-    return found[0] if found else ""
+    return candidates[0] if candidates else ""
 
 
-def _seconds(values: pa.Array, column: str, time_unit: str | None, place: str) -> Float64:
+def _seconds(values: pa.Array, column: str, time_unit: str | None, address: str) -> Float64:
     """Return times in seconds, not decreasing; those with a date count from 1970, UTC."""
-    what = f"{place!r}: the times {column!r}"
-    stated = units.stated_unit(column)
+    what = f"{address!r}: the times {column!r}"
+    stated = units.Quantity.stated_unit(column)
     if pa.types.is_integer(values.type) and not (stated or time_unit):
         raise errors.InputError(
             f"{what} are integers, whose unit is not known",
-            next=f"add --time-unit {', '.join(units.PER_SECOND)}, or end the name of the column in the unit",
+            next=f"add --time-unit {', '.join(units.Quantity.TIME.per_unit)}, or end the name of the column "
+            "in the unit",
         )
     try:
-        found = fields.times_s(values, column, None if stated else time_unit)
+        time_s = fields.times_s(values, column, None if stated else time_unit)
     except errors.ItemError as error:
         raise errors.InputError(f"{what}: {error.what}") from error
-    back = np.flatnonzero(np.diff(found) < 0)
+    back = np.flatnonzero(np.diff(time_s) < 0)
     if len(back):
         row = int(back[0])
         raise errors.InputError(
-            f"{place!r}: the time runs backwards, from {found[row]:.6f} s in row {row + 1:,} to "
-            f"{found[row + 1]:.6f} s in row {row + 2:,}; expected times that do not decrease",
+            f"{address!r}: the time runs backwards, from {time_s[row]:.6f} s in row {row + 1:,} to "
+            f"{time_s[row + 1]:.6f} s in row {row + 2:,}; expected times that do not decrease",
             next="sort the rows, or divide the table where the clock was set",
         )
-    return found
+    return time_s
 
 
 def tables_by_stem(names: Iterable[str]) -> dict[str, list[str]]:
@@ -148,14 +152,14 @@ def tables_by_stem(names: Iterable[str]) -> dict[str, list[str]]:
     seen = [name for name in names if not store.is_hidden(name)]
     table_names = [name for name in seen if name.lower().endswith(tables.ENDINGS)]
     stems = {PurePosixPath(name).stem for name in {*seen} - {*table_names}}
-    found: dict[str, list[str]] = {}
+    by_stem: dict[str, list[str]] = {}
     for name in sorted(table_names):
         whole = PurePosixPath(name).stem
         fitting = [end for end in range(len(whole), 0, -1) if whole[end:][:1] in _JOINTS]
         owner = next((whole[:end] for end in fitting if whole[:end] in stems), None)
         if owner is not None:
-            found.setdefault(owner, []).append(name)
-    return found
+            by_stem.setdefault(owner, []).append(name)
+    return by_stem
 
 
 class Aligner:
@@ -190,7 +194,7 @@ class Aligner:
         self,
         named: Sequence[str],
         how: Alignment | None,
-        columns: import_columns.ImportColumns,
+        columns: touch_options.ImportColumns,
         no_streams: Collection[str] = (),
     ) -> None:
         self.reports: list[StreamReport] = []
@@ -213,14 +217,14 @@ class Aligner:
             recording = self._timed(recording)
             beside = self._streams_beside(recording)
             self.times |= {stream.time_column for stream in beside}
-            found, reports = with_streams(recording, beside, self._how, self._columns)
+            aligned, reports = with_streams(recording, beside, self._how, self._columns)
         except errors.ItemError as error:
             return replace(recording, problem=error)
         except errors.InputError as error:
             return replace(recording, problem=errors.ItemError("stream", f"{error.message}{_NO_STREAM}"))
-        found, of_named = with_streams(found, self._named, self._how, self._columns)
+        aligned, of_named = with_streams(aligned, self._named, self._how, self._columns)
         self.reports += [*reports, *of_named]
-        return found
+        return aligned
 
     def _timed(self, recording: source_touches.Recording) -> source_touches.Recording:
         name = self._columns.time
@@ -241,13 +245,13 @@ class Aligner:
     def _tables_beside(self, home: str, folder: str) -> dict[str, list[str]]:
         """Return the paths of the streams of each recording of a folder, by its name without ending."""
         files = self._opened(home)
-        found = {}
+        by_stem = {}
         for stem, names in tables_by_stem(files.entries(folder)).items():
             paths = [f"{folder}/{name}".lstrip("/") for name in names]
             if self._no_streams:
                 paths = [path for path in paths if _address(files.address(path)) not in self._no_streams]
-            found[stem] = paths
-        return found
+            by_stem[stem] = paths
+        return by_stem
 
 
 def _address(path: str) -> str:
@@ -259,7 +263,7 @@ def with_streams(
     recording: source_touches.Recording,
     streams: Sequence[Stream],
     how: Alignment,
-    columns: import_columns.ImportColumns,
+    columns: touch_options.ImportColumns,
 ) -> tuple[source_touches.Recording, list[StreamReport]]:
     """Add the columns of streams to the fields of each picture.
 
@@ -284,15 +288,15 @@ def with_streams(
     reports: list[StreamReport] = []
     for stream in streams:
         if recording.time_s is None or stream.time_s is None:
-            found = _by_row(recording, stream)
+            columns_added = _by_row(recording, stream)
             facts = _NO_CLOCK
             if stream.time_s is not None:
                 recording = replace(recording, time_s=stream.time_s + how.time_offset_s)
         else:
             sample_s = stream.time_s + how.time_offset_s
-            found, facts = _by_time(recording, stream, recording.time_s, sample_s, how, columns)
+            columns_added, facts = _by_time(recording, stream, recording.time_s, sample_s, how, columns)
         added = dict(recording.per_frame)
-        for name, values in found.items():
+        for name, values in columns_added.items():
             while name in added or name in recording.values:
                 name = f"{stream.name}.{name}"
             added[name] = values
@@ -320,7 +324,7 @@ def _by_time(
     time_s: Float64,
     sample_s: Float64,
     how: Alignment,
-    columns: import_columns.ImportColumns,
+    columns: touch_options.ImportColumns,
 ) -> tuple[dict[str, pa.Array], StreamReport]:
     """Align a stream to the times of the pictures, both in seconds."""
     if sample_s[0] > time_s[-1] or time_s[0] > sample_s[-1]:
@@ -343,13 +347,13 @@ def _by_time(
     around = Neighbours.of(time_s, sample_s[used], max_gap_s)
     samples = _columns(stream.table.rows(used), stream)
     nearest = pa.array(around.nearest, mask=around.missing)
-    found = {name: column.take(nearest) for name, column in samples.items()}
+    values = {name: column.take(nearest) for name, column in samples.items()}
     if how.method == "linear":
-        pose = columns.found_in({*found, *recording.per_frame, *recording.values}).pose or ()
-        found |= _between(samples, around, pose)
+        pose = columns.found_in({*values, *recording.per_frame, *recording.values}).pose or ()
+        values |= _between(samples, around, pose)
     clocks = (1 / step_s, sample_s[0] - time_s[0], sample_s[-1] - time_s[-1], steps.max(initial=0.0))
     counts = (f"{np.sum(steps == 0):,}", f"{around.missing.sum():,}")
-    return found, (*counts, *(f"{number:.4g}" for number in clocks))
+    return values, (*counts, *(f"{number:.4g}" for number in clocks))
 
 
 def _between(samples: Mapping[str, pa.Array], around: Neighbours, pose: Sequence[str]) -> dict[str, pa.Array]:
@@ -358,20 +362,21 @@ def _between(samples: Mapping[str, pa.Array], around: Neighbours, pose: Sequence
     Columns whose names state a unit of angles are interpolated on the shorter way around the circle.
     """
     numbers = {name: column_types.floats_of(column) for name, column in samples.items() if _is_number(column)}
-    found = {}
+    interpolated = {}
     for name in [name for name in numbers if name not in pose and samples[name].type in _FLOATS]:
-        unit = units.stated_unit(name)
-        found[name] = around.interpolated(numbers[name])
-        if unit in units.PER_RADIAN:
-            found[name] = around.on_circle(numbers[name], units.TURN * units.PER_RADIAN[unit])
+        unit = units.Quantity.stated_unit(name)
+        interpolated[name] = around.interpolated(numbers[name])
+        per_radian = units.Quantity.ANGLE.per_unit
+        if unit in per_radian:
+            interpolated[name] = around.on_circle(numbers[name], math.tau * per_radian[unit])
     if pose and numbers.keys() >= {*pose}:
         whole = np.column_stack([numbers[name] for name in pose])
         if whole.shape[1] in _WITH_QUATERNION:
             between = around.interpolated(whole)
             between[:, -_QUATERNION:] = around.turned(whole[:, -_QUATERNION:])
             parts = [between] if len(pose) == 1 else list(between.T)
-            found |= zip(pose, parts, strict=True)
-    return {name: _with_gaps(values, around) for name, values in found.items()}
+            interpolated |= zip(pose, parts, strict=True)
+    return {name: _with_gaps(values, around) for name, values in interpolated.items()}
 
 
 def _is_number(column: pa.Array) -> bool:
@@ -451,7 +456,9 @@ class Neighbours:
 
     def interpolated(self, values: Floating) -> Float64:
         """Return values, shape (m, ...), on a straight line between two samples, shape (n, ...)."""
-        first, second = (values[each].astype(np.float64, copy=False) for each in (self.before, self.after))
+        first, second = (
+            values[numbers].astype(np.float64, copy=False) for numbers in (self.before, self.after)
+        )
         share = self.share.reshape(-1, *[1] * (values.ndim - 1))
         with np.errstate(invalid="ignore", over="ignore"):  # the source checks its samples
             return np.where(share == 0, first, first + (second - first) * share)
@@ -462,16 +469,18 @@ class Neighbours:
         ``turn`` is a full turn in their unit. Samples within one turn from 0, or from half a turn before it,
         as most devices state angles, give values within that turn; others may count turns.
         """
-        first, second = (angles[each].astype(np.float64, copy=False) for each in (self.before, self.after))
+        first, second = (
+            angles[numbers].astype(np.float64, copy=False) for numbers in (self.before, self.after)
+        )
         share = self.share.reshape(-1, *[1] * (angles.ndim - 1))
         with np.errstate(invalid="ignore"):
-            found = first + ((second - first + turn / 2) % turn - turn / 2) * share
+            between = first + ((second - first + turn / 2) % turn - turn / 2) * share
             for start in (0.0, -turn / 2):
                 inside = np.nan_to_num(angles, nan=start)
                 if inside.min() >= start and inside.max() <= start + turn:
-                    found = (found - start) % turn + start
+                    between = (between - start) % turn + start
                     break
-            return np.where(share == 0, first, found)
+            return np.where(share == 0, first, between)
 
     def turned(self, quaternions: Floating) -> Float64:
         """Return quaternions, shape (m, 4), on the shorter turn from one to the next, shape (n, 4).
@@ -483,5 +492,5 @@ class Neighbours:
         lengths[lengths == 0] = np.nan  # no rotation
         turns = Rotation.from_quat(np.where(np.isfinite(lengths), quaternions, _NO_TURN))
         way = (turns[self.before].inv() * turns[self.after]).as_rotvec() * self.share[:, np.newaxis]
-        found: Float64 = (turns[self.before] * Rotation.from_rotvec(way)).as_quat()
-        return found * self.interpolated(lengths)
+        between: Float64 = (turns[self.before] * Rotation.from_rotvec(way)).as_quat()
+        return between * self.interpolated(lengths)

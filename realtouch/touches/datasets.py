@@ -13,7 +13,6 @@ import pyarrow as pa
 
 from realtouch import contact
 from realtouch.touches import media, rounds, schema, stored_round
-from realtouch.touches.rounds import Touch, TouchRound, TouchSingleRound, touch_id
 from tactile_toolkit import checked_fields, errors, kind, read, run, touch, wording
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, Int64, UInt8
 
@@ -25,7 +24,7 @@ _POSITION = ("x_m", "y_m")
 
 # Imported on use: it measures touches.
 _contacts_by_image = kind.lazy("realtouch.touches.image_contacts:contacts_by_image")
-R = TypeVar("R", bound=TouchRound)
+R = TypeVar("R", bound=rounds.TouchRound)
 
 
 class TouchDataset(read.RecordDataset[R]):
@@ -224,7 +223,7 @@ class TouchStream(read.RowStream[read.Shard]):
         return self._described(self.kind)
 
 
-class Touches(read.RecordDataset[Touch], Generic[R]):
+class Touches(read.RecordDataset[rounds.Touch], Generic[R]):
     """All touches of some rounds, or a selection of them; a view that copies nothing.
 
     ``touches[i]`` gives a :class:`Touch`; a slice, ints or a boolean mask give a view. Filters give views too
@@ -254,7 +253,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         if len(set(counts.tolist())) == 1:
             self._per_round = int(counts[0])
 
-    def __iter__(self) -> Iterator[Touch]:
+    def __iter__(self) -> Iterator[rounds.Touch]:
         last, current = -1, None
         for flat in self._rows:
             position, touch = self._located(int(flat))
@@ -262,7 +261,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
             if position != last or current is None:
                 last = position
                 current = self.dataset[position]
-            yield Touch(current, touch)
+            yield rounds.Touch(current, touch)
 
     def locate(self, index: int) -> tuple[int, int]:
         """Return the number of a touch's round in the data set, and its own in the round.
@@ -314,7 +313,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
     def ids(self) -> AnyArray:
         """Id of each touch, as :attr:`Touch.id`, shape (len,); reads the ids of the rounds only."""
         pairs = zip(self.dataset.ids[self.round_positions].tolist(), self.touch_indices.tolist(), strict=True)
-        return np.array([touch_id(*pair) for pair in pairs], object)
+        return np.array([rounds.touch_id(*pair) for pair in pairs], object)
 
     @property
     def column_names(self) -> tuple[str, ...]:
@@ -535,13 +534,13 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
 
     def _images_of(self, position: int) -> media.SensorImages:
         record = self.dataset[position]
-        if not isinstance(record, TouchSingleRound):
+        if not isinstance(record, rounds.TouchSingleRound):
             raise record.row.missing_column("sensor_image")
         return record.sensor_image
 
-    def _stored(self, row: int) -> Touch:
+    def _stored(self, row: int) -> rounds.Touch:
         place, touch = self._located(row)
-        return Touch(self.dataset[place], touch)
+        return rounds.Touch(self.dataset[place], touch)
 
     def _concat(self, other: Self) -> Self:
         if self.dataset is other.dataset:
@@ -555,7 +554,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         row_digest = hashlib.sha256(self.dataset.row_numbers.tobytes()).hexdigest()
         return f"{self.dataset.identity} {row_digest}"
 
-    def each_record(self) -> Iterator[tuple[int, Touch]]:
+    def each_record(self) -> Iterator[tuple[int, rounds.Touch]]:
         """Yield position and touch, in the fastest order; images and clips are not read."""
         touches = self.touch_indices.tolist()
         by_round: dict[int, list[int]] = {}
@@ -563,7 +562,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
             by_round.setdefault(place, []).append(index)
         for place, record in self.dataset.each_record():
             for index in by_round.get(place, ()):
-                yield index, Touch(record, touches[index])
+                yield index, rounds.Touch(record, touches[index])
 
     def row_groups(self, chosen: Int64) -> list[tuple[read.RowSource, int]]:
         """Return the row groups of touches at positions (n,), each once."""

@@ -11,9 +11,8 @@ import numpy as np
 from realtouch import contact
 from realtouch.touches import media, rounds, schema
 from realtouch.touches.datasets import AnyTouches, Touches, with_no_contact
-from tactile_toolkit import touch
+from tactile_toolkit import errors, touch
 from tactile_toolkit.array_types import Bool, Float64, Int64, UInt8
-from tactile_toolkit.errors import InputError
 
 # 291 pictures of 320 x 240: a clip is one batch, a round of images also.
 _BATCH_BYTES = 64 << 20
@@ -54,7 +53,7 @@ def _with_median(pictures: object) -> tuple[UInt8, Iterable[UInt8]]:
     """Return the median of pictures, and an iterator over batches of them; InputError if there are none."""
     first = list(islice(_batches(pictures), 2))
     if not first:
-        raise InputError(
+        raise errors.InputError(
             "no pictures to take a background of; expected a clip, a round or touches that hold any"
         )
     if len(first) == 1:
@@ -227,7 +226,7 @@ def contacts_by_image(
     """
     given: object = touches
     if not isinstance(given, Touches):
-        raise InputError(
+        raise errors.InputError(
             f"a {type(given).__name__} was given; expected touches, such as `realtouch.load(...).touches()`"
         )
     rule = rule or contact.ContactRule()

@@ -17,18 +17,25 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import DTypeLike
 from PIL import Image
 
-from realtouch import contact, picture_views
+from realtouch import contact
 from realtouch.touches import schema, stored_round
 from realtouch.touches.poses import Poses
-from realtouch.touches.stored_round import StoredRound
 from realtouch.video import avi
 from tactile_toolkit import errors, pictures, read, wording
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Floating, UInt8
 from tactile_toolkit.run import in_threads
-from tactile_toolkit.touch import MAX_IMAGE_PIXELS, decode_image, encode_image, image_size
+from tactile_toolkit.touch import (
+    MAX_IMAGE_PIXELS,
+    MEDIA_TYPE,
+    decode_image,
+    encode_image,
+    image_size,
+    is_jpeg,
+)
 
 if TYPE_CHECKING:
     from torchcodec.decoders import VideoDecoder
@@ -36,18 +43,18 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 S = TypeVar("S")
+
 # Long enough that overhead is small, short enough that threads end together.
 _LONGEST_RUN = 16
 MAX_BATCH_PIXELS = 1 << 31
 """Most pixels that are decoded into one new array (6 GiB): every frame of 256 clips of 90 frames fits."""
-
 DEPTH, DEPTH_ERROR = "depth_um", "depth_error_um"
 """Columns of the maps of a round of images, with an entry for each touch."""
 SUFFIX = "png"
 _PER_M, _MOST = 1e6, 65_535
 _MODES = ("I;16", "I;16B")
-
 _SHOWN_FRAMES = 8
+_ENDINGS = {b"\xff\xd8": "jpg", b"\x89P": "png"}
 
 
 def in_parallel(work: Callable[[int], object], count: int, threads: int) -> None:
@@ -95,7 +102,7 @@ class _StoredMedia(read.LazySequence[T, S]):
     thing = "touch"
     things = "touches"
 
-    def __init__(self, row: StoredRound, name: str) -> None:
+    def __init__(self, row: stored_round.StoredRound, name: str) -> None:
         self.row = row
         self.name = name
         self._column = row.column_of(name)
@@ -125,7 +132,7 @@ class SensorImages(_StoredMedia[UInt8, UInt8]):
 
     __slots__ = ()
 
-    def __init__(self, row: StoredRound, name: str = "sensor_image") -> None:
+    def __init__(self, row: stored_round.StoredRound, name: str = "sensor_image") -> None:
         super().__init__(row, name)
 
     def batch(self, index: object = slice(None), *, threads: int = 1, out: UInt8 | None = None) -> UInt8:
@@ -227,7 +234,7 @@ class DepthMaps(_StoredMedia[Float32, Float32]):
 
     __slots__ = ()
 
-    def __init__(self, row: StoredRound, name: str) -> None:
+    def __init__(self, row: stored_round.StoredRound, name: str) -> None:
         row.entries_of(name)  # refuses a round with more or less than T maps
         super().__init__(row, name)
 
@@ -464,9 +471,11 @@ class TouchClip(read.LazySequence[UInt8, UInt8]):
 
     def _repr_html_(self) -> str:
         """Show frames from first to last in a notebook; those that are damaged are left out."""
-        frames = picture_views.evenly_spaced(len(self), _SHOWN_FRAMES)
+        frames = evenly_spaced(len(self), _SHOWN_FRAMES)
         images = [(f"frame {frame}", partial(self.__getitem__, frame)) for frame in frames]
-        return pictures.grid_html(f"Touch {self.touch}", [wording.with_count(len(self), "frames")], images)
+        return pictures.Drawn.grid_html(
+            f"Touch {self.touch}", [wording.with_count(len(self), "frames")], images
+        )
 
 
 class SensorClips(_StoredMedia[TouchClip, list[TouchClip]]):
@@ -474,7 +483,7 @@ class SensorClips(_StoredMedia[TouchClip, list[TouchClip]]):
 
     __slots__ = ()
 
-    def __init__(self, row: StoredRound, name: str = "sensor_video") -> None:
+    def __init__(self, row: stored_round.StoredRound, name: str = "sensor_video") -> None:
         row.entries_of(name)
         super().__init__(row, name)
 
@@ -550,3 +559,59 @@ def decode_frames(
             ) from error
 
     in_parallel(decode, len(encoded), threads)
+
+
+def evenly_spaced(count: int, most: int) -> list[int]:
+    """Choose up to ``most`` of ``count`` indices, first and last among them."""
+    indices: list[int] = np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()
+    return indices
+
+
+def media_array(contents: Sequence[bytes | memoryview], names: Sequence[str]) -> pa.Array:
+    """Return encoded images or clips, and the names of their files, as they are stored."""
+    parts = [pa.array(contents, pa.binary()), pa.array(names, pa.string())]
+    return pa.StructArray.from_arrays(parts, fields=list(MEDIA_TYPE))
+
+
+def numbered_media(contents: Sequence[bytes | memoryview], suffix: str) -> pa.Array:
+    """Return the encoded images or clips of the touches of a round; their files are ``TOUCH.suffix``."""
+    return media_array(contents, [f"{touch:03d}.{suffix}" for touch in range(len(contents))])
+
+
+def image_column(images: Sequence[bytes | memoryview], names: Sequence[str]) -> pa.Array:
+    """Return images as a column with file names, whose endings follow from their first bytes."""
+    endings = (_ENDINGS.get(bytes(each[:2]), "webp") for each in images)
+    paths = [f"{name}.{ending}" for name, ending in zip(names, endings, strict=True)]
+    return media_array(images, paths)
+
+
+def as_jpeg(image: bytes | memoryview) -> bytes:
+    """Return an image for readers that only know JPEG: unchanged, or encoded again."""
+    return bytes(image) if is_jpeg(image) else encode_image(decode_image(image))
+
+
+def decoded(image: bytes | memoryview, name: str, out: UInt8 | None = None) -> UInt8:
+    """Return the pixels of an image; IntegrityError if it is damaged between its header and its end."""
+    try:
+        return decode_image(image, out)
+    except ValueError as error:
+        raise errors.IntegrityError(
+            f"{name!r}: {error}",
+            next="run `realtouch verify` on the source, and leave the round out first (`realtouch select`)",
+        ) from error
+
+
+def background_of(images: Sequence[bytes | memoryview], names: Sequence[str]) -> bytes:
+    """Return the median of some images as JPEG: the gel at rest; InputError if they differ in size.
+
+    Raises IntegrityError, with the name, for one that cannot be decoded.
+    """
+    sizes = {image_size(image) for image in images}
+    if len(sizes) > 1:
+        found = ", ".join(f"{width} x {height}" for height, width in sorted(sizes))
+        raise errors.InputError(
+            f"images of {found} pixels have no common background; expected one size",
+            next="make them alike with `realtouch resize`",
+        )
+    pixels = [decoded(image, name) for image, name in zip(images, names, strict=True)]
+    return encode_image(contact.median_in_memory(np.stack(pixels)))

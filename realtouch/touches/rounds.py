@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from realtouch import contact, picture_views
+from realtouch import contact
 from realtouch.touches import media, poses, schema, stored_round
 from tactile_toolkit import errors, pictures, read, run, wording
 from tactile_toolkit.array_types import Float32, Floating, Int64, UInt8
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 
 _MAX_THREADS = 4
+_MAX_TILES = 32  # touches that a notebook shows of a round
 
 INDEX = "touch_index"
 """Column of the number of a touch in its round, in tables of touches."""
@@ -115,10 +116,12 @@ class TouchRound(pictures.Drawn, read.Record):
         """Show touches in a notebook; missing columns and damaged pictures are left out."""
         words = self.label_words()
         words += filter(None, [self.describe_field("object_id", "object {}".format)])
-        touches = picture_views.evenly_spaced(self.touch_count, picture_views.MAX_TILES)
+        touches = media.evenly_spaced(self.touch_count, _MAX_TILES)
         images = [(f"{touch}", partial(self.contact_image, touch)) for touch in touches]
         title = self.describe_field("id", str) or "Round"
-        return pictures.grid_html(title, [*words, wording.with_count(self.touch_count, "touches")], images)
+        return pictures.Drawn.grid_html(
+            title, [*words, wording.with_count(self.touch_count, "touches")], images
+        )
 
     def caption(self, label_names: Sequence[str] = ()) -> str:
         """Return the label, if there is one, and the number of touches."""
@@ -199,7 +202,8 @@ class TouchSeqRound(TouchRound):
     @property
     def time_stamp_rel_seq(self) -> tuple[NDArray[np.timedelta64], ...]:
         """Time stamp of each frame: T arrays of ``timedelta64``, shapes (N_i,)."""
-        return self._once("time_stamp_rel_seq", lambda: self.row.frame_times())
+        times = partial(self.row.cut, "time_stamp_rel_seq", 0)
+        return self._once("time_stamp_rel_seq", lambda: tuple(map(schema.as_timedelta, times())))
 
     @property
     def touch_start_time_rel(self) -> NDArray[np.timedelta64]:

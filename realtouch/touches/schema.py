@@ -8,10 +8,11 @@ from typing import Any, Literal
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+from numpy.typing import NDArray
 
 from realtouch.contact import CONTACT_METHODS, ContactMethod
 from tactile_toolkit import errors, read, store, touch, wording
-from tactile_toolkit.array_types import AnyArray
+from tactile_toolkit.array_types import AnyArray, Float64
 
 Kind = Literal["seq", "single"]
 MEDIA_COLUMN: dict[Kind, str] = {"seq": "sensor_video", "single": "sensor_image"}
@@ -323,3 +324,24 @@ def array_with_gaps(array: pa.Array) -> AnyArray:
     values[array.is_valid().to_numpy(zero_copy_only=False)] = vectors
     values.setflags(write=False)
     return values
+
+
+def as_timedelta(values: AnyArray) -> NDArray[np.timedelta64]:
+    """Return times as ``timedelta64``: numbers count seconds and are rounded to nanoseconds."""
+    if values.dtype.kind == "m":
+        return values
+    # Durations arrive as seconds in floats, too.
+    nanoseconds = np.round(np.asarray(values, np.float64) * 1e9)
+    unknown = ~np.isfinite(nanoseconds)
+    # The integer that NaN becomes differs between processors.
+    times = np.where(unknown, 0, nanoseconds).astype(np.int64).astype("timedelta64[ns]")
+    times[unknown] = np.timedelta64("NaT", "ns")
+    return times
+
+
+def as_seconds(values: AnyArray) -> Float64:
+    """Return times (an array, or one of its values) in seconds, float64; unknown ones are NaN."""
+    if values.dtype.kind == "m":
+        seconds: Float64 = values / np.timedelta64(1, "s")
+        return seconds
+    return np.asarray(values, np.float64)

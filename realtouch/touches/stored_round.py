@@ -24,7 +24,6 @@ from tactile_toolkit.array_types import AnyArray, Bool, Float64, Floating, Int64
 from tactile_toolkit.json_types import JsonDict, JsonValue
 
 _NO_TIME = "no time is stored; expected a duration or float seconds"
-_SECOND = np.timedelta64(1, "s")
 _CONTACT_START = "touch_start_time_rel"
 _CONTACT_END = "touch_end_time_rel"
 _POSE = schema.POSE_COLUMN["single"]
@@ -199,7 +198,7 @@ class StoredRound(read.Row):
             return (self._cut_touch(name, touch, width),)
         lengths = self.clip_lengths()
         column, first, last = self.entries_of(name)
-        padded = _padded(column, first, last, width)
+        padded = column.padded(first, last, width)
         # Published clips are padded to the longest of their round: one view, cut T times.
         if padded is not None and padded.shape[1] >= lengths.max(initial=0):
             return tuple(values[:length] for values, length in zip(padded, lengths.tolist(), strict=True))
@@ -313,10 +312,6 @@ class StoredRound(read.Row):
             self.require_each("pos_in_cell", finite, touch, "a position {}; expected metres", positions)
         return positions
 
-    def frame_times(self) -> tuple[NDArray[np.timedelta64], ...]:
-        """Return the time stamps of the frames of each touch: T arrays of ``timedelta64``, shapes (N_i,)."""
-        return tuple(_as_timedelta(times) for times in self.cut("time_stamp_rel_seq", 0))
-
     def stamps_s(self, touch: int | None = None) -> list[Float64] | None:
         """Return the time stamps of each touch, or of ``touch``: shapes (N_i,), float64, seconds.
 
@@ -324,7 +319,7 @@ class StoredRound(read.Row):
         """
         if not self.has("time_stamp_rel_seq"):
             return None
-        found = [as_seconds(times) for times in self.cut("time_stamp_rel_seq", 0, touch)]
+        found = [schema.as_seconds(times) for times in self.cut("time_stamp_rel_seq", 0, touch)]
         if touch is None:
             # All at once; touch by touch only to find the wrong one.
             joined = np.concatenate([np.zeros(0), *found])
@@ -339,7 +334,7 @@ class StoredRound(read.Row):
 
     def touch_durations(self, name: str) -> NDArray[np.timedelta64]:
         """Return one time per touch, shape (T,), ``timedelta64``; IntegrityError for a missing time."""
-        times = _as_timedelta(self.per_touch(name))
+        times = schema.as_timedelta(self.per_touch(name))
         self.require_each(name, ~np.isnat(times), None, _NO_TIME)
         return times
 
@@ -348,7 +343,9 @@ class StoredRound(read.Row):
 
         Raises IntegrityError when a time is missing, or the end lies before the start.
         """
-        start_s, end_s = (as_seconds(self.per_touch(name, touch)) for name in (_CONTACT_START, _CONTACT_END))
+        start_s, end_s = (
+            schema.as_seconds(self.per_touch(name, touch)) for name in (_CONTACT_START, _CONTACT_END)
+        )
 
         problem = "contact from {} s to {} s; expected an end not before the start"
         self.require_each(_CONTACT_START, ~np.isnan(start_s), touch, problem, start_s, end_s)
@@ -474,27 +471,6 @@ class StoredRound(read.Row):
         return {key: self._with_poses(each, f"{name}.{key}") for key, each in value.items()}
 
 
-def _as_timedelta(values: AnyArray) -> NDArray[np.timedelta64]:
-    """Return times as ``timedelta64``: numbers count seconds and are rounded to nanoseconds."""
-    if values.dtype.kind == "m":
-        return values
-    # Durations arrive as seconds in floats, too.
-    nanoseconds = np.round(np.asarray(values, np.float64) * 1e9)
-    unknown = ~np.isfinite(nanoseconds)
-    # The integer that NaN becomes differs between processors.
-    times = np.where(unknown, 0, nanoseconds).astype(np.int64).astype("timedelta64[ns]")
-    times[unknown] = np.timedelta64("NaT", "ns")
-    return times
-
-
-def as_seconds(values: AnyArray) -> Float64:
-    """Return times (an array, or one of its values) in seconds, float64; unknown ones are NaN."""
-    if values.dtype.kind == "m":
-        seconds: Float64 = values / _SECOND
-        return seconds
-    return np.asarray(values, np.float64)
-
-
 def stored_rows(
     shards: Iterable[read.RowSource], columns: Sequence[str] | None = None
 ) -> Iterator[StoredRound]:
@@ -527,16 +503,3 @@ def stored_touch_counts(source: read.RowSource, *groups: int) -> Int64:
     blocks = (block for index in chosen for block in source.blocks(index, [column]))
     counts = [pc.fill_null(pc.list_value_length(block.arrow(name)), 0) for block in blocks]
     return np.concatenate([each.to_numpy() for each in counts] or [np.zeros(0)]).astype(np.int64)
-
-
-def _padded(column: read.NestedColumn, first: int, last: int, width: int) -> AnyArray | None:
-    """View all touches as one array (T, N, width), where they all have N frames of ``width`` values."""
-    touches = last - first
-    start, stop = column.inside(1, first, last)
-    frames = (stop - start) // max(touches, 1)
-    flat = column.flat(1, first, last)
-    starts = column.levels[1]
-    is_even = isinstance(starts, int) or (np.diff(starts[first : last + 1]) == frames).all()
-    if not is_even or len(flat) != touches * frames * max(width, 1):
-        return None
-    return flat.reshape((touches, frames, width) if width else (touches, frames))

@@ -11,7 +11,6 @@ from operator import itemgetter
 import numpy as np
 
 from realtouch.touches import datasets, image_contacts, schema
-from realtouch.touches.datasets import AnyTouches
 from tactile_toolkit import errors, read
 from tactile_toolkit.touch import CELL_M
 
@@ -129,7 +128,7 @@ def _extra_types(dataset: datasets.AnyDataset) -> dict[str, str]:
     return {name: schema.extra_type_text(stored, types[stored]) for name, stored in columns.items()}
 
 
-def _clip_frames(touches: AnyTouches) -> tuple[int, int, int]:
+def _clip_frames(touches: datasets.AnyTouches) -> tuple[int, int, int]:
     """Return the least, the median and the largest number of frames of a clip."""
     dataset = touches.dataset
     rows = dataset.row_numbers[touches.round_positions].tolist()

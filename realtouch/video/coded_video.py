@@ -131,10 +131,12 @@ class _Reader:
             metadata_errors="replace",
             buffer_size=_BUFFER_BYTES,
         )
-        found = [each for each in self._container.streams.video if not each.disposition.value & _COVER]
-        if len(found) != 1:
-            raise ItemError("streams", f"a file of {len(found)} streams of pictures; expected one")
-        self.video = found[0]
+        streams = [
+            stream for stream in self._container.streams.video if not stream.disposition.value & _COVER
+        ]
+        if len(streams) != 1:
+            raise ItemError("streams", f"a file of {len(streams)} streams of pictures; expected one")
+        self.video = streams[0]
         context = self.video.codec_context
         if not 0 < context.width * context.height <= MAX_IMAGE_PIXELS:
             raise ItemError(
@@ -197,7 +199,7 @@ class _Reader:
                 "frame", f"none of the first {_PICTURES_TRIED} pictures can be decoded ({self.codec})"
             )
         _require_upright(frames[0])
-        at = [cast(int, each.pts) for each in frames]
+        at = [cast(int, frame.pts) for frame in frames]
         if self._demuxer == "avi" and at != sorted(at):
             raise _untimed()
         return [] if self.is_kept else _changes_of(frames[0])
@@ -216,7 +218,7 @@ class _Reader:
             for _ in range(2):
                 self._container.seek(pts, stream=self.video)
                 rest = self._packets()
-                first = next((each for each in rest if each.is_keyframe), None)
+                first = next((packet for packet in rest if packet.is_keyframe), None)
                 if first is None or cast(int, first.pts) > pts:
                     return self._first_packets()
                 pts = cast(int, first.pts) - 1
@@ -243,9 +245,9 @@ class _Reader:
                 intact_from = math.inf
             if pts < intact_from:
                 lost.add(pts)
-            yield from (each for each in frames if each.pts not in lost)
+            yield from (frame for frame in frames if frame.pts not in lost)
         with suppress(av.FFmpegError):
-            yield from (each for each in decoder.decode(None) if each.pts not in lost)
+            yield from (frame for frame in decoder.decode(None) if frame.pts not in lost)
 
     def _pictures_before(self, pts: int) -> Iterator[VideoFrame | Packet[VideoStream]]:
         packets = self._packets_before(pts)
@@ -287,8 +289,8 @@ def _require_upright(frame: VideoFrame) -> None:
     matrix = frame.side_data.get("DISPLAYMATRIX")
     if matrix is None:
         return
-    found = np.frombuffer(cast("memoryview", matrix), np.int32)
-    if not np.array_equal(found[_TURN], _UPRIGHT[_TURN]):
+    stated = np.frombuffer(cast("memoryview", matrix), np.int32)
+    if not np.array_equal(stated[_TURN], _UPRIGHT[_TURN]):
         raise ItemError(
             "image",
             "its display matrix asks to turn its pictures, which some readers do; expected upright ones",
@@ -298,8 +300,8 @@ def _require_upright(frame: VideoFrame) -> None:
 def _changes_of(frame: VideoFrame) -> list[str]:
     """Return the changes to pictures of this format, as text; ItemError if 8 bits would lose most of them."""
     parts = frame.format.components
-    bits = max(each.bits for each in parts)
-    colours = [each for each in parts if not each.is_alpha]
+    bits = max(component.bits for component in parts)
+    colours = [component for component in parts if not component.is_alpha]
     if bits > _MAX_BITS or (bits > 8 and len(colours) == 1):
         raise ItemError("image", f"pictures of {bits} bits a colour ({frame.format.name}); expected 8")
     words = []

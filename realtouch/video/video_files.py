@@ -122,8 +122,8 @@ def check_boxes(stream: IO[bytes]) -> bool:
         if name in _COUNTS:
             counts[name] += int.from_bytes(stream.read(at + 4)[at:], "big")
         elif name in _RUNS:
-            found = stream.read(min(position - start, _MAX_RUN_BYTES))
-            counts[name] += int(np.frombuffer(found, ">u4", len(found) // 4)[2::2].sum(dtype=np.uint64))
+            runs = stream.read(min(position - start, _MAX_RUN_BYTES))
+            counts[name] += int(np.frombuffer(runs, ">u4", len(runs) // 4)[2::2].sum(dtype=np.uint64))
         elif name in _HOLDERS:
             position = start
         if counts[name] > limit:

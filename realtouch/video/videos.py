@@ -86,8 +86,8 @@ def _named_problems() -> Iterator[None]:
     except errors.ToolkitError:
         raise
     except Exception as error:  # besides FFmpegError, PyAV raises errors of the language
-        found = getattr(error, "strerror", None) or type(error).__name__
-        raise errors.ItemError("video", f"it cannot be read ({found}); expected an intact video") from error
+        reason = getattr(error, "strerror", None) or type(error).__name__
+        raise errors.ItemError("video", f"it cannot be read ({reason}); expected an intact video") from error
 
 
 @lru_cache(_KEPT_VIDEOS)
@@ -105,9 +105,9 @@ def _found_video(stream: IO[bytes]) -> video_files.Video:
             "container", f"a file that begins with {begin}; expected AVI, MP4, MOV, MKV, WebM or MPEG-TS"
         )
     if demuxer == "avi":
-        found = _pictures_of(stream)
-        if found.is_jpeg:
-            return _video_of_jpegs(found)
+        index = _pictures_of(stream)
+        if index.is_jpeg:
+            return _video_of_jpegs(index)
     with errors.needs_extra("reading this video", "av", "video"):
         from realtouch.video.coded_video import coded_video  # PyAV, an extra
     return coded_video(stream, demuxer, is_cut=demuxer == "mov" and video_files.check_boxes(stream))
@@ -124,27 +124,27 @@ def _pictures_of(stream: IO[bytes]) -> AviPictures:
         raise errors.ItemError("damaged", str(error)) from error
 
 
-def _video_of_jpegs(found: AviPictures) -> video_files.Video:
-    if not len(found):
+def _video_of_jpegs(index: AviPictures) -> video_files.Video:
+    if not len(index):
         raise errors.ItemError("length", "an AVI without pictures; expected one or more")
-    if not 1 / _MAX_HZ <= found.period_s <= _MAX_PERIOD_S:
+    if not 1 / _MAX_HZ <= index.period_s <= _MAX_PERIOD_S:
         raise errors.ItemError(
-            "rate", f"an AVI with a picture each {float(found.period_s):g} s; expected a rate"
+            "rate", f"an AVI with a picture each {float(index.period_s):g} s; expected a rate"
         )
 
     def read(stream: IO[bytes], numbers: Iterable[int]) -> Iterator[bytes | errors.ItemError]:
         for number in numbers:
-            if found.sizes[number] > touch.MAX_IMAGE_BYTES:
+            if index.sizes[number] > touch.MAX_IMAGE_BYTES:
                 yield errors.ItemError("image", video_files.TOO_LARGE)
                 continue
-            stream.seek(int(found.starts[number]))
-            yield stream.read(int(found.sizes[number]))
+            stream.seek(int(index.starts[number]))
+            yield stream.read(int(index.sizes[number]))
 
-    times = video_files.seconds_of(found.slots, found.period_s)
+    times = video_files.seconds_of(index.slots, index.period_s)
     note = ""
-    if found.is_cut:
+    if index.is_cut:
         note = video_files.CUT_SHORT
-    return video_files.Video(times, int(found.sizes.mean()), note, read)
+    return video_files.Video(times, int(index.sizes.mean()), note, read)
 
 
 class AviPictures:
@@ -217,12 +217,12 @@ class AviPictures:
                     raise ValueError(f"an AVI of more than {most:,} pictures, which is the limit")
             elif name in (b"strh", b"strf"):
                 self._read_header(name, bytes(read(start, min(size, STREAM_HEADER.size))))
-        found = np.frombuffer(places, np.int64).reshape(-1, 3)
+        pictures = np.frombuffer(places, np.int64).reshape(-1, 3)
         if not self.is_jpeg:
-            found = found[:0]
-        self.starts: Int64 = found[:, 0].copy()
-        self.sizes: Int64 = found[:, 1].copy()
-        self.slots: Int64 = found[:, 2].copy()
+            pictures = pictures[:0]
+        self.starts: Int64 = pictures[:, 0].copy()
+        self.sizes: Int64 = pictures[:, 1].copy()
+        self.slots: Int64 = pictures[:, 2].copy()
 
     def __len__(self) -> int:
         return len(self.sizes)

@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 
 from tactile_toolkit import checked_fields, touch
 from tactile_toolkit.array_types import Bool, Float64
-from tactile_toolkit.checked_fields import check_fields, real
 from tactile_toolkit.errors import InputError
 
 # Range for which single precision and the tables of the layer suffice.
@@ -50,12 +49,12 @@ class Gel:
         A value is out of range.
     """
 
-    youngs_modulus_pa: float = real(0.2e6, least=1e2, most=1e9)
-    poisson_ratio: float = real(0.49, least=0, most=0.5)
-    friction: float = real(0.5, least=0, most=1000)
+    youngs_modulus_pa: float = checked_fields.real(0.2e6, least=1e2, most=1e9)
+    poisson_ratio: float = checked_fields.real(0.49, least=0, most=0.5)
+    friction: float = checked_fields.real(0.5, least=0, most=1000)
 
     def __post_init__(self) -> None:
-        check_fields(self, "the gel")
+        checked_fields.check_fields(self, "the gel")
 
     @property
     def shear_modulus_pa(self) -> float:
@@ -198,7 +197,7 @@ def _solve(
     if not is_force:
         wanted = max(target - higher, _MIN_DEPTH_M)
     stiffness = gel.youngs_modulus_pa / min(thickness_m, math.sqrt(width_m * height_m) * coarse.shape[1])
-    solution = solver.solve(
+    problem = solver.ContactProblem(
         coarse.max() - coarse,
         (width_m, height_m),
         wanted,
@@ -208,6 +207,7 @@ def _solve(
         tables,
         stiffness,
     )
+    solution = problem.solve()
     force_n, torque_nm = _resultants(solution.fields[:3], (width_m, height_m))
     depth = solution.depth_m + higher if is_force else target
     fields = solution.fields

@@ -46,17 +46,10 @@ class Solution(NamedTuple):
     iterations: int
 
 
-def solve(
-    below_m: Float64,
-    pixel_m: tuple[float, float],
-    target: float,
-    is_force: bool,
-    friction: float,
-    motion: tuple[float, float, float],
-    layer: Layer,
-    start: float,
-) -> Solution:
-    """Press a body in, then move it along x and y and turn it; see :func:`tactile_sim.solve_contact`.
+class ContactProblem:
+    """A body that is pressed in, then moved and turned; see :func:`tactile_sim.solve_contact`.
+
+    Its loads and displacements change while it is solved; they are fields of n pixels.
 
     Parameters
     ----------
@@ -76,32 +69,6 @@ def solve(
         Tables for the window.
     start : float
         Pressure per depth of the first guess, Pa / m.
-    """
-    state = _State(below_m, pixel_m, target, is_force, friction, motion, layer, start)
-    iterations = 0
-    for number in range(_MAX_PASSES):
-        looseness = _FIRST_PASS if number == 0 and friction > 0.0 else 1.0
-        taken = state.press(looseness * _PRESS_TOLERANCE)
-        iterations += taken
-        if number > 0 and taken == 0:
-            break
-        state.push_aside()
-        if friction == 0.0:
-            break
-        iterations += state.shear(looseness * _SHEAR_TOLERANCE)
-    else:
-        state.press(math.inf)  # only the error
-    rows, columns = below_m.shape
-    is_stick = (state.bound > 0.0) & ~state.slips
-    along = state.bend + state.aside
-    fields = np.vstack([state.p, state.q, along, state.u + state.lifted, state.p > 0.0, is_stick])
-    fields = fields.reshape(-1, rows + 2, columns + 2)
-    inside = fields[:, -2:0:-1, 1:-1].astype(np.float64)
-    return Solution(inside, state.depth_m, state.worst_m / state.depth_m, iterations)
-
-
-class _State:
-    """Loads and displacements of a contact, while it is solved; fields of n pixels.
 
     Attributes
     ----------
@@ -149,6 +116,27 @@ class _State:
         self.lifted, self.bound = np.zeros((2, self.p.size), np.float32)
         self.slips = np.zeros(self.p.size, np.bool_)
         self.depth_m = self.worst_m = 0.0
+
+    def solve(self) -> Solution:
+        """Solve the press and the motion."""
+        iterations = 0
+        for number in range(_MAX_PASSES):
+            looseness = _FIRST_PASS if number == 0 and self._friction > 0.0 else 1.0
+            taken = self.press(looseness * _PRESS_TOLERANCE)
+            iterations += taken
+            if number > 0 and taken == 0:
+                break
+            self.push_aside()
+            if self._friction == 0.0:
+                break
+            iterations += self.shear(looseness * _SHEAR_TOLERANCE)
+        else:
+            self.press(math.inf)  # only the error
+        is_stick = (self.bound > 0.0) & ~self.slips
+        along = self.bend + self.aside
+        fields = np.vstack([self.p, self.q, along, self.u + self.lifted, self.p > 0.0, is_stick])
+        inside = fields.reshape(-1, *self._shape)[:, -2:0:-1, 1:-1].astype(np.float64)
+        return Solution(inside, self.depth_m, self.worst_m / self.depth_m, iterations)
 
     def press(self, tolerance: float) -> int:
         """Solve for the pressure; return the number of steps."""

@@ -46,6 +46,18 @@ def _missing(error: Float32, at: int, width: int, stencil: Float32) -> np.float3
     return load
 
 
+@part
+def _mean_depth(p: Float32, u: Float32, below: Float32) -> float:
+    """Return the depth of the press, as a mean over the contact."""
+    total = 0.0
+    count = 0
+    for at in range(len(p)):
+        if p[at] > 0.0:
+            total += u[at] + below[at]
+            count += 1
+    return total / count
+
+
 @compiled
 def press_step(
     p: Float32,
@@ -68,13 +80,7 @@ def press_step(
     """
     depth = target
     if is_force:
-        total = 0.0
-        count = 0
-        for at in range(len(p)):
-            if p[at] > 0.0:
-                total += u[at] + below[at]
-                count += 1
-        depth = total / count
+        depth = _mean_depth(p, u, below)
     worst = 0.0
     product = 0.0
     for at in range(len(p)):
@@ -112,8 +118,8 @@ def press_step(
     return depth, worst
 
 
-@compiled
-def shear_step(
+@part
+def _shear_errors(
     q: Float32,
     bend: Float32,
     wanted: Float32,
@@ -122,19 +128,9 @@ def shear_step(
     damping: Float32,
     error: Float32,
     step: Float32,
-    width: int,
-    stencils: Float32,
     own: float,
-    control: Float64,
-    tolerance: float,
-) -> float:
-    """Change the traction ``q`` by a step, unless the error is within the tolerance; return the error.
-
-    Errors are root mean squares over the contact, relative to the largest wanted displacement. A pixel at
-    its limit ``bound`` that would slide further (``slips``) can only move along the circle |q| = bound, which
-    is curved: multiplier / bound is added to the stiffness (Nocedal and Wright, Numerical Optimization, 2006,
-    section 12.5). ``bend`` is the displacement, ``own`` that of a pixel by its own traction.
-    """
+) -> tuple[float, float]:
+    """Write the errors of the displacement; return the relative one, and the product of step and errors."""
     left = 0.0
     largest = 0.0
     product = 0.0
@@ -159,6 +155,33 @@ def shear_step(
             error[0, at] = damping[at] * x
             error[1, at] = damping[at] * y
     relative = math.sqrt(left / (largest * count)) if left > 0.0 else 0.0
+    return relative, product
+
+
+@compiled
+def shear_step(
+    q: Float32,
+    bend: Float32,
+    wanted: Float32,
+    bound: Float32,
+    slips: Bool,
+    damping: Float32,
+    error: Float32,
+    step: Float32,
+    width: int,
+    stencils: Float32,
+    own: float,
+    control: Float64,
+    tolerance: float,
+) -> float:
+    """Change the traction ``q`` by a step, unless the error is within the tolerance; return the error.
+
+    Errors are root mean squares over the contact, relative to the largest wanted displacement. A pixel at
+    its limit ``bound`` that would slide further (``slips``) can only move along the circle |q| = bound, which
+    is curved: multiplier / bound is added to the stiffness (Nocedal and Wright, Numerical Optimization, 2006,
+    section 12.5). ``bend`` is the displacement, ``own`` that of a pixel by its own traction.
+    """
+    relative, product = _shear_errors(q, bend, wanted, bound, slips, damping, error, step, own)
     if relative <= tolerance:
         return relative
     share = np.float32(_next_share(control, product, relative))

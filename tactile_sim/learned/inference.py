@@ -27,7 +27,6 @@ from tactile_sim.learned.networks import (
     published_weights,
     read_weights,
 )
-from tactile_sim.learned.processes import chosen_device
 from tactile_sim.optics.rendering import Optics
 from tactile_sim.optics.sensor_noise import SensorNoise, draw_noise
 from tactile_sim.press.sensors import Sensor, center_view, checked_size_px
@@ -36,6 +35,11 @@ from tactile_toolkit.errors import InputError
 
 # Images whose channels are in memory at a time.
 _TOGETHER = 64
+# Half a million pixels take about half a gigabyte in a generator of 64 filters on a GPU.
+_PIXELS_TOGETHER = 1 << 19
+
+Generator: TypeAlias = Callable[[Tensor], Tensor]
+"""Computes images (n, 3, H, W) from images (n, 3, H, W), -1 to 1, both on the CPU."""
 
 
 def depth_channels(images: Float32) -> Tensor:
@@ -91,11 +95,16 @@ def generated(generator: Generator, channels: Callable[[AnyArray], Tensor], imag
     return torch.cat([generator(channels(images[start : start + _TOGETHER])) for start in parts])
 
 
-Generator: TypeAlias = Callable[[Tensor], Tensor]
-"""Computes images (n, 3, H, W) from images (n, 3, H, W), -1 to 1, both on the CPU."""
-
-# Half a million pixels take about half a gigabyte in a generator of 64 filters on a GPU.
-_PIXELS_TOGETHER = 1 << 19
+def chosen_device(name: str) -> str:
+    """Return ``"cpu"`` or ``"cuda"``; InputError for another name, and for CUDA without a GPU."""
+    available = torch.cuda.is_available()
+    if name not in ("auto", "cpu", "cuda"):
+        raise InputError(f"is {name!r}; expected auto, cpu or cuda", field="device")
+    if name == "cuda" and not available:
+        raise InputError("is 'cuda', but PyTorch finds no GPU here", next="use --device cpu", field="device")
+    if name == "cpu" or not available:
+        return "cpu"
+    return "cuda"
 
 
 def make_generator(weights: GeneratorWeights, device: str = "cpu", *, bfloat16: bool = False) -> Generator:

@@ -29,6 +29,22 @@ from tactile_toolkit.array_types import AnyArray, Float32
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict
 
+Direction = Literal["touch", "depth"]
+"""Output of a generator: touches from depth, or depth from touches."""
+
+PUBLISHED_SIZE_PX = (256, 256)
+"""Size that the published weights were trained at (`tactile-mnist` 0.13.0)."""
+
+_PUBLISHED = {
+    "touch": "cycle_gan_tactile_mnist_v0.npz",
+    "depth": "cycle_gan_inverse_tactile_mnist_v0.npz",
+}
+
+# A file must not decide how large a network is built before its shapes are compared.
+_MAX_BLOCKS, _MAX_FILTERS = 64, 1024
+_SIDES_PX = range(16, 2049, 4)
+_MISSING: AnyArray = np.empty(0)
+
 
 class _Residual(nn.Module):  # type: ignore[misc]
     """Two convolutions whose result is added to their input."""
@@ -108,21 +124,6 @@ def initialise(network: nn.Module, seed: int) -> None:
         if isinstance(module, nn.ConvTranspose2d):
             weight = module.weight.data
             weight[...] = weight[:, :, 1:2, 1:2].clone() * tent[:, None] * tent
-
-
-Direction = Literal["touch", "depth"]
-"""Output of a generator: touches from depth, or depth from touches."""
-PUBLISHED_SIZE_PX = (256, 256)
-"""Size that the published weights were trained at (`tactile-mnist` 0.13.0)."""
-_PUBLISHED = {
-    "touch": "cycle_gan_tactile_mnist_v0.npz",
-    "depth": "cycle_gan_inverse_tactile_mnist_v0.npz",
-}
-
-# A file must not decide how large a network is built before its shapes are compared.
-_MAX_BLOCKS, _MAX_FILTERS = 64, 1024
-_SIDES_PX = range(16, 2049, 4)
-_MISSING: AnyArray = np.empty(0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,22 +26,36 @@ import numpy as np
 import pyarrow as pa
 import torch
 
-from tactile_sim.learned import cyclegan, processes
-from tactile_sim.learned.batches import Batches, by_taxim
-from tactile_sim.learned.inference import depth_channels, picture_channels, pictures_from, shades_of
+from tactile_sim.learned import cyclegan
+from tactile_sim.learned.cyclegan import Batches, by_taxim
+from tactile_sim.learned.inference import (
+    chosen_device,
+    depth_channels,
+    picture_channels,
+    pictures_from,
+    shades_of,
+)
 from tactile_sim.learned.networks import weights_of, write_weights
-from tactile_sim.learned.processes import Process
 from tactile_sim.sets.data_cards import sheet_png
 from tactile_sim.sets.learning_specs import TrainConfig
 from tactile_sim.sets.pairs import SPLITS, Pairs
 from tactile_sim.sets.round_plan import keyed_rng
 from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import Float32, UInt8
-from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.wording import with_count
 
 SETTINGS = "training.json"
+
+TOUCH_WEIGHTS = "depth_to_touch.npz"
+
+DEPTH_WEIGHTS = "touch_to_depth.npz"
+
+_CHECKPOINT = "checkpoint.pt"
+
+_DIGEST_BYTES = 32
+
+_SAMPLES = 4
 
 
 class _Settings(msgspec.Struct):
@@ -60,7 +74,7 @@ def claim(folder: store.DataFolder, config: TrainConfig, pairs: str, *, resume: 
         found = {**there.config, "pairs": there.pairs}
         for name, value in {**wanted["config"], "pairs": wanted["pairs"]}.items():
             if found.get(name) != value:
-                raise SpecMismatchError(
+                raise errors.SpecMismatchError(
                     f"{folder.address()!r} holds a training with other settings: {name} is "
                     f"{found.get(name)!r:.60} there, {value!r:.60} was asked for; nothing was changed",
                     next="choose another folder (--out)",
@@ -70,7 +84,7 @@ def claim(folder: store.DataFolder, config: TrainConfig, pairs: str, *, resume: 
     others = [name for name in folder.names() if not store.is_hidden(name)]
     if resume or others:
         held = "".join(f" (found {name!r})" for name in others[:1])
-        raise InputError(
+        raise errors.InputError(
             f"{folder.address()!r} holds no training to continue{held}; nothing was changed",
             next="leave out --resume, and choose an empty or new folder (--out)",
         )
@@ -87,13 +101,6 @@ def held(folder: store.DataFolder, process: Process) -> Iterator[None]:
     folder.require_folder()
     with folder.locked(patience_s=0):
         yield
-
-
-TOUCH_WEIGHTS = "depth_to_touch.npz"
-DEPTH_WEIGHTS = "touch_to_depth.npz"
-_CHECKPOINT = "checkpoint.pt"
-_DIGEST_BYTES = 32
-_SAMPLES = 4
 
 
 @dataclass(frozen=True)
@@ -156,10 +163,7 @@ def train(
     config = config or TrainConfig()
     data = _trainable(pairs, config)
     folder = store.open_folder(os.fspath(out))
-    with (
-        processes.joined_processes(device, deterministic=deterministic) as process,
-        held(folder, process),
-    ):
+    with joined_processes(device, deterministic=deterministic) as process, held(folder, process):
         if process.rank == 0:
             claim(folder, config, data.fingerprint, resume=resume)
         process.wait()
@@ -197,7 +201,7 @@ class _Run:
     config: TrainConfig
     data: Pairs
     folder: store.DataFolder
-    process: processes.Process
+    process: Process
     model: cyclegan.CycleGan
     on_progress: Callable[[int, int], None]
 
@@ -326,3 +330,63 @@ class _Run:
                 "last checkpoint stays",
                 next="train with a smaller learning rate in another folder",
             )
+
+
+@dataclass(frozen=True)
+class Process:
+    """One of the processes of ``torchrun``: its number, how many there are, and its device."""
+
+    rank: int
+    count: int
+    device: str
+
+    def wait(self) -> None:
+        """Wait for the other processes."""
+        if self.count > 1:
+            torch.distributed.barrier()
+
+
+@contextmanager
+def joined_processes(device: str, *, deterministic: bool) -> Iterator[Process]:
+    """Choose a device, and join the other processes of ``torchrun`` if there are any."""
+    # torchrun names each process by these variables.
+    rank = int(os.environ.get("RANK", "0"))
+    count = int(os.environ.get("WORLD_SIZE", "1"))
+    chosen = chosen_device(device)
+    if deterministic and chosen != "cpu":
+        raise errors.InputError(
+            "deterministic training runs on the CPU", next="use --device cpu, or leave out --deterministic"
+        )
+    if chosen == "cuda":
+        chosen = f"cuda:{int(os.environ.get('LOCAL_RANK', '0'))}"
+        torch.cuda.set_device(chosen)
+    if count > 1:
+        torch.distributed.init_process_group({"cpu": "gloo"}.get(chosen, "nccl"))
+    process = Process(rank, count, chosen)
+    try:
+        with _determinism(deterministic=deterministic):
+            yield process
+        # The first process serves the store that the others use until they leave.
+        process.wait()
+    finally:
+        if count > 1:
+            torch.distributed.destroy_process_group()
+
+
+@contextmanager
+def _determinism(*, deterministic: bool) -> Iterator[None]:
+    """Make PyTorch deterministic on one thread if requested, and restore its settings afterwards."""
+    before = torch.are_deterministic_algorithms_enabled()
+    threads = torch.get_num_threads()
+    fills = torch.utils.deterministic.fill_uninitialized_memory
+    torch.use_deterministic_algorithms(deterministic)
+    if deterministic:
+        # Uninitialized memory is never read; not filling it saves an eighth of the time.
+        torch.utils.deterministic.fill_uninitialized_memory = False
+        torch.set_num_threads(1)  # sums are divided among threads, and a run may continue on another machine
+    try:
+        yield
+    finally:
+        torch.use_deterministic_algorithms(before)
+        torch.utils.deterministic.fill_uninitialized_memory = fills
+        torch.set_num_threads(threads)

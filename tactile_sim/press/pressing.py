@@ -22,6 +22,11 @@ from tactile_toolkit.touch import CELL_M
 
 _RIGID = 1e-6  # greatest error of the entries of a rotation
 
+Solid: TypeAlias = "MeshLike | Pressable"
+"""Solids that the gel can be pressed onto."""
+
+_PLATE_FACES: Int32 = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+
 
 class HasMatrix(Protocol):
     """A pose of another library, such as those of `realtouch` and `tactile-mnist`."""
@@ -111,11 +116,6 @@ def inverse_times(one: Float64, other: Float64) -> Float64:
     x, y, z = (one[:, k, :3] * one[:, k, 3:] for k in range(3))
     inverse[:, :3, 3], inverse[:, 3, 3] = -((x + y) + z), 1.0
     return pose_product(inverse, other)
-
-
-Solid: TypeAlias = "MeshLike | Pressable"
-"""Solids that the gel can be pressed onto."""
-_PLATE_FACES: Int32 = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,7 +18,6 @@ from tactile_toolkit import cards, store, touch, wording
 from tactile_toolkit.array_types import AnyArray, UInt8
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.pictures import Tile, png_bytes, sheet
-from tactile_toolkit.wording import with_count
 
 _RIGID_LIMIT = (
     "No force, dynamics or tilt: the gel stops by geometry only, and nothing moves while it is touched."
@@ -28,6 +27,27 @@ _ELASTIC_LIMITS = (
     "strain; a press of half the thickness, where one by force stops, is indicative only.",
     "A slide and a twist are applied in one step after the press; real contact depends on its history.",
 )
+
+# Approximate width of images in sheets.
+_TILE_PX = 96
+_COLUMNS_SHOWN = 8
+_ROUNDS_SHOWN = 4
+
+_OPTICS = {
+    "depth": "the depth image, grey: black deepest in the gel, white no contact",
+    "taxim": "Taxim with the calibration of the GelSight Mini, shadows included",
+    "cyclegan": "a generator that was trained on real touches, from the depth image",
+    "twin": "the twin of a sensor, which `tactile-sim calibrate` made from its touches",
+}
+
+_TAGS = ["tactile", "active-perception", "gelsight", "touch", "synthetic"]
+_TASKS = {
+    "task_categories": ["robotics", "image-classification"],
+    "task_ids": ["multi-class-image-classification"],
+}
+_LIKE = {"published": "published data sets", "environment": "published environments at this size"}
+_NOISE = ("of a real sensor, added to the finished image", "as stated below, added to the finished image")
+_DECODERS: dict[str, Callable[[bytes], AnyArray]] = {"depth": decode_depth, "real": touch.decode_image}
 
 
 @dataclass(frozen=True)
@@ -76,22 +96,6 @@ def _span(ends: Sequence[float], factor: float) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-# Approximate width of images in sheets.
-_TILE_PX = 96
-_COLUMNS_SHOWN = 8
-_ROUNDS_SHOWN = 4
-_OPTICS = {
-    "depth": "the depth image, grey: black deepest in the gel, white no contact",
-    "taxim": "Taxim with the calibration of the GelSight Mini, shadows included",
-    "cyclegan": "a generator that was trained on real touches, from the depth image",
-    "twin": "the twin of a sensor, which `tactile-sim calibrate` made from its touches",
-}
-_TAGS = ["tactile", "active-perception", "gelsight", "touch", "synthetic"]
-_LIKE = {"published": "published data sets", "environment": "published environments at this size"}
-_NOISE = ("of a real sensor, added to the finished image", "as stated below, added to the finished image")
-_DECODERS: dict[str, Callable[[bytes], AnyArray]] = {"depth": decode_depth, "real": touch.decode_image}
-
-
 def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     """Write ``README.md`` of a data set folder and its picture.
 
@@ -117,10 +121,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         drawn=_touches_sheet,
         licence="mit",
         tags=_TAGS,
-        tasks={
-            "task_categories": ["robotics", "image-classification"],
-            "task_ids": ["multi-class-image-classification"],
-        },
+        tasks=_TASKS,
         figures={
             "touches": [f"{each['touches']:,}" for each in counts],
             "on the object": [
@@ -140,7 +141,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
                 f"{plan['rounds']}, {'at most ' if plan.get('given') else ''}{plan['touches']}",
             ),
         ],
-        limits=_limits(spec, touches, on_object),
+        limits=_limits(spec, gel, touches, on_object),
         values={
             "size_text": f"{width} x {height} pixels",
             "sensor": sensor.name,
@@ -201,13 +202,13 @@ def _objects_in_words(source: Mapping[str, Sequence[JsonObject]]) -> list[tuple[
     if not files:
         return []
     units = sorted({each["unit"] for each in files if "unit" in each})
-    words = f"{with_count(len(files), 'meshes')}, numbered as `manifest.json` lists them"
+    words = f"{wording.with_count(len(files), 'meshes')}, numbered as `manifest.json` lists them"
     if units:
         words += f"; STL, PLY and OBJ are in {units[0]}"
     return [("objects", words)]
 
 
-def _limits(spec: JsonObject, touches: int, on_object: int) -> list[str]:
+def _limits(spec: JsonObject, gel: CardGel, touches: int, on_object: int) -> list[str]:
     lacking = ["the wear of gels"]
     if not spec.get("layer_m"):
         lacking.append("the texture of prints")
@@ -217,7 +218,7 @@ def _limits(spec: JsonObject, touches: int, on_object: int) -> list[str]:
     if spec["optics"] == "cyclegan":
         shown = "Images show prints, gels and noise as the generator learned them."
     return [
-        *CardGel.of(spec).limits,
+        *gel.limits,
         shown,
         *touch.HeightRule(touch.HeightRule.RENDERED_M, "known").missed_lines(touches - on_object, touches),
     ]

@@ -30,13 +30,40 @@ _XY = read.vectors_type(pa.float64(), 2)
 _XYZ = read.vectors_type(pa.float64(), 3)
 _XYZW = read.vectors_type(pa.float64(), 4)
 
+DRAWN = (
+    "info.object_pose.position",
+    "info.object_pose.quaternion",
+    "pos_in_cell",
+    "gel_pose_cell_frame.position",
+    "info.touched_object_pose.position",
+    "info.touched_object_pose.quaternion",
+)
+"""Columns of random numbers: a dictionary would repeat all of them."""
+
+# Encoded images in memory; a worker holds nothing else of a shard.
+_SHARD_BYTES = 64 << 20
+_SMALLEST_SHARD_BYTES = 2 << 20
+_SMALLEST_ELASTIC_TOUCHES = 128  # they take as long as 2 MB of other touches
+_SHARDS = 32  # of smaller sets: several for each worker, so that all end at about the same time
+_GROUP_BYTES = 8 << 20
+
+# Images without contact repeat from round to round: shorter pages would hide that from zstd, longer ones
+# change more where one round changes. Groups of larger images have few rounds anyway.
+_ROUNDS_PER_PAGE = 8
+_PAGE_BYTES = 1 << 20
+_IMAGE_BYTES = "sensor_image.list.element.bytes"
+
+# The published 64 x 64 touches take 0.21 (110,578,548 bytes for 128,000 images).
+_JPEG_BYTES_PER_PX = 0.25
+_MAP_BYTES_PER_PX = 8  # pressure and displacement, in half precision
+_LOG = logging.getLogger(__name__)
+
 
 def _extra(name: str, unit: str, meaning: str) -> Any:
     """Declare a further column of an elastic gel, in the frame of the sensor, whose type a set chooses."""
     return rows.column(pa.null(), unit, meaning, name=f"{EXTRA}{name}", default=None)
 
 
-@rows.row
 class SyntheticRound(rows.TypedRow):
     """One round."""
 
@@ -116,17 +143,6 @@ class SyntheticRound(rows.TypedRow):
     )
 
 
-DRAWN = (
-    "info.object_pose.position",
-    "info.object_pose.quaternion",
-    "pos_in_cell",
-    "gel_pose_cell_frame.position",
-    "info.touched_object_pose.position",
-    "info.touched_object_pose.quaternion",
-)
-"""Columns of random numbers: a dictionary would repeat all of them."""
-
-
 def synthetic_schema(
     class_names: tuple[str, ...], optional: Mapping[str, pa.DataType] | None = None
 ) -> pa.Schema:
@@ -144,25 +160,6 @@ def synthetic_schema(
     ]
     assert set(types) <= known, "optional columns are declared"
     return touch.with_features(pa.schema(chosen), class_names)
-
-
-# Encoded images in memory; a worker holds nothing else of a shard.
-_SHARD_BYTES = 64 << 20
-_SMALLEST_SHARD_BYTES = 2 << 20
-_SMALLEST_ELASTIC_TOUCHES = 128  # they take as long as 2 MB of other touches
-_SHARDS = 32  # of smaller sets: several for each worker, so that all end at about the same time
-_GROUP_BYTES = 8 << 20
-
-# Images without contact repeat from round to round: shorter pages would hide that from zstd, longer ones
-# change more where one round changes. Groups of larger images have few rounds anyway.
-_ROUNDS_PER_PAGE = 8
-_PAGE_BYTES = 1 << 20
-_IMAGE_BYTES = "sensor_image.list.element.bytes"
-
-# The published 64 x 64 touches take 0.21 (110,578,548 bytes for 128,000 images).
-_JPEG_BYTES_PER_PX = 0.25
-_MAP_BYTES_PER_PX = 8  # pressure and displacement, in half precision
-_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)

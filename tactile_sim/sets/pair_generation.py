@@ -22,7 +22,6 @@ from tactile_sim.press.pressing import render_touch
 from tactile_sim.press.sensors import sensor_of_window
 from tactile_sim.sets import pairs, round_plan, touched_solids
 from tactile_sim.sets.learning_specs import PairsSpec
-from tactile_sim.sets.round_plan import plan_round
 from tactile_sim.sets.touch_spec import TouchPlan
 from tactile_toolkit import generation, places, read, store, touch
 from tactile_toolkit.array_types import Float32, Float64
@@ -37,6 +36,10 @@ _TRIES = 16
 _POSES = ("gel_pose_cell_frame.position", "gel_pose_cell_frame_seq.position")
 _contacts_by_image = lazy("realtouch:contacts_by_image")
 
+# Images of 256 x 256 pixels take some 100 MB then.
+_ROWS_PER_SHARD = 1000
+_OF_OBJECT = ("label", "object_id")
+
 
 def drawn_depth(spec: PairsSpec, solid: Pressable, object_id: int, number: int) -> Float32:
     """Return the depth image of one touch: the first of some places in the cell with contact."""
@@ -47,7 +50,7 @@ def drawn_depth(spec: PairsSpec, solid: Pressable, object_id: int, number: int) 
         return np.ones(spec.size_px[::-1], np.float32)
     for positions in ("cell", "object"):  # small objects are seldom met by chance
         plan = TouchPlan(1, _TRIES, positions, turn_rad=spec.turn_rad, perturb=False, seed=spec.seed)
-        drawn = plan_round(plan, solid, "depth", object_id, number)
+        drawn = round_plan.plan_round(plan, solid, "depth", object_id, number)
         for position in drawn.positions_m:
             target = np.eye(4)
             target[:2, 3] = position
@@ -88,11 +91,6 @@ def draw_touches(touches: read.RecordDataset[Any], spec: PairsSpec, real: str) -
     touching_drawn = iter(np.sort(rng.permutation(touching)[:with_contact]).tolist())
     free_drawn = iter(np.sort(rng.permutation(free)[:without_contact]).tolist())
     return [(next(touching_drawn if flag else free_drawn), flag) for flag in flags]
-
-
-# Images of 256 x 256 pixels take some 100 MB then.
-_ROWS_PER_SHARD = 1000
-_OF_OBJECT = ("label", "object_id")
 
 
 @dataclass(frozen=True)

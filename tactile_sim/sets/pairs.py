@@ -17,7 +17,7 @@ from tactile_sim.sets.touch_spec import WINDOWS
 from tactile_toolkit import places, read, touch
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Int64
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.rows import TypedRow, column, row
+from tactile_toolkit.rows import TypedRow, column
 
 SPLITS = ("depth", "real")
 """Splits of a training set."""
@@ -26,7 +26,6 @@ DEPTH_LEVELS = 65535
 _PICTURE = "depth: grey, 16 bits, 0 deepest in the gel, 65535 no contact; real: colours"
 
 
-@row
 class PairRow(TypedRow):
     """One depth image or one real touch, encoded."""
 

@@ -14,6 +14,14 @@ from tactile_sim.sets.touch_spec import TouchPlan
 from tactile_toolkit import arithmetic, touch
 from tactile_toolkit.array_types import Float64
 
+REACH_M = (0.0385, 0.0405)
+"""Greatest distance of the gel from the middle of the cell along x and y, metres: half the cell less
+``CELL_PADDING`` of `tactile-mnist` 0.13.0."""
+
+_MARGIN_M = 0.01  # tactile-mnist 0.13.0, object_placement_margin
+_SHIFT_M = 1e-3  # tactile-mnist 0.13.0, translation_perturbation_scale
+_SHIFT_RAD = 5e-2  # tactile-mnist 0.13.0, rotation_perturbation_scale
+
 
 def rng_key(*words: str | int) -> int:
     """Return 128 bits that depend only on these words."""
@@ -26,14 +34,6 @@ def keyed_rng(*words: str | int) -> np.random.Generator:
     It is counter-based, so that it has no state to hand on.
     """
     return np.random.Generator(np.random.Philox(key=rng_key(*words)))
-
-
-REACH_M = (0.0385, 0.0405)
-"""Greatest distance of the gel from the middle of the cell along x and y, metres: half the cell less
-``CELL_PADDING`` of `tactile-mnist` 0.13.0."""
-_MARGIN_M = 0.01  # tactile-mnist 0.13.0, object_placement_margin
-_SHIFT_M = 1e-3  # tactile-mnist 0.13.0, translation_perturbation_scale
-_SHIFT_RAD = 5e-2  # tactile-mnist 0.13.0, rotation_perturbation_scale
 
 
 @dataclass(frozen=True, slots=True, eq=False)

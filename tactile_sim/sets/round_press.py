@@ -8,21 +8,29 @@ from functools import lru_cache, partial
 
 import numpy as np
 import pyarrow as pa
+from PIL import Image
 
 from tactile_sim.optics.rendering import Optics, make_optics
 from tactile_sim.optics.sensor_noise import add_noise
 from tactile_sim.press import sensors
-from tactile_sim.press.markers import draw_markers
+from tactile_sim.press.elastic_press import Load, draw_markers, marker_grid_px, marker_positions_px, plate_z_m
+from tactile_sim.press.press_spec import ElasticPress, Span
 from tactile_sim.press.pressable import Pressable
 from tactile_sim.press.pressing import Pressed, pose, render_touch
-from tactile_sim.sets import elastic_rows
 from tactile_sim.sets.round_plan import keyed_rng, on_object
 from tactile_sim.sets.touch_spec import GenerateSpec
-from tactile_toolkit import store, touch
-from tactile_toolkit.array_types import Float64, UInt8
+from tactile_toolkit import arithmetic, read, store, touch
+from tactile_toolkit.array_types import AnyArray, Float32, Float64, UInt8
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.mesh import MeshLike
-from tactile_toolkit.touch import PRESS_DEPTH_M
+
+# On a surface as large as the cell they are two millimetres apart.
+_POINTS = 4096
+_SHOWN = ("force_n", "torque_nm", "press_depth_m", "slide_m", "twist_rad", "marker_flow_px")
+# The plate is met a little deeper or higher, depending on the slide and the tolerance of the solver.
+_PLATE_MARGIN_M = 1e-5
+_KILO, _MILLI = 1e3, 1e-3
+_NONE: Span = (0.0, 0.0)
 
 
 def optics_of(spec: GenerateSpec) -> Optics:
@@ -65,11 +73,11 @@ def press_round(
     further = JsonDict()
     shown = _depth_sensor(spec, optics)
     if press is None:
-        if spec.sensor.press_m != PRESS_DEPTH_M:
+        if spec.sensor.press_m != touch.PRESS_DEPTH_M:
             further["plate_z_m"] = shown.press_m
         pressed = render_touch(solid, poses, targets, shown)
     else:
-        loads = elastic_rows.DrawnLoads.of(press, len(targets), spec.plan.seed, *key)
+        loads = DrawnLoads.of(press, len(targets), spec.plan.seed, *key)
         pressed = render_touch(
             solid,
             poses,
@@ -81,11 +89,11 @@ def press_round(
             slide_m=loads.slide_m,
             twist_rad=loads.twist_rad,
         )
-        further["plate_z_m"] = elastic_rows.bare_plate_z_m(press, shown)
-        further |= elastic_rows.elastic_values(press, pressed, loads, shown, spec.size_px)
+        further["plate_z_m"] = bare_plate_z_m(press, shown)
+        further |= elastic_values(press, pressed, loads, shown, spec.size_px)
     images = optics.render(pressed.depth_m, shown, spec.size_px, is_surface=press is not None)
     if press is not None and press.markers is not None and press.draw_markers:
-        places = elastic_rows.markers_px(press.markers, pressed, shown, spec.size_px)
+        places = markers_px(press.markers, pressed, shown, spec.size_px)
         images = np.stack([draw_markers(*each) for each in zip(images, places, strict=True)])
     return PressedRound(pressed, _with_noise(spec, images, key), further, shown)
 
@@ -115,16 +123,11 @@ def _with_noise(spec: GenerateSpec, images: UInt8, key: tuple[str, int, int]) ->
 def further_types(spec: GenerateSpec) -> Mapping[str, pa.DataType]:
     """Return the types of the columns that only some sets have; a GelSight Mini has the published ones."""
     types: dict[str, pa.DataType] = {}
-    if spec.press is not None or spec.sensor.press_m != PRESS_DEPTH_M:
+    if spec.press is not None or spec.sensor.press_m != touch.PRESS_DEPTH_M:
         types["plate_z_m"] = pa.float64()
     if spec.press is not None:
-        types |= elastic_rows.elastic_types(spec.press, spec.size_px)
+        types |= elastic_types(spec.press, spec.size_px)
     return types
-
-
-# On a surface as large as the cell they are two millimetres apart.
-_POINTS = 4096
-_SHOWN = ("force_n", "torque_nm", "press_depth_m", "slide_m", "twist_rad", "marker_flow_px")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -203,3 +206,111 @@ def preview_touch(
 def _bounds_m(solid: Pressable, stands: Float64) -> Float64:
     corners_m = solid.vertices_m @ stands[:2, :3].T + stands[:2, 3]
     return np.array([corners_m.min(axis=0), corners_m.max(axis=0)])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrawnLoads:
+    """Random loads of T touches: forces, newtons, or depths, metres, (T,), slides (T, 2), metres, twists."""
+
+    force_n: Float64 | None
+    depth_m: Float64 | None
+    slide_m: Float64
+    twist_rad: Float64
+
+    @classmethod
+    def of(cls, press: ElasticPress, touches: int, *key: str | int) -> DrawnLoads:
+        """Draw the loads of a round, which depend only on its key."""
+        shares = keyed_rng(*key, "press").random((touches, 4))
+        far_m = _within(press.slide_m or _NONE, shares[:, 1])
+        towards = np.array([arithmetic.cosine_sine(2 * np.pi * share) for share in shares[:, 2].tolist()])
+        return cls(
+            press.force_n and _within(press.force_n, shares[:, 0]),
+            press.press_m and _within(press.press_m, shares[:, 0]),
+            far_m[:, None] * towards.reshape(-1, 2) + 0.0,  # not -0.0
+            _within(press.twist_rad or _NONE, shares[:, 3]),
+        )
+
+
+def _within(span: Span, shares: Float64) -> Float64:
+    return span[0] + (span[1] - span[0]) * shares
+
+
+def bare_plate_z_m(press: ElasticPress, sensor: sensors.Sensor) -> float:
+    """Return the greatest height at which the sensor stops on the bare plate, metres."""
+    assert press.gel is not None
+    force_n, depth_m = (span and span[0] for span in (press.force_n, press.press_m))
+    return plate_z_m(sensor, Load(press.gel, force_n, depth_m)) + _PLATE_MARGIN_M
+
+
+def elastic_types(press: ElasticPress, size_px: tuple[int, int]) -> Mapping[str, pa.DataType]:
+    """Return the types of the columns of an elastic gel, whose vectors have lengths of their own, by name."""
+    number, half = pa.float32(), pa.float16()
+    types: dict[str, pa.DataType] = {
+        "extra.force_n": read.vectors_type(number, 3),
+        "extra.torque_nm": read.vectors_type(number, 3),
+        "extra.press_depth_m": pa.list_(number),
+        "extra.contact_point_m": read.vectors_type(number, 2),
+        "extra.slide_m": read.vectors_type(number, 2),
+        "extra.twist_rad": pa.list_(number),
+    }
+    if press.markers is not None:
+        flow = read.vectors_type(number, 2 * press.markers[0] * press.markers[1])
+        types |= {"extra.marker_positions_px": flow, "extra.marker_flow_px": flow}
+    if press.contact_maps:
+        pixels = size_px[0] * size_px[1]
+        types |= {
+            "extra.pressure_kpa": read.vectors_type(half, pixels),
+            "extra.displacement_mm": read.vectors_type(half, 3 * pixels),
+        }
+    return types
+
+
+def elastic_values(
+    press: ElasticPress, pressed: Pressed, loads: DrawnLoads, sensor: sensors.Sensor, size_px: tuple[int, int]
+) -> dict[str, AnyArray]:
+    """Return the attributes of a row of touches of an elastic gel."""
+    contacts = pressed.contacts
+    force_n = np.array([each.force_n for each in contacts])
+    torque_nm = np.array([each.torque_nm for each in contacts])
+    # Where the force of the press acts, from its moments about x and y.
+    point_m = np.column_stack([-torque_nm[:, 1], torque_nm[:, 0]]) / force_n[:, 2:]
+    values: dict[str, AnyArray] = {
+        "force_n": force_n,
+        "torque_nm": torque_nm,
+        "press_depth_m": np.array([each.depth_m for each in contacts]),
+        "contact_point_m": point_m,
+        "slide_m": loads.slide_m,
+        "twist_rad": loads.twist_rad,
+    }
+    values = {name: each.astype(np.float32) for name, each in values.items()}
+    if press.markers is not None:
+        positions_px = markers_px(press.markers, pressed, sensor, size_px)
+        flow_px = positions_px - marker_grid_px(press.markers, size_px)
+        for name, each in (("marker_positions_px", positions_px), ("marker_flow_px", flow_px)):
+            values[name] = each.reshape(len(contacts), -1).astype(np.float32)
+    if press.contact_maps:
+        pressure_kpa = [_averaged(each.pressure_pa[..., None] / _KILO, size_px) for each in contacts]
+        moved_mm = [_averaged(each.displacement_m / _MILLI, size_px) for each in contacts]
+        for name, maps in (("pressure_kpa", pressure_kpa), ("displacement_mm", moved_mm)):
+            values[name] = np.array(maps, np.float16).reshape(len(contacts), -1)
+    return values
+
+
+def markers_px(
+    markers: tuple[int, int], pressed: Pressed, sensor: sensors.Sensor, size_px: tuple[int, int]
+) -> Float64:
+    """Return the positions of the markers of T touches, shape (T, rows, columns, 2), pixels."""
+    moved = [
+        marker_positions_px(each.displacement_m, sensor.window_m, markers, size_px)
+        for each in pressed.contacts
+    ]
+    return np.array(moved)
+
+
+def _averaged(values: Float64, size_px: tuple[int, int]) -> Float32:
+    """Return maps (H, W, k) in the size of the image: means over the area of each pixel."""
+    if values.shape[1::-1] == size_px:
+        return values.astype(np.float32)
+    parts = np.moveaxis(values, -1, 0).astype(np.float32)
+    scaled = [Image.fromarray(part).resize(size_px, Image.Resampling.BOX) for part in parts]
+    return np.stack([np.asarray(part, np.float32) for part in scaled], axis=-1)

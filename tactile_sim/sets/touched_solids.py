@@ -19,6 +19,16 @@ from tactile_toolkit.json_types import JsonDict, JsonObject
 Meshes: TypeAlias = "Mapping[str, mesh.MeshLike | Sequence[mesh.MeshLike]]"
 """Meshes in memory by the name of their class: one each, or several."""
 _TRAIN = "train"  # split of solids without a stated split
+_SHOWN_IDS = 5
+
+Records: TypeAlias = "mesh.SolidDataset[mesh.SolidRecord]"
+"""Solids of a data set."""
+
+Solids: TypeAlias = "Records | GivenSolids"
+"""Solids of a split, of either source."""
+
+Opener: TypeAlias = Callable[[places.Name], places.Place]
+"""Opens a data set by its name."""
 
 
 @dataclass(frozen=True)
@@ -180,15 +190,6 @@ def _require_within_cell(found: mesh.Mesh) -> None:
             f"{1e3 * touch.CELL_M[0]:g} x {1e3 * touch.CELL_M[1]:g} mm, the cell; next: check its unit, or "
             "scale it",
         )
-
-
-_SHOWN_IDS = 5
-Records: TypeAlias = "mesh.SolidDataset[mesh.SolidRecord]"
-"""Solids of a data set."""
-Solids: TypeAlias = "Records | GivenSolids"
-"""Solids of a split, of either source."""
-Opener: TypeAlias = Callable[[places.Name], places.Place]
-"""Opens a data set by its name."""
 
 
 def solids_of(

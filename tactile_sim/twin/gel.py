@@ -17,8 +17,6 @@ import numpy as np
 
 from tactile_sim.optics import taxim_kernels
 from tactile_sim.twin import gel_kernels, surface_kernels
-from tactile_sim.twin.gel_kernels import SurfaceView
-from tactile_sim.twin.surface_kernels import Blur
 from tactile_toolkit.arithmetic import exp_neg
 from tactile_toolkit.array_types import Float32, Float64, Floating, Int64
 
@@ -32,6 +30,15 @@ _CAMERA_REACH = 3.0
 _MIN_RIM_M = 1e-6
 _MARGIN = 0.12  # of the width of an image
 _EDGE = 0.7  # range of depth in which contact begins, in pixels: slopes there are about 1
+LEAST = np.array([-1.0, -1.0, -0.3, 1e-4, 1e-4, 1e-5, 0.05, 1e-6])
+MOST = np.array([1.0, 1.0, 0.3, 0.05, 5e-3, 5e-4, 0.95, 5e-4])
+"""Least and greatest values of a geometry."""
+
+WHOLE = np.ones(2)
+"""Share of the image, along x and y, of a map that shows all of it."""
+
+Seen: TypeAlias = tuple[Int64, Float32]
+"""Entries of the response that each pixel depends on, and their shares."""
 
 
 class Fitted(IntEnum):
@@ -51,17 +58,6 @@ class Fitted(IntEnum):
     LAST = 5
     CONTACT = 6
     BLUR = 7
-
-
-LEAST = np.array([-1.0, -1.0, -0.3, 1e-4, 1e-4, 1e-5, 0.05, 1e-6])
-MOST = np.array([1.0, 1.0, 0.3, 0.05, 5e-3, 5e-4, 0.95, 5e-4])
-"""Least and greatest values of a geometry."""
-
-WHOLE = np.ones(2)
-"""Share of the image, along x and y, of a map that shows all of it."""
-
-Seen: TypeAlias = tuple[Int64, Float32]
-"""Entries of the response that each pixel depends on, and their shares."""
 
 
 def half_kernel(sigma_px: float, longest: int, reach: float = _CAMERA_REACH) -> Float64:
@@ -138,7 +134,9 @@ def _across_of(pitch_m: Float64, size: tuple[int, ...], span: Float64) -> float:
 
 
 @lru_cache(maxsize=256)
-def _blur(sigma_px: tuple[float, float], size: tuple[int, int], reach: float, halved_px: float) -> Blur:
+def _blur(
+    sigma_px: tuple[float, float], size: tuple[int, int], reach: float, halved_px: float
+) -> surface_kernels.Blur:
     (sigma_x, sigma_y), (rows, columns), halvings = sigma_px, size, 0
     while min(sigma_x, sigma_y) >= halved_px and columns >= _MIN_HALVED_PX:
         # Halving and doubling blur too: each has a variance of 3 / 4 square pixels.
@@ -149,20 +147,22 @@ def _blur(sigma_px: tuple[float, float], size: tuple[int, int], reach: float, ha
         halved_px = _HALVED_PX[1]
     across = half_kernel(sigma_x, columns, reach)
     down = half_kernel(sigma_y, rows, reach)
-    return Blur(halvings, across.astype(np.float32), down.astype(np.float32))
+    return surface_kernels.Blur(halvings, across.astype(np.float32), down.astype(np.float32))
 
 
-def gel_blur(sigma_px: Float64, size: tuple[int, ...]) -> Blur:
+def gel_blur(sigma_px: Float64, size: tuple[int, ...]) -> surface_kernels.Blur:
     """Return the kernels of a blur of the gel from its standard deviations along x and y."""
     return _blur((float(sigma_px[0]), float(sigma_px[1])), (size[0], size[1]), _REACH, _HALVED_PX[0])
 
 
-def view_of(soft: Float32, pitch_m: Float64, shape: Float64, span: Float64 = WHOLE) -> SurfaceView:
+def view_of(
+    soft: Float32, pitch_m: Float64, shape: Float64, span: Float64 = WHOLE
+) -> gel_kernels.SurfaceView:
     """Return how a surface is seen through the lens of ``shape``."""
     rim_m = max(-float(shape[Fitted.CONTACT] * soft.min()), _MIN_RIM_M)
     (pitch_x, pitch_y), (span_x, span_y) = pitch_m.tolist(), span.tolist()
     across = _across_of(pitch_m, soft.shape, span)
-    return SurfaceView(pitch_x, pitch_y, span_x, span_y, float(shape[Fitted.LENS]), across, rim_m)
+    return gel_kernels.SurfaceView(pitch_x, pitch_y, span_x, span_y, float(shape[Fitted.LENS]), across, rim_m)
 
 
 def seen_features(soft: Float32, pitch_m: Float64, shape: Float64) -> Seen:

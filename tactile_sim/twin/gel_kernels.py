@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tactile_toolkit.array_types import Float32, Float64, Int64
-from tactile_toolkit.kernels import compiled
+from tactile_toolkit.kernels import compiled, part
 
 TURNS, STEPS = 18, 10
 """Directions of both tables, and entries along steepness and along depth."""
@@ -111,6 +111,24 @@ def row_y(row: int, rows: int, view: SurfaceView) -> np.float32:
     return np.float32(view.span_y * (1.0 - (2.0 * row + 1.0) / rows))
 
 
+@part
+def _turn(x: np.float32, y: np.float32) -> np.float32:
+    """Return the direction of a slope, in steps of the table."""
+    zero, one = np.float32(0.0), np.float32(1.0)
+    quarter = np.float32(0.25 * math.pi)
+    wide, high = abs(x), abs(y)
+    small, large = (wide, high) if wide < high else (high, wide)
+    ratio = small / (large + np.float32(1e-12))
+    angle = ratio * (quarter + np.float32(_BOW) * (one - ratio))
+    angle = angle if wide > high else np.float32(0.5 * math.pi) - angle
+    angle = angle if x > zero else np.float32(math.pi) - angle
+    angle = angle if y > zero else np.float32(2.0 * math.pi) - angle
+    # A whole turn would lie beyond the last direction.
+    most = np.float32(TURNS - 1e-5)
+    angle = angle * np.float32(TURNS / (2.0 * math.pi))
+    return angle if angle < most else most
+
+
 @compiled
 def _row_places(places: Float32, soft: Float32, row: int, view: SurfaceView) -> None:
     """Write where in the tables the pixels of a row lie, (3, W): direction, steepness, depth.
@@ -120,17 +138,10 @@ def _row_places(places: Float32, soft: Float32, row: int, view: SurfaceView) -> 
     """
     rows, columns = soft.shape
     zero, one, two = np.float32(0.0), np.float32(1.0), np.float32(2.0)
-    right_angle = np.float32(0.5 * math.pi)
-    per_turn = np.float32(TURNS / (2.0 * math.pi))
-    straight = np.float32(math.pi)
-    whole = np.float32(2.0 * math.pi)
-    bow = np.float32(_BOW)
-    quarter = np.float32(0.25 * math.pi)
     least = np.float32(_LEVEL * _LEVEL)
-    tiny = np.float32(1e-12)
     last = np.float32(STEPS - 1.0)
     per_steep = np.float32(1.0 / STEEPEST)
-    most, most_turn = np.float32(STEPS - 1.0001), np.float32(TURNS - 1e-5)
+    most = np.float32(STEPS - 1.0001)
     above = soft[max(row - 1, 0)]
     line = soft[row]
     below = soft[min(row + 1, rows - 1)]
@@ -157,17 +168,8 @@ def _row_places(places: Float32, soft: Float32, row: int, view: SurfaceView) -> 
         per_area = one / (xx * yy - xy * xy)
         x, y = (yy * x - xy * y) * per_area, (xx * y - xy * x) * per_area
         square = x * x + y * y
-        wide, high = abs(x), abs(y)
-        small, large = (wide, high) if wide < high else (high, wide)
-        ratio = small / (large + tiny)
-        angle = ratio * (quarter + bow * (one - ratio))
-        angle = angle if wide > high else right_angle - angle
-        angle = angle if x > zero else straight - angle
-        angle = angle if y > zero else whole - angle
-        # A whole turn would lie beyond the last direction.
-        angle = angle * per_turn
-        angle = angle if angle < most_turn else most_turn
-        turns[column] = angle if square > least else -one
+        turn = _turn(x, y)
+        turns[column] = turn if square > least else -one
         tangent = math.sqrt(square) / (one + math.sqrt(one + square))
         steep = last * math.sqrt(tangent * per_steep)
         deep = line[column] * per_deep

@@ -40,6 +40,21 @@ _LOW, _GAIN = 0.35, 0.15
 _SHIFT_PX, _STEP_PX = 6, 2  # shifts that are tried because poses have errors: up to 1.4 mm
 _UNITS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254}
 
+_WORDS = {
+    "mirrored": "an axis of the poses is mirrored",
+    "mesh": "the solids are not those that were touched",
+}
+
+_MIRRORS = (
+    ("with x mirrored", (-1.0, 1.0, 1.0)),
+    ("with y mirrored", (1.0, -1.0, 1.0)),
+    ("with the turn the other way round", (1.0, 1.0, -1.0)),
+    ("with x and the turn mirrored", (-1.0, 1.0, -1.0)),
+    ("with y and the turn mirrored", (1.0, -1.0, -1.0)),
+)
+
+_FLIPS = (("with the images upside down", 0), ("with the images mirrored", 1))
+
 
 @dataclass(frozen=True, slots=True)
 class Mistake:
@@ -240,12 +255,6 @@ def _poses(recordings: Recordings, change: Float64, touching: Bool, start: Senso
     yield Mistake("mesh", detail, stated)
 
 
-_WORDS = {
-    "mirrored": "an axis of the poses is mirrored",
-    "mesh": "the solids are not those that were touched",
-}
-
-
 class _Comparison:
     """Compares the slopes of solids in their poses with the change of images (n, h, w)."""
 
@@ -327,13 +336,3 @@ def _rescaled(recordings: Recordings, x: float, y: float, turn: float = 1.0) -> 
         sensor_m=recordings.sensor_m * [x, y, 1.0],
         object_poses=recordings.object_poses * [x, y, turn],
     )
-
-
-_MIRRORS = (
-    ("with x mirrored", (-1.0, 1.0, 1.0)),
-    ("with y mirrored", (1.0, -1.0, 1.0)),
-    ("with the turn the other way round", (1.0, 1.0, -1.0)),
-    ("with x and the turn mirrored", (-1.0, 1.0, -1.0)),
-    ("with y and the turn mirrored", (1.0, -1.0, -1.0)),
-)
-_FLIPS = (("with the images upside down", 0), ("with the images mirrored", 1))

@@ -17,7 +17,6 @@ import scipy
 
 from tactile_sim.twin import gel
 from tactile_sim.twin.fitting import Fit, shrunk
-from tactile_sim.twin.gel import Fitted
 from tactile_toolkit.array_types import Bool, Float32, Float64
 
 TURNS = 72
@@ -222,7 +221,7 @@ def _turns(fit: Fit, key: int, press_m: float) -> Iterator[_Turned]:
     half_x = columns // 2
     # Rows of an image go down.
     down, right = np.mgrid[-half_y : half_y + 1, -half_x : half_x + 1] * pitch_m[::-1, None, None]
-    shape = np.where(np.arange(len(fit.shape)) == Fitted.LENS, 0.0, fit.shape)
+    shape = np.where(np.arange(len(fit.shape)) == gel.Fitted.LENS, 0.0, fit.shape)
     for turn in np.arange(TURNS) * (2 * np.pi / TURNS):
         cosine = np.cos(turn)
         sine = np.sin(turn)

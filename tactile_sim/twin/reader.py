@@ -19,7 +19,6 @@ from tactile_sim.optics.taxim_kernels import blur
 from tactile_sim.press.sensors import DepthReading
 from tactile_sim.twin import gel
 from tactile_sim.twin.fitting import Fit, shrunk
-from tactile_sim.twin.gel import Fitted
 from tactile_sim.twin.gel_kernels import sample_relief
 from tactile_sim.twin.recordings import Relief
 from tactile_sim.twin.twin import Twin, TwinOptics, resized_depth
@@ -30,6 +29,17 @@ _RATE, _BATCH = 5e-3, 4096
 _MAX_ROWS = 100_000  # about as many give the mean and the spread of inputs
 _DECAYS = (0.9, 0.999)  # of Adam, as published (Kingma and Ba, 2015)
 _BLOCK = 1 << 14  # rows that fit into the processor's cache
+_WIDTHS = {"full": 160, "fast": 80}  # of the images that are read, pixels
+_TOUCHES = 480  # that are rendered for the training of the networks
+_PER_TOUCH = 1500  # pixels of each touch on which the networks are trained
+_SLOPE_STEPS, _DEPTH_STEPS = 1000, 3000
+_SLOPE_HIDDEN = (24, 24)
+_DEPTH_HIDDEN = (64, 64)
+_BLURS = (0.01, 0.03, 0.09)  # of the width
+_NO_CONTACT_MM = 0.02  # a smaller depth counts as no contact
+_SMOOTH_MM = 0.01  # the loss is quadratic in smaller errors
+_RECORDING_WEIGHT = 3  # pixels of a recording for each pixel of a rendered touch
+_SIMPLE_SHARE = 0.2  # of the rendered touches
 
 
 def network_output(weights: Mapping[str, Float32], name: str, inputs: Float32) -> Float32:
@@ -108,19 +118,6 @@ def _gradients(
         if number:
             gradient = (gradient @ layers[number].T) * np.where(before > 0, np.float32(1), _LEAK)
     return gradients
-
-
-_WIDTHS = {"full": 160, "fast": 80}  # of the images that are read, pixels
-_TOUCHES = 480  # that are rendered for the training of the networks
-_PER_TOUCH = 1500  # pixels of each touch on which the networks are trained
-_SLOPE_STEPS, _DEPTH_STEPS = 1000, 3000
-_SLOPE_HIDDEN = (24, 24)
-_DEPTH_HIDDEN = (64, 64)
-_BLURS = (0.01, 0.03, 0.09)  # of the width
-_NO_CONTACT_MM = 0.02  # a smaller depth counts as no contact
-_SMOOTH_MM = 0.01  # the loss is quadratic in smaller errors
-_RECORDING_WEIGHT = 3  # pixels of a recording for each pixel of a rendered touch
-_SIMPLE_SHARE = 0.2  # of the rendered touches
 
 
 def reader_shapes() -> dict[str, tuple[int, ...]]:
@@ -295,7 +292,7 @@ def _true_slopes(depth_mm: Float32, twin: Twin, shrink: int) -> Float32:
     rows, columns = depth_mm.shape
     pitch_m = 2 * twin.half_m / [columns, rows]
     shape = twin.shape.copy()
-    shape[Fitted.LENS] = 0.0  # the depth is already seen through it
+    shape[gel.Fitted.LENS] = 0.0  # the depth is already seen through it
     soft = 1e3 * gel.gel_surface(depth_mm.astype(np.float64) / 1e3, pitch_m, shape)
     down, across = np.gradient(soft)
     return np.stack([across, -down], axis=-1).astype(np.float32)
@@ -320,7 +317,7 @@ def _samples(twin: Twin, fit: Fit, rng: np.random.Generator) -> Iterator[tuple[F
         margin = gel.margin_px(twin.size_px[0])
         reach_m: Float32 | Float64 = _pressed(twin, relief, rng, presses, margin)
         clean = twin.background + optics.response(reach_m, margin=margin)
-        reach_m = gel.seen_through(reach_m, twin.pitch_m, float(twin.shape[Fitted.LENS]), margin)
+        reach_m = gel.seen_through(reach_m, twin.pitch_m, float(twin.shape[gel.Fitted.LENS]), margin)
         # Residuals of recordings: the noise of the sensor, and effects that the twin does not render.
         noise = residuals[number % len(residuals)]
         image = np.clip(np.rint(clean + noise[:: rng.choice([1, -1]), :: rng.choice([1, -1])]), 0, 255)

@@ -19,6 +19,14 @@ from tactile_toolkit.wording import with_count
 _PITCH_M = 5e-5  # the pixel of a GelSight Mini has 59 micrometres
 _MAX_POINTS = 1 << 24
 _MARGIN_M = 2e-4  # of plate around the solid
+_MIN_PX = 32  # kernels of the gel need some room
+_MAX_BYTES = 1 << 30
+_DARK, _BRIGHT = 1, 254  # levels at and beyond which a pixel counts as saturated
+
+MIN_UNSATURATED = 0.25
+"""Share of the pixels of a usable image that are not saturated."""
+
+_NO_BACKGROUND: UInt8 = np.empty((0, 0, 0, 3), np.uint8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,14 +65,6 @@ class Relief:
     def top_m(self) -> float:
         """Greatest height, metres."""
         return float(self.heights_m.max())
-
-
-_MIN_PX = 32  # kernels of the gel need some room
-_MAX_BYTES = 1 << 30
-_DARK, _BRIGHT = 1, 254  # levels at and beyond which a pixel counts as saturated
-MIN_UNSATURATED = 0.25
-"""Share of the pixels of a usable image that are not saturated."""
-_NO_BACKGROUND: UInt8 = np.empty((0, 0, 0, 3), np.uint8)
 
 
 def unsaturated(image: UInt8) -> Bool:

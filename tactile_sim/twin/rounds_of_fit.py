@@ -38,6 +38,8 @@ _ROUNDS = ((80, 10, _COARSE, 0.1), (160, 8, tuple(Fitted), 1e-2), (160, 6, _SHAL
 _SETTLED_MOVE = 0.01  # a round ends after a step that is smaller, in parts of the expected spread
 _PASSES = 3
 _MISFIT = 3.0  # as a multiple of the median error
+_LOOSE_M = 1e-4
+_LOOSE_RAD = np.deg2rad(0.5)
 
 
 def start_fit(recordings: Recordings, places: Float64, level_m: Float64 | None, start: SensorModel) -> Fit:
@@ -163,10 +165,6 @@ def _touch(fit: Fit, touch: int) -> dict[str, Any]:
             f"{np.median(fit.rms[fit.used]):.1f}",
         }
     return {**values, **spread_of(fit, touch)}
-
-
-_LOOSE_M = 1e-4
-_LOOSE_RAD = np.deg2rad(0.5)
 
 
 def spread_of(fit: Fit, touch: int) -> dict[str, Any]:

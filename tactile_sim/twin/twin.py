@@ -13,7 +13,6 @@ import numpy as np
 from tactile_sim.optics.rendering import Optics
 from tactile_sim.press.sensors import Sensor
 from tactile_sim.twin import gel, surface_kernels
-from tactile_sim.twin.gel import Fitted
 from tactile_sim.value_files import npz_bytes
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Floating, UInt8
 from tactile_toolkit.errors import InputError
@@ -64,7 +63,7 @@ class Twin:
         """Sensing area and gel, mm, and size of the images, pixels, by their names in `SensorModel`."""
         (width_mm, height_mm), (width_px, height_px) = (2e3 * self.half_m).tolist(), self.size_px
         sides = {"width_mm": width_mm, "height_mm": height_mm, "width_px": width_px, "height_px": height_px}
-        return {**sides, "gel_mm": 1e3 * float(self.shape[Fitted.GEL])}
+        return {**sides, "gel_mm": 1e3 * float(self.shape[gel.Fitted.GEL])}
 
     def arrays(self) -> dict[str, AnyArray]:
         """Return all arrays by name, as in the file."""
@@ -133,7 +132,7 @@ class TwinOptics(Optics):
     def _response(self, surface: Surface, reach_m: Floating, span: Float64, margin: int) -> Float32:
         shape = self._twin.shape.copy()
         if not self._lens:
-            shape[Fitted.LENS] = 0.0
+            shape[gel.Fitted.LENS] = 0.0
         rows, columns = (side - 2 * margin for side in reach_m.shape)
         pitch_m = 2 * self._twin.half_m * span / [columns, rows]
         soft = surface(reach_m, pitch_m, shape, margin, span)

@@ -9,7 +9,6 @@ from .card import (
     with_repo_name as with_repo_name,
 )
 from .yaml_head import (
-    CARD_FILE as CARD_FILE,
     card_head as card_head,
     check_card as check_card,
     configs as configs,

@@ -203,7 +203,7 @@ class Card:
         words = owner.read_owner(yaml_head.stored_head(folder), folder.address())
         head, body = owner.with_owner(head, body, words)
         text = yaml_head.head_text(yaml_head.card_head(facts, **head)) + "\n" + body
-        _write_changed(folder, yaml_head.CARD_FILE, text.encode())
+        _write_changed(folder, store.CARD_FILE, text.encode())
 
 
 def rewrite_card(
@@ -220,15 +220,15 @@ def rewrite_card(
             stated = {**owner.read_owner(head, folder.address()).given(), **words.given()}
             card = yaml_head.head_text({owner.KEY: stated})
             if head:
-                stored = folder.read_bytes(yaml_head.CARD_FILE).decode("utf-8", errors="replace")
+                stored = folder.read_bytes(store.CARD_FILE).decode("utf-8", errors="replace")
                 card = yaml_head.with_head(stored, lambda head: head.update({owner.KEY: stated}))
-            folder.write_bytes(yaml_head.CARD_FILE, card.encode())
+            folder.write_bytes(store.CARD_FILE, card.encode())
         kind.write_card(folder, manifest)
     findings = yaml_head.check_card(folder)
     if findings:
         raise IntegrityError(f"{findings[0].file} of {folder.address()!r}: {findings[0].problem}")
     names = [name for name in folder.names(PREVIEW_FOLDER) if name.endswith(".png")]
-    return [yaml_head.CARD_FILE, *(f"{PREVIEW_FOLDER}/{name}" for name in names)]
+    return [store.CARD_FILE, *(f"{PREVIEW_FOLDER}/{name}" for name in names)]
 
 
 def _source_column(manifest: store.Manifest | None) -> dict[str, tuple[str, str]]:

@@ -22,7 +22,6 @@ from tactile_toolkit import places, read, run, store, wording
 from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.json_types import JsonDict, JsonObject, JsonValue
 
-CARD_FILE = "README.md"
 _LIMITS = ("1K", "10K", "100K", "1M", "10M", "100M", "1B", "10B", "100B", "1T")
 _FENCE = "---\n"
 _MAX_SHOWN = 300
@@ -210,8 +209,8 @@ def head_text(head: JsonDict) -> str:
 def stored_head(folder: store.DataFolder) -> JsonDict:
     """Return the head of the card of a folder; empty if there is none, or if it cannot be read."""
     with suppress(ValueError):
-        if folder.exists(CARD_FILE):
-            return parsed_head(folder.read_bytes(CARD_FILE).decode("utf-8", errors="replace"))
+        if folder.exists(store.CARD_FILE):
+            return parsed_head(folder.read_bytes(store.CARD_FILE).decode("utf-8", errors="replace"))
     return {}
 
 
@@ -240,9 +239,9 @@ def with_head(card: str, change: Callable[[JsonDict], object], note: str = "") -
 
 def check_card(folder: store.DataFolder) -> list[store.Finding]:
     """List what the head of a card states and the finished folder contradicts."""
-    if not folder.exists(CARD_FILE):
-        return [store.Finding(CARD_FILE, f"is missing; next: {_AGAIN}")]
-    text = folder.read_bytes(CARD_FILE).decode("utf-8", errors="replace")
+    if not folder.exists(store.CARD_FILE):
+        return [store.Finding(store.CARD_FILE, f"is missing; next: {_AGAIN}")]
+    text = folder.read_bytes(store.CARD_FILE).decode("utf-8", errors="replace")
     try:
         facts = FolderSummary.of(folder)
         files = [path for split in facts.splits for path in split.paths]
@@ -250,14 +249,15 @@ def check_card(folder: store.DataFolder) -> list[store.Finding]:
         expected = _statements(card_head(facts), files)
         stated = _statements(parsed_head(text), files)
     except ToolkitError as error:
-        return [store.Finding(CARD_FILE, f"cannot be compared with the data: {error}")]
+        return [store.Finding(store.CARD_FILE, f"cannot be compared with the data: {error}")]
     except _UNREADABLE as error:
         problem = f"{type(error).__name__}: {error}".partition("\n")[0][:_MAX_SHOWN]
-        return [store.Finding(CARD_FILE, f"its YAML head cannot be read ({problem}); next: {_AGAIN}")]
+        return [store.Finding(store.CARD_FILE, f"its YAML head cannot be read ({problem}); next: {_AGAIN}")]
     differing = (name for name in {**expected, **stated} if stated.get(name) != expected.get(name))
     return [
         store.Finding(
-            CARD_FILE, f"{name} is {_abridged(stated.get(name))}, expected {_abridged(expected.get(name))}"
+            store.CARD_FILE,
+            f"{name} is {_abridged(stated.get(name))}, expected {_abridged(expected.get(name))}",
         )
         for name in differing
     ]

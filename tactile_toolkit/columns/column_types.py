@@ -163,10 +163,10 @@ class ColumnTypes:
 
     def whole(self, table: pa.Table, texts: Collection[str], numbers: Collection[str]) -> dict[str, pa.Array]:
         """Return the columns of a whole table; see :meth:`tactile_toolkit.columns.tables.Table.whole`."""
-        found = {}
+        columns = {}
         for name, values in zip(table.column_names, table.columns, strict=True):
             if not self._is_text:
-                found[name] = from_arrow(values)
+                columns[name] = from_arrow(values)
                 continue
             column = _without_blanks(values.combine_chunks())
             if name not in texts:
@@ -174,8 +174,8 @@ class ColumnTypes:
                 column = _as_type(column, words, _text_type(words))
                 if pa.types.is_string(column.type):
                     column = words if name in numbers else _vectors_of(column)
-            found[name] = column
-        return found
+            columns[name] = column
+        return columns
 
     def _words(self, values: pa.ChunkedArray) -> pa.Array:
         return _words_of(values.combine_chunks(), decimal_commas=self._decimal_commas)
@@ -183,17 +183,17 @@ class ColumnTypes:
 
 def from_values(values: Iterable[object]) -> pa.Array:
     """Return the column of values of JSON or Python; numbers beside texts or booleans become text."""
-    given = list(values)
+    listed = list(values)
     with suppress(pa.ArrowException, OverflowError, UnicodeError):
-        column = pa.array(given)  # in several parts if it is very large
+        column = pa.array(listed)  # in several parts if it is very large
         return _plain(column) if isinstance(column, pa.Array) else from_arrow(column)
-    known = [value for value in given if value is not None]
+    known = [value for value in listed if value is not None]
     if any(isinstance(value, (dict, bytes)) for value in known):
-        return _as_json(given)
+        return _as_json(listed)
     if not any(isinstance(value, _LISTS) for value in known):
-        texts = _unless_missing(_text, given)
+        texts = _unless_missing(_text, listed)
         return _without_blanks(pa.array(texts, pa.string()))
-    return _from_lists(given)
+    return _from_lists(listed)
 
 
 def _from_lists(values: Sequence[object]) -> pa.Array:
@@ -222,9 +222,9 @@ def _leaves(value: object) -> list[object] | None:
         return None
     leaves = list(value)
     for _ in range(_MAX_LEVELS):
-        if not any(isinstance(each, _LISTS) for each in leaves):
+        if not any(isinstance(leaf, _LISTS) for leaf in leaves):
             return leaves
-        if len({len(each) if isinstance(each, _LISTS) else -1 for each in leaves}) > 1:
+        if len({len(leaf) if isinstance(leaf, _LISTS) else -1 for leaf in leaves}) > 1:
             return None
         leaves = list(chain.from_iterable(leaves))
     return None
@@ -265,8 +265,8 @@ def _supported(values: pa.Array | pa.ChunkedArray) -> pa.Array:
         column = pa.concat_arrays(column.chunks) if column.num_chunks else pa.array([], column.type)
     if isinstance(column, pa.ExtensionArray):
         column = column.storage
-    (found,) = read.supported_table(pa.table([column], ["values"])).columns
-    column = found.chunk(0) if found.num_chunks == 1 else found.combine_chunks()
+    (supported,) = read.supported_table(pa.table([column], ["values"])).columns
+    column = supported.chunk(0) if supported.num_chunks == 1 else supported.combine_chunks()
     if pa.types.is_fixed_size_list(column.type):
         column = column.cast(pa.list_(column.type.value_type))
     return column
@@ -316,8 +316,8 @@ def lengths_of(column: pa.Array) -> list[int]:
     """Return the distinct lengths of lists, sorted; empty for other values."""
     if not pa.types.is_list(column.type):
         return []
-    found: list[int] = pc.list_value_length(column).unique().drop_null().sort().to_pylist()
-    return found
+    lengths: list[int] = pc.list_value_length(column).unique().drop_null().sort().to_pylist()
+    return lengths
 
 
 def is_leaf(data_type: pa.DataType) -> bool:
@@ -329,7 +329,7 @@ def _common_type(first: pa.DataType, second: pa.DataType, name: str = "values") 
     """Return the type that holds values of both; ArrowException if there is none."""
     if UNTYPED in (first, second) and len({first, second, pa.null()}) > 2:
         raise pa.ArrowInvalid(f"{first} and {second}")
-    both = [pa.schema([(name, each)]) for each in (first, second)]
+    both = [pa.schema([(name, data_type)]) for data_type in (first, second)]
     return pa.unify_schemas(both, promote_options="permissive").field(0).type
 
 
@@ -353,10 +353,10 @@ def joined_lists(columns: Sequence[pa.Array]) -> pa.Array:
 
 def values_of(column: pa.Array) -> list[JsonValue]:
     """Return values as objects of Python."""
-    found: list[JsonValue] = column.to_pylist()
+    values: list[JsonValue] = column.to_pylist()
     if column.type != UNTYPED:
-        return found
-    return _unless_missing(json.loads, found)
+        return values
+    return _unless_missing(json.loads, values)
 
 
 def texts_of(column: pa.Array) -> pa.Array:
@@ -364,8 +364,8 @@ def texts_of(column: pa.Array) -> pa.Array:
     if pa.types.is_string(column.type):
         return _without_blanks(pc.utf8_trim_whitespace(column))
     if not is_leaf(column.type):
-        found = (None if isinstance(value, (dict, list)) else value for value in values_of(column))
-        return _without_blanks(pa.array([_name(value) for value in found], pa.string()))
+        plain = (None if isinstance(value, (dict, list)) else value for value in values_of(column))
+        return _without_blanks(pa.array([_name(value) for value in plain], pa.string()))
     encoded = column.dictionary_encode()
     if isinstance(encoded, pa.Array) and not isinstance(encoded, pa.DictionaryArray):  # all null
         return pa.nulls(len(column), pa.string())

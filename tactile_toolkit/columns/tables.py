@@ -10,7 +10,7 @@ import io
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
-from functools import cached_property
+from functools import cached_property, partial
 from typing import IO
 
 import numpy as np
@@ -49,23 +49,29 @@ _SEPARATOR_LINE = re.compile(r"sep=([,;\t])\r?\n")
 
 def open_table(folder: store.DataFolder, name: str) -> Table:
     """Return a table of a folder; a pass raises IntegrityError if the file has changed since."""
-    address, version = folder.address(name), folder.version(name)
+    return Table(folder.address(name), partial(open_source, folder, name, folder.version(name)))
 
-    def opened() -> IO[bytes]:
-        if folder.version(name) != version:
-            raise IntegrityError(
-                f"{address!r} was replaced or changed while it was read", next="run the same command again"
-            )
-        try:
-            return folder.open_inside(name)
-        except ItemError as error:
-            raise InputError(f"{address!r} cannot be read: {error.what}") from error
 
-    return Table(address, opened)
+def open_source(folder: store.DataFolder, name: str, version: tuple[object, ...] | None = None) -> IO[bytes]:
+    """Open a table or archive of a source; an InputError names it if it cannot be read.
+
+    Raises IntegrityError if a ``version`` is stated and the file has another one.
+    """
+    if version is not None and folder.version(name) != version:
+        raise IntegrityError(
+            f"{folder.address(name)!r} was replaced or changed while it was read",
+            next="run the same command again",
+        )
+    try:
+        return folder.open_inside(name)
+    except ItemError as error:
+        raise InputError(f"{folder.address(name)!r} cannot be read: {error.what}") from error
 
 
 class Table:
     """A table that is read several times, a few rows at a time.
+
+    A column without a name is called ``column_1`` by its position.
 
     Parameters
     ----------
@@ -74,12 +80,10 @@ class Table:
     open_file : callable
         Opens the table as a binary stream.
 
-    A column without a name is called ``column_1`` by its position.
-
     Raises
     ------
     InputError
-        It cannot be read, or exceeds a limit.
+        It cannot be read, or exceeds a limit; raised by the first pass.
     """
 
     def __init__(self, path: str, open_file: Callable[[], IO[bytes]]) -> None:
@@ -165,8 +169,8 @@ class Table:
             for batch in self._read(stream, self.path):
                 rows += len(batch)
                 if rows > most_rows:
-                    found = f"{self.path!r} has more than {most_rows:,} rows"
-                    raise InputError(found, next="divide it into several tables")
+                    problem = f"{self.path!r} has more than {most_rows:,} rows"
+                    raise InputError(problem, next="divide it into several tables")
                 table = pa.Table.from_batches([batch])
                 yield table.rename_columns(_checked_names(table.column_names, self.path))
 
@@ -230,24 +234,24 @@ class Table:
                 ) from None
             if isinstance(error, UnicodeDecodeError):  # its position is that in the part read last
                 error = ValueError(f"{error.object[max(error.start - 10, 0) : error.end]!r} is not text")
-            found = wording.printable(str(error))[:_LONGEST_SHOWN]
+            reason = wording.printable(str(error))[:_LONGEST_SHOWN]
             advice = (
                 "save it as UTF-8 text, with commas, semicolons or tabs between the values of each row"
                 if self._is_text
                 else ""
             )
-            raise InputError(f"{self.path!r} cannot be read as a table: {found}", next=advice) from error
+            raise InputError(f"{self.path!r} cannot be read as a table: {reason}", next=advice) from error
 
 
 def _checked_names(names: Sequence[str], path: str) -> list[str]:
     """Return the names of columns; InputError for too many columns, or for duplicate names."""
-    found = [name.strip() or f"column_{number}" for number, name in enumerate(names, 1)]
-    if len(found) > _MAX_COLUMNS:
-        raise InputError(f"{path!r} has {len(found):,} columns; expected at most {_MAX_COLUMNS:,}")
-    twice = next((name for name in found if found.count(name) > 1), None)
+    checked = [name.strip() or f"column_{number}" for number, name in enumerate(names, 1)]
+    if len(checked) > _MAX_COLUMNS:
+        raise InputError(f"{path!r} has {len(checked):,} columns; expected at most {_MAX_COLUMNS:,}")
+    twice = next((name for name in checked if checked.count(name) > 1), None)
     if twice is not None:
         raise InputError(f"{path!r} has two columns {twice!r}; expected different names")
-    return found
+    return checked
 
 
 def _json_batches(stream: IO[bytes], path: str) -> Iterator[pa.RecordBatch]:
@@ -260,7 +264,9 @@ def _json_batches(stream: IO[bytes], path: str) -> Iterator[pa.RecordBatch]:
 def _parquet_batches(stream: IO[bytes], path: str) -> Iterator[pa.RecordBatch]:
     size = stream.seek(0, io.SEEK_END)
     is_text = (pa.types.is_string, pa.types.is_large_string, pa.types.is_string_view)
-    texts = [each.name for each in pq.read_schema(stream) if any(is_kind(each.type) for is_kind in is_text)]
+    texts = [
+        field.name for field in pq.read_schema(stream) if any(is_kind(field.type) for is_kind in is_text)
+    ]
     # As dictionaries: repeated texts are stored once, and could take any space if they were expanded.
     file = pq.ParquetFile(stream, read_dictionary=texts, pre_buffer=False, page_checksum_verification=True)
     for number in range(file.metadata.num_row_groups):

@@ -13,9 +13,8 @@ from typing import Any, Unpack
 import numpy as np
 import pyarrow as pa
 
-from tactile_toolkit import catalog, mesh, places, read, run, store
+from tactile_toolkit import catalog, errors, mesh, places, read, run, store
 from tactile_toolkit.array_types import Int64
-from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.kind import EXPORT, MERGE, SELECT, SPLIT, DatasetKind, kinds
 
@@ -192,7 +191,7 @@ def viewer_tables(folder: store.DataFolder, manifest: store.Manifest, out: Path)
     def make(record: store.ShardRecord) -> tuple[str, str]:
         shard = read.Shard(folder.address(record.shard.data_path), record.rows)
         if not {mesh.VERTICES, mesh.FACES} <= set(read.column_names(shard.schema)):
-            raise InputError(
+            raise errors.InputError(
                 f"shows meshes in 3D, and {folder.address()!r} holds none (the Hub shows images and "
                 "clips without it); nothing was sent",
                 next="leave --viewer out",
@@ -271,7 +270,7 @@ def _refuse_common_files(sources: Sequence[_Source]) -> None:
         for shard in source.table.files:
             if shard.identity in owners:
                 names = f"{owners[shard.identity]!r} and {source.name!r}"
-                raise InputError(
+                raise errors.InputError(
                     f"a data set is given twice: {names} have a file in common", next="name each once"
                 )
             owners[shard.identity] = source.name
@@ -287,7 +286,7 @@ def _common_schema(sources: Sequence[_Source]) -> pa.Schema:
     for other, found in others:
         differs = schema_difference(schema, found, (name, other))
         if differs:
-            raise InputError(f"{differs}; expected data sets made alike")
+            raise errors.InputError(f"{differs}; expected data sets made alike")
     return schema
 
 
@@ -321,7 +320,7 @@ def _build(
             for index, part in enumerate(parts)
         ]
     if not tasks:
-        raise InputError(f"no row is left for {out!r}", next="choose a larger part")
+        raise errors.InputError(f"no row is left for {out!r}", next="choose a larger part")
     options = {**options, **unfinished_counts(sources)}
     specs = [source.spec for source in sources]
     if any(source.is_imported for source in sources):
@@ -436,7 +435,7 @@ def new_ids(
                 changed[path] = ids
             known.add(ids[row])
     if next(numbers) > _LARGEST_ID:
-        raise InputError(f"no number is left for new ids: the largest is {largest}")
+        raise errors.InputError(f"no number is left for new ids: the largest is {largest}")
     return changed, pairs
 
 
@@ -445,7 +444,7 @@ def _ids_of(shard: read.Shard) -> list[int | str]:
     ids = [value if isinstance(value, str) else read.whole_number(value) for value in values]
     known = [value for value in ids if value is not None]
     if len(known) < len(ids):
-        raise InputError(f"an id of {shard.path!r} is missing; expected an id in each row")
+        raise errors.InputError(f"an id of {shard.path!r} is missing; expected an id in each row")
     return known
 
 
@@ -469,7 +468,7 @@ def require_new_column(name: str, schema: pa.Schema) -> None:
     """Refuse a name of the new column that rows have, or that names a field of a struct (InputError)."""
     known = {*schema.names, *(each.partition(".")[0] for each in schema.names)}
     if not name.strip() or "." in name or not name.isprintable() or name in known:
-        raise InputError(
+        raise errors.InputError(
             f"is {name!r}; expected the name of a new column, without dots "
             f"(the rows have {', '.join(schema.names)})",
             field="source_column",

@@ -12,13 +12,12 @@ from functools import partial
 
 import msgspec
 
-from tactile_toolkit import cards, hub, places, run, store
-from tactile_toolkit.errors import BusyError, InputError, IntegrityError, SpecMismatchError, ToolkitError
+from tactile_toolkit import cards, errors, hub, places, run, store
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import DatasetKind, PublishedSet
 
 # Files that are adapted to the splits of the folder.
-_METADATA_FILES = (cards.CARD_FILE, store.MANIFEST_FILE)
+_METADATA_FILES = (store.CARD_FILE, store.MANIFEST_FILE)
 
 _EXTRA_FOLDERS = ("reports/", "previews/")
 _EXTRA_FILES = ("LICENSE", "LICENSE.md", "LICENSE.txt")
@@ -126,7 +125,7 @@ class DownloadPlan:
             with contextlib.ExitStack() as stack:
                 try:
                     stack.enter_context(folder.locked(patience_s=0))
-                except BusyError as error:
+                except errors.BusyError as error:
                     repository.on_wait(f"{error.what}; this download begins when it has ended")
                     stack.enter_context(folder.locked(is_patient=True))
                 # Another download may have changed the folder.
@@ -177,7 +176,7 @@ def _plan(
     if folder is not None:
         own = [file.path for file in missing if file.path not in recorded and folder.exists(file.path)]
         if own:
-            raise InputError(
+            raise errors.InputError(
                 f"{folder.address()!r} holds a file of your own where the data set has one ({own[0]!r}); "
                 "nothing was changed",
                 next="move it away, or choose another folder with --out",
@@ -216,7 +215,7 @@ def _earlier_record(folder: store.DataFolder, repository: hub.HubRepository) -> 
         found = "a data set of another origin"
         if record is not None:
             found = f"a download of {record.repo_id!r}"
-        raise SpecMismatchError(
+        raise errors.SpecMismatchError(
             f"{folder.address()!r} holds {found}, not one of {repository.repo_id!r}; nothing in it was "
             "changed",
             next="choose another folder with --out",
@@ -249,7 +248,7 @@ def _shown(manifest: store.Manifest | None) -> set[str]:
 
 def _is_described(folder: store.DataFolder, metadata: Iterable[str]) -> bool:
     """Return whether a folder has its card and a complete manifest."""
-    with contextlib.suppress(IntegrityError):
+    with contextlib.suppress(errors.IntegrityError):
         manifest = store.read_manifest(folder)
         return all(map(folder.exists, metadata)) and (manifest is None or manifest.complete)
     return False
@@ -298,13 +297,13 @@ def _write_metadata(plan: DownloadPlan, folder: store.DataFolder, manifest: stor
     # In this order: the card follows from the manifest.
     if store.MANIFEST_FILE in contents:
         folder.write_bytes(store.MANIFEST_FILE, contents[store.MANIFEST_FILE])
-    if cards.CARD_FILE in contents:
-        card = contents[cards.CARD_FILE]
+    if store.CARD_FILE in contents:
+        card = contents[store.CARD_FILE]
         if is_fitted:
             # An unreadable card stays unchanged.
-            with contextlib.suppress(ToolkitError, ValueError, TypeError, RecursionError):
+            with contextlib.suppress(errors.ToolkitError, ValueError, TypeError, RecursionError):
                 card = _fitted_card(plan, folder, is_part, card.decode()).encode()
-        folder.write_bytes(cards.CARD_FILE, card)
+        folder.write_bytes(store.CARD_FILE, card)
 
 
 def _fitted_card(plan: DownloadPlan, folder: store.DataFolder, is_part: bool, card: str) -> str:

@@ -15,12 +15,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from tactile_toolkit import cards, hub, places, run, store
+from tactile_toolkit import cards, hub, places, run, store, wording
 from tactile_toolkit.checked_fields import switch, text
 from tactile_toolkit.errors import HubError, InputError, IntegrityError
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.wording import with_count
 
 MAIN_BRANCH = "main"
 # Written by the Hub itself; every repository has them.
@@ -122,26 +121,19 @@ def compare(
 ) -> UploadPlan:
     """Compare the files for a repository with those of a commit, by path and checksum."""
     local = {file.path: file for file in files}
-    remote = _remote_files(held)
+    remote = {} if held is None else held.remote
     missing = tuple(local[path] for path in sorted(local) if not local[path].has_content_of(remote.get(path)))
-    return UploadPlan(missing, *_other_files(local, held, delete))
-
-
-def _remote_files(held: hub.HubRepository | None) -> Mapping[str, store.HubFile]:
-    if held is None:
-        return {}
-    return held.remote
+    return UploadPlan(missing, *_other_files(local, remote, delete))
 
 
 def _other_files(
-    paths: Iterable[str], held: hub.HubRepository | None, delete: bool
+    paths: Iterable[str], remote: Iterable[str], delete: bool
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the other files of a commit that stay, and those that are removed.
 
     Files that former uploads made for the viewer of the Hub are removed, and with ``delete`` all others, too.
     """
-    remote = _remote_files(held)
-    others = sorted(remote.keys() - set(paths) - _WRITTEN_BY_HUB)
+    others = sorted(set(remote) - set(paths) - _WRITTEN_BY_HUB)
     removed = tuple(path for path in others if delete or _is_for_page(path))
     return tuple(path for path in others if path not in removed), removed
 
@@ -154,7 +146,7 @@ def _is_for_page(path: str) -> bool:
 def collect(root: Path, manifest: store.Manifest) -> list[str]:
     """List the files of a verified folder that are sent: files of the manifest, card, pictures."""
     place = store.open_folder(str(root))
-    found = [cards.CARD_FILE, store.MANIFEST_FILE]
+    found = [store.CARD_FILE, store.MANIFEST_FILE]
     for folder in (cards.PREVIEW_FOLDER, _PICTURE_FOLDER):
         paths = [path.relative_to(root).as_posix() for path in sorted((root / folder).rglob("*"))]
         # Names with a leading dot are unfinished files; links may lead to any file.
@@ -170,9 +162,9 @@ class Upload:
     """Files for a repository, and how they differ from what it holds.
 
     ``held`` is the head of the branch, or of ``main``, where a new branch starts; None without a repository.
-    ``has_branch`` states whether the branch exists, ``plan`` is the difference. ``scratch`` holds files that
-    were made for the upload, as long as the planned upload lives; :meth:`send` returns a copy of that, which
-    does not keep them. ``ask`` calls a function that uses the Hub, with retries. ``left_out`` are files of
+    ``has_branch`` states whether the branch exists, ``plan`` is the difference. Files that were made for
+    the upload stay as long as the planned upload lives; :meth:`send` returns a copy of that, which does not
+    keep them. ``ask`` calls a function that uses the Hub, with retries. ``left_out`` are files of
     the folder that do not belong to the data set. ``unasked`` states why a dry run could not reach the Hub.
     ``commit`` holds the files after :meth:`send`, and ``pull`` is its pull request, if it is not on a branch.
     """
@@ -183,7 +175,6 @@ class Upload:
     has_branch: bool
     files: tuple[LocalFile, ...]
     plan: UploadPlan
-    scratch: Path
     ask: _Ask = field(repr=False)
     what: str
     manifest: store.Manifest | None = None
@@ -228,7 +219,7 @@ class Upload:
             sent = {file.path.partition("/")[0] for file in files}
             what = f"{manifest.kind} made by tactile-toolkit {manifest.toolkit_version}"
             upload = replace(
-                _compared(repo_id, chosen, state, files, scratch, ask, what),
+                _compared(repo_id, chosen, state, files, ask, what),
                 manifest=manifest,
                 left_out=tuple(sorted(set(place.names()) - sent)),
                 unasked=unasked,
@@ -258,7 +249,7 @@ class Upload:
                 (scratch / path).write_bytes(content)
             state, unasked = _asked_state(ask, repo_id, options.branch, dry_run=dry_run)
             local = tuple(LocalFile(path, scratch / path, len(content)) for path, content in files.items())
-            compared = _compared(repo_id, options, state, local, scratch, ask, what)
+            compared = _compared(repo_id, options, state, local, ask, what)
             upload = replace(compared, unasked=unasked)
             weakref.finalize(upload, stack.pop_all().close)
         return upload
@@ -338,7 +329,7 @@ class Upload:
             paths = [*(file.path for file in wrong.to_send), *wrong.removed]
             raise IntegrityError(
                 f"{self.repo_id!r} does not hold what was sent (commit {commit[:12]}): "
-                f"{paths[0]} differs ({with_count(len(paths), 'such files')})",
+                f"{paths[0]} differs ({wording.with_count(len(paths), 'such files')})",
                 next="run the same upload again, which sends what is missing",
             )
         if options.tag:
@@ -371,7 +362,6 @@ def _compared(
     chosen: UploadOptions,
     state: _State,
     files: tuple[LocalFile, ...],
-    scratch: Path,
     ask: _Ask,
     what: str,
 ) -> Upload:
@@ -388,7 +378,7 @@ def _compared(
     options = chosen
     if named:
         options = replace(chosen, tag=None)
-    return Upload(repo_id, options, held, has_branch, files, plan, scratch, ask, what)
+    return Upload(repo_id, options, held, has_branch, files, plan, ask, what)
 
 
 def _refuse_public(repo_id: str, options: UploadOptions, held: hub.HubRepository | None) -> None:
@@ -481,10 +471,10 @@ def _files_to_send(
     paths = collect(root, manifest)
     facts = cards.FolderSummary.of(place, manifest)
     # If the pattern of a split would match another file of the repository, its files are listed one by one.
-    others, _ = _other_files(paths, held, options.delete)
-    stored = cards.with_repo_name(place.read_bytes(cards.CARD_FILE).decode(), repo_id)
+    others, _ = _other_files(paths, {} if held is None else held.remote, options.delete)
+    stored = cards.with_repo_name(place.read_bytes(store.CARD_FILE).decode(), repo_id)
     card = cards.with_head(stored, lambda head: head.update(configs=cards.configs(facts, others)))
-    rendered = {cards.CARD_FILE: card}
+    rendered = {store.CARD_FILE: card}
     if made:
         rendered[store.MANIFEST_FILE] = manifest.to_json()
     for path, content in rendered.items():

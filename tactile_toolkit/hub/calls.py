@@ -22,7 +22,6 @@ from urllib.parse import urlsplit
 import huggingface_hub
 
 from tactile_toolkit import errors, store
-from tactile_toolkit.errors import HubError, InputError, StorageError, ToolkitError
 from tactile_toolkit.json_types import JsonDict
 
 ANSWER_BYTES = 32 << 20
@@ -91,7 +90,10 @@ _SENTENCES = {
         "check the network, HF_ENDPOINT and HF_HUB_OFFLINE, and run the same command again, it continues",
     ),
 }
-_CLASSES: dict[str, type[ToolkitError]] = {"NoRoom": StorageError, "HFValidationError": InputError}
+_CLASSES: dict[str, type[errors.ToolkitError]] = {
+    "NoRoom": errors.StorageError,
+    "HFValidationError": errors.InputError,
+}
 
 T = TypeVar("T")
 
@@ -106,7 +108,7 @@ def require_addresses() -> None:
         with contextlib.suppress(ValueError):
             _ = urlsplit(os.environ.get(name, "")).port
             continue
-        raise InputError(
+        raise errors.InputError(
             f"the variable {name} is not an address; expected one such as https://HOST:PORT",
             next="correct it, or unset it",
         )
@@ -168,9 +170,9 @@ def hub_failures(repo_id: str, doing: str = "reading") -> Iterator[None]:
         raise failure.error from None  # the client's exception may quote a token
 
 
-def not_cached(repo_id: str, what: str) -> HubError:
+def not_cached(repo_id: str, what: str) -> errors.HubError:
     """Return the error for something that is not in the cache while the Hub cannot be reached."""
-    return HubError(
+    return errors.HubError(
         f"{what} of Hub data set {repo_id!r} is not in the cache, and the Hub at {public_endpoint()} cannot "
         "be asked now",
         next="check the network, unset HF_HUB_OFFLINE if it is set, and run the same command again",
@@ -185,7 +187,7 @@ def failure_of(
     With ``is_answer`` only an answer of the Hub was read, so an unreadable value is a failure, too.
     """
     chain = store.cause_chain(error)
-    if any(isinstance(link, ToolkitError) for link in chain):
+    if any(isinstance(link, errors.ToolkitError) for link in chain):
         return None
     traits = [_traits(link) for link in chain]
     if is_answer and isinstance(error, _UNREADABLE):
@@ -209,7 +211,7 @@ def failure_of(
             what, then = (
                 errors.redact(part.format(**values), huggingface_hub.get_token()) for part in sentence
             )
-            raised = _CLASSES.get(pattern, HubError)(what, next=then)
+            raised = _CLASSES.get(pattern, errors.HubError)(what, next=then)
             met = " ".join(traits)
             return store.CallFailure(raised, bool(_PASSING.search(met)) and not _LASTING.search(met), wait_s)
     return None
@@ -248,7 +250,7 @@ def _limit_session() -> None:
         # Its message may quote an address with a password.
         found = str(error) if isinstance(error, ImportError) else type(error).__name__
         given = ", ".join(name for name in _ADDRESSES if name in os.environ)
-        raise InputError(
+        raise errors.InputError(
             f"the client of the Hub cannot be set up ({found}); set are {given or 'no addresses'}",
             next="correct these variables, or unset them",
         ) from None
@@ -296,7 +298,7 @@ def _check_answer(response: Any, **_: object) -> None:
     for name in _FILE_NAMES * (request.method == "HEAD"):
         value = response.headers.get(name, "none")
         if not _FILE_NAME.fullmatch(value):
-            raise HubError(
+            raise errors.HubError(
                 f"the Hub calls a file {value[:80]!r}, which is not a digest", next="check HF_ENDPOINT"
             )
     if re.fullmatch(_BUSY, str(response.status_code)) and _requested_wait_s(response.headers):

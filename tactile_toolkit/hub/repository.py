@@ -18,8 +18,7 @@ from typing import Any
 
 import huggingface_hub
 
-from tactile_toolkit import store
-from tactile_toolkit.errors import HubError, InputError, IntegrityError, require_public
+from tactile_toolkit import errors, store
 from tactile_toolkit.hub.calls import (
     TooLargeError,
     call_with_retry,
@@ -57,14 +56,14 @@ def hub_name(name: str, revision: str | None = None) -> HubName | None:
     A revision may be given next to the name instead. Two different ones are an InputError, and so is an
     address that may hold a key.
     """
-    require_public(name)
+    errors.require_public(name)
     match = _NAME.fullmatch(name.removeprefix(_PREFIX))
     is_address = name.startswith(_PREFIX)
     if match is None or name.startswith((".", "~")) or (match["path"] and not is_address):
         return None
     named = (match["revision"] or "").replace("%2F", "/")
     if named and revision and named != revision:
-        raise InputError(
+        raise errors.InputError(
             f"{name!r} names the revision {named!r}, and {revision!r} is given next to it",
             next="leave one of them out",
         )
@@ -189,13 +188,13 @@ class HubRepository:
         if wanted is None and self.is_cache:
             raise not_cached(self.repo_id, repr(path))
         if wanted is None:
-            raise HubError(
+            raise errors.HubError(
                 f"Hub data set {self.repo_id!r} has no file {path!r}", next="see what it has on its page"
             )
         digests = [each.digest for each in (remote, wanted) if each and each.digest]
         if len(set(digests)) == len(set(map(len, digests))):  # one of each kind
             return wanted
-        raise IntegrityError(
+        raise errors.IntegrityError(
             f"{path!r} of Hub data set {self.repo_id!r} is not the file that its "
             f"{store.MANIFEST_FILE} lists: {digests[0]}, expected {digests[1]}; nothing was fetched",
             next="ask its owner to upload it again",
@@ -295,7 +294,7 @@ class HubRepository:
             if content.is_relative_to(os.path.realpath(_cache_of(self.repo_id))):
                 content.unlink(missing_ok=True)
             place.unlink(missing_ok=True)
-        raise IntegrityError(
+        raise errors.IntegrityError(
             f"{path!r} of Hub data set {self.repo_id!r} arrived damaged twice, expected {digest}; "
             "nothing of it was kept",
             next="try again later or through another network",
@@ -329,7 +328,7 @@ def open_repository(
     ask = partial(listing, repo_id, revision)
     try:
         found = call_with_retry(ask, repo_id, waits_s=waits_s, on_wait=on_wait)
-    except HubError as error:
+    except errors.HubError as error:
         if cached is None or has_answered(error):
             raise
         found = cached

@@ -21,7 +21,7 @@ from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.mesh.mesh import Mesh, MeshLike
 from tactile_toolkit.mesh.mesh_options import PrintProfile
 from tactile_toolkit.mesh.solid_check import check_manifold
-from tactile_toolkit.rows import TypedRow, column, row
+from tactile_toolkit.rows import TypedRow, column
 from tactile_toolkit.wording import with_count
 
 WARNINGS = ("thin-wall", "separate-bodies", "overhang", "small-contact", "larger-than-plate", "too-tall")
@@ -68,7 +68,6 @@ WALL_REACH_MM = 2.5
 _OFF_VERTICES = 1e-7
 
 
-@row
 class PrintReport(TypedRow):
     """Report about one mesh; lengths in mm.
 

@@ -59,7 +59,6 @@ def require_mesh_columns(schema: pa.Schema, name: str, made_by: str) -> None:
         )
 
 
-@rows.row
 class MeshRow(rows.TypedRow):
     """A row with a mesh; row classes of each kind add their own columns after these."""
 

@@ -1,10 +1,14 @@
-"""Sheets of pictures, their text and scale bars, with equal pixels on all machines."""
+"""Pictures of records: sheets with text and scale bars, equal on all machines, and views in notebooks."""
 
 from __future__ import annotations
 
+import base64
+import html
 import io
 import unicodedata
-from collections.abc import Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
@@ -16,9 +20,9 @@ from PIL import Image, ImageDraw, ImageFont, ImageOps
 
 from tactile_toolkit import touch
 from tactile_toolkit.array_types import UInt8
+from tactile_toolkit.errors import IntegrityError
 
 Colour: TypeAlias = tuple[int, int, int]
-
 INK: Colour = (32, 36, 42)
 MUTED: Colour = (98, 106, 116)
 PAPER: Colour = (255, 255, 255)
@@ -43,6 +47,11 @@ _NICE_LENGTHS_MM = tuple(base * 10.0**power for power in range(-3, 4) for base i
 # Shipped with its licence. It has Latin, Greek, Cyrillic, Arabic and symbols; other characters become its box
 # for missing glyphs.
 _FONT_FILE = "DejaVuSans.ttf"
+
+# Width of the picture of a record in a notebook, alone and among others.
+_VIEW_PX = 300
+_TILE_PX = 120
+_TILE_STYLE = "margin:0;text-align:center;font-size:smaller"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -210,3 +219,66 @@ def _font(size_px: int) -> ImageFont.FreeTypeFont:
     content = resources.files("tactile_toolkit.pictures").joinpath(_FONT_FILE).read_bytes()
     # Basic layout, because the other one needs libraqm and spaces letters differently.
     return ImageFont.truetype(io.BytesIO(content), size_px, layout_engine=ImageFont.Layout.BASIC)
+
+
+class Drawn(ABC):
+    """Base class of records that draw themselves; views, sheets, cards and galleries follow from it."""
+
+    __slots__ = ()
+
+    @abstractmethod
+    def caption(self, label_names: Sequence[str] = ()) -> str:
+        """Return what the record shows, in a few words; ``label_names`` are the names of the classes."""
+
+    @property
+    def tile_caption(self) -> str:
+        """Text below a small picture among others."""
+        return self.caption()
+
+    @property
+    def details(self) -> str:
+        """Text below a large picture."""
+        return self.caption()
+
+    @abstractmethod
+    def picture(self, width_px: float) -> UInt8:
+        """Draw the record, (H, W) or (H, W, 3); the longer side of what it shows is ``width_px`` long."""
+
+    def _repr_html_(self) -> str:
+        """Show the record in a notebook."""
+        return figure_html(self.picture(_VIEW_PX), self.details)
+
+    def tile_html(self) -> str:
+        """Return HTML of a small picture with a caption, for notebooks."""
+        return figure_html(self.picture(_TILE_PX), self.tile_caption, small=True)
+
+    @staticmethod
+    def grid_html(
+        title: str, words: Sequence[str], pictures: Sequence[tuple[str, Callable[[], UInt8]]]
+    ) -> str:
+        """Return HTML for notebooks of small pictures with captions; damaged ones are counted."""
+        tiles = []
+        for caption, read in pictures:
+            with suppress(IntegrityError):
+                tiles.append(figure_html(fitted(read(), _TILE_PX), caption, small=True))
+        if len(tiles) < len(pictures):
+            words = [*words, f"{len(pictures) - len(tiles)} of {len(pictures)} pictures cannot be shown"]
+        grid = f'<div style="display:flex;flex-wrap:wrap;gap:4px">{"".join(tiles)}</div>'
+        return f"<div><b>{html.escape(title)}</b>: {', '.join(words)}{grid}</div>"
+
+
+def png_bytes(pixels: UInt8) -> bytes:
+    """Encode a picture as PNG, without metadata; equal pixels give equal bytes."""
+    return touch.encode_png(Image.fromarray(np.ascontiguousarray(pixels)))
+
+
+def figure_html(pixels: UInt8, caption: str, *, small: bool = False) -> str:
+    """Return HTML for notebooks of a picture and its caption, which is plain text."""
+    source = base64.b64encode(png_bytes(pixels)).decode("ascii")
+    style = ""
+    if small:
+        style = f' style="{_TILE_STYLE}"'
+    return (
+        f'<figure{style}><img src="data:image/png;base64,{source}">'
+        f"<figcaption>{html.escape(caption)}</figcaption></figure>"
+    )

@@ -8,12 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, Protocol, TypeAlias, TypeVar, cast, overload
 
-from tactile_toolkit import hub, mesh, read, store
-from tactile_toolkit.errors import InputError
+from tactile_toolkit import errors, hub, mesh, read, store
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.places.place import Place, named_on_hub, published_set, shards_by_split
 from tactile_toolkit.places.split_files import (
-    CARD_FILE,
     PARQUET,
     USUAL_SPLIT,
     has_shards,
@@ -73,7 +71,7 @@ def open_place(
         local = _local(_without_short_name(text))
         found = _local_place(text, *local, config) if local else hub_place(text, revision, config)
         if local and revision is not None:
-            raise InputError(
+            raise errors.InputError(
                 f"{text!r} is not on the Hub and has no revisions; {revision!r} was asked for",
                 next="leave it out, or name a repository",
             )
@@ -93,19 +91,19 @@ def _several(names: object, revision: str | None) -> Place | None:
     if isinstance(names, Iterable) and not isinstance(names, (bytes, bytearray)):
         files = list(names)
     if not files:
-        raise InputError("no files given; expected Parquet files of one data set")
+        raise errors.InputError("no files given; expected Parquet files of one data set")
     opened: dict[tuple[str, str | None], hub.HubRepository] = {}
     places = []
     for file in files:
         if not isinstance(file, (str, os.PathLike)):
-            raise InputError(
+            raise errors.InputError(
                 f"{file!r} ({type(file).__name__}) is not a name of a data set; expected a short name such "
                 "as 'real-single-64x64', USER/NAME on the Hub, a folder, a Parquet file, or several of these "
                 "files"
             )
         place = open_place(file, revision=revision)
         if not place.is_file:
-            raise InputError(f"{place.name!r} is not a file; expected Parquet files of one data set")
+            raise errors.InputError(f"{place.name!r} is not a file; expected Parquet files of one data set")
         if place.repository is not None:  # all files of one commit
             key = place.repository.repo_id, place.repository.revision
             place = replace(place, source=opened.setdefault(key, place.repository))
@@ -137,14 +135,14 @@ def _local(name: str) -> tuple[store.DataFolder, str] | None:
         return None
     try:
         path = store.local_path(name)
-    except InputError:  # an unknown user's home
+    except errors.InputError:  # an unknown user's home
         return None
     if path is None:
         if name.endswith(PARQUET):
             return store.split_uri(name)
         folder = store.open_folder(name)
         if not folder.exists():
-            raise InputError(
+            raise errors.InputError(
                 f"{folder.missing_message('data set')}; expected the folder of a data set, or a Parquet file",
                 next="check the address",
             )
@@ -171,8 +169,8 @@ def _local_place(name: str, folder: store.DataFolder, file: str, config: str | N
         return Place(name, folder, shards_by_split(manifest), manifest, manifest.complete)
     if is_interrupted(folder):
         raise not_a_set(folder, name)
-    if folder.exists(CARD_FILE):
-        named = splits_by_card(folder.read_bytes(CARD_FILE), _walked(folder), config, name)
+    if folder.exists(store.CARD_FILE):
+        named = splits_by_card(folder.read_bytes(store.CARD_FILE), _walked(folder), config, name)
         if named is not None:
             return Place(name, folder, require_some(named, name), config=config)
     in_data = [f"{store.DATA_FOLDER}/{each}" for each in folder.names(store.DATA_FOLDER)]
@@ -190,7 +188,7 @@ def _walked(folder: store.DataFolder) -> list[str]:
     waiting = [("", 0)]
     for count, (inside, depth) in enumerate(waiting):
         if count > _MAX_FOLDERS:
-            raise InputError(
+            raise errors.InputError(
                 f"{folder.address()!r} holds more than {_MAX_FOLDERS:,} folders; expected a data set",
                 next="give the folder of one data set",
             )
@@ -237,8 +235,8 @@ def repository_place(
         listed = shards_by_split(manifest)
         files = {split: tuple(each for each in found if each in {*paths}) for split, found in listed.items()}
         return Place(name, repository, files, manifest)
-    if paths and CARD_FILE in repository.remote and not path:
-        card = repository.local_paths((CARD_FILE,))[0].read_bytes()
+    if paths and store.CARD_FILE in repository.remote and not path:
+        card = repository.local_paths((store.CARD_FILE,))[0].read_bytes()
         named = splits_by_card(card, paths, config, name)
         if named is not None:
             if repository.is_cache and not any(named.values()):
@@ -358,5 +356,7 @@ def _class_names(shards: tuple[read.Shard, ...], name: str, kind: DatasetKind) -
         names[read.class_names(schema, kind.class_names, name)] = None
     if len(names) > 1:
         shown = " and ".join(", ".join(each) for each in list(names)[:2])
-        raise InputError(f"{name!r} has the classes {shown}", next="open files of one data set together")
+        raise errors.InputError(
+            f"{name!r} has the classes {shown}", next="open files of one data set together"
+        )
     return next(iter(names))

@@ -14,8 +14,7 @@ from functools import cached_property, partial
 
 import pyarrow as pa
 
-from tactile_toolkit import hub, mesh, read, run, store
-from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
+from tactile_toolkit import errors, hub, mesh, read, run, store, wording
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.kind import DatasetKind, PublishedSet, is_for_others, kinds
 from tactile_toolkit.places.split_files import (
@@ -25,7 +24,6 @@ from tactile_toolkit.places.split_files import (
     splits_by_name,
     unknown_split,
 )
-from tactile_toolkit.wording import did_you_mean, shortened, with_count
 
 _COLUMNS_SHOWN = 8
 _TAKE_FINISHED = "; or take what is finished with --allow-incomplete (allow_incomplete=True)"
@@ -166,7 +164,7 @@ class Place:
         if found is not None:
             require_kind(found, kind, self.name, command)
         elif self.manifest is not None and self.manifest.kind != kind.name:
-            raise InputError(
+            raise errors.InputError(
                 f"{self.name!r} holds a data set of kind {self.manifest.kind!r}; expected {kind.content}",
                 next="install the package that made it",
             )
@@ -186,13 +184,13 @@ class Place:
 
     def _require_columns(self, shard: read.Shard, kind: DatasetKind, command: str) -> None:
         """Refuse rows without the columns that a kind needs; readers report damaged files."""
-        with suppress(IntegrityError):
+        with suppress(errors.IntegrityError):
             names = read.column_names(shard.schema)
             if not any(name in names for name in kind.needs):
                 shown = ", ".join(names[:_COLUMNS_SHOWN])
                 if len(names) > _COLUMNS_SHOWN:
                     shown += " and others"
-                raise InputError(
+                raise errors.InputError(
                     f"{self.name!r} holds rows of no kind of this toolkit (columns {shown}); "
                     f"`{command_or_load(kind, command)}` is for {kind.content}, with a column "
                     f"{' or '.join(map(repr, kind.needs))}",
@@ -203,13 +201,13 @@ class Place:
         """Return the place if its files follow from the requested configuration; else raise InputError."""
         if self.config == config:
             return self
-        raise InputError(
+        raise errors.InputError(
             f"{self.name!r} has no configurations, {config!r} was asked for", next="leave it out"
         )
 
     def _refuse_files_for_others(self) -> None:
         if is_for_others(self.manifest):
-            raise InputError(
+            raise errors.InputError(
                 f"{self.name!r} was made by `{self.spec['operation']}` for other programs; expected a data "
                 "set with rows of its kind",
                 next="give the data set that it was made of, or open this one with `datasets`",
@@ -241,7 +239,7 @@ class Place:
             The run that makes the data set is not finished.
         """
         if self.manifest is None or self.folder is None:
-            raise InputError(
+            raise errors.InputError(
                 f"no {store.MANIFEST_FILE} in {self.name!r}",
                 next=f"give the folder of a data set, such as one made by `{kind.made_by}`",
             )
@@ -254,7 +252,7 @@ class Place:
         records = self.manifest.shards_of(split)
         return bool(records) and len(records) == records[0].shard.count
 
-    def _not_finished(self, may_take: bool = True) -> IntegrityError:
+    def _not_finished(self, may_take: bool = True) -> errors.IntegrityError:
         otherwise = ""
         if may_take and not self.allow_incomplete:
             otherwise = _TAKE_FINISHED
@@ -262,7 +260,7 @@ class Place:
         record = self.folder and store.read_download_record(self.folder)
         if record:
             again = f"download {record.repo_id} there again"
-        return IntegrityError(
+        return errors.IntegrityError(
             f"the run that makes {self.name!r} is not finished ({self.unfinished})",
             next=f"{again}, it continues{otherwise}",
         )
@@ -275,7 +273,7 @@ class Place:
         if not self.splits:
             raise unknown_split("", (), self.name)
         if len(self.splits) > 1:
-            raise InputError(
+            raise errors.InputError(
                 f"{self.name!r} has the splits {', '.join(self.splits)}; expected one of them",
                 next=f"name it, split={self.splits[0]!r} (in a shell --split {self.splits[0]})",
             )
@@ -349,7 +347,7 @@ class Place:
             return self.files[self.splits[0]]
         try:
             return files_of_split(self.files, split, self.name)
-        except (InputError, IntegrityError) as error:
+        except (errors.InputError, errors.IntegrityError) as error:
             if self.repository is None or not self.repository.is_cache or self.manifest is not None:
                 raise
             raise hub.not_cached(self.repository.repo_id, f"split {split!r}") from error
@@ -364,9 +362,10 @@ class Place:
             if not records and self.complete:
                 raise unknown_split(split, manifest.splits, self.name)
             if self.complete:
-                raise IntegrityError(
+                raise errors.IntegrityError(
                     f"{store.MANIFEST_FILE} of {self.name!r} lists {len(records)} of "
-                    f"{with_count(records[0].shard.count, 'shards')} of split {split!r}; expected all",
+                    f"{wording.with_count(records[0].shard.count, 'shards')} of split {split!r}; "
+                    "expected all",
                     next="download or generate the data set again",
                 )
             raise self._not_finished()
@@ -418,7 +417,7 @@ def kind_of_rows(schema: pa.Schema) -> DatasetKind | None:
 
 def _kind_of(shard: read.Shard) -> DatasetKind | None:
     """Return the kind of the rows of a file; None if it is damaged, which reading the rows reports."""
-    with suppress(IntegrityError):
+    with suppress(errors.IntegrityError):
         return kind_of_rows(shard.schema)
     return None
 
@@ -436,13 +435,13 @@ def require_kind(found: DatasetKind, kind: DatasetKind, name: str, command: str 
     raise wrong_kind(found, name, command_or_load(kind, command), kind.content)
 
 
-def wrong_kind(found: DatasetKind, name: str, asked: str, content: str) -> InputError:
+def wrong_kind(found: DatasetKind, name: str, asked: str, content: str) -> errors.InputError:
     """Return the error for data of a kind; ``asked``, a command or function, is for other ``content``."""
     next_step = f"use {found.package}.load({name!r})"
     command = asked.partition(" ")[2]
     if command:
         next_step = f"run `{found.command} {found.command_like(command)} {shlex.quote(name)}`"
-    return InputError(f"{name!r} holds {found.content}; `{asked}` is for {content}", next=next_step)
+    return errors.InputError(f"{name!r} holds {found.content}; `{asked}` is for {content}", next=next_step)
 
 
 def command_or_load(kind: DatasetKind, command: str) -> str:
@@ -473,7 +472,7 @@ def find_repository(
     """
     named = named_on_hub(name, revision)
     if named.path:
-        raise InputError(
+        raise errors.InputError(
             f"{name!r} is a part of a repository; expected all of it", next=f"leave {named.path!r} out"
         )
     return hub.open_repository(named.repo_id, named.revision, patient=True, on_wait=on_wait)
@@ -489,9 +488,9 @@ def named_on_hub(name: str, revision: str | None) -> hub.HubName:
     if named is None:
         published = {entry.name: kind.command for kind in kinds() for entry in kind.published}
         lists = ", ".join(f"`{command} list`" for command in dict.fromkeys(published.values()))
-        raise InputError(
-            f"{shortened(name, _LONGEST_SHOWN)!r} does not exist; expected a folder, a Parquet file, a "
-            f"repository of the Hub (USER/NAME) or a published set{did_you_mean(name, published)}",
+        raise errors.InputError(
+            f"{wording.shortened(name, _LONGEST_SHOWN)!r} does not exist; expected a folder, a Parquet file, "
+            f"a repository of the Hub (USER/NAME) or a published set{wording.did_you_mean(name, published)}",
             next=f"check the name (the published sets: {lists}), or make a data set",
         )
     return named
@@ -517,7 +516,7 @@ def published_states(kind: DatasetKind) -> Iterator[PublishedState]:
     def state(known: PublishedSet) -> PublishedState:
         licence = known.licence
         hub_bytes = None
-        with suppress(ToolkitError):
+        with suppress(errors.ToolkitError):
             answer = hub.open_repository(known.repo_id)
             if not answer.is_cache:
                 licence = licence or answer.licence

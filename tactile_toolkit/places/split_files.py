@@ -10,14 +10,12 @@ from functools import cache
 from pathlib import PurePosixPath
 from typing import TypeAlias
 
-from tactile_toolkit import store, wording
-from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit import errors, store, wording
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.kind import kinds
-from tactile_toolkit.wording import did_you_mean, with_count
 
-CARD_FILE = "README.md"
 PARQUET = ".parquet"
+_CARD = store.CARD_FILE
 USUAL_SPLIT = "train"
 # Words for each split in names of files and folders, between separators.
 _KEYWORDS = {
@@ -108,10 +106,10 @@ def splits_by_name(paths: Iterable[str], where: str) -> Splits:
     for split, folders in holders.items():
         if len(folders) > 1:
             named = " and ".join(repr(folder or ".") for folder in list(folders)[:2])
-            raise InputError(
-                f"{where!r} has files of split {split!r} in {named}, and no {CARD_FILE} states which of "
+            raise errors.InputError(
+                f"{where!r} has files of split {split!r} in {named}, and no {_CARD} states which of "
                 "them is the split",
-                next=f"give one of these folders, or name the files of each split in {CARD_FILE} (`configs`)",
+                next=f"give one of these folders, or name the files of each split in {_CARD} (`configs`)",
             )
     return {split: tuple(next(iter(folders.values()))) for split, folders in sorted(holders.items())}
 
@@ -212,10 +210,9 @@ def require_some(splits: Splits, where: str) -> Splits:
     """Return the splits of a data card; InputError if none of the files that it names is there."""
     if any(splits.values()):
         return splits
-    raise InputError(
-        f"{CARD_FILE} of {where!r} names the files of {', '.join(splits)}; none of them is a Parquet file "
-        "there",
-        next=f"correct {CARD_FILE}, or give a Parquet file",
+    raise errors.InputError(
+        f"{_CARD} of {where!r} names the files of {', '.join(splits)}; none of them is a Parquet file there",
+        next=f"correct {_CARD}, or give a Parquet file",
     )
 
 
@@ -241,9 +238,10 @@ def _configurations(card: bytes, where: str) -> dict[str, JsonObject]:
     return {str(each.get("config_name", "default")): each for each in listed}
 
 
-def _unreadable(where: str, field: str, expected: str) -> InputError:
-    return InputError(
-        f"{CARD_FILE} of {where!r}: {field!r} of its YAML is not {expected}", next=f"correct {CARD_FILE}"
+def _unreadable(where: str, field: str, expected: str) -> errors.InputError:
+    return errors.InputError(
+        f"{_CARD} of {where!r}: {field!r} of its YAML is not {expected}",
+        next=f"correct {_CARD}",
     )
 
 
@@ -252,13 +250,15 @@ def _chosen(names: Sequence[str], configs: Mapping[str, JsonObject], config: str
     if config is not None:
         if config in configs:
             return config
-        known = f"it has {', '.join(names)}{did_you_mean(config, names)}"
-        raise InputError(f"no configuration {config!r} in {where!r}: {known}", next="choose one of them")
+        known = f"it has {', '.join(names)}{wording.did_you_mean(config, names)}"
+        raise errors.InputError(
+            f"no configuration {config!r} in {where!r}: {known}", next="choose one of them"
+        )
     marked = [name for name in names if name == "default" or configs[name].get("default") is True]
     candidates = marked or names
     if len(candidates) == 1:
         return candidates[0]
-    raise InputError(
+    raise errors.InputError(
         f"{where!r} has the configurations {', '.join(names)}; expected one of them",
         next=f"name it, config={candidates[0]!r} (in a shell --config-name {candidates[0]})",
     )
@@ -284,8 +284,8 @@ def _patterns(data_files: object, where: str) -> dict[str, list[str]]:
             raise _unreadable(where, "data_files", expected)
         for pattern in patterns:
             if "://" in pattern or store.problem_of_name(pattern.replace("*", "x").removeprefix("./")):
-                raise InputError(
-                    f"{CARD_FILE} of {where!r} names the files {pattern[:80]!r}; expected files in it",
+                raise errors.InputError(
+                    f"{_CARD} of {where!r} names the files {pattern[:80]!r}; expected files in it",
                     next="do not use this data set, or ask who made it",
                 )
         found.setdefault(split, []).extend(patterns)
@@ -332,21 +332,23 @@ def files_of_split(splits: Mapping[str, tuple[str, ...]], split: str, where: str
     expected = max(counts) if len(counts) == 1 and None not in names else len(chosen)
     if chosen and len(chosen) >= expected:
         return chosen
-    found = f"{len(chosen)} of {with_count(max(expected, 1), 'files')}"
-    raise IntegrityError(
+    found = f"{len(chosen)} of {wording.with_count(max(expected, 1), 'files')}"
+    raise errors.IntegrityError(
         f"{where!r} has {found} of split {split!r}; expected all",
         next="download or generate the data set again (with a network, if it is on the Hub)",
     )
 
 
-def unknown_split(split: str, known: tuple[str, ...], where: str) -> InputError:
+def unknown_split(split: str, known: tuple[str, ...], where: str) -> errors.InputError:
     """Return the error for a split that does not exist; ``known`` are existing ones."""
     if not known:
-        return InputError(
+        return errors.InputError(
             f"no Parquet files in {where!r}", next="give the folder or repository of a data set"
         )
-    found = f"it has {', '.join(known)}{did_you_mean(split, known)}"
-    return InputError(f"no split {split!r} in {where!r}: {found}", next="choose one of them, or make it")
+    found = f"it has {', '.join(known)}{wording.did_you_mean(split, known)}"
+    return errors.InputError(
+        f"no split {split!r} in {where!r}: {found}", next="choose one of them, or make it"
+    )
 
 
 def is_interrupted(folder: store.DataFolder) -> bool:
@@ -354,10 +356,10 @@ def is_interrupted(folder: store.DataFolder) -> bool:
     return bool(store.pending_shards(folder.names(store.PENDING_FOLDER)))
 
 
-def not_a_set(folder: store.DataFolder, name: str, path: str = "") -> InputError:
+def not_a_set(folder: store.DataFolder, name: str, path: str = "") -> errors.InputError:
     """Return the error for a folder, or a file in it, without a data set; it names what was found."""
     found, next_step = _file_in_words(path) if path else _folder_in_words(folder)
-    return InputError(f"{name!r} {found}; expected a data set of Parquet files", next=next_step)
+    return errors.InputError(f"{name!r} {found}; expected a data set of Parquet files", next=next_step)
 
 
 def _file_in_words(path: str) -> tuple[str, str]:
@@ -384,7 +386,7 @@ def _folder_in_words(folder: store.DataFolder) -> tuple[str, str]:
     if sets:
         shown = ", ".join(sets[:_MAX_SHOWN])
         return (
-            f"holds {with_count(len(sets), 'data sets')} ({shown})",
+            f"holds {wording.with_count(len(sets), 'data sets')} ({shown})",
             f"give one of them, such as {sets[0]!r}",
         )
     return _contents_in_words(folder)

@@ -1,10 +1,14 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
-from .columns import (
+from .record import (
     NestedColumn as NestedColumn,
+    null_fields as null_fields,
     numpy_values as numpy_values,
     ragged_array as ragged_array,
     RaggedColumn as RaggedColumn,
+    Record as Record,
+    Row as Row,
+    RowGroup as RowGroup,
     vectors_type as vectors_type,
     whole_number as whole_number,
 )
@@ -25,12 +29,6 @@ from .schemas import (
     stored_features as stored_features,
     supported_table as supported_table,
     yaml_features as yaml_features,
-)
-from .record import (
-    null_fields as null_fields,
-    Record as Record,
-    Row as Row,
-    RowGroup as RowGroup,
 )
 from .shard import (
     Shard as Shard,

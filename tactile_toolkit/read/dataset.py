@@ -14,10 +14,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar, overloa
 import numpy as np
 import pyarrow as pa
 
-from tactile_toolkit import checked_fields, wording
+from tactile_toolkit import checked_fields, errors, wording
 from tactile_toolkit.array_types import AnyArray, Int64
-from tactile_toolkit.errors import InputError, ToolkitError
-from tactile_toolkit.read import columns, order, schemas, shard, sharded_table
+from tactile_toolkit.read import order, record, schemas, shard, sharded_table
 from tactile_toolkit.read.record import Record, Row
 
 if TYPE_CHECKING:
@@ -127,7 +126,7 @@ class RecordDataset(Sequence[T], Generic[T]):
     def ids(self) -> AnyArray:
         """Id of each row, shape (len,); reads the id column only."""
         values = self.column("id")
-        are_whole = values.dtype.kind == "f" and columns.whole_numbers(values).all()
+        are_whole = values.dtype.kind == "f" and record.whole_numbers(values).all()
         if are_whole:
             values = values.astype(np.int64)
         return values
@@ -213,7 +212,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         try:
             values = self.table.column(name)
         except KeyError as error:
-            raise InputError(f"no column {name!r} in this data set") from error
+            raise errors.InputError(f"no column {name!r} in this data set") from error
         rows = self._rows
         if isinstance(rows, range):
             # A range down to row 0 stops at -1, which a slice takes for the last row.
@@ -231,7 +230,7 @@ class RecordDataset(Sequence[T], Generic[T]):
             A value is missing, not an integer, or does not fit into 64 bits; names file and row.
         """
         values = self.column(name)
-        usable = columns.whole_numbers(values)
+        usable = record.whole_numbers(values)
         if usable.all():
             return np.ascontiguousarray(values, np.int64)
         # A missing value in any row makes large ones inexact, so they are read from the row itself.
@@ -362,17 +361,15 @@ class RecordDataset(Sequence[T], Generic[T]):
         TypeError
             The index has another type.
         """
-        if isinstance(index, int):
+        if isinstance(index, int):  # first: most are
             return self._item(index)
-        if isinstance(index, slice):
-            return self._select(index)
         if _picks_several(index):
             return self._chosen(index)
         return self._item(operator.index(index))
 
     def _chosen(self, index: object) -> Self:
         """Return a view of the items that a slice, ints or a mask select."""
-        return self._select(positions(index, len(self)))
+        return self._select(index if isinstance(index, slice) else positions(index, len(self)))
 
     def by_id(self, id: int | str) -> T:
         """Return the first item with an id; reads only the ids.
@@ -392,7 +389,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         if not len(places):
             # Ids of items, because touches have other ids than their rounds.
             first = [repr(getattr(item, "id", None)) for item in self[:_SHOWN_IDS]]
-            raise InputError(
+            raise errors.InputError(
                 f"{', '.join(self.description())}: there is no id {id!r}",
                 next=f"give one such as {', '.join(first) or '(none, it is empty)'}",
             )
@@ -533,14 +530,16 @@ class RecordDataset(Sequence[T], Generic[T]):
         """
         parts = list(datasets)
         if not parts:
-            raise InputError("nothing to concatenate; expected at least one data set")
+            raise errors.InputError("nothing to concatenate; expected at least one data set")
         return reduce(operator.add, parts)
 
     def __add__(self, other: Self) -> Self:
         if type(other) is not type(self):
             return NotImplemented
         if other.label_names != self.label_names:
-            raise InputError(f"cannot join data sets with classes {self.label_names} and {other.label_names}")
+            raise errors.InputError(
+                f"cannot join data sets with classes {self.label_names} and {other.label_names}"
+            )
         return self._concat(other)
 
     def __iter__(self) -> Iterator[T]:
@@ -574,7 +573,7 @@ class RecordDataset(Sequence[T], Generic[T]):
             try:
                 item: Any = self._item(int(position))
                 pictures.append(item.tile_html())
-            except (ToolkitError, ValueError, OSError) as error:
+            except (errors.ToolkitError, ValueError, OSError) as error:
                 problems[f"<div>{html.escape(wording.printable(str(error)))}</div>"] = None  # each once
         tiles = f'<div style="display:flex;flex-wrap:wrap;gap:4px">{"".join(pictures)}</div>'
         return f"<div>{html.escape(repr(self))}{tiles * any(pictures)}{''.join(problems)}</div>"
@@ -604,9 +603,11 @@ class RecordDataset(Sequence[T], Generic[T]):
         if checked_fields.is_integer(number) and 0 <= number < len(known):
             return int(number)
         if not known:
-            raise InputError(f"no class {label!r}; the data set has no labels")
+            raise errors.InputError(f"no class {label!r}; the data set has no labels")
         listed = ", ".join(known)
-        raise InputError(f"no class {label!r}; expected an integer below {len(known)} or one of {listed}")
+        raise errors.InputError(
+            f"no class {label!r}; expected an integer below {len(known)} or one of {listed}"
+        )
 
     def _class_counts(self) -> dict[str, int]:
         if "label" not in self.plain_columns:
@@ -618,7 +619,7 @@ class RecordDataset(Sequence[T], Generic[T]):
     def _classes_in_words(self) -> str:
         try:
             names = [name for name, count in self._class_counts().items() if count]
-        except (ToolkitError, ValueError, OSError):
+        except (errors.ToolkitError, ValueError, OSError):
             return "classes unreadable"
         if not names:
             return "no classes"

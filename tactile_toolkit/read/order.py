@@ -19,11 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_toolkit import cache, checked_fields, errors, wording
 from tactile_toolkit.array_types import Int64
-from tactile_toolkit.cache import cache_limit_bytes
-from tactile_toolkit.checked_fields import checked_integer, is_integer
-from tactile_toolkit.errors import InputError, ToolkitError
-from tactile_toolkit.wording import with_count
 
 _KEPT_WINDOWS = 2  # a batch may extend over the end of one
 _ROUNDING = 1e-9  # 0.7 + 0.2 + 0.1 is 0.9999999999999999
@@ -172,7 +169,7 @@ class Prefetcher:
             return
         self._window = window
         size_bytes = self._unpack(window)
-        if 2 * size_bytes <= cache_limit_bytes():  # the next one must not evict this one
+        if 2 * size_bytes <= cache.cache_limit_bytes():  # the next one must not evict this one
             # A daemon, so that a job that ends within an epoch does not wait for it.
             self._thread = Thread(target=self._unpack, args=(window + 1,), daemon=True)
             self._thread.start()
@@ -186,7 +183,7 @@ class Prefetcher:
     def _unpack(self, window: int) -> int:
         """Return the approximate size of a window in bytes; 0 where the cache cannot be written."""
         size_bytes = 0
-        with suppress(ToolkitError, OSError):
+        with suppress(errors.ToolkitError, OSError):
             groups = self._data.row_groups(self._order.stored(window))
             first = int(self._turn * len(groups))
             for shard, index in (*groups[first:], *groups[:first]):
@@ -228,20 +225,22 @@ def random_parts(parts: Sequence[float], length: int, seed: int, labels: Int64 |
 
 def _random_bits(seed: int, count: int) -> NDArray[np.uint64]:
     """Return random bits of the stream of PCG64, which numpy guarantees, unlike its shuffles."""
-    return np.asarray(np.random.PCG64(checked_integer(seed, "seed")).random_raw(count), np.uint64)
+    return np.asarray(
+        np.random.PCG64(checked_fields.checked_integer(seed, "seed")).random_raw(count), np.uint64
+    )
 
 
 def _part_ends(parts: Sequence[float], length: int) -> list[int]:
     """Return the end of each part, including the remaining one; InputError for impossible sizes."""
-    numbers = is_integer(*parts)
+    numbers = checked_fields.is_integer(*parts)
     shares = all(isinstance(part, float) and 0 <= part <= 1 for part in parts)
     total, whole = (sum(parts), length) if numbers or shares else (0, 0)
     whole = whole if numbers else 1
     if not parts or not (numbers or shares) or total > whole + _ROUNDING or min(parts) < 0:
         asked = ", ".join(map(repr, parts)) or "nothing"
-        raise InputError(
+        raise errors.InputError(
             f"a split into {asked} was asked for; expected shares such as 0.8, 0.2 that add up to at most 1, "
-            f"or integers that add up to at most {with_count(length, 'rows')}"
+            f"or integers that add up to at most {wording.with_count(length, 'rows')}"
         )
     if numbers:
         ends = np.cumsum(parts).tolist()

@@ -13,12 +13,10 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar
 import numpy as np
 import pyarrow as pa
 
-from tactile_toolkit import run
+from tactile_toolkit import run, wording
 from tactile_toolkit.array_types import AnyArray, Int64
-from tactile_toolkit.read.columns import numpy_values
-from tactile_toolkit.read.record import RowGroup
+from tactile_toolkit.read.record import RowGroup, numpy_values
 from tactile_toolkit.read.shard import Shard
-from tactile_toolkit.wording import with_count
 
 T = TypeVar("T")
 _FEW_SHARDS = 8
@@ -235,5 +233,5 @@ class RowStream(Generic[S]):
         return islice(_row_groups(self.shards), found.id, None, found.num_workers)
 
     def _described(self, items: str) -> str:
-        words = ShardedTable(self.shards).described(with_count(len(self.shards), "shards"))
+        words = ShardedTable(self.shards).described(wording.with_count(len(self.shards), "shards"))
         return f"{type(self).__name__}({items}, {', '.join(words)})"

@@ -10,8 +10,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from tactile_toolkit.checked_fields import checked_integer, is_integer, to_builtin_number
-from tactile_toolkit.errors import InputError, needs_extra
+from tactile_toolkit import checked_fields, errors
 from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.read.order import GlobalOrder, Prefetcher, RankSampler
@@ -19,7 +18,7 @@ from tactile_toolkit.read.order import GlobalOrder, Prefetcher, RankSampler
 if TYPE_CHECKING:
     import torch
 else:
-    with needs_extra("training on a data set", "torch", "torch"):
+    with errors.needs_extra("training on a data set", "torch", "torch"):
         import torch
 
 
@@ -117,29 +116,31 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
     ) -> None:
         sequence = getattr(data, "sequence", data)
         if not isinstance(sequence, RecordDataset):
-            raise InputError(
+            raise errors.InputError(
                 f"{type(data).__name__} was given; expected a data set of the toolkit, or tensors of one "
                 "such as realtouch.touch_tensors.TouchTensors"
             )
         self.data = data
-        self.batch_size = checked_integer(batch_size, "batch_size", 1)
+        self.batch_size = checked_fields.checked_integer(batch_size, "batch_size", 1)
         self.drop_last = drop_last
         self.collate_fn = collate_fn
         distributed = torch.distributed
         if rank is not None or world_size is not None:
-            numbers = to_builtin_number(rank), to_builtin_number(world_size)
+            numbers = checked_fields.to_builtin_number(rank), checked_fields.to_builtin_number(world_size)
         elif distributed.is_available() and distributed.is_initialized():
             numbers = distributed.get_rank(), distributed.get_world_size()
         else:
             numbers = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
-        if not (is_integer(*numbers) and 0 <= numbers[0] < numbers[1]):
-            raise InputError(
+        if not (checked_fields.is_integer(*numbers) and 0 <= numbers[0] < numbers[1]):
+            raise errors.InputError(
                 f"rank is {rank!r} of {world_size!r}; expected integers, the rank below the world size"
             )
         self.rank, self.world_size = numbers
-        seed = None if seed is None else checked_integer(seed, "seed")
+        seed = None if seed is None else checked_fields.checked_integer(seed, "seed")
         self._sequence = sequence
-        self._order = GlobalOrder(sequence.stored_parts(), seed, checked_integer(window, "window", 1))
+        self._order = GlobalOrder(
+            sequence.stored_parts(), seed, checked_fields.checked_integer(window, "window", 1)
+        )
         self._resumed = (0, 0)
         self._current: dict[str, int] = {}  # empty before a pass
         # The next pass of this process and of each worker: epoch, start, number of batches already returned,
@@ -157,7 +158,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
 
         Needed only to repeat or skip epochs, or when the number of workers changes.
         """
-        number = checked_integer(epoch, "epoch")
+        number = checked_fields.checked_integer(epoch, "epoch")
         self._set(number, self._resumed[1] * (number == self._resumed[0]))
 
     def __len__(self) -> int:
@@ -180,10 +181,10 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
             self._current = {"epoch": epoch, "start": start, "batches": 0}
             return self._batches(self._current, 0, 1)
         if worker.num_workers > _MAX_WORKERS:
-            raise InputError(f"{worker.num_workers} workers; expected at most {_MAX_WORKERS}")
+            raise errors.InputError(f"{worker.num_workers} workers; expected at most {_MAX_WORKERS}")
         began = self._next[1:, 3]
         if ((began != 0) & (began != worker.num_workers + 1)).any():
-            raise InputError(
+            raise errors.InputError(
                 f"{worker.num_workers} workers continue after {int(began.max()) - 1}",
                 next="call set_epoch() in between, so that all begin the same epoch",
             )
@@ -231,7 +232,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         """
         worker = torch.utils.data.get_worker_info()
         if worker is None and self._workers_began():
-            raise InputError(
+            raise errors.InputError(
                 "workers make the batches and are ahead of the job",
                 next="save the state_dict() of a torchdata.stateful_dataloader.StatefulDataLoader",
             )
@@ -253,7 +254,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         """
         states = list(_holding(_FORMAT, state_dict))
         if not states:
-            raise InputError(
+            raise errors.InputError(
                 "no state of TrainingBatches was given; expected state_dict() of the loader that gave them"
             )
         worker = torch.utils.data.get_worker_info()
@@ -263,7 +264,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         for state in states:
             for name, value in expected.items():
                 if state[name] != value:
-                    raise InputError(
+                    raise errors.InputError(
                         f"a state of {name} {state[name]!r}; expected {value!r}",
                         next="take data, seed and window as when it was saved, and give the state to "
                         "load_state_dict() of the TrainingBatches",
@@ -302,7 +303,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         # Workers take turns in order, so other counts come from states of different times.
         in_turn = [batches // workers + (index < batches % workers) for index in range(workers)]
         if counts != in_turn or any(state["epoch"] != first["epoch"] for state in states):
-            raise InputError(
+            raise errors.InputError(
                 f"states of {len(states)} workers that gave {', '.join(map(str, counts))} batches; expected "
                 f"{workers} that took turns",
                 next="save the state of one loader, with in_order=True",

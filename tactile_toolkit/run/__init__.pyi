@@ -11,7 +11,6 @@ from .processes import (
 from .this_process import (
     in_threads as in_threads,
     limit_threads as limit_threads,
-    parse_part as parse_part,
     Part as Part,
     prepare_batch_process as prepare_batch_process,
     skip_pandas as skip_pandas,

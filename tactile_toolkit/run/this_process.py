@@ -5,7 +5,6 @@ Separate from the runners, because every command imports it and needs no :mod:`m
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
 import sys
@@ -66,29 +65,29 @@ class Part:
         """Return the tasks of this part."""
         return tasks[self.index % self.count :: self.count]
 
+    @classmethod
+    def parse(cls, text: str, environment: Mapping[str, str] = os.environ) -> Part:
+        """Read ``--part``: ``K/N``, or ``auto`` for the number that Slurm or Kubernetes give to this process.
 
-def parse_part(text: str, environment: Mapping[str, str] = os.environ) -> Part:
-    """Read ``--part``: ``K/N``, or ``auto`` for the number that Slurm or Kubernetes give to this process.
-
-    ``auto`` takes N from an array that was submitted whole; for a part of an array, give ``auto/N``. Raises
-    InputError for anything else.
-    """
-    match = _PART.fullmatch(text.strip())
-    if match is None or (match["index"] and not match["count"]):
-        raise InputError(
-            f"is {text!r}; expected K/N, such as 17/500, with K from 0, or auto, or auto/N", field="part"
-        )
-    index, count = (None if match[name] is None else int(match[name]) for name in ("index", "count"))
-    if index is None:
-        index, length = _place_in_array(environment)
+        ``auto`` takes N from an array that was submitted whole; for a part of an array, give ``auto/N``.
+        Raises InputError for anything else.
+        """
+        match = _PART.fullmatch(text.strip())
+        if match is None or (match["index"] and not match["count"]):
+            raise InputError(
+                f"is {text!r}; expected K/N, such as 17/500, with K from 0, or auto, or auto/N", field="part"
+            )
+        index, count = (None if match[name] is None else int(match[name]) for name in ("index", "count"))
+        if index is None:
+            index, length = _place_in_array(environment)
+            if count is None:
+                count = length
         if count is None:
-            count = length
-    if count is None:
-        found = "neither a whole Slurm array from 0 or 1 on nor JOB_COMPLETION_COUNT"
-        raise InputError(
-            f"auto: the number of parts is unknown, {found}", next="give --part auto/N", field="part"
-        )
-    return Part(index, count)
+            found = "neither a whole Slurm array from 0 or 1 on nor JOB_COMPLETION_COUNT"
+            raise InputError(
+                f"auto: the number of parts is unknown, {found}", next="give --part auto/N", field="part"
+            )
+        return cls(index, count)
 
 
 def _place_in_array(environment: Mapping[str, str]) -> tuple[int, int | None]:
@@ -152,42 +151,16 @@ def limit_threads() -> None:
     for name in _THREAD_VARIABLES:
         os.environ.setdefault(name, "1")
     # oneTBB, which manifold3d uses, has no setting for this: when it first works, it counts the processors
-    # that the process may use. On macOS it counts all, which nothing can change.
-    if sys.platform in ("linux", "win32"):
-        with _on_one_processor():
-            import manifold3d
-
-            manifold3d.Manifold.cube((1.0, 1.0, 1.0)).status()
-
-
-@contextlib.contextmanager
-def _on_one_processor() -> Iterator[None]:
-    """Let this process use the first of its processors only, meanwhile."""
-    if sys.platform == "win32":
-        import ctypes  # not for every command line
-
-        system = ctypes.WinDLL("kernel32")
-        process = ctypes.c_void_p(-1)
-        allowed = ctypes.c_size_t()
-        installed = ctypes.c_size_t()
-        system.GetProcessAffinityMask(process, ctypes.byref(allowed), ctypes.byref(installed))
-        bits = allowed.value  # 0 for a process on more than 64 processors
-        if bits:
-            system.SetProcessAffinityMask(process, ctypes.c_size_t(bits & -bits))
-        try:
-            yield
-        finally:
-            if bits:
-                system.SetProcessAffinityMask(process, ctypes.c_size_t(bits))
-    elif sys.platform == "linux" and hasattr(os, "sched_setaffinity"):
+    # that the process may use. Only Linux lets a process choose them here.
+    if hasattr(os, "sched_setaffinity"):
         processors = os.sched_getaffinity(0)
         os.sched_setaffinity(0, {min(processors)})
         try:
-            yield
+            import manifold3d
+
+            manifold3d.Manifold.cube((1.0, 1.0, 1.0)).status()
         finally:
             os.sched_setaffinity(0, processors)
-    else:
-        yield
 
 
 def keep_memory() -> None:

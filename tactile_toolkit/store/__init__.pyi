@@ -48,12 +48,18 @@ from .files import (
     write_file as write_file,
 )
 from .job import (
+    AnyTask as AnyTask,
     BuildJob as BuildJob,
-    inspect_job as inspect_job,
+    BuildPlan as BuildPlan,
     manifest_so_far as manifest_so_far,
     MissingPartsError as MissingPartsError,
     pending_shards as pending_shards,
+    Progress as Progress,
     refuse_unknown_files as refuse_unknown_files,
+    RunKeywords as RunKeywords,
+    RunOptions as RunOptions,
+    ShardContent as ShardContent,
+    ShardTask as ShardTask,
 )
 from .locks import (
     LOCK_FILE as LOCK_FILE,
@@ -61,6 +67,7 @@ from .locks import (
 )
 from .manifest import (
     add_up as add_up,
+    CARD_FILE as CARD_FILE,
     Count as Count,
     damaged_error as damaged_error,
     DATA_FOLDER as DATA_FOLDER,
@@ -88,15 +95,6 @@ from .parquet import (
     read_report as read_report,
     require_sound_columns as require_sound_columns,
     sha256_hex as sha256_hex,
-)
-from .plan import (
-    AnyTask as AnyTask,
-    BuildPlan as BuildPlan,
-    Progress as Progress,
-    RunKeywords as RunKeywords,
-    RunOptions as RunOptions,
-    ShardContent as ShardContent,
-    ShardTask as ShardTask,
 )
 from .remote import (
     CallFailure as CallFailure,

@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from tactile_toolkit import run
-from tactile_toolkit.errors import InputError, require_public
+from tactile_toolkit import errors, run
 from tactile_toolkit.store.files import expanded
 from tactile_toolkit.store.folder import DataFolder, LocalFolder
 from tactile_toolkit.store.remote import FsspecFolder
@@ -31,7 +30,7 @@ def normalize_uri(address: str) -> str:
     """
     if ":/" not in address:  # a path, as most are
         return address
-    require_public(address)
+    errors.require_public(address)
     match = _SCHEME.match(address)
     if match is None and not _LOST_SLASH.match(address):
         return address
@@ -43,7 +42,7 @@ def normalize_uri(address: str) -> str:
     bucket, *parts = rest.split("/")
     is_plain = rest.isprintable() and not {".", ".."} & {bucket, *parts}
     if not scheme or not bucket or scheme in _WEB_SCHEMES or not is_plain:
-        raise InputError(
+        raise errors.InputError(
             f"{address!r} is not the address of a data set; expected a folder, file:///FOLDER, "
             "s3://BUCKET/FOLDER or the like, of names without '.', '..' and control characters, "
             "and not of the web",
@@ -87,4 +86,6 @@ def local_folder_path(address: str) -> Path:
     if folder.is_local and not path.is_file():
         return path
     problem = "is a file; expected a folder" if folder.is_local else "is not a local folder"
-    raise InputError(f"{address!r} {problem}; nothing was changed", next="give a local folder as --out")
+    raise errors.InputError(
+        f"{address!r} {problem}; nothing was changed", next="give a local folder as --out"
+    )

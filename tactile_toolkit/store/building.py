@@ -19,14 +19,18 @@ from typing import Unpack
 
 import msgspec
 
-from tactile_toolkit import run
-from tactile_toolkit.errors import BusyError, InputError, IntegrityError, StorageError, ToolkitError
+from tactile_toolkit import errors, run
 from tactile_toolkit.kind import kinds
 from tactile_toolkit.store import parquet
 from tactile_toolkit.store.files import DRAFT, is_hidden
 from tactile_toolkit.store.folder import NEXT_FOLDER, PENDING_FOLDER, DataFolder, LocalFolder
 from tactile_toolkit.store.job import (
+    AnyTask,
     BuildJob,
+    BuildPlan,
+    Progress,
+    RunKeywords,
+    RunOptions,
     begin_job,
     is_pending,
     pending_records,
@@ -39,6 +43,7 @@ from tactile_toolkit.store.job import (
 )
 from tactile_toolkit.store.locks import locked
 from tactile_toolkit.store.manifest import (
+    CARD_FILE,
     DATA_FOLDER,
     MANIFEST_FILE,
     Manifest,
@@ -49,15 +54,12 @@ from tactile_toolkit.store.manifest import (
     require_rows,
     write_manifest,
 )
-from tactile_toolkit.store.plan import AnyTask, BuildPlan, Progress, RunKeywords, RunOptions
 from tactile_toolkit.store.verification import RECORD_FILE
 
 WriteCard = Callable[[DataFolder, Manifest], None]
 """Writes the card of a finished folder, after its report."""
 PROMOTION_FILE = f"{NEXT_FOLDER}/.promotion.json"
 """Lists the files of the former data set that the next one lacks."""
-CARD_FILE = "README.md"
-"""The data card."""
 _USUAL = ("reports/*.parquet", "previews/*.png", CARD_FILE, RECORD_FILE, MANIFEST_FILE)
 
 
@@ -75,18 +77,16 @@ class _WriteShard:
         folder, shard = self.folder, task.shard
         content = task.make()
         data = content.encoded or parquet.encode_parquet(content.table, self.style)
-        report = report_sha256 = report_bytes = None
+        report = None
         if content.report is not None:
             report = parquet.encode_parquet(content.report, parquet.REPORT_STYLE)
-            report_sha256 = parquet.sha256_hex(report)
-            report_bytes = len(report)
         record = ShardRecord(
             shard.data_path,
             shard.split,
             len(content.table),
             len(data),
             parquet.sha256_hex(data),
-            report_sha256=report_sha256,
+            report_sha256=None if report is None else parquet.sha256_hex(report),
             skipped=content.skipped,
             statistics=content.statistics,
             unpacked_bytes=content.table.nbytes,
@@ -100,7 +100,7 @@ class _WriteShard:
                 folder.write_bytes(shard.report_path, report)
             for path, further in content.files.items():
                 folder.write_bytes(path, further)
-            write_shard_record(folder, record, self.identity, report_bytes)
+            write_shard_record(folder, record, self.identity, None if report is None else len(report))
         return record
 
 
@@ -167,9 +167,9 @@ def _begun(
             yield job, hold
         except BaseException as error:
             # A run that waited in vain does not wait again.
-            patience_s = 0.0 if isinstance(error, BusyError) else None
+            patience_s = 0.0 if isinstance(error, errors.BusyError) else None
             # The first error is the one to report, even if the disk does not let us remove anything.
-            with contextlib.suppress(ToolkitError, OSError), folder.locked(patience_s=patience_s):
+            with contextlib.suppress(errors.ToolkitError, OSError), folder.locked(patience_s=patience_s):
                 if options.is_whole:
                     _roll_back(target, plan, had_manifest)
                 hold.close()
@@ -243,7 +243,7 @@ def _finish(
     if current != finished:
         write_manifest(folder, finished)
         if read_manifest(folder) != finished:
-            raise StorageError(
+            raise errors.StorageError(
                 f"{folder.address(MANIFEST_FILE)!r} is not what was written there a moment ago",
                 next="run the same command again, and check the disk",
             )
@@ -293,7 +293,7 @@ def require_replaceable(folder: DataFolder, plan: BuildPlan | None = None) -> li
         refuse_unknown_files(folder, plan)
         return []
     if not isinstance(folder, LocalFolder):
-        raise InputError(
+        raise errors.InputError(
             f"{folder.address()!r} holds a data set, and --overwrite does not work in an object store: the "
             "data set could not be restored if the new run fails; nothing was changed",
             next="choose another folder (--out or OUT), or remove that one with the store's own tools",
@@ -310,7 +310,7 @@ def require_replaceable(folder: DataFolder, plan: BuildPlan | None = None) -> li
     if manifest is None and not {DATA_FOLDER, PENDING_FOLDER} & names:
         unknown = [MANIFEST_FILE]
     if unknown:
-        raise InputError(
+        raise errors.InputError(
             f"{folder.address()!r} holds more than a data set of this toolkit (found {unknown[0]!r}); "
             "nothing was changed",
             next="move that file away, or choose an empty or new folder (--out or OUT)",
@@ -321,7 +321,7 @@ def require_replaceable(folder: DataFolder, plan: BuildPlan | None = None) -> li
 def _manifest(folder: DataFolder) -> Manifest | None:
     try:
         return read_manifest(folder)
-    except IntegrityError:
+    except errors.IntegrityError:
         return None
 
 
@@ -394,7 +394,7 @@ def _move_files(folder: LocalFolder) -> None:
         missing = [record.shard.data_path for record in manifest.shards if not record.is_size_of(sizes)]
         if missing:
             remove_next(folder)  # the same run makes them again in their place
-            raise IntegrityError(
+            raise errors.IntegrityError(
                 f"{folder.address(missing[0])!r} is missing or has another size, though it was made to "
                 "replace a former file",
                 next="run the same command again without --overwrite",

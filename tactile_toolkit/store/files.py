@@ -18,8 +18,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import IO, TypeVar
 
-from tactile_toolkit.errors import InputError, IntegrityError, StorageError, require_public
-from tactile_toolkit.wording import shortened
+from tactile_toolkit import errors, wording
 
 TEMPORARY_PREFIX = ".writing-"
 DRAFT = re.escape(TEMPORARY_PREFIX) + "[0-9a-f]{32}-"
@@ -114,8 +113,8 @@ def names_inside(names: Iterable[object], where: str) -> tuple[str, ...]:
             first = names_by_key.setdefault(unicodedata.normalize("NFC", text).casefold(), text)
             problem = "" if first == text else f"is the same file as {first!r} where case does not count"
         if problem:
-            raise IntegrityError(
-                f"{where} names the file {shortened(ascii(name), _SHOWN)}, which {problem}; "
+            raise errors.IntegrityError(
+                f"{where} names the file {wording.shortened(ascii(name), _SHOWN)}, which {problem}; "
                 "nothing was done with it",
                 next="do not use this data set, or ask who made it",
             )
@@ -128,7 +127,7 @@ def named_failures(address: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise StorageError(
+        raise errors.StorageError(
             f"cannot write {address!r}: {error.strerror or error}; no partial file remains, finished "
             "files are kept",
             next="make room there, or change its permissions, and run the same command again; or choose "
@@ -148,12 +147,12 @@ def resource_shortage(error: Exception) -> str | None:
     )
 
 
-def unreadable(address: str, error: Exception) -> InputError | None:
+def unreadable(address: str, error: Exception) -> errors.InputError | None:
     """Return the error for a file or folder that cannot be read for another reason than its content."""
     reason = resource_shortage(error)
     if isinstance(error, PermissionError):
         reason = "permission denied; next: change its permissions, or ask its owner to"
-    return None if reason is None else InputError(f"{address!r} cannot be read: {reason}")
+    return None if reason is None else errors.InputError(f"{address!r} cannot be read: {reason}")
 
 
 @contextlib.contextmanager
@@ -176,7 +175,7 @@ def expanded(path: str | Path, what: str = "path") -> Path:
     """
     text, local = str(path), Path(path)
     if ":/" in text:
-        require_public(text)
+        errors.require_public(text)
     if not str(local).startswith("~"):
         return local
     if not text.startswith("~"):
@@ -184,7 +183,7 @@ def expanded(path: str | Path, what: str = "path") -> Path:
     try:
         return local.expanduser()
     except RuntimeError as error:
-        raise InputError(
+        raise errors.InputError(
             f"{what} {text!r}: no home folder is known ({error})", next="write the path in full"
         ) from error
 
@@ -211,7 +210,9 @@ def open_regular(path: str | Path, below: Path | None = None) -> IO[bytes]:
     """
     # Not `Path.resolve`, which fails for circular links.
     if below is not None and not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(below)):
-        raise IntegrityError(f"{str(path)!r} is a link out of {str(below)!r}; nothing was read from it")
+        raise errors.IntegrityError(
+            f"{str(path)!r} is a link out of {str(below)!r}; nothing was read from it"
+        )
     non_blocking = getattr(os, "O_NONBLOCK", 0)
     # Without a buffer size, Python checks whether the file is a terminal.
     stream = open(  # noqa: SIM115
@@ -219,7 +220,7 @@ def open_regular(path: str | Path, below: Path | None = None) -> IO[bytes]:
     )
     if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
         stream.close()
-        raise IntegrityError(
+        raise errors.IntegrityError(
             f"{str(path)!r} is not a file (it is a pipe or a device); nothing was read from it"
         )
     return stream

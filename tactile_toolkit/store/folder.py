@@ -22,8 +22,7 @@ from operator import methodcaller
 from pathlib import Path
 from typing import IO, ClassVar, Protocol, TypeVar
 
-from tactile_toolkit import run
-from tactile_toolkit.errors import InputError, IntegrityError, ItemError, StorageError
+from tactile_toolkit import errors, run
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.store.files import (
     expanded,
@@ -92,7 +91,9 @@ class DataFolder(Protocol):
         if not path:
             return self.root
         if leads_elsewhere(path):
-            raise StorageError(f"{path!r} leads out of {self.root!r} or is not a path; nothing was done")
+            raise errors.StorageError(
+                f"{path!r} leads out of {self.root!r} or is not a path; nothing was done"
+            )
         return f"{self.root}/{path}"
 
     @abstractmethod
@@ -161,7 +162,7 @@ class DataFolder(Protocol):
         """Read many small files, in their order; None for one that cannot be read."""
 
         def read(path: str) -> bytes | None:
-            with contextlib.suppress(IntegrityError):
+            with contextlib.suppress(errors.IntegrityError):
                 return self.read_bytes(path)
             return None
 
@@ -201,9 +202,9 @@ class DataFolder(Protocol):
         try:
             return self.open(path)
         except (FileNotFoundError, NotADirectoryError) as error:
-            raise ItemError("missing", "the file does not exist") from error
-        except (OSError, IntegrityError) as error:
-            raise ItemError("file", "it is not a regular file, or cannot be read") from error
+            raise errors.ItemError("missing", "the file does not exist") from error
+        except (OSError, errors.IntegrityError) as error:
+            raise errors.ItemError("file", "it is not a regular file, or cannot be read") from error
 
     def read_inside(self, path: str, size: int, known: set[str]) -> bytes:
         """Return the beginning of a small regular file; arguments and errors of :meth:`open_inside`."""
@@ -214,7 +215,7 @@ class DataFolder(Protocol):
         """Return the size of a regular file of a folder of unknown origin; raises as :meth:`open_inside`."""
         problem = problem_of_name(path)
         if problem:
-            raise ItemError("name", f"the name {problem}; expected a path below the folder")
+            raise errors.ItemError("name", f"the name {problem}; expected a path below the folder")
         with self.open_inside(path) as stream:
             return stream.seek(0, io.SEEK_END)
 
@@ -244,7 +245,7 @@ class DataFolder(Protocol):
             ours = home.is_dir() and out.is_relative_to(home)
             lies_in = ours and any(file.is_relative_to(home) for file in [*real, *named])
         if holds or lies_in:
-            raise InputError(
+            raise errors.InputError(
                 f"{self.root!r}, the folder to write, {'holds' if holds else 'lies in'} the source {name!r}; "
                 "nothing was changed",
                 next="choose a folder outside it",
@@ -264,7 +265,7 @@ class DataFolder(Protocol):
     def _require_inside(self, path: str, known: set[str] | None = None) -> None:
         if self._target_outside(path) is not None:
             problem = "a link leads out of the folder; expected a file below it, such as a copy"
-            raise ItemError("name", problem)
+            raise errors.ItemError("name", problem)
         parent = path.rpartition("/")[0]
         if known is not None and parent not in known and self._target_outside(parent) is None:
             known.add(parent)
@@ -356,7 +357,7 @@ class LocalFolder(DataFolder):
             if step == root:
                 break
             if step.is_symlink():
-                raise InputError(
+                raise errors.InputError(
                     f"{str(step)!r} is a symbolic link; nothing is written, moved or removed through a link",
                     next="replace the link by a copy of its target, or choose another folder (--out or OUT)",
                 )
@@ -418,7 +419,9 @@ class LocalFolder(DataFolder):
             with self.open(path) as stream:
                 return stream.read()
         except OSError as error:
-            raise IntegrityError(f"cannot read {self.address(path)!r}: {error.strerror or error}") from error
+            raise errors.IntegrityError(
+                f"cannot read {self.address(path)!r}: {error.strerror or error}"
+            ) from error
 
     def read_inside(self, path: str, size: int, known: set[str]) -> bytes:
         """Return the beginning of a small regular file; arguments and errors of :meth:`open_inside`.
@@ -516,7 +519,7 @@ class LocalFolder(DataFolder):
             yield path
         finally:
             # Windows removes no file that is open: the next run does.
-            with contextlib.suppress(StorageError):
+            with contextlib.suppress(errors.StorageError):
                 self.remove_temporaries()
 
     def remove_temporaries(self) -> None:
@@ -528,7 +531,7 @@ class LocalFolder(DataFolder):
         with named_failures(self.root):
             problem = self.problem()
             if problem and self.exists():
-                raise InputError(problem, next="choose another path (--out or OUT)")
+                raise errors.InputError(problem, next="choose another path (--out or OUT)")
             make_folder(Path(self.root))
             with tempfile.TemporaryFile(dir=self.root):
                 pass
@@ -536,7 +539,7 @@ class LocalFolder(DataFolder):
             Path(self.root, "x" * _LONGEST_INSIDE).lstat()
         except OSError as error:
             if error.errno == errno.ENAMETOOLONG or getattr(error, "winerror", None) in _TOO_LONG:
-                raise InputError(
+                raise errors.InputError(
                     f"{self.root!r} has {len(self.root)} characters, so that the system refuses the names "
                     "of files in it",
                     next="choose a folder with a shorter path (--out or OUT), or enable long paths in "

@@ -1,8 +1,4 @@
-"""A job: what is to be made in a folder, and which of its shards are finished.
-
-The record of a shard is the only state: ``.pending/SHARD.json`` until a run is finished, an entry of the
-manifest from then on. A record names its job, so leftovers of another job never count.
-"""
+"""A job: the plan of a data set, the options of a run, and which of its shards are finished in a folder."""
 
 from __future__ import annotations
 
@@ -10,14 +6,18 @@ import contextlib
 import json
 import re
 import socket
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from importlib.metadata import version
 from itertools import groupby
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypedDict, TypeVar
 
 import msgspec
 
-from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
+from tactile_toolkit import __version__, errors, run, wording
+from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.store.files import is_hidden
 from tactile_toolkit.store.folder import PENDING_FOLDER, TEMPORARY, DataFolder
 from tactile_toolkit.store.manifest import (
@@ -27,6 +27,7 @@ from tactile_toolkit.store.manifest import (
     Manifest,
     ShardName,
     ShardRecord,
+    Skipped,
     decode,
     is_of_others,
     read_manifest,
@@ -34,10 +35,13 @@ from tactile_toolkit.store.manifest import (
     seal,
     write_manifest,
 )
-from tactile_toolkit.store.parquet import sha256_hex
-from tactile_toolkit.store.plan import AnyTask, BuildPlan, RunOptions
-from tactile_toolkit.wording import shortened, with_count
+from tactile_toolkit.store.parquet import ParquetStyle, sha256_hex
 
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+
+T = TypeVar("T")
 _LONGEST_SHOWN = 200
 _DIFFERENCES_SHOWN = 5
 _SHARD = r"\w+-[0-9]{5,12}-of-[0-9]{5,12}"
@@ -47,7 +51,232 @@ is_pending = re.compile(
 """Matches the path of a record, of report rows or of a temporary file of a run."""
 
 
-class MissingPartsError(IntegrityError):
+@dataclass(frozen=True)
+class ShardContent:
+    """The rows of one shard, an Arrow table.
+
+    ``skipped`` are items that gave no row; ``report`` rows are merged over all shards into the plan's
+    ``report_file``; ``statistics`` are JSON values for the manifest that add up over shards. ``files`` are
+    written next to the rows, by path. ``encoded`` are the bytes of a shard that is copied unchanged.
+    ``source_digest`` is the result of the task's ``digest`` for what was read.
+    """
+
+    table: pa.Table
+    skipped: tuple[Skipped, ...] = ()
+    report: pa.Table | None = None
+    statistics: JsonObject | None = None
+    files: Mapping[str, bytes] = field(default_factory=dict)
+    encoded: bytes | None = None
+    source_digest: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class ShardTask(Generic[T]):
+    """A small picklable value from which any process makes the same rows of one shard.
+
+    Parameters
+    ----------
+    shard : ShardName
+        Which shard it makes.
+    items : sequence
+        What the rows are made of; may be a view of all items of a split, of which only these are pickled.
+    work : callable
+        Takes shard and items and returns the content. It is picklable, touches no file of the data set
+        folder, and refuses a source that was replaced after the task was planned.
+    digest : callable, optional
+        Takes the items and returns the SHA-256 of everything that is read for them and that the specification
+        does not identify, such as files of which it holds only names and sizes; ``--check`` compares it.
+    """
+
+    shard: ShardName
+    items: Sequence[T] = field(repr=False)
+    work: Callable[[ShardName, Sequence[T]], ShardContent] = field(repr=False)
+    digest: Callable[[Sequence[T]], str] | None = field(default=None, repr=False)
+
+    @property
+    def size(self) -> int:
+        """Number of items, for the progress bar."""
+        return len(self.items)
+
+    def make(self) -> ShardContent:
+        """Make the rows."""
+        return self.work(self.shard, self.items)
+
+    def source_digest(self) -> str | None:
+        """Return the digest of the present source; None if the specification identifies all of it."""
+        if self.digest is None:
+            return None
+        return self.digest(self.items)
+
+
+AnyTask: TypeAlias = ShardTask[Any]
+"""A task of any kind of items."""
+
+
+@dataclass(frozen=True)
+class BuildPlan:
+    """The plan of a folder: one task for each shard, and the specification that they follow from.
+
+    Parameters
+    ----------
+    kind : str
+        Kind of data set, such as ``"mnist3d"``.
+    spec : mapping
+        Full specification as JSON values; plans with equal ``spec`` give equal rows.
+    split_order : tuple of str
+        Canonical order of the splits of this kind.
+    tasks : tuple of ShardTask
+        One for each shard of the requested splits.
+    style : ParquetStyle
+        Layout of the shards.
+    report_file : str or None
+        Path of the merged report, if shards have reports.
+    extra_dirs : tuple of str
+        Sub-folders or files next to the rows that belong to the data set, such as the ``files`` of tasks.
+    files_of : callable
+        Takes the folder and the path of a finished shard, and returns the checksum of each of its ``files``
+        by path.
+    libraries : tuple of str
+        Distributions whose versions can change the bytes of shards.
+    write_files : callable
+        Writes files that follow from all rows, such as an index, after all shards; takes the folder and the
+        manifest, and returns the checksum of each file by path.
+    other_next : str
+        Next step if the folder holds a data set of another specification, in place of the usual one.
+    """
+
+    kind: str
+    spec: JsonObject
+    split_order: tuple[str, ...]
+    tasks: tuple[AnyTask, ...]
+    style: ParquetStyle
+    report_file: str | None = None
+    extra_dirs: tuple[str, ...] = ()
+    files_of: Callable[[DataFolder, str], Mapping[str, str]] = field(
+        default=lambda _folder, _path: {}, repr=False
+    )
+    libraries: tuple[str, ...] = ()
+    write_files: Callable[[DataFolder, Manifest], Mapping[str, str]] = field(
+        default=lambda _folder, _manifest: {}, repr=False
+    )
+    other_next: str = ""
+
+    def __post_init__(self) -> None:
+        # Stored as in a manifest: in JSON, tuples are lists.
+        text = json.dumps(self.spec, ensure_ascii=False)
+        object.__setattr__(self, "spec", json.loads(text))
+        try:
+            text.encode()
+        except UnicodeEncodeError as error:
+            found = text[max(0, error.start - 20) : error.end + 20]
+            raise errors.InputError(
+                f"the specification holds {found!r}, which is not Unicode text", next="give another name"
+            ) from error
+        splits: dict[str, str] = {}
+        for shard in (task.shard for task in self.tasks):
+            first = splits.setdefault(shard.split.casefold(), shard.split)
+            if first != shard.split or not shard.can_be_read_back:
+                raise errors.InputError(
+                    f"the file of shard {shard} would not be found again; expected a split of letters, "
+                    "digits and underscores that does not differ from another only in case, and an index "
+                    "below the count; nothing was changed",
+                    next="rename the split",
+                )
+
+    def new_manifest(self) -> Manifest:
+        """Return the manifest of a folder in which no shard is finished."""
+        return Manifest(
+            self.kind,
+            __version__,
+            self.spec,
+            self.split_order,
+            planned=Counter(task.shard.split for task in self.tasks),
+            trees=self.extra_dirs,
+            libraries={name: version(name) for name in self.libraries},
+        )
+
+    def compared_with(self, folder: DataFolder, options: RunOptions | None = None) -> BuildJob:
+        """Compare a folder with the plan, or with the tasks of a part, and change nothing.
+
+        Raises SpecMismatchError when the folder is made by another specification, or by libraries that write
+        other bytes (the message states the differences), InputError when it holds something else, and
+        MissingPartsError where shards are missing that ``finish`` needs.
+        """
+        return _compare(folder, self, options or RunOptions(), read_manifest(folder))
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Reported once before the work and after each shard: items done, and items to do in this run."""
+
+    done: int
+    total: int
+    record: ShardRecord | None = None
+
+
+class RunKeywords(TypedDict, total=False):
+    """The fields of :class:`RunOptions`, as keywords of all functions that make a data set folder."""
+
+    workers: int | run.Runner
+    part: run.Part | None
+    finish: bool
+    check: bool
+    overwrite: bool
+    on_progress: Callable[[Progress], None]
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """Options of a run; none of them changes a row.
+
+    Attributes
+    ----------
+    workers : int or Runner
+        Number of local processes, or another runner.
+    part : Part or None
+        Make only the shards of this part; do not finish the data set.
+    finish : bool
+        Make no shard: complete the data set that parts have made, or name the missing shards.
+    check : bool
+        Read all finished shards and make damaged ones again; otherwise records and sizes are trusted.
+    overwrite : bool
+        Replace another data set of this toolkit in the folder.
+    on_progress : callable
+        Called with the :class:`Progress` before the work and after each shard.
+
+    Raises
+    ------
+    InputError
+        Options that exclude each other.
+    """
+
+    workers: int | run.Runner = 1
+    part: run.Part | None = None
+    finish: bool = False
+    check: bool = False
+    overwrite: bool = False
+    on_progress: Callable[[Progress], None] = lambda _: None
+
+    def __post_init__(self) -> None:
+        if self.part is not None and self.finish:
+            raise errors.InputError(
+                "was given with --finish; expected --finish when all parts have ended", field="part"
+            )
+        if self.overwrite and not self.is_whole:
+            raise errors.InputError(
+                "was given with --part or --finish: each part would remove what the others made; nothing was "
+                "changed",
+                next="leave it out and choose another folder (--out or OUT)",
+                field="overwrite",
+            )
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether this run makes all shards."""
+        return self.part is None and not self.finish
+
+
+class MissingPartsError(errors.IntegrityError):
     """A data set cannot be finished, because shards are missing.
 
     ``shards`` of ``parts`` shards are missing; ``array`` names the parts that make them, one part a shard, as
@@ -99,7 +328,7 @@ class BuildJob:
 def begin_job(folder: DataFolder, plan: BuildPlan, options: RunOptions) -> BuildJob:
     """Find out what a run has to do in a folder, and create its manifest if there is none.
 
-    Raises as :func:`inspect_job`.
+    Raises as :meth:`BuildPlan.compared_with`.
     """
     current = read_manifest(folder)
     while True:
@@ -129,18 +358,8 @@ def _remove_outdated_records(folder: DataFolder, plan: BuildPlan, manifest: Mani
             folder.remove(shard.record_path)
 
 
-def inspect_job(folder: DataFolder, plan: BuildPlan, options: RunOptions | None = None) -> BuildJob:
-    """Compare a folder with a plan, or with the tasks of a part, and change nothing.
-
-    Raises SpecMismatchError when the folder is made by another specification, or by libraries that write
-    other bytes (the message states the differences), InputError when it holds something else, and
-    MissingPartsError where shards are missing that ``finish`` needs.
-    """
-    return _compare(folder, plan, options or RunOptions(), read_manifest(folder))
-
-
 def _compare(folder: DataFolder, plan: BuildPlan, options: RunOptions, manifest: Manifest | None) -> BuildJob:
-    """Compare a folder, which has this manifest, with a plan; raises as :func:`inspect_job`."""
+    """Compare a folder, which has this manifest, with a plan; raises as :meth:`BuildPlan.compared_with`."""
     new = plan.new_manifest()
     check = options.check
     tasks = plan.tasks if options.part is None else tuple(options.part.of(plan.tasks))
@@ -194,7 +413,7 @@ def require_same_job(folder: DataFolder, identity: str) -> Manifest:
         folder.refresh("")  # a network file system may have shown an earlier state
         manifest = read_manifest(folder)
     if manifest is None or manifest.identity != identity:
-        raise InputError(
+        raise errors.InputError(
             f"the data set in {folder.address()!r} was removed or replaced while this run was at work, or "
             f"node {socket.gethostname()} writes to a folder that this machine does not see; the run has "
             "stopped and changed nothing in the folder",
@@ -242,7 +461,10 @@ def _intact_records(
                 if sha256 is not None and folder.sha256(path) != sha256:
                     return False
             return tasks[record.shard].source_digest() == record.source_digest
-        except (IntegrityError, FileNotFoundError):  # damaged without a change of size, or just removed
+        except (
+            errors.IntegrityError,
+            FileNotFoundError,
+        ):  # damaged without a change of size, or just removed
             return False
 
     intact = {}
@@ -266,7 +488,7 @@ def refuse_unknown_files(folder: DataFolder, plan: BuildPlan | None = None) -> N
     if not unknown or MANIFEST_FILE in unknown:  # another run may have begun at this moment
         return
     if plan is None or not pending_records(folder, plan.new_manifest().identity):
-        raise InputError(
+        raise errors.InputError(
             f"{folder.address()!r} is not empty and holds no {MANIFEST_FILE} (found {unknown[0]!r}); nothing "
             "was changed",
             next="choose an empty or new folder (--out or OUT)",
@@ -277,7 +499,7 @@ def _refuse_difference(folder: DataFolder, found: object, wanted: object, next_s
     lines = _differences(found, wanted)
     if lines:
         more = f"; and {len(lines) - _DIFFERENCES_SHOWN:,} more" if len(lines) > _DIFFERENCES_SHOWN else ""
-        raise SpecMismatchError(
+        raise errors.SpecMismatchError(
             f"{'; '.join(lines[:_DIFFERENCES_SHOWN])}{more}: {folder.address()!r} holds a data set of "
             "another specification, or was begun with other versions, which write other bytes; nothing "
             "was changed",
@@ -302,11 +524,11 @@ def _differences(found: object, wanted: object, path: str = "") -> list[str]:
 def _short(value: object) -> str:
     """Return a value as text; a long one, such as the files of a source, is cut and gets a digest."""
     text = repr(value)
-    short = shortened(text, _LONGEST_SHOWN)
+    short = wording.shortened(text, _LONGEST_SHOWN)
     if short == text:
         return text
     if isinstance(value, list):
-        short = with_count(len(value), "entries")
+        short = wording.with_count(len(value), "entries")
     return f"{short} (fingerprint {sha256_hex(text.encode())[:8]})"
 
 
@@ -320,7 +542,7 @@ def _reject_unexpected_files(folder: DataFolder, plan: BuildPlan, names: Iterabl
     for name in names:
         shard = ShardName.parse(name)
         if not is_hidden(name) and shard not in planned and (shard is None or shard.split not in others):
-            raise InputError(
+            raise errors.InputError(
                 f"{folder.address(f'{DATA_FOLDER}/{name}')!r} is not a file of this data set; nothing was "
                 "changed",
                 next="move it to another folder",
@@ -364,7 +586,7 @@ def pending_records(
     for shard, content in zip(chosen, contents, strict=True):
         # If a record cannot be read, its shard is made again. It may also have been removed since the
         # listing, because the run has just ended.
-        with contextlib.suppress(IntegrityError, ValueError):
+        with contextlib.suppress(errors.IntegrityError, ValueError):
             require_seal(content or b"", shard.record_path)
             pending = decode(content or b"", _Pending, shard.record_path)
             if (pending.of, pending.report_bytes) == (of, waiting.get(shard.report_path.rpartition("/")[2])):
@@ -381,7 +603,7 @@ def manifest_so_far(folder: DataFolder) -> Manifest | None:
     """
     try:
         manifest = read_manifest(folder)
-    except IntegrityError:
+    except errors.IntegrityError:
         if is_of_others(folder.read_bytes(MANIFEST_FILE)):
             return None
         raise

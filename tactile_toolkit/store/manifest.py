@@ -16,14 +16,15 @@ from typing import Annotated, Any, ClassVar, TypeVar, cast
 
 import msgspec
 
-from tactile_toolkit.errors import InputError, IntegrityError, redact
+from tactile_toolkit import errors, wording
 from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.store.files import names_inside
 from tactile_toolkit.store.folder import PENDING_FOLDER, DataFolder
-from tactile_toolkit.wording import printable, printable_json, with_count
 
 MANIFEST_FILE = "manifest.json"
 DATA_FOLDER = "data"
+CARD_FILE = "README.md"
+"""The data card."""
 SCHEMA_VERSION = 3
 """The only version that is written and read."""
 T = TypeVar("T")
@@ -62,9 +63,9 @@ def _decoder(kind: object) -> msgspec.json.Decoder[Any]:
     return msgspec.json.Decoder(kind)
 
 
-def damaged_error(where: str, problem: object) -> IntegrityError:
+def damaged_error(where: str, problem: object) -> errors.IntegrityError:
     """Return the error for a document with an impossible value."""
-    return IntegrityError(
+    return errors.IntegrityError(
         f"{where!r} is damaged: {problem}",
         next="download the data set again, or generate it again with --overwrite",
     )
@@ -173,7 +174,7 @@ class Skipped(msgspec.Struct, frozen=True):
     message: str
 
     def __post_init__(self) -> None:
-        msgspec.structs.force_setattr(self, "message", printable(redact(self.message)))
+        msgspec.structs.force_setattr(self, "message", wording.printable(errors.redact(self.message)))
 
 
 class ShardRecord(msgspec.Struct, frozen=True, dict=True):
@@ -254,7 +255,7 @@ def require_rows(shards: Sequence[tuple[int, Sequence[Skipped]]]) -> None:
     if skipped and not any(rows for rows, _ in shards):
         first = {item.reason: item.message for item in reversed(skipped)}
         causes = [f"{reason}: {first[reason]}" for reason in dict.fromkeys(item.reason for item in skipped)]
-        raise (IntegrityError if set(first) == {Skipped.DAMAGED} else InputError)(
+        raise (errors.IntegrityError if set(first) == {Skipped.DAMAGED} else errors.InputError)(
             f"no row is left: all {len(skipped):,} were left out, nothing was written; the first of each "
             f"reason: {'; '.join(causes[:_CAUSES_SHOWN])}",
             next="correct the source, or choose another one",
@@ -309,7 +310,7 @@ class Manifest:
     def progress(self) -> str:
         """Number of finished shards, such as ``"3 of 8 shards"``."""
         planned = sum(self.shards_planned().values())
-        return f"{len(self.shards):,} of {with_count(planned, 'shards')}"
+        return f"{len(self.shards):,} of {wording.with_count(planned, 'shards')}"
 
     def operation(self, where: str) -> str:
         """Return the operation that made a copy, such as ``"merge"``; IntegrityError if none is stated."""
@@ -380,14 +381,14 @@ class Manifest:
             "shards": [record.to_dict() for record in self.shards],
         }
         kept = {name: value for name, value in values.items() if value or name not in _OPTIONAL}
-        return seal(printable_json(kept, indent=1) + "\n")
+        return seal(wording.printable_json(kept, indent=1) + "\n")
 
     @classmethod
     def from_json(cls, content: str | bytes, where: str) -> Manifest:
         """Parse ``manifest.json``; IntegrityError when it is not one, was changed, or has another layout."""
         manifest = decode(content, cls, where)
         if manifest.schema_version != SCHEMA_VERSION:
-            raise IntegrityError(
+            raise errors.IntegrityError(
                 f"{where!r} has schema version {manifest.schema_version}, expected {SCHEMA_VERSION}",
                 next="install the tactile-toolkit that wrote it, or generate the data set again",
             )

@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import IO, NamedTuple, Protocol
+from typing import IO, NamedTuple
 
 import msgspec
 import pyarrow as pa
@@ -61,7 +61,6 @@ class Verification:
 def verify(
     folder: DataFolder,
     schema: pa.Schema | None = None,
-    on_file: Callable[[str], None] = lambda _: None,
     *,
     check_card: Callable[[DataFolder], Iterable[Finding]] | None = None,
     workers: int = 1,
@@ -77,8 +76,6 @@ def verify(
         Folder of a finished data set.
     schema : pyarrow.Schema, optional
         Schema that every shard must have; not required of data sets of others.
-    on_file : callable
-        Called with each path before it is read.
     check_card : callable, optional
         Compares the data card with the data, such as :func:`tactile_toolkit.cards.check_card`.
     workers : int
@@ -94,20 +91,23 @@ def verify(
     manifest = job.manifest_so_far(folder)
     shards: dict[str, ShardRecord] = {}
     if manifest is None:
-        files, findings, reference = _downloaded_files(folder)
+        record = read_download_record(folder)
+        if record is None:
+            raise errors.InputError(
+                folder.missing_message(f"{MANIFEST_FILE} and no record of a download"),
+                next="give the folder of a generated or downloaded data set",
+            )
+        files = record.files
+        findings = _unlisted(folder, files, RECORD_FILE)
+        reference = f"{record.repo_id} at {record.commit[:12]}"
     else:
         shards = {each.file: each for each in manifest.shards}
         files = _recorded_files(folder, manifest)
         reference = MANIFEST_FILE
         findings = _incomplete(folder, manifest)
 
-    def announced() -> Iterator[HubFile]:
-        for path, file in files.items():
-            on_file(path)
-            yield file
-
     check = partial(_check_file, folder, schema, shards)
-    checked = dict(zip(files, run.in_threads(check, announced(), workers), strict=True))
+    checked = dict(zip(files, run.in_threads(check, files.values(), workers), strict=True))
     findings += [finding for found in checked.values() for finding in found.findings]
     # Data sets of others may have the same ids in several splits.
     findings += _repeated_ids({path: checked[path].ids for path in shards})
@@ -128,20 +128,6 @@ def _recorded_files(folder: DataFolder, manifest: Manifest) -> dict[str, HubFile
         if is_required or folder.exists(path):
             files[path] = HubFile(path, 0, sha256)
     return files
-
-
-def _downloaded_files(
-    folder: DataFolder,
-) -> tuple[dict[str, HubFile], list[Finding], str]:
-    """Return the files that a download recorded, further files among the shards, and the commit."""
-    record = read_download_record(folder)
-    if record is None:
-        raise errors.InputError(
-            folder.missing_message(f"{MANIFEST_FILE} and no record of a download"),
-            next="give the folder of a generated or downloaded data set",
-        )
-    findings = _unlisted(folder, record.files, RECORD_FILE)
-    return record.files, findings, f"{record.repo_id} at {record.commit[:12]}"
 
 
 class _Checked(NamedTuple):
@@ -210,17 +196,13 @@ def _incomplete(folder: DataFolder, manifest: Manifest) -> list[Finding]:
     return findings + _unlisted(folder, {record.file for record in manifest.shards}, MANIFEST_FILE, others)
 
 
-class _InFile(Protocol):
-    @property
-    def file(self) -> str: ...
-
-
-def require_finished(folder: DataFolder, findings: Sequence[_InFile]) -> None:
+def require_finished(folder: DataFolder, wrong: Sequence[str]) -> None:
     """Raise UnfinishedError if the run that makes a data set is under way or was interrupted.
 
-    If there are ``findings`` about other files than the manifest, these are to be reported instead.
+    ``wrong`` are the files of all findings: those about other files than the manifest are to be reported
+    instead.
     """
-    if [each.file for each in findings] != [MANIFEST_FILE]:
+    if wrong != [MANIFEST_FILE]:
         return
     manifest = job.manifest_so_far(folder)
     if manifest is not None and not manifest.complete:
@@ -258,7 +240,8 @@ def _intact(folder: DataFolder, file: HubFile) -> Iterator[IO[bytes]]:
     with folder.open(file.path) if folder.is_local else io.BytesIO(folder.read_bytes(file.path)) as stream:
         found = None if file.digest is None else digest_like(stream, file.digest)
         if found != file.digest:
-            raise errors.IntegrityError(f"{digest_algorithm(str(found))} is {found}, expected {file.digest}")
+            algorithm = "sha256" if len(str(found)) == _SHA256_DIGITS else "git-sha1"
+            raise errors.IntegrityError(f"{algorithm} is {found}, expected {file.digest}")
         size = stream.seek(0, io.SEEK_END)
         if file.digest is None and size != file.size_bytes:
             raise errors.IntegrityError(f"has {size:,} bytes, expected {file.size_bytes:,}")
@@ -284,11 +267,6 @@ def _repeated_ids(ids: Mapping[str, pa.Array | None]) -> Iterator[Finding]:
             such = wording.with_count(len(repeated), "such ids")
             yield Finding(path, f"id {repeated[0]!r} is not unique, it is also in {first} ({such})")
         first_files.update(dict.fromkeys(held, path))
-
-
-def digest_algorithm(digest: str) -> str:
-    """Return the algorithm of a digest, for messages."""
-    return "sha256" if len(digest) == _SHA256_DIGITS else "git-sha1"
 
 
 def digest_like(stream: IO[bytes], digest: str) -> str:

@@ -6,10 +6,8 @@ from collections.abc import Container
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from tactile_toolkit.checked_fields import Declared, real, text
-from tactile_toolkit.errors import InputError
+from tactile_toolkit import checked_fields, errors, wording
 from tactile_toolkit.json_types import JsonValue
-from tactile_toolkit.wording import is_count
 
 CELL_M = (0.12, 0.12)
 """Size of the cell in which objects are touched, along x and y, metres (package tactile-mnist 0.13.0)."""
@@ -60,9 +58,9 @@ class HeightRule:
         return cls(cls.REAL_M, "stored" if cls.PLATE_COLUMN in columns else "estimated")
 
     @staticmethod
-    def option(**option: JsonValue) -> Declared:
+    def option(**option: JsonValue) -> checked_fields.Declared:
         """Declare the option of the height; further arguments are those of ``real``."""
-        return real(
+        return checked_fields.real(
             None,
             optional=True,
             **option,
@@ -95,9 +93,9 @@ class HeightRule:
         ]
 
 
-def size_option(default: object, shown: str = "") -> Declared:
+def size_option(default: object, shown: str = "") -> checked_fields.Declared:
     """Declare the option of the size of images, in pixels; ``shown`` is the default in help texts."""
-    return text(
+    return checked_fields.text(
         default,
         name="--size",
         metavar="WxH",
@@ -109,6 +107,6 @@ def size_option(default: object, shown: str = "") -> Declared:
 
 def _size(words: str) -> tuple[int, int]:
     width, _, height = words.strip().lower().partition("x")
-    if not (is_count(width) and is_count(height)):
-        raise InputError(f"is {words!r}; expected WIDTHxHEIGHT in pixels, such as 64x64", field="size")
+    if not (wording.is_count(width) and wording.is_count(height)):
+        raise errors.InputError(f"is {words!r}; expected WIDTHxHEIGHT in pixels, such as 64x64", field="size")
     return int(width), int(height)

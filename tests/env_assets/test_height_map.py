@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 import tactile_toolkit.mesh.raster
-from env_assets.height_map import top_surface
+from env_assets.mesh_view import top_surface
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import MAX_PIXELS, Mesh
 from tests.env_assets.shapes import box, cylinder, joined, surfaces

@@ -15,10 +15,9 @@ from PIL import Image
 import mnist3d
 from mnist3d.digit_generation import DigitSetSpec, generate
 from mnist3d.digit_options import DigitPreviewSpec as PreviewSpec, SolidSpec, SplitSpec
-from mnist3d.digit_previews import plan_previews
+from mnist3d.digit_previews import _stack_view, draw_steps, layer_map, plan_previews
 from mnist3d.ink.binarisation import binarise
 from mnist3d.solid.algorithm import solid_steps
-from mnist3d.solid.step_pictures import _stack_view, draw_steps, layer_map
 from mnist3d.sources.picture_folder import FolderSource
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import InputError, IntegrityError

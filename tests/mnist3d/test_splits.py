@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from mnist3d import splits
 from mnist3d.digit_options import PUBLISHED_SIZES, SPLITS, SplitSpec
-from mnist3d.sources import NO_WRITER, DigitCatalog
-from mnist3d.splits import plan_splits
+from mnist3d.sources import NO_WRITER, DigitCatalog, digit_source
+from mnist3d.sources.digit_source import plan_splits
 from tactile_toolkit.errors import InputError
 
 
@@ -139,14 +138,14 @@ def listed_plan(source: DigitCatalog, seed: int) -> dict[str, list[int]]:
     """Plan with lists, one id at a time, as the division by digit is defined."""
 
     def ordered(ids: list[int], stream: int) -> list[int]:
-        keys = [int(splits._keys(np.asarray([each]), seed, stream)[0]) for each in ids]
+        keys = [int(digit_source._keys(np.asarray([each]), seed, stream)[0]) for each in ids]
         return [each for _, each in sorted(zip(keys, ids, strict=True))]
 
     rows: dict[str, list[int]] = {split: [] for split in SPLITS}
     for label in range(10):
         pairs = zip(source.ids.tolist(), source.labels.tolist(), strict=True)
         members = ordered([each for each, its in pairs if its == label], 0)
-        sizes = splits._usual_sizes(len(members), PUBLISHED_SIZES)
+        sizes = digit_source._usual_sizes(len(members), PUBLISHED_SIZES)
         for split in SPLITS:
             rows[split] += members[: sizes[split]]
             members = members[sizes[split] :]

@@ -13,9 +13,17 @@ from scipy import ndimage
 from mnist3d.compiled_loops import signed_distance_px
 from mnist3d.digit_options import SolidSpec
 from mnist3d.ink.binarisation import binarise
-from mnist3d.solid.algorithm import erode, eroded_by_disc, erosion_radii_px, isosurface, smooth, solidify
+from mnist3d.solid.algorithm import (
+    Surface,
+    decimate,
+    erode,
+    eroded_by_disc,
+    erosion_radii_px,
+    isosurface,
+    smooth,
+    solidify,
+)
 from mnist3d.solid.lattice import lattice_of
-from mnist3d.solid.surfaces import Surface, decimate
 from tactile_toolkit.mesh import Mesh, inspect
 from tests.mnist3d.drawings import six
 

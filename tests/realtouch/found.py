@@ -37,11 +37,11 @@ class Found:
 
 def each_of(touches: FoundTouches) -> list[Found]:
     """Return touches one by one."""
-    columns = [column_types.values_of(one_chunk(column)) for column in touches.said.columns]
+    columns = [column_types.values_of(one_chunk(column)) for column in touches.per_touch.columns]
     rows = list(zip(*columns, strict=True)) or [()] * len(touches)
     found = []
-    for place, row, where in zip(touches, rows, touches.where.to_pylist(), strict=True):
-        said = dict(zip(touches.said.column_names, row, strict=True))
+    for place, row, where in zip(touches, rows, touches.listing.to_pylist(), strict=True):
+        said = dict(zip(touches.per_touch.column_names, row, strict=True))
         contact, time_s = where["contact"], where["time_s"]
         found.append(
             Found(

@@ -12,7 +12,7 @@ import realtouch
 from realtouch.touches.datasets import TouchStream
 from tactile_toolkit.cache import CACHE_VARIABLE
 from tactile_toolkit.read import Shard, ShardedTable, shard as shard_module
-from tactile_toolkit.read.blocks import BLOCKS
+from tactile_toolkit.read.shard import BLOCKS
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
 

@@ -64,7 +64,7 @@ def test_rows_of_others_are_touches(form: str, tmp_path: Path) -> None:
         assert touch.problem is None
     stem = "data/train-00000-of-00001"
     expected = [f"{stem}_{row:06d}" if form != "struct" or row == 3 else f"{row}.jpg" for row in range(12)]
-    assert touches.where["name"].to_pylist()[:12] == expected
+    assert touches.listing["name"].to_pylist()[:12] == expected
     assert list(IMPORTS["flat"].contents(touches)) == JPEGS * 2
     order = np.random.default_rng(2).permutation(24).tolist()
     assert list(IMPORTS["flat"].contents(touches.take(np.array(order)))) == [

@@ -6,14 +6,12 @@ import io
 import json
 import tarfile
 from pathlib import Path
-from typing import Any
 
 import pytest
-from hypothesis import assume, given, settings, strategies as st
+from hypothesis import assume, given, strategies as st
 
 import realtouch
 from realtouch.formats.tar_samples import tar_of
-from realtouch.tars import _Header
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.store import Progress
 from tests.command_line import call
@@ -124,19 +122,6 @@ def test_a_tar_with_an_impossible_header(before, size, words, tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
-_VALUES = st.one_of(
-    st.floats(allow_nan=False), st.floats(-1e-4, 1e-4), st.integers(-(2**63), 2**63 - 1), st.text()
-)
-
-
-@given(st.lists(_VALUES | st.lists(_VALUES, max_size=3), max_size=12))
-def test_fields_are_written_as_json_writes_them(values: list[Any]) -> None:
-    fields = {f"{number}": value for number, value in enumerate(values)}
-    with tarfile.open(fileobj=io.BytesIO(tar_of([("a.jpg", b"", fields)]))) as tar:
-        content = tar.extractfile("a.json").read()  # type: ignore[union-attr]
-    assert content == json.dumps(fields, ensure_ascii=False, separators=(",", ":")).encode()
-
-
 @given(st.lists(st.tuples(st.text("abü/.", min_size=1, max_size=120), st.binary(max_size=1500)), max_size=12))
 def test_tars_are_written_as_tarfile_writes_them(samples: list[tuple[str, bytes]]) -> None:
     stream = io.BytesIO()
@@ -153,35 +138,6 @@ def test_tars_are_written_as_tarfile_writes_them(samples: list[tuple[str, bytes]
         assume(False)
     made = tar_of((name, content, said) for (name, content), said in zip(samples, fields, strict=True))
     assert made == stream.getvalue()
-
-
-@given(st.data())
-@settings(max_examples=2 * settings.default.max_examples)
-def test_headers_of_tars_are_read_as_tarfile_reads_them(data: st.DataObject) -> None:
-    """Also if bytes of headers were changed and their checksums corrected."""
-    stream = io.BytesIO()
-    form = data.draw(st.sampled_from([tarfile.USTAR_FORMAT, tarfile.GNU_FORMAT, tarfile.PAX_FORMAT]))
-    with tarfile.open(fileobj=stream, mode="w", format=form) as tar:
-        for name in data.draw(st.lists(st.text("abü.", min_size=1, max_size=120), min_size=1, max_size=3)):
-            header = tarfile.TarInfo(name)
-            header.size = 5
-            tar.addfile(header, io.BytesIO(b"12345"))
-    content = bytearray(stream.getvalue())
-    for _ in range(data.draw(st.integers(0, 3))):
-        place = data.draw(st.integers(0, 511))
-        content[place] = data.draw(st.sampled_from([*b"\0 07x/5", 255, 128]))
-    if data.draw(st.booleans()):
-        content[148:156] = b" " * 8
-        content[148:156] = b"%06o\0 " % sum(content[:512])
-    found: list[Any] = []
-    for header_type in (tarfile.TarInfo, _Header):
-        try:
-            header = header_type.frombuf(bytes(content[:512]), "utf-8", "surrogateescape")
-        except tarfile.HeaderError as error:
-            found.append(type(error))
-        else:
-            found.append((header.name, header.size, header.type, header.isfile()))
-    assert found[0] == found[1] or found[0] is tarfile.InvalidHeaderError
 
 
 def test_long_names_are_read_by_tarfile(tmp_path: Path) -> None:

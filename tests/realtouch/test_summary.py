@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import realtouch
-from realtouch.picture_views import contact_sheet
+from realtouch.touch_card import contact_sheet
 from tactile_toolkit.errors import InputError
 
 

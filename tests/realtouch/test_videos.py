@@ -387,7 +387,7 @@ def test_unusable_videos_are_refused_with_a_message(name: str, tmp_path: Path) -
     refused(tmp_path / "a.mp4", words)
     (found,) = recordings(tmp_path)
     assert found.problem is not None
-    assert touches_of(found, "frames").where["problem"].to_pylist() == [str(found.problem)]
+    assert touches_of(found, "frames").listing["problem"].to_pylist() == [str(found.problem)]
 
 
 def test_references_to_other_files_are_not_followed(tmp_path: Path) -> None:

@@ -12,8 +12,14 @@ from hypothesis import given, strategies as st
 
 from starstruck_gen.sampling import SceneSpec, sample_scene, scene_rng
 from starstruck_gen.scene import Scene
-from starstruck_gen.scene_dataset import SceneDataset, SceneMeshDataset, SceneRecord, load
-from starstruck_gen.scene_generation import SceneSetSpec, generate
+from starstruck_gen.scene_dataset import (
+    SceneDataset,
+    SceneMeshDataset,
+    SceneRecord,
+    SceneSetSpec,
+    generate,
+    load,
+)
 from tactile_toolkit.errors import InputError
 
 

@@ -12,11 +12,11 @@ import pytest
 
 from starstruck_gen.sampling import SamplingExhausted, SceneSpec
 from starstruck_gen.scene_checks import validate_folder
-from starstruck_gen.scene_generation import SceneGenerator, SceneSetSpec, generate, make_rows, scene_schema
+from starstruck_gen.scene_dataset import SceneGenerator, SceneSetSpec, generate, make_rows, scene_schema
 from starstruck_gen.shapes import Disc, Shape, Star
 from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.generation import plan_build
-from tactile_toolkit.store import inspect_job, open_folder, read_manifest, verify
+from tactile_toolkit.store import open_folder, read_manifest, verify
 from tests.command_line import call
 
 
@@ -130,7 +130,7 @@ def test_ordinary_values_of_other_types_are_the_same_specification(tmp_path):
     generate(plain, str(tmp_path / "text"), ("train",))
     assert folder_hashes(tmp_path / "path") == folder_hashes(tmp_path / "text")
     job = plan_build(SceneGenerator(given), ("train",))
-    assert inspect_job(open_folder(str(tmp_path / "path")), job).remaining == ()
+    assert job.compared_with(open_folder(str(tmp_path / "path"))).remaining == ()
 
 
 @pytest.mark.parametrize("splits", [("holdout",), ("test",)])

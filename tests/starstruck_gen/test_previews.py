@@ -11,7 +11,7 @@ import pytest
 import starstruck_gen
 from starstruck_gen import SceneSpec
 from starstruck_gen.kind import KIND
-from starstruck_gen.scene_generation import SceneSetSpec, generate
+from starstruck_gen.scene_dataset import SceneSetSpec, generate
 from tactile_toolkit.catalog import PreviewSpec
 
 

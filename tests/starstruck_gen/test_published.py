@@ -8,8 +8,7 @@ from scipy import stats
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from starstruck_gen.scene_dataset import SceneDataset
-from starstruck_gen.scene_generation import SceneSetSpec, generate
+from starstruck_gen.scene_dataset import SceneDataset, SceneSetSpec, generate
 from starstruck_gen.shapes import prism
 
 # Imports of the package warn about code of others.

@@ -12,11 +12,10 @@ from hypothesis import given
 
 from starstruck_gen.sampling import SceneSpec
 from starstruck_gen.scene_checks import check_scene
-from starstruck_gen.scene_generation import make_rows, scene_schema
+from starstruck_gen.scene_dataset import SceneRow, make_rows, scene_schema
 from starstruck_gen.shapes import KINDS, Crescent, Cross, Disc, Ring, Shape, Star, outline, prism
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh, check_manifold
-from tactile_toolkit.rows import table_of
 from tests.starstruck_gen.strategies import shapes
 
 AREAS = {
@@ -194,7 +193,7 @@ def fancy_file(tmp_path_factory):
 
     rows = make_rows(fancy(), "train", 0, 0, 60)
     path = tmp_path_factory.mktemp("fancy") / "train-00000-of-00001.parquet"
-    pq.write_table(table_of(rows, scene_schema(fancy().class_names)), path)
+    pq.write_table(SceneRow.table(rows, scene_schema(fancy().class_names)), path)
     return path
 
 

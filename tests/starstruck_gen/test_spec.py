@@ -9,10 +9,9 @@ from hypothesis import given
 
 from starstruck_gen.sampling import SceneSpec
 from starstruck_gen.scene_checks import validate_folder
-from starstruck_gen.scene_generation import make_rows, scene_schema
+from starstruck_gen.scene_dataset import SceneRow, make_rows, scene_schema
 from starstruck_gen.shapes import Disc, Shape
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.rows import table_of
 from tests.starstruck_gen.strategies import specs
 
 
@@ -105,5 +104,5 @@ def test_shapes_as_fine_as_the_cell_allows_are_sound(side_m, tmp_path):
     """Up to a cell whose coordinates reach a power of two, the thinnest triangles are thick enough."""
     spec = SceneSpec(cell_m=(side_m, side_m), star=Shape("star", 1e-4), distractor_shapes=TINY)
     path = tmp_path / "train-00000-of-00001.parquet"
-    pq.write_table(table_of(make_rows(spec, "train", 0, 0, 3), scene_schema()), path)
+    pq.write_table(SceneRow.table(make_rows(spec, "train", 0, 0, 3), scene_schema()), path)
     assert validate_folder(path).failed == 0

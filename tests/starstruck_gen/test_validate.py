@@ -11,17 +11,15 @@ import pytest
 from starstruck_gen.sampling import SceneSpec
 from starstruck_gen.scene import Placement, build_meshes
 from starstruck_gen.scene_checks import check_scene, validate_folder
-from starstruck_gen.scene_dataset import load
-from starstruck_gen.scene_generation import make_rows, scene_schema
+from starstruck_gen.scene_dataset import SceneRow, load, make_rows, scene_schema
 from tactile_toolkit.mesh import Mesh, check_manifold
-from tactile_toolkit.rows import table_of
 
 PUBLISHED = ["id", "label", "mesh.vertices", "mesh.faces"]
 
 
 @pytest.fixture(scope="module")
 def table() -> pa.Table:
-    return table_of(make_rows(SceneSpec(distractors=(2, 4)), "train", 0, 0, 9), scene_schema())
+    return SceneRow.table(make_rows(SceneSpec(distractors=(2, 4)), "train", 0, 0, 9), scene_schema())
 
 
 def _written(table, path, change, columns=None) -> str:
@@ -112,7 +110,7 @@ def test_cap_triangles_turned_by_rounding_are_found_although_the_solid_is_one(tm
     placements = (row.placements[0], fine)
     mesh = build_meshes([placements])[0]
     turned = replace(row, placements=placements, vertices_m=mesh.vertices_m, faces=mesh.faces)
-    pq.write_table(table_of([turned], scene_schema()), tmp_path / "train-00000-of-00001.parquet")
+    pq.write_table(SceneRow.table([turned], scene_schema()), tmp_path / "train-00000-of-00001.parquet")
     (record,) = load(str(tmp_path))
     assert check_manifold(Mesh(record.vertices_m, record.faces)).problem is None
     assert "triangles of flat faces turned over" in check_scene(record)[0]
@@ -126,6 +124,6 @@ def test_objects_that_overlap_are_found(tmp_path, overlap_m):
     pair = [Placement("box", x_m, 0.0, 0.0, 0.010, 0.005) for x_m in (0.0, side_m - overlap_m)]
     mesh = build_meshes([pair])[0]
     overlapping = replace(row, placements=tuple(pair), vertices_m=mesh.vertices_m, faces=mesh.faces)
-    pq.write_table(table_of([overlapping], scene_schema()), tmp_path / "train-00000-of-00001.parquet")
+    pq.write_table(SceneRow.table([overlapping], scene_schema()), tmp_path / "train-00000-of-00001.parquet")
     (record,) = load(str(tmp_path))
     assert check_scene(record)[0].startswith("overlap: two of 2 bodies overlap")

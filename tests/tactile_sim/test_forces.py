@@ -16,7 +16,7 @@ import tactile_sim
 from realtouch.force_pictures import force_views
 from tactile_sim import ElasticPress, Gel, GenerateSpec, TouchPlan, center_view, full_view, pose
 from tactile_sim.optics.rendering import make_optics
-from tactile_sim.press.markers import draw_markers
+from tactile_sim.press.elastic_press import draw_markers
 from tactile_toolkit.errors import InputError
 from tests.command_line import call
 from tests.tactile_sim.solids import ball, block

@@ -28,8 +28,8 @@ SIZES = [(64, 64), (256, 256), (320, 240)]
 def _solids(kind):
     import mnist3d
     import starstruck_gen
+    from env_assets.wrench.dataset import wrench_mesh
     from env_assets.wrench.kind import WrenchSpec
-    from env_assets.wrench.shape import wrench_mesh
     from mnist3d.sources.synthetic import SyntheticSource
 
     if kind == "wrench":

@@ -16,7 +16,7 @@ from tactile_toolkit.kind import DatasetKind, lazy
 from tactile_toolkit.mesh import MeshRow, RecordStream, SolidDataset
 from tactile_toolkit.pictures import DrawnSolid
 from tactile_toolkit.places import loader
-from tactile_toolkit.rows import column, row
+from tactile_toolkit.rows import column
 from tactile_toolkit.store import ParquetStyle, Skipped
 
 KIND = DatasetKind(
@@ -35,7 +35,6 @@ KIND = DatasetKind(
 )
 
 
-@row
 class BoxRow(MeshRow):
     id: int = column(pa.int64(), "", "number of the box")
     width_m: float = column(pa.float64(), "m", "extent along x", role="measure", title="Width", decimals=3)

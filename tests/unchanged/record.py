@@ -148,7 +148,7 @@ def styles() -> dict[str, str]:
     """Return the storage layouts of digits and scenes, which decide the bytes of sets of any size."""
     return {
         rows.partition(".")[0]: repr(import_module(rows).PARQUET_STYLE)
-        for rows in ("mnist3d.digit_records", "starstruck_gen.scene_generation")
+        for rows in ("mnist3d.digit_records", "starstruck_gen.scene_dataset")
     }
 
 

@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 import pytest
 from hypothesis import given, strategies as st
 
-from starstruck_gen.scene_generation import SceneSetSpec, generate
+from starstruck_gen.scene_dataset import SceneSetSpec, generate
 from tactile_toolkit.cards import FolderSummary, configs
 from tactile_toolkit.exchange.upload import LocalFile, collect, compare
 from tactile_toolkit.hub import HubRepository

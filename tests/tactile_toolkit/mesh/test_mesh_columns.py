@@ -17,7 +17,7 @@ from tactile_toolkit.read import (
     ragged_array,
     vectors_type,
 )
-from tactile_toolkit.read.columns import ragged_column
+from tactile_toolkit.read.record import ragged_column
 from tests.mesh_columns import list_array
 
 lengths = st.lists(st.integers(0, 5), max_size=6)

@@ -85,7 +85,7 @@ def test_voxels_fill_the_inside(digits: mnist3d.DigitDataset) -> None:
 
 
 def test_height_maps_and_meshes(digits: mnist3d.DigitDataset) -> None:
-    from env_assets.height_map import top_surface
+    from env_assets.mesh_view import top_surface
     from mnist3d.digit_tensors import DigitTensors
 
     heights, volume_m3 = DigitTensors(digits, "height_map", pitch_m=0.0005, target="volume_m3")[3]

@@ -17,7 +17,7 @@ from realtouch.checks.verification import has_page_checksums
 from tactile_toolkit.cache import CACHE_VARIABLE
 from tactile_toolkit.errors import IntegrityError, ToolkitError
 from tactile_toolkit.read import Shard, ShardedTable
-from tactile_toolkit.read.blocks import BLOCKS, map_block, write_block
+from tactile_toolkit.read.shard import BLOCKS, map_block, write_block
 from tactile_toolkit.store import ParquetStyle, encode_parquet, open_folder
 from tests.forked import run_forked
 from tests.mesh_columns import list_array

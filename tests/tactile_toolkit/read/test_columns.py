@@ -13,7 +13,7 @@ import pytest
 
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read import RecordDataset, Shard, ShardedTable, class_names
-from tactile_toolkit.read.columns import nested_column
+from tactile_toolkit.read.record import nested_column
 
 LARGEST = 2**63 - 1
 

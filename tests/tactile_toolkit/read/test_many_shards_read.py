@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from tactile_toolkit.read import RecordDataset, Shard, ShardedTable
-from tactile_toolkit.read.blocks import BLOCKS
+from tactile_toolkit.read.shard import BLOCKS
 
 SHARDS, MAPS = 100, 16
 

@@ -14,7 +14,7 @@ import pytest
 
 from tactile_toolkit.cache import CACHE_VARIABLE
 from tactile_toolkit.read import Shard, ShardedTable, shard as shard_module
-from tactile_toolkit.read.blocks import BLOCKS
+from tactile_toolkit.read.shard import BLOCKS
 
 ROWS_PER_BLOCK, BLOCKS_PER_GROUP = 100, 6
 

@@ -14,7 +14,7 @@ from tactile_toolkit.cache import cache_folder
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.places import open_place
 from tactile_toolkit.read import Record, RecordDataset, Shard, ShardedTable
-from tactile_toolkit.read.columns import ragged_column
+from tactile_toolkit.read.record import ragged_column
 from tactile_toolkit.store import build, open_folder
 from tests.forked import run_forked
 from tests.mesh_columns import list_array

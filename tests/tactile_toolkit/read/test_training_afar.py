@@ -15,7 +15,7 @@ torch = pytest.importorskip("torch", reason="torch (extra `torch`) is not instal
 pytest.importorskip("s3fs")
 pytest.importorskip("moto")
 
-from starstruck_gen.scene_generation import SceneGenerator  # noqa: E402
+from starstruck_gen.scene_dataset import SceneGenerator  # noqa: E402
 from starstruck_gen.scene_tensors import SceneTensors  # noqa: E402
 from tactile_toolkit.read import TrainingBatches  # noqa: E402
 

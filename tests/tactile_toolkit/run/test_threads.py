@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
 import subprocess
 import sys
@@ -12,7 +11,7 @@ import pytest
 import trimesh
 
 from tactile_toolkit.mesh import Mesh, inspect, write_mesh
-from tactile_toolkit.run import ProcessRunner, this_process
+from tactile_toolkit.run import ProcessRunner
 from tactile_toolkit.store import build, open_folder
 from tests.tactile_toolkit.toy import toy_plan
 
@@ -110,22 +109,3 @@ def ball() -> Mesh:
 def test_workers_limit_threads_before_their_first_task():
     for before, after in ProcessRunner(2).run(threads_of_a_check, [0, 1]):
         assert after == before
-
-
-@pytest.mark.parametrize("allowed", [0b1100, 1, 0])
-def test_windows_limits_the_threads_of_manifold3d_and_restores_the_processors(monkeypatch, allowed):
-    set_masks: list[int] = []
-
-    class Kernel32:
-        def GetProcessAffinityMask(self, _: object, found: object, installed: object) -> int:  # noqa: N802
-            found._obj.value, installed._obj.value = allowed, 0b1111  # type: ignore[attr-defined]
-            return 1
-
-        def SetProcessAffinityMask(self, _: object, mask: ctypes.c_size_t) -> int:  # noqa: N802
-            set_masks.append(mask.value)
-            return 1
-
-    monkeypatch.setattr(ctypes, "WinDLL", lambda name: Kernel32(), raising=False)
-    monkeypatch.setattr(sys, "platform", "win32")
-    this_process.limit_threads()
-    assert set_masks == ([allowed & -allowed, allowed] if allowed else [])

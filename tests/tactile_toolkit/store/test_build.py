@@ -250,7 +250,7 @@ def test_other_versions_of_libraries_are_not_mixed(tmp_path, monkeypatch):
     plan = replace(toy_plan(), libraries=("numpy", "pyarrow"))
     made = make(tmp_path / "set", plan)
     assert made.libraries == {name: importlib.metadata.version(name) for name in plan.libraries}
-    monkeypatch.setattr("tactile_toolkit.store.plan.version", lambda name: "9")
+    monkeypatch.setattr("tactile_toolkit.store.job.version", lambda name: "9")
     before = folder_bytes(tmp_path / "set")
     make(tmp_path / "set", plan)  # nothing is left to make, so nothing is mixed
     assert folder_bytes(tmp_path / "set") == before

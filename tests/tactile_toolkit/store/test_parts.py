@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from tactile_toolkit.errors import InputError, SpecMismatchError, StorageError
-from tactile_toolkit.run import Part, ProcessRunner, parse_part
+from tactile_toolkit.run import Part, ProcessRunner
 from tactile_toolkit.store import LocalFolder, build, open_folder, read_manifest, verify
 from tactile_toolkit.store.job import MissingPartsError, array_text, manifest_so_far
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, make, toy_plan
@@ -240,7 +240,7 @@ def slurm(**values: str) -> dict[str, str]:
     ],
 )
 def test_a_part_is_named_or_taken_from_the_scheduler(text, environment, expected):
-    assert parse_part(text, environment) == expected
+    assert Part.parse(text, environment) == expected
 
 
 @pytest.mark.parametrize(
@@ -256,7 +256,7 @@ def test_a_part_is_named_or_taken_from_the_scheduler(text, environment, expected
 )
 def test_invalid_parts_are_refused(text, told):
     with pytest.raises(InputError, match=told):
-        parse_part(text, {"SLURM_ARRAY_TASK_ID": ""})
+        Part.parse(text, {"SLURM_ARRAY_TASK_ID": ""})
 
 
 @pytest.mark.parametrize(
@@ -266,7 +266,7 @@ def test_invalid_parts_are_refused(text, told):
 )
 def test_a_partial_array_needs_the_number_of_parts(array):
     with pytest.raises(InputError, match=r"the number of parts is unknown.*auto/N"):
-        parse_part("auto", slurm(**array))
+        Part.parse("auto", slurm(**array))
 
 
 def test_numbers_are_written_as_slurm_takes_them():
