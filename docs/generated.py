@@ -51,6 +51,8 @@ SHARED = (
     "tactile_toolkit.mesh.SolidRecord",
     "tactile_toolkit.mesh.PROBLEMS",
     "tactile_toolkit.mesh.SolidTensors",
+    "tactile_toolkit.mesh.MeshBatch",
+    "tactile_toolkit.mesh.MeshItem",
     "tactile_toolkit.mesh.collate_meshes",
     "tactile_toolkit.read.Record",
     "tactile_toolkit.read.RecordDataset",

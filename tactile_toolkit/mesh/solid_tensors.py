@@ -193,6 +193,7 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
     """
 
     REPRESENTATIONS: ClassVar[tuple[Representation, ...]] = get_args(Representation)
+    """Representations of items."""
     TARGETS: ClassVar[dict[str, Callable[[SolidRecord], object]]] = {
         "label": lambda record: record.label,
         "id": lambda record: record.id,
