@@ -468,11 +468,11 @@ class ExtraColumn:
             if lengths_found not in ([], [width]):
                 lengths = " and of ".join(map(str, lengths_found))
                 raise ValueError(f"vectors of {lengths} values; expected {width}, as in the first touch")
-            places = np.full((len(values), width), -1)
-            places[values.is_valid().to_numpy(zero_copy_only=False)] = np.arange(len(known) * width).reshape(
-                -1, width
-            )
-            values = known.flatten().take(pa.array(places.ravel(), mask=places.ravel() < 0))
+            positions = np.full((len(values), width), -1)
+            positions[values.is_valid().to_numpy(zero_copy_only=False)] = np.arange(
+                len(known) * width
+            ).reshape(-1, width)
+            values = known.flatten().take(pa.array(positions.ravel(), mask=positions.ravel() < 0))
         try:
             flat = values.cast(leaf)
         except pa.ArrowInvalid as error:  # float64 does not hold them
