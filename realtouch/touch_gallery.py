@@ -147,8 +147,7 @@ def _extra_text(values: AnyArray | tuple[AnyArray, ...]) -> str:
         known = flat[~np.isnan(flat)]
         return f"{known.min():g} to {known.max():g}" if len(known) else "missing"
     texts = list(dict.fromkeys(str(value) for value in flat.tolist() if value is not None))
-    shown = ", ".join(texts[:_MAX_TEXTS]) or "missing"
-    return shown if len(shown) <= _LONGEST_NOTE else f"{shown[:_LONGEST_NOTE]}..."
+    return wording.shortened(", ".join(texts[:_MAX_TEXTS]), _LONGEST_NOTE) or "missing"
 
 
 def _millimetres(height_m: float) -> float | None:

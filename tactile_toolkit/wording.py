@@ -31,6 +31,11 @@ def with_count(count: int, nouns: str) -> str:
     return f"{count:,} {nouns}"
 
 
+def shortened(text: str, length: int) -> str:
+    """Return a text, cut with ``...`` if it has more than ``length`` characters."""
+    return text if len(text) <= length else f"{text[:length]}..."
+
+
 def class_name(names: Sequence[str], label: int) -> str:
     """Return the name of a class, or its number if it has no name."""
     return names[label] if 0 <= label < len(names) else str(label)
