@@ -77,11 +77,11 @@ class ToolkitError(Exception):
     @property
     def what(self) -> str:
         """What was found, without the next step."""
-        return wording.printable(f"{self.field} {self._found}".lstrip())
+        return wording.printable(f"{self.field} {self._found}".removeprefix(" "))
 
     def naming(self, field: str) -> str:
         """Return the message with another name for its parameter, such as that of an option."""
-        return f"{field} {self._found}{self._next}".lstrip()
+        return f"{field} {self._found}{self._next}".removeprefix(" ")
 
     def __str__(self) -> str:
         return wording.printable(self.message)
