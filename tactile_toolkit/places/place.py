@@ -253,9 +253,7 @@ class Place:
         return bool(records) and len(records) == records[0].shard.count
 
     def _not_finished(self, may_take: bool = True) -> errors.IntegrityError:
-        otherwise = ""
-        if may_take and not self.allow_incomplete:
-            otherwise = _TAKE_FINISHED
+        otherwise = _TAKE_FINISHED if may_take and not self.allow_incomplete else ""
         again = "run the same command again"
         record = self.folder and store.read_download_record(self.folder)
         if record:
@@ -481,9 +479,7 @@ def find_repository(
 def named_on_hub(name: str, revision: str | None) -> hub.HubName:
     """Resolve a name or short name to a repository, or a path in one; InputError for other names."""
     known = published_set(name)
-    repo_id = name
-    if known is not None:
-        repo_id = known.repo_id
+    repo_id = known.repo_id if known is not None else name
     named = hub.hub_name(repo_id, revision)
     if named is None:
         published = {entry.name: kind.command for kind in kinds() for entry in kind.published}
