@@ -297,9 +297,7 @@ class Upload:
     @property
     def removed(self) -> tuple[str, ...]:
         """Files that were removed; none before :meth:`send`."""
-        if self.commit is None:
-            return ()
-        return self.plan.removed
+        return () if self.commit is None else self.plan.removed
 
     def send(self) -> Upload:
         """Send the missing files, compare the result, set the tag, and return the upload with its commit.

@@ -82,23 +82,17 @@ class Place:
     @property
     def repository(self) -> hub.HubRepository | None:
         """The repository of the Hub; None for folders and files."""
-        if isinstance(self.source, hub.HubRepository):
-            return self.source
-        return None
+        return self.source if isinstance(self.source, hub.HubRepository) else None
 
     @property
     def revision(self) -> str | None:
         """Commit of a repository of the Hub."""
-        if self.repository is None:
-            return None
-        return self.repository.commit
+        return None if self.repository is None else self.repository.commit
 
     @property
     def spec(self) -> JsonObject:
         """Specification that the manifest states; empty without one."""
-        if self.manifest is None:
-            return {}
-        return self.manifest.spec
+        return {} if self.manifest is None else self.manifest.spec
 
     @property
     def made_by(self) -> JsonObject:
@@ -279,9 +273,7 @@ class Place:
 
     def chosen_splits(self, split: str | None) -> tuple[str, ...]:
         """Return one split, or all if none is named."""
-        if split is None:
-            return self.splits
-        return (split,)
+        return self.splits if split is None else (split,)
 
     def shards(
         self, split: str | None = None, *, kind: DatasetKind | None = None, streaming: bool = False
@@ -444,9 +436,7 @@ def wrong_kind(found: DatasetKind, name: str, asked: str, content: str) -> error
 
 def command_or_load(kind: DatasetKind, command: str) -> str:
     """Return a command of a kind as it was given, or without one ``load`` of its package."""
-    if command:
-        return f"{kind.command} {command}"
-    return f"{kind.package}.load"
+    return f"{kind.command} {command}" if command else f"{kind.package}.load"
 
 
 def published_set(name: str) -> PublishedSet | None:

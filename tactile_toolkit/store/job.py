@@ -100,9 +100,7 @@ class ShardTask:
 
     def source_digest(self) -> str | None:
         """Return the digest of the present source; None if the specification identifies all of it."""
-        if self.digest is None:
-            return None
-        return self.digest(self.items)
+        return None if self.digest is None else self.digest(self.items)
 
 
 @dataclass(frozen=True)
