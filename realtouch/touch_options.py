@@ -324,20 +324,20 @@ class ImportColumns:
     extra: tuple[tuple[str, str], ...] = ()
     length_unit: str | None = checked_fields.choice(
         None,
-        tuple(units.PER_METRE),
+        tuple(units.Quantity.LENGTH.per_unit),
         optional=True,
         shown="m",
         help="Unit of lengths whose columns do not end in _mm, _cm or _m.",
     )
     angle_unit: str | None = checked_fields.choice(
         None,
-        tuple(units.PER_RADIAN),
+        tuple(units.Quantity.ANGLE.per_unit),
         optional=True,
         help="Unit of angles whose columns do not end in _deg or _rad.",
     )
     time_unit: str | None = checked_fields.choice(
         None,
-        tuple(units.PER_SECOND),
+        tuple(units.Quantity.TIME.per_unit),
         optional=True,
         shown="s",
         help="Unit of times whose column does not end in _s, _ms, _us or _ns.",
@@ -407,7 +407,7 @@ class ImportColumns:
                 "(turning), neighbours different"
             )
         names = self.pose or ()
-        is_stated = len(names) == _ANGLE_POSE and all(map(units.stated_unit, names[_LENGTHS:]))
+        is_stated = len(names) == _ANGLE_POSE and all(map(units.Quantity.stated_unit, names[_LENGTHS:]))
         if names and self.angle_unit is None and not is_stated:
             raise errors.InputError(
                 "the unit of the Euler angles is not known", next="add --angle-unit deg or --angle-unit rad"
@@ -469,8 +469,8 @@ class ImportColumns:
         divisors = [1.0] * count
         lengths, angles = _PLACES[count]
         for quantity, unit, places in (
-            (units.LENGTH, self.length_unit, lengths),
-            (units.ANGLE, self.angle_unit, angles),
+            (units.Quantity.LENGTH, self.length_unit, lengths),
+            (units.Quantity.ANGLE, self.angle_unit, angles),
         ):
             for index in places:
                 name = ""
@@ -479,9 +479,9 @@ class ImportColumns:
                 elif len(names) == _POSITION_AND_ROTATION:
                     name = names[index >= _LENGTHS]
                 if (
-                    quantity is units.ANGLE
+                    quantity is units.Quantity.ANGLE
                     and len(names) == 1
-                    and units.stated_unit(name) not in units.PER_RADIAN
+                    and units.Quantity.stated_unit(name) not in units.Quantity.ANGLE.per_unit
                 ):
                     name = ""  # it states the unit of its lengths
                 divisors[index] = quantity.divisor(name, unit)

@@ -15,7 +15,7 @@ from functools import cache, lru_cache
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numba
 from numba import extending
@@ -119,18 +119,7 @@ class _CompileOnce:
             return self._compile_or_load(types)
 
 
-if TYPE_CHECKING:
-    # numba has no types.
-    class _Locator:
-        @classmethod
-        def from_function(cls, py_func: Callable[..., Any], py_file: str) -> Any: ...
-        def get_disambiguator(self) -> str: ...
-
-else:
-    _Locator = object
-
-
-class _AllFiles(_Locator):
+class _AllFiles:
     """Adds a digest of all files behind a kernel to the names of its files in the cache.
 
     Numba reads a whole index before it sees that it is out of date, and fails at classes that are gone.
@@ -141,14 +130,14 @@ class _AllFiles(_Locator):
     @classmethod
     def from_function(cls, py_func: Callable[..., Any], py_file: str) -> Any:
         """Return a locator, or None if it cannot write."""
-        locator = super().from_function(py_func, py_file)
+        locator: Any = super().from_function(py_func, py_file)  # type: ignore[misc]  # of numba
         if locator is not None:
             locator.files_digest = _files_digest(py_func.__module__)
         return locator
 
     def get_disambiguator(self) -> str:
         """Return the part of the names that differs if the source does."""
-        return f"{super().get_disambiguator()}-{self.files_digest}"
+        return f"{super().get_disambiguator()}-{self.files_digest}"  # type: ignore[misc]  # of numba
 
 
 class ChosenFolder(_AllFiles, caching.UserProvidedCacheLocator):

@@ -11,7 +11,6 @@ import numpy as np
 import pyarrow as pa
 from manifold3d import CrossSection, JoinType, triangulate
 
-from env_assets.wrench import kind
 from env_assets.wrench.kind import CHAMFER_MM, JAW_ANGLE_DEG, KIND, WrenchSpec
 from tactile_toolkit import cards, generation, mesh, pictures, places, rows, store
 from tactile_toolkit.arithmetic import cosine_sine
@@ -88,7 +87,7 @@ def wrench_schema(_manifest: object = None) -> pa.Schema:
 class WrenchGenerator(generation.RowGenerator):
     """Makes the row of a wrench."""
 
-    spec: kind.WrenchSpec
+    spec: WrenchSpec
     kind = KIND
 
     def items(self) -> Mapping[str, range]:
@@ -121,7 +120,7 @@ class WrenchGenerator(generation.RowGenerator):
 
 
 def write_wrench(
-    spec: kind.WrenchSpec, out: str, *, mesh_file: str | Path | None = None, overwrite: bool = False
+    spec: WrenchSpec, out: str, *, mesh_file: str | Path | None = None, overwrite: bool = False
 ) -> store.Manifest:
     """Write a data set of one wrench.
 
@@ -162,10 +161,10 @@ def write_wrench(
 
 def wrench_recipe(seed: int, per_class: int | None) -> generation.Recipe:
     """Return the recipe of the default wrench, which has neither a seed nor classes."""
-    return generation.Recipe(WrenchGenerator(kind.WrenchSpec()))
+    return generation.Recipe(WrenchGenerator(WrenchSpec()))
 
 
-def wrench_facts(spec: kind.WrenchSpec, report: mesh.PrintReport) -> JsonDict:
+def wrench_facts(spec: WrenchSpec, report: mesh.PrintReport) -> JsonDict:
     """Return lengths, solid and printability of a wrench as JSON values."""
     return {
         "spec": spec.lengths(),
@@ -188,7 +187,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         }
         cards.Card.of_copy(manifest, KIND, title, columns, "mit", **terms).write(folder, manifest, KIND)
         return
-    spec = kind.WrenchSpec(**manifest.spec)
+    spec = WrenchSpec(**manifest.spec)
     report = mesh.inspect(wrench_mesh(spec))
     cards.Card(
         template=KIND.card_template,

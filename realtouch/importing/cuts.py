@@ -68,7 +68,7 @@ class CutTable:
         self._place = home.address(name)
         self._table = source_files.read_table(tables.open_table(home, name), columns, RECORDING_COLUMNS)
         names = [*self._table.columns]
-        known = [_FRAME, *(f"start_{unit}" for unit in units.PER_SECOND)]
+        known = [_FRAME, *(f"start_{unit}" for unit in units.Quantity.TIME.per_unit)]
         if columns.time_unit:
             known.append("start")
         starts = [name for name in known if name in names]

@@ -184,7 +184,7 @@ def times_s(values: pa.Array, name: str, time_unit: str | None) -> Float64:
     seconds = _instants_s(values)
     divisor = 1.0
     if seconds is None:
-        divisor = units.TIME.divisor(name, time_unit)
+        divisor = units.Quantity.TIME.divisor(name, time_unit)
         try:
             seconds = column_types.floats_of(values)
         except (ValueError, OverflowError):

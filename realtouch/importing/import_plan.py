@@ -525,7 +525,7 @@ def _uses(recordings: import_sources.FoundSource, extras: Iterable[str]) -> list
     lengths = {*(columns.position or ()), *(columns.pose or ())[:3]}
     uses = []
     for name in recordings.touches.names:
-        unit = units.stated_unit(name) or ""
+        unit = units.Quantity.stated_unit(name) or ""
         if name in lengths:
             unit = unit or columns.length_unit or "m"
         uses.append((wording.printable(name), roles.get(name, "left out"), unit))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
@@ -106,7 +107,8 @@ def _time_column(time: str | None, address: str, names: Sequence[str]) -> str:
     if time is not None and (not time or time in names):
         return time
     # The name may end in a unit of time only: a column `t_mm` does not hold times.
-    known = {name for base in TIME_NAMES for name in (base, *(f"{base}_{unit}" for unit in units.PER_SECOND))}
+    endings = ["", *(f"_{unit}" for unit in units.Quantity.TIME.per_unit)]
+    known = {f"{base}{ending}" for base in TIME_NAMES for ending in endings}
     candidates = [name for name in names if name.lower() in known]
     if len(candidates) > 1:
         raise errors.InputError(
@@ -119,11 +121,12 @@ def _time_column(time: str | None, address: str, names: Sequence[str]) -> str:
 def _seconds(values: pa.Array, column: str, time_unit: str | None, address: str) -> Float64:
     """Return times in seconds, not decreasing; those with a date count from 1970, UTC."""
     what = f"{address!r}: the times {column!r}"
-    stated = units.stated_unit(column)
+    stated = units.Quantity.stated_unit(column)
     if pa.types.is_integer(values.type) and not (stated or time_unit):
         raise errors.InputError(
             f"{what} are integers, whose unit is not known",
-            next=f"add --time-unit {', '.join(units.PER_SECOND)}, or end the name of the column in the unit",
+            next=f"add --time-unit {', '.join(units.Quantity.TIME.per_unit)}, or end the name of the column "
+            "in the unit",
         )
     try:
         time_s = fields.times_s(values, column, None if stated else time_unit)
@@ -361,10 +364,11 @@ def _between(samples: Mapping[str, pa.Array], around: Neighbours, pose: Sequence
     numbers = {name: column_types.floats_of(column) for name, column in samples.items() if _is_number(column)}
     interpolated = {}
     for name in [name for name in numbers if name not in pose and samples[name].type in _FLOATS]:
-        unit = units.stated_unit(name)
+        unit = units.Quantity.stated_unit(name)
         interpolated[name] = around.interpolated(numbers[name])
-        if unit in units.PER_RADIAN:
-            interpolated[name] = around.on_circle(numbers[name], units.TURN * units.PER_RADIAN[unit])
+        per_radian = units.Quantity.ANGLE.per_unit
+        if unit in per_radian:
+            interpolated[name] = around.on_circle(numbers[name], math.tau * per_radian[unit])
     if pose and numbers.keys() >= {*pose}:
         whole = np.column_stack([numbers[name] for name in pose])
         if whole.shape[1] in _WITH_QUATERNION:

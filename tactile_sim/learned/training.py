@@ -27,7 +27,7 @@ import pyarrow as pa
 import torch
 
 from tactile_sim.learned import cyclegan
-from tactile_sim.learned.batches import Batches, by_taxim
+from tactile_sim.learned.cyclegan import Batches, by_taxim
 from tactile_sim.learned.inference import (
     chosen_device,
     depth_channels,

@@ -208,8 +208,11 @@ def _read_columns(file: Path) -> dict[str, AnyArray]:
 def meaning_of(name: str, known: Collection[str]) -> tuple[str, float] | None:
     """Return the known column for a name in any unit, such as ``x_mm``, and its divisor."""
     stem = name.rpartition("_")[0]
-    unit = units.stated_unit(name)
-    for ours, per in ((f"{stem}_m", units.PER_METRE), (f"{stem}_rad", units.PER_RADIAN)):
+    unit = units.Quantity.stated_unit(name)
+    for ours, per in (
+        (f"{stem}_m", units.Quantity.LENGTH.per_unit),
+        (f"{stem}_rad", units.Quantity.ANGLE.per_unit),
+    ):
         if ours in known and unit in per:
             return ours, per[unit]
     return None

@@ -147,7 +147,7 @@ def _of_folder(root: Path, images: list[Path], table: str | PathLike[str] | None
     where = store.expanded(fspath(file))
     read = tables.open_table(*store.split_uri(os.path.realpath(where)))
     columns = read.names
-    numeric = [name for name in columns if name in _OBJECT_NAMES or units.stated_unit(name)]
+    numeric = [name for name in columns if name in _OBJECT_NAMES or units.Quantity.stated_unit(name)]
     values = {name: column.to_pylist() for name, column in read.whole(["file"], numeric).items()}
     for name in numeric:
         values[name] = _numbers(values[name], name, repr(str(where)))

@@ -3,33 +3,37 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 from tactile_toolkit.errors import InputError
 
 MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4, "ft": 304.8, "um": 1e-3}
 
-PER_METRE = {unit: MM_PER_UNIT["m"] / MM_PER_UNIT[unit] for unit in ("mm", "cm", "m")}
-"""Number of units in a metre, for units of columns."""
-
-PER_RADIAN = {"deg": math.degrees(1.0), "rad": 1.0}
-"""Number of units in a radian."""
-
-TURN = 2 * math.pi
-"""A full turn, radians."""
-
-PER_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
-"""Number of units in a second."""
+_PER_METRE = {unit: MM_PER_UNIT["m"] / MM_PER_UNIT[unit] for unit in ("mm", "cm", "m")}
+_PER_RADIAN = {"deg": math.degrees(1.0), "rad": 1.0}
+_PER_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
     """A quantity: its name in messages, its option, and how many of each unit make one SI unit."""
 
+    LENGTH: ClassVar[Quantity]
+    ANGLE: ClassVar[Quantity]
+    TIME: ClassVar[Quantity]
+
     name: str
     option: str
-    per_unit: Mapping[str, float]
+    per_unit: dict[str, float]
+
+    @staticmethod
+    def stated_unit(name: str) -> str | None:
+        """Return the unit that the name of a column ends with, such as ``mm``; None without one."""
+        _, _, ending = name.rpartition("_")
+        unit = ending.lower()
+        is_known = unit in _PER_METRE or unit in _PER_RADIAN or unit in _PER_SECOND
+        return unit if "_" in name and is_known else None
 
     def divisor(self, column: str, given: str | None = None) -> float:
         """Return the number of units of a column in a metre, radian or second.
@@ -37,7 +41,7 @@ class Quantity:
         The name of the column states the unit, or ``given`` does; else it is metre, radian or second.
         InputError: both state one and differ, or the column states the unit of another quantity.
         """
-        stated = stated_unit(column)
+        stated = self.stated_unit(column)
         if stated and (stated not in self.per_unit or (given and stated != given)):
             expected = f"{given}, as {self.option} states" if given else self.name
             raise InputError(
@@ -47,14 +51,6 @@ class Quantity:
         return self.per_unit.get(stated or given or "", 1.0)
 
 
-LENGTH = Quantity("a length", "--length-unit", PER_METRE)
-ANGLE = Quantity("an angle", "--angle-unit", PER_RADIAN)
-TIME = Quantity("a time", "--time-unit", PER_SECOND)
-
-
-def stated_unit(name: str) -> str | None:
-    """Return the unit that the name of a column ends with, such as ``mm`` or ``deg``; None without one."""
-    _, _, ending = name.rpartition("_")
-    unit = ending.lower()
-    is_known = unit in PER_METRE or unit in PER_RADIAN or unit in PER_SECOND
-    return unit if "_" in name and is_known else None
+Quantity.LENGTH = Quantity("a length", "--length-unit", _PER_METRE)
+Quantity.ANGLE = Quantity("an angle", "--angle-unit", _PER_RADIAN)
+Quantity.TIME = Quantity("a time", "--time-unit", _PER_SECOND)

@@ -348,7 +348,7 @@ def copy_plan(
     options: JsonObject,
     shards: Mapping[str, Sequence[read.Shard]],
     source_spec: JsonObject | None,
-    tasks: Sequence[store.AnyTask],
+    tasks: Sequence[store.ShardTask],
     style: store.ParquetStyle,
     *libraries: str,
 ) -> store.BuildPlan:

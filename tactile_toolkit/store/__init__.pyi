@@ -48,7 +48,6 @@ from .files import (
     write_file as write_file,
 )
 from .job import (
-    AnyTask as AnyTask,
     BuildJob as BuildJob,
     BuildPlan as BuildPlan,
     manifest_so_far as manifest_so_far,

@@ -25,12 +25,12 @@ from tactile_toolkit.store import parquet
 from tactile_toolkit.store.files import DRAFT, is_hidden
 from tactile_toolkit.store.folder import NEXT_FOLDER, PENDING_FOLDER, DataFolder, LocalFolder
 from tactile_toolkit.store.job import (
-    AnyTask,
     BuildJob,
     BuildPlan,
     Progress,
     RunKeywords,
     RunOptions,
+    ShardTask,
     begin_job,
     is_pending,
     pending_records,
@@ -72,7 +72,7 @@ class _WriteShard:
     style: parquet.ParquetStyle = field(repr=False)
     libraries: tuple[str, ...]
 
-    def __call__(self, task: AnyTask) -> ShardRecord:
+    def __call__(self, task: ShardTask) -> ShardRecord:
         """Write rows, then report rows, then further files, then the record that proves all of them."""
         folder, shard = self.folder, task.shard
         content = task.make()

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from importlib.metadata import version
 from itertools import groupby
-from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypedDict, TypeVar
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import msgspec
 
@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 
-T = TypeVar("T")
 _LONGEST_SHOWN = 200
 _DIFFERENCES_SHOWN = 5
 _SHARD = r"\w+-[0-9]{5,12}-of-[0-9]{5,12}"
@@ -71,7 +70,7 @@ class ShardContent:
 
 
 @dataclass(frozen=True, eq=False)
-class ShardTask(Generic[T]):
+class ShardTask:
     """A small picklable value from which any process makes the same rows of one shard.
 
     Parameters
@@ -89,9 +88,9 @@ class ShardTask(Generic[T]):
     """
 
     shard: ShardName
-    items: Sequence[T] = field(repr=False)
-    work: Callable[[ShardName, Sequence[T]], ShardContent] = field(repr=False)
-    digest: Callable[[Sequence[T]], str] | None = field(default=None, repr=False)
+    items: Sequence[Any] = field(repr=False)
+    work: Callable[[ShardName, Sequence[Any]], ShardContent] = field(repr=False)
+    digest: Callable[[Sequence[Any]], str] | None = field(default=None, repr=False)
 
     @property
     def size(self) -> int:
@@ -107,10 +106,6 @@ class ShardTask(Generic[T]):
         if self.digest is None:
             return None
         return self.digest(self.items)
-
-
-AnyTask: TypeAlias = ShardTask[Any]
-"""A task of any kind of items."""
 
 
 @dataclass(frozen=True)
@@ -148,7 +143,7 @@ class BuildPlan:
     kind: str
     spec: JsonObject
     split_order: tuple[str, ...]
-    tasks: tuple[AnyTask, ...]
+    tasks: tuple[ShardTask, ...]
     style: ParquetStyle
     report_file: str | None = None
     extra_dirs: tuple[str, ...] = ()
@@ -315,11 +310,11 @@ class BuildJob:
     folder: DataFolder
     plan: BuildPlan
     manifest: Manifest
-    tasks: tuple[AnyTask, ...]
+    tasks: tuple[ShardTask, ...]
     finished: tuple[ShardRecord, ...] = ()
 
     @property
-    def remaining(self) -> tuple[AnyTask, ...]:
+    def remaining(self) -> tuple[ShardTask, ...]:
         """Tasks whose shards are missing."""
         finished = {record.shard for record in self.finished}
         return tuple(task for task in self.tasks if task.shard not in finished)
@@ -434,7 +429,7 @@ def _intact_records(
     plan: BuildPlan,
     manifest: Manifest,
     sizes: Mapping[str, int | None],
-    tasks: Mapping[ShardName, AnyTask],
+    tasks: Mapping[ShardName, ShardTask],
     check: bool,
 ) -> dict[ShardName, ShardRecord]:
     """Return the record of each shard whose files are intact: by size or, to check, by content.

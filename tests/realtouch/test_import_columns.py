@@ -246,9 +246,7 @@ def test_times_may_be_points_in_time() -> None:
         times_s(["noon"], realtouch.ImportColumns())
 
 
-def test_extra_columns_of_a_table_are_kept(
-    home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_extra_columns_of_a_table_are_kept(home, tmp_path, capsys):
     lines = [
         {"file": f"pictures/{number}.jpg", "label": "cat", "Fz": force, "note": note, "ok": "TRUE",
          "id": number, "t_ms": 1500 * number, "empty": "", "mass": "1,234"}

@@ -40,8 +40,7 @@ from tests.unchanged.record import numbers_of, recorded
 pytestmark = [pytest.mark.torch, pytest.mark.sim]
 torch = pytest.importorskip("torch", reason="needs torch, of the extra torch")
 
-from tactile_sim.learned.batches import Batch  # noqa: E402
-from tactile_sim.learned.cyclegan import CycleGan  # noqa: E402
+from tactile_sim.learned.cyclegan import Batch, CycleGan  # noqa: E402
 from tactile_sim.learned.inference import (  # noqa: E402
     generated,
     make_generator,
