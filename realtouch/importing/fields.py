@@ -80,9 +80,7 @@ def labels_of(
 
 def _nested_labels(column: pa.Array | None) -> dict[int, errors.ItemError]:
     """Return a problem for each label that is a JSON list or object."""
-    if column is None or column_types.is_leaf(column.type):
-        return {}
-    values = column_types.values_of(column)
+    values = [] if column is None else column_types.values_of(column)
     return {
         index: errors.ItemError("label", f"the label {shown(value)}; expected a name or a number")
         for index, value in enumerate(values)
