@@ -76,9 +76,7 @@ def made_here(
 @pytest.mark.thorough
 @pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="the switches are those of x86-64")
 @pytest.mark.parametrize("processor", PROCESSORS)
-def test_another_processor_writes_the_same(
-    processor: str, made_here: tuple[dict[str, str], dict[str, np.ndarray]], touches: Path, tmp_path: Path
-) -> None:
+def test_another_processor_writes_the_same(processor, made_here, touches, tmp_path):
     needs_avx512 = PROCESSORS[processor]["OPENBLAS_CORETYPE"] == "SkylakeX"
     if needs_avx512 and "avx512f" not in Path("/proc/cpuinfo").read_text():
         pytest.skip("this processor has no AVX-512, which kernels for SkylakeX are made of")

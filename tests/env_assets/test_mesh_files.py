@@ -78,9 +78,7 @@ def test_meshes_in_metres_need_their_unit(tmp_path: Path) -> None:
         meshes_at(tmp_path / "set", "train", unit="m")
 
 
-def test_meshes_of_formats_that_are_not_read_are_named(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_meshes_of_formats_that_are_not_read_are_named(tmp_path, caplog):
     write(tmp_path, "a.STL")
     for name in ("a.step", "b.STEP", "c.dae", "a.mtl", "._d.dae"):
         (tmp_path / name).write_text("x")

@@ -80,9 +80,7 @@ def test_other_sources_store_no_names_of_files(tmp_path: Path) -> None:
     assert "name: file" not in (tmp_path / "set" / "README.md").read_text(encoding="utf-8")
 
 
-def test_pictures_that_are_added_need_another_command_which_works(
-    words: Path, tmp_path: Path, capsys: Any
-) -> None:
+def test_pictures_that_are_added_need_another_command_which_works(words, tmp_path, capsys):
     old, new = tmp_path / "old", tmp_path / "new"
     for folder in (old, new):
         for name in ("10", "house", "li"):

@@ -132,9 +132,7 @@ def test_specks_that_are_left_out_are_counted() -> None:
 @pytest.mark.parametrize(
     ("reduction", "memory"), [(2, "64"), pytest.param(4, None, marks=pytest.mark.thorough)]
 )
-def test_a_picture_of_up_to_108_megapixels_is_reduced_with_a_note(
-    reduction: int, memory: str | None, tmp_path: Path, monkeypatch: Any
-) -> None:
+def test_a_picture_of_up_to_108_megapixels_is_reduced_with_a_note(reduction, memory, tmp_path, monkeypatch):
     if memory is not None:
         monkeypatch.setenv("TACTILE_TOOLKIT_UNPACKED_MIB", memory)
     large = Image.new("L", (3_000 * reduction, 2_250 * reduction), 255)

@@ -165,9 +165,7 @@ def test_an_empty_page_stays_empty(tmp_path: Path, ink: str, level: int, expecte
         ("global", "light", "cut-off", "ink touches 50% of the border"),
     ],
 )
-def test_half_a_picture_is_no_digit(
-    tmp_path: Path, threshold: str, ink: str, reason: str, found: str
-) -> None:
+def test_half_a_picture_is_no_digit(tmp_path, threshold, ink, reason, found):
     halves = np.repeat(np.array([[0] * 50 + [255] * 50], np.uint8), 100, axis=0)
     path = save(tmp_path / "7" / "a.png", halves)
     with pytest.raises(ItemError) as caught:
@@ -198,9 +196,7 @@ def test_other_sizes_are_fitted(tmp_path: Path, size: tuple[int, int]) -> None:
 
 @pytest.mark.parametrize("size", [(1000, 600), (100, 60)])
 @pytest.mark.parametrize("upright", [True, False])
-def test_aspect_is_kept_and_paper_fills_the_rest(
-    tmp_path: Path, size: tuple[int, int], upright: bool
-) -> None:
+def test_aspect_is_kept_and_paper_fills_the_rest(tmp_path, size, upright):
     small = bar(*size) if upright else bar(*size).T
     save(tmp_path / "7" / "a.png", 255 - small)
     pixels = read(tmp_path) if upright else read(tmp_path).T
@@ -297,9 +293,7 @@ class TestRefusals:
 
 
 @pytest.mark.thorough
-def test_a_picture_that_takes_long_or_much_memory_is_left_out(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_picture_that_takes_long_or_much_memory_is_left_out(tmp_path, monkeypatch):
     monkeypatch.setenv("TACTILE_TOOLKIT_UNPACKED_MIB", "100")
     (tmp_path / "1").mkdir()
     (tmp_path / "1" / "slow.jpg").write_bytes(jpeg_of_scans(101))

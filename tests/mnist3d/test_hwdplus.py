@@ -68,9 +68,7 @@ def test_writer_column_names_the_writer(tmp_path: Path) -> None:
         *((dtype, 1 / 255) for dtype in ("f4", "f8")),
     ],
 )
-def test_every_dtype_and_order_gives_the_same_pixels(
-    tmp_path: Path, dtype: str, scale: float, order: str
-) -> None:
+def test_every_dtype_and_order_gives_the_same_pixels(tmp_path, dtype, scale, order):
     images = (stack(2) * scale).astype(dtype, order=order)  # type: ignore[call-overload]
     made = source(tmp_path, images)
     for row in range(2):

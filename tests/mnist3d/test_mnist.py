@@ -266,9 +266,7 @@ def mirror(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     not importlib.util.find_spec("torchvision"), reason="needs torchvision, of the extra torch"
 )
 class TestDownload:
-    def test_files_arrive_where_the_source_finds_them(
-        self, tmp_path: Path, mirror: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
+    def test_files_arrive_where_the_source_finds_them(self, tmp_path, mirror, capsys):
         root = tmp_path / "new" / "mnist"
         download_mnist(str(root))
         assert MnistSource(str(root)).fingerprint() == MnistSource(str(mirror)).fingerprint()

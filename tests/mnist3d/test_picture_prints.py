@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -53,9 +52,7 @@ def test_the_size_does_not_depend_on_the_form_of_the_picture(tmp_path: Path) -> 
     [({"height_mm": 60.0}, 1, 60), ({"width_mm": 25.0}, 0, 25), ({"pixel_mm": 0.2}, 1, 48.2)],
 )
 @pytest.mark.parametrize("draw", [word, child])
-def test_the_solid_is_as_large_as_was_asked(
-    draw: Callable[[], Image.Image], size: dict[str, float], axis: int, length_mm: float
-) -> None:
+def test_the_solid_is_as_large_as_was_asked(draw, size, axis, length_mm):
     if draw is child and "pixel_mm" in size:
         length_mm = 98.2
     mesh = mnist3d.solidify(draw(), **size)
@@ -70,9 +67,7 @@ def test_the_solid_is_as_large_as_was_asked(
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("side_px", [70, 800])
 @pytest.mark.parametrize("spec", [None, mnist3d.SolidSpec(profile="flat")])
-def test_rough_pictures_and_sharp_corners_have_the_size_that_was_asked_for(
-    side_px: int, spec: mnist3d.SolidSpec | None, tmp_path: Path
-) -> None:
+def test_rough_pictures_and_sharp_corners_have_the_size_that_was_asked_for(side_px, spec, tmp_path):
     corners = Image.new("L", (800, 800), 255)
     ImageDraw.Draw(corners).polygon([(400, 60), (740, 740), (60, 740)], fill=0)
     small = corners.resize((side_px, side_px))
@@ -214,9 +209,7 @@ def test_each_warning_has_a_measured_value_and_a_next_step(tmp_path: Path, capsy
         (("b",), "it holds 'notes.txt'; expected pictures only"),
     ],
 )
-def test_names_that_cannot_be_used_are_named(
-    arguments: tuple[str, ...], message: str, tmp_path: Path, monkeypatch: Any, capsys: Any
-) -> None:
+def test_names_that_cannot_be_used_are_named(arguments, message, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "b").mkdir()
     word().save("a.png")

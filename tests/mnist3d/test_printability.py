@@ -131,9 +131,7 @@ def test_wall_of_a_bar_with_square_or_round_ends(width: float, angle: float, is_
 
 
 @given(st.floats(4, 20), st.floats(0.4, 3), ANGLES)
-def test_wall_of_a_ring_is_narrowest_where_its_hole_is_nearest(
-    outer: float, wall: float, angle: float
-) -> None:
+def test_wall_of_a_ring_is_narrowest_where_its_hole_is_nearest(outer, wall, angle):
     inner = outer - 1.5 * wall - 0.5
     if inner < 1:
         return

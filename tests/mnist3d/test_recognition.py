@@ -63,9 +63,7 @@ def test_mnist_reads_synthetic_digits(recognition: ModuleType, mnist: object, co
 
 
 @pytest.mark.thorough
-def test_synthetic_digits_teach_to_read_real_ones(
-    recognition: ModuleType, digits: object, synthetic: object
-) -> None:
+def test_synthetic_digits_teach_to_read_real_ones(recognition, digits, synthetic):
     assert recognition.read("b", synthetic, digits).accuracy > 0.85
 
 

@@ -130,9 +130,7 @@ def digits(tmp_path_factory: pytest.TempPathFactory) -> mnist3d.DigitDataset:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["stl", "3mf"])
-def test_one_digit_of_each_class_loads_whole_and_in_size(
-    kind: str, digits: mnist3d.DigitDataset, tmp_path: Path
-) -> None:
+def test_one_digit_of_each_class_loads_whole_and_in_size(kind, digits, tmp_path):
     made = export_files(choose([("printed_test", digits)]), str(tmp_path), kind)
     assert sorted(file.label for file in made.files) == list("0123456789")
     for file in made.files:
@@ -145,9 +143,7 @@ def test_one_digit_of_each_class_loads_whole_and_in_size(
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["stl", "3mf"])
-def test_a_digit_slices_up_to_its_height_without_a_repair(
-    kind: str, digits: mnist3d.DigitDataset, tmp_path: Path
-) -> None:
+def test_a_digit_slices_up_to_its_height_without_a_repair(kind, digits, tmp_path):
     (file,) = export_files(choose([("printed_test", digits)], labels=["8"]), str(tmp_path), kind).files
     path = tmp_path / file.file
     sliced = slice_file(path, tmp_path)

@@ -344,9 +344,7 @@ def checkerboard(rng: np.random.Generator, side: int) -> np.ndarray:
     st.sampled_from(["round", "linear", "flat"]),
     st.sampled_from([0.0, 2.0]),
 )
-def test_any_ink_gives_a_solid_or_a_named_refusal(
-    kind: Any, seed: int, side: int, profile: str, speck_mm2: float
-) -> None:
+def test_any_ink_gives_a_solid_or_a_named_refusal(kind, seed, side, profile, speck_mm2):
     pixels = np.pad(drawn(kind(np.random.default_rng(seed), side)), 24, constant_values=250)
     spec = SolidSpec(
         profile=profile, min_speck_mm2=speck_mm2, min_pinhole_mm2=speck_mm2, target_vertices=2000

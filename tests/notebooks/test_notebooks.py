@@ -27,9 +27,7 @@ def words(outputs: list[dict]) -> list[str]:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", ["digits", "realtouch"])
-def test_notebooks_give_their_stored_output(
-    name: str, offline: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_notebooks_give_their_stored_output(name, offline, monkeypatch):
     monkeypatch.setenv("REALTOUCH_SET", str(clips(offline / "clips")))
     notebook = NOTEBOOKS / f"{name}.ipynb"
     cells = [cell for cell in json.loads(notebook.read_text())["cells"] if cell["cell_type"] == "code"]
@@ -43,9 +41,7 @@ def test_notebooks_give_their_stored_output(
 
 
 @pytest.mark.thorough
-def test_a_set_without_any_contact_is_walked_through_too(
-    offline: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_set_without_any_contact_is_walked_through_too(offline, monkeypatch):
     monkeypatch.setenv("REALTOUCH_SET", str(clips(offline / "clips", contact=False)))
     shown, names = run(NOTEBOOKS / "realtouch.ipynb")
     assert "10 touches, 0 met the object\n" in [word for outputs in shown for word in words(outputs)]

@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from tests.realtouch.factories import RoundTruth, TouchTruth, encode_jpeg, make_round
+from tests.realtouch.factories import RoundTruth, TouchTruth, make_round
 
 SIZE = (96, 72)
 FPS = 25
@@ -211,7 +211,3 @@ def zarr3_buffer(home: Path) -> Session:
         quaternion=[touch.quaternion for touch in touches],
         force_n=[force_of(touch) for touch in touches],
     )
-
-
-def jpegs_of(touch: TouchTruth) -> list[bytes]:
-    return [encode_jpeg(frame) for frame in touch.pixels]

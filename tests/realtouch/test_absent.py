@@ -55,9 +55,7 @@ def sets(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, int | None]
 @pytest.mark.parametrize("name", COMMANDS)
 @pytest.mark.parametrize("label", [None, pytest.param(-1, marks=pytest.mark.thorough)])
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_command_accepts_a_set_with_only_pictures(
-    kind: str, label: int | None, name: str, sets: Any, tmp_path: Path, capsys: Any
-) -> None:
+def test_every_command_accepts_a_set_with_only_pictures(kind, label, name, sets, tmp_path, capsys):
     if kind == "single" and name.startswith("clips-to-images"):
         pytest.skip("converts clips")
     folder = sets(kind, label)

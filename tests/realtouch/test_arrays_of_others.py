@@ -85,9 +85,7 @@ GREY = FRAMES[..., :1]
         (np.minimum(FRAMES, 200).astype(np.float32), np.minimum(FRAMES, 200), "from 0 to 255"),
     ],
 )
-def test_pictures_of_any_lossless_type_become_the_same_pixels(
-    images: Any, pixels: Any, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_pictures_of_any_lossless_type_become_the_same_pixels(images, pixels, said, tmp_path, capsys):
     source = write_zip(tmp_path / "b.zarr.zip", images)
     words = ("--format", "replay", "--map", "image=img", "--out", tmp_path / "out", "-w", 1)
     assert call("realtouch", "import", source, *words) == 0
@@ -137,9 +135,7 @@ def test_episodes_that_do_not_divide_the_frames_are_refused(ends: Any, tmp_path:
     refused(write_zip(tmp_path / "b.zarr.zip", ends=values), "episode_ends.*expected|numbers and fitting")
 
 
-def test_the_meaning_of_an_array_does_not_follow_from_its_shape(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_meaning_of_an_array_does_not_follow_from_its_shape(tmp_path, capsys):
     """Seven joints are not a pose, and two numbers of an action not a position, unless the user states it."""
     joints = np.tile(np.float32([0, -0.78, 0, -2.36, 0, 1.57, 0.785]), (6, 1))
     poses = np.tile(np.float32([0.01, 0.02, 0.003, 0, 0, 0, 1]), (6, 1))
@@ -173,9 +169,7 @@ class Evil:
 @pytest.mark.parametrize(
     "codec", ["pickle", "json2", "vlen-utf8", "imagecodecs_jpegxl", "quantize", "a\nb" * 99]
 )
-def test_codecs_that_run_code_or_lose_values_are_refused_by_name(
-    where: str, codec: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_codecs_that_run_code_or_lose_values_are_refused_by_name(where, codec, tmp_path, monkeypatch):
     monkeypatch.setenv("EVIL_MARK", str(tmp_path / "mark"))
     home = unzipped(write_zip(tmp_path / "b.zarr.zip"))
     config = {"id": codec}

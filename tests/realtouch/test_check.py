@@ -249,9 +249,7 @@ def cut_short(rows: Rows) -> None:
         (cut_short, {"unreadable-touches": ["1:3"]}),
     ],
 )
-def test_faults_of_stored_bytes(
-    edit: Callable[[Rows], None], found: object, kind: str, tmp_path: Path
-) -> None:
+def test_faults_of_stored_bytes(edit, found, kind, tmp_path):
     assert found_in(written(tmp_path, kind, recorded(), edit)) == found
 
 
@@ -377,9 +375,7 @@ def test_damaged_rows_do_not_hide_the_others(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("order", [1, -1])
-def test_a_set_wholly_in_another_order_is_known_by_the_colours_of_the_sensor(
-    order: int, tmp_path: Path
-) -> None:
+def test_a_set_wholly_in_another_order_is_known_by_the_colours_of_the_sensor(order, tmp_path):
     gel = Image.fromarray(np.array(GELSIGHT_MINI, np.uint8).reshape(4, 4, 3))
     smooth = np.asarray(gel.resize(SIZE, Image.Resampling.BICUBIC)).astype(np.float64)
     truth = recorded()

@@ -51,9 +51,7 @@ def imported(home: Path, tmp_path: Path, **options: Any) -> dict[str, Any]:
         (("train/1.png", "mug/2.png"), {"train": [("mug_2", "mug"), ("train_1", "train")]}),
     ],
 )
-def test_folders_are_classes_and_splits(
-    paths: tuple[str, ...], found: dict[str, Any], tmp_path: Path
-) -> None:
+def test_folders_are_classes_and_splits(paths, found, tmp_path):
     """An image beside the folders of classes is left out and listed."""
     assert imported(images(tmp_path / "home", *paths), tmp_path) == found
 

@@ -64,9 +64,7 @@ def test_contact_frames_are_the_true_ones(seq_folder: Path, truth: list[RoundTru
 
 
 @given(st.lists(st.floats(0, 10), min_size=1, max_size=30), st.floats(-1, 11), st.floats(0, 5))
-def test_a_window_holds_a_frame_and_only_frames_of_contact(
-    times: list[float], start: float, span: float
-) -> None:
+def test_a_window_holds_a_frame_and_only_frames_of_contact(times, start, span):
     stamps = np.sort(times)
     window = contact_window(stamps, start, start + span)
     first, last = start - CLOCK_TOLERANCE_S, start + span + CLOCK_TOLERANCE_S
@@ -117,9 +115,7 @@ def test_recalibrated_contact_does_not_depend_on_the_drift(heights: list[float],
     np.testing.assert_array_equal(contact_heights_m(z_m, recalibrate_z=False), z_m)
 
 
-def test_heights_and_contact_of_touches(
-    seq_folder: Path, single_folder: Path, truth: list[RoundTruth]
-) -> None:
+def test_heights_and_contact_of_touches(seq_folder, single_folder, truth):
     on_digit = [touch.on_digit for expected in truth for touch in expected.touches]
     drift = np.repeat([expected.z_drift_m for expected in truth], 5)
     for folder in (seq_folder, single_folder):
@@ -178,9 +174,7 @@ def test_hostile_counts_are_refused() -> None:
         ("matroska", "bytes that begin with 1a 45 df a3 .*; expected an AVI with MJPEG frames"),
     ],
 )
-def test_clips_of_other_kinds_are_damage(
-    kind: str, problem: str, truth: list[RoundTruth], seq_rows: list[dict], tmp_path: Path
-) -> None:
+def test_clips_of_other_kinds_are_damage(kind, problem, truth, seq_rows, tmp_path):
     def other(row: dict, _: int) -> None:
         data = row["sensor_video"][0]["bytes"].replace(b"idx1", b"JUNK")
         if kind != "no index":

@@ -186,9 +186,7 @@ def conversions(source: str, out: str, runner: Any) -> None:
 
 
 @pytest.mark.thorough
-def test_workers_and_interruptions_change_no_byte(
-    seq_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_workers_and_interruptions_change_no_byte(seq_folder, tmp_path, monkeypatch):
     monkeypatch.setattr("realtouch.convert.media_conversions._CONTACT_FRAME_ROWS", 1)
     conversions(str(seq_folder), str(tmp_path / "a"), 1)
     conversions(str(seq_folder), str(tmp_path / "b"), ProcessRunner(2))
@@ -212,9 +210,7 @@ def test_workers_and_interruptions_change_no_byte(
     assert folder_bytes(tmp_path / "a") == folder_bytes(tmp_path / "c")
 
 
-def test_impossible_conversions_are_refused(
-    seq_folder: Path, single_folder: Path, seq_rows: list[dict], tmp_path: Path
-) -> None:
+def test_impossible_conversions_are_refused(seq_folder, single_folder, seq_rows, tmp_path):
     out = str(tmp_path / "out")
     with pytest.raises(InputError, match=r"nothing is left of .* after 'select'; next: choose fewer filters"):
         realtouch.select(single_folder, out, labels=[9])

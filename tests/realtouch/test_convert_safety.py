@@ -88,9 +88,7 @@ def test_a_source_is_never_written_over(small: Path, tmp_path: Path) -> None:
     assert folder_bytes(small) == before
 
 
-def test_a_conversion_that_fails_gives_the_finished_set_back(
-    small: Path, single_rows: list[dict], tmp_path: Path
-) -> None:
+def test_a_conversion_that_fails_gives_the_finished_set_back(small, single_rows, tmp_path):
     before = folder_bytes(small)
     damaged = edited(tmp_path / "damaged", single_rows, "single", cut_pictures(0, 1, 2))
     with pytest.raises(IntegrityError, match="no row is left: all 3 were left out"):
@@ -99,9 +97,7 @@ def test_a_conversion_that_fails_gives_the_finished_set_back(
 
 
 @pytest.mark.parametrize("name", ["resize", "frames", "frames-jpeg", "clips_to_images"])
-def test_a_source_without_intact_rounds_is_refused(
-    name: str, single_rows: list[dict], seq_rows: list[dict], tmp_path: Path
-) -> None:
+def test_a_source_without_intact_rounds_is_refused(name, single_rows, seq_rows, tmp_path):
     kind, rows = ("seq", seq_rows) if name == "clips_to_images" else ("single", single_rows)
     source = edited(tmp_path / "source", rows, kind, cut_pictures(0, 1, 2))
     options = {"resize": (32, 24), "frames-jpeg": ("jpeg",)}.get(name, ())

@@ -113,9 +113,7 @@ def zarr_array(group: zipfile.ZipFile, path: str) -> np.ndarray:
 
 
 @pytest.mark.one_at_a_desk
-def test_diffusion_policy_reads_the_replay_buffer(
-    source: Path, tmp_path: Path, small_shards: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_diffusion_policy_reads_the_replay_buffer(source, tmp_path, small_shards, monkeypatch):
     """Read like ``ReplayBuffer.copy_from_path``: all arrays of data are as long as the last end states."""
     monkeypatch.setattr("realtouch.formats.zarr_export.CHUNK_BYTES", 4 * 72 * 96 * 3)
     realtouch.export(source, tmp_path, "replay", split="train")
@@ -179,9 +177,7 @@ def test_foreign_fota_has_poses_in_millimetres(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("layout", ["replay", "anytouch", "lerobot"])
-def test_an_image_damaged_in_its_middle_is_named(
-    layout: Any, single_rows: list[dict], tmp_path: Path
-) -> None:
+def test_an_image_damaged_in_its_middle_is_named(layout, single_rows, tmp_path):
     def cut(row: dict[str, Any], index: int) -> None:
         if index == 0:
             content = row["sensor_image"][0]["bytes"]
@@ -217,9 +213,7 @@ def test_a_replay_buffer_comes_back(single_folder: Path, tmp_path: Path) -> None
         realtouch.import_touches(place, tmp_path / "none", "replay", columns)
 
 
-def test_a_replay_buffer_is_one_group_and_asks_for_its_extra(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_replay_buffer_is_one_group_and_asks_for_its_extra(tmp_path, monkeypatch):
     def refused(error: type[Exception], words: str) -> None:
         with pytest.raises(error, match=words):
             realtouch.import_touches(source, tmp_path / "out", "replay")

@@ -183,17 +183,7 @@ CASES = [("single", name, *case) for name, case in SINGLE.items()] + [
 @pytest.mark.parametrize(
     ("kind", "name", "edit", "touch", "field", "words"), CASES, ids=[case[1] for case in CASES]
 )
-def test_damage_is_named_and_listed(
-    kind: str,
-    name: str,
-    edit: Edit,
-    touch: int | None,
-    field: str,
-    words: str,
-    single_rows: list[dict],
-    seq_rows: list[dict],
-    tmp_path: Path,
-) -> None:
+def test_damage_is_named_and_listed(kind, name, edit, touch, field, words, single_rows, seq_rows, tmp_path):
     rows = single_rows if kind == "single" else seq_rows
     folder = damaged_set(tmp_path, rows, kind, edit)
     dataset = realtouch.load(folder)
@@ -225,9 +215,7 @@ def test_damage_is_named_and_listed(
         *("video_length_frames", "touch_start_time_rel"),
     ],
 )
-def test_the_last_touch_never_gets_values_of_the_next_round(
-    field: str, seq_rows: list[dict], tmp_path: Path
-) -> None:
+def test_the_last_touch_never_gets_values_of_the_next_round(field, seq_rows, tmp_path):
     def one_less(row: dict[str, Any]) -> None:
         row[field] = row[field][:-1]
 
@@ -281,9 +269,7 @@ def test_repeated_ids_are_found(single_rows: list[dict], tmp_path: Path) -> None
         ("gel_pose_cell_frame.position", pa.array([[["x"]]] * 3), "three floats per touch"),
     ],
 )
-def test_a_wrong_column_type_is_named(
-    column: str, values: pa.Array, expected: str, single_rows: list[dict], tmp_path: Path
-) -> None:
+def test_a_wrong_column_type_is_named(column, values, expected, single_rows, tmp_path):
     factories.write_set(tmp_path, {"train": single_rows}, "single")
     place = tmp_path / "data" / "train-00000-of-00001.parquet"
     table = pq.read_table(place)

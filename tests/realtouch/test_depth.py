@@ -95,9 +95,7 @@ def test_a_set_gains_depth_in_metres_and_keeps_all_else(images: Path, tmp_path: 
     assert "realtouch depth" in card
 
 
-def test_further_conversions_keep_the_maps_of_the_touches_that_they_keep(
-    images: Path, tmp_path: Path
-) -> None:
+def test_further_conversions_keep_the_maps_of_the_touches_that_they_keep(images, tmp_path):
     realtouch.add_depth(images, tmp_path / "depths", "a")
     realtouch.select(tmp_path / "depths", tmp_path / "some", split="train", limit=1)
     realtouch.resize(tmp_path / "depths", tmp_path / "small", 24, 18)

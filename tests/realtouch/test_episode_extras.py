@@ -22,7 +22,6 @@ from realtouch.importing.source_touches import Recording
 from tactile_toolkit import store
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.touch import decode_image
-from tests.realtouch.factories import RoundTruth
 from tests.realtouch.found import per_frame
 
 FORCE = "observation.force_n"
@@ -93,9 +92,7 @@ def test_columns_with_an_entry_per_touch_are_features(single_folder: Path, tmp_p
         assert per_frame(each, "good/bad").tolist() == is_good[number]
 
 
-def test_columns_with_an_entry_per_frame_are_features(
-    seq_folder: Path, truth: list[RoundTruth], tmp_path: Path
-) -> None:
+def test_columns_with_an_entry_per_frame_are_features(seq_folder, truth, tmp_path):
     """Next to columns of whole clips; a name that is taken by a feature of ours is changed."""
     random = np.random.default_rng(4)
     lengths = [[touch.frames for touch in each.touches] for each in truth]
@@ -130,9 +127,7 @@ def test_vectors_of_another_length_are_named(single_folder: Path, tmp_path: Path
         realtouch.export(home, tmp_path / "out", "lerobot")
 
 
-def test_large_integers_with_gaps_are_not_rounded(
-    single_folder: Path, truth: list[RoundTruth], tmp_path: Path
-) -> None:
+def test_large_integers_with_gaps_are_not_rounded(single_folder, truth, tmp_path):
     """Formats without missing values store NaN instead, which only floats can hold."""
     count = len(truth[0].touches)
     stamps = [2**60 + 1, None, *range(count - 2)]
@@ -198,9 +193,7 @@ def test_a_map_of_another_size_is_named(single_folder: Path, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(("layout", "find"), [("oxt", find_oxt), ("replay", find_replay)])
-def test_columns_are_arrays_of_groups(
-    layout: Any, find: Any, seq_folder: Path, truth: list[RoundTruth], tmp_path: Path
-) -> None:
+def test_columns_are_arrays_of_groups(layout, find, seq_folder, truth, tmp_path):
     """A group states which columns concern whole clips."""
     force = [
         [[[frame, 2.0, 3.0] for frame in range(touch.frames)] for touch in each.touches] for each in truth

@@ -98,9 +98,7 @@ def test_every_reader_of_tables_reads_flat_touches(source: Path, tmp_path: Path)
     assert (result.rounds, result.touches) == (4, 20)
 
 
-def test_row_groups_hold_as_many_touches_as_their_bytes_allow(
-    single_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_row_groups_hold_as_many_touches_as_their_bytes_allow(single_folder, tmp_path, monkeypatch):
     largest = max(len(row["image"]) for row in expected(single_folder))
     monkeypatch.setattr(exports, "_GROUP_BYTES", 5 * largest)
     realtouch.export(single_folder, tmp_path, "flat", split="train")
@@ -135,9 +133,7 @@ def test_webdataset_reads_the_tars(source: Path, tmp_path: Path) -> None:
 @pytest.mark.one_at_a_desk
 @pytest.mark.usefixtures("small_shards")
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_parts_kills_and_damage_end_in_the_same_bytes(
-    layout: Any, single_folder: Path, tmp_path: Path
-) -> None:
+def test_parts_kills_and_damage_end_in_the_same_bytes(layout, single_folder, tmp_path):
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     # Starting workers takes longer than their work, so only one layout is tested with several.
     realtouch.export(single_folder, whole, layout, split="train", workers=2 if layout == "lerobot" else 1)
@@ -265,9 +261,7 @@ def test_lerobot_reads_its_data_set(source: Path, step_s: float, tmp_path: Path)
         ("lerobot", {}, "add --split"),
     ],
 )
-def test_impossible_exports_are_named(
-    layout: Any, options: dict[str, Any], words: str, single_folder: Path, tmp_path: Path
-) -> None:
+def test_impossible_exports_are_named(layout, options, words, single_folder, tmp_path):
     with pytest.raises(InputError, match=words):
         realtouch.export(single_folder, tmp_path / "no", layout, **options)
     with pytest.raises(InputError, match="source"):
@@ -321,9 +315,7 @@ def test_rounds_that_cannot_be_read_are_left_out(layout: Any, edited: Any, tmp_p
         ("other size", InputError, r"20 x 10 pixels; expected 96 x 72.*resize"),
     ],
 )
-def test_lerobot_needs_every_image_in_one_size(
-    name: str, error: type[Exception], words: str, edited: Any, tmp_path: Path
-) -> None:
+def test_lerobot_needs_every_image_in_one_size(name, error, words, edited, tmp_path):
     with pytest.raises(error, match=words):
         realtouch.export(edited(name), tmp_path / "robots", "lerobot")
     assert not (tmp_path / "robots").exists()

@@ -6,7 +6,6 @@ import json
 import pickle
 import re
 import tarfile
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -186,9 +185,7 @@ def equal(one: Any, other: Any) -> bool:
     ],
     ids=["select", "resize", "merge", "split"],
 )
-def test_conversions_keep_them(
-    kind: str, convert: Callable[[Path, Path], Any], images: Path, clips: Path, tmp_path: Path
-) -> None:
+def test_conversions_keep_them(kind, convert, images, clips, tmp_path):
     source = {"images": images, "clips": clips}[kind]
     convert(source, tmp_path / "out")
     place = next(path for path in (tmp_path / "out" / "part-1", tmp_path / "out") if path.exists())
@@ -203,9 +200,7 @@ def taken(values: Any, touches: list[int]) -> list[Any]:
 
 
 @pytest.mark.parametrize("kind", ["images", "clips"])
-def test_some_touches_keep_theirs(
-    kind: str, images: Path, clips: Path, tmp_path: Path, monkeypatch: Any
-) -> None:
+def test_some_touches_keep_theirs(kind, images, clips, tmp_path, monkeypatch):
     source = {"images": images, "clips": clips}[kind]
     record = realtouch.load(source, "train")[0]
     chosen = record.with_touches([2, 0])

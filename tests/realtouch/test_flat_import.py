@@ -133,9 +133,7 @@ def test_invalid_pictures_and_files_are_named(tmp_path: Path) -> None:
         found(home)
 
 
-def test_tables_that_unpack_to_huge_sizes_are_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_tables_that_unpack_to_huge_sizes_are_refused(tmp_path, monkeypatch):
     """A text that is stored once for many rows, and numbers that compress to almost no space."""
     monkeypatch.setenv("TACTILE_TOOLKIT_UNPACKED_MIB", "4")
     count = 10_000
@@ -153,9 +151,7 @@ def test_tables_that_unpack_to_huge_sizes_are_refused(
 
 
 @pytest.mark.parametrize("kind", ["single", "seq"])
-def test_an_export_of_this_toolkit_is_imported_unchanged(
-    kind: Any, request: pytest.FixtureRequest, tmp_path: Path
-) -> None:
+def test_an_export_of_this_toolkit_is_imported_unchanged(kind, request, tmp_path):
     source = request.getfixturevalue(f"{kind}_folder")
     realtouch.export(source, tmp_path / "flat", "flat")
     realtouch.import_touches(tmp_path / "flat", tmp_path / "back", "flat")

@@ -23,9 +23,7 @@ from tests.tactile_toolkit.toy import folder_bytes
 
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("layout", ["folder", "webdataset"])
-def test_there_and_back(
-    layout: Any, single_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_there_and_back(layout, single_folder, tmp_path, capsys):
     """The shortest command keeps everything; named columns give the same set."""
     there, back = tmp_path / "there", tmp_path / "back"
     if layout == "folder":
@@ -88,9 +86,7 @@ def test_an_export_is_imported_by_its_path(layout: Any, single_folder: Path, tmp
         np.testing.assert_array_equal(after.labels, before.labels)
 
 
-def test_cards_of_touches_only_on_objects_do_not_mention_a_plate(
-    single_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_cards_of_touches_only_on_objects_do_not_mention_a_plate(single_folder, tmp_path, capsys):
     """The deepest touch of such a round is not on the plate, which an import cannot know."""
     realtouch.select(single_folder, tmp_path / "some", contact=True)
     realtouch.export(tmp_path / "some", tmp_path / "tars", "webdataset")
@@ -237,9 +233,7 @@ def uneven(tmp_path: Path) -> Path:
     return tmp_path / "uneven"
 
 
-def test_rounds_of_different_lengths_are_intact_in_all_that_is_made_of_them(
-    uneven: Path, tmp_path: Path
-) -> None:
+def test_rounds_of_different_lengths_are_intact_in_all_that_is_made_of_them(uneven, tmp_path):
     made = {"imported": uneven}
 
     def make(name: str, change: Any, source: str, **options: Any) -> None:

@@ -26,9 +26,7 @@ def lists(server: Any) -> list[str]:
 
 
 @pytest.mark.parametrize("layout", ["folder", "webdataset"])
-def test_imports_from_a_store_equal_those_from_a_folder(
-    layout: Any, single_folder: Path, tmp_path: Path, s3: Any, bucket: str
-) -> None:
+def test_imports_from_a_store_equal_those_from_a_folder(layout, single_folder, tmp_path, s3, bucket):
     columns = COLUMNS
     if layout == "folder":
         realtouch.frames(single_folder, tmp_path / "there", "jpeg")

@@ -54,9 +54,7 @@ def change_after(monkeypatch: pytest.MonkeyPatch, module: Any, name: str, change
 
 
 @pytest.mark.parametrize("cut", ["whole", "frames", "contact"])
-def test_a_video_that_is_replaced_once_it_was_found(
-    cut: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_video_that_is_replaced_once_it_was_found(cut, tmp_path, monkeypatch):
     source = tmp_path / "source"
     source.mkdir()
     video(source / "a.avi")
@@ -66,9 +64,7 @@ def test_a_video_that_is_replaced_once_it_was_found(
     assert not list((tmp_path / "out").rglob("*.parquet"))
 
 
-def test_a_stream_of_several_parts_that_changes_between_its_times_and_its_values(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stream_of_several_parts_that_changes_between_its_times_and_its_values(tmp_path, monkeypatch):
     monkeypatch.setattr(tables, "_BLOCK_BYTES", 512)
     source = tmp_path / "source"
     source.mkdir()
@@ -80,9 +76,7 @@ def test_a_stream_of_several_parts_that_changes_between_its_times_and_its_values
         realtouch.import_touches(source, tmp_path / "out")
 
 
-def test_rounds_that_are_divided_take_no_names_of_others(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rounds_that_are_divided_take_no_names_of_others(tmp_path, monkeypatch):
     rounds = ["a", "a", "a", "a-0", "a-1", "b"]
     source = images(tmp_path / "source", [(each,) for each in rounds], ["round_id"])
     monkeypatch.setattr(import_plan, "_SHARD_BYTES", 1)

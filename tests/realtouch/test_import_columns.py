@@ -246,9 +246,7 @@ def test_times_may_be_points_in_time() -> None:
         times_s(["noon"], realtouch.ImportColumns())
 
 
-def test_extra_columns_of_a_table_are_kept(
-    home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_extra_columns_of_a_table_are_kept(home, tmp_path, capsys):
     lines = [
         {"file": f"pictures/{number}.jpg", "label": "cat", "Fz": force, "note": note, "ok": "TRUE",
          "id": number, "t_ms": 1500 * number, "empty": "", "mass": "1,234"}
@@ -466,7 +464,7 @@ def test_extra_values_come_back_as_they_were(data: st.DataObject) -> None:
         kind = st.lists(kind, min_size=1, max_size=3)
     values = data.draw(st.lists(st.none() | kind, min_size=1, max_size=6).filter(any_is_known))
     columns = realtouch.ImportColumns(extra=(("new", "x"),))
-    column = column_types.from_values(values)
+    column = column_types.column_of(values)
     assert kept(touches({"x": column}), columns) == ("extra.new", values)
     pictures = Recording("a", "", "", "", 0, len(values), 1, per_frame={"x": column})
     assert kept(touches_of(pictures, "whole"), columns) == ("extra_seq.new", [values])

@@ -21,9 +21,7 @@ from tests.realtouch.images_of_others import line, picture, write_table
 from tests.tactile_toolkit.toy import folder_bytes
 
 
-def test_an_image_that_changed_in_place_is_read_again_with_check_alone(
-    home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_image_that_changed_in_place_is_read_again_with_check_alone(home, tmp_path, monkeypatch):
     """A second import compares names, sizes and the table; `check` compares the content of the images."""
     monkeypatch.setattr("realtouch.importing.import_plan._TOUCHES_PER_SHARD", 2)
     write_table(home, [line(f"pictures/{number}.jpg") for number in range(4)])

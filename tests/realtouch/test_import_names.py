@@ -43,9 +43,7 @@ def test_names_of_classes_of_our_own_exports_stay(layout: Any, home: Path, tmp_p
         (["10000", "9", "9", "9"], ["10000", "9"]),
     ],
 )
-def test_classes_stay_the_text_that_they_are(
-    labels: list[str], names: list[str], home: Path, tmp_path: Path
-) -> None:
+def test_classes_stay_the_text_that_they_are(labels, names, home, tmp_path):
     write_table(home, [line(f"pictures/{number}.jpg", label) for number, label in enumerate(labels)])
     manifest = realtouch.import_touches(home, tmp_path / "out", "folder")
     found = realtouch.load(tmp_path / "out", "train")
@@ -94,9 +92,7 @@ def test_text_that_cannot_be_stored_or_seen(tmp_path: Path, capsys: pytest.Captu
     assert not (tmp_path / "no").exists()
 
 
-def test_stored_text_that_is_not_unicode(
-    single_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_stored_text_that_is_not_unicode(single_folder, tmp_path, capsys):
     realtouch.select(single_folder, tmp_path / "out", split="test")
     (shard,) = (tmp_path / "out" / "data").iterdir()
     manifest, good = tmp_path / "out" / "manifest.json", (tmp_path / "out" / "manifest.json").read_text()

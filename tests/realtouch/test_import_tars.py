@@ -103,13 +103,7 @@ def pax(**fields: str) -> tuple[tarfile.TarInfo, bytes]:
         ([pax(path="c" * 300, size="5" * 5000)], 0, f"'{'c' * 300}' is sparse, or its size is not a number"),
     ],
 )
-def test_a_tar_with_an_impossible_header(
-    before: list[tuple[tarfile.TarInfo, bytes]],
-    size: int,
-    words: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_tar_with_an_impossible_header(before, size, words, tmp_path, capsys):
     write_tar(tmp_path / "a.tar", [("a.jpg", picture(1)), ("a.cls", b"1")])
     last = tarfile.TarInfo("b.jpg")
     last.size = size

@@ -95,9 +95,7 @@ def test_killed_again_and_again_it_ends_with_the_same_bytes(
 
 
 @pytest.mark.thorough
-def test_half_written_pictures_are_removed(
-    single_folder: Path, undisturbed: dict[str, dict[str, bytes]], tmp_path: Path
-) -> None:
+def test_half_written_pictures_are_removed(single_folder, undisturbed, tmp_path):
     out = tmp_path / "out"
     moment = 10
     while not temporaries(out):

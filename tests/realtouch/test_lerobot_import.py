@@ -70,9 +70,7 @@ def test_episodes_of_others_are_recordings(version: str, dtype: str, tmp_path: P
 
 
 @pytest.mark.parametrize(("version", "dtype"), KINDS)
-def test_one_of_several_cameras_is_chosen_and_the_others_are_named(
-    version: str, dtype: str, tmp_path: Path
-) -> None:
+def test_one_of_several_cameras_is_chosen_and_the_others_are_named(version, dtype, tmp_path):
     write_lerobot(tmp_path, version, dtype, Truth((3, 2), (CAMERA, "observation.images.wrist")))
     with pytest.raises(
         InputError, match=rf"cameras {CAMERA}, observation.images.wrist; expected one; next: "
@@ -189,9 +187,7 @@ def change_column(name: str, values: Callable[[pa.Table], pa.Array]) -> Callable
         ),
     ],
 )
-def test_an_unusable_episode_is_one_item_with_the_reason(
-    dtype: str, spoil: Callable[[Path], None], words: str, tmp_path: Path
-) -> None:
+def test_an_unusable_episode_is_one_item_with_the_reason(dtype, spoil, words, tmp_path):
     write_lerobot(tmp_path, "v2.1", dtype)
     spoil(tmp_path)
     recordings = found(tmp_path)
@@ -217,9 +213,7 @@ def test_an_unusable_episode_is_one_item_with_the_reason(
     ],
 )
 @pytest.mark.parametrize("version", ["v2.1", "v3.0"])
-def test_paths_in_metadata_stay_inside(
-    version: str, values: dict[str, Any], words: str, tmp_path: Path
-) -> None:
+def test_paths_in_metadata_stay_inside(version, values, words, tmp_path):
     home = tmp_path / "home"
     write_lerobot(home, version, "video")
     (home / "link").symlink_to(tmp_path)

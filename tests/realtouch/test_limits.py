@@ -59,9 +59,7 @@ def repeated(frame: bytes, count: int) -> bytes:
     ],
     ids=["repeated", "many"],
 )
-def test_a_clip_that_unpacks_to_gigabytes_is_refused(
-    data: bytes, frames: int, words: str, seq_rows: list[dict], tmp_path: Path
-) -> None:
+def test_a_clip_that_unpacks_to_gigabytes_is_refused(data, frames, words, seq_rows, tmp_path):
     layout = Layout(edit=one_clip(data, frames))
     factories.write_set(tmp_path, {"train": seq_rows[:2]}, "seq", layout)
     record = realtouch.load(tmp_path)[1]
@@ -151,9 +149,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_an_out_that_does_not_fit_is_refused_before_it_is_written_to(
-    name: str, single_folder: Path, seq_folder: Path
-) -> None:
+def test_an_out_that_does_not_fit_is_refused_before_it_is_written_to(name, single_folder, seq_folder):
     out: Any = WRONG[name]
     singles, clips = realtouch.load(single_folder, "train"), realtouch.load(seq_folder, "train")
     two = clips[0].with_touches([0, 1])

@@ -68,9 +68,7 @@ def test_every_field_of_clips(layout: Layout, truth: list[RoundTruth], tmp_path:
 
 
 @pytest.mark.parametrize("layout", [Layout(), Layout(nested=True, fixed=False, shards=2)])
-def test_every_field_of_images(
-    layout: Layout, truth: list[RoundTruth], single_rows: list[dict], tmp_path: Path
-) -> None:
+def test_every_field_of_images(layout, truth, single_rows, tmp_path):
     factories.write_set(tmp_path, {"train": single_rows}, "single", layout)
     dataset = realtouch.load(tmp_path)
     assert isinstance(dataset, realtouch.TouchSingleDataset)
@@ -164,9 +162,7 @@ def test_missing_items_are_named(tmp_path: Path, single_folder: Path) -> None:
         realtouch.load([tmp_path / "a.parquet"])
 
 
-def test_short_names_reach_the_published_repositories(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_short_names_reach_the_published_repositories(monkeypatch, tmp_path):
     asked = []
 
     def find(repo_id: str, revision: str | None) -> object:

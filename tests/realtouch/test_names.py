@@ -24,9 +24,7 @@ def test_invalid_names_are_refused(name: Any) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(SHORT_NAMES))
-def test_local_data_of_a_short_name_comes_first(
-    name: str, single_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_local_data_of_a_short_name_comes_first(name, single_folder, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
     monkeypatch.setattr("huggingface_hub.constants.HF_HUB_OFFLINE", True)
@@ -83,9 +81,7 @@ REST = "data/train-00001-of-00002.parquet"
         ("'someone/converted', streaming=True", [3]),
     ],
 )
-def test_files_and_revisions_of_the_hub(
-    arguments: str, rows: list[int], server: HubServer, single_folder: Path, tmp_path: Path
-) -> None:
+def test_files_and_revisions_of_the_hub(arguments, rows, server, single_folder, tmp_path):
     sets = [*realtouch.load(single_folder, "train"), *realtouch.load(single_folder, "test")]
     done = run_here(LOAD.format(arguments=arguments), settings(server, tmp_path), tmp_path)
     assert done.stdout.split() == [sets[row].id for row in rows], done.stdout
@@ -109,9 +105,7 @@ def test_files_and_revisions_of_the_hub(
         ("'someone/converted', 'train'", "InputError no split 'train' in 'someone/converted': it has test"),
     ],
 )
-def test_names_missing_on_the_hub_are_named(
-    arguments: str, words: str, server: HubServer, tmp_path: Path
-) -> None:
+def test_names_missing_on_the_hub_are_named(arguments, words, server, tmp_path):
     done = run_here(LOAD.format(arguments=arguments), settings(server, tmp_path), tmp_path)
     assert done.stdout.startswith(words)
 

@@ -80,9 +80,7 @@ def source(request: pytest.FixtureRequest) -> Path:
     return request.getfixturevalue(f"{request.param}_folder")
 
 
-def test_exports_follow_the_specification(
-    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_exports_follow_the_specification(source, tmp_path, monkeypatch):
     """Opened as by the loader of FTP-1, with zarr: a row for each frame, four members of each group."""
     monkeypatch.setattr("realtouch.formats.zarr_export.CHUNK_BYTES", 4 * 72 * 96 * 3)
     realtouch.export(source, tmp_path / "a", "oxt", split="train")

@@ -104,9 +104,7 @@ def test_clips_beside_one_without_a_height_keep_theirs(seq_rows: list[dict], tmp
 
 
 @pytest.mark.parametrize(("edit", "left"), [(no_height, 11), (lacking_poses, 8)])
-def test_heights_of_a_view_need_no_other(
-    edit: Any, left: int, single_rows: list[dict], tmp_path: Path
-) -> None:
+def test_heights_of_a_view_need_no_other(edit, left, single_rows, tmp_path):
     whole = realtouch.load(damaged_set(tmp_path, single_rows, "single", edit))
     assert len(whole[[0, 2]].touches().with_contact()) == 8  # rows outside of a view do not matter
     with pytest.raises(IntegrityError, match="row 1"):

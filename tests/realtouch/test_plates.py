@@ -76,9 +76,7 @@ def test_heights_above_a_known_plate() -> None:
     assert contact_heights_m(np.zeros(0)).shape == (0,)
 
 
-def test_a_rendered_round_without_a_stored_plate_has_the_known_one(
-    truth: list[RoundTruth], tmp_path: Path
-) -> None:
+def test_a_rendered_round_without_a_stored_plate_has_the_known_one(truth, tmp_path):
     """Joined sets may store the height of the plate for some rounds only; null is NaN in numpy."""
     factories.write_set(tmp_path, {"train": factories.single_rows(truth[:2])}, "single")
     (path,) = tmp_path.rglob("train*.parquet")

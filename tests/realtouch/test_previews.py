@@ -76,9 +76,7 @@ def test_pixels_are_drawn_at_their_positions(angle, flipped, centre_m, mark):
 
 
 @pytest.mark.parametrize("kind", ["seq", "single"])
-def test_stored_touches_are_placed_by_the_measured_pose(
-    kind: str, seq_folder: Path, single_folder: Path, truth: list[RoundTruth]
-) -> None:
+def test_stored_touches_are_placed_by_the_measured_pose(kind, seq_folder, single_folder, truth):
     record = realtouch.load(str(seq_folder if kind == "seq" else single_folder), "train")[1]
     for touch, one in enumerate(placed_touches(record, range(TOUCHES))):
         known = truth[1].touches[touch]
@@ -105,9 +103,7 @@ def test_without_poses_the_intended_position_is_taken(tmp_path: Path, truth: lis
 
 
 @pytest.mark.parametrize("kind", ["seq", "single"])
-def test_touches_that_met_the_digit_are_framed_in_the_grid(
-    kind: str, seq_folder: Path, single_folder: Path, truth: list[RoundTruth]
-) -> None:
+def test_touches_that_met_the_digit_are_framed_in_the_grid(kind, seq_folder, single_folder, truth):
     record = realtouch.load(str(seq_folder if kind == "seq" else single_folder), "train")[0]
     pixels = draw_grid(record, 32)
     step = 160 + 6 + 8

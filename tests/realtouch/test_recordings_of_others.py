@@ -46,9 +46,7 @@ def imported(home: Path, out: Path, columns: realtouch.ImportColumns | None = No
     ],
 )
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
-def test_tables_of_spreadsheets_and_other_systems(
-    table: str, encoding: str, home: Path, tmp_path: Path
-) -> None:
+def test_tables_of_spreadsheets_and_other_systems(table, encoding, home, tmp_path):
     (home / "LABELS.CSV").write_bytes(table.encode(encoding))
     found = imported(home, tmp_path / "out")
     assert [found.label_names[label] for label in found.labels] == ["a", "b"]
@@ -86,9 +84,7 @@ def poses_in(unit: str, scale: float, decimal: str = ".") -> list[dict[str, str]
     ("stated", "given", "scale"),
     [("mm", None, 1e3), ("CM", None, 1e2), ("m", None, 1), ("", None, 1), ("", "mm", 1e3), ("mm", "mm", 1e3)],
 )
-def test_lengths_are_in_the_unit_that_their_column_states(
-    stated: str, given: str | None, scale: float, home: Path, tmp_path: Path
-) -> None:
+def test_lengths_are_in_the_unit_that_their_column_states(stated, given, scale, home, tmp_path):
     lines = poses_in(stated, scale)
     write_table(home, lines)
     names = tuple(lines[0])[1:]
@@ -125,9 +121,7 @@ def test_decimal_commas_and_lists_in_a_unit(home: Path, tmp_path: Path) -> None:
         ("0.17 -0.17 0.2 0.5 0.5 -0.5 -0.5", ""),
     ],
 )
-def test_other_values_than_poses_in_metres_are_refused(
-    pose: str, words: str, home: Path, tmp_path: Path
-) -> None:
+def test_other_values_than_poses_in_metres_are_refused(pose, words, home, tmp_path):
     write_table(home, [line("pictures/0.jpg", pose=pose)])
     columns = realtouch.ImportColumns(pose=("pose",))
     if not words:
@@ -138,9 +132,7 @@ def test_other_values_than_poses_in_metres_are_refused(
 
 
 @pytest.mark.parametrize("kind", ["single", "seq"])
-def test_every_reader_refuses_a_quaternion_that_is_not_of_length_one(
-    kind: Any, request: pytest.FixtureRequest, tmp_path: Path
-) -> None:
+def test_every_reader_refuses_a_quaternion_that_is_not_of_length_one(kind, request, tmp_path):
     name = "gel_pose_cell_frame.quaternion" if kind == "single" else "gel_pose_cell_frame_seq.quaternion"
 
     def double(row: dict[str, Any], index: int) -> None:
@@ -217,9 +209,7 @@ def test_a_recording_without_labels_is_a_set(home: Path, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("options", [(), ("--map=label=",)])
-def test_an_empty_label_column_means_none(
-    options: tuple[str, ...], home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_empty_label_column_means_none(options, home, tmp_path, capsys):
     write_table(home, [{"file": f"pictures/{number}.jpg", "class": number} for number in range(4)])
     words = ("import", home, "--format", "folder", *options, "--out", tmp_path / "out", "-w", 1)
     assert call("realtouch", *words) == 0
@@ -279,9 +269,7 @@ def test_tars_that_lead_elsewhere_or_are_packed_are_named(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("ending", ["png", "webp"])
-def test_one_of_several_pictures_in_a_file_is_not_taken_for_all(
-    ending: str, home: Path, tmp_path: Path
-) -> None:
+def test_one_of_several_pictures_in_a_file_is_not_taken_for_all(ending, home, tmp_path):
     first, other = (Image.fromarray(decode_image(picture(level))) for level in (1, 99))
     first.save(home / f"moving.{ending}", save_all=True, append_images=[other])
     write_table(home, [line(f"moving.{ending}")])
@@ -289,9 +277,7 @@ def test_one_of_several_pictures_in_a_file_is_not_taken_for_all(
         imported(home, tmp_path / "out")
 
 
-def test_the_summary_counts_rounds_and_touches_apart(
-    home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_summary_counts_rounds_and_touches_apart(home, tmp_path, capsys):
     lines = [{"file": f"pictures/{number}.jpg", "session": "one"} for number in range(4)]
     write_table(home, [*lines, {"file": "none.jpg", "session": "one"}])
     words = ("import", home, "--format", "folder", "--map", "round=session", "--out", tmp_path / "out")

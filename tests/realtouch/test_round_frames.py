@@ -13,7 +13,7 @@ from realtouch.touches.media import in_parallel
 from realtouch.video.avi import Avi, write_avi
 from tactile_toolkit.errors import IntegrityError
 from tests.realtouch import factories
-from tests.realtouch.factories import Layout, RoundTruth
+from tests.realtouch.factories import Layout
 
 FRAMES = np.stack([np.full((16, 24, 3), 20 * index, np.uint8) for index in range(10)])
 JPEGS = [factories.encode_jpeg(frame) for frame in FRAMES]
@@ -25,9 +25,7 @@ AVIS = {"FFmpeg": factories.encode_avi(FRAMES), "ours": write_avi(JPEGS, 24, 16,
     st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.integers(0, 255)), min_size=1, max_size=8),
     st.floats(0, 1),
 )
-def test_a_damaged_file_raises_or_gives_frames_of_its_stream(
-    writer: str, changes: list[tuple[float, int]], kept: float
-) -> None:
+def test_a_damaged_file_raises_or_gives_frames_of_its_stream(writer, changes, kept):
     """No bytes from outside of the file are used, and none twice."""
     data = bytearray(AVIS[writer])
     for place, value in changes:
@@ -55,9 +53,7 @@ def test_a_damaged_file_raises_or_gives_frames_of_its_stream(
     ],
     ids=["published", "ragged", "seconds", "null padding", "no stamps"],
 )
-def test_frames_of_a_round_are_those_of_its_clips(
-    layout: Layout, truth: list[RoundTruth], tmp_path: Path
-) -> None:
+def test_frames_of_a_round_are_those_of_its_clips(layout, truth, tmp_path):
     rows = factories.seq_rows(truth[:2], layout)
     factories.write_set(tmp_path, {"train": rows}, "seq", layout)
     record = realtouch.load(tmp_path)[1]
@@ -115,9 +111,7 @@ def _broken(row: dict, place: int) -> None:
         (4, r"touch 2, field 'sensor_video': no bytes are stored"),
     ],
 )
-def test_damage_is_named_with_its_touch(
-    place: int, message: str, truth: list[RoundTruth], tmp_path: Path
-) -> None:
+def test_damage_is_named_with_its_touch(place, message, truth, tmp_path):
     rows = factories.seq_rows(truth[:1])
     factories.write_set(tmp_path, {"train": rows}, "seq", Layout(edit=lambda row, _: _broken(row, place)))
     record = realtouch.load(tmp_path)[0]

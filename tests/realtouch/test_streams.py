@@ -157,9 +157,7 @@ def test_poses_of_other_forms_are_those_of_the_nearest_sample(tmp_path: Path) ->
         ("wrist_deg", [[350.0, 0.0], [10.0, 20.0]], [[350, 0], [355, 5], [0, 10], [5, 15], [10, 20]]),
     ],
 )
-def test_angles_are_between_samples_on_the_circle(
-    name: str, samples: list[Any], expected: list[Any], tmp_path: Path
-) -> None:
+def test_angles_are_between_samples_on_the_circle(name, samples, expected, tmp_path):
     given = stream(tmp_path, {"time_s": [0.0, 0.4, 0.8][: len(samples)], name: samples}, "take1.jsonl")
     times = np.array([0, 0.1, 0.2, 0.3, 0.4, 0.6][: len(expected)])
     how = Alignment(method="linear", max_gap_ms=500.0)
@@ -232,9 +230,7 @@ def test_an_offset_of_the_clocks_is_added(tmp_path: Path) -> None:
         ({"time_s": pa.array([], pa.float64())}, {}, "has no rows"),
     ],
 )
-def test_invalid_times_are_refused(
-    columns: dict[str, Any], options: dict[str, Any], words: str, tmp_path: Path
-) -> None:
+def test_invalid_times_are_refused(columns, options, words, tmp_path):
     with pytest.raises(InputError, match=words):
         stream(tmp_path, columns, **options)
 
@@ -254,9 +250,7 @@ def test_invalid_times_are_refused(
         ({"time_s": [0.0, 1.0], "f": [{"a": 1}] * 2}, 3, True, "column 'f' holds values of no type"),
     ],
 )
-def test_streams_that_do_not_fit_are_refused(
-    columns: dict[str, Any], frames: int, has_times: bool, words: str, tmp_path: Path
-) -> None:
+def test_streams_that_do_not_fit_are_refused(columns, frames, has_times, words, tmp_path):
     given = stream(tmp_path, columns, "take1.force.parquet")
     time_s = np.arange(float(frames)) if has_times else None
     with pytest.raises(InputError, match=words):
@@ -362,9 +356,7 @@ def test_damaged_tables_end_in_sentences(ending: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("cut", ["whole", "frames"])
-def test_a_named_column_of_times_is_that_of_the_streams_that_have_it(
-    cut: str, takes: Path, tmp_path: Path
-) -> None:
+def test_a_named_column_of_times_is_that_of_the_streams_that_have_it(cut, takes, tmp_path):
     """Videos have their own times, and so have streams without that column."""
     columns = {"clock": np.arange(4001.0), "other": np.arange(4001) + 0.5}
     for number in (1, 2):

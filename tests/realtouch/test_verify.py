@@ -18,7 +18,7 @@ from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.store import open_folder
 from tests.command_line import call
 from tests.realtouch import factories
-from tests.realtouch.factories import Layout, RoundTruth
+from tests.realtouch.factories import Layout
 from tests.realtouch.images_of_others import line, write_table
 from tests.realtouch.test_damage import damaged_set
 
@@ -41,9 +41,7 @@ def with_column(folder: Path, name: str, values: pa.Array, source: Path) -> Path
     return folder
 
 
-def test_it_accepts_what_load_accepts(
-    single_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_accepts_what_load_accepts(single_folder, tmp_path, monkeypatch):
     files = sorted((single_folder / "data").glob("train-*"))
     for name in (single_folder, f"{single_folder}/", files, [str(file) for file in files], files[0]):
         assert realtouch.verify(name).ok
@@ -57,9 +55,7 @@ def test_it_accepts_what_load_accepts(
         realtouch.verify(3)
 
 
-def test_before_an_upload_damage_or_errors_of_the_card_are_listed(
-    single_folder: Path, tmp_path: Path
-) -> None:
+def test_before_an_upload_damage_or_errors_of_the_card_are_listed(single_folder, tmp_path):
     realtouch.select(str(single_folder), str(tmp_path), contact=True)
     assert list_findings(open_folder(str(tmp_path))) == []
     card, (shard,) = tmp_path / "README.md", (tmp_path / "data").glob("train-*")
@@ -89,9 +85,7 @@ def test_pictures_of_another_size(single_rows: list[dict], tmp_path: Path) -> No
     assert "40 x 50 pixels; expected 96 x 72" in realtouch.verify(folder).findings[0].problem
 
 
-def test_frames_and_clips_of_another_size(
-    seq_rows: list[dict], truth: list[RoundTruth], tmp_path: Path
-) -> None:
+def test_frames_and_clips_of_another_size(seq_rows, truth, tmp_path):
     small = factories.encode_jpeg(np.zeros((50, 40, 3), np.uint8))
 
     def smaller(row: dict[str, Any]) -> None:
@@ -108,9 +102,7 @@ def test_frames_and_clips_of_another_size(
     assert "expected 96 x 72 pixels as of the other touches" in second.problem
 
 
-def test_frames_behind_the_stated_length_of_a_clip(
-    seq_rows: list[dict], truth: list[RoundTruth], tmp_path: Path
-) -> None:
+def test_frames_behind_the_stated_length_of_a_clip(seq_rows, truth, tmp_path):
     frames = truth[1].touches[1].frames
 
     def shorter(row: dict[str, Any]) -> None:
@@ -127,9 +119,7 @@ def test_frames_behind_the_stated_length_of_a_clip(
         record.sensor_video[1]
 
 
-def test_times_that_run_backwards_in_a_set_without_contact_times(
-    seq_rows: list[dict], tmp_path: Path
-) -> None:
+def test_times_that_run_backwards_in_a_set_without_contact_times(seq_rows, tmp_path):
     def backwards(row: dict[str, Any], index: int) -> None:
         if index == 1:
             row["time_stamp_rel_seq"] = [list(times)[::-1] for times in row["time_stamp_rel_seq"]]
@@ -159,9 +149,7 @@ def test_a_label_without_a_name(single_folder: Path, tmp_path: Path) -> None:
         ("info.gel_id.sub", pa.array([3]), "info.gel_id.sub"),
     ],
 )
-def test_metadata_that_cannot_be_returned(
-    name: str, values: pa.Array, field: str, single_folder: Path, tmp_path: Path
-) -> None:
+def test_metadata_that_cannot_be_returned(name, values, field, single_folder, tmp_path):
     folder = with_column(tmp_path, name, values, single_folder)
     record = realtouch.load(folder)[0]
     with pytest.raises(IntegrityError, match=f"row 0, field '{field}'"):
@@ -218,9 +206,7 @@ REFERENCES = {
 
 
 @pytest.mark.parametrize("name", REFERENCES)
-def test_a_clip_that_refers_to_something_else_is_damaged(
-    name: str, truth: list[RoundTruth], seq_rows: list[dict], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_clip_that_refers_to_something_else_is_damaged(name, truth, seq_rows, tmp_path, monkeypatch):
     """Video players would open files of the user, or a socket, and return their content."""
 
     def refer(row: dict[str, Any]) -> None:
@@ -237,9 +223,7 @@ def test_a_clip_that_refers_to_something_else_is_damaged(
     assert [each.id for shard in manifest.shards for each in shard.skipped] == [1]
 
 
-def test_finished_shards_of_an_unfinished_set_are_checked(
-    home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_finished_shards_of_an_unfinished_set_are_checked(home, tmp_path, capsys):
     splits = [{**line(f"pictures/{number}.jpg"), "split": f"s{number % 2}"} for number in range(4)]
     write_table(home, splits)
     words = ("import", home, "--format", "folder", "--map", "split=split", "--out", tmp_path / "out")

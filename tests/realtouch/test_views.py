@@ -30,9 +30,7 @@ def test_a_touch_kept_from_a_filter_carries_its_picture(single_folder: Path, seq
         np.testing.assert_array_equal(Touch(pickle.loads(pickle.dumps(light)), 3).image, expected)
 
 
-def test_the_pose_of_a_touch_reads_its_own_numbers_only(
-    seq_folder: Path, single_folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_pose_of_a_touch_reads_its_own_numbers_only(seq_folder, single_folder, monkeypatch):
     asked: list[str] = []
     read = pq.ParquetFile.iter_batches
 
@@ -82,9 +80,7 @@ def test_classes_and_objects_are_given_one_by_one_or_together(single_folder: Pat
             touches.objects(objects)
 
 
-def test_heights_of_a_set_without_intended_positions(
-    single_rows: list[dict], single_folder: Path, tmp_path: Path
-) -> None:
+def test_heights_of_a_set_without_intended_positions(single_rows, single_folder, tmp_path):
     factories.write_set(tmp_path, {"train": single_rows}, "single", Layout(leave_out=("pos_in_cell",)))
     touches = realtouch.load(tmp_path).touches()
     np.testing.assert_array_equal(

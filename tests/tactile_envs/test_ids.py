@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import re
 from itertools import pairwise
-from pathlib import Path
-from typing import Any
 
 import pytest
 from PIL import Image
@@ -112,9 +110,7 @@ def test_the_page_describes_every_family() -> None:
 
 
 @pytest.mark.thorough
-def test_a_moving_picture_shows_an_episode(
-    provider: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_moving_picture_shows_an_episode(provider, tmp_path, monkeypatch):
     """From the first touch to the last; existing files are not made again."""
     pytest.importorskip("ap_gym", reason="ap-gym (extra `envs`) is not installed")
     from docs import episodes

@@ -174,9 +174,7 @@ def test_a_folder_with_a_data_set_is_not_a_folder_of_meshes(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("window", "size_px"), [("full", (64, 48)), ("center", (60, 40)), ("center", (40, 60))]
 )
-def test_images_show_a_block_in_its_size(
-    name: str, window: Any, size_px: tuple[int, int], tmp_path: Path
-) -> None:
+def test_images_show_a_block_in_its_size(name, window, size_px, tmp_path):
     """A block in the middle of the gel: width and height in the image, depth, and where the sensor stops."""
     model = {**tactile_sim.SENSORS, "thin": THIN}[name]
     width_mm, depth_mm, height_mm = 6.0, 4.0, 0.4 * model.gel_mm

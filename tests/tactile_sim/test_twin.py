@@ -89,9 +89,7 @@ def test_a_fit_explains_its_images_and_finds_the_gel(six_touches):
 
 
 @pytest.mark.parametrize("too_far", [1.0, pytest.param(3.0, marks=pytest.mark.thorough), 6.0])
-def test_a_step_that_makes_images_worse_is_shortened(
-    too_far: float, six_touches: tactile_sim.Recordings, monkeypatch: pytest.MonkeyPatch
-):
+def test_a_step_that_makes_images_worse_is_shortened(too_far, six_touches, monkeypatch):
     """Three times the step to a minimum leaves four times the squares, and half of that a quarter."""
     solve = fitting._Sums.solve
 

@@ -37,9 +37,7 @@ def test_a_deleted_working_folder_is_a_sentence(tmp_path: Path, monkeypatch: pyt
             relative()
 
 
-def test_a_user_without_a_home_has_a_cache_of_his_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_user_without_a_home_has_a_cache_of_his_own(tmp_path, monkeypatch):
     """In the folder for temporary files, which all users share, files of other users are not used."""
 
     def no_home(_path: Path) -> Path:

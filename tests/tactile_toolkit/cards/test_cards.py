@@ -24,10 +24,6 @@ from tactile_toolkit.read import yaml_features
 from tactile_toolkit.store import open_folder, verify
 
 
-def head_of(folder: Path) -> dict:
-    return yaml.safe_load((folder / "README.md").read_text().split("---\n")[1])
-
-
 def edit_head(folder: Path, edit: Callable[[dict], None]) -> None:
     card = folder / "README.md"
     _, head, body = card.read_text().split("---\n", 2)

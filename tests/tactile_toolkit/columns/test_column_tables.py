@@ -38,9 +38,7 @@ def read(found: Table, *numbers: int) -> dict[str, list[Any]]:
 )
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
 @pytest.mark.parametrize("block_bytes", [24, 1 << 20])
-def test_types_follow_from_all_rows(
-    text: str, encoding: str, block_bytes: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_types_follow_from_all_rows(text, encoding, block_bytes, monkeypatch):
     monkeypatch.setattr(tables, "_BLOCK_BYTES", block_bytes)
     expected = {"n": [1, 2, -3], "x": [0.5, 3.0, None], "ok": [True, False, True], "note": ["a", "b c", "7"]}
     assert read(table(text.encode(encoding))) == expected

@@ -71,9 +71,7 @@ def pressed(source: str, out: str, **run: Any) -> None:
         (touches, flat_touches),
     ],
 )
-def test_a_source_that_is_replaced_between_planning_and_copying_is_refused(
-    make: Callable[[Path, int], str], copy: Callable[..., None], tmp_path: Path
-) -> None:
+def test_a_source_that_is_replaced_between_planning_and_copying_is_refused(make, copy, tmp_path):
     source, other = make(tmp_path / "source", 1), make(tmp_path / "other", 20)
     out = tmp_path / "out"
 

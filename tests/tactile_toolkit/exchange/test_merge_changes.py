@@ -43,9 +43,7 @@ def rows_of(folder: Path) -> list[dict[str, Any]]:
     ("program", "make", "load"),
     [("starstruck", scenes, starstruck_gen.load), ("realtouch", touches, realtouch.load)],
 )
-def test_rows_get_new_ids_and_a_source_and_are_otherwise_unchanged(
-    program: str, make: Any, load: Any, tmp_path: Path, capsys: Any
-) -> None:
+def test_rows_get_new_ids_and_a_source_and_are_otherwise_unchanged(program, make, load, tmp_path, capsys):
     one, other = make(tmp_path / "a" / "set", 1), make(tmp_path / "b" / "set", 2)
     words = ("--out", tmp_path / "out", "-w", 1)
     assert call(program, "merge", one, other, *words, "--source-column", "origin") == 0

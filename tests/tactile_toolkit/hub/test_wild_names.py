@@ -39,16 +39,9 @@ def outside(tmp_path: Path, home: Path) -> dict[str, bytes]:
 
 
 WILD = [
-    f"../../victim/{SHARD_NAME}",
-    f"data/../../../{SHARD_NAME}",
-    f"/tmp/evil/{SHARD_NAME}",
-    f"C:\\{SHARD_NAME}",
-    f"data\\..\\..\\{SHARD_NAME}",
-    f".git/{SHARD_NAME}",
-    f"con/{SHARD_NAME}",
-    f"data/x\0/{SHARD_NAME}",
-    f"data/\u202e/{SHARD_NAME}",
-    f"data/{'x' * 200}/{SHARD_NAME}",
+    *(f"../../victim/{SHARD_NAME}", f"data/../../../{SHARD_NAME}", f"/tmp/evil/{SHARD_NAME}"),
+    *(f"C:\\{SHARD_NAME}", f"data\\..\\..\\{SHARD_NAME}", f".git/{SHARD_NAME}", f"con/{SHARD_NAME}"),
+    *(f"data/x\0/{SHARD_NAME}", f"data/\u202e/{SHARD_NAME}", f"data/{'x' * 200}/{SHARD_NAME}"),
 ]
 
 

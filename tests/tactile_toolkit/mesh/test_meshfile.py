@@ -60,9 +60,7 @@ def test_the_same_mesh_gives_the_same_bytes(ending: str, ring: Mesh, tmp_path: P
 
 @pytest.mark.parametrize("ending", MeshFile.FORMATS)
 @pytest.mark.parametrize("share", [0.02, 0.3, 0.6, 0.9])
-def test_a_file_cut_short_is_refused_or_seen_to_be_open(
-    ending: str, share: float, ring: Mesh, tmp_path: Path
-) -> None:
+def test_a_file_cut_short_is_refused_or_seen_to_be_open(ending, share, ring, tmp_path):
     path = tmp_path / f"ring{ending}"
     write_mesh(path, ring)
     data = path.read_bytes()

@@ -33,9 +33,7 @@ def overlap(one: Box, other: Box) -> bool:
     margin_mm=st.sampled_from([0.0, 3.3]),
     corner_mm=st.sampled_from([(0.0, 0.0), (18.0, 28.0), (30.0, 5.0)]),
 )
-def test_boxes_keep_apart_within_the_plate_and_out_of_its_corner(
-    sizes: list[tuple[float, float]], gap_mm: float, margin_mm: float, corner_mm: tuple[float, float]
-) -> None:
+def test_boxes_keep_apart_within_the_plate_and_out_of_its_corner(sizes, gap_mm, margin_mm, corner_mm):
     spec = PlateSpec(100, 90, gap_mm, margin_mm, corner_mm)
     layout = arrange(named([box(*size) for size in sizes]), spec)
     placed = [each for plate in layout.plates for each in plate]

@@ -72,9 +72,7 @@ def test_a_solid_that_the_format_cannot_hold_leaves_no_file(tmp_path: Path) -> N
     assert export_files(named([away]), str(tmp_path / "exact"), "3mf").failed == ()
 
 
-def test_a_disk_that_changes_bytes_keeps_the_former_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_disk_that_changes_bytes_keeps_the_former_file(tmp_path, monkeypatch):
     export_files(named([box(7, 7), box(5, 5)]), str(tmp_path))
     before = folder_bytes(tmp_path)
     read = Path.read_bytes

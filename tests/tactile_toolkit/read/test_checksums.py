@@ -201,9 +201,7 @@ def test_a_shard_replaced_before_it_was_opened_is_refused(shard_file: Path, tmp_
 
 @pytest.mark.parametrize("local", [True, False])
 @pytest.mark.parametrize(("rows", "extra_bytes", "found"), [(59, 0, "60 rows"), (60, 1, "bytes")])
-def test_a_file_that_is_not_the_one_of_the_manifest_is_refused(
-    shard_file: Path, local: bool, rows: int, extra_bytes: int, found: str
-) -> None:
+def test_a_file_that_is_not_the_one_of_the_manifest_is_refused(shard_file, local, rows, extra_bytes, found):
     """As while a set is being replaced: the manifest is new, and the shard is still the old one."""
     content = shard_file.read_bytes()
     fsspec.filesystem("memory").pipe_file(f"/stated/{NAME}", content)
@@ -226,9 +224,7 @@ def test_a_remote_file_replaced_under_an_open_set_is_refused(shard_file: Path) -
     assert ShardedTable((Shard(address),)).locate(59)[1] == 19
 
 
-def test_a_file_that_may_not_be_read_is_not_called_damaged(
-    shard_file: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_that_may_not_be_read_is_not_called_damaged(shard_file, monkeypatch):
     shard = Shard(str(shard_file))
 
     def refuse(path: Path, mode: str) -> None:

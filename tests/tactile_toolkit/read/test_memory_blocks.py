@@ -78,9 +78,7 @@ def test_every_row_is_read_in_bounded_memory_after_one_warning(shard: Shard, no_
     assert f"'{os.environ[CACHE_VARIABLE]}/blocks' cannot be written: Not a directory" in only
 
 
-def test_a_pass_over_blocks_in_memory_decodes_each_once(
-    shard: Shard, no_cache: None, decoded: list[int], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_pass_over_blocks_in_memory_decodes_each_once(shard, no_cache, decoded, monkeypatch):
     table = given_up(shard)
     monkeypatch.setattr(BLOCKS, "limit", 8 << 20)
     decoded.clear()
@@ -107,9 +105,7 @@ def test_threads_get_the_rows_that_they_ask_for(shard: Shard, no_cache: None) ->
     assert wrong == []
 
 
-def test_a_cache_that_is_back_is_used(
-    shard: Shard, no_cache: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_cache_that_is_back_is_used(shard, no_cache, tmp_path, monkeypatch):
     with pytest.warns(RuntimeWarning, match="cannot be kept"):
         assert not ShardedTable((shard,)).locate(0)[0].mapped_bytes
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "other"))

@@ -52,9 +52,7 @@ def ids(items: Iterable[Any]) -> list[Any]:
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("workers", [4, 1, 9])
-def test_workers_share_the_rows(
-    kind: str, workers: int, sets: dict[str, Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_workers_share_the_rows(kind, workers, sets, monkeypatch):
     stream = stream_of(kind, sets[kind])
     every = ids(stream)
     assert len(every) == len(set(every)) == 6

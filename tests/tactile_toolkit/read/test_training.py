@@ -412,9 +412,7 @@ def start_job(
     ]
 
 
-def test_a_job_of_several_processes_that_is_killed_goes_on_on_others(
-    paths: list[str], tmp_path: Path
-) -> None:
+def test_a_job_of_several_processes_that_is_killed_goes_on_on_others(paths, tmp_path):
     """Two ranks of two workers are killed in the second epoch; one rank without workers finishes it."""
     job = start_job(tmp_path, 2, 2, 3, paths)
     while len(list(tmp_path.glob("stopped-*"))) < 2:

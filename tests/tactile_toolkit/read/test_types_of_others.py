@@ -133,9 +133,7 @@ def same(found: Any, expected: Any) -> bool:
 
 @pytest.mark.parametrize("writer", WRITERS)
 @pytest.mark.parametrize("kind", LOADERS)
-def test_types_of_others_are_read_as_polars_reads_them(
-    kind: str, writer: str, tables: dict[str, pa.Table], tmp_path: Path
-) -> None:
+def test_types_of_others_are_read_as_polars_reads_them(kind, writer, tables, tmp_path):
     (tmp_path / "data").mkdir()
     place = tmp_path / "data" / "train-00000-of-00001.parquet"
     WRITERS[writer](tables[kind], place)
@@ -184,9 +182,7 @@ NO_INTEGERS: dict[str, Any] = {
     ("kind", "value"),
     [*(("digits", value) for value in NO_INTEGERS), *((kind, "1.5") for kind in LOADERS if kind != "digits")],
 )
-def test_a_float_that_holds_no_integer_is_refused_at_its_row(
-    kind: str, value: str, tables: dict[str, pa.Table], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_float_that_holds_no_integer_is_refused_at_its_row(kind, value, tables, tmp_path, capsys):
     labels = pa.array([0.0, NO_INTEGERS[value], 1.0], pa.float64())
     (tmp_path / "data").mkdir()
     place = tmp_path / "data" / "train-00000-of-00001.parquet"
@@ -214,9 +210,7 @@ def test_a_float_that_holds_no_integer_is_refused_at_its_row(
     ("kind", "writer"),
     [("digits", "views"), ("scenes", "floats"), ("single", "dictionaries"), ("seq", "floats")],
 )
-def test_commands_take_types_of_others(
-    kind: str, writer: str, tables: dict[str, pa.Table], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_commands_take_types_of_others(kind, writer, tables, tmp_path, capsys):
     (tmp_path / "data").mkdir()
     WRITERS[writer](tables[kind], tmp_path / "data" / "train-00000-of-00001.parquet")
     program = {"digits": "mnist3d", "scenes": "starstruck"}.get(kind, "realtouch")
@@ -307,9 +301,7 @@ IN_TYPES_OF_OTHERS: dict[str, Callable[[Any], Any]] = {
 
 
 @pytest.mark.parametrize("others", IN_TYPES_OF_OTHERS)
-def test_recordings_are_imported_from_types_of_others(
-    others: str, tables: dict[str, pa.Table], tmp_path: Path
-) -> None:
+def test_recordings_are_imported_from_types_of_others(others, tables, tmp_path):
     """A row for each touch with its picture, or a table that names files of pictures."""
     images = [image for row in tables["single"]["sensor_image"].to_pylist() for image in row]
     names = [f"{number}.jpg" for number in range(len(images))]

@@ -135,9 +135,7 @@ class Missing:
         (process_of, threading.Lock(), TypeError, "cannot pickle.*lock"),
     ],
 )
-def test_objects_that_cannot_be_pickled_are_named_once(
-    function: object, task: object, error: type[Exception], words: str, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_objects_that_cannot_be_pickled_are_named_once(function, task, error, words, capfd):
     with pytest.raises(error, match=words):
         list(ProcessRunner(1).run(function, [task]))  # type: ignore[arg-type]
     assert capfd.readouterr() == ("", "")

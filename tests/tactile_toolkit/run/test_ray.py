@@ -175,9 +175,7 @@ def finish(driver: subprocess.Popen[str]) -> str:
     return said + complained
 
 
-def test_the_command_line_makes_the_same_bytes_and_prints_its_document_only(
-    cluster: Cluster, tmp_path: Path
-) -> None:
+def test_the_command_line_makes_the_same_bytes_and_prints_its_document_only(cluster, tmp_path):
     cluster.require_two()
     options = ["generate", "--scenes", "train=400,test=100", "--runner", f"ray={cluster.address}", "--json"]
     script = "import sys; sys.argv.pop(1); from cli.starstruck import main; main()"
@@ -192,9 +190,7 @@ def test_the_command_line_makes_the_same_bytes_and_prints_its_document_only(
     assert folder_bytes(tmp_path / "ray") == folder_bytes(tmp_path / "one")
 
 
-def test_a_stopped_driver_leaves_no_tasks_and_a_killed_node_no_gaps(
-    cluster: Cluster, whole: dict[str, bytes], tmp_path: Path
-) -> None:
+def test_a_stopped_driver_leaves_no_tasks_and_a_killed_node_no_gaps(cluster, whole, tmp_path):
     """Killed, stopped by Ctrl-C, and then without one of the working nodes: the same bytes."""
     cluster.require_two()
     gate = tmp_path / "gate"

@@ -40,9 +40,7 @@ def test_a_folder_is_held_by_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         assert list(tmp_path.iterdir()) == []
 
 
-def test_a_folder_that_goes_while_it_is_locked_is_not_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_that_goes_while_it_is_locked_is_not_there(tmp_path, monkeypatch):
     folder = tmp_path / "set"
     folder.mkdir()
 
@@ -114,9 +112,7 @@ needs_list = pytest.mark.skipif(not Path("/proc/locks").exists(), reason="asks L
 @needs_list
 @pytest.mark.parametrize("how", ["alone", "shared"])
 @pytest.mark.parametrize("is_patient", [False, True])
-def test_the_message_names_the_stopped_process(
-    tmp_path: Path, clock: Clock, how: str, is_patient: bool
-) -> None:
+def test_the_message_names_the_stopped_process(tmp_path, clock, how, is_patient):
     with held(tmp_path, how) as process:
         who = rf"process {process.pid} on {socket.gethostname()} \(`python\S*`\), which was stopped, holds "
         said = rf"^{who}.*, and has done so for 60 s; next: continue it \(kill -CONT {process.pid}\), or end"
@@ -139,9 +135,7 @@ def test_patient_runs_wait_for_a_working_process(tmp_path: Path, clock: Clock) -
             assert clock.then is None
 
 
-def test_without_locks_of_folders_the_holder_is_noted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_locks_of_folders_the_holder_is_noted(tmp_path, monkeypatch):
     def refuse(*_: object) -> None:
         raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 

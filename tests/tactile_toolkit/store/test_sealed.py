@@ -211,23 +211,6 @@ def test_every_value_of_a_record_of_a_download(tmp_path: Path) -> None:
                 read_download_record(folder)
 
 
-def test_files_without_read_permission_are_not_called_damaged(
-    toy_set: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder = open_folder(str(toy_set))
-    shard = folder.address("data/train-00000-of-00004.parquet")
-    real = Path.open
-
-    def refuse(path: Path, *args: Any, **kwargs: Any) -> Any:
-        if str(path) == shard:
-            raise PermissionError(13, "Permission denied", shard)
-        return real(path, *args, **kwargs)
-
-    monkeypatch.setattr(Path, "open", refuse)
-    with pytest.raises(InputError, match="cannot be read: permission denied"):
-        _ = open_place(str(toy_set)).shards("train")[0].metadata
-
-
 @pytest.mark.skipif(
     not hasattr(os, "seteuid") or os.geteuid() != 0, reason="only root can become another user"
 )
