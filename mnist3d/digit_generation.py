@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from typing import Any, Unpack
 
 import numpy as np
@@ -27,13 +28,20 @@ _NEEDED = {
 }
 """Options without which a source cannot be made."""
 
-_TAKEN = {
-    "synthetic": ("digits",),
-    "hwdplus": _NEEDED["hwdplus"],
-    "mnist": _NEEDED["mnist"],
-    "folder": (*_NEEDED["folder"], "foreground", "threshold"),
+_FIELDS = {
+    "synthetic": {"digits": "count"},
+    "hwdplus": {"images": "images", "writer_info": "writer_info", "writer_column": "writer_column"},
+    "mnist": {"images": "root"},
+    "folder": {"images": "root", "foreground": "ink", "threshold": "threshold"},
 }
-"""Options of a source that its fingerprint, or the caller, states."""
+"""Fields of each source, by option."""
+
+_SOURCES: dict[str, Callable[..., digit_source.DigitSource]] = {
+    "synthetic": synthetic.SyntheticSource,
+    "hwdplus": digit_arrays.HwdPlusSource,
+    "mnist": digit_arrays.MnistSource,
+    "folder": picture_folder.FolderSource,
+}
 
 _UNCOMPARED = ("writers_sha256", "left_out")
 """Parts of a fingerprint that do not affect solids."""
@@ -51,17 +59,12 @@ def chosen_source(name: str, given: JsonObject, seed: int) -> digit_source.Digit
     for option in _NEEDED[name]:
         if option not in given:
             raise InputError(f"is needed by the source {name!r}, and was not given", field=option)
-    if name == "synthetic":
-        return synthetic.SyntheticSource(seed, given.get("digits", synthetic.HWD_PLUS_COUNT))
-    if name == "hwdplus":
-        return digit_arrays.HwdPlusSource(**given)
-    if name == "folder":
-        return picture_folder.FolderSource(
-            given["images"], given.get("foreground", "auto"), given.get("threshold", "auto")
-        )
-    if given.get("download"):
+    if name == "mnist" and given.get("download"):
         digit_arrays.download_mnist(given["images"])
-    return digit_arrays.MnistSource(given["images"])
+    values = {field: given[option] for option, field in _FIELDS[name].items() if option in given}
+    if name == "synthetic":
+        values["seed"] = seed
+    return _SOURCES[name](**values)
 
 
 def source_again(described: JsonObject, **files: str | None) -> digit_source.DigitSource:
@@ -70,17 +73,18 @@ def source_again(described: JsonObject, **files: str | None) -> digit_source.Dig
     Raises InputError if files are missing, or differ from those that the data set was made from.
     """
     name = described["name"]
-    if name not in _TAKEN:
+    if name not in _SOURCES:
         raise InputError(
             f"the data set was made from the unknown source {name!r}", next="draw --kind sheet only"
         )
+    # No file that a manifest names is opened.
     known = {
         **files,
         "digits": described.get("count"),
         "foreground": described.get("ink"),
         "threshold": described.get("threshold"),
     }
-    given = {option: known[option] for option in _TAKEN[name] if known.get(option) is not None}
+    given = {option: value for option, value in known.items() if value is not None}
     source = chosen_source(name, given, int(described.get("seed", 0)))
     found = {key: value for key, value in source.fingerprint().items() if key not in _UNCOMPARED}
     if found != {key: value for key, value in described.items() if key not in _UNCOMPARED}:
@@ -196,9 +200,10 @@ class DigitGenerator(generation.RowGenerator):
 
     def make(self, split: str, items: Any) -> Iterator[digit_records.DigitRow | store.Skipped]:
         """Yield the row of each digit, or the reason why it gives no solid."""
+        is_drawing = _has_drawings(self.spec.source.catalog())
         for digit_id in items.tolist():
             try:
-                yield make_row(digit_id, self.spec)
+                yield make_row(digit_id, self.spec, is_drawing=is_drawing)
             except ItemError as error:
                 yield store.Skipped(digit_id, error.reason, error.message)
 
@@ -217,22 +222,28 @@ class DigitGenerator(generation.RowGenerator):
         ids = self.items()[split]
         catalog = self.spec.source.catalog()
         labels = catalog.labels[np.searchsorted(catalog.ids, ids)]
-        return generation.PlannedMeshes(ids, labels, self._solid, _ROW_S)
-
-    def _solid(self, digit_id: int) -> mesh.Mesh:
-        return _solid_of(self.spec.source.image(digit_id), self.spec)
+        make = partial(_solid, self.spec, _has_drawings(catalog))
+        return generation.PlannedMeshes(ids, labels, make, _ROW_S)
 
 
-def make_row(digit_id: int, spec: DigitSetSpec) -> digit_records.DigitRow:
+def _has_drawings(catalog: digit_source.DigitCatalog) -> bool:
+    return catalog.class_names != digit_source.DIGITS
+
+
+def _solid(spec: DigitSetSpec, is_drawing: bool, digit_id: int) -> mesh.Mesh:
+    return solid.solid_of_sheet(spec.source.image(digit_id).pixels, spec.solid, is_drawing=is_drawing)
+
+
+def make_row(digit_id: int, spec: DigitSetSpec, *, is_drawing: bool = False) -> digit_records.DigitRow:
     """Read one digit, make its solid and inspect it.
 
-    Raises ItemError when the image cannot be used, or the mesh does not bound a solid (the reason is one of
-    :data:`tactile_toolkit.mesh.PROBLEMS`).
+    ``is_drawing`` is as for :func:`mnist3d.solid.solid_of_sheet`. Raises ItemError when the image cannot be
+    used, or the mesh does not bound a solid (the reason is one of :data:`tactile_toolkit.mesh.PROBLEMS`).
     """
     digit = spec.source.image(digit_id)
     where = f"digit {digit_id} of source {spec.source.name!r}"
     try:
-        made = _solid_of(digit, spec)
+        made = solid.solid_of_sheet(digit.pixels, spec.solid, is_drawing=is_drawing)
     except ItemError as error:
         raise ItemError(error.reason, f"{where}: {error.message}") from error
     report = mesh.inspect(made, spec.profile)
@@ -250,11 +261,6 @@ def make_row(digit_id: int, spec: DigitSetSpec) -> digit_records.DigitRow:
         report=report,
         file=digit.file,
     )
-
-
-def _solid_of(digit: digit_source.DigitImage, spec: DigitSetSpec) -> mesh.Mesh:
-    is_drawing = spec.source.catalog().class_names != digit_source.DIGITS
-    return solid.solid_of_sheet(digit.pixels, spec.solid, is_drawing=is_drawing)
 
 
 def generate(

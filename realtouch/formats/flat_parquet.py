@@ -183,7 +183,7 @@ class ForeignParquet:
             return {name: pa.nulls(0) for name in names}
         with _named_values(self.place):
             joined = pa.concat_tables(parts)
-            return {name: column_types.from_arrow(joined[name]) for name in names}
+            return {name: column_types.column_of(joined[name]) for name in names}
 
     def picture_names(self, name: str) -> list[str | None]:
         """Return the paths that a column of pictures states; None for a picture without a path."""

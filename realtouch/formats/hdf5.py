@@ -206,7 +206,7 @@ def _recording(
     pictures = picture_arrays.PictureArray.of(inside.pop(image)())
     wanted = {importing.NUMBERED, *columns.found_in(inside).names()}
     arrays, left_out = picture_arrays.columns_of(inside, len(pictures), wanted)
-    per_frame = {member: column_types.from_numpy(values) for member, values in arrays.items()}
+    per_frame = {member: column_types.column_of(values) for member, values in arrays.items()}
     left_out += [f"{member} (a link)" for member, kind in below.items() if kind == "link"]
     values: dict[str, object] = {}
     for member in dict.fromkeys(("/", f"/{group}")):

@@ -55,7 +55,7 @@ def find_folder(
         folder, table_name = importing.source_of(table)
     else:
         folder = home
-        named = importing.visible_files(home, tables.ENDINGS)
+        named = importing.visible_files(home, tables.Table.ENDINGS)
         if not named and not columns.image_name:
             images = _images(home)
             if images:
@@ -67,7 +67,7 @@ def find_folder(
                 next="name it with --table",
             )
         table_name = named[0]
-    opened = tables.open_table(folder, table_name)
+    opened = tables.Table.of(folder, table_name)
     lines = importing.read_table(opened, columns, [columns.image])
     wanted = [columns.image, *columns.found_in(lines.columns).names()]
     importing.require_columns(lines.columns, wanted, opened.path)
@@ -169,7 +169,7 @@ def _stem(path: str) -> str:
 def _videos(home: store.DataFolder) -> list[str]:
     paths = list(home.walk())
     visible = [path for path in paths if not store.is_hidden(path)]
-    untabled = [path for path in visible if not path.lower().endswith(tables.ENDINGS)]
+    untabled = [path for path in visible if not path.lower().endswith(tables.Table.ENDINGS)]
     return [path for path in untabled if video_files.is_video(home, path)]
 
 
@@ -196,14 +196,14 @@ def _table_of_videos(
         return rows
 
     if table is not None:
-        return read(tables.open_table(*importing.source_of(table)))
+        return read(tables.Table.of(*importing.source_of(table)))
     of_videos = {}
     refused: tuple[str, str] | None = None
     streams = tuple(f"{_stem(path)}{mark}" for path in paths for mark in "._")
-    for name in importing.visible_files(home, tables.ENDINGS):
+    for name in importing.visible_files(home, tables.Table.ENDINGS):
         if name.startswith(streams):
             continue
-        opened = tables.open_table(home, name)
+        opened = tables.Table.of(home, name)
         first = _first_row(opened)
         if image in first:
             rows = read(opened)

@@ -128,7 +128,7 @@ def recordings_of(
     }
     wanted = {*columns.found_in(arrays).names(), importing.NUMBERED}
     arrays_read, left_out = picture_arrays.columns_of(arrays, len(shown), wanted)
-    per_frame = {array: column_types.from_numpy(values) for array, values in arrays_read.items()}
+    per_frame = {array: column_types.column_of(values) for array, values in arrays_read.items()}
     source = (name, group.home.address(), group.path, part)
     size = math.prod(shown.shape[1:])
     whole = importing.Recording(*source, 0, len(shown), size, per_frame=per_frame, left_out=tuple(left_out))

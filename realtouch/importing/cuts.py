@@ -66,7 +66,7 @@ class CutTable:
                 f"{', '.join(source_touches.CUTS)} or the path of a table"
             )
         self._place = home.address(name)
-        self._table = source_files.read_table(tables.open_table(home, name), columns, RECORDING_COLUMNS)
+        self._table = source_files.read_table(tables.Table.of(home, name), columns, RECORDING_COLUMNS)
         names = [*self._table.columns]
         known = [_FRAME, *(f"start_{unit}" for unit in units.Quantity.TIME.per_unit)]
         if columns.time_unit:

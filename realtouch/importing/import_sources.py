@@ -310,10 +310,10 @@ _MARKS: tuple[tuple[str, Callable[[str], object]], ...] = (
     ("video", _ends_with(*video_files.VIDEO_ENDINGS)),
     ("folder", _ends_with(*(f".{ending}" for ending in source_files.IMAGE_ENDINGS))),
     ("flat", _ends_with(".parquet")),
-    ("folder", _ends_with(*tables.TEXT_ENDINGS, ".jsonl")),
+    ("folder", _ends_with(*tables.Table.TEXT_ENDINGS, ".jsonl")),
 )
 _PICKLES = _ends_with(".pkl", ".pickle")
-_TABLES = _ends_with(*tables.ENDINGS)
+_TABLES = _ends_with(*tables.Table.ENDINGS)
 
 
 def recognised(address: str) -> Recognised:

@@ -131,7 +131,7 @@ class FoundTouches(Sequence[PicturePlace]):
         return cls(
             listing.combine_chunks(),
             pa.table({name: column_types.joined(columns) for name, columns in per_touch.items()}),
-            pa.table({name: column_types.joined_lists(columns) for name, columns in lists.items()}),
+            pa.table({name: column_types.joined(columns) for name, columns in lists.items()}),
         )
 
     def __len__(self) -> int:
@@ -423,7 +423,7 @@ class Recording:
         fields = self._repeated_fields(self.round or self.name, len(clips))
         for name in own:
             whole = self.values.get(name)
-            fields[name] = column_types.from_values([clip.fields.get(name, whole) for clip in clips])
+            fields[name] = column_types.column_of([clip.fields.get(name, whole) for clip in clips])
         taken = pa.array(rows)
         per_frame = {}
         for name, column in self.per_frame.items():

@@ -91,7 +91,7 @@ def open_stream(
         The table cannot be read, has no rows, several columns of times, or times that are missing, run
         backwards or have no known unit.
     """
-    table = tables.open_table(folder, name)
+    table = tables.Table.of(folder, name)
     address = table.path
     rows, column, values = table.scan(partial(_time_column, columns.time, address))
     if not rows:
@@ -150,7 +150,7 @@ def tables_by_stem(names: Iterable[str]) -> dict[str, list[str]]:
     several files fit, a table belongs to the longest one, such as ``take1_force.mp4``.
     """
     seen = [name for name in names if not store.is_hidden(name)]
-    table_names = [name for name in seen if name.lower().endswith(tables.ENDINGS)]
+    table_names = [name for name in seen if name.lower().endswith(tables.Table.ENDINGS)]
     stems = {PurePosixPath(name).stem for name in {*seen} - {*table_names}}
     by_stem: dict[str, list[str]] = {}
     for name in sorted(table_names):
@@ -387,7 +387,7 @@ def _is_number(column: pa.Array) -> bool:
 
 def _with_gaps(values: Float64, around: Neighbours) -> pa.Array:
     """Return interpolated values, null where a picture has no value."""
-    column = column_types.from_numpy(np.ascontiguousarray(values))
+    column = column_types.column_of(np.ascontiguousarray(values))
     numbers = np.arange(len(values))
     return column.take(pa.array(numbers, mask=around.missing))
 

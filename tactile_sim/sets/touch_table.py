@@ -101,8 +101,10 @@ class TouchTable:
             The file does not exist, is not such a table, or holds values that the class refuses.
         """
         file = store.expanded(path)
-        if file.suffix.lower() not in tables.ENDINGS:
-            raise InputError(f"given touches in {str(path)!r}: expected a file {', '.join(tables.ENDINGS)}")
+        if file.suffix.lower() not in tables.Table.ENDINGS:
+            raise InputError(
+                f"given touches in {str(path)!r}: expected a file {', '.join(tables.Table.ENDINGS)}"
+            )
         try:
             return cls(**_read_columns(file))
         except OSError as error:
@@ -194,7 +196,7 @@ def _column(name: str, value: ArrayLike) -> AnyArray:
 
 def _read_columns(file: Path) -> dict[str, AnyArray]:
     """Read the columns of a table; InputError for other columns."""
-    table = tables.open_table(*store.split_uri(os.path.realpath(file)))
+    table = tables.Table.of(*store.split_uri(os.path.realpath(file)))
     read = table.whole(numbers=table.names)
     columns = {}
     for name, (ours, divisor) in _meanings(table.names).items():

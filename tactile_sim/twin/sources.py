@@ -137,7 +137,7 @@ def read_image(file: Path, root: Path | None = None) -> UInt8:
 
 def _of_folder(root: Path, images: list[Path], table: str | PathLike[str] | None) -> list[_Touched]:
     """Read the images of a folder, with the solids and poses that a table states for them."""
-    beside = [file for file in sorted(root.iterdir()) if file.suffix.lower() in tables.TEXT_ENDINGS]
+    beside = [file for file in sorted(root.iterdir()) if file.suffix.lower() in tables.Table.TEXT_ENDINGS]
     if table is None and len(beside) > 1:
         names = ", ".join(file.name for file in beside[:4])
         raise InputError(f"{str(root)!r} holds the tables {names}", next="choose one with --table")
@@ -145,7 +145,7 @@ def _of_folder(root: Path, images: list[Path], table: str | PathLike[str] | None
     if file is None:
         return [_Touched(each.name, read_image(each, root), None, {}) for each in images]
     where = store.expanded(fspath(file))
-    read = tables.open_table(*store.split_uri(os.path.realpath(where)))
+    read = tables.Table.of(*store.split_uri(os.path.realpath(where)))
     columns = read.names
     numeric = [name for name in columns if name in _OBJECT_NAMES or units.Quantity.stated_unit(name)]
     values = {name: column.to_pylist() for name, column in read.whole(["file"], numeric).items()}

@@ -119,7 +119,7 @@ def _vectors_of(texts: pa.Array) -> pa.Array:
     """Return texts as vectors if each of them is one, such as ``[1.5, 2]``."""
     if pc.all(pc.match_substring_regex(texts, _VECTOR)).as_py():
         with suppress(ValueError):
-            return from_values([text and json.loads(text) for text in texts.to_pylist()])
+            return column_of([text and json.loads(text) for text in texts.to_pylist()])
     return texts
 
 
@@ -149,7 +149,7 @@ class ColumnTypes:
             if self._is_text:
                 self.known[name] = _text_type(self._words(values), known, is_exact=name != inexact)
             else:
-                self.known[name] = _common_type(known, from_arrow(values).type, name)
+                self.known[name] = _common_type(known, column_of(values).type, name)
 
     def typed(self, rows: pa.Table) -> dict[str, pa.Array]:
         """Return some columns of rows that were added, with the types that hold all values."""
@@ -158,7 +158,7 @@ class ColumnTypes:
             if self._is_text:
                 columns[name] = _as_type(values.combine_chunks(), self._words(values), self.known[name])
             else:
-                columns[name] = from_arrow(values).cast(self.known[name])
+                columns[name] = column_of(values).cast(self.known[name])
         return columns
 
     def whole(self, table: pa.Table, texts: Collection[str], numbers: Collection[str]) -> dict[str, pa.Array]:
@@ -166,7 +166,7 @@ class ColumnTypes:
         columns = {}
         for name, values in zip(table.column_names, table.columns, strict=True):
             if not self._is_text:
-                columns[name] = from_arrow(values)
+                columns[name] = column_of(values)
                 continue
             column = _without_blanks(values.combine_chunks())
             if name not in texts:
@@ -181,12 +181,23 @@ class ColumnTypes:
         return _words_of(values.combine_chunks(), decimal_commas=self._decimal_commas)
 
 
-def from_values(values: Iterable[object]) -> pa.Array:
-    """Return the column of values of JSON or Python; numbers beside texts or booleans become text."""
+def column_of(values: pa.Array | pa.ChunkedArray | AnyArray | Iterable[object]) -> pa.Array:
+    """Return the column of values of Arrow, numpy, JSON or Python.
+
+    Nested lists and arrays of shape (n, ...) become lists, row by row. In values of JSON, numbers beside
+    texts or booleans become text.
+    """
+    if isinstance(values, (pa.Array, pa.ChunkedArray)):
+        return _plain(_supported(values))
+    if isinstance(values, np.ndarray):
+        if values.ndim > 1:
+            width = values.size // max(1, len(values))
+            return lists_of(column_of(values.reshape(-1)), np.full(len(values), width))
+        return column_of(values.tolist() if values.dtype.kind == "O" else pa.array(values))
     listed = list(values)
     with suppress(pa.ArrowException, OverflowError, UnicodeError):
         column = pa.array(listed)  # in several parts if it is very large
-        return _plain(column) if isinstance(column, pa.Array) else from_arrow(column)
+        return _plain(column) if isinstance(column, pa.Array) else column_of(column)
     known = [value for value in listed if value is not None]
     if any(isinstance(value, (dict, bytes)) for value in known):
         return _as_json(listed)
@@ -201,8 +212,8 @@ def _from_lists(values: Sequence[object]) -> pa.Array:
     leaves = _unless_missing(_leaves, values)
     if any(leaf is None for leaf, value in zip(leaves, values, strict=True) if value is not None):
         return _as_json(values)
-    entries = from_values(chain.from_iterable(filter(None, leaves)))
-    if not is_leaf(entries.type):
+    entries = column_of(chain.from_iterable(filter(None, leaves)))
+    if not _is_leaf(entries.type):
         return _as_json(values)
     return lists_of(entries, _unless_missing(len, leaves))
 
@@ -233,11 +244,6 @@ def _leaves(value: object) -> list[object] | None:
 def _as_json(values: Sequence[object]) -> pa.Array:
     texts = _unless_missing(partial(json.dumps, default=str), values)
     return pa.array(texts, pa.string()).cast(UNTYPED)
-
-
-def from_arrow(values: pa.Array | pa.ChunkedArray) -> pa.Array:
-    """Return the column of values of Arrow; nested lists become lists, row by row."""
-    return _plain(_supported(values))
 
 
 def _plain(column: pa.Array) -> pa.Array:
@@ -281,21 +287,10 @@ def _list_column(column: pa.Array) -> pa.Array:
             return _from_lists(column.to_pylist())
         lengths = pc.multiply(lengths, widths[0])
         values = _supported(values.flatten())
-    entries = from_arrow(values)
-    if not is_leaf(entries.type):
+    entries = column_of(values)
+    if not _is_leaf(entries.type):
         return _as_json(column.to_pylist())
     return lists_of(entries, lengths)
-
-
-def from_numpy(values: AnyArray) -> pa.Array:
-    """Return the column of an array, shape (n,) of numbers, text or objects; or (n, ...) of lists."""
-    if values.ndim > 1:
-        entries = from_numpy(values.reshape(-1))
-        width = values.size // max(1, len(values))
-        return lists_of(entries, np.full(len(values), width))
-    if values.dtype.kind == "O":
-        return from_values(values.tolist())
-    return from_arrow(pa.array(values))
 
 
 def lists_of(entries: pa.Array, lengths: Sequence[int | None] | Int64 | pa.Array) -> pa.Array:
@@ -309,7 +304,7 @@ def lists_of(entries: pa.Array, lengths: Sequence[int | None] | Int64 | pa.Array
 
 def repeated(value: object, count: int) -> pa.Array:
     """Return a column of one value."""
-    return from_values([value]).take(pa.array(np.zeros(count, np.int64)))
+    return column_of([value]).take(pa.array(np.zeros(count, np.int64)))
 
 
 def lengths_of(column: pa.Array) -> list[int]:
@@ -320,7 +315,7 @@ def lengths_of(column: pa.Array) -> list[int]:
     return lengths
 
 
-def is_leaf(data_type: pa.DataType) -> bool:
+def _is_leaf(data_type: pa.DataType) -> bool:
     """Return whether values are numbers, booleans, texts or points in time, or all missing."""
     return not pa.types.is_list(data_type) and data_type != UNTYPED
 
@@ -335,20 +330,20 @@ def _common_type(first: pa.DataType, second: pa.DataType, name: str = "values") 
 
 def joined(columns: Sequence[pa.Array]) -> pa.Array:
     """Return columns one after the other, as one column of a type that holds all of their values exactly."""
+    kinds = {column.type for column in columns} - {_NOTHING}
+    if kinds and all(map(pa.types.is_list, kinds)):
+        entries = joined([column.flatten() for column in columns if pa.types.is_list(column.type)])
+        lengths = [
+            pc.list_value_length(column)
+            if pa.types.is_list(column.type)
+            else pa.nulls(len(column), pa.int32())
+            for column in columns
+        ]
+        return lists_of(entries, pa.concat_arrays(lengths))
     with suppress(pa.ArrowException):
         kind = reduce(_common_type, (column.type for column in columns), pa.null())
         return pa.concat_arrays([pa.array([], kind), *(column.cast(kind) for column in columns)])
-    return from_values(chain.from_iterable(map(values_of, columns)))
-
-
-def joined_lists(columns: Sequence[pa.Array]) -> pa.Array:
-    """Return columns of lists one after the other, whose entries become one column."""
-    entries = joined([column.flatten() for column in columns if pa.types.is_list(column.type)])
-    lengths = [
-        pc.list_value_length(column) if pa.types.is_list(column.type) else pa.nulls(len(column), pa.int32())
-        for column in columns
-    ]
-    return lists_of(entries, pa.concat_arrays(lengths))
+    return column_of(chain.from_iterable(map(values_of, columns)))
 
 
 def values_of(column: pa.Array) -> list[JsonValue]:
@@ -363,7 +358,7 @@ def texts_of(column: pa.Array) -> pa.Array:
     """Return the text of each value, as of a name; null for a missing one, for NaN, and for lists."""
     if pa.types.is_string(column.type):
         return _without_blanks(pc.utf8_trim_whitespace(column))
-    if not is_leaf(column.type):
+    if not _is_leaf(column.type):
         plain = (None if isinstance(value, (dict, list)) else value for value in values_of(column))
         return _without_blanks(pa.array([_name(value) for value in plain], pa.string()))
     encoded = column.dictionary_encode()

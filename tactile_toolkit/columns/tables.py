@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property, partial
-from typing import IO
+from typing import IO, ClassVar
 
 import numpy as np
 import pyarrow as pa
@@ -31,9 +31,6 @@ MAX_ROWS = 1 << 25
 MAX_HELD_ROWS = 1 << 21
 """Longest table that is held in memory."""
 
-TEXT_ENDINGS = (".csv", ".tsv")
-"""Endings of the names of text tables, in lower case."""
-
 _MAX_COLUMNS = 1000
 _HEADER_BYTES = 1 << 16
 _BLOCK_BYTES = 4 << 20  # Arrow refuses a longer line
@@ -45,11 +42,6 @@ _QUOTED = re.compile(r'"[^"\n]*"')
 _SEPARATORS = (",", ";", "\t")
 # A line before the header, by which spreadsheets state the separator.
 _SEPARATOR_LINE = re.compile(r"sep=([,;\t])\r?\n")
-
-
-def open_table(folder: store.DataFolder, name: str) -> Table:
-    """Return a table of a folder; a pass raises IntegrityError if the file has changed since."""
-    return Table(folder.address(name), partial(open_source, folder, name, folder.version(name)))
 
 
 def open_source(folder: store.DataFolder, name: str, version: tuple[object, ...] | None = None) -> IO[bytes]:
@@ -85,6 +77,15 @@ class Table:
     InputError
         It cannot be read, or exceeds a limit; raised by the first pass.
     """
+
+    TEXT_ENDINGS: ClassVar = (".csv", ".tsv")
+    """Endings of the names of text tables, in lower case."""
+    ENDINGS: ClassVar = (*TEXT_ENDINGS, ".parquet", ".jsonl", ".ndjson")
+
+    @classmethod
+    def of(cls, folder: store.DataFolder, name: str) -> Table:
+        """Return a table of a folder; a pass raises IntegrityError if the file has changed since."""
+        return cls(folder.address(name), partial(open_source, folder, name, folder.version(name)))
 
     def __init__(self, path: str, open_file: Callable[[], IO[bytes]]) -> None:
         self.path = path
@@ -275,5 +276,3 @@ def _parquet_batches(stream: IO[bytes], path: str) -> Iterator[pa.RecordBatch]:
 
 
 _READERS = {".parquet": _parquet_batches, ".jsonl": _json_batches, ".ndjson": _json_batches}
-ENDINGS = (*TEXT_ENDINGS, *_READERS)
-"""Endings of the names of all tables that are read, in lower case."""

@@ -69,7 +69,4 @@ def per_frame(recording: Recording, name: str) -> np.ndarray:
 
 def columns(given: dict[str, Any]) -> dict[str, pa.Array]:
     """Return the columns of arrays, or of any values."""
-    return {
-        name: (column_types.from_numpy if isinstance(each, np.ndarray) else column_types.from_values)(each)
-        for name, each in given.items()
-    }
+    return {name: column_types.column_of(each) for name, each in given.items()}

@@ -464,7 +464,7 @@ def test_extra_values_come_back_as_they_were(data: st.DataObject) -> None:
         kind = st.lists(kind, min_size=1, max_size=3)
     values = data.draw(st.lists(st.none() | kind, min_size=1, max_size=6).filter(any_is_known))
     columns = realtouch.ImportColumns(extra=(("new", "x"),))
-    column = column_types.from_values(values)
+    column = column_types.column_of(values)
     assert kept(touches({"x": column}), columns) == ("extra.new", values)
     pictures = Recording("a", "", "", "", 0, len(values), 1, per_frame={"x": column})
     assert kept(touches_of(pictures, "whole"), columns) == ("extra_seq.new", [values])

@@ -76,7 +76,7 @@ def test_commas_are_decimal_marks_where_the_separator_shows_it() -> None:
     ],
 )
 def test_types_of_values(values: list[Any], data_type: pa.DataType) -> None:
-    assert column_types.from_values(values).type == data_type
+    assert column_types.column_of(values).type == data_type
 
 
 @pytest.mark.parametrize(
@@ -95,7 +95,7 @@ def test_types_of_values(values: list[Any], data_type: pa.DataType) -> None:
     ],
 )
 def test_columns_of_arrow_have_few_types(stored: Any, expected: list[Any]) -> None:
-    assert column_types.from_arrow(stored).to_pylist() == expected
+    assert column_types.column_of(stored).to_pylist() == expected
 
 
 @pytest.mark.parametrize(
@@ -110,5 +110,5 @@ def test_columns_of_arrow_have_few_types(stored: Any, expected: list[Any]) -> No
     ],
 )
 def test_joined_columns_hold_all_values_exactly(parts: list[Any], expected: list[Any]) -> None:
-    column = column_types.joined(list(map(column_types.from_values, parts)))
+    column = column_types.joined(list(map(column_types.column_of, parts)))
     assert column_types.values_of(column) == expected
