@@ -173,9 +173,7 @@ class RowGenerator(ABC):
             options.workers if isinstance(options.workers, int) else getattr(options.workers, "workers", 1)
         )
         processes = processes or usable_cores()
-        seconds = 0.0
-        if left:
-            seconds = round(left.total() * item_s / processes + _START_S, 1)
+        seconds = round(left.total() * item_s / processes + _START_S, 1) if left else 0.0
         return Forecast(
             [
                 {
@@ -277,9 +275,7 @@ def _sample(generator: RowGenerator, plan: store.BuildPlan) -> tuple[int, float,
     table = content.table
     if few.size == sum(task.size for task in plan.tasks):
         store.require_rows([(len(table), content.skipped)])
-    size_bytes = 0
-    if len(table):
-        size_bytes = len(store.encode_parquet(table, plan.style))
+    size_bytes = len(store.encode_parquet(table, plan.style)) if len(table) else 0
     return len(table), size_bytes / few.size, (time.perf_counter() - start_s) / few.size
 
 

@@ -120,9 +120,7 @@ def tactile_mnist_set(
     name: str, repository: str, content: str, *, licence: str | None = None, aliases: tuple[str, ...] = ()
 ) -> PublishedSet:
     """Return a data set of the Tactile MNIST paper; those of digits cite the authors of HWD+, too."""
-    citation = _PAPER
-    if "digits" in content:
-        citation = f"{_PAPER}; {_HAND}"
+    citation = f"{_PAPER}; {_HAND}" if "digits" in content else _PAPER
     repo_id = f"TimSchneider42/tactile-mnist-{repository}"
     return PublishedSet(name, repo_id, content, citation, licence, aliases)
 
@@ -225,9 +223,7 @@ class DatasetKind:
 
     def command_of(self, manifest: Specified | None) -> str:
         """Return the command that made a data set: that of the kind, or of a copy or conversion."""
-        operation = None
-        if manifest is not None:
-            operation = manifest.spec.get("operation")
+        operation = manifest.spec.get("operation") if manifest is not None else None
         if not operation:
             return self.made_by
         return f"{self.command} {operation}"
@@ -251,9 +247,7 @@ class DatasetKind:
         function = f"{self.package}.load"
         if is_for_others(manifest):
             function = "datasets.load_dataset"
-        further = ""
-        if revision:
-            further = f", revision={_quoted(revision)}"
+        further = f", revision={_quoted(revision)}" if revision else ""
         call = f"{function}({_quoted(name)}, split={_quoted(split)}{further})"
         return f"import {function.partition('.')[0]}", call
 

@@ -28,9 +28,7 @@ def shown_progress(what: str, unit: str, quiet_s: float = 0.0) -> Iterator[Calla
     start_s = time.monotonic()
     last_s = None
     is_bar = sys.stderr.isatty()
-    interval_s = _LINE_INTERVAL_S
-    if is_bar:
-        interval_s = _BAR_INTERVAL_S
+    interval_s = _BAR_INTERVAL_S if is_bar else _LINE_INTERVAL_S
 
     def update(done: int, total: int) -> None:
         nonlocal last_s

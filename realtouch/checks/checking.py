@@ -91,9 +91,9 @@ def check(
         for part in convert.parts_of(data_set, split)
     }
     damaged: list[rules.Fault] = []
-    touches, sections_found = _sections_of(files, chosen, damaged, workers)
+    touches, unread_sections = _sections_of(files, chosen, damaged, workers)
     total = sum(len(shard) for shards in files.values() for shard in shards)
-    sections = list(_counted(sections_found, total, on_progress))
+    sections = list(_counted(unread_sections, total, on_progress))
     faults = [*damaged, *(fault for section in sections for fault in section.faults)]
     faults += all_comparisons(sections, chosen)
     by_rule: dict[str, list[rules.Fault]] = defaultdict(list)

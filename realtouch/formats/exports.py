@@ -437,11 +437,6 @@ class ExtraColumn:
     name: str
     data_type: pa.DataType
 
-    @property
-    def is_per_frame(self) -> bool:
-        """Whether it has an entry for each frame, not for each touch."""
-        return self.stored.startswith(schema.EXTRA_PREFIX["frame"])
-
     def of_frames(self, row: stored_round.StoredRound, touch: int | None, count: int) -> pa.Array:
         """Return the values of an episode: of all touches of a round, or of the frames of one clip.
 
@@ -449,7 +444,7 @@ class ExtraColumn:
         vectors of another length.
         """
         values = row.extra_entries(self.stored)
-        if touch is not None and self.is_per_frame:
+        if touch is not None and self.stored.startswith(schema.EXTRA_PREFIX["frame"]):
             values = row.extra_of_frames(self.stored, values, touch, count)
         elif touch is not None:
             values = values.take(pa.array([touch] * count))

@@ -47,6 +47,12 @@ _GROUP_BYTES = 16 << 20
 _INDEX_COLUMNS = ("round_id", "touch", "label", "object_id")
 _META_COLUMNS = ("round_id", "touch")
 _NUMBER_BYTES = 4  # of float32
+# Number of images of an episode that are decoded for its statistics.
+_IMAGE_SAMPLES = 8
+_LEVELS = 256
+_IN_MEMORY_BYTES = 64 << 20
+_QUANTILES = {f"q{round(100 * share):02d}": share for share in (0.01, 0.10, 0.50, 0.90, 0.99)}
+_NAMES = ("min", "max", "mean", "std", "count", *_QUANTILES)
 
 
 def plan_lerobot(
@@ -162,14 +168,6 @@ def _tiff(depth_m: Float32) -> bytes:
     stream = io.BytesIO()
     Image.fromarray(depth_m).save(stream, "TIFF")
     return stream.getvalue()
-
-
-# Number of images of an episode that are decoded for its statistics.
-_IMAGE_SAMPLES = 8
-_LEVELS = 256
-_IN_MEMORY_BYTES = 64 << 20
-_QUANTILES = {f"q{round(100 * share):02d}": share for share in (0.01, 0.10, 0.50, 0.90, 0.99)}
-_NAMES = ("min", "max", "mean", "std", "count", *_QUANTILES)
 
 
 def columns_of_episodes(frames: pa.Table, starts: list[int], lengths: list[int]) -> dict[str, pa.Array]:

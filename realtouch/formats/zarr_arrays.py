@@ -12,7 +12,7 @@ import math
 import weakref
 import zipfile
 import zlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from importlib import import_module
@@ -120,10 +120,6 @@ class ZarrLayout:
         if count > _MAX_CHUNKS:
             return f"{wording.with_count(count, 'chunks')}; the limit is {_MAX_CHUNKS:,}"
         return ""
-
-    def chunk_name(self, index: Iterable[int]) -> str:
-        """Return the name of the file of a chunk."""
-        return f"{self.prefix}{self.separator.join(map(str, index))}"
 
     def unpacked(self, data: bytes) -> AnyArray:
         """Return the values of a chunk; raises one of UNREADABLE if it is damaged."""
@@ -290,7 +286,7 @@ class ZarrGroup:
         return values
 
     def _chunk(self, path: str, layout: ZarrLayout, index: tuple[int, ...]) -> AnyArray | None:
-        name = f"{path}/{layout.chunk_name(index)}"
+        name = f"{path}/{layout.prefix}{layout.separator.join(map(str, index))}"
         data = self.read(name, 2 * layout.chunk_bytes + _SPARE_BYTES)
         if data is None:
             return None

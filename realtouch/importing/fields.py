@@ -61,9 +61,9 @@ def labels_of(
     """Return the class number of each touch, -1 if it is unknown, and the problems by index."""
     numbers = {name: number for number, name in reversed([*enumerate(names)])}
     problems = _nested_labels(touches.value(column or source_files.NUMBERED))
-    numbers_found = np.full(len(touches), -1)
+    labels = np.full(len(touches), -1)
     if not numbers:
-        return numbers_found, problems
+        return labels, problems
     seen: dict[str, int | None] = dict.fromkeys(UNKNOWN, -1)
     stated = zip(touches.texts(column), touches.texts(source_files.NUMBERED), strict=True)
     for index, (name, digits) in enumerate(stated):
@@ -74,8 +74,8 @@ def labels_of(
         if number is None:
             problems[index] = errors.ItemError("label", f"the label {shown(label)!r}; expected a class")
         else:
-            numbers_found[index] = number
-    return numbers_found, problems
+            labels[index] = number
+    return labels, problems
 
 
 def _nested_labels(column: pa.Array | None) -> dict[int, errors.ItemError]:

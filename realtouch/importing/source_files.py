@@ -193,10 +193,6 @@ def image_files(
     return source_touches.FoundTouches.of(shown, home.address(), shown, fields, problems=wrong, size=sizes)
 
 
-def _sequence_of(picture: source_touches.PicturePlace) -> tuple[str, str, str, bool]:
-    return picture.home, picture.path, picture.part, picture.frames > 0
-
-
 def pictures_by_file(
     read: ReadNumbers, places: Iterable[source_touches.PicturePlace]
 ) -> Iterator[bytes | errors.ItemError]:
@@ -205,7 +201,9 @@ def pictures_by_file(
     If ``read`` raises an ItemError, it is yielded for each remaining picture of the file.
     """
     opened = cache(store.open_folder)
-    for (home, *_), group in groupby(places, key=_sequence_of):
+    for (home, *_), group in groupby(
+        places, key=lambda picture: (picture.home, picture.path, picture.part, picture.frames > 0)
+    ):
         of_file = list(group)
         numbers = [picture.start + offset for picture in of_file for offset in range(max(1, picture.frames))]
         some = list[bytes | errors.ItemError]()

@@ -244,9 +244,7 @@ class Touches(read.RecordDataset[rounds.Touch], Generic[R]):
         self.dataset = dataset
         counts = dataset.touch_counts
         self._starts = np.concatenate([[0], np.cumsum(counts)])
-        rows: range | Int64 = range(int(self._starts[-1]))
-        if chosen is not None:
-            rows = chosen
+        rows: range | Int64 = chosen if chosen is not None else range(int(self._starts[-1]))
         super().__init__(dataset.table, rows, dataset.label_names)
         # Rounds of one length, the common case, are found by a division.
         self._per_round = 0

@@ -160,9 +160,7 @@ class SensorImages(_StoredMedia[UInt8, UInt8]):
         """
         touches = self.checked_indices(index)
         first = [*touches, 0][0]
-        size = (0, 0)
-        if self._count:
-            size = self.size(first)
+        size = self.size(first) if self._count else (0, 0)
         with self.row.naming("sensor_image", first):
             pixels = room_for(len(touches), size, out)
         self.decode_into(pixels, touches, threads=threads)
@@ -512,9 +510,7 @@ def contact_windows(row: stored_round.StoredRound, touch: int | None = None) -> 
     """
     times = row.stamps_s(touch)
     if times is None:
-        touches: Sequence[int] = range(row.touch_total())
-        if touch is not None:
-            touches = [touch]
+        touches: Sequence[int] = [touch] if touch is not None else range(row.touch_total())
         times = [TouchClip(row, each).media_times_s for each in touches]
     ends = (each.tolist() for each in row.times_of_touches(touch))
     return [contact.contact_window(*each) for each in zip(times, *ends, strict=True)]

@@ -72,9 +72,7 @@ def extra_type(name: str, data_type: pa.DataType) -> pa.DataType:
 def extra_type_text(name: str, data_type: pa.DataType) -> str:
     """Return the type of a further column: ``"float64[3] per touch"``."""
     entry = extra_type(name, data_type)
-    per = "touch"
-    if name.startswith(EXTRA_PREFIX["frame"]):
-        per = "frame"
+    per = "frame" if name.startswith(EXTRA_PREFIX["frame"]) else "touch"
     depth, leaf = read.list_depth(entry)
     length = ""
     if depth:
@@ -112,9 +110,7 @@ def require_poses_for(method: ContactMethod, names: Container[str], where: str) 
 
 def media_kind(schema: pa.Schema | None, where: str) -> Kind:
     """Return whether a set holds clips (``seq``) or images (``single``); InputError if neither or both."""
-    names: tuple[str, ...] = ()
-    if schema is not None:
-        names = read.column_names(schema)
+    names: tuple[str, ...] = read.column_names(schema) if schema is not None else ()
     kinds = [kind for kind, column in MEDIA_COLUMN.items() if column in names]
     if len(kinds) != 1:
         raise errors.InputError(

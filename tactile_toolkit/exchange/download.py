@@ -144,9 +144,7 @@ def _plan(
 ) -> DownloadPlan:
     """Compare the files of a repository with those of the target."""
     earlier = None if folder is None else _earlier_record(folder, repository)
-    recorded: Mapping[str, store.HubFile] = {}
-    if earlier is not None:
-        recorded = earlier.files
+    recorded: Mapping[str, store.HubFile] = earlier.files if earlier is not None else {}
     manifest = repository.manifest
     # Other tools write files of that name, too.
     metadata = tuple(

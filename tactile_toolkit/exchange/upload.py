@@ -297,9 +297,7 @@ class Upload:
     @property
     def removed(self) -> tuple[str, ...]:
         """Files that were removed; none before :meth:`send`."""
-        if self.commit is None:
-            return ()
-        return self.plan.removed
+        return () if self.commit is None else self.plan.removed
 
     def send(self) -> Upload:
         """Send the missing files, compare the result, set the tag, and return the upload with its commit.
@@ -375,9 +373,7 @@ def _compared(
             f"tag {chosen.tag!r} of {repo_id!r} names commit {named[:12]} already; nothing was sent",
             next="choose another --tag, or delete that one on the Hub",
         )
-    options = chosen
-    if named:
-        options = replace(chosen, tag=None)
+    options = replace(chosen, tag=None) if named else chosen
     return Upload(repo_id, options, held, has_branch, files, plan, ask, what)
 
 
@@ -443,9 +439,7 @@ def local_copy(folder: store.FsspecFolder, root: Path) -> store.DataFolder:
 def _require_sound(findings: Iterable[store.Finding]) -> None:
     found = [f"{each.file} {each.problem.partition('; next: ')[0]}" for each in findings]
     if found:
-        more = ""
-        if len(found) > 3:
-            more = f" and {len(found) - 3} more"
+        more = f" and {len(found) - 3} more" if len(found) > 3 else ""
         raise IntegrityError(
             f"nothing was uploaded, because the folder has problems: {'; '.join(found[:3])}{more}",
             next="run the command that made it again, or the command `card` if only the card is wrong",

@@ -133,13 +133,9 @@ def _traits(error: BaseException) -> str:
     if _GIVEN_UP in names:
         return _GIVEN_UP
     status = getattr(getattr(error, "response", None), "status_code", "")
-    no_room = ""
-    if getattr(error, "errno", None) in _NO_ROOM:
-        no_room = "NoRoom"
+    no_room = "NoRoom" if getattr(error, "errno", None) in _NO_ROOM else ""
     # The client has no type of its own for a file that is shorter than announced.
-    cut_short = ""
-    if "Consistency check" in str(error):
-        cut_short = "CutShort"
+    cut_short = "CutShort" if "Consistency check" in str(error) else ""
     return " ".join([str(status), no_room, cut_short, *names])
 
 
@@ -254,10 +250,7 @@ def _limit_session() -> None:
             f"the client of the Hub cannot be set up ({found}); set are {given or 'no addresses'}",
             next="correct these variables, or unset them",
         ) from None
-    if hasattr(session, "event_hooks"):
-        hooks = session.event_hooks
-    else:
-        hooks = session.hooks
+    hooks = session.event_hooks if hasattr(session, "event_hooks") else session.hooks
     if _check_answer not in hooks["response"]:
         hooks["response"].append(_check_answer)
         session.send = partial(_send, session.send)
@@ -309,9 +302,7 @@ def _check_answer(response: Any, **_: object) -> None:
     path = urlsplit(str(request.url)).path
     if response.status_code // 100 == 2 and "/api/" not in path.partition("/resolve/")[0]:
         return  # a file of any size
-    name = "iter_content"  # in requests
-    if hasattr(response, "iter_bytes"):
-        name = "iter_bytes"
+    name = "iter_bytes" if hasattr(response, "iter_bytes") else "iter_content"  # in requests
     pieces = getattr(response, name)
 
     def limited(*args: object, **options: object) -> Iterator[bytes]:

@@ -224,9 +224,7 @@ def repository_place(
     IntegrityError
         The name of a file leads out of a folder; nothing was fetched.
     """
-    inside = ""
-    if path:
-        inside = f"{path}/"
+    inside = f"{path}/" if path else ""
     paths = parquet_paths(each for each in repository.files() if each.startswith(inside))
     store.names_inside(paths, f"Hub data set {repository.repo_id!r}")
     manifest = repository.manifest

@@ -82,23 +82,17 @@ class Place:
     @property
     def repository(self) -> hub.HubRepository | None:
         """The repository of the Hub; None for folders and files."""
-        if isinstance(self.source, hub.HubRepository):
-            return self.source
-        return None
+        return self.source if isinstance(self.source, hub.HubRepository) else None
 
     @property
     def revision(self) -> str | None:
         """Commit of a repository of the Hub."""
-        if self.repository is None:
-            return None
-        return self.repository.commit
+        return None if self.repository is None else self.repository.commit
 
     @property
     def spec(self) -> JsonObject:
         """Specification that the manifest states; empty without one."""
-        if self.manifest is None:
-            return {}
-        return self.manifest.spec
+        return {} if self.manifest is None else self.manifest.spec
 
     @property
     def made_by(self) -> JsonObject:
@@ -253,9 +247,7 @@ class Place:
         return bool(records) and len(records) == records[0].shard.count
 
     def _not_finished(self, may_take: bool = True) -> errors.IntegrityError:
-        otherwise = ""
-        if may_take and not self.allow_incomplete:
-            otherwise = _TAKE_FINISHED
+        otherwise = _TAKE_FINISHED if may_take and not self.allow_incomplete else ""
         again = "run the same command again"
         record = self.folder and store.read_download_record(self.folder)
         if record:
@@ -281,9 +273,7 @@ class Place:
 
     def chosen_splits(self, split: str | None) -> tuple[str, ...]:
         """Return one split, or all if none is named."""
-        if split is None:
-            return self.splits
-        return (split,)
+        return self.splits if split is None else (split,)
 
     def shards(
         self, split: str | None = None, *, kind: DatasetKind | None = None, streaming: bool = False
@@ -446,9 +436,7 @@ def wrong_kind(found: DatasetKind, name: str, asked: str, content: str) -> error
 
 def command_or_load(kind: DatasetKind, command: str) -> str:
     """Return a command of a kind as it was given, or without one ``load`` of its package."""
-    if command:
-        return f"{kind.command} {command}"
-    return f"{kind.package}.load"
+    return f"{kind.command} {command}" if command else f"{kind.package}.load"
 
 
 def published_set(name: str) -> PublishedSet | None:
@@ -481,9 +469,7 @@ def find_repository(
 def named_on_hub(name: str, revision: str | None) -> hub.HubName:
     """Resolve a name or short name to a repository, or a path in one; InputError for other names."""
     known = published_set(name)
-    repo_id = name
-    if known is not None:
-        repo_id = known.repo_id
+    repo_id = known.repo_id if known is not None else name
     named = hub.hub_name(repo_id, revision)
     if named is None:
         published = {entry.name: kind.command for kind in kinds() for entry in kind.published}

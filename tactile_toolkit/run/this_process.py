@@ -109,9 +109,7 @@ def _place_in_array(environment: Mapping[str, str]) -> tuple[int, int | None]:
 
 def _number(environment: Mapping[str, str], name: str) -> int | None:
     text = environment.get(name, "")
-    if re.fullmatch("[0-9]{1,9}", text):
-        return int(text)
-    return None
+    return int(text) if re.fullmatch("[0-9]{1,9}", text) else None
 
 
 def in_threads(function: Callable[[T], R], items: Iterable[T], workers: int) -> Iterator[R]:

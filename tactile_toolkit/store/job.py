@@ -12,9 +12,10 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from importlib.metadata import version
 from itertools import groupby
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import Any, TypedDict
 
 import msgspec
+import pyarrow as pa
 
 from tactile_toolkit import __version__, errors, run, wording
 from tactile_toolkit.json_types import JsonObject
@@ -36,10 +37,6 @@ from tactile_toolkit.store.manifest import (
     write_manifest,
 )
 from tactile_toolkit.store.parquet import ParquetStyle, sha256_hex
-
-if TYPE_CHECKING:
-    import pyarrow as pa
-
 
 _LONGEST_SHOWN = 200
 _DIFFERENCES_SHOWN = 5
@@ -103,9 +100,7 @@ class ShardTask:
 
     def source_digest(self) -> str | None:
         """Return the digest of the present source; None if the specification identifies all of it."""
-        if self.digest is None:
-            return None
-        return self.digest(self.items)
+        return None if self.digest is None else self.digest(self.items)
 
 
 @dataclass(frozen=True)

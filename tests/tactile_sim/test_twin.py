@@ -13,7 +13,7 @@ from scipy import ndimage
 
 import realtouch
 import tactile_sim
-from tactile_sim.twin import fitting, gel, reader, surface_kernels
+from tactile_sim.twin import fitting, gel, reader, rounds_of_fit, surface_kernels
 from tactile_sim.twin.calibration import model_of
 from tactile_sim.twin.fitting import Fit
 from tactile_sim.twin.gel import Fitted
@@ -150,17 +150,18 @@ def test_taxims_own_calibration_is_recovered():
 
 
 @pytest.mark.thorough
-def test_images_that_show_nothing_of_the_solids_are_refused():
-    """Images without range, of one touch among many, and noise end in a sentence."""
-    recordings = recordings_of(draw_sensor(3, "phong", (48, 36)).record(digits(2), 10))
+def test_images_that_show_nothing_of_the_solids_are_refused(monkeypatch):
+    """Images without range, of one touch among many, and noise end in a sentence; coarse fits suffice."""
+    monkeypatch.setattr(rounds_of_fit, "_ROUNDS", rounds_of_fit._ROUNDS[:1])
+    recordings = recordings_of(draw_sensor(3, "phong", (48, 36)).record(digits(2), 6))
     white = np.full_like(recordings.images, 255)
-    single = recordings.backgrounds[:1].repeat(10, axis=0)
+    single = recordings.backgrounds[:1].repeat(6, axis=0)
     single[3] = recordings.images[3]
     noise = np.random.default_rng(0).integers(2, 200, white.shape, dtype=np.uint8)
     for images, sensor_m, words in (
-        (white, recordings.sensor_m, "0 of 10 images can be used"),
+        (white, recordings.sensor_m, "0 of 6 images can be used"),
         (single, recordings.sensor_m, "solids and their poses explain"),
-        (noise, None, "0 of 10 touches without poses"),
+        (noise, None, "0 of 6 touches without poses"),
     ):
         with pytest.raises(InputError, match=words):
             tactile_sim.calibrate(dataclasses.replace(recordings, images=images, sensor_m=sensor_m))
