@@ -51,6 +51,10 @@ MAX_DIGITS = 1_000_000_000
 
 SOURCES = ("synthetic", "hwdplus", "mnist", "folder")
 
+# A relief on a plate is as thick as the upper half of a solid without one.
+_THICKNESS_MM = 8.0
+_THICKNESS_ON_BASE_MM = 4.0
+
 
 @dataclass(frozen=True, slots=True)
 class SplitSpec:
@@ -241,6 +245,62 @@ class SolidSize:
 
 
 @dataclass(frozen=True, slots=True)
+class PrintShape:
+    """Options for the shape of the solids."""
+
+    thickness_mm: float | None = real(
+        None,
+        above=0,
+        optional=True,
+        shown="8, 4 above a plate",
+        help="Thickness of the solid, without its base plate.",
+    )
+    base_mm: float | None = real(
+        None,
+        above=0,
+        optional=True,
+        help="Put the solid on a base plate of this thickness, which joins its parts.",
+    )
+    bridge_mm: float | None = real(
+        None,
+        above=0,
+        optional=True,
+        help="Join separate parts by bridges of at most this width; they are never wider than the strokes.",
+    )
+    edge_profile: str = choice("round", PROFILES, help="Shape of the edges.")
+    vertices: int | None = integer(
+        None, 100, optional=True, shown="as many as the strokes need", help="Approximate number of vertices."
+    )
+
+    def changes(self) -> dict[str, object]:
+        """Return the parameters of the algorithm that differ from the usual ones."""
+        half_thickness_mm = (self.thickness_mm or _THICKNESS_MM) / 2
+        if self.base_mm is not None:
+            half_thickness_mm = self.thickness_mm or _THICKNESS_ON_BASE_MM
+        changed: dict[str, object] = {"half_thickness_mm": half_thickness_mm, "profile": self.edge_profile}
+        if self.bridge_mm is not None:
+            changed |= {"join_bodies": True, "bridge_width_mm": self.bridge_mm}
+        if self.vertices is not None:
+            changed["target_vertices"] = self.vertices
+        return changed
+
+
+@dataclass(frozen=True, slots=True)
+class PictureReading:
+    """Options for what is ink in a picture."""
+
+    threshold: str = choice(
+        "auto",
+        ("auto", "local", "global"),
+        help="Even out the light and find the page (local), or apply one threshold (global); auto takes "
+        "local for pictures without clean paper.",
+    )
+    foreground: str = choice(
+        "auto", ("auto", "dark", "light"), help="Whether the ink is darker or lighter than the paper."
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class SourceOptions:
     """Options of the source of images."""
 
@@ -282,19 +342,7 @@ class SourceOptions:
 class DigitPreviewSpec(catalog.PreviewSpec):
     """Options of previews of digits; the steps for a data set need the files of its source."""
 
-    kinds: tuple[str, ...] = choice(
-        (),
-        ("sheet", "steps", "all"),
-        name="--kind",
-        help="What to draw; may be repeated. By default sheet, or steps for a picture.",
-    )
-    images: Path | None = text(
-        metavar="PATH",
-        read=Path,
-        needs="kinds=steps|all",
-        help="Images of the source of the data set, as given to `mnist3d generate`.",
-    )
-    writer_info: Path | None = text(
-        metavar="FILE", read=Path, needs="kinds=steps|all", help="WriterInfo.npy of HWD+."
-    )
+    kinds: tuple[str, ...] = choice((), ("sheet", "steps", "all"))
+    images: Path | None = None
+    writer_info: Path | None = None
     unit: str | None = mesh.UNIT

@@ -8,10 +8,11 @@ import os
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
-from tactile_toolkit import checked_fields, errors, wording
+from tactile_toolkit import catalog, checked_fields, errors, touch, wording
 from tactile_toolkit.columns import units
 from tactile_toolkit.json_types import JsonDict
 
@@ -30,6 +31,19 @@ IMPORT_LAYOUTS = (
     "anytouch",
 )
 """Formats of recordings, each a module of ``realtouch.formats``."""
+
+EXPORT_FORMATS = ("png", "jpeg", "flat", "webdataset", "lerobot", "oxt", "replay", "fota", "anytouch")
+"""Formats of exported touches: pictures, and files of other libraries."""
+
+FRAME = partial(
+    checked_fields.choice,
+    "contact_end",
+    ("contact_end", "contact_start", "peak", "best"),
+    name="--clip-frame",
+    help="Frame of a clip: end or start of the contact, the deepest press, or the highest contact score.",
+)
+"""Declares the option for the frame of a clip."""
+
 STREAM_HEADER = (
     "recording",
     "stream",
@@ -101,15 +115,42 @@ _NUMPY_MARK = b"\x93NUMPY"
 class TouchPreviewSpec:
     """Options of previews of touches; by default the grid is drawn."""
 
-    kinds: tuple[str, ...] = checked_fields.choice(
-        (),
-        ("grid", "overlay", "all"),
-        name="--kind",
-        help="What to draw; may be repeated: a round as a grid (the default) or pasted on a map of the cell.",
+    kinds: tuple[str, ...] = checked_fields.choice((), ("grid", "overlay", "all"))
+    split: str | None = None
+    round_number: int = checked_fields.integer(0)
+    touches: int = checked_fields.integer(32, 1)
+
+
+@dataclass(frozen=True, slots=True)
+class ContactChoice:
+    """Options of a selection of touches by contact."""
+
+    contact: bool = checked_fields.switch(False, help="Only touches in contact with an object.")
+    min_height_mm: float | None = touch.HeightRule.option(needs="contact")
+    as_recorded: bool = checked_fields.switch(
+        False,
+        needs="contact",
+        help="Take heights as recorded; by default, if the height of the plate is unknown, above the deepest "
+        "touch of each round.",
     )
-    split: str | None = ONE_SPLIT
-    round_number: int = checked_fields.integer(0, name="--round", help="Round to draw, counted from 0.")
-    touches: int = checked_fields.integer(32, 1, needs="kinds=|grid|all", help="Number of touches in a grid.")
+
+    def arguments(self, chosen: catalog.RowFilter) -> JsonDict:
+        """Return the arguments of :func:`realtouch.select` for these touches of chosen rows."""
+        # Ids of objects are numbers.
+        objects = [each if isinstance(each, int) else catalog.id_range(each) for each in chosen.ids or ()]
+        min_height_m = None
+        if self.min_height_mm is not None:
+            min_height_m = self.min_height_mm / 1000
+        return {
+            "contact": self.contact,
+            "min_height_m": min_height_m,
+            "recalibrate_z": not self.as_recorded,
+            "objects": objects,
+            "labels": chosen.labels or (),
+            "per_class": chosen.per_class,
+            "split": chosen.split,
+            "limit": chosen.limit,
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -353,6 +394,7 @@ class ImportColumns:
         False, help="The last three of six columns of a pose are a rotation vector."
     )
     frame: Matrix | None = checked_fields.text(
+        name="--transform",
         metavar="FILE",
         read=read_frame,
         help="File of 4 x 4 numbers: the transform from the frame of the source to that of the cell.",

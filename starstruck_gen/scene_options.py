@@ -123,10 +123,5 @@ class SceneOptions:
 class ScenePreviewSpec(catalog.PreviewSpec):
     """Options of previews of scenes."""
 
-    per_class: int = checked_fields.integer(8, 1, help="Number of objects of each class on a sheet.")
-    kinds: tuple[str, ...] = checked_fields.choice(
-        (),
-        ("sheet", "all"),
-        name="--kind",
-        help="What to draw; may be repeated. By default sheet.",
-    )
+    per_class: int = checked_fields.integer(8, 1)
+    kinds: tuple[str, ...] = checked_fields.choice((), ("sheet", "all"))

@@ -209,9 +209,7 @@ class GenerateSpec:
         "published sets.",
     )
     plan: TouchPlan = field(default_factory=TouchPlan)
-    image_format: Literal["jpeg", "png"] = choice(
-        "jpeg", ("jpeg", "png"), name="--format", help="Format of the images."
-    )
+    image_format: Literal["jpeg", "png"] = choice("jpeg", ("jpeg", "png"), help="Format of the images.")
     quality: int = integer(95, 1, 100, needs="image_format=jpeg", help="Quality of JPEGs, 1 to 100.")
     weights: str | None = text(
         metavar="FILE",
