@@ -82,6 +82,7 @@ def info(
     Examples: tactile info digits;  tactile info real-single-64x64 --split test;  tactile info my-sensor
     """
     if _is_sensor(name):
+        options.refuse({"split": split, **asdict(opening)}, "a sensor")
         print_sensor(sink, _sensor_named(name))
         return
     place = opening.open(sink, name, shows_all=True)

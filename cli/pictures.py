@@ -33,13 +33,18 @@ class PreviewOptions:
     labels: tuple[str, ...] | None = catalog.LABELS
     per_class: int | None = catalog.PER_CLASS
     limit: int | None = catalog.LIMIT
-    round_number: int = integer(0, name="--round", help="Round of touches to draw, counted from 0.")
-    touches: int = integer(32, 1, needs="kinds=|grid|all", help="Number of touches in a grid.")
+    round_number: int = integer(
+        0, name="--round", panel="Touches", help="Round of touches to draw, counted from 0."
+    )
+    touches: int = integer(
+        32, 1, needs="kinds=|grid|all", panel="Touches", help="Number of touches in a grid."
+    )
     images: Path | None = text(
         name="--source-images",
         metavar="PATH",
         read=Path,
         needs="kinds=steps|all",
+        panel="Digits",
         help="Images of the source of the digits, as given to `mnist3d generate`.",
     )
     writer_info: Path | None = text(
@@ -47,6 +52,7 @@ class PreviewOptions:
         metavar="FILE",
         read=Path,
         needs="kinds=steps|all",
+        panel="Digits",
         help="WriterInfo.npy of HWD+.",
     )
     unit: str | None = mesh.UNIT

@@ -16,9 +16,11 @@ _CARD_TEMPLATE = "sensor.md"
 
 
 def is_sensor(name: str) -> bool:
-    """Return whether a name is that of a known sensor, or of a local folder of a calibrated one."""
+    """Return whether a name is that of a local folder of a calibrated sensor, or else of a known one."""
     path = store.local_path(name)
-    return name in SENSORS or (path is not None and (path / SENSOR_FILE).is_file())
+    if path is not None and path.exists():
+        return (path / SENSOR_FILE).is_file()
+    return name in SENSORS
 
 
 def sensor_facts(model: SensorModel) -> dict[str, str]:

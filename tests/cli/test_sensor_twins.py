@@ -54,6 +54,8 @@ def test_a_sensor_is_a_small_folder_with_the_results(
     assert shown["report"]["mm_per_px"] == pytest.approx(recording.mm_per_px, rel=0.05)
     assert shown["sensor"]["name"] == "mine"
     assert len(shown["report"]["touches"]) == 8
+    assert call("tactile", "info", place / "mine", "--split", "test") == 2
+    assert "--split has no effect on a sensor" in capsys.readouterr().err
     assert call("tactile", "info", "digit") == 0
     assert "19 x 16 mm" in capsys.readouterr().out
 
