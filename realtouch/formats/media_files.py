@@ -203,8 +203,10 @@ def _table_of_videos(
     for name in importing.visible_files(home, tables.Table.ENDINGS):
         if name.startswith(streams):
             continue
-        opened = tables.Table.of(home, name)
-        first = _first_row(opened)
+        first: JsonDict = {}
+        with suppress(errors.InputError):  # a file that is no table, or cannot be opened
+            opened = tables.Table.of(home, name)
+            first = opened.first_row()
         if image in first:
             rows = read(opened)
             if {*map(importing.path_of, rows.texts(image))}.intersection(paths):
@@ -224,13 +226,6 @@ def _table_of_videos(
             next=f"add --map image={column}, or move the table out of the folder",
         )
     return next(iter(of_videos.values()), None)
-
-
-def _first_row(table: tables.Table) -> JsonDict:
-    """Return the first row of a table; empty for a file that is no table."""
-    with suppress(errors.InputError):
-        return table.first_row()
-    return {}
 
 
 def describe_conversion(touches: importing.FoundTouches) -> str:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import io
+import os
 import struct
 import sys
 import tracemalloc
@@ -460,6 +462,22 @@ def test_a_table_that_names_videos_in_another_column_is_not_passed_over(tmp_path
     (tmp_path / "cuts.csv").write_text("recording,start_s,end_s\n1.avi,0,0.1\n")
     (found,) = recordings(tmp_path, image="Datei")
     assert found.values == {"Datei": "1.avi", "Gegenstand": "Kügelchen"}
+
+
+def test_a_table_that_cannot_be_opened_is_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Such as a link into the folder of another user."""
+    (tmp_path / "1.avi").write_bytes(AVIS["no index"][0])
+    (tmp_path / "of_others.csv").write_text("file\n1.avi\n")
+    stat = Path.stat
+
+    def refused(path: Path, **options: bool) -> os.stat_result:
+        if path.name == "of_others.csv":
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        return stat(path, **options)
+
+    monkeypatch.setattr(Path, "stat", refused)
+    (found,) = recordings(tmp_path)
+    assert found.problem is None
 
 
 def test_folders_are_classes_where_they_hold_all_videos(tmp_path: Path) -> None:
