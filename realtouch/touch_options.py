@@ -496,18 +496,18 @@ class ImportColumns:
             if names.count(name) > 1:
                 raise errors.InputError(f"the extra column {name!r} is named twice; expected different names")
 
-    def with_mapped(self, pairs: Sequence[str]) -> ImportColumns:
+    def with_mapped(self, mapped: Sequence[str]) -> ImportColumns:
         """Return these columns, changed by texts ``NAME=COLUMN``, or ``@FILE`` for a file of such lines.
 
         Names other than those of ``MAPPED`` are new names of extra columns. Raises InputError for a text of
         another form, a name that is given twice, and a name that is almost one of ``MAPPED``.
         """
-        mapped: dict[str, str] = read_mapped(pairs)
-        changes: JsonDict = {MAPPED[name]: column for name, column in mapped.items() if name in MAPPED}
+        sources = read_mapped(mapped)
+        changes: JsonDict = {MAPPED[name]: column for name, column in sources.items() if name in MAPPED}
         for several in ("position", "pose"):
-            if several in mapped:
-                changes[several] = tuple(wording.comma_separated(mapped[several]))
-        extra = {**dict(self.extra), **{name: mapped[name] for name in mapped if name not in MAPPED}}
+            if several in sources:
+                changes[several] = tuple(wording.comma_separated(sources[several]))
+        extra = {**dict(self.extra), **{name: sources[name] for name in sources if name not in MAPPED}}
         return replace(self, **changes, extra=tuple(extra.items()))
 
     @property

@@ -195,11 +195,11 @@ class ImportTouches:
                 size = self._size(pictures, is_clip=frames[index] > 0)
                 if numbers[index] in values.problems:
                     raise values.problems[numbers[index]]
-                media = cast(bytes, pictures[0])
+                content = cast(bytes, pictures[0])
                 if frames[index]:
                     clips[index] = clip_of(piece, index, cast(Sequence[bytes], pictures), size, self.columns)
-                    media = clips[index].video
-                made[index] = media
+                    content = clips[index].video
+                made[index] = content
             except errors.ItemError as error:
                 problems[index] = error
         problems |= _of_other_rounds(piece, values, rows, list(made))

@@ -46,15 +46,10 @@ from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.wording import with_count
 
 SETTINGS = "training.json"
-
 TOUCH_WEIGHTS = "depth_to_touch.npz"
-
 DEPTH_WEIGHTS = "touch_to_depth.npz"
-
 _CHECKPOINT = "checkpoint.pt"
-
 _DIGEST_BYTES = 32
-
 _SAMPLES = 4
 
 

@@ -464,7 +464,9 @@ def test_a_table_that_names_videos_in_another_column_is_not_passed_over(tmp_path
     assert found.values == {"Datei": "1.avi", "Gegenstand": "Kügelchen"}
 
 
-def test_a_table_that_cannot_be_opened_is_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_table_that_cannot_be_opened_is_passed_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Such as a link into the folder of another user."""
     (tmp_path / "1.avi").write_bytes(AVIS["no index"][0])
     (tmp_path / "of_others.csv").write_text("file\n1.avi\n")
