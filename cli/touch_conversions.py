@@ -66,14 +66,14 @@ class Resize(_Options):
     Example: realtouch resize real-single-320x240 --size 64x64 --out small
     """
 
-    size: tuple[int, int] = touch.size_option(MISSING)
+    size_px: tuple[int, int] = touch.size_option(MISSING)
     quality: int = checked_fields.integer(
         95, 1, 100, help="JPEG quality of images that are encoded again, 1 to 100."
     )
 
     def arguments(self) -> options.Given:
         """Return the arguments of the conversion; width and height are separate."""
-        width, height = self.size
+        width, height = self.size_px
         return {"width": width, "height": height, "quality": self.quality}
 
 
