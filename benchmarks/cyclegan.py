@@ -104,7 +104,7 @@ def touch(work: Path, split: str, *options: object, own: str = "", weights: tupl
         if (name, split) != ("clean", "train"):
             run(
                 "tactile_sim", "generate", work / f"digits-{split}", "--split", split, "--rounds", 1,
-                "--seed", 11, "--format", "png", *options, *how, "--out", work / f"{own}{name}-{split}",
+                "--seed", 11, "--image-format", "png", *options, *how, "--out", work / f"{own}{name}-{split}",
             )  # fmt: skip
 
 

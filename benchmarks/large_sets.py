@@ -135,9 +135,11 @@ def private_mb() -> float:
 
 
 def info(folder: Path) -> dict[str, float]:
-    """``mnist3d info`` as a user calls it; memory is that of the command."""
+    """``tactile info`` as a user calls it; memory is that of the command."""
     start_s = time.perf_counter()
-    subprocess.run([sys.executable, "-m", "mnist3d", "info", str(folder)], check=True, capture_output=True)
+    subprocess.run(
+        [sys.executable, "-m", "tactile_toolkit", "info", str(folder)], check=True, capture_output=True
+    )
     elapsed_s, used = time.perf_counter() - start_s, resource.getrusage(resource.RUSAGE_CHILDREN)
     return {"s": elapsed_s, "s of the processor": used.ru_utime + used.ru_stime, "MB": used.ru_maxrss / 1e3}
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import errno
+import inspect
 import os
+import re
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
@@ -12,7 +14,7 @@ from typing import Any, TypeVar
 import typer
 from typer.core import TyperCommand
 
-from cli.options import DEBUG_VARIABLE, Debug, Version, option_label, with_options
+from cli.options import DEBUG_VARIABLE, GENERAL, Debug, Version, option_label, with_options
 from cli.output import Output
 from tactile_toolkit import store, wording
 from tactile_toolkit.errors import InputError, ToolkitError, require_public
@@ -65,17 +67,35 @@ class _Command(TyperCommand):
         with self._errors_reported():
             return super().invoke(ctx)
 
+    def format_help_text(self, ctx: Any, formatter: Any) -> None:
+        """Write the help; examples are not wrapped, so that they can be copied."""
+        text, *examples = (self.help or "").split("\n\nExample: ")
+        formatter.write_paragraph()
+        with formatter.indentation():
+            formatter.write_text(text)
+            formatter.write_paragraph()
+            indent = " " * formatter.current_indent
+            formatter.write("".join(f"{indent}Example: {line}\n" for line in examples))
+
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        panels: dict[str, list[tuple[str, str]]] = {}
+        panels: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
         for parameter in self.get_params(ctx):
             default_panel = _PANELS[parameter.param_type_name]
             record = parameter.get_help_record(ctx)
             if record is not None:
                 panel = getattr(parameter, "rich_help_panel", None) or default_panel
-                panels.setdefault(panel, []).append(record)
+                # Users do not know the names of Python's types.
+                name = re.sub(r" <str>$|list\[(.*)\](?=>$)", r"\1", record[0])
+                panels.setdefault(panel, []).append((name, record[1]))
+        panels[GENERAL] = [
+            *panels.pop(GENERAL, []),
+            *[each for each in panels["Options"] if "-h," in each[0]],
+        ]
+        panels["Options"] = [each for each in panels["Options"] if "-h," not in each[0]]
         for panel, records in panels.items():
-            with formatter.section(panel):
-                formatter.write_dl(records)
+            if records:
+                with formatter.section(panel):
+                    formatter.write_dl(records)
 
     @contextmanager
     def _errors_reported(self) -> Iterator[None]:
@@ -126,12 +146,25 @@ def command(
 
     def add(function: F) -> F:
         # The whole first paragraph: Typer would cut it to one line of the list of commands.
-        summary = (function.__doc__ or "").partition("\n\n")[0]
-        settings = {"cls": _Command, "short_help": summary, "context_settings": _SETTINGS}
+        text = _with_examples_last(inspect.cleandoc(function.__doc__ or ""))
+        summary = text.partition("\n\n")[0]
+        settings = {"cls": _Command, "help": text, "short_help": summary, "context_settings": _SETTINGS}
         app.command(name, **settings)(with_options(function, known, asks_hub=asks_hub))  # type: ignore[arg-type]
         return function
 
     return add
+
+
+def _with_examples_last(text: str) -> str:
+    """Return a help with each of its examples as a paragraph at the end."""
+    paragraphs = text.split("\n\n")
+    examples = [
+        f"Example: {line.strip()}"
+        for each in paragraphs
+        if each.startswith("Example")
+        for line in " ".join(each.split()).partition(": ")[2].split("; ")
+    ]
+    return "\n\n".join([*(each for each in paragraphs if not each.startswith("Example")), *examples])
 
 
 def run(app: typer.Typer) -> None:
@@ -176,11 +209,24 @@ def _dispatch(app: typer.Typer) -> None:
             raise SystemExit(error.exit_code) from None
     word = next(iter(sys.argv[1:]), "")
     for info in app.registered_commands:
-        name = info.name or typer.main.get_command_name(info.callback.__name__ if info.callback else "")
-        if name == word:
+        if _name_of(info) == word:
             command = typer.main.get_command_from_info(
                 info, pretty_exceptions_short=False, rich_markup_mode=app.rich_markup_mode
             )
             command.main(sys.argv[2:], prog_name=f"{app.info.name} {word}")
             return
+    if not any(name.endswith("_COMPLETE") for name in os.environ):
+        app = _without_options(app)
     app(prog_name=app.info.name)
+
+
+def _without_options(app: typer.Typer) -> typer.Typer:
+    """Return an application that lists the same commands; building their options would take 0.05 s."""
+    listed = new_app(app.info.name or "", app.info.help or "")
+    for info in app.registered_commands:
+        listed.command(_name_of(info), short_help=info.short_help)(lambda: None)
+    return listed
+
+
+def _name_of(info: Any) -> str:
+    return str(info.name or typer.main.get_command_name(info.callback.__name__))

@@ -1,119 +1,35 @@
-"""The commands that show what a data set holds: its facts, its rows, and the data sets of a folder."""
+"""The commands that show and check what a data set holds."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
-from cli import options, output, runs
-from tactile_toolkit import catalog, checked_fields, places, read, store, wording
-from tactile_toolkit.errors import InputError, ToolkitError
-from tactile_toolkit.json_types import JsonDict, JsonValue
-from tactile_toolkit.kind import DatasetKind, is_copy
+import typer
+
+from cli import application, options, output, runs
+from tactile_toolkit import catalog, checked_fields, places, run, store, wording
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.kind import SELECT, Checked, DatasetKind, is_copy, is_for_others, lazy
 from tactile_toolkit.wording import bytes_text, with_count
 
-if TYPE_CHECKING:
-    import pyarrow as pa
-
-
-ROW = checked_fields.integer(0, help="Number of the row in its split, from 0.")
-
-# Length of the longest list whose values are shown.
-_SHOWN = 6
-
-
-def info(
-    *,
-    kind: DatasetKind,
-    print_made: runs.PrintMade,
-    name: str = options.ANY_SET,
-    opening: options.Opening,
-    sink: output.Sink,
-) -> None:
-    """Show what a data set holds and how it was made.
-
-    Example: info DIR --json
-    """
-    place = opening.open(sink, name, shows_all=True).require(kind, "info")
-    manifest = place.manifest
-    folder = place.folder
-    if manifest is None:
-        _print_without_manifest(sink, place, kind)
-        return
-    if folder is None or is_copy(manifest):
-        runs.print_set(sink, kind, manifest, name)
-        return
-    print_made(sink, kind, manifest, folder.address(), None)
-    sink.line(f"made by tactile-toolkit {manifest.toolkit_version}; source and spec:")
-    for line in flat_lines(manifest.spec):
-        sink.line(f"  {line}")
-
-
-def _print_without_manifest(sink: output.Sink, place: places.Place, kind: DatasetKind) -> None:
-    """Print the content of the splits of a data set without a manifest, and its repository."""
-    record = None if place.folder is None else store.read_download_record(place.folder)
-    repository = record or place.repository
-    entries = []
-    rows = []
-    for split, dataset in catalog.open_splits(place, None, kind.load, kind.nouns).items():
-        paths = [shard.path for shard in place.shards(split)]
-        size = sum(folder.size_bytes(name) for folder, name in map(store.split_uri, paths))
-        # Not by `bincount`, which fails on negative labels; data that others made may have some.
-        labels = enumerate(dataset.label_names)
-        per_class = {name: int((dataset.labels == index).sum()) for index, name in labels}
-        counts = {"split": split, "rows": len(dataset), "shards": len(paths), "bytes": size}
-        entries.append({**counts, "per_class": per_class})
-        classes = ", ".join(f"{name}: {count:,}" for name, count in per_class.items())
-        rows.append((split, len(dataset), len(paths), wording.bytes_text(size), classes))
-    source: dict[str, str | None] = {"repository": None, "commit": None}
-    origin = "no manifest"
-    if repository:
-        source = {"repository": repository.repo_id, "commit": repository.commit}
-        origin = f"downloaded from {repository.repo_id} at {repository.commit[:12]}"
-    sink.document({"folder": place.name, **source, "splits": entries})
-    sink.table(("split", kind.nouns, "shards", "Parquet", "per class"), rows)
-    sink.line(f"{origin}: no provenance recorded")
-
-
-def show(
-    *,
-    name: str = options.ANY_SET,
-    row: int = ROW,
-    split: str | None = catalog.SPLIT,
-    opening: options.Opening,
-    sink: output.Sink,
-) -> None:
-    """Show a row of a data set: each column, its type and its value, or the number of its values.
-
-    Example: show DIR --row 3 --split test
-    """
-    place = opening.open(sink, name, shows_all=True)
-    chosen = split or place.require_complete().splits[0]
-    rows = read.ShardedTable(place.shards(chosen))
-    if row >= len(rows):
-        raise InputError(
-            f"is {row}; rows are counted from 0, and split {chosen!r} has {with_count(len(rows), 'rows')}",
-            next="give a smaller --row or another --split",
-            field="row",
-        )
-    group, index = rows.locate(row)
-    stored = group.table.slice(index, 1)
-    values = {name: brief(stored_value(stored[name][0])) for name in stored.column_names}
-    sink.document({"data_set": name, "split": chosen, "row": row, "values": values})
-    sink.line(f"{name}: row {row:,} of the {with_count(len(rows), 'rows')} in {chosen}")
-    lines = []
-    for field in stored.schema:
-        type_text = str(field.type).replace("element: ", "").replace("fixed_size_list", "list")
-        for line in flat_lines({field.name: values[field.name]}):
-            column, _, value = line.partition(" = ")
-            lines.append((column, type_text, value))
-    sink.table(("column", "type", "value"), lines)
+# Imported when they are called: they import pyarrow.
+_list_folder = lazy("tactile_toolkit.sets:list_folder")
+_stored_row = lazy("tactile_toolkit.sets:stored_row")
+_count_splits = lazy("tactile_toolkit.sets:count_splits")
+_check_card = lazy("tactile_toolkit.cards:check_card")
+_verify_touches = lazy("realtouch:verify")
+_check_touches = lazy("realtouch:check")
+_is_sensor = lazy("tactile_sim.twin.sensor_repositories:is_sensor")
+_sensor_facts = lazy("tactile_sim.twin.sensor_repositories:sensor_facts")
+_sensor_named = lazy("tactile_sim:SensorModel.named")
 
 
 def list_sets(
     *,
-    kind: DatasetKind,
     folder: str | None = options.argument(
         "DIR", "Folder of data sets; the published ones by default.", default=None
     ),
@@ -121,125 +37,357 @@ def list_sets(
 ) -> None:
     """List the published data sets and which of them are on this machine, or the data sets in a folder.
 
-    Examples: list;  list .
+    Examples: tactile list;  tactile list .
     """
     if folder is None:
-        print_sets(sink, kind)
+        _print_published(sink)
         return
-    found = _sets_in(options.local_place(folder))
-    sink.document(found)
-    rows = [list({**each, "bytes": wording.bytes_text(each["bytes"])}.values()) for each in found]
+    held = _list_folder(options.local_place(folder))
+    sink.document(held)
+    rows = [list({**each, "bytes": bytes_text(each["bytes"])}.values()) for each in held]
     sink.table(("name", "kind", "splits", "rows", "Parquet", "state"), rows)
-    sink.line(f"{with_count(len(found), 'data sets')} in {folder}")
+    sink.line(f"{with_count(len(held), 'data sets')} in {folder}")
 
 
-def _sets_in(folder: Path) -> list[JsonDict]:
-    """Return the data sets in a folder, and the folder itself if it is one, as JSON values.
-
-    ``state`` is finished, unfinished or the message of an error. Only manifests are read. Raises InputError
-    if the folder does not exist.
-    """
-    if not folder.is_dir():
-        raise InputError(
-            store.open_folder(str(folder)).missing_message("data sets"),
-            next="give a folder with data set folders",
-        )
-    found = []
-    inner = sorted(each.name for each in folder.iterdir() if each.is_dir() and not store.is_hidden(each.name))
-    for name in [".", *inner]:
-        kind = ""
-        table = dict[str, dict[str, int]]()
-        state = ""
-        try:
-            manifest = store.manifest_so_far(store.open_folder(str(folder / name)))
-        except ToolkitError as error:
-            state = str(error)
-        else:
-            if manifest is None:
-                continue
-            kind = manifest.kind
-            table = manifest.split_table()
-            state = "finished" if manifest.complete else "unfinished"
-        sums = {each: sum(split[each] for split in table.values()) for each in ("rows", "bytes")}
-        found.append({"name": name, "kind": kind, "splits": ", ".join(table), **sums, "state": state})
-    return found
-
-
-def print_sets(sink: output.Sink, kind: DatasetKind) -> None:
+def _print_published(sink: output.Sink) -> None:
     """Print the published data sets: content, licence, size, and which splits are on this machine."""
     documents = []
     rows = []
-    for state in places.published_states(kind):
+    for state in places.published_states():
         known = state.known
         names = {"name": known.name, "repository": known.repo_id, "content": known.content}
-        facts = {
-            "citation": known.citation,
-            "licence": state.licence,
-            "hub_bytes": state.hub_bytes,
-            "local_bytes": state.local_bytes,
-            "local_splits": state.local_splits,
-        }
-        documents.append({**names, **facts})
-        there = "?" if state.hub_bytes is None else wording.bytes_text(state.hub_bytes)
+        documents.append({**names, "citation": known.citation, **asdict(state)})
+        del documents[-1]["known"]
+        there = "?" if state.hub_bytes is None else bytes_text(state.hub_bytes)
         here = "-"
         if state.local_bytes:
-            here = f"{wording.bytes_text(state.local_bytes)} ({', '.join(state.local_splits)})"
+            here = f"{bytes_text(state.local_bytes)} ({', '.join(state.local_splits)})"
         rows.append((known.name, known.content, state.licence or "see its card", there, here))
     sink.document(documents)
-    if not rows:
-        next_step = f"`{kind.package} list` lists the published data sets that {kind.package} opens"
-        sink.line(f"no data set of {kind.command} is published; next: {next_step}")
-        return
     sink.table(("name", "holds", "licence", "on the Hub", "here"), rows)
     if any(row[3] == "?" for row in rows):
         sink.info("?: the Hub did not answer for this one (no network, or no access)")
-    sink.line(f"next: {kind.command} download NAME [--split SPLIT] [--out DIR]")
+    sink.line("next: tactile download NAME [--split SPLIT] [--out DIR]")
 
 
-def flat_lines(values: JsonValue, path: str = "") -> list[str]:
-    """Return nested values as lines such as ``solid.profile = round``."""
-    if isinstance(values, dict) and values:
-        inner = values.items()
-    elif isinstance(values, list) and any(isinstance(value, (dict, list)) for value in values):
-        inner = dict(enumerate(values, 1)).items()
+def info(
+    *,
+    name: str = options.argument("NAME|SENSOR", "Data set, or a sensor by its folder or name."),
+    split: str | None = catalog.SPLIT,
+    opening: options.OpeningAny,
+    sink: output.Sink,
+) -> None:
+    """Show what a data set or a sensor holds, and how it was made.
+
+    Examples: tactile info digits;  tactile info real-single-64x64 --split test;  tactile info my-sensor
+    """
+    if _is_sensor(name):
+        options.refuse({"split": split, **asdict(opening)}, "a sensor")
+        print_sensor(sink, _sensor_named(name))
+        return
+    place = opening.open(sink, name, shows_all=True)
+    kind = place.choose_kind(opening.kind)
+    manifest = place.manifest
+    operation = None
+    if manifest is not None:
+        operation = (
+            manifest.operation(f"{name}/{store.MANIFEST_FILE}")
+            if kind.has_touches
+            else manifest.spec.get("operation")
+        )
+    is_selected = kind.has_touches and operation == SELECT
+    is_own = manifest is not None and not (is_for_others(manifest) or (is_copy(manifest) and not is_selected))
+    if kind.has_touches and kind.facts is None and (manifest is None or (manifest.complete and is_own)):
+        _print_touches(sink, place, split)
+    elif manifest is None:
+        _print_counts(sink, place, kind, split)
+        return
     else:
-        return [f"{path} = {_value_text(values)}"]
-    return [line for key, value in inner for line in flat_lines(value, f"{path}.{key}".lstrip("."))]
+        runs.print_set(sink, kind, manifest, place.name, split=split, has_folder=place.folder is not None)
+    if manifest is not None and is_own:
+        sink.line(f"made by `{kind.command_of(manifest)}` of tactile-toolkit {manifest.toolkit_version}:")
+        for line in wording.flat_lines(manifest.spec.get("options") if operation else manifest.spec):
+            sink.line(f"  {line}")
 
 
-def _value_text(value: JsonValue) -> str:
-    if value is None or value in ([], {}):
-        return "none"
-    if isinstance(value, list):
-        return ", ".join(map(_value_text, value))
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return str(value)
+def _print_touches(sink: output.Sink, place: places.Place, split: str | None) -> None:
+    """Print the figures of touches, which are read from their rows."""
+    import realtouch  # pyarrow
+
+    announce_fetching(sink, place, split)
+    summaries = {
+        each: realtouch.summarise(realtouch.dataset_of(shards))
+        for each, shards in realtouch.Source.open(place, split).shards.items()
+    }
+    splits = {each: summary.to_dict() for each, summary in summaries.items()}
+    sink.document({"name": place.name, "splits": splits, "spec": place.manifest and place.manifest.spec})
+    for each, summary in summaries.items():
+        sink.table((each, summary.kind), summary.table())
 
 
-def stored_value(scalar: pa.Scalar) -> object:
-    """Convert a scalar of Arrow to Python, or to text if Python has no such type (nanoseconds)."""
-    try:
-        return scalar.as_py()
-    except ValueError:
-        # Its text needs pandas, which no command imports.
-        if isinstance(scalar, Mapping):
-            return {name: stored_value(each) for name, each in scalar.items()}
-        if isinstance(scalar, Iterable):
-            return list(map(stored_value, scalar))
-        return scalar.cast("string").as_py()
+def _print_counts(sink: output.Sink, place: places.Place, kind: DatasetKind, split: str | None) -> None:
+    """Print the content of the splits of a data set without a manifest here, and its repository."""
+    record = None if place.folder is None else store.read_download_record(place.folder)
+    repository = record or place.repository
+    entries = _count_splits(place, kind, split)
+    source: dict[str, str | None] = {"repository": None, "commit": None}
+    origin = "no manifest"
+    if repository:
+        source = {"repository": repository.repo_id, "commit": repository.commit}
+        origin = f"downloaded from {repository.repo_id} at {repository.commit[:12]}"
+    sink.document({"folder": place.name, **source, "splits": entries})
+    rows = []
+    for entry in entries:
+        classes = ", ".join(f"{name}: {count:,}" for name, count in entry["per_class"].items())
+        rows.append((entry["split"], entry["rows"], entry["shards"], bytes_text(entry["bytes"]), classes))
+    sink.table(("split", kind.nouns, "shards", "Parquet", "per class"), rows)
+    sink.line(f"{origin}: no provenance recorded")
 
 
-def brief(value: object) -> JsonValue:
-    """Shorten a value for JSON: a long list becomes its number of values, bytes become their size."""
-    if isinstance(value, dict):
-        return {name: brief(each) for name, each in value.items()}
-    if isinstance(value, bytes):
-        return bytes_text(len(value))
-    if isinstance(value, list) and len(value) > _SHOWN:
-        return with_count(len(value), "values")
-    if isinstance(value, list):
-        return [brief(each) for each in value]
-    if isinstance(value, (bool, int, float, str, type(None))):
-        return value
-    return str(value)
+def print_sensor(sink: output.Sink, model: Any) -> None:
+    """Print the facts of a sensor, and the touches that its calibration left out."""
+    sink.document({"sensor": model.to_dict(), "report": dict(model.report)})
+    sink.table(("sensor", model.name), list(_sensor_facts(model).items()))
+    touches = model.report.get("touches", [])
+    if touches:
+        used = sum(bool(each["used"]) for each in touches)
+        sink.line(f"calibrated with {used} of {with_count(len(touches), 'touches')}")
+    for each in touches:
+        if not each["used"]:
+            sink.line(f"  left out: {each['name']}: {each['reason']}")
+
+
+def announce_fetching(sink: output.Sink, place: places.Place, split: str | None) -> None:
+    """Print which splits will be fetched from the Hub, as published data sets have many gigabytes."""
+    if place.repository is None:
+        return
+    part = "all splits (--split selects one)"
+    if split:
+        part = f"split {split!r}"
+    sink.info(f"{place.repository.repo_id}: fetching the missing files of {part} from the Hub")
+
+
+def show(
+    *,
+    name: str = options.NAME,
+    row: int = checked_fields.integer(0, help="Number of the row in its split, from 0."),
+    split: str | None = checked_fields.text(metavar="NAME", help="Split of the row; the first by default."),
+    opening: options.Opening,
+    sink: output.Sink,
+) -> None:
+    """Show a row of a data set: each column, its type and its value, or the number of its values.
+
+    Example: tactile show digits --row 3 --split test
+    """
+    place = opening.open(sink, name, shows_all=True)
+    stored = _stored_row(place, row, split)
+    sink.document({"data_set": name, "split": stored.split, "row": row, "values": stored.values})
+    sink.line(f"{name}: row {row:,} of the {with_count(stored.rows, 'rows')} in {stored.split}")
+    lines = []
+    for column, value in stored.values.items():
+        for line in wording.flat_lines({column: value}):
+            path, _, text = line.partition(" = ")
+            lines.append((path, stored.types[column], text))
+    sink.table(("column", "type", "value"), lines)
+
+
+def verify(
+    *,
+    name: str = options.NAME,
+    split: str | None = catalog.SPLIT,
+    quick: bool = checked_fields.switch(False, help="Read only the headers of images; decode none."),
+    content: bool = checked_fields.switch(
+        False, help="Also check what rows hold: solids, overlaps, faults of recordings; exit code 1."
+    ),
+    opening: options.OpeningAny,
+    workers: int = options.WORKERS,
+    sink: output.Sink,
+) -> None:
+    """Check every checksum, row, image and id of a data set.
+
+    Examples: tactile verify digits --content;  tactile verify real-single-64x64 --split test
+
+    Exit code 3 if something is damaged; each damaged file is named.
+    """
+    place = opening.open(sink, name, shows_all=True)
+    kind = place.choose_kind(opening.kind)
+    if kind.has_touches and (kind.name == "realtouch" or not is_for_others(place.manifest)):
+        document = verify_touches(sink, place, split, workers, quick=quick)
+    else:
+        options.refuse({"quick": quick, "split": split and not content}, f"the files of {kind.nouns}")
+        document = _verify_files(sink, place, kind, workers)
+    is_failed = False
+    if content and kind.has_touches:
+        document["faults"] = print_faults(sink, place, split, workers)
+        is_failed = not document["faults"]["ok"]
+    elif content:
+        document["content"] = print_content(sink, kind, [place.name], split, None, workers, lambda _: place)
+        is_failed = any(each["failed"] for each in document["content"])
+    sink.document(document)
+    if is_failed:
+        raise typer.Exit(application.EXIT_FAILED)
+
+
+def _verify_files(sink: output.Sink, place: places.Place, kind: DatasetKind, workers: int) -> JsonDict:
+    """Check the files of a folder and return the document; IntegrityError if there is damage."""
+    folder = place.folder
+    if store.scheme_of(place.name) == "hf" and not place.is_file:
+        folder = store.open_folder(place.name)
+    if folder is None:
+        raise InputError(
+            f"{place.name!r} is not a folder of a data set; expected one, with its manifest",
+            next="download it with --out, which checks every file",
+        )
+    manifest = place.manifest
+    result = store.verify(
+        folder, kind.schema_of(manifest), check_card=_check_card, workers=options.process_count(workers)
+    )
+    problems = [{"file": each.file, "problem": each.problem} for each in result.findings]
+    counts_of = {"files": result.files, "rows": result.rows}
+    document = {"ok": result.ok, "reference": result.reference, **counts_of, "findings": problems}
+    if result.ok:
+        counts = f"{with_count(result.files, 'files')}, {with_count(result.rows, 'rows')}"
+        sink.line(f"{place.name}: {counts}, {bytes_text(result.bytes)}: all as in {result.reference}")
+        return document
+    sink.document(document)
+    store.require_finished(folder, [each.file for each in result.findings])
+    for each in result.findings:
+        sink.warn(f"damaged: {each.file}: {each.problem}")  # the error below states only their number
+    record = store.read_download_record(folder)
+    next_step = f"run the same `{kind.command_of(manifest)}` with --repair, which makes damaged shards again"
+    if record is not None:
+        next_step = f"download {record.repo_id} there again; only damaged files are fetched"
+    # Problems that no run repairs (unknown files, links, cards) state their own next step.
+    if all("; next: " in each.problem for each in result.findings):
+        next_step = "follow the next step of each problem"
+    raise IntegrityError(f"{with_count(len(problems), 'problems')} in {place.name!r}", next=next_step)
+
+
+def verify_touches(
+    sink: output.Sink,
+    place: places.Place,
+    split: str | None,
+    workers: int = 0,
+    *,
+    quick: bool,
+    allows_unfinished: bool = False,
+) -> JsonDict:
+    """Check touches and return the document; IntegrityError, after all damage was named, if there is some."""
+    with sink.progress("checking", "rounds") as update:
+        result = _verify_touches(
+            place, split, quick=quick, workers=options.process_count(workers), on_progress=update
+        )
+    # The manifest of an unfinished data set is a finding, too.
+    found = [each for each in result.findings if not (allows_unfinished and each.file == store.MANIFEST_FILE)]
+    problems = list(map(asdict, found))
+    counts_of = {"rounds": result.rounds, "touches": result.touches}
+    document = {"ok": not found, **counts_of, "findings": problems, "unprotected": list(result.unprotected)}
+    if found:
+        sink.document(document)
+        if place.folder is not None and not allows_unfinished:
+            store.require_finished(place.folder, [each.file for each in result.findings])
+        for each in found:
+            sink.warn(f"damaged: {each}")
+        next_step = "download or convert it again"
+        if place.unfinished:
+            next_step = "run the same command with --repair, which makes damaged shards again"
+        raise IntegrityError(f"{with_count(len(problems), 'problems')} in {place.name!r}", next=next_step)
+    how = "every header was read" if quick else "every picture was decoded"
+    counts = f"{with_count(result.rounds, 'rounds')}, {with_count(result.touches, 'touches')}"
+    sink.line(f"{place.name}: {counts}: nothing is wrong; {how}")
+    if result.unprotected:
+        sink.line(
+            f"{with_count(len(result.unprotected), 'files')} unprotected, {result.unprotected[0]!r} first: "
+            "neither their pages, nor a manifest, nor the Hub have checksums, so a changed number is not "
+            "noticed"
+        )
+    return document
+
+
+def print_content(
+    sink: output.Sink,
+    kind: DatasetKind,
+    paths: Sequence[str],
+    split: str | None,
+    limit: int | None,
+    workers: int,
+    opened: Callable[[str], places.Place],
+    **further: object,
+) -> list[JsonDict]:
+    """Check each object as it is read back from disk, print the findings and return their documents.
+
+    ``opened`` opens a name; ``further`` are arguments of the check of the kind.
+    """
+    if kind.check_content is None:
+        raise InputError(f"has no effect on {kind.nouns}", next="leave it out", field="content")
+    run.prepare_batch_process()
+    nouns = "meshes" if kind.name == "mnist3d" else kind.nouns
+    with sink.progress("checking", nouns) as update:
+        results: Sequence[Checked] = kind.check_content(
+            paths,
+            None if split == "all" else split,
+            limit,
+            options.process_count(workers),
+            opened=opened,
+            on_progress=update,
+            **further,
+        )
+    for result in results:
+        for problem in result.unreadable:
+            sink.warn(f"unreadable: {problem}")  # printed with --quiet, too, which prints no table
+        sink.table(*result.table())
+        for line in result.advice():
+            sink.line(line)
+    checked = sum(result.checked for result in results)
+    failed = sum(result.failed for result in results)
+    sink.line(f"{checked - failed:,} of {checked:,} {nouns} are valid")
+    return [result.to_dict() for result in results]
+
+
+def print_faults(
+    sink: output.Sink,
+    place: places.Place,
+    split: str | None,
+    workers: int,
+    limits: object = None,
+    drawn: Path | None = None,
+) -> JsonDict:
+    """Look for faults of recordings, print them, and return the document.
+
+    ``limits`` are those of :func:`realtouch.check`; ``drawn`` is a folder for pictures of the faults.
+    """
+    with sink.progress("checking", "rounds") as update:
+        result = _check_touches(
+            place, split, limits=limits, workers=options.process_count(workers), on_progress=update
+        )
+    drawings: list[str] = []
+    if drawn is not None and result.findings:
+        folder = store.open_folder(str(drawn.absolute()))
+        drawings = [str(drawn / each.file) for each in result.pictures().write(folder)]
+    sink.line(
+        f"{place.name}: {with_count(result.rounds, 'rounds')}, {with_count(result.touches, 'touches')}; "
+        f"all stored pictures were compared, {result.decoded:,} decoded"
+    )
+    for path in drawings:
+        sink.line(f"drawn: {path}")
+    for fault in result.findings:
+        sink.warn(f"{fault.rule} in {fault.where}: {fault.found}; expected {fault.expected}")
+        named = ", ".join(fault.touches)
+        if len(fault.touches) < fault.count:
+            named = f"{named}, ..."
+        if fault.count:
+            sink.warn(f"  {with_count(fault.count, 'touches')}: {named}")
+        sink.warn(f"  next: {fault.next}")
+    count_text = "nothing was found"
+    if not result.ok:
+        count_text = with_count(len(result.findings), "findings")
+    sink.line(f"{place.name}: {count_text}")
+    return {
+        "name": place.name,
+        "ok": result.ok,
+        "rounds": result.rounds,
+        "touches": result.touches,
+        "decoded": result.decoded,
+        "findings": list(map(asdict, result.findings)),
+        "pictures": drawings,
+    }

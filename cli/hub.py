@@ -5,69 +5,74 @@ from __future__ import annotations
 import logging
 import sys
 from collections.abc import Callable, Sequence
-from functools import partial
 
 import typer
 
-from cli.options import CONFIG, FOLDER, REVISION, WORKERS, argument, parse_address, process_count
+from cli import options as shared
 from cli.output import Sink
-from tactile_toolkit import checked_fields, exchange, places
+from tactile_toolkit import exchange, places
+from tactile_toolkit.checked_fields import switch, text
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.kind import DatasetKind, lazy
+from tactile_toolkit.kind import lazy
 from tactile_toolkit.wording import bytes_text, with_count
 
-REPOSITORY = argument("USER/NAME", "Repository of the Hub.")
-SENDS_NOTHING = checked_fields.switch(False, help="Print what would be sent; send nothing.")
-SENDS_UNASKED = checked_fields.switch(False, name="--yes -y", help="Send without asking.")
-PUBLISHED = argument("NAME", "Short name of a published set, or USER/NAME on the Hub.")
-SPLITS = checked_fields.text(metavar="SPLIT", several=True, help="Only this split; may be repeated.")
-FETCHED_TO = checked_fields.text(
-    name="--out -o",
-    metavar="DIR",
-    read=parse_address,
-    help="Folder to write; the Hub's own cache by default.",
-)
-FETCHES_NOTHING = checked_fields.switch(False, help="Print what would be fetched; fetch nothing.")
-FETCHES_UNASKED = checked_fields.switch(False, name="--yes -y", help="Do not ask before a large download.")
 _LARGE_BYTES = 1_000_000_000
 # Number of files that are named if a list is longer.
 _FILES_SHOWN = 8
+_is_sensor = lazy("tactile_sim.twin.sensor_repositories:is_sensor")
+_prepare_sensor = lazy("tactile_sim.twin.sensor_repositories:prepare_upload")
+_sensor_download = lazy("tactile_sim.twin.sensor_repositories:SensorDownload.of")
 _disable_progress_bars = lazy("huggingface_hub.utils.tqdm:disable_progress_bars")  # takes 0.2 s to import
 
 
 def upload(
     *,
-    kind: DatasetKind,
-    folder: str = FOLDER,
-    repository: str = REPOSITORY,
+    folder: str = shared.argument(
+        "DIR|SENSOR", "Folder of a data set, or of a sensor.", read=shared.parse_address
+    ),
+    repository: str = shared.argument("USER/NAME", "Repository of the Hub."),
+    kind: str | None = shared.KIND,
     options: exchange.UploadOptions,
-    dry_run: bool = SENDS_NOTHING,
-    yes: bool = SENDS_UNASKED,
-    workers: int = WORKERS,
+    dry_run: bool = switch(False, help="Print what would be sent; send nothing."),
+    yes: bool = switch(False, name="--yes -y", help="Send without asking."),
+    workers: int = shared.WORKERS,
     sink: Sink,
 ) -> None:
-    """Verify a data set folder and upload it to the Hugging Face Hub; only missing files are sent.
+    """Verify a data set folder, or a sensor, and upload it to the Hugging Face Hub.
 
-    After an interruption, the same command continues; after success, it sends nothing.
+    Only missing files are sent. After an interruption, the same command continues; after success, it sends
+    nothing. The card of a sensor is written from the results of its calibration.
+
+    Example: tactile upload digits USER/digits --private
     """
-    quiet_client(is_all=sink.quiet or not sys.stderr.isatty())
-    place = places.open_place(folder).require(kind, "upload")
-    place.require_manifest(kind)
-    kind = place.kind or kind
+    _quiet_client(is_all=sink.quiet or not sys.stderr.isatty())
+    if _is_sensor(folder):
+        prepared = _prepare_sensor(folder, repository, options, dry_run=dry_run, on_wait=sink.info)
+        lines = [f"next: tactile download {repository} --out my-sensor"]
+        _finish_upload(sink, prepared, lambda _revision: lines, dry_run=dry_run, yes=yes)
+        return
+    place = places.open_place(folder)
+    found = place.choose_kind(kind)
+    manifest = place.require_manifest(found)
     sink.info(f"checking {folder}")
     prepared = exchange.Upload.of_folder(
         folder,
         repository,
         options,
-        kind=kind,
-        workers=process_count(workers),
+        kind=found,
+        workers=shared.process_count(workers),
         dry_run=dry_run,
         on_wait=sink.info,
     )
-    finish_upload(sink, prepared, partial(_loading_lines, kind, prepared), dry_run=dry_run, yes=yes)
+
+    def loading_lines(revision: str | None) -> list[str]:
+        first, call = found.loading_lines(manifest, prepared.repo_id, manifest.splits[0], revision)
+        return [first, f"data = {call}"]
+
+    _finish_upload(sink, prepared, loading_lines, dry_run=dry_run, yes=yes)
 
 
-def finish_upload(
+def _finish_upload(
     sink: Sink,
     prepared: exchange.Upload,
     lines: Callable[[str | None], list[str]],
@@ -89,39 +94,44 @@ def finish_upload(
     _print_upload(sink, prepared.send(), lines)
 
 
-def _loading_lines(kind: DatasetKind, prepared: exchange.Upload, revision: str | None) -> list[str]:
-    """Return the lines of Python that open an uploaded data set."""
-    manifest = prepared.manifest
-    assert manifest is not None, "a data set has one"
-    first, call = kind.loading_lines(manifest, prepared.repo_id, manifest.splits[0], revision)
-    return [first, f"data = {call}"]
-
-
 def download(
     *,
-    kind: DatasetKind,
-    name: str = PUBLISHED,
-    split: list[str] | None = SPLITS,
-    revision: str | None = REVISION,
-    config_name: str | None = CONFIG,
-    out: str | None = FETCHED_TO,
-    dry_run: bool = FETCHES_NOTHING,
-    yes: bool = FETCHES_UNASKED,
+    name: str = shared.argument("NAME", "Short name of a published set, or USER/NAME on the Hub."),
+    split: list[str] | None = text(metavar="SPLIT", several=True, help="Only this split; may be repeated."),
+    revision: str | None = shared.REVISION,
+    config_name: str | None = shared.CONFIG,
+    out: str | None = text(
+        name="--out -o",
+        metavar="DIR",
+        read=shared.parse_address,
+        help="Folder to write; the Hub's own cache by default.",
+    ),
+    dry_run: bool = switch(False, help="Print what would be fetched; fetch nothing."),
+    yes: bool = switch(False, name="--yes -y", help="Do not ask before a large download."),
     sink: Sink,
 ) -> None:
-    """Download a data set from the Hub, or some of its splits, and check every file.
+    """Download a data set from the Hub, or some of its splits, or a sensor, and check every file.
 
-    After an interruption, the same command continues. `list` names the published data sets.
+    After an interruption, the same command continues. `tactile list` names the published data sets. A sensor
+    needs --out.
+
+    Example: tactile download real-single-64x64 --split test
     """
-    quiet_client(is_all=True)
+    _quiet_client(is_all=True)
+    sensor = None
+    if out is not None and not split:
+        sensor = _sensor_download(name, out, revision=revision, on_wait=sink.info)
+    if sensor is not None:
+        repository = sensor.repository
+        document = {"repository": repository.repo_id, "commit": repository.commit, "bytes": sensor.bytes}
+        sink.document({**document, "dry_run": dry_run, "folder": out})
+        if dry_run:
+            sink.line("would fetch the files of a sensor; nothing was fetched")
+            return
+        sink.line(f"sensor {sensor.run().name!r} is in {out}; next: tactile info {out}")
+        return
     plan = exchange.DownloadPlan.of(
-        name,
-        split or (),
-        revision=revision,
-        config=config_name,
-        kind=kind,
-        out=out,
-        on_wait=sink.info,
+        name, split or (), revision=revision, config=config_name, out=out, on_wait=sink.info
     )
     _print_download_plan(sink, plan)
     place = ""
@@ -132,10 +142,10 @@ def download(
             _require_consent(f"fetch {size}?", refused, "add --yes, or name a --split")
         with sink.progress("fetching", "bytes") as update:
             place = plan.run(update)
-    _print_download(sink, plan, place, kind)
+    _print_download(sink, plan, place)
 
 
-def quiet_client(*, is_all: bool) -> None:
+def _quiet_client(*, is_all: bool) -> None:
     """Silence the log of the Hub's client, and with ``is_all`` its progress bars, too."""
     logging.getLogger("huggingface_hub").setLevel(logging.ERROR)
     if is_all:
@@ -251,7 +261,7 @@ def _print_download_plan(sink: Sink, plan: exchange.DownloadPlan) -> None:
         sink.info(f"licence: {licence}; please cite: {known.citation}")
 
 
-def _print_download(sink: Sink, plan: exchange.DownloadPlan, place: str, kind: DatasetKind) -> None:
+def _print_download(sink: Sink, plan: exchange.DownloadPlan, place: str) -> None:
     absent = {file.path for file in plan.missing}
     files = plan.record.files.values()
     sink.document(
@@ -283,8 +293,12 @@ def _print_download(sink: Sink, plan: exchange.DownloadPlan, place: str, kind: D
     # Files in the Hub's cache are found by the name of the repository and the requested revision.
     name = plan.repository.repo_id
     revision = plan.repository.revision
+    kind = plan.place.kind if plan.folder is None else places.open_place(place).kind
     if plan.folder is not None:
         name = place
         revision = None
+    if kind is None:
+        sink.line(f"next: tactile info {name}")
+        return
     line = kind.loading_lines(plan.repository.manifest, name, plan.splits[0], revision)[1]
     sink.line(f"next in Python: {line}")

@@ -3,31 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Annotated
 
 import typer
 
 import mnist3d
-from cli import checks, options, output, pictures, runs, shared
+from cli import options, runs
 from cli.application import EXIT_FAILED, command, new_app, run as run_app
+from cli.contents import print_content
 from cli.options import Job, argument, local_place, process_count
 from cli.output import Sink
 from mnist3d import digit_options
-from mnist3d.digit_options import PROFILES, SPLITS, SolidSize, SplitSpec
+from mnist3d.digit_options import SPLITS, PictureReading, PrintShape, SolidSize, SplitSpec
 from mnist3d.kind import KIND
-from tactile_toolkit import cards, catalog, checked_fields, mesh, places, run, store
-from tactile_toolkit.checked_fields import choice, integer, real, switch, text
-from tactile_toolkit.kind import DatasetKind, lazy
+from tactile_toolkit import cards, catalog, checked_fields, mesh, run, store
+from tactile_toolkit.checked_fields import choice, real, switch, text
 from tactile_toolkit.wording import bytes_text, with_count
 
 _FORMATS = ("stl", "3mf", "ply", "obj", "glb")
-
-# A relief on a plate is as thick as the upper half of a solid without one.
-_THICKNESS_MM = 8.0
-_THICKNESS_ON_BASE_MM = 4.0
-_CHECKS = checks.Geometry("meshes", lazy("mnist3d.digit_checks:validate_paths"))
 
 app = new_app("mnist3d", "Printable 3D digits: from images of handwriting to validated data sets of meshes.")
 
@@ -52,7 +46,7 @@ def generate(
     solid: digit_options.SolidSpec,
     words: cards.OwnerWords,
     making: options.Making,
-    sink: output.Sink,
+    sink: Sink,
 ) -> None:
     """Make a data set of printable 3D digits.
 
@@ -75,7 +69,7 @@ def generate(
         splits = (split,)
     # Before the first digit, also for a forecast, which measures how long a worker takes.
     run.prepare_batch_process()
-    manifest = runs.generate_set(sink, "making digits", making_of, out, splits, making, _print_made)
+    manifest = runs.generate_set(sink, "making digits", making_of, out, splits, making)
     if words.given() and not making.dry_run:
         if manifest is not None and manifest.complete:
             cards.rewrite_card(KIND, store.open_folder(out), manifest, words)
@@ -84,96 +78,34 @@ def generate(
             sink.info(f"note: {out} is unfinished; next: {next_step}")
 
 
-def _print_made(
-    sink: output.Sink, kind: DatasetKind, manifest: store.Manifest, out: str, elapsed_s: float | None
-) -> None:
-    from mnist3d.digit_card import facts_table  # pyarrow
-
-    # The report that the figures come from is written at the end of a run.
-    summaries = []
-    if manifest.complete:
-        summaries = mnist3d.summarise(store.open_folder(out), manifest)
-    splits = [summary.to_dict() for summary in summaries] or manifest.split_table()
-    skipped = manifest.skipped_reasons()
-    facts = facts_table(summaries, mnist3d.SUMMED_UP)
-    runs.print_left_out(sink, manifest)
-    runs.print_set(sink, kind, manifest, out, elapsed_s, *facts, splits=splits, skipped=skipped)
-    for line in mesh.PrintReport.advice(word for each in summaries for word in each.facets["warnings"]):
-        sink.line(line)
-
-
-def _preview(
+@command(app)
+def validate(
     *,
-    path: str = options.argument(
-        "DIR|FILE", "Data set folder, Parquet file, STL/3MF/PLY/OBJ/GLB file, or a picture of a digit."
+    paths: list[str] = argument(
+        "NAME|FILE...", "Data sets, or files of meshes.", several=True, read=options.parse_address
     ),
     opening: options.Opening,
-    spec: digit_options.DigitPreviewSpec,
-    pictures: pictures.Pictures,
-    sink: output.Sink,
+    split: str | None = catalog.SPLIT,
+    limit: int | None = catalog.LIMIT,
+    unit: str | None = mesh.UNIT,
+    nozzle_mm: float = real(0.4, above=0, help="Nozzle of the printer: walls need two lines of it."),
+    workers: int = options.WORKERS,
+    sink: Sink,
 ) -> None:
-    """Write pictures of digits as PNG, without a screen: a sheet of each split, or steps from ink to mesh.
+    """Check that each mesh of data sets, or of mesh files, is a solid that prints well.
 
-    Examples: mnist3d preview digits;  mnist3d preview digits --ids 17,408;  mnist3d preview part.stl
+    Warnings about printing are listed. `tactile verify --content` checks the files of a data set as well.
+
+    Example: mnist3d validate digits
+
+    Exit code 1 if a mesh is not a solid.
     """
-    name: str | places.Place = path
-    if not mnist3d.is_picture_or_mesh(path):
-        name = opening.open(sink, path)
-    pictures.write(sink, KIND.plan_previews(name, spec))
-
-
-@dataclass(frozen=True, slots=True)
-class PrintShape:
-    """Options for the shape of the solids."""
-
-    thickness_mm: float | None = real(
-        None,
-        above=0,
-        optional=True,
-        shown="8, 4 above a plate",
-        help="Thickness of the solid, without its base plate.",
-    )
-    base_mm: float | None = real(
-        None,
-        above=0,
-        optional=True,
-        help="Put the solid on a base plate of this thickness, which joins its parts.",
-    )
-    bridge_mm: float | None = real(
-        None,
-        above=0,
-        optional=True,
-        help="Join separate parts by bridges of at most this width; they are never wider than the strokes.",
-    )
-    edge_profile: str = choice("round", PROFILES, help="Shape of the edges.")
-    vertices: int | None = integer(
-        None, 100, optional=True, shown="as many as the strokes need", help="Approximate number of vertices."
-    )
-
-    def changes(self) -> dict[str, object]:
-        """Return the parameters of the algorithm that differ from the usual ones."""
-        half_thickness_mm = (self.thickness_mm or _THICKNESS_MM) / 2
-        if self.base_mm is not None:
-            half_thickness_mm = self.thickness_mm or _THICKNESS_ON_BASE_MM
-        changed: dict[str, object] = {"half_thickness_mm": half_thickness_mm, "profile": self.edge_profile}
-        if self.bridge_mm is not None:
-            changed |= {"join_bodies": True, "bridge_width_mm": self.bridge_mm}
-        if self.vertices is not None:
-            changed["target_vertices"] = self.vertices
-        return changed
-
-
-@dataclass(frozen=True, slots=True)
-class PictureReading:
-    """Options for what is ink in a picture."""
-
-    threshold: str = choice(
-        "auto",
-        ("auto", "local", "global"),
-        help="Even out the light and find the page (local), or apply one threshold (global); auto takes "
-        "local for pictures without clean paper.",
-    )
-    invert: bool = switch(False, help="The ink is lighter than the paper; by default, this is detected.")
+    profile = mesh.PrintProfile(nozzle_mm=nozzle_mm)
+    opened = partial(opening.open, sink)
+    results = print_content(sink, KIND, paths, split, limit, workers, opened, unit=unit, profile=profile)
+    sink.document(results)
+    if any(each["failed"] for each in results):
+        raise typer.Exit(EXIT_FAILED)
 
 
 @command(app)
@@ -208,7 +140,7 @@ def solidify(
         changes=shape.changes(),
         size=size,
         base_mm=shape.base_mm,
-        ink="light" if reading.invert else "auto",
+        ink=reading.foreground,
         threshold=reading.threshold,
         profile=mesh.PrintProfile(nozzle_mm=nozzle_mm),
         ending=f".{file_format}",
@@ -258,5 +190,4 @@ def _print_files(sink: Sink, files: Iterable[mnist3d.PrintedPicture], spec: mnis
             sink.line(f"{file.file}: {line}")
 
 
-shared.add_shared(app, KIND, {"preview": _preview}, print_made=_print_made, checks=_CHECKS)
 main = partial(run_app, app)

@@ -18,6 +18,7 @@ from cli.output import Sink
 from tactile_toolkit import __version__, places, run, store
 from tactile_toolkit.checked_fields import Rule, integer, switch, text
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.wording import alternatives
 
 JOB = "Job options"
@@ -69,18 +70,30 @@ def local_out_folder(default: str) -> Any:
     return text(Path(default), name="--out -o", metavar="DIR", read=local_place, help="Folder to write.")
 
 
-FOLDER = argument("DIR", "Folder of a generated data set.", read=parse_address)
-FOLDERS = argument("DIR|FILE...", "Data set folders, or files of meshes.", read=parse_address, several=True)
-ANY_SET = argument("DIR", "Data set: a folder, a Parquet file or a Hub repository.")
-TOUCH_SET = argument("NAME|DIR", "Short name (real-single-64x64), Hub id, folder or file.")
-REVISION = text(metavar="REV", help="Branch, tag or commit of a Hub data set.")
-CONFIG = text(metavar="NAME", help="Configuration, if the card of the data set has several.")
-INCOMPLETE = switch(False, help="Use the finished shards of an unfinished data set.")
+NAME = argument(
+    "NAME", "Data set: a folder, a Parquet file, a short name (`tactile list`), USER/NAME on the Hub, s3://."
+)
+FOLDER = argument("DIR", "Folder of a data set.", read=parse_address)
 WORKERS = integer(
     0, name="--workers -w", panel=JOB, help="Number of workers; 0 means one per processor core."
 )
-DRY_RUN = switch(False, panel=JOB, help="Print what would be made, its size and the time; write nothing.")
-OVERWRITE = switch(False, panel=JOB, help="Replace another data set in the folder.")
+DRY_RUN = switch(False, panel=JOB, help="Print what would be made, and write nothing.")
+OVERWRITE = switch(False, panel=JOB, help="Replace what another run left in the folder.")
+SOURCE = "Source"
+"""Panel of the help for options of how a data set is opened."""
+GENERAL = "General"
+"""Panel of the help for options that every command has."""
+REVISION = text(metavar="REV", panel=SOURCE, help="Branch, tag or commit of a Hub data set.")
+CONFIG = text(metavar="NAME", panel=SOURCE, help="Configuration, if the card of the data set has several.")
+KIND = text(
+    metavar="KIND",
+    panel=SOURCE,
+    complete=("mnist3d", "starstruck", "realtouch", "tactile_sim", "wrench"),
+    help="Kind of the rows, such as mnist3d or starstruck, where their columns do not tell it.",
+)
+
+
+INCOMPLETE = switch(False, panel=SOURCE, help="Use the finished shards of an unfinished data set.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +119,18 @@ class Opening:
 
 
 @dataclass(frozen=True, slots=True)
+class OpeningAny(Opening):
+    """Options of all commands that open a data set of any kind."""
+
+    kind: str | None = KIND
+
+    def open_kind(self, sink: Sink, name: str) -> tuple[places.Place, DatasetKind]:
+        """Open a data set by its name; return its place and kind."""
+        place = self.open(sink, name)
+        return place, place.choose_kind(self.kind)
+
+
+@dataclass(frozen=True, slots=True)
 class Work:
     """Options of all commands that write a data set folder: how the work is done."""
 
@@ -126,7 +151,7 @@ class Work:
     finish: bool = switch(
         False, panel=JOB, help="Complete the data set that all parts have made, or name the missing shards."
     )
-    check: bool = switch(
+    repair: bool = switch(
         False, panel=JOB, help="Check the content of finished shards, and make damaged ones again."
     )
     overwrite: bool = OVERWRITE
@@ -136,7 +161,7 @@ class Work:
         keywords: store.RunKeywords = {
             "workers": process_count(self.workers),
             "finish": self.finish,
-            "check": self.check,
+            "check": self.repair,
             "overwrite": self.overwrite,
         }
         name, _, address = self.runner.partition("=")
@@ -145,6 +170,12 @@ class Work:
         if self.part is not None:
             keywords["part"] = run.Part.parse(self.part)
         return keywords
+
+    def given(self) -> dict[str, object]:
+        """Return the options that apply to the shards of a data set, where they are given."""
+        usual = Work()
+        names = ("runner", "part", "finish", "repair")
+        return {name: getattr(self, name) != getattr(usual, name) for name in names}
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,12 +190,19 @@ def process_count(workers: int) -> int:
     return workers or run.usable_cores()
 
 
+def refuse(given: Mapping[str, object], what: str) -> None:
+    """Refuse the first option that has a value, as it has no effect on ``what`` (InputError)."""
+    for name, value in given.items():
+        if value:
+            raise InputError(f"has no effect on {what}", next="leave it out", field=name)
+
+
 @dataclass(frozen=True, slots=True)
 class Job:
     """Options of commands that write other files than data sets."""
 
     workers: int = WORKERS
-    overwrite: bool = switch(False, panel=JOB, help="Replace files of an earlier run that differ.")
+    overwrite: bool = OVERWRITE
     dry_run: bool = DRY_RUN
 
 
@@ -199,13 +237,30 @@ def _use_token(token: str) -> str:
 # Eager options are handled first, even if other options are invalid.
 Debug = Annotated[
     bool,
-    typer.Option("--debug", callback=_show_tracebacks, is_eager=True, help="Show the traceback of an error."),
+    typer.Option(
+        "--debug",
+        callback=_show_tracebacks,
+        is_eager=True,
+        rich_help_panel=GENERAL,
+        help="Show the traceback of an error.",
+    ),
 ]
 Version = Annotated[
     bool,
-    typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit."),
+    typer.Option(
+        "--version",
+        callback=_print_version,
+        is_eager=True,
+        rich_help_panel=GENERAL,
+        help="Print the version and exit.",
+    ),
 ]
-_TOKEN = text(metavar="TOKEN", read=_use_token, help="Token of the Hugging Face Hub, instead of HF_TOKEN.")
+_TOKEN = text(
+    metavar="TOKEN",
+    panel=SOURCE,
+    read=_use_token,
+    help="Token of the Hugging Face Hub, instead of HF_TOKEN.",
+)
 
 
 def with_options(

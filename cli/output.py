@@ -39,9 +39,11 @@ class Sink:
     ``--json`` prints one document on stdout and no tables, ``--quiet`` neither progress nor tables.
     """
 
-    as_json: bool = checked_fields.switch(False, name="--json", help="Print one JSON document on stdout.")
+    as_json: bool = checked_fields.switch(
+        False, name="--json", panel="General", help="Print one JSON document on stdout."
+    )
     quiet: bool = checked_fields.switch(
-        False, name="--quiet -q", help="Print neither progress nor tables, only errors."
+        False, name="--quiet -q", panel="General", help="Print neither progress nor tables, only errors."
     )
 
     def document(self, content: JsonValue) -> None:

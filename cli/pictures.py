@@ -1,87 +1,158 @@
-"""Commands that draw data sets: previews and galleries."""
+"""The commands that draw data sets: previews and galleries."""
 
 from __future__ import annotations
 
 import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 from cli import options, output
-from realtouch.kind import KIND
-from realtouch.touch_options import TouchPreviewSpec
-from tactile_toolkit import catalog, checked_fields, gallery, pictures, store, wording
+from tactile_toolkit import catalog, gallery as galleries, mesh, pictures, store, wording
+from tactile_toolkit.checked_fields import choice, integer, text
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.kind import DatasetKind, kinds, lazy
 from tactile_toolkit.wording import with_count
+
+_is_picture_or_mesh = lazy("mnist3d:is_picture_or_mesh")
 
 
 @dataclass(frozen=True, slots=True)
-class Pictures:
-    """Options for the files of pictures."""
+class PreviewOptions:
+    """Options of previews of any kind, by the names of the fields of the specifications of the kinds."""
 
-    out: Path | None = checked_fields.text(
+    kinds: tuple[str, ...] = choice(
+        (),
+        ("sheet", "steps", "grid", "overlay", "all"),
+        name="--draw",
+        help="What to draw; may be repeated. Meshes: a sheet (the default), or of digits the steps from ink "
+        "to mesh. Touches: a round as a grid (the default), or an overlay on a map of the cell.",
+    )
+    split: str | None = catalog.SPLIT
+    ids: catalog.IdChoice | None = catalog.IDS
+    labels: tuple[str, ...] | None = catalog.LABELS
+    per_class: int | None = catalog.PER_CLASS
+    limit: int | None = catalog.LIMIT
+    round_number: int = integer(
+        0, name="--round", panel="Touches", help="Round of touches to draw, counted from 0."
+    )
+    touches: int = integer(
+        32, 1, needs="kinds=|grid|all", panel="Touches", help="Number of touches in a grid."
+    )
+    images: Path | None = text(
+        name="--source-images",
+        metavar="PATH",
+        read=Path,
+        needs="kinds=steps|all",
+        panel="Digits",
+        help="Images of the source of the digits, as given to `mnist3d generate`.",
+    )
+    writer_info: Path | None = text(
+        name="--source-writers",
+        metavar="FILE",
+        read=Path,
+        needs="kinds=steps|all",
+        panel="Digits",
+        help="WriterInfo.npy of HWD+.",
+    )
+    unit: str | None = mesh.UNIT
+
+
+def preview(
+    *,
+    name: str = options.argument("NAME|FILE", "Data set, mesh file, or a picture of a digit."),
+    opening: options.OpeningAny,
+    drawing: Annotated[options.Given, options.OptionsOf(PreviewOptions)],
+    out: Path | None = text(
         name="--out -o",
         metavar="DIR|FILE.png",
         read=options.local_place,
-        shown="previews",
+        shown="previews, a single grid touches.png",
         help="Folder to write, or file of a single picture; existing pictures are replaced.",
-    )
-    dry_run: bool = options.DRY_RUN
-
-    def write(self, sink: output.Sink, plan: pictures.PicturePlan, usual: str = "previews") -> None:
-        """Draw planned pictures and print where they are, or print only what would be drawn."""
-        folder = self.out or Path(usual)
-        drawn = plan.pictures
-        if folder.suffix.lower() == ".png":
-            if len(drawn) != 1:
-                what = f"--out is the file {str(folder)!r}, but there are {len(drawn)} pictures"
-                raise InputError(what, next="give a folder")
-            folder, drawn = folder.parent, (replace(drawn[0], name=folder.name),)
-        for reason in plan.left_out:
-            sink.info(f"left out: {reason}")
-        left_out = {"left_out": list(plan.left_out)}
-        if self.dry_run:
-            planned = [{"file": picture.name, "what": picture.what} for picture in drawn]
-            sink.document({"folder": str(folder), "pictures": planned, **left_out})
-            for picture in drawn:
-                sink.line(f"would write {folder / picture.name}: {picture.what}")
-            return
-        with sink.progress("drawing", "pictures") as update:
-            written = replace(plan, pictures=drawn).write(store.open_folder(str(folder.absolute())), update)
-        sink.document({"folder": str(folder), "pictures": [asdict(made) for made in written], **left_out})
-        for made in written:
-            size = f"{made.width:,} x {made.height:,} pixels, {wording.bytes_text(made.bytes)}"
-            sink.line(f"{folder / made.file}: {made.what} ({size})")
-
-
-def preview_touches(
-    *,
-    kind: DatasetKind,
-    name: str = options.TOUCH_SET,
-    opening: options.Opening,
-    spec: TouchPreviewSpec,
-    pictures: Pictures,
+    ),
+    dry_run: bool = options.DRY_RUN,
     sink: output.Sink,
 ) -> None:
-    """Write pictures of touches as PNG, without a screen; a single grid is written to touches.png.
+    """Write pictures of a data set as PNG, without a screen.
 
-    Examples: realtouch preview real-single-64x64 --round 3 --out round.png;
-    realtouch preview real-seq --kind all
+    Examples: tactile preview digits --ids 17,408;  tactile preview part.stl;
+    tactile preview real-single-64x64 --round 3 --out round.png
     """
-    usual = "touches.png"
-    if spec.kinds:
-        usual = "previews"
-    place = opening.open(sink, name).require(kind, "preview")
-    pictures.write(sink, KIND.plan_previews(place, spec), usual)
+    usual = "previews"
+    if _is_picture_or_mesh(name):
+        kind = next(each for each in kinds() if each.name == "mnist3d")
+        plan = kind.plan_previews(name, _preview_spec(kind, drawing))
+    else:
+        place, kind = opening.open_kind(sink, name)
+        plan = kind.plan_previews(place, _preview_spec(kind, drawing))
+        if kind.has_touches and not drawing.get("kinds"):
+            usual = "touches.png"
+    _write(sink, plan, out or Path(usual), dry_run=dry_run)
 
 
-def _make_page(sink: output.Sink, page: gallery.Gallery, out: Path, job: options.Job) -> None:
-    """Make a gallery with progress and print what was made, or only what would be made."""
-    nouns = page.nouns[1]
+def _preview_spec(kind: DatasetKind, drawing: options.Given) -> object:
+    """Return the options of the previews of a kind; InputError for one that it does not have."""
+    options.refuse({each: True for each in drawing if each not in kind.preview_options}, kind.nouns)
+    return kind.preview_spec(**drawing)
+
+
+def _write(sink: output.Sink, plan: pictures.PicturePlan, folder: Path, *, dry_run: bool) -> None:
+    """Draw planned pictures and print where they are, or print only what would be drawn."""
+    drawn = plan.pictures
+    if folder.suffix.lower() == ".png":
+        if len(drawn) != 1:
+            what = f"is the file {str(folder)!r}, but there are {len(drawn)} pictures"
+            raise InputError(what, next="give a folder", field="out")
+        drawn = (replace(drawn[0], name=folder.name),)
+        folder = folder.parent
+    for reason in plan.left_out:
+        sink.info(f"left out: {reason}")
+    left_out = {"left_out": list(plan.left_out)}
+    if dry_run:
+        planned = [{"file": picture.name, "what": picture.what} for picture in drawn]
+        sink.document({"folder": str(folder), "pictures": planned, **left_out})
+        for picture in drawn:
+            sink.line(f"would write {folder / picture.name}: {picture.what}")
+        return
+    with sink.progress("drawing", "pictures") as update:
+        written = replace(plan, pictures=drawn).write(store.open_folder(str(folder.absolute())), update)
+    sink.document({"folder": str(folder), "pictures": [asdict(made) for made in written], **left_out})
+    for made in written:
+        size = f"{made.width:,} x {made.height:,} pixels, {wording.bytes_text(made.bytes)}"
+        sink.line(f"{folder / made.file}: {made.what} ({size})")
+
+
+def gallery(
+    *,
+    name: str = options.NAME,
+    opening: options.OpeningAny,
+    chosen: catalog.RowFilter,
+    touches: int | None = integer(
+        None, 1, optional=True, shown="64", help="Maximum number of touches of a round, evenly spaced."
+    ),
+    out: Path = options.local_out_folder("gallery"),
+    job: options.Job,
+    sink: output.Sink,
+) -> None:
+    """Make a page of thumbnails, filters and 3D views that opens without a network or a server.
+
+    Touches are shown as a grid, clips frame by frame. Takes about 40 kB per digit, 8 kB per scene; at most
+    20,000 items and 2 GB.
+
+    Examples: tactile gallery digits --out site --split test;  tactile gallery digits --per-class 1
+    """
+    place, kind = opening.open_kind(sink, name)
+    if kind.has_touches:
+        page: galleries.Gallery = kind.plan_gallery(
+            place, chosen, **({"touches": touches} if touches else {})
+        )
+    else:
+        options.refuse({"touches": touches}, kind.nouns)
+        page = kind.plan_gallery(place, chosen)
     start_s = time.monotonic()
     try:
-        with sink.progress("making the gallery", nouns) as update:
-            site = gallery.build_site(
+        with sink.progress("making the gallery", page.nouns[1]) as update:
+            site = galleries.build_site(
                 page,
                 str(out),
                 options.process_count(job.workers),
@@ -92,9 +163,9 @@ def _make_page(sink: output.Sink, page: gallery.Gallery, out: Path, job: options
     except KeyboardInterrupt as error:
         # The default message says that finished work is kept; half a gallery is not.
         raise KeyboardInterrupt(f"interrupted; {out} is unchanged") from error
-    items = with_count(site.items, nouns)
+    items = with_count(site.items, page.nouns[1])
     content = {"items": site.items, "splits": site.splits}
-    sink.table(("split", nouns), list(site.splits.items()))
+    sink.table(("split", page.nouns[1]), list(site.splits.items()))
     if job.dry_run:
         sink.document({"path": site.path, **content})
         verb = "replace the gallery in" if site.is_replaced else "make"
@@ -105,43 +176,3 @@ def _make_page(sink: output.Sink, page: gallery.Gallery, out: Path, job: options
     size = f"{with_count(site.files, 'files')}, {wording.bytes_text(site.bytes)}"
     sink.line(f"made {out} in {took}: {items}, {size}")
     sink.line(f"next: open {site.page} in a browser")
-
-
-def gallery_of_meshes(
-    *,
-    kind: DatasetKind,
-    name: str = options.ANY_SET,
-    opening: options.Opening,
-    chosen: catalog.RowFilter,
-    out: Path = options.local_out_folder("gallery"),
-    job: options.Job,
-    sink: output.Sink,
-) -> None:
-    """Make a page of thumbnails, filters and 3D views that opens without a network or a server.
-
-    Takes about 40 kB per digit, 8 kB per scene; at most 20,000 items and 2 GB.
-
-    Examples: gallery DIR --out site --split test;  gallery DIR --per-class 1
-    """
-    _make_page(sink, kind.plan_gallery(opening.open(sink, name), chosen), out, job)
-
-
-def gallery_of_touches(
-    *,
-    kind: DatasetKind,
-    name: str = options.TOUCH_SET,
-    opening: options.Opening,
-    chosen: catalog.RowFilter,
-    touches: int = checked_fields.integer(64, 1, help="Maximum number of touches of a round, evenly spaced."),
-    out: Path = options.local_out_folder("gallery"),
-    job: options.Job,
-    sink: output.Sink,
-) -> None:
-    """Make a page of rounds: touches as a grid, clips frame by frame; no network or server is needed.
-
-    At most 20,000 rounds and 2 GB.
-
-    Example: realtouch gallery real-single-64x64 --out site --split test
-    """
-    place = opening.open(sink, name).require(kind, "gallery")
-    _make_page(sink, KIND.plan_gallery(place, chosen, touches=touches), out, job)

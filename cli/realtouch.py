@@ -1,223 +1,261 @@
-"""``realtouch``: inspect, check and convert data sets of real touches."""
+"""``realtouch``: load, import, check and convert recordings of tactile sensors."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from collections.abc import Callable
+from dataclasses import MISSING, asdict
 from functools import partial
+from pathlib import Path
 
 import typer
 
 import realtouch
-from cli import (
-    application,
-    contents,
-    options,
-    output,
-    pictures,
-    runs,
-    shared,
-    touch_conversions,
-)
-from cli.touch_conversions import check
+from cli import application, contents, options, output, runs
+from cli.options import Making, Opening, Work, argument, out_folder
 from realtouch import touch_options
 from realtouch.kind import KIND
-from tactile_toolkit import catalog, checked_fields, kind, places, store
-from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.wording import with_count
+from tactile_toolkit import catalog, checked_fields, store, touch
+from tactile_toolkit.checked_fields import choice, text
+from tactile_toolkit.wording import comma_separated, with_count
+
+_MAPPED = text(
+    name="--map",
+    metavar="NAME=COLUMN",
+    several=True,
+    help="Column of the image, label, round, object, position, pose, split or time; any other NAME renames "
+    "a column. @FILE reads such lines from a file.",
+)
+_STREAMS = text(
+    name="--stream",
+    metavar="FILE",
+    several=True,
+    help="Table with times, such as poses or forces, that is aligned with the pictures.",
+)
 
 app = application.new_app(
-    "realtouch", "Real touches: load, check, import, filter and convert recordings of tactile sensors."
+    "realtouch", "Real touches: load, import, check and convert recordings of tactile sensors."
 )
 
 
 @application.command(app)
 def load(
     *,
-    name: str = options.TOUCH_SET,
+    name: str = options.NAME,
     split: str | None = touch_options.ONE_SPLIT,
-    opening: options.Opening,
-    check: bool = checked_fields.switch(True, help="Also check every round and the headers of its images."),
+    opening: Opening,
     sink: output.Sink,
 ) -> None:
-    """Download missing files, check the data set, and print a summary.
+    """Download missing files, check the data set quickly, and print what it holds and the line for Python.
 
     Example: realtouch load real-single-64x64 --split test
     """
-    place = opening.open(sink, name).require(KIND, "load")
+    place = opening.open(sink, name).require(KIND, "realtouch load")
     dataset = realtouch.load(place, split)
-    if check:
-        result = _verified(sink, place, split, quick=True)
-        if place.unfinished:  # which was allowed
-            findings = (each for each in result.findings if each.file != store.MANIFEST_FILE)
-            result = replace(result, findings=tuple(findings))
-        _require_intact(sink, result, name, unfinished=bool(place.unfinished))
+    # An unfinished data set was allowed, or is refused above.
+    is_unfinished = bool(place.unfinished)
+    contents.verify_touches(
+        output.Sink(quiet=True), place, split, quick=True, allows_unfinished=is_unfinished
+    )
     summary = realtouch.summarise(dataset)
     opened = split or " and ".join(dataset.splits)
-    sink.document({"name": name, "split": opened, "checked": check, **summary.to_dict()})
-    _print_summary(sink, opened, summary)
+    sink.document({"name": name, "split": opened, **summary.to_dict()})
+    sink.table((opened, summary.kind), summary.table())
     arguments = ", ".join(map(repr, filter(None, (name, opened))))
     sink.line(f"next in Python: realtouch.load({arguments}).touches()")
 
 
-@application.command(app)
-def info(
+@application.command(app, "import")
+def import_touches(
     *,
-    name: str = options.TOUCH_SET,
-    split: str | None = catalog.SPLIT,
-    opening: options.Opening,
+    source: str = argument("SOURCE", "Folder or file of videos, images, episodes or arrays."),
+    file_format: str | None = choice(
+        None,
+        touch_options.IMPORT_LAYOUTS,
+        optional=True,
+        name="--format",
+        help="Format of the source; by default it is recognised by its content.",
+    ),
+    out: str = out_folder(),
+    columns: touch_options.ImportColumns,
+    mapped: list[str] | None = _MAPPED,
+    table: str | None = text(
+        metavar="FILE", help="Table of the images or videos; by default the only one in SOURCE."
+    ),
+    streams: list[str] | None = _STREAMS,
+    alignment: touch_options.Alignment,
+    cut: str | None = text(
+        metavar="frames|whole|contact|FILE",
+        help="How a recording is divided into touches: by picture, not at all, by contact, or by a table.",
+    ),
+    classes: list[str] | None = text(
+        metavar="A,B", read=comma_separated, help="Names of the classes, in order; by default those found."
+    ),
+    split_name: str | None = text(
+        name="--into-split",
+        metavar="NAME",
+        help="Name of the split, if no column has it; by default from the names of tars (SPLIT-000000.tar), "
+        "or train.",
+    ),
+    making: Making,
     sink: output.Sink,
 ) -> None:
-    """Show what each split of a data set holds and, if this toolkit made it, how it was made.
+    """Make a data set of touches from recordings; pictures are stored unchanged if possible.
 
-    Example: realtouch info touches-64x64
+    Items that cannot be used are left out and listed with the reason. Columns with the names that `tactile
+    export` writes need no option; all others are kept.
+
+    Example: realtouch import takes --map label=object --map pose=x_mm,y_mm,z_mm,qx,qy,qz,qw --out touches
     """
-    place = opening.open(sink, name, shows_all=True).require(KIND, "info")
-    manifest = place.manifest
-    operation = ""
-    if manifest is not None:
-        operation = manifest.operation(f"{name}/{store.MANIFEST_FILE}")
-        if not manifest.complete or operation in ("frames", "export", "merge", "split"):
-            runs.print_set(sink, KIND, manifest, name)
-            return
-    touch_conversions.announce_fetching(sink, place, split)
-    source = realtouch.Source.open(place, split)
-    summaries = {
-        each: realtouch.summarise(realtouch.dataset_of(shards)) for each, shards in source.shards.items()
+    reading: options.Given = {
+        "layout": file_format,
+        "columns": columns.with_mapped(mapped or ()),
+        "table": table,
+        "streams": streams or (),
+        "alignment": alignment,
+        "cut": cut,
+        "classes": classes or (),
+        "split": split_name,
     }
-    sink.document(
-        {
-            "name": name,
-            "splits": {each: summary.to_dict() for each, summary in summaries.items()},
-            "spec": manifest.spec if manifest else None,
-        }
-    )
-    for each, summary in summaries.items():
-        _print_summary(sink, each, summary)
+    if making.dry_run:
+        _print_preview(sink, realtouch.preview_import(source, **reading), out)
+        return
+    make = partial(realtouch.import_touches, source, out, **reading)
+    manifest = runs.make_with_progress(sink, "importing", KIND, make, making, out, "touches")
     if manifest is not None:
-        sink.line(f"made by tactile-toolkit {manifest.toolkit_version}; {operation} with")
-        for line in contents.flat_lines(manifest.spec.get("options")):
-            sink.line(f"  {line}")
+        _print_imported(sink, manifest)
+        sink.line(f"next: realtouch check {out}   tactile gallery {out}")
+
+
+def _print_preview(sink: output.Sink, found: realtouch.ImportPreview, out: str) -> None:
+    sink.document(asdict(found))
+    by = f", recognised by {found.recognised_by}" if found.recognised_by else ""
+    sink.line(f"format: {found.layout}{by}")
+    if found.cut:
+        sink.line(f"recordings are cut: {found.cut}")
+    sink.line(f"pictures: {found.pictures}")
+    sink.line(f"classes: {', '.join(found.classes) or 'none; all labels are -1'}")
+    counts = ", ".join(f"{split} {count:,}" for split, count in found.splits.items())
+    rounds = with_count(found.rounds, "rounds")
+    sink.line(f"would make {with_count(found.touches, 'touches')} in {rounds} in {out}: {counts}")
+    sink.table(("column", "becomes", "unit"), found.columns, title="columns of the source")
+    names = dict.fromkeys(name for values in found.first for name in values)
+    rows = [(name, *(values.get(name, "") for values in found.first)) for name in names]
+    sink.table(("stored as", *(f"touch {number}" for number in range(len(found.first)))), rows)
+    if found.streams:
+        sink.table(touch_options.STREAM_HEADER, found.streams)
+    if found.left_out:
+        sink.table(("left out because of", "touches", "the first"), found.left_out)
+
+
+def _print_imported(sink: output.Sink, manifest: store.Manifest) -> None:
+    options = manifest.spec["options"]
+    if realtouch.CONVERSION in options:
+        sink.info(f"pictures: {options[realtouch.CONVERSION]}")
+    if not options["classes"]:
+        sink.info("no classes are known (--map label=COLUMN names their column), so all labels are -1")
+    if touch_options.STREAMS in manifest.spec:
+        sink.table(touch_options.STREAM_HEADER, manifest.spec[touch_options.STREAMS])
+    if touch_options.LEFT_OUT in manifest.spec:
+        sink.info(f"not read: {', '.join(manifest.spec[touch_options.LEFT_OUT])}")
+    counted = manifest.total_statistics()
+    for note, count in counted.get(touch_options.CLIPS, {}).items():
+        sink.info(f"{with_count(count, 'clips')}: {note}")
+    fields = counted.get(realtouch.NOT_IMPORTED, {})
+    if fields:
+        counts = ", ".join(f"{name} ({count:,})" for name, count in fields.items())
+        sink.info(f"fields that were not imported, with their numbers of touches: {counts}")
 
 
 @application.command(app)
-def verify(
+def check(
     *,
-    name: str = options.TOUCH_SET,
+    name: str = options.NAME,
     split: str | None = catalog.SPLIT,
-    opening: options.Opening,
-    quick: bool = checked_fields.switch(False, help="Read only the headers of images; decode none."),
+    opening: Opening,
+    limits: touch_options.CheckLimits,
+    drawn: Path | None = text(
+        name="--pictures",
+        metavar="DIR",
+        read=options.local_place,
+        help="Folder for a picture of each finding.",
+    ),
     workers: int = options.WORKERS,
     sink: output.Sink,
 ) -> None:
-    """Check every file, round, touch and frame, and list all errors.
+    """Find frozen frames, exchanged channels, duplicates and other faults of recordings.
 
-    Exit code 3 if something is damaged.
+    `tactile verify` checks the files of a data set. Import other recordings first, with `realtouch import`.
+    Exit code 1 if something is found.
 
-    Example: realtouch verify real-single-64x64 --split test
+    Example: realtouch check touches --pictures found
     """
-    place = opening.open(sink, name)
-    result = _verified(sink, place, split, workers, quick=quick)
-    findings = list(map(asdict, result.findings))
-    counts_of = {"rounds": result.rounds, "touches": result.touches}
-    unprotected = list(result.unprotected)
-    sink.document({"ok": result.ok, **counts_of, "findings": findings, "unprotected": unprotected})
-    if place.folder is not None:
-        store.require_finished(place.folder, [each.file for each in result.findings])
-    _require_intact(sink, result, name, unfinished=bool(place.unfinished))
-    how = "every header was read" if quick else "every picture was decoded"
-    counts = f"{with_count(result.rounds, 'rounds')}, {with_count(result.touches, 'touches')}"
-    sink.line(f"{name}: {counts}: nothing is wrong; {how}")
-    if result.unprotected:
-        sink.line(
-            f"{with_count(len(result.unprotected), 'files')} unprotected, {result.unprotected[0]!r} first: "
-            "neither their pages, nor a manifest, nor the Hub have checksums, so a changed number is not "
-            "noticed"
-        )
-
-
-@application.command(app)
-def reproduce(
-    *,
-    name: str = options.TOUCH_SET,
-    opening: options.Opening,
-    sink: output.Sink,
-) -> None:
-    """Compare the published touches with what the Tactile MNIST paper states about them.
-
-    Exit code 1 if a number differs.
-
-    Example: realtouch reproduce real-single-64x64
-    """
-    place = opening.open(sink, name).require(KIND, "reproduce")
-    touch_conversions.announce_fetching(sink, place, None)
-    source = realtouch.Source.open(place)
-    numbers = realtouch.paper_numbers(
-        {split: realtouch.dataset_of(shards) for split, shards in source.shards.items()}
-    )
-    sink.document([number.to_dict() for number in numbers])
-    rows = [(each.what, each.paper, each.found, "yes" if each.agrees else "NO") for each in numbers]
-    sink.table(("what", "paper", "data", "agrees"), rows)
-    if not all(number.agrees for number in numbers):
+    document = contents.print_faults(sink, opening.open(sink, name), split, workers, limits, drawn)
+    sink.document(document)
+    if not document["ok"]:
         raise typer.Exit(application.EXIT_FAILED)
 
 
-def _verified(
-    sink: output.Sink, place: places.Place, split: str | None, workers: int = 0, *, quick: bool
-) -> realtouch.TouchVerification:
-    count = options.process_count(workers)
-    with sink.progress("checking", "rounds") as update:
-        return realtouch.verify(place, split, quick=quick, workers=count, on_progress=update)
-
-
-def _require_intact(
-    sink: output.Sink, result: realtouch.TouchVerification, name: str, *, unfinished: bool = False
+def convert(
+    sink: output.Sink,
+    command: str,
+    function: Callable[..., store.Manifest],
+    source: str,
+    opening: Opening,
+    out: str,
+    split: str | None,
+    limit: int | None,
+    work: Work,
+    **arguments: object,
 ) -> None:
-    """Name all damage on stderr; IntegrityError if there is any."""
-    for finding in result.findings:
-        sink.warn(f"damaged: {finding}")
-    if not result.ok:
-        next_step = "download or convert it again"
-        if unfinished:
-            next_step = "run the same command with --check, which makes damaged shards again"
-        raise IntegrityError(f"{with_count(len(result.findings), 'problems')} in {name!r}", next=next_step)
+    """Print what will be fetched, convert touches with progress, and print what was made."""
+    opened = opening.open(sink, source).require(KIND, command)
+    make = partial(function, opened, out, **arguments, split=split, limit=limit)
+    contents.announce_fetching(sink, opened, split)
+    runs.make_with_progress(sink, "converting", KIND, make, work, out)
 
 
-def _print_summary(sink: output.Sink, split: str, summary: realtouch.Summary) -> None:
-    """Print the figures of one split."""
-    width, height = summary.image_size
-    contact = f"not counted ({summary.contact_rule})"
-    if summary.contact_share is not None:
-        contact = f"{summary.contact_share:.1%} ({summary.contact_rule})"
-    gels = ", ".join(f"{gel}: {with_count(n, 'rounds')}" for gel, n in summary.gel_ids.items())
-    per_round = "-".join(map(str, sorted({min(summary.touches_per_round), max(summary.touches_per_round)})))
-    rows: list[tuple[str, object]] = [
-        ("rounds", f"{summary.rounds:,}"),
-        ("touches", f"{summary.touches:,} ({per_round} per round)"),
-        ("objects", f"{summary.objects:,}" if summary.objects else "unknown"),
-        ("with contact", contact),
-        ("labels", ", ".join(f"{name}: {count}" for name, count in summary.labels.items()) or "none"),
-        ("picture", f"{width} x {height} pixels"),
-        ("gels", gels or "unknown"),
-        *((f"extra {name}", type_text) for name, type_text in summary.extra.items()),
-    ]
-    if summary.clip_frames is not None:
-        least, median, most = summary.clip_frames
-        rows.append(("clips", f"{least} to {most} frames, median {median}, {summary.fps:g} per second"))
-    sink.table((split, summary.kind), rows)
+@application.command(app)
+def resize(
+    *,
+    name: str = options.NAME,
+    opening: Opening,
+    out: str = out_folder(),
+    size_px: tuple[int, int] = touch.size_option(MISSING),
+    quality: int = checked_fields.integer(
+        95, 1, 100, help="JPEG quality of images that are encoded again, 1 to 100."
+    ),
+    split: str | None = catalog.SPLIT,
+    limit: int | None = catalog.LIMIT,
+    work: Work,
+    sink: output.Sink,
+) -> None:
+    """Write the same data set with images or clips of another size.
+
+    Example: realtouch resize real-single-320x240 --size 64x64 --out small
+    """
+    arguments = {"width": size_px[0], "height": size_px[1], "quality": quality}
+    convert(sink, "realtouch resize", realtouch.resize, name, opening, out, split, limit, work, **arguments)
 
 
-_convert = partial(touch_conversions.add_conversion, app)
-_convert("clips-to-images", touch_conversions.ClipsToImages, kind.lazy("realtouch:clips_to_images"))
-_convert("resize", touch_conversions.Resize, kind.lazy("realtouch:resize"))
-_convert("depth", touch_conversions.Depth, kind.lazy("realtouch:add_depth"))
-_convert("frames", touch_conversions.Frames, kind.lazy("realtouch:frames"), nouns="touches")
-_convert("select", touch_conversions.Select, kind.lazy("realtouch:select"))
-_convert("export", touch_conversions.Export, kind.lazy("realtouch:export"), nouns="rows")
-application.command(app, "import")(touch_conversions.import_touches)
-application.command(app)(check)
-_left_out = dict.fromkeys(("info", "verify", "validate", "export", "select"))
-shared.add_shared(
-    app, KIND, {**_left_out, "preview": pictures.preview_touches, "gallery": pictures.gallery_of_touches}
-)
+@application.command(app)
+def stills(
+    *,
+    name: str = options.NAME,
+    opening: Opening,
+    out: str = out_folder(),
+    clip_frame: str = touch_options.FRAME(),
+    split: str | None = catalog.SPLIT,
+    limit: int | None = catalog.LIMIT,
+    work: Work,
+    sink: output.Sink,
+) -> None:
+    """Make a data set of single images from one of clips: a frame of each clip, with its pose.
+
+    Example: realtouch stills real-seq --clip-frame peak --out touches
+    """
+    arguments = {"frame": clip_frame}
+    function = realtouch.clips_to_images
+    convert(sink, "realtouch stills", function, name, opening, out, split, limit, work, **arguments)
+
 
 main = partial(application.run, app)

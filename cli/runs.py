@@ -10,21 +10,14 @@ from itertools import chain, islice
 from typing import TYPE_CHECKING
 
 from cli import options, output
-from tactile_toolkit import store, wording
-from tactile_toolkit.json_types import JsonValue
-from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit import places, store, wording
+from tactile_toolkit.kind import DatasetKind, Facts, is_copy, is_for_others
 from tactile_toolkit.wording import with_count
 
 if TYPE_CHECKING:
     from tactile_toolkit.generation import RowGenerator
 
 _LEFT_OUT_SHOWN = 20
-
-PrintMade = Callable[..., None]
-"""Prints the content of a folder.
-
-Takes a sink, a kind, a manifest, the folder, and the duration of the run in seconds, or None without a run.
-"""
 
 
 def generate_set(
@@ -34,7 +27,6 @@ def generate_set(
     out: str,
     splits: Sequence[str] | None,
     making: options.Making,
-    print_made: PrintMade,
     require: Callable[[], None] = lambda: None,
 ) -> store.Manifest | None:
     """Make a data set of a kind, or forecast it, and print a summary and the next step.
@@ -45,14 +37,14 @@ def generate_set(
         _print_forecast(sink, rows, out, splits, making, require)
         return None
     make = partial(rows.generate, out, splits, require=require)
-    manifest = make_with_progress(sink, what, rows.kind, make, making, out, print_made)
+    manifest = make_with_progress(sink, what, rows.kind, make, making, out)
     if manifest is None:
         return None
     table = manifest.split_table()
     # A split with rows, so that the printed line works.
     split = next(name for name in splits or table if table[name]["rows"])
     call = rows.kind.loading_lines(manifest, out, split)[1]
-    sink.line(f"next: {rows.kind.command} verify {out}   or in Python: {call}")
+    sink.line(f"next: tactile verify {out}   or in Python: {call}")
     return manifest
 
 
@@ -63,7 +55,6 @@ def make_with_progress(
     make: Callable[..., store.Manifest],
     work: options.Work,
     out: str,
-    print_made: PrintMade,
     unit: str | None = None,
 ) -> store.Manifest | None:
     """Run ``make``, which takes the keywords of a run, and print a summary.
@@ -102,7 +93,7 @@ def make_with_progress(
         return None
     # Another split may be unfinished: its finished shards stay and are shown, as by `info`.
     manifest = store.manifest_so_far(store.open_folder(out)) or manifest
-    print_made(sink, kind, manifest, out, elapsed_s)
+    print_set(sink, kind, manifest, out, elapsed_s, unit=unit)
     sink.line(f"{made}; the data set is in {out}")
     return manifest
 
@@ -141,20 +132,27 @@ def print_set(
     manifest: store.Manifest,
     out: str,
     elapsed_s: float | None = None,
-    header: Sequence[str] = (),
-    rows: Sequence[Sequence[object]] = (),
-    left_out: str = "",
-    **further: JsonValue,
+    *,
+    unit: str | None = None,
+    split: str | None = None,
+    has_folder: bool = True,
 ) -> None:
-    """Print the content of a folder and, if its run is not finished, the next step.
+    """Print the content of a folder, what its kind tells about it, and the next step of an unfinished run.
 
-    ``header`` and ``rows`` are one more table for a finished data set. ``left_out`` names the items that were
-    left out, if these are not rows. ``further`` are JSON values for the document.
+    ``unit`` names the items that were left out, if these are not rows. ``split`` is the only one shown.
+    Without ``has_folder``, ``out`` is a repository.
     """
-    table = manifest.split_table()
+    facts = Facts()
+    is_own = manifest.kind == kind.name and not (is_copy(manifest) or is_for_others(manifest))
+    if manifest.complete and is_own and has_folder and kind.facts is not None:
+        facts = kind.facts(store.open_folder(out), manifest)
+    table = {name: held for name, held in manifest.split_table().items() if split in (None, name)}
+    if not table and split is not None:
+        raise places.unknown_split(split, manifest.splits, out)
     planned = {split: count for split, count in manifest.shards_planned().items() if split in table}
     if elapsed_s is not None:
         elapsed_s = round(elapsed_s, 3)
+    print_left_out(sink, manifest)
     sink.document(
         {
             "folder": out,
@@ -163,7 +161,8 @@ def print_set(
             "elapsed_s": elapsed_s,
             "shards_planned": planned,
             "splits": table,
-            **further,
+            "skipped": manifest.skipped_reasons(),
+            **facts.document,
             "spec": manifest.spec,
         }
     )
@@ -188,11 +187,12 @@ def print_set(
         for name, e in table.items()
     ]
     sink.table(("split", kind.nouns, "shards", "Parquet", "left out"), counts)
-    if manifest.complete:
-        sink.table(header, rows)
+    sink.table(facts.header, facts.rows)
     for reason, count in manifest.skipped_reasons().items():
-        items = with_count(count, left_out or kind.nouns)
+        items = with_count(count, unit or kind.nouns)
         sink.line(f"left out {items}: {reason} (each is named in {out}/manifest.json)")
+    for line in facts.lines:
+        sink.line(line)
 
 
 def print_left_out(sink: output.Sink, manifest: store.Manifest) -> None:

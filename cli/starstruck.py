@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from functools import partial
 
+import typer
+
 import starstruck_gen
-from cli import checks, options, output, pictures, runs, shared
-from cli.application import command, new_app, run as run_app
+from cli import contents, options, output, runs
+from cli.application import EXIT_FAILED, command, new_app, run as run_app
 from starstruck_gen.kind import KIND
-from starstruck_gen.scene_options import SceneOptions, ScenePreviewSpec, scene_counts
-from tactile_toolkit import catalog, checked_fields, mesh, places, run, store
-from tactile_toolkit.errors import InputError
-from tactile_toolkit.kind import DatasetKind
+from starstruck_gen.scene_options import SceneOptions, scene_counts
+from tactile_toolkit import catalog, checked_fields, run
 
 app = new_app(
     "starstruck", "Starstruck: scenes of stars among other objects, as validated data sets of meshes."
@@ -51,56 +50,32 @@ def generate(
     with sink.progress("trying the fullest scene", "failed layouts") as on_failure:
         require = partial(starstruck_gen.require_feasible, spec.scene, spec.seed, on_failure)
         rows = starstruck_gen.SceneGenerator(spec)
-        runs.generate_set(sink, "making scenes", rows, out, splits, making, _print_made, require)
+        runs.generate_set(sink, "making scenes", rows, out, splits, making, require)
 
 
-def _print_made(
-    sink: output.Sink, kind: DatasetKind, manifest: store.Manifest, out: str, elapsed_s: float | None
-) -> None:
-    splits = [{"split": split, **counts} for split, counts in manifest.split_table().items()]
-    runs.print_set(sink, kind, manifest, out, elapsed_s, splits=splits)
-
-
-def _check(
-    paths: Sequence[str],
-    split: str | None,
-    limit: int | None,
-    workers: int,
+@command(app)
+def validate(
     *,
-    opened: Callable[[str], places.Place],
-    unit: str | None = None,
-    profile: mesh.PrintProfile | None = None,
-    on_progress: Callable[[int, int], None],
-) -> list[starstruck_gen.CheckedScenes]:
-    mesh.refuse_unit(unit, paths[0])
-    if profile is not None:
-        raise InputError(
-            "applies to objects that are printed, not to scenes", next="leave it out", field="nozzle_mm"
-        )
-    return [
-        starstruck_gen.validate_folder(opened(path), split, limit, workers, on_progress=on_progress)
-        for path in paths
-    ]
-
-
-_CHECKS = checks.Geometry("scenes", _check)
-
-
-def _preview(
-    *,
-    path: str = options.argument("DIR|FILE", "Data set folder, or Parquet file of scenes."),
+    name: str = options.NAME,
     opening: options.Opening,
-    spec: ScenePreviewSpec,
-    pictures: pictures.Pictures,
+    split: str | None = catalog.SPLIT,
+    limit: int | None = catalog.LIMIT,
+    workers: int = options.WORKERS,
     sink: output.Sink,
 ) -> None:
-    """Write pictures of scenes as PNG, without a screen: a sheet of each split.
+    """Check that the objects of each scene are solids that do not overlap, and count its stars.
 
-    Examples: starstruck preview scenes;  starstruck preview scenes --ids 17 --out scene.png
+    `tactile verify --content` checks the files of a data set as well.
+
+    Example: starstruck validate scenes
+
+    Exit code 1 if a scene is not valid.
     """
-    pictures.write(sink, KIND.plan_previews(opening.open(sink, path), spec))
+    opened = partial(opening.open, sink)
+    results = contents.print_content(sink, KIND, [name], split, limit, workers, opened)
+    sink.document(results)
+    if any(each["failed"] for each in results):
+        raise typer.Exit(EXIT_FAILED)
 
-
-shared.add_shared(app, KIND, {"preview": _preview}, print_made=_print_made, checks=_CHECKS)
 
 main = partial(run_app, app)

@@ -1,51 +1,21 @@
-"""One command that leads to the others: ``tactile digits generate`` is ``mnist3d generate``."""
+"""``tactile``: what every data set can do, whatever its kind."""
 
 from __future__ import annotations
 
-import sys
-from importlib import import_module
+from functools import partial
 
-from tactile_toolkit import __version__, wording
-from tactile_toolkit.errors import InputError
-from tactile_toolkit.wording import did_you_mean
+from cli import application, contents, copies, hub, pictures
 
-_COMMANDS = {
-    "digits": ("mnist3d", "printable 3D digits made from handwriting"),
-    "scenes": ("starstruck", "Starstruck scenes: how many stars?"),
-    "touches": ("realtouch", "touches of real sensors"),
-    "sim": ("tactile-sim", "synthetic touches of any mesh"),
-    "assets": ("env-assets", "objects and touches for environments"),
-}
-
-
-def main() -> None:
-    """Run the command that the first argument names, or list all."""
-    word = next(iter(sys.argv[1:]), "--help")
-    if word == "--version":
-        sys.stdout.write(f"tactile-toolkit {__version__}\n")
-        return
-    if word in ("--help", "-h"):
-        sys.stdout.write(_help())
-        return
-    for name, (command, _) in _COMMANDS.items():
-        if word in (name, command):
-            sys.argv = [command, *sys.argv[2:]]
-            import_module(f"cli.{command.replace('-', '_')}").main()
-            return
-    hint = did_you_mean(word, list(_COMMANDS))
-    sys.stderr.write(
-        f"error: there is no command {wording.printable(word)!r}{hint}; next: see tactile --help\n"
-    )
-    raise SystemExit(InputError.exit_code)
-
-
-def _help() -> str:
-    wide = max(map(len, _COMMANDS))
-    rows = [
-        f"  {name:<{wide}}  {purpose} (tactile {name} ... = {command} ...)\n"
-        for name, (command, purpose) in _COMMANDS.items()
-    ]
-    return (
-        "Usage: tactile COMMAND ...\n\nData of active tactile perception. "
-        f"`tactile COMMAND --help` lists what each command does.\n\nCommands:\n{''.join(rows)}"
-    )
+app = application.new_app(
+    "tactile",
+    "Data sets of active tactile perception: show, check, copy and share them, whatever their kind. mnist3d, "
+    "starstruck, realtouch, tactile-sim, env-assets and tactile-envs make and check data of one kind.",
+)
+application.command(app, "list", asks_hub=True)(contents.list_sets)
+for _function in (
+    *(contents.info, contents.show, contents.verify, pictures.preview, pictures.gallery),
+    *(copies.select, copies.split, copies.merge, copies.export, copies.card),
+    *(hub.upload, hub.download, copies.cache),
+):
+    application.command(app, asks_hub=_function is hub.upload)(_function)
+main = partial(application.run, app)

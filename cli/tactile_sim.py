@@ -9,20 +9,21 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
+import typer
+
+import realtouch
 import tactile_sim
-from cli import checks, options, output, pictures, runs, sensor_twins, shared
-from cli.application import command, new_app, run as run_app
+from cli import contents, options, output, runs
+from cli.application import EXIT_FAILED, command, new_app, run as run_app
 from cli.options import Opening, argument, local_out_folder, local_place
 from cli.output import Sink
-from cli.sensor_twins import print_sensor
+from cli.realtouch import convert
 from tactile_sim import ElasticPress, GenerateSpec, PairsSpec, TouchPlan, TrainConfig
-from tactile_sim.kind import KIND
 from tactile_sim.press import sensors
 from tactile_sim.press.sensors import GELSIGHT_MINI, SensorModel
-from tactile_toolkit import catalog, checked_fields, kind, mesh, run, store, touch, wording
+from tactile_toolkit import catalog, checked_fields, kind, mesh, run, store, touch
 from tactile_toolkit.checked_fields import text
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.wording import with_count
 
 _ENDINGS: dict[str, Literal["jpeg", "png"]] = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg"}
@@ -78,23 +79,7 @@ def generate(
             next="leave them out",
         )
     require = partial(touches.refuse_sources, objects, out)
-    runs.generate_set(sink, "rendering", touches, out, splits, making, _print_made, require)
-
-
-def _print_made(
-    sink: output.Sink, kind: DatasetKind, manifest: store.Manifest, out: str, elapsed_s: float | None
-) -> None:
-    rows = []
-    for split, held in manifest.split_table().items():
-        # Shard records hold these counts, so no row is read.
-        parts = [record.statistics or {} for record in manifest.shards_of(split)]
-        touches, contact = (sum(part.get(name, 0) for part in parts) for name in ("touches", "on_object"))
-        share = "-"
-        if touches:
-            share = f"{100 * contact / touches:.1f} %"
-        rows.append((split, held["rows"], touches, share, held["skipped"], wording.bytes_text(held["bytes"])))
-    header = ("split", "rounds", "touches", "on the object", "objects left out", "Parquet")
-    runs.print_set(sink, kind, manifest, out, elapsed_s, header, rows)
+    runs.generate_set(sink, "rendering", touches, out, splits, making, require)
 
 
 def spec_of(sink: output.Sink, picture: options.Given, **others: object) -> GenerateSpec:
@@ -148,8 +133,9 @@ def render(
     picture: Annotated[options.Given, options.OptionsOf(GenerateSpec)],
     press: Annotated[options.Given, options.OptionsOf(tactile_sim.ElasticPress)],
     out: Path = checked_fields.text(
-        Path("touch.png"), name="--out", metavar="FILE", read=options.local_place, help="Image to write."
+        Path("touch.png"), name="--out -o", metavar="FILE", read=options.local_place, help="Image to write."
     ),
+    overwrite: bool = options.OVERWRITE,
     sink: output.Sink,
 ) -> None:
     """Press the gel onto a mesh once and write the image.
@@ -161,6 +147,12 @@ def render(
     Example: tactile-sim render part.stl --gel elastic --force-n 5 --markers 7x9 --draw-markers
     """
     image_format = _ENDINGS.get(out.suffix.lower())
+    if out.exists() and not overwrite:
+        raise InputError(
+            f"{str(out)!r} exists; nothing was written", next="add --overwrite, or choose another --out"
+        )
+    if image_format not in (None, picture.get("image_format", image_format)):
+        raise InputError("differs from the ending of --out", next="leave it out", field="image_format")
     if image_format is None:
         raise InputError(
             f"is {out.name!r}; expected a name that ends with {', '.join(_ENDINGS)}", field="out"
@@ -213,7 +205,10 @@ def calibrate(
     ),
     unit: str | None = mesh.UNIT,
     sensor: str = text(
-        GELSIGHT_MINI.name, metavar="NAME|FILE", help="First guess of the geometry: a sensor or JSON file."
+        GELSIGHT_MINI.name,
+        name="--start",
+        metavar="NAME|FILE",
+        help="First guess of the geometry: a sensor or JSON file.",
     ),
     out: Path = local_out_folder("my-sensor"),
     sink: Sink,
@@ -246,8 +241,7 @@ def calibrate(
     with sink.progress("calibrating", "steps") as update:
         model = tactile_sim.calibrate(recordings, name=out.name, start=start, on_progress=update)
     model.save(out)
-    sink.document({"folder": str(out), "sensor": model.to_dict(), "report": dict(model.report)})
-    print_sensor(sink, model)
+    contents.print_sensor(sink, model)
     sink.line(f"{with_count(len(recordings), 'touches')} of {source}; the sensor is in {out}")
     sink.line(f"next: tactile-sim check {out} {source}")
 
@@ -272,7 +266,7 @@ def pairs(
     opened = partial(options.Opening(allow_incomplete=allow_incomplete).open, sink)
     pairs = tactile_sim.PairsGenerator.of(objects, real, split, spec, opened)
     require = partial(pairs.refuse_sources, objects, out)
-    runs.generate_set(sink, "pressing and scaling", pairs, out, None, making, runs.print_set, require)
+    runs.generate_set(sink, "pressing and scaling", pairs, out, None, making, require)
 
 
 @command(app)
@@ -327,21 +321,60 @@ def train(
     sink.line(f"{with_count(done.taken, 'steps')} taken, {done.steps:,} in all; the weights are in {out}")
 
 
-command(app)(sensor_twins.check)
-shared.add_shared(
-    app,
-    KIND,
-    {
-        "preview": pictures.preview_touches,
-        "gallery": pictures.gallery_of_touches,
-        "show": sensor_twins.show_sensor,
-        "upload": sensor_twins.upload_sensor,
-        "download": sensor_twins.download_sensor,
-        "validate": None,
-        "export": None,
-    },
-    print_made=_print_made,
-    checks=None,
-    objects=checks.Objects(),
-)
+@command(app)
+def check(
+    *,
+    sensor: Path = argument("SENSOR", "Folder that `tactile-sim calibrate` wrote.", read=local_place),
+    source: str = argument("SOURCE", "Recent touches: a data set, or a folder of images."),
+    sink: Sink,
+) -> None:
+    """Check whether a sensor has changed since it was calibrated.
+
+    The touched objects do not matter; the places on the gel should differ. Exit code 1 if a figure is beyond
+    its limit.
+
+    Example: tactile-sim check my-sensor recordings-of-today
+    """
+    model = SensorModel.load(sensor)
+    health = tactile_sim.check_sensor(model, tactile_sim.images_of(source))
+    sink.document({"sensor": model.name, **health.to_dict()})
+    rows = [
+        (each.name, f"{each.value:.3g}", f"{each.limit:g}", "ok" if each.ok else "CHANGED", each.meaning)
+        for each in health.figures
+    ]
+    sink.table(("figure", "found", "limit", "", "what it is"), rows)
+    state = "the sensor is as it was calibrated"
+    if not health.ok:
+        state = "the sensor has changed: calibrate it again"
+    sink.line(f"{with_count(health.images, 'images')} compared with {sensor}; {state}")
+    if not health.ok:
+        raise typer.Exit(EXIT_FAILED)
+
+
+@command(app)
+def depth(
+    *,
+    name: str = options.NAME,
+    opening: Opening,
+    sensor: str = text(MISSING, metavar="SENSOR", help="Folder that `tactile-sim calibrate` wrote."),
+    fast: bool = checked_fields.switch(
+        False, help="Use a faster method, with about twice the error and a tenth of the time."
+    ),
+    out: str = options.out_folder(),
+    split: str | None = catalog.SPLIT,
+    limit: int | None = catalog.LIMIT,
+    work: options.Work,
+    sink: Sink,
+) -> None:
+    """Write touches with indentation depth in metres, as the twin of the sensor reads it from their images.
+
+    Each pixel has an expected error.
+
+    Example: tactile-sim depth recordings --sensor my-sensor --out depths
+    """
+    arguments = {"sensor": sensor, "fast": fast}
+    function = realtouch.add_depth
+    convert(sink, "tactile-sim depth", function, name, opening, out, split, limit, work, **arguments)
+
+
 main = partial(run_app, app)

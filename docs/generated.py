@@ -309,12 +309,11 @@ def _command_pages() -> dict[str, str]:
     from importlib.metadata import entry_points
 
     names = [point.name for point in entry_points(group="console_scripts") if point.value.startswith("cli.")]
-    names.remove("tactile")  # which leads to the others
     pages = {f"cli/{name}.md": _command_page(name) for name in names}
     listed = "\n".join(sorted(names))
     pages["cli/index.md"] = (
         "# Command lines\n\n"
-        "Every option of every command, as `--help` shows it. `tactile` runs all of them. Exit codes: "
+        "Every option of every command, as `--help` shows it. Exit codes: "
         "0 success, 1 validation failed, 2 wrong input, 3 damaged or missing data, 4 the Hub, a store or "
         "the network, 130 interrupted.\n\n"
         f"```{{toctree}}\n:maxdepth: 2\n\n{listed}\n```\n"

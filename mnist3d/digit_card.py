@@ -13,8 +13,9 @@ import pyarrow.compute as pc
 from mnist3d.digit_records import REPORT_FILE, SUMMED_UP, DigitRow, classes_of
 from mnist3d.kind import KIND
 from mnist3d.sources.picture_folder import FolderSource
-from tactile_toolkit import cards, kind, store, wording
-from tactile_toolkit.json_types import JsonObject
+from tactile_toolkit import cards, kind, mesh, store, wording
+from tactile_toolkit.json_types import JsonDict, JsonObject
+from tactile_toolkit.kind import Facts
 from tactile_toolkit.rows import Column
 
 _MAX_LISTED = 12
@@ -113,6 +114,15 @@ def facts_table(
     """Return header and lines of a table of figures: a line for each column, a column for each split."""
     lines = [(heading(column), *(summary.text(column) for summary in summaries)) for column in declared]
     return ("", *(summary.split for summary in summaries)), lines
+
+
+def facts(folder: store.DataFolder, manifest: store.Manifest) -> Facts:
+    """Return the figures of a finished data set and advice on printing it; raises as :func:`summarise`."""
+    summaries = summarise(folder, manifest)
+    header, rows = facts_table(summaries, SUMMED_UP)
+    advice = mesh.PrintReport.advice(word for each in summaries for word in each.facets["warnings"])
+    document: JsonDict = {"splits": [each.to_dict() for each in summaries]}
+    return Facts(header, tuple(rows), tuple(advice), document)
 
 
 def summarise(folder: store.DataFolder, manifest: store.Manifest) -> list[SplitSummary]:

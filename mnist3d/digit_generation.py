@@ -50,7 +50,7 @@ _UNCOMPARED = ("writers_sha256", "left_out")
 _ROW_S = 0.016
 _ADD_PICTURES = (
     "to add pictures, put the new ones into a folder with the same classes, make another data set of it, and "
-    "join both by `mnist3d merge OLD NEW --out BOTH`; to make all again, add --overwrite"
+    "join both by `tactile merge OLD NEW --out BOTH`; to make all again, add --overwrite"
 )
 
 
@@ -75,7 +75,7 @@ def source_again(described: JsonObject, **files: str | None) -> digit_source.Dig
     name = described["name"]
     if name not in _SOURCES:
         raise InputError(
-            f"the data set was made from the unknown source {name!r}", next="draw --kind sheet only"
+            f"the data set was made from the unknown source {name!r}", next="draw --draw sheet only"
         )
     # No file that a manifest names is opened.
     known = {

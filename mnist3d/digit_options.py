@@ -51,6 +51,10 @@ MAX_DIGITS = 1_000_000_000
 
 SOURCES = ("synthetic", "hwdplus", "mnist", "folder")
 
+# A relief on a plate is as thick as the upper half of a solid without one.
+_THICKNESS_MM = 8.0
+_THICKNESS_ON_BASE_MM = 4.0
+
 
 @dataclass(frozen=True, slots=True)
 class SplitSpec:
@@ -71,13 +75,14 @@ class SplitSpec:
         for ``train`` and one for ``test``.
     """
 
-    seed: int = integer(0, help="Random seed.")
+    seed: int = integer(0, panel="Division into splits", help="Random seed.")
     by: Literal["digit", "writer", "none"] | None = choice(
         None,
         ("digit", "writer", "none"),
         optional=True,
         name="--split-by",
         shown="digit",
+        panel="Division into splits",
         help="Divide by digit, by writer (all digits of a writer are in one split), or not at all (all "
         "digits are in train).",
     )
@@ -85,6 +90,7 @@ class SplitSpec:
         name="--split-sizes",
         metavar="train=8,test=2",
         read=partial(read_split_counts, "sizes"),
+        panel="Division into splits",
         help="Digits per class in each split, instead of the published numbers.",
     )
 
@@ -157,24 +163,33 @@ class SolidSpec:
 
     pixel_pitch_mm: float = real(0.2, above=0)
     half_thickness_mm: float = real(
-        4.0, above=0, help="Half of the thickness of a digit, where its strokes are wide enough."
+        4.0,
+        above=0,
+        panel="Solids",
+        help="Half of the thickness of a digit, where its strokes are wide enough.",
     )
-    profile: str = choice("round", PROFILES, name="--edge-profile", help="Shape of the edges of a digit.")
+    profile: str = choice(
+        "round", PROFILES, name="--edge-profile", panel="Solids", help="Shape of the edges of a digit."
+    )
     erosion: str = choice(
         "outline",
         EROSIONS,
+        panel="Solids",
         help="Move the outline inwards by each radius, or erode with a disc of pixels.",
     )
     threshold: float | None = real(None, 0, 255, optional=True)
     min_speck_mm2: float = real(4.0, 0)
     min_pinhole_mm2: float = real(2.0, 0)
-    join_bodies: bool = switch(False, help="Connect separate pieces, so that a digit prints as one.")
+    join_bodies: bool = switch(
+        False, panel="Solids", help="Connect separate pieces, so that a digit prints as one."
+    )
     bridge_width_mm: float = real(3.0, above=0)
     lattice_pitch_mm: float | None = real(None, above=0, optional=True)
     target_vertices: int = integer(
         5000,
         100,
         name="--vertices",
+        panel="Solids",
         help="Approximate number of vertices of a mesh; never more than 1.5 times as many.",
     )
     smoothing_iterations: int = integer(2)
@@ -223,12 +238,22 @@ class SolidSize:
     """
 
     height_mm: float | None = real(
-        None, above=0, optional=True, help="Height of the solid, as the picture is seen, without its plate."
+        None,
+        above=0,
+        optional=True,
+        panel="Solids",
+        help="Height of the solid, as the picture is seen, without its plate.",
     )
     width_mm: float | None = real(
-        None, above=0, optional=True, help="Width of the solid, as the picture is seen, without its plate."
+        None,
+        above=0,
+        optional=True,
+        panel="Solids",
+        help="Width of the solid, as the picture is seen, without its plate.",
     )
-    pixel_mm: float | None = real(None, above=0, optional=True, help="Side of a pixel of the picture.")
+    pixel_mm: float | None = real(
+        None, above=0, optional=True, panel="Solids", help="Side of a pixel of the picture."
+    )
 
     def __post_init__(self) -> None:
         check_fields(self, "the size of the solid")
@@ -241,40 +266,122 @@ class SolidSize:
 
 
 @dataclass(frozen=True, slots=True)
+class PrintShape:
+    """Options for the shape of the solids."""
+
+    thickness_mm: float | None = real(
+        None,
+        above=0,
+        optional=True,
+        shown="8, 4 above a plate",
+        panel="Solids",
+        help="Thickness of the solid, without its base plate.",
+    )
+    base_mm: float | None = real(
+        None,
+        above=0,
+        optional=True,
+        panel="Solids",
+        help="Put the solid on a base plate of this thickness, which joins its parts.",
+    )
+    bridge_mm: float | None = real(
+        None,
+        above=0,
+        optional=True,
+        panel="Solids",
+        help="Join separate parts by bridges of at most this width; they are never wider than the strokes.",
+    )
+    edge_profile: str = choice("round", PROFILES, panel="Solids", help="Shape of the edges.")
+    vertices: int | None = integer(
+        None,
+        100,
+        optional=True,
+        shown="as many as the strokes need",
+        panel="Solids",
+        help="Approximate number of vertices.",
+    )
+
+    def changes(self) -> dict[str, object]:
+        """Return the parameters of the algorithm that differ from the usual ones."""
+        half_thickness_mm = (self.thickness_mm or _THICKNESS_MM) / 2
+        if self.base_mm is not None:
+            half_thickness_mm = self.thickness_mm or _THICKNESS_ON_BASE_MM
+        changed: dict[str, object] = {"half_thickness_mm": half_thickness_mm, "profile": self.edge_profile}
+        if self.bridge_mm is not None:
+            changed |= {"join_bodies": True, "bridge_width_mm": self.bridge_mm}
+        if self.vertices is not None:
+            changed["target_vertices"] = self.vertices
+        return changed
+
+
+@dataclass(frozen=True, slots=True)
+class PictureReading:
+    """Options for what is ink in a picture."""
+
+    threshold: str = choice(
+        "auto",
+        ("auto", "local", "global"),
+        panel="Pictures",
+        help="Even out the light and find the page (local), or apply one threshold (global); auto takes "
+        "local for pictures without clean paper.",
+    )
+    foreground: str = choice(
+        "auto",
+        ("auto", "dark", "light"),
+        panel="Pictures",
+        help="Whether the ink is darker or lighter than the paper.",
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class SourceOptions:
     """Options of the source of images."""
 
     images: str | None = text(
         metavar="PATH",
         needs="source=hwdplus|mnist|folder",
+        panel="Images",
         help="Images of the source: the .npy file of HWD+, the folder of the MNIST files, or a folder of "
         "pictures DIR/<class>/*.png.",
     )
     writer_info: str | None = text(
-        metavar="FILE", needs="source=hwdplus", help="WriterInfo.npy of HWD+ (column 0 is the label)."
+        metavar="FILE",
+        needs="source=hwdplus",
+        panel="Images",
+        help="WriterInfo.npy of HWD+ (column 0 is the label).",
     )
     writer_column: int | None = integer(
-        None, needs="source=hwdplus", help="Column of WriterInfo.npy that holds the writer."
+        None, needs="source=hwdplus", panel="Images", help="Column of WriterInfo.npy that holds the writer."
     )
     download: bool = switch(
-        False, needs="source=mnist", help="Download MNIST into --images first (extra `torch`)."
+        False,
+        needs="source=mnist",
+        panel="Images",
+        help="Download MNIST into --images first (extra `torch`).",
     )
     foreground: str = choice(
         "auto",
         ("auto", "dark", "light"),
         needs="source=folder",
+        panel="Images",
         help="Whether the strokes in images of a folder are darker or lighter than the paper.",
     )
     threshold: str = choice(
         "auto",
         ("auto", "local", "global"),
         needs="source=folder",
+        panel="Images",
         help="Even out the light and find the page (local), or apply one threshold (global); auto takes "
         "local for pictures without clean paper.",
     )
     # As many as MNIST 3D has (Tactile MNIST paper).
     digits: int = integer(
-        13_580, 1, MAX_DIGITS, needs="source=synthetic", help="Number of digits in the synthetic source."
+        13_580,
+        1,
+        MAX_DIGITS,
+        needs="source=synthetic",
+        panel="Images",
+        help="Number of digits in the synthetic source.",
     )
 
 
@@ -282,19 +389,7 @@ class SourceOptions:
 class DigitPreviewSpec(catalog.PreviewSpec):
     """Options of previews of digits; the steps for a data set need the files of its source."""
 
-    kinds: tuple[str, ...] = choice(
-        (),
-        ("sheet", "steps", "all"),
-        name="--kind",
-        help="What to draw; may be repeated. By default sheet, or steps for a picture.",
-    )
-    images: Path | None = text(
-        metavar="PATH",
-        read=Path,
-        needs="kinds=steps|all",
-        help="Images of the source of the data set, as given to `mnist3d generate`.",
-    )
-    writer_info: Path | None = text(
-        metavar="FILE", read=Path, needs="kinds=steps|all", help="WriterInfo.npy of HWD+."
-    )
+    kinds: tuple[str, ...] = choice((), ("sheet", "steps", "all"))
+    images: Path | None = None
+    writer_info: Path | None = None
     unit: str | None = mesh.UNIT

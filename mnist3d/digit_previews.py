@@ -48,7 +48,7 @@ def plan_previews(name: Name | Place, spec: digit_options.DigitPreviewSpec) -> p
     """
     if not isinstance(name, Place) and is_picture_or_mesh(fspath(name)):
         return _plan_file(fspath(name), spec)
-    chosen = pictures.ChosenRows.of(KIND, name, spec, "preview")
+    chosen = pictures.ChosenRows.of(KIND, name, spec, "tactile preview")
     mesh.refuse_unit(spec.unit, chosen.place.name)
     plans = {
         "sheet": partial(chosen.plan_sheets, spec.per_class),
@@ -69,11 +69,13 @@ def _plan_file(name: str, spec: digit_options.DigitPreviewSpec) -> pictures.Pict
     """Plan the pictures of a single file; InputError for options that need a data set."""
     path = store.expanded(name)
     kind = "sheet" if path.suffix.lower() in mesh.MeshFile.FORMATS else "steps"
-    rows = {"--split": spec.split, "--ids": spec.ids, "--labels": spec.labels, "--limit": spec.limit}
-    asked = [f"--kind {each}" for each in spec.kinds if each not in (kind, "all")]
-    asked += [option for option, value in rows.items() if value]
-    if asked:
-        raise InputError(f"{asked[0]} needs a data set, and {name!r} is a single file", next="leave it out")
+    rows = {"split": spec.split, "ids": spec.ids, "labels": spec.labels, "limit": spec.limit}
+    rows["kinds"] = [each for each in spec.kinds if each not in (kind, "all")]
+    for option, value in rows.items():
+        if value:
+            raise InputError(
+                f"needs a data set, and {name!r} is a single file", next="leave it out", field=option
+            )
     stem = pictures.PlannedPicture.stem_of(name)
     if kind == "sheet":
         part = mesh.read_mesh(path, unit=spec.unit)
@@ -110,7 +112,7 @@ def _plan_steps(
     set_name = chosen.place.name
     if "source" not in made_by:
         raise InputError(
-            f"{set_name!r} does not name the source of its images", next="draw --kind sheet only"
+            f"{set_name!r} does not name the source of its images", next="draw --draw sheet only"
         )
     with catalog.specification_read(set_name):
         files = {"images": spec.images, "writer_info": spec.writer_info}

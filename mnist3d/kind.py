@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from tactile_toolkit.kind import DatasetKind, lazy, tactile_mnist_set
+from tactile_toolkit.kind import SHEET_OPTIONS, DatasetKind, lazy, tactile_mnist_set
 
 KIND = DatasetKind(
     name="mnist3d",
-    command="mnist3d",
     package="mnist3d",
     noun="digit",
     nouns="digits",
@@ -20,6 +19,10 @@ KIND = DatasetKind(
     # Counts here and in the other kinds: Tactile MNIST paper and the documentation of the published loaders.
     published=(tactile_mnist_set("mnist3d", "mnist3d", "13,580 meshes of digits in 5 splits"),),
     plan_previews=lazy("mnist3d.digit_previews:plan_previews"),
+    preview_spec=lazy("mnist3d.digit_options:DigitPreviewSpec"),
+    preview_options=(*SHEET_OPTIONS, "images", "writer_info", "unit"),
+    facts=lazy("mnist3d.digit_card:facts"),
+    check_content=lazy("mnist3d.digit_checks:validate_paths"),
     plan_gallery=lazy("mnist3d.digit_previews:plan_gallery"),
     dataset=lazy("mnist3d:DigitDataset"),
     recipe=lazy("mnist3d.digit_generation:digit_recipe"),

@@ -44,19 +44,17 @@ _EXCHANGED = (
 
 KIND = DatasetKind(
     name="realtouch",
-    command="realtouch",
     package="realtouch",
     noun="round",
     nouns="rounds",
     content="touches",
-    made_by="realtouch select",
+    made_by="tactile select",
     card_template="touch_{}.md",
     write_card=lazy("realtouch.touch_card:write_card"),
     check=lazy("realtouch.checks.verification:list_findings"),
     columns=("sensor_image", "sensor_video"),
     splits=("train", "test"),
     needs=("sensor_image", "sensor_video"),
-    missing_commands=("validate",),
     needs_manifest=False,
     extra_files=("images/*/*/*.png", "images/*/*/*.jpg", "index.csv", *_EXCHANGED),
     published=(
@@ -64,5 +62,7 @@ KIND = DatasetKind(
         *(tactile_mnist_set(*each) for each in _RENDERED),
     ),
     plan_previews=lazy("realtouch.touch_previews:plan_previews"),
+    preview_spec=lazy("realtouch.touch_options:TouchPreviewSpec"),
+    preview_options=("kinds", "split", "round_number", "touches"),
     plan_gallery=lazy("realtouch.touch_gallery:plan_gallery"),
 )

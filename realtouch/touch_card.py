@@ -29,14 +29,13 @@ _TILE_WIDTH = 96
 _GAP_PX = 4
 # Each round requires unpacking a block; a card does not try all blocks of a damaged set.
 _ROUNDS_SEEN = 4
-_COMMANDS = {"to-single": "clips-to-images"}  # command of an operation that manifests name differently
 _TASKS = {
     "task_categories": ["robotics", "image-classification"],
     "task_ids": ["multi-class-image-classification"],
 }
 _LIST_SUFFIX = re.compile(r"(?:\.list\.(?:element|item))+\Z")
 _MAY_HAVE_MISSED = (
-    "Some touches may have met no object; `realtouch select --contact` takes them out of the source."
+    "Some touches may have met no object; `tactile select --contact` takes them out of the source."
 )
 _WINDOW = "18.88 x 14.16 mm of gel"
 
@@ -310,4 +309,4 @@ def _made(manifest: store.Manifest) -> list[tuple[str, str]]:
     text = f"files {files}; rounds {rows}; `manifest.json` names and fingerprints each file"
     if operation == "import":
         text = f"images {rows}; `manifest.json` has the checksum of their list"
-    return [("command", f"`{KIND.command} {_COMMANDS.get(operation, operation)}`"), ("source", text)]
+    return [("command", f"`{KIND.command_of(manifest)}`"), ("source", text)]

@@ -74,7 +74,7 @@ def plan_gallery(
         return [(touches, *of_round) for of_round in zip(by_round, least_m, strict=True)]
 
     split = chosen.given()["split"]
-    place = places.open_place(name).require(kind.KIND, "gallery").require_complete(split)
+    place = places.open_place(name).require(kind.KIND, "tactile gallery").require_complete(split)
     schema = place.shards(split or place.splits[0])[0].schema
     title = f"{origin_of(schema, place.manifest)} touches".capitalize()
     return gallery.Gallery.of_rows(kind.KIND, place, chosen, title, _SHOWN, _item, 1, known)

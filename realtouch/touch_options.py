@@ -8,10 +8,11 @@ import os
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
-from tactile_toolkit import checked_fields, errors, wording
+from tactile_toolkit import catalog, checked_fields, errors, touch, wording
 from tactile_toolkit.columns import units
 from tactile_toolkit.json_types import JsonDict
 
@@ -30,6 +31,19 @@ IMPORT_LAYOUTS = (
     "anytouch",
 )
 """Formats of recordings, each a module of ``realtouch.formats``."""
+
+EXPORT_FORMATS = ("png", "jpeg", "flat", "webdataset", "lerobot", "oxt", "replay", "fota", "anytouch")
+"""Formats of exported touches: pictures, and files of other libraries."""
+
+FRAME = partial(
+    checked_fields.choice,
+    "contact_end",
+    ("contact_end", "contact_start", "peak", "best"),
+    name="--clip-frame",
+    help="Frame of a clip: end or start of the contact, the deepest press, or the highest contact score.",
+)
+"""Declares the option for the frame of a clip."""
+
 STREAM_HEADER = (
     "recording",
     "stream",
@@ -101,15 +115,45 @@ _NUMPY_MARK = b"\x93NUMPY"
 class TouchPreviewSpec:
     """Options of previews of touches; by default the grid is drawn."""
 
-    kinds: tuple[str, ...] = checked_fields.choice(
-        (),
-        ("grid", "overlay", "all"),
-        name="--kind",
-        help="What to draw; may be repeated: a round as a grid (the default) or pasted on a map of the cell.",
+    kinds: tuple[str, ...] = checked_fields.choice((), ("grid", "overlay", "all"))
+    split: str | None = None
+    round_number: int = checked_fields.integer(0)
+    touches: int = checked_fields.integer(32, 1)
+
+
+@dataclass(frozen=True, slots=True)
+class ContactChoice:
+    """Options of a selection of touches by contact."""
+
+    contact: bool = checked_fields.switch(
+        False, panel="Touches", help="Only touches in contact with an object."
     )
-    split: str | None = ONE_SPLIT
-    round_number: int = checked_fields.integer(0, name="--round", help="Round to draw, counted from 0.")
-    touches: int = checked_fields.integer(32, 1, needs="kinds=|grid|all", help="Number of touches in a grid.")
+    min_height_mm: float | None = touch.HeightRule.option(needs="contact", panel="Touches")
+    as_recorded: bool = checked_fields.switch(
+        False,
+        needs="contact",
+        panel="Touches",
+        help="Take heights as recorded; by default, if the height of the plate is unknown, above the deepest "
+        "touch of each round.",
+    )
+
+    def arguments(self, chosen: catalog.RowFilter) -> JsonDict:
+        """Return the arguments of :func:`realtouch.select` for these touches of chosen rows."""
+        # Ids of objects are numbers.
+        objects = [each if isinstance(each, int) else catalog.id_range(each) for each in chosen.ids or ()]
+        min_height_m = None
+        if self.min_height_mm is not None:
+            min_height_m = self.min_height_mm / 1000
+        return {
+            "contact": self.contact,
+            "min_height_m": min_height_m,
+            "recalibrate_z": not self.as_recorded,
+            "objects": objects,
+            "labels": chosen.labels or (),
+            "per_class": chosen.per_class,
+            "split": chosen.split,
+            "limit": chosen.limit,
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,21 +180,33 @@ class CheckLimits:
         10 mm in a frame. A touch jumps if it is ten times this far from all others.
     """
 
-    frozen: int = checked_fields.integer(3, 2, help="Number of equal pictures in a row that are frozen.")
+    frozen: int = checked_fields.integer(
+        3, 2, panel="Limits", help="Number of equal pictures in a row that are frozen."
+    )
     gap: float = checked_fields.real(
-        1.75, above=1.0, help="Least time step that counts as a gap, in median steps of the clip."
+        1.75,
+        above=1.0,
+        panel="Limits",
+        help="Least time step that counts as a gap, in median steps of the clip.",
     )
     exposure: float = checked_fields.real(
-        12.0, 1, 255, help="Change of the brightness that counts as a jump, grey levels."
+        12.0, 1, 255, panel="Limits", help="Change of the brightness that counts as a jump, grey levels."
     )
     drift: float = checked_fields.real(
-        10.0, 1, 255, help="Change of the bare gel over the session that counts as drift, grey levels."
+        10.0,
+        1,
+        255,
+        panel="Limits",
+        help="Change of the bare gel over the session that counts as drift, grey levels.",
     )
     motion_mm: float = checked_fields.real(
-        0.5, above=0, help="Motion of the gel that counts as an error while its picture is frozen."
+        0.5,
+        above=0,
+        panel="Limits",
+        help="Motion of the gel that counts as an error while its picture is frozen.",
     )
     jump_mm: float = checked_fields.real(
-        10.0, above=0, help="Step of the position between frames that counts as a jump."
+        10.0, above=0, panel="Limits", help="Step of the position between frames that counts as a jump."
     )
 
     def __post_init__(self) -> None:
@@ -186,12 +242,14 @@ class Alignment:
         "nearest",
         ALIGN_METHODS,
         name="--align",
+        panel="Streams",
         help="Value of a picture from a stream with another rate: nearest sample, or linear interpolation.",
     )
     max_gap_ms: float = checked_fields.real(
         100.0,
         above=0,
         metavar="MS",
+        panel="Streams",
         help="Maximum gap between the samples around a picture; in a longer gap it has no value.",
     )
     time_offset_s: float = checked_fields.real(
@@ -199,6 +257,7 @@ class Alignment:
         -1e12,
         1e12,
         metavar="S",
+        panel="Streams",
         help="Seconds to add to the times of streams, if they have another clock.",
     )
 
@@ -327,12 +386,14 @@ class ImportColumns:
         tuple(units.Quantity.LENGTH.per_unit),
         optional=True,
         shown="m",
+        panel="Columns",
         help="Unit of lengths whose columns do not end in _mm, _cm or _m.",
     )
     angle_unit: str | None = checked_fields.choice(
         None,
         tuple(units.Quantity.ANGLE.per_unit),
         optional=True,
+        panel="Columns",
         help="Unit of angles whose columns do not end in _deg or _rad.",
     )
     time_unit: str | None = checked_fields.choice(
@@ -340,21 +401,30 @@ class ImportColumns:
         tuple(units.Quantity.TIME.per_unit),
         optional=True,
         shown="s",
+        panel="Columns",
         help="Unit of times whose column does not end in _s, _ms, _us or _ns.",
     )
     quaternion_order: str | None = checked_fields.choice(
-        None, ("xyzw", "wxyz"), optional=True, shown="xyzw", help="Order of the last four columns of a pose."
+        None,
+        ("xyzw", "wxyz"),
+        optional=True,
+        shown="xyzw",
+        panel="Columns",
+        help="Order of the last four columns of a pose.",
     )
     euler: str | None = checked_fields.text(
         metavar="SEQ",
+        panel="Columns",
         help="Axes of the last three of six columns of a pose: xyz about fixed axes, XYZ about turning ones.",
     )
     rotvec: bool = checked_fields.switch(
-        False, help="The last three of six columns of a pose are a rotation vector."
+        False, panel="Columns", help="The last three of six columns of a pose are a rotation vector."
     )
     frame: Matrix | None = checked_fields.text(
+        name="--transform",
         metavar="FILE",
         read=read_frame,
+        panel="Columns",
         help="File of 4 x 4 numbers: the transform from the frame of the source to that of the cell.",
     )
 

@@ -41,7 +41,7 @@ def plan_previews(
     Kinds are grid and overlay. InputError: no such data set, split, round or kind, an empty split, or an
     overlay of a set without positions. IntegrityError and HubError as :func:`realtouch.load`.
     """
-    place = places.open_place(name).require(KIND, "preview").require_complete(spec.split)
+    place = places.open_place(name).require(KIND, "tactile preview").require_complete(spec.split)
     split = place.split(spec.split)
     dataset = opening.load(place, split)
     if not len(dataset):

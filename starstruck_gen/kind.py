@@ -6,7 +6,6 @@ from tactile_toolkit.kind import DatasetKind, lazy, tactile_mnist_set
 
 KIND = DatasetKind(
     name="starstruck",
-    command="starstruck",
     package="starstruck_gen",
     noun="scene",
     nouns="scenes",
@@ -18,6 +17,9 @@ KIND = DatasetKind(
     columns=("star_count",),
     splits=("train", "test"),
     published=(tactile_mnist_set("starstruck", "starstruck", "3,300 scenes with one to three stars"),),
+    preview_spec=lazy("starstruck_gen.scene_options:ScenePreviewSpec"),
+    facts=lazy("starstruck_gen.scene_card:facts"),
+    check_content=lazy("starstruck_gen.scene_checks:validate_paths"),
     plan_gallery=lazy("starstruck_gen.scene_card:plan_gallery"),
     dataset=lazy("starstruck_gen:SceneMeshDataset"),
     recipe=lazy("starstruck_gen.scene_dataset:scene_recipe"),

@@ -10,7 +10,7 @@ import pyarrow as pa
 from starstruck_gen import kind, sampling, scene_dataset
 from tactile_toolkit import cards, gallery, mesh, rows, store, wording
 from tactile_toolkit.json_types import JsonDict
-from tactile_toolkit.kind import is_copy
+from tactile_toolkit.kind import Facts, is_copy
 
 _RULES = {
     "circles": "the circumscribed circles of two objects do not meet",
@@ -115,3 +115,9 @@ def _facts(record: scene_dataset.SceneRecord, _known: None) -> JsonDict:
 plan_gallery = partial(
     gallery.Gallery.of_solids, kind.KIND, title="Starstruck scenes", columns=_SHOWN, facts=_facts
 )
+
+
+def facts(_folder: store.DataFolder, manifest: store.Manifest) -> Facts:
+    """Return the splits of a data set as a list, for JSON."""
+    splits = [{"split": name, **counts} for name, counts in manifest.split_table().items()]
+    return Facts(document={"splits": splits})

@@ -198,3 +198,16 @@ def _check_star_count(record: scene_dataset.SceneRecord, names: Sequence[str]) -
             expected = f"{declared} and {record.distractor_count}"
             return f"found {with_count(stars, 'stars')} and {others} other objects; expected {expected}"
     return None
+
+
+def validate_paths(
+    paths: Sequence[str],
+    split: str | None = None,
+    limit: int | None = None,
+    workers: int = 1,
+    *,
+    opened: Callable[[str], places.Place] = places.open_place,
+    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
+) -> list[CheckedScenes]:
+    """Check data sets of scenes as :func:`validate_folder` does; ``opened`` opens a name."""
+    return [validate_folder(opened(path), split, limit, workers, on_progress=on_progress) for path in paths]

@@ -52,36 +52,51 @@ class SceneOptions:
     """Objects of a scene, and how close they are; :class:`SceneSpec` has lengths in metres."""
 
     stars: str = checked_fields.text(
-        "1-3", metavar="1-3|1,2,5", help="Numbers of stars in a scene; each number is a class."
+        "1-3",
+        metavar="1-3|1,2,5",
+        panel="Scenes",
+        help="Numbers of stars in a scene; each number is a class.",
     )
     distractors: str = checked_fields.text(
-        "0-5", metavar="0-5", help="Minimum and maximum number of distractors: objects that are not stars."
+        "0-5",
+        metavar="0-5",
+        panel="Scenes",
+        help="Minimum and maximum number of distractors: objects that are not stars.",
     )
     star_points: int | None = checked_fields.integer(
-        None, help="Number of tips of a star.", optional=True, shown="5"
+        None, panel="Scenes", help="Number of tips of a star.", optional=True, shown="5"
     )
     star_inner_mm: float | None = checked_fields.real(
         None,
         optional=True,
+        panel="Scenes",
         help="Inner radius of a star; by default half of --radius-mm as published, a quarter with 3 points.",
     )
     shapes: str = checked_fields.text(
         "box,disc",
         metavar="box,disc",
+        panel="Scenes",
         help="Shapes of distractors: box, disc, triangle, hexagon, ring, cross, crescent; with proportions "
         "of their own such as ring(hole_ratio=0.3).",
     )
-    radius_mm: float = checked_fields.real(10.0, help="Radius of the circle around every object.")
-    heights_mm: str = checked_fields.text(
-        "5", metavar="5|4,6", help="Heights of objects, drawn with equal probability."
+    radius_mm: float = checked_fields.real(
+        10.0, panel="Scenes", help="Radius of the circle around every object."
     )
-    cell_mm: str = checked_fields.text("120", metavar="120|120x120", help="Size of the cell along x and y.")
+    heights_mm: str = checked_fields.text(
+        "5", metavar="5|4,6", panel="Scenes", help="Heights of objects, drawn with equal probability."
+    )
+    cell_mm: str = checked_fields.text(
+        "120", metavar="120|120x120", panel="Scenes", help="Size of the cell along x and y."
+    )
     collision: str = checked_fields.choice(
         "circles",
         ("circles", "exact"),
+        panel="Scenes",
         help="What must not overlap: circles around objects (circles), or their outlines (exact).",
     )
-    clearance_mm: float = checked_fields.real(0.0, help="Minimum distance between these circles or outlines.")
+    clearance_mm: float = checked_fields.real(
+        0.0, panel="Scenes", help="Minimum distance between these circles or outlines."
+    )
 
     def spec(self) -> starstruck_gen.SceneSpec:
         """Return the specification of scenes; InputError for options that cannot be read or satisfied."""
@@ -123,10 +138,5 @@ class SceneOptions:
 class ScenePreviewSpec(catalog.PreviewSpec):
     """Options of previews of scenes."""
 
-    per_class: int = checked_fields.integer(8, 1, help="Number of objects of each class on a sheet.")
-    kinds: tuple[str, ...] = checked_fields.choice(
-        (),
-        ("sheet", "all"),
-        name="--kind",
-        help="What to draw; may be repeated. By default sheet.",
-    )
+    per_class: int = checked_fields.integer(8, 1)
+    kinds: tuple[str, ...] = checked_fields.choice((), ("sheet", "all"))

@@ -79,7 +79,7 @@ class RecordedSources(NamedTuple):
         recorded = touches_in(assets)
         if recorded is None:
             name = _FOLDERS[0]
-            command = f"realtouch download {name} --out {shlex.quote(str(Path(assets) / name))}"
+            command = f"tactile download {name} --out {shlex.quote(str(Path(assets) / name))}"
             raise InputError(
                 f"{fspath(assets)!r} holds no recorded touches; expected a folder {name!r} in it",
                 next=f"run `{command}`, or give `touches`",
@@ -130,7 +130,7 @@ class RecordedTouches:
         where = f"{fspath(place)!r}, split {split!r},"
         if not isinstance(rounds, realtouch.TouchSingleDataset):
             raise InputError(
-                f"{where} holds clips; expected one image a touch", next="run `realtouch clips-to-images`"
+                f"{where} holds clips; expected one image a touch", next="run `realtouch stills`"
             )
         count = _touch_count(rounds, where, config.step_limit)
         positions_m = np.empty((len(rounds), count, 2))

@@ -6,7 +6,6 @@ from tactile_toolkit.kind import DatasetKind, lazy
 
 KIND = DatasetKind(
     name="tactile_sim",
-    command="tactile-sim",
     package="realtouch",  # opens every data set in the schema of touches
     noun="round",
     nouns="rounds",
@@ -15,5 +14,9 @@ KIND = DatasetKind(
     card_template="tactile_sim.md",
     write_card=lazy("tactile_sim.sets.data_cards:write_card"),
     needs=("sensor_image", "sensor_video"),
-    missing_commands=("validate", "export"),
+    plan_previews=lazy("realtouch.touch_previews:plan_previews"),
+    preview_spec=lazy("realtouch.touch_options:TouchPreviewSpec"),
+    preview_options=("kinds", "split", "round_number", "touches"),
+    plan_gallery=lazy("realtouch.touch_gallery:plan_gallery"),
+    facts=lazy("tactile_sim.sets.data_cards:facts"),
 )

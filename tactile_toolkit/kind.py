@@ -7,14 +7,14 @@ The ``kind.py`` of the package of each kind defines a ``KIND``. The entry points
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from functools import cache, partial
 from importlib import import_module
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
-from tactile_toolkit.json_types import JsonObject
+from tactile_toolkit.json_types import JsonDict, JsonObject
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -25,24 +25,19 @@ SPLIT = "split"
 SELECT = "select"
 """Operations of a manifest that made a copy: for other libraries, of several data sets, of some rows."""
 
-SHARED_COMMANDS = (
-    *(
-        "info",
-        "verify",
-        "validate",
-        "show",
-        "preview",
-        "card",
-        "upload",
-        "download",
-        "list",
-        "merge",
-        "split",
-        "select",
-    ),
-    *("cache", "gallery", "export"),
-)
-"""Commands of all command lines, except those that a kind lacks."""
+_COMMANDS = {
+    EXPORT: "tactile export",
+    "frames": "tactile export",
+    MERGE: "tactile merge",
+    SPLIT: "tactile split",
+    SELECT: "tactile select",
+    "import": "realtouch import",
+    "resize": "realtouch resize",
+    "to-single": "realtouch stills",
+    "depth": "tactile-sim depth",
+    "pairs": "tactile-sim pairs",
+}
+"""Command of each operation that a manifest names."""
 
 _PAPER = "Schneider et al., Tactile MNIST: Benchmarking Active Tactile Perception, 2025"
 _HAND = "Beaulac & Rosenthal, doi 10.1007/s42979-022-01494-2, 2022"
@@ -125,8 +120,47 @@ def tactile_mnist_set(
     return PublishedSet(name, repo_id, content, citation, licence, aliases)
 
 
+SHEET_OPTIONS = ("kinds", "split", "ids", "labels", "per_class", "limit")
+"""Options of previews of meshes."""
+
 _SOLIDS = lazy("tactile_toolkit.mesh:SolidDataset")
+_SHEET_SPEC = lazy("tactile_toolkit.catalog:PreviewSpec")
 _SHEETS = lazy("tactile_toolkit.pictures:plan_sheets")
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """What a kind tells about a data set beyond its splits: a table, sentences, and values for JSON."""
+
+    header: tuple[str, ...] = ()
+    rows: tuple[tuple[object, ...], ...] = ()
+    lines: tuple[str, ...] = ()
+    document: JsonObject = field(default_factory=dict)
+
+
+class Checked(Protocol):
+    """Findings in a data set or a file."""
+
+    @property
+    def checked(self) -> int:
+        """Number of checked objects."""
+
+    @property
+    def failed(self) -> int:
+        """Number of objects that are not valid."""
+
+    @property
+    def unreadable(self) -> Sequence[str]:
+        """Reasons why files or rows could not be read."""
+
+    def to_dict(self) -> JsonDict:
+        """Return JSON values."""
+
+    def table(self) -> tuple[Sequence[str], Sequence[Sequence[object]], str]:
+        """Return header, rows and title of a table."""
+
+    def advice(self) -> Sequence[str]:
+        """Return advice on warnings, one line for each."""
 
 
 def _not_offered(*_: object, **__: object) -> Any:
@@ -141,8 +175,6 @@ class DatasetKind:
     ----------
     name : str
         Name in ``manifest.json``.
-    command : str
-        Command line program.
     package : str
         Package whose ``load`` opens such data sets.
     noun, nouns : str
@@ -171,15 +203,20 @@ class DatasetKind:
         Columns; every such data set has at least one of them.
     splits : tuple of str
         Splits that such data sets have, in order.
-    missing_commands : tuple of str
-        Shared commands that its command line does not have.
     published : tuple of PublishedSet
         The published data sets of this kind.
     extra_files : tuple of str
         Patterns of further files of such data sets, such as ``images/*.png``. All other files in these
         folders are a user's to ``--overwrite``.
     plan_previews, plan_gallery : callable
-        Plan pictures, or a page, of a data set, if the command line offers that; sheets of solids by default.
+        Plan pictures, or a page, of a data set; sheets of solids by default.
+    preview_options : tuple of str
+        Fields of ``preview_spec``, the class of the options of ``plan_previews``.
+    facts : callable or None
+        Takes a ``DataFolder`` and the ``Manifest`` of a finished data set, returns its :class:`Facts`.
+    check_content : callable or None
+        Checks each row: takes names, a split or None, a limit or None and a number of workers, and returns a
+        :class:`Checked` of each; None if rows hold nothing to check beyond their files.
     dataset : callable
         Class that opens the shards of a split: takes a ``ShardedTable`` and ``label_names``.
     recipe : callable or None
@@ -188,7 +225,6 @@ class DatasetKind:
     """
 
     name: str
-    command: str
     package: str
     noun: str
     nouns: str
@@ -203,11 +239,14 @@ class DatasetKind:
     columns: tuple[str, ...] = ()
     needs: tuple[str, ...] = ("mesh.faces",)
     splits: tuple[str, ...] = ()
-    missing_commands: tuple[str, ...] = ()
     published: tuple[PublishedSet, ...] = ()
     extra_files: tuple[str, ...] = ()
     plan_previews: AnyCall = _not_offered
+    preview_spec: AnyCall = _SHEET_SPEC
+    preview_options: tuple[str, ...] = SHEET_OPTIONS
     plan_gallery: AnyCall = _not_offered
+    facts: AnyCall | None = None
+    check_content: AnyCall | None = None
     dataset: AnyCall = _SOLIDS
     recipe: AnyCall | None = None
 
@@ -221,18 +260,15 @@ class DatasetKind:
         """Open a split as the kind's package does."""
         return import_module(self.package).load(name, split)
 
+    @property
+    def has_touches(self) -> bool:
+        """Whether rows are rounds of touches; other rows are meshes."""
+        return "sensor_image" in self.needs
+
     def command_of(self, manifest: Specified | None) -> str:
         """Return the command that made a data set: that of the kind, or of a copy or conversion."""
         operation = manifest.spec.get("operation") if manifest is not None else None
-        if not operation:
-            return self.made_by
-        return f"{self.command} {operation}"
-
-    def command_like(self, command: str) -> str:
-        """Return a command of this kind by its name, or ``show`` if it has none of that name."""
-        if command in SHARED_COMMANDS and command not in self.missing_commands:
-            return command
-        return "show"
+        return _COMMANDS.get(operation or "", self.made_by)
 
     def schema_of(self, manifest: Specified | None) -> pa.Schema | None:
         """Return the Arrow schema of every shard of a data set; None if it follows from a source."""

@@ -20,7 +20,15 @@ from tests.unchanged.record import PACKAGES
 __all__ = ["fault"]
 
 _ROOTS = (*(package for package in PACKAGES if "." not in package), "tactile_toolkit")
-_COMMAND_LINES = ("mnist3d", "starstruck", "realtouch", "tactile_sim", "env_assets")
+_COMMAND_LINES = (
+    "mnist3d",
+    "starstruck",
+    "realtouch",
+    "tactile_sim",
+    "env_assets",
+    "tactile_envs",
+    "tactile",
+)
 _EXAMPLES = {"digits": mnist3d.DigitDataset, "digit": mnist3d.DigitRecord}
 """What pages call so."""
 

@@ -37,7 +37,18 @@ _EXTRA = re.compile(r"# with the extra `(\w+)`\n")
 _STREAMS = ("stdout", "stderr")
 _READY = multiprocessing.get_context("forkserver")
 _IMPORTED_BEFORE = [
-    *(f"cli.{name}" for name in ("mnist3d", "starstruck", "realtouch", "tactile_sim", "env_assets")),
+    *(
+        f"cli.{name}"
+        for name in (
+            "mnist3d",
+            "starstruck",
+            "realtouch",
+            "tactile_sim",
+            "env_assets",
+            "tactile_envs",
+            "tactile",
+        )
+    ),
     *(
         "mnist3d.digit_generation",
         "starstruck_gen.scene_dataset",

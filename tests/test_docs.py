@@ -50,10 +50,10 @@ def test_commands_options_and_calls_in_the_text_are_there(page):
         "digits.filter_label(4)",
         "realtouch.tensors",
         "mnist3d genrate",
-        "starstruck preview --king steps",
+        "tactile preview --king steps",
         "preview --king steps",
         "--king steps",
-        "realtouch clips-to-images | resise",
+        "realtouch stills | resise",
     ],
 )
 def test_a_false_one_is_found(code):

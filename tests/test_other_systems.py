@@ -103,9 +103,9 @@ def main():
     assert provider.meshes("wrench", "train")[0].mesh.is_watertight
     with system.locked(Path("a.lock")), system.locked(Path("scenes")):
         pass
-    sys.argv = ["starstruck", "gallery", "scenes", "--limit", "1", "--out", "page", "-q"]
-    import cli.starstruck
-    cli.starstruck.main()
+    sys.argv = ["tactile", "gallery", "scenes", "--limit", "1", "--out", "page", "-q"]
+    import cli.tactile
+    cli.tactile.main()
 
 if __name__ == "__main__":
     main()

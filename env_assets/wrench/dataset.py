@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ import pyarrow as pa
 from manifold3d import CrossSection, JoinType, triangulate
 
 from env_assets.wrench.kind import CHAMFER_MM, JAW_ANGLE_DEG, KIND, WrenchSpec
-from tactile_toolkit import cards, generation, mesh, pictures, places, rows, store
+from tactile_toolkit import cards, gallery, generation, mesh, pictures, places, rows, store
 from tactile_toolkit.arithmetic import cosine_sine
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.json_types import JsonDict
@@ -313,3 +314,7 @@ def _sides(lines: Sequence[Float64], levels: int) -> list[Int64]:
             triangles.append(np.stack([here + low, after + high, here + high], axis=1))
         start += len(line)
     return triangles
+
+
+_SHOWN = [mesh.PrintReport.columns()[name] for name in ("volume_mm3", "vertices", "faces")]
+plan_gallery = partial(gallery.Gallery.of_solids, KIND, title="Wrenches", columns=_SHOWN)

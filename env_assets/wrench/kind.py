@@ -10,7 +10,6 @@ from tactile_toolkit.kind import DatasetKind, lazy
 
 KIND = DatasetKind(
     name="wrench",
-    command="env-assets",
     package="env_assets.wrench.dataset",
     noun="wrench",
     nouns="wrenches",
@@ -20,9 +19,7 @@ KIND = DatasetKind(
     schema=lazy("env_assets.wrench.dataset:wrench_schema"),
     class_names=("wrench",),
     columns=("opening_mm",),
-    missing_commands=(
-        *("info", "validate", "preview", "card", "upload", "download", "gallery", "list", "select"),
-    ),
+    plan_gallery=lazy("env_assets.wrench.dataset:plan_gallery"),
     dataset=lazy("env_assets:WrenchDataset"),
     recipe=lazy("env_assets.wrench.dataset:wrench_recipe"),
 )

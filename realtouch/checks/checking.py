@@ -85,7 +85,7 @@ def check(
         A file is damaged; :func:`realtouch.verify` lists what else is.
     """
     chosen = limits or touch_options.CheckLimits()
-    data_set = places.open_place(name).require(kind.KIND, "check").require_complete(split)
+    data_set = places.open_place(name).require(kind.KIND, "realtouch check").require_complete(split)
     files = {
         part: opening.agreeing_files(data_set.shards(part, kind=kind.KIND), data_set.name)
         for part in convert.parts_of(data_set, split)

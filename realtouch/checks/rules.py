@@ -90,7 +90,7 @@ RULES: dict[str, FaultRule] = {
         "Touches that cannot be read",
         "damaged values or pictures",
         "touches that can be read",
-        "run `realtouch verify`, which says what is wrong with each of them",
+        "run `tactile verify`, which says what is wrong with each of them",
     ),
     "empty-pictures": FaultRule(
         "Empty arrays, and pictures without content",

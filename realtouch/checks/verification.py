@@ -154,7 +154,7 @@ def verify(
     InputError
         Nothing of that name, or no data set of touches.
     """
-    data_set = replace(places.open_place(name), allow_incomplete=True).require(kind.KIND, "verify")
+    data_set = replace(places.open_place(name), allow_incomplete=True).require(kind.KIND, "realtouch.verify")
     findings: list[damage.Damage] = []
     has_checksums = _compare_files(data_set, findings, workers)
     if (

@@ -330,7 +330,7 @@ def add_depth(
         if opened.kind != "single":
             raise errors.InputError(
                 f"{opened.name!r} holds clips; expected a data set of single images",
-                next="run `realtouch clips-to-images` first, which chooses a frame of each clip",
+                next="run `realtouch stills` first, which chooses a frame of each clip",
             )
         options = {"sensor": reader.to_dict(), "fast": fast, "limit": limit}
         return conversion.Conversion(

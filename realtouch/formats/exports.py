@@ -170,7 +170,7 @@ class TouchFormat:
             raise errors.IntegrityError(
                 f"{shard}: every round was left out, the first because {skipped[0].message}; files are "
                 "numbered without gaps, so nothing of this file was written",
-                next="leave it out (`realtouch select`)",
+                next="leave it out (`tactile select`)",
             )
         return convert.with_files(index, {})
 
@@ -402,7 +402,7 @@ class EpisodeNumbers:
             raise errors.IntegrityError(
                 f"{skipped[0].message}; episodes are numbered without gaps, so no episode can be left out; "
                 "nothing of this file was written",
-                next="leave the round out first (`realtouch select`)",
+                next="leave the round out first (`tactile select`)",
             )
         start, end = self.starts[shard.index : shard.index + 2]
         if np.subtract(end, start).tolist() != counts:
@@ -410,7 +410,7 @@ class EpisodeNumbers:
             raise errors.IntegrityError(
                 f"{shard}: {episodes:,} episodes of {frames:,} frames in all, other than "
                 "'video_length_frames' stated when the export was planned; nothing of this file was written",
-                next="run `realtouch verify` on the source",
+                next="run `tactile verify` on the source",
             )
         return start
 

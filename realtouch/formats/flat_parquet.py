@@ -85,7 +85,7 @@ def _picture_column(parquet: ForeignParquet, name: str) -> str:
             raise errors.InputError(
                 f"{parquet.place!r} has the column {stored!r} of a data set of touches, "
                 "which needs no import",
-                next="open the data set by its folder, as with `realtouch info`",
+                next="open the data set by its folder, as with `tactile info`",
             )
     known = [column for column, data_type in parquet.types.items() if is_picture(data_type)]
     return importing.chosen_pictures(known, name, parquet.place, "columns of pictures", parquet.types)

@@ -253,7 +253,7 @@ def _pack_anytouch(shard: store.ShardName, index: pa.Table, images: Iterator[Nam
     if (index["label"].to_numpy() < 0).any():
         raise errors.InputError(
             "touches without a class; in this format the label -1 leaves an image out",
-            next="choose those of known classes with `realtouch select --labels`, or another format",
+            next="choose those of known classes with `tactile select --labels`, or another format",
         )
     files: dict[str, bytes] = {}
     paths: list[str] = []

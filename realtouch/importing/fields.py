@@ -264,7 +264,7 @@ def _require_metres(places: Float64, reason: str) -> None:
             reason,
             f"the position {shown(tuple(places[is_far.argmax()].tolist()))}, in metres, lies farther outside "
             "of the cell than it is wide; expected metres in the cell frame (--length-unit states another "
-            "unit, --frame another frame)",
+            "unit, --transform another frame)",
         )
 
 

@@ -401,7 +401,7 @@ def _of_export(home: store.DataFolder) -> Recognised | None:
     """Return the format of an export of this toolkit, as its manifest states it; None for other folders."""
     if store.manifest_so_far(home) is None:
         return None
-    data_set = places.open_place(home.address()).require(KIND, "import")
+    data_set = places.open_place(home.address()).require(KIND, "realtouch import")
     if data_set.spec.get("operation") not in ("export", "frames"):
         raise errors.InputError(
             f"{home.address()!r} is a data set already; it needs no import",

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from tactile_toolkit import errors, read
 
-_NEXT = "run `realtouch verify` to list everything that is wrong, then download or convert again"
+_NEXT = "run `tactile verify` to list everything that is wrong, then download or convert again"
 _FIELD = re.compile(r"field '([^']+)': (.*)")
 
 MAX_NAMED = 20

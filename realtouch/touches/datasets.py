@@ -118,7 +118,7 @@ class TouchDataset(read.RecordDataset[R]):
             raise errors.IntegrityError(
                 f"{wording.with_count(len(values), 'poses')} of touches for {self.touch_starts[-1]:,} "
                 "touches; expected one each",
-                next="run `realtouch verify`, which names the rounds",
+                next="run `tactile verify`, which names the rounds",
             )
         return values
 
@@ -375,7 +375,7 @@ class Touches(read.RecordDataset[rounds.Touch], Generic[R]):
         """Return the height above the plate at which the gel stopped in each touch, shape (len,), metres.
 
         Reads the poses only; see :func:`realtouch.contact.contact_heights_m`. All touches of a round take
-        part in finding its plate, whatever was selected here. Where `realtouch select` took touches out of
+        part in finding its plate, whatever was selected here. Where `tactile select` took touches out of
         the files, the stored height of the plate is taken. The plate of touches made by `tactile-sim
         generate` is known and always taken.
 

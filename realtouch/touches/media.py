@@ -593,7 +593,7 @@ def decoded(image: bytes | memoryview, name: str, out: UInt8 | None = None) -> U
     except ValueError as error:
         raise errors.IntegrityError(
             f"{name!r}: {error}",
-            next="run `realtouch verify` on the source, and leave the round out first (`realtouch select`)",
+            next="run `tactile verify` on the source, and leave the round out first (`tactile select`)",
         ) from error
 
 

@@ -167,7 +167,7 @@ class TouchSingleRound(TouchRound):
 
     @property
     def depth_m(self) -> media.DepthMaps:
-        """Maps of how far the gel is pressed in, T of them, metres, in sets that `realtouch depth` wrote."""
+        """Maps of how far the gel is pressed in, T of them, metres, of sets from `tactile-sim depth`."""
         return self._once(media.DEPTH, lambda: media.DepthMaps(self.row, media.DEPTH))
 
     @property
@@ -393,7 +393,7 @@ class Touch(pictures.Drawn):
         Raises
         ------
         InputError
-            `realtouch depth` did not write the data set.
+            `tactile-sim depth` did not write the data set.
         """
         return self._map(media.DEPTH)
 

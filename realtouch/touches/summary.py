@@ -11,7 +11,7 @@ from operator import itemgetter
 import numpy as np
 
 from realtouch.touches import datasets, image_contacts, schema
-from tactile_toolkit import errors, read
+from tactile_toolkit import errors, read, wording
 from tactile_toolkit.touch import CELL_M
 
 # Tactile MNIST paper, section on the real data set: 600 printed digits, 256 touches each, two gels.
@@ -70,6 +70,29 @@ class Summary:
     def to_dict(self) -> dict[str, object]:
         """Return JSON values."""
         return asdict(self)
+
+    def table(self) -> list[tuple[str, str]]:
+        """Return names and values for people."""
+        width, height = self.image_size
+        contact = f"not counted ({self.contact_rule})"
+        if self.contact_share is not None:
+            contact = f"{self.contact_share:.1%} ({self.contact_rule})"
+        gels = ", ".join(f"{gel}: {wording.with_count(n, 'rounds')}" for gel, n in self.gel_ids.items())
+        per_round = "-".join(map(str, dict.fromkeys(self.touches_per_round)))
+        rows = [
+            ("rounds", f"{self.rounds:,}"),
+            ("touches", f"{self.touches:,} ({per_round} per round)"),
+            ("objects", f"{self.objects:,}" if self.objects else "unknown"),
+            ("with contact", contact),
+            ("labels", ", ".join(f"{name}: {count}" for name, count in self.labels.items()) or "none"),
+            ("picture", f"{width} x {height} pixels"),
+            ("gels", gels or "unknown"),
+            *((f"extra {name}", type_text) for name, type_text in self.extra.items()),
+        ]
+        if self.clip_frames is not None:
+            least, median, most = self.clip_frames
+            rows.append(("clips", f"{least} to {most} frames, median {median}, {self.fps:g} per second"))
+        return rows
 
 
 def summarise(dataset: datasets.AnyDataset) -> Summary:

@@ -30,6 +30,8 @@ MAX_TWIST_RAD = math.radians(10.0)
 """Greatest slide, metres, and turn in either direction, radians: beyond them all contacts slip."""
 _MAX_PRESS_M = 0.05
 _MAX_MARKERS = 100  # along a side
+# Panel of the help.
+_PANEL = "Elastic gel"
 _GELS = "none|elastic|FILE"
 
 # Factor and unit with which messages show values in newtons, radians and metres.
@@ -117,6 +119,7 @@ class ElasticPress:
     gel: Gel | None = text(
         None,
         metavar=_GELS,
+        panel=_PANEL,
         read=gel_named,
         shown="none",
         help="none: presses of one depth, as published; elastic: a gel that deforms, with forces; or its "
@@ -126,6 +129,7 @@ class ElasticPress:
         name="--force-n",
         metavar="A[:B]",
         needs="gel",
+        panel=_PANEL,
         read=_span_of("force_n", 1.0),
         shown=f"{FORCE_N:g}",
         help="Normal force of a press of an elastic gel, newtons; of A:B each touch draws one.",
@@ -134,6 +138,7 @@ class ElasticPress:
         name="--press-mm",
         metavar="A[:B]",
         needs="gel",
+        panel=_PANEL,
         read=_span_of("press_m", 1e-3),
         help="Depth of a press of an elastic gel, instead of a force.",
     )
@@ -141,6 +146,7 @@ class ElasticPress:
         name="--slide-mm",
         metavar="A[:B]",
         needs="gel",
+        panel=_PANEL,
         read=_span_of("slide_m", 1e-3),
         shown="0",
         help="How far the object slides after the press, in a random direction.",
@@ -149,6 +155,7 @@ class ElasticPress:
         name="--twist-deg",
         metavar="A[:B]",
         needs="gel",
+        panel=_PANEL,
         read=_span_of("twist_rad", math.pi / 180),
         shown="0",
         help="How far the object turns after the press, about the axis of the sensor.",
@@ -157,11 +164,16 @@ class ElasticPress:
         None,
         metavar="COLUMNSxROWS",
         needs="gel",
+        panel=_PANEL,
         read=_markers_of,
         help="Markers on the gel, whose motion is stored.",
     )
-    draw_markers: bool = switch(False, needs="markers", help="Draw the markers into the images.")
-    contact_maps: bool = switch(False, needs="gel", help="Store pressure and displacement of each pixel.")
+    draw_markers: bool = switch(
+        False, needs="markers", panel=_PANEL, help="Draw the markers into the images."
+    )
+    contact_maps: bool = switch(
+        False, needs="gel", panel=_PANEL, help="Store pressure and displacement of each pixel."
+    )
 
     def __post_init__(self) -> None:
         check_fields(self, "the press")

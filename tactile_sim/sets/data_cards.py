@@ -17,6 +17,7 @@ from tactile_sim.sets.touch_spec import WINDOWS
 from tactile_toolkit import cards, store, touch, wording
 from tactile_toolkit.array_types import AnyArray, UInt8
 from tactile_toolkit.json_types import JsonObject
+from tactile_toolkit.kind import Facts
 from tactile_toolkit.pictures import Tile, png_bytes, sheet
 
 _RIGID_LIMIT = (
@@ -285,3 +286,18 @@ def _shown(picture: AnyArray) -> UInt8:
     times = -(-_TILE_PX // picture.shape[1])
     step = max(1, picture.shape[1] // _TILE_PX)
     return picture[::step, ::step].repeat(times, axis=0).repeat(times, axis=1)
+
+
+def facts(_folder: store.DataFolder, manifest: store.Manifest) -> Facts:
+    """Return the touches of each split, and how many met an object; reads no row."""
+    rows = []
+    for split, held in manifest.split_table().items():
+        # Shard records hold these counts.
+        parts = [record.statistics or {} for record in manifest.shards_of(split)]
+        touches = sum(part.get("touches", 0) for part in parts)
+        contact = sum(part.get("on_object", 0) for part in parts)
+        share = f"{100 * contact / touches:.1f} %" if touches else "-"
+        size_text = wording.bytes_text(held["bytes"])
+        rows.append((split, held["rows"], touches, share, held["skipped"], size_text))
+    header = ("split", "rounds", "touches", "on the object", "objects left out", "Parquet")
+    return Facts(header, tuple(rows))

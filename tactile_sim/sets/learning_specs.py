@@ -74,9 +74,7 @@ class PairsSpec:
         help="full: depth of the full view of the sensor, as real touches show it; center: as environments "
         "do.",
     )
-    image_format: Literal["png", "jpeg"] = choice(
-        "png", ("png", "jpeg"), name="--format", help="Format of the real touches."
-    )
+    image_format: Literal["png", "jpeg"] = choice("png", ("png", "jpeg"), help="Format of the real touches.")
     turn_rad: float = real(math.pi / 8, 0, math.pi)
     seed: int = integer(0, help="Random seed.")
 

@@ -104,7 +104,7 @@ class Domain:
                 raise ValueError(problem)
         except ValueError as error:
             raise IntegrityError(
-                f"{group.path!r}, row {row}: {error}", next="run `tactile-sim verify` on the folder"
+                f"{group.path!r}, row {row}: {error}", next="run `tactile verify` on the folder"
             ) from error
         return image
 
@@ -143,7 +143,7 @@ class Pairs:
     @classmethod
     def open(cls, folder: places.Name | places.Place) -> Pairs:
         """Open a folder; InputError for something else or an unfinished one, IntegrityError if damaged."""
-        place = places.open_place(folder).require(KIND, "train")
+        place = places.open_place(folder).require(KIND, "tactile-sim train")
         manifest = place.require_manifest(KIND)
         if manifest.spec.get("operation") != "pairs":
             raise InputError(

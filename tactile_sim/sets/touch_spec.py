@@ -98,11 +98,16 @@ class TouchPlan:
         Seed of all random numbers.
     """
 
-    rounds: int = integer(16, 1, _MAX_ROUNDS, help="Number of rounds of each object.")
-    touches: int = integer(32, 1, _MAX_TOUCHES, help="Number of touches in a round.")
+    rounds: int = integer(
+        16, 1, _MAX_ROUNDS, panel="Plan of the touches", help="Number of rounds of each object."
+    )
+    touches: int = integer(
+        32, 1, _MAX_TOUCHES, panel="Plan of the touches", help="Number of touches in a round."
+    )
     positions: str = choice(
         "cell",
         POSITIONS,
+        panel="Plan of the touches",
         help="Positions of the gel: at random in the cell, on a grid, at random on the object, or given "
         "by --touches-from.",
     )
@@ -110,6 +115,7 @@ class TouchPlan:
         name="--touches-from",
         metavar="FILE",
         read=lazy("tactile_sim.sets.touch_table:TouchTable.read"),
+        panel="Plan of the touches",
         help="Table of touches, CSV or Parquet: x_m, y_m; object_id, round; object_x_m, object_y_m, "
         "object_turn_rad.",
     )
@@ -121,11 +127,16 @@ class TouchPlan:
         metavar="digits|any|none",
         shown="digits",
         read=_turn_rad,
+        panel="Plan of the touches",
         help="Random rotation of the object: up to 22.5 degrees, any angle, or none.",
     )
     object_placement: str = choice("random", ("random", "middle"))
-    perturb: bool = switch(True, help="Move the object a little after each touch, as the environments do.")
-    seed: int = integer(0, help="Random seed.")
+    perturb: bool = switch(
+        True,
+        panel="Plan of the touches",
+        help="Move the object a little after each touch, as the environments do.",
+    )
+    seed: int = integer(0, panel="Plan of the touches", help="Random seed.")
 
     def __post_init__(self) -> None:
         given = self.given
@@ -200,23 +211,31 @@ class GenerateSpec:
 
     size_px: tuple[int, int] = size_option((64, 64), shown="64x64")
     optics: str = choice(
-        "taxim", OPTICS, shown="taxim; depth without the extra sim", help="How an image is made from depth."
+        "taxim",
+        OPTICS,
+        shown="taxim; depth without the extra sim",
+        panel="Images",
+        help="How an image is made from depth.",
     )
     window: str = choice(
         "center",
         tuple(WINDOWS),
+        panel="Images",
         help="center: what the environments show in this size; full: the full view of the sensor, as in "
         "published sets.",
     )
     plan: TouchPlan = field(default_factory=TouchPlan)
     image_format: Literal["jpeg", "png"] = choice(
-        "jpeg", ("jpeg", "png"), name="--format", help="Format of the images."
+        "jpeg", ("jpeg", "png"), panel="Images", help="Format of the images."
     )
-    quality: int = integer(95, 1, 100, needs="image_format=jpeg", help="Quality of JPEGs, 1 to 100.")
+    quality: int = integer(
+        95, 1, 100, needs="image_format=jpeg", panel="Images", help="Quality of JPEGs, 1 to 100."
+    )
     weights: str | None = text(
         metavar="FILE",
         read=str,
         needs="optics=cyclegan",
+        panel="Images",
         help="Weights for cyclegan; those of tactile-mnist by default.",
     )
     limit: int | None = integer(None, 1, optional=True)
@@ -226,6 +245,7 @@ class GenerateSpec:
         metavar="MM",
         shown="0, smooth",
         read=_layer_m,
+        panel="Images",
         help="Render a printed surface with layers of this height.",
     )
     noise: SensorNoise | None = text(
@@ -233,6 +253,7 @@ class GenerateSpec:
         metavar=SENSOR_NOISE,
         shown="none",
         read=_named_noise,
+        panel="Images",
         help="Noise on the images: none, as calibrated in tactile-mnist, Gaussian of this standard deviation "
         "(fraction of the range of an image), or as in a JSON file.",
     )
@@ -241,6 +262,7 @@ class GenerateSpec:
         metavar=f"{'|'.join(SENSORS)}|FILE|DIR",
         shown=GELSIGHT_MINI.name,
         read=SensorModel.named,
+        panel="Images",
         help="Name of a sensor, a JSON file, or a folder that `tactile-sim calibrate` wrote. Sensors other "
         "than the Mini need --optics depth unless they were calibrated.",
     )

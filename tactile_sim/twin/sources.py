@@ -195,7 +195,7 @@ def spaced(count: int, most: int) -> list[int]:
 
 def _of_data_set(place: places.Place) -> list[_Touched]:
     """Read the touches of all splits of a data set, with their poses or columns named as those of a table."""
-    place.require(KIND, "calibrate")
+    place.require(KIND, "tactile-sim calibrate")
     parts = [KIND.load(place, split).touches() for split in place.splits]
     flat = [(each, number) for each in parts for number in range(len(each))]
     return [_of_touch(flat[place][0][flat[place][1]]) for place in spaced(len(flat), MAX_TOUCHES)]

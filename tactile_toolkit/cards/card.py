@@ -122,11 +122,11 @@ class Card:
         ``title`` are those of its source. ``terms`` are ``licence_text`` and ``citation_text`` of the
         template.
         """
-        command = manifest.spec["operation"]
+        command = kind.command_of(manifest)
         picture = "objects.png"
         template = "mesh_copy.md"
         if is_export(manifest):
-            command = "export --format flat"
+            command = f"{command} --format flat"
             picture = "tables.png"
             template = "mesh_tables.md"
             title = f"{title} as tables"
@@ -142,7 +142,7 @@ class Card:
             licence=licence,
             tags=["tactile", "active-perception", "3d", "mesh"],
             made=[
-                ("command", f"`{kind.command} {command}`"),
+                ("command", f"`{command}`"),
                 ("source", f"{kind.nouns} {rows}; `manifest.json` names and fingerprints each file"),
             ],
             spec=manifest.spec["options"],

@@ -94,15 +94,23 @@ class OwnerWords:
     license: str | None = text(
         metavar="ID",
         read=_READERS["license"],
+        panel="Card",
         help="Licence of the data, such as cc-by-4.0 (identifier of the Hub).",
     )
     author: list[str] | None = text(
-        metavar="NAME", read=_READERS["author"], several=True, help="Author of the data; may be repeated."
+        metavar="NAME",
+        read=_READERS["author"],
+        several=True,
+        panel="Card",
+        help="Author of the data; may be repeated.",
     )
-    title: str | None = text(metavar="TEXT", read=_READERS["title"], help="Title of the data set.")
+    title: str | None = text(
+        metavar="TEXT", read=_READERS["title"], panel="Card", help="Title of the data set."
+    )
     citation: str | None = text(
         metavar="TEXT|FILE.bib",
         read=_READERS["citation"],
+        panel="Card",
         help="How to cite the data set: text, BibTeX or a file.",
     )
 

@@ -66,11 +66,19 @@ def id_text(given: GivenId) -> str:
 
 
 # Each is the default of all parameters and fields of its name: `dataclasses` notes the name in it.
-SPLIT = text(metavar="NAME", help="Only this split; all by default.")
-IDS = text(name="--ids", metavar="3,17,40-60", read=parse_ids, help="Only the objects with these ids.")
-LABELS = text(metavar="3,7", read=comma_separated, help="Only the objects of these classes.")
-LIMIT = integer(None, 1, optional=True, help="Only the first N rows of each split.")
-PER_CLASS = integer(None, 1, optional=True, help="Only the first N of each class, in each split.")
+ROWS = "Rows"
+"""Panel of the help for options that choose rows."""
+SPLIT = text(metavar="NAME", panel=ROWS, help="Only this split; all by default.")
+IDS = text(
+    name="--ids",
+    metavar="3,17,40-60",
+    panel=ROWS,
+    read=parse_ids,
+    help="Only the objects with these ids.",
+)
+LABELS = text(metavar="3,7", panel=ROWS, read=comma_separated, help="Only the objects of these classes.")
+LIMIT = integer(None, 1, optional=True, panel=ROWS, help="Only the first N rows of each split.")
+PER_CLASS = integer(None, 1, optional=True, panel=ROWS, help="Only the first N of each class, in each split.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +112,7 @@ class PreviewSpec(RowFilter):
     classes are taken. Finally, the first ``limit`` of each split are taken.
     """
 
-    per_class: int = integer(10, 1, help="Objects of each class on a sheet.")
+    per_class: int = integer(10, 1)
     kinds: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

@@ -134,7 +134,7 @@ def shards_to_check(
     Raises InputError if there is none, IntegrityError if a shard is damaged or missing, or if the data set is
     unfinished: a check of the rest must not look like one of all.
     """
-    place = places.open_place(name).require(kind, "validate").require_complete(split)
+    place = places.open_place(name).require(kind, f"{kind.package} validate").require_complete(split)
     shards = [(each, shard) for each in place.chosen_splits(split) for shard in place.shards(each, kind=kind)]
     for _, shard in shards:
         mesh.require_mesh_columns(shard.schema, place.name, kind.made_by)

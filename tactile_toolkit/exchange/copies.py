@@ -83,7 +83,7 @@ def divide(
     or, without fractions, into the rows that :func:`~tactile_toolkit.catalog.choose_rows` takes for
     ``chosen``, and all others.
     """
-    place = places.open_place(name).require(kind, SPLIT).require_complete()
+    place = places.open_place(name).require(kind, "tactile split").require_complete()
     datasets = {split: kind.load(place, split) for split in place.splits}
     if not fractions:
         among = dict(chosen)
@@ -224,7 +224,7 @@ class _Source:
 
 
 def _open_source(kind: DatasetKind, name: places.Name | places.Place, command: str) -> _Source:
-    place = places.open_place(name).require(kind, command).require_complete()
+    place = places.open_place(name).require(kind, f"tactile {command}").require_complete()
     manifest = place.manifest
     shards = {split: place.shards(split, kind=kind) for split in place.splits}
     if manifest is None:

@@ -88,13 +88,13 @@ class DownloadPlan:
         """
         published = places.kind_of_published(name)
         if kind is not None and published is not None:
-            places.require_kind(published, kind, name, "download")
+            places.require_kind(published, kind, name, "tactile download")
         repository = places.find_repository(name, revision, on_wait)
         if out is not None and repository.is_cache:  # which may list a part of the files only
             raise hub.not_cached(repository.repo_id, "the present list of files")
         place = places.repository_place(repository, repository.repo_id, config=config).require_config(config)
         if kind is not None and place.is_kind_stated:
-            place.require(kind, "download")
+            place.require(kind, "tactile download")
         return _plan(repository, place, splits, None if out is None else store.open_folder(out))
 
     @property

@@ -55,7 +55,9 @@ class UploadOptions:
     """
 
     private: bool = switch(False, help="Create a private repository.")
-    revision: str | None = text(metavar="BRANCH", help="Branch to write to; created if it does not exist.")
+    revision: str | None = text(
+        name="--branch", metavar="NAME", help="Branch to write to; created if it does not exist."
+    )
     create_pr: bool = switch(False, help="Open a pull request instead of writing to main.")
     message: str | None = text(metavar="TEXT", help="First line of the commit.")
     tag: str | None = text(metavar="NAME", help="Tag of this version, such as v1.")

@@ -135,7 +135,7 @@ class Gallery:
         Raises InputError for an unknown data set or split, or another kind; IntegrityError for a damaged or
         unfinished one; HubError where the repository cannot be reached or does not exist.
         """
-        picked = pictures.ChosenRows.of(kind, name, chosen, "gallery")
+        picked = pictures.ChosenRows.of(kind, name, chosen, "tactile gallery")
         tasks: list[RowsTask] = []
         for split, rows in picked.splits.items():
             known_values = tuple(known(rows, split))

@@ -38,13 +38,12 @@ _WORDS = pa.list_(pa.string())
 WARNINGS_PAGE = "docs/warnings.md"
 """Page with a section on each warning."""
 
+_PLATE = "--half-on-base-mm 2 of `tactile export`, --base-mm 2 of `mnist3d solidify`"
 _CURES = {
     "thin-wall": "make it larger, draw with a thicker pen, or give it upright sides (--edge-profile flat)",
-    "separate-bodies": "join the parts by a plate (--base-mm 2 of `mnist3d export` and `solidify`) or by "
-    "bridges, or print them one by one",
-    "overhang": "print with support, or put it on a plate (--base-mm 2 of `mnist3d export` and `solidify`)",
-    "small-contact": "put it on a plate (--base-mm 2 of `mnist3d export` and `solidify`), or print it with a "
-    "brim of 5 mm",
+    "separate-bodies": f"join the parts by a plate ({_PLATE}) or by bridges, or print them one by one",
+    "overhang": f"print with support, or put it on a plate ({_PLATE})",
+    "small-contact": f"put it on a plate ({_PLATE}), or print it with a brim of 5 mm",
     "larger-than-plate": "make it smaller, or cut it in the slicer",
     "too-tall": "make it smaller, or lay it down in the slicer",
 }

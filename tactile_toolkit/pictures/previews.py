@@ -165,5 +165,5 @@ def plan_sheets(
     kind: DatasetKind, name: places.Name | places.Place, spec: catalog.PreviewSpec
 ) -> PicturePlan:
     """Plan sheets of solids of a data set; nothing is drawn yet. Raises as :meth:`ChosenRows.of`."""
-    rows = ChosenRows.of(kind, name, spec, "preview")
+    rows = ChosenRows.of(kind, name, spec, "tactile preview")
     return PicturePlan.of_kinds(spec.kinds, {"sheet": partial(rows.plan_sheets, spec.per_class)})

@@ -125,23 +125,54 @@ class Place:
     def _stated_kind(self) -> DatasetKind | None:
         if self.manifest is not None:
             return next((each for each in kinds() if each.name == self.manifest.kind), None)
-        if self.repository is not None:
-            return kind_of_published(self.repository.repo_id)
+        repository: hub.HubRepository | store.DownloadRecord | None = self.repository
+        if self.folder is not None:
+            repository = store.read_download_record(self.folder)
+        if repository is not None:
+            return kind_of_published(repository.repo_id)
         return None
+
+    def choose_kind(self, name: str | None = None) -> DatasetKind:
+        """Return the kind, or the one of this name where the columns fit several kinds or an own one.
+
+        Raises InputError if the kind is not known and none is named, and if the named one does not fit.
+        """
+        found = self.kind
+        named = next((each for each in kinds() if each.name == name), None)
+        if named is None and name is not None:
+            expected = ", ".join(each.name for each in kinds())
+            raise errors.InputError(f"is {name!r}; expected one of {expected}", field="kind")
+        if named is not None:
+            self.require(named, "--kind")
+            return named
+        if found is not None:
+            return found
+        columns = read.column_names(self._first_shard().schema)
+        fitting = [each.name for each in kinds() if any(column in columns for column in each.needs)]
+        if self.manifest is not None or not fitting:
+            shown = ", ".join(columns[:_COLUMNS_SHOWN])
+            raise errors.InputError(
+                f"{self.name!r} holds rows of no kind of this toolkit (columns {shown})",
+                next=f"show a row with `tactile show {shlex.quote(self.name)}`",
+            )
+        raise errors.InputError(
+            f"{self.name!r} has the columns of several kinds, so that its kind is not known",
+            next=f"add --kind {' or --kind '.join(fitting)}",
+        )
 
     def _first_shard(self) -> read.Shard:
         found = next(iter(self._found.values()), None)
         return (found or self.shards(self.splits[0]))[0]
 
-    def require(self, kind: DatasetKind, command: str = "", shard: read.Shard | None = None) -> Place:
+    def require(self, kind: DatasetKind, asked: str = "", shard: read.Shard | None = None) -> Place:
         """Return the place if it holds data of a kind, or of one that is opened by the same package.
 
         Parameters
         ----------
         kind : DatasetKind
             Expected kind.
-        command : str
-            Command of the user, such as ``"export"``; without one, ``load`` of the package.
+        asked : str
+            Command of the user, such as ``"realtouch check"``; without one, ``load`` of the package.
         shard : Shard, optional
             File whose rows count if the kind is not stated; by default the first.
 
@@ -152,18 +183,18 @@ class Place:
         """
         if isinstance(self.source, tuple):
             for part in self.source:
-                part.require(kind, command)
+                part.require(kind, asked)
             return self
         found = self.kind if shard is None or self.is_kind_stated else _kind_of(shard)
         if found is not None:
-            require_kind(found, kind, self.name, command)
+            require_kind(found, kind, self.name, asked)
         elif self.manifest is not None and self.manifest.kind != kind.name:
             raise errors.InputError(
                 f"{self.name!r} holds a data set of kind {self.manifest.kind!r}; expected {kind.content}",
                 next="install the package that made it",
             )
         else:
-            self._require_columns(shard or self._first_shard(), kind, command)
+            self._require_columns(shard or self._first_shard(), kind, asked)
         return self
 
     def require_meshes(self, asked: str) -> Place:
@@ -176,7 +207,7 @@ class Place:
         self._refuse_files_for_others()
         return self
 
-    def _require_columns(self, shard: read.Shard, kind: DatasetKind, command: str) -> None:
+    def _require_columns(self, shard: read.Shard, kind: DatasetKind, asked: str) -> None:
         """Refuse rows without the columns that a kind needs; readers report damaged files."""
         with suppress(errors.IntegrityError):
             names = read.column_names(shard.schema)
@@ -186,9 +217,9 @@ class Place:
                     shown += " and others"
                 raise errors.InputError(
                     f"{self.name!r} holds rows of no kind of this toolkit (columns {shown}); "
-                    f"`{command_or_load(kind, command)}` is for {kind.content}, with a column "
+                    f"`{asked or kind.package + '.load'}` is for {kind.content}, with a column "
                     f"{' or '.join(map(repr, kind.needs))}",
-                    next=f"show a row with `{kind.command} show {shlex.quote(self.name)}`",
+                    next=f"show a row with `tactile show {shlex.quote(self.name)}`",
                 )
 
     def require_config(self, config: str | None) -> Place:
@@ -412,7 +443,7 @@ def _kind_of(shard: read.Shard) -> DatasetKind | None:
     return None
 
 
-def require_kind(found: DatasetKind, kind: DatasetKind, name: str, command: str = "") -> None:
+def require_kind(found: DatasetKind, kind: DatasetKind, name: str, asked: str = "") -> None:
     """Refuse a data set of another kind; the message names the command or function for it.
 
     Raises
@@ -422,21 +453,15 @@ def require_kind(found: DatasetKind, kind: DatasetKind, name: str, command: str 
     """
     if found.package == kind.package:
         return
-    raise wrong_kind(found, name, command_or_load(kind, command), kind.content)
+    raise wrong_kind(found, name, asked or f"{kind.package}.load", kind.content)
 
 
 def wrong_kind(found: DatasetKind, name: str, asked: str, content: str) -> errors.InputError:
     """Return the error for data of a kind; ``asked``, a command or function, is for other ``content``."""
     next_step = f"use {found.package}.load({name!r})"
-    command = asked.partition(" ")[2]
-    if command:
-        next_step = f"run `{found.command} {found.command_like(command)} {shlex.quote(name)}`"
+    if " " in asked:
+        next_step = f"show what it holds with `tactile info {shlex.quote(name)}`"
     return errors.InputError(f"{name!r} holds {found.content}; `{asked}` is for {content}", next=next_step)
-
-
-def command_or_load(kind: DatasetKind, command: str) -> str:
-    """Return a command of a kind as it was given, or without one ``load`` of its package."""
-    return f"{kind.command} {command}" if command else f"{kind.package}.load"
 
 
 def published_set(name: str) -> PublishedSet | None:
@@ -472,12 +497,11 @@ def named_on_hub(name: str, revision: str | None) -> hub.HubName:
     repo_id = known.repo_id if known is not None else name
     named = hub.hub_name(repo_id, revision)
     if named is None:
-        published = {entry.name: kind.command for kind in kinds() for entry in kind.published}
-        lists = ", ".join(f"`{command} list`" for command in dict.fromkeys(published.values()))
+        published = [entry.name for kind in kinds() for entry in kind.published]
         raise errors.InputError(
             f"{wording.shortened(name, _LONGEST_SHOWN)!r} does not exist; expected a folder, a Parquet file, "
             f"a repository of the Hub (USER/NAME) or a published set{wording.did_you_mean(name, published)}",
-            next=f"check the name (the published sets: {lists}), or make a data set",
+            next="check the name (`tactile list` lists the published sets), or make a data set",
         )
     return named
 
@@ -496,8 +520,8 @@ class PublishedState:
     local_splits: list[str]
 
 
-def published_states(kind: DatasetKind) -> Iterator[PublishedState]:
-    """Ask the Hub for all published sets of a kind at once."""
+def published_states() -> Iterator[PublishedState]:
+    """Ask the Hub for all published sets at once."""
 
     def state(known: PublishedSet) -> PublishedState:
         licence = known.licence
@@ -513,4 +537,4 @@ def published_states(kind: DatasetKind) -> Iterator[PublishedState]:
         splits = list(splits_by_name(cached.remote, known.repo_id))
         return PublishedState(known, licence, hub_bytes, cached.size_bytes, splits)
 
-    return run.in_threads(state, kind.published, _THREADS)
+    return run.in_threads(state, [each for kind in kinds() for each in kind.published], _THREADS)

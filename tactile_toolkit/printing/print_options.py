@@ -30,6 +30,9 @@ _PLATE_TEXT = re.compile(r"(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)")
 MODELS = {"mjcf": ".xml", "urdf": ".urdf", "usd": ".usda"}
 """Formats of bodies for simulators, and the endings of their files."""
 _BODIES = f"file_format={'|'.join(MODELS)}"
+# Panels of the help.
+_PLATES = "Build plates"
+_SIMULATORS = "Bodies for simulators"
 _MESHES = ("stl", "3mf", "ply", "obj", "glb")
 _MESH_FILES = f"file_format=|{'|'.join((*_MESHES, *MODELS))}"
 
@@ -40,19 +43,17 @@ class ExportOptions:
 
     file_format: str | None = choice(
         None,
-        (*_MESHES, *MODELS, "flat"),
+        (*_MESHES, *MODELS),
         optional=True,
-        name="--format",
-        shown="stl, plates 3mf",
-        help="Format of the files, in mm (glb, mjcf, urdf, usd: in m); plates are 3mf or mjcf. flat: "
-        "Parquet tables with a row for each object, its mesh as GLB.",
     )
-    scale: float = real(1.0, needs=_MESH_FILES, help="Factor for all lengths.")
+    scale: float = real(1.0, needs=_MESH_FILES, panel="Meshes", help="Factor for all lengths.")
     base_mm: float | None = real(
         None,
         above=0,
         optional=True,
+        name="--half-on-base-mm",
         needs=_MESH_FILES,
+        panel="Meshes",
         help="Put the upper half of each object on a base plate of this thickness, which prints without "
         "support.",
     )
@@ -60,11 +61,13 @@ class ExportOptions:
         metavar="256x256|prusa-mk4",
         complete=tuple(BEDS_MM),
         needs="file_format=|3mf|mjcf",
+        panel=_PLATES,
         help="Pack the objects on build plates of this size, in mm, or of this printer.",
     )
     calibration_plate: bool = switch(
         False,
         needs="file_format=|3mf|stl|ply|obj|glb",
+        panel=_PLATES,
         help="Write one plate with a ball, a cone, a ridge, steps and two objects, onto which a sensor is "
         "pressed for `tactile-sim calibrate`.",
     )
@@ -73,7 +76,7 @@ class ExportOptions:
         if self.calibration_plate and (self.plate is not None or self.scale != 1 or self.base_mm is not None):
             raise InputError(
                 "has a size of its own",
-                next="leave out --plate, --scale and --base-mm",
+                next="leave out --plate, --scale and --half-on-base-mm",
                 field="calibration_plate",
             )
 
@@ -84,9 +87,13 @@ class PlateSpec:
 
     width_mm: float = real(256.0, 1, 10_000)
     depth_mm: float = real(256.0, 1, 10_000)
-    gap_mm: float = real(3.0, 0, 1_000, needs="plate", help="Distance between objects on a plate.")
+    gap_mm: float = real(
+        3.0, 0, 1_000, needs="plate", panel=_PLATES, help="Distance between objects on a plate."
+    )
     # Room for the default skirt of PrusaSlicer: one loop, under 1 mm wide, 6 mm around objects.
-    margin_mm: float = real(7.0, 0, needs="plate", help="Margin at the edges of a plate, for a skirt.")
+    margin_mm: float = real(
+        7.0, 0, needs="plate", panel=_PLATES, help="Margin at the edges of a plate, for a skirt."
+    )
     # The front left corner, which some printers cannot use; the margin applies to it too.
     corner_mm: tuple[float, float] = real((0.0, 0.0), 0, many=2)
 
@@ -143,10 +150,20 @@ class Physics:
     """
 
     density_kg_m3: float = real(
-        1240.0, above=0, most=1e5, needs=_BODIES, help="Density of bodies for simulators; PLA by default."
+        1240.0,
+        above=0,
+        most=1e5,
+        needs=_BODIES,
+        panel=_SIMULATORS,
+        help="Density of bodies for simulators; PLA by default.",
     )
     friction: float = real(
-        0.5, above=0, most=100, needs=_BODIES, help="Sliding friction of bodies for simulators."
+        0.5,
+        above=0,
+        most=100,
+        needs=_BODIES,
+        panel=_SIMULATORS,
+        help="Sliding friction of bodies for simulators.",
     )
 
     def __post_init__(self) -> None:

@@ -85,7 +85,7 @@ class ShardTask:
         folder, and refuses a source that was replaced after the task was planned.
     digest : callable, optional
         Takes the items and returns the SHA-256 of everything that is read for them and that the specification
-        does not identify, such as files of which it holds only names and sizes; ``--check`` compares it.
+        does not identify, such as files of which it holds only names and sizes; ``--repair`` compares it.
     """
 
     shard: ShardName

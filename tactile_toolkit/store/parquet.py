@@ -298,7 +298,7 @@ def merge_reports(folder: DataFolder, path: str, manifest: Manifest) -> str | No
         return folder.write(path, write)
     except IntegrityError as error:
         raise IntegrityError(
-            f"{error.what}; nothing was changed", next="run the same command again with --check"
+            f"{error.what}; nothing was changed", next="run the same command again with --repair"
         ) from error
 
 

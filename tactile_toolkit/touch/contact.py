@@ -84,12 +84,12 @@ class HeightRule:
             return []
         if self.plate == "estimated":
             return [
-                f"Touches that do not count as contact: {missed:,} of {touches:,} (`realtouch select "
+                f"Touches that do not count as contact: {missed:,} of {touches:,} (`tactile select "
                 "--contact` leaves them out). In rounds that never met the bare plate, touches of objects "
                 "are among them."
             ]
         return [
-            f"{missed:,} of {touches:,} touches met no object; `realtouch select --contact` leaves them out."
+            f"{missed:,} of {touches:,} touches met no object; `tactile select --contact` leaves them out."
         ]
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import shlex
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -17,27 +16,24 @@ import pytest
 import mnist3d
 import realtouch
 import starstruck_gen
-from cli.shared import _COMMANDS
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.kind import SHARED_COMMANDS, DatasetKind, kinds
 from tests.command_line import call
 from tests.realtouch import factories
 from tests.tactile_toolkit.toy import folder_bytes
 
-READS = ("info", "verify", "validate", "preview", "card", "merge", "split", "gallery", "export")
+READS = ("info", "verify", "preview", "card", "merge", "select", "split", "gallery", "export")
 CONTENT = {
-    "digits": ("mnist3d", "digits"),
-    "scenes": ("starstruck", "scenes"),
-    "wrench": ("env-assets", "wrenches"),
-    "single": ("realtouch", "touches"),
-    "seq": ("realtouch", "touches"),
-    "synthetic": ("tactile-sim", "synthetic touches"),
-    "imported": ("realtouch", "touches"),
-    "clips": ("realtouch", "touches"),
-    "copied": ("mnist3d", "digits"),
+    "digits": "digits",
+    "scenes": "scenes",
+    "wrench": "wrenches",
+    "single": "touches",
+    "seq": "touches",
+    "synthetic": "synthetic touches",
+    "imported": "touches",
+    "clips": "touches",
+    "copied": "digits",
 }
-PROGRAMS = ("mnist3d", "starstruck", "realtouch", "tactile-sim", "env-assets")
-RELATED = {"realtouch", "tactile-sim"}
+OF_MESHES = ("digits", "scenes", "wrenches")
 
 
 @pytest.fixture(scope="module")
@@ -60,14 +56,14 @@ def sets(tmp_path_factory: pytest.TempPathFactory) -> Path:
     factories.write_set(root / "seq", {"train": factories.seq_rows(rounds)}, "seq")
     press = ("--rounds", 1, "--touches", 2, "--optics", "depth")
     run("tactile-sim", "generate", root / "digits", *press, "--out", root / "synthetic")
-    run("realtouch", "export", root / "single", "--format", "webdataset", "--out", root / "tars")
+    run("tactile", "export", root / "single", "--format", "webdataset", "--out", root / "tars")
     run("realtouch", "import", root / "tars", "--format", "webdataset", "--out", root / "imported")
-    run("realtouch", "export", root / "seq", "--format", "lerobot", "--out", root / "lerobot")
+    run("tactile", "export", root / "seq", "--format", "lerobot", "--out", root / "lerobot")
     run("realtouch", "import", root / "lerobot", "--out", root / "clips")
     shutil.rmtree(root / "lerobot")
-    run("mnist3d", "export", root / "digits", "--out", root / "solids", "--limit", 2)
-    run("mnist3d", "merge", root / "digits", "--out", root / "copied")
-    run("mnist3d", "export", root / "digits", "--format", "flat", "--out", root / "flat")
+    run("tactile", "export", root / "digits", "--out", root / "solids", "--limit", 2)
+    run("tactile", "merge", root / "digits", "--out", root / "copied")
+    run("tactile", "export", root / "digits", "--format", "flat", "--out", root / "flat")
     run(
         "starstruck",
         "generate",
@@ -84,18 +80,13 @@ def sets(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def options_of(command: str, out: Path) -> tuple[str, ...]:
     written = ("--out", str(out), "-w", "1")
     return {
-        "validate": ("--limit", "1", "-w", "1"),
         "preview": ("--out", str(out), "--dry-run"),
         "merge": written,
+        "select": ("--limit", "1", *written),
         "split": ("--fractions", "0.5,0.5", *written),
         "gallery": ("--dry-run", "--out", str(out)),
         "export": ("--format", "flat", "--limit", "1", *written),
     }.get(command, ())
-
-
-def commands_of(program: str) -> list[str]:
-    kind = next(each for each in kinds() if each.command == program)
-    return [command for command in READS if command not in kind.missing_commands]
 
 
 def asked(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str]:
@@ -104,81 +95,100 @@ def asked(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str]:
     return code, capsys.readouterr().err
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("program", PROGRAMS)
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("name", CONTENT)
-def test_a_command_works_or_names_the_kind_of_the_data(sets, tmp_path, capsys, name, program):
-    owner, content = CONTENT[name]
-    place = Path(shutil.copytree(sets / name, tmp_path / name))
-    before = folder_bytes(place)
-    own = program == owner or {program, owner} <= RELATED
-    for command in commands_of(program):
+def test_every_command_works_on_every_kind(sets, tmp_path, capsys, name):
+    folder = Path(shutil.copytree(sets / name, tmp_path / name))
+    for command in READS:
         words = options_of(command, tmp_path / "out")
-        if command == "preview" and own and name in ("single", "imported"):
+        if command == "preview" and name in ("single", "imported"):
             words = (*words, "--split", "test")
-        code, said = asked(capsys, program, command, str(place), *words)
-        if (program, command) == ("tactile-sim", "verify") and name in ("single", "seq"):
-            assert "no manifest.json and no record of a download" in said
-        elif own and not (name == "wrench" and command == "split"):  # half of one row is no row
+        code, said = asked(capsys, "tactile", command, str(folder), *words)
+        if name == "wrench" and command == "split":  # half of one row is no row
+            assert code == 2, said
+        else:
             assert code == 0, (command, said)
-        elif not own:
-            assert code == 2, (command, said)
-            assert f"holds {content}; `{program} {command}` is for " in said
-            assert said.count("\n") == 1
-            assert folder_bytes(place) == before
-            assert not (tmp_path / "out").exists()
-            advised = shlex.split(re.findall(r"next: run `(.*)`", said)[0])
-            assert advised[0] == owner
-            assert advised[2] == str(place)
-            assert call(*advised[:2], "--help") == 0, "the command that is advised exists"
         shutil.rmtree(tmp_path / "out", ignore_errors=True)
+    code = call("tactile", "verify", str(folder), "--content", "-q")
+    assert code in {"touches": (0, 1), "wrenches": (2,)}.get(CONTENT[name], (0,)), "as its commands left it"
 
 
-@pytest.mark.parametrize("program", PROGRAMS)
-def test_rows_of_any_kind_are_shown(sets, program, capsys):
+def test_rows_of_any_kind_are_shown(sets, capsys):
     for name in (*CONTENT, "flat", "unfinished"):
-        assert call(program, "show", str(sets / name)) == 0
+        assert call("tactile", "show", str(sets / name)) == 0
     assert "note: " in capsys.readouterr().err, "an unfinished set is called so"
 
 
-@pytest.mark.one_at_a_desk
-@pytest.mark.parametrize("program", PROGRAMS)
-def test_an_unfinished_set_is_refused_unless_it_is_allowed(sets, tmp_path, capsys, program):
-    place = str(sets / "unfinished")
-    for command in commands_of(program):
-        code, said = asked(capsys, program, command, place, *options_of(command, tmp_path / "out"))
-        if program != "starstruck":
-            assert code == 2
-            assert f"holds scenes; `{program} {command}` is for " in said
-        elif command not in ("info", "verify"):
+def test_options_of_another_kind_are_refused(sets, tmp_path, capsys):
+    out = ("--out", str(tmp_path / "out"))
+    for words, told in (
+        (("preview", "digits", "--round", "1", *out), "--round has no effect on digits"),
+        (("preview", "wrench", "--draw", "steps", *out), "steps"),
+        (("preview", "seq", "--ids", "3", *out), "--ids has no effect on rounds"),
+        (("gallery", "scenes", "--touches", "3", *out), "--touches has no effect on scenes"),
+        (("select", "digits", "--contact", *out), "--contact has no effect on digits"),
+        (("export", "digits", "--format", "png", *out), "--format is 'png'; expected one of stl, 3mf"),
+        (("export", "digits", "--finish", *out), "--finish has no effect on mesh files"),
+        (("export", "seq", "--format", "stl", *out), "--format is 'stl'; expected one of png, jpeg"),
+        (("export", "seq", *out), "--format is None; expected one of png, jpeg"),
+        (("export", "seq", "--format", "png", "--dry-run", *out), "--dry-run has no effect on rounds"),
+        (("export", "seq", "--format", "flat", "--ids", "3", *out), "--ids has no effect on an export"),
+        (("verify", "digits", "--quick"), "--quick has no effect on the files of digits"),
+        (("verify", "digits", "--split", "test"), "--split has no effect on the files of digits"),
+    ):
+        command, name, *options = words
+        code, said = asked(capsys, "tactile", command, str(sets / name), *options)
+        assert code == 2, words
+        assert told in said, words
+    assert not (tmp_path / "out").exists()
+
+
+def test_rows_whose_columns_do_not_tell_their_kind_need_it_named(sets, tmp_path, capsys):
+    table = pq.read_table(file_of(sets / "digits"))
+    table = table.select(
+        [name for name in table.column_names if name.split(".")[0] in ("id", "label", "mesh")]
+    )
+    pq.write_table(table.replace_schema_metadata(None), tmp_path / "train.parquet")
+    code, said = asked(capsys, "tactile", "info", str(tmp_path))
+    assert code == 2
+    assert "has the columns of several kinds, so that its kind is not known; next: add --kind mnist3d" in said
+    assert asked(capsys, "tactile", "info", str(tmp_path), "--kind", "mnist3d")[0] == 0
+    code, said = asked(capsys, "tactile", "info", str(tmp_path), "--kind", "digits")
+    assert (code, "--kind is 'digits'; expected one of mnist3d, realtouch" in said) == (2, True)
+    code, said = asked(capsys, "tactile", "info", str(sets / "scenes"), "--kind", "mnist3d")
+    assert (code, "holds scenes" in said) == (2, True)
+
+
+def test_an_unfinished_set_is_refused_unless_it_is_allowed(sets, tmp_path, capsys):
+    folder = str(sets / "unfinished")
+    for command in READS:
+        code, said = asked(capsys, "tactile", command, folder, *options_of(command, tmp_path / "out"))
+        if command not in ("info", "verify"):
             assert code == 3
             assert "is not finished (2 of 7 shards); next: run the same command again, it contin" in said
         assert not (tmp_path / "out").exists()
-    if program == "starstruck":
-        for command in ("merge", "split", "export", "gallery", "preview"):
-            words = (*options_of(command, tmp_path / command), "--allow-incomplete")
-            code, said = asked(capsys, program, command, place, *words)
-            assert code == 0, said
-            assert f"note: {place} is unfinished: 2 of 7 shards" in said
-        for made in (tmp_path / "merge", tmp_path / "split" / "part-1", tmp_path / "export"):
-            assert call("starstruck", "info", str(made)) == 0
-            assert '"unfinished": "2 of 7 shards"' in (made / "manifest.json").read_text()
+    for command in ("merge", "select", "split", "export", "gallery", "preview"):
+        words = (*options_of(command, tmp_path / command), "--allow-incomplete")
+        code, said = asked(capsys, "tactile", command, folder, *words)
+        assert code == 0, said
+        assert f"note: {folder} is unfinished: 2 of 7 shards" in said
+    for made in (tmp_path / "merge", tmp_path / "split" / "part-1", tmp_path / "export"):
+        assert call("tactile", "info", str(made)) == 0
+        assert '"unfinished": "2 of 7 shards"' in (made / "manifest.json").read_text()
 
 
 COMMANDS_OF_ONE: dict[tuple[str, str], tuple[str, ...]] = {
     ("realtouch", "load"): ("--split", "train"),
     ("realtouch", "check"): ("-w", "1"),
-    ("realtouch", "reproduce"): (),
     ("realtouch", "import"): ("--out", "OUT"),
     ("realtouch", "resize"): ("--size", "32x24", "-w", "1", "--out", "OUT"),
-    ("realtouch", "select"): ("--limit", "1", "-w", "1", "--out", "OUT"),
     ("tactile-sim", "generate"): ("--optics", "depth", "--dry-run", "-w", "1", "--out", "OUT"),
     ("tactile-sim", "pairs"): ("--real", "REAL", "--split", "test", "--dry-run", "--out", "OUT"),
 }
 
 
 # Some sets lack the loaded split, some columns of the paper, or enough touches for pairs.
-EXIT_CODES = {"load": (0, 2), "check": (0, 1), "reproduce": (1, 2), "import": (2,), "pairs": (2,)}
+EXIT_CODES = {"load": (0, 2), "check": (0, 1), "import": (2,), "pairs": (2,)}
 
 
 def words_of(program: str, command: str, place: Path, sets: Path, out: Path) -> list[str]:
@@ -189,21 +199,18 @@ def words_of(program: str, command: str, place: Path, sets: Path, out: Path) -> 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", CONTENT)
-def test_so_do_commands_of_single_programs(sets, tmp_path, capsys, name):
-    owner, content = CONTENT[name]
+def test_commands_of_one_kind_name_the_kind_of_the_data(sets, tmp_path, capsys, name):
+    content = CONTENT[name]
     before = folder_bytes(sets / name)
     for program, command in COMMANDS_OF_ONE:
         code, said = asked(capsys, *words_of(program, command, sets / name, sets, tmp_path / command / "out"))
         wanted = {"realtouch": "touches", "tactile-sim": "meshes"}[program]
-        if (owner in RELATED) == (wanted == "touches"):
+        if (content in OF_MESHES) == (wanted == "meshes"):
             assert f"`{program} {command}` is for" not in said
             assert code in EXIT_CODES.get(command, (0,)), said
         else:
             assert code == 2, (command, said)
-            there = command if command == "select" and owner in ("mnist3d", "starstruck") else "show"
-            assert (
-                f"holds {content}; `{program} {command}` is for {wanted}; next: run `{owner} {there} " in said
-            )
+            assert f"holds {content}; `{program} {command}` is for {wanted}; next: show what" in said
             assert said.count("\n") == 1
         if code:
             assert not (tmp_path / command).exists()
@@ -236,7 +243,7 @@ def test_touches_of_an_unfinished_set_record_that(sets, tmp_path, capsys):
 @pytest.fixture
 def half_touches(sets, tmp_path) -> str:
     out = str(tmp_path / "half")
-    assert call("realtouch", "select", str(sets / "single"), "--part", "1/2", "-w", "1", "--out", out) == 0
+    assert call("tactile", "select", str(sets / "single"), "--part", "1/2", "-w", "1", "--out", out) == 0
     return out
 
 
@@ -245,7 +252,7 @@ def test_unfinished_touches_are_opened_only_if_that_is_allowed(half_touches, cap
     code, said = asked(capsys, "realtouch", "load", half_touches)
     assert code == 3
     assert "is not finished (1 of 2 shards); next: run the same command again" in said
-    for words in (("--allow-incomplete",), ("--split", "train"), ("--split", "train", "--no-check")):
+    for words in (("--allow-incomplete",), ("--split", "train")):
         assert asked(capsys, "realtouch", "load", half_touches, *words)[0] == 0
 
 
@@ -256,26 +263,26 @@ def test_a_run_without_finished_shards_has_no_rows(sets, half_touches, tmp_path,
         place = Path(shutil.copytree(sets / "unfinished", tmp_path / "scenes"))
     for record in (place / ".pending").glob("*.json"):
         record.unlink()
-    for command in (*commands_of(program), "show"):
+    for command in (*READS, "show"):
         if command not in ("info", "verify", "card"):
             words = options_of(command, tmp_path / "out")
             if command != "show":
                 words = (*words, "--allow-incomplete")
-            code, said = asked(capsys, program, command, str(place), *words)
+            code, said = asked(capsys, "tactile", command, str(place), *words)
             assert code == 3, (command, said)
             assert re.search(
                 r"is not finished \(0 of \d shards\); next: run the same command again, it conti", said
             )
             assert not said.endswith("=True)\n"), "that was given"
         assert not (tmp_path / "out").exists()
-    assert call(program, "info", str(place)) == 0
+    assert call("tactile", "info", str(place)) == 0
 
 
 def test_a_next_step_names_no_option_that_the_command_lacks(half_touches, sets, capsys):
     for program, command, place in (
-        ("realtouch", "card", half_touches),
-        ("starstruck", "card", str(sets / "unfinished")),
-        ("starstruck", "upload", str(sets / "unfinished")),
+        ("tactile", "card", half_touches),
+        ("tactile", "card", str(sets / "unfinished")),
+        ("tactile", "upload", str(sets / "unfinished")),
     ):
         more = ("someone/name",) if command == "upload" else ()
         code, said = asked(capsys, program, command, place, *more)
@@ -286,12 +293,11 @@ def test_a_next_step_names_no_option_that_the_command_lacks(half_touches, sets, 
 def test_records_without_a_manifest_are_a_run_that_was_interrupted(sets, tmp_path, capsys):
     place = Path(shutil.copytree(sets / "unfinished", tmp_path / "set"))
     (place / "manifest.json").unlink()
-    for program in ("starstruck", "realtouch", "mnist3d"):
-        for command in ("info", "verify", "show"):
-            code, said = asked(capsys, program, command, str(place))
-            assert code == 2
-            assert "is the folder of a run that was interrupted, and its manifest.json is missing" in said
-            assert said.endswith("next: run the same command again, it continues\n")
+    for command in ("info", "verify", "show"):
+        code, said = asked(capsys, "tactile", command, str(place))
+        assert code == 2
+        assert "is the folder of a run that was interrupted, and its manifest.json is missing" in said
+        assert said.endswith("next: run the same command again, it continues\n")
 
 
 def save_to_disk(folder: Path) -> None:
@@ -346,11 +352,10 @@ def test_folders_without_a_data_set_are_described(tmp_path, capsys, stranger):
     folder.mkdir()
     make(folder)
     before, answers = folder_bytes(folder), set()
-    for program in PROGRAMS:
-        for command in (*commands_of(program), "show"):
-            code, said = asked(capsys, program, command, str(folder), *options_of(command, tmp_path / "out"))
-            assert code == 2
-            answers.add(said)
+    for command in (*READS, "show"):
+        code, said = asked(capsys, "tactile", command, str(folder), *options_of(command, tmp_path / "out"))
+        assert code == 2
+        answers.add(said)
     assert len(answers) == 1, "one answer for one situation"
     assert f"{str(folder)!r} {words}" in (answer := answers.pop())
     assert "; expected a data set of Parquet files; next: " in answer
@@ -369,19 +374,18 @@ def test_folders_without_a_data_set_are_described(tmp_path, capsys, stranger):
 )
 def test_files_without_a_data_set_are_described(tmp_path, capsys, name, words):
     (tmp_path / name).write_bytes(b"content")
-    for program in ("starstruck", "realtouch", "env-assets"):
-        code, said = asked(capsys, program, "show", str(tmp_path / name))
-        assert code == 2
-        assert f"{name}' is {words}; expected a data set of Parquet files" in said
+    code, said = asked(capsys, "tactile", "show", str(tmp_path / name))
+    assert code == 2
+    assert f"{name}' is {words}; expected a data set of Parquet files" in said
 
 
 def test_a_folder_of_data_sets_names_them(sets, capsys):
-    code, said = asked(capsys, "starstruck", "info", str(sets))
+    code, said = asked(capsys, "tactile", "info", str(sets))
     assert code == 2
     assert "has files of split 'train' in " in said, "two of them have no manifest"
     for name in ("single", "seq"):
         shutil.move(sets / name, sets.parent / name)
-    code, said = asked(capsys, "starstruck", "info", str(sets))
+    code, said = asked(capsys, "tactile", "info", str(sets))
     for name in ("single", "seq"):
         shutil.move(sets.parent / name, sets / name)
     assert code == 2
@@ -391,13 +395,13 @@ def test_a_folder_of_data_sets_names_them(sets, capsys):
 def test_a_manifest_of_another_program_changes_nothing(sets, tmp_path, capsys):
     place = Path(shutil.copytree(sets / "single", tmp_path / "single"))
     (place / "manifest.json").write_text('{"name": "a web page"}')
-    for command in ("info", "verify", "check", "card", "merge", "show"):
+    for command in ("info", "verify", "card", "merge", "show"):
         words = options_of(command, tmp_path / command)
-        code, said = asked(capsys, "realtouch", command, str(place), *words)
+        code, said = asked(capsys, "tactile", command, str(place), *words)
         assert code == 0, said
     solids = Path(shutil.copytree(sets / "solids", tmp_path / "solids"))
     (solids / "manifest.json").write_text("[]")
-    code, said = asked(capsys, "mnist3d", "info", str(solids))
+    code, said = asked(capsys, "tactile", "info", str(solids))
     assert "is a folder of meshes (2, such as " in said
     words = words_of("tactile-sim", "generate", solids, sets, tmp_path / "out")
     assert asked(capsys, *words)[0] == 0
@@ -405,12 +409,11 @@ def test_a_manifest_of_another_program_changes_nothing(sets, tmp_path, capsys):
 
 def test_rows_of_no_kind_are_refused(tmp_path, capsys):
     pq.write_table(pa.table({"x": np.arange(3), "y": ["a", "b", "c"]}), tmp_path / "train.parquet")
-    for program in PROGRAMS:
-        for command in commands_of(program):
-            words = options_of(command, tmp_path / "out")
-            code, said = asked(capsys, program, command, str(tmp_path), *words)
-            assert code == 2
-            assert "holds rows of no kind of this toolkit (columns x, y); " in said
+    for command in READS:
+        words = options_of(command, tmp_path / "out")
+        code, said = asked(capsys, "tactile", command, str(tmp_path), *words)
+        assert code == 2
+        assert "holds rows of no kind of this toolkit (columns x, y); " in said
 
 
 def file_of(folder: Path) -> Path:
@@ -451,15 +454,6 @@ def test_files_of_several_sets_have_the_same_classes(sets, tmp_path):
 def test_exports_are_refused_as_sources(sets, tmp_path, capsys):
     for command in ("merge", "split", "gallery", "preview", "export"):
         words = options_of(command, tmp_path / "out")
-        code, said = asked(capsys, "mnist3d", command, str(sets / "flat"), *words)
+        code, said = asked(capsys, "tactile", command, str(sets / "flat"), *words)
         assert code == 2
         assert "was made by `export` for other programs; expected a data set with rows of its kind" in said
-
-
-def test_the_shared_commands_are_those_that_kinds_know():
-    assert {*SHARED_COMMANDS} == {*_COMMANDS}
-    known: list[DatasetKind] = list(kinds())
-    for kind in known:
-        assert {*kind.missing_commands} <= {*SHARED_COMMANDS}
-        for command in (*SHARED_COMMANDS, "select", "frames"):
-            assert call(kind.command, kind.command_like(command), "--help") == 0

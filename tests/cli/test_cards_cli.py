@@ -21,10 +21,6 @@ from tests.tactile_toolkit.toy import folder_bytes
 KINDS = ("mnist3d", "starstruck", "single", "seq", "synthetic", "frames")
 
 
-def command_of(kind: str) -> str:
-    return kind if kind in ("mnist3d", "starstruck") else "realtouch"
-
-
 def _per_touch_poses(row: dict, index: int) -> None:
     count = len(row["pos_in_cell"])
     for part in ("position", "quaternion"):
@@ -43,7 +39,7 @@ def folders(tmp_path_factory, digits_set, scenes_set) -> dict[str, Path]:
     realtouch.select(str(seq), str(root / "seq"))
     realtouch.frames(str(single), str(root / "frames"), "jpeg")
     _write_synthetic(root / "synthetic", factories.single_rows(truth))
-    assert call("realtouch", "card", root / "synthetic", "--quiet") == 0
+    assert call("tactile", "card", root / "synthetic", "--quiet") == 0
     made = {"mnist3d": digits_set, "starstruck": scenes_set}
     return {kind: made.get(kind, root / kind) for kind in KINDS}
 
@@ -85,7 +81,7 @@ def test_the_card_was_written_with_the_data_and_is_written_the_same_again(folder
     before = folder_bytes(folder)
     (folder / "README.md").write_text("spoilt")
     shutil.rmtree(folder / "previews")
-    assert call(command_of(kind), "card", folder) == 0
+    assert call("tactile", "card", folder) == 0
     assert re.search(r"wrote README.md, previews/\w+\.png; all of it matches", capsys.readouterr().out)
     assert folder_bytes(folder) == before
 
@@ -164,10 +160,10 @@ def test_verify_reads_the_card_too(folders, tmp_path, capsys):
     folder = Path(shutil.copytree(folders["starstruck"], tmp_path / "stars"))
     card = folder / "README.md"
     card.write_text(card.read_text().replace("num_examples: 30", "num_examples: 31"))
-    assert call("starstruck", "verify", folder) == 3
+    assert call("tactile", "verify", folder) == 3
     assert "README.md: num_examples of split 'train' is 31, expected 30" in capsys.readouterr().err
-    assert call("starstruck", "card", folder, "--quiet") == 0
-    assert call("starstruck", "verify", folder) == 0
+    assert call("tactile", "card", folder, "--quiet") == 0
+    assert call("tactile", "verify", folder) == 0
 
 
 FINGERPRINTS = {
@@ -210,4 +206,4 @@ def test_what_the_owner_stated_stays_when_the_set_is_replaced(tmp_path, capsys):
     assert call("mnist3d", "generate", *few, "--limit", 3, "--out", out, *other) == 0
     card = DatasetCard.load(out / "README.md")
     assert (card.data.license, card.data.pretty_name) == ("cc-by-4.0", "Other digits")
-    assert call("mnist3d", "verify", out) == 0
+    assert call("tactile", "verify", out) == 0

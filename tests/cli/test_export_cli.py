@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -18,11 +17,11 @@ from tactile_toolkit.mesh import check_manifold, read_mesh
 from tests import command_line
 from tests.tactile_toolkit.toy import folder_bytes
 
-call = partial(command_line.call, "mnist3d")
+call = command_line.call
 
 
 def test_one_file_per_object(digits_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert call("export", digits_set, "--split", "test", "--out", tmp_path / "out") == 0
+    assert call("tactile", "export", digits_set, "--split", "test", "--out", tmp_path / "out") == 0
     printed = capsys.readouterr()
     assert f"10 files in {tmp_path / 'out'}" in printed.out
     assert "each read back as a solid" in printed.out
@@ -35,9 +34,9 @@ def test_one_file_per_object(digits_set: Path, tmp_path: Path, capsys: pytest.Ca
 def test_other_formats_and_scales(digits_set: Path, tmp_path: Path) -> None:
     """``printing/test_singles.py`` tests that each format is read back."""
     choice = ("--split", "test", "--labels", "3", "--quiet")
-    assert call("export", digits_set, *choice, "--out", tmp_path / "one") == 0
+    assert call("tactile", "export", digits_set, *choice, "--out", tmp_path / "one") == 0
     options = ("--format", "ply", "--scale", "1.5", "--out", tmp_path / "other")
-    assert call("export", digits_set, *choice, *options) == 0
+    assert call("tactile", "export", digits_set, *choice, *options) == 0
     (one,), (other,) = (list((tmp_path / name).iterdir()) for name in ("one", "other"))
     assert other.suffix == ".ply"
     sizes = [np.ptp(read_mesh(path).bounds_m, axis=0) for path in (one, other)]
@@ -52,7 +51,19 @@ def test_bodies_have_the_density_and_the_friction_asked_for(digits_set: Path, tm
     for ending, suffix in (("mjcf", "xml"), ("urdf", "urdf")):
         out = tmp_path / ending
         assert (
-            call("export", digits_set, "--ids", digit.id, *material, "-q", "--format", ending, "--out", out)
+            call(
+                "tactile",
+                "export",
+                digits_set,
+                "--ids",
+                digit.id,
+                *material,
+                "-q",
+                "--format",
+                ending,
+                "--out",
+                out,
+            )
             == 0
         )
         (file,) = out.rglob(f"*.{suffix}")
@@ -80,20 +91,20 @@ def test_bodies_have_the_density_and_the_friction_asked_for(digits_set: Path, tm
 def test_all_splits_ids_and_json(
     digits_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert call("export", digits_set, "--out", tmp_path, "--json", "--quiet") == 0
+    assert call("tactile", "export", digits_set, "--out", tmp_path, "--json", "--quiet") == 0
     document = json.loads(capsys.readouterr().out)
     assert {file["split"] for file in document["files"]} == {"test", "holdout"}
     assert {file["file"] for file in document["files"]} == {path.name for path in tmp_path.iterdir()}
     assert document["failed"] == []
     some = document["files"][3]["id"]
-    assert call("export", digits_set, "--ids", some, "--out", tmp_path, "--json", "--quiet") == 0
+    assert call("tactile", "export", digits_set, "--ids", some, "--out", tmp_path, "--json", "--quiet") == 0
     (file,) = json.loads(capsys.readouterr().out)["files"]
     assert (file["id"], file["state"]) == (some, "kept")
 
 
 def test_plates(digits_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = ("--split", "test", "--plate", "130x130", "--gap-mm", "2", "--out", tmp_path)
-    assert call("export", digits_set, *options) == 0
+    assert call("tactile", "export", digits_set, *options) == 0
     printed = capsys.readouterr()
     assert "wrote 10 objects on" in printed.out
     assert "plates.csv lists where each object lies" in printed.out
@@ -104,7 +115,7 @@ def test_plates(digits_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[
     assert sorted(row["label"] for row in rows) == list("0123456789")
     assert {row["file"] for row in rows} == {path.name for path in tmp_path.glob("*.3mf")}
     before = folder_bytes(tmp_path)
-    assert call("export", digits_set, *options, "--json", "--quiet") == 0
+    assert call("tactile", "export", digits_set, *options, "--json", "--quiet") == 0
     document = json.loads(capsys.readouterr().out)
     assert {plate["state"] for plate in document["plates"]} == {"kept"}
     assert [row["name"] for row in document["objects"]] == [row["name"] for row in rows]
@@ -117,7 +128,7 @@ def test_dry_run_writes_nothing(
     plate: tuple[str, ...], digits_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    assert call("export", digits_set, *plate, "--limit", "2", "--out", out, "--dry-run") == 0
+    assert call("tactile", "export", digits_set, *plate, "--limit", "2", "--out", out, "--dry-run") == 0
     printed = capsys.readouterr().out
     assert "would write 4" in printed
     assert "nothing was written" in printed
@@ -147,7 +158,7 @@ def test_bad_input_is_named_and_writes_nothing(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert call("export", digits_set, *arguments, "--out", tmp_path / "out", "--quiet") == 2
+    assert call("tactile", "export", digits_set, *arguments, "--out", tmp_path / "out", "--quiet") == 2
     printed = capsys.readouterr()
     assert printed.out == ""
     assert printed.err.startswith("error: ")
@@ -160,7 +171,7 @@ def test_bad_input_is_named_and_writes_nothing(
 def test_other_files_are_refused_unless_overwritten(
     digits_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    options = ("export", digits_set, "--limit", "1", "--out", tmp_path, "--quiet")
+    options = ("tactile", "export", digits_set, "--limit", "1", "--out", tmp_path, "--quiet")
     assert call(*options) == 0
     before = folder_bytes(tmp_path)
     assert call(*options, "--scale", "2") == 2
@@ -189,7 +200,7 @@ def test_broken_meshes_are_named_and_the_rest_is_written(
     name = f"train-{table['label'][4].as_py()}-{table['id'][4].as_py():05d}"
     for plate in ((), ("--plate", "250x250")):
         out = tmp_path / f"out{len(plate)}"
-        assert call("export", tmp_path / "broken.parquet", *plate, "--out", out) == 1
+        assert call("tactile", "export", tmp_path / "broken.parquet", *plate, "--out", out) == 1
         printed = capsys.readouterr()
         assert "not-manifold" in printed.err
         assert "9 files" in printed.out if not plate else "wrote 9 objects" in printed.out
@@ -206,7 +217,22 @@ def test_tables_for_other_libraries(
     import mnist3d
 
     out = tmp_path / "flat"
-    assert call("export", digits_set, "--format", "flat", "--out", out, "--workers", "1", "--json", "-q") == 0
+    assert (
+        call(
+            "tactile",
+            "export",
+            digits_set,
+            "--format",
+            "flat",
+            "--out",
+            out,
+            "--workers",
+            "1",
+            "--json",
+            "-q",
+        )
+        == 0
+    )
     made = json.loads(capsys.readouterr().out)["splits"]
     assert {split: each["rows"] for split, each in made.items()} == {"test": 10, "holdout": 10}
     digits = mnist3d.load(digits_set, split="test")
@@ -235,12 +261,16 @@ def test_tables_are_a_data_set_folder(
     digits_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "flat"
-    words = ("export", digits_set, "--format", "flat", "--out", out, "--workers", "1", "-q")
+    words = ("tactile", "export", digits_set, "--format", "flat", "--out", out, "--workers", "1", "-q")
     assert call(*words) == 0
     before = folder_bytes(out)
     assert {"README.md", "manifest.json", "previews/tables.png"} <= set(before)
-    for command, *further in (("verify",), ("card",), ("info", "--json")):
-        assert call(command, out, *further) == 0, capsys.readouterr().err
+    for command, *further in (
+        ("verify",),
+        ("card",),
+        ("info", "--json"),
+    ):
+        assert call("tactile", command, out, *further) == 0, capsys.readouterr().err
     assert folder_bytes(out) == before, "card and checks agree with the export"
     assert '"operation": "export"' in capsys.readouterr().out
     card = before["README.md"].decode()
@@ -248,11 +278,11 @@ def test_tables_are_a_data_set_folder(
     assert "MIT, as the toolkit: the data set contains no one's handwriting." in card
     table = out / "data" / "holdout-00000-of-00001.parquet"
     table.write_bytes(table.read_bytes()[:-9])
-    assert call("verify", out) == 3
+    assert call("tactile", "verify", out) == 3
     assert "holdout-00000-of-00001.parquet: sha256 is" in capsys.readouterr().err
     assert call(*words) == 0
     assert folder_bytes(out) == before
-    assert call("validate", out) == 2
+    assert call("mnist3d", "validate", out) == 2
     assert "was made by `export` for other programs" in capsys.readouterr().err
 
 
@@ -266,20 +296,20 @@ def test_scenes_keep_the_places_of_objects(tmp_path: Path) -> None:
     making = ("--scenes", "train=3", "--workers", "1", "--quiet", "--out", scenes)
     assert command_line.call("starstruck", "generate", *making) == 0
     out = tmp_path / "flat"
-    assert command_line.call("starstruck", "export", scenes, "--format", "flat", "--out", out, "-q") == 0
+    assert command_line.call("tactile", "export", scenes, "--format", "flat", "--out", out, "-q") == 0
     rows = datasets.load_dataset(str(out), split="train")
     for row, scene in zip(rows, starstruck_gen.load(scenes, split="train"), strict=True):
         stored = [(each["shape"], each["x_m"], each["y_m"]) for each in row["placements"]]
         assert stored == [(each.shape, each.x_m, each.y_m) for each in scene.placements]
         assert row["star_count"] == scene.star_count
         assert row["mesh"].to_mesh().volume == pytest.approx(scene.mesh.volume, rel=1e-6)
-    assert command_line.call("starstruck", "verify", out) == 0
-    assert command_line.call("starstruck", "info", out) == 0
+    assert command_line.call("tactile", "verify", out) == 0
+    assert command_line.call("tactile", "info", out) == 0
     wrench = tmp_path / "wrench"
     assert command_line.call("env-assets", "wrench", "--out", wrench, "-q") == 0
     tables = ("--format", "flat", "--out", tmp_path / "wrenches", "-q")
-    assert command_line.call("env-assets", "export", wrench, *tables) == 0
-    assert command_line.call("env-assets", "verify", tmp_path / "wrenches") == 0
+    assert command_line.call("tactile", "export", wrench, *tables) == 0
+    assert command_line.call("tactile", "verify", tmp_path / "wrenches") == 0
 
 
 @pytest.mark.thorough
@@ -287,7 +317,7 @@ def test_the_plate_for_calibration_is_one_solid_whose_shapes_have_their_stated_s
     digits_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     options = ("--split", "test", "--calibration-plate", "--out", tmp_path / "plate")
-    assert call("export", digits_set, *options, "--format", "3mf", "--json") == 0
+    assert call("tactile", "export", digits_set, *options, "--format", "3mf", "--json") == 0
     (made,) = json.loads(capsys.readouterr().out)["files"]
     names = {"calibration-plate.3mf", "calibration-plate.png", "press-here.md"}
     assert {path.name for path in (tmp_path / "plate").iterdir()} == names == set(made["files"])
@@ -314,4 +344,4 @@ def test_the_plate_for_calibration_is_one_solid_whose_shapes_have_their_stated_s
     assert sheet.count("\n| 20 | ") == 1
     # Other options are refused.
     for wrong in (("--format", "flat"), ("--plate", "256x256"), ("--scale", "2"), ("--limit", "1")):
-        assert call("export", digits_set, *options, *wrong) == 2
+        assert call("tactile", "export", digits_set, *options, *wrong) == 2

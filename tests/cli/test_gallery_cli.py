@@ -26,13 +26,13 @@ def test_a_gallery_agrees_with_its_dry_run_and_is_replaced_on_request(program, f
     count, nouns = ITEMS[program]
     out = tmp_path / "site"
     arguments = ("gallery", folders[program], "--out", out, "--workers", 1)
-    assert call(program, *arguments, "--dry-run", "--json") == 0
+    assert call("tactile", *arguments, "--dry-run", "--json") == 0
     view = json.loads(capsys.readouterr().out)
-    assert call(program, *arguments, "--dry-run") == 0
+    assert call("tactile", *arguments, "--dry-run") == 0
     said = f"would make {out}: {with_count(count, nouns)}; nothing was written"
     assert said in capsys.readouterr().out
     assert not out.exists()
-    assert call(program, *arguments, "--json", "--quiet") == 0
+    assert call("tactile", *arguments, "--json", "--quiet") == 0
     printed = capsys.readouterr()
     made = json.loads(printed.out)
     assert printed.err == ""
@@ -41,11 +41,11 @@ def test_a_gallery_agrees_with_its_dry_run_and_is_replaced_on_request(program, f
     assert (view["path"], view["items"], view["splits"]) == (str(out), made["items"], made["splits"])
     assert made["page"] == str(out / "index.html")
     for words in ((), ("--dry-run",)):
-        assert call(program, *arguments, *words) == 2
+        assert call("tactile", *arguments, *words) == 2
         assert "holds a gallery already" in capsys.readouterr().err
-    assert call(program, *arguments, "--dry-run", "--overwrite") == 0
+    assert call("tactile", *arguments, "--dry-run", "--overwrite") == 0
     assert f"would replace the gallery in {out}" in capsys.readouterr().out
-    assert call(program, *arguments, "--overwrite") == 0
+    assert call("tactile", *arguments, "--overwrite") == 0
     printed = capsys.readouterr()
     assert f": {with_count(count, nouns)}, " in printed.out
     assert f"next: open {out / 'index.html'} in a browser" in printed.out
@@ -55,7 +55,7 @@ def test_a_gallery_agrees_with_its_dry_run_and_is_replaced_on_request(program, f
 
 def test_a_gallery_replaces_no_data_set_and_is_written_nowhere_else(folders, capsys):
     arguments = ("gallery", folders["realtouch"], "--overwrite", "--quiet", "--workers", 1)
-    assert call("realtouch", *arguments, "--out", folders["realtouch"]) == 2
+    assert call("tactile", *arguments, "--out", folders["realtouch"]) == 2
     assert "is not part of a gallery or was changed since; nothing was changed" in capsys.readouterr().err
-    assert call("realtouch", *arguments, "--out", "s3://bucket/site") == 2
+    assert call("tactile", *arguments, "--out", "s3://bucket/site") == 2
     assert "is a remote address" in capsys.readouterr().err

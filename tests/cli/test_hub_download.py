@@ -84,12 +84,12 @@ def call(
 
 def test_a_part_is_a_data_set_that_verifies_and_that_datasets_loads(server, tmp_path):
     out = tmp_path / "part"
-    said = call(server, tmp_path, "mnist3d", "download", DIGITS, "--split", "test", "--out", out)
+    said = call(server, tmp_path, "tactile", "download", DIGITS, "--split", "test", "--out", out)
     assert said.code == 0
     assert "someone/digits at " in said.err
     assert f'next in Python: mnist3d.load("{out}", split="test")' in said.out
     assert not any("holdout" in path for path in server.fetched)
-    verified = call(server, tmp_path, "mnist3d", "verify", out)
+    verified = call(server, tmp_path, "tactile", "verify", out)
     assert verified.code == 0, verified.err
     assert "10 rows" in verified.out
     script = (
@@ -105,17 +105,17 @@ def test_a_copy_of_a_published_set_is_shown_and_verified(server, root, tmp_path)
     """The published repositories have no manifest, so the digests of the Hub count."""
     commit = server.repository(BARE).head.sha[:12]
     out = tmp_path / "copy"
-    assert call(server, tmp_path, "mnist3d", "download", BARE, "--out", out).code == 0
-    shown = call(server, tmp_path, "mnist3d", "info", out)
+    assert call(server, tmp_path, "tactile", "download", BARE, "--out", out).code == 0
+    shown = call(server, tmp_path, "tactile", "info", out)
     assert shown.code == 0, shown.err
     assert f"downloaded from {BARE} at {commit}: no provenance recorded" in shown.out
-    document = json.loads(call(server, tmp_path, "mnist3d", "info", out, "--json").out)
+    document = json.loads(call(server, tmp_path, "tactile", "info", out, "--json").out)
     assert [(entry["split"], entry["rows"], entry["shards"]) for entry in document["splits"]] == [
         ("holdout", 10, 1),
         ("test", 10, 1),
     ]
     assert document["splits"][0]["per_class"] == {str(digit): 1 for digit in range(10)}
-    verified = call(server, tmp_path, "mnist3d", "verify", out)
+    verified = call(server, tmp_path, "tactile", "verify", out)
     assert verified.code == 0, verified.err
     assert "20 rows" in verified.out
     assert f"all as in {BARE} at {commit}" in verified.out
@@ -126,7 +126,7 @@ def test_a_copy_of_a_published_set_is_shown_and_verified(server, root, tmp_path)
     shard.write_bytes(content)
     (out / "data" / "mine.parquet").write_bytes(b"x")
     (out / "data" / "holdout-00000-of-00001.parquet").unlink()
-    damaged = call(server, tmp_path, "mnist3d", "verify", out)
+    damaged = call(server, tmp_path, "tactile", "verify", out)
     assert damaged.code == 3
     lines = damaged.err.splitlines()
     assert (
@@ -136,100 +136,83 @@ def test_a_copy_of_a_published_set_is_shown_and_verified(server, root, tmp_path)
     assert lines[1] == "damaged: data/holdout-00000-of-00001.parquet: is missing"
     assert lines[2].startswith("damaged: data/test-00000-of-00001.parquet: sha256 ")
     assert f"next: download {BARE} there again; only damaged files are fetched" in lines[3]
-    assert call(server, tmp_path, "mnist3d", "download", BARE, "--out", out).code == 0
-    stray = call(server, tmp_path, "mnist3d", "verify", out)
+    assert call(server, tmp_path, "tactile", "download", BARE, "--out", out).code == 0
+    stray = call(server, tmp_path, "tactile", "verify", out)
     assert stray.code == 3
     assert stray.err.splitlines()[1].endswith("; next: follow the next step of each problem")
     (out / "data" / "mine.parquet").unlink()
-    assert call(server, tmp_path, "mnist3d", "verify", out).code == 0
+    assert call(server, tmp_path, "tactile", "verify", out).code == 0
 
 
 def test_the_line_for_python_names_the_revision_that_is_in_the_cache(server, tmp_path):
     server.repository(DIGITS).tags["v1"] = server.repository(DIGITS).head.sha
-    said = call(server, tmp_path, "mnist3d", "download", DIGITS, "--revision", "v1", "--split", "test")
+    said = call(server, tmp_path, "tactile", "download", DIGITS, "--revision", "v1", "--split", "test")
     assert f'mnist3d.load("{DIGITS}", split="test", revision="v1")' in said.out
-    said = call(server, tmp_path, "mnist3d", "download", DIGITS, "--revision", "v1", "--out", tmp_path / "o")
+    said = call(server, tmp_path, "tactile", "download", DIGITS, "--revision", "v1", "--out", tmp_path / "o")
     assert f'mnist3d.load("{tmp_path / "o"}", split="test")' in said.out, "a folder has no revisions"
-
-
-def test_a_data_set_of_another_kind_is_refused(server, tmp_path):
-    out = tmp_path / "out"
-    said = call(server, tmp_path, "starstruck", "download", DIGITS, "--out", out)
-    assert said.code == 2
-    assert "holds digits; `starstruck download` is for scenes; next: run `mnist3d download" in said.err
-    said = call(server, tmp_path, "mnist3d", "download", "real-single-64x64", "--out", out)
-    assert said.code == 2
-    assert "next: run `realtouch download real-single-64x64`" in said.err
-    assert not out.exists()
-    assert server.fetched == ["manifest.json"]
-    assert call(server, tmp_path, "mnist3d", "download", DIGITS, "--out", out).code == 0
-    said = call(server, tmp_path, "starstruck", "verify", out)
-    assert said.code == 2
-    assert "holds digits; `starstruck verify` is for scenes; next: run `mnist3d verify " in said.err
-    assert len(said.err) < 300
 
 
 def test_an_interrupted_download_is_called_one(server, tmp_path):
     out = tmp_path / "out"
     server.faults.fail("*/test-00000*", 503, times=99)
-    assert call(server, tmp_path, "mnist3d", "download", DIGITS, "--out", out).code == 4
+    assert call(server, tmp_path, "tactile", "download", DIGITS, "--out", out).code == 4
     server.faults.clear()
     again = f"download {DIGITS} there again"
     assert (
         f"the download is under way or was interrupted; next: {again}"
-        in call(server, tmp_path, "mnist3d", "info", out).out
+        in call(server, tmp_path, "tactile", "info", out).out
     )
     for command, code in (("card", 3), ("verify", 1)):
-        said = call(server, tmp_path, "mnist3d", command, out)
+        said = call(server, tmp_path, "tactile", command, out)
         assert said.code == code, said.err
         assert again in said.err
         assert "generate" not in said.err
     small = ("--split", "test", "--per-class", "1", "--vertices", "2000", "--workers", "1", "--quiet")
     assert call(server, tmp_path, "mnist3d", "generate", *small, "--out", out, "--overwrite").code == 0
-    said = call(server, tmp_path, "mnist3d", "download", DIGITS, "--out", out)
+    said = call(server, tmp_path, "tactile", "download", DIGITS, "--out", out)
     assert said.code == 2, "generated data were replaced by a download"
     assert "holds a data set of another origin" in said.err
 
 
 def test_waits_are_reported_while_the_download_is_planned(server, tmp_path):
     server.faults.fail("/api/datasets/*", 503, times=1)
-    said = call(server, tmp_path, "mnist3d", "download", DIGITS, "--dry-run")
+    said = call(server, tmp_path, "tactile", "download", DIGITS, "--dry-run")
     assert said.code == 0
     assert said.err.count("the Hub answered 503") == said.err.count("; trying again in 0.01 s") == 1
     assert "HTTP Error" not in said.err
 
 
 def test_json_is_one_document_and_a_repetition_fetches_nothing(server, tmp_path):
-    first = json.loads(call(server, tmp_path, "mnist3d", "download", DIGITS, "--json").out)
+    first = json.loads(call(server, tmp_path, "tactile", "download", DIGITS, "--json").out)
     assert first["splits"] == ["test", "holdout"]
     assert first["commit"] == server.repository(DIGITS).head.sha
     assert sum(file["bytes"] for file in first["files"]) == first["bytes"]
     assert (Path(first["folder"]) / "data" / "test-00000-of-00001.parquet").is_file()
     before = len(server.fetched)
-    again = call(server, tmp_path, "mnist3d", "download", DIGITS, "--json")
+    again = call(server, tmp_path, "tactile", "download", DIGITS, "--json")
     assert json.loads(again.out)["missing_bytes"] == 0
     assert len(server.fetched) == before
-    quiet = call(server, tmp_path, "mnist3d", "download", DIGITS, "--quiet")
+    quiet = call(server, tmp_path, "tactile", "download", DIGITS, "--quiet")
     assert (quiet.out, quiet.err, quiet.code) == ("", "", 0)
 
 
 def test_short_names_show_licence_and_citation(server, tmp_path):
-    said = call(server, tmp_path, "realtouch", "download", "real-single-64x64", "--split", "test")
+    said = call(server, tmp_path, "tactile", "download", "real-single-64x64", "--split", "test")
     assert said.code == 0, said.err
     assert "licence: CC BY 2.0; please cite: Schneider et al., Tactile MNIST" in said.err
     assert f'realtouch.load("{TOUCHES}", split="test")' in said.out
     assert not any("train" in path for path in server.fetched)
-    loaded = call("http://127.0.0.1:9", tmp_path, "realtouch", "info", "real-single-64x64")
+    loaded = call("http://127.0.0.1:9", tmp_path, "tactile", "info", "real-single-64x64")
     assert loaded.code == 0, loaded.err
     assert "test" in loaded.out
 
 
 def test_large_downloads_are_not_begun_unasked(server, tmp_path):
-    said = call(server, tmp_path, "mnist3d", "download", DIGITS, large=1000)
+    said = call(server, tmp_path, "tactile", "download", DIGITS, large=1000)
     assert said.code == 2
     assert "would be fetched, and stdin is not a terminal; next: add --yes, or name a --split" in said.err
     assert server.fetched == ["manifest.json"]
-    assert call(server, tmp_path, "mnist3d", "download", DIGITS, "--yes", large=1000).code == 0
+    assert call(server, tmp_path, "tactile", "download", DIGITS, "--yes", large=1000).code == 0
 
 
 @pytest.mark.parametrize(
@@ -244,7 +227,7 @@ def test_large_downloads_are_not_begun_unasked(server, tmp_path):
 )
 def test_failures_give_one_line(server, tmp_path, arguments, code, words):
     (tmp_path / "file").write_text("")
-    said = call(server, tmp_path, "mnist3d", "download", *arguments)
+    said = call(server, tmp_path, "tactile", "download", *arguments)
     assert said.code == code
     (line,) = [line for line in said.err.splitlines() if line.startswith("error: ")]
     assert words in line
@@ -252,10 +235,10 @@ def test_failures_give_one_line(server, tmp_path, arguments, code, words):
 
 
 def test_list(server, tmp_path):
-    call(server, tmp_path, "realtouch", "download", "real-single-64x64", "--split", "test")
-    said = call(server, tmp_path, "realtouch", "list", "--json")
+    call(server, tmp_path, "tactile", "download", "real-single-64x64", "--split", "test")
+    said = call(server, tmp_path, "tactile", "list", "--json")
     found = {entry["name"]: entry for entry in json.loads(said.out)}
-    assert set(found) == {entry.name for entry in TOUCH_KIND.published}
+    assert set(found) == {entry.name for kind in kinds() for entry in kind.published}
     here = found["real-single-64x64"]
     files = server.repository(TOUCHES).head.files
     assert here["hub_bytes"] == sum(len(blob.content) for blob in files.values())
@@ -264,10 +247,10 @@ def test_list(server, tmp_path):
     assert here["licence"] == "CC BY 2.0"
     other = found["real-seq"]
     assert (other["hub_bytes"], other["local_bytes"]) == (None, 0), "a size was invented"
-    table = call(server, tmp_path, "realtouch", "list")
+    table = call(server, tmp_path, "tactile", "list")
     assert "real-single-64x64" in table.out
     assert "?: the Hub did not answer" in table.err
-    alone = call("http://127.0.0.1:9", tmp_path, "realtouch", "list", "--json", HF_HUB_OFFLINE="1")
+    alone = call("http://127.0.0.1:9", tmp_path, "tactile", "list", "--json", HF_HUB_OFFLINE="1")
     entry = next(entry for entry in json.loads(alone.out) if entry["name"] == "real-single-64x64")
     assert (entry["hub_bytes"], entry["local_bytes"]) == (None, here["local_bytes"])
 

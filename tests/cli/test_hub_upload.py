@@ -91,7 +91,7 @@ def test_the_whole_way(digits_set, tmp_path):
     with hub() as server:
         token = server.account("someone")
         environment = settings(server, tmp_path, token)
-        sent = run("mnist3d", "upload", digits_set, "someone/digits", "--yes", environment=environment)
+        sent = run("tactile", "upload", digits_set, "someone/digits", "--yes", environment=environment)
         assert sent.returncode == 0, sent.stderr
         assert token not in sent.stdout + sent.stderr
         lines = [line.strip() for line in sent.stdout.splitlines()]
@@ -110,7 +110,7 @@ def test_the_whole_way(digits_set, tmp_path):
 
 def test_upload_lists_its_files_and_sends_none_twice(server, folder, capsys):
     (folder / "notes.txt").write_text("mine")
-    assert call("starstruck", "upload", folder, NAME, "--yes", "--tag", "v1") == 0
+    assert call("tactile", "upload", folder, NAME, "--yes", "--tag", "v1") == 0
     printed = capsys.readouterr()
     assert "public repository to create: someone/stars" in printed.out
     for path in ("README.md", "data/train-00000-of-00001.parquet", "manifest.json", "previews/scenes.png"):
@@ -119,22 +119,22 @@ def test_upload_lists_its_files_and_sends_none_twice(server, folder, capsys):
     assert "sent 5 files, removed 0; all 5 compared by checksum" in printed.out
     assert "tag set: v1" in printed.out
     assert "left out, not part of the data set: notes.txt" in printed.err
-    assert call("starstruck", "upload", folder, NAME, "--yes") == 0
+    assert call("tactile", "upload", folder, NAME, "--yes") == 0
     assert "someone/stars holds all files already, compared by checksum; nothing was sent" in (
         capsys.readouterr().out
     )
-    assert call("starstruck", "upload", folder, NAME, "--dry-run") == 0
+    assert call("tactile", "upload", folder, NAME, "--dry-run") == 0
     assert "someone/stars holds all files already, compared by checksum; nothing was sent" in (
         capsys.readouterr().out
     )
-    assert call("starstruck", "upload", folder, NAME, "--revision", "next") == 2, "a branch is asked for too"
+    assert call("tactile", "upload", folder, NAME, "--branch", "next") == 2, "a branch is asked for too"
     assert "branch to create at the head of main: next" in capsys.readouterr().out
 
 
 def test_dry_run_sends_nothing_and_needs_no_login(server, folder, capsys, monkeypatch):
     monkeypatch.delenv("HF_TOKEN")
     logging.getLogger("huggingface_hub").setLevel(logging.INFO)
-    assert call("starstruck", "upload", folder, NAME, "--dry-run", "--private", "--revision", "next") == 0
+    assert call("tactile", "upload", folder, NAME, "--dry-run", "--private", "--branch", "next") == 0
     assert not logging.getLogger("huggingface_hub").isEnabledFor(logging.WARNING), "the client is quiet, too"
     printed = capsys.readouterr().out
     assert "private repository to create: someone/stars (next)" in printed
@@ -142,7 +142,7 @@ def test_dry_run_sends_nothing_and_needs_no_login(server, folder, capsys, monkey
     assert printed.endswith("nothing was sent\n")
     assert {request.method for request in server.requests} == {"GET"}
     server.create(NAME, {"old.txt": b"x"})
-    assert call("starstruck", "upload", folder, NAME, "--dry-run", "--delete", "--json") == 0
+    assert call("tactile", "upload", folder, NAME, "--dry-run", "--delete", "--json") == 0
     told = json.loads(capsys.readouterr().out)
     assert (told["dry_run"], told["to_remove"], told["sent"], told["commit"]) == (True, ["old.txt"], [], None)
     assert len(told["to_send"]) == told["files"] == 5
@@ -155,7 +155,7 @@ def test_on_a_terminal_it_asks(server, folder, tmp_path, answer, code):
     environment = settings(server, tmp_path, next(iter(server.accounts)), PYTHONPATH=str(Path.cwd()))
     ours, theirs = pty.openpty()
     process = subprocess.Popen(
-        program("starstruck", "upload", folder, NAME),
+        program("tactile", "upload", folder, NAME),
         env=environment,
         stdin=theirs,
         stderr=theirs,
@@ -192,7 +192,7 @@ def _read(terminal: int) -> bytes:
 def test_refusals_give_one_line(server, folder, capsys, monkeypatch, account, name, words):
     token = server.account(*account) if account else None
     monkeypatch.setenv("HF_TOKEN", token or "")
-    code = call("starstruck", "upload", folder, name, "--yes")
+    code = call("tactile", "upload", folder, name, "--yes")
     printed = capsys.readouterr()
     assert code == (2 if "not a name" in words else 4)
     (line,) = [line for line in printed.err.splitlines() if line.startswith("error: ")]
@@ -203,7 +203,7 @@ def test_refusals_give_one_line(server, folder, capsys, monkeypatch, account, na
 
 def test_a_missing_network_is_named(folder, tmp_path):
     environment = settings("http://127.0.0.1:9", tmp_path, "hf_abcdefgh")
-    words = ("starstruck", "upload", str(folder), NAME, "--yes")
+    words = ("tactile", "upload", str(folder), NAME, "--yes")
     script = f"from tests.command_line import call\nprint(call(*{words!r}))"
     done = run_here(script, environment, tmp_path)
     assert done.stdout.splitlines()[-1] == "4"
@@ -214,11 +214,6 @@ def test_a_missing_network_is_named(folder, tmp_path):
 def test_a_damaged_folder_is_not_sent(server, folder, tmp_path, capsys):
     copy = Path(shutil.copytree(folder, tmp_path / "copy"))
     (copy / "data" / "test-00000-of-00001.parquet").unlink()
-    assert call("starstruck", "upload", copy, NAME, "--yes") == 3
+    assert call("tactile", "upload", copy, NAME, "--yes") == 3
     assert "data/test-00000-of-00001.parquet is missing" in capsys.readouterr().err
-    assert call("mnist3d", "upload", folder, NAME, "--yes") == 2
-    assert (
-        "holds scenes; `mnist3d upload` is for digits; next: run `starstruck upload "
-        in capsys.readouterr().err
-    )
     assert server.requests == []

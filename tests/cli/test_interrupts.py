@@ -52,8 +52,8 @@ def test_no_command_imports_modules_that_swallow_it(digits_set, scenes_set, tmp_
     write_set(touches, {"train": single_rows([make_round(0, 4, (64, 64))])}, "single")
     sets = {"mnist3d": digits_set, "starstruck": scenes_set, "realtouch": touches}
     commands = [
-        [room, command, str(place), *(["--out", str(tmp_path / room / command)] if is_drawing else [])]
-        for room, place in sets.items()
+        ["tactile", command, str(place), *(["--out", str(tmp_path / kind / command)] if is_drawing else [])]
+        for kind, place in sets.items()
         for command, is_drawing in (("info", 0), ("verify", 0), ("preview", 1), ("gallery", 1))
     ]
     done = subprocess.run(
@@ -66,7 +66,7 @@ def test_no_command_imports_modules_that_swallow_it(digits_set, scenes_set, tmp_
     )
     assert "pandas was imported" not in done.stderr
     assert done.returncode == 0, done.stderr
-    assert {room for room in sets if (tmp_path / room / "gallery").exists()} == set(sets)
+    assert {kind for kind in sets if (tmp_path / kind / "gallery").exists()} == set(sets)
 
 
 def commands() -> dict[str, str]:
@@ -77,12 +77,10 @@ def commands() -> dict[str, str]:
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     ("command", "module"),
-    [*((command, "cli.output") for command in commands()), ("mnist3d", "typer"), ("mnist3d", "pyarrow")],
+    [*((command, "cli.output") for command in commands()), ("tactile", "typer"), ("tactile", "pyarrow")],
 )
 def test_ctrl_c_while_a_command_starts_ends_it_without_a_traceback(command, module):
     words = ["verify", module]
-    if command == "tactile":
-        words.insert(0, "digits")
     done = subprocess.run(
         [sys.executable, "-c", STARTED, commands()[command], *words],
         cwd=ROOT,

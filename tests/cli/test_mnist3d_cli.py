@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,22 +13,22 @@ from tests import command_line
 SMALL = ("--split", "test", "--per-class", "1", "--vertices", "2000", "--workers", "1")
 
 
-call = partial(command_line.call, "mnist3d")
+call = command_line.call
 
 
 def test_generate_ends_with_a_summary_and_a_next_step(tmp_path, capsys):
     out = tmp_path / "digits"
-    assert call("generate", *SMALL, "--out", out) == 0
+    assert call("mnist3d", "generate", *SMALL, "--out", out) == 0
     printed = capsys.readouterr()
     assert "test" in printed.out
     assert "made 10 digits" in printed.out
     assert str(out) in printed.out
-    assert "next: mnist3d verify" in printed.out
+    assert "next: tactile verify" in printed.out
     assert "making digits: 10 of 10" in printed.err
 
 
 def test_generate_json_is_one_document(tmp_path, capsys):
-    assert call("generate", *SMALL, "--out", tmp_path / "digits", "--json") == 0
+    assert call("mnist3d", "generate", *SMALL, "--out", tmp_path / "digits", "--json") == 0
     document = json.loads(capsys.readouterr().out)
     (split,) = document["splits"]
     assert (split["split"], split["rows"]) == ("test", 10)
@@ -39,16 +38,16 @@ def test_generate_json_is_one_document(tmp_path, capsys):
 
 
 def test_info(digits_set, capsys):
-    assert call("info", digits_set) == 0
+    assert call("tactile", "info", digits_set) == 0
     assert "solid.target_vertices = 2000" in capsys.readouterr().out
-    assert call("info", digits_set, "--json") == 0
+    assert call("tactile", "info", digits_set, "--json") == 0
     assert json.loads(capsys.readouterr().out)["splits"][0]["rows"] == 10
 
 
 def test_validate_a_folder(digits_set, capsys):
-    assert call("validate", digits_set, "--split", "test") == 0
+    assert call("mnist3d", "validate", digits_set, "--split", "test") == 0
     assert "10 of 10 meshes are valid" in capsys.readouterr().out
-    assert call("validate", digits_set, "--split", "test", "--limit", 3, "--json") == 0
+    assert call("mnist3d", "validate", digits_set, "--split", "test", "--limit", 3, "--json") == 0
     (document,) = json.loads(capsys.readouterr().out)
     assert (document["checked"], document["failed"]) == (3, 0)
     assert len(document["meshes"]) == 3
@@ -65,14 +64,14 @@ def test_validate_files_of_anyone(tmp_path, capsys, kind):
     box.export(good)
     box.update_faces(np.arange(len(box.faces)) > 0)
     box.export(bad)
-    assert call("validate", good) == 0
+    assert call("mnist3d", "validate", good) == 0
     # glTF has y up (section 3.4): its 20 mm stand, and its 10 mm lie.
     size = "30.0 x 10.0 x 20.0" if kind == "glb" else "30.0 x 20.0 x 10.0"
     assert size in capsys.readouterr().out
-    assert call("validate", good, bad) == 1
+    assert call("mnist3d", "validate", good, bad) == 1
     printed = capsys.readouterr().out
     assert "1 of 2 meshes are valid" in printed
-    assert call("validate", bad, "--json") == 1
+    assert call("mnist3d", "validate", bad, "--json") == 1
     (document,) = json.loads(capsys.readouterr().out)
     assert document["meshes"][0]["name"] == bad.name
     assert document["meshes"][0]["is_solid"] is False
@@ -82,38 +81,54 @@ def test_validate_files_of_anyone(tmp_path, capsys, kind):
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
-        (("generate", "--source", "hwdplus"), 2, ("--images is needed by the source 'hwdplus'",)),
+        (("mnist3d", "generate", "--source", "hwdplus"), 2, ("--images is needed by the source 'hwdplus'",)),
         (
-            ("generate", "--source", "hwdplus", "--images", "x.npy"),
+            ("mnist3d", "generate", "--source", "hwdplus", "--images", "x.npy"),
             2,
             ("--writer-info is needed by the source 'hwdplus'",),
         ),
-        (("generate", "--source", "mnist", "--images", "nowhere"), 2, ("nowhere",)),
+        (("mnist3d", "generate", "--source", "mnist", "--images", "nowhere"), 2, ("nowhere",)),
         (
-            ("generate", "--images", "x"),
+            ("mnist3d", "generate", "--images", "x"),
             2,
             ("--images has no effect without --source hwdplus, mnist or folder",),
         ),
-        (("generate", "--foreground", "auto"), 2, ("--foreground", "--source folder")),
-        (("generate", "--writer-info", "x"), 2, ("--writer-info", "--source hwdplus")),
-        (("generate", "--writer-column", "0"), 2, ("--writer-column", "--source hwdplus")),
-        (("generate", "--download"), 2, ("--download", "--source mnist")),
+        (("mnist3d", "generate", "--foreground", "auto"), 2, ("--foreground", "--source folder")),
+        (("mnist3d", "generate", "--writer-info", "x"), 2, ("--writer-info", "--source hwdplus")),
+        (("mnist3d", "generate", "--writer-column", "0"), 2, ("--writer-column", "--source hwdplus")),
+        (("mnist3d", "generate", "--download"), 2, ("--download", "--source mnist")),
         (
-            ("generate", "--source", "folder", "--images", "x", "--digits", "9"),
+            ("mnist3d", "generate", "--source", "folder", "--images", "x", "--digits", "9"),
             2,
             ("--digits has no effect without --source synthetic",),
         ),
-        (("generate", "--half-thickness-mm", "50"), 2, ("error: --half-thickness-mm", "0.2 to 20 mm")),
-        (("generate", "--split-sizes", "train"), 2, ("--split-sizes is 'train'", "train=8,test=2")),
-        (("generate", "--split-sizes", "train=1,train=2"), 2, ("once at most",)),
-        (("generate", "--split-sizes", f"train={'9' * 5_000}"), 2, ("--split-sizes is 'train=99",)),
-        (("generate", "--split-sizes", "validation=3"), 2, ("'validation', 3", "expected each of train")),
-        (("generate", "--split-sizes", "train=9999"), 2, ("9999 digits per class", "1358")),
-        (("generate", "--half-thickness-mm", "-1"), 2, ("error: --half-thickness-mm",)),
-        (("generate", "--vertices", "0"), 2, ("error: --vertices",)),
-        (("info", "nowhere"), 2, ("nowhere' does not exist", "next: check the name")),
-        (("verify", "nowhere"), 2, ("nowhere' does not exist",)),
-        (("validate", "nowhere.stl"), 2, ("'nowhere.stl' does not exist",)),
+        (
+            ("mnist3d", "generate", "--half-thickness-mm", "50"),
+            2,
+            ("error: --half-thickness-mm", "0.2 to 20 mm"),
+        ),
+        (
+            ("mnist3d", "generate", "--split-sizes", "train"),
+            2,
+            ("--split-sizes is 'train'", "train=8,test=2"),
+        ),
+        (("mnist3d", "generate", "--split-sizes", "train=1,train=2"), 2, ("once at most",)),
+        (
+            ("mnist3d", "generate", "--split-sizes", f"train={'9' * 5_000}"),
+            2,
+            ("--split-sizes is 'train=99",),
+        ),
+        (
+            ("mnist3d", "generate", "--split-sizes", "validation=3"),
+            2,
+            ("'validation', 3", "expected each of train"),
+        ),
+        (("mnist3d", "generate", "--split-sizes", "train=9999"), 2, ("9999 digits per class", "1358")),
+        (("mnist3d", "generate", "--half-thickness-mm", "-1"), 2, ("error: --half-thickness-mm",)),
+        (("mnist3d", "generate", "--vertices", "0"), 2, ("error: --vertices",)),
+        (("tactile", "info", "nowhere"), 2, ("nowhere' does not exist", "next: check the name")),
+        (("tactile", "verify", "nowhere"), 2, ("nowhere' does not exist",)),
+        (("mnist3d", "validate", "nowhere.stl"), 2, ("'nowhere.stl' does not exist",)),
     ],
 )
 def test_bad_input_is_named_in_two_lines(tmp_path, monkeypatch, capsys, arguments, code, words):
@@ -131,7 +146,7 @@ def test_bad_input_is_named_in_two_lines(tmp_path, monkeypatch, capsys, argument
 
 @pytest.mark.thorough
 def test_real_pictures_in_a_folder(shared, tmp_path, capsys):
-    arguments = ("generate", "--source", "folder", "--images", shared / "digits" / "png", *SMALL)
+    arguments = ("mnist3d", "generate", "--source", "folder", "--images", shared / "digits" / "png", *SMALL)
     assert call(*arguments, "--out", tmp_path / "digits") == 0
     digits = mnist3d.load(str(tmp_path / "digits"), "test")
     assert np.bincount(digits.labels).tolist() == [1] * 10
@@ -140,14 +155,14 @@ def test_real_pictures_in_a_folder(shared, tmp_path, capsys):
 
 @pytest.mark.thorough
 def test_real_mnist(shared, tmp_path):
-    arguments = ("generate", "--source", "mnist", "--images", shared / "mnist", *SMALL)
+    arguments = ("mnist3d", "generate", "--source", "mnist", "--images", shared / "mnist", *SMALL)
     assert call(*arguments, "--out", tmp_path / "digits", "--quiet") == 0
     assert len(mnist3d.load(str(tmp_path / "digits"), "test")) == 10
 
 
 def test_the_next_step_names_a_split_that_has_rows(tmp_path, capsys):
     options = ("--split-sizes", "train=0,test=1", "--vertices", "2000", "--workers", "1")
-    assert call("generate", *options, "--limit", 1, "--out", tmp_path / "set") == 0
+    assert call("mnist3d", "generate", *options, "--limit", 1, "--out", tmp_path / "set") == 0
     assert 'split="test"' in capsys.readouterr().out
 
 
@@ -164,10 +179,10 @@ def pictures(folder: Path, *greys: int) -> Path:
 def test_generate_counts_the_digits_made(tmp_path, capsys):
     source = ("--source", "folder", "--images", pictures(tmp_path / "some", 0, 255, 0), "--vertices", 2000)
     sizes = ("--split", "test", "--split-sizes", "test=3", "--workers", 1)
-    assert call("generate", *source, *sizes, "--out", tmp_path / "set") == 0
+    assert call("mnist3d", "generate", *source, *sizes, "--out", tmp_path / "set") == 0
     assert "made 2 digits in" in capsys.readouterr().out
     assert json.loads((tmp_path / "set" / "manifest.json").read_text())["skipped"] == {"no-ink": 1}
-    assert call("generate", *source, *sizes, "--out", tmp_path / "set") == 0
+    assert call("mnist3d", "generate", *source, *sizes, "--out", tmp_path / "set") == 0
     assert "nothing was left to make" in capsys.readouterr().out
 
 
@@ -201,6 +216,6 @@ def test_pictures_of_ones_own_are_divided_where_that_is_asked_for(
     own_pictures, tmp_path, capsys, asked, rows
 ):
     source = ("--source", "folder", "--images", own_pictures, "--vertices", 2000, "--workers", 1)
-    assert call("generate", *source, "--dry-run", "--json", "--out", tmp_path / "set", *asked) == 0
+    assert call("mnist3d", "generate", *source, "--dry-run", "--json", "--out", tmp_path / "set", *asked) == 0
     splits = json.loads(capsys.readouterr().out)["splits"]
     assert {each["split"]: each["rows"] for each in splits} == rows

@@ -57,12 +57,12 @@ def test_commands_leave_the_home_folder_alone(tmp_path, monkeypatch):
     monkeypatch.setenv("HOME", str(home))
     small = ("--scenes", "train=3", "--workers", 1, "--quiet")
     assert call("starstruck", "generate", "--out", "./~", *small) == 0
-    assert call("starstruck", "verify", "./~", "--quiet") == 0
-    assert call("starstruck", "preview", "./~", "--kind", "sheet", "--out", "./~p", "--quiet") == 0
-    assert call("starstruck", "gallery", "./~", "--out", "./~g", "--quiet") == 0
-    assert call("env-assets", "wrench", "--out", "./~w", "--stl", "./~.stl", "--quiet") == 0
+    assert call("tactile", "verify", "./~", "--quiet") == 0
+    assert call("tactile", "preview", "./~", "--draw", "sheet", "--out", "./~p", "--quiet") == 0
+    assert call("tactile", "gallery", "./~", "--out", "./~g", "--quiet") == 0
+    assert call("env-assets", "wrench", "--out", "./~w", "--quiet") == 0
     assert not any(home.iterdir())
-    assert {each.name for each in tmp_path.iterdir()} == {"home", "~", "~p", "~g", "~w", "~.stl"}
+    assert {each.name for each in tmp_path.iterdir()} == {"home", "~", "~p", "~g", "~w"}
 
 
 def test_options_that_are_not_given_mean_the_defaults_of_the_library():
@@ -73,16 +73,15 @@ def test_options_that_are_not_given_mean_the_defaults_of_the_library():
 @pytest.mark.parametrize(
     ("words", "missing"),
     [
-        ("mnist3d split x --seed 3", "--fractions"),
-        ("mnist3d cache --unused-days 3", "ACTION prune"),
-        ("mnist3d verify x --limit 3", "--geometry"),
-        ("mnist3d preview x --images y", "--kind steps or all"),
+        ("tactile split x --seed 3", "--fractions"),
+        ("tactile cache --unused-days 3", "--prune"),
+        ("tactile preview x --source-images y", "--draw steps or all"),
         ("mnist3d generate --source mnist --images x --foreground dark", "--source folder"),
-        ("mnist3d export x --friction 1", "--format mjcf, urdf or usd"),
-        ("mnist3d export x --plate 200x200 --format stl", "--format 3mf or mjcf"),
-        ("realtouch select x --as-recorded --out y", "--contact"),
-        ("realtouch preview x --kind overlay --touches 3", "--kind grid or all"),
-        ("tactile-sim generate x --quality 90 --format png", "--format jpeg"),
+        ("tactile export x --friction 1", "--format mjcf, urdf or usd"),
+        ("tactile export x --plate 200x200 --format stl", "--format 3mf or mjcf"),
+        ("tactile select x --as-recorded", "--contact"),
+        ("tactile preview x --draw overlay --touches 3", "--draw grid or all"),
+        ("tactile-sim generate x --quality 90 --image-format png", "--image-format jpeg"),
         ("tactile-sim render x --force-n 5", "--gel"),
         ("tactile-sim render x --gel elastic --draw-markers", "--markers"),
     ],
@@ -94,7 +93,7 @@ def test_an_option_without_effect_is_refused(words, missing, capsys):
 
 
 def test_needs_name_options_of_the_same_command_and_their_values():
-    for line in ("mnist3d", "starstruck", "realtouch", "tactile_sim", "env_assets"):
+    for line in ("tactile", "mnist3d", "starstruck", "realtouch", "tactile_sim"):
         for info in import_module(f"cli.{line}").app.registered_commands:
             hints = [each.annotation for each in inspect.signature(info.callback).parameters.values()]
             rules = dict(zip(inspect.signature(info.callback).parameters, hints, strict=True))
@@ -133,7 +132,7 @@ def test_errors_about_words_have_the_field_of_their_option(line, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "words", [("starstruck", "generate"), ("mnist3d", "generate"), ("mnist3d", "split", "x")]
+    "words", [("starstruck", "generate"), ("mnist3d", "generate"), ("tactile", "split", "x")]
 )
 def test_integers_of_any_length_are_read(words, tmp_path, capsys):
     assert call(*words, "--seed", 10**45, "--out", tmp_path / "out") == 2

@@ -10,9 +10,8 @@ import sys
 
 import pytest
 
-from cli.contents import flat_lines
 from cli.output import Sink
-from tactile_toolkit.wording import BYTES, bytes_text, did_you_mean, duration_text, rate_text
+from tactile_toolkit.wording import BYTES, bytes_text, did_you_mean, duration_text, flat_lines, rate_text
 
 fcntl = pytest.importorskip("fcntl")
 pty = pytest.importorskip("pty")

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -14,7 +13,7 @@ from tactile_toolkit.wording import with_count
 from tests import command_line
 from tests.realtouch import factories
 
-call = partial(command_line.call, "realtouch")
+call = command_line.call
 
 
 @pytest.fixture(scope="module")
@@ -33,17 +32,17 @@ def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_only_split_is_opened(clips, tmp_path, capsys):
     rows = factories.single_rows([factories.make_round(0, 3, (64, 48))])
     only = factories.write_set(tmp_path / "only", {"test": rows}, "single")
-    assert call("load", only) == 0
+    assert call("realtouch", "load", only) == 0
     assert capsys.readouterr().out.endswith(
         f"next in Python: realtouch.load({str(only)!r}, 'test').touches()\n"
     )
-    assert call("load", clips) == 2
+    assert call("realtouch", "load", clips) == 2
     assert "has the splits" in (said := capsys.readouterr().err)
     assert "--split" in said
 
 
 def test_load_checks_and_prints_the_content(clips, capsys):
-    assert call("load", clips, "--split", "test") == 0
+    assert call("realtouch", "load", clips, "--split", "test") == 0
     printed = capsys.readouterr()
     for words in (
         "rounds",
@@ -56,14 +55,9 @@ def test_load_checks_and_prints_the_content(clips, capsys):
     ):
         assert words in printed.out
     assert "realtouch.load(" in printed.out
-    assert call("load", clips, "--split", "test", "--json", "--quiet") == 0
+    assert call("realtouch", "load", clips, "--split", "test", "--json", "--quiet") == 0
     document = json.loads(capsys.readouterr().out)
-    assert (document["kind"], document["rounds"], document["touches"], document["checked"]) == (
-        "seq",
-        1,
-        3,
-        True,
-    )
+    assert (document["kind"], document["rounds"], document["touches"]) == ("seq", 1, 3)
 
 
 @pytest.mark.parametrize("label", ["[/b0][b]x\x1b[2J\x07\u202egnp"])
@@ -73,12 +67,12 @@ def test_names_of_classes_are_shown_and_not_obeyed(tmp_path, capsys, monkeypatch
     rows = factories.single_rows([factories.make_round(0, 3, (64, 48))])
     rows = [{**row, "label": 0} for row in rows]
     place = factories.write_set(tmp_path / "set", {"train": rows}, "single")
-    assert call("info", place) == 0
+    assert call("tactile", "info", place) == 0
     printed = capsys.readouterr()
     shown = ascii(label)[1:-1]
     assert f"{shown}: 1" in printed.out
     assert printed.out.replace("\n", "").isprintable()
-    assert call("info", place, "--json") == 0
+    assert call("tactile", "info", place, "--json") == 0
     text = capsys.readouterr().out
     assert label in json.loads(text)["splits"]["train"]["labels"]
     assert text.replace("\n", "").isprintable()
@@ -88,21 +82,18 @@ def test_names_of_classes_are_shown_and_not_obeyed(tmp_path, capsys, monkeypatch
 
 
 def test_one_split_alone(clips, tmp_path, capsys):
-    assert call("info", clips, "--split", "test", "--json") == 0
+    assert call("tactile", "info", clips, "--split", "test", "--json") == 0
     assert set(json.loads(capsys.readouterr().out)["splits"]) == {"test"}
-    for command in ("clips-to-images", "resize --size 32x24", "frames", "select"):
-        name, *options = command.split()
-        out = tmp_path / name
-        assert (
-            call(name, clips, "--out", out, *options, "--split", "test", "--workers", 1, "--json", "--quiet")
-            == 0
-        )
+    for command in ("realtouch stills", "realtouch resize", "tactile export", "tactile select"):
+        options = {"realtouch resize": ("--size", "32x24"), "tactile export": ("--format", "png")}
+        words = (*command.split(), clips, "--out", tmp_path / command, *options.get(command, ()))
+        assert call(*words, "--split", "test", "--workers", 1, "--json", "--quiet") == 0
         assert set(json.loads(capsys.readouterr().out)["splits"]) == {"test"}
 
 
 def test_fetched_splits_are_announced(capsys):
+    from cli.contents import announce_fetching
     from cli.output import Sink
-    from cli.touch_conversions import announce_fetching
 
     def place(name: str, source: HubRepository | DataFolder) -> Place:
         return Place(name, source, {"train": ("train.parquet",)})
@@ -122,13 +113,13 @@ def test_fetched_splits_are_announced(capsys):
 
 def test_info_shows_every_split_and_how_it_was_made(clips, tmp_path, capsys):
     out = tmp_path / "single"
-    assert call("clips-to-images", clips, "--out", out, "--frame", "peak", "--workers", 1) == 0
+    assert call("realtouch", "stills", clips, "--out", out, "--clip-frame", "peak", "--workers", 1) == 0
     assert str(out) in capsys.readouterr().out
-    assert call("info", out) == 0
+    assert call("tactile", "info", out) == 0
     printed = capsys.readouterr().out
-    assert "to-single" in printed
+    assert "made by `realtouch stills` of tactile-toolkit" in printed
     assert "frame = peak" in printed
-    assert call("info", out, "--json") == 0
+    assert call("tactile", "info", out, "--json") == 0
     assert set(json.loads(capsys.readouterr().out)["splits"]) == {"train", "test"}
 
 
@@ -136,36 +127,45 @@ def test_info_shows_every_split_and_how_it_was_made(clips, tmp_path, capsys):
     ("command", "check"),
     [
         (
-            ("resize", "--size", "32x24"),
+            ("realtouch", "resize", "--size", "32x24"),
             lambda out: realtouch.load(out, "train")[0].sensor_image[0].shape == (24, 32, 3),
         ),
         (
-            ("select", "--contact", "--labels", "0,1"),
+            ("tactile", "select", "--contact", "--labels", "0,1"),
             lambda out: len(realtouch.load(out, "train").touches()) == 4,
         ),
-        (("select", "--ids", "4001"), lambda out: realtouch.load(out, "train")[0].object_id == 4001),
-        (("select", "--limit", 1), lambda out: len(realtouch.load(out, "train")) == 1),
-        (("frames", "--format", "jpeg"), lambda out: len(list((out / "images").rglob("*.jpg"))) == 9),
-        (("frames",), lambda out: len(list((out / "images").rglob("*.png"))) == 9),
+        (
+            ("tactile", "select", "--ids", "4001"),
+            lambda out: realtouch.load(out, "train")[0].object_id == 4001,
+        ),
+        (("tactile", "select", "--limit", 1), lambda out: len(realtouch.load(out, "train")) == 1),
+        (
+            ("tactile", "export", "--format", "jpeg"),
+            lambda out: len(list((out / "images").rglob("*.jpg"))) == 9,
+        ),
+        (
+            ("tactile", "export", "--format", "png"),
+            lambda out: len(list((out / "images").rglob("*.png"))) == 9,
+        ),
     ],
 )
 def test_conversions(command, check, images, tmp_path, capsys):
-    name, *options = command
+    program, name, *options = command
     out = tmp_path / "out"
-    assert call(name, images, "--out", out, *options, "--workers", 1) == 0
+    assert call(program, name, images, "--out", out, *options, "--workers", 1) == 0
     printed = capsys.readouterr().out
     assert "the data set is in" in printed
     rows = sum(split["rows"] for split in read_manifest(open_folder(str(out))).split_table().values())
-    assert f"made {with_count(rows, 'touches' if name == 'frames' else 'rounds')} in " in printed
+    assert f"made {with_count(rows, 'touches' if name == 'export' else 'rounds')} in " in printed
     assert check(out)
     before = (out / "manifest.json").stat().st_mtime_ns
-    assert call(name, images, "--out", out, *options, "--workers", 1, "--quiet") == 0
+    assert call(program, name, images, "--out", out, *options, "--workers", 1, "--quiet") == 0
     assert (out / "manifest.json").stat().st_mtime_ns == before
     assert capsys.readouterr().out == ""
 
 
 def test_verify_names_all_damage_and_leaves_with_3(images, tmp_path, capsys):
-    assert call("verify", images) == 0
+    assert call("tactile", "verify", images) == 0
     printed = capsys.readouterr().out
     assert "3 rounds, 9 touches: nothing is wrong" in printed
     assert "2 files unprotected" in printed
@@ -176,7 +176,7 @@ def test_verify_names_all_damage_and_leaves_with_3(images, tmp_path, capsys):
 
     rows = factories.single_rows([factories.make_round(index, 3, (64, 48)) for index in range(2)])
     folder = factories.write_set(tmp_path / "bad", {"train": rows}, "single", factories.Layout(edit=cut))
-    assert call("verify", folder, "--json") == 3
+    assert call("tactile", "verify", folder, "--json") == 3
     printed = capsys.readouterr()
     document = json.loads(printed.out)
     assert [(f["row"], f["touch"], f["field"]) for f in document["findings"]] == [
@@ -203,38 +203,42 @@ def test_load_checks_headers_by_default_and_verify_can_be_quick(tmp_path, capsys
     damage(rows[0], 1)
     factories.write_set(tmp_path / "header", {"train": rows[:1]}, "single")
     for folder, command, code in (
-        ("body", "verify --quick", 0),
-        ("body", "verify", 3),
-        ("body", "load", 0),
-        ("header", "verify --quick", 3),
-        ("header", "load", 3),
-        ("header", "load --no-check", 0),
+        ("body", "tactile verify --quick", 0),
+        ("body", "tactile verify", 3),
+        ("body", "realtouch load", 0),
+        ("header", "tactile verify --quick", 3),
+        ("header", "realtouch load", 3),
     ):
-        capsys.readouterr()
-        name, *options = command.split()
-        assert call(name, tmp_path / folder, *options, "--json") == code, (folder, command)
-    assert not json.loads(capsys.readouterr().out)["checked"]
+        program, name, *options = command.split()
+        assert call(program, name, tmp_path / folder, *options, "--json") == code, (folder, command)
+    assert "damaged: " in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("load", "nowhere/"), "(the published sets: `mnist3d list`, `realtouch list`"),
-        (("load", "{images}", "--split", "holdout"), "no split 'holdout'"),
-        (("resize", "{images}", "--out", "{out}", "--size", "64"), "expected WIDTHxHEIGHT"),
-        (("resize", "{images}", "--out", "{out}", "--size", "0x9"), "expected at least 1 x 1"),
-        (("resize", "{images}", "--out", "{out}", "--size", f"9x{'9' * 5_000}"), "expected WIDTHxHEIGHT"),
-        (("select", "{images}", "--out", "{out}", "--ids", "9" * 5_000), "expected numbers and ranges"),
-        (("select", "{images}", "--out", "{out}", "--labels", "cat"), "no class 'cat'"),
-        (("select", "{images}", "--out", "{out}", "--ids", "x"), "expected numbers and ranges"),
+        (("realtouch", "load", "nowhere/"), "(`tactile list` lists the published sets)"),
+        (("realtouch", "load", "{images}", "--split", "holdout"), "no split 'holdout'"),
+        (("realtouch", "resize", "{images}", "--out", "{out}", "--size", "64"), "expected WIDTHxHEIGHT"),
+        (("realtouch", "resize", "{images}", "--out", "{out}", "--size", "0x9"), "expected at least 1 x 1"),
         (
-            ("select", "{images}", "--out", "{out}", "--contact", "--min-height-mm", "nan"),
+            ("realtouch", "resize", "{images}", "--out", "{out}", "--size", f"9x{'9' * 5_000}"),
+            "expected WIDTHxHEIGHT",
+        ),
+        (
+            ("tactile", "select", "{images}", "--out", "{out}", "--ids", "9" * 5_000),
+            "expected numbers and ranges",
+        ),
+        (("tactile", "select", "{images}", "--out", "{out}", "--labels", "cat"), "no class 'cat'"),
+        (("tactile", "select", "{images}", "--out", "{out}", "--ids", "x"), "expected numbers and ranges"),
+        (
+            ("tactile", "select", "{images}", "--out", "{out}", "--contact", "--min-height-mm", "nan"),
             "--min-height-mm is nan; expected a number",
         ),
-        (("select", "{images}", "--out", "{out}", "--min-height-mm", "7"), "next: add --contact"),
-        (("select", "{images}", "--out", "{out}", "--as-recorded"), "next: add --contact"),
-        (("clips-to-images", "{images}", "--out", "{out}"), "holds single images already"),
-        (("verify", "{out}/nothing"), "does not exist"),
+        (("tactile", "select", "{images}", "--out", "{out}", "--min-height-mm", "7"), "next: add --contact"),
+        (("tactile", "select", "{images}", "--out", "{out}", "--as-recorded"), "next: add --contact"),
+        (("realtouch", "stills", "{images}", "--out", "{out}"), "holds single images already"),
+        (("tactile", "verify", "{out}/nothing"), "does not exist"),
     ],
 )
 def test_bad_input_gives_one_line_and_exit_code_2(arguments, words, images, tmp_path, capsys):

@@ -148,7 +148,7 @@ def test_nor_is_one_that_stands_in_a_source(secret, form, tmp_path_factory, capf
 
 
 def test_nor_does_a_process_of_its_own():
-    words = program("mnist3d", "info", "s3://KEY:a/secret'with\"all of@it@bucket/x", "--debug")
+    words = program("tactile", "info", "s3://KEY:a/secret'with\"all of@it@bucket/x", "--debug")
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert done.stdout == ""

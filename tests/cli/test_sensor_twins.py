@@ -49,12 +49,14 @@ def test_a_sensor_is_a_small_folder_with_the_results(
     place: Path, recording: Recording, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert sorted(file.name for file in (place / "mine").iterdir()) == ["arrays.npz", "sensor.json"]
-    assert call("tactile-sim", "show", place / "mine", "--json") == 0
+    assert call("tactile", "info", place / "mine", "--json") == 0
     shown = json.loads(capsys.readouterr().out)
     assert shown["report"]["mm_per_px"] == pytest.approx(recording.mm_per_px, rel=0.05)
     assert shown["sensor"]["name"] == "mine"
     assert len(shown["report"]["touches"]) == 8
-    assert call("tactile-sim", "show", "digit") == 0
+    assert call("tactile", "info", place / "mine", "--split", "test") == 2
+    assert "--split has no effect on a sensor" in capsys.readouterr().err
+    assert call("tactile", "info", "digit") == 0
     assert "19 x 16 mm" in capsys.readouterr().out
 
 
@@ -69,7 +71,7 @@ def test_a_sensor_makes_images_and_reads_depth(place: Path) -> None:
     assert images.shape == (2, 48, 64, 3)
     assert np.ptp(images.astype(int), axis=3).max() > 5  # coloured
     assert "the twin of a sensor" in (made / "README.md").read_text()
-    assert call("realtouch", "depth", made, *sensor, "--out", place / "depths", "-q") == 0
+    assert call("tactile-sim", "depth", made, *sensor, "--out", place / "depths", "-q") == 0
     (found,) = realtouch.load(place / "depths", "train")
     assert found.depth_m[:].shape == found.depth_error_m[:].shape == (2, 48, 64)
     model = tactile_sim.SensorModel.load(place / "mine")
@@ -113,16 +115,16 @@ def test_a_sensor_goes_to_the_hub_and_comes_back(
     place: Path, server: HubServer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     shutil.copytree(place / "mine", tmp_path / "mine")
-    send = ("tactile-sim", "upload", tmp_path / "mine", "someone/mine", "--yes")
+    send = ("tactile", "upload", tmp_path / "mine", "someone/mine", "--yes")
     assert call(*send) == 0
     assert "sent 3 files" in capsys.readouterr().out
     assert call(*send) == 0
     assert "nothing was sent" in capsys.readouterr().out
     back = tmp_path / "back"
-    assert call("tactile-sim", "download", "someone/mine", "--out", back) == 0
+    assert call("tactile", "download", "someone/mine", "--out", back) == 0
     for name in ("sensor.json", "arrays.npz"):
         assert (back / name).read_bytes() == (place / "mine" / name).read_bytes()
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "notes.txt").write_text("mine")
-    assert call("tactile-sim", "download", "someone/mine", "--out", tmp_path / "other") == 2
+    assert call("tactile", "download", "someone/mine", "--out", tmp_path / "other") == 2
     assert "notes.txt" in capsys.readouterr().err

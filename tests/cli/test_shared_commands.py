@@ -1,4 +1,4 @@
-"""Shared commands and options: show, list, cache, verify --geometry, --token, selection of objects."""
+"""Shared commands and options: show, list, cache, verify --content, --token, selection of objects."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ def digits(tmp_path_factory) -> Path:
 
 
 def test_a_row_is_shown_column_by_column(digits, capsys):
-    assert call("mnist3d", "show", digits, "--row", 3, "--json") == 0
+    assert call("tactile", "show", digits, "--row", 3, "--json") == 0
     document = json.loads(capsys.readouterr().out)
     record = mnist3d.load(str(digits), "test")[3]
     assert (document["split"], document["row"]) == ("test", 3)
     assert (document["values"]["id"], document["values"]["label"]) == (record.id, record.label)
-    assert call("mnist3d", "show", digits, "--row", 3) == 0
+    assert call("tactile", "show", digits, "--row", 3) == 0
     printed = capsys.readouterr().out
     assert f"{len(record.vertices_m):,} values" in printed
     assert "row 3 of the 20 rows in test" in printed
-    assert call("mnist3d", "show", digits, "--row", 20) == 2
+    assert call("tactile", "show", digits, "--row", 20) == 2
     assert "--row is 20; rows are counted from 0, and split " in capsys.readouterr().err
 
 
@@ -53,8 +53,8 @@ def test_rows_of_others_with_any_content_are_shown(tmp_path):
     pq.write_table(pa.table(columns), tmp_path / "train-00000-of-00001.parquet")
     code = f"""
 import sys
-from cli.mnist3d import main
-sys.argv = ["mnist3d", "show", {str(tmp_path)!r}]
+from cli.tactile import main
+sys.argv = ["tactile", "show", {str(tmp_path)!r}]
 main()
 """
     # In another process, as users run it: with pandas, which is imported here, Arrow converts more.
@@ -71,18 +71,18 @@ def test_sets_of_a_folder_are_listed_with_their_problems(digits, tmp_path, capsy
     bad = tmp_path / "bad"
     bad.mkdir()
     (bad / "manifest.json").write_text("{")
-    assert call("starstruck", "list", tmp_path, "--json") == 0
+    assert call("tactile", "list", tmp_path, "--json") == 0
     first, second = json.loads(capsys.readouterr().out)
     assert (first["name"], first["kind"]) == ("bad", "")
     assert "manifest.json" in first["state"]
     assert (second["name"], second["kind"], second["splits"]) == ("good", "mnist3d", "test")
     assert (second["rows"], second["state"]) == (20, "finished")
-    assert call("starstruck", "list", tmp_path / "nowhere") == 2
+    assert call("tactile", "list", tmp_path / "nowhere") == 2
 
 
 def test_the_cache_is_listed_and_pruned(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("TACTILE_TOOLKIT_CACHE", str(tmp_path / "cache"))
-    assert call("mnist3d", "cache", "ls") == 0
+    assert call("tactile", "cache") == 0
     blocks = [f"blocks/{letter * 32}-00000-00000.arrow" for letter in "ab"]
     files = [cache_folder() / name for name in (*blocks, "locks/held", "blocks/notes.txt")]
     for file in files:
@@ -90,43 +90,43 @@ def test_the_cache_is_listed_and_pruned(tmp_path, monkeypatch, capsys):
         file.write_bytes(b"12345")
     os.utime(files[0], (1, 1))
     capsys.readouterr()
-    assert call("mnist3d", "cache", "ls", "--json") == 0
+    assert call("tactile", "cache", "--json") == 0
     held = json.loads(capsys.readouterr().out)["held"]
     assert held == {"blocks": {"files": 2, "bytes": 10}}
-    assert call("mnist3d", "cache", "prune", "--unused-days", 30) == 0
+    assert call("tactile", "cache", "--prune", "--unused-days", 30) == 0
     assert [file.exists() for file in files] == [False, True, True, True]
-    assert call("mnist3d", "cache", "prune") == 0
+    assert call("tactile", "cache", "--prune") == 0
     assert [file.exists() for file in files] == [False, False, True, True]
-    assert call("mnist3d", "cache", "empty") == 2
+    assert call("tactile", "cache", "empty") == 2
 
 
 def test_verify_checks_the_objects_too_where_asked(digits, capsys):
-    assert call("mnist3d", "verify", digits, "--geometry", "--limit", 3, "--json") == 0
+    assert call("tactile", "verify", digits, "--content", "--json") == 0
     document = json.loads(capsys.readouterr().out)
     assert (document["ok"], document["rows"]) == (True, 20)
-    assert [(each["checked"], each["failed"]) for each in document["geometry"]] == [(3, 0)]
+    assert [(each["checked"], each["failed"]) for each in document["content"]] == [(20, 0)]
 
 
 def test_a_token_is_that_of_the_hub(digits, monkeypatch):
     monkeypatch.setenv("HF_TOKEN", "another")
-    assert call("mnist3d", "info", digits, "--token", "hf_example", "--no-such") == 2
-    assert call("mnist3d", "info", digits, "--token", "hf_example") == 0
+    assert call("tactile", "info", digits, "--token", "hf_example", "--no-such") == 2
+    assert call("tactile", "info", digits, "--token", "hf_example") == 0
     assert os.environ["HF_TOKEN"] == "hf_example"
 
 
 def test_ten_digits_are_one_of_each(digits, tmp_path, capsys):
     words = ("--per-class", 1, "--workers", 1, "--json")
-    assert call("mnist3d", "export", digits, *words, "--out", tmp_path / "files") == 0
+    assert call("tactile", "export", digits, *words, "--out", tmp_path / "files") == 0
     files = [file["file"] for file in json.loads(capsys.readouterr().out)["files"]]
     assert sorted(name.split("-")[1] for name in files) == list("0123456789")
-    assert call("mnist3d", "export", digits, "--labels", "3,7", *words, "--out", tmp_path / "some") == 0
+    assert call("tactile", "export", digits, "--labels", "3,7", *words, "--out", tmp_path / "some") == 0
     assert len(json.loads(capsys.readouterr().out)["files"]) == 2
     ids = mnist3d.load(str(digits), "test").ids[[0, 5]].tolist()
     page = ("--ids", ",".join(map(str, ids)), "--out", tmp_path / "page", "--json", "--workers", 1)
-    assert call("mnist3d", "gallery", digits, *page) == 0
+    assert call("tactile", "gallery", digits, *page) == 0
     assert json.loads(capsys.readouterr().out)["items"] == 2
-    sheet = ("--kind", "sheet", "--labels", "3", "--dry-run", "--json")
-    assert call("mnist3d", "preview", digits, *sheet) == 0
+    sheet = ("--draw", "sheet", "--labels", "3", "--dry-run", "--json")
+    assert call("tactile", "preview", digits, *sheet) == 0
     assert "2 digits" in json.loads(capsys.readouterr().out)["pictures"][0]["what"]
 
 

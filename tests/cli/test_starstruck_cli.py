@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from importlib import import_module
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -8,11 +9,11 @@ import pytest
 from typer.testing import CliRunner
 
 import starstruck_gen
-from cli.starstruck import app
 from tests.command_line import alone
 
 
-def run(*words):
+def run(program, *words):
+    app = import_module(f"cli.{program.replace('-', '_')}").app
     with alone():
         return CliRunner().invoke(app, list(map(str, words)))
 
@@ -20,7 +21,9 @@ def run(*words):
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("cli") / "scenes"
-    result = run("generate", "--out", folder, "--scenes", "train=60,test=6", "--workers", 1, "--json")
+    result = run(
+        "starstruck", "generate", "--out", folder, "--scenes", "train=60,test=6", "--workers", 1, "--json"
+    )
     assert result.exit_code == 0
     return folder, json.loads(result.stdout)
 
@@ -33,7 +36,7 @@ def test_generate_prints_one_document(made):
 
 def test_other_options_are_refused_without_a_traceback(made):
     folder, _ = made
-    result = run("generate", "--out", folder, "--stars", "1-5")
+    result = run("starstruck", "generate", "--out", folder, "--stars", "1-5")
     assert result.exit_code == 2
     assert "another specification" in result.stderr
     assert "scene.stars is [1, 2, 3] there" in result.stderr
@@ -43,7 +46,7 @@ def test_other_options_are_refused_without_a_traceback(made):
 
 def test_every_option_reaches_the_specification(tmp_path):
     result = run(
-        *("generate", "--out", tmp_path / "set", "--quiet", "--workers", 1, "--split", "test"),
+        *("starstruck", "generate", "--out", tmp_path / "set", "--quiet", "--workers", 1, "--split", "test"),
         *("--scenes", 12, "--stars", "2,4", "--distractors", "1-2", "--shapes", "ring,crescent"),
         *("--radius-mm", 6, "--heights-mm", "4,6", "--cell-mm", "150x120", "--collision", "exact"),
         *("--clearance-mm", 0.5, "--seed", 3, "--limit", 8),
@@ -62,25 +65,37 @@ def test_every_option_reaches_the_specification(tmp_path):
     assert scene["cell_m"] == [0.15, 0.12]
     assert (scene["collision"], scene["clearance_m"], scene["star"]["radius_m"]) == ("exact", 0.0005, 0.006)
     assert manifest["spec"]["seed"] == 3
-    assert run("validate", tmp_path / "set").exit_code == 0
+    assert run("starstruck", "validate", tmp_path / "set").exit_code == 0
 
 
 @pytest.mark.thorough
 def test_proportions_reach_the_specification_and_info(tmp_path):
     made = run(
-        *("generate", "--out", tmp_path / "set", "--quiet", "--workers", 1, "--scenes", 6, "--radius-mm", 8),
+        *(
+            "starstruck",
+            "generate",
+            "--out",
+            tmp_path / "set",
+            "--quiet",
+            "--workers",
+            1,
+            "--scenes",
+            6,
+            "--radius-mm",
+            8,
+        ),
         *("--star-points", 6, "--star-inner-mm", 2, "--distractors", "1-2"),
         *("--shapes", "box, ring(hole_ratio=0.7,segments=64),crescent(bite_ratio=0.5)"),
     )
     assert (made.exit_code, made.stderr) == (0, "")
-    scene = json.loads(run("info", tmp_path / "set", "--json").stdout)["spec"]["scene"]
+    scene = json.loads(run("tactile", "info", tmp_path / "set", "--json").stdout)["spec"]["scene"]
     assert scene["star"]["proportions"] == {"points": 6, "inner_ratio": 0.25}
     assert [entry["name"] for entry in scene["distractor_shapes"]] == ["box", "ring", "crescent"]
     assert scene["distractor_shapes"][1]["proportions"] == {"hole_ratio": 0.7, "segments": 64}
     assert scene["distractor_shapes"][2]["proportions"]["bite_ratio"] == 0.5
-    assert "scene.star.proportions.inner_ratio = 0.25" in run("info", tmp_path / "set").stdout
-    assert run("validate", tmp_path / "set").exit_code == 0
-    refused = run("generate", "--out", tmp_path / "set", "--star-inner-mm", 9.5)
+    assert "scene.star.proportions.inner_ratio = 0.25" in run("tactile", "info", tmp_path / "set").stdout
+    assert run("starstruck", "validate", tmp_path / "set").exit_code == 0
+    refused = run("starstruck", "generate", "--out", tmp_path / "set", "--star-inner-mm", 9.5)
     assert refused.exit_code == 2
     assert "inner_ratio of shape 'star' is 0.95; expected at most 0.8009 with 5 points" in refused.stderr
 
@@ -90,7 +105,7 @@ def test_validate_mentions_declared_stars_although_every_scene_fails(made, tmp_p
     table = pq.ParquetFile(folder / "data" / "test-00000-of-00001.parquet").read(use_threads=False)
     wrong = table.set_column(1, "label", pa.array([9] * len(table)))
     pq.write_table(wrong, tmp_path / "train.parquet")
-    result = run("validate", tmp_path / "train.parquet")
+    result = run("starstruck", "validate", tmp_path / "train.parquet")
     assert result.exit_code == 1
     assert "0 solids, 0 of them stars" in result.stdout
     assert "0 of 6 scenes are valid" in result.stdout
@@ -99,12 +114,12 @@ def test_validate_mentions_declared_stars_although_every_scene_fails(made, tmp_p
 @pytest.mark.thorough
 def test_validate_and_verify_pass(made):
     folder, _ = made
-    result = run("validate", folder, "--workers", 2)
+    result = run("starstruck", "validate", folder, "--workers", 2)
     assert result.exit_code == 0
     assert "66 of 66 scenes are valid" in result.stdout
-    document = json.loads(run("validate", folder, "--json", "--limit", 3).stdout)
+    document = json.loads(run("starstruck", "validate", folder, "--json", "--limit", 3).stdout)
     assert document[0]["checked"] == 6
-    result = run("verify", folder)
+    result = run("tactile", "verify", folder)
     assert result.exit_code == 0
     assert "66 rows" in result.stdout
 
@@ -141,7 +156,7 @@ def test_validate_and_verify_pass(made):
     ],
 )
 def test_unusable_options_give_one_line_and_exit_code_2(tmp_path, words, message):
-    result = run("generate", "--out", tmp_path / "set", *words)
+    result = run("starstruck", "generate", "--out", tmp_path / "set", *words)
     assert result.exit_code == 2
     assert message in result.stderr
     assert result.stderr.count("\n") <= 2

@@ -42,13 +42,13 @@ def test_scenes_from_generation_to_the_hub_and_back(s3, bucket, tmp_path, monkey
     made = stored(s3, bucket, "scenes")
     assert made == folder_bytes(local)
     capfd.readouterr()
-    assert call("starstruck", "info", place, "--json") == 0
+    assert call("tactile", "info", place, "--json") == 0
     told = json.loads(capfd.readouterr().out)
     assert (told["folder"], told["complete"]) == (place, True)
-    assert call("starstruck", "verify", f"{place}/") == 0
+    assert call("tactile", "verify", f"{place}/") == 0
     assert call("starstruck", "validate", place, "--limit", "1", "--quiet") == 0
     pictures = tmp_path / "pictures"
-    assert call("starstruck", "preview", place, "--kind", "sheet", "--out", pictures, "--quiet") == 0
+    assert call("tactile", "preview", place, "--draw", "sheet", "--out", pictures, "--quiet") == 0
     assert sorted(path.name for path in pictures.iterdir()) == [
         "scenes-test-sheet.png",
         "scenes-train-sheet.png",
@@ -65,8 +65,8 @@ def test_scenes_from_generation_to_the_hub_and_back(s3, bucket, tmp_path, monkey
 
     here_ids = starstruck_gen.load(str(local), "train").ids
     with hub() as server, logged_in(server, server.account("someone"), monkeypatch):
-        assert call("starstruck", "upload", place, "someone/scenes", "--yes", "--quiet") == 0
-        assert call("starstruck", "upload", place, "someone/scenes", "--yes") == 0
+        assert call("tactile", "upload", place, "someone/scenes", "--yes", "--quiet") == 0
+        assert call("tactile", "upload", place, "someone/scenes", "--yes") == 0
         assert "nothing was sent" in capfd.readouterr().out
         held = server.repository("someone/scenes").head.files
         # The card names the repository.
@@ -74,25 +74,25 @@ def test_scenes_from_generation_to_the_hub_and_back(s3, bucket, tmp_path, monkey
             path: content for path, content in made.items() if path != "README.md"
         }
         on_hub = "hf://datasets/someone/scenes"
-        for command in ("info", "verify", "validate"):
-            assert call("starstruck", command, on_hub) == 0
+        for program, command in (("tactile", "info"), ("tactile", "verify"), ("starstruck", "validate")):
+            assert call(program, command, on_hub) == 0
         np.testing.assert_array_equal(starstruck_gen.load(on_hub, "train").ids, here_ids)
         assert call("starstruck", *SCENES, "--out", on_hub) == 2
         assert "the Hub takes whole commits; next: write to a folder" in capfd.readouterr().err
         back = f"s3://{bucket}/back"
-        assert call("starstruck", "download", "someone/scenes", "--out", back, "--quiet") == 0
+        assert call("tactile", "download", "someone/scenes", "--out", back, "--quiet") == 0
         copied = stored(s3, bucket, "back")
         assert {path: copied[path] for path in made if path != "README.md"} == {
             path: content for path, content in made.items() if path != "README.md"
         }
-        assert call("starstruck", "verify", back) == 0
+        assert call("tactile", "verify", back) == 0
         # Complete files are not fetched again; missing ones and those of another size are.
         s3.traffic.reset()
-        assert call("starstruck", "download", "someone/scenes", "--out", back, "--quiet") == 0
+        assert call("tactile", "download", "someone/scenes", "--out", back, "--quiet") == 0
         assert s3.traffic.requests["PUT"] == 0
         open_folder(back).write_bytes(shard, b"cut")
-        assert call("starstruck", "verify", back) == 3
-        assert call("starstruck", "download", "someone/scenes", "--out", back, "--quiet") == 0
+        assert call("tactile", "verify", back) == 3
+        assert call("tactile", "download", "someone/scenes", "--out", back, "--quiet") == 0
         assert stored(s3, bucket, "back") == copied
 
 
@@ -117,9 +117,9 @@ def test_failures_are_named_without_secrets(s3, monkeypatch, capfd, tmp_path):
         return code, err
 
     commands = [
-        ("starstruck", "info", "s3://lake/set"),
+        ("tactile", "info", "s3://lake/set"),
         ("starstruck", *SCENES, "--out", "s3://lake/set"),
-        ("starstruck", "upload", "s3://lake/set", "someone/scenes"),
+        ("tactile", "upload", "s3://lake/set", "someone/scenes"),
         ("realtouch", "load", "s3://lake/set"),
     ]
     for words in commands:
@@ -130,7 +130,7 @@ def test_failures_are_named_without_secrets(s3, monkeypatch, capfd, tmp_path):
         for words in commands:
             assert tried(*words)[0] == 4, words
     for place in (f"s3://{KEY}:{SECRET}@lake/set", f"https://lake.example/set?X-Amz-Signature={SECRET}"):
-        assert tried("starstruck", "info", place)[0] == 2
+        assert tried("tactile", "info", place)[0] == 2
         assert tried("starstruck", *SCENES, "--out", place)[0] == 2
         assert tried("realtouch", "load", place)[0] == 2
     assert list(tmp_path.iterdir()) == []

@@ -44,14 +44,15 @@ def _rows(*folders: Path) -> dict[str, list[dict[str, object]]]:
 def test_parts_are_data_sets_and_together_the_whole(kind, tmp_path, capsys):
     folder = _made(kind, tmp_path / "all")
     parts = tmp_path / "parts"
-    assert call(kind, "split", folder, "--fractions", "0.75,0.25", "--out", parts, *ALONE) == 0
+    assert call("tactile", "split", folder, "--fractions", "0.75,0.25", "--out", parts, *ALONE) == 0
     one, two = parts / "part-1", parts / "part-2"
     back = tmp_path / "back"
-    assert call(kind, "merge", two, one, "--out", back, *ALONE) == 0
+    again = tmp_path / "again"
+    assert call("tactile", "merge", two, one, "--out", back, *ALONE) == 0
     for made in (one, two, back):
-        assert call(kind, "verify", made, "-q") == 0
-        assert call(kind, "card", made, "-q") == 0
-        assert call(kind, "info", made) == 0
+        assert call("tactile", "verify", made, "-q") == 0
+        assert call("tactile", "card", made, "-q") == 0
+        assert call("tactile", "info", made) == 0
     assert _rows(one, two) == _rows(back) == _rows(folder)
     assert {len(each) for each in _rows(two).values()} <= {1, 2, 3}
     package = {"starstruck": "starstruck_gen"}.get(kind, kind)
@@ -60,15 +61,15 @@ def test_parts_are_data_sets_and_together_the_whole(kind, tmp_path, capsys):
     # Copied, not written again; and the same parts from the same seed.
     for file in (one / "data").iterdir():
         assert any(copy.read_bytes() == file.read_bytes() for copy in (back / "data").iterdir())
-    assert call(kind, "split", folder, "--fractions", "0.75,0.25", "--out", tmp_path / "again", *ALONE) == 0
+    assert call("tactile", "split", folder, "--fractions", "0.75,0.25", "--out", again, *ALONE) == 0
     for file in one.rglob("*.parquet"):
-        assert (tmp_path / "again" / file.relative_to(parts)).read_bytes() == file.read_bytes()
-    assert call(kind, "merge", two, "--out", tmp_path / "copy", *ALONE) == 0
+        assert (again / file.relative_to(parts)).read_bytes() == file.read_bytes()
+    assert call("tactile", "merge", two, "--out", tmp_path / "copy", *ALONE) == 0
     assert _rows(tmp_path / "copy") == _rows(two)
     capsys.readouterr()
-    assert call(kind, "merge", one, folder, "--out", tmp_path / "twice", "--workers", 1) == 0
+    assert call("tactile", "merge", one, folder, "--out", tmp_path / "twice", "--workers", 1) == 0
     assert f"all: {sum(map(len, _rows(one).values()))} ids changed" in capsys.readouterr().out
-    assert call(kind, "verify", tmp_path / "twice", "-q") == 0
+    assert call("tactile", "verify", tmp_path / "twice", "-q") == 0
 
 
 @pytest.mark.thorough
@@ -76,21 +77,19 @@ def test_objects_are_taken_out_by_id(tmp_path, capsys):
     folder = _made("mnist3d", tmp_path / "all")
     ids = [row["id"] for row in _rows(folder)["test"]]
     words = ("split", folder, "--ids", f"{ids[0]},{ids[3]}", "--out", tmp_path / "parts", *ALONE)
-    assert call("mnist3d", *words) == 0
+    assert call("tactile", *words) == 0
     assert [row["id"] for row in _rows(tmp_path / "parts/part-1")["test"]] == [ids[0], ids[3]]
     assert len(_rows(tmp_path / "parts/part-2")["test"]) == len(ids) - 2
-    assert call("mnist3d", "split", folder, "--out", tmp_path / "none", *ALONE) == 2
+    assert call("tactile", "split", folder, "--out", tmp_path / "none", *ALONE) == 2
     assert "expected --fractions, or filters" in capsys.readouterr().err
     both = ("--fractions", "0.8,0.2", "--ids", f"{ids[0]}")
-    assert call("mnist3d", "split", folder, *both, "--out", tmp_path / "none") == 2
+    assert call("tactile", "split", folder, *both, "--out", tmp_path / "none") == 2
     assert "next: leave out --fractions, or the filters" in capsys.readouterr().err
     for wrong in ("0.8,0.3", "0", "a", "nan"):
-        assert call("mnist3d", "split", folder, "--fractions", wrong, "--out", tmp_path / "none") == 2
+        assert call("tactile", "split", folder, "--fractions", wrong, "--out", tmp_path / "none") == 2
         assert f"--fractions is '{wrong}'" in capsys.readouterr().err
-    assert call("starstruck", "merge", folder, "--out", tmp_path / "none", *ALONE) == 2
-    assert (
-        "holds digits; `starstruck merge` is for scenes; next: run `mnist3d merge " in capsys.readouterr().err
-    )
+    assert call("tactile", "merge", folder, "--out", tmp_path / "none", *ALONE) == 2
+    assert "holds digits; `tactile merge` is for scenes; next: run `tactile merge " in capsys.readouterr().err
     assert not (tmp_path / "none").exists()
 
 
@@ -99,15 +98,15 @@ def test_rounds_are_taken_by_their_ids(tmp_path, capsys):
     split, rows = next(iter(_rows(folder).items()))
     ids = [row["id"] for row in rows]
     words = ("--split", split, "--ids", ids[1])
-    assert call("realtouch", "split", folder, *words, "--out", tmp_path / "parts", *ALONE) == 0
+    assert call("tactile", "split", folder, *words, "--out", tmp_path / "parts", *ALONE) == 0
     assert [row["id"] for row in _rows(tmp_path / "parts/part-1")[split]] == ids[1:2]
     assert [row["id"] for row in _rows(tmp_path / "parts/part-2")[split]] == [ids[0], *ids[2:]]
-    assert call("realtouch", "gallery", folder, *words, "--out", tmp_path / "page", *ALONE) == 0
+    assert call("tactile", "gallery", folder, *words, "--out", tmp_path / "page", *ALONE) == 0
     capsys.readouterr()
     for wrong in ("3", "3-5", ids[1][:-1]):
         words = ("--split", split, "--ids", wrong, "--out", tmp_path / "none")
         for command in ("split", "gallery"):
-            assert call("realtouch", command, folder, *words, *ALONE) == 2
+            assert call("tactile", command, folder, *words, *ALONE) == 2
             assert "no object with " in capsys.readouterr().err
     assert not (tmp_path / "none").exists()
 
@@ -115,21 +114,21 @@ def test_rounds_are_taken_by_their_ids(tmp_path, capsys):
 @pytest.mark.thorough
 def test_a_killed_merge_continues_and_damage_is_not_copied(tmp_path, capsys):
     folder = _made("mnist3d", tmp_path / "all")
-    assert call("mnist3d", "split", folder, "--fractions", "0.5,0.5", "--out", tmp_path, *ALONE) == 0
+    assert call("tactile", "split", folder, "--fractions", "0.5,0.5", "--out", tmp_path, *ALONE) == 0
     one, two, out = tmp_path / "part-1", tmp_path / "part-2", tmp_path / "out"
-    process = start_held("mnist3d", 1, tmp_path / "marker", "merge", one, two, "--out", out, "--workers", 1)
+    process = start_held("tactile", 1, tmp_path / "marker", "merge", one, two, "--out", out, "--workers", 1)
     process.kill()
     process.communicate()
-    assert call("mnist3d", "merge", one, two, "--out", out, "--workers", 1) == 0
+    assert call("tactile", "merge", one, two, "--out", out, "--workers", 1) == 0
     assert "made 5 digits in " in capsys.readouterr().out
-    assert call("mnist3d", "verify", out, "-q") == 0
+    assert call("tactile", "verify", out, "-q") == 0
     manifest = read_manifest(open_folder(str(one)))
     assert manifest is not None
     file = one / manifest.shards[0].shard.data_path
     content = bytearray(file.read_bytes())
     content[len(content) // 3] ^= 1
     file.write_bytes(content)
-    assert call("mnist3d", "merge", one, two, "--out", tmp_path / "bad", *ALONE) == 3
+    assert call("tactile", "merge", one, two, "--out", tmp_path / "bad", *ALONE) == 3
     assert file.name in capsys.readouterr().err
 
 
@@ -138,7 +137,7 @@ def test_an_unknown_split_and_an_empty_choice_are_named(tmp_path, capsys):
     out = tmp_path / "parts"
     capsys.readouterr()
     for further in ((), ("--ids", 0)):
-        assert call("starstruck", "split", folder, "--split", "tset", *further, "--out", out, *ALONE) == 2
+        assert call("tactile", "split", folder, "--split", "tset", *further, "--out", out, *ALONE) == 2
         error = capsys.readouterr().err
         assert "no split 'tset'" in error
         assert "did you mean 'test'?" in error

@@ -41,7 +41,7 @@ def test_folders_are_classes_and_divide_into_train_and_test(words: Path, tmp_pat
     printed = capsys.readouterr().out
     assert "10: 4, house: 4, li: 5" in printed
     assert "separate-bodies: 13" in printed
-    assert "(--base-mm 2 of `mnist3d export` and `solidify`)" in printed
+    assert "(--half-on-base-mm 2 of `tactile export`, --base-mm 2 of `mnist3d solidify`)" in printed
     assert mnist3d.load(out, "train").label_names == ("10", "house", "li")
     rows = [row for split in ("train", "test") for row in mnist3d.load(out, split)]
     assert [len(mnist3d.load(out, split)) for split in ("train", "test")] == [13, 3]
@@ -49,8 +49,8 @@ def test_folders_are_classes_and_divide_into_train_and_test(words: Path, tmp_pat
     assert all(row.file.startswith(f"{catalog.class_names[row.label]}/") for row in rows)
     # The dots of the letters are kept.
     assert {check_manifold(Mesh.of(row)).bodies for row in rows if row.label == 2} == {5}
-    for command in (("verify", out), ("validate", out), ("card", out)):
-        assert call("mnist3d", *command) == 0
+    for name, command in (("tactile", "verify"), ("mnist3d", "validate"), ("tactile", "card")):
+        assert call(name, command, out) == 0
     card = (out / "README.md").read_text(encoding="utf-8")
     assert "four fifths" in card
     assert "handwritten digits" not in card
@@ -98,10 +98,10 @@ def test_pictures_that_are_added_need_another_command_which_works(words, tmp_pat
     capsys.readouterr()
     assert make(old) == 2
     assert "next: to add pictures" in (printed := capsys.readouterr().err)
-    assert "mnist3d merge OLD NEW --out BOTH" in printed
+    assert "tactile merge OLD NEW --out BOTH" in printed
     sets = (tmp_path / "old-set", tmp_path / "new-set")
     both = tmp_path / "both"
-    assert call("mnist3d", "merge", *sets, "--out", both) == 0
+    assert call("tactile", "merge", *sets, "--out", both) == 0
     assert [row.file for row in mnist3d.load(both, "train")] == ["li/a.png", "li/b.png"]
 
 
@@ -109,13 +109,13 @@ def test_select_writes_the_chosen_rows_only(tmp_path: Path, capsys: Any) -> None
     spec = DigitSetSpec(SyntheticSource(), mnist3d.SolidSpec(target_vertices=300), per_class=1)
     generate(spec, str(tmp_path / "set"), ("test",))
     out = tmp_path / "some"
-    assert call("mnist3d", "select", tmp_path / "set", "--labels", "3,5", "--out", out) == 0
+    assert call("tactile", "select", tmp_path / "set", "--labels", "3,5", "--out", out) == 0
     whole, some = mnist3d.load(tmp_path / "set", "test"), mnist3d.load(out, "test")
     chosen = [row for row in whole if row.label in (3, 5)]
     assert [row.id for row in some] == [row.id for row in chosen]
     assert all(np.array_equal(a.vertices_m, b.vertices_m) for a, b in zip(some, chosen, strict=True))
-    assert call("mnist3d", "verify", out) == 0
-    assert call("mnist3d", "select", tmp_path / "set", "--out", tmp_path / "no") == 2
+    assert call("tactile", "verify", out) == 0
+    assert call("tactile", "select", tmp_path / "set", "--out", tmp_path / "no") == 2
     assert "expected filters such as --ids" in capsys.readouterr().err
 
 
@@ -125,7 +125,7 @@ def test_a_dry_upload_needs_no_network(setting: tuple[str, str], tmp_path: Path,
     spec = DigitSetSpec(SyntheticSource(), mnist3d.SolidSpec(target_vertices=300), limit=1)
     generate(spec, str(tmp_path / "set"), ("test",))
     # The client reads its settings on import.
-    command = program("mnist3d", "upload", tmp_path / "set", "YOU/digits", "--dry-run", "--json")
+    command = program("tactile", "upload", tmp_path / "set", "YOU/digits", "--dry-run", "--json")
     settings = {**os.environ, "HF_HOME": str(tmp_path / "hf"), "HF_TOKEN": "", setting[0]: setting[1]}
     done = subprocess.run(command, env=settings, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
@@ -136,5 +136,5 @@ def test_a_dry_upload_needs_no_network(setting: tuple[str, str], tmp_path: Path,
     assert "note: no connection to the Hub" in done.stderr
     # A damaged folder is named before any request to the Hub.
     (tmp_path / "set" / "README.md").write_text("no card", encoding="utf-8")
-    assert call("mnist3d", "upload", tmp_path / "set", "YOU/digits", "--dry-run") == 3
+    assert call("tactile", "upload", tmp_path / "set", "YOU/digits", "--dry-run") == 3
     assert "README.md" in capsys.readouterr().err

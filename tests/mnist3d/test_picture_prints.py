@@ -247,7 +247,7 @@ def test_light_strokes_on_a_dark_board(tmp_path: Path) -> None:
     assert np.allclose(size_mm(found), size_mm(plain), atol=0.1)
     board.save(tmp_path / "board.png")
     out = tmp_path / "board.stl"
-    assert call("mnist3d", "solidify", tmp_path / "board.png", "--invert", "--out", out) == 0
+    assert call("mnist3d", "solidify", tmp_path / "board.png", "--foreground", "light", "--out", out) == 0
     assert np.allclose(size_mm(mnist3d.read_mesh(out)), size_mm(plain), atol=0.1)
 
 

@@ -300,9 +300,9 @@ def test_options_of_a_data_set_are_refused_for_a_single_file(tmp_path):
     faces = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)], np.int32)
     write_mesh(tmp_path / "part.stl", Mesh(corners, faces))
     for options, words in (
-        ({"kinds": ("steps",)}, "--kind steps needs a data set"),
-        ({"split": "train"}, "--split needs a data set"),
-        ({"ids": (3,)}, "--ids needs a data set"),
+        ({"kinds": ("steps",)}, "kinds needs a data set"),
+        ({"split": "train"}, "split needs a data set"),
+        ({"ids": (3,)}, "ids needs a data set"),
     ):
         with pytest.raises(InputError, match=words):
             plan_previews(str(tmp_path / "part.stl"), PreviewSpec(**options))

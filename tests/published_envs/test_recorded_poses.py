@@ -47,7 +47,7 @@ def test_recorded_poses_give_the_same_pictures_as_a_set(env_id, packages, provid
     names = "x_m,y_m,object_id,round,object_x_m,object_y_m,object_turn_rad"
     table.write_text("\n".join([names, *(",".join(map(repr, map(float, row))) for row in rows)]) + "\n")
     command = ["generate", assets / source, "--split", split, "--out", tmp_path / "set", "--optics", "depth"]
-    command += ["--positions", "given", "--touches-from", table, "--format", "png", "-w", 1, "--quiet"]
+    command += ["--positions", "given", "--touches-from", table, "--image-format", "png", "-w", 1, "--quiet"]
     result = CliRunner().invoke(app, [*map(str, command)])
     assert result.exit_code == 0, result.output
     made = {record.id: record.sensor_image[:][..., 0] for record in realtouch.load(tmp_path / "set", split)}

@@ -22,22 +22,25 @@ LABELS = (None, -1)
 EXPORTS = ("flat", "webdataset", "lerobot", "replay", "oxt", "fota")
 _TRAIN = ["--split", "train"]
 COMMANDS: dict[str, list[str]] = {
-    "load": ["load", "SET", *_TRAIN],
-    "info": ["info", "SET"],
-    "verify": ["verify", "SET"],
-    "show": ["show", "SET"],
-    "preview": ["preview", "SET", *_TRAIN, "--kind", "all", "--out", "OUT"],
-    "gallery": ["gallery", "SET", "--out", "OUT"],
-    "card": ["card", "SET"],
-    "split": ["split", "SET", "--fractions", "0.5", "--out", "OUT"],
-    "merge": ["merge", "SET", "OTHER", "--out", "OUT"],
-    "select": ["select", "SET", "--contact", "--out", "OUT"],
-    "select ids": ["select", "SET", "--limit", "1", "--out", "OUT"],
-    "resize": ["resize", "SET", "--size", "32x24", "--out", "OUT"],
-    "frames": ["frames", "SET", "--out", "OUT"],
-    "clips-to-images": ["clips-to-images", "SET", "--out", "OUT"],
-    "clips-to-images best": ["clips-to-images", "SET", "--frame", "best", "--out", "OUT"],
-    **{f"export {each}": ["export", "SET", *_TRAIN, "--format", each, "--out", "OUT"] for each in EXPORTS},
+    "load": ["realtouch", "load", "SET", *_TRAIN],
+    "info": ["tactile", "info", "SET"],
+    "verify": ["tactile", "verify", "SET"],
+    "show": ["tactile", "show", "SET"],
+    "preview": ["tactile", "preview", "SET", *_TRAIN, "--draw", "all", "--out", "OUT"],
+    "gallery": ["tactile", "gallery", "SET", "--out", "OUT"],
+    "card": ["tactile", "card", "SET"],
+    "split": ["tactile", "split", "SET", "--fractions", "0.5", "--out", "OUT"],
+    "merge": ["tactile", "merge", "SET", "OTHER", "--out", "OUT"],
+    "select": ["tactile", "select", "SET", "--contact", "--out", "OUT"],
+    "select ids": ["tactile", "select", "SET", "--limit", "1", "--out", "OUT"],
+    "resize": ["realtouch", "resize", "SET", "--size", "32x24", "--out", "OUT"],
+    "frames": ["tactile", "export", "SET", "--format", "png", "--out", "OUT"],
+    "stills": ["realtouch", "stills", "SET", "--out", "OUT"],
+    "stills best": ["realtouch", "stills", "SET", "--clip-frame", "best", "--out", "OUT"],
+    **{
+        f"export {each}": ["tactile", "export", "SET", *_TRAIN, "--format", each, "--out", "OUT"]
+        for each in EXPORTS
+    },
 }
 
 
@@ -56,17 +59,17 @@ def sets(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, int | None]
 @pytest.mark.parametrize("label", [None, pytest.param(-1, marks=pytest.mark.thorough)])
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_command_accepts_a_set_with_only_pictures(kind, label, name, sets, tmp_path, capsys):
-    if kind == "single" and name.startswith("clips-to-images"):
+    if kind == "single" and name.startswith("stills"):
         pytest.skip("converts clips")
     folder = sets(kind, label)
     if name == "card":
         folder = Path(shutil.copytree(folder, tmp_path / "copy"))
     places = {"SET": folder, "OTHER": f"{str(folder)[: -len('set')]}other", "OUT": tmp_path / "out"}
-    code = call("realtouch", *(places.get(word, word) for word in COMMANDS[name]))
+    code = call(*(places.get(word, word) for word in COMMANDS[name]))
     said = capsys.readouterr()
     assert code == 0, said.err
     if "OUT" in COMMANDS[name] and name not in ("preview", "gallery", "split"):
-        assert call("realtouch", "verify", tmp_path / "out") == 0, capsys.readouterr().err
+        assert call("tactile", "verify", tmp_path / "out") == 0, capsys.readouterr().err
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -102,7 +105,7 @@ def test_operations_that_need_an_absent_column_name_it(sets: Any, tmp_path: Path
                 realtouch.select(sets("single", label), out, **choice)
         with pytest.raises(InputError, match="no class 3; the data set has no labels"):
             realtouch.load(sets("seq", label), "train").filter_labels(3)
-        assert call("realtouch", "gallery", sets("seq", label), "--labels", "3", "--out", out) == 2
+        assert call("tactile", "gallery", sets("seq", label), "--labels", "3", "--out", out) == 2
     with pytest.raises(InputError, match="no column 'object_id'"):
         realtouch.select(clips, out, objects=[3])
     assert not (tmp_path / "out").exists()

@@ -279,13 +279,13 @@ def test_selection_by_class_and_ranges_of_objects(tmp_path: Path) -> None:
     rounds = [factories.make_round(index, 3, (24, 32), (4, 6)) for index in range(20)]
     factories.write_set(tmp_path / "all", {"train": factories.single_rows(rounds)}, "single")
     before = realtouch.load(tmp_path / "all")
-    assert call("realtouch", "select", tmp_path / "all", "--per-class", 1, "--out", tmp_path / "one") == 0
+    assert call("tactile", "select", tmp_path / "all", "--per-class", 1, "--out", tmp_path / "one") == 0
     one = realtouch.load(tmp_path / "one")
     assert one.ids.tolist() == [before.ids[before.labels == label][0] for label in np.unique(before.labels)]
     objects = sorted(before.int_column("object_id").tolist())
     first, last = objects[2], objects[4]
     out = ("--out", tmp_path / "some")
-    assert call("realtouch", "select", tmp_path / "all", "--ids", f"{first}-{last}", *out) == 0
+    assert call("tactile", "select", tmp_path / "all", "--ids", f"{first}-{last}", *out) == 0
     some = realtouch.load(tmp_path / "some").int_column("object_id")
     assert sorted(some.tolist()) == objects[2:5]
     with pytest.raises(InputError, match="the per_class is 0; expected an integer of at least 1"):

@@ -186,7 +186,7 @@ def test_an_image_damaged_in_its_middle_is_named(layout, single_rows, tmp_path):
             row["sensor_image"] = [first, *row["sensor_image"][1:]]
 
     factories.write_set(tmp_path / "cut", {"train": single_rows}, "single", Layout(edit=cut))
-    with pytest.raises(IntegrityError, match=r"(000|image 0).*cannot be decoded.*realtouch select"):
+    with pytest.raises(IntegrityError, match=r"(000|image 0).*cannot be decoded.*tactile select"):
         realtouch.export(tmp_path / "cut", tmp_path / "out", layout)
 
 

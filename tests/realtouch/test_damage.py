@@ -196,7 +196,7 @@ def test_damage_is_named_and_listed(kind, name, edit, touch, field, words, singl
         assert "train-00000-of-00001.parquet', row 1" in message
         assert f"field '{field}'" in message
         assert words in message
-        assert "next: run `realtouch verify`" in message
+        assert "next: run `tactile verify`" in message
         if touch is not None:
             assert f"touch {touch}," in message
 

@@ -1,4 +1,4 @@
-"""Maps of depth: their files, and the sets that `realtouch depth` writes."""
+"""Maps of depth: their files, and the sets that `tactile-sim depth` writes."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_maps_keep_micrometres_and_refuse_what_they_cannot_hold() -> None:
 def test_a_set_gains_depth_in_metres_and_keeps_all_else(images: Path, tmp_path: Path, fast: bool) -> None:
     arguments = ["--fast"] if fast else []
     out = tmp_path / "depths"
-    assert call("realtouch", "depth", images, "--sensor", "a", "--out", out, "-q", *arguments) == 0
+    assert call("tactile-sim", "depth", images, "--sensor", "a", "--out", out, "-q", *arguments) == 0
     for split in ("train", "test"):
         before, after = realtouch.load(images, split), realtouch.load(out, split)
         assert len(before) == len(after)
@@ -89,10 +89,10 @@ def test_a_set_gains_depth_in_metres_and_keeps_all_else(images: Path, tmp_path: 
     options = json.loads((out / "manifest.json").read_text())["spec"]["options"]
     assert options["sensor"] == {"name": "grey"}
     assert options["fast"] is fast
-    assert call("realtouch", "verify", out, "-q") == 0
+    assert call("tactile", "verify", out, "-q") == 0
     card = (out / "README.md").read_text()
     assert "PNG of 16 bits, um" in card
-    assert "realtouch depth" in card
+    assert "tactile-sim depth" in card
 
 
 def test_further_conversions_keep_the_maps_of_the_touches_that_they_keep(images, tmp_path):
@@ -116,7 +116,7 @@ def test_sets_without_depth_are_named(images: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="depth_um"):
         _ = touch.depth_m
     clips = factories.bare_set(tmp_path / "clips", "seq")
-    with pytest.raises(InputError, match=r"holds clips.*clips-to-images"):
+    with pytest.raises(InputError, match=r"holds clips.*realtouch stills"):
         realtouch.add_depth(clips, tmp_path / "out", "a")
     with pytest.raises(InputError, match="no calibrated sensor"):
         realtouch.add_depth(images, tmp_path / "out", "missing")

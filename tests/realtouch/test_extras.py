@@ -180,8 +180,8 @@ def equal(one: Any, other: Any) -> bool:
     [
         lambda source, out: realtouch.select(source, out, contact=False),
         lambda source, out: realtouch.resize(source, out, 24, 18),
-        lambda source, out: call("realtouch", "merge", source, "--out", out) == 0,
-        lambda source, out: call("realtouch", "split", source, "--fractions", "1.0", "--out", out) == 0,
+        lambda source, out: call("tactile", "merge", source, "--out", out) == 0,
+        lambda source, out: call("tactile", "split", source, "--fractions", "1.0", "--out", out) == 0,
     ],
     ids=["select", "resize", "merge", "split"],
 )
@@ -320,7 +320,7 @@ def test_card_and_info_state_type_and_range(images: Path, clips: Path, tmp_path:
     summary = realtouch.summarise(realtouch.load(clips, "train"))
     assert summary.extra["vector"] == "float64[2] per frame"
     assert summary.extra["force_n"] == "float64 per touch"
-    assert call("realtouch", "info", tmp_path / "clips") == 0
+    assert call("tactile", "info", tmp_path / "clips") == 0
     assert "extra vector" in capsys.readouterr().out
 
 

@@ -77,7 +77,7 @@ def test_an_export_is_imported_by_its_path(layout: Any, single_folder: Path, tmp
         pytest.importorskip("zarr", reason="needs zarr, of the extra zarr")
     split = "train" if layout in ("replay", "oxt") else None  # it holds one
     exported = ("export", single_folder, "--format", layout, *(("--split", split) if split else ()))
-    assert call("realtouch", *exported, "--out", tmp_path / "there", "-w", 1) == 0
+    assert call("tactile", *exported, "--out", tmp_path / "there", "-w", 1) == 0
     words = ("import", tmp_path / "there", "--format", layout, "--out", tmp_path / "back", "-w", 1)
     assert call("realtouch", *words) == 0
     for each in (split,) if split else ("train", "test"):
@@ -98,7 +98,7 @@ def test_cards_of_touches_only_on_objects_do_not_mention_a_plate(single_folder, 
     assert "never met the bare plate" in card
     assert "met no object" not in card
     assert "![Some touches](" in card
-    assert call("realtouch", "select", back, "--out", tmp_path / "none", "--ids", "3") == 2
+    assert call("tactile", "select", back, "--out", tmp_path / "none", "--ids", "3") == 2
     assert "no column 'object_id'; next: choose by --labels" in capsys.readouterr().err
 
 
@@ -247,7 +247,7 @@ def test_rounds_of_different_lengths_are_intact_in_all_that_is_made_of_them(unev
     make("small-pressed-cats", realtouch.resize, "pressed-cats", width=16, height=12)
     counts = {}
     for name, folder in made.items():
-        assert call("realtouch", "verify", folder) == 0, name
+        assert call("tactile", "verify", folder) == 0, name
         counts[name] = realtouch.load(folder).touch_counts.tolist()
     assert counts == {
         "imported": [5, 5, 5, 2, 3],

@@ -129,7 +129,7 @@ def test_a_frame_leads_to_the_cell(form: str, tmp_path: Path) -> None:
     columns = realtouch.ImportColumns(pose=("pose",), frame=given)
     made = poses({"pose": np.hstack([base_places, base_turns.as_quat()])}, columns)
     assert_poses(made, PLACES, TURNS)
-    with pytest.raises(ItemError, match="--frame another frame"):
+    with pytest.raises(ItemError, match="--transform another frame"):
         poses({"pose": np.hstack([base_places + 1, base_turns.as_quat()])}, columns)
     with pytest.raises(InputError, match="the frame tilts"):
         fields.stated_positions(found.columns({"p": PLACES[:, :2]}), replace(columns, position=("p",)))

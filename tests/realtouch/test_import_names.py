@@ -73,7 +73,7 @@ def test_text_that_cannot_be_stored_or_seen(tmp_path: Path, capsys: pytest.Captu
     arguments = ("import", tmp_path / "a.tar", "--format", "webdataset", "--workers", 1)
     assert call("realtouch", *arguments, "--map", "round=round", "--out", out) == 0
     for command in ("verify", "info", "card"):
-        assert call("realtouch", command, out) == 0
+        assert call("tactile", command, out) == 0
     found = realtouch.load(out, "train")
     assert (found.label_names, found.ids.tolist()) == (
         ("a\u202eb\x07\u0085x", "ok"),
@@ -99,14 +99,14 @@ def test_stored_text_that_is_not_unicode(single_folder, tmp_path, capsys):
     for escape in ("\\ud800", "\\uDFFF"):
         manifest.write_text(good.replace('"select"', f'"select{escape}"'))  # damaged, whatever its digest
         for command in ("verify", "info", "card"):
-            assert call("realtouch", command, tmp_path / "out") == 3, command
+            assert call("tactile", command, tmp_path / "out") == 3, command
             assert "surrogate" in capsys.readouterr().err
     manifest.unlink()
     table = pq.read_table(shard)
     metadata = table.schema.metadata[b"huggingface"].replace(b'"0"', b'"\\ud800"')
     pq.write_table(table.replace_schema_metadata({b"huggingface": metadata}), shard)
     for command in ("verify", "info", "card"):
-        assert call("realtouch", command, tmp_path / "out") == 3, command
+        assert call("tactile", command, tmp_path / "out") == 3, command
         assert "class names among them" in capsys.readouterr().err
 
 

@@ -82,12 +82,12 @@ def test_a_recording_becomes_a_set_that_equals_it(made: tuple[Session, Path], tm
             assert psnr_db(touch.clip[window][middle], wanted[middle]) > LEAST_PSNR_DB
     else:
         require_equal(touches, session)
-    assert call("realtouch", "verify", out) == 0
+    assert call("tactile", "verify", out) == 0
     contacts = realtouch.contacts_by_image(touches)
     assert contacts.contact.any()
     for command in ("gallery", "card"):
         written = ("--out", tmp_path / command) if command == "gallery" else ()
-        assert call("realtouch", command, out, *written) == 0
+        assert call("tactile", command, out, *written) == 0
 
 
 @pytest.mark.one_at_a_desk
@@ -95,7 +95,7 @@ def test_a_recording_becomes_a_set_that_equals_it(made: tuple[Session, Path], tm
 def test_it_goes_out_and_comes_back(made: tuple[Session, Path], layout: str, tmp_path: Path) -> None:
     _, out = made
     there, back = tmp_path / "there", tmp_path / "back"
-    assert call("realtouch", "export", out, "--split", "train", "--format", layout, "--out", there) == 0
+    assert call("tactile", "export", out, "--split", "train", "--format", layout, "--out", there) == 0
     assert call("realtouch", "import", there, "--out", back) == 0
     before, after = (realtouch.load(each, "train").touches() for each in (out, back))
     assert len(before) == len(after)

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import json
-import re
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
 import realtouch
-from cli.realtouch import app
 from realtouch.touches.summary import paper_numbers
 from tests.realtouch.factories import make_round, single_rows, write_set
 
@@ -55,13 +51,3 @@ def test_an_object_in_two_splits_is_found(folder):
     train = realtouch.load(str(folder), "train")
     numbers = {each.what: each for each in paper_numbers({"train": train, "test": train[:1]})}
     assert not numbers["objects in two splits"].agrees
-
-
-def test_the_command_prints_both_and_exits_with_1(folder):
-    result = CliRunner().invoke(app, ["reproduce", str(folder), "--json"])
-    assert result.exit_code == 1
-    table = {each["what"]: each for each in json.loads(result.stdout)}
-    assert (table["rounds"]["paper"], table["rounds"]["found"]) == ("600", "6")
-    shown = CliRunner().invoke(app, ["reproduce", str(folder)])
-    verdicts = re.findall(r"(yes|NO) *$", shown.stdout, re.MULTILINE)
-    assert verdicts == ["yes" if each["agrees"] else "NO" for each in table.values()]

@@ -228,7 +228,7 @@ def test_finished_shards_of_an_unfinished_set_are_checked(home, tmp_path, capsys
     write_table(home, splits)
     words = ("import", home, "--format", "folder", "--map", "split=split", "--out", tmp_path / "out")
     assert call("realtouch", *words, "--part", "1/2", "-w", 1) == 0
-    assert call("realtouch", "verify", tmp_path / "out") == 1
+    assert call("tactile", "verify", tmp_path / "out") == 1
     assert "is not finished: 1 of 2 shards; the same command continues" in capsys.readouterr().err
     (finding,) = realtouch.verify(tmp_path / "out").findings
     assert finding.file == "manifest.json"
@@ -237,10 +237,10 @@ def test_finished_shards_of_an_unfinished_set_are_checked(home, tmp_path, capsys
     content = bytearray(shard.read_bytes())
     content[300] ^= 255
     shard.write_bytes(content)
-    assert call("realtouch", "verify", tmp_path / "out") == 3
+    assert call("tactile", "verify", tmp_path / "out") == 3
     said = capsys.readouterr().err
     assert f"damaged: 'data/{shard.name}': sha256 is" in said
-    assert "run the same command with --check, which makes damaged shards again" in said
+    assert "run the same command with --repair, which makes damaged shards again" in said
 
 
 def test_a_cut_file_named_alone_is_to_be_fetched_again(single_folder: Path, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 import tactile_envs
-from cli.env_assets import app
+from cli.tactile_envs import app
 from tactile_toolkit.errors import InputError
 from tests.pages import ROOT
 from tests.processes import printed_by
@@ -31,7 +31,7 @@ class Without:
 
 sys.meta_path = [Without(finder) for finder in sys.meta_path]
 from tests.command_line import call
-sys.exit(call("env-assets", "list", "--json"))
+sys.exit(call("tactile-envs", "list", "--json"))
 """
 
 TOGETHER = """

@@ -91,7 +91,7 @@ def test_contact_means_that_the_sensor_met_an_object(touches):
 
 def test_selected_touches_are_those_in_contact(touches, tmp_path):
     met = _met(touches)
-    assert call("realtouch", "select", touches, "--out", tmp_path / "some", "--contact") == 0
+    assert call("tactile", "select", touches, "--out", tmp_path / "some", "--contact") == 0
     some = realtouch.load(tmp_path / "some", "train")
     assert len(some.touches()) == met.sum()
     assert realtouch.summarise(some).contact_share == 1.0
@@ -149,7 +149,7 @@ def test_damaged_pairs_are_named(pairs, tmp_path):
     depth = Domain(ShardedTable(open_place(str(tmp_path)).shards("depth")), True, (32, 24))
     for row, text in (
         (0, f"{file.name}', row 0: an image of 24 x 32 pixels; expected .32, 24. as in the manifest"),
-        (1, f"{file.name}', row 1: expected a grey PNG .*next: run `tactile-sim verify`"),
+        (1, f"{file.name}', row 1: expected a grey PNG .*next: run `tactile verify`"),
     ):
         with pytest.raises(IntegrityError, match=text):
             depth.image(row)

@@ -312,7 +312,7 @@ def test_the_same_bytes_for_any_workers_and_after_an_interruption(tmp_path, monk
 
 
 def test_forces_and_markers_come_back_from_lerobot(touches, tmp_path):
-    assert call("realtouch", "export", touches, "--format", "lerobot", "--out", tmp_path / "out", "-q") == 0
+    assert call("tactile", "export", touches, "--format", "lerobot", "--out", tmp_path / "out", "-q") == 0
     info = json.loads((tmp_path / "out" / "lerobot" / "meta" / "info.json").read_text())
     shapes = {name: each["shape"] for name, each in info["features"].items()}
     assert shapes["observation.force_n"] == [3]
@@ -335,9 +335,9 @@ def test_galleries_and_previews_show_pressure_and_flow(touches, tmp_path):
     small = pressure[2::5, 2::5].sum(axis=2)
     assert small[pressed > 0.5 * pressed.max()].min() > 2 * small[pressed == 0].mean()
     assert 0.001 < (flow.sum(axis=2) < 600).mean() < 0.2
-    assert call("realtouch", "gallery", touches, "--out", tmp_path / "site", "-q") == 0
+    assert call("tactile", "gallery", touches, "--out", tmp_path / "site", "-q") == 0
     assert list(tmp_path.rglob("*stills.jpg"))
-    assert call("realtouch", "preview", touches, "--out", tmp_path / "grid.png", "-q") == 0
+    assert call("tactile", "preview", touches, "--out", tmp_path / "grid.png", "-q") == 0
     grid = np.asarray(Image.open(tmp_path / "grid.png"))
     found = (grid == pressure[2 * 5 + 2, 2 * 5 + 2]).all(axis=2).any(axis=0)
     assert found.any(), "pressure is beside the image"
@@ -406,16 +406,14 @@ def test_the_commands_press(tmp_path, capsys):
     told = json.loads(capsys.readouterr().out)
     assert told["force_n"][2] == pytest.approx(2.0, rel=1e-4)
     # One touch of a large image fits; a round of them does not.
-    large = ("--size", "1024x768", "--gel", "elastic", "--out", out)
+    large = ("--size", "1024x768", "--gel", "elastic", "--out", out, "--overwrite")
     assert call("tactile-sim", "render", *base[:5], *large) == 0
     capsys.readouterr()
     assert np.hypot(*told["slide_m"]) == pytest.approx(2e-4, rel=1e-5)
     assert len(told["marker_flow_px"]) == 18
     softer = told["press_depth_m"]
-    assert (
-        call("tactile-sim", "render", *base, "--gel", "elastic", "--force-n", "2", "--json", "--out", out)
-        == 0
-    )
+    usual = ("--gel", "elastic", "--force-n", "2", "--json", "--out", out, "--overwrite")
+    assert call("tactile-sim", "render", *base, *usual) == 0
     assert json.loads(capsys.readouterr().out)["press_depth_m"] < softer
     plan = ("--rounds", "1", "--touches", "2", "--positions", "object")
     assert (

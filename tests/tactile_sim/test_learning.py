@@ -257,6 +257,7 @@ def test_a_training_that_runs_away_keeps_its_last_checkpoint(pairs, trained, tmp
 
 
 def test_the_chain_from_the_command_line(sources, pairs, trained, tmp_path):
+    from cli import tactile
     from cli.tactile_sim import app
 
     run = CliRunner()
@@ -270,7 +271,7 @@ def test_the_chain_from_the_command_line(sources, pairs, trained, tmp_path):
     part = run.invoke(app, [*words, str(tmp_path / "parts"), "--part", "0/1"])
     assert "images in" in part.output
     assert "tactile-sim train" not in part.output, "there is nothing to train with before --finish"
-    verified = run.invoke(app, ["verify", pairs])
+    verified = run.invoke(tactile.app, ["verify", pairs])
     assert verified.exit_code == 0, verified.output
     weights = trained / "depth_to_touch.npz"
     made = run.invoke(

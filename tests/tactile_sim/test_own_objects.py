@@ -271,8 +271,8 @@ def test_a_sensor_is_named_or_read_from_a_file(tmp_path: Path, capsys: Any) -> N
     words = ("--sensor", file, "--size", "32x24", "--rounds", 1, "--touches", 2, "--out", tmp_path / "out")
     assert call("tactile-sim", "generate", tmp_path / "part.stl", *words, "-q") == 0
     assert spec_of(tmp_path / "out")["options"]["sensor"] == THIN.to_dict()
-    assert call("tactile-sim", "verify", tmp_path / "out", "-q") == 0
-    assert call("tactile-sim", "card", tmp_path / "out", "-q") == 0
+    assert call("tactile", "verify", tmp_path / "out", "-q") == 0
+    assert call("tactile", "card", tmp_path / "out", "-q") == 0
     assert call("tactile-sim", "generate", tmp_path / "part.stl", *words, "--revision", "main") == 2
     assert "part.stl' is of mesh files; next: leave them out" in capsys.readouterr().err
     assert call("tactile-sim", "generate", tmp_path / "part.stl", *words, "--optics", "taxim") == 2

@@ -97,5 +97,5 @@ def test_an_object_in_two_shards_is_left_out_once(with_an_open_mesh, touches, tm
         assert skipped == [1]
         assert manifest["splits"][split]["skipped"] == 1
         assert "left out | 1" in (folder / "README.md").read_text()
-    assert call("tactile-sim", "info", tmp_path / "touches", "--json") == 0
+    assert call("tactile", "info", tmp_path / "touches", "--json") == 0
     assert json.loads(capsys.readouterr().out)["splits"]["train"]["skipped"] == 1

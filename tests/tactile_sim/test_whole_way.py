@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 
 import starstruck_gen
 import tactile_sim
+from cli import tactile
 from cli.tactile_sim import app
 from tactile_toolkit.errors import InputError
 from tests.gallery_files import files_of
@@ -25,7 +26,7 @@ NAME = "someone/synthetic"
 
 
 def _call(*arguments: object) -> str:
-    result = CliRunner().invoke(app, [*map(str, arguments)])
+    result = CliRunner().invoke(tactile.app, [*map(str, arguments)])
     assert result.exit_code == 0, result.output
     return result.output
 
@@ -82,7 +83,7 @@ def _mesh(folder: Path, kind: str) -> Path:
         ("block", ("--layer-mm", "5"), "layers are 0.005 m high"),
         ("block", ("--layer-mm", "thin"), "expected"),
         ("block", ("--sensor-noise", "calibrated"), "'depth' do not have the calibrated noise"),
-        ("block", ("--weights", "none.npz"), "weights were given"),
+        ("block", ("--weights", "none.npz"), "--weights has no effect without --optics cyclegan"),
         ("block", ("--out", "touch.tif"), "expected a name that ends with .png, .jpg, .jpeg"),
         ("none", (), "No such file"),
     ],

@@ -36,7 +36,7 @@ def digits(digits_set: Path, tmp_path: Path) -> Path:
 
 def test_words_are_in_head_and_text_and_stay(digits: Path) -> None:
     before, plain = card_of(digits)
-    assert call("mnist3d", "card", digits, *WORDS, "--citation", BIBTEX) == 0
+    assert call("tactile", "card", digits, *WORDS, "--citation", BIBTEX) == 0
     head, body = card_of(digits)
     assert (head["license"], head["pretty_name"]) == ("cc-by-4.0", "My # digits")
     assert head["owner"]["author"] == ["Ada Lovelace", "É. *x* <b>"]
@@ -46,11 +46,11 @@ def test_words_are_in_head_and_text_and_stay(digits: Path) -> None:
         f"```bibtex\n{BIBTEX}\n```\n\n{section(plain, 'Citation')[:40]}"
     )
     assert {name for name in head if head[name] != before.get(name)} == {"license", "pretty_name", "owner"}
-    assert call("mnist3d", "verify", digits) == 0
+    assert call("tactile", "verify", digits) == 0
     # The words stay when the card is written again, also by a run; each can be replaced.
-    assert call("mnist3d", "card", digits) == 0
+    assert call("tactile", "card", digits) == 0
     assert card_of(digits) == (head, body)
-    assert call("mnist3d", "card", digits, "--license", "cc0-1.0") == 0
+    assert call("tactile", "card", digits, "--license", "cc0-1.0") == 0
     again, text = card_of(digits)
     assert again["owner"] == {**head["owner"], "license": "cc0-1.0"}
     assert "cc-by-4.0" not in text
@@ -76,11 +76,11 @@ def test_generate_takes_the_words_and_the_rows_do_not_depend_on_them(tmp_path: P
 
 def test_other_kinds_have_the_same_words(tmp_path: Path) -> None:
     starstruck_gen.generate(starstruck_gen.SceneSetSpec(scenes=(("train", 1),)), tmp_path / "scenes")
-    assert call("starstruck", "card", tmp_path / "scenes", *WORDS) == 0
+    assert call("tactile", "card", tmp_path / "scenes", *WORDS) == 0
     head, body = card_of(tmp_path / "scenes")
     assert head["license"] == "cc-by-4.0"
     assert section(body, "Licence").strip() == "cc-by-4.0, as the owner of the data set states."
-    assert call("starstruck", "verify", tmp_path / "scenes") == 0
+    assert call("tactile", "verify", tmp_path / "scenes") == 0
 
 
 @pytest.mark.parametrize("citation", ["Lovelace 1843, *Notes*", "bib"])
@@ -89,7 +89,7 @@ def test_a_citation_may_be_text_or_a_file(citation: str, digits: Path, tmp_path:
     if citation == "bib":
         (tmp_path / "mine.bib").write_text(f"{BIBTEX}\n", encoding="utf-8")
         given, shown = str(tmp_path / "mine.bib"), f"```bibtex\n{BIBTEX}\n```"
-    assert call("mnist3d", "card", digits, "--citation", given) == 0
+    assert call("tactile", "card", digits, "--citation", given) == 0
     assert section(card_of(digits)[1], "Citation").startswith(f"{shown}\n")
 
 
@@ -108,7 +108,7 @@ def test_a_citation_may_be_text_or_a_file(citation: str, digits: Path, tmp_path:
 )
 def test_invalid_words_are_named(words: tuple[str, str], message: str, digits: Path, capsys: Any) -> None:
     before = (digits / "README.md").read_bytes()
-    assert call("mnist3d", "card", digits, *words) == 2
+    assert call("tactile", "card", digits, *words) == 2
     assert message in capsys.readouterr().err
     assert (digits / "README.md").read_bytes() == before
 
@@ -118,11 +118,11 @@ def test_a_head_that_was_changed_by_hand_is_checked(digits: Path, capsys: Any) -
     text = path.read_text(encoding="utf-8")
     for owner in ("owner: {license: mine}", "owner: {author: [3]}", "owner: {author: 3}"):
         path.write_text(text.replace("---\n", f"---\n{owner}\n", 1), encoding="utf-8")
-        assert call("mnist3d", "card", digits) == 2
+        assert call("tactile", "card", digits) == 2
         assert "correct 'owner' in its head" in capsys.readouterr().err
     # An unreadable card is written again.
     path.write_text("---\n: : :\n---\n", encoding="utf-8")
-    assert call("mnist3d", "card", digits, "--license", "mit") == 0
+    assert call("tactile", "card", digits, "--license", "mit") == 0
     assert card_of(digits)[0]["owner"] == {"license": "mit"}
 
 

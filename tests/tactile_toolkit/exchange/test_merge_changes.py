@@ -46,7 +46,7 @@ def rows_of(folder: Path) -> list[dict[str, Any]]:
 def test_rows_get_new_ids_and_a_source_and_are_otherwise_unchanged(program, make, load, tmp_path, capsys):
     one, other = make(tmp_path / "a" / "set", 1), make(tmp_path / "b" / "set", 2)
     words = ("--out", tmp_path / "out", "-w", 1)
-    assert call(program, "merge", one, other, *words, "--source-column", "origin") == 0
+    assert call("tactile", "merge", one, other, *words, "--source-column", "origin") == 0
     said = capsys.readouterr().out
     spec = json.loads((tmp_path / "out" / "manifest.json").read_text())["spec"]["options"]
     assert (spec["source_column"], spec["sources"]) == ("origin", ["a/set", "b/set"])
@@ -66,7 +66,7 @@ def test_rows_get_new_ids_and_a_source_and_are_otherwise_unchanged(program, make
     assert merged == {name: {row.pop("id"): row for row in rows} for name, rows in before.items()}
     out = tmp_path / "out"
     for command in ("verify", "info", "card"):
-        assert call(program, command, out, "-q") == 0
+        assert call("tactile", command, out, "-q") == 0
     assert "name of the merged data set that the row is from" in (out / "README.md").read_text()
     counts = [len(load(name, split="train")) for name in (one, other)]
     origins = ["a/set"] * counts[0] + ["b/set"] * counts[1]
@@ -76,8 +76,8 @@ def test_rows_get_new_ids_and_a_source_and_are_otherwise_unchanged(program, make
     read = datasets.load_dataset("parquet", data_files=[str(file) for file in (out / "data").glob("train*")])
     assert read["train"].features["origin"].dtype == "string"
     # Parts of it are data sets, too.
-    assert call(program, "split", out, "--fractions", "0.5,0.5", "--out", tmp_path / "parts", "-w", 1) == 0
-    assert call(program, "verify", tmp_path / "parts" / "part-1", "-q") == 0
+    assert call("tactile", "split", out, "--fractions", "0.5,0.5", "--out", tmp_path / "parts", "-w", 1) == 0
+    assert call("tactile", "verify", tmp_path / "parts" / "part-1", "-q") == 0
     # The same bytes with two workers.
     kind = {"starstruck": SCENES, "realtouch": TOUCHES}[program]
     again = tmp_path / "again"

@@ -138,7 +138,7 @@ PART = "pa55"
 def test_an_invalid_address_in_the_environment_is_not_quoted(tmp_path, name, value, words):
     environment = {**settings("http://127.0.0.1:9", tmp_path), name: value}
     environment.pop("NO_PROXY", None)
-    script = "import cli.mnist3d as each; import sys; sys.argv = ['mnist3d', 'info', 'a/b']; each.main()"
+    script = "import cli.tactile as each; import sys; sys.argv = ['tactile', 'info', 'a/b']; each.main()"
     done = run_python(script, environment, Path(__file__).parents[3])
     assert done.returncode == 2
     assert words in done.stderr

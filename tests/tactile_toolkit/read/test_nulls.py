@@ -102,5 +102,7 @@ def test_a_null_is_named_with_file_and_row(digits_without: Path, name: str) -> N
 @pytest.mark.parametrize("command", ["preview", "gallery", "export --format flat"])
 def test_commands_name_a_null(digits_without, command, tmp_path, capsys):
     name, *options = command.split()
-    assert call("mnist3d", name, digits_without, *options, "--out", tmp_path / "out") == 3
+    assert (
+        call("tactile", name, digits_without, *options, "--kind", "mnist3d", "--out", tmp_path / "out") == 3
+    )
     assert f"{digits_without}', row 3, field" in "".join(capsys.readouterr().err.split("\n"))

@@ -197,13 +197,13 @@ def test_a_float_that_holds_no_integer_is_refused_at_its_row(kind, value, tables
             ask()
     assert rows[[0, 2]].labels.tolist() == [0, 1]
 
-    program = {"digits": "mnist3d", "scenes": "starstruck"}.get(kind, "realtouch")
-    command = "verify" if program == "realtouch" else "validate"
+    program = {"digits": "mnist3d", "scenes": "starstruck"}.get(kind, "tactile")
+    command = "verify" if program == "tactile" else "validate"
     code, output = call(program, command, tmp_path), capsys.readouterr()
     assert "Traceback" not in output.err
     assert code == (3 if command == "verify" else 1)
     assert "label" in output.out + output.err
-    assert call(program, "show", tmp_path) == 0
+    assert call("tactile", "show", tmp_path) == 0
 
 
 @pytest.mark.parametrize(
@@ -213,9 +213,10 @@ def test_a_float_that_holds_no_integer_is_refused_at_its_row(kind, value, tables
 def test_commands_take_types_of_others(kind, writer, tables, tmp_path, capsys):
     (tmp_path / "data").mkdir()
     WRITERS[writer](tables[kind], tmp_path / "data" / "train-00000-of-00001.parquet")
-    program = {"digits": "mnist3d", "scenes": "starstruck"}.get(kind, "realtouch")
-    for command in ("info", "show", "verify" if program == "realtouch" else "validate"):
-        assert call(program, command, tmp_path) == 0, capsys.readouterr()
+    named = {"digits": "mnist3d", "scenes": "starstruck"}.get(kind, "realtouch")
+    check = ("tactile", "verify") if named == "realtouch" else (named, "validate")
+    for words in (("tactile", "info", "--kind", named), ("tactile", "show"), check):
+        assert call(*words, tmp_path) == 0, capsys.readouterr()
 
 
 def test_floats_among_frames_are_refused_by_touch(tables: dict[str, pa.Table], tmp_path: Path) -> None:

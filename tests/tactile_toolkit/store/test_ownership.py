@@ -118,7 +118,7 @@ def test_a_command_whose_set_was_replaced_ends_with_one_sentence(tmp_path, capfd
     assert folder_bytes(place) == before
     assert json.loads(before["manifest.json"])["spec"]["seed"] == 2
     capfd.readouterr()
-    assert call("starstruck", "verify", place) == 0
+    assert call("tactile", "verify", place) == 0
 
 
 @pytest.mark.thorough
@@ -130,7 +130,7 @@ def test_a_set_that_another_process_is_about_to_replace_is_left_to_it(tmp_path, 
     slow = start_held("starstruck", 1, marker, *words, "--seed", 2, "--overwrite", "--workers", 1)
     before = folder_bytes(place)
     assert any(path.startswith(".next/.pending/train-") for path in before)
-    for beside in (("--workers", 1), ("--finish",), ("--check",)):
+    for beside in (("--workers", 1), ("--finish",), ("--repair",)):
         assert call("starstruck", *words, "--seed", 1, *beside) == 0
         assert folder_bytes(place) == before
     capfd.readouterr()
@@ -144,4 +144,4 @@ def test_a_set_that_another_process_is_about_to_replace_is_left_to_it(tmp_path, 
     after = folder_bytes(place)
     assert json.loads(after["manifest.json"])["spec"]["seed"] == 2
     assert not [path for path in after if path.startswith(".")]
-    assert call("starstruck", "verify", place) == 0
+    assert call("tactile", "verify", place) == 0

@@ -1,0 +1,347 @@
+"""The commands that copy rows of data sets, export them, write their cards, and keep the cache."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from cli import application, contents, options, output, runs
+from cli.options import OpeningAny, Work, argument, out_folder
+from realtouch.touch_options import EXPORT_FORMATS, FRAME, ContactChoice
+from tactile_toolkit import cards, catalog, checked_fields, exchange, places, printing, store, wording
+from tactile_toolkit.cache import CacheContents
+from tactile_toolkit.checked_fields import choice, text
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.kind import DatasetKind, lazy
+from tactile_toolkit.wording import bytes_text, with_count
+
+_MESH_FORMATS = ("stl", "3mf", "ply", "obj", "glb", "mjcf", "urdf", "usd", "flat")
+_SHOW_FRAME = "png|jpeg|flat|webdataset|fota|anytouch"
+# Imported when they are called: they import pyarrow.
+_select_touches = lazy("realtouch:select")
+_export_touches = lazy("realtouch:export")
+_write_frames = lazy("realtouch:frames")
+
+
+def _fractions(words: str) -> tuple[float, ...]:
+    try:
+        shares = tuple(map(float, wording.comma_separated(words)))
+    except ValueError:
+        shares = ()
+    if not shares or not all(0 < share <= 1 for share in shares) or sum(shares) > 1 + 1e-9:
+        raise InputError(
+            f"is {words!r}; expected shares that add up to 1 or less, such as 0.8,0.2", field="fractions"
+        )
+    return shares
+
+
+def _given(chosen: catalog.RowFilter) -> JsonDict:
+    return {each: value for each, value in chosen.given().items() if value is not None}
+
+
+def select(
+    *,
+    name: str = options.NAME,
+    opening: OpeningAny,
+    chosen: catalog.RowFilter,
+    contact: Annotated[options.Given, options.OptionsOf(ContactChoice)],
+    out: str = out_folder("selected"),
+    work: Work,
+    sink: output.Sink,
+) -> None:
+    """Write selected rows of a data set as a data set of the same kind.
+
+    Examples: tactile select digits --labels 3,5 --per-class 10 --out some;
+    tactile select real-single-64x64 --contact --out touched
+    """
+    given = _given(chosen)
+    source, kind = opening.open_kind(sink, name)
+    make: Any = partial(exchange.select_rows, kind, source, given, out)
+    if kind.has_touches:
+        contents.announce_fetching(sink, source, chosen.split)
+        make = partial(_select_touches, source, out, **ContactChoice(**contact).arguments(chosen))
+    else:
+        options.refuse(contact, kind.nouns)
+        if not given:
+            raise InputError(
+                "expected filters such as --ids", next="add --ids, --labels, --per-class or --limit"
+            )
+    runs.make_with_progress(sink, "copying", kind, make, work, out)
+
+
+def split(
+    *,
+    name: str = options.NAME,
+    opening: OpeningAny,
+    out: str = out_folder("parts"),
+    fractions: tuple[float, ...] = text(
+        (),
+        metavar="0.8,0.2",
+        read=_fractions,
+        help="Fractions of the rows of each split, one for each part.",
+    ),
+    seed: int = checked_fields.integer(0, needs="fractions", help="Random seed."),
+    chosen: catalog.RowFilter,
+    work: Work,
+    sink: output.Sink,
+) -> None:
+    """Divide a data set into several of the same kind: OUT/part-1, OUT/part-2 and so on.
+
+    Rows are drawn at random (--fractions), or part-1 gets the objects that --ids, --labels and similar
+    options choose, and part-2 all others.
+
+    Examples: tactile split digits --fractions 0.8,0.2 --out parts;
+    tactile split digits --ids 3,17,40-60 --out parts
+    """
+    given = _given(chosen)
+    if given and fractions:
+        raise InputError(
+            "was given with filters such as --ids; expected only one of them",
+            next="leave out --fractions, or the filters",
+            field="fractions",
+        )
+    if not given and not fractions:
+        raise InputError("expected --fractions, or filters such as --ids", next="add --fractions 0.8,0.2")
+    source, kind = opening.open_kind(sink, name)
+    for folder, make in exchange.plan_parts(kind, source, out, fractions, seed, given):
+        runs.make_with_progress(sink, "copying", kind, make, work, folder)
+
+
+def merge(
+    *,
+    names: list[str] = argument("NAME...", "Data sets of one kind.", several=True),
+    opening: OpeningAny,
+    source_column: str | None = text(
+        metavar="NAME", read=str, help="Add a column with the name of the data set that each row is from."
+    ),
+    out: str = out_folder("merged"),
+    work: Work,
+    sink: output.Sink,
+) -> None:
+    """Merge data sets into one; shards are copied unchanged if no id changes and no column is added.
+
+    Columns and classes must be the same. If an id occurs again, the later row gets a new one. References to
+    other data sets, such as object_id, are not changed.
+
+    Examples: tactile merge digits others --out both;
+    tactile merge digits others --source-column source --out both
+    """
+    sources = [opening.open(sink, name) for name in names]
+    kind = sources[0].choose_kind(opening.kind)
+    make = partial(exchange.merge_sets, kind, sources, out, source_column=source_column)
+    manifest = runs.make_with_progress(sink, "copying", kind, make, work, out)
+    if manifest is None:
+        return
+    for entry in manifest.spec["options"].get("renumbered", ()):
+        (old, new), *_ = pairs = entry["ids"]
+        sink.line(
+            f"{entry['source']}: {with_count(len(pairs), 'ids')} changed, the first from {old} to {new} "
+            f"(manifest.json lists all)"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class TouchFiles:
+    """Options of the files of touches."""
+
+    clip_frame: str = FRAME(needs=f"file_format={_SHOW_FRAME}", panel="Touches")
+    difference: str | None = choice(
+        None,
+        ("grey", "absolute"),
+        optional=True,
+        needs="file_format=png|jpeg",
+        panel="Touches",
+        help="Write the difference from the median of the clip or round: grey (128 means no change) or "
+        "absolute.",
+    )
+
+
+def export(
+    *,
+    name: str = options.NAME,
+    opening: OpeningAny,
+    file_format: str | None = choice(
+        None,
+        tuple(dict.fromkeys((*_MESH_FORMATS, *EXPORT_FORMATS))),
+        optional=True,
+        name="--format",
+        shown="stl for meshes, plates 3mf",
+        help="Meshes: files in mm (glb, mjcf, urdf, usd: in m), plates as 3mf or mjcf. Touches: png: exact "
+        "pixels, jpeg: the stored JPEGs, with an index; webdataset: tars; lerobot: LeRobotDataset v3.0; "
+        "oxt: Zarr of FTP-1; replay: Zarr of Diffusion Policy; fota: tars of T3; anytouch: list files. "
+        "flat: Parquet tables, a row for each mesh or touch. lerobot, oxt and replay hold one split.",
+    ),
+    form: Annotated[options.Given, options.OptionsOf(printing.ExportOptions)],
+    chosen: catalog.RowFilter,
+    distances: Annotated[options.Given, options.OptionsOf(printing.PlateSpec)],
+    material: Annotated[options.Given, options.OptionsOf(printing.Physics)],
+    touches: Annotated[options.Given, options.OptionsOf(TouchFiles)],
+    out: str = out_folder("exported"),
+    making: options.Making,
+    sink: output.Sink,
+) -> None:
+    """Write files for printers, simulators and other libraries.
+
+    A mesh becomes a file, or a part of a build plate, or a row of a table. Objects keep their pose; their
+    lowest point is at z = 0. Every file is read back; one that is not the same solid is removed and named.
+    Touches become pictures, or the files of another library; stored JPEGs are copied, never encoded again.
+
+    Examples: tactile export digits --ids 3,17 --format 3mf;
+    tactile export digits --per-class 1 --plate 256x256;
+    tactile export digits --calibration-plate --out plate;
+    tactile export real-seq --split train --format lerobot --out robots
+
+    After an interruption, the same command continues; finished files are kept.
+
+    Exit code 1 if an object or plate could not be written as a solid.
+    """
+    place, kind = opening.open_kind(sink, name)
+    if kind.has_touches:
+        _require_format(kind, file_format, EXPORT_FORMATS)
+        options.refuse({**form, **distances, **material, "dry_run": making.dry_run}, kind.nouns)
+        options.refuse(
+            {**_given(chosen), "split": None, "limit": None}, "an export of touches: select them first"
+        )
+        _export_touch_files(sink, kind, place, file_format, chosen, touches, out, making)
+        return
+    _require_format(kind, file_format or "stl", _MESH_FORMATS)
+    options.refuse(touches, kind.nouns)
+    out = str(options.local_place(out))
+    if file_format == "flat":
+        _export_tables(sink, kind, exchange.plan_tables(kind, place, chosen, out), out, making)
+        return
+    options.refuse(making.given(), "mesh files")
+    filters = chosen.given()
+    report = printing.export(
+        catalog.open_splits(place, filters.pop("split"), kind.load, kind.nouns).items(),
+        filters,
+        out,
+        printing.ExportOptions(file_format, **form),
+        distances,
+        material,
+        sink.progress,
+        overwrite=making.overwrite,
+        dry_run=making.dry_run,
+        workers=options.process_count(making.workers),
+    )
+    sink.document({"out": out, **report.document})
+    if report.removed:
+        removed = "would remove" if making.dry_run else "removed"
+        sink.info(f"{removed} plates of an earlier export: {', '.join(report.removed)}")
+    sink.table(report.header, report.rows)
+    if report.line:
+        sink.line(report.line)
+    for failure in report.failed:
+        sink.warn(f"failed: {failure.name}: {failure.detail}")
+    if report.failed:
+        raise typer.Exit(application.EXIT_FAILED)
+
+
+def _require_format(kind: DatasetKind, file_format: str | None, known: tuple[str, ...]) -> None:
+    """Refuse a format that rows of a kind do not have (InputError)."""
+    if file_format not in known:
+        raise InputError(
+            f"is {file_format!r}; expected one of {', '.join(known)} for {kind.nouns}", field="file_format"
+        )
+
+
+def _export_tables(
+    sink: output.Sink, kind: DatasetKind, plan: store.BuildPlan, out: str, making: options.Making
+) -> None:
+    """Write tables of meshes, or print what would be written."""
+    folder = store.open_folder(out)
+    if making.dry_run:
+        if not making.overwrite:
+            plan.compared_with(folder)
+        rows = sum(task.size for task in plan.tasks)
+        sink.document({"folder": out, "rows": rows})
+        sink.line(f"would write {with_count(rows, kind.nouns)} to {out}; nothing was written")
+        return
+    make = partial(store.build, folder, plan, write_card=kind.write_card)
+    runs.make_with_progress(sink, "writing", kind, make, making, out)
+
+
+def _export_touch_files(
+    sink: output.Sink,
+    kind: DatasetKind,
+    place: places.Place,
+    file_format: str | None,
+    chosen: catalog.RowFilter,
+    touches: options.Given,
+    out: str,
+    work: Work,
+) -> None:
+    """Write touches as pictures or for another library."""
+    arguments = {
+        "frame": touches.get("clip_frame", "contact_end"),
+        "split": chosen.split,
+        "limit": chosen.limit,
+    }
+    nouns = "rows"
+    if file_format in ("png", "jpeg"):
+        nouns = "touches"
+        make = partial(
+            _write_frames, place, out, file_format, difference=touches.get("difference"), **arguments
+        )
+    else:
+        make = partial(_export_touches, place, out, file_format, **arguments)
+    contents.announce_fetching(sink, place, chosen.split)
+    runs.make_with_progress(sink, "converting", replace(kind, nouns=nouns), make, work, out, kind.nouns)
+
+
+def card(
+    *,
+    folder: str = options.FOLDER,
+    kind: str | None = options.KIND,
+    words: cards.OwnerWords,
+    sink: output.Sink,
+) -> None:
+    """Write the data card (README.md) of a folder again, with the picture that it shows, and check it.
+
+    Numbers are computed from the data; examples name FOLDER until the folder is uploaded. Licence, authors,
+    title and citation that were given before are kept.
+
+    Examples: tactile card digits;
+    tactile card digits --license cc-by-4.0 --author "Ada Lovelace" --title "My digits"
+    """
+    place = places.open_place(folder).require_complete(may_take=False)
+    found = place.choose_kind(kind)
+    manifest = place.manifest
+    if found.needs_manifest:
+        manifest = place.require_manifest(found)
+    files = cards.rewrite_card(found, store.open_folder(folder), manifest, words)
+    sink.document({"folder": folder, "card": files[0], "previews": files[1:]})
+    sink.line(f"{folder}: wrote {', '.join(files)}; all of it matches the data")
+
+
+def cache(
+    *,
+    prune: bool = checked_fields.switch(False, help="Remove the files, which are made again when needed."),
+    unused_days: float = checked_fields.real(
+        0.0, 0, metavar="DAYS", needs="prune", help="Only files not used for this many days."
+    ),
+    sink: output.Sink,
+) -> None:
+    """List or remove cached files.
+
+    Files from the Hub are in the Hub's own cache: see `hf cache`.
+
+    Examples: tactile cache;  tactile cache --prune --unused-days 30
+    """
+    before = CacheContents.now()
+    removed = list[Path]()
+    if prune:
+        removed = before.prune(unused_days)
+    rows = [(name, len(files), sum(size for _, size, _ in files)) for name, files in before.files.items()]
+    document = {name: {"files": count, "bytes": size} for name, count, size in rows}
+    sink.document({"folder": str(before.folder), "held": document, "removed": list(map(str, removed))})
+    if prune:
+        sink.line(f"removed {with_count(len(removed), 'files')} of {before.folder}")
+        return
+    sink.table(("what", "files", "size"), [(name, count, bytes_text(size)) for name, count, size in rows])
+    sink.line(f"these files are in {before.folder}; next: `tactile cache --prune` removes them")

@@ -1,0 +1,139 @@
+"""What data sets hold: those in a folder, the splits of one, and a stored row."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import pyarrow as pa
+
+from tactile_toolkit import catalog, places, read, store
+from tactile_toolkit.errors import InputError, ToolkitError
+from tactile_toolkit.json_types import JsonDict, JsonValue
+from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.wording import bytes_text, with_count
+
+# Length of the longest list whose values are shown.
+_SHOWN = 6
+
+
+def list_folder(folder: str | Path) -> list[JsonDict]:
+    """Return the data sets in a folder, and the folder itself if it is one, as JSON values.
+
+    ``state`` is finished, unfinished or the message of an error. Only manifests are read. Raises InputError
+    if the folder does not exist.
+    """
+    path = Path(folder)
+    if not path.is_dir():
+        raise InputError(
+            store.open_folder(str(folder)).missing_message("data sets"),
+            next="give a folder with data set folders",
+        )
+    listed = []
+    inner = sorted(each.name for each in path.iterdir() if each.is_dir() and not store.is_hidden(each.name))
+    for name in [".", *inner]:
+        kind = ""
+        table = dict[str, dict[str, int]]()
+        try:
+            manifest = store.manifest_so_far(store.open_folder(str(path / name)))
+        except ToolkitError as error:
+            state = str(error)
+        else:
+            if manifest is None:
+                continue
+            kind = manifest.kind
+            table = manifest.split_table()
+            state = "finished" if manifest.complete else "unfinished"
+        sums = {each: sum(split[each] for split in table.values()) for each in ("rows", "bytes")}
+        listed.append({"name": name, "kind": kind, "splits": ", ".join(table), **sums, "state": state})
+    return listed
+
+
+def count_splits(place: places.Place, kind: DatasetKind, split: str | None = None) -> list[JsonDict]:
+    """Return rows, shards, bytes and rows of each class of the splits of a data set, as JSON values."""
+    counted = []
+    for name, dataset in catalog.open_splits(place, split, kind.load, kind.nouns).items():
+        paths = [shard.path for shard in place.shards(name)]
+        size = sum(folder.size_bytes(file) for folder, file in map(store.split_uri, paths))
+        # Not by `bincount`, which fails on negative labels; data that others made may have some.
+        labels = enumerate(dataset.label_names)
+        per_class = {label: int((dataset.labels == index).sum()) for index, label in labels}
+        counts = {"split": name, "rows": len(dataset), "shards": len(paths), "bytes": size}
+        counted.append({**counts, "per_class": per_class})
+    return counted
+
+
+@dataclass(frozen=True, slots=True)
+class StoredRow:
+    """A row as it is stored.
+
+    Attributes
+    ----------
+    split : str
+        Its split.
+    row, rows : int
+        Its number in the split, from 0, and the number of rows of the split.
+    types : dict of str to str
+        Type of each column.
+    values : dict of str to object
+        Values as JSON; a long list is its number of values, bytes are their size.
+    """
+
+    split: str
+    row: int
+    rows: int
+    types: dict[str, str]
+    values: JsonDict
+
+
+def stored_row(name: places.Name | places.Place, row: int = 0, split: str | None = None) -> StoredRow:
+    """Return a row of a data set of any kind, or of Parquet files of others.
+
+    ``split`` is the first by default. Raises InputError if there is no such row or split.
+    """
+    place = places.open_place(name)
+    chosen = split or place.require_complete().splits[0]
+    rows = read.ShardedTable(place.shards(chosen))
+    if row >= len(rows):
+        raise InputError(
+            f"is {row}; rows are counted from 0, and split {chosen!r} has {with_count(len(rows), 'rows')}",
+            next="give a smaller number or another split",
+            field="row",
+        )
+    group, index = rows.locate(row)
+    stored = group.table.slice(index, 1)
+    types = {
+        field.name: str(field.type).replace("element: ", "").replace("fixed_size_list", "list")
+        for field in stored.schema
+    }
+    values = {column: _brief(_python_value(stored[column][0])) for column in stored.column_names}
+    return StoredRow(chosen, row, len(rows), types, values)
+
+
+def _python_value(scalar: pa.Scalar) -> object:
+    """Convert a scalar of Arrow to Python, or to text if Python has no such type (nanoseconds)."""
+    try:
+        return scalar.as_py()
+    except ValueError:
+        # Its text needs pandas, which no command imports.
+        if isinstance(scalar, Mapping):
+            return {name: _python_value(each) for name, each in scalar.items()}
+        if isinstance(scalar, Iterable):
+            return list(map(_python_value, scalar))
+        return scalar.cast("string").as_py()
+
+
+def _brief(value: object) -> JsonValue:
+    """Shorten a value for JSON: a long list becomes its number of values, bytes become their size."""
+    if isinstance(value, dict):
+        return {name: _brief(each) for name, each in value.items()}
+    if isinstance(value, bytes):
+        return bytes_text(len(value))
+    if isinstance(value, list) and len(value) > _SHOWN:
+        return with_count(len(value), "values")
+    if isinstance(value, list):
+        return [_brief(each) for each in value]
+    if isinstance(value, (bool, int, float, str, type(None))):
+        return value
+    return str(value)
