@@ -116,7 +116,9 @@ def test_an_error_names_the_option_of_its_field(capsys):
     assert error.naming("--size") == "--size is 3; expected 4; next: wait"
 
 
-@pytest.mark.parametrize("line", ["mnist3d", "starstruck", "realtouch", "tactile_sim", "env_assets"])
+@pytest.mark.parametrize(
+    "line", ["tactile", "mnist3d", "starstruck", "realtouch", "tactile_sim", "env_assets"]
+)
 def test_errors_about_words_have_the_field_of_their_option(line, monkeypatch):
     monkeypatch.setenv("HF_TOKEN", "")  # --token sets it
     for info in import_module(f"cli.{line}").app.registered_commands:
