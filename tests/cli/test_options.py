@@ -82,7 +82,8 @@ def test_options_that_are_not_given_mean_the_defaults_of_the_library():
         ("tactile select x --as-recorded", "--contact"),
         ("tactile preview x --draw overlay --touches 3", "--draw grid or all"),
         ("tactile-sim generate x --quality 90 --image-format png", "--image-format jpeg"),
-        ("tactile-sim render x --force-n 5", "--gel"),
+        ("tactile-sim render x --force-n 5", "--gel elastic"),
+        ("tactile-sim render x --gel none --force-n 5", "--gel elastic"),
         ("tactile-sim render x --gel elastic --draw-markers", "--markers"),
     ],
 )
@@ -100,8 +101,11 @@ def test_needs_name_options_of_the_same_command_and_their_values():
             for hint in hints:
                 needs = next((each.option.get("needs", "") for each in get_args(hint)[2:]), "")
                 field, _, words = needs.partition("=")
-                known = get_args(rules[field])[2].choices if field else ()
-                assert {*words.split("|")} <= {"", *known}, (line, info.name, needs)
+                known = {""}
+                if field:
+                    rule = get_args(rules[field])[2]
+                    known |= {*rule.choices, *rule.option.get("complete", ())}
+                assert {*words.split("|")} <= known, (line, info.name, needs)
 
 
 def test_an_error_names_the_option_of_its_field(capsys):
