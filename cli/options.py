@@ -328,7 +328,7 @@ def _refuse_without_effect(context: typer.Context, options: Iterable[inspect.Par
         value = context.params[field]
         values = {*words.split("|")}
         is_met = bool(value)
-        if words:
+        if words and (not value or isinstance(value, (str, list, tuple))):  # not what a text was read as
             held = value if isinstance(value, (list, tuple)) else [value or ""]
             is_met = bool(values.intersection(held or [""]))
         if not is_met:

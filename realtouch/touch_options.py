@@ -468,7 +468,8 @@ class ImportColumns:
         }
         options = [name for name, value in stated.items() if value is not None]
         if len(options) > 1:
-            raise errors.InputError(f"contradicts {options[1]}; expected one of them", field=options[0])
+            other = f"{options[1]} (--{options[1].replace('_', '-')})"
+            raise errors.InputError(f"contradicts {other}; expected one of them", field=options[0])
         if self.euler is None:
             return
         if not _EULER.match(self.euler) or any(map(str.__eq__, self.euler, self.euler[1:])):

@@ -35,7 +35,8 @@ class OptionText(TypedDict, total=False):
     with ``several`` it may be repeated. Shells offer the words of ``complete``.
 
     ``needs`` names the field without which the option has no effect: ``"plate"``, or for some of its values
-    ``"file_format=mjcf|urdf"``; the empty value in ``"kinds=|grid"`` is one that is not given.
+    ``"file_format=mjcf|urdf"``; the empty value in ``"kinds=|grid"`` is one that is not given. An object that
+    ``read`` made of a text, such as a gel, meets the need whatever its text was.
     """
 
     argument: bool

@@ -174,7 +174,7 @@ class ForeignParquet:
             yield from rows or ({} for _ in range(len(table)))
 
     def columns(self, names: Sequence[str]) -> dict[str, pa.Array]:
-        """Return columns with an entry for each row; see :mod:`tactile_toolkit.column_types`.
+        """Return columns with an entry for each row; see :mod:`tactile_toolkit.columns.column_types`.
 
         Raises as :meth:`rows` does.
         """

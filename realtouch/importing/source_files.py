@@ -28,7 +28,7 @@ NUMBERED = "label"
 
 # Images that are requested from a store at a time: images are small, so latency dominates.
 _REMOTE_READERS = 16
-_AT_ONCE = 64  # pictures of a file that are read together
+_AT_ONCE = 16  # pictures of a file that are read together
 _CURRENT_FOLDER = re.compile(r"^(?:\./+)+")
 _DIGITS = re.compile(r"([0-9]{1,18})")
 

@@ -81,7 +81,7 @@ class FoundTouches(Sequence[PicturePlace]):
         of a clip, if known, seconds, not decreasing. ``reason``, ``problem``: why the touch cannot be used,
         else null. ``number``: number among all touches of the source. ``round``: round to store it in.
     per_touch : pyarrow.Table
-        Fields of each touch, by their names in the source; see :mod:`tactile_toolkit.column_types`.
+        Fields of each touch, by their names in the source; see :mod:`tactile_toolkit.columns.column_types`.
     per_frame : pyarrow.Table
         Fields of each picture of a clip: lists with an entry for each picture, or null.
     """
@@ -343,7 +343,7 @@ class Recording:
     values : mapping
         Fields of the whole recording, by their names in the source.
     per_frame : mapping
-        Fields of each picture: columns of ``frames`` values; see :mod:`tactile_toolkit.column_types`.
+        Fields of each picture: columns of ``frames`` values; see :mod:`tactile_toolkit.columns.column_types`.
     time_s : ndarray of float64, shape (frames,), or None
         Time of each picture, seconds, not decreasing.
     problem : ItemError or None

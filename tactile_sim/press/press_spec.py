@@ -122,13 +122,14 @@ class ElasticPress:
         panel=_PANEL,
         read=gel_named,
         shown="none",
+        complete=("none", "elastic"),
         help="none: presses of one depth, as published; elastic: a gel that deforms, with forces; or its "
         "properties from a JSON file.",
     )
     force_n: Span | None = text(
         name="--force-n",
         metavar="A[:B]",
-        needs="gel",
+        needs="gel=elastic",
         panel=_PANEL,
         read=_span_of("force_n", 1.0),
         shown=f"{FORCE_N:g}",
@@ -137,7 +138,7 @@ class ElasticPress:
     press_m: Span | None = text(
         name="--press-mm",
         metavar="A[:B]",
-        needs="gel",
+        needs="gel=elastic",
         panel=_PANEL,
         read=_span_of("press_m", 1e-3),
         help="Depth of a press of an elastic gel, instead of a force.",
@@ -145,7 +146,7 @@ class ElasticPress:
     slide_m: Span | None = text(
         name="--slide-mm",
         metavar="A[:B]",
-        needs="gel",
+        needs="gel=elastic",
         panel=_PANEL,
         read=_span_of("slide_m", 1e-3),
         shown="0",
@@ -154,7 +155,7 @@ class ElasticPress:
     twist_rad: Span | None = text(
         name="--twist-deg",
         metavar="A[:B]",
-        needs="gel",
+        needs="gel=elastic",
         panel=_PANEL,
         read=_span_of("twist_rad", math.pi / 180),
         shown="0",
@@ -163,7 +164,7 @@ class ElasticPress:
     markers: tuple[int, int] | None = text(
         None,
         metavar="COLUMNSxROWS",
-        needs="gel",
+        needs="gel=elastic",
         panel=_PANEL,
         read=_markers_of,
         help="Markers on the gel, whose motion is stored.",
@@ -172,7 +173,7 @@ class ElasticPress:
         False, needs="markers", panel=_PANEL, help="Draw the markers into the images."
     )
     contact_maps: bool = switch(
-        False, needs="gel", panel=_PANEL, help="Store pressure and displacement of each pixel."
+        False, needs="gel=elastic", panel=_PANEL, help="Store pressure and displacement of each pixel."
     )
 
     def __post_init__(self) -> None:

@@ -82,7 +82,8 @@ def test_options_that_are_not_given_mean_the_defaults_of_the_library():
         ("tactile select x --as-recorded", "--contact"),
         ("tactile preview x --draw overlay --touches 3", "--draw grid or all"),
         ("tactile-sim generate x --quality 90 --image-format png", "--image-format jpeg"),
-        ("tactile-sim render x --force-n 5", "--gel"),
+        ("tactile-sim render x --force-n 5", "--gel elastic"),
+        ("tactile-sim render x --gel none --force-n 5", "--gel elastic"),
         ("tactile-sim render x --gel elastic --draw-markers", "--markers"),
     ],
 )
@@ -100,8 +101,11 @@ def test_needs_name_options_of_the_same_command_and_their_values():
             for hint in hints:
                 needs = next((each.option.get("needs", "") for each in get_args(hint)[2:]), "")
                 field, _, words = needs.partition("=")
-                known = get_args(rules[field])[2].choices if field else ()
-                assert {*words.split("|")} <= {"", *known}, (line, info.name, needs)
+                known = {""}
+                if field:
+                    rule = get_args(rules[field])[2]
+                    known |= {*rule.choices, *rule.option.get("complete", ())}
+                assert {*words.split("|")} <= known, (line, info.name, needs)
 
 
 def test_an_error_names_the_option_of_its_field(capsys):
@@ -114,6 +118,23 @@ def test_an_error_names_the_option_of_its_field(capsys):
     error = pickle.loads(pickle.dumps(InputError("is 3; expected 4", next="wait", field="size")))
     assert (str(error), error.what) == ("size is 3; expected 4; next: wait", "size is 3; expected 4")
     assert error.naming("--size") == "--size is 3; expected 4; next: wait"
+
+
+@pytest.mark.parametrize(
+    "line", ["tactile", "mnist3d", "starstruck", "realtouch", "tactile_sim", "env_assets"]
+)
+def test_errors_about_words_have_the_field_of_their_option(line, monkeypatch):
+    monkeypatch.setenv("HF_TOKEN", "")  # --token sets it
+    for info in import_module(f"cli.{line}").app.registered_commands:
+        for name, each in inspect.signature(info.callback).parameters.items():
+            for rule in get_args(each.annotation)[2:]:
+                for words in ("", "\x01", "1,a", "x:y"):
+                    field = ""
+                    try:
+                        rule.option.get("read", str)(words)
+                    except InputError as error:
+                        field = error.field
+                    assert field in ("", name), (info.name, name)
 
 
 @pytest.mark.parametrize(

@@ -15,10 +15,26 @@ from PIL import Image, ImageOps
 
 import realtouch
 from realtouch.importing.import_sources import IMPORTS
+from realtouch.importing.source_files import pictures_by_file
 from realtouch.importing.source_touches import PicturePlace
 from tactile_toolkit.errors import SpecMismatchError
 from tests.realtouch.images_of_others import line, picture, write_table
 from tests.tactile_toolkit.toy import folder_bytes
+
+
+def test_few_pictures_of_a_file_are_read_before_the_first_is_used(tmp_path):
+    """Each may be as large as an image can be."""
+    read = list[int]()
+
+    def noted(_home: object, _picture: PicturePlace, numbers: Any) -> Iterator[bytes]:
+        for number in numbers:
+            read.append(number)
+            yield b"picture"
+
+    pictures = pictures_by_file(noted, [PicturePlace(str(tmp_path), "a.avi", "", 5, 1, 1000)])
+    assert next(pictures) == b"picture"
+    assert read == list(range(5, 21))
+    assert sum(1 for _ in pictures) == 999
 
 
 def test_an_image_that_changed_in_place_is_read_again_with_check_alone(home, tmp_path, monkeypatch):

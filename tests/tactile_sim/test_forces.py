@@ -370,9 +370,9 @@ def test_other_sets_show_their_image_alone(tmp_path):
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        (["--force-n", "5"], "--force-n has no effect without --gel"),
-        (["--slide-mm", "0.3"], "next: add --gel, or leave it out"),
-        (["--gel", "none", "--markers", "7x9"], "--markers has no effect without --gel"),
+        (["--force-n", "5"], "--force-n has no effect without --gel elastic"),
+        (["--slide-mm", "0.3"], "next: add --gel elastic, or leave it out"),
+        (["--gel", "none", "--markers", "7x9"], "--markers has no effect without --gel elastic"),
         (["--gel", "soft"], "expected none, elastic, or a JSON file"),
         (["--gel", "elastic", "--force-n", "1:2:3"], "expected a number, or two"),
         (["--gel", "elastic", "--force-n", "inf"], "expected a number, or two"),
