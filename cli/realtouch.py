@@ -220,7 +220,7 @@ def resize(
     name: str = options.NAME,
     opening: Opening,
     out: str = out_folder(),
-    size: tuple[int, int] = touch.size_option(MISSING),
+    size_px: tuple[int, int] = touch.size_option(MISSING),
     quality: int = checked_fields.integer(
         95, 1, 100, help="JPEG quality of images that are encoded again, 1 to 100."
     ),
@@ -233,7 +233,7 @@ def resize(
 
     Example: realtouch resize real-single-320x240 --size 64x64 --out small
     """
-    arguments = {"width": size[0], "height": size[1], "quality": quality}
+    arguments = {"width": size_px[0], "height": size_px[1], "quality": quality}
     convert(sink, "realtouch resize", realtouch.resize, name, opening, out, split, limit, work, **arguments)
 
 

@@ -40,7 +40,7 @@ class PrintSpec:
     profile : PrintProfile
         Printer and material of the report.
     ending : str
-        Format of the files, one of :data:`tactile_toolkit.mesh.MeshFile.FORMATS`.
+        Format of the files, one of :attr:`tactile_toolkit.mesh.MeshFile.FORMATS`.
     preview : bool
         Write a picture of each solid beside its file, ``NAME-preview.png``.
     """

@@ -334,12 +334,11 @@ def field_table(facts: FolderSummary, known: Mapping[str, tuple[str, str]]) -> s
 
     ``known`` is by name; a name that ends with a dot stands for all fields of a struct.
     """
-    entries = _flat(facts.features)
-    names = [entry["name"] for entry in entries]
-    columns = [known.get(name) or known.get(f"{name.partition('.')[0]}.", _UNKNOWN) for name in names]
-    codes = list(map(markdown_code, names))
-    types = list(map(column_type_text, entries))
-    rows = [(code, kind, *column) for code, kind, column in zip(codes, types, columns, strict=True)]
+    rows = []
+    for entry in _flat(facts.features):
+        name = entry["name"]
+        column = known.get(name) or known.get(f"{name.partition('.')[0]}.", _UNKNOWN)
+        rows.append((markdown_code(name), column_type_text(entry), *column))
     return markdown_table(("column", "type", "shape, unit, frame", "meaning"), rows)
 
 

@@ -1,4 +1,4 @@
-"""Rows in memory: groups of rows, stored rows, and typed records of them."""
+"""Rows in memory: Arrow columns as numpy views, groups of rows, stored rows, and typed records of them."""
 
 from __future__ import annotations
 

@@ -3,7 +3,8 @@
 Reading one row of Parquet requires decoding its row group. Each row group is therefore decoded on first use
 into Arrow files in the cache folder, which are mapped into memory; after that a row takes microseconds, in
 all processes on the machine. Large row groups are unpacked in blocks of rows, so that memory is bounded and
-no Arrow array exceeds its 32-bit offsets.
+no Arrow array exceeds its 32-bit offsets. The file of a block holds an Arrow stream and its checksum, so that
+damaged files and files of other programs are not used.
 """
 
 from __future__ import annotations

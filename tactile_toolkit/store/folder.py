@@ -487,9 +487,8 @@ class LocalFolder(DataFolder):
 
     def remove(self, path: str) -> None:
         """Remove a file, if it exists."""
-        target = self.local_path(path)
-        with named_failures(str(target)):
-            target.unlink(missing_ok=True)
+        with named_failures(self.address(path)):
+            self.local_path(path).unlink(missing_ok=True)
 
     def remove_empty(self, folder: str) -> None:
         """Remove a sub-folder if it is empty."""

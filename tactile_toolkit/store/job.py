@@ -1,4 +1,8 @@
-"""A job: the plan of a data set, the options of a run, and which of its shards are finished in a folder."""
+"""A job: the plan of a data set, the options of a run, and which of its shards are finished in a folder.
+
+The record of a shard is the only state: ``.pending/SHARD.json`` until a run is finished, an entry of the
+manifest from then on. A record names its job, so leftovers of another job never count.
+"""
 
 from __future__ import annotations
 
@@ -451,11 +455,8 @@ def _intact_records(
                 if sha256 is not None and folder.sha256(path) != sha256:
                     return False
             return tasks[record.shard].source_digest() == record.source_digest
-        except (
-            errors.IntegrityError,
-            FileNotFoundError,
-        ):  # damaged without a change of size, or just removed
-            return False
+        except (errors.IntegrityError, FileNotFoundError):
+            return False  # damaged without a change of size, or just removed
 
     intact = {}
     for record in manifest.shards:

@@ -398,10 +398,11 @@ class Manifest:
             manifest.sums()  # of statistics that add up
         except (ValueError, TypeError, AttributeError) as error:
             raise damaged_error(where, f"shards: {error}") from error
-        first_of_split = {shard.split: shard for shard in shards}
-        if len(shards) < len(manifest.shards) or first_of_split.keys() - {*manifest.split_order}:
+        one_of_split = {shard.split: shard for shard in shards}
+        if len(shards) < len(manifest.shards) or one_of_split.keys() - {*manifest.split_order}:
             raise damaged_error(where, "shards: one is listed twice, or of no split in 'split_order'")
-        paths = [shard.data_path for shard in first_of_split.values()]
+        # The other shards of a split have other numbers only.
+        paths = [shard.data_path for shard in one_of_split.values()]
         names_inside((*paths, *manifest.files, *manifest.trees), repr(where))
         return manifest
 

@@ -94,7 +94,7 @@ class HeightRule:
 
 
 def size_option(default: object, shown: str = "") -> checked_fields.Declared:
-    """Declare the option of the size of images, in pixels; ``shown`` is the default in help texts."""
+    """Declare the option ``size_px`` of images; ``shown`` is the default in help texts."""
     return checked_fields.text(
         default,
         name="--size",
@@ -108,5 +108,7 @@ def size_option(default: object, shown: str = "") -> checked_fields.Declared:
 def _size(words: str) -> tuple[int, int]:
     width, _, height = words.strip().lower().partition("x")
     if not (wording.is_count(width) and wording.is_count(height)):
-        raise errors.InputError(f"is {words!r}; expected WIDTHxHEIGHT in pixels, such as 64x64", field="size")
+        raise errors.InputError(
+            f"is {words!r}; expected WIDTHxHEIGHT in pixels, such as 64x64", field="size_px"
+        )
     return int(width), int(height)

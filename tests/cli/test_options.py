@@ -121,6 +121,23 @@ def test_an_error_names_the_option_of_its_field(capsys):
 
 
 @pytest.mark.parametrize(
+    "line", ["tactile", "mnist3d", "starstruck", "realtouch", "tactile_sim", "env_assets"]
+)
+def test_errors_about_words_have_the_field_of_their_option(line, monkeypatch):
+    monkeypatch.setenv("HF_TOKEN", "")  # --token sets it
+    for info in import_module(f"cli.{line}").app.registered_commands:
+        for name, each in inspect.signature(info.callback).parameters.items():
+            for rule in get_args(each.annotation)[2:]:
+                for words in ("", "\x01", "1,a", "x:y"):
+                    field = ""
+                    try:
+                        rule.option.get("read", str)(words)
+                    except InputError as error:
+                        field = error.field
+                    assert field in ("", name), (info.name, name)
+
+
+@pytest.mark.parametrize(
     "words", [("starstruck", "generate"), ("mnist3d", "generate"), ("tactile", "split", "x")]
 )
 def test_integers_of_any_length_are_read(words, tmp_path, capsys):

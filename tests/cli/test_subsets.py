@@ -88,8 +88,9 @@ def test_objects_are_taken_out_by_id(tmp_path, capsys):
     for wrong in ("0.8,0.3", "0", "a", "nan"):
         assert call("tactile", "split", folder, "--fractions", wrong, "--out", tmp_path / "none") == 2
         assert f"--fractions is '{wrong}'" in capsys.readouterr().err
-    assert call("tactile", "merge", folder, "--out", tmp_path / "none", *ALONE) == 2
-    assert "holds digits; `tactile merge` is for scenes; next: run `tactile merge " in capsys.readouterr().err
+    scenes = _made("starstruck", tmp_path / "scenes")
+    assert call("tactile", "merge", folder, scenes, "--out", tmp_path / "none", *ALONE) == 2
+    assert "holds scenes; `tactile merge` is for digits; next: show what" in capsys.readouterr().err
     assert not (tmp_path / "none").exists()
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from tactile_toolkit.errors import StorageError
 from tactile_toolkit.run import Part
 from tactile_toolkit.store import build, open_folder, remove_drafts, verify, write_file
 from tests.tactile_toolkit.toy import SCHEMA, toy_plan
@@ -74,6 +75,15 @@ def test_a_writer_that_always_loses_its_temporary_file_gives_up(tmp_path):
     with pytest.raises(FileNotFoundError):
         write_file(tmp_path / "mine", lambda _: remove_drafts(tmp_path))
     assert names(tmp_path) == []
+
+
+def test_a_file_in_a_folder_that_cannot_be_searched_is_not_removed(tmp_path, monkeypatch):
+    def refuse(path):
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "is_symlink", refuse)
+    with pytest.raises(StorageError, match=r"'.*/data/x': Permission denied"):
+        open_folder(str(tmp_path)).remove("data/x")
 
 
 def test_a_folder_of_temporaries_that_goes_between_two_looks_is_made_again(tmp_path, monkeypatch):
