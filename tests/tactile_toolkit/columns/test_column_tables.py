@@ -117,6 +117,8 @@ def test_parquet(tmp_path: Path) -> None:
         (",".join(map(str, range(2000))) + "\n", ".csv", "2,000 columns"),
         ('{"a": 1}\n{"a": \n', ".jsonl", "cannot be read as a table"),
         ('{"a": 1}\n{"a": "b"}\n', ".jsonl", "cannot be read as a table"),
+        ('"text"', ".jsonl", "cannot be read as a table"),
+        ("[" * 100_000, ".jsonl", "cannot be read as a table"),
         (b"PAR1 and more", ".parquet", "cannot be read as a table"),
     ],
 )
@@ -129,6 +131,9 @@ def test_limits(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tables, "MAX_ROWS", 3)
     with pytest.raises(InputError, match="more than 3 rows"):
         table("a\n" + "1\n" * 4).scan()
+    monkeypatch.setattr(tables, "MAX_HELD_ROWS", 2)
+    with pytest.raises(InputError, match="more than 2 rows"):
+        table("a\n" + "1\n" * 3).whole()
     monkeypatch.setattr(tables, "_BLOCK_BYTES", 16)
     for ending, line in ((".csv", "1" * 100), (".jsonl", f'{{"a": {"1" * 100}}}')):
         with pytest.raises(InputError, match="cannot be read as a table"):
