@@ -109,7 +109,7 @@ def _plan_images(
 
 @dataclass(frozen=True)
 class TakeContactFrames:
-    """Step of ``clips-to-images``: one frame of each clip, with the pose of the gel at that moment."""
+    """Step of :func:`clips_to_images`: one frame of each clip, with the pose of the gel at that moment."""
 
     method: contact.ContactMethod
 

@@ -243,7 +243,7 @@ def unfit(assets, tmp_path_factory):
     [
         ({"assets": "digits-alone"}, {}, "holds no recorded touches; expected a folder 'real-single'"),
         ({"assets": "mnist3d"}, {}, "is not a data set of touches|holds digits"),
-        ({"touches": "clips"}, {}, "holds clips.*clips-to-images"),
+        ({"touches": "clips"}, {}, "holds clips.*realtouch stills"),
         ({"touches": "short"}, {}, "rounds of 5 touches; an episode of 16 steps needs 18"),
         ({"touches": "unlike"}, {}, "rounds of 18 to 20 touches"),
         ({"touches": "classless"}, {}, "has label -1; expected 0 to 9"),
