@@ -21,7 +21,6 @@ from tactile_toolkit.store import ParquetStyle, Skipped
 
 KIND = DatasetKind(
     name="boxes",
-    command="boxes",
     package="tests.tactile_toolkit.boxes",
     noun="box",
     nouns="boxes",
