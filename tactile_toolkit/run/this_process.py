@@ -150,7 +150,7 @@ def limit_threads() -> None:
         os.environ.setdefault(name, "1")
     # oneTBB, which manifold3d uses, has no setting for this: when it first works, it counts the processors
     # that the process may use. Only Linux lets a process choose them here.
-    if hasattr(os, "sched_setaffinity"):
+    if sys.platform == "linux":
         processors = os.sched_getaffinity(0)
         os.sched_setaffinity(0, {min(processors)})
         try:
