@@ -229,9 +229,14 @@ def export(
         dry_run=making.dry_run,
         workers=options.process_count(making.workers),
     )
+    _print_exported(sink, report, out, making.dry_run)
+
+
+def _print_exported(sink: output.Sink, report: printing.ExportReport, out: str, is_dry_run: bool) -> None:
+    """Print the exported files; exit code 1 if one could not be written as a solid."""
     sink.document({"out": out, **report.document})
     if report.removed:
-        removed = "would remove" if making.dry_run else "removed"
+        removed = "would remove" if is_dry_run else "removed"
         sink.info(f"{removed} plates of an earlier export: {', '.join(report.removed)}")
     sink.table(report.header, report.rows)
     if report.line:

@@ -167,15 +167,7 @@ def print_set(
         }
     )
     if not manifest.complete:
-        record = store.read_download_record(store.open_folder(out))
-        activity = "run"
-        next_step = (
-            f"run the same `{kind.command_of(manifest)}` again, or add --finish to list missing shards"
-        )
-        if record is not None:
-            activity = "download"
-            next_step = f"download {record.repo_id} there again; it continues"
-        sink.line(f"{out}: unfinished, the {activity} is under way or was interrupted; next: {next_step}")
+        _print_unfinished(sink, kind, manifest, out)
     counts = [
         (
             name,
@@ -193,6 +185,17 @@ def print_set(
         sink.line(f"left out {items}: {reason} (each is named in {out}/manifest.json)")
     for line in facts.lines:
         sink.line(line)
+
+
+def _print_unfinished(sink: output.Sink, kind: DatasetKind, manifest: store.Manifest, out: str) -> None:
+    """Print what is under way in a folder, or was interrupted, and how to continue it."""
+    record = store.read_download_record(store.open_folder(out))
+    activity = "run"
+    next_step = f"run the same `{kind.command_of(manifest)}` again, or add --finish to list missing shards"
+    if record is not None:
+        activity = "download"
+        next_step = f"download {record.repo_id} there again; it continues"
+    sink.line(f"{out}: unfinished, the {activity} is under way or was interrupted; next: {next_step}")
 
 
 def print_left_out(sink: output.Sink, manifest: store.Manifest) -> None:

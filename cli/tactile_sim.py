@@ -164,6 +164,11 @@ def render(
     seen = tactile_sim.preview_touch(solid, spec, at, math.radians(turn_deg))
     encoded = touch.encode_image(seen.picture, image_format, spec.quality)
     store.open_folder(str(out.parent.absolute())).write_bytes(out.name, encoded)
+    _print_touch(sink, out, seen)
+
+
+def _print_touch(sink: output.Sink, out: Path, seen: tactile_sim.TouchPreview) -> None:
+    """Print what a rendered touch shows, and what the gel feels."""
     document = {"file": str(out), "sensor_z_m": seen.sensor_z_m, "contact": seen.contact, **seen.forces}
     sink.document(document)
     sink.line(

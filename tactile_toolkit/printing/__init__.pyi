@@ -20,6 +20,7 @@ from .print_options import (
     PlateSpec as PlateSpec,
 )
 from .exports import (
+    ExportReport as ExportReport,
     export as export,
     export_files as export_files,
     write_plates as write_plates,
