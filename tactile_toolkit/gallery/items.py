@@ -99,6 +99,11 @@ class RowsTask:
         return made
 
 
+def _no_facts(_record: pictures.DrawnSolid, _known: object) -> JsonObject:
+    """Return no further values; not a lambda, since tasks travel to other processes."""
+    return {}
+
+
 @dataclass(frozen=True)
 class Gallery:
     """Content of a site, and the tasks that make its items, in the order of the page."""
@@ -156,7 +161,7 @@ class Gallery:
         *,
         title: str,
         columns: Sequence[Column],
-        facts: Callable[[Any, Any], JsonObject] = lambda _record, _known: {},
+        facts: Callable[[Any, Any], JsonObject] = _no_facts,
         known: Callable[[Any, str], Sequence[object]] = lambda rows, _: [None] * len(rows),
     ) -> Gallery:
         """Plan a gallery of solids that draw themselves; as :meth:`of_rows`.

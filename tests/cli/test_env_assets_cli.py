@@ -17,34 +17,18 @@ def run(program, *words):
 
 
 def test_a_wrench_is_made_as_a_data_set_and_a_file(tmp_path):
-    made = run(
-        "env-assets",
-        "wrench",
-        "--opening-mm",
-        16,
-        "--second-opening-mm",
-        13,
-        "--out",
-        tmp_path / "wrench",
-    )
+    words = ("wrench", "--opening-mm", 16, "--second-opening-mm", 13, "--out", tmp_path / "wrench")
+    made = run("env-assets", *words)
     assert made.exit_code == 0, made.output
     assert made.stdout.startswith("wrench for 16 and 13 mm across flats: ")
     assert run("tactile", "export", tmp_path / "wrench", "--out", tmp_path / "files").exit_code == 0
     (file,) = (tmp_path / "files").iterdir()
     assert mnist3d.inspect(mnist3d.read_mesh(file)).warnings == ()
+    page = run("tactile", "gallery", tmp_path / "wrench", "--out", tmp_path / "page", "--workers", 2)
+    assert page.exit_code == 0, page.output
     verified = run("tactile", "verify", tmp_path / "wrench")
     assert "1 row," in verified.stdout
-    again = run(
-        "env-assets",
-        "wrench",
-        "--opening-mm",
-        16,
-        "--second-opening-mm",
-        13,
-        "--out",
-        tmp_path / "wrench",
-        "--quiet",
-    )
+    again = run("env-assets", *words, "--quiet")
     assert (again.exit_code, again.stdout) == (0, "")
     other = run("env-assets", "wrench", "--opening-mm", 14, "--out", tmp_path / "wrench")
     assert other.exit_code == 2
