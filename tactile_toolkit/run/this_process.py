@@ -149,8 +149,8 @@ def limit_threads() -> None:
     for name in _THREAD_VARIABLES:
         os.environ.setdefault(name, "1")
     # oneTBB, which manifold3d uses, has no setting for this: when it first works, it counts the processors
-    # that the process may use. Only Linux lets a process choose them here.
-    if sys.platform == "linux":
+    # that the process may use. Linux lets a process choose them, if Python was built with the call.
+    if sys.platform == "linux" and hasattr(os, "sched_setaffinity"):
         processors = os.sched_getaffinity(0)
         os.sched_setaffinity(0, {min(processors)})
         try:
