@@ -238,7 +238,8 @@ def make_row(digit_id: int, spec: DigitSetSpec, *, is_drawing: bool = False) -> 
     """Read one digit, make its solid and inspect it.
 
     ``is_drawing`` is as for :func:`mnist3d.solid.solid_of_sheet`. Raises ItemError when the image cannot be
-    used, or the mesh does not bound a solid (the reason is one of :data:`tactile_toolkit.mesh.PROBLEMS`).
+    used, or the mesh does not bound a solid; the reason is one of
+    :data:`tactile_toolkit.mesh.solid_check.PROBLEMS`.
     """
     digit = spec.source.image(digit_id)
     where = f"digit {digit_id} of source {spec.source.name!r}"

@@ -125,7 +125,7 @@ SHEET_OPTIONS = ("kinds", "split", "ids", "labels", "per_class", "limit")
 
 _SOLIDS = lazy("tactile_toolkit.mesh:SolidDataset")
 _SHEET_SPEC = lazy("tactile_toolkit.catalog:PreviewSpec")
-_SHEETS = lazy("tactile_toolkit.pictures:plan_sheets")
+_SHEETS = lazy("tactile_toolkit.pictures.previews:plan_sheets")
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,7 @@ import pyarrow as pa
 from tactile_toolkit import checked_fields, read
 from tactile_toolkit.array_types import Int64
 from tactile_toolkit.json_types import JsonValue
+from tactile_toolkit.read import record
 
 Role: TypeAlias = Literal["plain", "facet", "measure", "hidden"]
 
@@ -126,7 +127,7 @@ def _array(values: list[JsonValue], data_type: pa.DataType) -> pa.Array:
     inner = data_type.value_type if pa.types.is_list(data_type) else None
     if inner is not None and pa.types.is_fixed_size_list(inner):
         vectors = read.RaggedColumn(np.concatenate(values), _offsets(values))
-        return read.ragged_array(vectors, inner.value_type)
+        return record.ragged_array(vectors, inner.value_type)
     if inner is not None and pa.types.is_struct(inner):
         # Much faster than a dict for each struct.
         parts = list(zip(*chain.from_iterable(values), strict=True))

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_toolkit.read import RaggedColumn, ragged_array
+from tactile_toolkit.read import RaggedColumn
+from tactile_toolkit.read.record import ragged_array
 
 
 def list_array(rows: Sequence[NDArray[Any]], value_type: Any) -> Any:

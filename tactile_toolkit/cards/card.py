@@ -19,6 +19,9 @@ from tactile_toolkit.cards.yaml_head import FolderSummary
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.json_types import JsonDict, JsonObject, JsonValue
 from tactile_toolkit.kind import DatasetKind, is_export
+from tactile_toolkit.mesh import records
+from tactile_toolkit.mesh.files import unpack_mesh
+from tactile_toolkit.pictures import solid_views
 from tactile_toolkit.wording import markdown_code, markdown_text
 
 PREVIEW_FOLDER = "previews"
@@ -39,10 +42,10 @@ _LOADED_NAME = re.compile(r'datasets\.load_dataset\("(?P<name>[^"]+)"')
 _UNKNOWN = ("", "a column of this copy; not in the published schema")
 _TABLE_COLUMNS: dict[str, tuple[str, str]] = {
     "label_name": ("", "name of the class"),
-    **{name: ("m", f"extent along {name[5]}") for name in mesh.SIZES},
-    f"{mesh.MESH}": ("GLB file, m, frame below", "the solid, its vertices and faces in their order"),
+    **{name: ("m", f"extent along {name[5]}") for name in records.SIZES},
+    f"{records.MESH}": ("GLB file, m, frame below", "the solid, its vertices and faces in their order"),
 }
-_GLB = f"{mesh.MESH}.bytes"
+_GLB = f"{records.MESH}.bytes"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -257,7 +260,7 @@ class _PackedSolid(pictures.DrawnSolid):
 
     @property
     def _unpacked(self) -> mesh.Mesh:
-        return self._once("surface", lambda: mesh.unpack_mesh(self.row.value(_GLB), ".glb"))
+        return self._once("surface", lambda: unpack_mesh(self.row.value(_GLB), ".glb"))
 
 
 def _shortened(values: JsonValue) -> JsonValue:
@@ -284,7 +287,7 @@ def _draw_solids(facts: FolderSummary, record: type[pictures.DrawnSolid]) -> byt
     solids = [solid for label in sorted(by_class) for solid in by_class[label][:per_class]][:_MAX_DRAWN]
     across = min(len(solids), _COLUMNS)
     tile_px = min(_PICTURE_PX // across, _MAX_TILE_PX)
-    return pictures.png_bytes(pictures.solid_sheet(solids, tile_px, across))
+    return pictures.png_bytes(solid_views.solid_sheet(solids, tile_px, across))
 
 
 def _write_changed(folder: store.DataFolder, path: str, content: bytes) -> None:

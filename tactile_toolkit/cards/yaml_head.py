@@ -21,6 +21,7 @@ import yaml
 from tactile_toolkit import places, read, run, store, wording
 from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.json_types import JsonDict, JsonObject, JsonValue
+from tactile_toolkit.read import schemas
 
 _LIMITS = ("1K", "10K", "100K", "1M", "10M", "100M", "1B", "10B", "100B", "1T")
 _FENCE = "---\n"
@@ -88,7 +89,7 @@ class FolderSummary:
     def features(self) -> list[JsonDict]:
         """Columns as `datasets` describes them in a card."""
         first = next((shard.path for split in self.splits for shard in split.shards), "")
-        return read.yaml_features(self.schema, first)
+        return schemas.yaml_features(self.schema, first)
 
     def first_rows(self, columns: Sequence[str]) -> Iterator[read.Row]:
         """Yield the rows of the first split with rows, reading given columns block by block."""

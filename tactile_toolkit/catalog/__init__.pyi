@@ -2,7 +2,6 @@
 
 from .row_options import (
     id_range as id_range,
-    id_text as id_text,
     IdChoice as IdChoice,
     IDS as IDS,
     LABELS as LABELS,
@@ -18,6 +17,5 @@ from .rows import (
     manifest_beside as manifest_beside,
     open_splits as open_splits,
     shards_to_check as shards_to_check,
-    short_name as short_name,
     specification_read as specification_read,
 )

@@ -18,6 +18,7 @@ from tactile_toolkit.array_types import Bool, Int64
 from tactile_toolkit.catalog.row_options import GivenId, IdChoice, id_range, id_text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.read import record
 
 D = TypeVar("D", bound=read.RecordDataset[Any])
 # Rows with ids, object_ids, labels and label_names, such as a RecordDataset.
@@ -190,7 +191,7 @@ def _check_part(
     file = Path(part.shard.path).name
     checked: list[CheckedRow[T]] = []
     for block in part.shard.blocks(part.group):
-        nulls = read.null_fields(block.table, columns)
+        nulls = record.null_fields(block.table, columns)
         for index, row_id in enumerate(block.table["id"].to_pylist()[: part.rows - len(checked)]):
             # In data sets of others an id may be null, or a text.
             known_id = read.whole_number(row_id)

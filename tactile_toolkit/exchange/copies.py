@@ -15,13 +15,17 @@ import pyarrow as pa
 
 from tactile_toolkit import catalog, errors, mesh, places, read, run, store
 from tactile_toolkit.array_types import Int64
+from tactile_toolkit.catalog import row_options
+from tactile_toolkit.catalog.rows import short_name
 from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.kind import EXPORT, MERGE, SELECT, SPLIT, DatasetKind, kinds
+from tactile_toolkit.mesh import records
+from tactile_toolkit.read import schemas
 
 _LARGEST_ID = (1 << 63) - 1
 _ROWS_PER_FILE = 1000
 # 100 digits are 12 MB unpacked. Level 9 makes their files 8 % smaller and takes three times as long.
-_STYLE = store.ParquetStyle(100, compression_level=3, encodings=((f"{mesh.MESH}.bytes", "PLAIN"),))
+_STYLE = store.ParquetStyle(100, compression_level=3, encodings=((f"{records.MESH}.bytes", "PLAIN"),))
 # Made once and read by many users; at level 9 the meshes of digits are a fifth larger.
 _VIEWER_STYLE = replace(_STYLE, compression_level=19)
 # Shards in memory at a time; compression at level 19 takes about 100 MB more for each.
@@ -53,7 +57,7 @@ def merge_sets(
         ids, pairs = new_ids([source.table.files for source in sources])
         if pairs:
             options["renumbered"] = [
-                {"source": catalog.short_name(sources[index].name), "ids": list(map(list, changed))}
+                {"source": short_name(sources[index].name), "ids": list(map(list, changed))}
                 for index, changed in pairs.items()
             ]
     titles = [""] * len(sources)
@@ -167,7 +171,7 @@ def plan_tables(
             tasks.append(store.ShardTask(store.ShardName(split, index, len(starts)), part, _flat_rows))
     options = {
         "layout": "flat",
-        "ids": ",".join(map(catalog.id_text, chosen.ids or ())) or None,
+        "ids": ",".join(map(row_options.id_text, chosen.ids or ())) or None,
         "labels": ",".join(chosen.labels or ()) or None,
         "limit": chosen.limit,
     }
@@ -200,7 +204,7 @@ def viewer_tables(folder: store.DataFolder, manifest: store.Manifest, out: Path)
         rows = mesh.SolidDataset[mesh.SolidRecord](
             read.ShardedTable((shard,)), label_names=read.class_names(shard.schema, ())
         )
-        content = store.encode_parquet(mesh.flat_table(rows), _VIEWER_STYLE)
+        content = store.encode_parquet(records.flat_table(rows), _VIEWER_STYLE)
         path = f"{store.VIEWER_FOLDER}/{record.shard}.parquet"
         (out / path).write_bytes(content)
         return path, store.sha256_hex(content)
@@ -400,11 +404,13 @@ class RowChanges:
         if not self.column:
             return table
         values = pa.array([self.source] * len(table), pa.string())
-        features = read.stored_features(table.schema, self.source)
+        features = schemas.stored_features(table.schema, self.source)
         metadata = dict(table.schema.metadata or {})
         if features:
             added = {**features, self.column: {"dtype": "string", "_type": "Value"}}
-            metadata |= {name.encode(): text.encode() for name, text in read.feature_metadata(added).items()}
+            metadata |= {
+                name.encode(): text.encode() for name, text in schemas.feature_metadata(added).items()
+            }
         return table.append_column(self.column, values).replace_schema_metadata(metadata)
 
 
@@ -494,7 +500,9 @@ def schema_difference(one: pa.Schema, other: pa.Schema, names: tuple[str, str]) 
         number, (here, there) = next((place, pair) for place, pair in pairs if pair[0] != pair[1])
         found, other_found = ("missing" if each is None else repr(each) for each in (here, there))
         return f"class {number} is {found} in {first} and {other_found} in {second}"
-    features = [read.stored_features(schema, name) for schema, name in zip((one, other), names, strict=True)]
+    features = [
+        schemas.stored_features(schema, name) for schema, name in zip((one, other), names, strict=True)
+    ]
     for column in one.names:
         if features[0].get(column) != features[1].get(column):
             return f"the column {column!r} has other metadata of `datasets` in {first} than in {second}"
@@ -504,4 +512,4 @@ def schema_difference(one: pa.Schema, other: pa.Schema, names: tuple[str, str]) 
 
 
 def _flat_rows(_shard: store.ShardName, rows: Any) -> store.ShardContent:
-    return store.ShardContent(mesh.flat_table(rows))
+    return store.ShardContent(records.flat_table(rows))

@@ -13,6 +13,7 @@ from functools import partial
 import msgspec
 
 from tactile_toolkit import cards, errors, hub, places, run, store
+from tactile_toolkit.cards import yaml_head
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import DatasetKind, PublishedSet
 
@@ -241,7 +242,7 @@ def _accompanying_files(
 
 def _shown(manifest: store.Manifest | None) -> set[str]:
     """Return the files that repeat the shards for the viewer of the Hub."""
-    return {path for paths in cards.viewer_files(manifest).values() for path in paths}
+    return {path for paths in yaml_head.viewer_files(manifest).values() for path in paths}
 
 
 def _is_described(folder: store.DataFolder, metadata: Iterable[str]) -> bool:
@@ -311,7 +312,7 @@ def _fitted_card(plan: DownloadPlan, folder: store.DataFolder, is_part: bool, ca
     """
     # ``datasets.load_dataset(folder)`` fails if the head names a split that is not in the folder.
     files = {split: plan.place.files[split] for split in plan.splits}
-    here = cards.card_head(
+    here = yaml_head.card_head(
         cards.FolderSummary.of(folder, place=places.Place(folder.address(), folder, files))
     )
     note = ""
@@ -325,4 +326,4 @@ def _fitted_card(plan: DownloadPlan, folder: store.DataFolder, is_part: bool, ca
     def fit(head: JsonDict) -> None:
         head.update({name: here[name] for name in here if name in head or name == "configs"})
 
-    return cards.with_head(card, fit, note)
+    return yaml_head.with_head(card, fit, note)

@@ -16,6 +16,8 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from tactile_toolkit import cards, hub, places, run, store, wording
+from tactile_toolkit.cards import yaml_head
+from tactile_toolkit.cards.card import PREVIEW_FOLDER, with_repo_name
 from tactile_toolkit.checked_fields import switch, text
 from tactile_toolkit.errors import HubError, InputError, IntegrityError
 from tactile_toolkit.json_types import JsonDict
@@ -149,7 +151,7 @@ def collect(root: Path, manifest: store.Manifest) -> list[str]:
     """List the files of a verified folder that are sent: files of the manifest, card, pictures."""
     place = store.open_folder(str(root))
     found = [store.CARD_FILE, store.MANIFEST_FILE]
-    for folder in (cards.PREVIEW_FOLDER, _PICTURE_FOLDER):
+    for folder in (PREVIEW_FOLDER, _PICTURE_FOLDER):
         paths = [path.relative_to(root).as_posix() for path in sorted((root / folder).rglob("*"))]
         # Names with a leading dot are unfinished files; links may lead to any file.
         found += [
@@ -468,8 +470,8 @@ def _files_to_send(
     facts = cards.FolderSummary.of(place, manifest)
     # If the pattern of a split would match another file of the repository, its files are listed one by one.
     others, _ = _other_files(paths, {} if held is None else held.remote, options.delete)
-    stored = cards.with_repo_name(place.read_bytes(store.CARD_FILE).decode(), repo_id)
-    card = cards.with_head(stored, lambda head: head.update(configs=cards.configs(facts, others)))
+    stored = with_repo_name(place.read_bytes(store.CARD_FILE).decode(), repo_id)
+    card = yaml_head.with_head(stored, lambda head: head.update(configs=yaml_head.configs(facts, others)))
     rendered = {store.CARD_FILE: card}
     if made:
         rendered[store.MANIFEST_FILE] = manifest.to_json()

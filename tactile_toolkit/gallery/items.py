@@ -16,12 +16,14 @@ import numpy as np
 import pyarrow as pa
 from PIL import Image
 
-from tactile_toolkit import catalog, mesh, pictures, places, read, touch
+from tactile_toolkit import catalog, mesh, pictures, places, read
 from tactile_toolkit.array_types import Floating, Int64, Integers, UInt8
+from tactile_toolkit.catalog.rows import short_name
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.json_types import JsonDict, JsonObject, JsonValue
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.rows import Column
+from tactile_toolkit.touch import images
 from tactile_toolkit.wording import class_name
 
 SPLIT = "split"
@@ -63,7 +65,7 @@ class GalleryItem:
         """Make a PNG thumbnail of grey levels or colours, also with opacity: (H, W) or (H, W, 2 to 4)."""
         picture = Image.fromarray(np.ascontiguousarray(pixels))
         picture.thumbnail((THUMBNAIL_PX, THUMBNAIL_PX), Image.Resampling.BOX)
-        return touch.encode_png(picture)
+        return images.encode_png(picture)
 
 
 ItemMaker: TypeAlias = Callable[[Any, str, tuple[str, ...], Any], GalleryItem]
@@ -148,7 +150,7 @@ class Gallery:
                 part = slice(start, start + rows_per_task)
                 tasks.append(RowsTask(rows[part], split, item, known_values[part]))
         shown = {split: len(rows) for split, rows in picked.splits.items()}
-        heading = picked.titled(f"{title} · {catalog.short_name(picked.place.name)}")
+        heading = picked.titled(f"{title} · {short_name(picked.place.name)}")
         of_split = Column(pa.string(), name=SPLIT, role="facet", title="Split", values=tuple(shown))
         return cls(kind.name, heading, (kind.noun, kind.nouns), (*columns, of_split), tuple(tasks), shown)
 

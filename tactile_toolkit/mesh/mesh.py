@@ -58,7 +58,7 @@ class Mesh:
 
     @property
     def array_problem(self) -> tuple[str, str] | None:
-        """Problem of the arrays, or None: a word of :data:`tactile_toolkit.mesh.PROBLEMS`, and a sentence."""
+        """Problem of the arrays, or None: a word of :data:`.solid_check.PROBLEMS`, and a sentence."""
         vertices, faces = self.vertices_m, self.faces
         if vertices.ndim != 2 or faces.ndim != 2 or vertices.shape[1] != 3 or faces.shape[1] != 3:
             shapes = f"vertices {vertices.shape}, faces {faces.shape}"

@@ -78,7 +78,7 @@ class PrintReport(TypedRow):
         Status of the mesh in manifold3d, ``"NoError"`` or a reason.
     problem : str or None
         Why the mesh is not a solid, a short stable word of
-        :data:`tactile_toolkit.mesh.PROBLEMS`, or :attr:`UNREADABLE`.
+        :data:`tactile_toolkit.mesh.solid_check.PROBLEMS`, or :attr:`UNREADABLE`.
     detail : str or None
         The problem in a sentence.
     vertices, faces : int

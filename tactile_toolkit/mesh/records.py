@@ -19,6 +19,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonValue
 from tactile_toolkit.mesh.files import pack_mesh, write_mesh
 from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.read import schemas
 
 if TYPE_CHECKING:
     import trimesh
@@ -79,8 +80,8 @@ class MeshRow(rows.TypedRow):
         """Return the Arrow schema, except some columns; its metadata suit `datasets`."""
         schema = pa.schema([field for field in cls.plain_schema() if field.name not in without])
         features = {field.name: _feature(field.type) for field in schema}
-        features["label"] = read.label_feature(class_names)
-        return schema.with_metadata(read.feature_metadata(features))
+        features["label"] = schemas.label_feature(class_names)
+        return schema.with_metadata(schemas.feature_metadata(features))
 
 
 def _feature(data_type: pa.DataType) -> JsonValue:
@@ -224,4 +225,4 @@ def flat_table(solids: read.RecordDataset[Any]) -> pa.Table:
         name: features.get(name, {"dtype": "float64", "_type": "Value"}) for name in table.column_names
     }
     described |= {"label_name": {"dtype": "string", "_type": "Value"}, MESH: {"_type": "Mesh"}}
-    return table.replace_schema_metadata(read.feature_metadata(described))
+    return table.replace_schema_metadata(schemas.feature_metadata(described))

@@ -14,6 +14,7 @@ from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError, needs_extra
 from tactile_toolkit.mesh.raster import MAX_PIXELS, covered_pixels, highest_values
 from tactile_toolkit.mesh.records import SolidRecord
+from tactile_toolkit.read import training_batches
 
 if TYPE_CHECKING:
     import torch
@@ -231,7 +232,7 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         self.transform = transform
         self.target = target
         # Shared, so that persistent workers see changes.
-        self._epoch = read.shared_zeros()
+        self._epoch = training_batches.shared_zeros()
 
     @property
     def epoch(self) -> int:

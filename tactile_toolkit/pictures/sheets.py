@@ -21,6 +21,7 @@ from PIL import Image, ImageDraw, ImageFont, ImageOps
 from tactile_toolkit import touch
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.touch import images
 
 Colour: TypeAlias = tuple[int, int, int]
 INK: Colour = (32, 36, 42)
@@ -269,7 +270,7 @@ class Drawn(ABC):
 
 def png_bytes(pixels: UInt8) -> bytes:
     """Encode a picture as PNG, without metadata; equal pixels give equal bytes."""
-    return touch.encode_png(Image.fromarray(np.ascontiguousarray(pixels)))
+    return images.encode_png(Image.fromarray(np.ascontiguousarray(pixels)))
 
 
 def figure_html(pixels: UInt8, caption: str, *, small: bool = False) -> str:

@@ -20,7 +20,8 @@ from PIL import Image
 from tactile_toolkit import pictures
 from tactile_toolkit.array_types import Float64
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import MM_PER_M, ManifoldCheck, Mesh, require_solid
+from tactile_toolkit.mesh import MM_PER_M, Mesh
+from tactile_toolkit.mesh.solid_check import ManifoldCheck, require_solid
 from tactile_toolkit.printing.file_export import (
     FileExport,
     Made,

@@ -17,17 +17,9 @@ import numpy as np
 from tactile_toolkit import read, store
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.json_types import JsonDict, JsonObject
-from tactile_toolkit.mesh import (
-    MM_PER_M,
-    BuildItem,
-    ManifoldCheck,
-    Mesh,
-    MeshFile,
-    SolidRecord,
-    read_build,
-    require_solid,
-    write_build,
-)
+from tactile_toolkit.mesh import MM_PER_M, Mesh, MeshFile, SolidRecord
+from tactile_toolkit.mesh.solid_check import ManifoldCheck, require_solid
+from tactile_toolkit.mesh.threemf import BuildItem, read_build, write_build
 from tactile_toolkit.printing.calibration_plate import WrittenPlate, export_calibration_plate
 from tactile_toolkit.printing.file_export import (
     CHANGED,

@@ -18,6 +18,8 @@ import numpy as np
 from tactile_toolkit import catalog, mesh, read, store
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.json_types import JsonValue
+from tactile_toolkit.mesh import solid_check
+from tactile_toolkit.mesh.files import pack_mesh, unpack_mesh
 from tactile_toolkit.run import runner_for
 from tactile_toolkit.wording import class_name, with_count
 
@@ -29,7 +31,7 @@ _ID_DIGITS = 5  # file names sort like ids up to 99,999
 _UNSAFE = re.compile(r"[^\w+-]+")
 
 CHANGED = "changed"
-"""Problem of a file; the others are :data:`tactile_toolkit.mesh.PROBLEMS`."""
+"""Problem of a file; the others are :data:`tactile_toolkit.mesh.solid_check.PROBLEMS`."""
 
 _BOUNDS_TOLERANCE_MM = 1e-3
 
@@ -136,7 +138,7 @@ class Made(Generic[R]):
         name: str,
         ending: str,
         solid: mesh.Mesh,
-        record: Callable[[mesh.ManifoldCheck, int, str], R],
+        record: Callable[[solid_check.ManifoldCheck, int, str], R],
         beside: Mapping[str, bytes] | None = None,
     ) -> Made[R]:
         """Make the file of one solid; it is read back in the check.
@@ -144,11 +146,11 @@ class Made(Generic[R]):
         ``record`` takes the check of the solid, the number of bytes of the file, and the state. ``beside``
         are further files. Raises ItemError for a mesh that bounds no solid.
         """
-        verdict = mesh.require_solid(solid)
-        content = mesh.pack_mesh(solid, ending, name)
+        verdict = solid_check.require_solid(solid)
+        content = pack_mesh(solid, ending, name)
 
         def check() -> None:
-            require_same_solid(mesh.unpack_mesh(content, ending), solid, verdict)
+            require_same_solid(unpack_mesh(content, ending), solid, verdict)
 
         files = {**(beside or {}), f"{name}{ending}": content}
         return cls(files, partial(record, verdict, len(content)), check)
@@ -221,9 +223,9 @@ class FileExport(Generic[R]):
         return cls(tuple(result for result in results if not isinstance(result, FailedExport)), failed)
 
 
-def require_same_solid(found: mesh.Mesh, meant: mesh.Mesh, verdict: mesh.ManifoldCheck) -> None:
+def require_same_solid(found: mesh.Mesh, meant: mesh.Mesh, verdict: solid_check.ManifoldCheck) -> None:
     """Raise ItemError if a mesh that was read back differs from the intended solid, of ``verdict``."""
-    back = mesh.require_solid(found)
+    back = solid_check.require_solid(found)
     moved_mm = float(np.abs(found.bounds_m - meant.bounds_m).max()) * mesh.MM_PER_M
     is_as_large = np.isclose(back.volume_mm3, verdict.volume_mm3, rtol=_VOLUME_TOLERANCE)
     is_as_joined = (back.bodies, back.genus) == (verdict.bodies, verdict.genus)

@@ -10,9 +10,11 @@ import manifold3d
 import numpy as np
 from PIL import Image
 
-from tactile_toolkit import mesh, pictures
+from tactile_toolkit import pictures
 from tactile_toolkit.array_types import Float64
 from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.mesh import solid_check
+from tactile_toolkit.pictures import sheets
 from tactile_toolkit.printing.file_export import (
     FailedExport,
     PrintObject,
@@ -193,7 +195,7 @@ def arrange(
 
 
 def _measured(item: PrintObject, spec: PlateSpec, scale: float) -> PlacedObject:
-    verdict = mesh.require_solid(item.on_plate(scale))
+    verdict = solid_check.require_solid(item.on_plate(scale))
     outline = Outline.of(verdict.manifold)
     width_mm, depth_mm = outline.size_mm
     if _Plate(spec).place(width_mm, depth_mm) is None:
@@ -259,9 +261,9 @@ def draw_map(layout: PlateLayout, number: int) -> bytes:
     scale = longer_px / max(spec.sides_mm)
     width_px, depth_px = (round(side * scale) for side in spec.sides_mm)
     sheet_px = max(width_px, round(pictures.Pen.text_size(title, _TITLE_PX)[0])) + 2 * _EDGE_PX
-    picture = Image.new("RGB", (sheet_px, depth_px + 2 * _EDGE_PX), pictures.PAPER)
+    picture = Image.new("RGB", (sheet_px, depth_px + 2 * _EDGE_PX), sheets.PAPER)
     chart = _Chart(pictures.Pen(picture), scale, depth_px)
-    _draw_plate(chart, spec, pictures.bar_length_mm(longer_px / _LINES, scale))
+    _draw_plate(chart, spec, sheets.bar_length_mm(longer_px / _LINES, scale))
     for placed in plate:
         _draw_object(chart, placed, _FILLS[labels.index(placed.item.label) % len(_FILLS)])
     missing = len(plate) - _draw_words(chart, plate, ids)

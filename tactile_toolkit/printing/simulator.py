@@ -16,7 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from tactile_toolkit.array_types import Float64
 from tactile_toolkit.errors import ItemError
-from tactile_toolkit.mesh import Mesh, require_solid
+from tactile_toolkit.mesh import Mesh
+from tactile_toolkit.mesh.solid_check import require_solid
 from tactile_toolkit.printing.print_options import Physics
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ _FAR_MM = 1e5
 _MIN_MM3 = 1e-6  # smaller remainders of a cut are not parts
 
 TOO_LIGHT = "too-light"
-"""Problem of a body; the others are :data:`tactile_toolkit.mesh.PROBLEMS`."""
+"""Problem of a body; the others are :data:`tactile_toolkit.mesh.solid_check.PROBLEMS`."""
 
 # MuJoCo refuses bodies with a smaller moment of inertia.
 _MIN_MOMENT_KG_M2 = 1e-14

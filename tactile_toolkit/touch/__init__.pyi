@@ -10,7 +10,6 @@ from .images import (
     CLASS_NAMES as CLASS_NAMES,
     decode_image as decode_image,
     encode_image as encode_image,
-    encode_png as encode_png,
     image_size as image_size,
     IMAGE_SUFFIX as IMAGE_SUFFIX,
     ImageFormat as ImageFormat,

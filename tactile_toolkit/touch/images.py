@@ -21,6 +21,7 @@ from PIL import Image
 from tactile_toolkit import read
 from tactile_toolkit.array_types import AnyArray, UInt8
 from tactile_toolkit.json_types import JsonObject
+from tactile_toolkit.read import schemas
 
 MAX_IMAGE_PIXELS = 1 << 24
 """Largest image that is decoded (4096 x 4096); a sensor's has 76,800 pixels."""
@@ -230,7 +231,7 @@ def with_features(schema: pa.Schema, label_names: Sequence[str] | None) -> pa.Sc
         leaf = None
         if field.name in _MEDIA_FEATURES or read.list_depth(field.type)[1] == MEDIA_TYPE:
             leaf = {"_type": _MEDIA_FEATURES.get(field.name, "Image")}
-        features[field.name] = read.value_feature(field.type, leaf)
+        features[field.name] = schemas.value_feature(field.type, leaf)
     if "label" in features and label_names is not None:
-        features["label"] = read.label_feature(label_names)
-    return schema.with_metadata(read.feature_metadata(features))
+        features["label"] = schemas.label_feature(label_names)
+    return schema.with_metadata(schemas.feature_metadata(features))

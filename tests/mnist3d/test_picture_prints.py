@@ -17,7 +17,8 @@ import mnist3d
 from mnist3d.ink.binarisation import join_bodies, stroke_width_px, thinnest_stroke_px
 from mnist3d.sources import SyntheticSource
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.mesh import WARNINGS, Mesh, check_manifold, inspect, on_base_plate
+from tactile_toolkit.mesh import Mesh, check_manifold, inspect, on_base_plate
+from tactile_toolkit.mesh.printability import WARNINGS
 from tests.command_line import call
 from tests.mnist3d.drawn_pictures import child, pieces, size_mm, word
 from tests.pages import ROOT

@@ -22,7 +22,9 @@ from mnist3d.sources.picture_folder import FolderSource
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.mesh import Mesh, write_mesh
-from tactile_toolkit.pictures import INK, DrawnBody, View, bar_length_mm, relief
+from tactile_toolkit.pictures import DrawnBody, View
+from tactile_toolkit.pictures.sheets import INK, bar_length_mm
+from tactile_toolkit.pictures.solid_views import relief
 from tests.sealed import edit
 
 THIN = SolidSpec(target_vertices=2_000, half_thickness_mm=1.2)

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given, strategies as st
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import WARNINGS, Mesh, PrintProfile, PrintReport, inspect
-from tactile_toolkit.mesh.printability import section_area_mm2, thinnest_width_mm
+from tactile_toolkit.mesh import Mesh, PrintProfile, PrintReport, inspect
+from tactile_toolkit.mesh.printability import WARNINGS, section_area_mm2, thinnest_width_mm
 from tactile_toolkit.mesh.solid_check import PROBLEMS
 
 ANGLES = st.floats(0, 2 * math.pi)

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from tactile_toolkit.mesh import Mesh, pack_mesh
+from tactile_toolkit.mesh import Mesh
+from tactile_toolkit.mesh.files import pack_mesh
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,8 @@ import tactile_sim
 from tactile_sim.press.sensors import sensor_of_model
 from tactile_sim.sets.generation import TouchGenerator
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.mesh import Mesh, pack_mesh
+from tactile_toolkit.mesh import Mesh
+from tactile_toolkit.mesh.files import pack_mesh
 from tactile_toolkit.store import Skipped
 from tactile_toolkit.touch import PRESS_DEPTH_M
 from tests.command_line import call

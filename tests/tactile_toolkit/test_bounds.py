@@ -19,7 +19,8 @@ import pytest
 from mnist3d.sources.digit_arrays import IMAGES_MAGIC, open_npy, read_idx
 from tactile_toolkit.cache import UNPACKED_VARIABLE, require_unpackable
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import BuildItem, Mesh, read_mesh, write_build
+from tactile_toolkit.mesh import Mesh, read_mesh
+from tactile_toolkit.mesh.threemf import BuildItem, write_build
 from tactile_toolkit.read import Shard, ShardedTable
 from tests.forked import run_forked
 from tests.processes import printed_by

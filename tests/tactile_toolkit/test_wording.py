@@ -15,7 +15,7 @@ from cli.output import Sink
 from tactile_toolkit.cards.card import column_type_text, markdown_table
 from tactile_toolkit.cards.yaml_head import head_text
 from tactile_toolkit.errors import InputError, ItemError, UnfinishedError
-from tactile_toolkit.read import yaml_features
+from tactile_toolkit.read.schemas import yaml_features
 from tactile_toolkit.wording import (
     class_name,
     markdown_code,

@@ -17,10 +17,10 @@ from hypothesis import given, strategies as st
 from mnist3d.digit_generation import DigitSetSpec, generate
 from mnist3d.digit_options import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
-from tactile_toolkit.cards import FolderSummary, check_card, with_head, with_repo_name
-from tactile_toolkit.cards.card import column_type_text
-from tactile_toolkit.cards.yaml_head import size_category
-from tactile_toolkit.read import yaml_features
+from tactile_toolkit.cards import FolderSummary, check_card
+from tactile_toolkit.cards.card import column_type_text, with_repo_name
+from tactile_toolkit.cards.yaml_head import size_category, with_head
+from tactile_toolkit.read.schemas import yaml_features
 from tactile_toolkit.store import open_folder, verify
 
 

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, strategies as st
 
 from starstruck_gen.scene_dataset import SceneSetSpec, generate
-from tactile_toolkit.cards import FolderSummary, configs
+from tactile_toolkit.cards import FolderSummary
+from tactile_toolkit.cards.yaml_head import configs
 from tactile_toolkit.exchange.upload import LocalFile, collect, compare
 from tactile_toolkit.hub import HubRepository
 from tactile_toolkit.store import HubFile, open_folder, read_manifest

@@ -18,7 +18,8 @@ import pytest
 import trimesh
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import Mesh, MeshFile, inspect, pack_mesh, read_mesh, unpack_mesh
+from tactile_toolkit.mesh import Mesh, MeshFile, inspect, read_mesh
+from tactile_toolkit.mesh.files import pack_mesh, unpack_mesh
 from tactile_toolkit.mesh.plain_formats import cut_polygons
 from tests.real_input import SHARED
 from tests.tactile_toolkit.mesh.solid_files import cube, outcome_of

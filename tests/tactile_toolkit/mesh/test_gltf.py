@@ -13,7 +13,8 @@ import pytest
 import trimesh
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import Mesh, pack_mesh, unpack_mesh
+from tactile_toolkit.mesh import Mesh
+from tactile_toolkit.mesh.files import pack_mesh, unpack_mesh
 from tactile_toolkit.mesh.gltf import read_glb
 
 BOX = Mesh.from_trimesh(trimesh.creation.box((0.03, 0.02, 0.005)))

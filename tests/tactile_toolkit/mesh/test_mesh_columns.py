@@ -9,15 +9,9 @@ from hypothesis import given, strategies as st
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import require_mesh_columns
-from tactile_toolkit.read import (
-    RaggedColumn,
-    class_names,
-    feature_metadata,
-    label_feature,
-    ragged_array,
-    vectors_type,
-)
-from tactile_toolkit.read.record import ragged_column
+from tactile_toolkit.read import RaggedColumn, class_names, vectors_type
+from tactile_toolkit.read.record import ragged_array, ragged_column
+from tactile_toolkit.read.schemas import feature_metadata, label_feature
 from tests.mesh_columns import list_array
 
 lengths = st.lists(st.integers(0, 5), max_size=6)

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import Mesh, MeshFile, inspect, read_mesh, unpack_mesh, write_mesh
+from tactile_toolkit.mesh import Mesh, MeshFile, inspect, read_mesh, write_mesh
+from tactile_toolkit.mesh.files import unpack_mesh
 from tactile_toolkit.mesh.mesh import merge_equal_vertices
 
 CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from tactile_toolkit.mesh import highest_faces, highest_values
+from tactile_toolkit.mesh import highest_values
+from tactile_toolkit.mesh.raster import highest_faces
 
 
 @given(st.integers(0, 2**32 - 1))

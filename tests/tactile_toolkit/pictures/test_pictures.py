@@ -12,16 +12,8 @@ from PIL import Image
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh
-from tactile_toolkit.pictures import (
-    INK,
-    Pen,
-    PicturePlan,
-    PlannedPicture,
-    Tile,
-    bar_length_mm,
-    png_bytes,
-    sheet,
-)
+from tactile_toolkit.pictures import Pen, PicturePlan, PlannedPicture, Tile, png_bytes, sheet
+from tactile_toolkit.pictures.sheets import INK, bar_length_mm
 from tactile_toolkit.store import open_folder
 
 

@@ -18,7 +18,8 @@ from hypothesis import given, settings, strategies as st
 from PIL import Image
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import BuildItem, Mesh, check_manifold, read_build, write_build
+from tactile_toolkit.mesh import Mesh, check_manifold
+from tactile_toolkit.mesh.threemf import BuildItem, read_build, write_build
 from tactile_toolkit.pictures import Pen
 from tactile_toolkit.printing import PlateSpec, PrintObject, arrange, write_plates
 from tactile_toolkit.printing.plate_layouts import PlacedObject, PlateLayout, draw_map

@@ -10,7 +10,8 @@ import pytest
 
 from tactile_toolkit.catalog.row_options import id_range, id_text, parse_ids
 from tactile_toolkit.errors import InputError, ItemError, StorageError
-from tactile_toolkit.mesh import Mesh, MeshFile, check_manifold, read_mesh, require_solid
+from tactile_toolkit.mesh import Mesh, MeshFile, check_manifold, read_mesh
+from tactile_toolkit.mesh.solid_check import require_solid
 from tactile_toolkit.printing import export_files
 from tactile_toolkit.printing.file_export import require_same_solid
 from tests.tactile_toolkit.printing.solids import box, ell, named, open_box, ring

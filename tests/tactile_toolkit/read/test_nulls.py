@@ -8,8 +8,7 @@ import pytest
 
 import mnist3d
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.read import null_fields
-from tactile_toolkit.read.record import ragged_column
+from tactile_toolkit.read.record import null_fields, ragged_column
 from tests.command_line import call
 
 VECTORS = pa.list_(pa.list_(pa.float32(), 3))
