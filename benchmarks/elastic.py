@@ -51,7 +51,7 @@ def main() -> None:
     plain = PlainSolver(SMALL[::-1], pixels, FREE, tactile_sim.full_view().gel_m)
     other_s = timed(lambda height_m: secant(plain, height_m), heights, 1)
 
-    def solved(gel: tactile_sim.Gel, **motion: object) -> Callable[[np.ndarray], tactile_sim.Contact]:
+    def solved(gel: tactile_sim.Gel, **motion: object) -> Callable[[np.ndarray], tactile_sim.ElasticContact]:
         return lambda height_m: solve(height_m, pixels, gel, **motion)
 
     what = "86 x 64 pixels, 5 N"

@@ -179,7 +179,7 @@ def _print_touch(sink: output.Sink, out: Path, seen: tactile_sim.TouchPreview) -
         x_n, y_n, z_n = seen.forces["force_n"]
         sink.line(
             f"the gel is pressed in by {1e3 * seen.forces['press_depth_m']:.3f} mm with {z_n:.2f} N; shear "
-            f"{x_n:.2f} N along x, {y_n:.2f} N along y, torque {1e3 * seen.forces['torque_nm'][2]:.2f} N mm"
+            f"{x_n:.2f} N along x, {y_n:.2f} N along y, torque {1e3 * seen.forces['torque_n_m'][2]:.2f} N mm"
         )
     if not seen.contact:
         (low_x, low_y), (high_x, high_y) = (1e3 * seen.bounds_m).tolist()

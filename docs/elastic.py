@@ -188,7 +188,7 @@ def draw_thin_layers(axes: Any) -> list[Row]:
     return found_rows
 
 
-def on_a_sphere(count: int, **how: Any) -> tuple[tactile_sim.Contact, float, float]:
+def on_a_sphere(count: int, **how: Any) -> tuple[tactile_sim.ElasticContact, float, float]:
     """Slide or twist a pressed sphere; return the contact, its radius and the size of a pixel, metres."""
     gel = tactile_sim.Gel(E_PA, 0.5, FRICTION)
     contact_m = (3 * FORCE_N * RADIUS_M * (1 - 0.25) / (4 * E_PA)) ** (1 / 3)
@@ -242,7 +242,7 @@ def draw_twist(axes: Any) -> list[Row]:
     found = []
     for twist in twists:
         contact, _, pixel_m = on_a_sphere(128, twist_rad=float(twist))
-        found.append((contact.torque_nm[2] / full_nm, area_radius_m(contact.is_stick, pixel_m) / contact_m))
+        found.append((contact.torque_n_m[2] / full_nm, area_radius_m(contact.is_stick, pixel_m) / contact_m))
     turned, sticks = np.transpose(found)
     axes.plot(np.degrees(twists), turned, **OURS)
     axes.plot(np.degrees(twists[:5]), sticks[:5], **OURS)

@@ -6,13 +6,13 @@ from .touch_options import (
     ImportColumns as ImportColumns,
 )
 from .contact import (
-    ContactRule as ContactRule,
+    ContactThresholds as ContactThresholds,
     ContactScore as ContactScore,
     contact_score as contact_score,
     difference as difference,
 )
 from .touches.image_contacts import (
-    Contacts as Contacts,
+    ImageContacts as ImageContacts,
     background as background,
     best_frame as best_frame,
     contacts_by_image as contacts_by_image,

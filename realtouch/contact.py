@@ -194,8 +194,8 @@ def difference(pictures: UInt8, background: UInt8, representation: Representatio
 
 
 @dataclass(frozen=True)
-class ContactRule:
-    """The rule by which a picture shows contact.
+class ContactThresholds:
+    """Thresholds by which a picture shows contact.
 
     Attributes
     ----------
@@ -220,7 +220,7 @@ class ContactRule:
     crop: float = real(0.5, 1e-6, 1)
 
     def __post_init__(self) -> None:
-        check_fields(self, "the contact rule")
+        check_fields(self, "the contact thresholds")
 
     def holds(self, score: ContactScore) -> Any:
         """Return whether pictures with such scores show contact, bool or an array of bool."""
@@ -233,7 +233,7 @@ class ContactRule:
         return slice(margins[0], height - margins[0]), slice(margins[1], width - margins[1])
 
 
-_DEFAULT_RULE = ContactRule()
+_DEFAULT_RULE = ContactThresholds()
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,7 +261,7 @@ class ContactScore:
         return ContactScore(int(self.area_px[number]), float(self.intensity[number]))
 
 
-def contact_score(pictures: UInt8, background: UInt8, rule: ContactRule | None = None) -> ContactScore:
+def contact_score(pictures: UInt8, background: UInt8, rule: ContactThresholds | None = None) -> ContactScore:
     """Score how clearly pictures show contact.
 
     Parameters
@@ -270,7 +270,7 @@ def contact_score(pictures: UInt8, background: UInt8, rule: ContactRule | None =
         One picture, or several.
     background : ndarray, shape (H, W, 3), uint8
         Picture without contact.
-    rule : ContactRule, optional
+    rule : ContactThresholds, optional
         Threshold of a changed pixel, and crop.
 
     Returns
@@ -301,7 +301,7 @@ def _score(pictures: UInt8, base: UInt8, min_change: int) -> ContactScore:
 
 
 def best_of(
-    frames: UInt8, rule: ContactRule | None = None, base: UInt8 | None = None
+    frames: UInt8, rule: ContactThresholds | None = None, base: UInt8 | None = None
 ) -> tuple[int, ContactScore]:
     """Return the frame of a clip, shape (N, H, W, 3), with the greatest total change, and its score.
 

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from realtouch import contact, touch_options
-from realtouch.contact import ContactRule
+from realtouch.contact import ContactThresholds
 from realtouch.importing import fields, source_files, source_touches
 from realtouch.video import avi
 from tactile_toolkit import errors, pictures, touch, wording
@@ -210,7 +210,7 @@ class Cutter:
     ) -> None:
         self.pictures: dict[str, bytes] = {}
         self.done = ""
-        self._cut, self._contents, self._default, self._rule = cut, contents, default, ContactRule()
+        self._cut, self._contents, self._default, self._rule = cut, contents, default, ContactThresholds()
         self._table = None
         if cut is not None and cut not in source_touches.CUTS:
             self._table = CutTable(cut, columns or touch_options.ImportColumns())
@@ -309,7 +309,7 @@ class GelAtRest:
         self,
         recording: source_touches.Recording,
         contents: source_files.ReadContents,
-        rule: contact.ContactRule,
+        rule: contact.ContactThresholds,
     ) -> None:
         self.shape: tuple[int, ...] = ()
         cropped = self._read_samples(recording, contents, rule)
@@ -334,7 +334,7 @@ class GelAtRest:
         self,
         recording: source_touches.Recording,
         contents: source_files.ReadContents,
-        rule: contact.ContactRule,
+        rule: contact.ContactThresholds,
     ) -> dict[int, UInt8]:
         """Return samples by their number, cropped; the first readable one sets shape and window."""
         numbers = np.linspace(0, recording.frames - 1, _MAX_SAMPLES).round().astype(np.int64)
@@ -384,7 +384,7 @@ class GelAtRest:
 def find_contacts(
     recording: source_touches.Recording,
     contents: source_files.ReadContents,
-    rule: contact.ContactRule,
+    rule: contact.ContactThresholds,
 ) -> ContactRuns:
     """Find the touches of a recording; ItemError if it has none, or if no picture can be read."""
     area_px, change = np.zeros((2, recording.frames), np.int64)
@@ -444,7 +444,7 @@ def draw_cuts(
     recording: source_touches.Recording,
     contacts: ContactRuns,
     contents: source_files.ReadContents,
-    rule: contact.ContactRule,
+    rule: contact.ContactThresholds,
 ) -> bytes:
     """Draw the cuts of a recording as PNG: a strip of all pictures, and the best picture of each touch.
 
@@ -481,7 +481,7 @@ def _small(picture: UInt8) -> UInt8:
     return touch.resized(picture, max(1, round(scale * width)), max(1, round(scale * height)))
 
 
-def _strip(contacts: ContactRuns, rule: contact.ContactRule) -> UInt8:
+def _strip(contacts: ContactRuns, rule: contact.ContactThresholds) -> UInt8:
     """Draw the changed area over all pictures; a column shows the largest area of its pictures."""
     frames = len(contacts.area_px)
     colours = np.full((_WIDTH_PX, 3), _GREY, np.uint8)

@@ -399,8 +399,8 @@ def clip_of(
     """Return a clip of pictures that are intact and of one size (height, width).
 
     Unless the source states the contact, it lasts from the first to the last picture that shows contact by
-    :class:`ContactRule`, with the median of the clip as background. Raises ItemError for a damaged picture
-    and for times that cannot be used.
+    :class:`ContactThresholds`, with the median of the clip as background. Raises ItemError for a damaged
+    picture and for times that cannot be used.
     """
     notes = []
     time_s = clip_times_s(touches, row, columns)

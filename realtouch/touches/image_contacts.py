@@ -92,7 +92,7 @@ def _pieces(count: int, read: Callable[[slice], UInt8]) -> Iterator[UInt8]:
 
 def best_frame(
     clip: media.TouchClip | UInt8,
-    rule: contact.ContactRule | None = None,
+    rule: contact.ContactThresholds | None = None,
     *,
     base: UInt8 | None = None,
 ) -> tuple[int, contact.ContactScore]:
@@ -102,7 +102,7 @@ def best_frame(
     ----------
     clip : TouchClip, or ndarray of shape (N, H, W, 3), uint8
         At least one frame.
-    rule : ContactRule, optional
+    rule : ContactThresholds, optional
         Threshold of a changed pixel, and crop. ``rule.holds`` returns whether the frame shows contact at all.
     base : ndarray, shape (H, W, 3), uint8, optional
         The background; by default the median of the clip.
@@ -144,7 +144,7 @@ def contact_rule_text(columns: Container[str]) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class Contacts:
+class ImageContacts:
     """The best picture of each touch, and whether it shows contact.
 
     Attributes
@@ -168,7 +168,7 @@ class Contacts:
     def __len__(self) -> int:
         return len(self.touches)
 
-    def select(self, no_contact_fraction: float = 0.0, seed: int = 0) -> Contacts:
+    def select(self, no_contact_fraction: float = 0.0, seed: int = 0) -> ImageContacts:
         """Return the touches with contact, and some without; see :meth:`Touches.sample`.
 
         Parameters
@@ -184,7 +184,7 @@ class Contacts:
             An invalid fraction or seed.
         """
         chosen = with_no_contact(self.touches, self.contact, no_contact_fraction, seed)
-        return Contacts(*(getattr(self, each.name)[chosen] for each in fields(self)))
+        return ImageContacts(*(getattr(self, each.name)[chosen] for each in fields(self)))
 
     def picture(self, index: int) -> UInt8:
         """Decode the best picture of one touch, shape (H, W, 3), uint8."""
@@ -195,8 +195,8 @@ class Contacts:
 
 
 def contacts_by_image(
-    touches: AnyTouches, rule: contact.ContactRule | None = None, *, threads: int = 1
-) -> Contacts:
+    touches: AnyTouches, rule: contact.ContactThresholds | None = None, *, threads: int = 1
+) -> ImageContacts:
     """Find the image of each touch that shows contact best, and decide whether there was contact.
 
     The background is the median of each clip; for single images, the median of those images of the round that
@@ -208,14 +208,14 @@ def contacts_by_image(
     ----------
     touches : Touches
         ``rounds.touches()``, or a selection.
-    rule : ContactRule, optional
+    rule : ContactThresholds, optional
         When a picture shows contact.
     threads : int
         Number of clips that are decoded at a time.
 
     Returns
     -------
-    Contacts
+    ImageContacts
 
     Raises
     ------
@@ -229,19 +229,19 @@ def contacts_by_image(
         raise errors.InputError(
             f"a {type(given).__name__} was given; expected touches, such as `realtouch.load(...).touches()`"
         )
-    rule = rule or contact.ContactRule()
+    rule = rule or contact.ContactThresholds()
     frame, area = np.zeros((2, len(touches)), np.int64)
     score = contact.ContactScore(area, np.zeros(len(touches)))
     if len(touches) and isinstance(touches[0].round, rounds.TouchSingleRound):
         _measure_images(touches, rule, threads, score)
     else:
         _measure_clips(touches, rule, threads, frame, score)
-    return Contacts(touches, frame, area, score.intensity, np.asarray(rule.holds(score), bool))
+    return ImageContacts(touches, frame, area, score.intensity, np.asarray(rule.holds(score), bool))
 
 
 def _measure_clips(
     touches: AnyTouches,
-    rule: contact.ContactRule,
+    rule: contact.ContactThresholds,
     threads: int,
     frame: Int64,
     score: contact.ContactScore,
@@ -256,7 +256,7 @@ def _measure_clips(
 
 
 def _measure_images(
-    touches: AnyTouches, rule: contact.ContactRule, threads: int, score: contact.ContactScore
+    touches: AnyTouches, rule: contact.ContactThresholds, threads: int, score: contact.ContactScore
 ) -> None:
     """Fill in the score of each image; images of a round share their background."""
     places = touches.round_positions

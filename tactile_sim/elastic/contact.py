@@ -63,7 +63,7 @@ class Gel:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Contact:
+class ElasticContact:
     """The state of a gel into which a body is pressed.
 
     Axes: x along the columns, y against the rows (row 0 has the greatest y), z from the body into the gel;
@@ -87,7 +87,7 @@ class Contact:
         the gel, which the press pushes aside, is held by friction; without friction it is nowhere.
     force_n : tuple of float
         Force of the body on the gel along x, y and z, newtons.
-    torque_nm : tuple of float
+    torque_n_m : tuple of float
         Torque of the body on the gel about x, y and z, newton metres: ``(sum y f_z, -sum x f_z,
         sum (x f_y - y f_x))``.
     iterations : int
@@ -103,7 +103,7 @@ class Contact:
     is_contact: Bool
     is_stick: Bool
     force_n: tuple[float, float, float]
-    torque_nm: tuple[float, float, float]
+    torque_n_m: tuple[float, float, float]
     iterations: int
     residual: float
 
@@ -119,7 +119,7 @@ def solve_contact(
     slide_m: tuple[float, float] = (0.0, 0.0),
     twist_rad: float = 0.0,
     block_px: int = 1,
-) -> Contact:
+) -> ElasticContact:
     """Press a rigid body into a gel, then slide and twist it.
 
     Press, slide and twist are applied in one step, so the result does not depend on a history. Maps refer to
@@ -151,7 +151,7 @@ def solve_contact(
 
     Returns
     -------
-    Contact
+    ElasticContact
         Pressure, traction, displacement, force and torque.
 
     Raises
@@ -179,7 +179,7 @@ def _solve(
     is_force: bool,
     motion: tuple[float, float, float],
     block_px: int,
-) -> Contact:
+) -> ElasticContact:
     # Importing numba takes half a second.
     from tactile_sim.elastic import layer, solver, steps
 
@@ -208,7 +208,7 @@ def _solve(
         stiffness,
     )
     solution = problem.solve()
-    force_n, torque_nm = _resultants(solution.fields[:3], (width_m, height_m))
+    force_n, torque_n_m = _resultants(solution.fields[:3], (width_m, height_m))
     depth = solution.depth_m + higher if is_force else target
     fields = solution.fields
     if block_px > 1:
@@ -217,7 +217,7 @@ def _solve(
     body_m = depth - (heights.max() - heights)
     is_contact = (fields[6] > _HALF) | (body_m > fields[5])
     np.copyto(fields[5], body_m, where=is_contact)
-    return Contact(
+    return ElasticContact(
         depth,
         fields[0],
         np.moveaxis(fields[1:3], 0, 2),
@@ -225,7 +225,7 @@ def _solve(
         is_contact,
         (fields[7] > _HALF) & is_contact,
         force_n,
-        torque_nm,
+        torque_n_m,
         solution.iterations,
         solution.error,
     )

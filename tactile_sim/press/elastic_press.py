@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tactile_sim.elastic.contact import Contact, Gel, solve_contact
+from tactile_sim.elastic.contact import ElasticContact, Gel, solve_contact
 from tactile_sim.press.press_spec import MAX_FORCE_N, MAX_SLIDE_M, MAX_TWIST_RAD
 from tactile_sim.press.sensors import Sensor, full_view
 from tactile_sim.value_files import read_values
@@ -108,7 +108,7 @@ class Load(NamedTuple):
     slide_m: tuple[float, float] = (0.0, 0.0)
     twist_rad: float = 0.0
 
-    def press(self, heights_m: Float64, whole: WholeGel, out: Float64) -> Contact:
+    def press(self, heights_m: Float64, whole: WholeGel, out: Float64) -> ElasticContact:
         """Solve a touch of the whole gel, heights in metres; return the contact with maps of the window.
 
         ``out`` (H, W) gets the distance of its surface from the sensor, metres.
@@ -124,9 +124,9 @@ class Load(NamedTuple):
         inward_m = found.displacement_m[..., 2]
         show_surface(out, corner, inward_m, self._visible_motion(found, sensor), sensor.pixel_m, sensor.gel_m)
         maps = {name: getattr(found, name)[rows, columns].copy() for name in _MAPS}
-        return replace(found, **maps, torque_nm=_about_axis(found, sensor))
+        return replace(found, **maps, torque_n_m=_about_axis(found, sensor))
 
-    def contact(self, heights_m: Float64, whole: WholeGel) -> Contact:
+    def contact(self, heights_m: Float64, whole: WholeGel) -> ElasticContact:
         """Press the whole gel to the depth, or to the force, but no deeper than linear theory goes."""
         found = self._solved(heights_m, whole)
         most_m = MAX_SHARE * whole.sensor.gel_m
@@ -134,7 +134,7 @@ class Load(NamedTuple):
             return self._replace(force_n=None, depth_m=most_m)._solved(heights_m, whole)
         return found
 
-    def _solved(self, heights_m: Float64, whole: WholeGel) -> Contact:
+    def _solved(self, heights_m: Float64, whole: WholeGel) -> ElasticContact:
         return solve_contact(
             heights_m,
             whole.sensor.pixel_m,
@@ -147,7 +147,7 @@ class Load(NamedTuple):
             block_px=whole.block_px,
         )
 
-    def _visible_motion(self, contact: Contact, sensor: Sensor) -> Float64:
+    def _visible_motion(self, contact: ElasticContact, sensor: Sensor) -> Float64:
         """Return the motion along x and y of the visible surface, metres, (H, W, 2).
 
         In the contact, the shape of the body is visible and moves, even where it slips over the gel; far from
@@ -180,7 +180,7 @@ class Load(NamedTuple):
 
 # With a single force, most touches of a set or environment meet only the plate, and share this contact.
 @lru_cache(maxsize=4)
-def _plate_contact(load: Load, whole: WholeGel) -> Contact:
+def _plate_contact(load: Load, whole: WholeGel) -> ElasticContact:
     return load.contact(np.zeros(whole.sensor.size_px[::-1]), whole)
 
 
@@ -195,9 +195,9 @@ def _off_axis_m(sensor: Sensor) -> tuple[float, float]:
     return sensor.sample_px[0] * sensor.pixel_m[0], sensor.sample_px[1] * sensor.pixel_m[1]
 
 
-def _about_axis(contact: Contact, sensor: Sensor) -> tuple[float, float, float]:
+def _about_axis(contact: ElasticContact, sensor: Sensor) -> tuple[float, float, float]:
     """Convert a torque about the middle of a map to one about the sensor's axis, N m."""
-    (x, y, z), (off_x_m, off_y_m) = contact.torque_nm, _off_axis_m(sensor)
+    (x, y, z), (off_x_m, off_y_m) = contact.torque_n_m, _off_axis_m(sensor)
     force_x, force_y, force_z = contact.force_n
     return x + off_y_m * force_z, y - off_x_m * force_z, z + off_x_m * force_y - off_y_m * force_x
 

@@ -10,7 +10,7 @@ from typing import Protocol, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tactile_sim.elastic.contact import Contact, Gel
+from tactile_sim.elastic.contact import ElasticContact, Gel
 from tactile_sim.press import elastic_press
 from tactile_sim.press.pressable import Pressable
 from tactile_sim.press.sensors import Sensor, SensorModel, full_view
@@ -133,8 +133,8 @@ class Pressed:
         The depth image of the environments: 0 deepest in the gel, 1 no contact.
     sensor_z_m : float, or ndarray of float64, shape (n,)
         Height of the sensor where it stops, metres, cell frame.
-    contacts : tuple of Contact
-        Contact of each touch of an elastic gel: maps of the window of the image, forces of the whole gel.
+    contacts : tuple of ElasticContact
+        Those of each touch of an elastic gel: maps of the window of the image, forces of the whole gel.
         ``depth_m`` is then the surface of the gel, greater than its thickness where it bulges. Empty for
         other gels.
     """
@@ -142,10 +142,10 @@ class Pressed:
     depth_m: Float64
     image: Float32
     sensor_z_m: float | Float64
-    contacts: tuple[Contact, ...] = ()
+    contacts: tuple[ElasticContact, ...] = ()
 
     @property
-    def contact(self) -> Contact:
+    def contact(self) -> ElasticContact:
         """The contact of one touch of an elastic gel; InputError if there are none or several."""
         if len(self.contacts) != 1:
             raise InputError(

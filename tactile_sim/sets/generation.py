@@ -110,8 +110,8 @@ class SyntheticRound(rows.TypedRow):
     force_n: Float32 | None = _extra(
         "force_n", "T x 3, N", "force of the object on the gel; z as it is pressed in"
     )
-    torque_nm: Float32 | None = _extra(
-        "torque_nm", "T x 3, N m", "its torque about the middle of the surface of the gel"
+    torque_n_m: Float32 | None = _extra(
+        "torque_n_m", "T x 3, N m", "its torque about the middle of the surface of the gel"
     )
     press_depth_m: Float32 | None = _extra(
         "press_depth_m", "T, m", "how far the highest point under the gel is pressed in"

@@ -26,7 +26,7 @@ from tactile_toolkit.mesh import MeshLike
 
 # On a surface as large as the cell they are two millimetres apart.
 _POINTS = 4096
-_SHOWN = ("force_n", "torque_nm", "press_depth_m", "slide_m", "twist_rad", "marker_flow_px")
+_SHOWN = ("force_n", "torque_n_m", "press_depth_m", "slide_m", "twist_rad", "marker_flow_px")
 # The plate is met a little deeper or higher, depending on the slide and the tolerance of the solver.
 _PLATE_MARGIN_M = 1e-5
 _KILO, _MILLI = 1e3, 1e-3
@@ -145,7 +145,7 @@ class TouchPreview:
     bounds_m : ndarray of float64, shape (2, 2)
         Least, then greatest x and y of the object in its pose, metres, cell frame.
     forces : dict
-        ``force_n``, ``torque_nm``, ``press_depth_m``, ``slide_m`` and ``twist_rad`` of an elastic gel, and
+        ``force_n``, ``torque_n_m``, ``press_depth_m``, ``slide_m`` and ``twist_rad`` of an elastic gel, and
         ``marker_flow_px`` if it has markers, as lists and numbers; empty for other gels. See
         :class:`tactile_sim.SyntheticRound`.
     """
@@ -247,7 +247,7 @@ def elastic_types(press: ElasticPress, size_px: tuple[int, int]) -> Mapping[str,
     number, half = pa.float32(), pa.float16()
     types: dict[str, pa.DataType] = {
         "extra.force_n": read.vectors_type(number, 3),
-        "extra.torque_nm": read.vectors_type(number, 3),
+        "extra.torque_n_m": read.vectors_type(number, 3),
         "extra.press_depth_m": pa.list_(number),
         "extra.contact_point_m": read.vectors_type(number, 2),
         "extra.slide_m": read.vectors_type(number, 2),
@@ -271,12 +271,12 @@ def elastic_values(
     """Return the attributes of a row of touches of an elastic gel."""
     contacts = pressed.contacts
     force_n = np.array([each.force_n for each in contacts])
-    torque_nm = np.array([each.torque_nm for each in contacts])
+    torque_n_m = np.array([each.torque_n_m for each in contacts])
     # Where the force of the press acts, from its moments about x and y.
-    point_m = np.column_stack([-torque_nm[:, 1], torque_nm[:, 0]]) / force_n[:, 2:]
+    point_m = np.column_stack([-torque_n_m[:, 1], torque_n_m[:, 0]]) / force_n[:, 2:]
     values: dict[str, AnyArray] = {
         "force_n": force_n,
-        "torque_nm": torque_nm,
+        "torque_n_m": torque_n_m,
         "press_depth_m": np.array([each.depth_m for each in contacts]),
         "contact_point_m": point_m,
         "slide_m": loads.slide_m,

@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 from realtouch import ImportColumns
-from realtouch.contact import ContactRule, best_of
+from realtouch.contact import ContactThresholds, best_of
 from realtouch.importing.cuts import MIN_MARGIN, Cutter, find_contacts
 from realtouch.importing.source_touches import Recording
 from realtouch.video.avi import MAX_CLIP_FRAMES
@@ -78,7 +78,7 @@ def test_flicker_is_joined_and_short_contacts_are_dropped_and_counted() -> None:
     for fps in (25.0, None):
         recording = made.recording(fps=fps)
         assert np.abs(np.subtract(contacts(cut([recording], "contact", made)), expected)).max() <= 1
-        assert find_contacts(recording, made.contents, ContactRule()).too_short == 1
+        assert find_contacts(recording, made.contents, ContactThresholds()).too_short == 1
     # With more pictures per second, the same gap is shorter.
     assert len(contacts(cut([made.recording(fps=100.0)], "contact", made))) == 2
 

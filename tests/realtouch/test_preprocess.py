@@ -68,7 +68,7 @@ def test_scores_are_those_of_plain_numpy(data):
     pictures = data.draw(PICTURES)
     base = data.draw(arrays.arrays(np.uint8, pictures.shape[1:]))
     least, crop = data.draw(st.integers(0, 60)), data.draw(st.sampled_from([0.3, 0.5, 1.0]))
-    rule = realtouch.ContactRule(least, 2, 1.0, crop)
+    rule = realtouch.ContactThresholds(least, 2, 1.0, crop)
     score = realtouch.contact_score(pictures, base, rule)
     for number, picture in enumerate(pictures):
         change = np.abs(picture.astype(int) - base).astype(np.uint8)
@@ -83,7 +83,7 @@ def test_scores_are_those_of_plain_numpy(data):
 
 
 def test_the_best_frame_lies_in_the_contact_and_is_the_deepest(seq_folder: Path, truth):
-    rule = realtouch.ContactRule(min_area_px=4, crop=1.0)
+    rule = realtouch.ContactThresholds(min_area_px=4, crop=1.0)
     for record, made in zip(realtouch.load(seq_folder, split="train"), truth, strict=True):
         for clip, touch in zip(record.sensor_video, made.touches, strict=True):
             frame, score = realtouch.best_frame(clip, rule)
@@ -95,7 +95,7 @@ def test_the_best_frame_lies_in_the_contact_and_is_the_deepest(seq_folder: Path,
 
 
 def test_contacts_of_clips_and_of_images(seq_folder: Path, single_folder: Path):
-    rule = realtouch.ContactRule(min_area_px=4, crop=1.0)
+    rule = realtouch.ContactThresholds(min_area_px=4, crop=1.0)
     touches = realtouch.load(seq_folder, split="train").touches()
     found = realtouch.contacts_by_image(touches, rule, threads=3)
     assert len(found) == len(touches)
@@ -174,7 +174,7 @@ def test_a_share_of_touches_without_contact(single_folder: Path, share: float):
             list(touches.sample(no_contact_fraction=share, seed=s, contact=mask)) != list(chosen)
             for s in range(9)
         )
-    found = realtouch.Contacts(touches, *np.zeros((3, len(touches)), int), mask).select(share, 3)
+    found = realtouch.ImageContacts(touches, *np.zeros((3, len(touches)), int), mask).select(share, 3)
     assert list(found.touches) == list(chosen)
     assert found.contact.sum() == mask.sum()
 
@@ -199,8 +199,11 @@ def test_invalid_touches_are_named(single_folder: Path):
         (lambda: realtouch.contact_score(pictures, pictures[0, :3]), r"expected \(4, 4, 3\)"),
         (lambda: realtouch.best_frame(pictures[:0]), "no frame"),
         (lambda: realtouch.contacts_by_image(touches.dataset), "expected touches, such as"),
-        (lambda: realtouch.ContactRule(crop=0), "crop of the contact rule is 0"),
-        (lambda: realtouch.ContactRule(min_change=float("nan")), "min_change of the contact rule is nan"),
+        (lambda: realtouch.ContactThresholds(crop=0), "crop of the contact thresholds is 0"),
+        (
+            lambda: realtouch.ContactThresholds(min_change=float("nan")),
+            "min_change of the contact thresholds is nan",
+        ),
         (lambda: touches.sample(no_contact_fraction=1), "no_contact_fraction is 1; expected 0 to below 1"),
         (lambda: touches.sample(no_contact_fraction=0.1, seed=-1), "the seed is -1"),
         (lambda: touches.sample(no_contact_fraction=0.1, contact=np.zeros(3, bool)), r"bool of shape \(3,\)"),

@@ -18,7 +18,7 @@ PASSES, MOST_STEPS = 6, 400
 
 @dataclasses.dataclass
 class PlainContact:
-    """As :class:`tactile_sim.Contact`, row 0 at the least y."""
+    """As :class:`tactile_sim.ElasticContact`, row 0 at the least y."""
 
     depth_m: float
     pressure_pa: np.ndarray

@@ -189,15 +189,15 @@ def test_twist_of_a_sphere(inner):
     gel = tactile_sim.Gel(E_PA, 0.5, 0.4)
     contact_m = (3 * force_n * radius_m * (1 - 0.25) / (4 * E_PA)) ** (1 / 3)
     pixel_m = 2.4 * contact_m / count
-    twist, torque_nm = formulas.lubkin(inner, 0.4, force_n, contact_m, gel.shear_modulus_pa)
+    twist, torque_n_m = formulas.lubkin(inner, 0.4, force_n, contact_m, gel.shear_modulus_pa)
     contact = tactile_sim.solve_contact(
         sphere(count, pixel_m, radius_m), pixel_m, gel, thickness_m=math.inf, force_n=force_n, twist_rad=twist
     )
-    assert contact.torque_nm[2] == pytest.approx(torque_nm, rel=0.01)
+    assert contact.torque_n_m[2] == pytest.approx(torque_n_m, rel=0.01)
     if inner >= 0.5:
         assert area_radius_m(contact.is_stick, pixel_m) == pytest.approx(inner * contact_m, rel=0.02)
     if inner < 0.1:
-        assert torque_nm == pytest.approx(3 * math.pi * 0.4 * force_n * contact_m / 16, rel=0.01)
+        assert torque_n_m == pytest.approx(3 * math.pi * 0.4 * force_n * contact_m / 16, rel=0.01)
 
 
 MOTIONS = st.tuples(st.floats(-5e-4, 5e-4), st.floats(-5e-4, 5e-4), st.floats(-0.1, 0.1))
@@ -234,7 +234,7 @@ def test_each_contact_obeys_the_laws(seed, force_n, friction, motion):
     np.testing.assert_allclose(contact.force_n, loads.sum((0, 1)), atol=1e-9 + 1e-6 * force_n)
     arms = np.dstack([x, y, np.zeros_like(x)])
     turned = np.cross(arms, loads).sum((0, 1))
-    np.testing.assert_allclose(contact.torque_nm, turned, atol=1e-9)
+    np.testing.assert_allclose(contact.torque_n_m, turned, atol=1e-9)
     # The work of the loads is positive.
     assert (loads * moved).sum() > 0
 
@@ -255,7 +255,7 @@ def test_mirror_images_have_mirrored_results(seed, motion):
     np.testing.assert_allclose(
         mirrored.displacement_m[:, ::-1] * [-1, 1, 1], given_one.displacement_m, atol=2e-3 * given_one.depth_m
     )
-    np.testing.assert_allclose(np.multiply(mirrored.torque_nm, [1, -1, -1]), given_one.torque_nm, atol=3e-4)
+    np.testing.assert_allclose(np.multiply(mirrored.torque_n_m, [1, -1, -1]), given_one.torque_n_m, atol=3e-4)
     # Rows and columns change places, and so do x and y; turns change their sense.
     turned = tactile_sim.solve_contact(
         heights[::-1, ::-1].T, PIXEL_M[::-1], gel, slide_m=(slide_y, slide_x), twist_rad=-twist, **how
@@ -300,7 +300,7 @@ def test_results_depend_on_the_arguments_alone():
             bumps(seed), PIXEL_M, tactile_sim.Gel(), thickness_m=LAYER_M, force_n=5.0, slide_m=(2e-4, 0)
         )
         arrays = (contact.pressure_pa, contact.traction_pa, contact.displacement_m, contact.is_stick)
-        return tuple(each.tobytes() for each in arrays) + contact.force_n + contact.torque_nm
+        return tuple(each.tobytes() for each in arrays) + contact.force_n + contact.torque_n_m
 
     seeds = list(range(6))
     first = [result(seed) for seed in seeds]
@@ -413,7 +413,7 @@ def test_results_of_small_windows_turn_with_them(shape):
     assert one.depth_m == pytest.approx(turned.depth_m, abs=1e-8)
     np.testing.assert_allclose(one.pressure_pa.T[::-1], turned.pressure_pa, atol=1e-3 * one.pressure_pa.max())
     assert one.force_n == pytest.approx((turned.force_n[1], -turned.force_n[0], 1.0), abs=1e-3)
-    assert one.torque_nm[2] == pytest.approx(turned.torque_nm[2], abs=1e-6)
+    assert one.torque_n_m[2] == pytest.approx(turned.torque_n_m[2], abs=1e-6)
 
 
 @pytest.mark.parametrize("depth_m", [2e-5, 4e-4])

@@ -54,8 +54,8 @@ def test_the_sensor_stops_at_the_force_and_the_picture_is_the_surface():
     assert contact.force_n[2] == pytest.approx(3.0, rel=1e-6)
     assert np.abs(contact.force_n[:2]).max() < 0.01
     # Moments: the ball is 2 mm to the left and 1 mm above the middle of the sensor.
-    assert contact.torque_nm[:2] == pytest.approx([3.0 * 0.001, 3.0 * 0.002], rel=2e-3)
-    assert abs(contact.torque_nm[2]) < 2e-5
+    assert contact.torque_n_m[:2] == pytest.approx([3.0 * 0.001, 3.0 * 0.002], rel=2e-3)
+    assert abs(contact.torque_n_m[2]) < 2e-5
     # In the contact, the surface is that of the ball; beside it, the gel bulges without entering the ball.
     heights_m = pressed.sensor_z_m - pressed.depth_m
     x, y = (np.arange(32) + 0.5 - 16) * 0.01416 / 32, (15.5 - np.arange(32)) * 0.01416 / 32
@@ -249,7 +249,7 @@ def test_a_set_stores_the_results_of_the_solver(touches):
             )
             contact = pressed.contact
             np.testing.assert_allclose(extra["force_n"][touch], contact.force_n, atol=2e-3)
-            np.testing.assert_allclose(extra["torque_nm"][touch], contact.torque_nm, atol=1e-5)
+            np.testing.assert_allclose(extra["torque_n_m"][touch], contact.torque_n_m, atol=1e-5)
             assert extra["press_depth_m"][touch] == pytest.approx(contact.depth_m, abs=1e-6)
             assert abs(record.gel_pose_cell_frame.position_m[touch, 2] - pressed.sensor_z_m) < 1e-6
             grey = record.sensor_image[touch][..., 0]
@@ -260,7 +260,7 @@ def test_a_set_stores_the_results_of_the_solver(touches):
             np.testing.assert_allclose(1e-3 * moved_mm, contact.displacement_m, atol=3e-6)
             x_m, y_m = extra["contact_point_m"][touch]
             assert [y_m * 1e3, -x_m * 1e3] == pytest.approx(
-                [1e3 * each / contact.force_n[2] for each in contact.torque_nm[:2]], abs=1e-2
+                [1e3 * each / contact.force_n[2] for each in contact.torque_n_m[:2]], abs=1e-2
             )
             markers = tactile_sim.marker_positions_px(
                 contact.displacement_m, center_view(32, 24).window_m, (5, 4), (32, 24)
