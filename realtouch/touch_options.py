@@ -97,7 +97,7 @@ _QUATERNION_POSE = 7
 _ANGLE_POSE = 6
 _MATRIX_POSES = (12, 16)
 # Which numbers of a position or pose are lengths, and which are angles, by how many it has.
-_PLACES = {
+_LENGTHS_AND_ANGLES = {
     2: (range(2), range(0)),
     _ANGLE_POSE: (range(3), range(3, 6)),
     _QUATERNION_POSE: (range(3), range(0)),
@@ -140,7 +140,7 @@ class ContactChoice:
     def arguments(self, chosen: catalog.RowFilter) -> JsonDict:
         """Return the arguments of :func:`realtouch.select` for these touches of chosen rows."""
         # Ids of objects are numbers.
-        objects = [each if isinstance(each, int) else catalog.id_range(each) for each in chosen.ids or ()]
+        objects = [ids if isinstance(ids, int) else catalog.id_range(ids) for ids in chosen.ids or ()]
         min_height_m = None
         if self.min_height_mm is not None:
             min_height_m = self.min_height_mm / 1000
@@ -443,8 +443,9 @@ class ImportColumns:
             ("pose", self.pose or (), self.pose_sizes),
         ):
             if len(names) not in (0, 1, 2, *counts):
+                expected = wording.alternatives(list(map(str, counts)))
                 raise errors.InputError(
-                    f"{len(names)} {what} columns ({', '.join(names)}); expected {expected_counts(counts)}, "
+                    f"{len(names)} {what} columns ({', '.join(names)}); expected {expected}, "
                     "one that holds a list of them, or two with the position and the orientation",
                     next="of six numbers, --euler or --rotvec states what the last three are",
                 )
@@ -468,8 +469,8 @@ class ImportColumns:
         }
         options = [name for name, value in stated.items() if value is not None]
         if len(options) > 1:
-            other = f"{options[1]} (--{options[1].replace('_', '-')})"
-            raise errors.InputError(f"contradicts {other}; expected one of them", field=options[0])
+            second = f"{options[1]} (--{options[1].replace('_', '-')})"
+            raise errors.InputError(f"contradicts {second}; expected one of them", field=options[0])
         if self.euler is None:
             return
         if not _EULER.match(self.euler) or any(map(str.__eq__, self.euler, self.euler[1:])):
@@ -538,12 +539,12 @@ class ImportColumns:
         units.
         """
         divisors = [1.0] * count
-        lengths, angles = _PLACES[count]
-        for quantity, unit, places in (
+        lengths, angles = _LENGTHS_AND_ANGLES[count]
+        for quantity, unit, indices in (
             (units.Quantity.LENGTH, self.length_unit, lengths),
             (units.Quantity.ANGLE, self.angle_unit, angles),
         ):
-            for index in places:
+            for index in indices:
                 name = ""
                 if len(names) in (1, count):
                     name = names[index % len(names)]
@@ -583,12 +584,6 @@ class ImportColumns:
 def is_extra_name(name: str) -> bool:
     """Return whether an extra column may have this name."""
     return name.isprintable() and name == name.strip() and 0 < len(name) <= LONGEST_NAME
-
-
-def expected_counts(counts: Sequence[int]) -> str:
-    """Return numbers as text for a message: ``7``, or ``7, 12 or 16``."""
-    *most, last = map(str, counts)
-    return f"{', '.join(most)} or {last}" if most else last
 
 
 def read_mapped(texts: Sequence[str]) -> dict[str, str]:

@@ -195,7 +195,7 @@ class _Touches:
     def schema(self, source: pa.Schema) -> pa.Schema:
         """Return the plain columns that the source can fill."""
         poses = [f"{name}.position" for name in POSE_COLUMN.values()]
-        wanted: dict[str, tuple[pa.DataType, Sequence[str]]] = {
+        sources: dict[str, tuple[pa.DataType, Sequence[str]]] = {
             "id": (pa.string(), ()),
             _TOUCH_IMAGE: (MEDIA_TYPE, ()),
             "label": (pa.int64(), ()),
@@ -207,7 +207,7 @@ class _Touches:
             **dict.fromkeys(touch_options.POSITION_COLUMNS, (pa.float64(), ("pos_in_cell",))),
             **dict.fromkeys(touch_options.POSE_COLUMNS, (pa.float64(), poses)),
         }
-        return pa.schema([*convert.schema_of(source, wanted), *convert.plain_extras(source).values()])
+        return pa.schema([*convert.schema_of(source, sources), *convert.plain_extras(source).values()])
 
     def apply(self, row: stored_round.StoredRound, choice: convert.RowChoice, split: str) -> convert.Made:
         """Return the touches of a round; a round with a damaged touch is left out as a whole."""
@@ -283,7 +283,7 @@ class Episodes:
 
     def schema(self, source: pa.Schema) -> pa.Schema:
         """Return the columns that the source can fill, and those of the index of episodes."""
-        wanted = {
+        sources = {
             "id": (pa.string(), ("id",)),
             "round_id": (pa.string(), ("id",)),
             "touch": (pa.int64(), ("sensor_video",)),
@@ -298,9 +298,9 @@ class Episodes:
             "frame_index": (pa.int64(), ("id",)),
         }
         if self.depth_of is not None:
-            wanted[DEPTH] = (MEDIA_TYPE, (media.DEPTH,))
+            sources[DEPTH] = (MEDIA_TYPE, (media.DEPTH,))
         extras = [pa.field(extra.name, extra.data_type) for extra in self.extras]
-        return pa.schema([*convert.schema_of(source, wanted), *extras])
+        return pa.schema([*convert.schema_of(source, sources), *extras])
 
     def apply(self, row: stored_round.StoredRound, choice: convert.RowChoice, split: str) -> convert.Made:
         """Return all frames of a round."""

@@ -17,8 +17,9 @@ from typing import IO, TYPE_CHECKING, NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from realtouch import importing, touch_options
+from realtouch import touch_options
 from realtouch.formats import exports
+from realtouch.importing import source_files, source_touches
 from realtouch.touches import schema as stored_schema
 from tactile_toolkit import cache, errors, read, store
 from tactile_toolkit.columns import column_types
@@ -59,9 +60,9 @@ _MAX_BITS = 63
 
 def find_flat(
     home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
-) -> Iterator[importing.FoundTouches]:
+) -> Iterator[source_touches.SourceTouches]:
     """Yield a touch for each row of each file, in their order; the split is that of the file's name."""
-    home, paths = importing.files_to_read(
+    home, paths = source_files.files_to_read(
         home, "Parquet files; expected a row for each touch in them", _parquet
     )
     for path in paths:
@@ -83,17 +84,17 @@ def _picture_column(parquet: ForeignParquet, name: str) -> str:
         # In a data set of touches, it is a list with an entry for each touch.
         if stored in parquet.types and not is_picture(parquet.types[stored]):
             raise errors.InputError(
-                f"{parquet.place!r} has the column {stored!r} of a data set of touches, "
+                f"{parquet.address!r} has the column {stored!r} of a data set of touches, "
                 "which needs no import",
                 next="open the data set by its folder, as with `tactile info`",
             )
     known = [column for column, data_type in parquet.types.items() if is_picture(data_type)]
-    return importing.chosen_pictures(known, name, parquet.place, "columns of pictures", parquet.types)
+    return source_files.chosen_pictures(known, name, parquet.address, "columns of pictures", parquet.types)
 
 
 def _touches(
     home: store.DataFolder, path: str, parquet: ForeignParquet, column: str
-) -> importing.FoundTouches:
+) -> source_touches.SourceTouches:
     names = [name for name, data_type in parquet.types.items() if not is_picture(data_type)]
     size, stem = parquet.picture_bytes(column), path.removesuffix(_ENDING)
     shard = store.ShardName.parse(path.rpartition("/")[2])
@@ -102,8 +103,8 @@ def _touches(
     if shard is not None and _SPLIT not in names:
         fields = {_SPLIT: column_types.repeated(shard.split, len(parquet)), **fields}
     # The name of the file of each picture, without its folder.
-    files = [importing.path_of(name or "").rpartition("/")[2] for name in parquet.picture_names(column)]
-    return importing.FoundTouches.of(
+    files = [source_files.path_of(name or "").rpartition("/")[2] for name in parquet.picture_names(column)]
+    return source_touches.SourceTouches.of(
         [name or f"{stem}_{number:06d}" for number, name in enumerate(files)],
         home.address(),
         path,
@@ -145,9 +146,9 @@ class ForeignParquet:
     def __init__(self, home: store.DataFolder, path: str) -> None:
         self.size_bytes = home.size_inside(path)
         self._home, self._path = home, path
-        self.place = home.address(path)
-        with _named_values(self.place):
-            source = self.place if home.is_local else home.open(path)
+        self.address = home.address(path)
+        with _named_values(self.address):
+            source = self.address if home.is_local else home.open(path)
             self._file = store.open_checked(source, checks_columns=True)
             schema = read.supported_table(self._file.schema_arrow.empty_table()).schema
             metadata = self._file.metadata
@@ -155,7 +156,7 @@ class ForeignParquet:
             self._chunks = [_chunks(group) for group in groups]
         self.types: dict[str, pa.DataType] = dict(zip(schema.names, schema.types, strict=True))
         if len(self.types) < len(schema.names):
-            raise errors.InputError(f"{self.place!r} has two columns of one name; expected different names")
+            raise errors.InputError(f"{self.address!r} has two columns of one name; expected different names")
         self._starts: list[int] = np.cumsum([0, *(group.num_rows for group in groups)]).tolist()
 
     def __len__(self) -> int:
@@ -169,7 +170,7 @@ class ForeignParquet:
     def rows(self, names: Sequence[str]) -> Iterator[JsonDict]:
         """Yield some columns of each row; InputError for more than may be unpacked."""
         for table in self._bounded(names):
-            with _named_values(self.place):
+            with _named_values(self.address):
                 rows = table.to_pylist()
             yield from rows or ({} for _ in range(len(table)))
 
@@ -181,7 +182,7 @@ class ForeignParquet:
         parts = list(self._bounded(names))
         if not parts:
             return {name: pa.nulls(0) for name in names}
-        with _named_values(self.place):
+        with _named_values(self.address):
             joined = pa.concat_tables(parts)
             return {name: column_types.column_of(joined[name]) for name in names}
 
@@ -208,10 +209,10 @@ class ForeignParquet:
                 yield errors.ItemError("missing", f"no row {row:,}; expected fewer than {len(self):,}")
                 continue
             if not start <= row < start + len(held):
-                wanted = bisect_right(self._starts, row) - 1
-                if wanted != group or row < start:
-                    group = wanted
-                    start = self._starts[wanted]
+                holding = bisect_right(self._starts, row) - 1
+                if holding != group or row < start:
+                    group = holding
+                    start = self._starts[holding]
                     held = []
                     batches = self._tables(group, [name])
                 while row >= start + len(held):
@@ -225,12 +226,12 @@ class ForeignParquet:
         """Yield some columns of all rows, a few rows at a time; InputError for more than may be unpacked."""
         stated = [chunk for group in self._chunks for chunk in _of_columns(group, names)]
         unpacked = sum(max(chunk.size_bytes, _VALUE_BYTES * chunk.values) for chunk in stated)
-        cache.require_unpackable(unpacked, f"{self.place!r}:", self.size_bytes)
+        cache.require_unpackable(unpacked, f"{self.address!r}:", self.size_bytes)
         unpacked = 0
         for group in range(len(self._chunks)):
             for table in self._tables(group, names):
                 unpacked += table.nbytes
-                cache.require_unpackable(unpacked, f"{self.place!r}:", self.size_bytes)
+                cache.require_unpackable(unpacked, f"{self.address!r}:", self.size_bytes)
                 yield table
 
     def _tables(self, group: int, names: Sequence[str]) -> Iterator[pa.Table]:
@@ -239,17 +240,17 @@ class ForeignParquet:
         largest = max((1, *(chunk.size_bytes for chunk in chunks if chunk.is_text)))
         rows = min(_ROWS_AT_ONCE, max(1, _BYTES_AT_ONCE // largest))
         missing = self._starts[group + 1] - self._starts[group]
-        with _named_values(self.place), self._home.open_inside(self._path) as stream:
+        with _named_values(self.address), self._home.open_inside(self._path) as stream:
             for chunk in chunks:
                 require_bounded_pages(stream, chunk.start, chunk.stored_bytes, _BYTES_AT_ONCE)
-        with store.named_damage(self.place):
+        with store.named_damage(self.address):
             # Arrow uses no threads of its own, as shards are imported in parallel.
             for batch in self._file.iter_batches(rows, [group], list(names), use_threads=False):
                 missing -= len(batch)
                 yield read.supported_table(pa.Table.from_batches([batch]))
         if missing:
             raise errors.IntegrityError.in_file(
-                self.place,
+                self.address,
                 f" is damaged, row group {group} holds {missing:,} rows fewer than its footer states",
             )
 
@@ -296,13 +297,13 @@ def _named_values(address: str) -> Iterator[None]:
 
 
 def read_rows(
-    home: store.DataFolder, picture: importing.PicturePlace, numbers: Sequence[int]
+    home: store.DataFolder, picture: source_touches.PictureLocation, numbers: Sequence[int]
 ) -> Iterator[bytes | errors.ItemError]:
-    """Yield the pictures of some rows; ``part`` of the place is their column."""
+    """Yield the pictures of some rows; ``part`` of the location is their column."""
     return ForeignParquet(home, picture.path).pictures(picture.part, numbers)
 
 
-read_contents = partial(importing.pictures_by_file, read_rows)
+read_contents = partial(source_files.pictures_by_file, read_rows)
 
 
 def require_bounded_pages(stream: IO[bytes], start: int, stored_bytes: int, most_bytes: int) -> None:

@@ -20,9 +20,10 @@ from typing import IO, Any
 
 import numpy as np
 
-from realtouch import importing, touch_options
+from realtouch import touch_options
 from realtouch.formats import picture_arrays, zarr_recordings
-from tactile_toolkit import cache, errors, store
+from realtouch.importing import source_files, source_touches
+from tactile_toolkit import cache, errors, store, wording
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.columns import column_types, tables
 
@@ -137,13 +138,15 @@ def _require_chunk(address: str, dataset: H5Object, at: tuple[int, ...]) -> None
 
 def find_hdf5(
     home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
-) -> Iterator[importing.Recording]:
+) -> Iterator[source_touches.Recording]:
     """Yield a recording for each group that has the dataset of pictures; InputError lists such datasets.
 
     Groups are in natural order: ``data/demo_2`` before ``data/demo_10``.
     """
     expected = f"HDF5 file; expected {' or '.join(_ENDINGS)}"
-    home, names = importing.files_to_read(home, expected, partial(importing.visible_files, endings=_ENDINGS))
+    home, names = source_files.files_to_read(
+        home, expected, partial(source_files.visible_files, endings=_ENDINGS)
+    )
     image = columns.image_name.strip("/")
     for name in names:
         address = home.address(name)
@@ -152,7 +155,7 @@ def find_hdf5(
             kinds = dict(islice(_members(address, root, "", _DEEPEST), _MAX_OBJECTS + 1))
             if len(kinds) > _MAX_OBJECTS:
                 raise errors.InputError(f"{address!r}: more than {_MAX_OBJECTS:,} datasets and groups")
-            for group in sorted(_groups(address, root, kinds, image), key=importing.natural_order):
+            for group in sorted(_groups(address, root, kinds, image), key=wording.natural_key):
                 parts = [group.strip("/")]
                 if len(names) > 1 or not group:
                     parts.insert(0, name.rpartition(".")[0])
@@ -177,10 +180,10 @@ def _groups(address: str, root: H5Object, kinds: dict[str, str], image: str) -> 
     groups = [path.removesuffix(image) for path in datasets if f"/{path}".endswith(f"/{image}")]
     if not image or not groups:
         several = [path for path in datasets if len(root[path].shape or ()) == _PICTURE_AXES]
-        shown = ", ".join(sorted(several, key=importing.natural_order)[:_SHOWN])
-        wanted = f"no dataset of pictures {image!r}" if image else "datasets; none was named as the pictures"
+        shown = ", ".join(sorted(several, key=wording.natural_key)[:_SHOWN])
+        content = f"no dataset of pictures {image!r}" if image else "datasets; none was named as the pictures"
         raise errors.InputError(
-            f"{address!r} has {wanted}; found {shown or 'none'}",
+            f"{address!r} has {content}; found {shown or 'none'}",
             next="add --map image=PATH, with the path below the group of each episode: obs/tactile for "
             "data/demo_0/obs/tactile",
         )
@@ -194,7 +197,7 @@ def _recording(
     kinds: dict[str, str],
     named: tuple[str, str, str],
     columns: touch_options.ImportColumns,
-) -> importing.Recording:
+) -> source_touches.Recording:
     title, group, image = named
     address = home.address(path)
     below = {member.removeprefix(group): kind for member, kind in kinds.items() if member.startswith(group)}
@@ -204,8 +207,8 @@ def _recording(
         if kind == "Dataset"
     }
     pictures = picture_arrays.PictureArray.of(inside.pop(image)())
-    wanted = {importing.NUMBERED, *columns.found_in(inside).names()}
-    arrays, left_out = picture_arrays.columns_of(inside, len(pictures), wanted)
+    required = {source_files.NUMBERED, *columns.found_in(inside).names()}
+    arrays, left_out = picture_arrays.columns_of(inside, len(pictures), required)
     per_frame = {member: column_types.column_of(values) for member, values in arrays.items()}
     left_out += [f"{member} (a link)" for member, kind in below.items() if kind == "link"]
     values: dict[str, object] = {}
@@ -220,8 +223,8 @@ def _recording(
     part = f"{pictures.divisor!r} {group}{image}"
     size = math.prod(pictures.shape[1:])
     about = (part, 0, len(pictures), size, values, per_frame)
-    whole = importing.Recording(title, home.address(), path, *about, left_out=tuple(left_out))
-    constant = zarr_recordings.of_episodes(whole, columns).intersection(wanted)
+    whole = source_touches.Recording(title, home.address(), path, *about, left_out=tuple(left_out))
+    constant = zarr_recordings.of_episodes(whole, columns).intersection(required)
     return next(zarr_recordings.episodes_of(whole, np.array([len(pictures)]), [title], constant))
 
 

@@ -18,8 +18,9 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 
-from realtouch import importing, touch_options
+from realtouch import touch_options
 from realtouch.formats import exports, flat_parquet, media_files, zarr_recordings
+from realtouch.importing import source_files, source_touches
 from realtouch.touches.rounds import touch_id
 from realtouch.video import videos
 from tactile_toolkit import errors, store, wording
@@ -46,7 +47,7 @@ _Count = Annotated[int, msgspec.Meta(ge=0, lt=1 << 50)]
 
 def find_lerobot(
     home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
-) -> Iterator[importing.Recording]:
+) -> Iterator[source_touches.Recording]:
     """Yield each episode with the pictures of the named or the only camera; InputError for several.
 
     An episode that cannot be used is a recording with a problem.
@@ -57,17 +58,17 @@ def find_lerobot(
     yield from map(reader.recording, read_episodes(home, info, camera))
 
 
-def describe_conversion(touches: importing.FoundTouches) -> str:
+def describe_conversion(touches: source_touches.SourceTouches) -> str:
     """Return how pictures are converted; empty if they are stored as they are."""
-    places = touches.take(np.flatnonzero(touches.is_usable)[:1])
-    if not len(places) or places[0].path.endswith(_ROWS):
+    usable = touches.take(np.flatnonzero(touches.is_usable)[:1])
+    if not len(usable) or usable[0].path.endswith(_ROWS):
         return ""
-    usable = places[0]
-    return videos.open_video(store.open_folder(usable.home), usable.path).conversion
+    first = usable[0]
+    return videos.open_video(store.open_folder(first.home), first.path).conversion
 
 
 def _read_frames(
-    home: store.DataFolder, picture: importing.PicturePlace, numbers: Sequence[int]
+    home: store.DataFolder, picture: source_touches.PictureLocation, numbers: Sequence[int]
 ) -> Iterator[bytes | errors.ItemError]:
     """Yield the pictures with some numbers of a Parquet file or video."""
     if picture.path.endswith(_ROWS):
@@ -75,7 +76,7 @@ def _read_frames(
     return media_files.read_frames(home, picture, numbers)
 
 
-read_contents = partial(importing.pictures_by_file, _read_frames)
+read_contents = partial(source_files.pictures_by_file, _read_frames)
 
 
 class _Episodes:
@@ -90,18 +91,18 @@ class _Episodes:
         self._columns: dict[str, pa.Array] = {}
         self._picture_bytes = 0
 
-    def recording(self, episode: Episode) -> importing.Recording:
+    def recording(self, episode: Episode) -> source_touches.Recording:
         """Return the recording of an episode; if it cannot be used, it has a problem and one picture."""
         others = tuple(name for name in self.info.pictures if name != self.camera)
         source = self.home.address(), episode.data_path, self.camera
-        recording = importing.Recording(episode.name, *source, 0, 1, 0, episode.values, left_out=others)
+        recording = source_touches.Recording(episode.name, *source, 0, 1, 0, episode.values, left_out=others)
         try:
             recording = self._read(recording, episode)
         except (errors.ItemError, errors.IntegrityError) as error:
             return replace(recording, problem=errors.ItemError(getattr(error, "reason", "file"), error.what))
         return recording if self.info.realtouch is None else _as_ours(recording, self.info.realtouch)
 
-    def _read(self, recording: importing.Recording, episode: Episode) -> importing.Recording:
+    def _read(self, recording: source_touches.Recording, episode: Episode) -> source_touches.Recording:
         self._read_columns(episode.data_path)
         rows = _rows_of(episode, self._columns)
         per_frame = {
@@ -203,7 +204,7 @@ def _first_picture(shown_s: Float64, wanted_s: Float64, fps: float) -> int:
     return first
 
 
-def _as_ours(recording: importing.Recording, mark: Mark) -> importing.Recording:
+def _as_ours(recording: source_touches.Recording, mark: Mark) -> source_touches.Recording:
     """Return an episode that this toolkit wrote, with its columns named as in its tables."""
     every = recording.per_frame
     columns = {name: column for name, column in every.items() if name not in mark.extra}
@@ -296,7 +297,7 @@ class Info(msgspec.Struct, frozen=True):
         Raises InputError if there is no such feature, or if there are several.
         """
         cameras = [key for key in self.pictures if not self.features[key].is_depth]
-        return importing.chosen_pictures(cameras, name, source, "cameras", self.features)
+        return source_files.chosen_pictures(cameras, name, source, "cameras", self.features)
 
     def split_of(self, episode: int) -> dict[str, object]:
         """Return the split of an episode as a field; empty if it is not stated."""
@@ -309,7 +310,7 @@ class Info(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True)
 class Episode:
-    """An episode: the places and number of its frames, and its other fields."""
+    """An episode: the files and number of its frames, and its other fields."""
 
     number: int
     length: int
@@ -338,7 +339,7 @@ def read_info(home: store.DataFolder) -> Info:
         info = msgspec.json.decode(_content(home, _INFO), type=Info)
     if not _READABLE_VERSION.fullmatch(info.codebase_version):
         raise errors.InputError(
-            f"{home.address(_INFO)!r} states version {importing.shown(info.codebase_version)!r}; "
+            f"{home.address(_INFO)!r} states version {wording.shortened(info.codebase_version, 80)!r}; "
             "expected v2.0, v2.1 or v3.0",
             next="convert it with the tools of LeRobot",
         )
@@ -356,7 +357,7 @@ def read_tasks(home: store.DataFolder, info: Info) -> dict[int, str]:
         texts = [value for value in line.values() if isinstance(value, str)]
         if not isinstance(number, int) or len(texts) != 1:
             raise errors.InputError(
-                f"{home.address(path)!r}: {importing.shown(line)}; expected a number and a text"
+                f"{home.address(path)!r}: {wording.shortened(str(line), 80)}; expected a number and a text"
             )
         tasks[number] = texts[0]
     return tasks
@@ -403,7 +404,7 @@ def _files(line: JsonObject, prefix: str) -> _Files:
 
 def _filled(template: str, values: Mapping[str, object]) -> str:
     # `str.format` would look up attributes, and allocate as much memory as a template asks for.
-    return _FIELD.sub(lambda found: str(values.get(found[1], found[0])).zfill(int(found[2] or 0)), template)
+    return _FIELD.sub(lambda field: str(values.get(field[1], field[0])).zfill(int(field[2] or 0)), template)
 
 
 def _lines(home: store.DataFolder, path: str) -> Iterator[JsonObject]:

@@ -21,15 +21,16 @@ from pathlib import PurePosixPath
 import numpy as np
 import pyarrow as pa
 
-from realtouch import convert, importing, touch_options
+from realtouch import convert, touch_options
 from realtouch.formats.exports import NamedImage, TouchFormat
+from realtouch.importing import cuts, source_files, source_touches
 from realtouch.touches import media
 from realtouch.video import video_files, videos
-from tactile_toolkit import errors, read, store
+from tactile_toolkit import errors, read, store, wording
 from tactile_toolkit.columns import column_types, tables
 from tactile_toolkit.json_types import JsonDict
 
-_IMAGES = tuple(f".{ending}" for ending in importing.IMAGE_ENDINGS)
+_IMAGES = tuple(f".{ending}" for ending in source_files.IMAGE_ENDINGS)
 _SPLITS = {"train", "val", "valid", "validation", "test"}
 _MAX_IMAGES = 1_000_000
 _FILE = "file"
@@ -44,7 +45,7 @@ _LEFT_OUT = "-1"
 
 def find_folder(
     home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
-) -> Iterator[importing.FoundTouches]:
+) -> Iterator[source_touches.SourceTouches]:
     """Yield a touch for each row of the table; the touch of a missing file has a problem.
 
     Without a table, each image is a touch; see :func:`_labelled`.
@@ -52,10 +53,10 @@ def find_folder(
     if columns.image is None:
         raise errors.InputError("no column names the images", next="add --map image=COLUMN")
     if table is not None:
-        folder, table_name = importing.source_of(table)
+        folder, table_name = source_files.source_of(table)
     else:
         folder = home
-        named = importing.visible_files(home, tables.Table.ENDINGS)
+        named = source_files.visible_files(home, tables.Table.ENDINGS)
         if not named and not columns.image_name:
             images = _images(home)
             if images:
@@ -68,12 +69,12 @@ def find_folder(
             )
         table_name = named[0]
     opened = tables.Table.of(folder, table_name)
-    lines = importing.read_table(opened, columns, [columns.image])
-    wanted = [columns.image, *columns.found_in(lines.columns).names()]
-    importing.require_columns(lines.columns, wanted, opened.path)
-    paths = list(map(importing.path_of, lines.texts(columns.image)))
-    duplicates = importing.duplicates_of(paths, importing.FILE_OF_TABLE)
-    yield importing.image_files(home, paths, lines.columns, duplicates)
+    lines = source_files.read_table(opened, columns, [columns.image])
+    required = [columns.image, *columns.found_in(lines.columns).names()]
+    source_files.require_columns(lines.columns, required, opened.path)
+    paths = list(map(source_files.path_of, lines.texts(columns.image)))
+    duplicates = source_files.duplicates_of(paths, source_files.FILE_OF_TABLE)
+    yield source_files.image_files(home, paths, lines.columns, duplicates)
 
 
 def _images(home: store.DataFolder) -> list[str]:
@@ -86,10 +87,10 @@ def _images(home: store.DataFolder) -> list[str]:
             raise errors.InputError(
                 f"{home.address()!r} holds more than {_MAX_IMAGES:,} images; expected fewer"
             )
-    return sorted(paths, key=importing.natural_order)
+    return sorted(paths, key=wording.natural_key)
 
 
-def _labelled(home: store.DataFolder, paths: list[str]) -> importing.FoundTouches:
+def _labelled(home: store.DataFolder, paths: list[str]) -> source_touches.SourceTouches:
     """Return the touches of images; the folder of an image may name its class.
 
     If all outer folders are called ``train``, ``val``, ``test`` and so on, they are splits, and the folders
@@ -106,19 +107,19 @@ def _labelled(home: store.DataFolder, paths: list[str]) -> importing.FoundTouche
         # An image in a folder whose name is not Unicode has a problem; here only the text matters.
         labels = [names[0].encode(errors="replace").decode() if names else None for names in inner]
         fields["label"] = pa.array(labels, pa.string())
-    return importing.image_files(home, paths, fields)
+    return source_files.image_files(home, paths, fields)
 
 
 def find_video(
     home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
-) -> Iterator[importing.Recording]:
+) -> Iterator[source_touches.Recording]:
     """Yield a recording for each video: the file that was named, or those of a folder and its sub-folders.
 
     The fields of videos are in a table: the one that was named, or the only one in the folder whose column of
     files names some videos. A video without a row has a problem then, and so has a row without a video.
     Without a table, the folder of a video is its class if all videos are in folders, two or more.
     """
-    folder, paths = importing.files_to_read(
+    folder, paths = source_files.files_to_read(
         home, "videos; expected AVI, MP4, MOV, MKV, WebM or MPEG-TS", _videos
     )
     stems = Counter(map(_stem, paths))
@@ -126,20 +127,20 @@ def find_video(
     rows = _table_of_videos(folder, columns, column, table, paths)
     if rows is None:
         classes = _classes(paths)
-        problems = importing.problems_of_names(paths)
+        problems = source_files.problems_of_names(paths)
         for number, path in enumerate(paths):
             yield _recording(
                 folder, path, {column: path, **classes.get(path, {})}, problems.get(number), stems
             )
         return
-    named = list(map(importing.path_of, rows.texts(column)))
-    problems = importing.problems_of_names(named)
-    problems |= importing.duplicates_of(named, importing.FILE_OF_TABLE)
+    named = list(map(source_files.path_of, rows.texts(column)))
+    problems = source_files.problems_of_names(named)
+    problems |= source_files.duplicates_of(named, source_files.FILE_OF_TABLE)
     for row, path in enumerate(named):
         yield _recording(folder, path, rows.values(row), problems.get(row), stems)
     unnamed = errors.ItemError("table", "no row of the table names this video; expected one")
-    seen = {*named}
-    for path in [path for path in paths if path not in seen]:
+    in_table = {*named}
+    for path in [path for path in paths if path not in in_table]:
         yield _recording(folder, path, {column: path}, unnamed, stems)
 
 
@@ -149,7 +150,7 @@ def _recording(
     fields: Mapping[str, object],
     problem: errors.ItemError | None,
     stems: Mapping[str, int],
-) -> importing.Recording:
+) -> source_touches.Recording:
     """Return a video with its fields; one that cannot be used has a problem and one picture."""
     name = path if stems[_stem(path)] > 1 else _stem(path)
     video = _UNREADABLE
@@ -159,7 +160,7 @@ def _recording(
         except errors.ItemError as error:
             problem = error
     source = (folder.address(), path, video.conversion, 0, len(video), video.picture_bytes)
-    return importing.Recording(name, *source, fields, time_s=video.time_s, problem=problem)
+    return source_touches.Recording(name, *source, fields, time_s=video.time_s, problem=problem)
 
 
 def _stem(path: str) -> str:
@@ -178,7 +179,7 @@ def _classes(paths: Sequence[str]) -> dict[str, dict[str, object]]:
     folders = {path: path.split("/")[0] for path in paths if path.count("/") == 1}
     if len(folders) < len(paths) or len({*folders.values()}) < 2:
         return {}
-    return {path: {importing.NUMBERED: name} for path, name in folders.items()}
+    return {path: {source_files.NUMBERED: name} for path, name in folders.items()}
 
 
 def _table_of_videos(
@@ -187,20 +188,20 @@ def _table_of_videos(
     image: str,
     table: str | None,
     paths: Sequence[str],
-) -> importing.SourceTable | None:
+) -> source_files.SourceTable | None:
     """Return the table of the videos; None if there is no such table."""
 
-    def read(of_videos: tables.Table) -> importing.SourceTable:
-        rows = importing.read_table(of_videos, columns, [image])
-        importing.require_columns(rows.columns, [image], of_videos.path)
+    def read(of_videos: tables.Table) -> source_files.SourceTable:
+        rows = source_files.read_table(of_videos, columns, [image])
+        source_files.require_columns(rows.columns, [image], of_videos.path)
         return rows
 
     if table is not None:
-        return read(tables.Table.of(*importing.source_of(table)))
+        return read(tables.Table.of(*source_files.source_of(table)))
     of_videos = {}
     refused: tuple[str, str] | None = None
     streams = tuple(f"{_stem(path)}{mark}" for path in paths for mark in "._")
-    for name in importing.visible_files(home, tables.Table.ENDINGS):
+    for name in source_files.visible_files(home, tables.Table.ENDINGS):
         if name.startswith(streams):
             continue
         first: JsonDict = {}
@@ -209,10 +210,10 @@ def _table_of_videos(
             first = opened.first_row()
         if image in first:
             rows = read(opened)
-            if {*map(importing.path_of, rows.texts(image))}.intersection(paths):
+            if {*map(source_files.path_of, rows.texts(image))}.intersection(paths):
                 of_videos[name] = rows
-        elif refused is None and not {*importing.RECORDING_COLUMNS}.intersection(first):  # no table of cuts
-            values = {column: importing.path_of(str(value)) for column, value in first.items() if value}
+        elif refused is None and not {*cuts.RECORDING_COLUMNS}.intersection(first):  # no table of cuts
+            values = {column: source_files.path_of(str(value)) for column, value in first.items() if value}
             refused = next(((name, column) for column, value in values.items() if value in paths), None)
     if len(of_videos) > 1:
         raise errors.InputError(
@@ -228,19 +229,19 @@ def _table_of_videos(
     return next(iter(of_videos.values()), None)
 
 
-def describe_conversion(touches: importing.FoundTouches) -> str:
+def describe_conversion(touches: source_touches.SourceTouches) -> str:
     """Return how the pictures of videos are converted; empty if they are stored as they are."""
     return "; ".join(sorted({*touches.listing["part"].unique().to_pylist()} - {""}))
 
 
 def read_frames(
-    home: store.DataFolder, picture: importing.PicturePlace, numbers: Sequence[int]
+    home: store.DataFolder, picture: source_touches.PictureLocation, numbers: Sequence[int]
 ) -> Iterator[bytes | errors.ItemError]:
     """Yield the pictures of a video with some numbers."""
     return videos.pictures_of_video(home, picture.path, numbers)
 
 
-read_contents = partial(importing.pictures_by_file, read_frames)
+read_contents = partial(source_files.pictures_by_file, read_frames)
 
 
 def _pack_anytouch(shard: store.ShardName, index: pa.Table, images: Iterator[NamedImage]) -> convert.Made:
@@ -288,11 +289,11 @@ plan_anytouch = TouchFormat(_ANYTOUCH_FOLDER, _pack_anytouch, _write_lists).plan
 
 def find_anytouch(
     home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
-) -> Iterator[importing.FoundTouches]:
+) -> Iterator[source_touches.SourceTouches]:
     """Yield the lines of each list, or of one list, as touches; the touch of a missing file has a problem."""
     named = home if table is None else store.open_folder(table)
-    find = partial(importing.visible_files, endings=_LIST_END)
-    folder_of_lists, lists = importing.files_to_read(named, f"lists (*{_LIST_END})", find)
+    find = partial(source_files.visible_files, endings=_LIST_END)
+    folder_of_lists, lists = source_files.files_to_read(named, f"lists (*{_LIST_END})", find)
     for list_name in lists:
         split = list_name.removesuffix(_LIST_END)
         with tables.open_source(folder_of_lists, list_name) as stream:
@@ -300,7 +301,7 @@ def find_anytouch(
         paths, labels, rounds = list[str](), list[str](), list[str]()
         for line in lines:
             image, label, *_ = f"{line},".split(",")
-            folder, _, base = importing.path_of(image).rpartition("/")
+            folder, _, base = source_files.path_of(image).rpartition("/")
             paths.append(f"{_ANYTOUCH_IMAGES}/{folder}/{_ANYTOUCH_FRAMES}/{base}")
             labels.append(label.strip())
             rounds.append(convert.id_of_stem(folder.removeprefix(f"{split}-")))
@@ -311,4 +312,4 @@ def find_anytouch(
             "round_id": pa.array(rounds, pa.string()),
             "split": column_types.repeated(split, len(paths)),
         }
-        yield importing.image_files(home, paths, fields, dict.fromkeys(left_out, problem))
+        yield source_files.image_files(home, paths, fields, dict.fromkeys(left_out, problem))

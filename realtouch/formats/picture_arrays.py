@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from realtouch import importing
+from realtouch.importing import source_files, source_touches
 from tactile_toolkit import cache, errors, store, touch, wording
 from tactile_toolkit.array_types import AnyArray, Floating, UInt8
 
@@ -39,7 +39,7 @@ class StoredArray:
     ``stored_bytes()`` returns the approximate size of the stored array in bytes.
     """
 
-    place: str
+    address: str
     shape: tuple[int, ...]
     dtype: np.dtype[np.generic]
     step: int
@@ -48,7 +48,7 @@ class StoredArray:
 
     def refused(self, problem: str) -> errors.InputError:
         """Return the error for an array that cannot be used."""
-        return errors.InputError(f"{self.place!r}: {problem}")
+        return errors.InputError(f"{self.address!r}: {problem}")
 
     def blocks(self) -> Iterator[AnyArray]:
         """Yield all rows, a block at a time."""
@@ -56,7 +56,7 @@ class StoredArray:
 
     def rows(self) -> AnyArray:
         """Return all rows."""
-        cache.require_unpackable(math.prod(self.shape) * self.dtype.itemsize, f"{self.place}: {self.shape}")
+        cache.require_unpackable(math.prod(self.shape) * self.dtype.itemsize, f"{self.address}: {self.shape}")
         return np.concatenate([np.empty((0, *self.shape[1:]), self.dtype), *self.blocks()])
 
 
@@ -79,7 +79,7 @@ class PictureArray:
         count = math.prod(array.shape)
         cache.require_unpackable(
             count * array.dtype.itemsize,
-            f"{array.place}: {array.shape}, {array.dtype},",
+            f"{array.address}: {array.shape}, {array.dtype},",
             _COMPRESSION * stored,
         )
         if not count or len(pictures.shape) != 4 or pictures.shape[3] not in _CHANNELS:
@@ -170,14 +170,17 @@ OpenPictures = Callable[[store.DataFolder, str, str], PictureArray]
 
 
 def read_contents(
-    places: Iterable[importing.PicturePlace], opened: OpenPictures
+    locations: Iterable[source_touches.PictureLocation], opened: OpenPictures
 ) -> Iterator[bytes | errors.ItemError]:
     """Yield pictures of arrays, in order: images as PNG, pictures of clips as JPEG."""
-    return importing.pictures_by_file(partial(_read_pictures, opened), places)
+    return source_files.pictures_by_file(partial(_read_pictures, opened), locations)
 
 
 def _read_pictures(
-    opened: OpenPictures, home: store.DataFolder, picture: importing.PicturePlace, numbers: Sequence[int]
+    opened: OpenPictures,
+    home: store.DataFolder,
+    picture: source_touches.PictureLocation,
+    numbers: Sequence[int],
 ) -> Iterator[bytes]:
     """Yield pictures of an array by their numbers; consecutive pictures of a block read it once."""
     pictures = opened(home, picture.path, picture.part)
@@ -188,7 +191,7 @@ def _read_pictures(
         yield touch.encode_image(pixels(pictures, block)[row], encoding)
 
 
-def described_pictures(touches: importing.FoundTouches, opened: OpenPictures) -> str:
+def described_pictures(touches: source_touches.SourceTouches, opened: OpenPictures) -> str:
     """Return how the pictures of some touches are converted; empty if they are taken as they are."""
     first = touches[0]
     words = [opened(store.open_folder(first.home), first.path, first.part).described()]
@@ -198,12 +201,12 @@ def described_pictures(touches: importing.FoundTouches, opened: OpenPictures) ->
 
 
 def columns_of(
-    arrays: Mapping[str, Callable[[], StoredArray]], frames: int, wanted: Collection[str]
+    arrays: Mapping[str, Callable[[], StoredArray]], frames: int, required: Collection[str]
 ) -> tuple[dict[str, AnyArray], list[str]]:
     """Read fields of each picture: shape (frames,), or (frames, k) for vectors and matrices.
 
     ``arrays`` holds functions that open arrays, by name. Also returns the names of the arrays that are left
-    out, each with its shape or the reason. Raises InputError if such an array is wanted.
+    out, each with its shape or the reason. Raises InputError if such an array is required.
     """
     columns: dict[str, AnyArray] = {}
     others = []
@@ -212,17 +215,17 @@ def columns_of(
         try:
             array = opened()
         except errors.InputError:  # its message, which names the place of the source, is not kept
-            if name in wanted:
+            if name in required:
                 raise
             others.append(f"{name} (cannot be read)")
             continue
         width = math.prod(array.shape[1:])
         if array.shape[:1] == (frames,) and 0 < width <= _MAX_NUMBERS:
             size += frames * width * array.dtype.itemsize
-            cache.require_unpackable(size, f"{array.place}, with all arrays before it,")
+            cache.require_unpackable(size, f"{array.address}, with all arrays before it,")
             rows = _rows_with_checked_text(array).reshape(frames, width)
             columns[name] = rows[:, 0] if width == 1 else rows
-        elif name in wanted:
+        elif name in required:
             raise array.refused(f"an array {array.shape}; expected {frames:,} rows of numbers, as frames")
         else:
             others.append(f"{name} {array.shape}")

@@ -21,8 +21,9 @@ from typing import NamedTuple
 import msgspec
 import pyarrow as pa
 
-from realtouch import convert, importing, touch_options
+from realtouch import convert, touch_options
 from realtouch.formats import exports
+from realtouch.importing import source_files, source_touches
 from realtouch.touches import media
 from tactile_toolkit import errors, store
 from tactile_toolkit.columns import column_types, tables
@@ -47,9 +48,9 @@ def tar_of(samples: Iterable[Sample]) -> bytes:
     size = 2 * tarfile.BLOCKSIZE
     for name, image, fields in samples:
         for member, content in ((name, image), (f"{name.partition('.')[0]}.json", _json_of(fields))):
-            rest = -len(content) % tarfile.BLOCKSIZE
-            parts += (_header(member, len(content)), content, bytes(rest))
-            size += tarfile.BLOCKSIZE + len(content) + rest
+            padding = -len(content) % tarfile.BLOCKSIZE
+            parts += (_header(member, len(content)), content, bytes(padding))
+            size += tarfile.BLOCKSIZE + len(content) + padding
     return b"".join([*parts, bytes(2 * tarfile.BLOCKSIZE + -size % tarfile.RECORDSIZE)])
 
 
@@ -85,7 +86,7 @@ plan_webdataset = exports.TouchFormat(_FOLDER, _pack).plan
 
 def find_webdataset(
     home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
-) -> Iterator[importing.FoundTouches]:
+) -> Iterator[source_touches.SourceTouches]:
     """Yield the samples of each tar as touches; only headers and short texts are read."""
     if table is not None:
         raise errors.InputError(
@@ -94,8 +95,8 @@ def find_webdataset(
             field="table",
         )
     known = dict[str, None]()
-    folder, names = importing.files_to_read(
-        home, "tars (*.tar)", partial(importing.visible_files, endings=".tar")
+    folder, names = source_files.files_to_read(
+        home, "tars (*.tar)", partial(source_files.visible_files, endings=".tar")
     )
     for name in names:
         with store.without_collecting():
@@ -105,13 +106,15 @@ def find_webdataset(
             yield _touches(folder, name, samples)
             known |= dict.fromkeys(field for sample in samples for field in sample.values)
     if known:
-        importing.require_columns(list(known), columns.found_in(known).names(), home.address())
+        source_files.require_columns(list(known), columns.found_in(known).names(), home.address())
 
 
-def _touches(folder: store.DataFolder, name: str, samples: Sequence[_Sample]) -> importing.FoundTouches:
+def _touches(folder: store.DataFolder, name: str, samples: Sequence[_Sample]) -> source_touches.SourceTouches:
     """Return the samples of a tar; of samples with the same key, only the first can be used."""
     problems = {number: sample.problems[0] for number, sample in enumerate(samples) if sample.problems}
-    problems |= importing.duplicates_of([sample.key for sample in samples], "key as in sample {} of this tar")
+    problems |= source_files.duplicates_of(
+        [sample.key for sample in samples], "key as in sample {} of this tar"
+    )
     names = dict.fromkeys(field for sample in samples for field in sample.values)
     if len(names) > _MAX_FIELDS:
         raise errors.InputError(
@@ -124,7 +127,7 @@ def _touches(folder: store.DataFolder, name: str, samples: Sequence[_Sample]) ->
         if pa.types.is_string(column.type) and any(field in sample.endings for sample in samples):
             column = column_types.from_text(column)
         fields[field.encode(errors="backslashreplace").decode()] = column
-    return importing.FoundTouches.of(
+    return source_touches.SourceTouches.of(
         [sample.key for sample in samples],
         folder.address(),
         name,
@@ -158,7 +161,7 @@ def _members(folder: store.DataFolder, name: str) -> Iterator[_Member]:
             stream.seek(0)
             for member in convert.files_of_tar(stream, folder.size_bytes(name)):
                 start = member.offset_data
-                path = importing.path_of(member.name)
+                path = source_files.path_of(member.name)
                 if store.is_hidden(path):  # macOS adds such a file to archives for each file
                     continue
                 directory, slash, base = path.rpartition("/")
@@ -178,7 +181,7 @@ def _members(folder: store.DataFolder, name: str) -> Iterator[_Member]:
 @lru_cache(maxsize=256)
 def _is_image(ending: str) -> bool:
     """Return whether an ending is that of an image; the ending may have several parts, as ``rgb.jpg``."""
-    return ending.lower().rpartition(".")[2] in importing.IMAGE_ENDINGS
+    return ending.lower().rpartition(".")[2] in source_files.IMAGE_ENDINGS
 
 
 class _Sample(NamedTuple):
@@ -198,10 +201,10 @@ def _sample(key: str, members: Sequence[_Member], columns: touch_options.ImportC
     if named:
         problems.append(errors.ItemError("name", f"the key {named}"))
         key = key.encode(errors="backslashreplace").decode()
-    wanted = columns.image_name.lower()
-    images = [member for member in members if _is_image(member.ending) and wanted in ("", member.ending)]
+    ending = columns.image_name.lower()
+    images = [member for member in members if _is_image(member.ending) and ending in ("", member.ending)]
     if not images:
-        expected = wanted or ", ".join(importing.IMAGE_ENDINGS)
+        expected = ending or ", ".join(source_files.IMAGE_ENDINGS)
         problems.append(errors.ItemError("missing", f"no image; expected one of {expected}"))
     if len(images) > 1:
         endings_found = ", ".join(image.ending for image in images)
@@ -274,7 +277,7 @@ plan_fota = exports.TouchFormat(_FOTA_FOLDER, _pack_fota, _write_counts, no_gaps
 
 def find_fota(
     home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
-) -> Iterator[importing.FoundTouches]:
+) -> Iterator[source_touches.SourceTouches]:
     """Yield the samples of each tar of one split; the folder has the name of the split."""
     split = home.address().rstrip("/").rpartition("/")[2]
     in_both_units = {*touch_options.POSE_COLUMNS, *touch_options.FOTA_POSE_COLUMNS}

@@ -180,7 +180,7 @@ class ZarrGroup:
     """A group, given by its path below the source: a folder or a ``.zip`` file."""
 
     def __init__(self, home: store.DataFolder, path: str) -> None:
-        self.home, self.path, self.place = home, path, home.address(path)
+        self.home, self.path, self.address = home, path, home.address(path)
         is_folder = (home.info(path) or {}).get("type") == "directory"
         self.is_zip = path.lower().endswith(".zip") and not is_folder
 
@@ -250,7 +250,7 @@ class ZarrGroup:
         except UNREADABLE as error:
             raise self.refused(path, "no array, or not with the metadata of Zarr 2 or 3") from error
         problem = layout.problem()
-        address = f"{self.place}/{path}"
+        address = f"{self.address}/{path}"
         if problem:
             raise self.refused(path, problem)
         cache.require_unpackable(layout.chunk_bytes, f"{address}: a chunk")
@@ -260,7 +260,7 @@ class ZarrGroup:
 
     def refused(self, path: str, problem: str) -> errors.InputError:
         """Return the error for a part of the group that cannot be used."""
-        address = f"{self.place}/{path}".rstrip("/")
+        address = f"{self.address}/{path}".rstrip("/")
         return errors.InputError(f"{address!r}: {problem}")
 
     def _stored_bytes(self, path: str) -> int:
@@ -273,7 +273,7 @@ class ZarrGroup:
         step, *parts = layout.chunks
         size = (min(step, layout.shape[0] - number * step), *layout.shape[1:])
         dtype = layout.dtype.newbyteorder("=")
-        cache.require_unpackable(math.prod(size) * dtype.itemsize, f"{self.place}/{path}: {size} values")
+        cache.require_unpackable(math.prod(size) * dtype.itemsize, f"{self.address}/{path}: {size} values")
         values: AnyArray = np.broadcast_to(layout.fill, size)  # the value where no chunk is stored
         for index in product(*map(range, layout.counts[1:])):
             chunk = self._chunk(path, layout, (number, *index))

@@ -16,9 +16,10 @@ from itertools import pairwise
 import numpy as np
 import pyarrow as pa
 
-from realtouch import importing, touch_options
+from realtouch import touch_options
 from realtouch.formats import picture_arrays, zarr_arrays
 from realtouch.formats.exports import CONTACT
+from realtouch.importing import source_files, source_touches
 from realtouch.touches.rounds import touch_id
 from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import Int64
@@ -48,20 +49,20 @@ _OUR_VALUES = ("label", "label_name", "object_id", *touch_options.POSITION_COLUM
 
 def find_replay(
     home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
-) -> Iterator[importing.Recording]:
+) -> Iterator[source_touches.Recording]:
     """Yield a recording for each episode of the buffer; its arrays are columns.
 
     The meaning of an array does not follow from its shape; only a buffer of this toolkit states its columns.
     """
     group = group_in(home)
     names = data_arrays(group)
-    name = importing.chosen_pictures(names, columns.image_name or PIXELS, group.place, "arrays")
+    name = source_files.chosen_pictures(names, columns.image_name or PIXELS, group.address, "arrays")
     return recordings_of(group, names, (name, None), columns)
 
 
 def find_oxt(
     home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
-) -> Iterator[importing.Recording]:
+) -> Iterator[source_touches.Recording]:
     """Yield a recording for each episode; the pictures are those of the only sensor, or of the named one.
 
     A sensor has the name of its array. If the array holds several sensors, their numbers follow, from 0:
@@ -78,14 +79,16 @@ def find_oxt(
             else:
                 numbers = range(min(count, _MAX_SENSORS))
                 sensors |= {f"{name}[{sensor}]": (name, sensor) for sensor in numbers}
-    chosen = importing.chosen_pictures(sensors, columns.image_name, group.place, "arrays of pictures", arrays)
+    chosen = source_files.chosen_pictures(
+        sensors, columns.image_name, group.address, "arrays of pictures", arrays
+    )
     return recordings_of(group, arrays, sensors[chosen], columns)
 
 
 def group_in(home: store.DataFolder) -> zarr_arrays.ZarrGroup:
     """Return the group that a folder or zip is, or the only one that it holds."""
     if home.address().lower().endswith(".zip"):
-        return zarr_arrays.ZarrGroup(*importing.source_of(home.address()))
+        return zarr_arrays.ZarrGroup(*source_files.source_of(home.address()))
     if home.exists(".zgroup") or home.exists("zarr.json"):
         return zarr_arrays.ZarrGroup(home, "")
     names = [name for name in home.names() if name.lower().endswith(_ENDINGS) and not store.is_hidden(name)]
@@ -101,7 +104,7 @@ def data_arrays(group: zarr_arrays.ZarrGroup) -> dict[str, object]:
     names = group.arrays(DATA)
     if not 0 < len(names) <= _MAX_ARRAYS:
         raise errors.InputError(
-            f"{group.place!r} has {len(names) or 'no'} arrays in its group 'data'; "
+            f"{group.address!r} has {len(names) or 'no'} arrays in its group 'data'; "
             f"expected a replay buffer or Open-X-Tactile, with at most {_MAX_ARRAYS} arrays",
             next="give the group itself; a zip must hold what is inside the group's folder",
         )
@@ -113,7 +116,7 @@ def recordings_of(
     names: Iterable[str],
     pictures: tuple[str, int | None],
     columns: touch_options.ImportColumns,
-) -> Iterator[importing.Recording]:
+) -> Iterator[source_touches.Recording]:
     """Return all episodes; ``pictures`` is an array of ``data``, and the number of the sensor in it.
 
     Columns that this toolkit wrote get their own names again. Raises InputError if the array has no pictures,
@@ -126,12 +129,14 @@ def recordings_of(
     of_meta = {
         array: partial(group.array, f"meta/{array}") for array in group.arrays("meta") if array in _OF_META
     }
-    wanted = {*columns.found_in(arrays).names(), importing.NUMBERED}
-    arrays_read, left_out = picture_arrays.columns_of(arrays, len(shown), wanted)
+    required = {*columns.found_in(arrays).names(), source_files.NUMBERED}
+    arrays_read, left_out = picture_arrays.columns_of(arrays, len(shown), required)
     per_frame = {array: column_types.column_of(values) for array, values in arrays_read.items()}
     source = (name, group.home.address(), group.path, part)
     size = math.prod(shown.shape[1:])
-    whole = importing.Recording(*source, 0, len(shown), size, per_frame=per_frame, left_out=tuple(left_out))
+    whole = source_touches.Recording(
+        *source, 0, len(shown), size, per_frame=per_frame, left_out=tuple(left_out)
+    )
     ends = episode_ends(group, len(shown))
     stated = group.json(ATTRIBUTES)
     meta, _ = picture_arrays.columns_of(of_meta, len(ends), ())
@@ -178,18 +183,18 @@ def episode_ends(group: zarr_arrays.ZarrGroup, frames: int) -> Int64:
     return ends
 
 
-def of_episodes(whole: importing.Recording, columns: touch_options.ImportColumns) -> set[str]:
+def of_episodes(whole: source_touches.Recording, columns: touch_options.ImportColumns) -> set[str]:
     """Return the columns that may describe whole episodes: labels, objects, rounds, splits and all texts."""
     known = columns.found_in(whole.per_frame)
-    stated = {importing.NUMBERED, known.label, known.object_id, known.round, known.split}
+    stated = {source_files.NUMBERED, known.label, known.object_id, known.round, known.split}
     return {
         name for name, column in whole.per_frame.items() if name in stated or pa.types.is_string(column.type)
     }
 
 
 def episodes_of(
-    whole: importing.Recording, ends: Int64, names: Sequence[str], of_episode: Collection[str]
-) -> Iterator[importing.Recording]:
+    whole: source_touches.Recording, ends: Int64, names: Sequence[str], of_episode: Collection[str]
+) -> Iterator[source_touches.Recording]:
     """Divide a recording into episodes; their default names are ``episode-000000`` and so on.
 
     A column of ``of_episode`` becomes a value of each episode, if it does not change within any episode.
@@ -208,8 +213,8 @@ def episodes_of(
     time = next((name for name in TIMES if _holds_times(per_frame.get(name), starts)), None)
     times = None if time is None else per_frame[time].to_numpy()
     per_frame = {name: column for name, column in per_frame.items() if name not in constant}
-    if time == importing.TIME_S:
-        per_frame.pop(importing.TIME_S, None)
+    if time == source_touches.TIME_S:
+        per_frame.pop(source_touches.TIME_S, None)
     for number, (start, end) in enumerate(pairwise([0, *ends.tolist()])):
         values = {name: constant_values[number].as_py() for name, constant_values in constant.items()}
         yield replace(
@@ -223,11 +228,11 @@ def episodes_of(
         )
 
 
-def _is_same(column: pa.Array, other: pa.Array) -> bool:
+def _is_same(column: pa.Array, constant: pa.Array) -> bool:
     if pa.types.is_floating(column.type):  # NaN is a missing value, too
-        first, second = column_types.floats_of(column), column_types.floats_of(other)
+        first, second = column_types.floats_of(column), column_types.floats_of(constant)
         return np.array_equal(first, second, equal_nan=True)
-    return bool(column.equals(other))
+    return bool(column.equals(constant))
 
 
 def _holds_times(column: pa.Array | None, starts: Int64) -> bool:
@@ -246,8 +251,8 @@ def _texts(stated: Mapping[str, object], name: str) -> list[str]:
 
 
 def name_ours(
-    whole: importing.Recording, vectors: Mapping[str, Sequence[str]], class_names: Sequence[str]
-) -> importing.Recording:
+    whole: source_touches.Recording, vectors: Mapping[str, Sequence[str]], class_names: Sequence[str]
+) -> source_touches.Recording:
     """Return a recording that this toolkit wrote, with the column names of its tables."""
     per_frame = dict(whole.per_frame)
     for name, names in vectors.items():
@@ -258,18 +263,18 @@ def name_ours(
                 per_frame |= {
                     own_name: pa.array(part) for own_name, part in zip(names, columns, strict=False)
                 }
-    label = per_frame.get(importing.NUMBERED)
+    label = per_frame.get(source_files.NUMBERED)
     if label is not None and pa.types.is_integer(label.type) and not label.null_count:
         numbers = label.to_numpy()
         known = pa.array([*class_names, None], pa.string())
         is_known = (numbers >= 0) & (numbers < len(class_names))
-        per_frame[f"{importing.NUMBERED}_name"] = known.take(
+        per_frame[f"{source_files.NUMBERED}_name"] = known.take(
             pa.array(np.where(is_known, numbers, len(class_names)))
         )
     return replace(whole, per_frame=per_frame)
 
 
-def with_contact(recording: importing.Recording) -> importing.Recording:
+def with_contact(recording: source_touches.Recording) -> source_touches.Recording:
     """Return a clip that this toolkit wrote, with its first and last picture of contact if it states them."""
     per_frame = dict(recording.per_frame)
     stated = per_frame.pop(CONTACT, None)

@@ -1,5 +1,1 @@
 """Import of recordings from other programs: touches are found, cut, given their fields, and stored."""
-
-from lazy_loader import attach_stub
-
-__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

@@ -65,7 +65,7 @@ class CutTable:
                 f"no cut {path!r}{wording.did_you_mean(path, source_touches.CUTS)}; expected "
                 f"{', '.join(source_touches.CUTS)} or the path of a table"
             )
-        self._place = home.address(name)
+        self._address = home.address(name)
         self._table = source_files.read_table(tables.Table.of(home, name), columns, RECORDING_COLUMNS)
         names = [*self._table.columns]
         known = [_FRAME, *(f"start_{unit}" for unit in units.Quantity.TIME.per_unit)]
@@ -75,7 +75,7 @@ class CutTable:
         if len(starts) != 1:
             columns_text = " and ".join(starts) or ", ".join(map(str, names)) or "none"
             raise errors.InputError(
-                f"{self._place!r} needs one column for the start of touches and one for the end; "
+                f"{self._address!r} needs one column for the start of touches and one for the end; "
                 f"found columns {columns_text}",
                 next="name the columns start_s and end_s (or _ms, _us, _ns), or start_frame and end_frame",
             )
@@ -83,7 +83,7 @@ class CutTable:
         self._end_column = self._start_column.replace("start", "end")
         self._recording_column = next((name for name in RECORDING_COLUMNS if name in names), None)
         self._own_columns = list(filter(None, (self._start_column, self._end_column, self._recording_column)))
-        source_files.require_columns(names, self._own_columns, self._place)
+        source_files.require_columns(names, self._own_columns, self._address)
         # Another name than "start" states the unit.
         self._time_unit = columns.time_unit if self._start_column == "start" else None
         self._recording_of_row: dict[int, str] = {}
@@ -96,17 +96,17 @@ class CutTable:
         for row, stated in enumerate(self._stated_recordings):
             self._rows_that_state.setdefault(stated, []).append(row)
 
-    def touches_of(self, recording: source_touches.Recording) -> source_touches.FoundTouches:
+    def touches_of(self, recording: source_touches.Recording) -> source_touches.SourceTouches:
         """Return the touches of a recording in the order of the table.
 
         A touch that cannot be cut has a problem. Raises InputError if a row fits several recordings.
         """
         clips = []
         for count, row in enumerate(self._rows_of(recording)):
-            other = self._recording_of_row.setdefault(row, recording.name)
-            if other != recording.name:
+            owner = self._recording_of_row.setdefault(row, recording.name)
+            if owner != recording.name:
                 raise errors.InputError(
-                    f"{self._place!r}: row {row + 1:,} could mean {other!r} or {recording.name!r}",
+                    f"{self._address!r}: row {row + 1:,} could mean {owner!r} or {recording.name!r}",
                     next=f"write whole paths below the source, in a column {RECORDING_COLUMNS[0]!r}",
                 )
             name = f"{recording.name}_{count:03d}"
@@ -119,11 +119,11 @@ class CutTable:
             fields = {key: value for key, value in values.items() if key not in self._own_columns}
             clips.append(source_touches.Clip(start, stop, name, fields=fields))
         if not clips:
-            problem = errors.ItemError("cut", f"no row of {self._place!r} names this recording")
+            problem = errors.ItemError("cut", f"no row of {self._address!r} names this recording")
             clips = [recording.unusable(problem)]
         return recording.clips(clips)
 
-    def unused(self) -> source_touches.FoundTouches:
+    def unused(self) -> source_touches.SourceTouches:
         """Return the rows whose recording was not found, each with this problem."""
         rows = [row for row in range(self._table.rows) if row not in self._recording_of_row]
         problems = {}
@@ -133,7 +133,7 @@ class CutTable:
                 "recording", f"names {stated!r}; expected a recording of the source"
             )
         names = [f"row {row + 1} of the cuts" for row in rows]
-        return source_touches.FoundTouches.of(names, self._place, "", {}, problems=problems)
+        return source_touches.SourceTouches.of(names, self._address, "", {}, problems=problems)
 
     def _rows_of(self, recording: source_touches.Recording) -> Sequence[int]:
         """Return the rows of a recording; all rows if no column names recordings."""
@@ -215,7 +215,7 @@ class Cutter:
         if cut is not None and cut not in source_touches.CUTS:
             self._table = CutTable(cut, columns or touch_options.ImportColumns())
 
-    def cut(self, recording: source_touches.Recording) -> source_touches.FoundTouches:
+    def cut(self, recording: source_touches.Recording) -> source_touches.SourceTouches:
         """Return the touches of a recording in order; a recording that cannot be cut is one touch.
 
         That touch has the problem. Raises InputError if a row of a table fits several recordings.
@@ -229,7 +229,7 @@ class Cutter:
             return recording.clips(list(self._by_contact(recording)))
         return source_touches.touches_of(recording, self.done)
 
-    def unused(self) -> list[source_touches.FoundTouches]:
+    def unused(self) -> list[source_touches.SourceTouches]:
         """Return the rows of a table whose recordings were not found, each with this problem."""
         return [] if self._table is None else [self._table.unused()]
 
@@ -285,8 +285,8 @@ def pictures_of(
     recording: source_touches.Recording, parts: Iterable[range], contents: source_files.ReadContents
 ) -> Iterator[UInt8 | None]:
     """Yield the pictures of some ranges, in order, shape (H, W, 3); None for an unreadable picture."""
-    places = (recording.place(part.start, part.stop) for part in parts)
-    for content in contents(places):
+    locations = (recording.location(part.start, part.stop) for part in parts)
+    for content in contents(locations):
         try:
             yield None if isinstance(content, errors.ItemError) else touch.decode_image(content)
         except ValueError:
@@ -341,8 +341,8 @@ class GelAtRest:
         spread = np.unique(numbers).tolist()
         samples: dict[int, UInt8] = {}
         step = 1
-        seen = pictures_of(recording, (range(number, number + 1) for number in spread), contents)
-        for index, (number, picture) in enumerate(zip(spread, seen, strict=False)):
+        pictures_read = pictures_of(recording, (range(number, number + 1) for number in spread), contents)
+        for index, (number, picture) in enumerate(zip(spread, pictures_read, strict=False)):
             if picture is not None and not self.shape:
                 self.shape, self.window = picture.shape, rule.window(*picture.shape[:2])
                 fitting = max(_MIN_SAMPLES, _SAMPLE_BYTES // picture[self.window].nbytes)
@@ -394,11 +394,11 @@ def find_contacts(
     uncropped = replace(rule, crop=1.0)
     numbers = range(recording.frames)
     for number, picture in zip(numbers, pictures_of(recording, [numbers], contents), strict=False):
-        seen = background.cropped(picture)
-        if seen is None:
+        cropped = background.cropped(picture)
+        if cropped is None:
             unreadable += 1
             continue
-        score = contact.contact_score(seen, background.at(number), uncropped)
+        score = contact.contact_score(cropped, background.at(number), uncropped)
         area_px[number], change[number], holds[number] = score.area_px, score.total_change, rule.holds(score)
     starts, stops = _joined(holds, recording.time_s)
     counts = [int(holds[start:stop].sum()) for start, stop in zip(starts, stops, strict=True)]
@@ -451,10 +451,10 @@ def draw_cuts(
     If there are many touches, only the first ones are shown by a picture.
     """
     best = [run.best for run in contacts.runs[:_MAX_TILES]]
-    seen = pictures_of(recording, [range(frame, frame + 1) for frame in best], contents)
+    best_pictures = pictures_of(recording, [range(frame, frame + 1) for frame in best], contents)
     tiles = [
         pictures.Tile(_small(picture), f"{number:03d}: #{frame:,}")
-        for number, (frame, picture) in enumerate(zip(best, seen, strict=True))
+        for number, (frame, picture) in enumerate(zip(best, best_pictures, strict=True))
         if picture is not None
     ]
     touches = wording.with_count(len(contacts.runs), "touches")

@@ -56,7 +56,7 @@ def integer_text(text: str) -> str:
 
 
 def labels_of(
-    touches: source_touches.FoundTouches, column: str | None, names: Sequence[str]
+    touches: source_touches.SourceTouches, column: str | None, names: Sequence[str]
 ) -> tuple[Int64, dict[int, errors.ItemError]]:
     """Return the class number of each touch, -1 if it is unknown, and the problems by index."""
     numbers = {name: number for number, name in reversed([*enumerate(names)])}
@@ -64,13 +64,13 @@ def labels_of(
     labels = np.full(len(touches), -1)
     if not numbers:
         return labels, problems
-    seen: dict[str, int | None] = dict.fromkeys(UNKNOWN, -1)
+    number_of: dict[str, int | None] = dict.fromkeys(UNKNOWN, -1)
     stated = zip(touches.texts(column), touches.texts(source_files.NUMBERED), strict=True)
     for index, (name, digits) in enumerate(stated):
         label = name or digits
-        if label not in seen:
-            seen[label] = numbers.get(label, numbers.get(integer_text(label)))
-        number = seen[label]
+        if label not in number_of:
+            number_of[label] = numbers.get(label, numbers.get(integer_text(label)))
+        number = number_of[label]
         if number is None:
             problems[index] = errors.ItemError("label", f"the label {shown(label)!r}; expected a class")
         else:
@@ -89,7 +89,7 @@ def _nested_labels(column: pa.Array | None) -> dict[int, errors.ItemError]:
 
 
 def objects_of(
-    touches: source_touches.FoundTouches, column: str | None
+    touches: source_touches.SourceTouches, column: str | None
 ) -> tuple[Int64, dict[int, errors.ItemError]]:
     """Return the object id of each touch, 0 without such a column, and the problems by index."""
     object_ids = np.zeros(len(touches), np.int64)
@@ -257,14 +257,14 @@ def _frame(columns: touch_options.ImportColumns) -> tuple[Float64, Float64]:
     return Rotation.from_matrix(matrix[:3, :3]).as_matrix(), matrix[:3, 3] / per_metre
 
 
-def _require_metres(places: Float64, reason: str) -> None:
-    is_far = (np.abs(places) > _FARTHEST_M[: places.shape[1]]).any(axis=1)
+def _require_metres(position_m: Float64, reason: str) -> None:
+    is_far = (np.abs(position_m) > _FARTHEST_M[: position_m.shape[1]]).any(axis=1)
     if is_far.any():
         raise errors.ItemError(
             reason,
-            f"the position {shown(tuple(places[is_far.argmax()].tolist()))}, in metres, lies farther outside "
-            "of the cell than it is wide; expected metres in the cell frame (--length-unit states another "
-            "unit, --transform another frame)",
+            f"the position {shown(tuple(position_m[is_far.argmax()].tolist()))}, in metres, lies farther "
+            "outside of the cell than it is wide; expected metres in the cell frame (--length-unit states "
+            "another unit, --transform another frame)",
         )
 
 
@@ -287,7 +287,7 @@ def _numbers(
         example = first[0] if len(first) == 1 else first
         expected = f"{sizes[0]} finite numbers"
         if len(sizes) > 1:
-            counts = touch_options.expected_counts(sizes[1:])
+            counts = wording.alternatives(list(map(str, sizes[1:])))
             expected += f", or {counts} of a matrix (6 with --euler or --rotvec)"
         raise errors.ItemError(reason, f"{shown(example)}; expected {expected}")
     return numbers / columns.divisors(names, numbers.shape[1])
@@ -303,7 +303,7 @@ def used_names(columns: touch_options.ImportColumns) -> set[str | None]:
 
 
 def extra_sources(
-    touches: source_touches.FoundTouches, columns: touch_options.ImportColumns
+    touches: source_touches.SourceTouches, columns: touch_options.ImportColumns
 ) -> dict[str, str]:
     """Return the extra columns of touches: the name in the source by the new name.
 
@@ -330,7 +330,7 @@ def extra_sources(
 
 
 def extra_types(
-    touches: source_touches.FoundTouches, columns: touch_options.ImportColumns
+    touches: source_touches.SourceTouches, columns: touch_options.ImportColumns
 ) -> dict[str, pa.DataType]:
     """Return the type of the value of a touch in each extra column, by the name of the column in a data set.
 
@@ -356,7 +356,7 @@ def extra_types(
 
 
 def extra_arrays(
-    touches: source_touches.FoundTouches,
+    touches: source_touches.SourceTouches,
     columns: touch_options.ImportColumns,
     types: Mapping[str, pa.DataType],
 ) -> dict[str, pa.Array]:
@@ -377,7 +377,7 @@ def kept_sources(columns: touch_options.ImportColumns, types: Iterable[str]) -> 
 
 
 def not_kept(
-    touches: source_touches.FoundTouches, columns: touch_options.ImportColumns, types: Iterable[str]
+    touches: source_touches.SourceTouches, columns: touch_options.ImportColumns, types: Iterable[str]
 ) -> dict[str, int]:
     """Return the number of touches with each field that is neither used nor kept, by its printable name."""
     kept = used_names(columns) | kept_sources(columns, types).keys()

@@ -119,22 +119,22 @@ def import_touches(
     return store.build(folder, plan, write_card=touch_card.write_card, **run)
 
 
-def plan_of(touches: Arranged, recordings: import_sources.FoundSource) -> store.BuildPlan:
+def plan_of(touches: Arranged, recordings: import_sources.ReadSource) -> store.BuildPlan:
     """Return the plan of an import: a task for each shard, and its specification for the manifest."""
     every = recordings.touches
-    work: Any = touches.work  # takes touches; the type of a task only knows items that can be counted
+    make_shard: Any = touches.make_shard  # takes touches; the type of a task only knows counted items
     tasks = []
     for split, parts in touches.shards.items():
         for index, part in enumerate(parts):
             shard = store.ShardName(split, index, len(parts))
-            tasks.append(store.ShardTask(shard, part, work, work.digest))
+            tasks.append(store.ShardTask(shard, part, make_shard, make_shard.digest))
     spec: JsonDict = {
         "operation": "import",
         "options": {
             "layout": recordings.layout,
-            "columns": {key: value for key, value in asdict(work.columns).items() if value},
-            "classes": list(work.names),
-            "image_size": work.image_size and [work.image_size[1], work.image_size[0]],
+            "columns": {key: value for key, value in asdict(make_shard.columns).items() if value},
+            "classes": list(make_shard.names),
+            "image_size": make_shard.image_size and [make_shard.image_size[1], make_shard.image_size[0]],
         },
         "source": {
             split: [{"file": "images", "rows": sum(map(len, parts))}]
@@ -171,8 +171,8 @@ def _write_pictures(
     return convert.write_changed(folder, pictures)
 
 
-def _listing_digest(touches: source_touches.FoundTouches) -> str:
-    """Return the checksum of the names, places, times and fields of all touches."""
+def _listing_digest(touches: source_touches.SourceTouches) -> str:
+    """Return the checksum of the names, locations, times and fields of all touches."""
     digest = hashlib.sha256()
     listing = touches.listing.select(["name", "start", "size", "time_s"])
     for table in (listing, touches.per_touch, touches.per_frame):
@@ -184,7 +184,7 @@ def _listing_digest(touches: source_touches.FoundTouches) -> str:
 
 
 def _style(
-    touches: source_touches.FoundTouches, shards: Mapping[str, Sequence[source_touches.FoundTouches]]
+    touches: source_touches.SourceTouches, shards: Mapping[str, Sequence[source_touches.SourceTouches]]
 ) -> store.ParquetStyle:
     """Return how many rounds are stored in a row group, and how the images are encoded."""
     touch_bytes = pc.sum(touches.listing["size"]).as_py() // len(touches) + 1
@@ -206,11 +206,11 @@ class Arranged:
     ``shards`` holds the shards of each split by its name; a shard has whole rounds, one after the other.
     """
 
-    shards: Mapping[str, Sequence[source_touches.FoundTouches]]
-    work: import_shards.ImportTouches
+    shards: Mapping[str, Sequence[source_touches.SourceTouches]]
+    make_shard: import_shards.ImportTouches
 
 
-def arranged(recordings: import_sources.FoundSource, classes: Sequence[str], split: str | None) -> Arranged:
+def arranged(recordings: import_sources.ReadSource, classes: Sequence[str], split: str | None) -> Arranged:
     """Divide the touches of a source into rounds and splits; InputError if nothing can be imported."""
     if split is not None and not _SPLIT.fullmatch(split):
         raise errors.InputError(f"the split is {split!r}; expected letters, digits and underscores")
@@ -237,8 +237,8 @@ def arranged(recordings: import_sources.FoundSource, classes: Sequence[str], spl
 
 
 def _shard(
-    touches: source_touches.FoundTouches, rounds: Mapping[str, Sequence[int]]
-) -> source_touches.FoundTouches:
+    touches: source_touches.SourceTouches, rounds: Mapping[str, Sequence[int]]
+) -> source_touches.SourceTouches:
     """Return the touches of some rounds, one round after the other."""
     rows = np.concatenate([np.array(numbers, np.int64) for numbers in rounds.values()])
     names = [name for name, numbers in rounds.items() for _ in numbers]
@@ -257,7 +257,7 @@ def _divided(
     return [dict(pairs[part]) for part in _ranges_of(of_rounds, most_bytes)]
 
 
-def _class_names(touches: source_touches.FoundTouches, column: str | None) -> tuple[str, ...]:
+def _class_names(touches: source_touches.SourceTouches, column: str | None) -> tuple[str, ...]:
     """Return the classes in the data: the numbers from 0 to at least 9, or the names."""
     numbered: dict[str, str] = {}  # number by name: our exports state both, which keeps the order
     for name, number in dict.fromkeys(
@@ -277,7 +277,7 @@ def _class_names(touches: source_touches.FoundTouches, column: str | None) -> tu
 
 
 def _rounds(
-    touches: source_touches.FoundTouches, columns: touch_options.ImportColumns, split: str | None
+    touches: source_touches.SourceTouches, columns: touch_options.ImportColumns, split: str | None
 ) -> dict[str, dict[str, list[int]]]:
     """Return the touches of each round of each split, in order; a touch without a round gets its own."""
     by_split: dict[str, dict[str, list[int]]] = {}
@@ -347,7 +347,7 @@ def _ranges_of(sizes: Sequence[int], most_bytes: int) -> Iterator[slice]:
 
 
 def common_size(
-    touches: source_touches.FoundTouches, read: source_files.ReadContents, one_size_per_file: bool = False
+    touches: source_touches.SourceTouches, read: source_files.ReadContents, one_size_per_file: bool = False
 ) -> tuple[int, int] | None:
     """Return the most frequent height and width of images; None if no image can be read.
 
@@ -355,30 +355,30 @@ def common_size(
     sample of them has several sizes, as it takes long to read each image twice.
     """
     usable = touches.take(np.flatnonzero(touches.is_usable))
-    places = list[source_touches.PicturePlace]()
-    counts = dict[source_touches.PicturePlace, int]()
+    locations = list[source_touches.PictureLocation]()
+    counts = dict[source_touches.PictureLocation, int]()
     if one_size_per_file:
         of_files = usable.listing.group_by(["home", "path", "part"])
         files = of_files.aggregate([("number", "min"), ("frames", "sum"), ("frames", "count")])
         for row in files.sort_by("number_min").to_pylist():
-            places.append(touches[row["number_min"]]._replace(frames=0))
-            counts[places[-1]] = max(row["frames_sum"], row["frames_count"])
+            locations.append(touches[row["number_min"]]._replace(frames=0))
+            counts[locations[-1]] = max(row["frames_sum"], row["frames_count"])
     else:
-        places = list(usable)
-    sizes = _sizes(places[:: max(1, len(places) // _SIZE_SAMPLES)], read, counts)
+        locations = list(usable)
+    sizes = _sizes(locations[:: max(1, len(locations) // _SIZE_SAMPLES)], read, counts)
     if len(sizes) != 1:
-        sizes = _sizes(places, read, counts)
+        sizes = _sizes(locations, read, counts)
     return next((size for size, _ in sizes.most_common(1)), None)
 
 
 def _sizes(
-    places: Sequence[source_touches.PicturePlace],
+    locations: Sequence[source_touches.PictureLocation],
     read: source_files.ReadContents,
-    counts: Mapping[source_touches.PicturePlace, int],
+    counts: Mapping[source_touches.PictureLocation, int],
 ) -> Counter[tuple[int, int]]:
     """Count the sizes of intact images; ``counts`` says for how many pictures of its file an image stands."""
     sizes = Counter[tuple[int, int]]()
-    for content, picture in zip(read(places), places, strict=True):
+    for content, picture in zip(read(locations), locations, strict=True):
         if isinstance(content, bytes):
             with suppress(ValueError):
                 sizes[touch.intact_size(content)] += counts.get(picture, 1)
@@ -467,9 +467,9 @@ def preview_import(
         sum(usable.values()),
         sum(len(part.listing["round"].unique()) for parts in touches.shards.values() for part in parts),
         usable,
-        touches.work.names,
+        touches.make_shard.names,
         _pictures_in_words(recordings, touches),
-        _uses(recordings, import_shards.extras_in(touches.work.schema)),
+        _uses(recordings, import_shards.extras_in(touches.make_shard.schema)),
         first,
         list(recordings.streams),
         [(reason, len(texts), texts[0]) for reason, texts in messages.items()],
@@ -482,7 +482,7 @@ def _first(touches: Arranged, messages: dict[str, list[str]]) -> list[dict[str, 
         part.take(np.flatnonzero(part.is_usable)) for of_split in touches.shards.values() for part in of_split
     ]
     some = next((part for part in parts if len(part)), parts[0])[:_TOUCHES_SHOWN]
-    content = touches.work(store.ShardName("preview", 0, 1), some)
+    content = touches.make_shard(store.ShardName("preview", 0, 1), some)
     for skipped in content.skipped:
         messages.setdefault(skipped.reason, []).append(skipped.message)
     shown = []
@@ -502,13 +502,13 @@ def _in_words(value: JsonValue, touch: int) -> str:
     return wording.printable(str(value))[:_LONGEST_SHOWN]
 
 
-def _pictures_in_words(recordings: import_sources.FoundSource, touches: Arranged) -> str:
+def _pictures_in_words(recordings: import_sources.ReadSource, touches: Arranged) -> str:
     words = import_sources.IMPORTS[recordings.layout].describe(recordings.touches) or "stored as they are"
-    size = touches.work.image_size
+    size = touches.make_shard.image_size
     return words if size is None else f"{size[1]} x {size[0]} pixels, {words}"
 
 
-def _uses(recordings: import_sources.FoundSource, extras: Iterable[str]) -> list[tuple[str, str, str]]:
+def _uses(recordings: import_sources.ReadSource, extras: Iterable[str]) -> list[tuple[str, str, str]]:
     """Return each column of the source, what it becomes, and its unit; ``extras`` are the extra columns."""
     columns = recordings.columns
     roles: dict[str | None, str] = {

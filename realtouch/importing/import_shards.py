@@ -68,7 +68,7 @@ class _TouchFields(NamedTuple):
 class ImportTouches:
     """Picklable function that reads the pictures of some rounds and checks their fields.
 
-    ``versions`` holds the version of each file with several images, from when the places of these were read.
+    ``versions`` holds the version of each file with several images, taken before their positions were read.
     """
 
     layout: str
@@ -78,17 +78,17 @@ class ImportTouches:
     schema: pa.Schema
     versions: Mapping[source_touches.File, import_sources.Version]
 
-    def _contents(self, touches: source_touches.FoundTouches) -> Iterator[bytes | errors.ItemError]:
+    def _contents(self, touches: source_touches.SourceTouches) -> Iterator[bytes | errors.ItemError]:
         return import_sources.IMPORTS[self.layout].contents(touches.take(np.flatnonzero(touches.is_usable)))
 
-    def digest(self, touches: source_touches.FoundTouches) -> str:
+    def digest(self, touches: source_touches.SourceTouches) -> str:
         """Read the images of touches and return the checksum of them all."""
         digest = hashlib.sha256()
         _add_contents(digest, self._contents(touches))
         return digest.hexdigest()
 
     @store.without_collecting()
-    def __call__(self, shard: store.ShardName, touches: source_touches.FoundTouches) -> store.ShardContent:
+    def __call__(self, shard: store.ShardName, touches: source_touches.SourceTouches) -> store.ShardContent:
         """Read touches; those that cannot be used are left out and listed."""
         digest = hashlib.sha256()
         tables = [self.schema.empty_table()]
@@ -114,8 +114,8 @@ class ImportTouches:
             source_digest=digest.hexdigest(),
         )
 
-    def _require_unchanged(self, touches: source_touches.FoundTouches) -> None:
-        """Raise IntegrityError if a file with several images is not the one whose places were read."""
+    def _require_unchanged(self, touches: source_touches.SourceTouches) -> None:
+        """Raise IntegrityError if a file with several images is not the one whose images were located."""
         if not self.versions:
             return
         files = self.versions.keys() & {(picture.home, picture.path) for picture in touches}
@@ -127,30 +127,30 @@ class ImportTouches:
                     next="run the same command with --overwrite",
                 )
 
-    def _read_fields(self, touches: source_touches.FoundTouches) -> _TouchFields:
+    def _read_fields(self, touches: source_touches.SourceTouches) -> _TouchFields:
         """Read labels, objects, positions and poses of all usable touches."""
         owners = np.repeat(np.arange(len(touches)), touches.picture_counts)
         columns = self.columns
         labels, problems = fields.labels_of(touches, columns.label, self.names)
         objects, no_objects = fields.objects_of(touches, columns.object_id)
         poses, no_poses = self._of_pictures(touches, fields.poses, columns.pose or (), 7, owners)
-        places, no_places = self._of_pictures(
+        positions_m, no_positions = self._of_pictures(
             touches, fields.stated_positions, columns.position or (), 2, owners
         )
         of_touches, first = np.unique(owners, return_index=True)
         positions = np.full((len(touches), 2), np.nan)
-        positions[of_touches] = places[first]
-        differs = (np.abs(places - positions[owners]) > _SAME_M).any(axis=1)
+        positions[of_touches] = positions_m[first]
+        differs = (np.abs(positions_m - positions[owners]) > _SAME_M).any(axis=1)
         error = errors.ItemError(
             "position",
             "it differs between the pictures of the clip; expected one value (--map position= leaves it out)",
         )
         problems = dict.fromkeys(owners[differs].tolist(), error) | no_objects | problems
-        return _TouchFields(labels, objects, positions, poses, owners, problems | no_poses | no_places)
+        return _TouchFields(labels, objects, positions, poses, owners, problems | no_poses | no_positions)
 
     def _of_pictures(
         self,
-        touches: source_touches.FoundTouches,
+        touches: source_touches.SourceTouches,
         read: Callable[[fields.Fields, touch_options.ImportColumns], Float64],
         names: tuple[str, ...],
         width: int,
@@ -176,7 +176,7 @@ class ImportTouches:
 
     def _stored(
         self,
-        touches: source_touches.FoundTouches,
+        touches: source_touches.SourceTouches,
         rows: Int64,
         values: _TouchFields,
         contents: Iterator[bytes | errors.ItemError],
@@ -206,9 +206,9 @@ class ImportTouches:
         kept = np.array([index for index in made if index not in problems], np.int64)
         encoded = [made[index] for index in kept.tolist()]
         kept_clips = [clips[index] for index in kept.tolist() if index in clips]
-        places = values.positions[rows[kept]]
+        positions = values.positions[rows[kept]]
         turns = values.poses[np.isin(values.owners, rows[kept])]
-        about = values.labels[rows[kept]], values.objects[rows[kept]], places, turns
+        about = values.labels[rows[kept]], values.objects[rows[kept]], positions, turns
         return StoredTouches(piece.take(kept), *about, encoded, kept_clips), problems
 
     def _size(self, pictures: Sequence[bytes | errors.ItemError], *, is_clip: bool) -> tuple[int, int]:
@@ -236,7 +236,7 @@ class ImportTouches:
         return common or (0, 0)
 
 
-def _pieces(touches: source_touches.FoundTouches) -> Iterator[Int64]:
+def _pieces(touches: source_touches.SourceTouches) -> Iterator[Int64]:
     """Yield the rows of a few whole rounds at a time, so that few pictures are in memory twice."""
     rounds, sizes = (touches.listing[name].to_pylist() for name in ("round", "size"))
     start = size_bytes = 0
@@ -249,17 +249,17 @@ def _pieces(touches: source_touches.FoundTouches) -> Iterator[Int64]:
 
 
 def _of_other_rounds(
-    piece: source_touches.FoundTouches, values: _TouchFields, rows: Int64, kept: Sequence[int]
+    piece: source_touches.SourceTouches, values: _TouchFields, rows: Int64, kept: Sequence[int]
 ) -> dict[int, errors.ItemError]:
     """Return a problem for each touch whose label or object differs from the first one of its round."""
-    places = np.array(kept, np.int64)
-    codes = source_touches.one_chunk(piece.listing["round"]).dictionary_encode().indices.to_numpy()[places]
+    indices = np.array(kept, np.int64)
+    codes = source_touches.one_chunk(piece.listing["round"]).dictionary_encode().indices.to_numpy()[indices]
     _, first, of_round = np.unique(codes, return_index=True, return_inverse=True)
     error = errors.ItemError("round", "another label or object than the first touch of its round")
-    differs = np.zeros(len(places), bool)
-    for about in (values.labels[rows[places]], values.objects[rows[places]]):
+    differs = np.zeros(len(indices), bool)
+    for about in (values.labels[rows[indices]], values.objects[rows[indices]]):
         differs |= about != about[first[of_round]]
-    return dict.fromkeys(places[differs].tolist(), error)
+    return dict.fromkeys(indices[differs].tolist(), error)
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,7 +270,7 @@ class StoredTouches:
     missing value. ``media`` holds images or videos. ``clips`` is empty for single images.
     """
 
-    touches: source_touches.FoundTouches
+    touches: source_touches.SourceTouches
     labels: Int64
     objects: Int64
     positions: Float64
@@ -280,7 +280,7 @@ class StoredTouches:
 
 
 def touch_schema(
-    columns: touch_options.ImportColumns, names: Sequence[str], touches: source_touches.FoundTouches
+    columns: touch_options.ImportColumns, names: Sequence[str], touches: source_touches.SourceTouches
 ) -> pa.Schema:
     """Return the schema of imported rounds, of clips or of single images, with the columns that are known."""
     kind: stored_schema.Kind = "seq" if touches.has_clips else "single"
@@ -390,7 +390,7 @@ class ImportedClip:
 
 
 def clip_of(
-    touches: source_touches.FoundTouches,
+    touches: source_touches.SourceTouches,
     row: int,
     pictures: Sequence[bytes],
     size: tuple[int, int],
@@ -427,7 +427,7 @@ def clip_of(
 
 
 def clip_times_s(
-    touches: source_touches.FoundTouches, row: int, columns: touch_options.ImportColumns
+    touches: source_touches.SourceTouches, row: int, columns: touch_options.ImportColumns
 ) -> Float64 | None:
     """Return the time of each picture from the first one, seconds, shape (frames,); None if not known.
 

@@ -30,7 +30,7 @@ _SPLIT_FOLDERS = ("fota",)  # formats whose exports have a folder for each split
 Version = tuple[object, ...] | None
 FindTouches = Callable[
     [store.DataFolder, touch_options.ImportColumns, str | None],
-    Iterator[source_touches.FoundTouches | source_touches.Recording],
+    Iterator[source_touches.SourceTouches | source_touches.Recording],
 ]
 """Yields the touches of a folder, or recordings to cut, given columns and the path of a table."""
 _MAX_PATHS = 20_000
@@ -70,7 +70,7 @@ class Reading:
 
 
 @dataclass(frozen=True, slots=True)
-class FoundSource:
+class ReadSource:
     """The touches of a source.
 
     ``recognised_by`` is the file by which the format was recognised; empty if it was given. ``cut`` is how
@@ -83,7 +83,7 @@ class FoundSource:
     home: store.DataFolder
     layout: str
     recognised_by: str
-    touches: source_touches.FoundTouches
+    touches: source_touches.SourceTouches
     columns: touch_options.ImportColumns
     cut: str = ""
     pictures: Mapping[str, bytes] = field(default_factory=dict)
@@ -99,7 +99,7 @@ def versions_of(
     return {(home, path): opened(home).version(path) for home, path in files}
 
 
-def find_source(address: str, reading: Reading) -> FoundSource:
+def find_source(address: str, reading: Reading) -> ReadSource:
     """Recognise a source and find its touches; InputError if it cannot be used."""
     home = store.open_folder(address)
     columns = reading.columns or touch_options.ImportColumns()
@@ -119,7 +119,7 @@ def find_source(address: str, reading: Reading) -> FoundSource:
         path for path in (reading.table, reading.cut) if path is not None and path not in source_touches.CUTS
     ]
     aligner = Aligner(reading.streams, reading.alignment, columns, no_streams)
-    parts = list[source_touches.FoundTouches]()
+    parts = list[source_touches.SourceTouches]()
     left_out = dict[str, None]()
     versions = dict[source_touches.File, Version]()
     opened = cache(store.open_folder)
@@ -130,7 +130,7 @@ def find_source(address: str, reading: Reading) -> FoundSource:
             parts.append(cutter.cut(aligner.aligned(part)))
         else:
             parts.append(_timed(part, columns))
-    touches = source_touches.FoundTouches.joined([*parts, *cutter.unused()])
+    touches = source_touches.SourceTouches.joined([*parts, *cutter.unused()])
     if not len(touches):
         raise errors.InputError(f"{home.address()!r} holds nothing to import; expected pictures")
     if reading.cut is not None and not cutter.done:
@@ -144,12 +144,12 @@ def find_source(address: str, reading: Reading) -> FoundSource:
     completed = columns.found_in(touches.known, rotvec=read.rotvec)
     touches = fields_of_whole(_checked(touches), completed)
     of_cuts = (cutter.done, cutter.pictures, aligner.reports, tuple(left_out), versions)
-    return FoundSource(home, format_.layout, format_.by, touches, completed, *of_cuts)
+    return ReadSource(home, format_.layout, format_.by, touches, completed, *of_cuts)
 
 
 def _read_folders(
     home: store.DataFolder, layout: str, columns: touch_options.ImportColumns, table: str | None
-) -> Iterator[source_touches.FoundTouches | source_touches.Recording]:
+) -> Iterator[source_touches.SourceTouches | source_touches.Recording]:
     """Yield the touches and recordings of a folder, or of each split of an export of this toolkit."""
     folders = [home]
     if layout in home.entries():
@@ -163,7 +163,7 @@ def _read_folders(
 
 
 def _files_of_several(
-    part: source_touches.FoundTouches | source_touches.Recording,
+    part: source_touches.SourceTouches | source_touches.Recording,
 ) -> set[source_touches.File]:
     """Return the files with several pictures: recordings, and those with an image that starts later."""
     if isinstance(part, source_touches.Recording):
@@ -173,8 +173,8 @@ def _files_of_several(
 
 
 def _timed(
-    touches: source_touches.FoundTouches, columns: touch_options.ImportColumns
-) -> source_touches.FoundTouches:
+    touches: source_touches.SourceTouches, columns: touch_options.ImportColumns
+) -> source_touches.SourceTouches:
     """Return images with a field of times in seconds, as the pictures of recordings have it."""
     values = touches.value(columns.time) if columns.time else None
     if values is None:
@@ -194,7 +194,7 @@ def _timed(
     return touches.with_problems(problems).with_fields({source_touches.TIME_S: column})
 
 
-def _checked(touches: source_touches.FoundTouches) -> source_touches.FoundTouches:
+def _checked(touches: source_touches.SourceTouches) -> source_touches.SourceTouches:
     """Return all touches of a source with their numbers; an image that is too large has a problem."""
     listing = touches.listing
     is_large = pc.and_(pc.equal(listing["frames"], 0), pc.greater(listing["size"], touch.MAX_IMAGE_BYTES))
@@ -207,8 +207,8 @@ def _checked(touches: source_touches.FoundTouches) -> source_touches.FoundTouche
 
 
 def fields_of_whole(
-    touches: source_touches.FoundTouches, columns: touch_options.ImportColumns
-) -> source_touches.FoundTouches:
+    touches: source_touches.SourceTouches, columns: touch_options.ImportColumns
+) -> source_touches.SourceTouches:
     """Return clips with the label, round, object and split of their pictures as fields of the clip.
 
     A clip has a problem if a value differs between its pictures, unless the clip has its own value.
@@ -254,7 +254,7 @@ class ImportFormat:
     contents: source_files.ReadContents = source_files.contents_of
     cut: str = "frames"
     one_size_per_file: bool = False
-    describe: Callable[[source_touches.FoundTouches], str] = lambda _touches: ""
+    describe: Callable[[source_touches.SourceTouches], str] = lambda _touches: ""
     rotvec: bool = False
 
 

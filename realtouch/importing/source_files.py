@@ -30,15 +30,14 @@ NUMBERED = "label"
 _REMOTE_READERS = 16
 _AT_ONCE = 16  # pictures of a file that are read together
 _CURRENT_FOLDER = re.compile(r"^(?:\./+)+")
-_DIGITS = re.compile(r"([0-9]{1,18})")
 
-ReadContents = Callable[[Iterable[source_touches.PicturePlace]], Iterator[bytes | errors.ItemError]]
-"""Yields the bytes of the pictures of each place, in order, or why one cannot be read."""
+ReadContents = Callable[[Iterable[source_touches.PictureLocation]], Iterator[bytes | errors.ItemError]]
+"""Yields the bytes of the pictures at each location, in order, or why one cannot be read."""
 
 ReadNumbers = Callable[
-    [store.DataFolder, source_touches.PicturePlace, Sequence[int]], Iterator[bytes | errors.ItemError]
+    [store.DataFolder, source_touches.PictureLocation, Sequence[int]], Iterator[bytes | errors.ItemError]
 ]
-"""Yields the pictures with some numbers from the file, and the part of it, of a place in a folder."""
+"""Yields the pictures with some numbers from the file, and the part of it, of a location."""
 
 
 def path_of(text: str) -> str:
@@ -75,11 +74,6 @@ def files_to_read(
     return home, names
 
 
-def natural_order(path: str) -> list[tuple[int, str]]:
-    """Return a key by which ``demo_2`` stands before ``demo_10``."""
-    return [(int(part), "") if part.isdecimal() else (-1, part) for part in _DIGITS.split(path)]
-
-
 class SourceTable(NamedTuple):
     """A table of touches, a row for each."""
 
@@ -112,9 +106,9 @@ def read_table(
     return SourceTable(read, len(next(iter(read.values()), ())))
 
 
-def require_columns(known: Collection[str], wanted: Iterable[str], source: str) -> None:
+def require_columns(known: Collection[str], required: Iterable[str], source: str) -> None:
     """Raise InputError for a missing column."""
-    for name in wanted:
+    for name in required:
         if name not in known:
             raise errors.InputError(
                 f"{source!r} has no column {name!r}{wording.did_you_mean(name, known)}; "
@@ -167,7 +161,7 @@ def image_files(
     paths: Sequence[str],
     fields: Mapping[str, pa.Array],
     problems: Mapping[int, errors.ItemError] | None = None,
-) -> source_touches.FoundTouches:
+) -> source_touches.SourceTouches:
     """Return a touch for each path of an image; the touch of a missing file has a problem.
 
     Folders are listed once. An image is opened and checked when it is imported.
@@ -190,19 +184,19 @@ def image_files(
             sizes[number] = size or 0  # a folder has no size; reading it gives the problem
     # A name that is not Unicode has a problem already; this makes it printable.
     shown = [path.encode(errors="backslashreplace").decode() for path in paths]
-    return source_touches.FoundTouches.of(shown, home.address(), shown, fields, problems=wrong, size=sizes)
+    return source_touches.SourceTouches.of(shown, home.address(), shown, fields, problems=wrong, size=sizes)
 
 
 def pictures_by_file(
-    read: ReadNumbers, places: Iterable[source_touches.PicturePlace]
+    read: ReadNumbers, locations: Iterable[source_touches.PictureLocation]
 ) -> Iterator[bytes | errors.ItemError]:
-    """Yield the pictures of each place in order; consecutive ones of one file are read together.
+    """Yield the pictures at each location in order; consecutive ones of one file are read together.
 
     If ``read`` raises an ItemError, it is yielded for each remaining picture of the file.
     """
     opened = cache(store.open_folder)
     for (home, *_), group in groupby(
-        places, key=lambda picture: (picture.home, picture.path, picture.part, picture.frames > 0)
+        locations, key=lambda picture: (picture.home, picture.path, picture.part, picture.frames > 0)
     ):
         of_file = list(group)
         numbers = [picture.start + offset for picture in of_file for offset in range(max(1, picture.frames))]
@@ -220,12 +214,12 @@ def pictures_by_file(
             yield from repeat(error, left - len(some))
 
 
-def contents_of(places: Iterable[source_touches.PicturePlace]) -> Iterator[bytes | errors.ItemError]:
+def contents_of(locations: Iterable[source_touches.PictureLocation]) -> Iterator[bytes | errors.ItemError]:
     """Yield the bytes of each image, in order, or why it cannot be read.
 
     A tar is opened once for consecutive images in it.
     """
-    groups = (tuple(group) for _, group in groupby(places, key=itemgetter(0, 1)))
+    groups = (tuple(group) for _, group in groupby(locations, key=itemgetter(0, 1)))
     first = next(groups, None)
     if first is None:
         return
@@ -237,23 +231,23 @@ def contents_of(places: Iterable[source_touches.PicturePlace]) -> Iterator[bytes
 
 def _contents(
     open_folder: Callable[[str], tuple[store.DataFolder, set[str]]],
-    places: Sequence[source_touches.PicturePlace],
+    locations: Sequence[source_touches.PictureLocation],
 ) -> list[bytes | errors.ItemError]:
     contents: list[bytes | errors.ItemError] = []
     try:
-        folder, known = open_folder(places[0].home)
-        if len(places) == 1 and not places[0].start:
-            return [folder.read_inside(places[0].path, places[0].size, known)]
-        with folder.open_inside(places[0].path, known) as stream:
+        folder, known = open_folder(locations[0].home)
+        if len(locations) == 1 and not locations[0].start:
+            return [folder.read_inside(locations[0].path, locations[0].size, known)]
+        with folder.open_inside(locations[0].path, known) as stream:
             at = 0
-            for picture in places:
+            for picture in locations:
                 if picture.start != at:
                     stream.seek(picture.start)
                 content = stream.read(picture.size)
                 contents.append(content)
                 at = picture.start + len(content)
     except errors.ItemError as error:
-        contents += [error] * (len(places) - len(contents))
+        contents += [error] * (len(locations) - len(contents))
     except (OSError, errors.InputError):  # their messages differ between systems
-        contents += [errors.ItemError("image", "the file cannot be read")] * (len(places) - len(contents))
+        contents += [errors.ItemError("image", "the file cannot be read")] * (len(locations) - len(contents))
     return contents

@@ -33,7 +33,7 @@ _LISTING = pa.schema(
         "round": pa.string(),
     }
 )
-_PLACE_COLUMNS = ("home", "path", "part", "start", "size", "frames")
+_LOCATION_COLUMNS = ("home", "path", "part", "start", "size", "frames")
 File = tuple[str, str]
 """Address of a source, and a path below it."""
 
@@ -45,7 +45,7 @@ _ROUND = "round_id"
 _SHORTER = "cut it into touches with `--cut contact` or a table of times (`--cut TABLE`)"
 
 
-class PicturePlace(NamedTuple):
+class PictureLocation(NamedTuple):
     """Where the pictures of a touch are: all that the reader of a format needs.
 
     Attributes
@@ -70,13 +70,13 @@ class PicturePlace(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FoundTouches(Sequence[PicturePlace]):
-    """Touches to import; as a sequence, the places of their pictures.
+class SourceTouches(Sequence[PictureLocation]):
+    """Touches to import; as a sequence, the locations of their pictures.
 
     Attributes
     ----------
     listing : pyarrow.Table
-        A row for each touch. ``name``: name in messages. ``home`` to ``frames``: see :class:`PicturePlace`.
+        A row for each touch. ``name``: name in messages. ``home`` to ``frames``: a :class:`PictureLocation`.
         ``contact``: first and last picture of a clip with contact, if known. ``time_s``: time of each picture
         of a clip, if known, seconds, not decreasing. ``reason``, ``problem``: why the touch cannot be used,
         else null. ``number``: number among all touches of the source. ``round``: round to store it in.
@@ -101,7 +101,7 @@ class FoundTouches(Sequence[PicturePlace]):
         per_frame: Mapping[str, pa.Array] | None = None,
         problems: Mapping[int, errors.ItemError] | None = None,
         **columns: object,
-    ) -> FoundTouches:
+    ) -> SourceTouches:
         """Return touches of one source; a single value in ``columns`` of the listing holds for all."""
         count = len(names)
         columns_given = {
@@ -120,7 +120,7 @@ class FoundTouches(Sequence[PicturePlace]):
         return touches.with_problems(problems or {})
 
     @classmethod
-    def joined(cls, parts: Sequence[FoundTouches]) -> FoundTouches:
+    def joined(cls, parts: Sequence[SourceTouches]) -> SourceTouches:
         """Return the touches of several sources; the type of a column fits the values of all sources."""
         if len(parts) == 1:
             return parts[0]
@@ -138,23 +138,24 @@ class FoundTouches(Sequence[PicturePlace]):
         return len(self.listing)
 
     @overload
-    def __getitem__(self, number: int) -> PicturePlace: ...
+    def __getitem__(self, number: int) -> PictureLocation: ...
     @overload
-    def __getitem__(self, number: slice) -> FoundTouches: ...
-    def __getitem__(self, number: int | slice) -> PicturePlace | FoundTouches:
+    def __getitem__(self, number: slice) -> SourceTouches: ...
+    def __getitem__(self, number: int | slice) -> PictureLocation | SourceTouches:
         if isinstance(number, slice):
             return self.take(np.arange(len(self))[number])
         return next(iter(self.take(np.array([range(len(self))[number]]))))
 
-    def __iter__(self) -> Iterator[PicturePlace]:
+    def __iter__(self) -> Iterator[PictureLocation]:
         return map(
-            PicturePlace._make, zip(*(self.listing[name].to_pylist() for name in _PLACE_COLUMNS), strict=True)
+            PictureLocation._make,
+            zip(*(self.listing[name].to_pylist() for name in _LOCATION_COLUMNS), strict=True),
         )
 
-    def take(self, rows: Int64) -> FoundTouches:
+    def take(self, rows: Int64) -> SourceTouches:
         """Return some touches in this order; the others are not kept in memory."""
         taken = pa.array(rows, pa.int64())
-        return FoundTouches(*(table.take(taken) for table in (self.listing, self.per_touch, self.per_frame)))
+        return SourceTouches(*(table.take(taken) for table in (self.listing, self.per_touch, self.per_frame)))
 
     @property
     def is_usable(self) -> Bool:
@@ -223,7 +224,7 @@ class FoundTouches(Sequence[PicturePlace]):
             return [""] * len(self)
         return texts_in(column_types.texts_of(column).fill_null(""))
 
-    def with_listing(self, **columns: object) -> FoundTouches:
+    def with_listing(self, **columns: object) -> SourceTouches:
         """Return the touches with other columns of ``listing``."""
         listing = self.listing
         for name, values in columns.items():
@@ -232,12 +233,12 @@ class FoundTouches(Sequence[PicturePlace]):
             listing = listing.set_column(_LISTING.get_field_index(name), field, column)
         return replace(self, listing=listing)
 
-    def with_fields(self, columns: Mapping[str, pa.Array]) -> FoundTouches:
+    def with_fields(self, columns: Mapping[str, pa.Array]) -> SourceTouches:
         """Return the touches with fields added or replaced."""
         fields = dict(zip(self.per_touch.column_names, self.per_touch.columns, strict=True))
         return replace(self, per_touch=pa.table({**fields, **columns}))
 
-    def with_problems(self, problems: Mapping[int, errors.ItemError]) -> FoundTouches:
+    def with_problems(self, problems: Mapping[int, errors.ItemError]) -> SourceTouches:
         """Return the touches with problems added, by index; the first problem of a touch is kept."""
         if not problems:
             return self
@@ -333,7 +334,7 @@ class Recording:
     home, path : str
         Address of the source, and the file below it that holds the pictures.
     part : str
-        Part of that file. Only the reader of the format uses it, which gets it back in each place.
+        Part of that file. Only the reader of the format uses it, which gets it back in each location.
     first : int
         Number of its first picture in the file or array.
     frames : int
@@ -374,11 +375,11 @@ class Recording:
     contact: tuple[int, int] | None = None
     left_out: tuple[str, ...] = ()
 
-    def place(self, start: int, stop: int) -> PicturePlace:
-        """Return the place of the pictures from ``start`` to the one before ``stop``."""
+    def location(self, start: int, stop: int) -> PictureLocation:
+        """Return the location of the pictures from ``start`` to the one before ``stop``."""
         size = self.frame_bytes * (stop - start)
         count = stop - start
-        return PicturePlace(self.home, self.path, self.part, self.first + start, size, count)
+        return PictureLocation(self.home, self.path, self.part, self.first + start, size, count)
 
     def checked(self) -> Recording:
         """Return the recording, with a problem if it has no picture or its times cannot be used."""
@@ -403,7 +404,7 @@ class Recording:
         """Return one clip with a problem: the recording, or a touch of it, cannot be used."""
         return Clip(0, min(self.frames, 1), name or self.name, problem=problem)
 
-    def clips(self, clips: Sequence[Clip]) -> FoundTouches:
+    def clips(self, clips: Sequence[Clip]) -> SourceTouches:
         """Return clips as touches; a clip that is too long has a problem."""
         if self.problem is not None:  # nothing is known about its pictures
             self = replace(self, per_frame={}, time_s=None)
@@ -431,7 +432,7 @@ class Recording:
         times = None
         if self.time_s is not None and self.frames:
             times = column_types.lists_of(pa.array(self.time_s[rows]), counts)
-        return FoundTouches.of(
+        return SourceTouches.of(
             [clip.name for clip in clips],
             self.home,
             self.path,
@@ -446,14 +447,14 @@ class Recording:
             time_s=times,
         )
 
-    def images(self) -> FoundTouches:
+    def images(self) -> SourceTouches:
         """Return each picture as a touch, with the fields of the picture and of the recording."""
         stem = self.name.replace("/", "-")
         count = self.frames
         fields = {**self._repeated_fields(self.name, count), **self.per_frame}
         if self.time_s is not None and TIME_S not in self.per_frame:
             fields[TIME_S] = pa.array(self.time_s)
-        return FoundTouches.of(
+        return SourceTouches.of(
             [f"{stem}_{frame:06d}.png" for frame in range(count)],
             self.home,
             self.path,
@@ -469,7 +470,7 @@ class Recording:
         return {name: column_types.repeated(value, count) for name, value in values.items()}
 
 
-def touches_of(recording: Recording, cut: str) -> FoundTouches:
+def touches_of(recording: Recording, cut: str) -> SourceTouches:
     """Cut a recording into its pictures or take the whole, by the first two of :data:`CUTS`."""
     if recording.problem is not None:
         return recording.clips([recording.unusable(recording.problem)])

@@ -49,7 +49,7 @@ class Stream:
     ----------
     name : str
         Name in the summary, and prefix of columns whose names are taken.
-    place : str
+    address : str
         Address, for messages.
     table : Table
         The table, which is read again for the samples that are used.
@@ -62,7 +62,7 @@ class Stream:
     """
 
     name: str
-    place: str
+    address: str
     table: tables.Table = field(repr=False)
     rows: int
     time_column: str = ""
@@ -77,7 +77,7 @@ def open_stream(
     Parameters
     ----------
     folder, name
-        Place of the table; its format follows from its ending.
+        Folder of the table and its path in it; the format follows from its ending.
     columns : ImportColumns
         ``time`` names the column of times; an empty text says that a row is a picture. If the table has no
         such column, it is the only one with a name of :data:`TIME_NAMES`. ``time_unit`` is the unit if the
@@ -149,9 +149,9 @@ def tables_by_stem(names: Iterable[str]) -> dict[str, list[str]]:
     ``take1.csv``, ``take1.force.csv`` and ``take1_force.csv`` belong to ``take1.mp4``. If the names of
     several files fit, a table belongs to the longest one, such as ``take1_force.mp4``.
     """
-    seen = [name for name in names if not store.is_hidden(name)]
-    table_names = [name for name in seen if name.lower().endswith(tables.Table.ENDINGS)]
-    stems = {PurePosixPath(name).stem for name in {*seen} - {*table_names}}
+    visible = [name for name in names if not store.is_hidden(name)]
+    table_names = [name for name in visible if name.lower().endswith(tables.Table.ENDINGS)]
+    stems = {PurePosixPath(name).stem for name in {*visible} - {*table_names}}
     by_stem: dict[str, list[str]] = {}
     for name in sorted(table_names):
         whole = PurePosixPath(name).stem
@@ -311,7 +311,7 @@ def _by_row(recording: source_touches.Recording, stream: Stream) -> dict[str, pa
     if stream.rows != recording.frames:
         which = "the table" if stream.time_s is None else "the recording"
         raise errors.InputError(
-            f"{stream.place!r} has {stream.rows:,} rows, the recording {recording.name!r} "
+            f"{stream.address!r} has {stream.rows:,} rows, the recording {recording.name!r} "
             f"{recording.frames:,} pictures; expected equal numbers, as {which} has no times",
             next="name the column of times (`--map time=COLUMN`), or give a row for each picture",
         )
@@ -329,7 +329,7 @@ def _by_time(
     """Align a stream to the times of the pictures, both in seconds."""
     if sample_s[0] > time_s[-1] or time_s[0] > sample_s[-1]:
         raise errors.InputError(
-            f"{stream.place!r} lasts from {sample_s[0]:.3f} to {sample_s[-1]:.3f} s, the recording "
+            f"{stream.address!r} lasts from {sample_s[0]:.3f} to {sample_s[-1]:.3f} s, the recording "
             f"{recording.name!r} from {time_s[0]:.3f} to {time_s[-1]:.3f} s; expected a common time",
             next="add --time-offset-s with the seconds to add to the times of the stream",
         )
@@ -339,7 +339,7 @@ def _by_time(
     step_s = float(np.median(steps[steps > 0], overwrite_input=True)) if steps.any() else np.inf
     if around.missing.all():
         raise errors.InputError(
-            f"{stream.place!r}: no picture of {recording.name!r} gets a value; there are {stream.rows:,} "
+            f"{stream.address!r}: no picture of {recording.name!r} gets a value; there are {stream.rows:,} "
             f"samples, about {step_s:g} s apart, and the longest gap is {how.max_gap_ms:g} ms",
             next=f"check the unit of {stream.time_column!r} (`--time-unit`), or add a larger --max-gap-ms",
         )
@@ -400,7 +400,7 @@ def _columns(samples: dict[str, pa.Array], stream: Stream) -> dict[str, pa.Array
         if column.type == column_types.UNTYPED or len(lengths) > 1:
             what = f"lists of {', '.join(map(str, lengths[:8]))} values" if lengths else "values of no type"
             raise errors.InputError(
-                f"{stream.place!r}: the column {name!r} holds {what}; expected numbers, text, or "
+                f"{stream.address!r}: the column {name!r} holds {what}; expected numbers, text, or "
                 "lists of numbers, all of one length"
             )
     return samples

@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 
 from realtouch.importing.cuts import Cutter
-from realtouch.importing.source_touches import FoundTouches, PicturePlace, Recording, one_chunk
+from realtouch.importing.source_touches import PictureLocation, Recording, SourceTouches, one_chunk
 from realtouch.touches.schema import array_with_gaps
 from tactile_toolkit.columns import column_types
 
@@ -20,7 +20,7 @@ class Found:
     """A touch with its values; missing ones are left out."""
 
     name: str
-    place: PicturePlace
+    place: PictureLocation
     values: dict[str, Any]
     problem: str | None
     contact: tuple[int, int] | None
@@ -35,7 +35,7 @@ class Found:
         return self.place.frames
 
 
-def each_of(touches: FoundTouches) -> list[Found]:
+def each_of(touches: SourceTouches) -> list[Found]:
     """Return touches one by one."""
     columns = [column_types.values_of(one_chunk(column)) for column in touches.per_touch.columns]
     rows = list(zip(*columns, strict=True)) or [()] * len(touches)

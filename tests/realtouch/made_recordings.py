@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from realtouch.importing.source_touches import PicturePlace, Recording
+from realtouch.importing.source_touches import PictureLocation, Recording
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.touch import encode_image
 
@@ -49,7 +49,7 @@ class MadeRecording:
         picture = picture * self.light[number] + random.normal(scale=self.noise, size=picture.shape)
         return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
 
-    def contents(self, places: Iterable[PicturePlace]) -> Iterator[bytes | ItemError]:
+    def contents(self, places: Iterable[PictureLocation]) -> Iterator[bytes | ItemError]:
         for place in places:
             for number in range(place.start, place.start + max(1, place.frames)):
                 self.read.append(number)

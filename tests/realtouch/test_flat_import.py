@@ -16,7 +16,7 @@ import pytest
 import realtouch
 from realtouch.formats.flat_parquet import find_flat
 from realtouch.importing.import_sources import IMPORTS
-from realtouch.importing.source_touches import FoundTouches
+from realtouch.importing.source_touches import SourceTouches
 from tactile_toolkit import read, store
 from tactile_toolkit.errors import InputError, ToolkitError
 from tests.realtouch.found import each_of
@@ -25,9 +25,9 @@ from tests.realtouch.images_of_others import picture, spoiled
 JPEGS = [picture(level) for level in range(0, 240, 20)]
 
 
-def found(home: Path, **columns: Any) -> FoundTouches:
+def found(home: Path, **columns: Any) -> SourceTouches:
     parts = find_flat(store.open_folder(str(home)), realtouch.ImportColumns(**columns), None)
-    return FoundTouches.joined(list(parts))
+    return SourceTouches.joined(list(parts))
 
 
 def write(

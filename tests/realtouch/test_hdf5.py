@@ -178,7 +178,7 @@ def test_any_damage_gives_recordings_or_a_message(tmp_path: Path) -> None:
         source.write_bytes(mutated(whole, seed))
         try:
             for found in recordings(source):
-                list(IMPORTS["hdf5"].contents([found.place(0, found.frames)]))
+                list(IMPORTS["hdf5"].contents([found.location(0, found.frames)]))
         except ToolkitError:
             refused += 1
     assert 0 < refused < 500

@@ -20,7 +20,7 @@ import realtouch
 from realtouch import contact
 from realtouch.importing import fields, import_sources
 from realtouch.importing.fields import extra_arrays, extra_types
-from realtouch.importing.source_touches import FoundTouches, PicturePlace, Recording, touches_of
+from realtouch.importing.source_touches import PictureLocation, Recording, SourceTouches, touches_of
 from tactile_toolkit.columns import column_types
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.touch import decode_image, encode_image
@@ -297,7 +297,7 @@ def recordings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
     def make(
         every: list[Recording], pictures: dict[str, list[Any]], columns: Any = None, **options: Any
     ) -> Any:
-        def encoded(places: Iterable[PicturePlace]) -> Iterator[Any]:
+        def encoded(places: Iterable[PictureLocation]) -> Iterator[Any]:
             for place in places:
                 yield from pictures[place.path][place.start : place.start + max(1, place.frames)]
 
@@ -477,11 +477,11 @@ def any_is_known(values: list[Any]) -> bool:
     return any(value is not None for value in values)
 
 
-def touches(said: dict[str, pa.Array]) -> FoundTouches:
-    return FoundTouches.of(["a"] * len(said["x"]), "", "", said)
+def touches(said: dict[str, pa.Array]) -> SourceTouches:
+    return SourceTouches.of(["a"] * len(said["x"]), "", "", said)
 
 
-def kept(every: FoundTouches, columns: realtouch.ImportColumns) -> tuple[str, Any]:
+def kept(every: SourceTouches, columns: realtouch.ImportColumns) -> tuple[str, Any]:
     ((name, data_type),) = extra_types(every, columns).items()
     array = extra_arrays(every, columns, {name: data_type})[name]
     return name, array.to_pylist()

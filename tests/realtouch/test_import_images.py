@@ -16,7 +16,7 @@ from PIL import Image, ImageOps
 import realtouch
 from realtouch.importing.import_sources import IMPORTS
 from realtouch.importing.source_files import pictures_by_file
-from realtouch.importing.source_touches import PicturePlace
+from realtouch.importing.source_touches import PictureLocation
 from tactile_toolkit.errors import SpecMismatchError
 from tests.realtouch.images_of_others import line, picture, write_table
 from tests.tactile_toolkit.toy import folder_bytes
@@ -26,12 +26,12 @@ def test_few_pictures_of_a_file_are_read_before_the_first_is_used(tmp_path):
     """Each may be as large as an image can be."""
     read = list[int]()
 
-    def noted(_home: object, _picture: PicturePlace, numbers: Any) -> Iterator[bytes]:
+    def noted(_home: object, _picture: PictureLocation, numbers: Any) -> Iterator[bytes]:
         for number in numbers:
             read.append(number)
             yield b"picture"
 
-    pictures = pictures_by_file(noted, [PicturePlace(str(tmp_path), "a.avi", "", 5, 1, 1000)])
+    pictures = pictures_by_file(noted, [PictureLocation(str(tmp_path), "a.avi", "", 5, 1, 1000)])
     assert next(pictures) == b"picture"
     assert read == list(range(5, 21))
     assert sum(1 for _ in pictures) == 999
@@ -48,7 +48,7 @@ def test_an_image_that_changed_in_place_is_read_again_with_check_alone(home, tmp
     assert len(set(digests)) == 2
     assert None not in digests
 
-    def noted(items: Iterator[PicturePlace]) -> Iterator[bytes | Exception]:
+    def noted(items: Iterator[PictureLocation]) -> Iterator[bytes | Exception]:
         every = list(items)
         for item, content in zip(every, contents(iter(every)), strict=True):
             read.append(item.path)

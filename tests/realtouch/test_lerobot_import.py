@@ -17,7 +17,7 @@ import pytest
 import realtouch
 from realtouch.formats.lerobot_import import describe_conversion, find_lerobot
 from realtouch.importing.import_sources import IMPORTS
-from realtouch.importing.source_touches import FoundTouches, Recording, touches_of
+from realtouch.importing.source_touches import Recording, SourceTouches, touches_of
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, ItemError, ToolkitError
 from tactile_toolkit.touch import decode_image
@@ -63,7 +63,7 @@ def test_episodes_of_others_are_recordings(version: str, dtype: str, tmp_path: P
         shown = np.stack(list(map(decode_image, pictures(recording)))).astype(int)
         assert shown.shape == truth.pixels[number].shape
         assert np.abs(shown - truth.pixels[number]).mean() < 4  # the bar at another place makes 15 and more
-    items = FoundTouches.joined([touches_of(recording, "frames") for recording in recordings])
+    items = SourceTouches.joined([touches_of(recording, "frames") for recording in recordings])
     backwards = list(IMPORTS["lerobot"].contents(items[::-1]))
     assert backwards == [each for recording in recordings for each in pictures(recording)][::-1]
     assert bool(describe_conversion(items)) == (dtype == "video")

@@ -239,7 +239,7 @@ def test_any_damage_of_a_group_gives_recordings_or_a_message(layout: str, tmp_pa
         source = zipped if path == zipped else folder
         try:
             for found in recordings(source, image, layout):
-                list(IMPORTS[layout].contents([found.place(0, found.frames)]))
+                list(IMPORTS[layout].contents([found.location(0, found.frames)]))
         except ToolkitError:
             refused += 1
         path.write_bytes(whole[path])

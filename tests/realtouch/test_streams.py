@@ -325,7 +325,7 @@ def test_a_table_beside_a_video_that_does_not_fit_is_its_problem(takes: Path, tm
     (skipped,) = [each for record in manifest.shards for each in record.skipped]
     assert "take2_note.csv' has 1 rows, the recording 'take2' 100 pictures" in skipped.message
     assert "give it another name" in skipped.message
-    late = stream(tmp_path, {"time_s": [100.0, 101.0]}, "late.csv").place
+    late = stream(tmp_path, {"time_s": [100.0, 101.0]}, "late.csv").address
     with pytest.raises(InputError, match="expected a common time"):
         realtouch.import_touches(takes, tmp_path / "two", streams=[late])
 
