@@ -105,7 +105,8 @@ def fabricate(folder: Path, shards: int) -> None:
     from mnist3d.digit_generation import DigitSetSpec, generate
     from mnist3d.digit_records import REPORT_FILE
     from mnist3d.sources.synthetic import SyntheticSource
-    from tactile_toolkit.store import ShardName, open_folder, write_manifest
+    from tactile_toolkit.store import ShardName, open_folder
+    from tactile_toolkit.store.manifest import write_manifest
     from tactile_toolkit.store.parquet import REPORT_STYLE, encode_parquet, sha256_hex
 
     made = generate(DigitSetSpec(SyntheticSource(), limit=1), folder, ("train",))
@@ -218,7 +219,8 @@ def merging(folder: Path) -> dict[str, float]:
 
     from mnist3d.digit_card import summarise
     from mnist3d.digit_records import REPORT_FILE
-    from tactile_toolkit.store import Manifest, ShardName, ShardRecord, open_folder
+    from tactile_toolkit.store import Manifest, ShardName, open_folder
+    from tactile_toolkit.store.manifest import ShardRecord
     from tactile_toolkit.store.parquet import merge_reports
 
     where, names = open_folder(str(folder)), [ShardName("train", i, REPORTS) for i in range(REPORTS)]

@@ -23,7 +23,7 @@ from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
 
-from tactile_toolkit.run import limit_threads
+from tactile_toolkit.run.this_process import limit_threads
 
 limit_threads()
 
@@ -34,7 +34,8 @@ from figures import tell
 from mnist3d.digit_generation import DigitGenerator, DigitSetSpec, generate
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.generation import plan_build
-from tactile_toolkit.run import InlineRunner, ProcessRunner, RayRunner, Runner
+from tactile_toolkit.run import RayRunner, Runner
+from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
 
 ROWS: dict[str, Callable[[], None]] = {}
 """What can be measured; a new row is a function with this decorator, which prints its figures."""

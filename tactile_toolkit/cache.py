@@ -26,6 +26,7 @@ from threading import RLock
 from typing import IO, Generic, TypeVar
 
 from tactile_toolkit import errors, store
+from tactile_toolkit.store.files import DRAFT, write_file
 
 LOCKS = "locks"
 """Folder of the cache with files that processes lock while they write others."""
@@ -157,7 +158,7 @@ class DiskCache:
                 raise OSError(errno.ELOOP, "it is a symbolic link")
             if _CHANCE.random() * self.limit_bytes < size_bytes * _SCANS_PER_LIMIT:
                 self._make_room(path.parent, size_bytes)
-            store.write_file(path, fill, durable=self.durable)
+            write_file(path, fill, durable=self.durable)
         except OSError as error:
             if store.resource_shortage(error) is not None:
                 return False
@@ -189,7 +190,7 @@ def _files(folder: Path, names: str) -> list[tuple[float, int, Path]]:
     """Return the files of a cache, least recently used first: seconds since the epoch, bytes, path."""
     files = []
     paths = list[Path]()
-    ours = re.compile(f"(?:{store.DRAFT})?(?:{names})")
+    ours = re.compile(f"(?:{DRAFT})?(?:{names})")
     with contextlib.suppress(OSError):
         paths += [] if folder.is_symlink() else folder.iterdir()
     for path in paths:

@@ -18,6 +18,9 @@ from tactile_toolkit.array_types import Int64
 from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.run import usable_cores
+from tactile_toolkit.store.building import require_replaceable
+from tactile_toolkit.store.job import BuildJob
+from tactile_toolkit.store.manifest import require_rows, shard_ranges
 
 if TYPE_CHECKING:
     from tactile_toolkit.mesh import Mesh
@@ -156,8 +159,8 @@ class RowGenerator(ABC):
         plan = plan_build(self, splits)
         require()
         folder = store.open_folder(os.fspath(out))
-        if options.overwrite and store.require_replaceable(folder, plan):
-            job = store.BuildJob(folder, plan, plan.new_manifest(), plan.tasks)
+        if options.overwrite and require_replaceable(folder, plan):
+            job = BuildJob(folder, plan, plan.new_manifest(), plan.tasks)
         else:
             job = plan.compared_with(folder, options)
         rows = Counter[str]()
@@ -221,7 +224,7 @@ def plan_build(generator: RowGenerator, splits: Sequence[str] | None = None) -> 
     tasks = tuple(
         store.ShardTask(shard, each[rows.start : rows.stop], partial(make_shard, generator))
         for split, each in chosen.items()
-        for shard, rows in store.shard_ranges(
+        for shard, rows in shard_ranges(
             split,
             len(each),
             smallest=layout.smallest,
@@ -274,7 +277,7 @@ def _sample(generator: RowGenerator, plan: store.BuildPlan) -> tuple[int, float,
     content = few.make()
     table = content.table
     if few.size == sum(task.size for task in plan.tasks):
-        store.require_rows([(len(table), content.skipped)])
+        require_rows([(len(table), content.skipped)])
     size_bytes = len(store.encode_parquet(table, plan.style)) if len(table) else 0
     return len(table), size_bytes / few.size, (time.perf_counter() - start_s) / few.size
 

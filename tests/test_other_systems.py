@@ -180,7 +180,7 @@ def test_output_fits_every_encoding(monkeypatch: pytest.MonkeyPatch, encoding: s
 
 def test_files_are_opened_for_writing_to_be_flushed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Windows does not flush files that were opened for reading."""
-    from tactile_toolkit import store
+    from tactile_toolkit.store.files import sync_file
 
     fcntl = pytest.importorskip("fcntl")
     modes = []
@@ -189,7 +189,7 @@ def test_files_are_opened_for_writing_to_be_flushed(tmp_path: Path, monkeypatch:
     )
     monkeypatch.setattr("tactile_toolkit.store.files._FLUSHABLE", os.O_RDWR)
     (tmp_path / "file").write_bytes(b"x")
-    store.sync_file(tmp_path / "file")
+    sync_file(tmp_path / "file")
     assert modes == [os.O_RDWR]
     assert (tmp_path / "file").read_bytes() == b"x"
 

@@ -21,7 +21,9 @@ import yaml
 from tactile_toolkit import places, read, run, store, wording
 from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.json_types import JsonDict, JsonObject, JsonValue
+from tactile_toolkit.places.opening import folder_place
 from tactile_toolkit.read import schemas
+from tactile_toolkit.store.manifest import DATA_FOLDER, VIEWER_FOLDER, ShardRecord
 
 _LIMITS = ("1K", "10K", "100K", "1M", "10M", "100M", "1B", "10B", "100B", "1T")
 _FENCE = "---\n"
@@ -71,7 +73,7 @@ class FolderSummary:
         """
         manifest = manifest or store.manifest_so_far(folder)
         if manifest is None:
-            held = (place or places.folder_place(folder)).all_shards()
+            held = (place or folder_place(folder)).all_shards()
             splits = [_measured(folder, split, shards) for split, shards in held.items()]
         else:
             splits = [_recorded(folder, split, manifest.shards_of(split)) for split in manifest.splits]
@@ -98,7 +100,7 @@ class FolderSummary:
             yield from (read.Row(block, index) for index in range(len(block.table)))
 
 
-def _recorded(folder: store.DataFolder, split: str, records: Sequence[store.ShardRecord]) -> SplitFiles:
+def _recorded(folder: store.DataFolder, split: str, records: Sequence[ShardRecord]) -> SplitFiles:
     """Return the files of a split and their sizes as a manifest states them."""
     paths = tuple(each.file for each in records)
     shards = (read.Shard(folder.address(path), each.rows) for path, each in zip(paths, records, strict=True))
@@ -125,11 +127,11 @@ def viewer_files(manifest: store.Manifest | None) -> dict[str, tuple[str, ...]]:
     """Return the files of each split that a manifest lists for the page of the Hub."""
     if manifest is None:
         return {}
-    listed = [path for path in manifest.files if path.startswith(f"{store.VIEWER_FOLDER}/")]
+    listed = [path for path in manifest.files if path.startswith(f"{VIEWER_FOLDER}/")]
     names = sorted(filter(None, (store.ShardName.parse(PurePosixPath(path).name) for path in listed)))
     found: dict[str, tuple[str, ...]] = {}
     for split in manifest.splits:
-        if paths := tuple(f"{store.VIEWER_FOLDER}/{name}.parquet" for name in names if name.split == split):
+        if paths := tuple(f"{VIEWER_FOLDER}/{name}.parquet" for name in names if name.split == split):
             found[split] = paths
     return found
 
@@ -160,9 +162,9 @@ def configs(facts: FolderSummary, others: Sequence[str] = ()) -> list[JsonDict]:
 
     ``others`` are files next to them that belong to no split.
     """
-    folders = {"default": (store.DATA_FOLDER, {split.split: split.paths for split in facts.splits})}
+    folders = {"default": (DATA_FOLDER, {split.split: split.paths for split in facts.splits})}
     if facts.viewer:
-        folders[store.VIEWER_FOLDER] = (store.VIEWER_FOLDER, dict(facts.viewer))
+        folders[VIEWER_FOLDER] = (VIEWER_FOLDER, dict(facts.viewer))
     found = []
     for name, (folder, paths) in folders.items():
         there = [*others, *(path for each in paths.values() for path in each)]

@@ -19,6 +19,7 @@ from tactile_toolkit.catalog.row_options import GivenId, IdChoice, id_range, id_
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.read import record
+from tactile_toolkit.store.manifest import DATA_FOLDER, damaged_error
 
 D = TypeVar("D", bound=read.RecordDataset[Any])
 # Rows with ids, object_ids, labels and label_names, such as a RecordDataset.
@@ -211,14 +212,14 @@ def specification_read(where: str) -> Iterator[None]:
         yield
     except (KeyError, TypeError, AttributeError) as error:
         problem = f"its specification is not that of this kind of data set ({type(error).__name__}: {error})"
-        raise store.damaged_error(where, problem) from error
+        raise damaged_error(where, problem) from error
 
 
 def manifest_beside(path: str) -> store.Manifest | None:
     """Return the manifest of the data set folder of a file; None if there is none."""
     data, _ = store.split_uri(path)
     folder, name = store.split_uri(data.address())
-    if name == store.DATA_FOLDER:
+    if name == DATA_FOLDER:
         return store.manifest_so_far(folder)
     return None
 

@@ -1,12 +1,10 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
 from .copies import (
-    divide as divide,
     merge_sets as merge_sets,
     plan_parts as plan_parts,
     plan_tables as plan_tables,
     select_rows as select_rows,
-    write_part as write_part,
 )
 from .download import (
     DownloadPlan as DownloadPlan,

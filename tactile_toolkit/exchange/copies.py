@@ -21,6 +21,7 @@ from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.kind import EXPORT, MERGE, SELECT, SPLIT, DatasetKind, kinds
 from tactile_toolkit.mesh import records
 from tactile_toolkit.read import schemas
+from tactile_toolkit.store.manifest import VIEWER_FOLDER, ShardRecord
 
 _LARGEST_ID = (1 << 63) - 1
 _ROWS_PER_FILE = 1000
@@ -190,9 +191,9 @@ def viewer_tables(folder: store.DataFolder, manifest: store.Manifest, out: Path)
     the shards, so they are made for an upload only; loaders and downloads ignore them. Raises InputError if
     the rows have no mesh.
     """
-    (out / store.VIEWER_FOLDER).mkdir()
+    (out / VIEWER_FOLDER).mkdir()
 
-    def make(record: store.ShardRecord) -> tuple[str, str]:
+    def make(record: ShardRecord) -> tuple[str, str]:
         shard = read.Shard(folder.address(record.shard.data_path), record.rows)
         if not {mesh.VERTICES, mesh.FACES} <= set(read.column_names(shard.schema)):
             raise errors.InputError(
@@ -205,7 +206,7 @@ def viewer_tables(folder: store.DataFolder, manifest: store.Manifest, out: Path)
             read.ShardedTable((shard,)), label_names=read.class_names(shard.schema, ())
         )
         content = store.encode_parquet(records.flat_table(rows), _VIEWER_STYLE)
-        path = f"{store.VIEWER_FOLDER}/{record.shard}.parquet"
+        path = f"{VIEWER_FOLDER}/{record.shard}.parquet"
         (out / path).write_bytes(content)
         return path, store.sha256_hex(content)
 

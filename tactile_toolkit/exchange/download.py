@@ -14,8 +14,15 @@ import msgspec
 
 from tactile_toolkit import cards, errors, hub, places, run, store
 from tactile_toolkit.cards import yaml_head
+from tactile_toolkit.hub.calls import not_cached
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import DatasetKind, PublishedSet
+from tactile_toolkit.places.opening import repository_place
+from tactile_toolkit.places.place import published_set, require_kind
+from tactile_toolkit.store.folder import PENDING_FOLDER, LocalFolder
+from tactile_toolkit.store.job import refuse_unknown_files
+from tactile_toolkit.store.manifest import write_manifest
+from tactile_toolkit.store.verification import DownloadRecord, HubFile, digest_like, write_download_record
 
 # Files that are adapted to the splits of the folder.
 _METADATA_FILES = (store.CARD_FILE, store.MANIFEST_FILE)
@@ -57,11 +64,11 @@ class DownloadPlan:
     place: places.Place
     folder: store.DataFolder | None
     splits: tuple[str, ...]
-    missing: tuple[store.HubFile, ...]
+    missing: tuple[HubFile, ...]
     leftover: list[str]
     is_done: bool
-    record: store.DownloadRecord
-    earlier: store.DownloadRecord | None
+    record: DownloadRecord
+    earlier: DownloadRecord | None
 
     @classmethod
     def of(
@@ -89,11 +96,11 @@ class DownloadPlan:
         """
         published = places.kind_of_published(name)
         if kind is not None and published is not None:
-            places.require_kind(published, kind, name, "tactile download")
+            require_kind(published, kind, name, "tactile download")
         repository = places.find_repository(name, revision, on_wait)
         if out is not None and repository.is_cache:  # which may list a part of the files only
-            raise hub.not_cached(repository.repo_id, "the present list of files")
-        place = places.repository_place(repository, repository.repo_id, config=config).require_config(config)
+            raise not_cached(repository.repo_id, "the present list of files")
+        place = repository_place(repository, repository.repo_id, config=config).require_config(config)
         if kind is not None and place.is_kind_stated:
             place.require(kind, "tactile download")
         return _plan(repository, place, splits, None if out is None else store.open_folder(out))
@@ -101,7 +108,7 @@ class DownloadPlan:
     @property
     def published(self) -> PublishedSet | None:
         """The published data set that is downloaded; None for others."""
-        return places.published_set(self.repository.repo_id)
+        return published_set(self.repository.repo_id)
 
     @property
     def missing_bytes(self) -> int:
@@ -145,7 +152,7 @@ def _plan(
 ) -> DownloadPlan:
     """Compare the files of a repository with those of the target."""
     earlier = None if folder is None else _earlier_record(folder, repository)
-    recorded: Mapping[str, store.HubFile] = earlier.files if earlier is not None else {}
+    recorded: Mapping[str, HubFile] = earlier.files if earlier is not None else {}
     manifest = repository.manifest
     # Other tools write files of that name, too.
     metadata = tuple(
@@ -168,7 +175,7 @@ def _plan(
     is_intact = partial(_is_intact, folder or repository.folder, earlier)
     here = run.in_threads(is_intact, files.values(), _THREADS)
     missing = tuple(file for file, is_here in zip(files.values(), here, strict=True) if not is_here)
-    record = store.DownloadRecord(
+    record = DownloadRecord(
         repository.repo_id, repository.commit, repository.revision, files, all_splits, metadata
     )
     is_done = not missing
@@ -183,12 +190,12 @@ def _plan(
         same = earlier is not None and earlier == msgspec.structs.replace(record, revision=earlier.revision)
         is_done = is_done and same and _is_described(folder, metadata)
     elif missing and repository.is_cache:
-        raise hub.not_cached(repository.repo_id, repr(missing[0].path))
+        raise not_cached(repository.repo_id, repr(missing[0].path))
     leftover = [path for path in recorded if path not in files]
     return DownloadPlan(repository, place, folder, chosen, missing, leftover, is_done, record, earlier)
 
 
-def _is_intact(folder: store.DataFolder, earlier: store.DownloadRecord | None, file: store.HubFile) -> bool:
+def _is_intact(folder: store.DataFolder, earlier: DownloadRecord | None, file: HubFile) -> bool:
     """Return whether a file of a folder is intact; it is read, because a flipped bit changes no time."""
     path = file.path
     digest = file.digest
@@ -199,16 +206,16 @@ def _is_intact(folder: store.DataFolder, earlier: store.DownloadRecord | None, f
     if is_known or digest is None:
         return True
     with folder.open(path) as stream:
-        return store.digest_like(stream, digest) == digest
+        return digest_like(stream, digest) == digest
 
 
-def _earlier_record(folder: store.DataFolder, repository: hub.HubRepository) -> store.DownloadRecord | None:
+def _earlier_record(folder: store.DataFolder, repository: hub.HubRepository) -> DownloadRecord | None:
     """Return the record of an earlier download of the same repository; refuse a folder of anything else."""
     names = folder.names()  # before the record, which another download writes first
     record = store.read_download_record(folder)
     if record is None and store.MANIFEST_FILE not in names:
         if names:
-            store.refuse_unknown_files(folder)
+            refuse_unknown_files(folder)
         return None
     if record is None or record.repo_id != repository.repo_id:
         found = "a data set of another origin"
@@ -259,8 +266,8 @@ def _execute(plan: DownloadPlan, folder: store.DataFolder, on_progress: Callable
     record = plan.record
     leftover = plan.leftover
     manifest = repository.manifest
-    if isinstance(folder, store.LocalFolder):  # links, which lead out of the folder, are refused first
-        for path in (store.PENDING_FOLDER, store.MANIFEST_FILE, *leftover, *record.files):
+    if isinstance(folder, LocalFolder):  # links, which lead out of the folder, are refused first
+        for path in (PENDING_FOLDER, store.MANIFEST_FILE, *leftover, *record.files):
             folder.local_path(path)
     folder.remove_temporaries()
     # The record is written first, so that an interrupted download is recognised.
@@ -268,15 +275,15 @@ def _execute(plan: DownloadPlan, folder: store.DataFolder, on_progress: Callable
     if plan.earlier is not None:
         files = {**plan.earlier.files, **files}
     begun = msgspec.structs.replace(record, files=files, finished=False)
-    store.write_download_record(folder, begun)
+    write_download_record(folder, begun)
     if manifest is not None and (plan.missing or leftover):
-        store.write_manifest(folder, replace(manifest, shards=(), complete=False))
+        write_manifest(folder, replace(manifest, shards=(), complete=False))
     # Before the first new file arrives: old and new files together would look like one data set.
     for path in (*leftover, *(file.path for file in plan.missing)):
         folder.remove(path)
     repository.fetch(plan.missing, folder, lambda done: on_progress(done, plan.missing_bytes))
     _write_metadata(plan, folder, manifest)
-    store.write_download_record(folder, record)
+    write_download_record(folder, record)
 
 
 def _write_metadata(plan: DownloadPlan, folder: store.DataFolder, manifest: store.Manifest | None) -> None:

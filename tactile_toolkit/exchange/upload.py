@@ -15,13 +15,20 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from tactile_toolkit import cards, hub, places, run, store, wording
+from tactile_toolkit import cards, hub, run, store, wording
 from tactile_toolkit.cards import yaml_head
 from tactile_toolkit.cards.card import PREVIEW_FOLDER, with_repo_name
 from tactile_toolkit.checked_fields import switch, text
 from tactile_toolkit.errors import HubError, InputError, IntegrityError
+from tactile_toolkit.hub.calls import call_with_retry, page_of
+from tactile_toolkit.hub.repository import HubName, listing
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.places.opening import folder_place
+from tactile_toolkit.store.files import scratch_folder
+from tactile_toolkit.store.manifest import VIEWER_FOLDER
+from tactile_toolkit.store.remote import FsspecFolder
+from tactile_toolkit.store.verification import HubFile, has_digest
 
 MAIN_BRANCH = "main"
 # Written by the Hub itself; every repository has them.
@@ -94,13 +101,13 @@ class LocalFile:
     size: int
     sha256: str | None = None
 
-    def has_content_of(self, remote: store.HubFile | None) -> bool:
+    def has_content_of(self, remote: HubFile | None) -> bool:
         """Return whether a file of a repository has the same content."""
         if remote is None or remote.digest is None or remote.size_bytes != self.size:
             return False
         if self.sha256 is not None and len(remote.digest) == len(self.sha256):
             return remote.digest == self.sha256
-        return store.has_digest(self.place, remote.digest)
+        return has_digest(self.place, remote.digest)
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +151,7 @@ def _other_files(
 
 def _is_for_page(path: str) -> bool:
     folder, _, name = path.rpartition("/")
-    return folder == store.VIEWER_FOLDER and store.ShardName.parse(name) is not None
+    return folder == VIEWER_FOLDER and store.ShardName.parse(name) is not None
 
 
 def collect(root: Path, manifest: store.Manifest) -> list[str]:
@@ -214,8 +221,8 @@ class Upload:
             message = place.missing_message(store.MANIFEST_FILE)
             raise InputError(message, next="give the folder of a data set made by this toolkit")
         with contextlib.ExitStack() as stack:
-            scratch = stack.enter_context(store.scratch_folder())
-            if isinstance(place, store.FsspecFolder):
+            scratch = stack.enter_context(scratch_folder())
+            if isinstance(place, FsspecFolder):
                 place = local_copy(place, scratch / "copy")
             _require_sound(check_folder(place, kind, workers))
             state, unasked = _asked_state(ask, repo_id, chosen.branch, dry_run=dry_run)
@@ -248,7 +255,7 @@ class Upload:
         """
         ask = _asking(repo_id, on_wait)
         with contextlib.ExitStack() as stack:
-            scratch = stack.enter_context(store.scratch_folder())
+            scratch = stack.enter_context(scratch_folder())
             for path, content in files.items():
                 (scratch / path).write_bytes(content)
             state, unasked = _asked_state(ask, repo_id, options.branch, dry_run=dry_run)
@@ -261,7 +268,7 @@ class Upload:
     @property
     def page(self) -> str:
         """Address of the web page of the repository."""
-        return hub.page_of(self.repo_id)
+        return page_of(self.repo_id)
 
     @property
     def where(self) -> str:
@@ -325,7 +332,7 @@ class Upload:
         # If only the answer was lost, a second attempt would open a second pull request.
         commit, pull = ask(partial(_send, self), waits_s=() if options.create_pr else None)
         # Not HfApi.verify_repo_checksums (from 1.1 on), which reads all files of one folder again.
-        now = ask(partial(hub.listing, self.repo_id, commit))
+        now = ask(partial(listing, self.repo_id, commit))
         wrong = compare(self.files, now, delete=options.delete)
         if not wrong.is_done:
             paths = [*(file.path for file in wrong.to_send), *wrong.removed]
@@ -348,15 +355,15 @@ def check_folder(
         return findings
     schema = None
     if kind is not None:
-        schema = kind.schema_of(places.folder_place(folder).require_manifest(kind))
+        schema = kind.schema_of(folder_place(folder).require_manifest(kind))
     return store.verify(folder, schema, check_card=cards.check_card, workers=workers).findings
 
 
 def _asking(repo_id: str, on_wait: Callable[[str], None]) -> _Ask:
     """Return a function that calls others for a repository, with retries; InputError for a wrong name."""
-    if hub.hub_name(repo_id) != hub.HubName(repo_id, None, ""):
+    if hub.hub_name(repo_id) != HubName(repo_id, None, ""):
         raise InputError(f"{repo_id!r} is not a name of a repository", next="give USER/NAME")
-    return partial(hub.call_with_retry, repo_id=repo_id, doing="uploading to", on_wait=on_wait)
+    return partial(call_with_retry, repo_id=repo_id, doing="uploading to", on_wait=on_wait)
 
 
 def _compared(
@@ -386,7 +393,7 @@ def _refuse_public(repo_id: str, options: UploadOptions, held: hub.HubRepository
     if options.private and held is not None and not held.is_private:
         raise InputError(
             f"{repo_id!r} exists and everyone can see it, but --private was given; nothing was sent",
-            next=f"make it private at {hub.page_of(repo_id)}/settings, or leave --private out",
+            next=f"make it private at {page_of(repo_id)}/settings, or leave --private out",
         )
 
 
@@ -424,10 +431,10 @@ def _state(repo_id: str, branch: str) -> _State:
     tags = {ref.name: str(ref.target_commit) for ref in refs.tags}
     # Pull requests are not listed.
     exists = branch.startswith("refs/") or branch in {ref.name for ref in refs.branches}
-    return hub.listing(repo_id, branch if exists else MAIN_BRANCH), tags, exists
+    return listing(repo_id, branch if exists else MAIN_BRANCH), tags, exists
 
 
-def local_copy(folder: store.FsspecFolder, root: Path) -> store.DataFolder:
+def local_copy(folder: FsspecFolder, root: Path) -> store.DataFolder:
     """Copy all visible files of a folder to this machine.
 
     Raises IntegrityError for names that lead out of a folder, StorageError if the disk is full, and

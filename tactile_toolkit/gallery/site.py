@@ -28,6 +28,9 @@ from tactile_toolkit import __version__, run, store, wording
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.gallery.items import Gallery, GalleryItem, RowsTask
 from tactile_toolkit.rows import Column
+from tactile_toolkit.store.addresses import local_folder_path
+from tactile_toolkit.store.files import DRAFT, draft_of, remove_drafts
+from tactile_toolkit.store.locks import LOCK_FILE
 
 PAGE_FILE = "index.html"
 
@@ -108,11 +111,11 @@ def build_site(
         named = path / _name_of(folder)
         if named not in former:
             folder.rename(named)
-        draft = store.draft_of(path / PAGE_FILE)
+        draft = draft_of(path / PAGE_FILE)
         files.bytes += draft.write_bytes(_page_of(named))
         draft.replace(path / PAGE_FILE)
         for each in set(former) - {named}:
-            retired = each.rename(store.draft_of(each))
+            retired = each.rename(draft_of(each))
             if _name_of(retired) != each.name:  # a file was added meanwhile
                 retired.rename(each)
     return Site(str(path), len(items), files.count + 1, files.bytes, dict(gallery.splits), is_replaced)
@@ -182,7 +185,7 @@ def _unfinished_folder(path: Path) -> Iterator[Path]:
         with store.locked(path, patience_s=0):
             try:
                 _remove_unfinished(path)
-                folder = store.draft_of(path / "files")
+                folder = draft_of(path / "files")
                 folder.mkdir()
                 yield folder
             finally:
@@ -194,9 +197,9 @@ def _unfinished_folder(path: Path) -> Iterator[Path]:
 
 
 def _remove_unfinished(path: Path) -> None:
-    store.remove_drafts(path)
+    remove_drafts(path)
     for left in path.iterdir():
-        if re.match(store.DRAFT, left.name) and not left.is_symlink():
+        if re.match(DRAFT, left.name) and not left.is_symlink():
             shutil.rmtree(left)
 
 
@@ -217,7 +220,7 @@ def _page_of(files: Path) -> bytes:
 def _site_folder(gallery: Gallery, out: str, *, overwrite: bool = False) -> Path:
     """Return the folder of the site of a gallery; raises InputError as :func:`build_site` does."""
     # The target of a symbolic link: the link itself is not replaced.
-    path = Path(os.path.realpath(store.local_folder_path(out)))
+    path = Path(os.path.realpath(local_folder_path(out)))
     if path.is_dir():
         _former_folders(path, overwrite=overwrite)
     one, many = gallery.nouns
@@ -241,7 +244,7 @@ def _former_folders(path: Path, *, overwrite: bool) -> list[Path]:
     """
     former: list[Path] = []
     for entry in sorted(path.iterdir()):
-        is_ours = entry.name == store.LOCK_FILE or re.match(store.DRAFT, entry.name) is not None
+        is_ours = entry.name == LOCK_FILE or re.match(DRAFT, entry.name) is not None
         if entry.name.startswith(_FOLDER_PREFIX) and entry.is_dir() and not entry.is_symlink():
             is_ours = entry.name == _name_of(entry)
             if is_ours:

@@ -21,8 +21,9 @@ from urllib.parse import urlsplit
 
 import huggingface_hub
 
-from tactile_toolkit import errors, store
+from tactile_toolkit import errors
 from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.store import remote
 
 ANSWER_BYTES = 32 << 20
 """Largest unpacked answer that is not a file: a listing of more than 100,000 files."""
@@ -177,12 +178,12 @@ def not_cached(repo_id: str, what: str) -> errors.HubError:
 
 def failure_of(
     error: Exception, repo_id: str, doing: str = "reading", *, is_answer: bool = False
-) -> store.CallFailure | None:
+) -> remote.CallFailure | None:
     """Return the failure for an exception of the client; None for any other exception.
 
     With ``is_answer`` only an answer of the Hub was read, so an unreadable value is a failure, too.
     """
-    chain = store.cause_chain(error)
+    chain = remote.cause_chain(error)
     if any(isinstance(link, errors.ToolkitError) for link in chain):
         return None
     traits = [_traits(link) for link in chain]
@@ -209,13 +210,13 @@ def failure_of(
             )
             raised = _CLASSES.get(pattern, errors.HubError)(what, next=then)
             met = " ".join(traits)
-            return store.CallFailure(raised, bool(_PASSING.search(met)) and not _LASTING.search(met), wait_s)
+            return remote.CallFailure(raised, bool(_PASSING.search(met)) and not _LASTING.search(met), wait_s)
     return None
 
 
 def has_answered(error: BaseException) -> bool:
     """Return whether the first cause of an error is an answer of the Hub."""
-    return not any(_SILENT.search(_traits(link)) for link in store.cause_chain(error))
+    return not any(_SILENT.search(_traits(link)) for link in remote.cause_chain(error))
 
 
 def call_with_retry(
@@ -233,7 +234,7 @@ def call_with_retry(
     """
     _limit_session()
     failure = partial(failure_of, repo_id=repo_id, doing=doing, is_answer=True)
-    return store.with_retry(action, failure, WAITS_S if waits_s is None else waits_s, on_wait=on_wait)
+    return remote.with_retry(action, failure, WAITS_S if waits_s is None else waits_s, on_wait=on_wait)
 
 
 def _limit_session() -> None:
@@ -260,7 +261,7 @@ def _send(send: Callable[..., Any], request: Any, *, stream: bool = False, **opt
     """Send a request of the client's session, and limit the time until the header of the answer arrives."""
     if request.method not in ("GET", "HEAD"):  # it may send a file
         return send(request, stream=stream, **options)
-    response = store.in_time(partial(send, request, stream=True, **options))
+    response = remote.in_time(partial(send, request, stream=True, **options))
     if not stream:
         # The session reads the answer.
         getattr(response, "read", lambda: response.content)()
@@ -279,8 +280,8 @@ def _timed(pieces: Callable[..., Iterator[bytes]], *arguments: object) -> Iterat
             return
         waited_s = waited_s + time.monotonic() - begun_s
         arrived = arrived + len(piece)
-        if waited_s > store.remote.ANSWER_S + arrived / store.remote.MIN_BYTES_PER_S:
-            raise store.remote.TooSlowError(f"{arrived:,} bytes came within {waited_s:.0f} s")
+        if waited_s > remote.ANSWER_S + arrived / remote.MIN_BYTES_PER_S:
+            raise remote.TooSlowError(f"{arrived:,} bytes came within {waited_s:.0f} s")
         yield piece
 
 

@@ -27,6 +27,11 @@ from tactile_toolkit.hub.calls import (
     not_cached,
     require_addresses,
 )
+from tactile_toolkit.store.files import scratch_folder, sync_file, write_file
+from tactile_toolkit.store.folder import LocalFolder
+from tactile_toolkit.store.manifest import is_of_others
+from tactile_toolkit.store.remote import FsspecFolder
+from tactile_toolkit.store.verification import DIGEST, HubFile, has_digest
 
 _PREFIX = "hf://datasets/"
 # A slash in the name of a branch is written %2F, except in the two kinds of branches that the Hub makes
@@ -86,7 +91,7 @@ def remember_commit(repo_id: str, revision: str, commit: str) -> None:
     if commit_of(repo_id, revision) not in (commit, revision) and not store.problem_of_name(revision):
         with contextlib.suppress(OSError):
             refs = _cache_of(repo_id) / "refs"
-            store.write_file(refs / revision, lambda stream: stream.write(commit.encode()))
+            write_file(refs / revision, lambda stream: stream.write(commit.encode()))
 
 
 def _cache_of(repo_id: str) -> Path:
@@ -131,7 +136,7 @@ class HubRepository:
     repo_id: str
     revision: str | None
     commit: str
-    remote: Mapping[str, store.HubFile] = field(repr=False)
+    remote: Mapping[str, HubFile] = field(repr=False)
     is_cache: bool = False
     licence: str | None = None
     is_private: bool = False
@@ -148,22 +153,18 @@ class HubRepository:
         if store.MANIFEST_FILE not in self.remote:
             return None
         content = self.local_paths((store.MANIFEST_FILE,))[0].read_bytes()
-        if store.is_of_others(content):
+        if is_of_others(content):
             return None
         return store.Manifest.from_json(content, f"{self.repo_id}/{store.MANIFEST_FILE}")
 
     @cached_property
-    def _listed(self) -> dict[str, store.HubFile]:
+    def _listed(self) -> dict[str, HubFile]:
         """Shards and further files of the commit as the manifest states them, by path."""
         if self.manifest is None:
             return {}
         digests = {path: each for path, each in self.manifest.files.items() if path in self.remote}
-        shards = {
-            each.file: store.HubFile(each.file, each.bytes, each.sha256) for each in self.manifest.shards
-        }
-        return shards | {
-            path: store.HubFile(path, self.remote[path].size_bytes, digests[path]) for path in digests
-        }
+        shards = {each.file: HubFile(each.file, each.bytes, each.sha256) for each in self.manifest.shards}
+        return shards | {path: HubFile(path, self.remote[path].size_bytes, digests[path]) for path in digests}
 
     @property
     def size_bytes(self) -> int:
@@ -176,7 +177,7 @@ class HubRepository:
             return sorted({*self.remote, *self._listed})
         return sorted(self.remote)
 
-    def file(self, path: str) -> store.HubFile:
+    def file(self, path: str) -> HubFile:
         """Return the expected size and digest of a file, as the manifest states them, or else the Hub.
 
         Raises IntegrityError if the two disagree (fetching would not help) or the name cannot be that of a
@@ -218,7 +219,7 @@ class HubRepository:
 
     def fetch(
         self,
-        files: Sequence[store.HubFile],
+        files: Sequence[HubFile],
         folder: store.DataFolder | None = None,
         on_bytes: Callable[[int], None] = lambda _: None,
     ) -> None:
@@ -234,7 +235,7 @@ class HubRepository:
         arrived = dict[str, int]()
         total = 0
 
-        def count(file: store.HubFile, size_bytes: int) -> None:
+        def count(file: HubFile, size_bytes: int) -> None:
             nonlocal total
             if size_bytes > file.size_bytes:
                 raise TooLargeError(f"more than the {file.size_bytes:,} bytes that were expected")
@@ -245,9 +246,9 @@ class HubRepository:
                 arrived[file.path] = size_bytes
                 on_bytes(total)
 
-        def fetch_one(file: store.HubFile) -> str:
+        def fetch_one(file: HubFile) -> str:
             place = self._fetch_checked(file, stage, partial(count, file))
-            if isinstance(folder, store.FsspecFolder):
+            if isinstance(folder, FsspecFolder):
                 folder.upload(file.path, place)
                 place.unlink()
             return file.path
@@ -255,19 +256,19 @@ class HubRepository:
         with contextlib.ExitStack() as stack:
             stage = None
             inside = ""
-            if isinstance(folder, store.LocalFolder):
+            if isinstance(folder, LocalFolder):
                 inside = stack.enter_context(folder.stage())
                 stage = folder.local_path(inside)
             elif folder is not None:
-                stage = stack.enter_context(store.scratch_folder())
+                stage = stack.enter_context(scratch_folder())
             stack.callback(stopped.set)
             # Daemon threads; at exit, the interpreter waits for those of an executor.
             with ThreadPool(max(1, min(_FILES_AT_ONCE, len(files)))) as pool:
                 for path in pool.imap_unordered(fetch_one, files):
-                    if isinstance(folder, store.LocalFolder):
+                    if isinstance(folder, LocalFolder):
                         folder.move(f"{inside}/{path}", path)
 
-    def _fetch_checked(self, file: store.HubFile, folder: Path | None, count: Callable[[int], None]) -> Path:
+    def _fetch_checked(self, file: HubFile, folder: Path | None, count: Callable[[int], None]) -> Path:
         """Fetch a file into the Hub's cache or a folder, and check it; a damaged file is fetched again."""
         path = file.path
         digest = file.digest
@@ -279,14 +280,14 @@ class HubRepository:
         if folder is None:
             self._wait_for_another(path)
         # An intact file may have been fetched by another process meanwhile.
-        for force in (folder is None and cached.exists() and not store.has_digest(cached, digest), True):
+        for force in (folder is None and cached.exists() and not has_digest(cached, digest), True):
             fetch = partial(
                 huggingface_hub.hf_hub_download, self.repo_id, path, force_download=force, **options
             )
             doing = f"fetching {path!r} of"
             place = Path(call_with_retry(fetch, self.repo_id, doing, on_wait=self.on_wait))
-            if store.has_digest(place, digest):
-                store.sync_file(place)  # a power cut must not empty a file that counts as intact
+            if has_digest(place, digest):
+                sync_file(place)  # a power cut must not empty a file that counts as intact
                 count(file.size_bytes)
                 return place
             # Also the target of its link in the cache: damaged content must not be found again.
@@ -349,7 +350,7 @@ def listing(repo_id: str, revision: str | None = None) -> HubRepository:
     for entry in answer.siblings or ():
         # Files that are stored in git have git's own digest.
         digest = entry.lfs.sha256 if entry.lfs else str(entry.blob_id)
-        files[entry.rfilename] = store.HubFile(entry.rfilename, int(entry.size), digest)
+        files[entry.rfilename] = HubFile(entry.rfilename, int(entry.size), digest)
     if not _COMMIT.fullmatch(answer.sha):
         raise ValueError(f"{answer.sha[:80]!r} is not a commit")
     licence = getattr(answer.card_data, "license", None)
@@ -370,8 +371,8 @@ def find_cached(repo_id: str, revision: str | None = None) -> HubRepository | No
         # The name of a blob is the digest of its content; a cache without links has no blobs.
         path = file.relative_to(root).as_posix()
         blob = Path(os.path.realpath(file)).name
-        is_named = file.is_symlink() and store.DIGEST.fullmatch(blob)
-        files[path] = store.HubFile(path, file.stat().st_size, blob if is_named else None)
+        is_named = file.is_symlink() and DIGEST.fullmatch(blob)
+        files[path] = HubFile(path, file.stat().st_size, blob if is_named else None)
     if files:
         return replace(found, remote=files)
     return None

@@ -28,6 +28,7 @@ from tactile_toolkit.mesh.mesh import (
     merge_equal_vertices,
     welded,
 )
+from tactile_toolkit.store.files import readable, write_file
 
 # Readers of formats that state no unit.
 _PLAIN: dict[str, Callable[[bytes], Surface]] = {
@@ -87,7 +88,7 @@ class MeshFile:
         """
         mesh_options.require_unit(unit)
         root = store.expanded(fspath(place))
-        with store.readable(str(root)):
+        with readable(str(root)):
             if not store.path_exists(root):
                 return None
             if root.is_dir():
@@ -246,7 +247,7 @@ def write_mesh(path: str | Path, mesh: MeshLike) -> None:
     data = pack_mesh(Mesh.of(mesh), MeshFile(path).ending)
     with store.named_failures(str(path)):
         path.parent.stat()  # a mistyped folder is refused, not created
-        store.write_file(path, lambda stream: stream.write(data))
+        write_file(path, lambda stream: stream.write(data))
 
 
 def pack_mesh(mesh: Mesh, ending: str, name: str = "") -> bytes:

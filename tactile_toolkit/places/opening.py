@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal, Protocol, TypeAlias, TypeVar, cast, overload
 
 from tactile_toolkit import errors, hub, mesh, read, store
+from tactile_toolkit.hub.calls import not_cached
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.places.place import Place, named_on_hub, published_set, shards_by_split
 from tactile_toolkit.places.split_files import (
@@ -24,6 +25,9 @@ from tactile_toolkit.places.split_files import (
     splits_by_name,
     unknown_split,
 )
+from tactile_toolkit.store.building import resume_promotion
+from tactile_toolkit.store.files import readable
+from tactile_toolkit.store.manifest import DATA_FOLDER
 
 # Depth of folders in which files are searched, and their largest number.
 _DEPTH = 4
@@ -119,7 +123,7 @@ def _without_short_name(name: str) -> str:
         return name
     # The folder must hold data: a checkout of the toolkit has a folder called ``mnist3d``, too.
     place = Path(name)
-    patterns = (store.MANIFEST_FILE, "*.parquet", f"{store.DATA_FOLDER}/*.parquet")
+    patterns = (store.MANIFEST_FILE, "*.parquet", f"{DATA_FOLDER}/*.parquet")
     is_data = place.is_file() or any(next(place.glob(pattern), None) for pattern in patterns)
     if is_data:
         return name
@@ -147,7 +151,7 @@ def _local(name: str) -> tuple[store.DataFolder, str] | None:
                 next="check the address",
             )
         return folder, ""
-    with store.readable(name):
+    with readable(name):
         if not store.path_exists(path):
             return None
     if path.is_dir():
@@ -163,7 +167,7 @@ def _local_place(name: str, folder: store.DataFolder, file: str, config: str | N
         if folder.is_local and not folder.is_parquet(file):
             raise not_a_set(folder, name, file)
         return Place(name, folder, {split_of_file(file) or USUAL_SPLIT: (file,)}, is_file=True)
-    store.resume_promotion(folder)  # a folder that is being replaced has files of two data sets
+    resume_promotion(folder)  # a folder that is being replaced has files of two data sets
     manifest = store.manifest_so_far(folder)
     if manifest is not None:
         return Place(name, folder, shards_by_split(manifest), manifest, manifest.complete)
@@ -173,7 +177,7 @@ def _local_place(name: str, folder: store.DataFolder, file: str, config: str | N
         named = splits_by_card(folder.read_bytes(store.CARD_FILE), _walked(folder), config, name)
         if named is not None:
             return Place(name, folder, require_some(named, name), config=config)
-    in_data = [f"{store.DATA_FOLDER}/{each}" for each in folder.names(store.DATA_FOLDER)]
+    in_data = [f"{DATA_FOLDER}/{each}" for each in folder.names(DATA_FOLDER)]
     if not has_shards(in_data):
         in_data = _walked(folder)
     found = splits_by_name(in_data, name)
@@ -238,13 +242,13 @@ def repository_place(
         named = splits_by_card(card, paths, config, name)
         if named is not None:
             if repository.is_cache and not any(named.values()):
-                raise hub.not_cached(repository.repo_id, "it")
+                raise not_cached(repository.repo_id, "it")
             return Place(name, repository, require_some(named, name), config=config)
     relative = splits_by_name((each.removeprefix(inside) for each in paths), name)
     found = {split: tuple(f"{inside}{each}" for each in held) for split, held in relative.items()}
     if not found:
         if repository.is_cache:
-            raise hub.not_cached(repository.repo_id, "it")
+            raise not_cached(repository.repo_id, "it")
         raise unknown_split("", (), name)
     return Place(name, repository, found)
 

@@ -15,6 +15,8 @@ from functools import cached_property, partial
 import pyarrow as pa
 
 from tactile_toolkit import errors, hub, mesh, read, run, store, wording
+from tactile_toolkit.hub.calls import hub_failures, not_cached
+from tactile_toolkit.hub.repository import HubName, find_cached
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.kind import DatasetKind, PublishedSet, is_for_others, kinds
 from tactile_toolkit.places.split_files import (
@@ -24,6 +26,7 @@ from tactile_toolkit.places.split_files import (
     splits_by_name,
     unknown_split,
 )
+from tactile_toolkit.store.verification import DownloadRecord
 
 _COLUMNS_SHOWN = 8
 _TAKE_FINISHED = "; or take what is finished with --allow-incomplete (allow_incomplete=True)"
@@ -125,7 +128,7 @@ class Place:
     def _stated_kind(self) -> DatasetKind | None:
         if self.manifest is not None:
             return next((each for each in kinds() if each.name == self.manifest.kind), None)
-        repository: hub.HubRepository | store.DownloadRecord | None = self.repository
+        repository: hub.HubRepository | DownloadRecord | None = self.repository
         if self.folder is not None:
             repository = store.read_download_record(self.folder)
         if repository is not None:
@@ -371,7 +374,7 @@ class Place:
         except (errors.InputError, errors.IntegrityError) as error:
             if self.repository is None or not self.repository.is_cache or self.manifest is not None:
                 raise
-            raise hub.not_cached(self.repository.repo_id, f"split {split!r}") from error
+            raise not_cached(self.repository.repo_id, f"split {split!r}") from error
 
     @store.without_collecting()
     def _recorded_shards(
@@ -419,7 +422,7 @@ def hub_shards(
         return tuple(read.Shard(str(place)) for place in repository.local_paths(paths))
     for path in paths:
         repository.file(path)  # a file that is not there is named now, not when it is read
-    failures = partial(hub.hub_failures, repository.repo_id, "streaming")
+    failures = partial(hub_failures, repository.repo_id, "streaming")
     return tuple(read.Shard(repository.address(path), failures=failures) for path in paths)
 
 
@@ -491,7 +494,7 @@ def find_repository(
     return hub.open_repository(named.repo_id, named.revision, patient=True, on_wait=on_wait)
 
 
-def named_on_hub(name: str, revision: str | None) -> hub.HubName:
+def named_on_hub(name: str, revision: str | None) -> HubName:
     """Resolve a name or short name to a repository, or a path in one; InputError for other names."""
     known = published_set(name)
     repo_id = known.repo_id if known is not None else name
@@ -531,7 +534,7 @@ def published_states() -> Iterator[PublishedState]:
             if not answer.is_cache:
                 licence = licence or answer.licence
                 hub_bytes = answer.size_bytes
-        cached = hub.find_cached(known.repo_id)
+        cached = find_cached(known.repo_id)
         if cached is None or not cached.size_bytes:
             return PublishedState(known, licence, hub_bytes, 0, [])
         splits = list(splits_by_name(cached.remote, known.repo_id))

@@ -13,6 +13,9 @@ from typing import TypeAlias
 from tactile_toolkit import errors, store, wording
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.kind import kinds
+from tactile_toolkit.store.folder import PENDING_FOLDER
+from tactile_toolkit.store.job import pending_shards
+from tactile_toolkit.store.manifest import DATA_FOLDER, VIEWER_FOLDER
 
 PARQUET = ".parquet"
 _CARD = store.CARD_FILE
@@ -29,7 +32,7 @@ _SEPARATORS = re.compile("[-._ 0-9]+")
 _SHARD = re.compile(r"(\w+)-\d{5,}-of-\d{5,}(?:[-.].*)?\.parquet")
 _SPLIT_NAME = re.compile(r"\w[\w.-]*")
 # Folders of Parquet files without rows of the data set.
-_OTHER_FOLDERS = ("reports", store.VIEWER_FOLDER)
+_OTHER_FOLDERS = ("reports", VIEWER_FOLDER)
 _LARGEST_CARD_BYTES = 1 << 20
 Splits: TypeAlias = dict[str, tuple[str, ...]]
 """Paths of the Parquet files of each split, both in order."""
@@ -121,7 +124,7 @@ def has_shards(paths: Iterable[str]) -> bool:
 
 def _is_shard_in_data(path: str) -> bool:
     folder, _, name = path.rpartition("/")
-    return folder == store.DATA_FOLDER and _SHARD.fullmatch(name) is not None
+    return folder == DATA_FOLDER and _SHARD.fullmatch(name) is not None
 
 
 def _split_of(path: str) -> tuple[str, str]:
@@ -129,18 +132,18 @@ def _split_of(path: str) -> tuple[str, str]:
     *folders, name = path.split("/")
     stem = name.removesuffix(PARQUET)
     parent = "/".join(folders)
-    if folders != [store.DATA_FOLDER]:
+    if folders != [DATA_FOLDER]:
         for depth, folder in enumerate(folders):
             stated = _split_in(folder)
             if stated:
                 return stated, "/".join(folders[: depth + 1])
     is_numbered = stem.isdigit()
-    if is_numbered and parent not in ("", store.DATA_FOLDER):
+    if is_numbered and parent not in ("", DATA_FOLDER):
         return folders[-1], parent  # as in the branch refs/convert/parquet of the Hub
     split = split_of_file(name)
     if split is not None:
         return split, parent
-    if is_numbered or parent not in ("", store.DATA_FOLDER):
+    if is_numbered or parent not in ("", DATA_FOLDER):
         return USUAL_SPLIT, parent
     return re.split("[-.]", stem)[0], parent
 
@@ -353,7 +356,7 @@ def unknown_split(split: str, known: tuple[str, ...], where: str) -> errors.Inpu
 
 def is_interrupted(folder: store.DataFolder) -> bool:
     """Return whether a folder has shard records of an unfinished run."""
-    return bool(store.pending_shards(folder.names(store.PENDING_FOLDER)))
+    return bool(pending_shards(folder.names(PENDING_FOLDER)))
 
 
 def not_a_set(folder: store.DataFolder, name: str, path: str = "") -> errors.InputError:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from tactile_toolkit import read, store
+from tactile_toolkit import read
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.mesh import MM_PER_M, Mesh, MeshFile, SolidRecord
@@ -37,6 +37,7 @@ from tactile_toolkit.printing.file_export import (
 from tactile_toolkit.printing.plate_layouts import PlateLayout, arrange, draw_map
 from tactile_toolkit.printing.print_options import MODELS, ExportOptions, Physics, PlateSpec
 from tactile_toolkit.printing.simulator import body_of, model_files, pack_mjcf
+from tactile_toolkit.store.addresses import local_folder_path
 from tactile_toolkit.wording import bytes_text, with_count
 
 # Meshes that a file for simulators refers to; other files next to them are never replaced.
@@ -352,7 +353,7 @@ def write_plates(
     Raises InputError, before anything is written, where the folder holds plates of another export, and
     StorageError where the folder cannot be written; finished files are kept.
     """
-    unknown = _unknown_files(layout, store.local_folder_path(out))
+    unknown = _unknown_files(layout, local_folder_path(out))
     # The table first, because it shows whether the folder holds another export.
     FileExport.of([_table_product(tuple(_rows(layout)), unknown)], out, overwrite=overwrite, dry_run=True)
     plates = [

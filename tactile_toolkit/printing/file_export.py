@@ -21,6 +21,9 @@ from tactile_toolkit.json_types import JsonValue
 from tactile_toolkit.mesh import solid_check
 from tactile_toolkit.mesh.files import pack_mesh, unpack_mesh
 from tactile_toolkit.run import runner_for
+from tactile_toolkit.store.addresses import local_folder_path
+from tactile_toolkit.store.files import remove_drafts, write_file
+from tactile_toolkit.store.folder import LocalFolder
 from tactile_toolkit.wording import class_name, with_count
 
 if TYPE_CHECKING:
@@ -193,10 +196,10 @@ class FileExport(Generic[R]):
         written, where other files exist under their names, and StorageError where the folder cannot be
         written; finished files are kept.
         """
-        folder = store.local_folder_path(out)
+        folder = local_folder_path(out)
         if not dry_run:
             store.open_folder(out).require_folder()
-            store.remove_drafts(folder)  # drafts of killed exports
+            remove_drafts(folder)  # drafts of killed exports
         found: dict[str, tuple[str, R | FailedExport]] = {}
 
         def run(some: Sequence[Product[R]], overwrite: bool, dry_run: bool) -> None:
@@ -248,7 +251,7 @@ def _write(path: Path, content: bytes) -> None:
             raise ItemError(CHANGED, "it reads back from disk with other bytes; the file was removed")
 
     with store.named_failures(str(path)):
-        store.write_file(path, write)
+        write_file(path, write)
 
 
 def content_of(path: Path) -> bytes | None:
@@ -260,7 +263,7 @@ def content_of(path: Path) -> bytes | None:
 
 def _before(folder: Path, product: Product[R]) -> set[Path]:
     """Return the existing files of a product; InputError if one of its folders is a link."""
-    places = [store.LocalFolder(str(folder)).local_path(pattern) for pattern in product.patterns]
+    places = [LocalFolder(str(folder)).local_path(pattern) for pattern in product.patterns]
     return {path for place in places for path in place.parent.glob(place.name)}
 
 

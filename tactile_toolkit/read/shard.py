@@ -31,6 +31,9 @@ import xxhash
 from tactile_toolkit import cache, errors, store
 from tactile_toolkit.read import schemas
 from tactile_toolkit.read.record import RowGroup, table_bytes
+from tactile_toolkit.store.folder import VERSION_KEYS
+from tactile_toolkit.store.manifest import DATA_FOLDER
+from tactile_toolkit.store.parquet import require_sound_columns
 
 if TYPE_CHECKING:
     from pyarrow import parquet
@@ -279,7 +282,7 @@ class Shard:
         """Refuse rows that would exceed the limit when unpacked, according to the footer."""
         # A large row group is harmless, because it is unpacked in blocks, unless it may consist of one row.
         if not self.is_remote:
-            store.require_sound_columns(self.path, metadata, [index])
+            require_sound_columns(self.path, metadata, [index])
         group = metadata.row_group(index)
         columns = [group.column(number) for number in range(group.num_columns)]
         size_bytes = sum(
@@ -351,7 +354,7 @@ class Shard:
         if on_hub is not None:
             return repr(f"{on_hub[1]}/{on_hub[2]}"), self.split
         folders = (self.path if self.is_remote else os.path.abspath(self.path)).split("/")[:-1]  # noqa: PTH100
-        named = [part for part in folders if part not in ("", ".", store.DATA_FOLDER)] or folders
+        named = [part for part in folders if part not in ("", ".", DATA_FOLDER)] or folders
         return repr(named[-1]), self.split
 
     @property
@@ -376,7 +379,7 @@ class Shard:
         if not self.is_remote:
             return stream, (found := self._found_now()), found[-2]
         facts = getattr(stream, "details", None) or files.info(name) or {}
-        versions = [(key, str(facts[key])) for key in store.VERSION_KEYS if key in facts]
+        versions = [(key, str(facts[key])) for key in VERSION_KEYS if key in facts]
         return stream, (self.path, *versions), facts["size"]
 
     @contextlib.contextmanager

@@ -2,20 +2,16 @@
 
 from .processes import (
     free_workers as free_workers,
-    InlineRunner as InlineRunner,
-    ProcessRunner as ProcessRunner,
     Runner as Runner,
     runner_for as runner_for,
     start_background as start_background,
 )
 from .this_process import (
     in_threads as in_threads,
-    limit_threads as limit_threads,
     Part as Part,
     prepare_batch_process as prepare_batch_process,
     skip_pandas as skip_pandas,
     usable_cores as usable_cores,
-    working_folder as working_folder,
 )
 from .ray import (
     RayRunner as RayRunner,

@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from tactile_toolkit import errors, run
+from tactile_toolkit import errors
+from tactile_toolkit.run.this_process import working_folder
 from tactile_toolkit.store.files import expanded
 from tactile_toolkit.store.folder import DataFolder, LocalFolder
 from tactile_toolkit.store.remote import FsspecFolder
@@ -65,7 +66,7 @@ def open_folder(address: str) -> DataFolder:
     if path is None:
         return FsspecFolder(normalize_uri(address))
     if not path.is_absolute():  # only then is the working folder needed, which may have been deleted
-        path = run.working_folder() / path
+        path = working_folder() / path
     return LocalFolder(str(path))
 
 

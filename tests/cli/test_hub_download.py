@@ -14,7 +14,7 @@ import pytest
 from realtouch.kind import KIND as TOUCH_KIND
 from realtouch.touches.opening import SHORT_NAMES
 from tactile_toolkit.kind import kinds
-from tactile_toolkit.places import published_set
+from tactile_toolkit.places.place import published_set
 from tests.hub_server import HubServer, hub
 from tests.realtouch.factories import make_round, single_rows, write_set
 from tests.tactile_toolkit.hub.client import run_here, settings

@@ -17,7 +17,7 @@ import realtouch
 from realtouch.convert.conversion import Conversion, RowChoice, Source, plan_conversion
 from realtouch.convert.selection import KeepTouches
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.run import ProcessRunner
+from tactile_toolkit.run.processes import ProcessRunner
 from tactile_toolkit.store import sha256_hex
 from tactile_toolkit.touch import decode_image, resized
 from tests.command_line import call

@@ -32,7 +32,7 @@ from tactile_toolkit.errors import (
     StorageError,
     ToolkitError,
 )
-from tactile_toolkit.store import PENDING_FOLDER
+from tactile_toolkit.store.folder import PENDING_FOLDER
 from tests.tactile_sim.sets import NOISE
 from tests.tactile_sim.training import CONFIG, SPEC, losses_of_steps, make_sources
 from tests.unchanged.record import numbers_of, recorded

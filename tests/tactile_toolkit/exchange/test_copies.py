@@ -17,7 +17,8 @@ import tactile_sim
 from starstruck_gen.kind import KIND as SCENES
 from tactile_toolkit.catalog import RowFilter
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.exchange import divide, merge_sets, plan_tables, write_part
+from tactile_toolkit.exchange import merge_sets, plan_tables
+from tactile_toolkit.exchange.copies import divide, write_part
 from tactile_toolkit.places import open_place
 from tactile_toolkit.store import Progress, build, open_folder
 from tests.realtouch import factories

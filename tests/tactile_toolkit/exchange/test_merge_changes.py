@@ -15,8 +15,8 @@ import starstruck_gen
 from realtouch.kind import KIND as TOUCHES
 from starstruck_gen.kind import KIND as SCENES
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.exchange import divide, merge_sets, write_part
-from tactile_toolkit.exchange.copies import schema_difference, source_names
+from tactile_toolkit.exchange import merge_sets
+from tactile_toolkit.exchange.copies import divide, schema_difference, source_names, write_part
 from tactile_toolkit.read.schemas import feature_metadata, label_feature
 from tests.command_line import call
 from tests.realtouch import factories

@@ -14,7 +14,8 @@ from tactile_toolkit.cards import FolderSummary
 from tactile_toolkit.cards.yaml_head import configs
 from tactile_toolkit.exchange.upload import LocalFile, collect, compare
 from tactile_toolkit.hub import HubRepository
-from tactile_toolkit.store import HubFile, open_folder, read_manifest
+from tactile_toolkit.store import open_folder, read_manifest
+from tactile_toolkit.store.verification import HubFile
 
 
 @pytest.fixture

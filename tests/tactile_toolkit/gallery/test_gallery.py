@@ -11,7 +11,7 @@ import pytest
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError, StorageError
 from tactile_toolkit.gallery import Gallery, build_site, site as site_module
 from tactile_toolkit.gallery.site import ASSETS, MAX_ITEMS, PAGE_FILE, THREE, asset
-from tactile_toolkit.run import InlineRunner, ProcessRunner
+from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
 from tests.forked import run_forked, start_forked
 from tests.gallery_files import files_of, index_of
 from tests.gallery_toy import HOSTILE, ToyTask, toy_gallery

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.hub import HubName, hub_name
+from tactile_toolkit.hub import hub_name
+from tactile_toolkit.hub.repository import HubName
 from tactile_toolkit.places import find_repository, open_place
 from tactile_toolkit.places.split_files import splits_by_name
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from tactile_toolkit import run
+from tactile_toolkit.run.processes import ProcessRunner
 from tests.processes import PATIENCE_S, alive, wait_until_gone
 
 REPOSITORY = Path(__file__).resolve().parents[3]
@@ -73,7 +74,7 @@ def test_it_is_not_reached_by_ctrl_c_and_runs_at_low_priority(tmp_path):
 
 
 def test_its_errors_are_lines(capfd):
-    run.start_background(run.ProcessRunner, 0)
+    run.start_background(ProcessRunner, 0)
     told = ""
     while "\n" not in told:
         told += capfd.readouterr().err

@@ -29,7 +29,8 @@ from tactile_toolkit.errors import (
     MissingExtraError,
     ToolkitError,
 )
-from tactile_toolkit.run import ProcessRunner, RayRunner, skip_pandas
+from tactile_toolkit.run import RayRunner, skip_pandas
+from tactile_toolkit.run.processes import ProcessRunner
 from tests.forked import run_forked
 from tests.processes import PATIENCE_S, alive
 

@@ -17,7 +17,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError, StorageError, ToolkitError
-from tactile_toolkit.run import Part, ProcessRunner
+from tactile_toolkit.run import Part
+from tactile_toolkit.run.processes import ProcessRunner
 from tactile_toolkit.store import build, open_folder, read_manifest, verify
 from tests.forked import run_forked
 from tests.processes import children, wait_until_gone

@@ -24,7 +24,8 @@ from hypothesis import settings
 
 from tactile_toolkit.errors import InputError, StorageError, ToolkitError
 from tactile_toolkit.run import Part
-from tactile_toolkit.store import LocalFolder, ShardName, locks, open_folder, read_manifest, verify
+from tactile_toolkit.store import ShardName, locks, open_folder, read_manifest, verify
+from tactile_toolkit.store.folder import LocalFolder
 from tests.tactile_toolkit.toy import SCHEMA, ToyTask, folder_bytes, make, toy_plan
 
 SAMPLED = 20

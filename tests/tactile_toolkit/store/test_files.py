@@ -12,7 +12,8 @@ import pytest
 
 from tactile_toolkit.errors import StorageError
 from tactile_toolkit.run import Part
-from tactile_toolkit.store import build, open_folder, remove_drafts, verify, write_file
+from tactile_toolkit.store import build, open_folder, verify
+from tactile_toolkit.store.files import remove_drafts, write_file
 from tests.tactile_toolkit.toy import SCHEMA, toy_plan
 
 NAME = "train-00001-of-00004.parquet"

@@ -19,7 +19,8 @@ import pytest
 from tactile_toolkit.cache import LOCKS, cache_folder
 from tactile_toolkit.errors import BusyError
 from tactile_toolkit.places import open_place
-from tactile_toolkit.store import LOCK_FILE, Progress, build, locked, locks, open_folder
+from tactile_toolkit.store import Progress, build, locked, locks, open_folder
+from tactile_toolkit.store.locks import LOCK_FILE
 from tests.processes import records_so_far
 from tests.tactile_toolkit.hub.sets import BIG, CONTENT, SHARD, fetch, script, two_sets
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan

@@ -13,8 +13,9 @@ from pathlib import Path
 import pytest
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.run import InlineRunner, ProcessRunner
-from tactile_toolkit.store import LocalFolder, open_folder, verify
+from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
+from tactile_toolkit.store import open_folder, verify
+from tactile_toolkit.store.folder import LocalFolder
 from tests.command_line import call
 from tests.processes import start_held
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, make, toy_plan

@@ -6,7 +6,8 @@ import pytest
 
 from tactile_toolkit.errors import InputError, StorageError
 from tactile_toolkit.run import Part
-from tactile_toolkit.store import build, manifest_so_far, open_folder, read_manifest, verify, write_manifest
+from tactile_toolkit.store import build, manifest_so_far, open_folder, read_manifest, verify
+from tactile_toolkit.store.manifest import write_manifest
 from tests.tactile_toolkit.toy import folder_bytes, make, toy_plan
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from tactile_toolkit.errors import InputError, IntegrityError, RemoteError
-from tactile_toolkit.run import ProcessRunner
+from tactile_toolkit.run.processes import ProcessRunner
 from tactile_toolkit.store import build, open_folder, read_manifest, remote, verify
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
 

@@ -12,8 +12,10 @@ import pytest
 
 from tactile_toolkit.errors import InputError, SpecMismatchError, StorageError, ToolkitError
 from tactile_toolkit.places import open_place
-from tactile_toolkit.run import InlineRunner, Part, ProcessRunner
-from tactile_toolkit.store import LocalFolder, build, open_folder, read_manifest
+from tactile_toolkit.run import Part
+from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
+from tactile_toolkit.store import build, open_folder, read_manifest
+from tactile_toolkit.store.folder import LocalFolder
 from tests.tactile_toolkit.toy import folder_bytes, make, toy_plan
 
 FAILURE = InputError("no place for the third object")

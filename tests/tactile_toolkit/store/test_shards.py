@@ -13,17 +13,8 @@ from tactile_toolkit.cards import FolderSummary, check_card
 from tactile_toolkit.cards.yaml_head import card_head, configs, head_text
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.places.split_files import parquet_paths
-from tactile_toolkit.store import (
-    Manifest,
-    ShardName,
-    ShardRecord,
-    Skipped,
-    add_up,
-    build,
-    decode,
-    open_folder,
-    shard_ranges,
-)
+from tactile_toolkit.store import Manifest, ShardName, Skipped, build, decode, open_folder
+from tactile_toolkit.store.manifest import ShardRecord, add_up, shard_ranges
 from tests.tactile_toolkit.toy import ToyTask, toy_plan
 
 COUNT = 100_001

@@ -10,8 +10,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.store import DownloadRecord, HubFile, build, open_folder, verify, write_download_record
+from tactile_toolkit.store import build, open_folder, verify
 from tactile_toolkit.store.parquet import encode_parquet
+from tactile_toolkit.store.verification import DownloadRecord, HubFile, write_download_record
 from tests.sealed import edit
 from tests.tactile_toolkit.toy import SCHEMA, STYLE, toy_plan
 
