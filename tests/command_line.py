@@ -8,7 +8,9 @@ from importlib import import_module
 from typing import Any
 from unittest import mock
 
-__all__ = ["alone", "call", "program"]
+from typer.testing import CliRunner, Result
+
+__all__ = ["alone", "call", "program", "run"]
 
 
 def alone() -> Any:
@@ -30,6 +32,13 @@ def call(program: str, *arguments: object) -> int:
         sys.argv = before
         os.environ.pop("TACTILE_TOOLKIT_DEBUG", None)
     return 0
+
+
+def run(program: str, *arguments: object) -> Result:
+    """Run a command line in this process, without workers unless requested, and return what it printed."""
+    app = import_module(f"cli.{program.replace('-', '_')}").app
+    with alone():
+        return CliRunner().invoke(app, list(map(str, arguments)))
 
 
 def program(name: str, *arguments: object) -> list[str]:

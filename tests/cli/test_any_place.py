@@ -43,11 +43,8 @@ def sets(tmp_path_factory: pytest.TempPathFactory) -> Path:
     def run(*words: object) -> None:
         assert call(*map(str, words), "-w", "1", "-q") == 0
 
-    run(
-        *("mnist3d", "generate", "--split", "test", "--per-class", 1, "--vertices", 1500),
-        "--out",
-        root / "digits",
-    )
+    small = ("--split", "test", "--per-class", 1, "--vertices", 1500)
+    run("mnist3d", "generate", *small, "--out", root / "digits")
     run("starstruck", "generate", "--scenes", "test=3,train=6", "--out", root / "scenes")
     assert call("env-assets", "wrench", "--out", str(root / "wrench"), "-q") == 0
     rounds = [factories.make_round(number, 3, (64, 48)) for number in range(3)]
@@ -64,16 +61,8 @@ def sets(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run("tactile", "export", root / "digits", "--out", root / "solids", "--limit", 2)
     run("tactile", "merge", root / "digits", "--out", root / "copied")
     run("tactile", "export", root / "digits", "--format", "flat", "--out", root / "flat")
-    run(
-        "starstruck",
-        "generate",
-        "--scenes",
-        "test=3,train=6000",
-        "--part",
-        "1/3",
-        "--out",
-        root / "unfinished",
-    )
+    part = ("--scenes", "test=3,train=6000", "--part", "1/3")
+    run("starstruck", "generate", *part, "--out", root / "unfinished")
     return root
 
 

@@ -73,16 +73,37 @@ def test_a_command_gets_the_objects_and_help_names_the_options(tmp_path):
     assert CliRunner().invoke(app, ["make", str(tmp_path), "--width", "0"]).exit_code == 2
 
 
-def test_errors_of_the_toolkit_are_a_line_and_an_exit_code():
+def failing(error: Exception) -> typer.Typer:
+    """Return an application whose only command ``break`` raises an error."""
     app = new_app("toy", "A toy.")
 
     @command(app, "break")
     def broken(sink: Sink) -> None:
-        message = "it is damaged"
-        raise IntegrityError(message)
+        raise error
 
-    result = CliRunner().invoke(app, ["break"])
-    assert (result.exit_code, result.stderr) == (3, "error: it is damaged\n")
+    return app
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "line"),
+    [
+        (IntegrityError("it is damaged"), 3, "error: it is damaged\n"),
+        # A lack of file handles is not a wrong path.
+        (OSError(errno.EMFILE, "Too many open files", "a.csv"), 2, "'a.csv': Too many open files; next: "),
+        (MemoryError(), 2, "error: there is not enough memory; next: "),
+        (OSError(errno.ENOMEM, "Cannot allocate memory"), 2, "error: there is not enough memory; next: "),
+        (ImportError("_path.so: failed to map segment"), 2, "error: there is not enough memory; next: "),
+    ],
+)
+def test_errors_are_a_line_and_an_exit_code(error, code, line, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["toy", "break"])
+    with pytest.raises(SystemExit) as caught:
+        run(failing(error))
+    assert caught.value.code == code
+    told = capsys.readouterr().err
+    assert line in told
+    assert told.startswith("error: ")
+    assert told.count("\n") == 1
 
 
 @pytest.mark.parametrize(
@@ -118,18 +139,6 @@ def test_pandas_is_left_out_before_a_command_begins(monkeypatch):
 
     assert CliRunner().invoke(app, ["make"]).exit_code == 0
     assert order == ["left out", "begun"]
-
-
-def test_a_lack_of_file_handles_is_not_called_a_wrong_path():
-    app = new_app("toy", "A toy.")
-
-    @command(app, "open")
-    def opened(sink: Sink) -> None:
-        raise OSError(errno.EMFILE, "Too many open files", "good.csv")
-
-    result = CliRunner().invoke(app, ["open"])
-    assert result.exit_code == 2
-    assert "'good.csv': Too many open files; next: " in result.stderr
 
 
 def test_two_options_of_one_name_are_a_mistake_of_ours():
@@ -192,15 +201,10 @@ def _options(command) -> set[str]:
 def test_debug_lets_the_traceback_through(place, monkeypatch):
     monkeypatch.delenv("TACTILE_TOOLKIT_DEBUG", raising=False)
     monkeypatch.setattr("os.environ", dict(os.environ))
-    app = new_app("toy", "A toy.")
-
-    @command(app, "break")
-    def broken(sink: Sink) -> None:
-        message = "it is damaged"
-        raise IntegrityError(message)
-
     words = ["--debug", "break"] if place == "before" else ["break", "--debug"]
-    assert isinstance(CliRunner().invoke(app, words).exception, IntegrityError)
+    assert isinstance(
+        CliRunner().invoke(failing(IntegrityError("it is damaged")), words).exception, IntegrityError
+    )
 
 
 @pytest.mark.one_at_a_desk
@@ -327,30 +331,6 @@ def test_a_name_that_is_not_text_is_refused(words, tmp_path, monkeypatch, capsys
     assert call(*(word.replace("NAME", "caf\udce9") for word in words.split())) == 2
     said = capsys.readouterr().err
     assert said == "error: 'caf\\udce9' is not valid UTF-8; next: give another name\n"
-
-
-@pytest.mark.parametrize(
-    "error",
-    [
-        MemoryError(),
-        OSError(errno.ENOMEM, "Cannot allocate memory"),
-        ImportError("_path.so: failed to map segment from shared object"),
-    ],
-)
-def test_too_little_memory_is_named(error, monkeypatch, capsys):
-    app = new_app("toy", "A toy.")
-
-    @command(app, "break")
-    def broken(sink: Sink) -> None:
-        raise error
-
-    monkeypatch.setattr(sys, "argv", ["toy", "break"])
-    with pytest.raises(SystemExit) as caught:
-        run(app)
-    assert caught.value.code == 2
-    said = capsys.readouterr().err
-    assert said.startswith("error: there is not enough memory; next: ")
-    assert said.count("\n") == 1
 
 
 @pytest.mark.thorough

@@ -44,25 +44,17 @@ def test_the_only_split_is_opened(clips, tmp_path, capsys):
 def test_load_checks_and_prints_the_content(clips, capsys):
     assert call("realtouch", "load", clips, "--split", "test") == 0
     printed = capsys.readouterr()
-    for words in (
-        "rounds",
-        "3 (3 per round)",
-        "66.7%",
-        "2: 1",
-        "64 x 48 pixels",
-        "25 per second",
-        "1: 1 round",
-    ):
-        assert words in printed.out
+    shown = ("rounds", "3 (3 per round)", "66.7%", "2: 1", "64 x 48 pixels", "25 per second", "1: 1 round")
+    assert [words for words in shown if words not in printed.out] == []
     assert "realtouch.load(" in printed.out
     assert call("realtouch", "load", clips, "--split", "test", "--json", "--quiet") == 0
     document = json.loads(capsys.readouterr().out)
     assert (document["kind"], document["rounds"], document["touches"]) == ("seq", 1, 3)
 
 
-@pytest.mark.parametrize("label", ["[/b0][b]x\x1b[2J\x07\u202egnp"])
-def test_names_of_classes_are_shown_and_not_obeyed(tmp_path, capsys, monkeypatch, label):
+def test_names_of_classes_are_shown_and_not_obeyed(tmp_path, capsys, monkeypatch):
     """`[/b0]` ended `info` in a traceback; others reached the terminal."""
+    label = "[/b0][b]x\x1b[2J\x07\u202egnp"
     monkeypatch.setattr(factories, "LABELS", [label, *factories.LABELS[1:]])
     rows = factories.single_rows([factories.make_round(0, 3, (64, 48))])
     rows = [{**row, "label": 0} for row in rows]
@@ -126,42 +118,35 @@ def test_info_shows_every_split_and_how_it_was_made(clips, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("command", "check"),
     [
+        ("realtouch resize --size 32x24", lambda out: first_of(out).sensor_image[0].shape == (24, 32, 3)),
         (
-            ("realtouch", "resize", "--size", "32x24"),
-            lambda out: realtouch.load(out, "train")[0].sensor_image[0].shape == (24, 32, 3),
-        ),
-        (
-            ("tactile", "select", "--contact", "--labels", "0,1"),
+            "tactile select --contact --labels 0,1",
             lambda out: len(realtouch.load(out, "train").touches()) == 4,
         ),
-        (
-            ("tactile", "select", "--ids", "4001"),
-            lambda out: realtouch.load(out, "train")[0].object_id == 4001,
-        ),
-        (("tactile", "select", "--limit", 1), lambda out: len(realtouch.load(out, "train")) == 1),
-        (
-            ("tactile", "export", "--format", "jpeg"),
-            lambda out: len(list((out / "images").rglob("*.jpg"))) == 9,
-        ),
-        (
-            ("tactile", "export", "--format", "png"),
-            lambda out: len(list((out / "images").rglob("*.png"))) == 9,
-        ),
+        ("tactile select --ids 4001", lambda out: first_of(out).object_id == 4001),
+        ("tactile select --limit 1", lambda out: len(realtouch.load(out, "train")) == 1),
+        ("tactile export --format jpeg", lambda out: len(list(out.glob("images/**/*.jpg"))) == 9),
+        ("tactile export --format png", lambda out: len(list(out.glob("images/**/*.png"))) == 9),
     ],
 )
 def test_conversions(command, check, images, tmp_path, capsys):
-    program, name, *options = command
+    program, name, *options = command.split()
     out = tmp_path / "out"
-    assert call(program, name, images, "--out", out, *options, "--workers", 1) == 0
+    words = (program, name, images, "--out", out, *options, "--workers", 1)
+    assert call(*words) == 0
     printed = capsys.readouterr().out
     assert "the data set is in" in printed
     rows = sum(split["rows"] for split in read_manifest(open_folder(str(out))).split_table().values())
     assert f"made {with_count(rows, 'touches' if name == 'export' else 'rounds')} in " in printed
     assert check(out)
     before = (out / "manifest.json").stat().st_mtime_ns
-    assert call(program, name, images, "--out", out, *options, "--workers", 1, "--quiet") == 0
+    assert call(*words, "--quiet") == 0
     assert (out / "manifest.json").stat().st_mtime_ns == before
     assert capsys.readouterr().out == ""
+
+
+def first_of(folder: Path) -> realtouch.TouchRound:
+    return realtouch.load(folder, "train")[0]
 
 
 def test_verify_names_all_damage_and_leaves_with_3(images, tmp_path, capsys):
@@ -212,40 +197,3 @@ def test_load_checks_headers_by_default_and_verify_can_be_quick(tmp_path, capsys
         program, name, *options = command.split()
         assert call(program, name, tmp_path / folder, *options, "--json") == code, (folder, command)
     assert "damaged: " in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("realtouch", "load", "nowhere/"), "(`tactile list` lists the published sets)"),
-        (("realtouch", "load", "{images}", "--split", "holdout"), "no split 'holdout'"),
-        (("realtouch", "resize", "{images}", "--out", "{out}", "--size", "64"), "expected WIDTHxHEIGHT"),
-        (("realtouch", "resize", "{images}", "--out", "{out}", "--size", "0x9"), "expected at least 1 x 1"),
-        (
-            ("realtouch", "resize", "{images}", "--out", "{out}", "--size", f"9x{'9' * 5_000}"),
-            "expected WIDTHxHEIGHT",
-        ),
-        (
-            ("tactile", "select", "{images}", "--out", "{out}", "--ids", "9" * 5_000),
-            "expected numbers and ranges",
-        ),
-        (("tactile", "select", "{images}", "--out", "{out}", "--labels", "cat"), "no class 'cat'"),
-        (("tactile", "select", "{images}", "--out", "{out}", "--ids", "x"), "expected numbers and ranges"),
-        (
-            ("tactile", "select", "{images}", "--out", "{out}", "--contact", "--min-height-mm", "nan"),
-            "--min-height-mm is nan; expected a number",
-        ),
-        (("tactile", "select", "{images}", "--out", "{out}", "--min-height-mm", "7"), "next: add --contact"),
-        (("tactile", "select", "{images}", "--out", "{out}", "--as-recorded"), "next: add --contact"),
-        (("realtouch", "stills", "{images}", "--out", "{out}"), "holds single images already"),
-        (("tactile", "verify", "{out}/nothing"), "does not exist"),
-    ],
-)
-def test_bad_input_gives_one_line_and_exit_code_2(arguments, words, images, tmp_path, capsys):
-    filled = [str(each).format(images=images, out=tmp_path / "out") for each in arguments]
-    assert call(*filled) == 2
-    printed = capsys.readouterr()
-    assert printed.err.startswith("error: ")
-    assert words in printed.err
-    assert "Traceback" not in printed.err
-    assert not (tmp_path / "out").exists()

@@ -1,0 +1,119 @@
+"""Bad input of every command: one error line, exit code 2, and nothing is written."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import pytest
+
+from tests.command_line import call
+from tests.realtouch import factories
+
+
+@pytest.fixture(scope="module")
+def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    rows = factories.single_rows([factories.make_round(0, 3, (64, 48))])
+    return factories.write_set(tmp_path_factory.mktemp("images"), {"train": rows}, "single")
+
+
+CASES = [
+    ("mnist3d generate --source hwdplus", "--images is needed by the source 'hwdplus'"),
+    ("mnist3d generate --source hwdplus --images x.npy", "--writer-info is needed by the source 'hwdplus'"),
+    ("mnist3d generate --source mnist --images nowhere", "nowhere: found no folder, expected train-images"),
+    ("mnist3d generate --images x", "--images has no effect without --source hwdplus, mnist or folder"),
+    ("mnist3d generate --foreground auto", "--foreground has no effect without --source folder"),
+    ("mnist3d generate --writer-info x", "--writer-info has no effect without --source hwdplus"),
+    ("mnist3d generate --writer-column 0", "--writer-column has no effect without --source hwdplus"),
+    ("mnist3d generate --download", "--download has no effect without --source mnist"),
+    (
+        "mnist3d generate --source folder --images x --digits 9",
+        "--digits has no effect without --source synthetic",
+    ),
+    ("mnist3d generate --half-thickness-mm 50", "specification is 50.0; expected 0.2 to 20 mm"),
+    ("mnist3d generate --half-thickness-mm -1", "--half-thickness-mm is -1.0; expected a number above 0"),
+    ("mnist3d generate --vertices 0", "--vertices is 0; expected an integer of at least 100"),
+    ("mnist3d generate --split-sizes train", "expected SPLIT=N once per split, such as train=8,test=2"),
+    ("mnist3d generate --split-sizes train=1,train=2", "once at most"),
+    ("mnist3d generate --split-sizes train=LONG", "--split-sizes is 'train=99"),
+    ("mnist3d generate --split-sizes validation=3", "(('validation', 3),); expected each of train, test, "),
+    ("mnist3d generate --split-sizes train=9999", "ask for 9999 digits per class, the source has 1358"),
+    ("mnist3d validate nowhere.stl", "error: 'nowhere.stl' does not exist"),
+    ("starstruck generate --stars 3-1", "--stars is '3-1'; expected a range"),
+    ("starstruck generate --stars many", "--stars is 'many'"),
+    ("starstruck generate --stars ²", "--stars is '²'; expected a range"),
+    ("starstruck generate --stars 12 --clearance-mm 5", "no place for object"),
+    ("starstruck generate --distractors -1", "--distractors is '-1'"),
+    ("starstruck generate --distractors 1,2,9", "is '1,2,9'; expected the minimum and the maximum"),
+    ("starstruck generate --distractors 1-2-9", "--distractors is '1-2-9'"),
+    ("starstruck generate --distractors 0-30", "no layout held nearly as many objects"),
+    ("starstruck generate --cell-mm large", "--cell-mm is 'large'; expected 1 to 2 lengths"),
+    ("starstruck generate --cell-mm 120x130x140", "--cell-mm is '120x130x140'; expected 1 to 2 lengths"),
+    ("starstruck generate --cell-mm 30", "--cell-mm, in metres, of the scene specification is (0.03, 0.03)"),
+    (
+        "starstruck generate --radius-mm 0.1 --cell-mm 2000 --shapes 'disc(segments=256)'",
+        "--cell-mm, in metres, of the scene specification is (2.0, 2.0)",
+    ),
+    ("starstruck generate --shapes box,sun", "unknown shape 'sun'"),
+    ("starstruck generate --shapes star", "expected Shape objects that are not stars"),
+    ("starstruck generate --shapes 'ring(segments=3,segments=4)'", "expected each once as NAME=NUMBER"),
+    ("starstruck generate --scenes some", "--scenes is 'some'"),
+    ("starstruck generate --scenes ²", "--scenes is '²'"),
+    ("starstruck generate --scenes LONG", "--scenes is '999"),
+    ("starstruck generate --scenes dev=4", "(('dev', 4),); expected each of train, test"),
+    ("starstruck generate --scenes 0", "no scenes to make"),
+    ("starstruck generate --heights-mm 0", "--heights-mm, in metres, of the scene specification is (0.0,)"),
+    ("starstruck generate --radius-mm 0 --star-inner-mm 3", "--radius-mm, in metres, of shape 'star' is 0.0"),
+    ("starstruck generate --star-points 4 --star-inner-mm 9", "lower inner_ratio (--star-inner-mm)"),
+    ("env-assets wrench --opening-mm 0", "--opening-mm is 0.0; expected a number from 5 to 60"),
+    ("env-assets wrench --clearance-mm 0.6", "--clearance-mm is 0.6; expected a number from 0 to 0.5"),
+    ("realtouch load nowhere/", "(`tactile list` lists the published sets)"),
+    ("realtouch load IMAGES --split holdout", "no split 'holdout'"),
+    ("realtouch resize IMAGES --out out --size 64", "expected WIDTHxHEIGHT"),
+    ("realtouch resize IMAGES --out out --size 0x9", "expected at least 1 x 1"),
+    ("realtouch resize IMAGES --out out --size 9xLONG", "expected WIDTHxHEIGHT"),
+    ("realtouch stills IMAGES --out out", "holds single images already"),
+    ("tactile select IMAGES --out out --ids LONG", "expected numbers and ranges"),
+    ("tactile select IMAGES --out out --ids x", "expected numbers and ranges"),
+    ("tactile select IMAGES --out out --labels cat", "no class 'cat'"),
+    (
+        "tactile select IMAGES --out out --contact --min-height-mm nan",
+        "--min-height-mm is nan; expected a number",
+    ),
+    ("tactile select IMAGES --out out --min-height-mm 7", "next: add --contact"),
+    ("tactile select IMAGES --out out --as-recorded", "next: add --contact"),
+    ("tactile info nowhere", "'nowhere' does not exist; expected a folder, a Parquet file"),
+    ("tactile verify nowhere", "nowhere' does not exist"),
+    ("tactile export DIGITS --out out --split validation", "validation"),
+    ("tactile export DIGITS --out out --ids 9999999", "no object with id 9999999"),
+    ("tactile export DIGITS --out out --ids x", "--ids has 'x'"),
+    ("tactile export DIGITS --out out --ids 99990-99999", "no object with an id from 99990 to 99999"),
+    ("tactile export DIGITS --out out --labels 11", "no class '11'"),
+    ("tactile export DIGITS --out out --scale 0", "--scale is 0"),
+    ("tactile export DIGITS --out out --plate 256", "--plate is '256'"),
+    ("tactile export DIGITS --out out --plate 20x20", "the plate has 20 x 20 mm less 7 mm at each edge"),
+    ("tactile export DIGITS --out out --plate 256x256 --gap-mm -1", "--gap-mm is -1"),
+    (
+        "tactile export DIGITS --out out --plate 256x256 --format stl",
+        "--plate has no effect without --format 3mf or mjcf",
+    ),
+    ("tactile export DIGITS --out out --gap-mm 3", "--gap-mm has no effect without --plate"),
+]
+
+
+@pytest.mark.parametrize(("words", "message"), CASES, ids=[words for words, _ in CASES])
+def test_bad_input_is_named_and_writes_nothing(
+    words, message, digits_set, images, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    values = {"DIGITS": str(digits_set), "IMAGES": str(images), "LONG": "9" * 5_000}
+    for name, value in values.items():
+        words = words.replace(name, value)
+    assert call(*shlex.split(words)) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith("error: ")
+    assert message in printed.err
+    assert printed.err.count("\n") <= 2
+    assert "Traceback" not in printed.err
+    assert list(tmp_path.iterdir()) == []
