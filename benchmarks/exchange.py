@@ -143,7 +143,10 @@ def jobs(source: Path, other: Path, touches: int) -> dict[str, tuple[Work, Work]
 
     def importing(layout: Any, place: Path, samples: Any) -> tuple[Work, Work]:
         by_hand = partial(import_by_hand, partial(samples, place)), touches
-        return (lambda out: realtouch.import_touches(place, out / "set", layout), touches), by_hand
+        return (
+            lambda out: realtouch.import_touches(place, out / "set", realtouch.ImportSpec(layout)),
+            touches,
+        ), by_hand
 
     return {
         **{layout: exporting(layout) for layout in ("flat", "webdataset", "lerobot")},

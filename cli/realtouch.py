@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import MISSING, asdict
+from dataclasses import MISSING, asdict, replace
 from functools import partial
 from pathlib import Path
 
@@ -15,8 +15,8 @@ from cli.options import Making, Opening, Work, argument, out_folder
 from realtouch import touch_options
 from realtouch.kind import KIND
 from tactile_toolkit import catalog, checked_fields, store, touch
-from tactile_toolkit.checked_fields import choice, text
-from tactile_toolkit.wording import comma_separated, with_count
+from tactile_toolkit.checked_fields import text
+from tactile_toolkit.wording import with_count
 
 _MAPPED = text(
     name="--map",
@@ -25,13 +25,6 @@ _MAPPED = text(
     help="Column of the image, label, round, object, position, pose, split or time; any other NAME renames "
     "a column. @FILE reads such lines from a file.",
 )
-_STREAMS = text(
-    name="--stream",
-    metavar="FILE",
-    several=True,
-    help="Table with times, such as poses or forces, that is aligned with the pictures.",
-)
-
 app = application.new_app(
     "realtouch", "Real touches: load, import, check and convert recordings of tactile sensors."
 )
@@ -68,34 +61,11 @@ def load(
 def import_touches(
     *,
     source: str = argument("SOURCE", "Folder or file of videos, images, episodes or arrays."),
-    file_format: str | None = choice(
-        None,
-        touch_options.IMPORT_LAYOUTS,
-        optional=True,
-        name="--format",
-        help="Format of the source; by default it is recognised by its content.",
-    ),
     out: str = out_folder(),
+    spec: touch_options.ImportSpec,
     columns: touch_options.ImportColumns,
     mapped: list[str] | None = _MAPPED,
-    table: str | None = text(
-        metavar="FILE", help="Table of the images or videos; by default the only one in SOURCE."
-    ),
-    streams: list[str] | None = _STREAMS,
     alignment: touch_options.Alignment,
-    cut: str | None = text(
-        metavar="frames|whole|contact|FILE",
-        help="How a recording is divided into touches: by picture, not at all, by contact, or by a table.",
-    ),
-    classes: list[str] | None = text(
-        metavar="A,B", read=comma_separated, help="Names of the classes, in order; by default those found."
-    ),
-    split_name: str | None = text(
-        name="--into-split",
-        metavar="NAME",
-        help="Name of the split, if no column has it; by default from the names of tars (SPLIT-000000.tar), "
-        "or train.",
-    ),
     making: Making,
     sink: output.Sink,
 ) -> None:
@@ -106,20 +76,11 @@ def import_touches(
 
     Example: realtouch import takes --map label=object --map pose=x_mm,y_mm,z_mm,qx,qy,qz,qw --out touches
     """
-    reading: options.Given = {
-        "layout": file_format,
-        "columns": columns.with_mapped(mapped or ()),
-        "table": table,
-        "streams": streams or (),
-        "alignment": alignment,
-        "cut": cut,
-        "classes": classes or (),
-        "split": split_name,
-    }
+    spec = replace(spec, columns=columns.with_mapped(mapped or ()), alignment=alignment)
     if making.dry_run:
-        _print_preview(sink, realtouch.preview_import(source, **reading), out)
+        _print_preview(sink, realtouch.preview_import(source, spec), out)
         return
-    make = partial(realtouch.import_touches, source, out, **reading)
+    make = partial(realtouch.import_touches, source, out, spec)
     manifest = runs.make_with_progress(sink, "importing", KIND, make, making, out, "touches")
     if manifest is not None:
         _print_imported(sink, manifest)
@@ -149,8 +110,8 @@ def _print_preview(sink: output.Sink, found: realtouch.ImportPreview, out: str) 
 
 def _print_imported(sink: output.Sink, manifest: store.Manifest) -> None:
     options = manifest.spec["options"]
-    if realtouch.CONVERSION in options:
-        sink.info(f"pictures: {options[realtouch.CONVERSION]}")
+    if touch_options.CONVERSION in options:
+        sink.info(f"pictures: {options[touch_options.CONVERSION]}")
     if not options["classes"]:
         sink.info("no classes are known (--map label=COLUMN names their column), so all labels are -1")
     if touch_options.STREAMS in manifest.spec:
@@ -160,7 +121,7 @@ def _print_imported(sink: output.Sink, manifest: store.Manifest) -> None:
     counted = manifest.total_statistics()
     for note, count in counted.get(touch_options.CLIPS, {}).items():
         sink.info(f"{with_count(count, 'clips')}: {note}")
-    fields = counted.get(realtouch.NOT_IMPORTED, {})
+    fields = counted.get(touch_options.NOT_IMPORTED, {})
     if fields:
         counts = ", ".join(f"{name} ({count:,})" for name, count in fields.items())
         sink.info(f"fields that were not imported, with their numbers of touches: {counts}")

@@ -4,6 +4,7 @@ from .touch_options import (
     Alignment as Alignment,
     CheckLimits as CheckLimits,
     ImportColumns as ImportColumns,
+    ImportSpec as ImportSpec,
 )
 from .contact import (
     ContactThresholds as ContactThresholds,
@@ -36,8 +37,7 @@ from .touches.media import (
 )
 from .formats.exports import export as export
 from .importing.import_plan import ImportPreview as ImportPreview, preview_import as preview_import
-from .importing.import_shards import NOT_IMPORTED as NOT_IMPORTED
-from .importing.import_plan import CONVERSION as CONVERSION, import_touches as import_touches
+from .importing.import_plan import import_touches as import_touches
 from .touches.opening import SHORT_NAMES as SHORT_NAMES, load as load
 from .touches.poses import Poses as Poses, PoseSequences as PoseSequences
 from .touches.rounds import (

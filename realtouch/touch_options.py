@@ -6,17 +6,15 @@ import difflib
 import io
 import os
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
 
 from tactile_toolkit import catalog, checked_fields, errors, touch, wording
 from tactile_toolkit.columns import units
 from tactile_toolkit.json_types import JsonDict
 
-T = TypeVar("T")
 ONE_SPLIT = checked_fields.text(metavar="NAME", help="Split to open; required if there are several.")
 IMPORT_LAYOUTS = (
     "folder",
@@ -57,6 +55,10 @@ STREAM_HEADER = (
     "columns",
 )
 """Columns of a table of streams, each a row of ``realtouch.importing.streams``."""
+CONVERSION = "images_were"
+"""Key of the options of an import: how images were converted."""
+NOT_IMPORTED = "not_imported"
+"""Key of the statistics of an import: number of touches of each field that was not imported."""
 LEFT_OUT = "left_out"
 """Key of the specification of an import: data of recordings that are not imported."""
 STREAMS = "streams"
@@ -211,13 +213,6 @@ class CheckLimits:
 
     def __post_init__(self) -> None:
         checked_fields.check_fields(self, "the limits")
-
-
-def require_layout(layout: str, known: Mapping[str, T]) -> T:
-    """Return the entry of a format; InputError for an unknown name."""
-    if layout not in known:
-        raise errors.InputError(f"there is no layout {layout!r}; expected {', '.join(known)}")
-    return known[layout]
 
 
 @dataclass(frozen=True, slots=True)
@@ -579,6 +574,72 @@ class ImportColumns:
         plain = (self.label, self.round, self.object_id, self.split, self.time)
         several = (*(self.position or ()), *(self.pose or ()), *(column for _, column in self.extra))
         return list(dict.fromkeys(filter(None, (*plain, *several))))
+
+
+@dataclass(frozen=True, slots=True)
+class ImportSpec:
+    """How :func:`realtouch.import_touches` reads a source.
+
+    Attributes
+    ----------
+    layout : str, optional
+        Format of the source (see the page "Your own sensor"); by default it is recognised by its content.
+    columns : ImportColumns, optional
+        Meaning and units of columns; those of our exports are found by name, others are kept as extra ones.
+    table : str, optional
+        Path of the table of images or videos; by default the only one in the folder.
+    streams : tuple of str
+        Paths of tables with times that are aligned with every recording by ``alignment``, beside those that
+        are named like a video: ``take1.csv`` and ``take1.force.csv`` of ``take1.mp4``.
+    alignment : Alignment, optional
+        How streams are aligned.
+    cut : "frames", "whole", "contact", or path of a table, optional
+        How recordings become touches: pictures, the whole, clips by contact, or a table with ``start_s`` and
+        ``end_s`` or ``start_frame`` and ``end_frame``; by default videos whole, others by frames.
+    classes : tuple of str
+        Names of the classes in order; by default those in the data. Without any, all labels are -1.
+    split : str, optional
+        Split where no column states it; by default that of a tar ``test-000000.tar``, else ``train``.
+    """
+
+    layout: str | None = checked_fields.choice(
+        None,
+        IMPORT_LAYOUTS,
+        optional=True,
+        name="--format",
+        help="Format of the source; by default it is recognised by its content.",
+    )
+    columns: ImportColumns | None = None
+    table: str | None = checked_fields.text(
+        metavar="FILE", help="Table of the images or videos; by default the only one in SOURCE."
+    )
+    streams: tuple[str, ...] = checked_fields.text(
+        (),
+        name="--stream",
+        metavar="FILE",
+        several=True,
+        help="Table with times, such as poses or forces, that is aligned with the pictures.",
+    )
+    alignment: Alignment | None = None
+    cut: str | None = checked_fields.text(
+        metavar="frames|whole|contact|FILE",
+        help="How a recording is divided into touches: by picture, not at all, by contact, or by a table.",
+    )
+    classes: tuple[str, ...] = checked_fields.text(
+        (),
+        metavar="A,B",
+        read=wording.comma_separated,
+        help="Names of the classes, in order; by default those found.",
+    )
+    split: str | None = checked_fields.text(
+        name="--into-split",
+        metavar="NAME",
+        help="Name of the split, if no column has it; by default from the names of tars (SPLIT-000000.tar), "
+        "or train.",
+    )
+
+    def __post_init__(self) -> None:
+        checked_fields.check_fields(self, "the import")
 
 
 def is_extra_name(name: str) -> bool:

@@ -111,12 +111,14 @@ def export(
     StorageError
         The folder cannot be written. What was finished stays.
     """
-    plan = touch_options.require_layout(layout, EXPORTS)
+    if layout not in EXPORTS:
+        raise errors.InputError(f"there is no layout {layout!r}; expected {', '.join(EXPORTS)}")
     method = contact.require_method(frame)
 
     def planned(opened: convert.Source, limit: int | None) -> convert.Conversion:
         options = {"layout": layout, "limit": limit}
-        conversion: convert.Conversion = plan(opened, convert.first_rows(opened, limit), method, options)
+        rows = convert.first_rows(opened, limit)
+        conversion: convert.Conversion = EXPORTS[layout](opened, rows, method, options)
         return conversion
 
     return convert.write_conversion(source, out, planned, **job)

@@ -25,14 +25,11 @@ from realtouch.importing import (
     source_files,
     source_touches,
 )
-from realtouch.touch_options import Alignment
 from tactile_toolkit import errors, store, touch, wording
 from tactile_toolkit.columns import units
 from tactile_toolkit.json_types import JsonDict, JsonValue
 from tactile_toolkit.touch import MEDIA_TYPE
 
-CONVERSION = "images_were"
-"""Key of the options of an import: how images were converted."""
 _MAX_LEFT_OUT = 100
 _MAX_STREAMS = 200  # listed in the manifest
 _TOUCHES_PER_GROUP = 1024
@@ -60,15 +57,7 @@ _LONGEST_SHOWN = 60
 def import_touches(
     source: str | PathLike[str],
     out: str | PathLike[str],
-    layout: str | None = None,
-    columns: touch_options.ImportColumns | None = None,
-    *,
-    table: str | None = None,
-    streams: Sequence[str] = (),
-    alignment: touch_options.Alignment | None = None,
-    cut: str | None = None,
-    classes: Sequence[str] = (),
-    split: str | None = None,
+    spec: touch_options.ImportSpec | None = None,
     **run: Unpack[store.RunKeywords],
 ) -> store.Manifest:
     """Make a data set of touches from videos, images, episodes or arrays; pictures are not changed.
@@ -79,22 +68,8 @@ def import_touches(
         Recordings: a folder, a file, an address of a store, or what :func:`realtouch.export` wrote.
     out : str or path
         Folder to write, outside the source.
-    layout : str, optional
-        Format of the source (see the page "Your own sensor"); by default it is recognised by its content.
-    columns : ImportColumns, optional
-        Meaning and units of columns; those of our exports are found by name, others are kept as extra ones.
-    table : str, optional
-        Path of the table of images or videos; by default the only one in the folder.
-    streams : sequence of str, optional
-        Tables with times that are aligned with every recording by ``alignment``, beside those that are named
-        like a video: ``take1.csv`` and ``take1.force.csv`` of ``take1.mp4``.
-    cut : "frames", "whole", "contact", or path of a table, optional
-        How recordings become touches: pictures, the whole, clips by contact, or a table with ``start_s`` and
-        ``end_s`` or ``start_frame`` and ``end_frame``; by default videos whole, others by frames.
-    classes : sequence of str, optional
-        Names of the classes in order; by default those in the data. Without any, all labels are -1.
-    split : str, optional
-        Split where no column states it; by default that of a tar ``test-000000.tar``, else ``train``.
+    spec : ImportSpec, optional
+        Format, columns, cuts, streams, classes and split of the source.
     workers, overwrite, on_progress
         As for :func:`realtouch.clips_to_images`.
 
@@ -111,10 +86,10 @@ def import_touches(
         A tar is damaged; or as :func:`realtouch.clips_to_images`.
     """
     folder = store.open_folder(fspath(out))
-    reading = import_sources.Reading(layout, columns, table, tuple(streams), alignment, cut)
-    recordings = import_sources.find_source(fspath(source), reading)
+    spec = spec or touch_options.ImportSpec()
+    recordings = import_sources.find_source(fspath(source), spec)
     folder.refuse_source(recordings.home.address(), [recordings.home.address("any file")])
-    plan = plan_of(arranged(recordings, classes, split), recordings)
+    plan = plan_of(arranged(recordings, spec), recordings)
     del recordings  # there may be many touches; from here on, shards hold them
     return store.build(folder, plan, write_card=touch_card.write_card, **run)
 
@@ -150,7 +125,7 @@ def plan_of(touches: Arranged, recordings: import_sources.ReadSource) -> store.B
         spec[touch_options.LEFT_OUT] = list(map(wording.printable, recordings.left_out[:_MAX_LEFT_OUT]))
     conversion = import_sources.IMPORTS[recordings.layout].describe(every)
     if conversion:
-        spec["options"][CONVERSION] = conversion
+        spec["options"][touch_options.CONVERSION] = conversion
     pictures = {f"{_CUTS}/{name}.png": content for name, content in recordings.pictures.items()}
     return store.BuildPlan(
         kind.KIND.name,
@@ -210,19 +185,19 @@ class Arranged:
     make_shard: import_shards.ImportTouches
 
 
-def arranged(recordings: import_sources.ReadSource, classes: Sequence[str], split: str | None) -> Arranged:
+def arranged(recordings: import_sources.ReadSource, spec: touch_options.ImportSpec) -> Arranged:
     """Divide the touches of a source into rounds and splits; InputError if nothing can be imported."""
-    if split is not None and not _SPLIT.fullmatch(split):
-        raise errors.InputError(f"the split is {split!r}; expected letters, digits and underscores")
+    if spec.split is not None and not _SPLIT.fullmatch(spec.split):
+        raise errors.InputError(f"the split is {spec.split!r}; expected letters, digits and underscores")
     touches = recordings.touches
     columns = recordings.columns
     read = import_sources.IMPORTS[recordings.layout]
-    names = tuple(classes) or _class_names(touches, columns.label)
-    if len(set(map(fields.integer_text, classes))) < len(classes):
+    names = spec.classes or _class_names(touches, columns.label)
+    if len(set(map(fields.integer_text, spec.classes))) < len(spec.classes):
         raise errors.InputError(f"the classes are {', '.join(names)}; expected each once")
     most_bytes = _ROUND_BYTES if recordings.cut else _SHARD_BYTES
     sizes = touches.listing["size"].to_pylist()
-    whole = _rounds(touches, columns, split)
+    whole = _rounds(touches, columns, spec.split)
     taken = {name for of_split in whole.values() for name in of_split}
     shards = {}
     for name, of_split in whole.items():
@@ -429,15 +404,7 @@ class ImportPreview:
 
 def preview_import(
     source: str | PathLike[str],
-    layout: str | None = None,
-    columns: touch_options.ImportColumns | None = None,
-    *,
-    table: str | None = None,
-    streams: Sequence[str] = (),
-    alignment: Alignment | None = None,
-    cut: str | None = None,
-    classes: Sequence[str] = (),
-    split: str | None = None,
+    spec: touch_options.ImportSpec | None = None,
 ) -> ImportPreview:
     """Read what :func:`import_touches` would import, with the same parameters, and write nothing.
 
@@ -450,9 +417,9 @@ def preview_import(
     InputError
         As :func:`import_touches`.
     """
-    reading = import_sources.Reading(layout, columns, table, tuple(streams), alignment, cut)
-    recordings = import_sources.find_source(fspath(source), reading)
-    touches = arranged(recordings, classes, split)
+    spec = spec or touch_options.ImportSpec()
+    recordings = import_sources.find_source(fspath(source), spec)
+    touches = arranged(recordings, spec)
     usable = {
         name: sum(int(part.is_usable.sum()) for part in parts) for name, parts in touches.shards.items()
     }

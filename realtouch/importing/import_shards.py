@@ -25,8 +25,6 @@ from tactile_toolkit.array_types import AnyArray, Float64, Int64
 from tactile_toolkit.columns import column_types
 from tactile_toolkit.touch import MEDIA_TYPE, decode_image, is_jpeg, upright_size, with_features
 
-NOT_IMPORTED = "not_imported"
-"""Key of the statistics of an import: number of touches of each field that was not imported."""
 _MAX_FIELDS = 100
 _PIECE_BYTES = 32 << 20
 _SAME_M = 1e-9
@@ -105,7 +103,10 @@ class ImportTouches:
             for number, name, error in touches.take(rows).with_problems(problems).problems():
                 skipped.append(store.Skipped(number, error.reason, f"{name!r}: {error.message}"))
         self._require_unchanged(touches)
-        counted = {NOT_IMPORTED: dict(others.most_common(_MAX_FIELDS)), touch_options.CLIPS: notes}
+        counted = {
+            touch_options.NOT_IMPORTED: dict(others.most_common(_MAX_FIELDS)),
+            touch_options.CLIPS: notes,
+        }
         statistics = {key: dict(sorted(counts.items())) for key, counts in counted.items() if counts}
         return store.ShardContent(
             pa.concat_tables(tables),

@@ -20,7 +20,6 @@ from realtouch.importing import cuts, source_files, source_touches
 from realtouch.importing.fields import each_of, times_s
 from realtouch.importing.streams import Aligner, StreamReport
 from realtouch.kind import KIND
-from realtouch.touch_options import Alignment, require_layout
 from realtouch.video import video_files
 from tactile_toolkit import errors, kind, places, store, touch
 from tactile_toolkit.array_types import Float64
@@ -58,18 +57,6 @@ _PARTS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
-    """How a source is read; see :func:`realtouch.import_touches`."""
-
-    layout: str | None = None
-    columns: touch_options.ImportColumns | None = None
-    table: str | None = None
-    streams: tuple[str, ...] = ()
-    alignment: Alignment | None = None
-    cut: str | None = None
-
-
-@dataclass(frozen=True, slots=True)
 class ReadSource:
     """The touches of a source.
 
@@ -99,31 +86,29 @@ def versions_of(
     return {(home, path): opened(home).version(path) for home, path in files}
 
 
-def find_source(address: str, reading: Reading) -> ReadSource:
+def find_source(address: str, spec: touch_options.ImportSpec) -> ReadSource:
     """Recognise a source and find its touches; InputError if it cannot be used."""
     home = store.open_folder(address)
-    columns = reading.columns or touch_options.ImportColumns()
-    format_ = Recognised(reading.layout or "", "")
-    if reading.layout is not None:
-        require_layout(reading.layout, IMPORTS)
+    columns = spec.columns or touch_options.ImportColumns()
+    format_ = Recognised(spec.layout or "", "")
     if not home.exists():
         raise errors.InputError(
             f"{home.address()!r} does not exist; expected a folder or file of recordings",
             next="check the name",
         )
-    if reading.layout is None:
+    if spec.layout is None:
         format_ = recognised(address)
     read = IMPORTS[format_.layout]
-    cutter = cuts.Cutter(reading.cut, read.contents, columns, read.cut)
+    cutter = cuts.Cutter(spec.cut, read.contents, columns, read.cut)
     no_streams = [
-        path for path in (reading.table, reading.cut) if path is not None and path not in source_touches.CUTS
+        path for path in (spec.table, spec.cut) if path is not None and path not in source_touches.CUTS
     ]
-    aligner = Aligner(reading.streams, reading.alignment, columns, no_streams)
+    aligner = Aligner(spec.streams, spec.alignment, columns, no_streams)
     parts = list[source_touches.SourceTouches]()
     left_out = dict[str, None]()
     versions = dict[source_touches.File, Version]()
     opened = cache(store.open_folder)
-    for part in _read_folders(home, format_.layout, columns, reading.table):
+    for part in _read_folders(home, format_.layout, columns, spec.table):
         versions |= versions_of(_files_of_several(part) - versions.keys(), opened)
         if isinstance(part, source_touches.Recording):
             left_out |= dict.fromkeys(part.left_out)
@@ -133,7 +118,7 @@ def find_source(address: str, reading: Reading) -> ReadSource:
     touches = source_touches.SourceTouches.joined([*parts, *cutter.unused()])
     if not len(touches):
         raise errors.InputError(f"{home.address()!r} holds nothing to import; expected pictures")
-    if reading.cut is not None and not cutter.done:
+    if spec.cut is not None and not cutter.done:
         raise errors.InputError(
             f"{home.address()!r} holds single pictures; --cut applies to recordings", next="leave out --cut"
         )

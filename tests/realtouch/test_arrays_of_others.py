@@ -51,14 +51,14 @@ def restate(home: Path, array: str = "data/img", **changes: Any) -> None:
 
 
 def imported(source: Path, out: Path, columns: realtouch.ImportColumns = IMAGE) -> Any:
-    realtouch.import_touches(source, out, "replay", columns)
+    realtouch.import_touches(source, out, realtouch.ImportSpec("replay", columns))
     return realtouch.load(out, "train")
 
 
 def refused(source: Path, words: str, columns: realtouch.ImportColumns = IMAGE) -> None:
     out = source.parent / "out"
     with pytest.raises(InputError, match=words) as caught:
-        realtouch.import_touches(source, out, "replay", columns)
+        realtouch.import_touches(source, out, realtouch.ImportSpec("replay", columns))
     assert str(source.parent) in str(caught.value)
     assert not out.exists()
 
@@ -291,9 +291,9 @@ def test_round_ids_and_class_names_come_back_from_a_replay_buffer(home: Path, tm
         for number in range(4)
     ]
     write_table(home, lines)
-    realtouch.import_touches(home, tmp_path / "there", "folder", classes=names)
+    realtouch.import_touches(home, tmp_path / "there", realtouch.ImportSpec("folder", classes=names))
     realtouch.export(tmp_path / "there", tmp_path / "buffer", "replay")
-    realtouch.import_touches(tmp_path / "buffer", tmp_path / "back", "replay")
+    realtouch.import_touches(tmp_path / "buffer", tmp_path / "back", realtouch.ImportSpec("replay"))
     there, back = (realtouch.load(tmp_path / name, "train") for name in ("there", "back"))
     assert back.ids.tolist() == there.ids.tolist() == ids
     assert back.label_names == there.label_names == tuple(names)

@@ -21,7 +21,7 @@ def images(home: Path, *paths: str) -> Path:
 
 def imported(home: Path, tmp_path: Path, **options: Any) -> dict[str, Any]:
     """Return the names of images and their labels, by split."""
-    realtouch.import_touches(home, tmp_path / "out", "folder", **options)
+    realtouch.import_touches(home, tmp_path / "out", realtouch.ImportSpec("folder", **options))
     found = {}
     for split in sorted(path.name.partition("-")[0] for path in (tmp_path / "out" / "data").iterdir()):
         rounds = realtouch.load(tmp_path / "out", split)
@@ -59,7 +59,7 @@ def test_folders_are_classes_and_splits(paths, found, tmp_path):
 def test_images_whose_names_cannot_be_used_are_listed(tmp_path: Path) -> None:
     home = images(tmp_path / "home", "a.png", "b\nc.png")
     (home / "d\udcff.png").write_bytes(picture(9))
-    manifest = realtouch.import_touches(home, tmp_path / "out", "folder")
+    manifest = realtouch.import_touches(home, tmp_path / "out", realtouch.ImportSpec("folder"))
     assert [each.reason for each in manifest.shards[0].skipped] == ["name"] * 2
     assert len(realtouch.load(tmp_path / "out", "train")) == 1
 
@@ -68,4 +68,4 @@ def test_the_number_of_images_is_bounded(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr("realtouch.formats.media_files._MAX_IMAGES", 2)
     home = images(tmp_path / "home", "a.png", "b.png", "c.png")
     with pytest.raises(InputError, match="more than 2 images"):
-        realtouch.import_touches(home, tmp_path / "out", "folder")
+        realtouch.import_touches(home, tmp_path / "out", realtouch.ImportSpec("folder"))

@@ -151,7 +151,7 @@ def test_ids_that_are_no_file_names_are_escaped(name: str, single_rows: list[dic
     index = pq.read_table(inside / "data")
     assert index["round_id"].to_pylist()[5:10] == [name] * 5
     assert realtouch.verify(inside).ok
-    back = realtouch.import_touches(inside, tmp_path / "back", "folder")
+    back = realtouch.import_touches(inside, tmp_path / "back", realtouch.ImportSpec("folder"))
     assert not back.skipped_reasons()
 
 

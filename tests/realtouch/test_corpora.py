@@ -169,7 +169,9 @@ def test_foreign_fota_has_poses_in_millimetres(tmp_path: Path) -> None:
             header = tarfile.TarInfo(f"a-1.{ending}")
             header.size = len(each)
             tar.addfile(header, io.BytesIO(each))
-    realtouch.import_touches(home, tmp_path / "out", "fota", realtouch.ImportColumns(label="material"))
+    realtouch.import_touches(
+        home, tmp_path / "out", realtouch.ImportSpec("fota", realtouch.ImportColumns(label="material"))
+    )
     (only,) = realtouch.load(tmp_path / "out", "val")
     assert isinstance(only, realtouch.TouchSingleRound)
     np.testing.assert_array_equal(only.gel_pose_cell_frame.position_m, [[0.001, -0.0025, 0.012]])
@@ -210,13 +212,13 @@ def test_a_replay_buffer_comes_back(single_folder: Path, tmp_path: Path) -> None
     assert realtouch.verify(tmp_path / "back").ok
     columns = realtouch.ImportColumns(image="depth")
     with pytest.raises(InputError, match=r"has the arrays .*; expected 'depth'"):
-        realtouch.import_touches(place, tmp_path / "none", "replay", columns)
+        realtouch.import_touches(place, tmp_path / "none", realtouch.ImportSpec("replay", columns))
 
 
 def test_a_replay_buffer_is_one_group_and_asks_for_its_extra(tmp_path, monkeypatch):
     def refused(error: type[Exception], words: str) -> None:
         with pytest.raises(error, match=words):
-            realtouch.import_touches(source, tmp_path / "out", "replay")
+            realtouch.import_touches(source, tmp_path / "out", realtouch.ImportSpec("replay"))
 
     source = tmp_path / "source"
     source.mkdir()

@@ -154,7 +154,7 @@ def test_tables_that_unpack_to_huge_sizes_are_refused(tmp_path, monkeypatch):
 def test_an_export_of_this_toolkit_is_imported_unchanged(kind, request, tmp_path):
     source = request.getfixturevalue(f"{kind}_folder")
     realtouch.export(source, tmp_path / "flat", "flat")
-    realtouch.import_touches(tmp_path / "flat", tmp_path / "back", "flat")
+    realtouch.import_touches(tmp_path / "flat", tmp_path / "back", realtouch.ImportSpec("flat"))
     for split in ("train", "test"):
         before, after = realtouch.load(source, split), realtouch.load(tmp_path / "back", split)
         assert after.ids.tolist() == before.ids.tolist()

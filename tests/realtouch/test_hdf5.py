@@ -65,9 +65,9 @@ def test_each_group_with_the_pictures_is_an_episode(tmp_path: Path) -> None:
     names = [each.name for each in recordings(tmp_path)]
     assert names == ["more/data/demo_1", *(f"takes/data/demo_{number}" for number in (0, 2, 10))]
     columns = realtouch.ImportColumns(image="obs/tactile")
-    manifest = realtouch.import_touches(source, tmp_path / "out", columns=columns)
+    manifest = realtouch.import_touches(source, tmp_path / "out", realtouch.ImportSpec(columns=columns))
     assert manifest.spec["left_out"] == ["obs/far (5, 300)"]
-    shown = realtouch.preview_import(source, columns=columns).columns
+    shown = realtouch.preview_import(source, realtouch.ImportSpec(columns=columns)).columns
     assert ("obs/far (5, 300)", "left out", "") in shown
     touches = realtouch.load(tmp_path / "out", "train").touches()
     np.testing.assert_array_equal(np.stack([each.image for each in touches]), np.concatenate([PICTURES] * 3))
@@ -79,7 +79,9 @@ def test_each_group_with_the_pictures_is_an_episode(tmp_path: Path) -> None:
 )
 def test_pictures_are_converted_as_those_of_zarr(pictures: Any, tmp_path: Path) -> None:
     source = write(tmp_path / "a.h5", (5,), pictures)
-    realtouch.import_touches(source, tmp_path / "out", "hdf5", realtouch.ImportColumns(image="obs/tactile"))
+    realtouch.import_touches(
+        source, tmp_path / "out", realtouch.ImportSpec("hdf5", realtouch.ImportColumns(image="obs/tactile"))
+    )
     found = np.stack([each.image for each in realtouch.load(tmp_path / "out", "train").touches()])
     wanted = PICTURES[..., :1].repeat(3, axis=-1) if pictures.shape[-1] == 1 else PICTURES
     np.testing.assert_array_equal(found, wanted)
@@ -89,7 +91,9 @@ def test_pictures_are_named_by_the_user(tmp_path: Path) -> None:
     source = write(tmp_path / "a.h5")
     for named in ({"label": "lable"}, {"extra": (("force_n", "lable"),)}, {"pose": ("lable",)}):
         with pytest.raises(InputError, match=r"no column 'lable'; did you mean 'label'.*found "):
-            realtouch.preview_import(source, columns=realtouch.ImportColumns(image="obs/tactile", **named))
+            realtouch.preview_import(
+                source, realtouch.ImportSpec(columns=realtouch.ImportColumns(image="obs/tactile", **named))
+            )
     with pytest.raises(InputError, match="none was named as the pictures; found data/demo_0/obs/tactile"):
         recordings(source, "")
     for image in ("obs/tactil", "actile"):

@@ -61,7 +61,9 @@ def test_there_and_back(layout, single_folder, tmp_path, capsys):
     if layout == "folder":  # the names of tars state the split
         columns = replace(COLUMNS, split="split")
     workers = 2 if layout == "folder" else 1
-    realtouch.import_touches(place, tmp_path / "again", layout, columns, workers=workers)
+    realtouch.import_touches(
+        place, tmp_path / "again", realtouch.ImportSpec(layout, columns), workers=workers
+    )
     assert folder_bytes(tmp_path / "again") == folder_bytes(back)
     again = realtouch.export(back, tmp_path / "flat", "flat")
     assert again.split_table()["train"]["rows"] == 15
@@ -134,7 +136,7 @@ def test_unusable_images_are_left_out_and_named(home: Path, tmp_path: Path) -> N
     lines[-1] |= {"pose": "0 0 0.1 0 0 0 0"}
     write_table(home, lines)
     columns = realtouch.ImportColumns(pose=("pose",))
-    manifest = realtouch.import_touches(home, tmp_path / "out", "folder", columns)
+    manifest = realtouch.import_touches(home, tmp_path / "out", realtouch.ImportSpec("folder", columns))
     skipped = manifest.shards[0].skipped
     assert [(item.id, item.reason) for item in skipped] == list(enumerate(wrong.values(), 1))
     assert all(repr(name) in item.message for name, item in zip(wrong, skipped, strict=True))
@@ -144,7 +146,9 @@ def test_unusable_images_are_left_out_and_named(home: Path, tmp_path: Path) -> N
     assert (only.id, only.label) == ("pictures_0", 0)
     assert realtouch.load(tmp_path / "out", "train").label_names == ("cat", "dog")
     with pytest.raises(InputError, match="no row is left"):
-        realtouch.import_touches(home, tmp_path / "none", "folder", columns, classes=("bird",))
+        realtouch.import_touches(
+            home, tmp_path / "none", realtouch.ImportSpec("folder", columns, classes=("bird",))
+        )
     assert not (tmp_path / "none").exists()
 
 
@@ -160,7 +164,7 @@ def test_a_round_is_of_one_label_and_one_object(home: Path, tmp_path: Path) -> N
     ]
     write_table(home, lines)
     columns = realtouch.ImportColumns(round="round", object_id="object")
-    manifest = realtouch.import_touches(home, tmp_path / "out", "folder", columns)
+    manifest = realtouch.import_touches(home, tmp_path / "out", realtouch.ImportSpec("folder", columns))
     skipped = [(item.id, item.reason) for item in manifest.shards[0].skipped]
     assert skipped == [(1, "round"), (2, "round"), (4, "object"), (5, "object"), (6, "object")]
     (only,) = realtouch.load(tmp_path / "out", "train")
@@ -172,14 +176,14 @@ def test_unusable_tables_and_options(home: Path, tmp_path: Path) -> None:
         layout = options.pop("layout", "folder")
         out = options.pop("out", tmp_path / "out")
         with pytest.raises(InputError, match=words):
-            realtouch.import_touches(where, out, layout, columns, **options)
+            realtouch.import_touches(where, out, realtouch.ImportSpec(layout, columns, **options))
         assert not (tmp_path / "out").exists()
 
     table = str(home / "index.csv")
     write_table(home, [line(f"pictures/{number}.jpg") for number in range(4)])
     refused("no column 'lable'; did you mean 'label'", realtouch.ImportColumns(label="lable"))
     refused("no column 'x'", realtouch.ImportColumns(position=("x", "y")))
-    refused("layout 'arrow'", layout="arrow")
+    refused("layout of the import is 'arrow'", layout="arrow")
     refused("lies in the source", out=home / "out")
     refused(r"other\.csv' cannot be read: the file does not exist", table="other.csv")
     refused("does not exist", where=tmp_path / "nothing")
@@ -229,7 +233,9 @@ def uneven(tmp_path: Path) -> Path:
                 )
     write_table(tmp_path / "source", lines)
     columns = realtouch.ImportColumns(round="round", pose=("pose",))
-    realtouch.import_touches(tmp_path / "source", tmp_path / "uneven", "folder", columns)
+    realtouch.import_touches(
+        tmp_path / "source", tmp_path / "uneven", realtouch.ImportSpec("folder", columns)
+    )
     return tmp_path / "uneven"
 
 

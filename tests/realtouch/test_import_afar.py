@@ -42,19 +42,21 @@ def test_imports_from_a_store_equal_those_from_a_folder(layout, single_folder, t
     for path in folder_bytes(home):
         afar.upload(path, home / path)
     s3.traffic.reset()
-    made = realtouch.import_touches(afar.root, tmp_path / "afar", layout, columns)
+    made = realtouch.import_touches(afar.root, tmp_path / "afar", realtouch.ImportSpec(layout, columns))
     folders = {str(Path(path).parent) for path in folder_bytes(home)}
     assert len(lists(s3)) <= len(folders) + 3, "a folder is listed once"
     size = sum(len(content) for content in folder_bytes(home).values())
     assert s3.traffic.sent_bytes < 3 * size + 100_000
     skipped = [item.reason for record in made.shards for item in record.skipped]
     assert skipped == (["missing"] if layout == "folder" else [])
-    realtouch.import_touches(home, tmp_path / "near", layout, columns)
+    realtouch.import_touches(home, tmp_path / "near", realtouch.ImportSpec(layout, columns))
     assert folder_bytes(tmp_path / "afar") == folder_bytes(tmp_path / "near")
-    realtouch.import_touches(afar.root, f"s3://{bucket}/touches", layout, columns)
+    realtouch.import_touches(afar.root, f"s3://{bucket}/touches", realtouch.ImportSpec(layout, columns))
     assert len(realtouch.load(f"s3://{bucket}/touches", "train")) == 3
     if layout == "webdataset":
-        one = realtouch.import_touches(f"{afar.root}/train-000000.tar", tmp_path / "one", layout, columns)
+        one = realtouch.import_touches(
+            f"{afar.root}/train-000000.tar", tmp_path / "one", realtouch.ImportSpec(layout, columns)
+        )
         assert one.split_table() == made.split_table()
 
 
@@ -68,5 +70,5 @@ def test_addresses_that_cannot_be_read(tmp_path: Path, s3: Any, bucket: str) -> 
         ("s3://key@bucket/images", tmp_path / "out", "may hold a user, a key"),
     ):
         with pytest.raises(InputError, match=words):
-            realtouch.import_touches(place, out, "folder")
+            realtouch.import_touches(place, out, realtouch.ImportSpec("folder"))
         assert not (tmp_path / "out").exists()

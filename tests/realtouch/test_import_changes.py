@@ -60,7 +60,7 @@ def test_a_video_that_is_replaced_once_it_was_found(cut, tmp_path, monkeypatch):
     video(source / "a.avi")
     change_after(monkeypatch, import_sources, "find_source", lambda: video(source / "a.avi", 50))
     with pytest.raises(IntegrityError, match="was replaced or changed while it was imported"):
-        realtouch.import_touches(source, tmp_path / "out", cut=cut)
+        realtouch.import_touches(source, tmp_path / "out", realtouch.ImportSpec(cut=cut))
     assert not list((tmp_path / "out").rglob("*.parquet"))
 
 
@@ -97,7 +97,7 @@ def test_the_size_of_videos_is_that_of_most_pictures(cut: str, tmp_path: Path) -
         video(source / "a.avi", 5)
     for name in "bc":
         video(source / f"{name}.avi", 5)
-    manifest = realtouch.import_touches(source, tmp_path / "out", cut=cut)
+    manifest = realtouch.import_touches(source, tmp_path / "out", realtouch.ImportSpec(cut=cut))
     left_out = 1 if cut == "whole" else 5
     assert manifest.spec["options"]["image_size"] == [videos_of_others.WIDTH, videos_of_others.HEIGHT]
     assert len(realtouch.load(tmp_path / "out", "train").touches()) == 2 * left_out
@@ -107,8 +107,11 @@ def test_a_preview_states_the_use_of_each_column(tmp_path: Path) -> None:
     said = {"label": "mug", "id": 1, "touch": 2, "N" * 300: 3, "empty": "", "force_n": 4, "old": 5, "t_ms": 6}
     source = images(tmp_path / "source", [list(said.values())] * 2, list(said))
     columns = realtouch.ImportColumns(extra=(("new", "old"),), time="t_ms")
-    uses = {name: use for name, use, _ in realtouch.preview_import(source, columns=columns).columns}
-    realtouch.import_touches(source, tmp_path / "out", columns=columns)
+    uses = {
+        name: use
+        for name, use, _ in realtouch.preview_import(source, realtouch.ImportSpec(columns=columns)).columns
+    }
+    realtouch.import_touches(source, tmp_path / "out", realtouch.ImportSpec(columns=columns))
     extra = realtouch.load(tmp_path / "out", "train").touches()[0].extra
     kept = {use.removeprefix("extra ").strip("'") for use in uses.values() if use.startswith("extra ")}
     assert kept | {"time_s"} == {*extra} == {"force_n", "new", "time_s"}
@@ -138,7 +141,9 @@ def test_extra_columns_called_like_those_of_a_format_come_back(layout: str, tmp_
     }
     rows = [["mug", *POSE.values(), *said.values()]] * 2
     source = images(tmp_path / "source", rows, ["label", *POSE, *said])
-    realtouch.import_touches(source, tmp_path / "set", columns=realtouch.ImportColumns(pose=tuple(POSE)))
+    realtouch.import_touches(
+        source, tmp_path / "set", realtouch.ImportSpec(columns=realtouch.ImportColumns(pose=tuple(POSE)))
+    )
     realtouch.export(tmp_path / "set", tmp_path / "there", layout, split="train")
     realtouch.import_touches(tmp_path / "there", tmp_path / "back")
     touch = realtouch.load(tmp_path / "back", "train").touches()[1]

@@ -269,9 +269,9 @@ def test_extra_columns_of_a_table_are_kept(home, tmp_path, capsys):
     assert realtouch.verify(tmp_path / "out").ok
     columns = realtouch.ImportColumns().with_mapped(["note=Fz"])
     with pytest.raises(InputError, match="'Fz' and 'note' would both be kept as 'note'"):
-        realtouch.import_touches(home, tmp_path / "none", "folder", columns)
+        realtouch.import_touches(home, tmp_path / "none", realtouch.ImportSpec("folder", columns))
     left = realtouch.ImportColumns().with_mapped(["number=id", "Fz=", "ok="])
-    realtouch.import_touches(home, tmp_path / "left", "folder", left)
+    realtouch.import_touches(home, tmp_path / "left", realtouch.ImportSpec("folder", left))
     rows = pq.read_table(tmp_path / "left" / "data")
     assert rows["extra.number"].to_pylist() == [[0], [1], [2], [3]]
     assert "extra.Fz" not in rows.column_names
@@ -305,7 +305,7 @@ def recordings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
         monkeypatch.setitem(import_sources.IMPORTS, "replay", layout)
         (tmp_path / "source").mkdir(exist_ok=True)
         manifest = realtouch.import_touches(
-            tmp_path / "source", tmp_path / "out", "replay", columns, **options
+            tmp_path / "source", tmp_path / "out", realtouch.ImportSpec("replay", columns, **options)
         )
         assert realtouch.verify(tmp_path / "out").ok
         return realtouch.load(tmp_path / "out", "train"), manifest
@@ -493,7 +493,7 @@ def test_times_of_images_may_be_missing_but_not_wrong(home: Path, tmp_path: Path
         home, [{"file": f"pictures/{number}.jpg", "stamp": each} for number, each in enumerate(stamps)]
     )
     columns = realtouch.ImportColumns(time="stamp", time_unit="ms")
-    manifest = realtouch.import_touches(home, tmp_path / "out", "folder", columns)
+    manifest = realtouch.import_touches(home, tmp_path / "out", realtouch.ImportSpec("folder", columns))
     assert [(each.id, each.reason) for each in manifest.shards[0].skipped] == [(2, "time")]
     rows = pq.read_table(tmp_path / "out" / "data")
     assert rows["extra.time_s"].to_pylist() == [[0.0025], [None], [0.004]]

@@ -42,7 +42,7 @@ def test_an_image_that_changed_in_place_is_read_again_with_check_alone(home, tmp
     monkeypatch.setattr("realtouch.importing.import_plan._TOUCHES_PER_SHARD", 2)
     write_table(home, [line(f"pictures/{number}.jpg") for number in range(4)])
     out, read, contents = tmp_path / "out", list[str](), IMPORTS["folder"].contents
-    manifest = realtouch.import_touches(home, out, "folder")
+    manifest = realtouch.import_touches(home, out, realtouch.ImportSpec("folder"))
     before = {file: (file.read_bytes(), file.stat().st_mtime_ns) for file in out.rglob("*") if file.is_file()}
     digests = [record.source_digest for record in manifest.shards]
     assert len(set(digests)) == 2
@@ -58,22 +58,22 @@ def test_an_image_that_changed_in_place_is_read_again_with_check_alone(home, tmp
     first, size = home / "pictures" / "0.jpg", (home / "pictures" / "0.jpg").stat().st_size
     assert (home / "pictures" / "1.jpg").stat().st_size == size
     for check in (False, True):
-        assert realtouch.import_touches(home, out, "folder", check=check) == manifest
+        assert realtouch.import_touches(home, out, realtouch.ImportSpec("folder"), check=check) == manifest
     whole = [f"pictures/{number}.jpg" for number in range(4)]
     assert read == 3 * whole  # for the size of all, twice, and for the check
     assert before == {file: (file.read_bytes(), file.stat().st_mtime_ns) for file in before}
     first.write_bytes(picture(40))
-    assert realtouch.import_touches(home, out, "folder") == manifest
+    assert realtouch.import_touches(home, out, realtouch.ImportSpec("folder")) == manifest
     read.clear()
-    realtouch.import_touches(home, out, "folder", check=True)
+    realtouch.import_touches(home, out, realtouch.ImportSpec("folder"), check=True)
     assert read == [*whole, *whole, *whole[:2]]  # one shard of the two is made again
     (image,) = realtouch.load(out, "train")[0].sensor_image
     assert np.array_equal(image, np.full((24, 32, 3), 40))
-    realtouch.import_touches(home, tmp_path / "whole", "folder")
+    realtouch.import_touches(home, tmp_path / "whole", realtouch.ImportSpec("folder"))
     assert folder_bytes(out) == folder_bytes(tmp_path / "whole")
     first.unlink()  # it is listed without a size now, so the specification differs
     with pytest.raises(SpecMismatchError):
-        realtouch.import_touches(home, out, "folder")
+        realtouch.import_touches(home, out, realtouch.ImportSpec("folder"))
 
 
 @pytest.mark.thorough
@@ -91,7 +91,7 @@ def test_images_that_programs_show_differently(tmp_path: Path) -> None:
     upright.save(tmp_path / "other.gif")
     names = ("turned.jpg", "deep.png", "bomb.png", "other.gif", "upright.jpg", "grey.png")
     write_table(tmp_path, [{"file": f"./{name}", "label": 1} for name in names])
-    manifest = realtouch.import_touches(tmp_path, tmp_path.parent / "seen", "folder")
+    manifest = realtouch.import_touches(tmp_path, tmp_path.parent / "seen", realtouch.ImportSpec("folder"))
     skipped = manifest.shards[0].skipped
     assert [(item.id, item.reason) for item in skipped] == [(number, "image") for number in range(4)]
     for item, words in zip(
@@ -162,7 +162,7 @@ def test_every_mark_of_a_turned_image_is_found(tmp_path: Path) -> None:
     for name, content in images.items():
         (home / name).write_bytes(content)
     write_table(home, [{"file": name, "label": 1} for name in images])
-    manifest = realtouch.import_touches(home, tmp_path / "out", "folder")
+    manifest = realtouch.import_touches(home, tmp_path / "out", realtouch.ImportSpec("folder"))
     skipped = manifest.shards[0].skipped
     assert all("to turn it" in item.message for item in skipped)
     assert [item.id for item in skipped] == list(range(10))

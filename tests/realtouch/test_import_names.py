@@ -22,13 +22,15 @@ def test_names_of_classes_of_our_own_exports_stay(layout: Any, home: Path, tmp_p
     write_table(
         home, [line(f"pictures/{number}.jpg", names[number % 3]) | {"object_id": "7"} for number in range(4)]
     )
-    realtouch.import_touches(home, tmp_path / "named", "folder", classes=names)
+    realtouch.import_touches(home, tmp_path / "named", realtouch.ImportSpec("folder", classes=names))
     there = tmp_path / "there" / ("webdataset" if layout == "webdataset" else "")
     if layout == "webdataset":
         realtouch.export(tmp_path / "named", tmp_path / "there", layout)
     else:
         realtouch.frames(tmp_path / "named", there)
-    assert not realtouch.import_touches(there, tmp_path / "back", layout).skipped_reasons()
+    assert not realtouch.import_touches(
+        there, tmp_path / "back", realtouch.ImportSpec(layout)
+    ).skipped_reasons()
     back = realtouch.load(tmp_path / "back", "train")
     assert (list(back.label_names), back.labels.tolist()) == (names, [0, 1, 2, 0])
 
@@ -45,7 +47,7 @@ def test_names_of_classes_of_our_own_exports_stay(layout: Any, home: Path, tmp_p
 )
 def test_classes_stay_the_text_that_they_are(labels, names, home, tmp_path):
     write_table(home, [line(f"pictures/{number}.jpg", label) for number, label in enumerate(labels)])
-    manifest = realtouch.import_touches(home, tmp_path / "out", "folder")
+    manifest = realtouch.import_touches(home, tmp_path / "out", realtouch.ImportSpec("folder"))
     found = realtouch.load(tmp_path / "out", "train")
     assert list(found.label_names) == names
     stored = [found.label_names[label] for label in found.labels]

@@ -35,7 +35,7 @@ def test_tars_of_others(tmp_path: Path) -> None:
     write_tar(home / "x-000.tar", members)
     write_tar(home / "x-001.tar", [("d.png", picture(5)), ("d.cls", b"2"), ("d.json", b'{"digit": 2}')])
     columns = realtouch.ImportColumns(image=None, label="digit", pose=("pose",))
-    manifest = realtouch.import_touches(home, tmp_path / "out", "webdataset", columns)
+    manifest = realtouch.import_touches(home, tmp_path / "out", realtouch.ImportSpec("webdataset", columns))
     reasons = [(item.id, item.reason) for item in manifest.shards[0].skipped]
     assert reasons == [(3, "missing"), (4, "json"), (5, "duplicate"), (6, "pose")]
     assert [record.label for record in realtouch.load(tmp_path / "out", "train")] == [0, 1, 2]
@@ -45,19 +45,23 @@ def test_tars_of_others(tmp_path: Path) -> None:
     write_tar(tmp_path / "odd.tar", sorted(odd))
     for image in (None, "rgb.jpg"):
         chosen = realtouch.ImportColumns(image=image)
-        made = realtouch.import_touches(tmp_path / "odd.tar", tmp_path / f"odd-{image}", "webdataset", chosen)
+        made = realtouch.import_touches(
+            tmp_path / "odd.tar", tmp_path / f"odd-{image}", realtouch.ImportSpec("webdataset", chosen)
+        )
         reasons = [(item.id, item.reason) for item in made.shards[0].skipped]
         assert reasons == [*((number, "label") for number in range(4)), (5, "json")]
         assert "expected an object of at most 1 MiB" in made.shards[0].skipped[-1].message
         assert realtouch.load(tmp_path / f"odd-{image}", "train").ids.tolist() == ["4"]
     by_class = realtouch.ImportColumns(label="cls")
-    realtouch.import_touches(home / "x-001.tar", tmp_path / "one", "webdataset", by_class)
+    realtouch.import_touches(
+        home / "x-001.tar", tmp_path / "one", realtouch.ImportSpec("webdataset", by_class)
+    )
     assert realtouch.load(tmp_path / "one", "train")[0].label == 2
     whole = (home / "x-000.tar").read_bytes()
     for kept in (len(whole) // 3, 10240 - 9000, 700):
         (home / "x-000.tar").write_bytes(whole[:kept])
         with pytest.raises(IntegrityError, match="not an intact tar"):
-            realtouch.import_touches(home, tmp_path / "cut", "webdataset", columns)
+            realtouch.import_touches(home, tmp_path / "cut", realtouch.ImportSpec("webdataset", columns))
         assert not (tmp_path / "cut").exists()
 
 
@@ -74,7 +78,9 @@ def test_a_tar_that_is_replaced_before_its_images_are_read_is_refused(tmp_path: 
         other.replace(given)
 
     with pytest.raises(IntegrityError, match=r"given\.tar' was replaced"):
-        realtouch.import_touches(given, tmp_path / "out", "webdataset", on_progress=exchange)
+        realtouch.import_touches(
+            given, tmp_path / "out", realtouch.ImportSpec("webdataset"), on_progress=exchange
+        )
     assert not (tmp_path / "out").exists()
 
 
@@ -147,5 +153,5 @@ def test_long_names_are_read_by_tarfile(tmp_path: Path) -> None:
     (home / "x.tar").write_bytes(tar_of((name, picture(1), {"round_id": name[0]}) for name in names))
     with tarfile.open(home / "x.tar") as tar:
         assert tar.getnames()[::2] == names
-    realtouch.import_touches(home, tmp_path / "out", "webdataset")
+    realtouch.import_touches(home, tmp_path / "out", realtouch.ImportSpec("webdataset"))
     assert [each.id for each in realtouch.load(tmp_path / "out", "train")] == ["b", "c", "d"]

@@ -305,7 +305,9 @@ def test_an_export_becomes_the_same_set(kind: str, request: pytest.FixtureReques
     """Positions and poses are in single precision there; each image of a clip has its time."""
     source = request.getfixturevalue(f"{kind}_folder")
     realtouch.export(source, tmp_path / "there", "lerobot", split="train")
-    realtouch.import_touches(tmp_path / "there", tmp_path / "back", "lerobot" if kind == "single" else None)
+    realtouch.import_touches(
+        tmp_path / "there", tmp_path / "back", realtouch.ImportSpec("lerobot" if kind == "single" else None)
+    )
     before, after = realtouch.load(source, "train"), realtouch.load(tmp_path / "back", "train")
     assert after.ids.tolist() == before.ids.tolist()
     assert (after.label_names, after.labels.tolist()) == (before.label_names, before.labels.tolist())
@@ -336,7 +338,7 @@ def test_an_export_becomes_the_same_set(kind: str, request: pytest.FixtureReques
 @pytest.mark.parametrize(("version", "dtype"), KINDS)
 def test_a_set_of_others_is_imported(version: str, dtype: str, tmp_path: Path) -> None:
     truth = write_lerobot(tmp_path / "home", version, dtype)
-    manifest = realtouch.import_touches(tmp_path / "home", tmp_path / "out", "lerobot")
+    manifest = realtouch.import_touches(tmp_path / "home", tmp_path / "out", realtouch.ImportSpec("lerobot"))
     assert manifest.skipped_reasons() == {}
     assert [len(realtouch.load(tmp_path / "out", split).touches()) for split in ("train", "test")] == [12, 4]
     first = realtouch.load(tmp_path / "out", "train")[0]

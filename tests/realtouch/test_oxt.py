@@ -166,7 +166,7 @@ def test_a_set_of_others_becomes_recordings(name: str, tmp_path: Path) -> None:
     assert {"right_wrist_pose", "left_tactile_data_force", "right_tactile_area_gripper"} <= {*first.per_frame}
     assert first.left_out == ("camera_ego_rgb (7, 20, 20, 3)", "left_tactile_data_tip (7, 1, 12, 16, 3)")
     columns = realtouch.ImportColumns(image="right_tactile_data_gripper[1]")
-    realtouch.import_touches(source, tmp_path / "out", columns=columns)
+    realtouch.import_touches(source, tmp_path / "out", realtouch.ImportSpec(columns=columns))
     touches = realtouch.load(tmp_path / "out", "train").touches()
     np.testing.assert_array_equal(decoded(touches), PADS[:, 1])
     assert set(touches.labels.tolist()) == {-1}

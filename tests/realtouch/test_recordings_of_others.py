@@ -27,7 +27,9 @@ from tests.tactile_toolkit.toy import folder_bytes
 
 
 def imported(home: Path, out: Path, columns: realtouch.ImportColumns | None = None, **options: Any) -> Any:
-    manifest = realtouch.import_touches(home, out, options.pop("layout", "folder"), columns, **options)
+    manifest = realtouch.import_touches(
+        home, out, realtouch.ImportSpec(options.pop("layout", "folder"), columns, **options)
+    )
     return realtouch.load(out, next(iter(manifest.split_table())))
 
 
@@ -174,7 +176,7 @@ def test_the_size_of_most_images_is_kept(home: Path, tmp_path: Path) -> None:
     for number, size in enumerate(sizes):
         (home / f"{number:03d}.jpg").write_bytes(picture(number, size))
     write_table(home, [line(f"{number:03d}.jpg") for number in range(len(sizes))])
-    manifest = realtouch.import_touches(home, tmp_path / "out", "folder")
+    manifest = realtouch.import_touches(home, tmp_path / "out", realtouch.ImportSpec("folder"))
     assert manifest.split_table()["train"]["rows"] == 70
     assert manifest.skipped_reasons() == {"size": 51}
     assert "40 x 30 pixels; expected 32 x 24 as most images" in manifest.shards[0].skipped[0].message
@@ -260,7 +262,7 @@ def test_tars_that_lead_elsewhere_or_are_packed_are_named(tmp_path: Path) -> Non
     (tmp_path / "tars").mkdir()
     members = [("0.jpg", picture(1)), ("../1.jpg", picture(2)), ("a/../2.jpg", picture(3))]
     write_tar(tmp_path / "tars" / "a.tar", members)
-    found = realtouch.import_touches(tmp_path / "tars", tmp_path / "out", "webdataset")
+    found = realtouch.import_touches(tmp_path / "tars", tmp_path / "out", realtouch.ImportSpec("webdataset"))
     assert [(item.id, item.reason) for item in found.shards[0].skipped] == [(1, "name"), (2, "name")]
     whole = (tmp_path / "tars" / "a.tar").read_bytes()
     (tmp_path / "tars" / "a.tar").write_bytes(gzip.compress(whole))
@@ -313,7 +315,7 @@ def test_importers_open_only_regular_files_below_the_source(home: Path, tmp_path
     (home / "there").symlink_to(tmp_path)
     names = ["pictures/4.jpg", "pictures/5.jpg", "pictures/6.jpg", "there/id_rsa", "pictures"]
     write_table(home, [line(name) for name in names])
-    manifest = realtouch.import_touches(home, tmp_path / "out", "folder")
+    manifest = realtouch.import_touches(home, tmp_path / "out", realtouch.ImportSpec("folder"))
     reasons = [(item.id, item.reason) for item in manifest.shards[0].skipped]
     assert reasons == [(0, "name"), (1, "file"), (3, "name"), (4, "file")]
     for layout, name in (("webdataset", "a.tar"), ("anytouch", "a_bg.txt"), ("folder", "a.csv")):
@@ -324,7 +326,7 @@ def test_importers_open_only_regular_files_below_the_source(home: Path, tmp_path
             with pytest.raises(
                 (InputError, IntegrityError), match=r"a link leads out|not a regular file|holds no|one table"
             ):
-                realtouch.import_touches(source, tmp_path / "none", layout)  # type: ignore[arg-type]
+                realtouch.import_touches(source, tmp_path / "none", realtouch.ImportSpec(layout))  # type: ignore[arg-type]
             assert not (tmp_path / "none").exists()
 
 
@@ -343,7 +345,7 @@ def test_stored_text_has_no_messages_of_libraries_or_addresses_of_objects(home: 
         (home / name).write_bytes(content)
     write_table(home, [line(name) for name in (*images, "pictures/0.jpg")])
     for out in ("one", "two"):
-        realtouch.import_touches(home, tmp_path / out, "folder")
+        realtouch.import_touches(home, tmp_path / out, realtouch.ImportSpec("folder"))
     assert folder_bytes(tmp_path / "one") == folder_bytes(tmp_path / "two")
     text = (tmp_path / "one" / "manifest.json").read_text()
     assert text.count("cannot be decoded; expected a JPEG, PNG or WebP") >= 3

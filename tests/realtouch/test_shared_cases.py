@@ -61,7 +61,7 @@ def test_images_equal_those_of_pillow(kind: str, name: str, tmp_path: Path) -> N
     columns = realtouch.ImportColumns(**COLUMNS.get(name, {}))
 
     def make() -> Any:
-        return realtouch.import_touches(source, tmp_path / "out", layout, columns)  # type: ignore[arg-type]
+        return realtouch.import_touches(source, tmp_path / "out", realtouch.ImportSpec(layout, columns))  # type: ignore[arg-type]
 
     if name in REFUSED:
         with pytest.raises(InputError, match=REFUSED[name]):
@@ -87,9 +87,9 @@ def test_buffers_equal_those_of_zarr(kind: str, name: str, tmp_path: Path) -> No
     columns = realtouch.ImportColumns(image="img")
     if name in REFUSED:
         with pytest.raises(InputError, match=REFUSED[name]):
-            realtouch.import_touches(source, tmp_path / "out", "replay", columns)
+            realtouch.import_touches(source, tmp_path / "out", realtouch.ImportSpec("replay", columns))
         return
-    realtouch.import_touches(source, tmp_path / "out", "replay", columns)
+    realtouch.import_touches(source, tmp_path / "out", realtouch.ImportSpec("replay", columns))
     rounds = realtouch.load(tmp_path / "out", "train")
     touches = rounds.touches()
     group = zarr.open_group(source / "b.zarr", mode="r")

@@ -297,7 +297,9 @@ def test_streams_become_extra_columns_of_touches(cut: str, takes: Path, tmp_path
     stream(tmp_path, {"time_s": np.arange(41) / 10, "warmth": np.arange(41) / 10}, "room.csv")
     how = Alignment(method="linear")
     manifest = realtouch.import_touches(
-        takes, tmp_path / "out", streams=[str(tmp_path / "room.csv")], alignment=how, cut=cut
+        takes,
+        tmp_path / "out",
+        realtouch.ImportSpec(streams=[str(tmp_path / "room.csv")], alignment=how, cut=cut),
     )
     rounds = realtouch.load(tmp_path / "out", "train")
     assert not any(record.skipped for record in manifest.shards)
@@ -327,7 +329,7 @@ def test_a_table_beside_a_video_that_does_not_fit_is_its_problem(takes: Path, tm
     assert "give it another name" in skipped.message
     late = stream(tmp_path, {"time_s": [100.0, 101.0]}, "late.csv").address
     with pytest.raises(InputError, match="expected a common time"):
-        realtouch.import_touches(takes, tmp_path / "two", streams=[late])
+        realtouch.import_touches(takes, tmp_path / "two", realtouch.ImportSpec(streams=[late]))
 
 
 @pytest.mark.thorough
@@ -362,7 +364,7 @@ def test_a_named_column_of_times_is_that_of_the_streams_that_have_it(cut, takes,
     for number in (1, 2):
         stream(takes, columns, f"take{number}_other.parquet", time="")
     how = ImportColumns(time="clock", time_unit="ms")
-    realtouch.import_touches(takes, tmp_path / "out", columns=how, cut=cut)
+    realtouch.import_touches(takes, tmp_path / "out", realtouch.ImportSpec(columns=how, cut=cut))
     touches = realtouch.load(tmp_path / "out", "train").touches()
     other = np.concatenate([np.atleast_1d(touch.extra["other"]) for touch in touches])
     np.testing.assert_array_equal(other, np.tile(np.arange(100) * 40 + 0.5, 2))
@@ -374,7 +376,9 @@ def test_a_named_column_of_times_is_that_of_the_streams_that_have_it(cut, takes,
 
 def test_a_column_of_times_that_does_not_exist_is_refused(takes: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no column 'nope'"):
-        realtouch.import_touches(takes, tmp_path / "out", columns=ImportColumns(time="nope"))
+        realtouch.import_touches(
+            takes, tmp_path / "out", realtouch.ImportSpec(columns=ImportColumns(time="nope"))
+        )
 
 
 def test_recordings_have_the_times_that_a_column_states(tmp_path: Path) -> None:

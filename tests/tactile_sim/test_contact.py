@@ -193,7 +193,9 @@ def test_recordings_without_labels_objects_and_poses_make_pairs(columns, scenes,
         lines.append({"file": f"{number:02d}.png", "label": 1, "session": f"s{number // 6}"})
     write_table(home, [{name: each[name] for name in columns} for each in lines])
     round_column = "session" if "session" in columns else None
-    realtouch.import_touches(home, tmp_path / "own", "folder", realtouch.ImportColumns(round=round_column))
+    realtouch.import_touches(
+        home, tmp_path / "own", realtouch.ImportSpec("folder", realtouch.ImportColumns(round=round_column))
+    )
     words = ("pairs", scenes, "--real", tmp_path / "own", "--split", "train", "--size", "32x32", "-w", 1)
     words += ("--min-height-mm", 4, "--without-contact", 0)
     assert call("tactile-sim", *words, "--count", 4, "--out", tmp_path / "o") == 0

@@ -319,7 +319,9 @@ def test_recordings_are_imported_from_types_of_others(others, tables, tmp_path):
         )
         for name, image in zip(names, images, strict=True) if layout == "folder" else ():
             (place / name).write_bytes(image["bytes"])
-        realtouch.import_touches(place, tmp_path / f"{layout}-set", layout, ImportColumns(round="round"))
+        realtouch.import_touches(
+            place, tmp_path / f"{layout}-set", realtouch.ImportSpec(layout, ImportColumns(round="round"))
+        )
         rows = realtouch.load(str(tmp_path / f"{layout}-set"), "train")
         assert [row.id for row in rows] == ["a", "b", "c"]
         assert rows.labels.tolist() == [0, 1, 2]
