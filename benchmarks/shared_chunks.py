@@ -24,7 +24,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from mnist3d.digit_records import PARQUET_STYLE
-from tactile_sim import GenerateSpec, TouchPlan
+from tactile_sim import TouchPlan, TouchSetSpec
 from tactile_sim.sets.generation import TouchGenerator
 from tactile_toolkit.store import DataFolder, ParquetStyle, encode_parquet, open_folder, read_manifest
 
@@ -70,7 +70,7 @@ def style_of(folder: DataFolder) -> ParquetStyle:
     if manifest.kind == "mnist3d":
         return PARQUET_STYLE
     options = manifest.spec["options"]
-    spec = GenerateSpec(tuple(options["size_px"]), plan=TouchPlan(touches=options["plan"]["touches"]))
+    spec = TouchSetSpec(tuple(options["size_px"]), plan=TouchPlan(touches=options["plan"]["touches"]))
     return TouchGenerator(spec, {}, {}).layout().style
 
 

@@ -4,8 +4,8 @@ Usage: python benchmarks/touch_reader.py [WORK]
 
 Depth touches of the same training digits, 16 places on each, turned and shifted as in the environments, drawn
 with other seeds: rendered by the renderer of the environments with OpenGL, and as a set that
-``tactile_sim.generate`` wrote. One network, one recipe and the same seeds learn from each, and are tested on
-touches of held-back digits by the renderer of the environments: one touch alone, and the 16 of a digit
+``tactile_sim.generate`` wrote. One network and the same seeds learn from each in the same way, and are tested
+on touches of held-back digits by the renderer of the environments: one touch alone, and the 16 of a digit
 together (sums of log probabilities). WORK keeps the data sets between runs.
 """
 
@@ -64,7 +64,7 @@ def kept(file: Path, make: Callable[[], tuple[np.ndarray, np.ndarray]]) -> tuple
 def written(digits: Path, out: Path, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Give the same of a set that was written."""
     plan = tactile_sim.TouchPlan(1, TOUCHES, "object", seed=seed)
-    spec = tactile_sim.GenerateSpec((64, 64), "depth", plan=plan)
+    spec = tactile_sim.TouchSetSpec((64, 64), "depth", plan=plan)
     tactile_sim.generate(str(digits), spec, str(out), ["train"])
     found = realtouch.load(str(out), split="train")
     return np.stack([each.sensor_image[:][..., 0] for each in found]), np.array(

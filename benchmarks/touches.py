@@ -100,7 +100,7 @@ def sets(folder: str, split: str) -> None:
     """Time the writing of data sets of depth touches, in the plan of the defaults."""
     plan = tactile_sim.TouchPlan(16, TOUCHES)
     for size, limit in (((64, 64), 24), ((320, 240), 4)):
-        spec = tactile_sim.GenerateSpec(size, "depth", plan=plan, limit=limit)
+        spec = tactile_sim.TouchSetSpec(size, "depth", plan=plan, limit=limit)
         written_ms(folder, split, dataclasses.replace(spec, limit=1), 1)
         taken_ms = written_ms(folder, split, spec, 1) / (limit * plan.rounds * TOUCHES)
         what = f"a touch of a set written, {size[0]}x{size[1]}, all included"
@@ -139,7 +139,7 @@ def workers(folder: str, split: str) -> None:
     tell("workers", what, 2 * made_s[0] / made_s[1], "times", target="at least 1.8")
 
 
-def written_ms(folder: str, split: str, spec: tactile_sim.GenerateSpec, workers: int) -> float:
+def written_ms(folder: str, split: str, spec: tactile_sim.TouchSetSpec, workers: int) -> float:
     """Return the processor time of a set in all processes, ms."""
     with tempfile.TemporaryDirectory() as out:
         before = os.times()

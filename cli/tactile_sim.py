@@ -18,7 +18,7 @@ from cli.application import EXIT_FAILED, command, new_app, run as run_app
 from cli.options import Opening, argument, local_out_folder, local_place
 from cli.output import Sink
 from cli.realtouch import convert
-from tactile_sim import ElasticPress, GenerateSpec, PairsSpec, TouchPlan, TrainConfig
+from tactile_sim import ElasticPress, PairSetSpec, TouchPlan, TouchSetSpec, TrainConfig
 from tactile_sim.press import sensors
 from tactile_sim.press.sensors import GELSIGHT_MINI, SensorModel
 from tactile_toolkit import catalog, checked_fields, kind, mesh, run, store, touch
@@ -44,7 +44,7 @@ def generate(
     unit: str | None = mesh.UNIT,
     out: str = options.out_folder("touches"),
     plan: Annotated[options.Given, options.OptionsOf(TouchPlan)],
-    picture: Annotated[options.Given, options.OptionsOf(GenerateSpec)],
+    picture: Annotated[options.Given, options.OptionsOf(TouchSetSpec)],
     press: Annotated[options.Given, options.OptionsOf(ElasticPress)],
     making: options.Making,
     sink: output.Sink,
@@ -82,7 +82,7 @@ def generate(
     runs.generate_set(sink, "rendering", touches, out, splits, making, require)
 
 
-def spec_of(sink: output.Sink, picture: options.Given, **others: object) -> GenerateSpec:
+def spec_of(sink: output.Sink, picture: options.Given, **others: object) -> TouchSetSpec:
     """Return the specification of the options that were given."""
     known = "optics" in picture
     optics = tactile_sim.default_optics()
@@ -90,7 +90,7 @@ def spec_of(sink: output.Sink, picture: options.Given, **others: object) -> Gene
     if sensor != sensors.GELSIGHT_MINI:
         known = True
         optics = sensor.optics_name
-    spec = GenerateSpec(**{"optics": optics, **picture, **others})
+    spec = TouchSetSpec(**{"optics": optics, **picture, **others})
     if not known and spec.optics == "depth":
         sink.info("note: images are depth images; --optics taxim needs the extra `sim`")
     return spec
@@ -130,7 +130,7 @@ def render(
     ),
     turn_deg: float = checked_fields.real(0.0, help="Rotation of the object about z."),
     unit: str | None = mesh.UNIT,
-    picture: Annotated[options.Given, options.OptionsOf(GenerateSpec)],
+    picture: Annotated[options.Given, options.OptionsOf(TouchSetSpec)],
     press: Annotated[options.Given, options.OptionsOf(tactile_sim.ElasticPress)],
     out: Path = checked_fields.text(
         Path("touch.png"), name="--out -o", metavar="FILE", read=options.local_place, help="Image to write."
@@ -259,7 +259,7 @@ def pairs(
     split: str = checked_fields.text("train", metavar="NAME", help="Split of both data sets."),
     allow_incomplete: bool = options.INCOMPLETE,
     out: str = options.out_folder("pairs"),
-    spec: PairsSpec,
+    spec: PairSetSpec,
     making: options.Making,
     sink: output.Sink,
 ) -> None:
@@ -269,7 +269,7 @@ def pairs(
     """
     run.prepare_batch_process()
     opened = partial(options.Opening(allow_incomplete=allow_incomplete).open, sink)
-    pairs = tactile_sim.PairsGenerator.of(objects, real, split, spec, opened)
+    pairs = tactile_sim.PairGenerator.of(objects, real, split, spec, opened)
     require = partial(pairs.refuse_sources, objects, out)
     runs.generate_set(sink, "pressing and scaling", pairs, out, None, making, require)
 

@@ -28,10 +28,10 @@ from tactile_toolkit.wording import did_you_mean
 if TYPE_CHECKING:
     import trimesh
 
-    from tactile_toolkit.generation import Recipe
+    from tactile_toolkit.generation import DefaultSet
 
 
-KINDS: dict[str, DatasetKind] = {kind.name: kind for kind in kinds() if kind.recipe is not None}
+KINDS: dict[str, DatasetKind] = {kind.name: kind for kind in kinds() if kind.default_set is not None}
 """Assets that the toolkit can make without any input, by name."""
 _ABC = "TimSchneider42/tactile-mnist-abc-dataset-small"
 THIRD_PARTY_ASSETS: dict[str, str] = {
@@ -198,16 +198,16 @@ class AssetProvider:
             return None
         return open_meshes(shards, name)
 
-    def planned(self, name: str, split: str = "train") -> mesh_view.PlannedView | None:
+    def plan_meshes(self, name: str, split: str = "train") -> mesh_view.PlannedView | None:
         """Return the meshes that :meth:`meshes` would make, each of which is made on first use.
 
         None if meshes of this kind cannot be made one by one. InputError: the folder holds another data set.
         """
-        recipe = self._recipe(name)
-        if recipe.planned is None:
+        default_set = self._default_set(name)
+        if default_set.plan_meshes is None:
             return None
-        plan = recipe.planned(split)
-        left = recipe.rows_left(self._place(name), split)
+        plan = default_set.plan_meshes(split)
+        left = default_set.rows_left(self._place(name), split)
         records = [
             mesh_view.LazyMesh(number, label, partial(_planned_mesh, plan.make, number))
             for number, label in zip(plan.ids.tolist(), plan.labels.tolist(), strict=True)
@@ -225,11 +225,11 @@ class AssetProvider:
         except errors.BusyError:
             return True
 
-    def _recipe(self, name: str) -> Recipe:
-        make = KINDS[name].recipe
+    def _default_set(self, name: str) -> DefaultSet:
+        make = KINDS[name].default_set
         assert make is not None, "all KINDS have one"
-        recipe: Recipe = make(self._seed, self._per_class)
-        return recipe
+        default_set: DefaultSet = make(self._seed, self._per_class)
+        return default_set
 
     def _lock_of(self, name: str) -> Path:
         """Return the file that is locked while splits of a kind are made; it is created."""
@@ -328,9 +328,9 @@ class AssetProvider:
         except (errors.InputError, errors.IntegrityError) as error:
             if name not in KINDS or name in self._places:
                 raise
-            recipe = self._recipe(name)
+            default_set = self._default_set(name)
             if isinstance(error, errors.InputError):
-                self._refuse_missing(error, name, split, recipe)
+                self._refuse_missing(error, name, split, default_set)
             elif not self._generate:
                 raise
         with store.locked(self._lock_of(name), is_patient=True):
@@ -339,10 +339,10 @@ class AssetProvider:
                 return open_place(place).shards(split)
             except (errors.InputError, errors.IntegrityError):
                 pass
-            self._make(name, split, recipe, place)
+            self._make(name, split, default_set, place)
         return open_place(place).shards(split)
 
-    def _make(self, name: str, split: str, recipe: Recipe, place: str) -> None:
+    def _make(self, name: str, split: str, default_set: DefaultSet, place: str) -> None:
         nouns = KINDS[name].nouns
         what = f"making {nouns} (split {split}) in {place}"
         with shown_progress(what, nouns, _QUIET_S) as update:
@@ -351,17 +351,19 @@ class AssetProvider:
                 update(progress.done, progress.total)
 
             try:
-                recipe.make(place, split, workers=self._workers, on_progress=on_progress)
+                default_set.make(place, split, workers=self._workers, on_progress=on_progress)
             except KeyboardInterrupt:
                 # Without the frames of workers and locks.
                 kept = f"interrupted; what is finished stays in {place!r}, and the same call continues"
                 raise KeyboardInterrupt(kept) from None
 
-    def _refuse_missing(self, error: errors.InputError, name: str, split: str, recipe: Recipe) -> None:
+    def _refuse_missing(
+        self, error: errors.InputError, name: str, split: str, default_set: DefaultSet
+    ) -> None:
         """Refuse a split that a kind does not have, or that may not be made here."""
-        if split not in recipe.splits:
+        if split not in default_set.splits:
             raise errors.InputError(
-                f"unknown split {split!r} of {name}; expected one of {', '.join(recipe.splits)}"
+                f"unknown split {split!r} of {name}; expected one of {', '.join(default_set.splits)}"
             ) from error
         if not self._generate:
             place = self.root / name
@@ -369,7 +371,7 @@ class AssetProvider:
             if not place.is_dir():
                 found = "it does not exist"
             out = f"--out {shlex.quote(str(place))}"
-            command = " ".join(filter(None, (KINDS[name].made_by, recipe.arguments(split), out)))
+            command = " ".join(filter(None, (KINDS[name].made_by, default_set.arguments(split), out)))
             raise errors.InputError(
                 f"no split {split!r} of {name!r} in {str(self.root)!r}: {found}",
                 next=f"run `{command}`, or make the AssetProvider with generate=True",

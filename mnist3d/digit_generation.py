@@ -217,7 +217,7 @@ class DigitGenerator(generation.RowGenerator):
             return ""
         return _ADD_PICTURES
 
-    def planned(self, split: str) -> generation.PlannedMeshes:
+    def plan_meshes(self, split: str) -> generation.PlannedMeshes:
         """Return the digits of a split, each of which is made by itself, without its report."""
         ids = self.items()[split]
         catalog = self.spec.source.catalog()
@@ -304,12 +304,12 @@ def generate(
     return DigitGenerator.of(spec, splits).generate(out, splits, **run)
 
 
-def digit_recipe(seed: int, per_class: int | None) -> generation.Recipe:
-    """Return the recipe that makes digits without input, from the embedded synthetic source."""
+def default_set(seed: int, per_class: int | None) -> generation.DefaultSet:
+    """Return the digits that need no input, of the embedded synthetic source."""
     spec = DigitSetSpec(
         chosen_source("synthetic", {}, seed),
         split=digit_options.SplitSpec(seed=seed),
         per_class=per_class,
     )
-    making = DigitGenerator(spec)
-    return generation.Recipe(making, {"per-class": per_class, "seed": seed}, making.planned)
+    generator = DigitGenerator(spec)
+    return generation.DefaultSet(generator, {"per-class": per_class, "seed": seed}, generator.plan_meshes)

@@ -25,5 +25,5 @@ KIND = DatasetKind(
     check_content=lazy("mnist3d.digit_checks:validate_paths"),
     plan_gallery=lazy("mnist3d.digit_previews:plan_gallery"),
     dataset=lazy("mnist3d:DigitDataset"),
-    recipe=lazy("mnist3d.digit_generation:digit_recipe"),
+    default_set=lazy("mnist3d.digit_generation:default_set"),
 )

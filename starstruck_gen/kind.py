@@ -22,5 +22,5 @@ KIND = DatasetKind(
     check_content=lazy("starstruck_gen.scene_checks:validate_paths"),
     plan_gallery=lazy("starstruck_gen.scene_card:plan_gallery"),
     dataset=lazy("starstruck_gen:SceneMeshDataset"),
-    recipe=lazy("starstruck_gen.scene_dataset:scene_recipe"),
+    default_set=lazy("starstruck_gen.scene_dataset:default_set"),
 )

@@ -251,8 +251,8 @@ def generate(
     return SceneGenerator(spec).generate(out, splits, require=require, **run)
 
 
-def scene_recipe(seed: int, per_class: int | None) -> generation.Recipe:
-    """Return the recipe that makes scenes without input: as published, or fewer."""
+def default_set(seed: int, per_class: int | None) -> generation.DefaultSet:
+    """Return the scenes that need no input: as published, or fewer."""
     scenes = dict(PUBLISHED_SIZES)
     sizes = None
     if per_class is not None:
@@ -260,7 +260,7 @@ def scene_recipe(seed: int, per_class: int | None) -> generation.Recipe:
         scenes = {split: min(size, most) for split, size in scenes.items()}
         sizes = ",".join(f"{split}={size}" for split, size in scenes.items())
     spec = SceneSetSpec(scenes=tuple(scenes.items()), seed=seed)
-    return generation.Recipe(SceneGenerator(spec), {"scenes": sizes, "seed": seed})
+    return generation.DefaultSet(SceneGenerator(spec), {"scenes": sizes, "seed": seed})
 
 
 class SceneRecord(pictures.DrawnSolid):

@@ -116,7 +116,7 @@ def _default_set(name: str, split: str, *, may_begin: bool) -> Objects:
     finished = provider.finished(name, split)
     if finished is not None:
         return finished
-    planned = provider.planned(name, split)
+    planned = provider.plan_meshes(name, split)
     if planned is None or not planned.left:
         return provider.meshes(name, split)
     key = str(provider.root), name, split

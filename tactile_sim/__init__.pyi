@@ -13,8 +13,8 @@ from .sets.generation import (
     TouchGenerator as TouchGenerator,
 )
 from .optics.rendering import make_optics as make_optics
-from .sets.pair_generation import PairsGenerator as PairsGenerator, make_pairs as make_pairs
-from .sets.learning_specs import PairsSpec as PairsSpec, TrainConfig as TrainConfig
+from .sets.pair_generation import PairGenerator as PairGenerator, make_pairs as make_pairs
+from .sets.learning_specs import PairSetSpec as PairSetSpec, TrainConfig as TrainConfig
 from .press.pressing import (
     pose as pose,
     Pressed as Pressed,
@@ -40,7 +40,7 @@ from .optics.sensor_noise import SensorNoise as SensorNoise
 from .sets.round_press import TouchPreview as TouchPreview, preview_touch as preview_touch
 from .sets.touch_spec import (
     SENSOR_NOISE as SENSOR_NOISE,
-    GenerateSpec as GenerateSpec,
+    TouchSetSpec as TouchSetSpec,
     TouchPlan as TouchPlan,
     default_optics as default_optics,
 )

@@ -309,16 +309,16 @@ class PlannedMeshes:
 
 
 @dataclass(frozen=True)
-class Recipe:
-    """Recipe of a data set that needs no input.
+class DefaultSet:
+    """Default data set of a kind, which needs no input.
 
-    ``options`` are those of the equivalent command, by name; None if it takes no ``--split``. ``planned``
+    ``options`` are those of the equivalent command, by name; None if it takes no ``--split``. ``plan_meshes``
     takes a split; None unless each mesh can be made by itself and all of them take long.
     """
 
     generator: RowGenerator
     options: JsonObject | None = None
-    planned: Callable[[str], PlannedMeshes] | None = None
+    plan_meshes: Callable[[str], PlannedMeshes] | None = None
 
     @property
     def splits(self) -> tuple[str, ...]:

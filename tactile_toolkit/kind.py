@@ -219,8 +219,8 @@ class DatasetKind:
         :class:`Checked` of each; None if rows hold nothing to check beyond their files.
     dataset : callable
         Class that opens the shards of a split: takes a ``ShardedTable`` and ``label_names``.
-    recipe : callable or None
-        Takes a seed and a number per class, returns the :class:`tactile_toolkit.generation.Recipe` of
+    default_set : callable or None
+        Takes a seed and a number per class, returns the :class:`tactile_toolkit.generation.DefaultSet` of
         what needs no input; None if all need some.
     """
 
@@ -248,7 +248,7 @@ class DatasetKind:
     facts: AnyCall | None = None
     check_content: AnyCall | None = None
     dataset: AnyCall = _SOLIDS
-    recipe: AnyCall | None = None
+    default_set: AnyCall | None = None
 
     def __post_init__(self) -> None:
         if not self.content:

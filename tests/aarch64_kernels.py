@@ -48,7 +48,7 @@ def make_small_sets(folder: Path) -> None:
         touch_sets(folder / "scenes", folder)
     else:
         plan = tactile_sim.TouchPlan(2, 1, "object")
-        depth = tactile_sim.GenerateSpec((32, 32), "depth", plan=plan, limit=1)
+        depth = tactile_sim.TouchSetSpec((32, 32), "depth", plan=plan, limit=1)
         tactile_sim.generate(str(folder / "scenes"), depth, folder / "touches", ["train"])
 
 

@@ -160,9 +160,9 @@ def write_wrench(
     return WrenchGenerator(spec).generate(out, overwrite=overwrite)
 
 
-def wrench_recipe(seed: int, per_class: int | None) -> generation.Recipe:
-    """Return the recipe of the default wrench, which has neither a seed nor classes."""
-    return generation.Recipe(WrenchGenerator(WrenchSpec()))
+def default_set(seed: int, per_class: int | None) -> generation.DefaultSet:
+    """Return the default wrench, which has neither a seed nor classes."""
+    return generation.DefaultSet(WrenchGenerator(WrenchSpec()))
 
 
 def wrench_facts(spec: WrenchSpec, report: mesh.PrintReport) -> JsonDict:

@@ -21,7 +21,7 @@ KIND = DatasetKind(
     columns=("opening_mm",),
     plan_gallery=lazy("env_assets.wrench.dataset:plan_gallery"),
     dataset=lazy("env_assets:WrenchDataset"),
-    recipe=lazy("env_assets.wrench.dataset:wrench_recipe"),
+    default_set=lazy("env_assets.wrench.dataset:default_set"),
 )
 
 

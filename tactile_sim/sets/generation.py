@@ -17,7 +17,7 @@ from tactile_sim.kind import KIND
 from tactile_sim.press.pressable import Pressable
 from tactile_sim.sets import round_press, touched_solids
 from tactile_sim.sets.round_plan import plan_round
-from tactile_sim.sets.touch_spec import GenerateSpec
+from tactile_sim.sets.touch_spec import TouchSetSpec
 from tactile_toolkit import catalog, generation, places, read, rows, store, touch
 from tactile_toolkit.array_types import Float32, Float64, Int64
 from tactile_toolkit.errors import InputError, ItemError
@@ -170,7 +170,7 @@ class TouchGenerator(generation.RowGenerator):
     ``unfinished`` states the finished shards of an unfinished source, such as ``"3 of 8 shards"``.
     """
 
-    spec: GenerateSpec
+    spec: TouchSetSpec
     source: Mapping[str, touched_solids.Solids] = field(repr=False)
     rows: Mapping[str, range | Int64] = field(repr=False)
     unfinished: str = ""
@@ -180,7 +180,7 @@ class TouchGenerator(generation.RowGenerator):
     def of(
         cls,
         source: places.Name | places.Place | touched_solids.Meshes,
-        spec: GenerateSpec,
+        spec: TouchSetSpec,
         unit: str | None = None,
         opened: touched_solids.Opener = places.open_place,
     ) -> TouchGenerator:
@@ -305,7 +305,7 @@ class TouchGenerator(generation.RowGenerator):
         return {"touches": sum(len(row.images) for row in rows), "on_object": on_object}
 
 
-def _make_row(spec: GenerateSpec, solid: Pressable, key: tuple[str, int, int], label: int) -> SyntheticRound:
+def _make_row(spec: TouchSetSpec, solid: Pressable, key: tuple[str, int, int], label: int) -> SyntheticRound:
     _, object_id, number = key
     plan = plan_round(spec.plan, solid, *key)
     touches = len(plan.positions_m)
@@ -335,7 +335,7 @@ def _make_row(spec: GenerateSpec, solid: Pressable, key: tuple[str, int, int], l
 
 def generate(
     source: places.Name | touched_solids.Meshes,
-    spec: GenerateSpec,
+    spec: TouchSetSpec,
     out: str | os.PathLike[str],
     splits: Sequence[str] | None = None,
     *,
@@ -355,7 +355,7 @@ def generate(
         and ``test`` are splits), or meshes by the name of their class, one each or a list, in metres. Or a
         data set of digits, scenes or other meshes: a folder, a Parquet file, a repository of the Hub or a
         short name, as ``mnist3d.load`` takes it.
-    spec : GenerateSpec
+    spec : TouchSetSpec
         Specification of the touches.
     out : str or path-like
         Folder to write.

@@ -35,7 +35,7 @@ def _metres(words: str) -> float:
 
 
 @dataclass(frozen=True)
-class PairsSpec:
+class PairSetSpec:
     """Everything that decides a training set of learned rendering.
 
     Attributes

@@ -21,7 +21,7 @@ from tactile_sim.press.pressable import Pressable
 from tactile_sim.press.pressing import render_touch
 from tactile_sim.press.sensors import sensor_of_window
 from tactile_sim.sets import pairs, round_plan, touched_solids
-from tactile_sim.sets.learning_specs import PairsSpec
+from tactile_sim.sets.learning_specs import PairSetSpec
 from tactile_sim.sets.touch_spec import TouchPlan
 from tactile_toolkit import generation, places, read, store, touch
 from tactile_toolkit.array_types import Float32, Float64
@@ -41,11 +41,11 @@ _ROWS_PER_SHARD = 1000
 _OF_OBJECT = ("label", "object_id")
 
 
-def drawn_depth(spec: PairsSpec, solid: Pressable, object_id: int, number: int) -> Float32:
+def drawn_depth(spec: PairSetSpec, solid: Pressable, object_id: int, number: int) -> Float32:
     """Return the depth image of one touch: the first of some places in the cell with contact."""
     sensor = sensor_of_window(spec.window, spec.size_px)
     least_m = spec.min_height_m
-    assert least_m is not None, "PairsGenerator.of sets it"
+    assert least_m is not None, "PairGenerator.of sets it"
     if spec.is_empty(number):  # a bare plate is the same wherever it is touched
         return np.ones(spec.size_px[::-1], np.float32)
     for positions in ("cell", "object"):  # small objects are seldom met by chance
@@ -63,9 +63,9 @@ def drawn_depth(spec: PairsSpec, solid: Pressable, object_id: int, number: int) 
     )
 
 
-def draw_touches(touches: read.RecordDataset[Any], spec: PairsSpec, real: str) -> list[tuple[int, bool]]:
+def draw_touches(touches: read.RecordDataset[Any], spec: PairSetSpec, real: str) -> list[tuple[int, bool]]:
     """Draw touches with and without contact, each once, in the pattern of the other split."""
-    assert spec.min_height_m is not None, "PairsGenerator.of sets it"
+    assert spec.min_height_m is not None, "PairGenerator.of sets it"
     if set(_POSES).isdisjoint(touches.column_names):
         contact = _contacts_by_image(touches).contact
         highest = "as their images show"
@@ -94,13 +94,13 @@ def draw_touches(touches: read.RecordDataset[Any], spec: PairsSpec, real: str) -
 
 
 @dataclass(frozen=True)
-class PairsGenerator(generation.RowGenerator):
+class PairGenerator(generation.RowGenerator):
     """Makes a training set: presses objects for the split ``depth``, and draws touches for ``real``.
 
     The items are numbers of depth images, and numbers of touches with whether they have contact.
     """
 
-    spec: PairsSpec
+    spec: PairSetSpec
     objects: touched_solids.Records = field(repr=False)
     real: str
     split: str
@@ -114,9 +114,9 @@ class PairsGenerator(generation.RowGenerator):
         objects: str,
         real: str,
         split: str,
-        spec: PairsSpec,
+        spec: PairSetSpec,
         opened: touched_solids.Opener = places.open_place,
-    ) -> PairsGenerator:
+    ) -> PairGenerator:
         """Open both sources by their names; InputError for other kinds of data, or without meshes."""
         sources = [opened(objects).require_meshes("tactile-sim pairs"), opened(real)]
         solids = touched_solids.open_split(sources[0], split)
@@ -229,7 +229,7 @@ def make_pairs(
     objects: str,
     real: str,
     split: str,
-    spec: PairsSpec,
+    spec: PairSetSpec,
     out: str | os.PathLike[str],
     **run: Unpack[store.RunKeywords],
 ) -> store.Manifest:
@@ -244,7 +244,7 @@ def make_pairs(
         images decide about contact, as ``realtouch.contacts_by_image`` says.
     split : str
         Split of both data sets.
-    spec : PairsSpec
+    spec : PairSetSpec
         Specification of the pairs.
     out : str or path-like
         Folder to write: splits ``depth`` and ``real``.
@@ -265,6 +265,6 @@ def make_pairs(
     SpecMismatchError, StorageError
         The folder holds a data set of another specification, or cannot be written: what was finished stays.
     """
-    generator = PairsGenerator.of(objects, real, split, spec)
+    generator = PairGenerator.of(objects, real, split, spec)
     require = partial(generator.refuse_sources, objects, out)
     return generator.generate(out, require=require, **run)

@@ -18,7 +18,7 @@ from tactile_sim.press.press_spec import ElasticPress, Span
 from tactile_sim.press.pressable import Pressable
 from tactile_sim.press.pressing import Pressed, pose, render_touch
 from tactile_sim.sets.round_plan import keyed_rng, on_object
-from tactile_sim.sets.touch_spec import GenerateSpec
+from tactile_sim.sets.touch_spec import TouchSetSpec
 from tactile_toolkit import arithmetic, read, store, touch
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, UInt8
 from tactile_toolkit.json_types import JsonDict
@@ -33,7 +33,7 @@ _KILO, _MILLI = 1e3, 1e-3
 _NONE: Span = (0.0, 0.0)
 
 
-def optics_of(spec: GenerateSpec) -> Optics:
+def optics_of(spec: TouchSetSpec) -> Optics:
     """Return the optics of a specification, made once in a process and again when the weights change."""
     if spec.optics == "twin":
         twin: Optics = spec.sensor.optics
@@ -65,7 +65,7 @@ class PressedRound:
 
 
 def press_round(
-    spec: GenerateSpec, solid: Pressable, poses: Float64, targets: Float64, key: tuple[str, int, int]
+    spec: TouchSetSpec, solid: Pressable, poses: Float64, targets: Float64, key: tuple[str, int, int]
 ) -> PressedRound:
     """Press and render the touches of a round; ``key`` is its split, object and number."""
     optics = optics_of(spec)
@@ -98,7 +98,7 @@ def press_round(
     return PressedRound(pressed, _with_noise(spec, images, key), further, shown)
 
 
-def _depth_sensor(spec: GenerateSpec, optics: Optics) -> sensors.Sensor:
+def _depth_sensor(spec: TouchSetSpec, optics: Optics) -> sensors.Sensor:
     """Return the sensor whose depth maps the optics render."""
     size_px = spec.size_px
     model = spec.sensor
@@ -110,7 +110,7 @@ def _depth_sensor(spec: GenerateSpec, optics: Optics) -> sensors.Sensor:
     return sensors.sensor_of_window(spec.window, optics.depth_size(*size_px))
 
 
-def _with_noise(spec: GenerateSpec, images: UInt8, key: tuple[str, int, int]) -> UInt8:
+def _with_noise(spec: TouchSetSpec, images: UInt8, key: tuple[str, int, int]) -> UInt8:
     """Return the images of a round with the noise of the specification, drawn for each round."""
     if spec.noise is None:
         return images
@@ -120,7 +120,7 @@ def _with_noise(spec: GenerateSpec, images: UInt8, key: tuple[str, int, int]) ->
     return add_noise(images, spec.noise, draw(), draw)
 
 
-def further_types(spec: GenerateSpec) -> Mapping[str, pa.DataType]:
+def further_types(spec: TouchSetSpec) -> Mapping[str, pa.DataType]:
     """Return the types of the columns that only some sets have; a GelSight Mini has the published ones."""
     types: dict[str, pa.DataType] = {}
     if spec.press is not None or spec.sensor.press_m != touch.PRESS_DEPTH_M:
@@ -158,7 +158,7 @@ class TouchPreview:
 
 
 def preview_touch(
-    mesh: MeshLike, spec: GenerateSpec, at_m: tuple[float, float] | None, turn_rad: float = 0.0
+    mesh: MeshLike, spec: TouchSetSpec, at_m: tuple[float, float] | None, turn_rad: float = 0.0
 ) -> TouchPreview:
     """Press the gel once onto a solid that stands on the plate.
 
@@ -166,7 +166,7 @@ def preview_touch(
     ----------
     mesh : Mesh, record or trimesh.Trimesh
         A closed mesh, metres.
-    spec : GenerateSpec
+    spec : TouchSetSpec
         What the touch looks like; its plan is not used.
     at_m : tuple of float or None
         Where the gel goes, x and y from the solid's own origin, metres. None puts the solid

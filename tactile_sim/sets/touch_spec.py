@@ -168,7 +168,7 @@ class TouchPlan:
 
 
 @dataclass(frozen=True)
-class GenerateSpec:
+class TouchSetSpec:
     """Everything that decides the touches of a set of solids.
 
     Attributes

@@ -109,7 +109,7 @@ FUNCTIONS: tuple[Callable[[str], object], ...] = (
     lambda place: env_assets.AssetProvider("x").touches(place),
     lambda place: realtouch.select(place, "x"),
     lambda place: starstruck_gen.generate(starstruck_gen.SceneSetSpec(), place),
-    lambda place: tactile_sim.generate(place, tactile_sim.GenerateSpec(), "x"),
+    lambda place: tactile_sim.generate(place, tactile_sim.TouchSetSpec(), "x"),
 )
 
 

@@ -127,10 +127,10 @@ def test_an_interrupt_is_one_error_and_keeps_finished_shards(tmp_path, monkeypat
     def interrupted(*_: Any) -> None:
         raise KeyboardInterrupt
 
-    recipe = provider._recipe("mnist3d")
-    make = partial(recipe.make, on_progress=lambda progress: progress.done and interrupted())
+    default_set = provider._default_set("mnist3d")
+    make = partial(default_set.make, on_progress=lambda progress: progress.done and interrupted())
     with monkeypatch.context() as patched:
-        patched.setattr(type(recipe), "make", lambda _, out, split, **__: make(out, split))
+        patched.setattr(type(default_set), "make", lambda _, out, split, **__: make(out, split))
         with pytest.raises(KeyboardInterrupt, match=r"what is finished stays in .*mnist3d'") as caught:
             provider.meshes("mnist3d")
     assert caught.value.__suppress_context__
@@ -171,7 +171,7 @@ class _Backwards:
 
 def test_faces_of_a_growing_pool_are_as_wide_as_they_must_be(begun):
     provider = object_sets.AssetProvider(generate=True)
-    pool = GrowingPool(provider.planned("mnist3d"))
+    pool = GrowingPool(provider.plan_meshes("mnist3d"))
     pool.require(np.array([3]))
     narrow = pool.faces.copy()
     fine = trimesh.creation.icosphere(subdivisions=7, radius=0.01)  # its upper half has 80,000 corners

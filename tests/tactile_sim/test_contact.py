@@ -15,7 +15,7 @@ import starstruck_gen
 import tactile_sim
 from realtouch.touch_gallery import plan_gallery
 from realtouch.touch_previews import CONTACT, draw_grid
-from tactile_sim.sets.learning_specs import PairsSpec
+from tactile_sim.sets.learning_specs import PairSetSpec
 from tactile_sim.sets.pair_generation import make_pairs
 from tactile_sim.sets.pairs import Domain, Pairs, decode_depth, encode_depth
 from tactile_toolkit.errors import InputError, IntegrityError
@@ -43,7 +43,7 @@ def scenes(tmp_path_factory):
 
 def _made(scenes: str, folder: Path, place: str) -> Path:
     plan = tactile_sim.TouchPlan(1, 12, place, seed=3)
-    spec = tactile_sim.GenerateSpec((32, 24), "depth", plan=plan, image_format="png")
+    spec = tactile_sim.TouchSetSpec((32, 24), "depth", plan=plan, image_format="png")
     tactile_sim.generate(scenes, spec, folder, ["train"])
     return folder
 
@@ -63,7 +63,7 @@ def in_cell(scenes, tmp_path_factory):
 @pytest.fixture(scope="module")
 def pairs(scenes, in_cell, tmp_path_factory):
     folder = tmp_path_factory.mktemp("pairs") / "set"
-    make_pairs(scenes, str(in_cell), "train", PairsSpec((32, 24), 10, 0.2), folder)
+    make_pairs(scenes, str(in_cell), "train", PairSetSpec((32, 24), 10, 0.2), folder)
     return str(folder)
 
 
@@ -165,10 +165,10 @@ def test_pairs_of_other_data_sets_are_refused(scenes, in_cell, tmp_path):
         Pairs.open(str(in_cell))
     _without_rows(scenes, tmp_path / "none")
     with pytest.raises(InputError, match=r"split 'train' of '.*none' holds no mesh; next: choose another"):
-        make_pairs(str(tmp_path / "none"), str(in_cell), "train", PairsSpec((32, 24), 10), tmp_path / "out")
+        make_pairs(str(tmp_path / "none"), str(in_cell), "train", PairSetSpec((32, 24), 10), tmp_path / "out")
     for wrong, text in (({"size_px": (30, 32)}, "multiples of 4"), ({"without_contact": 2}, "0 to 1")):
         with pytest.raises(InputError, match=text):
-            PairsSpec(**{"count": 9, **wrong})
+            PairSetSpec(**{"count": 9, **wrong})
     assert [path.name for path in tmp_path.iterdir()] == ["none"]
 
 
@@ -212,7 +212,7 @@ def test_recordings_without_labels_objects_and_poses_make_pairs(columns, scenes,
 
 def test_objects_that_are_too_low_for_a_touch_are_named(in_cell, tmp_path):
     low = write_meshes(tmp_path / "low", [block((0.02, 0.03, 0.003))], ("a",))
-    spec = PairsSpec((32, 24), 1, 0.0, min_height_m=0.004)
+    spec = PairSetSpec((32, 24), 1, 0.0, min_height_m=0.004)
     words = "object 0 is nowhere 4.0 mm high: no touch of it counts as contact; next: lower --min-height-mm"
     with pytest.raises(InputError, match=words):
         make_pairs(str(low), str(in_cell), "train", spec, tmp_path / "out")

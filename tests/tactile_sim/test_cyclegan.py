@@ -93,7 +93,7 @@ def test_a_picture_does_not_depend_on_its_batch_nor_on_threads(small):
 
 def test_retrained_weights_are_read_again(small):
     """In one process: the manifest has the checksum of the file, so pictures must be made with this file."""
-    spec = tactile_sim.GenerateSpec((32, 24), "cyclegan", weights=str(small()))
+    spec = tactile_sim.TouchSetSpec((32, 24), "cyclegan", weights=str(small()))
     sensor, depths = _depths((32, 24))
     before = optics_of(spec)
     assert optics_of(spec) is before

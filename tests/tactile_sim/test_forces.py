@@ -14,7 +14,7 @@ from PIL import Image
 import realtouch
 import tactile_sim
 from realtouch.force_pictures import force_views
-from tactile_sim import ElasticPress, Gel, GenerateSpec, TouchPlan, center_view, full_view, pose
+from tactile_sim import ElasticPress, Gel, TouchPlan, TouchSetSpec, center_view, full_view, pose
 from tactile_sim.optics.rendering import make_optics
 from tactile_sim.press.elastic_press import draw_markers
 from tactile_toolkit.errors import InputError
@@ -26,7 +26,7 @@ pytestmark = pytest.mark.sim
 GEL, STUCK = Gel(), Gel(friction=1000.0)
 SENSOR = center_view(32, 32)
 PRESS = ElasticPress(GEL, (1.0, 4.0), slide_m=(0.0, 0.0004), twist_rad=(-0.05, 0.05), markers=(5, 4))
-SPEC = GenerateSpec(
+SPEC = TouchSetSpec(
     (32, 24), "depth", plan=TouchPlan(2, 3, "object", seed=4), image_format="png", press=PRESS
 )
 SOLIDS = {"ball": [ball(0.006, 2)], "block": [block()]}
@@ -216,19 +216,19 @@ def test_invalid_presses_are_refused(wrong, told):
 
 def test_a_press_is_of_the_sensor_and_a_round_fits_into_memory():
     with pytest.raises(InputError, match="less than the gel is thick"):
-        GenerateSpec(press=ElasticPress(GEL, press_m=0.0043))
+        TouchSetSpec(press=ElasticPress(GEL, press_m=0.0043))
     with pytest.raises(InputError, match="at most 512 with an elastic gel of 320 x 240"):
-        GenerateSpec(window="full", plan=TouchPlan(1, 600), press=ElasticPress(GEL))
+        TouchSetSpec(window="full", plan=TouchPlan(1, 600), press=ElasticPress(GEL))
     with pytest.raises(InputError, match="expected an ElasticPress"):
-        GenerateSpec(press=5.0)
+        TouchSetSpec(press=5.0)
 
 
 def test_numbers_become_spans_and_the_force_is_that_of_the_paper():
     press = ElasticPress(GEL, slide_m=0.0003, markers=np.array([7, 9]))
     assert (press.force_n, press.slide_m, press.twist_rad) == ((5.0, 5.0), (0.0003, 0.0003), (0.0, 0.0))
     assert json.loads(json.dumps(press.to_dict()))["markers"] == [7, 9]
-    assert "press" not in GenerateSpec().to_dict()
-    assert GenerateSpec(press=press).to_dict()["press"]["youngs_modulus_pa"] == GEL.youngs_modulus_pa
+    assert "press" not in TouchSetSpec().to_dict()
+    assert TouchSetSpec(press=press).to_dict()["press"]["youngs_modulus_pa"] == GEL.youngs_modulus_pa
 
 
 def test_a_set_stores_the_results_of_the_solver(touches):

@@ -25,7 +25,7 @@ from tests.tactile_sim.solids import block
 pytestmark = pytest.mark.sim
 
 PLAN = tactile_sim.TouchPlan(rounds=2, touches=5, seed=3)
-SPEC = tactile_sim.GenerateSpec((64, 48), "depth", plan=PLAN, image_format="png")
+SPEC = tactile_sim.TouchSetSpec((64, 48), "depth", plan=PLAN, image_format="png")
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +67,7 @@ def test_the_same_bytes_with_workers_split_by_split_and_small_shards(scenes, tou
 def test_shards_and_row_groups_hold_as_many_rounds_as_their_bytes_allow(scenes):
     """A later version with other shards could not continue a set, and would make other files."""
     for size_px, touches, largest, rows_per_group in (((64, 64), 256, 161, 20), ((320, 240), 64, 52, 6)):
-        spec = tactile_sim.GenerateSpec(size_px, "depth", plan=tactile_sim.TouchPlan(2, touches))
+        spec = tactile_sim.TouchSetSpec(size_px, "depth", plan=tactile_sim.TouchPlan(2, touches))
         layout = TouchGenerator.of(scenes, spec).layout()
         assert (layout.largest, layout.style.rows_per_group) == (largest, rows_per_group)
 
@@ -100,7 +100,7 @@ def test_a_set_agrees_with_its_poses(scenes, touches):
 
 def test_published_is_the_whole_sensor_rendered_large_and_scaled(scenes, tmp_path):
     """Compared with another method: the window is cut from 320 x 240 pixels, and NumPy averages areas."""
-    spec = tactile_sim.GenerateSpec((64, 48), "depth", "full", PLAN, "png", limit=2)
+    spec = tactile_sim.TouchSetSpec((64, 48), "depth", "full", PLAN, "png", limit=2)
     tactile_sim.generate(scenes, spec, tmp_path / "made", ["train"])
     solids = starstruck_gen.load(scenes, "train")
     whole = tactile_sim.Sensor((320, 240), (0.01888, 0.01416))
@@ -224,7 +224,7 @@ def test_invalid_sources_are_refused(scenes, touches, tmp_path):
     with pytest.raises(InputError, match="holds synthetic touches; `tactile-sim generate` is for meshes"):
         TouchGenerator.of(str(touches), SPEC)
     with pytest.raises(InputError, match="expected one of"):
-        tactile_sim.GenerateSpec(optics="lens")
+        tactile_sim.TouchSetSpec(optics="lens")
 
 
 @pytest.mark.thorough
@@ -332,14 +332,14 @@ def test_some_objects_are_touched_as_among_all(scenes, touches, tmp_path):
     of_all = {row.id: row for split in ("train", "test") for row in realtouch.load(touches, split)}
     ids = realtouch.load(touches, "train").touches().object_ids
     chosen = {"ids": [int(ids[0]), (2, 4)], "labels": ["1", "2"], "per_class": 1}
-    some = tactile_sim.GenerateSpec((64, 48), "depth", plan=PLAN, image_format="png", **chosen)
+    some = tactile_sim.TouchSetSpec((64, 48), "depth", plan=PLAN, image_format="png", **chosen)
     manifest = tactile_sim.generate(scenes, some, tmp_path / "some", ["train"])
     assert manifest.spec["options"]["per_class"] == 1
     made = realtouch.load(tmp_path / "some", "train")
     assert [row.id for row in made] == ["0-0", "0-1", "4-0", "4-1"]
     for row in made:
         assert (row.sensor_image[1] == of_all[row.id].sensor_image[1]).all()
-    unknown = tactile_sim.GenerateSpec(optics="depth", plan=PLAN, ids=[99])
+    unknown = tactile_sim.TouchSetSpec(optics="depth", plan=PLAN, ids=[99])
     with pytest.raises(InputError, match="no object with id 99"):
         TouchGenerator.of(scenes, unknown)
 

@@ -21,7 +21,7 @@ import realtouch
 import tactile_sim
 import tactile_sim.optics.taxim
 from tactile_sim.optics.sensor_noise import add_noise
-from tactile_sim.sets.learning_specs import PairsSpec
+from tactile_sim.sets.learning_specs import PairSetSpec
 from tactile_sim.sets.pair_generation import make_pairs
 from tactile_sim.sets.pairs import Pairs
 from tactile_toolkit.errors import (
@@ -127,8 +127,8 @@ def test_pairs_satisfy_their_specification_with_any_number_of_workers(sources, p
 
 def test_impossible_pairs_are_named(sources, tmp_path):
     cases = [
-        (PairsSpec((32, 32), 5000), "holds .* touches with contact"),
-        (PairsSpec((32, 32), 60, min_height_m=0.09), "holds 0 touches with contact"),
+        (PairSetSpec((32, 32), 5000), "holds .* touches with contact"),
+        (PairSetSpec((32, 32), 60, min_height_m=0.09), "holds 0 touches with contact"),
     ]
     for spec, text in cases:
         with pytest.raises(InputError, match=text):
@@ -137,9 +137,9 @@ def test_impossible_pairs_are_named(sources, tmp_path):
 
 
 def test_pairs_that_are_not_finished_or_without_contact_are_no_training_set(sources, tmp_path):
-    few = PairsSpec((32, 32), 12, without_contact=0.2, window="center")
+    few = PairSetSpec((32, 32), 12, without_contact=0.2, window="center")
     make_pairs(*sources, "train", few, tmp_path / "few")
-    make_pairs(*sources, "train", PairsSpec((32, 32), 4, 1.0, window="center"), tmp_path / "untouched")
+    make_pairs(*sources, "train", PairSetSpec((32, 32), 4, 1.0, window="center"), tmp_path / "untouched")
     with pytest.raises(InputError, match=r"'depth' of .*untouched' holds no image with contact"):
         train(str(tmp_path / "untouched"), tmp_path / "out", CONFIG, device="cpu")
     edit(tmp_path / "few" / "manifest.json", lambda values: values.update(complete=False))

@@ -133,7 +133,7 @@ def test_sets_have_noise_of_their_own_for_each_touch(tmp_path):
         ("other", NOISE, 1),
     ):
         plan = tactile_sim.TouchPlan(2, positions="given", given=given, seed=seed)
-        spec = tactile_sim.GenerateSpec(
+        spec = tactile_sim.TouchSetSpec(
             (32, 32), "taxim", plan=plan, image_format="png", noise=noise, limit=2
         )
         tactile_sim.generate(scenes, spec, tmp_path / name)
@@ -161,11 +161,11 @@ def test_invalid_noise_is_refused(tmp_path):
         with pytest.raises(InputError, match=f"{name} of the noise is"):
             tactile_sim.SensorNoise(**{**VALUES, name: value})
     with pytest.raises(InputError, match="'depth' do not have the calibrated noise"):
-        tactile_sim.GenerateSpec(optics="depth", noise=tactile_sim.SensorNoise.calibrated())
+        tactile_sim.TouchSetSpec(optics="depth", noise=tactile_sim.SensorNoise.calibrated())
     with pytest.raises(InputError, match=r"frame_noise_std of the noise is -1.0"):
         tactile_sim.SensorNoise.named("-1")
     with pytest.raises(InputError, match="expected a SensorNoise"):
-        tactile_sim.GenerateSpec(noise=0.1)
+        tactile_sim.TouchSetSpec(noise=0.1)
     file = tmp_path / "noise.json"
     file.write_text(json.dumps(VALUES))
     assert tactile_sim.SensorNoise.read(file) == NOISE

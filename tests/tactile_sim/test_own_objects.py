@@ -29,8 +29,8 @@ PLAN = tactile_sim.TouchPlan(2, 3, "object", seed=3)
 THIN = tactile_sim.SensorModel("thin", 12, 9, 160, 120, 1.0, "a caliper")
 
 
-def depth(**others: Any) -> tactile_sim.GenerateSpec:
-    return tactile_sim.GenerateSpec((32, 24), "depth", plan=PLAN, image_format="png", **others)
+def depth(**others: Any) -> tactile_sim.TouchSetSpec:
+    return tactile_sim.TouchSetSpec((32, 24), "depth", plan=PLAN, image_format="png", **others)
 
 
 def write(file: Path, solid: Any = None, unit: float = 1000.0) -> None:
@@ -180,7 +180,7 @@ def test_images_show_a_block_in_its_size(name, window, size_px, tmp_path):
     model = {**tactile_sim.SENSORS, "thin": THIN}[name]
     width_mm, depth_mm, height_mm = 6.0, 4.0, 0.4 * model.gel_mm
     given = tactile_sim.TouchTable([0.0], [0.0], object_x_m=[0.0], object_y_m=[0.0], object_turn_rad=[0.0])
-    spec = tactile_sim.GenerateSpec(
+    spec = tactile_sim.TouchSetSpec(
         size_px,
         "depth",
         window,
@@ -241,16 +241,16 @@ def test_a_sensor_is_named_or_read_from_a_file(tmp_path: Path, capsys: Any) -> N
     file = tmp_path / "own.json"
     file.write_text(json.dumps(THIN.to_dict()))
     assert tactile_sim.SensorModel.named(str(file)) == THIN
-    assert tactile_sim.GenerateSpec(optics="depth", sensor="digit").sensor == tactile_sim.SENSORS["digit"]
-    assert tactile_sim.GenerateSpec(optics="depth", sensor=THIN.to_dict()).sensor == THIN
+    assert tactile_sim.TouchSetSpec(optics="depth", sensor="digit").sensor == tactile_sim.SENSORS["digit"]
+    assert tactile_sim.TouchSetSpec(optics="depth", sensor=THIN.to_dict()).sensor == THIN
     with pytest.raises(InputError, match=r"'taxim' are calibrated for the GelSight Mini.*add --optics depth"):
-        tactile_sim.GenerateSpec(optics="taxim", sensor="digit")
+        tactile_sim.TouchSetSpec(optics="taxim", sensor="digit")
     with pytest.raises(InputError, match="no sensor 'finger'; expected one of gelsight-mini, digit, gels"):
         tactile_sim.SensorModel.named("finger")
     with pytest.raises(InputError, match="the sensor is 3; expected a SensorModel"):
-        tactile_sim.GenerateSpec(optics="depth", sensor=3)
+        tactile_sim.TouchSetSpec(optics="depth", sensor=3)
     with pytest.raises(InputError, match="4,096 touches in a round; expected at most 1,024"):
-        tactile_sim.GenerateSpec(optics="depth", sensor="digit", plan=tactile_sim.TouchPlan(1, 4096))
+        tactile_sim.TouchSetSpec(optics="depth", sensor="digit", plan=tactile_sim.TouchPlan(1, 4096))
     for change, words in (
         ({"gel_mm": 0}, "gel_mm of the sensor is 0"),
         ({"width_px": 10**9}, "width_px of the sensor"),
@@ -283,8 +283,8 @@ def test_a_sensor_is_named_or_read_from_a_file(tmp_path: Path, capsys: Any) -> N
 def test_depth_images_have_grey_noise_of_the_requested_deviation(tmp_path: Path) -> None:
     noise = tactile_sim.SensorNoise.named("0.02")
     plan = tactile_sim.TouchPlan(4, 4, "object", seed=1, turn_rad=0.0)
-    clean = tactile_sim.GenerateSpec((64, 64), "depth", plan=plan, image_format="png")
-    noisy = tactile_sim.GenerateSpec((64, 64), "depth", plan=plan, image_format="png", noise=noise)
+    clean = tactile_sim.TouchSetSpec((64, 64), "depth", plan=plan, image_format="png")
+    noisy = tactile_sim.TouchSetSpec((64, 64), "depth", plan=plan, image_format="png", noise=noise)
     solids = {"ball": ball(0.01), "larger": ball(0.02)}
     images = []
     for spec, count in ((clean, 1), (noisy, 2), (noisy, 1)):
@@ -323,7 +323,7 @@ def test_damaged_files_are_left_out_with_a_sentence(ending: str, tmp_path: Path)
                 content[place:place] = content[place : place + 50]
         (tmp_path / f"{number}{ending}").write_bytes(bytes(content))
     plan = tactile_sim.TouchPlan(1, 1, "object")
-    touches = TouchGenerator.of(tmp_path, tactile_sim.GenerateSpec((16, 12), "depth", plan=plan))
+    touches = TouchGenerator.of(tmp_path, tactile_sim.TouchSetSpec((16, 12), "depth", plan=plan))
     made = list(touches.make("train", range(150)))
     assert len(made) == 150
     skipped = [each for each in made if isinstance(each, Skipped)]

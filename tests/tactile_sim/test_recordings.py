@@ -90,7 +90,7 @@ def test_an_imported_data_set_is_read_like_the_folder(folder: Path, recording: R
 
 def test_touches_of_our_own_are_read_with_their_poses(folder: Path) -> None:
     plan = tactile_sim.TouchPlan(1, 2, "object", seed=4)
-    spec = tactile_sim.GenerateSpec((64, 48), "depth", "full", plan, image_format="png")
+    spec = tactile_sim.TouchSetSpec((64, 48), "depth", "full", plan, image_format="png")
     tactile_sim.generate(folder / "solids", spec, folder / "made")
     found = tactile_sim.read_recordings(folder / "made", folder / "solids")
     assert found.object_ids.tolist() == [0, 0, 1, 1, 2, 2]

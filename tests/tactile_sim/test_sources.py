@@ -12,12 +12,12 @@ import pytest
 
 import starstruck_gen
 import tactile_sim
-from tactile_sim.sets.learning_specs import PairsSpec
+from tactile_sim.sets.learning_specs import PairSetSpec
 from tactile_sim.sets.pair_generation import make_pairs
 from tests.command_line import call
 
 pytestmark = pytest.mark.sim
-SPEC = tactile_sim.GenerateSpec(
+SPEC = tactile_sim.TouchSetSpec(
     (32, 24), "depth", plan=tactile_sim.TouchPlan(4, 8, "object", seed=3), image_format="png"
 )
 
@@ -64,7 +64,7 @@ def test_equal_pairs_have_equal_manifests_that_name_no_place(scenes, touches, tm
         shutil.copytree(scenes, here / "scenes")
         shutil.copytree(touches, here / "touches")
         make_pairs(
-            str(here / "scenes"), str(here / "touches"), "train", PairsSpec((32, 24), 10), here / "pairs"
+            str(here / "scenes"), str(here / "touches"), "train", PairSetSpec((32, 24), 10), here / "pairs"
         )
         made.append({f.name: f.read_bytes() for f in (here / "pairs").iterdir() if f.is_file()})
     assert made[0] == made[1]
@@ -75,11 +75,11 @@ def test_equal_pairs_have_equal_manifests_that_name_no_place(scenes, touches, tm
     # Other touches with the same name and shape are another source.
     tactile_sim.generate(
         scenes,
-        tactile_sim.GenerateSpec((32, 24), "depth", plan=tactile_sim.TouchPlan(4, 8, "object", seed=4)),
+        tactile_sim.TouchSetSpec((32, 24), "depth", plan=tactile_sim.TouchPlan(4, 8, "object", seed=4)),
         tmp_path / "others",
         ["train"],
     )
-    make_pairs(str(scenes), str(tmp_path / "others"), "train", PairsSpec((32, 24), 10), tmp_path / "more")
+    make_pairs(str(scenes), str(tmp_path / "others"), "train", PairSetSpec((32, 24), 10), tmp_path / "more")
     assert _manifest(tmp_path / "more")["spec"]["source"]["real"] != source["real"]
 
 
@@ -88,7 +88,7 @@ def test_an_object_in_two_shards_is_left_out_once(with_an_open_mesh, touches, tm
     monkeypatch.setattr("tactile_sim.sets.pair_generation._ROWS_PER_SHARD", 3)
     tactile_sim.generate(with_an_open_mesh, SPEC, tmp_path / "touches")
     make_pairs(
-        str(with_an_open_mesh), str(touches), "train", PairsSpec((32, 24), 12, 0.0), tmp_path / "pairs"
+        str(with_an_open_mesh), str(touches), "train", PairSetSpec((32, 24), 12, 0.0), tmp_path / "pairs"
     )
     assert len(_manifest(tmp_path / "touches")["shards"]) > 3
     for folder, split in ((tmp_path / "touches", "train"), (tmp_path / "pairs", "depth")):

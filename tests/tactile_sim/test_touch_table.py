@@ -80,7 +80,7 @@ def test_a_set_holds_the_rounds_that_are_given(tmp_path):
 
     scenes = str(tmp_path / "scenes")
     starstruck_gen.generate(starstruck_gen.SceneSetSpec(scenes=(("train", 3), ("test", 3))), scenes)
-    spec = tactile_sim.GenerateSpec(
+    spec = tactile_sim.TouchSetSpec(
         optics="depth", plan=tactile_sim.TouchPlan(positions="given", given=tactile_sim.TouchTable(**TABLE))
     )
     manifest = tactile_sim.generate(scenes, spec, tmp_path / "out", ["train"])
@@ -92,7 +92,7 @@ def test_a_set_holds_the_rounds_that_are_given(tmp_path):
     unknown = {**TABLE, "object_id": [1, 1, 0, 99]}
     plan = tactile_sim.TouchPlan(positions="given", given=tactile_sim.TouchTable(**unknown))
     with pytest.raises(InputError, match="touches of objects 99 are given"):
-        TouchGenerator.of(scenes, tactile_sim.GenerateSpec(optics="depth", plan=plan))
+        TouchGenerator.of(scenes, tactile_sim.TouchSetSpec(optics="depth", plan=plan))
 
 
 @pytest.mark.parametrize(

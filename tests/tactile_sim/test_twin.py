@@ -333,7 +333,7 @@ def test_touches_of_a_twin_are_generated(tmp_path):
     """A set states the twin by its digest; other optics of it are refused with the way out."""
     model = model_of(made_up_twin(), "mine")
     plan = tactile_sim.TouchPlan(rounds=1, touches=2, positions="object")
-    spec = tactile_sim.GenerateSpec(size_px=(64, 48), window="full", optics="twin", sensor=model, plan=plan)
+    spec = tactile_sim.TouchSetSpec(size_px=(64, 48), window="full", optics="twin", sensor=model, plan=plan)
     manifest = tactile_sim.generate({"ball": ball()}, spec, tmp_path / "touches", workers=1)
     stated = manifest.spec["options"]["sensor"]
     assert stated["twin_sha256"] == model.twin.sha256
@@ -341,9 +341,9 @@ def test_touches_of_a_twin_are_generated(tmp_path):
     away = np.abs(images.astype(float) - model.background)
     assert (away.mean(axis=(1, 2, 3)) > 3).all()
     with pytest.raises(InputError, match="twin"):
-        tactile_sim.GenerateSpec(sensor=model, optics="taxim")
+        tactile_sim.TouchSetSpec(sensor=model, optics="taxim")
     with pytest.raises(InputError, match="not calibrated"):
-        tactile_sim.GenerateSpec(optics="twin")
+        tactile_sim.TouchSetSpec(optics="twin")
 
 
 def test_a_twin_shows_the_surface_of_an_elastic_gel(tmp_path):
@@ -351,7 +351,7 @@ def test_a_twin_shows_the_surface_of_an_elastic_gel(tmp_path):
     model = model_of(made_up_twin(), "mine")
     press = tactile_sim.ElasticPress(tactile_sim.Gel(), (1.0, 6.0))
     plan = tactile_sim.TouchPlan(rounds=1, touches=3, positions="object")
-    spec = tactile_sim.GenerateSpec(
+    spec = tactile_sim.TouchSetSpec(
         (64, 48), "twin", window="full", sensor=model, plan=plan, press=press, image_format="png"
     )
     tactile_sim.generate({"ball": ball()}, spec, tmp_path / "touches", workers=1)

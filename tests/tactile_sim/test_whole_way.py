@@ -38,7 +38,7 @@ def made(tmp_path_factory) -> Path:
     scenes = starstruck_gen.SceneSetSpec(scenes=(("train", 3), ("test", 3)))
     starstruck_gen.generate(scenes, str(folder / "scenes"))
     plan = tactile_sim.TouchPlan(1, 4, "object", seed=2)
-    spec = tactile_sim.GenerateSpec((64, 48), "depth", plan=plan, layer_m=0.0002)
+    spec = tactile_sim.TouchSetSpec((64, 48), "depth", plan=plan, layer_m=0.0002)
     tactile_sim.generate(str(folder / "scenes"), spec, folder / "touches")
     return folder / "touches"
 

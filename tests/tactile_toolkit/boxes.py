@@ -11,7 +11,7 @@ import pyarrow as pa
 from tactile_toolkit.cards import Card
 from tactile_toolkit.checked_fields import check_fields, integer, real
 from tactile_toolkit.gallery import Gallery
-from tactile_toolkit.generation import Recipe, RowGenerator, StorageLayout
+from tactile_toolkit.generation import DefaultSet, RowGenerator, StorageLayout
 from tactile_toolkit.kind import DatasetKind, lazy
 from tactile_toolkit.mesh import MeshRow, RecordStream, SolidDataset
 from tactile_toolkit.pictures import DrawnSolid
@@ -30,7 +30,7 @@ KIND = DatasetKind(
     schema=lazy("tests.tactile_toolkit.boxes:schema"),
     class_names=("box",),
     plan_gallery=lazy("tests.tactile_toolkit.boxes:plan_gallery"),
-    recipe=lazy("tests.tactile_toolkit.boxes:recipe"),
+    default_set=lazy("tests.tactile_toolkit.boxes:default_set"),
 )
 
 
@@ -57,7 +57,7 @@ class BoxSpec:
 
 
 @dataclass(frozen=True)
-class BoxMaking(RowGenerator):
+class BoxGenerator(RowGenerator):
     spec: BoxSpec
     kind = KIND
 
@@ -83,8 +83,8 @@ class BoxMaking(RowGenerator):
                 yield BoxRow(number, 0, box.vertices.astype("f4"), box.faces.astype("i4"), size_m[0])
 
 
-def recipe(seed, boxes):
-    return Recipe(BoxMaking(BoxSpec(boxes or 9, seed)), {"boxes": boxes, "seed": seed})
+def default_set(seed, boxes):
+    return DefaultSet(BoxGenerator(BoxSpec(boxes or 9, seed)), {"boxes": boxes, "seed": seed})
 
 
 def write_card(folder, manifest):

@@ -18,38 +18,38 @@ from tests.gallery_files import index_of
 from tests.tactile_toolkit import boxes
 from tests.tactile_toolkit.toy import folder_bytes
 
-MAKING = boxes.BoxMaking(boxes.BoxSpec(9, seed=4))
+GENERATOR = boxes.BoxGenerator(boxes.BoxSpec(9, seed=4))
 
 
 @pytest.mark.thorough
 def test_generate_resume_parts_verify_card_load_upload_and_forecast(tmp_path: Path) -> None:
     whole = tmp_path / "whole"
-    view = MAKING.forecast(whole)
+    view = GENERATOR.forecast(whole)
     assert (view.rows_to_make, view.splits[0]["shards"], whole.exists()) == (9, 5, False)
-    made = MAKING.generate(whole, workers=2)
+    made = GENERATOR.generate(whole, workers=2)
     assert (made.complete, len(made.shards)) == (True, 5)
     assert made.split_table()["train"]["rows"] + made.split_table()["train"]["skipped"] == 9
     assert made.skipped_reasons() == {"flat": 1}
     # resume
     (whole / "data" / "train-00002-of-00005.parquet").unlink()
     told: list[int] = []
-    MAKING.generate(whole, on_progress=lambda progress: told.append(progress.total))
+    GENERATOR.generate(whole, on_progress=lambda progress: told.append(progress.total))
     assert told[0] == 2
     with pytest.raises(SpecMismatchError, match=r"seed is 4 there, 1 was asked for"):
-        boxes.BoxMaking(boxes.BoxSpec(9, seed=1)).generate(whole)
+        boxes.BoxGenerator(boxes.BoxSpec(9, seed=1)).generate(whole)
     with pytest.raises(InputError, match="unknown split 'test'"):
-        MAKING.generate(whole, ("test",))
+        GENERATOR.generate(whole, ("test",))
     with pytest.raises(InputError, match=r"largest_mm of the boxes is 5.0; expected a number above 10"):
         boxes.BoxSpec(largest_mm=5.0)
     # parts
     for index in range(3):
-        MAKING.generate(tmp_path / "parts", part=Part(index, 3))
-    MAKING.generate(tmp_path / "parts", finish=True)
+        GENERATOR.generate(tmp_path / "parts", part=Part(index, 3))
+    GENERATOR.generate(tmp_path / "parts", finish=True)
     assert folder_bytes(tmp_path / "parts") == folder_bytes(whole)
     # without input
-    boxes.KIND.recipe(4, 9).make(str(tmp_path / "recipe"), "train")
-    assert folder_bytes(tmp_path / "recipe") == folder_bytes(whole)
-    assert boxes.KIND.recipe(4, 9).arguments("train") == "--split train --boxes 9 --seed 4"
+    boxes.KIND.default_set(4, 9).make(str(tmp_path / "default"), "train")
+    assert folder_bytes(tmp_path / "default") == folder_bytes(whole)
+    assert boxes.KIND.default_set(4, 9).arguments("train") == "--split train --boxes 9 --seed 4"
     # verify, with the card
     folder = open_folder(str(whole))
     assert list(check_folder(folder, boxes.KIND)) == []
@@ -80,7 +80,7 @@ def test_generate_resume_parts_verify_card_load_upload_and_forecast(tmp_path: Pa
 def test_a_forecast_reports_that_the_first_items_give_no_row(tmp_path: Path) -> None:
     from tactile_toolkit.store import Skipped
 
-    class Reluctant(boxes.BoxMaking):
+    class Reluctant(boxes.BoxGenerator):
         least = 10
 
         def make(self, split, items):

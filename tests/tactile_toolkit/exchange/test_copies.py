@@ -57,7 +57,7 @@ def flat_touches(source: str, out: str, **run: Any) -> None:
 
 def pressed(source: str, out: str, **run: Any) -> None:
     plan = tactile_sim.TouchPlan(rounds=1, touches=1)
-    tactile_sim.generate(source, tactile_sim.GenerateSpec(plan=plan, optics="depth"), out, **run)
+    tactile_sim.generate(source, tactile_sim.TouchSetSpec(plan=plan, optics="depth"), out, **run)
 
 
 @pytest.mark.one_at_a_desk
