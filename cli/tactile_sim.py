@@ -63,7 +63,7 @@ def generate(
     After an interruption, the same command continues; finished shards are kept.
     """
     # A table of positions implies `given` in place of the default `cell`; other values are refused.
-    if "given" in plan and plan.get("positions", "cell") == "cell":
+    if "touch_table" in plan and plan.get("positions", "cell") == "cell":
         plan["positions"] = "given"
     given = chosen.given()
     split = given.pop("split")

@@ -28,12 +28,12 @@ def read_values(path: str | Path, values: type[T], what: str) -> T:
     try:
         with store.open_regular(store.expanded(path)) as stream:
             data = stream.read(_MAX_BYTES)
-        found = msgspec.json.decode(data, type=dict[str, str | int | float])
-        return values(**found)
+        stored = msgspec.json.decode(data, type=dict[str, str | int | float])
+        return values(**stored)
     except InputError as error:
         raise InputError(f"{str(path)!r}: {error}") from error
     except (OSError, IntegrityError, msgspec.DecodeError, TypeError) as error:
-        names = ", ".join(each.name for each in fields(values))  # type: ignore[arg-type]
+        names = ", ".join(field.name for field in fields(values))  # type: ignore[arg-type]
         raise InputError(
             f"{what} cannot be read from {str(path)!r} ({error}); expected a JSON object with {names}"
         ) from error

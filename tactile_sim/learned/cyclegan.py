@@ -50,13 +50,13 @@ class _Pool:
     def exchange(self, pictures: Tensor, rng: np.random.Generator) -> Tensor:
         shown = []
         for picture in pictures.detach():
-            place = len(self.held)
-            if place < self.size:
+            index = len(self.held)
+            if index < self.size:
                 self.held.append(picture.clone())
             elif self.size and rng.random() < 0.5:
-                place = int(rng.integers(self.size))
-                shown.append(self.held[place])
-                self.held[place] = picture.clone()
+                index = int(rng.integers(self.size))
+                shown.append(self.held[index])
+                self.held[index] = picture.clone()
                 continue
             shown.append(picture)
         return torch.stack(shown)
@@ -94,7 +94,7 @@ class CycleGan:
             "discriminators": ("touch_discriminator", "depth_discriminator"),
         }
         self.parameters = {
-            key: [each for name in group for each in self.networks[name].parameters()]
+            key: [parameter for name in group for parameter in self.networks[name].parameters()]
             for key, group in names.items()
         }
         moments = (config.first_moment, 0.999)
@@ -125,10 +125,10 @@ class CycleGan:
         self._noise.manual_seed(int(rng.integers(2**62)))
         deviation = self.config.discriminator_noise_at(number)
         real = {"touch": self._to_device(batch.touch), "depth": self._to_device(batch.depth)}
-        places = {"touch": self._to_device(batch.where), "depth": real["depth"][:, :2]}
+        coordinates = {"touch": self._to_device(batch.coordinates), "depth": real["depth"][:, :2]}
         with torch.autocast("cuda", torch.bfloat16, enabled=self.device.startswith("cuda")):
             # bfloat16 keeps the range of float32, so that no loss has to be scaled.
-            made, losses = self._generator_losses(real, places, deviation, rng)
+            made, losses = self._generator_losses(real, coordinates, deviation, rng)
             if self.config.background_weight and batch.level is not None:
                 losses |= self.background_losses(made, real["depth"][:, 2:], batch)
             if batch.simulated is not None:
@@ -157,11 +157,11 @@ class CycleGan:
     def _to_device(self, pictures: Tensor) -> Tensor:
         return pictures.to(self.device, memory_format=torch.channels_last)
 
-    def _make(self, name: str, pictures: Tensor, where: Tensor) -> Tensor:
+    def _make(self, name: str, pictures: Tensor, coordinates: Tensor) -> Tensor:
         made: Tensor = self._run[name](pictures)
         if name == "touch":
             return made
-        return torch.cat([where.to(made.dtype), made[:, 2:]], dim=1)
+        return torch.cat([coordinates.to(made.dtype), made[:, 2:]], dim=1)
 
     def _add_sensor_noise(self, name: str, made: Tensor, rng: np.random.Generator) -> Tensor:
         """Return generated touches with the noise of the sensor; depth as it is."""
@@ -181,22 +181,27 @@ class CycleGan:
         return self._add_white_noise(name, pictures, self.config.noise * rng.random())
 
     def _generator_losses(
-        self, real: dict[str, Tensor], places: dict[str, Tensor], deviation: float, rng: np.random.Generator
+        self,
+        real: dict[str, Tensor],
+        coordinates: dict[str, Tensor],
+        deviation: float,
+        rng: np.random.Generator,
     ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
         for parameter in self.parameters["discriminators"]:
             parameter.requires_grad_(False)
         # Discriminators learn from the same pictures below, in a step of their own.
         made = {}
         losses = {}
-        for name, other in (("touch", "depth"), ("depth", "touch")):
-            made[name] = self._make(name, self._add_cycle_noise(other, real[other], rng), places[other])
-            seen = self._add_sensor_noise(name, made[name], rng)
-            verdicts = self._run[f"{name}_discriminator"](self._add_white_noise(name, seen, deviation))
+        for name, source in (("touch", "depth"), ("depth", "touch")):
+            noisy = self._add_cycle_noise(source, real[source], rng)
+            made[name] = self._make(name, noisy, coordinates[source])
+            shown = self._add_sensor_noise(name, made[name], rng)
+            verdicts = self._run[f"{name}_discriminator"](self._add_white_noise(name, shown, deviation))
             losses[f"{name}_adversarial"] = ((verdicts - 1) ** 2).mean()
-            again = self._make(other, self._add_cycle_noise(name, seen, rng), places[other])
-            losses[f"{other}_cycle"] = _mean_error(other, again, real[other])
+            again = self._make(source, self._add_cycle_noise(name, shown, rng), coordinates[source])
+            losses[f"{source}_cycle"] = _mean_error(source, again, real[source])
             if self.config.identity_weight:
-                same = self._make(name, real[name], places[name])
+                same = self._make(name, real[name], coordinates[name])
                 losses[f"{name}_identity"] = _mean_error(name, same, real[name])
         for parameter in self.parameters["discriminators"]:
             parameter.requires_grad_(True)
@@ -240,7 +245,7 @@ class CycleGan:
         """Return everything that training changes, except the pools."""
         return {
             "networks": {name: network.state_dict() for name, network in self.networks.items()},
-            "optimisers": {name: each.state_dict() for name, each in self.optimisers.items()},
+            "optimisers": {name: optimiser.state_dict() for name, optimiser in self.optimisers.items()},
         }
 
     def pool_state(self) -> dict[str, list[Tensor]]:
@@ -282,7 +287,7 @@ class Batch(NamedTuple):
     touch: Tensor
     """Colours of touches, (n, 3, h, w)."""
 
-    where: Tensor
+    coordinates: Tensor
     """Row and column of the touches, (n, 2, h, w)."""
 
     level: Tensor | None
@@ -361,8 +366,9 @@ class Batches:
         numbers = rng.integers(len(real), size=self._config.batch)
         pictures = picture_channels(real.images(numbers))
         # A touch has no depth: only the channels of row and column are kept.
-        where = depth_channels(np.ones((1, height, width), np.float32))[:, :2]
-        touch = self._cropped(torch.cat([pictures, where.expand(len(pictures), -1, -1, -1)], dim=1), rng)
+        coordinates = depth_channels(np.ones((1, height, width), np.float32))[:, :2]
+        channels = torch.cat([pictures, coordinates.expand(len(pictures), -1, -1, -1)], dim=1)
+        touch = self._cropped(channels, rng)
         contact = torch.from_numpy(real.contact[numbers])[:, None, None, None]
         return Batch(
             known["depth"], touch[:, :3], touch[:, 3:], known.get("level"), contact, known.get("simulated")

@@ -62,7 +62,7 @@ def noisy_channels(channels: Tensor, noise: SensorNoise, rng: np.random.Generato
     """Return images (n, 3, H, W), -1 to 1, with the noise of a sensor, each of a round of its own."""
     count, colours, height, width = channels.shape
     drawn = draw_noise(noise, rng, (count, height, width, colours))
-    gain, added = (torch.from_numpy(each).to(channels) for each in drawn)
+    gain, added = (torch.from_numpy(array).to(channels) for array in drawn)
     mean = channels.mean(dim=(1, 2, 3), keepdim=True)
     # Twice the noise: values run from -1 to 1, and noise is a fraction of the range of an image.
     shown = mean + (channels - mean) * gain[:, None, None, None] + 2 * added.permute(0, 3, 1, 2)
@@ -197,7 +197,7 @@ class CycleganOptics(Optics):
         # Many depth maps are equal: four of five real touches have no contact. A digest takes far less time
         # than a network.
         first: dict[bytes, int] = {}
-        keys = [hashlib.sha256(each.tobytes()).digest() for each in images]
+        keys = [hashlib.sha256(image.tobytes()).digest() for image in images]
         numbers = [first.setdefault(key, len(first)) for key in keys]
         _, chosen = np.unique(numbers, return_index=True)
         made = generated(self._generator, depth_channels, images[chosen])

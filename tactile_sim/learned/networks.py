@@ -171,9 +171,9 @@ def published_weights(direction: Direction) -> Path:
 
     Raises InputError if the package is not installed.
     """
-    found = find_spec("tactile_mnist")
-    if found is not None and found.origin is not None:
-        file = Path(found.origin).parent / "resources" / _PUBLISHED[direction]
+    package = find_spec("tactile_mnist")
+    if package is not None and package.origin is not None:
+        file = Path(package.origin).parent / "resources" / _PUBLISHED[direction]
         if file.is_file():
             return file
     user = {"touch": "the optics 'cyclegan'", "depth": "DepthEstimator"}[direction]
@@ -229,7 +229,7 @@ def _require_generator(arrays: Mapping[str, AnyArray]) -> None:
     if first is not None and first.ndim and 0 < len(first) <= _MAX_FILTERS and blocks <= _MAX_BLOCKS:
         with torch.device("meta"):  # only shapes, no memory
             state = GeneratorNetwork(len(first), blocks).state_dict()
-        expected = {name: tuple(each.shape) for name, each in state.items()}
+        expected = {name: tuple(array.shape) for name, array in state.items()}
     for name in [*expected, *arrays] or ["model.1.weight"]:
         array = arrays.get(name, _MISSING)
         if array is _MISSING or array.shape != expected.get(name):

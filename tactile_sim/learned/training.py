@@ -65,13 +65,13 @@ def claim(folder: store.DataFolder, config: TrainConfig, pairs: str, *, resume: 
     if folder.exists(SETTINGS):
         there = store.decode(folder.read_bytes(SETTINGS), _Settings, folder.address(SETTINGS))
         # Compared as they would be read back: tuples become lists.
-        wanted = json.loads(json.dumps(settings))
-        found = {**there.config, "pairs": there.pairs}
-        for name, value in {**wanted["config"], "pairs": wanted["pairs"]}.items():
-            if found.get(name) != value:
+        asked = json.loads(json.dumps(settings))
+        stored = {**there.config, "pairs": there.pairs}
+        for name, value in {**asked["config"], "pairs": asked["pairs"]}.items():
+            if stored.get(name) != value:
                 raise errors.SpecMismatchError(
                     f"{folder.address()!r} holds a training with other settings: {name} is "
-                    f"{found.get(name)!r:.60} there, {value!r:.60} was asked for; nothing was changed",
+                    f"{stored.get(name)!r:.60} there, {value!r:.60} was asked for; nothing was changed",
                     next="choose another folder (--out)",
                 )
         folder.remove_temporaries()
@@ -228,13 +228,13 @@ class _Run:
         if not self.folder.exists(_CHECKPOINT):
             return 0, []
         stored = self.folder.read_bytes(_CHECKPOINT)
-        where = self.folder.address(_CHECKPOINT)
+        checkpoint = self.folder.address(_CHECKPOINT)
         digest = stored[:_DIGEST_BYTES]
         content = stored[_DIGEST_BYTES:]
         again = "train again in another folder"
         if hashlib.sha256(content).digest() != digest:
             raise errors.IntegrityError(
-                f"{where!r} is damaged: its content does not match its checksum", next=again
+                f"{checkpoint!r} is damaged: its content does not match its checksum", next=again
             )
         try:
             # weights_only: a checkpoint is data, and unpickling it must run no code.
@@ -250,7 +250,7 @@ class _Run:
             # Only the first sentence: torch goes on to recommend running the code of the file.
             problem = str(error).partition(".")[0] or type(error).__name__
             raise errors.IntegrityError(
-                f"{where!r} is not a checkpoint of this training ({problem}); expected one that "
+                f"{checkpoint!r} is not a checkpoint of this training ({problem}); expected one that "
                 "`tactile-sim train` wrote with these settings",
                 next=again,
             ) from error
@@ -299,12 +299,12 @@ class _Run:
         )
         networks = self.model.networks
         device = self.process.device
-        where = depth_channels(np.ones(touch.shape[:3], np.float32))[:, :2].to(device)
+        coordinates = depth_channels(np.ones(touch.shape[:3], np.float32))[:, :2].to(device)
         with torch.inference_mode():
             made_touch = networks["touch"](depth_channels(depth).to(device))
             depth_again = networks["depth"](made_touch)
             made_depth = networks["depth"](picture_channels(touch).to(device))
-            made_depth = torch.cat([where, made_depth[:, 2:]], dim=1)
+            made_depth = torch.cat([coordinates, made_depth[:, 2:]], dim=1)
             touch_again = networks["touch"](made_depth)
         columns = [("depth", depth), ("made touch", self._touches(made_touch))]
         columns += [("depth again", self._depths(depth_again)), ("touch", touch)]

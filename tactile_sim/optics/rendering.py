@@ -22,7 +22,7 @@ def scaled(pictures: UInt8, size_px: tuple[int, int]) -> UInt8:
     width, height = size_px
     if pictures.shape[1:3] == (height, width):
         return pictures
-    return np.stack([touch.resized(each, width, height) for each in pictures])
+    return np.stack([touch.resized(picture, width, height) for picture in pictures])
 
 
 def require_images(images: AnyArray, name: str) -> None:

@@ -99,7 +99,7 @@ class SensorNoise:
 def checked_noise(noise: object, name: str) -> SensorNoise | None:
     """Return the noise of a specification, also from JSON values; InputError for anything else."""
     if isinstance(noise, Mapping):
-        names = [each.name for each in fields(SensorNoise)]
+        names = [field.name for field in fields(SensorNoise)]
         if set(noise) != set(names):
             raise InputError(f"{name} has {', '.join(map(str, noise))}; expected {', '.join(names)}")
         return SensorNoise(**noise)
@@ -153,9 +153,9 @@ class EpisodeNoise:
         """Draw gain, offset and pattern of some sensors, whose episode begins."""
         noise = self._noise
         count, *shape = self._added[rows].shape
-        each = (count, 1, 1, 1)
-        self._gains[rows] = 1 + rng.normal(scale=noise.episode_gain_std, size=each)
-        added = rng.normal(scale=noise.episode_offset_std, size=each)
+        per_sensor = (count, 1, 1, 1)
+        self._gains[rows] = 1 + rng.normal(scale=noise.episode_gain_std, size=per_sensor)
+        added = rng.normal(scale=noise.episode_offset_std, size=per_sensor)
         if noise.episode_pattern_std:
             added = added + noise.episode_pattern_std * _field(
                 rng,

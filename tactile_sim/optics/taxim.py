@@ -68,10 +68,10 @@ class TaximPackage:
 @cache
 def taxim_package() -> TaximPackage:
     """Read the files of the installed package; MissingExtraError without it."""
-    found = find_spec("taxim")
-    if found is None or found.origin is None:
+    package = find_spec("taxim")
+    if package is None or package.origin is None:
         raise MissingExtraError(feature="the optics 'taxim'", package="taxim", extra="sim")
-    folder = Path(found.origin).parent / "calib" / "gelsight_mini"
+    folder = Path(package.origin).parent / "calib" / "gelsight_mini"
     settings = json.loads((folder / "params.json").read_text())
     simulator = settings["simulator"]
     sensor = settings["sensor"]
@@ -160,8 +160,8 @@ def _half_kernel(sigma_px: float) -> Float64:
     # The outermost weight is about 1e-5, as in the package.
     taps = np.round(np.sqrt(-2 * np.log(1e-5 * np.sqrt(2 * np.pi) * sigma_px)) * sigma_px)
     half = int(taps) // 2
-    place = np.arange(half + 1) / sigma_px
-    weights = exp_neg(0.5 * place * place)
+    distance = np.arange(half + 1) / sigma_px
+    weights = exp_neg(0.5 * distance * distance)
     # Added one by one: `sum` of numpy adds in blocks that depend on the processor.
     total = weights[0]
     for weight in weights[1:]:

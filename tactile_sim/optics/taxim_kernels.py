@@ -174,8 +174,8 @@ def _rim(mask: Bool, windows: Int64) -> Bool:
                 near[column] |= pixels[column]
     for row in range(rows):
         near, pixels = out[row], mask[row]
-        for other in range(max(row - below, 0), min(row + above, rows - 1) + 1):
-            met = wide[other]
+        for line in range(max(row - below, 0), min(row + above, rows - 1) + 1):
+            met = wide[line]
             for column in range(columns):
                 near[column] |= met[column] & (not pixels[column])
     return out
@@ -285,7 +285,7 @@ def _cast_shadows(
     """Darken lower pixels behind each pixel at the rim of the contact, along a fan of rays."""
     rows, columns = soft.shape
     surface, colours = soft.reshape(soft.size), shade.reshape(shade.size)
-    places = np.empty(tables.shadows.shape[2], np.int32)
+    pixels = np.empty(tables.shadows.shape[2], np.int32)
     for row in range(rows):
         for column in range(columns):
             if not sources[row, column]:
@@ -298,7 +298,7 @@ def _cast_shadows(
             if level < 0 or level >= tables.shadow_lengths.shape[1] - 1:
                 continue
             dark = tables.shadows[toward, level]
-            met = places[: tables.shadow_lengths[toward, level]]
+            met = pixels[: tables.shadow_lengths[toward, level]]
             for ray in range(tables.fan.shape[1]):
                 _follow(met, row, column, picture.shadow_step, tables.fan[toward, ray], soft.shape)
                 for step in range(len(met)):
@@ -326,8 +326,8 @@ def _follow(
         x_px, y_px = begin_x + along_x * far * cosine, begin_y + along_y * far * sine
         is_outside = x_px <= -1.0 or y_px <= -1.0 or x_px >= columns or y_px >= rows
         # Rounded towards 0, like the cast of the package: up to a pixel outside the picture counts as inside.
-        place = np.int32(y_px) * columns + np.int32(x_px)
-        met[step] = -1 if is_outside else place
+        pixel = np.int32(y_px) * columns + np.int32(x_px)
+        met[step] = -1 if is_outside else pixel
 
 
 @compiled
@@ -374,7 +374,7 @@ def _lay_over(lit: Float64, background: Float64, out: Float32) -> None:
         values = lit[row]
         behind = background[row]
         shown = out[row].reshape(width)
-        for place in range(width):
-            value = values[place] + behind[place]
+        for at in range(width):
+            value = values[at] + behind[at]
             value = value if value > 0.0 else 0.0
-            shown[place] = np.float32(value if value < 1.0 else 1.0)
+            shown[at] = np.float32(value if value < 1.0 else 1.0)

@@ -117,22 +117,23 @@ class Load(NamedTuple):
 
         sensor, (rows, columns) = whole.sensor, whole.window()
         if heights_m.min() < heights_m.max():
-            found = self.contact(heights_m, whole)
+            contact = self.contact(heights_m, whole)
         else:
-            found = _plate_contact(self, whole)
+            contact = _plate_contact(self, whole)
         corner = (rows.start, columns.start)
-        inward_m = found.displacement_m[..., 2]
-        show_surface(out, corner, inward_m, self._visible_motion(found, sensor), sensor.pixel_m, sensor.gel_m)
-        maps = {name: getattr(found, name)[rows, columns].copy() for name in _MAPS}
-        return replace(found, **maps, torque_n_m=_about_axis(found, sensor))
+        inward_m = contact.displacement_m[..., 2]
+        motion_m = self._visible_motion(contact, sensor)
+        show_surface(out, corner, inward_m, motion_m, sensor.pixel_m, sensor.gel_m)
+        maps = {name: getattr(contact, name)[rows, columns].copy() for name in _MAPS}
+        return replace(contact, **maps, torque_n_m=_about_axis(contact, sensor))
 
     def contact(self, heights_m: Float64, whole: WholeGel) -> ElasticContact:
         """Press the whole gel to the depth, or to the force, but no deeper than linear theory goes."""
-        found = self._solved(heights_m, whole)
+        contact = self._solved(heights_m, whole)
         most_m = MAX_SHARE * whole.sensor.gel_m
-        if self.depth_m is None and found.depth_m > most_m:
+        if self.depth_m is None and contact.depth_m > most_m:
             return self._replace(force_n=None, depth_m=most_m)._solved(heights_m, whole)
-        return found
+        return contact
 
     def _solved(self, heights_m: Float64, whole: WholeGel) -> ElasticContact:
         return solve_contact(
@@ -312,14 +313,14 @@ def fit_youngs_modulus(
 def _numbers(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Float64:
     """Broadcast finite numbers, of each touch or of all, to a shape; InputError for anything else."""
     try:
-        found = np.asarray(value, np.float64)
-        numbers = np.broadcast_to(found, shape).copy()
+        array = np.asarray(value, np.float64)
+        numbers = np.broadcast_to(array, shape).copy()
     except (TypeError, ValueError):
         numbers = np.full(1, np.nan)
-    if not np.isfinite(numbers).all() or (len(shape) == 2 and found.ndim == 0):
-        wanted = "x and y" if len(shape) == 2 else "a number"
+    if not np.isfinite(numbers).all() or (len(shape) == 2 and array.ndim == 0):
+        what = "x and y" if len(shape) == 2 else "a number"
         raise InputError(
-            f"{name} is {value!r}; expected {wanted}, metres, newtons or radians, for all touches or for "
+            f"{name} is {value!r}; expected {what}, metres, newtons or radians, for all touches or for "
             f"each of {shape[0]}"
         )
     return numbers
@@ -377,17 +378,17 @@ def marker_positions_px(
         Column and row in pixels; y of the gel is against the rows. Less :func:`marker_grid_px`, this is the
         flow.
     """
-    rest = marker_grid_px(markers, size_px)
+    at_rest_px = marker_grid_px(markers, size_px)
     height, width = displacement_m.shape[:2]
-    places = (rest + 0.5) / size_px * [width, height] - 0.5
-    moved_m = _between(displacement_m[..., :2], places)
-    return rest + moved_m * [size_px[0] / window_m[0], -size_px[1] / window_m[1]]
+    positions = (at_rest_px + 0.5) / size_px * [width, height] - 0.5
+    moved_m = _between(displacement_m[..., :2], positions)
+    return at_rest_px + moved_m * [size_px[0] / window_m[0], -size_px[1] / window_m[1]]
 
 
-def _between(values: AnyArray, places: Float64) -> Float64:
+def _between(values: AnyArray, positions: Float64) -> Float64:
     """Interpolate a map (H, W, k) linearly at columns and rows (..., 2), clamped to the edge."""
     most = np.array(values.shape[1::-1]) - 1
-    inside = np.clip(places, 0, most)
+    inside = np.clip(positions, 0, most)
     first = np.minimum(inside.astype(np.int64), np.maximum(most - 1, 0))
     after = np.minimum(first + 1, most)
     across, down = np.moveaxis((inside - first)[..., None], -2, 0)

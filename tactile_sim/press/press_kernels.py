@@ -44,9 +44,9 @@ def rasterise(
         if middle[1] + far_y < 0.0 or middle[1] - far_y > rows - 1:
             continue
         for face in range(block * per_block, min((block + 1) * per_block, len(faces))):
-            one, two, three = faces[face, 0], faces[face, 1], faces[face, 2]
-            a, b = _mapped(affine, vertices, one), _mapped(affine, vertices, two)
-            c = _mapped(affine, vertices, three)
+            first, second, third = faces[face, 0], faces[face, 1], faces[face, 2]
+            a, b = _mapped(affine, vertices, first), _mapped(affine, vertices, second)
+            c = _mapped(affine, vertices, third)
             # Faces that look down or are vertical; written so that NaN is left out as well.
             if not (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) > 0.0:
                 continue
@@ -57,7 +57,7 @@ def rasterise(
             if first_row <= last_row:
                 run = 0.0
                 if layers is not None:
-                    run = _run(vertices[one], vertices[two], vertices[three], layers)
+                    run = _run(vertices[first], vertices[second], vertices[third], layers)
                 _raise_rows(out, first_row, last_row, (a, b, c), run, layers)
 
 

@@ -61,7 +61,7 @@ def _span_of(name: str, per_unit: float) -> Callable[[str], Span]:
     def read(words: str) -> Span:
         ends = words.split(":")
         try:
-            numbers = [float(each) * per_unit for each in ends]
+            numbers = [float(end) * per_unit for end in ends]
         except ValueError:
             numbers = []
         if len(numbers) not in (1, 2) or not all(map(math.isfinite, numbers)):

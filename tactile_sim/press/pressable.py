@@ -39,9 +39,9 @@ _CACHE_BYTES = 64 << 20
 
 def checked_layer_m(layer_m: object) -> float:
     """Return the height of layers as a Python float, metres; 0 for none. InputError for other values."""
-    found = checked_fields.to_builtin(layer_m, float)
-    if isinstance(found, float) and (found == 0 or _MIN_LAYER_M <= found <= _MAX_LAYER_M):
-        return found
+    height_m = checked_fields.to_builtin(layer_m, float)
+    if isinstance(height_m, float) and (height_m == 0 or _MIN_LAYER_M <= height_m <= _MAX_LAYER_M):
+        return height_m
     raise InputError(
         f"layers are {layer_m!r} m high; expected {_MIN_LAYER_M} to {_MAX_LAYER_M} m, such as 0.0002, or "
         "0 for none"
@@ -142,19 +142,19 @@ def _face_blocks(vertices: Float64, faces: Int32) -> tuple[Int32, Float64]:
     first, second, third = (vertices[faces[:, k]] for k in range(3))
     middles = (first[:, :2] + second[:, :2] + third[:, :2]) / 3
     cells = np.floor((middles - vertices[:, :2].min(axis=0)) / _CELL_OF_FACES_M).astype(np.int64)
-    one = second - first
-    other = third - first
+    along = second - first
+    across = third - first
     # Faces that look down are never touched. Without them, the balls around the others are smaller.
-    down = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0] <= 0
+    down = along[:, 0] * across[:, 1] - along[:, 1] * across[:, 0] <= 0
     order = np.lexsort((cells[:, 0], cells[:, 1], down))
-    corners = [each[order] for each in (first, second, third)]
+    corners = [corner[order] for corner in (first, second, third)]
     # Runs of one length, the last one shorter: their number tells the kernel where each begins.
     count = -(-len(faces) // _FACES_PER_BLOCK)
     per_block = -(-len(faces) // count)
     starts = np.arange(0, len(faces), per_block)
     low, high = (
-        each.reduceat(each(each(corners[0], corners[1]), corners[2]), starts)
-        for each in (np.minimum, np.maximum)
+        extreme.reduceat(extreme(extreme(corners[0], corners[1]), corners[2]), starts)
+        for extreme in (np.minimum, np.maximum)
     )
     centre = (low + high) / 2
     around = np.repeat(centre, per_block, axis=0)[: len(faces)]

@@ -79,15 +79,15 @@ def as_matrices(value: PoseLike, name: str) -> Float64:
 
     InputError, which begins with ``name``, for anything that is not a rigid motion.
     """
-    found = getattr(value, "matrix", value)
+    matrix = getattr(value, "matrix", value)
     try:
-        matrices = np.asarray(found, np.float64)
+        matrices = np.asarray(matrix, np.float64)
     except (TypeError, ValueError):
         matrices = np.empty(0)
     if matrices.ndim not in (2, 3) or matrices.shape[-2:] != (4, 4) or not len(matrices):
         shape: object = type(value).__name__
-        if isinstance(found, (np.ndarray, list, tuple)):
-            shape = np.shape(found)
+        if isinstance(matrix, (np.ndarray, list, tuple)):
+            shape = np.shape(matrix)
         raise InputError(
             f"{name} is {shape}; expected a pose: a matrix of shape (4, 4), or several, (n, 4, 4)"
         )
@@ -103,19 +103,19 @@ def as_matrices(value: PoseLike, name: str) -> Float64:
     return matrices
 
 
-def pose_product(one: Float64, other: Float64) -> Float64:
+def pose_product(first: Float64, second: Float64) -> Float64:
     """Return ``one @ other`` of matrices (n, 4, 4) with a fixed order of sums, unlike `@`."""
-    parts = [one[:, :, k, None] * other[:, None, k, :] for k in range(4)]
+    parts = [first[:, :, k, None] * second[:, None, k, :] for k in range(4)]
     return ((parts[0] + parts[1]) + parts[2]) + parts[3]
 
 
-def inverse_times(one: Float64, other: Float64) -> Float64:
+def inverse_times(first: Float64, second: Float64) -> Float64:
     """Return the inverses of poses ``one`` times poses ``other``, shape (n, 4, 4)."""
-    inverse = np.zeros_like(one)
-    inverse[:, :3, :3] = one[:, :3, :3].swapaxes(1, 2)
-    x, y, z = (one[:, k, :3] * one[:, k, 3:] for k in range(3))
+    inverse = np.zeros_like(first)
+    inverse[:, :3, :3] = first[:, :3, :3].swapaxes(1, 2)
+    x, y, z = (first[:, k, :3] * first[:, k, 3:] for k in range(3))
     inverse[:, :3, 3], inverse[:, 3, 3] = -((x + y) + z), 1.0
-    return pose_product(inverse, other)
+    return pose_product(inverse, second)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -295,7 +295,7 @@ class _Scene:
         plates = _to_pixels(inverse_times(setup.targets, np.eye(4)[None]), sensor)
         corners_m = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [*setup.cell_m, 0.0] / 2
         ball_m = np.array([[0.0, 0.0, 0.0, max(setup.cell_m)]])
-        solids = [Pressable.of(each) for each in setup.solids]
+        solids = [Pressable.of(solid) for solid in setup.solids]
         kernels = press_kernels.rasterise, press_kernels.to_depth
         return cls(solids, affines, plates, corners_m, ball_m, *kernels)
 
@@ -309,13 +309,13 @@ class _Scene:
         self.rasterise(out, here.vertices_m, here.faces, here.blocks_m, affine, here.layers(affine))
 
 
-def _count_of(**given: Sized) -> int:
+def _count_of(**arguments: Sized) -> int:
     """Return the number of touches; each argument has one item for each touch, or one for all."""
-    count = max(map(len, given.values()))
-    for name, each in given.items():
-        if len(each) not in (1, count):
+    count = max(map(len, arguments.values()))
+    for name, values in arguments.items():
+        if len(values) not in (1, count):
             what = name.replace("_", " ")
-            raise InputError(f"{len(each)} {what} for {count} touches; expected 1 or {count}")
+            raise InputError(f"{len(values)} {what} for {count} touches; expected 1 or {count}")
     return count
 
 

@@ -259,8 +259,8 @@ class SensorModel:
         if known is not None:
             return known
         if word.endswith(".json"):
-            found: SensorModel = _read_values(word, cls, "the sensor")
-            return found
+            model: SensorModel = _read_values(word, cls, "the sensor")
+            return model
         if Path(word).expanduser().is_dir():
             return cls.load(word)
         raise InputError(
@@ -289,7 +289,7 @@ class SensorModel:
     @classmethod
     def geometry_names(cls) -> tuple[str, ...]:
         """Return the names of the fields of the geometry."""
-        return tuple(each.name for each in fields(cls) if each.name != "twin")
+        return tuple(field.name for field in fields(cls) if field.name != "twin")
 
     def geometry(self) -> dict[str, Any]:
         """Return the geometry as JSON values."""
@@ -362,14 +362,14 @@ class SensorModel:
 
     def read_depth(self, images: UInt8, *, fast: bool = False) -> DepthReading:
         """Read depth as :meth:`read_depth_m` does, with the expected error of each pixel."""
-        found: DepthReading = _read_depth(self._require_twin(), images, fast=fast)
-        return found
+        reading: DepthReading = _read_depth(self._require_twin(), images, fast=fast)
+        return reading
 
     def render_read(self, depth_m: Float32) -> UInt8:
         """Return images of depth (N, H, W) from :meth:`read_depth_m`, as distorted by the lens."""
         optics: Any = _twin_optics(self._require_twin(), lens=False)
-        found: UInt8 = optics.reached(depth_m, self.sensor)
-        return found
+        pictures: UInt8 = optics.reached(depth_m, self.sensor)
+        return pictures
 
     def _require_twin(self) -> SensorTwin:
         if self.twin is None:
@@ -401,8 +401,8 @@ GELSIGHT_MINI = SensorModel(
     "tactile-mnist 0.13.0, GELSIGHT_MINI_SENSOR_SURFACE_SIZE and GELSIGHT_MINI_GEL_THICKNESS_MM",
 )
 SENSORS: Mapping[str, SensorModel] = {
-    each.name: each
-    for each in (
+    model.name: model
+    for model in (
         GELSIGHT_MINI,
         SensorModel(
             "digit",

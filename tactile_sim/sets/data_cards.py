@@ -113,7 +113,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     gel = CardGel.of(spec)
     statistics = manifest.statistics()  # counted while the shards were made
     counts = [statistics[split] for split in manifest.splits]
-    touches, on_object = (sum(each[name] for each in counts) for name in ("touches", "on_object"))
+    touches, on_object = (sum(row[name] for row in counts) for name in ("touches", "on_object"))
     cards.Card(
         template=KIND.card_template,
         title="Synthetic touches",
@@ -124,10 +124,10 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         tags=_TAGS,
         tasks=_TASKS,
         figures={
-            "touches": [f"{each['touches']:,}" for each in counts],
+            "touches": [f"{row['touches']:,}" for row in counts],
             "on the object": [
-                f"{100 * each['on_object'] / each['touches']:.1f} %" if each["touches"] else "-"
-                for each in counts
+                f"{100 * row['on_object'] / row['touches']:.1f} %" if row["touches"] else "-"
+                for row in counts
             ],
         },
         made=[
@@ -199,10 +199,10 @@ def _sensor_of(spec: JsonObject) -> _CardSensor:
 
 def _objects_in_words(source: Mapping[str, Sequence[JsonObject]]) -> list[tuple[str, str]]:
     """Return a line about the mesh files or meshes that were touched; none for those of a data set."""
-    files = [each for listed in source.values() for each in listed if not each["file"].endswith(".parquet")]
+    files = [file for listed in source.values() for file in listed if not file["file"].endswith(".parquet")]
     if not files:
         return []
-    units = sorted({each["unit"] for each in files if "unit" in each})
+    units = sorted({file["unit"] for file in files if "unit" in file})
     words = f"{wording.with_count(len(files), 'meshes')}, numbered as `manifest.json` lists them"
     if units:
         words += f"; STL, PLY and OBJ are in {units[0]}"
@@ -267,7 +267,7 @@ def _pairs_sheet(facts: cards.FolderSummary) -> bytes:
     for split in facts.splits:
         block = next(split.shards[0].blocks(0, ["sensor_image"]))
         images = block.table.column(0)[:_COLUMNS_SHOWN].to_pylist()
-        rows.append((split.split, [_DECODERS[split.split](each["bytes"]) for each in images]))
+        rows.append((split.split, [_DECODERS[split.split](image["bytes"]) for image in images]))
     return sheet_png(rows)
 
 

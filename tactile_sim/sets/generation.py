@@ -148,15 +148,15 @@ def synthetic_schema(
 ) -> pa.Schema:
     """Return the Arrow schema of a shard; ``optional`` are the types of the further columns that it has."""
     stored = SyntheticRound.plain_schema()
-    known = {each.name for each in SyntheticRound.columns().values()}
+    known = {column.name for column in SyntheticRound.columns().values()}
     further = {
-        SyntheticRound.columns()[each.name].name for each in fields(SyntheticRound) if each.default is None
+        SyntheticRound.columns()[field.name].name for field in fields(SyntheticRound) if field.default is None
     }
     types = dict(optional or {})
     chosen = [
-        pa.field(each.name, types.get(each.name, each.type))
-        for each in stored
-        if each.name not in further or each.name in types
+        pa.field(column.name, types.get(column.name, column.type))
+        for column in stored
+        if column.name not in further or column.name in types
     ]
     assert set(types) <= known, "optional columns are declared"
     return touch.with_features(pa.schema(chosen), class_names)
@@ -190,30 +190,30 @@ class TouchGenerator(generation.RowGenerator):
         """
         round_press.optics_of(spec)  # missing packages are reported before anything is written
         name, splits, unfinished = touched_solids.solids_of(source, unit, opened)
-        if spec.plan.given is not None:
-            touched_solids.require_known_objects(name, splits, spec.plan.given)
+        if spec.plan.touch_table is not None:
+            touched_solids.require_known_objects(name, splits, spec.plan.touch_table)
         rows: dict[str, range | Int64] = {
-            split: range(len(each))[: spec.limit] for split, each in splits.items()
+            split: range(len(solids))[: spec.limit] for split, solids in splits.items()
         }
         if spec.chosen:
             chosen = catalog.choose_rows(splits.items(), **spec.chosen, limit=spec.limit)
-            rows = {split: places for split, _, places in chosen}
+            rows = {split: row_indices for split, _, row_indices in chosen}
         return cls(spec, splits, rows, unfinished)
 
     @property
     def has_own_objects(self) -> bool:
         """Whether the objects are mesh files or meshes in memory, not a data set."""
-        return any(isinstance(each, touched_solids.GivenSolids) for each in self.source.values())
+        return any(isinstance(solids, touched_solids.GivenSolids) for solids in self.source.values())
 
     def refuse_sources(self, source: places.Name | touched_solids.Meshes, out: places.Name) -> None:
         """Refuse to write into the source, named ``source`` in messages (InputError)."""
-        files = [file.path for each in self.source.values() for file in each.files]
+        files = [file.path for solids in self.source.values() for file in solids.files]
         if not isinstance(source, Mapping):
             store.open_folder(os.fspath(out)).refuse_source(os.fspath(source), files)
 
     def manifest(self) -> JsonObject:
         """Return options and the source of each split, so that a folder can be filled split by split."""
-        source = {split: touched_solids.fingerprints(each) for split, each in self.source.items()}
+        source = {split: touched_solids.fingerprints(solids) for split, solids in self.source.items()}
         options = self.spec.to_dict()
         if self.unfinished:
             options["unfinished"] = self.unfinished
@@ -221,14 +221,14 @@ class TouchGenerator(generation.RowGenerator):
 
     def items(self) -> Mapping[str, range]:
         """Return the rounds of each split."""
-        return {split: range(self.spec.plan.rounds * len(each)) for split, each in self.rows.items()}
+        return {split: range(self.spec.plan.rounds * len(rows)) for split, rows in self.rows.items()}
 
     def layout(self) -> generation.StorageLayout:
         """Return the storage layout of rows: images and random numbers without a dictionary."""
         vectors = (
             name
-            for name, each in round_press.further_types(self.spec).items()
-            if read.list_depth(each)[0] == 2
+            for name, kind in round_press.further_types(self.spec).items()
+            if read.list_depth(kind)[0] == 2
         )
         drawn = (f"{name}.list.element.list.element" for name in (*DRAWN, *vectors))
         values_per_page = None
@@ -273,9 +273,10 @@ class TouchGenerator(generation.RowGenerator):
         """Render the rounds; for an object that does not bound a solid, yield the reason once."""
         solids = self.source[split]
         plan = self.spec.plan
-        for place in range(items[0] // plan.rounds, items[-1] // plan.rounds + 1):
-            record = solids[int(self.rows[split][place])]
-            numbers = (item - place * plan.rounds for item in items if item // plan.rounds == place)
+        for object_index in range(items[0] // plan.rounds, items[-1] // plan.rounds + 1):
+            record = solids[int(self.rows[split][object_index])]
+            first = object_index * plan.rounds
+            numbers = (item - first for item in items if item // plan.rounds == object_index)
             touched = [number for number in numbers if plan.touches_of(record.id, number)]
             if not touched:
                 continue
@@ -314,7 +315,7 @@ def _make_row(spec: TouchSetSpec, solid: Pressable, key: tuple[str, int, int], l
     targets[:, :2, 3] = plan.positions_m
     # The last pose is that after the last touch.
     made = round_press.press_round(spec, solid, plan.object_poses[:-1], targets, key)
-    images = [touch.encode_image(each, spec.image_format, spec.quality) for each in made.images]
+    images = [touch.encode_image(image, spec.image_format, spec.quality) for image in made.images]
     suffix = touch.IMAGE_SUFFIX[spec.image_format]
     return SyntheticRound(
         id=f"{object_id}-{number}",
@@ -326,7 +327,7 @@ def _make_row(spec: TouchSetSpec, solid: Pressable, key: tuple[str, int, int], l
         positions_m=plan.positions_m,
         gel_position_m=np.column_stack([plan.positions_m, made.pressed.sensor_z_m]),
         gel_quaternion=np.tile([0.0, 0.0, 0.0, 1.0], (touches, 1)),  # no turn, as x, y, z, w
-        images=[(each, f"{index:03d}.{suffix}") for index, each in enumerate(images)],
+        images=[(image, f"{index:03d}.{suffix}") for index, image in enumerate(images)],
         object_position_m=plan.object_position_m[:-1],
         object_quaternion=plan.object_quaternion[:-1],
         **made.further,

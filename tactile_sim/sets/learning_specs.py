@@ -181,7 +181,7 @@ class TrainConfig:
         check_fields(self, "the training")
 
     @classmethod
-    def read(cls, path: Path | None, given: JsonObject) -> TrainConfig:
+    def read(cls, path: Path | None, overrides: JsonObject) -> TrainConfig:
         """Read a TOML file with values of some fields; those ``given`` override them.
 
         Raises
@@ -190,14 +190,14 @@ class TrainConfig:
             The file does not exist, is not TOML, or has an unknown field or a value that cannot be used.
         """
         if path is None:
-            return cls(**given)
+            return cls(**overrides)
         try:
             held = tomllib.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError, RecursionError) as error:
             raise InputError(
                 f"{str(path)!r} cannot be read ({error}); expected a TOML file", field="config"
             ) from error
-        known = [each.name for each in fields(cls)]
+        known = [field.name for field in fields(cls)]
         unknown = [name for name in held if name not in known]
         if unknown:
             raise InputError(
@@ -205,7 +205,7 @@ class TrainConfig:
             )
         if isinstance(held.get("sensor_noise"), str):
             held["sensor_noise"] = _named_noise(held["sensor_noise"])
-        return cls(**(held | dict(given)))
+        return cls(**(held | dict(overrides)))
 
     def crop_px(self, size_px: tuple[int, int]) -> tuple[int, int]:
         """Return width and height of the crops, multiples of 4; InputError if they are too small."""

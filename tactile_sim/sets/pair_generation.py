@@ -125,7 +125,7 @@ class PairGenerator(generation.RowGenerator):
         touches = KIND.load(sources[1], split)
         if spec.min_height_m is None:
             spec = replace(spec, min_height_m=max(rule.min_height_m for rule in touches.contact_rules()))
-        unfinished = ", ".join(place.unfinished for place in sources if place.unfinished)
+        unfinished = ", ".join(source.unfinished for source in sources if source.unfinished)
         return cls(spec, solids, real, split, touches.touches(), unfinished)
 
     def refuse_sources(self, objects: str, out: str | os.PathLike[str]) -> None:
@@ -145,7 +145,7 @@ class PairGenerator(generation.RowGenerator):
             "split": self.split,
             "source": {
                 "depth": list(map(touched_solids.content_fingerprint, self.objects.files)),
-                "real": [each.fingerprint() for each in self.touches.files],
+                "real": [file.fingerprint() for file in self.touches.files],
             },
         }
 
@@ -186,17 +186,17 @@ class PairGenerator(generation.RowGenerator):
         solids = self.objects
         last, solid = -1, None
         for number in items:
-            place = (
+            object_row = (
                 number * len(self.objects) // spec.count
             )  # neighbours share an object, which is checked once
-            record = solids[place]
-            if place != last:
-                last, solid = place, None
+            record = solids[object_row]
+            if object_row != last:
+                last, solid = object_row, None
                 try:
                     solid = Pressable.of(record)
                 except InputError as error:
                     # In the shard of its first image.
-                    if not number or (number - 1) * len(self.objects) // spec.count != place:
+                    if not number or (number - 1) * len(self.objects) // spec.count != object_row:
                         yield store.Skipped(record.id, "no-solid", f"object {record.id}: {error}")
             if solid is not None:
                 key = f"{record.id}-{number}"

@@ -143,11 +143,11 @@ class Pairs:
     @classmethod
     def open(cls, folder: places.Name | places.Place) -> Pairs:
         """Open a folder; InputError for something else or an unfinished one, IntegrityError if damaged."""
-        place = places.open_place(folder).require(KIND, "tactile-sim train")
-        manifest = place.require_manifest(KIND)
+        dataset = places.open_place(folder).require(KIND, "tactile-sim train")
+        manifest = dataset.require_manifest(KIND)
         if manifest.spec.get("operation") != "pairs":
             raise InputError(
-                f"{place.name!r} is not a training set; expected a folder that `tactile-sim pairs` made"
+                f"{dataset.name!r} is not a training set; expected a folder that `tactile-sim pairs` made"
             )
         try:
             options = manifest.spec["options"]
@@ -155,11 +155,11 @@ class Pairs:
             (window,) = (name for name, word in WINDOWS.items() if word == stored)
         except (KeyError, TypeError, ValueError) as error:
             raise IntegrityError(
-                f"the specification in {place.name!r} does not state size and window of the images",
+                f"the specification in {dataset.name!r} does not state size and window of the images",
                 next="make the set again",
             ) from error
         depth, real = (
-            Domain(read.ShardedTable(place.shards(split)), split == "depth", (width, height))
+            Domain(read.ShardedTable(dataset.shards(split)), split == "depth", (width, height))
             for split in SPLITS
         )
         checksums = "/".join(record.sha256 for split in SPLITS for record in manifest.shards_of(split))

@@ -82,10 +82,10 @@ def plan_round(plan: TouchPlan, solid: Pressable, split: str, object_id: int, nu
     rng = keyed_rng(plan.seed, split, object_id, number)
     angle_rad = plan.turn_rad * (2.0 * rng.random() - 1.0)
     # Drawn in any case, so that the touches of a round do not depend on how the object lies.
-    x_m, y_m = _lying_place(plan, solid, angle_rad, rng.random(2))
+    x_m, y_m = _lying_position(plan, solid, angle_rad, rng.random(2))
     positions = lies = None
-    if plan.given is not None:
-        positions, lies = plan.given.of(object_id, number)
+    if plan.touch_table is not None:
+        positions, lies = plan.touch_table.of(object_id, number)
     if lies is None:
         drawn = rng.normal(size=(plan.touches_of(object_id, number), 3))
         lies = _shifted(drawn, x_m, y_m, angle_rad, perturb=plan.perturb)
@@ -112,20 +112,22 @@ def _shifted(drawn: Float64, x_m: float, y_m: float, angle_rad: float, *, pertur
     return np.array(lies)
 
 
-def _lying_place(plan: TouchPlan, solid: Pressable, angle_rad: float, drawn: Float64) -> tuple[float, float]:
+def _lying_position(
+    plan: TouchPlan, solid: Pressable, angle_rad: float, drawn: Float64
+) -> tuple[float, float]:
     if plan.object_placement == "middle":
         return 0.0, 0.0
     cosine, sine = arithmetic.cosine_sine(angle_rad)
     x, y, _ = solid.vertices_m.T
-    place = []
+    position = []
     for axis, turned in enumerate((cosine * x - sine * y, sine * x + cosine * y)):
         low = -touch.CELL_M[axis] / 2 + _MARGIN_M - float(turned.min())
         high = touch.CELL_M[axis] / 2 - _MARGIN_M - float(turned.max())
         share = float(drawn[axis])
         if low > high:  # larger than the cell: in its middle
             low = high = (low + high) / 2
-        place.append(low + (high - low) * share)
-    return place[0], place[1]
+        position.append(low + (high - low) * share)
+    return position[0], position[1]
 
 
 def _positions(plan: TouchPlan, solid: Pressable, poses: Float64, rng: np.random.Generator) -> Float64:

@@ -93,8 +93,8 @@ def press_round(
         further |= elastic_values(press, pressed, loads, shown, spec.size_px)
     images = optics.render(pressed.depth_m, shown, spec.size_px, is_surface=press is not None)
     if press is not None and press.markers is not None and press.draw_markers:
-        places = markers_px(press.markers, pressed, shown, spec.size_px)
-        images = np.stack([draw_markers(*each) for each in zip(images, places, strict=True)])
+        positions_px = markers_px(press.markers, pressed, shown, spec.size_px)
+        images = np.stack([draw_markers(*pair) for pair in zip(images, positions_px, strict=True)])
     return PressedRound(pressed, _with_noise(spec, images, key), further, shown)
 
 
@@ -270,27 +270,27 @@ def elastic_values(
 ) -> dict[str, AnyArray]:
     """Return the attributes of a row of touches of an elastic gel."""
     contacts = pressed.contacts
-    force_n = np.array([each.force_n for each in contacts])
-    torque_n_m = np.array([each.torque_n_m for each in contacts])
+    force_n = np.array([contact.force_n for contact in contacts])
+    torque_n_m = np.array([contact.torque_n_m for contact in contacts])
     # Where the force of the press acts, from its moments about x and y.
     point_m = np.column_stack([-torque_n_m[:, 1], torque_n_m[:, 0]]) / force_n[:, 2:]
     values: dict[str, AnyArray] = {
         "force_n": force_n,
         "torque_n_m": torque_n_m,
-        "press_depth_m": np.array([each.depth_m for each in contacts]),
+        "press_depth_m": np.array([contact.depth_m for contact in contacts]),
         "contact_point_m": point_m,
         "slide_m": loads.slide_m,
         "twist_rad": loads.twist_rad,
     }
-    values = {name: each.astype(np.float32) for name, each in values.items()}
+    values = {name: value.astype(np.float32) for name, value in values.items()}
     if press.markers is not None:
         positions_px = markers_px(press.markers, pressed, sensor, size_px)
         flow_px = positions_px - marker_grid_px(press.markers, size_px)
-        for name, each in (("marker_positions_px", positions_px), ("marker_flow_px", flow_px)):
-            values[name] = each.reshape(len(contacts), -1).astype(np.float32)
+        for name, pixels in (("marker_positions_px", positions_px), ("marker_flow_px", flow_px)):
+            values[name] = pixels.reshape(len(contacts), -1).astype(np.float32)
     if press.contact_maps:
-        pressure_kpa = [_averaged(each.pressure_pa[..., None] / _KILO, size_px) for each in contacts]
-        moved_mm = [_averaged(each.displacement_m / _MILLI, size_px) for each in contacts]
+        pressure_kpa = [_averaged(contact.pressure_pa[..., None] / _KILO, size_px) for contact in contacts]
+        moved_mm = [_averaged(contact.displacement_m / _MILLI, size_px) for contact in contacts]
         for name, maps in (("pressure_kpa", pressure_kpa), ("displacement_mm", moved_mm)):
             values[name] = np.array(maps, np.float16).reshape(len(contacts), -1)
     return values
@@ -301,8 +301,8 @@ def markers_px(
 ) -> Float64:
     """Return the positions of the markers of T touches, shape (T, rows, columns, 2), pixels."""
     moved = [
-        marker_positions_px(each.displacement_m, sensor.window_m, markers, size_px)
-        for each in pressed.contacts
+        marker_positions_px(contact.displacement_m, sensor.window_m, markers, size_px)
+        for contact in pressed.contacts
     ]
     return np.array(moved)
 

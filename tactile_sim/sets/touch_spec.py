@@ -41,7 +41,12 @@ _MAX_PIXELS = _MAX_TOUCHES * 320 * 240
 # For an elastic gel, these are 2 GB of pressure, traction and displacement.
 _MAX_ELASTIC_PIXELS = _MAX_PIXELS // 8
 _MAX_ROUNDS = 1_000_000
-_STORED_NAMES = {"positions": "place", "object_placement": "lie", "perturb": "shift"}  # in manifests
+_STORED_NAMES = {  # in manifests
+    "positions": "place",
+    "touch_table": "given",
+    "object_placement": "lie",
+    "perturb": "shift",
+}
 _checked_size_px = lazy("tactile_sim.press.sensors:checked_size_px")
 _checked_layer_m = lazy("tactile_sim.press.pressable:checked_layer_m")
 _checked_noise = lazy("tactile_sim.optics.sensor_noise:checked_noise")
@@ -82,8 +87,8 @@ class TouchPlan:
         Number of touches in a round.
     positions : str
         Where the gel goes: ``"cell"``, uniform in what it reaches; ``"grid"``, rows from the front left;
-        ``"object"``, uniform on the object as seen from above; ``"given"``, as in the table ``given``.
-    given : TouchTable, optional
+        ``"object"``, uniform on the object as seen from above; ``"given"``, as in ``touch_table``.
+    touch_table : TouchTable, optional
         Where the gel goes with ``positions="given"``, and how the object lies, if the table has such columns.
         Then ``touches`` is the longest round of the table, and ``rounds`` their number, if it numbers them.
     turn_rad : float
@@ -111,7 +116,7 @@ class TouchPlan:
         help="Positions of the gel: at random in the cell, on a grid, at random on the object, or given "
         "by --touches-from.",
     )
-    given: TouchTable | None = text(
+    touch_table: TouchTable | None = text(
         name="--touches-from",
         metavar="FILE",
         read=lazy("tactile_sim.sets.touch_table:TouchTable.read"),
@@ -139,31 +144,32 @@ class TouchPlan:
     seed: int = integer(0, panel="Plan of the touches", help="Random seed.")
 
     def __post_init__(self) -> None:
-        given = self.given
+        table = self.touch_table
         # Not by `isinstance`: importing TouchTable is heavy, and commands import this module.
-        if (self.positions == "given") != hasattr(given, "longest"):
-            found = type(given).__name__.replace("NoneType", "none")
+        if (self.positions == "given") != hasattr(table, "longest"):
+            kind = type(table).__name__.replace("NoneType", "none")
             raise InputError(
-                f"the plan of touches has positions {self.positions!r}, and its given touches are {found}; "
+                f"the plan of touches has positions {self.positions!r}, and its given touches are {kind}; "
                 "expected positions 'given' and a TouchTable, or neither",
                 next="give --positions given --touches-from FILE",
             )
-        if given is not None:
-            object.__setattr__(self, "touches", given.longest)
-            object.__setattr__(self, "rounds", given.rounds or self.rounds)
+        if table is not None:
+            object.__setattr__(self, "touches", table.longest)
+            object.__setattr__(self, "rounds", table.rounds or self.rounds)
         check_fields(self, "the plan of touches")
 
     def touches_of(self, object_id: int, number: int) -> int:
         """Return the number of touches in a round of an object; 0 if a given plan does not contain it."""
-        if self.given is None:
+        if self.touch_table is None:
             return self.touches
-        return len(self.given.of(object_id, number)[0])
+        return len(self.touch_table.of(object_id, number)[0])
 
     def to_dict(self) -> JsonDict:
         """Return JSON values that decide every pose."""
-        values = {_STORED_NAMES.get(each.name, each.name): getattr(self, each.name) for each in fields(self)}
-        if self.given is not None:
-            values["given"] = self.given.to_dict()
+        names = [declared.name for declared in fields(self)]
+        values = {_STORED_NAMES.get(name, name): getattr(self, name) for name in names}
+        if self.touch_table is not None:
+            values["given"] = self.touch_table.to_dict()
         return values
 
 

@@ -135,10 +135,10 @@ class TouchTable:
         if self.round is None:  # the same for every round
             key = (key[0], None)
         rows = self._rows.get(key, [])
-        places = np.stack([getattr(self, name)[rows] for name in _POSITIONS], axis=1)
+        positions = np.stack([getattr(self, name)[rows] for name in _POSITIONS], axis=1)
         if self.object_x_m is None:
-            return places, None
-        return places, np.stack([getattr(self, name)[rows] for name in _POSES], axis=1)
+            return positions, None
+        return positions, np.stack([getattr(self, name)[rows] for name in _POSES], axis=1)
 
     def to_dict(self) -> JsonDict:
         """Return JSON values that identify the table: its columns, the number of rows, and a checksum."""
@@ -157,20 +157,20 @@ class TouchTable:
             [None] * len(self.x_m) if column is None else column.tolist()
             for column in (self.object_id, self.round)
         )
-        found: dict[tuple[int | None, int | None], list[int]] = {}
+        rows_of: dict[tuple[int | None, int | None], list[int]] = {}
         for row, key in enumerate(zip(ids, rounds, strict=True)):
-            found.setdefault(key, []).append(row)
-        return found
+            rows_of.setdefault(key, []).append(row)
+        return rows_of
 
 
 def _column(name: str, value: ArrayLike) -> AnyArray:
     """Return a column as float64 or int64; InputError, with the first bad row, where that is not possible."""
     try:
-        found = np.asarray(value)
-        numbers = found.astype(np.float64)
+        array = np.asarray(value)
+        numbers = array.astype(np.float64)
     except (TypeError, ValueError):
-        found = numbers = np.empty((0, 0))
-    if numbers.ndim != 1 or found.dtype.kind not in "iuf":
+        array = numbers = np.empty((0, 0))
+    if numbers.ndim != 1 or array.dtype.kind not in "iuf":
         raise InputError(
             f"column {name} of the given touches is {type(value).__name__}; expected a number for each touch"
         )
@@ -187,10 +187,10 @@ def _column(name: str, value: ArrayLike) -> AnyArray:
     if not fits.all():
         row = int(np.argmin(fits))
         raise InputError(
-            f"column {name} of the given touches is {found[row]} in row {row}; expected {expected}"
+            f"column {name} of the given touches is {array[row]} in row {row}; expected {expected}"
         )
     if name in _NUMBERS:
-        return found.astype(np.int64)
+        return array.astype(np.int64)
     return numbers
 
 
@@ -233,8 +233,8 @@ def _meanings(names: Sequence[str]) -> dict[str, tuple[str, float]]:
             meant[name] = meaning
         if name in _NUMBERS:
             meant[name] = name, 1.0
-    found = {ours for ours, _ in meant.values()}
-    if len(found) < len(named) or not set(_POSITIONS) <= found:
+    named_columns = {ours for ours, _ in meant.values()}
+    if len(named_columns) < len(named) or not set(_POSITIONS) <= named_columns:
         raise InputError(
             f"its columns are {', '.join(named)[:200]}; expected x_m, y_m and of these, each once: "
             f"{', '.join(_COLUMNS[2:])}; or lengths in _mm or _cm, and the turn in _deg"

@@ -66,15 +66,15 @@ class GivenSolid:
 
     def mesh(self) -> mesh.Mesh:
         """Read the mesh, metres; ItemError if it cannot be read, or is larger than the cell."""
-        found = self.source
-        if isinstance(found, _ListedFile):
+        solid = self.source
+        if isinstance(solid, _ListedFile):
             try:
-                found = found.read()
+                solid = solid.read()
             except InputError as error:
                 raise ItemError(mesh.PrintReport.UNREADABLE, str(error)) from error
-        if found.array_problem is None:  # meshes without faces have no size, and bound no solid
-            _require_within_cell(found)
-        return found
+        if solid.array_problem is None:  # meshes without faces have no size, and bound no solid
+            _require_within_cell(solid)
+        return solid
 
 
 @dataclass(frozen=True)
@@ -108,16 +108,16 @@ class GivenSolids:
 
     def column(self, name: str) -> AnyArray:
         """Return an integer of each solid, shape (len,)."""
-        return np.array([getattr(each, name) for each in self.solids], np.int64)
+        return np.array([getattr(solid, name) for solid in self.solids], np.int64)
 
     @property
     def files(self) -> tuple[_ListedFile, ...]:
         """The files, each with its ``path``."""
-        return tuple(each.source for each in self.solids if isinstance(each.source, _ListedFile))
+        return tuple(solid.source for solid in self.solids if isinstance(solid.source, _ListedFile))
 
     def fingerprints(self) -> list[JsonDict]:
         """Return JSON values that identify the solids, in the order of their numbers."""
-        return [{"file": each.name, "rows": 1, "id": each.id, **each.facts} for each in self.solids]
+        return [{"file": solid.name, "rows": 1, "id": solid.id, **solid.facts} for solid in self.solids]
 
 
 def given_solids(
@@ -136,10 +136,10 @@ def given_solids(
     if isinstance(source, Mapping):
         mesh.refuse_unit(unit, "meshes in memory")
         return _in_memory(source)
-    found = mesh.MeshFile.find(source, unit)
-    if found is None:
+    mesh_files = mesh.MeshFile.find(source, unit)
+    if mesh_files is None:
         return None
-    listed = ((split or _TRAIN, file) for split, files in found.splits.items() for file in files)
+    listed = ((split or _TRAIN, file) for split, files in mesh_files.splits.items() for file in files)
     solids: dict[str, list[GivenSolid]] = {}
     for number, (split, file) in enumerate(listed):
         try:
@@ -153,19 +153,19 @@ def given_solids(
         kept = replace(file, path=file.path.absolute(), root=file.root and file.root.absolute())
         solid = GivenSolid(number, file.label, file.name, _ListedFile(kept, content), facts)
         solids.setdefault(split, []).append(solid)
-    return {split: GivenSolids(tuple(each), found.class_names) for split, each in solids.items()}
+    return {split: GivenSolids(tuple(of_split), mesh_files.class_names) for split, of_split in solids.items()}
 
 
 def _in_memory(meshes: Meshes) -> dict[str, GivenSolids]:
     solids: list[GivenSolid] = []
-    for label, (name, given) in enumerate(meshes.items()):
+    for label, (name, class_meshes) in enumerate(meshes.items()):
         if not isinstance(name, str) or not name:
             raise InputError(f"a class of the meshes is called {name!r}; expected a text")
-        several = given if isinstance(given, (list, tuple)) else [given]
-        for number, each in enumerate(several):
-            found = mesh.Mesh.of(each)
+        several = class_meshes if isinstance(class_meshes, (list, tuple)) else [class_meshes]
+        for number, mesh_like in enumerate(several):
+            parsed = mesh.Mesh.of(mesh_like)
             # A copy, because the mesh may change while touches are made.
-            held = mesh.Mesh(np.array(found.vertices_m, np.float64), np.array(found.faces, np.int32))
+            held = mesh.Mesh(np.array(parsed.vertices_m, np.float64), np.array(parsed.faces, np.int32))
             facts = {"sha256": _digest(held)}
             solids.append(GivenSolid(len(solids), label, f"{name}/{number}", held, facts))
     if not solids:
@@ -180,8 +180,8 @@ def _digest(held: mesh.Mesh) -> str:
     return content.hexdigest()
 
 
-def _require_within_cell(found: mesh.Mesh) -> None:
-    sides_m = np.ptp(found.vertices_m, axis=0)[:2]
+def _require_within_cell(solid: mesh.Mesh) -> None:
+    sides_m = np.ptp(solid.vertices_m, axis=0)[:2]
     if (sides_m > touch.CELL_M).any():
         width_mm, depth_mm = 1e3 * sides_m
         raise ItemError(
@@ -197,23 +197,24 @@ def solids_of(
 ) -> tuple[str, Mapping[str, Solids], str]:
     """Return name and splits of a data set, mesh files or meshes, and a note if it is unfinished."""
     if isinstance(source, places.Place):
-        place = source
+        dataset = source
     else:
-        given = given_solids(source, unit)
-        if given is not None:
-            return "the source", given, ""
+        splits = given_solids(source, unit)
+        if splits is not None:
+            return "the source", splits, ""
         assert not isinstance(source, Mapping), "meshes in memory are given solids"
-        place = open_place(source)
-    mesh.refuse_unit(unit, place.name)
-    place.require_meshes("tactile-sim generate").require_complete()
-    return place.name, {split: open_split(place, split) for split in place.splits}, place.unfinished
+        dataset = open_place(source)
+    mesh.refuse_unit(unit, dataset.name)
+    dataset.require_meshes("tactile-sim generate").require_complete()
+    return dataset.name, {split: open_split(dataset, split) for split in dataset.splits}, dataset.unfinished
 
 
-def open_split(place: places.Place, split: str) -> Records:
+def open_split(dataset: places.Place, split: str) -> Records:
     """Open a split of a data set of solids; InputError for a source without meshes."""
-    table = read.ShardedTable(place.shards(split))
-    mesh.require_mesh_columns(table.schema, place.name, "mnist3d generate")
-    return mesh.SolidDataset(table, label_names=read.class_names(table.schema, touch.CLASS_NAMES, place.name))
+    table = read.ShardedTable(dataset.shards(split))
+    mesh.require_mesh_columns(table.schema, dataset.name, "mnist3d generate")
+    label_names = read.class_names(table.schema, touch.CLASS_NAMES, dataset.name)
+    return mesh.SolidDataset(table, label_names=label_names)
 
 
 def content_fingerprint(shard: read.Shard) -> JsonDict:
@@ -244,11 +245,12 @@ def mesh_of(solid: mesh.SolidRecord | GivenSolid) -> mesh.Mesh:
     return mesh.Mesh.of(solid)
 
 
-def require_known_objects(name: str, splits: Mapping[str, Solids], given: TouchTable) -> None:
+def require_known_objects(name: str, splits: Mapping[str, Solids], table: TouchTable) -> None:
     """Refuse given touches of objects that no split holds (InputError)."""
-    if given.object_id is None:
+    if table.object_id is None:
         return
-    unknown = np.setdiff1d(given.object_id, np.concatenate([each.column("id") for each in splits.values()]))
+    known = np.concatenate([solids.column("id") for solids in splits.values()])
+    unknown = np.setdiff1d(table.object_id, known)
     if len(unknown):
         shown = ", ".join([*map(str, unknown[:_SHOWN_IDS]), "..."][: len(unknown)])
         raise InputError(

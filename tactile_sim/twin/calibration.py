@@ -64,7 +64,7 @@ def calibrate(
     bits. A given twin renders the same bytes on one kind of processor.
     """
     mistakes = find_mistakes(recordings, start)
-    fatal = [each for each in mistakes if each.is_fatal]
+    fatal = [mistake for mistake in mistakes if mistake.is_fatal]
     if fatal:
         raise InputError(
             f"the recordings cannot be fitted ({fatal[0].kind}): {fatal[0].detail}", next="correct them"
@@ -73,7 +73,7 @@ def calibrate(
     fit = _usable_fit(recordings, start, mistakes, np.flatnonzero(unsaturated_shares >= MIN_UNSATURATED))
     rounds_of_fit.run_fit(fit, on_progress)
     _require_explained(fit)
-    report = {**rounds_of_fit.found(fit), "mistakes": [asdict(each) for each in mistakes]}
+    report = {**rounds_of_fit.fit_report(fit), "mistakes": [asdict(mistake) for mistake in mistakes]}
     for touch in np.flatnonzero(unsaturated_shares < MIN_UNSATURATED).tolist():
         report["touches"].insert(touch, _saturated(recordings, touch, unsaturated_shares[touch]))
     shape = fit.shape.copy()
@@ -102,7 +102,7 @@ def _usable_fit(
     likely = fit.likely
     if likely.sum() < MIN_TOUCHES:
         raise InputError(
-            f"{int(likely.sum())} of {len(recordings)} touches without poses have a place that stands out; "
+            f"{int(likely.sum())} of {len(recordings)} touches without poses have a pose that stands out; "
             f"expected at least {MIN_TOUCHES}",
             next="give approximate poses, or touch ends and corners of solids, not the middle of strokes",
         )
@@ -141,9 +141,9 @@ def _require_explained(fit: Fit) -> None:
 def _of_one_gel(touches: Int64, mistakes: Sequence[Mistake]) -> Bool:
     """Return which of the touches are of one gel: if the gel changed, of the one with more touches."""
     chosen = np.ones(len(touches), bool)
-    for each in mistakes:
-        if each.kind == "gel-changed":
-            second = np.isin(touches, each.touches)
+    for mistake in mistakes:
+        if mistake.kind == "gel-changed":
+            second = np.isin(touches, mistake.touches)
             chosen = max(~second, second, key=np.count_nonzero)
     return chosen
 
@@ -155,16 +155,16 @@ def model_of(twin: Twin, name: str) -> SensorModel:
 
 def _first_fit(recordings: Recordings, start: SensorModel) -> Fit:
     """Return a fit that starts from the stated poses; from matched ones if these are missing or far off."""
-    places = recordings.places()
-    if places is not None:
-        assert recordings.sensor_m is not None, "places follow from it"
-        stated = partial(rounds_of_fit.start_fit, recordings, places, recordings.sensor_m[:, 2], start)
+    poses = recordings.poses_on_solids()
+    if poses is not None:
+        assert recordings.sensor_m is not None, "poses follow from it"
+        stated = partial(rounds_of_fit.start_fit, recordings, poses, recordings.sensor_m[:, 2], start)
         if not matching.are_off(stated()):
             return stated()
-    matched, likely = matching.matched_places(recordings, start, places)
+    matched, likely = matching.matched_poses(recordings, start, poses)
     fit = rounds_of_fit.start_fit(recordings, matched[:, :3], None, start)
     for touch, at in enumerate(matched):
-        matching.place_touch(fit, touch, at)
+        matching.set_pose(fit, touch, at)
     fit.likely = likely
     return fit
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from tactile_sim.twin.recordings import Recordings, Relief
     from tactile_toolkit.array_types import Bool, Float32, Float64
 
-COEFFICIENTS = gel_kernels.ENTRIES * gel_kernels.PLACES
+COEFFICIENTS = gel_kernels.ENTRIES * gel_kernels.TERMS
 _SHARED = len(Fitted)
 _OWN = 4
 # Steps of the finite differences for derivatives, and expected deviations from the guess.
@@ -34,7 +34,7 @@ _ASPECT_SPREAD = 0.001  # expected relative deviation of the aspect ratio of a p
 _HUBER = 3.0  # residuals beyond this multiple of the noise weigh less: dust, layer lines, shadows
 _FIRST_NOISE, _MIN_NOISE = 10.0, 0.3  # levels
 # Weights of the penalty: of the terms of the position, of the entries of steepness and of depth.
-_PLACE_COST = np.array([1.0, 3.0, 3.0, 6.0, 6.0, 6.0])
+_TERM_COST = np.array([1.0, 3.0, 3.0, 6.0, 6.0, 6.0])
 _ENTRY_COST, _DEPTH_COST, _NO_SHADOWS_COST = 1e-4, 0.1, 1e3
 _SHARES = (1.0, 0.5, 0.25, 0.125)  # of a step, tried until one makes the images no worse
 _NO_WORSE = 1.001  # ratio of the costs after and before
@@ -61,7 +61,7 @@ def _penalty(depth_cost: float) -> Float64:
     along = scipy.linalg.block_diag(steep.T @ steep, deep.T @ deep)
     cost = np.kron(around.T @ around, np.eye(2 * steps))
     cost += np.kron(directions, along + np.diag(np.repeat([_ENTRY_COST, depth_cost], steps)))
-    return np.asarray(np.kron(cost, np.diag(_PLACE_COST)))
+    return np.asarray(np.kron(cost, np.diag(_TERM_COST)))
 
 
 @dataclass(eq=False)
@@ -84,7 +84,7 @@ class Fit:
     background: Float32 = field(repr=False)
     ridge: float = 1e-4
     coefficients: Float64 = field(
-        default_factory=lambda: np.zeros((gel_kernels.ENTRIES, gel_kernels.PLACES, 3)), repr=False
+        default_factory=lambda: np.zeros((gel_kernels.ENTRIES, gel_kernels.TERMS, 3)), repr=False
     )
     likely: Bool = field(init=False)
     used: Bool = field(init=False)
@@ -220,22 +220,24 @@ class Fit:
         """Add a touch to the sums of a step, and return its weighted sum of squared residuals."""
         base, residuals, weights = self.residual(touch)
         columns = [residuals]
-        places = []
+        unknowns = []
         if moving:
-            for each in moving:
+            for index in moving:
                 shape = self.shape.copy()
-                shape[each] += _SHAPE_STEP[each]
-                columns.append((self.rendered(touch, self.poses[touch], shape) - base) / _SHAPE_STEP[each])
-                places.append(int(each))
+                shape[index] += _SHAPE_STEP[index]
+                columns.append((self.rendered(touch, self.poses[touch], shape) - base) / _SHAPE_STEP[index])
+                unknowns.append(int(index))
             for own in range(_OWN):
                 pose = self.poses[touch].copy()
                 pose[own] += _POSE_STEP[own]
                 columns.append((self.rendered(touch, pose, self.shape) - base) / _POSE_STEP[own])
-                places.append(_SHARED + _OWN * touch + own)
+                unknowns.append(_SHARED + _OWN * touch + own)
         pitch_m = self.pitch_m(self.shape)
-        seen = gel.seen_features(self.surface(touch, self.poses[touch], self.shape), pitch_m, self.shape)
+        features = gel.surface_features(
+            self.surface(touch, self.poses[touch], self.shape), pitch_m, self.shape
+        )
         blur_px = self.shape[Fitted.BLUR] / pitch_m
-        sums.add(seen, weights, np.stack(columns, axis=2, dtype=np.float32), places, blur_px)
+        sums.add(features, weights, np.stack(columns, axis=2, dtype=np.float32), unknowns, blur_px)
         return _weighted_square(residuals, weights)
 
     def refresh_background(self) -> None:
@@ -301,24 +303,29 @@ class _Sums:
         return np.asarray(self.normal + np.tril(self.normal, -1).T)
 
     def add(
-        self, seen: gel.Seen, weights: Float32, columns: Float32, places: list[int], blur_px: Float64
+        self,
+        features: gel.Features,
+        weights: Float32,
+        columns: Float32,
+        unknowns: list[int],
+        blur_px: Float64,
     ) -> None:
-        """Add a touch: ``columns`` (H, W, 1 + m, 3) are the residuals, and derivatives by the ``places``."""
+        """Add a touch: ``columns`` (H, W, 1 + m, 3) are the residuals and derivatives by ``unknowns``."""
         height, width, many, _ = columns.shape
-        gel_kernels.add_normal(self.normal, *seen, weights)
-        found = np.zeros((COEFFICIENTS, many * 3))
+        gel_kernels.add_normal(self.normal, *features, weights)
+        products = np.zeros((COEFFICIENTS, many * 3))
         # The blur of the camera is its own transpose.
         weighed = columns.reshape(height, width, -1) * weights[..., None]
         gel.blur_colours(weighed, blur_px)
-        gel_kernels.add_products(found, *seen, weighed)
-        at = np.array([0, *(1 + place for place in places)])
-        self.products[:, at] += found.reshape(COEFFICIENTS, many, 3)
+        gel_kernels.add_products(products, *features, weighed)
+        at = np.array([0, *(1 + unknown for unknown in unknowns)])
+        self.products[:, at] += products.reshape(COEFFICIENTS, many, 3)
         self.weight += float(weights.sum())
-        if places:
+        if unknowns:
             flat = columns.reshape(-1, many, 3).transpose(1, 0, 2).reshape(many, -1)
             square = (flat * np.repeat(weights.ravel(), 3)) @ flat.T
-            self.moves[np.ix_(places, places)] += square[1:, 1:]
-            self.slope[places] += square[1:, 0]
+            self.moves[np.ix_(unknowns, unknowns)] += square[1:, 1:]
+            self.slope[unknowns] += square[1:, 0]
 
     def solve(self, fit: Fit, moving: tuple[Fitted, ...]) -> Float64:
         """Update the response of a fit, and return the moves of its geometry and poses."""
@@ -346,9 +353,7 @@ class _Sums:
     def _moved(self, fit: Fit, matrix: Float64, slope: Float64, moving: tuple[Fitted, ...]) -> Float64:
         # Residuals are correlated over patches: slopes beyond the table, shadows, blocks of JPEG.
         variance = ALIKE_PX * fit.noise**2
-        own = [
-            _SHARED + _OWN * int(touch) + each for touch in np.flatnonzero(fit.used) for each in range(_OWN)
-        ]
+        own = [_SHARED + _OWN * int(touch) + own for touch in np.flatnonzero(fit.used) for own in range(_OWN)]
         for touch in np.flatnonzero(fit.used):
             at = slice(_SHARED + _OWN * int(touch), _SHARED + _OWN * int(touch) + _OWN)
             fit.information[touch] = matrix[at, at] / variance

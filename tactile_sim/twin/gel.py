@@ -37,7 +37,7 @@ MOST = np.array([1.0, 1.0, 0.3, 0.05, 5e-3, 5e-4, 0.95, 5e-4])
 WHOLE = np.ones(2)
 """Share of the image, along x and y, of a map that shows all of it."""
 
-Seen: TypeAlias = tuple[Int64, Float32]
+Features: TypeAlias = tuple[Int64, Float32]
 """Entries of the response that each pixel depends on, and their shares."""
 
 
@@ -63,8 +63,8 @@ class Fitted(IntEnum):
 def half_kernel(sigma_px: float, longest: int, reach: float = _CAMERA_REACH) -> Float64:
     """Return half of a Gaussian kernel, from the middle outwards, with at most ``longest`` weights."""
     taps = min(int(np.ceil(reach * sigma_px)) + 1, longest)
-    place = np.arange(max(taps, 1)) / max(sigma_px, 1e-3)
-    weights = exp_neg(0.5 * place * place)
+    distance = np.arange(max(taps, 1)) / max(sigma_px, 1e-3)
+    weights = exp_neg(0.5 * distance * distance)
     total = weights[0]
     for weight in weights[1:]:
         total = total + 2 * weight
@@ -89,11 +89,11 @@ def gel_surface(
     blurs = tuple(gel_blur(sigma_m / pitch_m, indentation_m.shape) for sigma_m in sigmas_m)
     # Pixels around the image that are seen: two, and more through a lens with a positive term.
     bent = 0.0 if shape[Fitted.LENS] < 0 else shape[Fitted.LENS]
-    seen = 2 + int(bent * max(indentation_m.shape) / 2)
+    around_px = 2 + int(bent * max(indentation_m.shape) / 2)
     insets = []
     for blur in reversed(blurs):
-        seen += max(len(blur.across), len(blur.down)) << blur.halvings
-        insets.append(max(margin - seen, 0))
+        around_px += max(len(blur.across), len(blur.down)) << blur.halvings
+        insets.append(max(margin - around_px, 0))
     share = float(shape[Fitted.CONTACT])
     edge_m = _EDGE * float(pitch_m[0])
     soft = surface_kernels.press_gel(indentation_m, margin, blurs, tuple(reversed(insets)), share, edge_m)
@@ -165,7 +165,7 @@ def view_of(
     return gel_kernels.SurfaceView(pitch_x, pitch_y, span_x, span_y, float(shape[Fitted.LENS]), across, rim_m)
 
 
-def seen_features(soft: Float32, pitch_m: Float64, shape: Float64) -> Seen:
+def surface_features(soft: Float32, pitch_m: Float64, shape: Float64) -> Features:
     """Return the entries of the response that each pixel of a surface depends on, and their shares."""
     entries = np.empty((soft.size, gel_kernels.ACTIVE), np.int64)
     shares = np.empty(entries.shape, np.float32)
@@ -174,11 +174,11 @@ def seen_features(soft: Float32, pitch_m: Float64, shape: Float64) -> Seen:
 
 
 def response_table(coefficients: Floating) -> Float32:
-    """Return coefficients (ENTRIES, PLACES, 3) in the layout of :func:`response`."""
+    """Return coefficients (ENTRIES, TERMS, 3) in the layout of :func:`response`."""
     table = np.zeros((3, len(coefficients), gel_kernels.ENTRY_VALUES), np.float32)
     # Terms are 1, x, y, x^2, x y, y^2: by the power of y first, then by that of x, then by colour.
-    for place, (power_y, power_x) in enumerate(((0, 0), (0, 1), (1, 0), (0, 2), (1, 1), (2, 0))):
-        table[power_y, :, 4 * power_x : 4 * power_x + 3] = coefficients[:, place]
+    for term, (power_y, power_x) in enumerate(((0, 0), (0, 1), (1, 0), (0, 2), (1, 1), (2, 0))):
+        table[power_y, :, 4 * power_x : 4 * power_x + 3] = coefficients[:, term]
     return table
 
 

@@ -30,7 +30,7 @@ _LEVEL = 1e-5
 
 _BOW = 0.273  # atan(ratio) is ratio * (pi / 4 + _BOW (1 - ratio)) within 0.004 for ratios up to 1
 
-PLACES = 6
+TERMS = 6
 """Terms of an entry: 1, x, y, x^2, x y, y^2, where x and y go from -1 to 1 across the image."""
 
 ENTRIES = TURNS * 2 * STEPS
@@ -114,12 +114,12 @@ def row_y(row: int, rows: int, view: SurfaceView) -> np.float32:
 @part
 def _turn(x: np.float32, y: np.float32) -> np.float32:
     """Return the direction of a slope, in steps of the table."""
-    zero, one = np.float32(0.0), np.float32(1.0)
+    zero, unit = np.float32(0.0), np.float32(1.0)
     quarter = np.float32(0.25 * math.pi)
     wide, high = abs(x), abs(y)
     small, large = (wide, high) if wide < high else (high, wide)
     ratio = small / (large + np.float32(1e-12))
-    angle = ratio * (quarter + np.float32(_BOW) * (one - ratio))
+    angle = ratio * (quarter + np.float32(_BOW) * (unit - ratio))
     angle = angle if wide > high else np.float32(0.5 * math.pi) - angle
     angle = angle if x > zero else np.float32(math.pi) - angle
     angle = angle if y > zero else np.float32(2.0 * math.pi) - angle
@@ -130,14 +130,14 @@ def _turn(x: np.float32, y: np.float32) -> np.float32:
 
 
 @compiled
-def _row_places(places: Float32, soft: Float32, row: int, view: SurfaceView) -> None:
+def _row_positions(positions: Float32, soft: Float32, row: int, view: SurfaceView) -> None:
     """Write where in the tables the pixels of a row lie, (3, W): direction, steepness, depth.
 
     Directions are -1 where the gel is at rest. Slopes are those on the gel, not those seen through the lens.
     Single precision and no branches: several pixels are computed at once.
     """
     rows, columns = soft.shape
-    zero, one, two = np.float32(0.0), np.float32(1.0), np.float32(2.0)
+    zero, unit, two = np.float32(0.0), np.float32(1.0), np.float32(2.0)
     least = np.float32(_LEVEL * _LEVEL)
     last = np.float32(STEPS - 1.0)
     per_steep = np.float32(1.0 / STEEPEST)
@@ -153,7 +153,7 @@ def _row_places(places: Float32, soft: Float32, row: int, view: SurfaceView) -> 
     down = np.float32(1.0 - view.across)
     both = np.float32(math.sqrt(view.across * (1.0 - view.across)))
     lens = np.float32(view.lens)
-    turns, steeps, deeps = places[0], places[1], places[2]
+    turns, steeps, deeps = positions[0], positions[1], positions[2]
     for column in range(1, columns - 1):
         steeps[column] = (line[column + 1] - line[column - 1]) * per_x
     steeps[0] = (line[1] - line[0]) * per_x * two
@@ -162,15 +162,15 @@ def _row_places(places: Float32, soft: Float32, row: int, view: SurfaceView) -> 
         x = steeps[column]
         y = (above[column] - below[column]) * per_y
         u = column_x(column, columns, view)
-        bend = one + lens * (across * u * u + down * v * v)
+        bend = unit + lens * (across * u * u + down * v * v)
         xx, yy = bend + two * lens * across * u * u, bend + two * lens * down * v * v
         xy = two * lens * both * u * v
-        per_area = one / (xx * yy - xy * xy)
+        per_area = unit / (xx * yy - xy * xy)
         x, y = (yy * x - xy * y) * per_area, (xx * y - xy * x) * per_area
         square = x * x + y * y
         turn = _turn(x, y)
-        turns[column] = turn if square > least else -one
-        tangent = math.sqrt(square) / (one + math.sqrt(one + square))
+        turns[column] = turn if square > least else -unit
+        tangent = math.sqrt(square) / (unit + math.sqrt(unit + square))
         steep = last * math.sqrt(tangent * per_steep)
         deep = line[column] * per_deep
         deep = deep if deep > zero else zero
@@ -186,12 +186,12 @@ def features(soft: Float32, view: SurfaceView, entries: Int64, shares: Float32) 
     pressed in. ``entries`` and ``shares`` have the shape (H W, ACTIVE).
     """
     rows, columns = soft.shape
-    places = np.empty((3, columns), np.float32)
+    positions = np.empty((3, columns), np.float32)
     for row in range(rows):
-        _row_places(places, soft, row, view)
+        _row_positions(positions, soft, row, view)
         for column in range(columns):
             at = row * columns + column
-            turn = places[0, column]
+            turn = positions[0, column]
             if turn < 0.0:
                 entries[at], shares[at] = 0, 0.0
                 continue
@@ -201,13 +201,13 @@ def features(soft: Float32, view: SurfaceView, entries: Int64, shares: Float32) 
                 begin = ((first + side) % TURNS) * 2 * STEPS
                 share = part if side else 1.0 - part
                 for kind in range(2):
-                    place = places[1 + kind, column]
-                    node = int(place)
+                    position = positions[1 + kind, column]
+                    node = int(position)
                     k = 4 * side + 2 * kind
                     entries[at, k] = begin + kind * STEPS + node
                     entries[at, k + 1] = entries[at, k] + 1
-                    shares[at, k] = share * (1.0 - (place - node))
-                    shares[at, k + 1] = share * (place - node)
+                    shares[at, k] = share * (1.0 - (position - node))
+                    shares[at, k + 1] = share * (position - node)
 
 
 @compiled
@@ -221,11 +221,11 @@ def _terms(terms: Float64, at: int, rows: int, columns: int, span: Float64) -> N
 def add_normal(normal: Float64, entries: Int64, shares: Float32, weights: Float32) -> None:
     """Add weighted products of features to the lower half of the normal matrix of coefficients."""
     rows, columns = weights.shape
-    terms = np.empty(PLACES)
-    count = ACTIVE * PLACES
+    terms = np.empty(TERMS)
+    count = ACTIVE * TERMS
     span = np.ones(2)
     values = np.empty(count)
-    places = np.empty(count, np.int64)
+    unknowns = np.empty(count, np.int64)
     for at in range(len(entries)):
         weight = weights[at // columns, at % columns]
         if weight <= 0.0 or not shares[at].any():
@@ -235,31 +235,31 @@ def add_normal(normal: Float64, entries: Int64, shares: Float32, weights: Float3
         begin = 0 if entries[at, 0] <= entries[at, ACTIVE // 2] else ACTIVE // 2
         for number in range(ACTIVE):
             k = (begin + number) % ACTIVE
-            for place in range(PLACES):
-                values[number * PLACES + place] = shares[at, k] * terms[place]
-                places[number * PLACES + place] = entries[at, k] * PLACES + place
-        for one in range(count):
-            weighed = values[one] * weight
-            line = normal[places[one]]
-            for other in range(one + 1):
-                line[places[other]] += weighed * values[other]
+            for term in range(TERMS):
+                values[number * TERMS + term] = shares[at, k] * terms[term]
+                unknowns[number * TERMS + term] = entries[at, k] * TERMS + term
+        for row in range(count):
+            weighed = values[row] * weight
+            line = normal[unknowns[row]]
+            for column in range(row + 1):
+                line[unknowns[column]] += weighed * values[column]
 
 
 @compiled
-def add_products(out: Float64, entries: Int64, shares: Float32, given: Float32) -> None:
+def add_products(out: Float64, entries: Int64, shares: Float32, values: Float32) -> None:
     """Add the products of features and given columns (H, W, m) to ``out`` (coefficients, m)."""
-    rows, columns, many = given.shape
-    terms = np.empty(PLACES)
+    rows, columns, many = values.shape
+    terms = np.empty(TERMS)
     span = np.ones(2)
     for at in range(len(entries)):
-        line = given[at // columns, at % columns]
+        line = values[at // columns, at % columns]
         if not shares[at].any():
             continue
         _terms(terms, at, rows, columns, span)
         for k in range(ACTIVE):
-            for place in range(PLACES):
-                share = shares[at, k] * terms[place]
-                total = out[entries[at, k] * PLACES + place]
+            for term in range(TERMS):
+                share = shares[at, k] * terms[term]
+                total = out[entries[at, k] * TERMS + term]
                 for column in range(many):
                     total[column] += share * line[column]
 
@@ -273,30 +273,30 @@ def render_response(out: Float32, soft: Float32, view: SurfaceView, table: Float
     """
     rows, columns = soft.shape
     turn = 2 * STEPS
-    one = np.float32(1.0)
+    unit = np.float32(1.0)
     # The first direction is repeated after the last one.
     lines = np.empty((ENTRIES + turn, ENTRY_VALUES), np.float32)
     flat = lines.reshape(lines.size)
     size = ENTRIES * ENTRY_VALUES
     plain, once, twice = table[0].reshape(size), table[1].reshape(size), table[2].reshape(size)
-    places = np.empty((3, columns), np.float32)
+    positions = np.empty((3, columns), np.float32)
     term = np.empty(ENTRY_VALUES, np.float32)
     out[:] = np.float32(0.0)
     for row in range(rows):
-        _row_places(places, soft, row, view)
-        if places[0].max() < 0.0:
+        _row_positions(positions, soft, row, view)
+        if positions[0].max() < 0.0:
             continue
         y = row_y(row, rows, view)
         for at in range(size):
             flat[at] = plain[at] + y * (once[at] + y * twice[at])
         lines[ENTRIES:] = lines[:turn]
         for column in range(columns):
-            if places[0, column] < 0.0:
+            if positions[0, column] < 0.0:
                 continue
-            first, i, j = int(places[0, column]), int(places[1, column]), int(places[2, column])
-            far = places[0, column] - np.float32(first)
-            fi, fj = places[1, column] - np.float32(i), places[2, column] - np.float32(j)
-            near, gi, gj = one - far, one - fi, one - fj
+            first, i, j = int(positions[0, column]), int(positions[1, column]), int(positions[2, column])
+            far = positions[0, column] - np.float32(first)
+            fi, fj = positions[1, column] - np.float32(i), positions[2, column] - np.float32(j)
+            near, gi, gj = unit - far, unit - fi, unit - fj
             steep = first * turn + i
             deep = first * turn + STEPS + j
             a = lines[steep]

@@ -1,10 +1,10 @@
 """Find the poses of touches that were recorded without poses.
 
-The search first looks for places on the solid whose slopes explain an image with any colours. True places
-agree on the colours of slopes and wrong places do not, so the colours that explain the most over all images
-are chosen. With these colours, the touches whose place stands out give a first twin, which locates more
-touches, and so on. A touch is left out if it fits badly, or fits almost as well in another place. Along a
-straight stroke, only the layers of the print and the lens distinguish places; the fit reports such
+The search first looks for poses on the solid whose slopes explain an image with any colours. True poses
+agree on the colours of slopes and wrong poses do not, so the colours that explain the most over all images
+are chosen. With these colours, the touches whose pose stands out give a first twin, which locates more
+touches, and so on. A touch is left out if it fits badly, or fits almost as well in another pose. Along a
+straight stroke, only the layers of the print and the lens distinguish poses; the fit reports such
 directions.
 """
 
@@ -19,13 +19,13 @@ from tactile_sim.press.sensors import SensorModel
 from tactile_sim.twin import gel
 from tactile_sim.twin.fitting import Fit
 from tactile_sim.twin.gel import Fitted
-from tactile_sim.twin.place_search import (
+from tactile_sim.twin.pose_search import (
     Paint,
-    Places,
-    alike_places,
+    PoseMatches,
     changes_of,
-    free_places,
-    matching_places,
+    near_poses,
+    poses_by_images,
+    poses_by_slopes,
 )
 from tactile_sim.twin.recordings import Recordings
 from tactile_sim.twin.rounds_of_fit import start_fit
@@ -49,14 +49,14 @@ _GEOMETRY = (
 )
 _FIRST_PRESS = 0.9  # press depth that is tried first, as a fraction of the usual one
 _RIDGES = (0.1, 0.03, 0.01)  # of each round: a high ridge extends what few touches show
-_TRIED, _GOOD = 16, 5  # places of a touch that are refined by two steps, and by more steps
+_TRIED, _GOOD = 16, 5  # poses of a touch that are refined by two steps, and by more steps
 _DIFFERENCE = np.array([6e-5, 6e-5, 0.008, 3e-5])  # of a pose, by which derivatives are taken
 _MAX_MOVE = np.array([1e-3, 1e-3, 0.1, 4e-4])  # of one step
 _SPREAD = np.array([1.5e-3, 1.5e-3, 0.12, 8e-4])  # expected error of a pose
 _HUBER = 3.0
-_SAME_PLACE = (1e-3, 0.17)  # metres and radians: places that are closer are the same
+_SAME_POSE = (1e-3, 0.17)  # metres and radians: poses that are closer are the same
 _MIN_EXPLAINED = 0.75  # share of the change of an image
-# Ratios of the error in any other place to that in the best one: the touch is not searched again; it is used.
+# Ratios of the error in any other pose to that in the best one: the touch is not searched again; it is used.
 _SURE, _STANDS_OUT = 1.3, 1.1
 _MAX_ERROR = 2.5  # as a multiple of the median
 
@@ -66,21 +66,21 @@ _Tried: TypeAlias = tuple[float, Float64, float]
 
 
 @dataclass(eq=False, frozen=True)
-class _Found:
-    """Places of a touch (n, 4: x, y, turn, press depth), the best one first, and errors in levels.
+class _Refined:
+    """Poses of a touch (n, 4: x, y, turn, press depth), the best one first, and errors in levels.
 
-    ``error`` is that of the best place, ``other_error`` that of the next place, and ``change`` that of
+    ``error`` is that of the best pose, ``other_error`` that of the next pose, and ``change`` that of
     rendering no contact.
     """
 
-    places: Float64
+    poses: Float64
     error: float
     other_error: float
     change: float
 
     @property
     def at(self) -> Float64:
-        return np.asarray(self.places[0])
+        return np.asarray(self.poses[0])
 
     @property
     def explained(self) -> float:
@@ -104,7 +104,7 @@ def are_off(fit: Fit) -> bool:
     return float(np.median(unexplained)) > _MAX_UNEXPLAINED
 
 
-def matched_places(
+def matched_poses(
     recordings: Recordings, start: SensorModel, near: Float64 | None = None
 ) -> tuple[Float64, Bool]:
     """Return points under the sensor, turns and press depths (N, 4), and which of them are likely (N,).
@@ -117,26 +117,26 @@ def matched_places(
     press_m = start.gel_mm / 1e3 - start.press_m
     _set_width(fit, _SEARCH_PX)
     changes = changes_of(fit, range(count))
-    colours = _common_colours(list(free_places(fit, changes, press_m, near).values()))
+    colours = _common_colours(list(poses_by_slopes(fit, changes, press_m, near).values()))
 
     def slopes(surface: Float32, pitch_m: Float64) -> Float32:
         steep = np.stack([*np.gradient(surface, *pitch_m[::-1])], axis=2)
         return np.asarray(steep @ colours, np.float32)
 
-    places = matching_places(fit, changes, slopes, (_FIRST_PRESS * press_m,), press_m, near)
-    best = np.array([places[touch].at[0] for touch in range(count)])
-    margins = np.array([places[touch].margin for touch in range(count)])
+    matches = poses_by_images(fit, changes, slopes, (_FIRST_PRESS * press_m,), press_m, near)
+    best = np.array([matches[touch].at[0] for touch in range(count)])
+    margins = np.array([matches[touch].margin for touch in range(count)])
     likely = np.isin(np.arange(count), np.argsort(-margins)[:_SEEDS])
-    found: dict[int, _Found] = {}
+    refined: dict[int, _Refined] = {}
     for shares, fit.ridge in zip(_PRESSES, _RIDGES, strict=True):
         _learn(fit, best, likely)
-        sure = [touch for touch, each in found.items() if likely[touch] and each.stands_out >= _SURE]
+        sure = [touch for touch, result in refined.items() if likely[touch] and result.stands_out >= _SURE]
         open_ = [touch for touch in range(count) if touch not in sure]
         worth = _search(fit, open_, best, tuple(share * press_m for share in shares), press_m, near)
         _set_width(fit, _FIT_PX)
-        found |= {touch: _refined(fit, touch, each, _GOOD, 4) for touch, each in worth.items()}
-        best = np.array([best[touch] if touch in sure else found[touch].at for touch in range(count)])
-        likely = _likely([found[touch] for touch in range(count)])
+        refined |= {touch: _refined(fit, touch, poses, _GOOD, 4) for touch, poses in worth.items()}
+        best = np.array([best[touch] if touch in sure else refined[touch].at for touch in range(count)])
+        likely = _likely([refined[touch] for touch in range(count)])
         if not likely.any():  # then there is nothing to learn colours from
             break
     return best, likely | (near is not None)
@@ -154,31 +154,31 @@ def _search(
     most_m: float,
     near: Float64 | None,
 ) -> dict[int, Float64]:
-    """Return the best places (n, 4) of each touch, refined by two steps."""
+    """Return the best poses (n, 4) of each touch, refined by two steps."""
     _set_width(fit, _SEARCH_PX)
-    found = matching_places(fit, changes_of(fit, touches), _paint_of(fit), presses_m, 1.1 * most_m, near)
+    matches = poses_by_images(fit, changes_of(fit, touches), _paint_of(fit), presses_m, 1.1 * most_m, near)
     chosen = {}
-    for touch, places in found.items():
-        tried = np.concatenate([best[touch][None], places.at[:_TRIED]])
-        chosen[touch] = _refined(fit, touch, tried, 0, 0).places[:_GOOD]
+    for touch, match in matches.items():
+        tried = np.concatenate([best[touch][None], match.at[:_TRIED]])
+        chosen[touch] = _refined(fit, touch, tried, 0, 0).poses[:_GOOD]
     return chosen
 
 
-def _likely(found: list[_Found]) -> Bool:
-    errors = np.array([each.error for each in found])
-    explained = np.array([each.explained for each in found]) >= _MIN_EXPLAINED
-    unique = np.array([each.stands_out for each in found]) >= _STANDS_OUT
+def _likely(results: list[_Refined]) -> Bool:
+    errors = np.array([result.error for result in results])
+    explained = np.array([result.explained for result in results]) >= _MIN_EXPLAINED
+    unique = np.array([result.stands_out for result in results]) >= _STANDS_OUT
     likely = explained & unique
     if likely.any():
         likely &= errors <= _MAX_ERROR * np.median(errors[likely])
     return np.asarray(likely)
 
 
-def _common_colours(places: list[Places]) -> Float64:
+def _common_colours(matches: list[PoseMatches]) -> Float64:
     """Return the colours (2, 3) of slopes down and across that explain the most over all images."""
-    cuts = np.cumsum([len(each.explained) for each in places])[:-1]
-    products = np.concatenate([each.products for each in places])
-    squares = np.concatenate([each.squares for each in places])
+    cuts = np.cumsum([len(match.explained) for match in matches])[:-1]
+    products = np.concatenate([match.products for match in matches])
+    squares = np.concatenate([match.squares for match in matches])
     ridge = _RIDGE_OF_COLOURS * np.trace(squares, axis1=1, axis2=2).max() * np.eye(2)
 
     def explained(colours: Float64) -> Float64:
@@ -189,9 +189,9 @@ def _common_colours(places: list[Places]) -> Float64:
         return float(sum(max(part.max(), 0.0) for part in np.split(explained(colours), cuts)))
 
     proposed = [
-        np.linalg.solve(each.squares[rank] + ridge, each.products[rank])
-        for each in places
-        for rank in range(min(_HYPOTHESES, len(each.explained)))
+        np.linalg.solve(match.squares[rank] + ridge, match.products[rank])
+        for match in matches
+        for rank in range(min(_HYPOTHESES, len(match.explained)))
     ]
     finalists = sorted(proposed, key=total, reverse=True)[:_FINALISTS]
     for rank, first in enumerate(finalists):
@@ -200,16 +200,16 @@ def _common_colours(places: list[Places]) -> Float64:
             parts = np.split(explained(colours), cuts)
             winners = [int(part.argmax()) for part in parts]
             weights = [max(part[winner], 0.0) ** 2 for part, winner in zip(parts, winners, strict=True)]
-            chosen = list(zip(places, winners, weights, strict=True))
-            square = sum(weight * each.squares[winner] for each, winner, weight in chosen)
-            product = sum(weight * each.products[winner] for each, winner, weight in chosen)
+            chosen = list(zip(matches, winners, weights, strict=True))
+            square = sum(weight * match.squares[winner] for match, winner, weight in chosen)
+            product = sum(weight * match.products[winner] for match, winner, weight in chosen)
             colours = np.linalg.solve(square, product)
         finalists[rank] = np.asarray(colours)
     return np.asarray(max(finalists, key=total))
 
 
-def place_touch(fit: Fit, touch: int, at: Float64) -> None:
-    """Put a touch at a place (x, y, turn, press depth)."""
+def set_pose(fit: Fit, touch: int, at: Float64) -> None:
+    """Put a touch at a pose (x, y, turn, press depth)."""
     fit.poses[touch] = *at[:3], 0.0
     # With this level, the indentation is the height of the relief above the plate.
     fit.level_m[touch] = fit.shape[Fitted.GEL]
@@ -218,10 +218,10 @@ def place_touch(fit: Fit, touch: int, at: Float64) -> None:
 
 
 def _learn(fit: Fit, at: Float64, likely: Bool) -> None:
-    """Fit colours and geometry to the touches whose place is likely, and update these places in ``at``."""
+    """Fit colours and geometry to the touches whose pose is likely, and update these poses in ``at``."""
     _set_width(fit, _FIT_PX)
     for touch in range(len(at)):
-        place_touch(fit, touch, at[touch])
+        set_pose(fit, touch, at[touch])
     fit.pose_guess = fit.poses.copy()
     fit.used = likely.copy()
     fit.step()
@@ -249,13 +249,13 @@ def _paint_of(fit: Fit) -> Paint:
     return paint
 
 
-def _refined(fit: Fit, touch: int, places: Float64, good: int, steps: int) -> _Found:
-    """Refine the places of a touch: two steps from each, then ``steps`` from the ``good`` best ones."""
+def _refined(fit: Fit, touch: int, poses: Float64, good: int, steps: int) -> _Refined:
+    """Refine the poses of a touch: two steps from each, then ``steps`` from the ``good`` best ones."""
     image, unsaturated = fit.image(touch)
     change: Float64 = np.asarray((image - fit.behind)[unsaturated], np.float64)
     tried = []
-    for at in places:
-        place_touch(fit, touch, at)
+    for at in poses:
+        set_pose(fit, touch, at)
         pose = fit.poses[touch].copy()
         level_m = float(fit.level_m[touch])
         tried.append((*_stepped(fit, touch, pose, change, unsaturated, 2), level_m))
@@ -268,17 +268,17 @@ def _refined(fit: Fit, touch: int, places: Float64, good: int, steps: int) -> _F
     for rank, (_, pose, level_m) in enumerate(tried):
         fit.poses[touch], fit.level_m[touch] = pose, level_m
         at[rank] = *pose[:3], _press_m(fit, touch)
-    errors = [*(each[0] for each in tried), np.inf]
-    return _Found(at, errors[0], errors[1], float(np.sqrt(np.mean(change * change))))
+    errors = [*(candidate[0] for candidate in tried), np.inf]
+    return _Refined(at, errors[0], errors[1], float(np.sqrt(np.mean(change * change))))
 
 
 def _different(tried: list[_Tried]) -> list[_Tried]:
-    """Return places in the order of their errors; of places that are close together, only the best one."""
+    """Return poses in the order of their errors; of poses that are close together, only the best one."""
     kept: list[_Tried] = []
-    for each in sorted(tried, key=lambda each: each[0]):
-        others = np.array([other[1] for other in kept]).reshape(-1, 4)
-        if not alike_places(others, each[1], _SAME_PLACE).any():
-            kept.append(each)
+    for candidate in sorted(tried, key=lambda candidate: candidate[0]):
+        others = np.array([better[1] for better in kept]).reshape(-1, 4)
+        if not near_poses(others, candidate[1], _SAME_POSE).any():
+            kept.append(candidate)
     return kept
 
 

@@ -102,26 +102,26 @@ def find_mistakes(recordings: Recordings, start: SensorModel = GELSIGHT_MINI) ->
     list of Mistake
         Empty if nothing was found.
     """
-    found: list[Mistake] = []
+    mistakes: list[Mistake] = []
     count = len(recordings)
     if count < MIN_TOUCHES:
         detail = f"{with_count(count, 'touches')}; expected at least {MIN_TOUCHES}, better 20"
-        found.append(Mistake("too-few", detail, float(count)))
+        mistakes.append(Mistake("too-few", detail, float(count)))
     images = _small(recordings.images)
-    rest = _rest(recordings, images)
+    at_rest = _gel_at_rest(recordings, images)
     for check in (_saturated, _channels, _changed_gel):
-        found += check(recordings, images, rest)
-    found += _markers(recordings)
-    change = np.abs(images - rest).max(axis=3)
+        mistakes += check(recordings, images, at_rest)
+    mistakes += _markers(recordings)
+    change = np.abs(images - at_rest).max(axis=3)
     shares = (change > _CHANGED).mean(axis=(1, 2))
     touching = shares >= _MIN_CHANGED
     if not touching.any():
         detail = f"no image shows a contact: at most {shares.max():.1%} of one differs from the gel at rest"
-        return [*found, Mistake("flat", detail, float(shares.max()))]
-    named = {each.kind for each in found}
+        return [*mistakes, Mistake("flat", detail, float(shares.max()))]
+    named = {mistake.kind for mistake in mistakes}
     if recordings.sensor_m is not None and not named & {"channels", "gel-changed", "saturated"}:
-        found += _poses(recordings, change, touching, start)
-    return found
+        mistakes += _poses(recordings, change, touching, start)
+    return mistakes
 
 
 def _small(images: UInt8) -> Float64:
@@ -134,15 +134,15 @@ def _small(images: UInt8) -> Float64:
     return np.asarray(blocks.mean(axis=(2, 4)), np.float64)
 
 
-def _rest(recordings: Recordings, images: Float64) -> Float64:
+def _gel_at_rest(recordings: Recordings, images: Float64) -> Float64:
     """Return the gel at rest, (h, w, 3): mean of the images without contact, or median of the touches."""
     if recordings.backgrounds.size:
         return np.asarray(_small(recordings.backgrounds).mean(axis=0))
     return np.asarray(np.median(images, axis=0))
 
 
-def _saturated(recordings: Recordings, images: Float64, rest: Float64) -> Iterator[Mistake]:
-    shares = np.array([(each >= _SATURATED_LEVEL).mean() for each in recordings.images])
+def _saturated(recordings: Recordings, images: Float64, at_rest: Float64) -> Iterator[Mistake]:
+    shares = np.array([(image >= _SATURATED_LEVEL).mean() for image in recordings.images])
     if np.median(shares) > _MAX_SATURATED:
         yield Mistake(
             "saturated",
@@ -153,20 +153,20 @@ def _saturated(recordings: Recordings, images: Float64, rest: Float64) -> Iterat
         )
 
 
-def _channels(recordings: Recordings, images: Float64, rest: Float64) -> Iterator[Mistake]:
+def _channels(recordings: Recordings, images: Float64, at_rest: Float64) -> Iterator[Mistake]:
     """Compare the gel at rest with the median of the touches, in all orders of the channels."""
     usual = images
     if not recordings.backgrounds.size:
         usual = images[len(images) // 2 :]
-        rest = np.median(images[: len(images) // 2], axis=0)
+        at_rest = np.median(images[: len(images) // 2], axis=0)
     if not len(usual):
         return
     shown = np.median(usual, axis=0)
-    errors = {order: float(np.abs(shown[..., order] - rest).mean()) for order in permutations(range(3))}
+    errors = {order: float(np.abs(shown[..., order] - at_rest).mean()) for order in permutations(range(3))}
     best = min(errors, key=lambda order: errors[order])
     stated = errors[0, 1, 2]
     if best != (0, 1, 2) and errors[best] < 0.5 * stated and stated > _MAX_DRIFT:
-        names = "".join("RGB"[place] for place in best)
+        names = "".join("RGB"[channel] for channel in best)
         yield Mistake(
             "channels",
             f"the channels are in another order in the touches than in the gel at rest: they differ by "
@@ -175,7 +175,7 @@ def _channels(recordings: Recordings, images: Float64, rest: Float64) -> Iterato
         )
 
 
-def _changed_gel(recordings: Recordings, images: Float64, rest: Float64) -> Iterator[Mistake]:
+def _changed_gel(recordings: Recordings, images: Float64, at_rest: Float64) -> Iterator[Mistake]:
     """Find where the gel at rest changes in the order of the touches."""
     usable = np.flatnonzero(recordings.unsaturated_shares() >= MIN_UNSATURATED)
     images = images[usable]
@@ -185,7 +185,7 @@ def _changed_gel(recordings: Recordings, images: Float64, rest: Float64) -> Iter
     drifts = {cut: _drift(images, order < cut) for cut in range(least, len(images) - least + 1)}
     if not drifts:
         return
-    cut = max(drifts, key=lambda place: drifts[place])
+    cut = max(drifts, key=lambda touch: drifts[touch])
     # Contacts make any two halves differ. A changed gel makes the touches before and after the change differ,
     # but not mixed halves.
     mixed = min(_drift(images, (order + shift) // width % 2 == 0) for width, shift in _MIXED)
@@ -202,8 +202,8 @@ def _changed_gel(recordings: Recordings, images: Float64, rest: Float64) -> Iter
 def _drift(images: Float64, part: Bool) -> float:
     """Return by how many levels most of the gel at rest differs between some images and the others."""
     within = np.median(images[part], axis=0)
-    other = np.median(images[~part], axis=0)
-    return float(np.median(np.abs(within - other).mean(axis=2)))
+    without = np.median(images[~part], axis=0)
+    return float(np.median(np.abs(within - without).mean(axis=2)))
 
 
 def _markers(recordings: Recordings) -> Iterator[Mistake]:
@@ -211,7 +211,7 @@ def _markers(recordings: Recordings) -> Iterator[Mistake]:
     plain = recordings.backgrounds if recordings.backgrounds.size else recordings.images
     grey = np.median(plain.mean(axis=3), axis=0)
     scale = plain.shape[2] / 320
-    fine, wide = (scipy.ndimage.gaussian_filter(grey, each * scale) for each in (1.0, _MARKER_PX))
+    fine, wide = (scipy.ndimage.gaussian_filter(grey, sigma * scale) for sigma in (1.0, _MARKER_PX))
     share = float((fine - wide < -_MARKER_LEVELS).mean())
     if share > _MAX_MARKERS:
         yield Mistake(
@@ -234,7 +234,7 @@ def _poses(recordings: Recordings, change: Float64, touching: Bool, start: Senso
         agreements = {
             unit: compare.agreement(_rescaled(recordings, metres, metres)) for unit, metres in _UNITS.items()
         }
-        unit = max(agreements, key=lambda each: agreements[each])
+        unit = max(agreements, key=lambda name: agreements[name])
         words = f"; in {unit}, {figure.rpartition(' ')[0]} {agreements[unit]:.2f}"
         yield Mistake(
             "units", f"sensor and solid are {away_m:.3g} m apart: positions are not in metres{words}", away_m
@@ -247,7 +247,7 @@ def _poses(recordings: Recordings, change: Float64, touching: Bool, start: Senso
     ]
     meant += [("mirrored", words, compare.agreement(recordings, flip)) for words, flip in _FLIPS]
     meant.append(("mesh", "with other solids of the set", compare.with_others(recordings)))
-    kind, words, agrees_by = max(meant, key=lambda each: each[2])
+    kind, words, agrees_by = max(meant, key=lambda meaning: meaning[2])
     if agrees_by > max(stated + _GAIN, _LOW):
         yield Mistake(kind, f"{_WORDS[kind]}: {figure}, and {words} by {agrees_by:.2f}", stated)
         return
@@ -272,44 +272,45 @@ class _Comparison:
         change = self.change
         if flip is not None:
             change = np.flip(change, 1 + flip)
-        places = recordings.places()
-        assert places is not None, "poses were stated"
+        poses = recordings.poses_on_solids()
+        assert poses is not None, "poses were stated"
         ids = recordings.object_ids[self.touches]
-        found = [
-            self._agreement(int(key), place, seen)
-            for key, place, seen in zip(ids, places[self.touches], change, strict=True)
+        correlations = [
+            self._agreement(int(key), pose, touch_change)
+            for key, pose, touch_change in zip(ids, poses[self.touches], change, strict=True)
         ]
-        return float(np.median(found))
+        return float(np.median(correlations))
 
     def with_others(self, recordings: Recordings) -> float:
         """Return the median correlation if each touch is of the best of the other solids."""
-        places = recordings.places()
-        found = []
-        assert places is not None, "poses were stated"
-        for touch, seen in zip(self.touches, self.change, strict=True):
+        poses = recordings.poses_on_solids()
+        correlations = []
+        assert poses is not None, "poses were stated"
+        for touch, touch_change in zip(self.touches, self.change, strict=True):
             others = [key for key in self.reliefs if key != recordings.object_ids[touch]]
-            found.append(max([self._agreement(key, places[touch], seen) for key in others], default=0.0))
-        return float(np.median(found))
+            agreements = [self._agreement(key, poses[touch], touch_change) for key in others]
+            correlations.append(max(agreements, default=0.0))
+        return float(np.median(correlations))
 
-    def _agreement(self, key: int, place: Float64, seen: Float64) -> float:
+    def _agreement(self, key: int, pose: Float64, touch_change: Float64) -> float:
         """Return the correlation of one touch, the greatest within the error of a pose."""
-        slopes = self._slopes(self.reliefs[key], place)
-        norm = np.sqrt((slopes**2).sum() * (seen**2).sum())
+        slopes = self._slopes(self.reliefs[key], pose)
+        norm = np.sqrt((slopes**2).sum() * (touch_change**2).sum())
         if norm == 0:
             return 0.0
         best = 0.0
         for down in range(-_SHIFT_PX, _SHIFT_PX + 1, _STEP_PX):
             for right in range(-_SHIFT_PX, _SHIFT_PX + 1, _STEP_PX):
                 moved = np.roll(slopes, (down, right), axis=(0, 1))
-                best = max(best, float((moved * seen).sum() / norm))
+                best = max(best, float((moved * touch_change).sum() / norm))
         return best
 
-    def _slopes(self, relief: Relief, place: Float64) -> Float64:
-        cosine = np.cos(place[2])
-        sine = np.sin(place[2])
+    def _slopes(self, relief: Relief, pose: Float64) -> Float64:
+        cosine = np.cos(pose[2])
+        sine = np.sin(pose[2])
         half = self.half_m
         affine = np.array(
-            [[cosine * half[0], sine * half[1], place[0]], [-sine * half[0], cosine * half[1], place[1]]]
+            [[cosine * half[0], sine * half[1], pose[0]], [-sine * half[0], cosine * half[1], pose[1]]]
         )
         heights = np.empty(self.size)
         gel_kernels.sample_relief(heights, relief.heights_m, relief.corner, affine, np.ones(2), 0.0, 0.0)
@@ -319,8 +320,8 @@ class _Comparison:
 
 
 def _blurred(images: Float64, sigma_px: float) -> Float64:
-    found: Float64 = scipy.ndimage.gaussian_filter(images, (0, sigma_px, sigma_px))
-    return found
+    smooth: Float64 = scipy.ndimage.gaussian_filter(images, (0, sigma_px, sigma_px))
+    return smooth
 
 
 def _centred(images: Float64) -> Float64:

@@ -1,7 +1,7 @@
 """Read depth from images of a sensor: slopes from colours, Poisson integration, and depth from the result.
 
 Two networks regress slopes and depth. They are trained on the recordings, and on touches that the twin itself
-renders with the noise of the sensor: of the solids of its calibration in random places, sizes and depths, and
+renders with the noise of the sensor: of the solids of its calibration in random poses, sizes and depths, and
 of simple shapes such as stairs. The second network also predicts its error.
 """
 
@@ -73,7 +73,7 @@ def trained(
     mean = sample.mean(axis=0)
     scale = 1 / (sample.std(axis=0) + np.float32(1e-6))
     sizes = (inputs.shape[1], *hidden, outputs)
-    found: dict[str, Float32] = {f"{name}_mean": mean, f"{name}_scale": scale}
+    weights: dict[str, Float32] = {f"{name}_mean": mean, f"{name}_scale": scale}
     layers: list[Float32] = []
     for wide, narrow in pairwise(sizes):
         layers += [
@@ -81,20 +81,20 @@ def trained(
             np.zeros(narrow, np.float32),
         ]
     layers[-2] *= np.float32(0.1)
-    first, second = ([np.zeros_like(each) for each in layers] for _ in range(2))
+    first, second = ([np.zeros_like(layer) for layer in layers] for _ in range(2))
     for step in range(steps):
         rows = rng.integers(len(inputs), size=_BATCH)
         gradients = _gradients(layers, (inputs[rows] - mean) * scale, targets[rows], loss_gradient)
         # Cosine decay, from the full rate to 0.
         rate = _RATE * 0.5 * (1 + np.cos(np.pi * step / steps))
         rate *= np.sqrt(1 - _DECAYS[1] ** (step + 1)) / (1 - _DECAYS[0] ** (step + 1))
-        for each, gradient, mean_gradient, mean_square in zip(layers, gradients, first, second, strict=True):
+        for layer, gradient, mean_gradient, mean_square in zip(layers, gradients, first, second, strict=True):
             mean_gradient += (1 - _DECAYS[0]) * (gradient - mean_gradient)
             mean_square += (1 - _DECAYS[1]) * (gradient * gradient - mean_square)
-            each -= np.float32(rate) * mean_gradient / (np.sqrt(mean_square) + np.float32(1e-8))
+            layer -= np.float32(rate) * mean_gradient / (np.sqrt(mean_square) + np.float32(1e-8))
     for number in range(len(layers) // 2):
-        found[f"{name}_w{number}"], found[f"{name}_b{number}"] = layers[2 * number : 2 * number + 2]
-    return {key: np.asarray(each, np.float32) for key, each in found.items()}
+        weights[f"{name}_w{number}"], weights[f"{name}_b{number}"] = layers[2 * number : 2 * number + 2]
+    return {key: np.asarray(array, np.float32) for key, array in weights.items()}
 
 
 def _gradients(
@@ -165,9 +165,9 @@ def _read(reader: Mapping[str, Float32], mode: str, change: Float32) -> tuple[Fl
     rows, columns, _ = change.shape
     colours = _colours(change)
     slopes = network_output(reader, f"{mode}_slope", colours).reshape(rows, columns, 2)
-    found = network_output(reader, f"{mode}_depth", _surroundings(colours, slopes))
-    depth_mm = found[:, 0].reshape(rows, columns)
-    error_mm = np.exp(np.clip(found[:, 1], -8, 2)).reshape(rows, columns)
+    outputs = network_output(reader, f"{mode}_depth", _surroundings(colours, slopes))
+    depth_mm = outputs[:, 0].reshape(rows, columns)
+    error_mm = np.exp(np.clip(outputs[:, 1], -8, 2)).reshape(rows, columns)
     return np.where(depth_mm > _NO_CONTACT_MM, depth_mm, 0), error_mm
 
 
@@ -176,8 +176,8 @@ def _colours(change: Float32) -> Float32:
     rows, columns, _ = change.shape
     soft = _blurred(change, _BLURS[0] * columns)
     y, x = np.meshgrid(np.linspace(-1, 1, rows), np.linspace(-1, 1, columns), indexing="ij")
-    place = np.stack([x, y, x * x, x * y, y * y], axis=-1).astype(np.float32)
-    return np.concatenate([change, soft, place], axis=-1).reshape(-1, 11)
+    position = np.stack([x, y, x * x, x * y, y * y], axis=-1).astype(np.float32)
+    return np.concatenate([change, soft, position], axis=-1).reshape(-1, 11)
 
 
 def _surroundings(colours: Float32, slopes: Float32) -> Float32:
@@ -241,7 +241,10 @@ def train_reader(twin: Twin, fit: Fit, seed: int = 0) -> dict[str, Float32]:
             change = shrunk(image, shrink) - shrunk(twin.background, shrink)
             slopes = _true_slopes(depth, twin, shrink).reshape(-1, 2)
             kept.append(_Sample(change, pixels, slopes[pixels], depth.reshape(-1, 1)[pixels]))
-    return {name: each for mode, kept in samples.items() for name, each in _trained(mode, kept, rng).items()}
+    weights: dict[str, Float32] = {}
+    for mode, kept in samples.items():
+        weights |= _trained(mode, kept, rng)
+    return weights
 
 
 class _Sample(NamedTuple):
@@ -256,16 +259,16 @@ class _Sample(NamedTuple):
 def _trained(mode: str, samples: list[_Sample], rng: np.random.Generator) -> dict[str, Float32]:
     """Train both networks of a mode: slopes first, then depth from what the first one finds."""
     # Colours of all pixels at once would take four times the memory of the images.
-    inputs = np.concatenate([_colours(each.change)[each.pixels] for each in samples])
-    targets = np.concatenate([each.slopes for each in samples])
+    inputs = np.concatenate([_colours(sample.change)[sample.pixels] for sample in samples])
+    targets = np.concatenate([sample.slopes for sample in samples])
     name = f"{mode}_slope"
     reader = trained(name, inputs, targets, _SLOPE_HIDDEN, 2, _slope_gradient, rng, _SLOPE_STEPS)
     first = 0
-    targets = np.concatenate([each.depth_mm for each in samples])
-    for each in samples:
-        colours = _colours(each.change)
-        slopes = network_output(reader, name, colours).reshape(*each.change.shape[:2], 2)
-        part = _surroundings(colours, slopes)[each.pixels]
+    targets = np.concatenate([sample.depth_mm for sample in samples])
+    for sample in samples:
+        colours = _colours(sample.change)
+        slopes = network_output(reader, name, colours).reshape(*sample.change.shape[:2], 2)
+        part = _surroundings(colours, slopes)[sample.pixels]
         if not first:  # in place: parts and the whole would take twice the memory
             inputs = np.empty((len(targets), part.shape[1]), np.float32)
         inputs[first : first + len(part)] = part
@@ -274,15 +277,15 @@ def _trained(mode: str, samples: list[_Sample], rng: np.random.Generator) -> dic
     return reader | trained(name, inputs, targets, _DEPTH_HIDDEN, 2, _depth_gradient, rng, _DEPTH_STEPS)
 
 
-def _slope_gradient(found: Float32, targets: Float32) -> Float32:
-    error = found - targets
+def _slope_gradient(outputs: Float32, targets: Float32) -> Float32:
+    error = outputs - targets
     return np.asarray(error / np.sqrt(error * error + np.float32(1e-4)))
 
 
-def _depth_gradient(found: Float32, targets: Float32) -> Float32:
+def _depth_gradient(outputs: Float32, targets: Float32) -> Float32:
     """Return derivatives of the absolute error, and of the Laplace likelihood by its logarithmic width."""
-    error = found[:, :1] - targets
-    log_width = np.clip(found[:, 1:], -8, 2)
+    error = outputs[:, :1] - targets
+    log_width = np.clip(outputs[:, 1:], -8, 2)
     sharp = error / np.sqrt(error * error + np.float32(_SMOOTH_MM**2))
     return np.concatenate([sharp, np.float32(0.1) * (1 - np.abs(error) * np.exp(-log_width))], axis=1)
 

@@ -167,7 +167,7 @@ class Recordings:
         """Return a solid."""
         return Mesh.of(self.solids[object_id])
 
-    def places(self) -> Float64 | None:
+    def poses_on_solids(self) -> Float64 | None:
         """Return the point of each solid under the sensor, x and y, metres, and the turn, radians; (N, 3)."""
         if self.sensor_m is None:
             return None
@@ -191,10 +191,10 @@ def _require_images(images: AnyArray, name: str) -> None:
 
 
 def _checked_poses(values: AnyArray, count: int, name: str, allows_nan: tuple[int, ...]) -> Float64:
-    found = np.asarray(values, np.float64)
-    if found.shape != (count, 3):
-        raise InputError(f"{name} has the shape {found.shape}; expected ({count}, 3)")
-    checked = np.delete(found, allows_nan, axis=1)
-    if not np.isfinite(checked).all() or np.isinf(found).any():
+    poses = np.asarray(values, np.float64)
+    if poses.shape != (count, 3):
+        raise InputError(f"{name} has the shape {poses.shape}; expected ({count}, 3)")
+    checked = np.delete(poses, allows_nan, axis=1)
+    if not np.isfinite(checked).all() or np.isinf(poses).any():
         raise InputError(f"{name} holds values that are not finite")
-    return found
+    return poses

@@ -31,7 +31,7 @@ _COARSE = (
     Fitted.CONTACT,
 )
 # Press depth and shadows have similar effects on the image: the depth is fitted without shadows.
-_SHALLOW = tuple(each for each in Fitted if each not in (Fitted.GEL, Fitted.CONTACT))
+_SHALLOW = tuple(value for value in Fitted if value not in (Fitted.GEL, Fitted.CONTACT))
 _ROUNDS = ((80, 10, _COARSE, 0.1), (160, 8, tuple(Fitted), 1e-2), (160, 6, _SHALLOW, 1e-3))
 """Width of the images, steps, moving geometry, and ridge; a high ridge leaves more to the geometry."""
 
@@ -42,16 +42,16 @@ _LOOSE_M = 1e-4
 _LOOSE_RAD = np.deg2rad(0.5)
 
 
-def start_fit(recordings: Recordings, places: Float64, level_m: Float64 | None, start: SensorModel) -> Fit:
+def start_fit(recordings: Recordings, positions: Float64, level_m: Float64 | None, start: SensorModel) -> Fit:
     """Return a fit that starts from a geometry, and from points under the sensor and turns (N, 3).
 
-    ``level_m`` (N,) are the heights of the sensor, NaN where unknown; None if places were found by matching.
+    ``level_m`` (N,) are the heights of the sensor, NaN where unknown; None if poses were found by matching.
     """
     reliefs = {key: Relief.of(recordings.mesh(key)) for key in recordings.solids}
     shape = np.array([0.0, 0.0, 0.0, start.gel_mm / 1e3, _WIDTH_M, _LAST_M, _CONTACT, _BLUR_M])
     guess_m = np.array([start.width_mm, start.height_mm]) / 2e3
     count = len(recordings)
-    poses = np.column_stack([places, np.zeros(count)])
+    poses = np.column_stack([positions, np.zeros(count)])
     spread = np.tile(_SPREAD, (count, 1))
     known = np.zeros(count)
     if level_m is not None:
@@ -59,7 +59,7 @@ def start_fit(recordings: Recordings, places: Float64, level_m: Float64 | None, 
     fit = Fit(recordings, reliefs, guess_m, shape, poses, known, spread, first_background(recordings))
     missing = np.isnan(known) if level_m is not None else np.ones(count, bool)
     spread[missing, 3] = _UNKNOWN_PRESS_M
-    if level_m is None:  # places were found by matching
+    if level_m is None:  # poses were found by matching
         spread[:, :3] = _MATCHED_SPREAD
     set_levels(fit, np.flatnonzero(missing), start)
     return fit
@@ -121,12 +121,12 @@ def leave_out_misfits(fit: Fit) -> None:
     fit.used = fit.used & (fit.rms <= bound)
 
 
-def found(fit: Fit) -> dict[str, Any]:
+def fit_report(fit: Fit) -> dict[str, Any]:
     """Return the results of a fit as JSON values."""
     half_m = fit.half_m(fit.shape)
     width, height = fit.recordings.size_px
     pitch_mm = 2e3 * half_m / [width, height]
-    shape = {each.name.lower(): float(fit.shape[each]) for each in Fitted}
+    shape = {value.name.lower(): float(fit.shape[value]) for value in Fitted}
     return {
         "mm_per_px": float(np.sqrt(pitch_mm[0] * pitch_mm[1])),
         "mm_per_px_x": float(pitch_mm[0]),

@@ -82,11 +82,11 @@ class SensorHealth:
     @property
     def ok(self) -> bool:
         """Whether all figures are within their limits."""
-        return all(each.ok for each in self.figures)
+        return all(figure.ok for figure in self.figures)
 
     def to_dict(self) -> JsonDict:
         """Return JSON values."""
-        figures = [{**asdict(each), "ok": each.ok} for each in self.figures]
+        figures = [{**asdict(figure), "ok": figure.ok} for figure in self.figures]
         return {"ok": self.ok, "images": self.images, "figures": figures}
 
 
@@ -112,13 +112,13 @@ def check_sensor(model: SensorModel, images: Iterable[UInt8]) -> SensorHealth:
         sensor.
     """
     size_px = (model.width_px, model.height_px)
-    seen = [in_size_of(size_px, np.asarray(each)[None])[0] for each in images]
-    if len(seen) < MIN_IMAGES:
+    scaled = [in_size_of(size_px, np.asarray(image)[None])[0] for image in images]
+    if len(scaled) < MIN_IMAGES:
         raise InputError(
-            f"{with_count(len(seen), 'images')} to compare with the sensor; expected at least {MIN_IMAGES}",
+            f"{with_count(len(scaled), 'images')} to compare with the sensor; expected at least {MIN_IMAGES}",
             next="record more touches, at different places of the gel",
         )
-    stack = np.stack(seen)
+    stack = np.stack(scaled)
     depth_m = _depth_of(model, stack)
     plain = model.render_read(np.zeros_like(depth_m[:1]))[0].astype(np.float64)
     today, known = _background(stack, depth_m)
@@ -150,8 +150,8 @@ def images_of(source: str | PathLike[str], most: int = MAX_IMAGES) -> list[UInt8
     files = image_paths(root)
     if files:
         return [read_image(files[number]) for number in spaced(len(files), most)]
-    place = places.open_place(source)
-    touches = [KIND.load(place, split).touches() for split in place.splits]
+    dataset = places.open_place(source)
+    touches = [KIND.load(dataset, split).touches() for split in dataset.splits]
     numbered = [(split, number) for split in touches for number in range(len(split))]
     chosen = [numbered[index] for index in spaced(len(numbered), most)]
     return [split[number].image for split, number in chosen]
@@ -164,12 +164,12 @@ def _depth_of(model: SensorModel, images: UInt8) -> Float32:
 
 def _residuals(model: SensorModel, images: UInt8, depth_m: Float32) -> Float64:
     """Return the difference of each image from its twin: root mean square, levels, shape (n,)."""
-    found = []
+    deviations = []
     for start in range(0, len(images), _BATCH):
         part = slice(start, start + _BATCH)
         residuals = images[part].astype(np.float64) - model.render_read(depth_m[part])
-        found.append(np.sqrt((residuals**2).mean(axis=(1, 2, 3))))
-    return np.concatenate(found)
+        deviations.append(np.sqrt((residuals**2).mean(axis=(1, 2, 3))))
+    return np.concatenate(deviations)
 
 
 def _background(images: UInt8, depth_m: Float32) -> tuple[Float64, Bool]:
@@ -189,13 +189,13 @@ def _background(images: UInt8, depth_m: Float32) -> tuple[Float64, Bool]:
 
 
 def _dilated(mask: Bool, reach: int) -> Bool:
-    found: Bool = ndimage.maximum_filter(mask, (0, 2 * reach + 1, 2 * reach + 1))
-    return found
+    dilated: Bool = ndimage.maximum_filter(mask, (0, 2 * reach + 1, 2 * reach + 1))
+    return dilated
 
 
 def _smoothed(image: Float64, sigma_px: float) -> Float64:
-    found: Float64 = ndimage.gaussian_filter(image, (sigma_px, sigma_px, 0))
-    return found
+    smooth: Float64 = ndimage.gaussian_filter(image, (sigma_px, sigma_px, 0))
+    return smooth
 
 
 def _marker_share(difference: Float64, known: Bool) -> float:

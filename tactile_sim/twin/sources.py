@@ -90,23 +90,23 @@ def read_recordings(
         touches = _of_data_set(opened(source))
     if not touches:
         raise InputError(f"{str(source)!r} holds no touches", next="give images, or another data set")
-    touches = [touches[place] for place in spaced(len(touches), MAX_TOUCHES)]
-    meshes = _solids(solids, {each.object_id for each in touches}, unit, opened)
-    ids = [_solid_of(each, meshes) for each in touches]
+    touches = [touches[number] for number in spaced(len(touches), MAX_TOUCHES)]
+    meshes = _solids(solids, {touched.object_id for touched in touches}, unit, opened)
+    ids = [_solid_of(touched, meshes) for touched in touches]
     return Recordings(
-        _one_array([each.image for each in touches]),
+        _one_array([touched.image for touched in touches]),
         np.array(ids, np.int64),
         meshes,
         _read_backgrounds(backgrounds, touches[0].image),
         sensor_m=_columns(touches, _SENSOR, required=_SENSOR[:2]),
         object_poses=_columns(touches, _OBJECT),
-        names=tuple(each.name for each in touches),
+        names=tuple(touched.name for touched in touches),
     )
 
 
 def _one_array(images: Sequence[UInt8]) -> UInt8:
     """Return images in one array; InputError if their sizes differ."""
-    shapes = {each.shape for each in images}
+    shapes = {image.shape for image in images}
     if len(shapes) > 1:
         sizes = ", ".join(f"{width} x {height}" for height, width, *_ in sorted(shapes)[:4])
         raise InputError(f"images have the sizes {sizes}; expected one size", next="scale them first")
@@ -117,8 +117,8 @@ def image_paths(root: Path) -> list[Path]:
     """Return the image files of a folder that is no data set, in natural order."""
     if not root.is_dir() or (root / store.MANIFEST_FILE).exists() or next(root.glob("**/*.parquet"), None):
         return []
-    found = [each for each in root.iterdir() if each.suffix.lower() in _SUFFIXES]
-    return sorted(found, key=lambda each: natural_key(each.name))
+    files = [file for file in root.iterdir() if file.suffix.lower() in _SUFFIXES]
+    return sorted(files, key=lambda file: natural_key(file.name))
 
 
 def read_image(file: Path, root: Path | None = None) -> UInt8:
@@ -143,25 +143,27 @@ def _of_folder(root: Path, images: list[Path], table: str | PathLike[str] | None
         raise InputError(f"{str(root)!r} holds the tables {names}", next="choose one with --table")
     file = beside[0] if table is None and beside else table
     if file is None:
-        return [_Touched(each.name, read_image(each, root), None, {}) for each in images]
-    where = store.expanded(fspath(file))
-    read = tables.Table.of(*store.split_uri(os.path.realpath(where)))
+        return [_Touched(file.name, read_image(file, root), None, {}) for file in images]
+    file_path = store.expanded(fspath(file))
+    read = tables.Table.of(*store.split_uri(os.path.realpath(file_path)))
     columns = read.names
     numeric = [name for name in columns if name in _OBJECT_NAMES or units.Quantity.stated_unit(name)]
     values = {name: column.to_pylist() for name, column in read.whole(["file"], numeric).items()}
     for name in numeric:
-        values[name] = _numbers(values[name], name, repr(str(where)))
+        values[name] = _numbers(values[name], name, repr(str(file_path)))
     lines = [dict(zip(values, row, strict=True)) for row in zip(*values.values(), strict=True)]
     if "file" not in columns:
         raise InputError(
-            f"{str(where)!r} has the columns {', '.join(columns)[:200]}; expected file, and of each touch "
-            f"{', '.join((_OBJECT_NAMES[0], *_SENSOR, *_OBJECT))}"
+            f"{str(file_path)!r} has the columns {', '.join(columns)[:200]}; expected file, and of each "
+            f"touch {', '.join((_OBJECT_NAMES[0], *_SENSOR, *_OBJECT))}"
         )
-    store.names_inside([str(line["file"]) for line in lines], repr(str(where)))
-    return [_of_line(root, line, f"{str(where)!r}, line {number + 2}") for number, line in enumerate(lines)]
+    store.names_inside([str(line["file"]) for line in lines], repr(str(file_path)))
+    return [
+        _of_line(root, line, f"{str(file_path)!r}, line {number + 2}") for number, line in enumerate(lines)
+    ]
 
 
-def _of_line(root: Path, line: Mapping[str, Any], where: str) -> _Touched:
+def _of_line(root: Path, line: Mapping[str, Any], line_name: str) -> _Touched:
     numbers: dict[str, float] = {}
     object_id = None
     for name, value in line.items():
@@ -173,61 +175,61 @@ def _of_line(root: Path, line: Mapping[str, Any], where: str) -> _Touched:
         if name in _OBJECT_NAMES:
             object_id = int(value)
             if object_id != value:
-                raise InputError(f"{where}: {name} is {value!r}; expected the id of a solid, an integer")
+                raise InputError(f"{line_name}: {name} is {value!r}; expected the id of a solid, an integer")
     name = str(line["file"])
     return _Touched(name, read_image(root / name, root), object_id, numbers)
 
 
-def _numbers(values: Sequence[Any], name: str, where: str) -> list[float | None]:
+def _numbers(values: Sequence[Any], name: str, table_name: str) -> list[float | None]:
     """Return the numbers of a column, None for a missing one; InputError for anything else."""
     numbers: list[float | None] = []
     for row, value in enumerate(values):
         if isinstance(value, str) or (value is not None and not np.isfinite(value)):
-            raise InputError(f"{where}, line {row + 2}: {name} is {value!r}; expected a number")
+            raise InputError(f"{table_name}, line {row + 2}: {name} is {value!r}; expected a number")
         numbers.append(value)
     return numbers
 
 
 def spaced(count: int, most: int) -> list[int]:
     """Return evenly spaced integers below a count, at most ``most``."""
-    return [int(each) for each in np.unique(np.linspace(0, count - 1, min(count, most)).round())]
+    return [int(number) for number in np.unique(np.linspace(0, count - 1, min(count, most)).round())]
 
 
-def _of_data_set(place: places.Place) -> list[_Touched]:
+def _of_data_set(dataset: places.Place) -> list[_Touched]:
     """Read the touches of all splits of a data set, with their poses or columns named as those of a table."""
-    place.require(KIND, "tactile-sim calibrate")
-    parts = [KIND.load(place, split).touches() for split in place.splits]
-    flat = [(each, number) for each in parts for number in range(len(each))]
-    return [_of_touch(flat[place][0][flat[place][1]]) for place in spaced(len(flat), MAX_TOUCHES)]
+    dataset.require(KIND, "tactile-sim calibrate")
+    parts = [KIND.load(dataset, split).touches() for split in dataset.splits]
+    flat = [(part, number) for part in parts for number in range(len(part))]
+    return [_of_touch(flat[number][0][flat[number][1]]) for number in spaced(len(flat), MAX_TOUCHES)]
 
 
-def _of_touch(each: Any) -> _Touched:
-    extra = each.extra
+def _of_touch(recorded: Any) -> _Touched:
+    extra = recorded.extra
     names = [*_SENSOR, *_OBJECT]
     numbers = {name: float(extra[name]) for name in names if name in extra and np.isfinite(extra[name])}
     object_id = None
-    if each.round.row.has("object_id"):
-        object_id = int(each.object_id)
+    if recorded.round.row.has("object_id"):
+        object_id = int(recorded.object_id)
     elif "object" in extra:
         object_id = int(extra["object"])
-    if each.round.row.has_poses:
-        numbers |= _seen_poses(each)
-    return _Touched(each.id, each.image, object_id, numbers)
+    if recorded.round.row.has_poses:
+        numbers |= _poses_in_image_frame(recorded)
+    return _Touched(recorded.id, recorded.image, object_id, numbers)
 
 
-def _seen_poses(each: Any) -> dict[str, float]:
+def _poses_in_image_frame(recorded: Any) -> dict[str, float]:
     """Return the poses of sensor and solid by column, turned about z so that the x axis of the gel is x."""
-    gel = each.gel_pose
+    gel = recorded.gel_pose
     x_axis = gel.matrix[:3, 0]
     yaw = np.arctan2(x_axis[1], x_axis[0])
     back = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
     sensor = [*(back @ gel.translation[:2]), gel.translation[2]]
     numbers = dict(zip(_SENSOR, map(float, sensor), strict=True))
-    info = each.round.info if each.round.row.has_info() else {}
-    found = next((info[name] for name in _POSES_OF_OBJECT if name in info), None)
-    if found is not None:
-        matrix = np.asarray(found.matrix)
-        matrix = matrix[each.touch_index] if matrix.ndim == 3 else matrix
+    info = recorded.round.info if recorded.round.row.has_info() else {}
+    pose = next((info[name] for name in _POSES_OF_OBJECT if name in info), None)
+    if pose is not None:
+        matrix = np.asarray(pose.matrix)
+        matrix = matrix[recorded.touch_index] if matrix.ndim == 3 else matrix
         turn = np.arctan2(matrix[1, 0], matrix[0, 0]) - yaw
         numbers |= dict(zip(_OBJECT, map(float, (*(back @ matrix[:2, 3]), turn)), strict=True))
     return numbers
@@ -240,56 +242,57 @@ def _columns(
 
     Return None if no touch states any of them; InputError if some touches lack a required one.
     """
-    if not any(name in each.numbers for each in touches for name in names):
+    if not any(name in touched.numbers for touched in touches for name in names):
         return None
-    missing = [each.name for each in touches if not all(name in each.numbers for name in required)]
+    missing = [touched.name for touched in touches if not all(name in touched.numbers for name in required)]
     if missing:
         raise InputError(
             f"{len(missing)} of {len(touches)} touches have no position, {missing[0]!r} first; expected "
             f"{' and '.join(required)} for all, or for none"
         )
     gaps = [np.nan if name == "z_m" else 0.0 for name in names]
-    rows = [[each.numbers.get(name, gap) for name, gap in zip(names, gaps, strict=True)] for each in touches]
+    defaults = list(zip(names, gaps, strict=True))
+    rows = [[touched.numbers.get(name, gap) for name, gap in defaults] for touched in touches]
     return np.array(rows, np.float64)
 
 
 def _solids(
     source: str | PathLike[str],
-    wanted: set[int | None],
+    object_ids: set[int | None],
     unit: str | None,
     opened: Callable[[Any], places.Place],
 ) -> dict[int, Mesh]:
     """Return the meshes of the solids that touches name; all given ones if a touch names none."""
-    given = given_solids(source, unit)
-    if given is not None:
-        solids = [solid for each in given.values() for solid in each.solids]
-        chosen = solids if None in wanted else [each for each in solids if each.id in wanted]
-        return {each.id: each.mesh() for each in chosen or solids}
-    place = opened(source).require_complete()
-    found: dict[int, Mesh] = {}
-    for split in place.splits:
-        held = open_split(place, split)
+    splits = given_solids(source, unit)
+    if splits is not None:
+        solids = [solid for of_split in splits.values() for solid in of_split.solids]
+        chosen = solids if None in object_ids else [solid for solid in solids if solid.id in object_ids]
+        return {solid.id: solid.mesh() for solid in chosen or solids}
+    dataset = opened(source).require_complete()
+    meshes: dict[int, Mesh] = {}
+    for split in dataset.splits:
+        held = open_split(dataset, split)
         for row, number in enumerate(held.ids.tolist()):
-            if number in wanted and number not in found:
-                found[number] = Mesh.of(held[row])
-    return found
+            if number in object_ids and number not in meshes:
+                meshes[number] = Mesh.of(held[row])
+    return meshes
 
 
-def _solid_of(each: _Touched, meshes: Mapping[int, Mesh]) -> int:
-    if each.object_id is not None:
-        return each.object_id
+def _solid_of(touched: _Touched, meshes: Mapping[int, Mesh]) -> int:
+    if touched.object_id is not None:
+        return touched.object_id
     if len(meshes) == 1:
         return next(iter(meshes))
     raise InputError(
-        f"touch {each.name!r} does not name the solid that was touched",
+        f"touch {touched.name!r} does not name the solid that was touched",
         next="add a column `object` with the id of the solid to the table",
     )
 
 
 def _read_backgrounds(sources: Sequence[str | PathLike[str]], like: UInt8) -> UInt8:
     files: list[Path] = []
-    for each in sources:
-        path = store.expanded(fspath(each))
+    for source in sources:
+        path = store.expanded(fspath(source))
         files += image_paths(path) if path.is_dir() else [path]
     if not files:
         return np.empty((0, *like.shape), np.uint8)

@@ -107,7 +107,7 @@ def _hold(soft: Float32, held: Float32, inset: int, begin: float, per_edge: floa
     Contact begins below the height ``begin``, metres, and grows from 0 to 1 by ``per_edge`` for each metre.
     """
     zero = np.float32(0.0)
-    one = np.float32(1.0)
+    unit = np.float32(1.0)
     level = np.float32(begin)
     growth = np.float32(per_edge)
     for row in range(inset, len(soft) - inset):
@@ -115,7 +115,7 @@ def _hold(soft: Float32, held: Float32, inset: int, begin: float, per_edge: floa
         for column in range(len(line) - inset):
             share = (level - target[column]) * growth
             share = share if share > zero else zero
-            share = share if share < one else one
+            share = share if share < unit else unit
             line[column] += share * (target[column] - line[column])
 
 
@@ -220,10 +220,10 @@ def bend_surface(
     """
     rows, columns = out.shape
     high, wide = surface.shape
-    places = np.empty(columns, np.int32)
+    pixels = np.empty(columns, np.int32)
     parts = np.empty((2, columns), np.float32)
     zero = 0.0
-    one = np.float32(1.0)
+    unit = np.float32(1.0)
     down = 1.0 - across
     flat = surface.reshape(surface.size)
     most_x = wide - 1.0
@@ -242,15 +242,15 @@ def bend_surface(
             x, y = (x if x < most_x else most_x), (y if y < most_y else most_y)
             i, j = np.int32(x), np.int32(y)
             i, j = (i if i < right else right), (j if j < below else below)
-            places[column] = j * np.int32(wide) + i
+            pixels[column] = j * np.int32(wide) + i
             parts[0, column], parts[1, column] = x - i, y - j
         target = out[row]
         for column in range(columns):
-            at = places[column]
+            at = pixels[column]
             fx = parts[0, column]
             fy = parts[1, column]
-            target[column] = (one - fy) * ((one - fx) * flat[at] + fx * flat[at + 1]) + fy * (
-                (one - fx) * flat[at + wide] + fx * flat[at + wide + 1]
+            target[column] = (unit - fy) * ((unit - fx) * flat[at] + fx * flat[at + 1]) + fy * (
+                (unit - fx) * flat[at + wide] + fx * flat[at + wide + 1]
             )
 
 
@@ -259,9 +259,9 @@ def lay_over(out: Float32, response: Float32, behind: Float32) -> None:
     """Write the shades, 0 to 1, (H, W, 3), of a response over a background; both are in levels."""
     flat, change, below = out.reshape(out.size), response.reshape(out.size), behind.reshape(out.size)
     zero = np.float32(0.0)
-    one = np.float32(1.0)
+    unit = np.float32(1.0)
     part = np.float32(1.0 / 255.0)
     for at in range(len(flat)):
         shade = (change[at] + below[at]) * part
         shade = shade if shade > zero else zero
-        flat[at] = shade if shade < one else one
+        flat[at] = shade if shade < unit else unit

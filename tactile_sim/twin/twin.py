@@ -68,7 +68,7 @@ class Twin:
     def arrays(self) -> dict[str, AnyArray]:
         """Return all arrays by name, as in the file."""
         own = {name: getattr(self, name) for name in ("shape", "half_m", "coefficients", "background")}
-        return {**own, **{f"reader_{name}": each for name, each in self.reader.items()}}
+        return {**own, **{f"reader_{name}": array for name, array in self.reader.items()}}
 
     @cached_property
     def sha256(self) -> str:
@@ -111,12 +111,12 @@ class TwinOptics(Optics):
         behind = _part_of(self._twin.background, span, size)
         margin = gel.margin_px(size[1])
         out = np.empty((*depth_m.shape, 3), np.float32)
-        for number, each in enumerate(depth_m):
+        for number, depth in enumerate(depth_m):
             if is_surface:
-                change = self._response(gel.own_surface, sensor.gel_m - each, span, 0)
+                change = self._response(gel.own_surface, sensor.gel_m - depth, span, 0)
             else:
                 # Kernels would mirror the map at its edge, where the gel would be six times as far off.
-                reach_m = surface_kernels.extend(np.ascontiguousarray(each), sensor.gel_m, margin)
+                reach_m = surface_kernels.extend(np.ascontiguousarray(depth), sensor.gel_m, margin)
                 change = self.response(reach_m, margin, span)
             surface_kernels.lay_over(out[number], change, behind)
         return out
@@ -153,7 +153,7 @@ def _part_of(image: Float32, span: Float64, size: tuple[int, ...]) -> Float32:
         at = (((2 * np.arange(count) + 1) / count - 1) * share + 1) * sides / 2 - 0.5
         at = np.clip(at, 0, sides - 1)
         first = np.minimum(at.astype(np.int64), sides - 2)
-        weight = (at - first).reshape([-1 if each == axis else 1 for each in range(3)])
+        weight = (at - first).reshape([-1 if dimension == axis else 1 for dimension in range(3)])
         part = part.take(first, axis) * (1 - weight) + part.take(first + 1, axis) * weight
     return part.astype(np.float32)
 
@@ -163,4 +163,4 @@ def resized_depth(maps: Float32, size_px: tuple[int, int]) -> Float32:
     width, height = size_px
     if maps.shape[1:] == (height, width):
         return maps
-    return np.stack([_part_of(each[..., None], gel.WHOLE, (height, width))[..., 0] for each in maps])
+    return np.stack([_part_of(depth[..., None], gel.WHOLE, (height, width))[..., 0] for depth in maps])

@@ -30,8 +30,8 @@ _REPORTED = ("mm_per_px", "noise_levels", "image_error_levels", "residual_levels
 
 def write_sensor(folder: str, model: SensorModel, twin: Twin) -> None:
     """Write the folder of a sensor; InputError if it holds other files."""
-    place = store.open_folder(folder)
-    others = sorted(set(place.names()) - {SENSOR_FILE, ARRAYS_FILE})
+    target = store.open_folder(folder)
+    others = sorted(set(target.names()) - {SENSOR_FILE, ARRAYS_FILE})
     if others:
         raise InputError(
             f"{folder!r} holds {others[0]!r}, which is not part of a sensor", next="choose another folder"
@@ -45,27 +45,27 @@ def write_sensor(folder: str, model: SensorModel, twin: Twin) -> None:
         "report": dict(twin.report),
     }
     # The document is written last: without it, the folder is not a sensor.
-    place.write_bytes(ARRAYS_FILE, npz_bytes(twin.arrays()))
-    place.write_bytes(SENSOR_FILE, (json.dumps(document, indent=1) + "\n").encode())
+    target.write_bytes(ARRAYS_FILE, npz_bytes(twin.arrays()))
+    target.write_bytes(SENSOR_FILE, (json.dumps(document, indent=1) + "\n").encode())
 
 
 def read_sensor(folder: str | Path) -> tuple[dict[str, Any], Twin]:
     """Return the geometry and the twin of a folder; InputError if the sensor is missing or damaged."""
-    place = store.expanded(folder)
-    file = place / SENSOR_FILE
+    root = store.expanded(folder)
+    file = root / SENSOR_FILE
     if not file.is_file():
         raise InputError(
             f"{str(folder)!r} is not a sensor: it has no {SENSOR_FILE}",
             next="give a folder that `tactile-sim calibrate` wrote",
         )
     try:
-        with store.open_regular(file, place) as stream:
+        with store.open_regular(file, root) as stream:
             document = json.loads(stream.read(_MAX_BYTES))
         if (document["format"], document["version"]) != (_FORMAT, _VERSION):
             problem = f"its format is not {_FORMAT!r} {_VERSION}"
             raise ValueError(problem)
         geometry = dict(document["sensor"])
-        arrays, _ = read_npz(place / ARRAYS_FILE)
+        arrays, _ = read_npz(root / ARRAYS_FILE)
         report = dict(document["report"])
         _require_report(report)
         twin = _twin_of(arrays, report)
@@ -85,8 +85,8 @@ def read_sensor(folder: str | Path) -> tuple[dict[str, Any], Twin]:
 def _require_report(report: Mapping[str, Any]) -> None:
     """Raise ValueError unless a report has numbers and touches as a calibration writes them."""
     wrong = [name for name in _REPORTED if not 0 <= float(report[name]) < np.inf]
-    touches = [{"reason": "", **each} for each in report["touches"] if each["used"] in (True, False)]
-    texts = [each[name] for each in touches for name in ("name", "reason")]
+    touches = [{"reason": "", **touch} for touch in report["touches"] if touch["used"] in (True, False)]
+    texts = [touch[name] for touch in touches for name in ("name", "reason")]
     if wrong or len(touches) < len(report["touches"]) or not all(isinstance(text, str) for text in texts):
         problem = f"its report does not hold {', '.join([*_REPORTED, 'touches'])}"
         raise ValueError(problem)
@@ -101,7 +101,7 @@ def _twin_of(arrays: Mapping[str, AnyArray], report: Mapping[str, Any]) -> Twin:
     expected: dict[str, tuple[Any, tuple[int, ...]]] = {
         "shape": (np.float64, (len(gel.Fitted),)),
         "half_m": (np.float64, (2,)),
-        "coefficients": (np.float32, (gel_kernels.ENTRIES, gel_kernels.PLACES, 3)),
+        "coefficients": (np.float32, (gel_kernels.ENTRIES, gel_kernels.TERMS, 3)),
         "background": (np.float32, (*background.shape[:2], 3)),
         **{f"reader_{name}": (np.float32, shape) for name, shape in reader_shapes().items()},
     }

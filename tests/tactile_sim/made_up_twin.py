@@ -17,7 +17,7 @@ SHAPE = np.array([0.0, 0.0, 0.02, 0.00425, 9e-4, 6e-5, 0.6, 1e-4])
 def made_up_twin(seed: int = 0) -> Twin:
     """Return a twin of images of 64 x 48 pixels."""
     rng = np.random.default_rng(seed)
-    coefficients = rng.normal(0, 30, (gel_kernels.ENTRIES, gel_kernels.PLACES, 3)).astype(np.float32)
+    coefficients = rng.normal(0, 30, (gel_kernels.ENTRIES, gel_kernels.TERMS, 3)).astype(np.float32)
     background = rng.uniform(90, 130, (48, 64, 3)).astype(np.float32)
     weights = {name: np.zeros(shape, np.float32) for name, shape in reader.reader_shapes().items()}
     report = {"mm_per_px": 0.295, "noise_levels": 1.0, "image_error_levels": 1.0, "residual_levels": 1.0}
@@ -37,7 +37,7 @@ def hills() -> np.ndarray:
     return np.maximum(np.maximum(first, second), 0)
 
 
-def response_of(seen: gel.Seen, coefficients: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+def response_of(seen: gel.Features, coefficients: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """The response (H, W, 3) as the sum over the entries of each pixel, without blur, in plain numpy."""
     y, x = ((np.arange(side) + 0.5) / side * 2 - 1 for side in size)
     x, y = np.meshgrid(x, -y)

@@ -273,7 +273,7 @@ def test_a_set_stores_the_results_of_the_solver(touches):
 
 
 def test_touches_of_the_plate_count_as_such(tmp_path):
-    plan = TouchPlan(1, 6, "given", given=tactile_sim.TouchTable([0.0, 0.035] * 3, [0.0, 0.035] * 3))
+    plan = TouchPlan(1, 6, "given", touch_table=tactile_sim.TouchTable([0.0, 0.035] * 3, [0.0, 0.035] * 3))
     plan = dataclasses.replace(plan, object_placement="middle", perturb=False)
     press = dataclasses.replace(PRESS, force_n=(1.0, 10.0), markers=None)
     tactile_sim.generate(

@@ -132,7 +132,7 @@ def test_sets_have_noise_of_their_own_for_each_touch(tmp_path):
         ("again", NOISE, 0),
         ("other", NOISE, 1),
     ):
-        plan = tactile_sim.TouchPlan(2, positions="given", given=given, seed=seed)
+        plan = tactile_sim.TouchPlan(2, positions="given", touch_table=given, seed=seed)
         spec = tactile_sim.TouchSetSpec(
             (32, 32), "taxim", plan=plan, image_format="png", noise=noise, limit=2
         )

@@ -184,7 +184,7 @@ def test_images_show_a_block_in_its_size(name, window, size_px, tmp_path):
         size_px,
         "depth",
         window,
-        tactile_sim.TouchPlan(1, positions="given", given=given),
+        tactile_sim.TouchPlan(1, positions="given", touch_table=given),
         "png",
         sensor=model,
     )

@@ -43,7 +43,7 @@ def folder(recording: Recording, tmp_path: Path) -> Path:
 def same(found: Recordings, made: Recording) -> None:
     np.testing.assert_array_equal(found.images, made.images)
     np.testing.assert_array_equal(found.object_ids, made.object_ids)
-    np.testing.assert_allclose(found.places(), recordings_of(made).places(), atol=1e-9)
+    np.testing.assert_allclose(found.poses_on_solids(), recordings_of(made).poses_on_solids(), atol=1e-9)
 
 
 def test_a_folder_of_images_with_a_table_is_read(folder: Path, recording: Recording) -> None:

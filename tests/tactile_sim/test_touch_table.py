@@ -58,7 +58,7 @@ def test_columns_state_their_units_and_an_index_is_ignored(tmp_path):
 
 def test_a_round_has_the_given_touches():
     solid = tactile_sim.Pressable.of(block())
-    plan = tactile_sim.TouchPlan(positions="given", given=tactile_sim.TouchTable(**TABLE))
+    plan = tactile_sim.TouchPlan(positions="given", touch_table=tactile_sim.TouchTable(**TABLE))
     assert (plan.rounds, plan.touches) == (2, 2)
     made = tactile_sim.plan_round(plan, solid, "train", 1, 1)
     assert made.positions_m.tolist() == [[-0.02, 0.01], [0.03, 0.0]]
@@ -66,7 +66,7 @@ def test_a_round_has_the_given_touches():
     assert (made.object_poses[2] == made.object_poses[1]).all()
     # Without poses, the object lies as the plan says, and is shifted as usual.
     places = {name: TABLE[name] for name in ("x_m", "y_m")}
-    given = tactile_sim.TouchPlan(3, positions="given", given=tactile_sim.TouchTable(**places))
+    given = tactile_sim.TouchPlan(3, positions="given", touch_table=tactile_sim.TouchTable(**places))
     drawn = tactile_sim.TouchPlan(3, 4)
     one, other = (tactile_sim.plan_round(each, solid, "train", 5, 2) for each in (given, drawn))
     assert (one.object_poses == other.object_poses).all()
@@ -81,7 +81,8 @@ def test_a_set_holds_the_rounds_that_are_given(tmp_path):
     scenes = str(tmp_path / "scenes")
     starstruck_gen.generate(starstruck_gen.SceneSetSpec(scenes=(("train", 3), ("test", 3))), scenes)
     spec = tactile_sim.TouchSetSpec(
-        optics="depth", plan=tactile_sim.TouchPlan(positions="given", given=tactile_sim.TouchTable(**TABLE))
+        optics="depth",
+        plan=tactile_sim.TouchPlan(positions="given", touch_table=tactile_sim.TouchTable(**TABLE)),
     )
     manifest = tactile_sim.generate(scenes, spec, tmp_path / "out", ["train"])
     assert manifest.spec["options"]["plan"]["given"]["rows"] == 4
@@ -90,7 +91,7 @@ def test_a_set_holds_the_rounds_that_are_given(tmp_path):
     touched = rounds[2].info["touched_object_pose"].position_m
     assert touched[:, :2].tolist() == [[0.001, 0.0], [0.002, -0.001]]
     unknown = {**TABLE, "object_id": [1, 1, 0, 99]}
-    plan = tactile_sim.TouchPlan(positions="given", given=tactile_sim.TouchTable(**unknown))
+    plan = tactile_sim.TouchPlan(positions="given", touch_table=tactile_sim.TouchTable(**unknown))
     with pytest.raises(InputError, match="touches of objects 99 are given"):
         TouchGenerator.of(scenes, tactile_sim.TouchSetSpec(optics="depth", plan=plan))
 
@@ -131,7 +132,8 @@ def test_invalid_files_are_refused(tmp_path):
 
 
 def test_a_plan_has_given_touches_or_none():
-    given = tactile_sim.TouchTable(**TABLE)
-    for values in ({"positions": "given"}, {"given": given}, {"positions": "given", "given": [(0.0, 0.0)]}):
+    table = tactile_sim.TouchTable(**TABLE)
+    no_table = {"positions": "given", "touch_table": [(0.0, 0.0)]}
+    for values in ({"positions": "given"}, {"touch_table": table}, no_table):
         with pytest.raises(InputError, match="expected positions 'given' and a TouchTable"):
             tactile_sim.TouchPlan(**values)

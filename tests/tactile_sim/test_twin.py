@@ -17,7 +17,7 @@ from tactile_sim.twin import fitting, gel, reader, rounds_of_fit, surface_kernel
 from tactile_sim.twin.calibration import model_of
 from tactile_sim.twin.fitting import Fit
 from tactile_sim.twin.gel import Fitted
-from tactile_sim.twin.matching import are_off, matched_places
+from tactile_sim.twin.matching import are_off, matched_poses
 from tactile_sim.twin.rounds_of_fit import start_fit
 from tactile_sim.twin.twin import TwinOptics
 from tactile_toolkit.errors import InputError
@@ -70,7 +70,7 @@ def begun(recordings: tactile_sim.Recordings) -> Fit:
     """Return a fit from the poses that the recordings state."""
     assert recordings.sensor_m is not None
     start = tactile_sim.SENSORS["gelsight-mini"]
-    return start_fit(recordings, recordings.places(), recordings.sensor_m[:, 2], start)
+    return start_fit(recordings, recordings.poses_on_solids(), recordings.sensor_m[:, 2], start)
 
 
 def test_a_fit_explains_its_images_and_finds_the_gel(six_touches):
@@ -369,7 +369,7 @@ def test_a_twin_shows_the_surface_of_an_elastic_gel(tmp_path):
     for depth_m, image in zip(pressed.depth_m, images, strict=True):
         skin = ndimage.gaussian_filter(depth_m - model.sensor.gel_m, SHAPE[Fitted.LAST] / pitch_m[::-1])
         soft = gel.seen_through(skin.astype(np.float32), pitch_m, float(SHAPE[Fitted.LENS]))
-        plain = response_of(gel.seen_features(soft, pitch_m, SHAPE), twin.coefficients, (48, 64))
+        plain = response_of(gel.surface_features(soft, pitch_m, SHAPE), twin.coefficients, (48, 64))
         blur = [*(SHAPE[Fitted.BLUR] / pitch_m[::-1]), 0]
         shown = twin.background + ndimage.gaussian_filter(plain, blur, mode="mirror", truncate=3)
         assert np.median(np.abs(image - np.clip(shown, 0, 255))) < 0.5
@@ -409,7 +409,7 @@ def test_touches_without_poses_are_found_or_left_out():
     images[6] = recording.backgrounds[0]
     recordings = recordings_of(dataclasses.replace(recording, images=images))
     blind = dataclasses.replace(recordings, sensor_m=None)
-    places, likely = matched_places(blind, tactile_sim.SENSORS["gelsight-mini"])
+    places, likely = matched_poses(blind, tactile_sim.SENSORS["gelsight-mini"])
     assert places.shape == (12, 4)
     assert not likely[6]
     right = _away_m(places, recording) < 1e-3
@@ -425,9 +425,9 @@ def test_stated_poses_may_be_off_by_a_millimetre():
         recording = sensor.record(digits(4), 10, pose_errors=off)
         recordings = recordings_of(recording)
         assert are_off(begun(recordings)) == is_off
-    stated = recordings.places()
+    stated = recordings.poses_on_solids()
     assert np.median(_away_m(stated, recording)) > 7e-4
-    places, likely = matched_places(recordings, tactile_sim.SENSORS["gelsight-mini"], stated)
+    places, likely = matched_poses(recordings, tactile_sim.SENSORS["gelsight-mini"], stated)
     assert likely.all()
     assert np.median(_away_m(places, recording)) < 2e-4
     assert _away_m(places, recording).max() < 1e-3

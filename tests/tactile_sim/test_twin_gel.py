@@ -45,7 +45,7 @@ def test_the_optics_render_what_features_and_coefficients_give():
     pitch_m = 2 * HALF_M / [64, 48]
     soft = gel.gel_surface(hills(), pitch_m, SHAPE)
     twin = made_up_twin()
-    plain = response_of(gel.seen_features(soft, pitch_m, SHAPE), twin.coefficients.astype(float), (48, 64))
+    plain = response_of(gel.surface_features(soft, pitch_m, SHAPE), twin.coefficients.astype(float), (48, 64))
     assert np.abs(plain).max() > 10
     table = gel.response_table(twin.coefficients)
     sharp = gel.response(soft, pitch_m, without(SHAPE, Fitted.BLUR), table)
@@ -66,7 +66,7 @@ def test_slopes_exactly_along_an_axis_have_an_entry():
     for soft in (np.tile(along, (rows, 1)), np.tile(along[:rows, None], (1, columns))):
         soft = soft.astype(np.float32)
         for turned in (soft, np.ascontiguousarray(soft[::-1, ::-1])):
-            plain = response_of(gel.seen_features(turned, pitch_m, SHAPE), coefficients, (rows, columns))
+            plain = response_of(gel.surface_features(turned, pitch_m, SHAPE), coefficients, (rows, columns))
             sharp = without(SHAPE, Fitted.BLUR)
             found = gel.response(turned, pitch_m, sharp, gel.response_table(coefficients))
             assert found == pytest.approx(plain, abs=0.02)
@@ -81,14 +81,14 @@ def test_slopes_seen_through_a_lens_are_those_of_the_gel():
     flat[Fitted.LENS], bent[Fitted.LENS] = 0.0, lens
     steepness = slice(0, 8, 4)  # first entries of both directions
     plane = np.ascontiguousarray((0.3 * x - 0.2 * y)[12:-12, 12:-12])
-    entries, straight = gel.seen_features(plane.astype(np.float32), pitch_m, flat)
-    found, shares = gel.seen_features(seen, pitch_m, bent)
+    entries, straight = gel.surface_features(plane.astype(np.float32), pitch_m, flat)
+    found, shares = gel.surface_features(seen, pitch_m, bent)
     inside = np.zeros(seen.shape, bool)
     inside[2:-2, 2:-2] = True
     inside = inside.ravel()
     assert (found[inside][:, steepness] == entries[inside][0, steepness]).all()
     assert np.abs(shares[inside][:, steepness] - straight[inside][:, steepness]).max() < 0.02
-    _, shares = gel.seen_features(seen, pitch_m, flat)  # without the correction
+    _, shares = gel.surface_features(seen, pitch_m, flat)  # without the correction
     assert np.abs(shares[inside][:, steepness] - straight[inside][:, steepness]).max() > 0.1
 
 
@@ -99,7 +99,7 @@ def test_entries_of_a_slope_follow_its_direction_and_steepness():
     for angle in np.linspace(0.05, 2 * np.pi, 17):
         steep = 0.1 + 0.05 * angle
         soft = np.float32(steep * (np.cos(angle) * x + np.sin(angle) * y) - 0.01)
-        entries, shares = gel.seen_features(soft, pitch_m, without(SHAPE, Fitted.LENS))
+        entries, shares = gel.surface_features(soft, pitch_m, without(SHAPE, Fitted.LENS))
         middle = entries[9 * 19 + 9], shares[9 * 19 + 9].astype(float)
         assert middle[1].sum() == pytest.approx(2, abs=1e-5)  # one for each table
         turn = np.array([middle[1][:4].sum(), middle[1][4:].sum()]) / 2
@@ -113,7 +113,7 @@ def test_entries_of_a_slope_follow_its_direction_and_steepness():
 
 def test_a_gel_at_rest_does_not_respond():
     """Where the gel is level, there are no shares, and the kernel of the optics writes zeros."""
-    entries, shares = gel.seen_features(np.zeros((20, 30), np.float32), np.array([1e-4, 1e-4]), SHAPE)
+    entries, shares = gel.surface_features(np.zeros((20, 30), np.float32), np.array([1e-4, 1e-4]), SHAPE)
     assert not entries.any()
     assert not shares.any()
 
@@ -132,13 +132,13 @@ def test_normal_equations_are_those_of_the_dense_matrix():
     """Sums of the kernels equal products of the matrix whose columns are images of single coefficients."""
     rng = np.random.default_rng(1)
     pitch_m = 2 * HALF_M / [64, 48]
-    seen = gel.seen_features(gel.gel_surface(hills(), pitch_m, SHAPE), pitch_m, SHAPE)
+    seen = gel.surface_features(gel.gel_surface(hills(), pitch_m, SHAPE), pitch_m, SHAPE)
     first, last = np.unique(seen[0])[:6], np.unique(seen[0])[-6:]
     used = np.concatenate([first, last])  # directions that are neighbours across the whole turn
     dense = []
     for entry in used:
-        for place in range(gel_kernels.PLACES):
-            single = np.zeros((gel_kernels.ENTRIES, gel_kernels.PLACES, 3))
+        for place in range(gel_kernels.TERMS):
+            single = np.zeros((gel_kernels.ENTRIES, gel_kernels.TERMS, 3))
             single[entry, place, 0] = 1
             dense.append(response_of(seen, single, (48, 64))[..., 0].ravel())
     matrix = np.array(dense).T
@@ -147,7 +147,7 @@ def test_normal_equations_are_those_of_the_dense_matrix():
     normal, products = np.zeros((COEFFICIENTS, COEFFICIENTS)), np.zeros((COEFFICIENTS, 2))
     gel_kernels.add_normal(normal, *seen, weights)
     gel_kernels.add_products(products, *seen, (weights[..., None] * given).astype(float))
-    at = (used[:, None] * gel_kernels.PLACES + np.arange(gel_kernels.PLACES)).ravel()
+    at = (used[:, None] * gel_kernels.TERMS + np.arange(gel_kernels.TERMS)).ravel()
     weighed = matrix * weights.reshape(-1, 1)
     assert normal[np.ix_(at, at)] == pytest.approx(np.tril(weighed.T @ matrix), abs=1e-6)
     assert np.abs((weighed.T @ matrix)[36:, :36]).max() > 1e-3

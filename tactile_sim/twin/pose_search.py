@@ -1,9 +1,9 @@
-"""Search a solid for places that look like an image: a grid of turns, and all positions by correlation.
+"""Search a solid for poses that look like an image: a grid of turns, and all positions by correlation.
 
 The whole solid is turned and pressed into the gel, everywhere to the usual depth. Sums of products over all
 windows of the size of an image are computed by Fourier transforms. The image is compared with the one that
-the solid would give (:func:`matching_places`) or, while the colours are unknown, with the mixture of the
-slopes of the gel that explains it best (:func:`free_places`).
+the solid would give (:func:`poses_by_images`) or, while the colours are unknown, with the mixture of the
+slopes of the gel that explains it best (:func:`poses_by_slopes`).
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ TURNS = 72
 _SMOOTH_PX = 1.0
 _PEAK_PX = 5
 _PEAKS = 4  # that are kept of one turn
-_MAX_PLACES = 120
-_APART_M, _APART_RAD = 8e-4, 0.15  # closer places count as one
+_MAX_POSES = 120
+_APART_M, _APART_RAD = 8e-4, 0.15  # closer poses count as one
 _NEAR_M, _NEAR_RAD = 5e-3, 0.3  # greatest distance and turn from a stated pose
 _FAINT = 0.03  # of the strongest window: weaker ones, which show little of the solid, count less
 _MIN_GAIN, _MAX_GAIN = 0.6, 1.6  # bounds of the strength of an image, relative to a rendered one
@@ -37,8 +37,8 @@ Paint: TypeAlias = Callable[[Float32, Float64], Float32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Places:
-    """Places on a solid that look like one image, the best one first.
+class PoseMatches:
+    """Poses on a solid that look like one image, the best one first.
 
     ``at`` (n, 4) are x and y, metres, the turn, radians, and the press depth, metres. ``explained`` (n,) is
     the explained share of the change of the image. ``products`` (n, 2, 3) are the sums of products of slopes
@@ -53,7 +53,7 @@ class Places:
 
     @property
     def margin(self) -> float:
-        """Difference between the explained shares of the best place and the next one."""
+        """Difference between the explained shares of the best pose and the next one."""
         best, *others = self.explained.tolist()
         return float(best - others[0]) if others else float(best)
 
@@ -69,7 +69,7 @@ class _Turned:
     turn_rad: float
 
     def is_near(self, near: Float64 | None, touch: int) -> Bool | bool:
-        """Return which windows are near the known place of a touch; True if it is unknown."""
+        """Return which windows are near the known pose of a touch; True if it is unknown."""
         if near is None:
             return True
         x_m, y_m, turn_rad = near[touch]
@@ -79,36 +79,38 @@ class _Turned:
         return np.asarray(np.hypot(self.x_m - x_m, self.y_m - y_m) < _NEAR_M)
 
 
-def alike_places(places: Float64, one: Float64, apart: tuple[float, float] = (_APART_M, _APART_RAD)) -> Bool:
-    """Return which places (n, 3) are closer to a given one than a distance and a turn."""
-    turn = np.abs((places[:, 2] - one[2] + np.pi) % (2 * np.pi) - np.pi)
-    return np.asarray((np.hypot(*(places[:, :2] - one[:2]).T) < apart[0]) & (turn < apart[1]))
+def near_poses(poses: Float64, pose: Float64, apart: tuple[float, float] = (_APART_M, _APART_RAD)) -> Bool:
+    """Return which poses (n, 3) are closer to a given one than a distance and a turn."""
+    turn = np.abs((poses[:, 2] - pose[2] + np.pi) % (2 * np.pi) - np.pi)
+    return np.asarray((np.hypot(*(poses[:, :2] - pose[:2]).T) < apart[0]) & (turn < apart[1]))
 
 
 def changes_of(fit: Fit, touches: Iterable[int]) -> Changes:
     """Return how the images of touches differ from the gel at rest, smoothed."""
-    found = {}
+    changes = {}
     for touch in touches:
         change = _smooth(fit.image(touch)[0] - fit.behind)
-        found[touch] = np.ascontiguousarray(np.moveaxis(change, 2, 0), np.float32)
-    return found
+        changes[touch] = np.ascontiguousarray(np.moveaxis(change, 2, 0), np.float32)
+    return changes
 
 
-def free_places(fit: Fit, changes: Changes, press_m: float, near: Float64 | None) -> dict[int, Places]:
-    """Return the places where slopes of the solids explain each image best, with any colours.
+def poses_by_slopes(
+    fit: Fit, changes: Changes, press_m: float, near: Float64 | None
+) -> dict[int, PoseMatches]:
+    """Return the poses where slopes of the solids explain each image best, with any colours.
 
-    ``near`` (N, 3) are the places and turns near which each touch is searched; None if they are unknown.
+    ``near`` (N, 3) are the poses and turns near which each touch is searched; None if they are unknown.
     """
-    found: dict[int, list[tuple[float, ...]]] = {touch: [] for touch in changes}
+    candidates: dict[int, list[tuple[float, ...]]] = {touch: [] for touch in changes}
     for key, windows, spectra in _solids(fit, changes):
         for turned in _turns(fit, key, press_m):
             slopes = np.stack([*np.gradient(turned.surface, *fit.pitch_m(fit.shape)[::-1])])
             down, right = slopes
-            squares = [windows.sums(each) for each in (down * down, down * right, right * right)]
+            squares = [windows.sums(product) for product in (down * down, down * right, right * right)]
             least = _FAINT * float((squares[0] + squares[2]).max())
-            one = squares[0] + least
-            mixed = squares[1]
-            two = squares[2] + least
+            down_down = squares[0] + least
+            down_right = squares[1]
+            right_right = squares[2] + least
             spectrum = windows.spectrum(slopes)
             for touch, image in spectra.items():
                 is_near = turned.is_near(near, touch)
@@ -116,30 +118,32 @@ def free_places(fit: Fit, changes: Changes, press_m: float, near: Float64 | None
                     continue
                 products = windows.products(spectrum[:, None] * image)
                 first, second = products
-                total = (two * first * first - 2 * mixed * first * second + one * second * second).sum(axis=0)
-                explained = total / (one * two - mixed * mixed) / _sum_of_squares(changes[touch])
+                total = right_right * first * first - 2 * down_right * first * second
+                total = (total + down_down * second * second).sum(axis=0)
+                determinant = down_down * right_right - down_right * down_right
+                explained = total / determinant / _sum_of_squares(changes[touch])
                 for row, column in _peaks(np.where(is_near, explained, -1.0)):
                     at = turned.x_m[row, column], turned.y_m[row, column], turned.turn_rad, press_m
                     of = products[:, :, row, column].ravel()
-                    rest = squares[0][row, column], squares[1][row, column], squares[2][row, column]
-                    found[touch].append((explained[row, column], *at, *of, *rest))
-    return {touch: _best_places(each, _sum_of_squares(changes[touch])) for touch, each in found.items()}
+                    sums = squares[0][row, column], squares[1][row, column], squares[2][row, column]
+                    candidates[touch].append((explained[row, column], *at, *of, *sums))
+    return {touch: _best_matches(rows, _sum_of_squares(changes[touch])) for touch, rows in candidates.items()}
 
 
-def matching_places(
+def poses_by_images(
     fit: Fit,
     changes: Changes,
     paint: Paint,
     presses_m: tuple[float, ...],
     most_m: float,
     near: Float64 | None,
-) -> dict[int, Places]:
-    """Return the places where rendered images match each image best, of those pressed in at most ``most_m``.
+) -> dict[int, PoseMatches]:
+    """Return the poses where rendered images match each image best, of those pressed in at most ``most_m``.
 
     ``presses_m`` are depths below the highest point of the solid around each point. At the flank of a solid,
     this point lies outside the window.
     """
-    found: dict[int, list[tuple[float, ...]]] = {touch: [] for touch in changes}
+    candidates: dict[int, list[tuple[float, ...]]] = {touch: [] for touch in changes}
     for key, windows, spectra in _solids(fit, changes):
         for press_m in presses_m:
             for turned in _turns(fit, key, press_m):
@@ -159,8 +163,8 @@ def matching_places(
                     for row, column in _peaks(explained):
                         at = turned.x_m[row, column], turned.y_m[row, column], turned.turn_rad
                         depth_m = turned.press_m[row, column]
-                        found[touch].append((explained[row, column], *at, depth_m, *np.zeros(9)))
-    return {touch: _best_places(each, _sum_of_squares(changes[touch])) for touch, each in found.items()}
+                        candidates[touch].append((explained[row, column], *at, depth_m, *np.zeros(9)))
+    return {touch: _best_matches(rows, _sum_of_squares(changes[touch])) for touch, rows in candidates.items()}
 
 
 class _Windows:
@@ -232,7 +236,7 @@ def _turns(fit: Fit, key: int, press_m: float) -> Iterator[_Turned]:
         top = scipy.ndimage.maximum_filter(heights, fit.size)
         pressed_m = np.maximum(heights - (top - press_m), 0)
         surface = gel.gel_surface(pressed_m, pitch_m, shape)
-        x_m, y_m = (_middles(each, fit.size) for each in (x_m, y_m))
+        x_m, y_m = (_middles(along_m, fit.size) for along_m in (x_m, y_m))
         deepest_m = _inner(scipy.ndimage.maximum_filter(pressed_m, fit.size), x_m.shape)
         yield _Turned(surface, middle_m[0] + x_m, middle_m[1] + y_m, deepest_m, float(turn))
 
@@ -263,18 +267,18 @@ def _peaks(explained: Float64) -> list[tuple[int, int]]:
     """Return the rows and columns of the highest peaks."""
     flat = np.flatnonzero(explained == scipy.ndimage.maximum_filter(explained, _PEAK_PX))
     best = flat[np.argsort(-explained.ravel()[flat])[:_PEAKS]]
-    return [divmod(int(each), explained.shape[1]) for each in best]
+    return [divmod(int(peak), explained.shape[1]) for peak in best]
 
 
-def _best_places(rows: list[tuple[float, ...]], square: float) -> Places:
-    values = np.array(sorted(rows, key=lambda each: -each[0]))
+def _best_matches(rows: list[tuple[float, ...]], square: float) -> PoseMatches:
+    values = np.array(sorted(rows, key=lambda row: -row[0]))
     kept: list[int] = []
     left = np.ones(len(values), bool)
-    while left.any() and len(kept) < _MAX_PLACES:
+    while left.any() and len(kept) < _MAX_POSES:
         best = int(left.argmax())
         kept.append(best)
-        left &= ~alike_places(values[:, 1:4], values[best, 1:4])
+        left &= ~near_poses(values[:, 1:4], values[best, 1:4])
     values = values[kept]
     products = values[:, 5:11].reshape(-1, 2, 3) / square
     squares = values[:, [11, 12, 12, 13]].reshape(-1, 2, 2) / square
-    return Places(values[:, 1:5], values[:, 0], products, squares)
+    return PoseMatches(values[:, 1:5], values[:, 0], products, squares)
