@@ -85,13 +85,10 @@ class _Command(TyperCommand):
             if record is not None:
                 panel = getattr(parameter, "rich_help_panel", None) or default_panel
                 # Users do not know the names of Python's types.
-                name = re.sub(r" <str>$|list\[(.*)\](?=>$)", r"\1", record[0])
+                name = re.sub(r" <\w+>$|list\[(.*)\](?=>$)", r"\1", record[0])
                 panels.setdefault(panel, []).append((name, record[1]))
-        panels[GENERAL] = [
-            *panels.pop(GENERAL, []),
-            *[each for each in panels["Options"] if "-h," in each[0]],
-        ]
-        panels["Options"] = [each for each in panels["Options"] if "-h," not in each[0]]
+        # Click declares --help itself, after all others and without a panel.
+        panels[GENERAL] = [*panels.pop(GENERAL, []), panels["Options"].pop()]
         for panel, records in panels.items():
             if records:
                 with formatter.section(panel):
@@ -160,11 +157,11 @@ def _with_examples_last(text: str) -> str:
     paragraphs = text.split("\n\n")
     examples = [
         f"Example: {line.strip()}"
-        for each in paragraphs
-        if each.startswith("Example")
-        for line in " ".join(each.split()).partition(": ")[2].split("; ")
+        for paragraph in paragraphs
+        if paragraph.startswith("Example")
+        for line in " ".join(paragraph.split()).partition(": ")[2].split("; ")
     ]
-    return "\n\n".join([*(each for each in paragraphs if not each.startswith("Example")), *examples])
+    return "\n\n".join([*(text for text in paragraphs if not text.startswith("Example")), *examples])
 
 
 def run(app: typer.Typer) -> None:

@@ -42,11 +42,11 @@ def list_sets(
     if folder is None:
         _print_published(sink)
         return
-    held = _list_folder(options.local_place(folder))
-    sink.document(held)
-    rows = [list({**each, "bytes": bytes_text(each["bytes"])}.values()) for each in held]
+    sets = _list_folder(options.parse_local_path(folder))
+    sink.document(sets)
+    rows = [list({**entry, "bytes": bytes_text(entry["bytes"])}.values()) for entry in sets]
     sink.table(("name", "kind", "splits", "rows", "Parquet", "state"), rows)
-    sink.line(f"{with_count(len(held), 'data sets')} in {folder}")
+    sink.line(f"{with_count(len(sets), 'data sets')} in {folder}")
 
 
 def _print_published(sink: output.Sink) -> None:
@@ -74,7 +74,8 @@ def info(
     *,
     name: str = options.argument("NAME|SENSOR", "Data set, or a sensor by its folder or name."),
     split: str | None = catalog.SPLIT,
-    opening: options.OpeningAny,
+    name_options: options.NameOptions,
+    kind: str | None = options.KIND,
     sink: output.Sink,
 ) -> None:
     """Show what a data set or a sensor holds, and how it was made.
@@ -82,30 +83,30 @@ def info(
     Examples: tactile info digits;  tactile info real-single-64x64 --split test;  tactile info my-sensor
     """
     if _is_sensor(name):
-        options.refuse({"split": split, **asdict(opening)}, "a sensor")
+        options.refuse({"split": split, **asdict(name_options), "kind": kind}, "a sensor")
         print_sensor(sink, _sensor_named(name))
         return
-    place = opening.open(sink, name, shows_all=True)
-    kind = place.choose_kind(opening.kind)
+    place = name_options.open(sink, name)
+    chosen = place.choose_kind(kind)
     manifest = place.manifest
     operation = None
     if manifest is not None:
         operation = (
             manifest.operation(f"{name}/{store.MANIFEST_FILE}")
-            if kind.has_touches
+            if chosen.has_touches
             else manifest.spec.get("operation")
         )
-    is_selected = kind.has_touches and operation == SELECT
+    is_selected = chosen.has_touches and operation == SELECT
     is_own = manifest is not None and not (is_for_others(manifest) or (is_copy(manifest) and not is_selected))
-    if kind.has_touches and kind.facts is None and (manifest is None or (manifest.complete and is_own)):
+    if chosen.has_touches and chosen.facts is None and (manifest is None or (manifest.complete and is_own)):
         _print_touches(sink, place, split)
     elif manifest is None:
-        _print_counts(sink, place, kind, split)
+        _print_counts(sink, place, chosen, split)
         return
     else:
-        runs.print_set(sink, kind, manifest, place.name, split=split, has_folder=place.folder is not None)
+        runs.print_set(sink, chosen, manifest, place.name, split=split, has_folder=place.folder is not None)
     if manifest is not None and is_own:
-        sink.line(f"made by `{kind.command_of(manifest)}` of tactile-toolkit {manifest.toolkit_version}:")
+        sink.line(f"made by `{chosen.command_of(manifest)}` of tactile-toolkit {manifest.toolkit_version}:")
         for line in wording.flat_lines(manifest.spec.get("options") if operation else manifest.spec):
             sink.line(f"  {line}")
 
@@ -116,13 +117,13 @@ def _print_touches(sink: output.Sink, place: places.Place, split: str | None) ->
 
     announce_fetching(sink, place, split)
     summaries = {
-        each: realtouch.summarise(realtouch.dataset_of(shards))
-        for each, shards in realtouch.Source.open(place, split).shards.items()
+        name: realtouch.summarise(realtouch.dataset_of(shards))
+        for name, shards in realtouch.Source.open(place, split).shards.items()
     }
-    splits = {each: summary.to_dict() for each, summary in summaries.items()}
+    splits = {name: summary.to_dict() for name, summary in summaries.items()}
     sink.document({"name": place.name, "splits": splits, "spec": place.manifest and place.manifest.spec})
-    for each, summary in summaries.items():
-        sink.table((each, summary.kind), summary.table())
+    for name, summary in summaries.items():
+        sink.table((name, summary.kind), summary.table())
 
 
 def _print_counts(sink: output.Sink, place: places.Place, kind: DatasetKind, split: str | None) -> None:
@@ -150,11 +151,11 @@ def print_sensor(sink: output.Sink, model: Any) -> None:
     sink.table(("sensor", model.name), list(_sensor_facts(model).items()))
     touches = model.report.get("touches", [])
     if touches:
-        used = sum(bool(each["used"]) for each in touches)
+        used = sum(bool(touch["used"]) for touch in touches)
         sink.line(f"calibrated with {used} of {with_count(len(touches), 'touches')}")
-    for each in touches:
-        if not each["used"]:
-            sink.line(f"  left out: {each['name']}: {each['reason']}")
+    for touch in touches:
+        if not touch["used"]:
+            sink.line(f"  left out: {touch['name']}: {touch['reason']}")
 
 
 def announce_fetching(sink: output.Sink, place: places.Place, split: str | None) -> None:
@@ -172,14 +173,14 @@ def show(
     name: str = options.NAME,
     row: int = checked_fields.integer(0, help="Number of the row in its split, from 0."),
     split: str | None = checked_fields.text(metavar="NAME", help="Split of the row; the first by default."),
-    opening: options.Opening,
+    name_options: options.NameOptions,
     sink: output.Sink,
 ) -> None:
     """Show a row of a data set: each column, its type and its value, or the number of its values.
 
     Example: tactile show digits --row 3 --split test
     """
-    place = opening.open(sink, name, shows_all=True)
+    place = name_options.open(sink, name)
     stored = _stored_row(place, row, split)
     sink.document({"data_set": name, "split": stored.split, "row": row, "values": stored.values})
     sink.line(f"{name}: row {row:,} of the {with_count(stored.rows, 'rows')} in {stored.split}")
@@ -199,7 +200,8 @@ def verify(
     content: bool = checked_fields.switch(
         False, help="Also check what rows hold: solids, overlaps, faults of recordings; exit code 1."
     ),
-    opening: options.OpeningAny,
+    name_options: options.NameOptions,
+    kind: str | None = options.KIND,
     workers: int = options.WORKERS,
     sink: output.Sink,
 ) -> None:
@@ -209,20 +211,20 @@ def verify(
 
     Exit code 3 if something is damaged; each damaged file is named.
     """
-    place = opening.open(sink, name, shows_all=True)
-    kind = place.choose_kind(opening.kind)
-    if kind.has_touches and (kind.name == "realtouch" or not is_for_others(place.manifest)):
+    place = name_options.open(sink, name)
+    chosen = place.choose_kind(kind)
+    if chosen.has_touches and (chosen.name == "realtouch" or not is_for_others(place.manifest)):
         document = verify_touches(sink, place, split, workers, quick=quick)
     else:
-        options.refuse({"quick": quick, "split": split and not content}, f"the files of {kind.nouns}")
-        document = _verify_files(sink, place, kind, workers)
+        options.refuse({"quick": quick, "split": split and not content}, f"the files of {chosen.nouns}")
+        document = _verify_files(sink, place, chosen, workers)
     is_failed = False
-    if content and kind.has_touches:
+    if content and chosen.has_touches:
         document["faults"] = print_faults(sink, place, split, workers)
         is_failed = not document["faults"]["ok"]
     elif content:
-        document["content"] = print_content(sink, kind, [place.name], split, None, workers, lambda _: place)
-        is_failed = any(each["failed"] for each in document["content"])
+        document["content"] = print_content(sink, chosen, [place.name], split, None, workers, lambda _: place)
+        is_failed = any(result["failed"] for result in document["content"])
     sink.document(document)
     if is_failed:
         raise typer.Exit(application.EXIT_FAILED)
@@ -242,23 +244,28 @@ def _verify_files(sink: output.Sink, place: places.Place, kind: DatasetKind, wor
     result = store.verify(
         folder, kind.schema_of(manifest), check_card=_check_card, workers=options.process_count(workers)
     )
-    problems = [{"file": each.file, "problem": each.problem} for each in result.findings]
-    counts_of = {"files": result.files, "rows": result.rows}
-    document = {"ok": result.ok, "reference": result.reference, **counts_of, "findings": problems}
+    problems = [{"file": finding.file, "problem": finding.problem} for finding in result.findings]
+    document = {
+        "ok": result.ok,
+        "reference": result.reference,
+        "files": result.files,
+        "rows": result.rows,
+        "findings": problems,
+    }
     if result.ok:
         counts = f"{with_count(result.files, 'files')}, {with_count(result.rows, 'rows')}"
         sink.line(f"{place.name}: {counts}, {bytes_text(result.bytes)}: all as in {result.reference}")
         return document
     sink.document(document)
-    store.require_finished(folder, [each.file for each in result.findings])
-    for each in result.findings:
-        sink.warn(f"damaged: {each.file}: {each.problem}")  # the error below states only their number
+    store.require_finished(folder, [finding.file for finding in result.findings])
+    for finding in result.findings:
+        sink.warn(f"damaged: {finding.file}: {finding.problem}")  # the error below states only their number
     record = store.read_download_record(folder)
     next_step = f"run the same `{kind.command_of(manifest)}` with --repair, which makes damaged shards again"
     if record is not None:
         next_step = f"download {record.repo_id} there again; only damaged files are fetched"
     # Problems that no run repairs (unknown files, links, cards) state their own next step.
-    if all("; next: " in each.problem for each in result.findings):
+    if all("; next: " in finding.problem for finding in result.findings):
         next_step = "follow the next step of each problem"
     raise IntegrityError(f"{with_count(len(problems), 'problems')} in {place.name!r}", next=next_step)
 
@@ -278,16 +285,25 @@ def verify_touches(
             place, split, quick=quick, workers=options.process_count(workers), on_progress=update
         )
     # The manifest of an unfinished data set is a finding, too.
-    found = [each for each in result.findings if not (allows_unfinished and each.file == store.MANIFEST_FILE)]
-    problems = list(map(asdict, found))
-    counts_of = {"rounds": result.rounds, "touches": result.touches}
-    document = {"ok": not found, **counts_of, "findings": problems, "unprotected": list(result.unprotected)}
-    if found:
+    findings = [
+        finding
+        for finding in result.findings
+        if not (allows_unfinished and finding.file == store.MANIFEST_FILE)
+    ]
+    problems = list(map(asdict, findings))
+    document = {
+        "ok": not findings,
+        "rounds": result.rounds,
+        "touches": result.touches,
+        "findings": problems,
+        "unprotected": list(result.unprotected),
+    }
+    if findings:
         sink.document(document)
         if place.folder is not None and not allows_unfinished:
-            store.require_finished(place.folder, [each.file for each in result.findings])
-        for each in found:
-            sink.warn(f"damaged: {each}")
+            store.require_finished(place.folder, [finding.file for finding in result.findings])
+        for finding in findings:
+            sink.warn(f"damaged: {finding}")
         next_step = "download or convert it again"
         if place.unfinished:
             next_step = "run the same command with --repair, which makes damaged shards again"
@@ -363,7 +379,7 @@ def print_faults(
     drawings: list[str] = []
     if drawn is not None and result.findings:
         folder = store.open_folder(str(drawn.absolute()))
-        drawings = [str(drawn / each.file) for each in result.pictures().write(folder)]
+        drawings = [str(drawn / picture.file) for picture in result.pictures().write(folder)]
     sink.line(
         f"{place.name}: {with_count(result.rounds, 'rounds')}, {with_count(result.touches, 'touches')}; "
         f"all stored pictures were compared, {result.decoded:,} decoded"

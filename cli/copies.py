@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from cli import application, contents, options, output, runs
-from cli.options import OpeningAny, Work, argument, out_folder
+from cli.options import AnySourceOptions, RunOptions, argument, out_folder
 from realtouch.touch_options import EXPORT_FORMATS, FRAME, ContactChoice
 from tactile_toolkit import cards, catalog, checked_fields, exchange, places, printing, store, wording
 from tactile_toolkit.cache import CacheContents
@@ -40,18 +40,19 @@ def _fractions(words: str) -> tuple[float, ...]:
     return shares
 
 
-def _given(chosen: catalog.RowFilter) -> JsonDict:
-    return {each: value for each, value in chosen.given().items() if value is not None}
+def _filters(chosen: catalog.RowFilter) -> JsonDict:
+    """Return the filters that were given, by the names of their fields."""
+    return {name: value for name, value in chosen.given().items() if value is not None}
 
 
 def select(
     *,
     name: str = options.NAME,
-    opening: OpeningAny,
+    source_options: AnySourceOptions,
     chosen: catalog.RowFilter,
-    contact: Annotated[options.Given, options.OptionsOf(ContactChoice)],
+    contact: Annotated[options.UserOptions, options.OptionsOf(ContactChoice)],
     out: str = out_folder("selected"),
-    work: Work,
+    run_options: RunOptions,
     sink: output.Sink,
 ) -> None:
     """Write selected rows of a data set as a data set of the same kind.
@@ -59,25 +60,25 @@ def select(
     Examples: tactile select digits --labels 3,5 --per-class 10 --out some;
     tactile select real-single-64x64 --contact --out touched
     """
-    given = _given(chosen)
-    source, kind = opening.open_kind(sink, name)
-    make: Any = partial(exchange.select_rows, kind, source, given, out)
+    filters = _filters(chosen)
+    source, kind = source_options.open_kind(sink, name)
+    make: Any = partial(exchange.select_rows, kind, source, filters, out)
     if kind.has_touches:
         contents.announce_fetching(sink, source, chosen.split)
         make = partial(_select_touches, source, out, **ContactChoice(**contact).arguments(chosen))
     else:
         options.refuse(contact, kind.nouns)
-        if not given:
+        if not filters:
             raise InputError(
                 "expected filters such as --ids", next="add --ids, --labels, --per-class or --limit"
             )
-    runs.make_with_progress(sink, "copying", kind, make, work, out)
+    runs.make_with_progress(sink, "copying", kind, make, run_options, out)
 
 
 def split(
     *,
     name: str = options.NAME,
-    opening: OpeningAny,
+    source_options: AnySourceOptions,
     out: str = out_folder("parts"),
     fractions: tuple[float, ...] = text(
         (),
@@ -87,7 +88,7 @@ def split(
     ),
     seed: int = checked_fields.integer(0, needs="fractions", help="Random seed."),
     chosen: catalog.RowFilter,
-    work: Work,
+    run_options: RunOptions,
     sink: output.Sink,
 ) -> None:
     """Divide a data set into several of the same kind: OUT/part-1, OUT/part-2 and so on.
@@ -98,29 +99,29 @@ def split(
     Examples: tactile split digits --fractions 0.8,0.2 --out parts;
     tactile split digits --ids 3,17,40-60 --out parts
     """
-    given = _given(chosen)
-    if given and fractions:
+    filters = _filters(chosen)
+    if filters and fractions:
         raise InputError(
             "was given with filters such as --ids; expected only one of them",
             next="leave out --fractions, or the filters",
             field="fractions",
         )
-    if not given and not fractions:
+    if not filters and not fractions:
         raise InputError("expected --fractions, or filters such as --ids", next="add --fractions 0.8,0.2")
-    source, kind = opening.open_kind(sink, name)
-    for folder, make in exchange.plan_parts(kind, source, out, fractions, seed, given):
-        runs.make_with_progress(sink, "copying", kind, make, work, folder)
+    source, kind = source_options.open_kind(sink, name)
+    for folder, make in exchange.plan_parts(kind, source, out, fractions, seed, filters):
+        runs.make_with_progress(sink, "copying", kind, make, run_options, folder)
 
 
 def merge(
     *,
     names: list[str] = argument("NAME...", "Data sets of one kind.", several=True),
-    opening: OpeningAny,
+    source_options: AnySourceOptions,
     source_column: str | None = text(
         metavar="NAME", read=str, help="Add a column with the name of the data set that each row is from."
     ),
     out: str = out_folder("merged"),
-    work: Work,
+    run_options: RunOptions,
     sink: output.Sink,
 ) -> None:
     """Merge data sets into one; shards are copied unchanged if no id changes and no column is added.
@@ -131,10 +132,10 @@ def merge(
     Examples: tactile merge digits others --out both;
     tactile merge digits others --source-column source --out both
     """
-    sources = [opening.open(sink, name) for name in names]
-    kind = sources[0].choose_kind(opening.kind)
+    sources = [source_options.open_source(sink, name) for name in names]
+    kind = sources[0].choose_kind(source_options.kind)
     make = partial(exchange.merge_sets, kind, sources, out, source_column=source_column)
-    manifest = runs.make_with_progress(sink, "copying", kind, make, work, out)
+    manifest = runs.make_with_progress(sink, "copying", kind, make, run_options, out)
     if manifest is None:
         return
     for entry in manifest.spec["options"].get("renumbered", ()):
@@ -164,7 +165,7 @@ class TouchFiles:
 def export(
     *,
     name: str = options.NAME,
-    opening: OpeningAny,
+    source_options: AnySourceOptions,
     file_format: str | None = choice(
         None,
         tuple(dict.fromkeys((*_MESH_FORMATS, *EXPORT_FORMATS))),
@@ -176,13 +177,11 @@ def export(
         "oxt: Zarr of FTP-1; replay: Zarr of Diffusion Policy; fota: tars of T3; anytouch: list files. "
         "flat: Parquet tables, a row for each mesh or touch. lerobot, oxt and replay hold one split.",
     ),
-    form: Annotated[options.Given, options.OptionsOf(printing.ExportOptions)],
+    meshes: Annotated[options.UserOptions, options.OptionsOf(printing.ExportOptions)],
     chosen: catalog.RowFilter,
-    distances: Annotated[options.Given, options.OptionsOf(printing.PlateSpec)],
-    material: Annotated[options.Given, options.OptionsOf(printing.Physics)],
-    touches: Annotated[options.Given, options.OptionsOf(TouchFiles)],
+    touches: Annotated[options.UserOptions, options.OptionsOf(TouchFiles)],
     out: str = out_folder("exported"),
-    making: options.Making,
+    run_options: options.GenerateOptions,
     sink: output.Sink,
 ) -> None:
     """Write files for printers, simulators and other libraries.
@@ -200,36 +199,33 @@ def export(
 
     Exit code 1 if an object or plate could not be written as a solid.
     """
-    place, kind = opening.open_kind(sink, name)
+    place, kind = source_options.open_kind(sink, name)
     if kind.has_touches:
         _require_format(kind, file_format, EXPORT_FORMATS)
-        options.refuse({**form, **distances, **material, "dry_run": making.dry_run}, kind.nouns)
-        options.refuse(
-            {**_given(chosen), "split": None, "limit": None}, "an export of touches: select them first"
-        )
-        _export_touch_files(sink, kind, place, file_format, chosen, touches, out, making)
+        options.refuse({**meshes, "dry_run": run_options.dry_run}, kind.nouns)
+        filters = {**_filters(chosen), "split": None, "limit": None}
+        options.refuse(filters, "an export of touches: select them first")
+        _export_touch_files(sink, kind, place, file_format, chosen, touches, out, run_options)
         return
     _require_format(kind, file_format or "stl", _MESH_FORMATS)
     options.refuse(touches, kind.nouns)
-    out = str(options.local_place(out))
+    out = str(options.parse_local_path(out))
     if file_format == "flat":
-        _export_tables(sink, kind, exchange.plan_tables(kind, place, chosen, out), out, making)
+        _export_tables(sink, kind, exchange.plan_tables(kind, place, chosen, out), out, run_options)
         return
-    options.refuse(making.given(), "mesh files")
-    filters = chosen.given()
+    options.refuse(run_options.given(), "mesh files")
     report = printing.export(
-        catalog.open_splits(place, filters.pop("split"), kind.load, kind.nouns).items(),
-        filters,
+        place,
+        kind,
+        chosen,
         out,
-        printing.ExportOptions(file_format, **form),
-        distances,
-        material,
+        printing.ExportOptions(file_format, **meshes),
         sink.progress,
-        overwrite=making.overwrite,
-        dry_run=making.dry_run,
-        workers=options.process_count(making.workers),
+        overwrite=run_options.overwrite,
+        dry_run=run_options.dry_run,
+        workers=options.process_count(run_options.workers),
     )
-    _print_exported(sink, report, out, making.dry_run)
+    _print_exported(sink, report, out, run_options.dry_run)
 
 
 def _print_exported(sink: output.Sink, report: printing.ExportReport, out: str, is_dry_run: bool) -> None:
@@ -256,19 +252,23 @@ def _require_format(kind: DatasetKind, file_format: str | None, known: tuple[str
 
 
 def _export_tables(
-    sink: output.Sink, kind: DatasetKind, plan: store.BuildPlan, out: str, making: options.Making
+    sink: output.Sink,
+    kind: DatasetKind,
+    plan: store.BuildPlan,
+    out: str,
+    run_options: options.GenerateOptions,
 ) -> None:
     """Write tables of meshes, or print what would be written."""
     folder = store.open_folder(out)
-    if making.dry_run:
-        if not making.overwrite:
+    if run_options.dry_run:
+        if not run_options.overwrite:
             plan.compared_with(folder)
         rows = sum(task.size for task in plan.tasks)
         sink.document({"folder": out, "rows": rows})
         sink.line(f"would write {with_count(rows, kind.nouns)} to {out}; nothing was written")
         return
     make = partial(store.build, folder, plan, write_card=kind.write_card)
-    runs.make_with_progress(sink, "writing", kind, make, making, out)
+    runs.make_with_progress(sink, "writing", kind, make, run_options, out)
 
 
 def _export_touch_files(
@@ -277,9 +277,9 @@ def _export_touch_files(
     place: places.Place,
     file_format: str | None,
     chosen: catalog.RowFilter,
-    touches: options.Given,
+    touches: options.UserOptions,
     out: str,
-    work: Work,
+    run_options: RunOptions,
 ) -> None:
     """Write touches as pictures or for another library."""
     arguments = {
@@ -296,7 +296,9 @@ def _export_touch_files(
     else:
         make = partial(_export_touches, place, out, file_format, **arguments)
     contents.announce_fetching(sink, place, chosen.split)
-    runs.make_with_progress(sink, "converting", replace(kind, nouns=nouns), make, work, out, kind.nouns)
+    runs.make_with_progress(
+        sink, "converting", replace(kind, nouns=nouns), make, run_options, out, kind.nouns
+    )
 
 
 def card(
@@ -315,11 +317,11 @@ def card(
     tactile card digits --license cc-by-4.0 --author "Ada Lovelace" --title "My digits"
     """
     place = places.open_place(folder).require_complete(may_take=False)
-    found = place.choose_kind(kind)
+    chosen = place.choose_kind(kind)
     manifest = place.manifest
-    if found.needs_manifest:
-        manifest = place.require_manifest(found)
-    files = cards.rewrite_card(found, store.open_folder(folder), manifest, words)
+    if chosen.needs_manifest:
+        manifest = place.require_manifest(chosen)
+    files = cards.rewrite_card(chosen, store.open_folder(folder), manifest, words)
     sink.document({"folder": folder, "card": files[0], "previews": files[1:]})
     sink.line(f"{folder}: wrote {', '.join(files)}; all of it matches the data")
 

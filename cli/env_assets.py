@@ -24,13 +24,12 @@ def wrench(
 ) -> None:
     """Make a printable open-end wrench, as a data set of one row.
 
-    Example: env-assets wrench --opening-mm 13 --out assets/wrench
+    Example: env-assets wrench --source_options-mm 13 --out assets/wrench
     """
     report = mesh.inspect(env_assets.wrench_mesh(spec))
     if not dry_run:
         env_assets.write_wrench(spec, str(out), overwrite=overwrite)
-    places = {"folder": str(out), "written": not dry_run}
-    sink.document({**places, **env_assets.wrench_facts(spec, report)})
+    sink.document({"folder": str(out), "written": not dry_run, **env_assets.wrench_facts(spec, report)})
     openings = f"{spec.opening_mm:g} and {spec.second_opening_mm:g}"
     sides = " x ".join(f"{side:.1f}" for side in report.size_mm)
     sink.line(

@@ -28,7 +28,7 @@ _disable_progress_bars = lazy("huggingface_hub.utils.tqdm:disable_progress_bars"
 def upload(
     *,
     folder: str = shared.argument(
-        "DIR|SENSOR", "Folder of a data set, or of a sensor.", read=shared.parse_address
+        "DIR|SENSOR", "Folder of a data set, or of a sensor.", read=shared.parse_path
     ),
     repository: str = shared.argument("USER/NAME", "Repository of the Hub."),
     kind: str | None = shared.KIND,
@@ -52,21 +52,21 @@ def upload(
         _finish_upload(sink, prepared, lambda _revision: lines, dry_run=dry_run, yes=yes)
         return
     place = places.open_place(folder)
-    found = place.choose_kind(kind)
-    manifest = place.require_manifest(found)
+    chosen = place.choose_kind(kind)
+    manifest = place.require_manifest(chosen)
     sink.info(f"checking {folder}")
     prepared = exchange.Upload.of_folder(
         folder,
         repository,
         options,
-        kind=found,
+        kind=chosen,
         workers=shared.process_count(workers),
         dry_run=dry_run,
         on_wait=sink.info,
     )
 
     def loading_lines(revision: str | None) -> list[str]:
-        first, call = found.loading_lines(manifest, prepared.repo_id, manifest.splits[0], revision)
+        first, call = chosen.loading_lines(manifest, prepared.repo_id, manifest.splits[0], revision)
         return [first, f"data = {call}"]
 
     _finish_upload(sink, prepared, loading_lines, dry_run=dry_run, yes=yes)
@@ -103,7 +103,7 @@ def download(
     out: str | None = text(
         name="--out -o",
         metavar="DIR",
-        read=shared.parse_address,
+        read=shared.parse_path,
         help="Folder to write; the Hub's own cache by default.",
     ),
     dry_run: bool = switch(False, help="Print what would be fetched; fetch nothing."),
@@ -134,15 +134,15 @@ def download(
         name, split or (), revision=revision, config=config_name, out=out, on_wait=sink.info
     )
     _print_download_plan(sink, plan)
-    place = ""
+    target = ""
     if not dry_run:
         size = bytes_text(plan.missing_bytes)
         if plan.missing_bytes > _LARGE_BYTES and not yes:
             refused = f"{size} would be fetched, and stdin is not a terminal"
             _require_consent(f"fetch {size}?", refused, "add --yes, or name a --split")
         with sink.progress("fetching", "bytes") as update:
-            place = plan.run(update)
-    _print_download(sink, plan, place)
+            target = plan.run(update)
+    _print_download(sink, plan, target)
 
 
 def _quiet_client(*, is_all: bool) -> None:
@@ -172,7 +172,6 @@ def _listed(paths: Sequence[str]) -> str:
 def _print_upload_plan(sink: Sink, prepared: exchange.Upload) -> None:
     plan = prepared.plan
     held = prepared.held
-    where = prepared.where
     for paths, words in (
         (prepared.left_out, "left out, not part of the data set: {}"),
         (plan.kept, "kept on the Hub, though not in the folder: {} (--delete removes these)"),
@@ -183,7 +182,7 @@ def _print_upload_plan(sink: Sink, prepared: exchange.Upload) -> None:
         sink.info(f"note: {prepared.unasked}; all files are listed, as for a new repository")
     elif held is None:
         visible = "private" if prepared.is_private else "public"
-        sink.line(f"{visible} repository to create: {where}")
+        sink.line(f"{visible} repository to create: {prepared.where}")
     elif not prepared.has_branch:
         sink.line(f"branch to create at the head of main: {prepared.options.branch}")
     if plan.is_done:
@@ -198,7 +197,7 @@ def _print_upload_plan(sink: Sink, prepared: exchange.Upload) -> None:
     sizes = [sum(file.size for file in files) for files in (plan.to_send, prepared.files)]
     sink.line(
         f"{len(plan.to_send):,} of {len(prepared.files):,} files to send, {bytes_text(sizes[0])} of "
-        f"{bytes_text(sizes[1])}, {len(plan.removed):,} to remove, to {where}"
+        f"{bytes_text(sizes[1])}, {len(plan.removed):,} to remove, to {prepared.where}"
     )
 
 
@@ -261,7 +260,8 @@ def _print_download_plan(sink: Sink, plan: exchange.DownloadPlan) -> None:
         sink.info(f"licence: {licence}; please cite: {known.citation}")
 
 
-def _print_download(sink: Sink, plan: exchange.DownloadPlan, place: str) -> None:
+def _print_download(sink: Sink, plan: exchange.DownloadPlan, target: str) -> None:
+    """Print what was fetched into a folder, the ``target``; an empty one is that of a dry run."""
     absent = {file.path for file in plan.missing}
     files = plan.record.files.values()
     sink.document(
@@ -276,26 +276,26 @@ def _print_download(sink: Sink, plan: exchange.DownloadPlan, place: str) -> None
                 for file in files
             ],
             "removed": plan.leftover,
-            "dry_run": not place,
-            "folder": place or None,
+            "dry_run": not target,
+            "folder": target or None,
         }
     )
     missing = with_count(len(plan.missing), "files")
     leftover = with_count(len(plan.leftover), "files")
-    if not place:
+    if not target:
         size = bytes_text(plan.missing_bytes)
         sink.line(f"would fetch {missing}, {size}, and remove {leftover}; nothing was fetched or removed")
         return
     done = f"fetched {missing}, removed {leftover} no longer on the Hub"
     if plan.is_done:
         done = "nothing was left to fetch"
-    sink.line(f"{done}; all {with_count(len(files), 'files')} are intact, in {place}")
+    sink.line(f"{done}; all {with_count(len(files), 'files')} are intact, in {target}")
     # Files in the Hub's cache are found by the name of the repository and the requested revision.
     name = plan.repository.repo_id
     revision = plan.repository.revision
-    kind = plan.place.kind if plan.folder is None else places.open_place(place).kind
+    kind = plan.place.kind if plan.folder is None else places.open_place(target).kind
     if plan.folder is not None:
-        name = place
+        name = target
         revision = None
     if kind is None:
         sink.line(f"next: tactile info {name}")

@@ -12,7 +12,7 @@ import mnist3d
 from cli import options, runs
 from cli.application import EXIT_FAILED, command, new_app, run as run_app
 from cli.contents import print_content
-from cli.options import Job, argument, local_place, process_count
+from cli.options import FileJobOptions, argument, parse_local_path, process_count
 from cli.output import Sink
 from mnist3d import digit_options
 from mnist3d.digit_options import SPLITS, PictureReading, PrintShape, SolidSize, SplitSpec
@@ -39,13 +39,13 @@ def generate(
     source: str = checked_fields.choice(
         "synthetic", digit_options.SOURCES, help="Where the images come from."
     ),
-    images: Annotated[options.Given, options.OptionsOf(digit_options.SourceOptions)],
+    images: Annotated[options.UserOptions, options.OptionsOf(digit_options.SourceOptions)],
     division: SplitSpec,
     per_class: int | None = catalog.PER_CLASS,
     limit: int | None = catalog.LIMIT,
     solid: digit_options.SolidSpec,
     words: cards.OwnerWords,
-    making: options.Making,
+    run_options: options.GenerateOptions,
     sink: Sink,
 ) -> None:
     """Make a data set of printable 3D digits.
@@ -61,16 +61,16 @@ def generate(
         per_class=per_class,
         limit=limit,
     )
-    making_of = mnist3d.DigitGenerator.of(spec, None if split is None else SPLITS)
+    digits = mnist3d.DigitGenerator.of(spec, None if split is None else SPLITS)
     splits: Sequence[str] | None = None
     if split == "all":
-        splits = tuple(making_of.items())
+        splits = tuple(digits.items())
     elif split is not None:
         splits = (split,)
     # Before the first digit, also for a forecast, which measures how long a worker takes.
     run.prepare_batch_process()
-    manifest = runs.generate_set(sink, "making digits", making_of, out, splits, making)
-    if words.given() and not making.dry_run:
+    manifest = runs.generate_set(sink, "making digits", digits, out, splits, run_options)
+    if words.given() and not run_options.dry_run:
         if manifest is not None and manifest.complete:
             cards.rewrite_card(KIND, store.open_folder(out), manifest, words)
         else:
@@ -82,9 +82,9 @@ def generate(
 def validate(
     *,
     paths: list[str] = argument(
-        "NAME|FILE...", "Data sets, or files of meshes.", several=True, read=options.parse_address
+        "NAME|FILE...", "Data sets, or files of meshes.", several=True, read=options.parse_path
     ),
-    opening: options.Opening,
+    source_options: options.SourceOptions,
     split: str | None = catalog.SPLIT,
     limit: int | None = catalog.LIMIT,
     unit: str | None = mesh.UNIT,
@@ -101,10 +101,10 @@ def validate(
     Exit code 1 if a mesh is not a solid.
     """
     profile = mesh.PrintProfile(nozzle_mm=nozzle_mm)
-    opened = partial(opening.open, sink)
+    opened = partial(source_options.open_source, sink)
     results = print_content(sink, KIND, paths, split, limit, workers, opened, unit=unit, profile=profile)
     sink.document(results)
-    if any(each["failed"] for each in results):
+    if any(result["failed"] for result in results):
         raise typer.Exit(EXIT_FAILED)
 
 
@@ -116,7 +116,7 @@ def solidify(
         "prints",
         name="--out -o",
         metavar="FILE|DIR",
-        read=lambda words: str(local_place(words)),
+        read=lambda words: str(parse_local_path(words)),
         help="File to write, such as drawing.stl or drawing.3mf, or a folder for several pictures.",
     ),
     file_format: str = choice("stl", _FORMATS, name="--format", help="Format of the files in a folder."),
@@ -125,7 +125,7 @@ def solidify(
     reading: PictureReading,
     nozzle_mm: float = real(0.4, above=0, help="Diameter of the nozzle; walls need two lines."),
     preview: bool = switch(False, help="Write a picture of each solid beside its file: NAME-preview.png."),
-    job: Job,
+    job: FileJobOptions,
     sink: Sink,
 ) -> None:
     """Make files for printers from pictures: a drawing, handwriting, a logo, a scan or a photograph.
@@ -146,7 +146,7 @@ def solidify(
         ending=f".{file_format}",
         preview=preview,
     )
-    with sink.progress("checking" if job.dry_run else "making", "files") as update:
+    with sink.progress("checking" if job.dry_run else "run_options", "files") as update:
         made = mnist3d.print_pictures(
             *(pictures, out, spec),
             overwrite=job.overwrite,
@@ -155,7 +155,10 @@ def solidify(
             on_progress=update,
         )
     files = [file.to_dict() for file in made.files]
-    failed = [{"picture": each.name, "problem": each.problem, "detail": each.detail} for each in made.failed]
+    failed = [
+        {"picture": picture.name, "problem": picture.problem, "detail": picture.detail}
+        for picture in made.failed
+    ]
     sink.document({"out": out, "files": files, "failed": failed})
     _print_files(sink, made.files, spec)
     if made.files:
@@ -163,8 +166,8 @@ def solidify(
         counted = with_count(len(made.files), "files")
         done = "would write" if job.dry_run else "wrote"
         sink.line(f"{done} {counted} ({size_text}), each checked to be a solid")
-    for each in made.failed:
-        sink.warn(f"failed: {each.name}: {each.detail}")
+    for picture in made.failed:
+        sink.warn(f"failed: {picture.name}: {picture.detail}")
     if made.failed:
         raise typer.Exit(EXIT_FAILED)
 

@@ -25,11 +25,11 @@ JOB = "Job options"
 """Panel of the help for options that decide how the work is done, not what is made."""
 DEBUG_VARIABLE = "TACTILE_TOOLKIT_DEBUG"
 """Environment variable; if it is set, errors show their traceback."""
-Given: TypeAlias = dict[str, Any]
+UserOptions: TypeAlias = dict[str, Any]
 """The options that a user gave, by the name of their field."""
 
 
-def local_place(text: str | Path) -> Path:
+def parse_local_path(text: str | Path) -> Path:
     """Read a local path: ``~`` is the home folder, and addresses such as ``s3://...`` are refused.
 
     ``Path`` alone would turn ``//`` into ``/``, so that an address would become a local folder.
@@ -49,7 +49,7 @@ def _runner_name(words: str) -> str:
     return words
 
 
-def parse_address(text: str | Path) -> str:
+def parse_path(text: str | Path) -> str:
     """Read a folder or file, local (``~`` is the home folder) or in a store (``s3://BUCKET/FOLDER``)."""
     path = store.local_path(str(text))
     return store.open_folder(str(text)).root if path is None else str(path)
@@ -62,18 +62,18 @@ def argument(metavar: str, help: str, **option: Any) -> Any:
 
 def out_folder(default: Any = MISSING) -> Any:
     """Declare the folder that a command writes, on this machine or in an object store."""
-    return text(default, name="--out -o", metavar="DIR", read=parse_address, help="Folder to write.")
+    return text(default, name="--out -o", metavar="DIR", read=parse_path, help="Folder to write.")
 
 
 def local_out_folder(default: str) -> Any:
     """Declare the folder that a command writes on this machine."""
-    return text(Path(default), name="--out -o", metavar="DIR", read=local_place, help="Folder to write.")
+    return text(Path(default), name="--out -o", metavar="DIR", read=parse_local_path, help="Folder to write.")
 
 
 NAME = argument(
     "NAME", "Data set: a folder, a Parquet file, a short name (`tactile list`), USER/NAME on the Hub, s3://."
 )
-FOLDER = argument("DIR", "Folder of a data set.", read=parse_address)
+FOLDER = argument("DIR", "Folder of a data set.", read=parse_path)
 WORKERS = integer(
     0, name="--workers -w", panel=JOB, help="Number of workers; 0 means one per processor core."
 )
@@ -97,42 +97,48 @@ INCOMPLETE = switch(False, panel=SOURCE, help="Use the finished shards of an unf
 
 
 @dataclass(frozen=True, slots=True)
-class Opening:
+class NameOptions:
     """Options of all commands that open a data set by its name."""
 
     revision: str | None = REVISION
     config_name: str | None = CONFIG
-    allow_incomplete: bool = INCOMPLETE
 
-    def open(self, sink: Sink, name: str, *, shows_all: bool = False) -> places.Place:
-        """Open a data set by its name; print a note if an unfinished one is accepted.
-
-        With ``shows_all``, the finished part of an unfinished data set is opened.
-        """
-        allow = self.allow_incomplete or shows_all
+    def open(self, sink: Sink, name: str, *, allow_incomplete: bool = True) -> places.Place:
+        """Open a data set by its name; print a note if it is unfinished, and not refused for that."""
         place = places.open_place(
-            name, revision=self.revision, config=self.config_name, allow_incomplete=allow
+            name, revision=self.revision, config=self.config_name, allow_incomplete=allow_incomplete
         )
-        if allow and place.unfinished:
+        if allow_incomplete and place.unfinished:
             sink.info(f"note: {place.name} is unfinished: {place.unfinished}")
         return place
 
 
 @dataclass(frozen=True, slots=True)
-class OpeningAny(Opening):
-    """Options of all commands that open a data set of any kind."""
+class SourceOptions(NameOptions):
+    """Options of commands for which an unfinished data set is an error unless it is allowed."""
+
+    allow_incomplete: bool = INCOMPLETE
+
+    def open_source(self, sink: Sink, name: str) -> places.Place:
+        """Open a data set by its name; reading an unfinished one is an error unless it is allowed."""
+        return self.open(sink, name, allow_incomplete=self.allow_incomplete)
+
+
+@dataclass(frozen=True, slots=True)
+class AnySourceOptions(SourceOptions):
+    """Options of such commands that take data sets of any kind."""
 
     kind: str | None = KIND
 
     def open_kind(self, sink: Sink, name: str) -> tuple[places.Place, DatasetKind]:
-        """Open a data set by its name; return its place and kind."""
-        place = self.open(sink, name)
+        """Open a data set by its name, and return its kind, too."""
+        place = self.open_source(sink, name)
         return place, place.choose_kind(self.kind)
 
 
 @dataclass(frozen=True, slots=True)
-class Work:
-    """Options of all commands that write a data set folder: how the work is done."""
+class RunOptions:
+    """Options of all commands that write a data set folder: how this is done."""
 
     workers: int = WORKERS
     runner: str = text(
@@ -173,13 +179,12 @@ class Work:
 
     def given(self) -> dict[str, object]:
         """Return the options that apply to the shards of a data set, where they are given."""
-        usual = Work()
         names = ("runner", "part", "finish", "repair")
-        return {name: getattr(self, name) != getattr(usual, name) for name in names}
+        return {name: getattr(self, name) != getattr(RunOptions(), name) for name in names}
 
 
 @dataclass(frozen=True, slots=True)
-class Making(Work):
+class GenerateOptions(RunOptions):
     """Options of all commands that make a data set from nothing or from one of another kind."""
 
     dry_run: bool = DRY_RUN
@@ -190,15 +195,15 @@ def process_count(workers: int) -> int:
     return workers or run.usable_cores()
 
 
-def refuse(given: Mapping[str, object], what: str) -> None:
+def refuse(values: Mapping[str, object], what: str) -> None:
     """Refuse the first option that has a value, as it has no effect on ``what`` (InputError)."""
-    for name, value in given.items():
+    for name, value in values.items():
         if value:
             raise InputError(f"has no effect on {what}", next="leave it out", field=name)
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class FileJobOptions:
     """Options of commands that write other files than data sets."""
 
     workers: int = WORKERS
@@ -210,21 +215,21 @@ class Job:
 class OptionsOf:
     """Marks a parameter as the options of a specification; the command gets those that were given.
 
-    ``Annotated[Given, OptionsOf(WrenchSpec)]`` is for specifications whose defaults follow from other fields,
-    and for commands that must know which options were given.
+    ``Annotated[UserOptions, OptionsOf(WrenchSpec)]`` is for specifications whose defaults follow from other
+    fields, and for commands that must know which options were given.
     """
 
     spec: type
 
 
-def _print_version(wanted: bool) -> None:
-    if wanted:
+def _print_version(is_given: bool) -> None:
+    if is_given:
         sys.stdout.write(f"tactile-toolkit {__version__}\n")
         raise typer.Exit
 
 
-def _show_tracebacks(wanted: bool) -> None:
-    if wanted:
+def _show_tracebacks(is_given: bool) -> None:
+    if is_given:
         os.environ[DEBUG_VARIABLE] = "1"
 
 
@@ -273,40 +278,38 @@ def with_options(
     # Annotations are strings. Those of a group name types of its own module, where Typer would not look.
     hints = get_type_hints(function, include_extras=True)
     taken = inspect.signature(function).parameters
-    groups = {name: _group(hints[name], each) for name, each in taken.items() if name not in known}
+    groups = {name: _group(hints[name], taken[name]) for name in taken if name not in known}
+    options = [option for group in groups.values() for option in group]
 
     @wraps(function)
     def call(context: typer.Context, **values: object) -> None:
         # pyarrow would import pandas, which takes a second and swallows a Ctrl-C.
         run.skip_pandas()
-        _refuse_without_effect(context, [each for group in groups.values() for each in group])
+        _refuse_without_effect(context, options)
         arguments = {name: value for name, value in known.items() if name in taken}
         for name, group in groups.items():
-            fields_of = {each.name: values[each.name] for each in group}
+            group_values = {option.name: values[option.name] for option in group}
             if is_dataclass(hints[name]):
-                arguments[name] = hints[name](**fields_of)
+                arguments[name] = hints[name](**group_values)
             elif _mark(hints[name]) is not None:
-                arguments[name] = {each: fields_of[each] for each in fields_of if _is_given(context, each)}
+                arguments[name] = {key: group_values[key] for key in group_values if _is_given(context, key)}
             else:
                 arguments[name] = values[name]
         function(**arguments)
 
     # Typer reads the signature and the annotations. `Signature` refuses two options of one name.
     context = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
-    options = [each for group in groups.values() for each in group]
     eager = {"debug": Debug, "version": Version}
     global_options = [
         inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=hint)
         for name, hint in eager.items()
     ]
     token = []
-    if asks_hub or any(each.name == "revision" for each in options):
+    if asks_hub or "revision" in {option.name for option in options}:
         token = [_parameter("token", _TOKEN)]
     parameters = [context, *options, *token, *global_options]
     call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    call.__annotations__ = {
-        name: each.annotation for name, each in inspect.signature(call).parameters.items()
-    }
+    call.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return call
 
 
@@ -319,25 +322,28 @@ def option_label(parameter: Any) -> str:
 
 def _refuse_without_effect(context: typer.Context, options: Iterable[inspect.Parameter]) -> None:
     """Refuse a given option whose declared need is not met; InputError names both."""
-    labels = {each.name: option_label(each) for each in context.command.params}
-    for each in options:
-        needs = get_args(each.annotation)[2].option.get("needs")
-        if not needs or not _is_given(context, each.name):
+    labels = {parameter.name: option_label(parameter) for parameter in context.command.params}
+    for option in options:
+        needs = get_args(option.annotation)[2].option.get("needs")
+        if not needs or not _is_given(context, option.name):
             continue
         field, _, words = needs.partition("=")
         value = context.params[field]
-        values = {*words.split("|")}
+        words_given = list(map(str, value if isinstance(value, (list, tuple)) else [value or ""])) or [""]
         is_met = bool(value)
         if words and (not value or isinstance(value, (str, list, tuple))):  # not what a text was read as
-            held = value if isinstance(value, (list, tuple)) else [value or ""]
-            is_met = bool(values.intersection(held or [""]))
+            is_met = not {*words.split("|")}.isdisjoint(words_given)
         if not is_met:
             known = [word for word in words.split("|") if word]
-            raise InputError(
-                " ".join(["has no effect without", labels[field], *filter(None, [alternatives(known)])]),
-                next=f"add {' '.join([labels[field], *known[:1]])}, or leave it out",
-                field=each.name,
-            )
+            what = " ".join(["has no effect without", labels[field], *filter(None, [alternatives(known)])])
+            if words and value:
+                shown = ", ".join(words_given)
+                what = f"has no effect with {labels[field]} {shown}; expected {alternatives(known)}"
+            needed = next(parameter for parameter in context.command.params if parameter.name == field)
+            # The first of several forms, such as `256x256|prusa-mk4`; a switch has none.
+            example = known[0] if known else str(needed.metavar or "").partition("|")[0]
+            step = f"add {labels[field]} {example}".rstrip()
+            raise InputError(what, next=f"{step}, or leave it out", field=option.name)
 
 
 def _is_given(context: typer.Context, name: str) -> bool:
@@ -346,7 +352,7 @@ def _is_given(context: typer.Context, name: str) -> bool:
 
 
 def _mark(hint: object) -> OptionsOf | None:
-    return next((each for each in get_args(hint)[1:] if isinstance(each, OptionsOf)), None)
+    return next((mark for mark in get_args(hint)[1:] if isinstance(mark, OptionsOf)), None)
 
 
 def _group(hint: object, parameter: inspect.Parameter) -> list[inspect.Parameter]:
@@ -357,12 +363,12 @@ def _group(hint: object, parameter: inspect.Parameter) -> list[inspect.Parameter
         group = mark.spec
     if not is_dataclass(group):
         return [_parameter(parameter.name, parameter.default)]
-    found = []
-    for each in fields(group):
-        rule = Rule.of(each)
+    options = []
+    for field in fields(group):
+        rule = Rule.of(field)
         if rule is not None and "help" in rule.option:
-            found.append(_parameter(each.name, each, is_optional=mark is not None))
-    return found
+            options.append(_parameter(field.name, field, is_optional=mark is not None))
+    return options
 
 
 def _parameter(name: str, declared: Field[Any], *, is_optional: bool = False) -> inspect.Parameter:

@@ -61,12 +61,12 @@ class PreviewOptions:
 def preview(
     *,
     name: str = options.argument("NAME|FILE", "Data set, mesh file, or a picture of a digit."),
-    opening: options.OpeningAny,
-    drawing: Annotated[options.Given, options.OptionsOf(PreviewOptions)],
+    source_options: options.AnySourceOptions,
+    drawing: Annotated[options.UserOptions, options.OptionsOf(PreviewOptions)],
     out: Path | None = text(
         name="--out -o",
         metavar="DIR|FILE.png",
-        read=options.local_place,
+        read=options.parse_local_path,
         shown="previews, a single grid touches.png",
         help="Folder to write, or file of a single picture; existing pictures are replaced.",
     ),
@@ -80,19 +80,19 @@ def preview(
     """
     usual = "previews"
     if _is_picture_or_mesh(name):
-        kind = next(each for each in kinds() if each.name == "mnist3d")
+        kind = next(kind for kind in kinds() if kind.name == "mnist3d")
         plan = kind.plan_previews(name, _preview_spec(kind, drawing))
     else:
-        place, kind = opening.open_kind(sink, name)
+        place, kind = source_options.open_kind(sink, name)
         plan = kind.plan_previews(place, _preview_spec(kind, drawing))
         if kind.has_touches and not drawing.get("kinds"):
             usual = "touches.png"
     _write(sink, plan, out or Path(usual), dry_run=dry_run)
 
 
-def _preview_spec(kind: DatasetKind, drawing: options.Given) -> object:
+def _preview_spec(kind: DatasetKind, drawing: options.UserOptions) -> object:
     """Return the options of the previews of a kind; InputError for one that it does not have."""
-    options.refuse({each: True for each in drawing if each not in kind.preview_options}, kind.nouns)
+    options.refuse({name: True for name in drawing if name not in kind.preview_options}, kind.nouns)
     return kind.preview_spec(**drawing)
 
 
@@ -109,8 +109,8 @@ def _write(sink: output.Sink, plan: pictures.PicturePlan, folder: Path, *, dry_r
         sink.info(f"left out: {reason}")
     left_out = {"left_out": list(plan.left_out)}
     if dry_run:
-        planned = [{"file": picture.name, "what": picture.what} for picture in drawn]
-        sink.document({"folder": str(folder), "pictures": planned, **left_out})
+        documents = [{"file": picture.name, "what": picture.what} for picture in drawn]
+        sink.document({"folder": str(folder), "pictures": documents, **left_out})
         for picture in drawn:
             sink.line(f"would write {folder / picture.name}: {picture.what}")
         return
@@ -125,13 +125,13 @@ def _write(sink: output.Sink, plan: pictures.PicturePlan, folder: Path, *, dry_r
 def gallery(
     *,
     name: str = options.NAME,
-    opening: options.OpeningAny,
+    source_options: options.AnySourceOptions,
     chosen: catalog.RowFilter,
     touches: int | None = integer(
         None, 1, optional=True, shown="64", help="Maximum number of touches of a round, evenly spaced."
     ),
     out: Path = options.local_out_folder("gallery"),
-    job: options.Job,
+    job: options.FileJobOptions,
     sink: output.Sink,
 ) -> None:
     """Make a page of thumbnails, filters and 3D views that opens without a network or a server.
@@ -141,7 +141,7 @@ def gallery(
 
     Examples: tactile gallery digits --out site --split test;  tactile gallery digits --per-class 1
     """
-    place, kind = opening.open_kind(sink, name)
+    place, kind = source_options.open_kind(sink, name)
     if kind.has_touches:
         page: galleries.Gallery = kind.plan_gallery(
             place, chosen, **({"touches": touches} if touches else {})

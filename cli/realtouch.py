@@ -11,10 +11,10 @@ import typer
 
 import realtouch
 from cli import application, contents, options, output, runs
-from cli.options import Making, Opening, Work, argument, out_folder
+from cli.options import GenerateOptions, RunOptions, SourceOptions, argument, out_folder
 from realtouch import touch_options
 from realtouch.kind import KIND
-from tactile_toolkit import catalog, checked_fields, store, touch
+from tactile_toolkit import catalog, checked_fields, places, store, touch
 from tactile_toolkit.checked_fields import text
 from tactile_toolkit.wording import with_count
 
@@ -35,14 +35,14 @@ def load(
     *,
     name: str = options.NAME,
     split: str | None = touch_options.ONE_SPLIT,
-    opening: Opening,
+    source_options: SourceOptions,
     sink: output.Sink,
 ) -> None:
     """Download missing files, check the data set quickly, and print what it holds and the line for Python.
 
     Example: realtouch load real-single-64x64 --split test
     """
-    place = opening.open(sink, name).require(KIND, "realtouch load")
+    place = source_options.open_source(sink, name).require(KIND, "realtouch load")
     dataset = realtouch.load(place, split)
     # An unfinished data set was allowed, or is refused above.
     is_unfinished = bool(place.unfinished)
@@ -66,7 +66,7 @@ def import_touches(
     columns: touch_options.ImportColumns,
     mapped: list[str] | None = _MAPPED,
     alignment: touch_options.Alignment,
-    making: Making,
+    run_options: GenerateOptions,
     sink: output.Sink,
 ) -> None:
     """Make a data set of touches from recordings; pictures are stored unchanged if possible.
@@ -77,35 +77,35 @@ def import_touches(
     Example: realtouch import takes --map label=object --map pose=x_mm,y_mm,z_mm,qx,qy,qz,qw --out touches
     """
     spec = replace(spec, columns=columns.with_mapped(mapped or ()), alignment=alignment)
-    if making.dry_run:
+    if run_options.dry_run:
         _print_preview(sink, realtouch.preview_import(source, spec), out)
         return
     make = partial(realtouch.import_touches, source, out, spec)
-    manifest = runs.make_with_progress(sink, "importing", KIND, make, making, out, "touches")
+    manifest = runs.make_with_progress(sink, "importing", KIND, make, run_options, out, "touches")
     if manifest is not None:
         _print_imported(sink, manifest)
         sink.line(f"next: realtouch check {out}   tactile gallery {out}")
 
 
-def _print_preview(sink: output.Sink, found: realtouch.ImportPreview, out: str) -> None:
-    sink.document(asdict(found))
-    by = f", recognised by {found.recognised_by}" if found.recognised_by else ""
-    sink.line(f"format: {found.layout}{by}")
-    if found.cut:
-        sink.line(f"recordings are cut: {found.cut}")
-    sink.line(f"pictures: {found.pictures}")
-    sink.line(f"classes: {', '.join(found.classes) or 'none; all labels are -1'}")
-    counts = ", ".join(f"{split} {count:,}" for split, count in found.splits.items())
-    rounds = with_count(found.rounds, "rounds")
-    sink.line(f"would make {with_count(found.touches, 'touches')} in {rounds} in {out}: {counts}")
-    sink.table(("column", "becomes", "unit"), found.columns, title="columns of the source")
-    names = dict.fromkeys(name for values in found.first for name in values)
-    rows = [(name, *(values.get(name, "") for values in found.first)) for name in names]
-    sink.table(("stored as", *(f"touch {number}" for number in range(len(found.first)))), rows)
-    if found.streams:
-        sink.table(touch_options.STREAM_HEADER, found.streams)
-    if found.left_out:
-        sink.table(("left out because of", "touches", "the first"), found.left_out)
+def _print_preview(sink: output.Sink, preview: realtouch.ImportPreview, out: str) -> None:
+    sink.document(asdict(preview))
+    by = f", recognised by {preview.recognised_by}" if preview.recognised_by else ""
+    sink.line(f"format: {preview.layout}{by}")
+    if preview.cut:
+        sink.line(f"recordings are cut: {preview.cut}")
+    sink.line(f"pictures: {preview.pictures}")
+    sink.line(f"classes: {', '.join(preview.classes) or 'none; all labels are -1'}")
+    counts = ", ".join(f"{split} {count:,}" for split, count in preview.splits.items())
+    rounds = with_count(preview.rounds, "rounds")
+    sink.line(f"would make {with_count(preview.touches, 'touches')} in {rounds} in {out}: {counts}")
+    sink.table(("column", "becomes", "unit"), preview.columns, title="columns of the source")
+    names = dict.fromkeys(name for values in preview.first for name in values)
+    rows = [(name, *(values.get(name, "") for values in preview.first)) for name in names]
+    sink.table(("stored as", *(f"touch {number}" for number in range(len(preview.first)))), rows)
+    if preview.streams:
+        sink.table(touch_options.STREAM_HEADER, preview.streams)
+    if preview.left_out:
+        sink.table(("left out because of", "touches", "the first"), preview.left_out)
 
 
 def _print_imported(sink: output.Sink, manifest: store.Manifest) -> None:
@@ -132,12 +132,12 @@ def check(
     *,
     name: str = options.NAME,
     split: str | None = catalog.SPLIT,
-    opening: Opening,
+    source_options: SourceOptions,
     limits: touch_options.CheckLimits,
     drawn: Path | None = text(
         name="--pictures",
         metavar="DIR",
-        read=options.local_place,
+        read=options.parse_local_path,
         help="Folder for a picture of each finding.",
     ),
     workers: int = options.WORKERS,
@@ -146,11 +146,13 @@ def check(
     """Find frozen frames, exchanged channels, duplicates and other faults of recordings.
 
     `tactile verify` checks the files of a data set. Import other recordings first, with `realtouch import`.
-    Exit code 1 if something is found.
+    Exit code 1 if something is preview.
 
     Example: realtouch check touches --pictures found
     """
-    document = contents.print_faults(sink, opening.open(sink, name), split, workers, limits, drawn)
+    document = contents.print_faults(
+        sink, source_options.open_source(sink, name), split, workers, limits, drawn
+    )
     sink.document(document)
     if not document["ok"]:
         raise typer.Exit(application.EXIT_FAILED)
@@ -158,28 +160,22 @@ def check(
 
 def convert(
     sink: output.Sink,
-    command: str,
-    function: Callable[..., store.Manifest],
-    source: str,
-    opening: Opening,
-    out: str,
+    place: places.Place,
     split: str | None,
-    limit: int | None,
-    work: Work,
-    **arguments: object,
+    make: Callable[..., store.Manifest],
+    run_options: RunOptions,
+    out: str,
 ) -> None:
     """Print what will be fetched, convert touches with progress, and print what was made."""
-    opened = opening.open(sink, source).require(KIND, command)
-    make = partial(function, opened, out, **arguments, split=split, limit=limit)
-    contents.announce_fetching(sink, opened, split)
-    runs.make_with_progress(sink, "converting", KIND, make, work, out)
+    contents.announce_fetching(sink, place, split)
+    runs.make_with_progress(sink, "converting", KIND, make, run_options, out)
 
 
 @application.command(app)
 def resize(
     *,
     name: str = options.NAME,
-    opening: Opening,
+    source_options: SourceOptions,
     out: str = out_folder(),
     size_px: tuple[int, int] = touch.size_option(MISSING),
     quality: int = checked_fields.integer(
@@ -187,36 +183,38 @@ def resize(
     ),
     split: str | None = catalog.SPLIT,
     limit: int | None = catalog.LIMIT,
-    work: Work,
+    run_options: RunOptions,
     sink: output.Sink,
 ) -> None:
     """Write the same data set with images or clips of another size.
 
     Example: realtouch resize real-single-320x240 --size 64x64 --out small
     """
-    arguments = {"width": size_px[0], "height": size_px[1], "quality": quality}
-    convert(sink, "realtouch resize", realtouch.resize, name, opening, out, split, limit, work, **arguments)
+    place = source_options.open_source(sink, name).require(KIND, "realtouch resize")
+    size: options.UserOptions = {"width": size_px[0], "height": size_px[1], "quality": quality}
+    make = partial(realtouch.resize, place, out, **size, split=split, limit=limit)
+    convert(sink, place, split, make, run_options, out)
 
 
 @application.command(app)
 def stills(
     *,
     name: str = options.NAME,
-    opening: Opening,
+    source_options: SourceOptions,
     out: str = out_folder(),
     clip_frame: str = touch_options.FRAME(),
     split: str | None = catalog.SPLIT,
     limit: int | None = catalog.LIMIT,
-    work: Work,
+    run_options: RunOptions,
     sink: output.Sink,
 ) -> None:
     """Make a data set of single images from one of clips: a frame of each clip, with its pose.
 
     Example: realtouch stills real-seq --clip-frame peak --out touches
     """
-    arguments = {"frame": clip_frame}
-    function = realtouch.clips_to_images
-    convert(sink, "realtouch stills", function, name, opening, out, split, limit, work, **arguments)
+    place = source_options.open_source(sink, name).require(KIND, "realtouch stills")
+    make = partial(realtouch.clips_to_images, place, out, frame=clip_frame, split=split, limit=limit)
+    convert(sink, place, split, make, run_options, out)
 
 
 main = partial(application.run, app)

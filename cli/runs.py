@@ -26,18 +26,18 @@ def generate_set(
     rows: RowGenerator,
     out: str,
     splits: Sequence[str] | None,
-    making: options.Making,
+    run_options: options.GenerateOptions,
     require: Callable[[], None] = lambda: None,
 ) -> store.Manifest | None:
     """Make a data set of a kind, or forecast it, and print a summary and the next step.
 
     Returns None if nothing, or only a part, was made.
     """
-    if making.dry_run:
-        _print_forecast(sink, rows, out, splits, making, require)
+    if run_options.dry_run:
+        _print_forecast(sink, rows, out, splits, run_options, require)
         return None
     make = partial(rows.generate, out, splits, require=require)
-    manifest = make_with_progress(sink, what, rows.kind, make, making, out)
+    manifest = make_with_progress(sink, what, rows.kind, make, run_options, out)
     if manifest is None:
         return None
     table = manifest.split_table()
@@ -53,7 +53,7 @@ def make_with_progress(
     what: str,
     kind: DatasetKind,
     make: Callable[..., store.Manifest],
-    work: options.Work,
+    run_options: options.RunOptions,
     out: str,
     unit: str | None = None,
 ) -> store.Manifest | None:
@@ -73,7 +73,7 @@ def make_with_progress(
             update(progress.done, progress.total)
 
         try:
-            manifest = make(**work.run_keywords(), on_progress=on_progress)
+            manifest = make(**run_options.run_keywords(), on_progress=on_progress)
         except store.MissingPartsError as error:
             sink.document({"complete": False, "array": error.array, "parts": error.parts})
             # On stdout, so that a script can pass it to `sbatch`; the error message goes to stderr.
@@ -85,10 +85,10 @@ def make_with_progress(
         made = f"made {with_count(rows, kind.nouns)} in {wording.duration_text(elapsed_s)}"
     if skipped:
         made += f", left out {with_count(skipped, unit or kind.nouns)}"
-    if work.part is not None:
+    if run_options.part is not None:
         counts = {"rows": rows, "skipped": skipped, "elapsed_s": round(elapsed_s, 3)}
-        sink.document({"folder": out, "complete": False, "part": work.part, **counts})
-        sink.line(f"{made}; part {work.part} of the data set in {out} is finished")
+        sink.document({"folder": out, "complete": False, "part": run_options.part, **counts})
+        sink.line(f"{made}; part {run_options.part} of the data set in {out} is finished")
         sink.line("next: after all parts, run the same command with --finish instead of --part")
         return None
     # Another split may be unfinished: its finished shards stay and are shown, as by `info`.
@@ -103,11 +103,11 @@ def _print_forecast(
     generator: RowGenerator,
     out: str,
     splits: Sequence[str] | None,
-    making: options.Making,
+    run_options: options.GenerateOptions,
     require: Callable[[], None],
 ) -> None:
     kind = generator.kind
-    view = generator.forecast(out, splits, require=require, **making.run_keywords())
+    view = generator.forecast(out, splits, require=require, **run_options.run_keywords())
     sink.document(asdict(view))
     header = ("split", kind.nouns, "shards", "finished already")
     sink.table(header, [tuple(entry.values()) for entry in view.splits])
@@ -116,12 +116,12 @@ def _print_forecast(
         held = with_count(sum(view.replaced.values()), "rows")
         sink.line(f"would replace the data set in {out}: {held} ({parts or 'no split'})")
     part = ""
-    if making.part is not None:
-        part = f" (part {making.part})"
+    if run_options.part is not None:
+        part = f" (part {run_options.part})"
     sink.line(
         f"would make {with_count(view.rows_to_make, kind.nouns)}{part} in {out}: about "
         f"{wording.bytes_text(view.bytes)} of Parquet, about {wording.duration_text(view.seconds)} "
-        f"with {with_count(options.process_count(making.workers), 'workers')} (measured on "
+        f"with {with_count(options.process_count(run_options.workers), 'workers')} (measured on "
         f"{with_count(view.sampled, kind.nouns)}); nothing was written"
     )
 
@@ -149,7 +149,7 @@ def print_set(
     table = {name: held for name, held in manifest.split_table().items() if split in (None, name)}
     if not table and split is not None:
         raise places.unknown_split(split, manifest.splits, out)
-    planned = {split: count for split, count in manifest.shards_planned().items() if split in table}
+    shard_counts = {split: count for split, count in manifest.shards_planned().items() if split in table}
     if elapsed_s is not None:
         elapsed_s = round(elapsed_s, 3)
     print_left_out(sink, manifest)
@@ -159,7 +159,7 @@ def print_set(
             "complete": manifest.complete,
             "toolkit_version": manifest.toolkit_version,
             "elapsed_s": elapsed_s,
-            "shards_planned": planned,
+            "shards_planned": shard_counts,
             "splits": table,
             "skipped": manifest.skipped_reasons(),
             **facts.document,
@@ -172,7 +172,7 @@ def print_set(
         (
             name,
             e["rows"],
-            f"{e['shards']:,} of {planned[name]:,}",
+            f"{e['shards']:,} of {shard_counts[name]:,}",
             wording.bytes_text(e["bytes"]),
             e["skipped"],
         )

@@ -31,7 +31,7 @@ def generate(
     scene: SceneOptions,
     seed: int = checked_fields.integer(0, help="Random seed."),
     limit: int | None = catalog.LIMIT,
-    making: options.Making,
+    run_options: options.GenerateOptions,
     sink: output.Sink,
 ) -> None:
     """Make a data set of scenes.
@@ -42,7 +42,7 @@ def generate(
     """
     spec = starstruck_gen.SceneSetSpec(scene.spec(), scenes or starstruck_gen.PUBLISHED_SIZES, seed, limit)
     splits = {"all": starstruck_gen.SPLITS}.get(split, (split,))
-    if scene.collision == "exact" and not making.dry_run:
+    if scene.collision == "exact" and not run_options.dry_run:
         # Outlines are measured by manifold3d: 5.9 s of processor time with one thread, 7.1 s with its own
         # ones. Circles do without it, and would only pay for the 0.1 s that the setting costs.
         run.prepare_batch_process()
@@ -50,14 +50,14 @@ def generate(
     with sink.progress("trying the fullest scene", "failed layouts") as on_failure:
         require = partial(starstruck_gen.require_feasible, spec.scene, spec.seed, on_failure)
         rows = starstruck_gen.SceneGenerator(spec)
-        runs.generate_set(sink, "making scenes", rows, out, splits, making, require)
+        runs.generate_set(sink, "making scenes", rows, out, splits, run_options, require)
 
 
 @command(app)
 def validate(
     *,
     name: str = options.NAME,
-    opening: options.Opening,
+    source_options: options.SourceOptions,
     split: str | None = catalog.SPLIT,
     limit: int | None = catalog.LIMIT,
     workers: int = options.WORKERS,
@@ -71,10 +71,10 @@ def validate(
 
     Exit code 1 if a scene is not valid.
     """
-    opened = partial(opening.open, sink)
+    opened = partial(source_options.open_source, sink)
     results = contents.print_content(sink, KIND, [name], split, limit, workers, opened)
     sink.document(results)
-    if any(each["failed"] for each in results):
+    if any(result["failed"] for result in results):
         raise typer.Exit(EXIT_FAILED)
 
 

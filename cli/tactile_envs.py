@@ -30,11 +30,11 @@ def list_environments(
     Example: tactile-envs list Minecraft
     """
     listed = _environment_ids(*words or ())
-    sink.document([asdict(each) for each in listed])
+    sink.document(list(map(asdict, listed)))
     names = [field.name for field in fields(listed[0])]
-    sink.table(names, [[_shown(getattr(each, name)) for name in names] for each in listed])
+    sink.table(names, [[_shown(getattr(row, name)) for name in names] for row in listed])
     sink.line(f"{with_count(len(listed), 'environments')}; the name for gymnasium.make is `tactile_envs/ID`")
-    for assets in dict.fromkeys(each.assets for each in listed):
+    for assets in dict.fromkeys(row.assets for row in listed):
         if assets in env_assets.THIRD_PARTY_ASSETS:
             sink.line(f"{assets}: give `assets`, a folder of meshes; {env_assets.THIRD_PARTY_ASSETS[assets]}")
 

@@ -15,9 +15,10 @@ import realtouch
 import tactile_sim
 from cli import contents, options, output, runs
 from cli.application import EXIT_FAILED, command, new_app, run as run_app
-from cli.options import Opening, argument, local_out_folder, local_place
+from cli.options import SourceOptions, argument, local_out_folder, parse_local_path
 from cli.output import Sink
 from cli.realtouch import convert
+from realtouch.kind import KIND
 from tactile_sim import ElasticPress, PairSetSpec, TouchPlan, TouchSetSpec, TrainConfig
 from tactile_sim.press import sensors
 from tactile_sim.press.sensors import GELSIGHT_MINI, SensorModel
@@ -39,14 +40,14 @@ def generate(
     objects: str = options.argument(
         "FILE|DIR|NAME", "Mesh file, folder of mesh files, or data set of meshes."
     ),
-    opening: options.Opening,
+    source_options: options.SourceOptions,
     chosen: catalog.RowFilter,
     unit: str | None = mesh.UNIT,
     out: str = options.out_folder("touches"),
-    plan: Annotated[options.Given, options.OptionsOf(TouchPlan)],
-    picture: Annotated[options.Given, options.OptionsOf(TouchSetSpec)],
-    press: Annotated[options.Given, options.OptionsOf(ElasticPress)],
-    making: options.Making,
+    plan: Annotated[options.UserOptions, options.OptionsOf(TouchPlan)],
+    picture: Annotated[options.UserOptions, options.OptionsOf(TouchSetSpec)],
+    press: Annotated[options.UserOptions, options.OptionsOf(ElasticPress)],
+    run_options: options.GenerateOptions,
     sink: output.Sink,
 ) -> None:
     """Press the gel onto the objects of a data set, or onto your own, and write a data set of touches.
@@ -65,24 +66,24 @@ def generate(
     # A table of positions implies `given` in place of the default `cell`; other values are refused.
     if "touch_table" in plan and plan.get("positions", "cell") == "cell":
         plan["positions"] = "given"
-    given = chosen.given()
-    split = given.pop("split")
+    filters = chosen.given()
+    split = filters.pop("split")
     splits = split and (split,)
-    spec = spec_of(sink, picture, plan=TouchPlan(**plan), press=press_of(press), **given)
-    if not making.dry_run:
+    spec = spec_of(sink, picture, plan=TouchPlan(**plan), press=press_of(press), **filters)
+    if not run_options.dry_run:
         run.prepare_batch_process()
-    touches = tactile_sim.TouchGenerator.of(objects, spec, unit, partial(opening.open, sink))
-    if touches.has_own_objects and opening != options.Opening():
+    touches = tactile_sim.TouchGenerator.of(objects, spec, unit, partial(source_options.open_source, sink))
+    if touches.has_own_objects and source_options != options.SourceOptions():
         raise InputError(
             f"--revision, --config-name and --allow-incomplete are for data sets, and {objects!r} is "
             "of mesh files",
             next="leave them out",
         )
     require = partial(touches.refuse_sources, objects, out)
-    runs.generate_set(sink, "rendering", touches, out, splits, making, require)
+    runs.generate_set(sink, "rendering", touches, out, splits, run_options, require)
 
 
-def spec_of(sink: output.Sink, picture: options.Given, **others: object) -> TouchSetSpec:
+def spec_of(sink: output.Sink, picture: options.UserOptions, **others: object) -> TouchSetSpec:
     """Return the specification of the options that were given."""
     known = "optics" in picture
     optics = tactile_sim.default_optics()
@@ -96,14 +97,14 @@ def spec_of(sink: output.Sink, picture: options.Given, **others: object) -> Touc
     return spec
 
 
-def press_of(given: options.Given) -> tactile_sim.ElasticPress | None:
+def press_of(user_options: options.UserOptions) -> tactile_sim.ElasticPress | None:
     """Return the press of the options that were given; None without an elastic gel."""
-    if given.get("gel") is None:
+    if user_options.get("gel") is None:
         return None
-    return tactile_sim.ElasticPress(**given)
+    return tactile_sim.ElasticPress(**user_options)
 
 
-def _place_m(words: str) -> tuple[float, float] | None:
+def _position_m(words: str) -> tuple[float, float] | None:
     """Read ``x,y`` in millimetres, or ``object``."""
     if words == "object":
         return None
@@ -125,15 +126,19 @@ def render(
         name="--at-mm",
         metavar="X,Y|object",
         shown="0,0",
-        read=_place_m,
+        read=_position_m,
         help="Centre of the gel, relative to the origin of the mesh; object: a place on the mesh.",
     ),
     turn_deg: float = checked_fields.real(0.0, help="Rotation of the object about z."),
     unit: str | None = mesh.UNIT,
-    picture: Annotated[options.Given, options.OptionsOf(TouchSetSpec)],
-    press: Annotated[options.Given, options.OptionsOf(tactile_sim.ElasticPress)],
+    picture: Annotated[options.UserOptions, options.OptionsOf(TouchSetSpec)],
+    press: Annotated[options.UserOptions, options.OptionsOf(tactile_sim.ElasticPress)],
     out: Path = checked_fields.text(
-        Path("touch.png"), name="--out -o", metavar="FILE", read=options.local_place, help="Image to write."
+        Path("touch.png"),
+        name="--out -o",
+        metavar="FILE",
+        read=options.parse_local_path,
+        help="Image to write.",
     ),
     overwrite: bool = options.OVERWRITE,
     sink: output.Sink,
@@ -161,28 +166,34 @@ def render(
     solid = mesh.read_mesh(file, unit=unit)
     for note in solid.notes:
         sink.info(f"note: {file}: {note}")
-    seen = tactile_sim.preview_touch(solid, spec, at, math.radians(turn_deg))
-    encoded = touch.encode_image(seen.picture, image_format, spec.quality)
+    preview = tactile_sim.preview_touch(solid, spec, at, math.radians(turn_deg))
+    encoded = touch.encode_image(preview.picture, image_format, spec.quality)
     store.open_folder(str(out.parent.absolute())).write_bytes(out.name, encoded)
-    _print_touch(sink, out, seen)
+    _print_touch(sink, out, preview)
 
 
-def _print_touch(sink: output.Sink, out: Path, seen: tactile_sim.TouchPreview) -> None:
+def _print_touch(sink: output.Sink, out: Path, preview: tactile_sim.TouchPreview) -> None:
     """Print what a rendered touch shows, and what the gel feels."""
-    document = {"file": str(out), "sensor_z_m": seen.sensor_z_m, "contact": seen.contact, **seen.forces}
+    document = {
+        "file": str(out),
+        "sensor_z_m": preview.sensor_z_m,
+        "contact": preview.contact,
+        **preview.forces,
+    }
     sink.document(document)
     sink.line(
-        f"{out}: the sensor stops {1e3 * seen.sensor_z_m:.3f} mm above the plate; "
-        f"{100 * seen.contact:.1f} % of the image is in contact with the object"
+        f"{out}: the sensor stops {1e3 * preview.sensor_z_m:.3f} mm above the plate; "
+        f"{100 * preview.contact:.1f} % of the image is in contact with the object"
     )
-    if seen.forces:
-        x_n, y_n, z_n = seen.forces["force_n"]
+    if preview.forces:
+        x_n, y_n, z_n = preview.forces["force_n"]
         sink.line(
-            f"the gel is pressed in by {1e3 * seen.forces['press_depth_m']:.3f} mm with {z_n:.2f} N; shear "
-            f"{x_n:.2f} N along x, {y_n:.2f} N along y, torque {1e3 * seen.forces['torque_n_m'][2]:.2f} N mm"
+            f"the gel is pressed in by {1e3 * preview.forces['press_depth_m']:.3f} mm with {z_n:.2f} N; "
+            f"shear {x_n:.2f} N along x, {y_n:.2f} N along y, "
+            f"torque {1e3 * preview.forces['torque_n_m'][2]:.2f} N mm"
         )
-    if not seen.contact:
-        (low_x, low_y), (high_x, high_y) = (1e3 * seen.bounds_m).tolist()
+    if not preview.contact:
+        (low_x, low_y), (high_x, high_y) = (1e3 * preview.bounds_m).tolist()
         sink.info(
             f"the gel touched only the plate; the mesh is at x {low_x:.1f} to {high_x:.1f} mm, y {low_y:.1f} "
             f"to {high_y:.1f} mm; next: add --at-mm object, or a larger --size if it is thinner than a pixel"
@@ -193,13 +204,13 @@ def _print_touch(sink: output.Sink, out: Path, seen: tactile_sim.TouchPreview) -
 def calibrate(
     *,
     source: str = argument("SOURCE", "Touches of printed solids: a data set, or a folder of images."),
-    opening: Opening,
+    source_options: SourceOptions,
     solids: str = text(
         MISSING, metavar="SET", help="The printed solids: mesh files, or a data set of meshes."
     ),
     table: Path | None = text(
         metavar="FILE",
-        read=local_place,
+        read=parse_local_path,
         help="Table of the images, CSV or TSV: file, object; x_m, y_m, z_m of the sensor; object_x_m, "
         "object_y_m, object_turn_rad.",
     ),
@@ -231,13 +242,13 @@ def calibrate(
         table=table,
         backgrounds=background or (),
         unit=unit,
-        opened=partial(opening.open, sink),
+        opened=partial(source_options.open_source, sink),
     )
     start = SensorModel.named(sensor)
     mistakes = tactile_sim.find_mistakes(recordings, start)
-    for each in mistakes:
-        sink.warn(f"{each.kind}: {each}")
-    fatal = [each.kind for each in mistakes if each.is_fatal]
+    for mistake in mistakes:
+        sink.warn(f"{mistake.kind}: {mistake}")
+    fatal = [mistake.kind for mistake in mistakes if mistake.is_fatal]
     if fatal:
         raise InputError(
             f"{source!r} cannot be used for a calibration: {', '.join(fatal)}; nothing was written",
@@ -260,7 +271,7 @@ def pairs(
     allow_incomplete: bool = options.INCOMPLETE,
     out: str = options.out_folder("pairs"),
     spec: PairSetSpec,
-    making: options.Making,
+    run_options: options.GenerateOptions,
     sink: output.Sink,
 ) -> None:
     """Make the training set of a CycleGAN: unpaired depth images and real touches.
@@ -268,10 +279,10 @@ def pairs(
     Example: tactile-sim pairs digits --real real-single-320x240 --split train --out pairs
     """
     run.prepare_batch_process()
-    opened = partial(options.Opening(allow_incomplete=allow_incomplete).open, sink)
+    opened = partial(options.SourceOptions(allow_incomplete=allow_incomplete).open_source, sink)
     pairs = tactile_sim.PairGenerator.of(objects, real, split, spec, opened)
     require = partial(pairs.refuse_sources, objects, out)
-    runs.generate_set(sink, "pressing and scaling", pairs, out, None, making, require)
+    runs.generate_set(sink, "pressing and scaling", pairs, out, None, run_options, require)
 
 
 @command(app)
@@ -281,10 +292,10 @@ def train(
     out: Path = options.local_out_folder("weights"),
     config: Path | None = checked_fields.text(
         metavar="FILE",
-        read=options.local_place,
+        read=options.parse_local_path,
         help="TOML file with fields of `TrainConfig`, such as crop = 1.0; options override it.",
     ),
-    given: Annotated[options.Given, options.OptionsOf(TrainConfig)],
+    training: Annotated[options.UserOptions, options.OptionsOf(TrainConfig)],
     device: str = checked_fields.choice("auto", ("auto", "cpu", "cuda"), help="Where to compute."),
     deterministic: bool = checked_fields.switch(
         False, help="Compute on the CPU so that every run gives the same weights."
@@ -304,7 +315,7 @@ def train(
     After an interruption, the same command continues from the last checkpoint.
     On several GPUs: torchrun --nproc-per-node 4 -m tactile_sim train pairs --out weights
     """
-    settings = TrainConfig.read(config, given)
+    settings = TrainConfig.read(config, training)
     # `torchrun` starts this command once for each GPU, numbered by RANK: only the first one prints.
     if os.environ.get("RANK", "0") != "0":
         sink = output.Sink(quiet=True)
@@ -329,7 +340,7 @@ def train(
 @command(app)
 def check(
     *,
-    sensor: Path = argument("SENSOR", "Folder that `tactile-sim calibrate` wrote.", read=local_place),
+    sensor: Path = argument("SENSOR", "Folder that `tactile-sim calibrate` wrote.", read=parse_local_path),
     source: str = argument("SOURCE", "Recent touches: a data set, or a folder of images."),
     sink: Sink,
 ) -> None:
@@ -344,8 +355,14 @@ def check(
     health = tactile_sim.check_sensor(model, tactile_sim.images_of(source))
     sink.document({"sensor": model.name, **health.to_dict()})
     rows = [
-        (each.name, f"{each.value:.3g}", f"{each.limit:g}", "ok" if each.ok else "CHANGED", each.meaning)
-        for each in health.figures
+        (
+            figure.name,
+            f"{figure.value:.3g}",
+            f"{figure.limit:g}",
+            "ok" if figure.ok else "CHANGED",
+            figure.meaning,
+        )
+        for figure in health.figures
     ]
     sink.table(("figure", "found", "limit", "", "what it is"), rows)
     state = "the sensor is as it was calibrated"
@@ -360,7 +377,7 @@ def check(
 def depth(
     *,
     name: str = options.NAME,
-    opening: Opening,
+    source_options: SourceOptions,
     sensor: str = text(MISSING, metavar="SENSOR", help="Folder that `tactile-sim calibrate` wrote."),
     fast: bool = checked_fields.switch(
         False, help="Use a faster method, with about twice the error and a tenth of the time."
@@ -368,7 +385,7 @@ def depth(
     out: str = options.out_folder(),
     split: str | None = catalog.SPLIT,
     limit: int | None = catalog.LIMIT,
-    work: options.Work,
+    run_options: options.RunOptions,
     sink: Sink,
 ) -> None:
     """Write touches with indentation depth in metres, as the twin of the sensor reads it from their images.
@@ -377,9 +394,9 @@ def depth(
 
     Example: tactile-sim depth recordings --sensor my-sensor --out depths
     """
-    arguments = {"sensor": sensor, "fast": fast}
-    function = realtouch.add_depth
-    convert(sink, "tactile-sim depth", function, name, opening, out, split, limit, work, **arguments)
+    place = source_options.open_source(sink, name).require(KIND, "tactile-sim depth")
+    make = partial(realtouch.add_depth, place, out, sensor=sensor, fast=fast, split=split, limit=limit)
+    convert(sink, place, split, make, run_options, out)
 
 
 main = partial(run_app, app)

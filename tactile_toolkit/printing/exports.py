@@ -5,19 +5,20 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 
-from tactile_toolkit import read
+from tactile_toolkit import catalog, places
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.json_types import JsonDict, JsonObject
-from tactile_toolkit.mesh import MM_PER_M, Mesh, MeshFile, SolidRecord
+from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.mesh import MM_PER_M, Mesh, MeshFile
 from tactile_toolkit.mesh.solid_check import ManifoldCheck, require_solid
 from tactile_toolkit.mesh.threemf import BuildItem, read_build, write_build
 from tactile_toolkit.printing.calibration_plate import WrittenPlate, export_calibration_plate
@@ -35,7 +36,7 @@ from tactile_toolkit.printing.file_export import (
     require_scale,
 )
 from tactile_toolkit.printing.plate_layouts import PlateLayout, arrange, draw_map
-from tactile_toolkit.printing.print_options import MODELS, ExportOptions, Physics, PlateSpec
+from tactile_toolkit.printing.print_options import MODELS, ExportOptions, Physics
 from tactile_toolkit.printing.simulator import body_of, model_files, pack_mjcf
 from tactile_toolkit.store.addresses import local_folder_path
 from tactile_toolkit.wording import bytes_text, with_count
@@ -73,38 +74,42 @@ class ExportReport:
     removed: tuple[str, ...] = ()
 
 
+class FileJob(TypedDict, total=False):
+    """How files are written: as of :func:`export_files`."""
+
+    overwrite: bool
+    dry_run: bool
+    workers: int
+
+
 def export(
-    datasets: Iterable[tuple[str, read.RecordDataset[SolidRecord]]],
-    chosen: JsonObject,
+    place: places.Place,
+    kind: DatasetKind,
+    chosen: catalog.RowFilter,
     out: str,
     options: ExportOptions,
-    distances: Mapping[str, float],
-    material: Mapping[str, float],
     progress: Callable[[str, str], AbstractContextManager[Progress]],
-    *,
-    overwrite: bool = False,
-    dry_run: bool = False,
-    workers: int = 1,
+    **job: Unpack[FileJob],
 ) -> ExportReport:
-    """Write files for printers and simulators as ``options`` ask.
+    """Write chosen meshes of a data set as files for printers and simulators.
 
-    ``chosen`` are the arguments of :func:`choose`; ``distances`` and ``material`` are fields of
-    :class:`PlateSpec` and :class:`Physics`; ``progress`` shows a stage of the work and what it counts.
-    Raises as :func:`export_files` and :func:`write_plates`.
+    ``progress`` shows a stage of the export and what it counts. Raises as :func:`export_files` and
+    :func:`write_plates`.
     """
-    physics = Physics(**material)
+    filters = chosen.given()
+    plate = options.plates
+    datasets = catalog.open_splits(place, filters.pop("split"), kind.load, kind.nouns)
+    objects = choose(datasets.items(), options.base_mm, **filters)
     ending = options.file_format
-    plate = None
-    if options.plate is not None:
-        plate = PlateSpec.parse(options.plate, **distances)
-    objects = choose(datasets, options.base_mm, **chosen)
+    overwrite = job.get("overwrite", False)
+    dry_run = job.get("dry_run", False)
     doing = "checking" if dry_run else "writing"
     if options.calibration_plate:
         plates = export_calibration_plate(objects, out, ending or "3mf", overwrite=overwrite, dry_run=dry_run)
         return _report_of_calibration(plates, out)
     if plate is not None:
         # Plates in MJCF are bodies that lie on a floor; 3MF has neither density nor friction.
-        on_floor = physics if ending == "mjcf" else None
+        on_floor = options.physics if ending == "mjcf" else None
         with progress("measuring", "objects") as update:
             layout = arrange(objects, plate, options.scale, on_floor, update)
         with progress(doing, "plates") as update:
@@ -116,11 +121,9 @@ def export(
             out,
             ending or "stl",
             scale=options.scale,
-            physics=physics,
-            overwrite=overwrite,
-            dry_run=dry_run,
-            workers=workers,
+            physics=options.physics,
             on_progress=update,
+            **job,
         )
     return _report_of_files(files, out, f"{ending or 'stl'} files", dry_run)
 

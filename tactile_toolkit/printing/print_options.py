@@ -36,49 +36,26 @@ _SIMULATORS = "Bodies for simulators"
 _MESHES = ("stl", "3mf", "ply", "obj", "glb")
 _MESH_FILES = f"file_format=|{'|'.join((*_MESHES, *MODELS))}"
 
-
-@dataclass(frozen=True, slots=True)
-class ExportOptions:
-    """Format and scale of exported files, and the size of build plates."""
-
-    file_format: str | None = choice(
-        None,
-        (*_MESHES, *MODELS),
-        optional=True,
-    )
-    scale: float = real(1.0, needs=_MESH_FILES, panel="Meshes", help="Factor for all lengths.")
-    base_mm: float | None = real(
-        None,
-        above=0,
-        optional=True,
-        name="--half-on-base-mm",
-        needs=_MESH_FILES,
-        panel="Meshes",
-        help="Put the upper half of each object on a base plate of this thickness, which prints without "
-        "support.",
-    )
-    plate: str | None = text(
-        metavar="256x256|prusa-mk4",
-        complete=tuple(BEDS_MM),
-        needs="file_format=|3mf|mjcf",
-        panel=_PLATES,
-        help="Pack the objects on build plates of this size, in mm, or of this printer.",
-    )
-    calibration_plate: bool = switch(
-        False,
-        needs="file_format=|3mf|stl|ply|obj|glb",
-        panel=_PLATES,
-        help="Write one plate with a ball, a cone, a ridge, steps and two objects, onto which a sensor is "
-        "pressed for `tactile-sim calibrate`.",
-    )
-
-    def __post_init__(self) -> None:
-        if self.calibration_plate and (self.plate is not None or self.scale != 1 or self.base_mm is not None):
-            raise InputError(
-                "has a size of its own",
-                next="leave out --plate, --scale and --half-on-base-mm",
-                field="calibration_plate",
-            )
+# Each is the default of all fields of its name: `dataclasses` notes the name in it.
+_GAP_MM = real(3.0, 0, 1_000, needs="plate", panel=_PLATES, help="Distance between objects on a plate.")
+# Room for the default skirt of PrusaSlicer: one loop, under 1 mm wide, 6 mm around objects.
+_MARGIN_MM = real(7.0, 0, needs="plate", panel=_PLATES, help="Margin at the edges of a plate, for a skirt.")
+_DENSITY_KG_M3 = real(
+    1240.0,
+    above=0,
+    most=1e5,
+    needs=_BODIES,
+    panel=_SIMULATORS,
+    help="Density of bodies for simulators; PLA by default.",
+)
+_FRICTION = real(
+    0.5,
+    above=0,
+    most=100,
+    needs=_BODIES,
+    panel=_SIMULATORS,
+    help="Sliding friction of bodies for simulators.",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,13 +64,8 @@ class PlateSpec:
 
     width_mm: float = real(256.0, 1, 10_000)
     depth_mm: float = real(256.0, 1, 10_000)
-    gap_mm: float = real(
-        3.0, 0, 1_000, needs="plate", panel=_PLATES, help="Distance between objects on a plate."
-    )
-    # Room for the default skirt of PrusaSlicer: one loop, under 1 mm wide, 6 mm around objects.
-    margin_mm: float = real(
-        7.0, 0, needs="plate", panel=_PLATES, help="Margin at the edges of a plate, for a skirt."
-    )
+    gap_mm: float = _GAP_MM
+    margin_mm: float = _MARGIN_MM
     # The front left corner, which some printers cannot use; the margin applies to it too.
     corner_mm: tuple[float, float] = real((0.0, 0.0), 0, many=2)
 
@@ -149,22 +121,65 @@ class Physics:
     ``friction`` is the coefficient of sliding friction; its default is not measured.
     """
 
-    density_kg_m3: float = real(
-        1240.0,
-        above=0,
-        most=1e5,
-        needs=_BODIES,
-        panel=_SIMULATORS,
-        help="Density of bodies for simulators; PLA by default.",
-    )
-    friction: float = real(
-        0.5,
-        above=0,
-        most=100,
-        needs=_BODIES,
-        panel=_SIMULATORS,
-        help="Sliding friction of bodies for simulators.",
-    )
+    density_kg_m3: float = _DENSITY_KG_M3
+    friction: float = _FRICTION
 
     def __post_init__(self) -> None:
         check_fields(self, "the material")
+
+
+@dataclass(frozen=True, slots=True)
+class ExportOptions:
+    """Options of exported meshes: format and scale, build plates, and bodies for simulators."""
+
+    file_format: str | None = choice(None, (*_MESHES, *MODELS), optional=True)
+    scale: float = real(1.0, needs=_MESH_FILES, panel="Meshes", help="Factor for all lengths.")
+    base_mm: float | None = real(
+        None,
+        above=0,
+        optional=True,
+        name="--half-on-base-mm",
+        needs=_MESH_FILES,
+        panel="Meshes",
+        help="Put the upper half of each object on a base plate of this thickness, which prints without "
+        "support.",
+    )
+    plate: str | None = text(
+        metavar="256x256|prusa-mk4",
+        complete=tuple(BEDS_MM),
+        needs="file_format=|3mf|mjcf",
+        panel=_PLATES,
+        help="Pack the objects on build plates of this size, in mm, or of this printer.",
+    )
+    calibration_plate: bool = switch(
+        False,
+        needs="file_format=|3mf|stl|ply|obj|glb",
+        panel=_PLATES,
+        help="Write one plate with a ball, a cone, a ridge, steps and two objects, onto which a sensor is "
+        "pressed for `tactile-sim calibrate`.",
+    )
+
+    gap_mm: float = _GAP_MM
+    margin_mm: float = _MARGIN_MM
+    density_kg_m3: float = _DENSITY_KG_M3
+    friction: float = _FRICTION
+
+    def __post_init__(self) -> None:
+        if self.calibration_plate and (self.plate is not None or self.scale != 1 or self.base_mm is not None):
+            raise InputError(
+                "has a size of its own",
+                next="leave out --plate, --scale and --half-on-base-mm",
+                field="calibration_plate",
+            )
+
+    @property
+    def plates(self) -> PlateSpec | None:
+        """The build plates; None if each object has a file of its own."""
+        if self.plate is None:
+            return None
+        return PlateSpec.parse(self.plate, gap_mm=self.gap_mm, margin_mm=self.margin_mm)
+
+    @property
+    def physics(self) -> Physics:
+        """The material of bodies."""
+        return Physics(self.density_kg_m3, self.friction)

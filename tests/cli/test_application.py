@@ -18,7 +18,7 @@ import typer
 from typer.testing import CliRunner
 
 from cli.application import command, new_app, run
-from cli.options import FOLDER, Making
+from cli.options import FOLDER, GenerateOptions
 from cli.output import Sink
 from tactile_toolkit.checked_fields import integer, switch
 from tactile_toolkit.errors import InputError, IntegrityError, RemoteError, ToolkitError
@@ -55,7 +55,12 @@ def test_a_command_gets_the_objects_and_help_names_the_options(tmp_path):
 
     @command(app)
     def make(
-        *, folder: str = FOLDER, size: Size, seed: int = integer(0, help="Seed."), making: Making, sink: Sink
+        *,
+        folder: str = FOLDER,
+        size: Size,
+        seed: int = integer(0, help="Seed."),
+        run_options: GenerateOptions,
+        sink: Sink,
     ) -> None:
         """Make it."""
         got.update(locals())
@@ -64,7 +69,7 @@ def test_a_command_gets_the_objects_and_help_names_the_options(tmp_path):
     assert result.exit_code == 0, result.output
     assert got["size"] == Size(3, 4)
     assert (got["folder"], got["seed"]) == (str(tmp_path), 0)
-    assert got["making"] == Making(workers=2)
+    assert got["run_options"] == GenerateOptions(workers=2)
     assert got["sink"] == Sink(quiet=True)
     text = CliRunner().invoke(app, ["make", "--help"], env={"TERMINAL_WIDTH": "100"}).output
     options = ["--width", "--tall", "--seed", "--workers", "--dry-run", "--json", "--quiet"]

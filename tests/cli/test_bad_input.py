@@ -21,14 +21,26 @@ CASES = [
     ("mnist3d generate --source hwdplus", "--images is needed by the source 'hwdplus'"),
     ("mnist3d generate --source hwdplus --images x.npy", "--writer-info is needed by the source 'hwdplus'"),
     ("mnist3d generate --source mnist --images nowhere", "nowhere: found no folder, expected train-images"),
-    ("mnist3d generate --images x", "--images has no effect without --source hwdplus, mnist or folder"),
-    ("mnist3d generate --foreground auto", "--foreground has no effect without --source folder"),
-    ("mnist3d generate --writer-info x", "--writer-info has no effect without --source hwdplus"),
-    ("mnist3d generate --writer-column 0", "--writer-column has no effect without --source hwdplus"),
-    ("mnist3d generate --download", "--download has no effect without --source mnist"),
+    (
+        "mnist3d generate --images x",
+        "--images has no effect with --source synthetic; expected hwdplus, mnist or folder",
+    ),
+    (
+        "mnist3d generate --foreground auto",
+        "--foreground has no effect with --source synthetic; expected folder",
+    ),
+    (
+        "mnist3d generate --writer-info x",
+        "--writer-info has no effect with --source synthetic; expected hwdplus",
+    ),
+    (
+        "mnist3d generate --writer-column 0",
+        "--writer-column has no effect with --source synthetic; expected hwdplus",
+    ),
+    ("mnist3d generate --download", "--download has no effect with --source synthetic; expected mnist"),
     (
         "mnist3d generate --source folder --images x --digits 9",
-        "--digits has no effect without --source synthetic",
+        "--digits has no effect with --source folder; expected synthetic",
     ),
     ("mnist3d generate --half-thickness-mm 50", "specification is 50.0; expected 0.2 to 20 mm"),
     ("mnist3d generate --half-thickness-mm -1", "--half-thickness-mm is -1.0; expected a number above 0"),
@@ -95,7 +107,7 @@ CASES = [
     ("tactile export DIGITS --out out --plate 256x256 --gap-mm -1", "--gap-mm is -1"),
     (
         "tactile export DIGITS --out out --plate 256x256 --format stl",
-        "--plate has no effect without --format 3mf or mjcf",
+        "--plate has no effect with --format stl; expected 3mf or mjcf",
     ),
     ("tactile export DIGITS --out out --gap-mm 3", "--gap-mm has no effect without --plate"),
 ]
