@@ -282,26 +282,26 @@ class Config(EpisodeConfig):
         return self.gel_thickness - self.max_platform_penetration
 
 
-def _noise_of(given: object) -> tactile_sim.SensorNoise | None:
+def _noise_of(value: object) -> tactile_sim.SensorNoise | None:
     """Return the noise of a setting: a specification, or a name as for an option."""
-    if isinstance(given, (str, PathLike)):
-        return tactile_sim.SensorNoise.named(fspath(given))
-    return checked_noise(given, "sensor_noise of the environment")
+    if isinstance(value, (str, PathLike)):
+        return tactile_sim.SensorNoise.named(fspath(value))
+    return checked_noise(value, "sensor_noise of the environment")
 
 
-def _gel_of(given: object) -> tactile_sim.Gel | None:
+def _gel_of(value: object) -> tactile_sim.Gel | None:
     """Return the elastic gel of a setting: a gel, a name as for an option, or values of its attributes."""
-    if given is None:
+    if value is None:
         return None
-    if isinstance(given, (str, PathLike)):
-        return gel_named(fspath(given))
-    if isinstance(given, tactile_sim.Gel):
-        return given
-    if isinstance(given, Mapping) and set(given) <= {each.name for each in fields(tactile_sim.Gel)}:
-        return tactile_sim.Gel(**given)
+    if isinstance(value, (str, PathLike)):
+        return gel_named(fspath(value))
+    if isinstance(value, tactile_sim.Gel):
+        return value
+    if isinstance(value, Mapping) and set(value) <= {field.name for field in fields(tactile_sim.Gel)}:
+        return tactile_sim.Gel(**value)
     raise InputError(
-        f"elastic_gel of the environment is {given!r}; expected a Gel, 'elastic', a JSON file, or a mapping "
-        f"of {', '.join(each.name for each in fields(tactile_sim.Gel))}"
+        f"elastic_gel of the environment is {value!r}; expected a Gel, 'elastic', a JSON file, or a mapping "
+        f"of {', '.join(field.name for field in fields(tactile_sim.Gel))}"
     )
 
 

@@ -37,13 +37,13 @@ class PredictionView:
     """Predictions to draw.
 
     ``shares``, shape (n, k), are bars from 0 to 1 with ``names`` beside them; bar ``right``, shape (n,), has
-    the colour of a right answer. ``places_m`` and ``directions``, shape (n, 2), are predicted positions and
-    directions of objects.
+    the colour of a right answer. ``positions_m`` and ``directions``, shape (n, 2), are predictions for the
+    objects.
     """
 
     shares: AnyArray | None = None
     right: Int64 | None = None
-    places_m: AnyArray | None = None
+    positions_m: AnyArray | None = None
     directions: AnyArray | None = None
     names: tuple[str, ...] = ()
 
@@ -122,8 +122,8 @@ def draw_environment(scene: EnvDrawing, view: PredictionView, index: int) -> UIn
     canvas = _Canvas(np.where(surface[..., None] > 0, light, np.array(_PLATE)).astype(np.float32), per_m)
     canvas.cross(scene.target[0], scene.target[1], _AIM)
     canvas.outline(scene.sensor[:2] + (_CORNERS * scene.window_m) @ scene.axes.T, _SENSOR)
-    if view.places_m is not None:
-        x_m, y_m = view.places_m[index]
+    if view.positions_m is not None:
+        x_m, y_m = view.positions_m[index]
         canvas.cross(x_m, y_m, _WRONG)
         if view.directions is not None:
             canvas.line(x_m, y_m, view.directions[index], _WRONG)
@@ -167,19 +167,19 @@ def _draw_bars(panel: Float32, shares: AnyArray, right: int, names: tuple[str, .
     if len(bars) > _MAX_BARS:
         ranks = np.argsort(-bars, kind="stable")
         shown = np.sort([right, *ranks[ranks != right][: _MAX_BARS - 1]])
-    room = (_SIDE_PX - first_px - _MARGIN_PX) // max(len(shown), 1)
+    pitch_px = (_SIDE_PX - first_px - _MARGIN_PX) // max(len(shown), 1)
     texts = {int(bar): _shortened(names[bar]) for bar in shown if names}
     left = _MARGIN_PX + max(
         (pictures.Pen.text_size(text, _NAME_PX)[0] + 3 for text in texts.values()), default=0
     )
     left = math.ceil(left)
     longest = _MARGIN_PX + _FELT_PX - left
-    for place, bar in enumerate(shown.tolist()):
-        top = first_px + place * room
+    for index, bar in enumerate(shown.tolist()):
+        top = first_px + index * pitch_px
         colour = (_WRONG, _RIGHT)[int(bar == right)]
-        panel[top : top + max(room - 2, 1), left : left + 1 + round(float(bars[bar]) * longest)] = colour
+        panel[top : top + max(pitch_px - 2, 1), left : left + 1 + round(float(bars[bar]) * longest)] = colour
         if texts:
-            words.append(_Word(_MARGIN_PX, top + (room - 2) // 2, texts[bar]))
+            words.append(_Word(_MARGIN_PX, top + (pitch_px - 2) // 2, texts[bar]))
     return words
 
 

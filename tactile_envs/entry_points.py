@@ -104,7 +104,7 @@ def _shows_options(*left_out: str) -> Callable[[F], F]:
         own = inspect.signature(function)
         name, *_ = own.parameters.values()
         options = inspect.signature(MakeOptions).parameters.values()
-        shown = own.replace(parameters=[name, *(each for each in options if each.name not in left_out)])
+        shown = own.replace(parameters=[name, *(option for option in options if option.name not in left_out)])
         vars(function)["__signature__"] = shown
         return function
 
@@ -114,7 +114,7 @@ def _shows_options(*left_out: str) -> Callable[[F], F]:
 @_shows_options(*_OF_VECTORS)
 def make_one(name: str, **options: Any) -> TactileEnv:
     """Make a single environment; options as for :func:`make_vector`, except those of vectors."""
-    _require_known(options, [each for each in _NAMES if each not in _OF_VECTORS])
+    _require_known(options, [name for name in _NAMES if name not in _OF_VECTORS])
     return TactileEnv(make_vector(name, **options))
 
 
@@ -142,17 +142,17 @@ def make_vector(name: str, **options: Any) -> environment.TactileVectorEnv:
         An option does not exist.
     """
     _require_known(options, _NAMES)
-    given = MakeOptions(**options)
+    chosen = MakeOptions(**options)
     spec = env_specs.env_specs()[name]
-    settings = configured(spec.config, given.config)
-    if given.max_episode_steps is not None:
-        settings = replace(settings, step_limit=given.max_episode_steps)
-    num_envs, threads = checked_counts(settings, given.num_envs, given.threads)
-    given = replace(given, num_envs=num_envs, threads=threads)
+    settings = configured(spec.config, chosen.config)
+    if chosen.max_episode_steps is not None:
+        settings = replace(settings, step_limit=chosen.max_episode_steps)
+    num_envs, threads = checked_counts(settings, chosen.num_envs, chosen.threads)
+    chosen = replace(chosen, num_envs=num_envs, threads=threads)
     if isinstance(settings, RecordedConfig):
-        cells, task = _recorded(spec, settings, given)
-    elif given.touches is None:
-        cells, task = _simulated(spec, settings, given)
+        cells, task = _recorded(spec, settings, chosen)
+    elif chosen.touches is None:
+        cells, task = _simulated(spec, settings, chosen)
     else:
         raise errors.InputError(
             f"`touches` were given, but those of {name!r} are simulated", next="choose an id with RealSnap"
@@ -161,8 +161,8 @@ def make_vector(name: str, **options: Any) -> environment.TactileVectorEnv:
         cells,
         task,
         sparse=spec.sparse,
-        render_mode=given.render_mode,
-        autoreset_mode=given.autoreset_mode,
+        render_mode=chosen.render_mode,
+        autoreset_mode=chosen.autoreset_mode,
     )
 
 
@@ -177,37 +177,37 @@ def _require_known(options: Iterable[str], known: Sequence[str]) -> None:
 
 
 def _simulated(
-    spec: env_specs.EnvSpec, config: Config, given: MakeOptions
+    spec: env_specs.EnvSpec, config: Config, options: MakeOptions
 ) -> tuple[scene.TouchScene, tasks.Task]:
     """Return objects in cells, and the task of an environment; InputError if they do not fit."""
-    seen_by = scene.Camera(config, given.weights)
+    seen_by = scene.Camera(config, options.weights)
     kind_of_scene = tilted_scene.TiltedScene if config.allow_sensor_rotation else mesh_scene.MeshScene
     try:
-        records = object_sets.open_objects(spec, config, given.assets, given.unit)
+        records = object_sets.open_objects(spec, config, options.assets, options.unit)
         if config.real_base_depth_dataset is not None:
-            real = _real_touches(config.real_base_depth_dataset, given.assets)
+            real = _real_touches(config.real_base_depth_dataset, options.assets)
             size_px = seen_by.sensor.size_px
             seen_by.put_behind(recorded_sets.base_depths_m(real, config.real_base_depth_touches, size_px))
-        cells = kind_of_scene(config, records, given.num_envs, given.threads, seen_by)
+        cells = kind_of_scene(config, records, options.num_envs, options.threads, seen_by)
     except KeyboardInterrupt as error:  # while objects or depth are made: without the frames of that
         raise error.with_traceback(None) from None
     return cells, _task(spec, config, cells.pool, records.label_names)
 
 
 def _recorded(
-    spec: env_specs.EnvSpec, config: RecordedConfig, given: MakeOptions
+    spec: env_specs.EnvSpec, config: RecordedConfig, options: MakeOptions
 ) -> tuple[scene.TouchScene, tasks.Task]:
     """Return recorded touches in cells, and the task of an environment; InputError if digits are missing."""
-    mesh.refuse_unit(given.unit, "recorded touches")
-    sources = recorded_sets.RecordedSources.of(given.assets, given.touches)
+    mesh.refuse_unit(options.unit, "recorded touches")
+    sources = recorded_sets.RecordedSources.of(options.assets, options.touches)
     touches = recorded_sets.RecordedTouches.open(sources.touches, spec.split, config)
     objects = None
     has_volume = spec.task == "volume"
-    is_drawn = given.render_mode is not None and given.assets is not None
+    is_drawn = options.render_mode is not None and options.assets is not None
     if sources.digits is not None and (has_volume or is_drawn):
         objects = recorded_sets.TouchedObjects.open(sources.digits, f"printed_{spec.split}", touches, config)
     cells = recorded_scene.RecordedScene(
-        config, touches, objects, given.num_envs, given.threads, given.weights
+        config, touches, objects, options.num_envs, options.threads, options.weights
     )
     if not has_volume:
         return cells, tasks.Classification(touches.labels(), touches.rounds.label_names)
@@ -220,11 +220,11 @@ def _recorded(
     return cells, tasks.Volume(objects.pool.measure("volume_m3"), objects.which)
 
 
-def _real_touches(given: recorded_sets.Source, assets: str | PathLike[str] | None) -> recorded_sets.Source:
+def _real_touches(source: recorded_sets.Source, assets: str | PathLike[str] | None) -> recorded_sets.Source:
     """Return the touches of a setting; the published ones may lie in the folder of the assets."""
-    if given != env_specs.REAL_TOUCHES:
-        return given
-    return recorded_sets.touches_in(assets or "tactile-assets") or given
+    if source != env_specs.REAL_TOUCHES:
+        return source
+    return recorded_sets.touches_in(assets or "tactile-assets") or source
 
 
 def _task(
@@ -288,8 +288,8 @@ class TactileEnv(ap_gym.BaseActivePerceptionEnv):  # type: ignore[misc]
         """
         super().reset(seed=seed)
         self.vector_env.np_random = self.np_random
-        given = {name: [value] for name, value in (options or {}).items()}
-        observation, info = self.vector_env.reset(options=given)
+        vector_options = {name: [value] for name, value in (options or {}).items()}
+        observation, info = self.vector_env.reset(options=vector_options)
         return _first(observation), _first(info)
 
     def step(self, action: Action) -> tuple[Observation, float, bool, bool, Info]:

@@ -150,7 +150,7 @@ def _randomized(config: Config, base_depth: str | None) -> Config:
 @cache
 def env_specs() -> Mapping[str, EnvSpec]:
     """Return the environments of all ids of `tactile-mnist` 0.13.0."""
-    found = {}
+    specs = {}
     for family in _families():
         for part, sensor in family.sensors.items():
             plain = replace(family.spec.config, sensor_type=sensor)
@@ -159,11 +159,11 @@ def env_specs() -> Mapping[str, EnvSpec]:
                 forms["-DR"] = _randomized(plain, family.base_depth)
             for form, config in forms.items():
                 for split in family.splits:
-                    each = replace(family.spec, config=config, split=split[1:] or "train")
+                    spec = replace(family.spec, config=config, split=split[1:] or "train")
                     begin = f"{family.name}{part}{form}{split}"
-                    found[f"{begin}-v0"] = each
-                    found[f"{begin}-sparse-v0"] = replace(each, sparse=True)
-    return MappingProxyType(found)
+                    specs[f"{begin}-v0"] = spec
+                    specs[f"{begin}-sparse-v0"] = replace(spec, sparse=True)
+    return MappingProxyType(specs)
 
 
 def ids(*words: str) -> tuple[EnvId, ...]:
@@ -175,8 +175,8 @@ def ids(*words: str) -> tuple[EnvId, ...]:
         No id holds them all.
     """
     parts = {name: name.split("-") for name in env_specs()}
-    found = [name for name, those in parts.items() if set(words) <= set(those)]
-    if not found:
+    matches = [name for name, those in parts.items() if set(words) <= set(those)]
+    if not matches:
         known = {word for those in parts.values() for word in those}
         strange = [word for word in words if word not in known]
         near = "".join(did_you_mean(word, known) for word in strange[:1])
@@ -185,7 +185,7 @@ def ids(*words: str) -> tuple[EnvId, ...]:
             f"no environment has {' and '.join(map(repr, strange or words))} in its id{near}",
             next=f"choose fewer words, or others such as {families}, Depth, CycleGAN, DR or test",
         )
-    return tuple(_row(name, env_specs()[name]) for name in found)
+    return tuple(_row(name, env_specs()[name]) for name in matches)
 
 
 def _row(name: str, spec: EnvSpec) -> EnvId:

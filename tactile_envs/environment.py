@@ -91,12 +91,12 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
 
     def _make_spaces(self) -> None:
         action = gym.spaces.Dict(dict(self._scene.action_parts))
-        seen = dict(self._scene.observation_parts)
+        observation = dict(self._scene.observation_parts)
         if self.config.timeout_behavior == "terminate":
-            one = np.ones((), np.float32)
-            seen["time_step"] = gym.spaces.Box(-one, one)
+            bound = np.ones((), np.float32)
+            observation["time_step"] = gym.spaces.Box(-bound, bound)
         self.single_action_space = ap_gym.ActivePerceptionActionSpace(action, self._task.prediction_space)
-        self.single_observation_space = gym.spaces.Dict(seen)
+        self.single_observation_space = gym.spaces.Dict(observation)
         self.single_prediction_target_space = self._task.target_space
         self.loss_fn = self._task.loss_fn
         if self._is_sparse:
@@ -137,13 +137,13 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
             The environment was closed.
         """
         self._require_open()
-        given = motion.ResetOptions.of(options or {}, self.num_envs)
-        if given.rows is not motion.EVERY:
+        reset_options = motion.ResetOptions.of(options or {}, self.num_envs)
+        if reset_options.rows is not motion.EVERY:
             self._require_reset()
         super().reset(seed=seed)
-        self._scene.discard_upcoming(given.rows)
-        self._begin(given.rows, given)
-        return self._touched(given.rows)
+        self._scene.discard_upcoming(reset_options.rows)
+        self._begin(reset_options.rows, reset_options)
+        return self._touched(reset_options.rows)
 
     def _begin(self, rows: motion.Rows, options: motion.ResetOptions) -> None:
         self._scene.begin(rows, self.np_random, options)
@@ -156,30 +156,30 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
     def _touched(self, rows: motion.Rows, others: Info = _NOTHING) -> tuple[Observation, Info]:
         """Touch in some environments; return observations and infos of all, the others from ``others``."""
         readings = self._scene.touch(rows, self.np_random, self._steps[rows])
-        seen, info = dict(readings.observation), dict(readings.info)
+        observation, info = dict(readings.observation), dict(readings.info)
         if rows is not motion.EVERY:
-            seen = {name: self._observation[name].copy() for name in seen}
+            observation = {name: self._observation[name].copy() for name in observation}
             for name, values in readings.observation.items():
-                seen[name][rows] = values
+                observation[name][rows] = values
             info = self._spread(rows, info, others)
         if self.config.timeout_behavior == "terminate":
-            seen["time_step"] = self._progress[self._steps]
-        self._observation = seen
-        return seen, info
+            observation["time_step"] = self._progress[self._steps]
+        self._observation = observation
+        return observation, info
 
     def _spread(self, rows: motion.Rows, info: dict[str, AnyArray], others: Info) -> Info:
         """Extend the infos of some environments to all; those of others are 0 and masked, as in gymnasium."""
-        found = dict(others)
+        spread = dict(others)
         is_given = np.zeros(self.num_envs, np.bool_)
         is_given[rows] = True
         for name, values in info.items():
             if name in others:
-                found[name] = others[name].copy()
+                spread[name] = others[name].copy()
             else:
-                found[name] = np.zeros((self.num_envs, *values.shape[1:]), values.dtype)
-                found[f"_{name}"] = is_given
-            found[name][rows] = values
-        return found
+                spread[name] = np.zeros((self.num_envs, *values.shape[1:]), values.dtype)
+                spread[f"_{name}"] = is_given
+            spread[name][rows] = values
+        return spread
 
     def step(self, action: Action) -> tuple[Observation, AnyArray, Bool, Bool, Info]:
         """Take one touch in every environment.
@@ -212,7 +212,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         if predictions.shape != self._prediction_shape:
             raise InputError(f"predictions have shape {predictions.shape}; expected {self._prediction_shape}")
         moves = self._scene.checked_action(moved)
-        targets = self._task.targets(self._scene.numbers, self._scene.places)
+        targets = self._task.targets(self._scene.numbers, self._scene.planar_poses)
         score = self._task.score(predictions, targets)
         if np.isnan(score.loss).any():
             raise InputError(

@@ -27,13 +27,13 @@ def aim(
     shape (8,), has the lowest and the highest position, metres (6), the greatest distance, metres, and the
     cost factor. The precision of each step is that of the published environment.
     """
-    one = np.float32(1.0)
+    longest = np.float32(1.0)
     price = np.float32(motion[7])
     for i in range(len(actions)):
         x, y, z = actions[i, 0], actions[i, 1], actions[i, 2]
         length = np.float32(math.sqrt((x * x + y * y) + z * z))
         for axis in range(3):
-            way = actions[i, axis] / length if length > one else actions[i, axis]
+            way = actions[i, axis] / length if length > longest else actions[i, axis]
             aimed = sensors[i, axis] + np.float64(way) * motion[6]
             targets[i, axis] = min(max(aimed, motion[axis]), motion[axis + 3])
         costs[i] = ((-(x * x) * price + -(y * y) * price) + -(z * z) * price) / np.float32(3.0)
@@ -48,13 +48,13 @@ def turn(ways: Float32, limits: Float64, price: float, axes: Float64, costs: Flo
     A z axis that is tilted too far is brought back towards upright, and the y axis follows; the sensor is not
     turned if that leaves no direction for y.
     """
-    one = np.float32(1.0)
+    longest = np.float32(1.0)
     price_of = np.float32(price)
     for i in range(len(ways)):
         x, y, z = ways[i, 0], ways[i, 1], ways[i, 2]
         length = np.float32(math.sqrt((x * x + y * y) + z * z))
         costs[i] += ((-(x * x) * price_of + -(y * y) * price_of) + -(z * z) * price_of) / np.float32(3.0)
-        angle_rad = np.float64(min(length, one)) * limits[0]
+        angle_rad = np.float64(min(length, longest)) * limits[0]
         around = ways[i].astype(np.float64) / max(np.float64(length), 1e-12)
         upright, side = _turned(axes[i, :, 2], around, angle_rad), _turned(axes[i, :, 1], around, angle_rad)
         flat = math.hypot(upright[0], upright[1])
@@ -79,25 +79,25 @@ def _turned(vector: Float64, around: Float64, angle_rad: float) -> Float64:
 
 
 @compiled
-def _cross(one: Float64, other: Float64) -> Float64:
-    found = np.empty(3)
+def _cross(left: Float64, right: Float64) -> Float64:
+    product = np.empty(3)
     for axis in range(3):
         k, m = (axis + 1) % 3, (axis + 2) % 3
-        found[axis] = one[k] * other[m] - one[m] * other[k]
-    return found
+        product[axis] = left[k] * right[m] - left[m] * right[k]
+    return product
 
 
 @compiled
-def place(
+def place_objects(
     numbers: Int64,
     drawn: Float64,
     most_turn_rad: float,
-    room: Float64,
+    reach_m: Float64,
     hulls: Float32,
     grids: Float64,
     objects: Float64,
 ) -> None:
-    """Place objects in their cells, inside ``room`` (half of width and depth, metres), by random numbers.
+    """Place objects in their cells, inside ``reach_m`` (half of width and depth), by random numbers.
 
     ``drawn``, shape (n, 3), are from 0 to 1, for the turn and both coordinates; ``objects``, shape (n, 3), is
     written: metres, radians.
@@ -109,8 +109,8 @@ def place(
             hulls[first:last], math.cos(turn_rad), math.sin(turn_rad)
         )
         for axis in range(2):
-            low = -room[axis] - (least_x if axis == 0 else least_y)
-            high = room[axis] - (most_x if axis == 0 else most_y)
+            low = -reach_m[axis] - (least_x if axis == 0 else least_y)
+            high = reach_m[axis] - (most_x if axis == 0 else most_y)
             if low > high:
                 low = high = (low + high) / 2
             objects[i, axis] = drawn[i, axis + 1] * (high - low) + low

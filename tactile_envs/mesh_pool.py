@@ -103,23 +103,23 @@ class MeshPool:
             except (OSError, BusyError) as error:  # not writable, or locked for too long
                 _LOG.warning("meshes are sorted again each time: %s", error)
                 return cls.packed(records, tilt_rad)
-            found = _found(path)
-            if found is None:
+            arrays = _mapped(path)
+            if arrays is None:
                 columns = _joined(_chunks_of(records, tilt_rad))
                 size = sum(part.nbytes for column in columns for part in column)
                 is_kept = _POOLS.write(name, size, lambda stream: _write(stream, columns))
-                found = (_found(path) if is_kept else None) or _concat(columns)
+                arrays = (_mapped(path) if is_kept else None) or _concat(columns)
         _POOLS.mark_used(path)
-        return cls(*found)
+        return cls(*arrays)
 
     @classmethod
     def kept(cls, records: Sequence[mesh_view.MeshRecord]) -> MeshPool | None:
         """Map the meshes of a data set if they were packed before."""
         name = _name_of(records)
-        found = None
+        arrays = None
         if name is not None:
-            found = _found(_POOLS.path(name))
-        return None if found is None else cls(*found)
+            arrays = _mapped(_POOLS.path(name))
+        return None if arrays is None else cls(*arrays)
 
     @staticmethod
     def is_kept(records: Sequence[mesh_view.MeshRecord]) -> bool:
@@ -160,9 +160,9 @@ class GrowingPool(MeshPool):
     same meshes under the same numbers.
     """
 
-    def __init__(self, planned: mesh_view.PlannedView) -> None:
-        self._planned, self._next_look_s = planned, 0.0
-        self._is_packed = np.zeros(len(planned), np.bool_)
+    def __init__(self, view: mesh_view.PlannedView) -> None:
+        self._planned, self._next_look_s = view, 0.0
+        self._is_packed = np.zeros(len(view), np.bool_)
         # With spare room, so that adding a mesh seldom copies the others.
         self._buffers: Parts = [
             np.empty((0, 3), np.float32),
@@ -171,8 +171,8 @@ class GrowingPool(MeshPool):
             np.empty((0, 2), np.float32),
         ]
         self._used = np.zeros(4, np.int64)
-        self._grids, self._measures = np.zeros((len(planned), 13)), np.zeros((len(planned), len(MEASURES)))
-        self._measures[:, 0], self._measures[:, 1] = planned.column("label"), planned.column("id")
+        self._grids, self._measures = np.zeros((len(view), 13)), np.zeros((len(view), len(MEASURES)))
+        self._measures[:, 0], self._measures[:, 1] = view.column("label"), view.column("id")
         super().__init__(*map(_read_only, [*self._buffers, self._grids, self._measures]))
 
     def require(self, numbers: Int64) -> None:
@@ -214,8 +214,8 @@ class GrowingPool(MeshPool):
         self._next_look_s = time.monotonic() + _LOOK_AGAIN_S
         if pool is None or not np.array_equal(pool.measures[:, :2], self.measures[:, :2]):
             return False
-        for each in fields(MeshPool):
-            setattr(self, each.name, getattr(pool, each.name))
+        for field in fields(MeshPool):
+            setattr(self, field.name, getattr(pool, field.name))
         self._buffers.clear()
         self._is_packed[:] = True
         return True
@@ -240,12 +240,12 @@ def _chunks_of(records: Sequence[mesh_view.MeshRecord], tilt_rad: float) -> list
     workers = 1
     if len(firsts) > _FEW_CHUNKS:
         workers = run.free_workers()
-    found: dict[int, Parts] = {}
+    chunks: dict[int, Parts] = {}
     with progress.shown_progress("sorting the triangles of meshes, once", "meshes", _QUIET_S) as update:
         for first, parts in run.runner_for(workers).run(partial(_packed_chunk, records, tilt_rad), firsts):
-            found[first] = parts
-            update(min(len(found) * _CHUNK, len(records)), len(records))
-    return [found[first] for first in firsts]
+            chunks[first] = parts
+            update(min(len(chunks) * _CHUNK, len(records)), len(records))
+    return [chunks[first] for first in firsts]
 
 
 def _packed_chunk(records: Sequence[mesh_view.MeshRecord], tilt_rad: float, first: int) -> tuple[int, Parts]:
@@ -369,7 +369,7 @@ def _write(stream: IO[bytes], parts: list[Parts]) -> None:
     stream.write(digest.digest())
 
 
-def _found(path: Path) -> Parts | None:
+def _mapped(path: Path) -> Parts | None:
     """Map a file of the cache; None if it does not exist or is damaged; a damaged one is removed."""
     arrays: Parts = []
     try:

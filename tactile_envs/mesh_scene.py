@@ -13,7 +13,8 @@ from realtouch import Poses
 from tactile_envs import episode_kernels, mesh_pool, motion, scene
 from tactile_envs.config import Config
 from tactile_envs.drawing import EnvDrawing
-from tactile_envs.motion import Motion, Rows, SensorReadings
+from tactile_envs.motion import Motion, Rows
+from tactile_envs.touch_kernels import Cells, SensorReadings
 from tactile_sim import Sensor
 from tactile_sim.optics.sensor_noise import EpisodeNoise
 from tactile_sim.press.elastic_press import WholeGel, loads_of
@@ -133,24 +134,24 @@ class MeshScene(scene.TouchScene):
         placed = np.zeros((len(chosen), 3))
         if config.randomize_initial_object_pose:
             most_rad = config.max_initial_angle_perturbation
-            room_m = np.array(config.cell_size) / 2 - config.object_placement_margin
+            reach_m = np.array(config.cell_size) / 2 - config.object_placement_margin
             pool = self._pool
-            episode_kernels.place(
-                self.numbers[rows], drawn[rows], most_rad, room_m, pool.hulls, pool.grids, placed
+            episode_kernels.place_objects(
+                self.numbers[rows], drawn[rows], most_rad, reach_m, pool.hulls, pool.grids, placed
             )
-        self.places[rows] = placed
+        self.planar_poses[rows] = placed
         for row in chosen:
             pose = poses[row]
             if pose is not None:
-                self.places[row] = pose
+                self.planar_poses[row] = pose
 
     def _aim_at_start(self, rows: motion.Rows, rng: np.random.Generator) -> None:
         """Send sensors to the positions of their first touches."""
         self._targets[rows] = 0.0
         if self.config.randomize_initial_sensor_pose:
             # Drawn for all cells, and in single precision, as published.
-            places = self._motion.random_places(rng, self.num_envs)
-            self._targets[rows, :2] = np.asarray(places[rows], np.float32)
+            positions_m = self._motion.random_positions_m(rng, self.num_envs)
+            self._targets[rows, :2] = np.asarray(positions_m[rows], np.float32)
 
     def _aim_as_given(self, row: int, start: motion.SensorStart) -> None:
         """Send one sensor to the position of its first touch; InputError if the position is out of range."""
@@ -175,14 +176,16 @@ class MeshScene(scene.TouchScene):
             slip_m = rng.normal(scale=config.translation_perturbation_scale, size=2)
             drift = np.array([*slip_m, rng.normal(scale=config.rotation_perturbation_scale)])
         has_depth = config.depth_in_info or self._camera.sees_depth or self._elastic is not None
-        sensors, places = self._sensors[rows], self.places[rows]
+        sensors, objects = self._sensors[rows], self.planar_poses[rows]
         draws = self._randomization.touch(len(sensors), rng)
-        touches = self._press(rows, draws.lifts_m, sensors, places, drift, has_depth)
+        axes = np.ascontiguousarray(self._axes[rows])
+        cells = Cells(self.numbers[rows], draws.lifts_m, axes, sensors, objects)
+        touches = self._press(cells, drift, has_depth=has_depth)
         felt: dict[str, AnyArray] = {}
         if self._elastic is not None:
-            touches, felt["force"] = self._elastic.press(touches, sensors, self._axes[rows], self._motion)
+            touches, felt["force"] = self._elastic.press(touches, sensors, axes, self._motion)
         if rows is not motion.EVERY:  # otherwise both are views
-            self._sensors[rows], self.places[rows] = sensors, places
+            self._sensors[rows], self.planar_poses[rows] = sensors, objects
         images = self._camera.pictures(touches, draws.bases)
         images = self._randomization.add_noise(images, rows, draws)
         self._keep(rows, images)
@@ -193,20 +196,9 @@ class MeshScene(scene.TouchScene):
             info["depth"] = touches.depths_m
         return scene.Readings({"sensor_pos": touches.positions, "sensor_img": images, **felt}, info)
 
-    def _press(
-        self,
-        rows: motion.Rows,
-        lifts_m: Float64,
-        sensors: Float64,
-        places: Float64,
-        drift: Float64,
-        has_depth: bool,
-    ) -> motion.SensorReadings:
+    def _press(self, cells: Cells, drift: Float64, *, has_depth: bool) -> SensorReadings:
         """Press sensors onto objects, which slip by ``drift``; both are moved."""
-        numbers = self.numbers[rows]
-        return self._toucher.touch(
-            self._pool, numbers, lifts_m, sensors, places, self._motion, drift, with_depth=has_depth
-        )
+        return self._toucher.touch(self._pool, cells, self._motion, drift, with_depth=has_depth)
 
     def _keep(self, rows: motion.Rows, images: Float32) -> None:
         """Keep the last images for pictures."""
@@ -221,9 +213,9 @@ class MeshScene(scene.TouchScene):
         self._sensors[rows] = self._targets[rows]
         if self.config.snap_touch_positions is None:
             return
-        places = self._motion.random_places(rng, self.num_envs, self.config.snap_touch_positions)
-        nearest = np.linalg.norm(places - self._targets[:, None, :2], axis=2).argmin(axis=1)
-        snapped = places[np.arange(self.num_envs), nearest]
+        positions_m = self._motion.random_positions_m(rng, self.num_envs, self.config.snap_touch_positions)
+        nearest = np.linalg.norm(positions_m - self._targets[:, None, :2], axis=2).argmin(axis=1)
+        snapped = positions_m[np.arange(self.num_envs), nearest]
         if not steps.any():  # in single precision, as published
             snapped = snapped.astype(np.float32).astype(np.float64)
         self._sensors[rows, :2] = snapped[rows]
@@ -237,10 +229,10 @@ class MeshScene(scene.TouchScene):
     def object_poses(self) -> Poses:
         """Poses of the objects, metres, cell frame."""
         foot_m = self._pool.measure("foot_m")[self.numbers]
-        half = self.places[:, 2] / 2
+        half = self.planar_poses[:, 2] / 2
         quaternion = np.zeros((self.num_envs, 4))
         quaternion[:, 2], quaternion[:, 3] = np.sin(half), np.cos(half)
-        return Poses(np.column_stack([self.places[:, :2], -foot_m]), quaternion)
+        return Poses(np.column_stack([self.planar_poses[:, :2], -foot_m]), quaternion)
 
     @property
     def target_poses(self) -> Poses:
@@ -254,7 +246,7 @@ class MeshScene(scene.TouchScene):
         return EnvDrawing(
             self._pool,
             int(self.numbers[row]),
-            self.places[row],
+            self.planar_poses[row],
             self._sensors[row],
             self._targets[row],
             self._felt[row],

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import numpy as np
 
 from tactile_envs.config import Action, EpisodeConfig, Options
 from tactile_envs.episode_kernels import aim
 from tactile_envs.mesh_pool import MeshPool
-from tactile_envs.touch_kernels import PADDING, touch
+from tactile_envs.touch_kernels import PADDING, Cells, SensorReadings, Setting, touch
 from tactile_sim import Sensor
-from tactile_toolkit.array_types import Bool, Float32, Float64, Int64
+from tactile_toolkit.array_types import Float32, Float64, Int64
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import with_count
 
@@ -34,6 +34,7 @@ _STARTS = "initial_sensor_target_pose"
 _RESET_MASK = "reset_mask"
 _OPTIONS = (_NUMBERS, _POSES, _STARTS, _RESET_MASK)
 _ORTHONORMAL = 1e-3
+_FARTHEST_M = 10.0
 _PARTS_A_THREAD = 8
 
 
@@ -63,7 +64,7 @@ class Motion:
         costs = [longest_m, config.action_regularization]
         return cls(low_m, high_m, np.concatenate([low_m, high_m, costs]))
 
-    def random_places(self, rng: np.random.Generator, *shape: int) -> Float64:
+    def random_positions_m(self, rng: np.random.Generator, *shape: int) -> Float64:
         """Draw positions, shape (*shape, 2), metres."""
         return rng.uniform(self.low_m[:2], self.high_m[:2], (*shape, 2))
 
@@ -123,15 +124,17 @@ class ResetOptions:
     @classmethod
     def of(cls, options: Options, num_envs: int) -> Self:
         """Check options; InputError for unknown ones, and for values that cannot be used."""
+        if not isinstance(options, Mapping):
+            raise InputError(f"is {options!r}; expected values by name", field="options")
         unknown = [name for name in options if name not in _OPTIONS]
         if unknown:
             raise InputError(f"option {unknown[0]!r} is unknown; expected {', '.join(_OPTIONS)}")
-        numbers = [None if each is None else int(each) for each in _given(options, _NUMBERS, num_envs)]
+        numbers = [_mesh_number(value) for value in _values(options, _NUMBERS, num_envs)]
         return cls(
             _rows(options, num_envs),
             numbers,
-            [None if each is None else _object_pose(each) for each in _given(options, _POSES, num_envs)],
-            [None if each is None else _sensor_start(each) for each in _given(options, _STARTS, num_envs)],
+            [_object_pose(value) for value in _values(options, _POSES, num_envs)],
+            [_sensor_start(value) for value in _values(options, _STARTS, num_envs)],
         )
 
     @classmethod
@@ -145,70 +148,89 @@ def _rows(options: Options, num_envs: int) -> Rows:
     mask = options.get(_RESET_MASK)
     if mask is None:
         return EVERY
-    found = np.asarray(mask)
-    if found.dtype != np.bool_ or found.shape != (num_envs,) or not found.any():
+    is_reset = np.asarray(mask)
+    if is_reset.dtype != np.bool_ or is_reset.shape != (num_envs,) or not is_reset.any():
         raise InputError(
             f"option {_RESET_MASK!r} is {mask!r}; expected {num_envs} times True or False, and True once at "
             "least"
         )
-    if found.all():
+    if is_reset.all():
         return EVERY
-    return np.flatnonzero(found)
+    return np.flatnonzero(is_reset)
 
 
-def _given(options: Options, name: str, num_envs: int) -> Sequence[Any]:
-    given = list(options.get(name, [None] * num_envs))
-    if len(given) != num_envs:
-        raise InputError(f"option {name!r} has {with_count(len(given), 'entries')}; expected {num_envs}")
-    return given
+def _values(options: Options, name: str, num_envs: int) -> list[Any]:
+    """Return the value of an option for each environment; None where it is to be drawn."""
+    values = options.get(name)
+    if values is None:
+        return [None] * num_envs
+    try:
+        entries = list(values)
+    except TypeError as error:
+        raise InputError(f"option {name!r} is {values!r}; expected {num_envs} entries") from error
+    if len(entries) != num_envs:
+        raise InputError(f"option {name!r} has {with_count(len(entries), 'entries')}; expected {num_envs}")
+    return entries
 
 
-def _object_pose(given: object) -> Float64:
+def _mesh_number(value: object) -> int | None:
+    """Return the number of a mesh; scenes check its range."""
+    if value is None:
+        return None
+    number = _numbers(value)
+    if number is None or number.shape or number % 1:
+        raise InputError(f"option {_NUMBERS!r} has {value!r}; expected an integer")
+    return int(number)
+
+
+def _object_pose(value: object) -> Float64 | None:
     """Return position (x, y) and turn of an object."""
-    numbers = _numbers(given)
+    if value is None:
+        return None
+    numbers = _numbers(value)
     if numbers is None or numbers.shape != (3,):
-        raise InputError(f"option {_POSES!r} has {given!r}; expected 3 numbers: x and y, metres, and radians")
+        raise InputError(f"option {_POSES!r} has {value!r}; expected 3 numbers: x and y, metres, and radians")
+    _require_near(numbers[:2], _POSES)
     return numbers
 
 
-def _sensor_start(given: object) -> SensorStart:
+def _sensor_start(value: Any) -> SensorStart | None:
     """Return the target of a sensor, given as (x, y), a position, or a pose."""
+    if value is None:
+        return None
     # Transforms of scipy have `as_matrix`, those of the published environments `matrix`.
-    as_matrix = getattr(given, "as_matrix", lambda: getattr(given, "matrix", given))
+    as_matrix = getattr(value, "as_matrix", lambda: getattr(value, "matrix", value))
     numbers = _numbers(as_matrix())
     if numbers is not None and numbers.shape in ((2,), (3,)):
+        _require_near(numbers, _STARTS)
         return SensorStart(np.append(numbers, 0.0)[:3], np.eye(3))
     if numbers is not None and numbers.shape == (4, 4):
         axes = numbers[:3, :3]
+        _require_near(numbers, _STARTS)
         if np.abs(axes.T @ axes - np.eye(3)).max() < _ORTHONORMAL and np.linalg.det(axes) > 0:
             left, _, right = np.linalg.svd(axes)
             return SensorStart(numbers[:3, 3], left @ right)
     raise InputError(
-        f"option {_STARTS!r} has {given!r}; expected 2 numbers: x and y, metres, or a pose: a matrix of 4 x 4"
+        f"option {_STARTS!r} has {value!r}; expected 2 numbers: x and y, metres, or a pose: a matrix of 4 x 4"
     )
 
 
-def _numbers(given: object) -> Float64 | None:
+def _require_near(numbers_m: Float64, name: str) -> None:
+    """Refuse lengths that are beyond every cell: kernels count their pixels in 32 bits (InputError)."""
+    if np.abs(numbers_m).max() > _FARTHEST_M:
+        raise InputError(
+            f"option {name!r} has {numbers_m.tolist()}; expected metres, up to {_FARTHEST_M:g}",
+            next="positions are metres from the middle of the cell",
+        )
+
+
+def _numbers(value: object) -> Float64 | None:
     """Return an array of finite numbers; None for anything else."""
     try:
-        numbers = np.asarray(given, np.float64)
-    except (TypeError, ValueError):
+        numbers = np.asarray(value, np.float64)
+    except (TypeError, ValueError, OverflowError):
         return None
     return numbers if np.isfinite(numbers).all() else None
-
-
-class SensorReadings(NamedTuple):
-    """One touch of each environment.
-
-    ``images`` (n, H, W) are depth images; ``depths_m``, of the same shape or (0, 0, 0), are
-    distances from the camera of the gel, metres; ``positions`` (n, 3) are the observed positions of the
-    sensors, -1 to 1; ``is_bare`` (n,) states whether the gel touched only the plate.
-    """
-
-    images: Float32
-    depths_m: Float32
-    positions: Float32
-    is_bare: Bool
 
 
 Press = Callable[[int, int, Float32, SensorReadings], None]
@@ -242,8 +264,8 @@ class Toucher:
         per_m = size_px[0] / sensor.window_m[0]
         self.window = np.array([per_m, *middle, sensor.press_m, sensor.gel_m, least_m])
         self._most_parts = max(1, (threads > 1) * threads * _PARTS_A_THREAD)
-        room = (size_px[1], size_px[0] + PADDING)
-        self._rooms = [np.empty(room, np.float32) for _ in range(min(threads, num_envs))]
+        shape = (size_px[1], size_px[0] + PADDING)
+        self._work_arrays = [np.empty(shape, np.float32) for _ in range(min(threads, num_envs))]
         self._threads: ThreadPoolExecutor | None = None
 
     def __getstate__(self) -> dict[str, object]:
@@ -251,28 +273,15 @@ class Toucher:
         return {**self.__dict__, "_threads": None}
 
     def touch(
-        self,
-        pool: MeshPool,
-        numbers: Int64,
-        lifts: Float64,
-        sensors: Float64,
-        objects: Float64,
-        motion: Motion,
-        drift: Float64,
-        *,
-        with_depth: bool,
+        self, pool: MeshPool, cells: Cells, motion: Motion, drift: Float64, *, with_depth: bool
     ) -> SensorReadings:
-        """Press sensors (n, 3) onto objects (n, 3) of the meshes ``numbers``, (n,).
+        """Press the sensors of cells onto their objects, which slip by ``drift``; both are moved."""
+        setting = Setting(self.window, motion.numbers, drift)
 
-        The heights of the sensors are written, and the objects slip by ``drift``; ``lifts``, shape (n,), as
-        of the kernel.
-        """
-        read = (self.window, motion.numbers, drift, pool.arrays, numbers, lifts)
+        def press(begin: int, end: int, heights: Float32, readings: SensorReadings) -> None:
+            touch(begin, end, setting, pool.arrays, cells, heights, readings)
 
-        def press(begin: int, end: int, room: Float32, readings: SensorReadings) -> None:
-            touch(begin, end, *read, sensors, objects, room, *readings)
-
-        return self.shared(len(numbers), press, with_depth=with_depth)
+        return self.shared(len(cells.numbers), press, with_depth=with_depth)
 
     def shared(self, count: int, press: Press, *, with_depth: bool) -> SensorReadings:
         """Press all sensors in parts, shared by the threads; return the readings of all."""
@@ -280,7 +289,7 @@ class Toucher:
         depth_shape: Sequence[int] = (0, 0, 0)
         if with_depth:
             depth_shape = shape
-        touches = SensorReadings(
+        readings = SensorReadings(
             np.empty(shape, np.float32),
             np.empty(depth_shape, np.float32),
             np.empty((count, 3), np.float32),
@@ -291,19 +300,20 @@ class Toucher:
         # Shared by the threads: taking the next is one step for all of them.
         parts = iter(range(0, count, size))
 
-        def run(room: Float32) -> None:
+        def run(heights: Float32) -> None:
             for begin in parts:
-                press(begin, min(begin + size, count), room, touches)
+                press(begin, min(begin + size, count), heights, readings)
 
         helpers = []
-        if len(self._rooms) > 1:
-            self._threads = self._threads or ThreadPoolExecutor(len(self._rooms) - 1)
-            helpers = [self._threads.submit(run, room) for room in self._rooms[1:]]
-        run(self._rooms[0])
+        first, *others = self._work_arrays
+        if others:
+            self._threads = self._threads or ThreadPoolExecutor(len(others))
+            helpers = [self._threads.submit(run, heights) for heights in others]
+        run(first)
         for helper in helpers:
             if not helper.cancel():  # a thread that did not start has no work left
                 helper.result()
-        return touches
+        return readings
 
     def close(self) -> None:
         """End the threads."""

@@ -57,10 +57,10 @@ def open_objects(
     ):  # of our own set, which fits; checking it would make all of it
         return records
     kind = KINDS.get(spec.assets) if assets is None else None
-    where = f"{spec.assets!r}, split {spec.split!r},"
+    named = f"{spec.assets!r}, split {spec.split!r},"
     if config.smallest_dimension_up:
         records = replace(MeshView.of(records), flat=True)
-    require_fitting_meshes(MeshView.of(records), kind, where, config.cell_size)
+    require_fitting_meshes(MeshView.of(records), kind, named, config.cell_size)
     may_begin = may_begin and len(records) > _MANY
     if may_begin and isinstance(records, RecordDataset) and not mesh_pool.MeshPool.is_kept(records):
         return _packed_meanwhile(records)
@@ -102,12 +102,12 @@ def _records(
         if repo_id is None:
             raise InputError(f"no meshes of {name!r} are published", next="give `assets`, a folder of meshes")
         return AssetProvider().meshes(repo_id, split)
-    place = store.expanded(fspath(assets))
-    is_folder_of_sets = name in KINDS and store.path_exists(place) and (place / name).is_dir()
+    folder = store.expanded(fspath(assets))
+    is_folder_of_sets = name in KINDS and store.path_exists(folder) and (folder / name).is_dir()
     if not is_folder_of_sets:
         return meshes_at(assets, split, unit)
     mesh.refuse_unit(unit, fspath(assets))
-    return AssetProvider(place).meshes(name, split)
+    return AssetProvider(folder).meshes(name, split)
 
 
 def _default_set(name: str, split: str, *, may_begin: bool) -> Objects:
@@ -116,31 +116,31 @@ def _default_set(name: str, split: str, *, may_begin: bool) -> Objects:
     finished = provider.finished(name, split)
     if finished is not None:
         return finished
-    planned = provider.plan_meshes(name, split)
-    if planned is None or not planned.left:
+    view = provider.plan_meshes(name, split)
+    if view is None or not view.left:
         return provider.meshes(name, split)
     key = str(provider.root), name, split
     is_first = key not in _BEGUN and not provider.is_being_made(name)
     if is_first or not may_begin:
         _BEGUN.add(key)
-        _announce(planned, provider, name, split, may_begin=may_begin)
+        _announce(view, provider, name, split, may_begin=may_begin)
     if not may_begin:
         return provider.meshes(name, split)
     if is_first:
         run.start_background(_make_set, provider, name, split)
-    return planned
+    return view
 
 
 def _announce(
-    planned: mesh_view.PlannedView, provider: AssetProvider, name: str, split: str, *, may_begin: bool
+    view: mesh_view.PlannedView, provider: AssetProvider, name: str, split: str, *, may_begin: bool
 ) -> None:
     cores = run.free_workers()
-    duration = f"{duration_text(planned.left_s / cores)} on {with_count(cores, 'cores')}"
+    duration = f"{duration_text(view.left_s / cores)} on {with_count(cores, 'cores')}"
     how = "This environment needs all of them first."
     if may_begin:
         how = "Episodes begin with single ones, while a process in the background makes the others."
     _say(
-        f"{with_count(planned.left, KINDS[name].nouns)} (split {split}) are made once, in "
+        f"{with_count(view.left, KINDS[name].nouns)} (split {split}) are made once, in "
         f"{str(provider.root / name)!r}: about {duration}. {how} `assets=` takes a folder of your own meshes "
         'or data sets instead, or "published".'
     )

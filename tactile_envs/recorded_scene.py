@@ -92,12 +92,12 @@ class RecordedScene(scene.TouchScene):
             number, start = options.numbers[row], options.starts[row]
             if number is None:
                 number = int(rng.integers(0, count))
-            place = np.zeros(2)
+            target_m = np.zeros(2)
             if start is not None:
-                place = start.position_m[:2]
+                target_m = start.position_m[:2]
             elif self.config.randomize_initial_sensor_pose:
-                place = self._motion.random_places(rng)
-            self.numbers[row], self._targets[row] = number, [*place, 0.0]
+                target_m = self._motion.random_positions_m(rng)
+            self.numbers[row], self._targets[row] = number, [*target_m, 0.0]
         self._chosen[rows] = -1
 
     @property
@@ -215,12 +215,12 @@ class RecordedImages:
     def of(self, rounds: Int64, touches: Int64) -> UInt8:
         """Return the images of some touches, (n, H, W, channels), by the numbers of rounds and touches."""
         keys = list(zip(rounds.tolist(), touches.tolist(), strict=True))
-        found = {key: self._kept.get(key) for key in keys}
-        missing = [key for key, image in found.items() if image is None]
+        images = {key: self._kept.get(key) for key in keys}
+        missing = [key for key, image in images.items() if image is None]
         if missing:
             for key, image in zip(missing, self._made(missing), strict=True):
-                found[key] = self._kept.put(key, image)
-        return np.stack([found[key] for key in keys])  # type: ignore[misc]
+                images[key] = self._kept.put(key, image)
+        return np.stack([images[key] for key in keys])  # type: ignore[misc]
 
     def _made(self, keys: Sequence[TouchKey]) -> Sequence[UInt8]:
         """Make the images of some touches."""

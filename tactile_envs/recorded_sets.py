@@ -24,7 +24,7 @@ from tactile_toolkit.array_types import Float32, Float64, Int64
 from tactile_toolkit.errors import BusyError, InputError, IntegrityError, ToolkitError
 from tactile_toolkit.touch import PRESS_DEPTH_M
 
-Place = str | PathLike[str]
+Name = str | PathLike[str]
 _DIGITS = "mnist3d"
 _REPOSITORY = env_specs.REAL_TOUCHES.rpartition("/")[2]
 _NAMES = [name for name, stored in realtouch.SHORT_NAMES.items() if stored == _REPOSITORY]
@@ -55,11 +55,11 @@ Source = str | PathLike[str] | realtouch.TouchSingleDataset
 class RecordedSources(NamedTuple):
     """Names of a data set of touches, and of the digits that were touched; None if they are not known."""
 
-    touches: Place
-    digits: Place | None
+    touches: Name
+    digits: Name | None
 
     @classmethod
-    def of(cls, assets: Place | None, touches: Place | None) -> Self:
+    def of(cls, assets: Name | None, touches: Name | None) -> Self:
         """Return the sources for options of :func:`tactile_envs.make_vector`.
 
         InputError for a folder of data sets that holds no touches.
@@ -87,13 +87,13 @@ class RecordedSources(NamedTuple):
         return cls(recorded, digits)
 
 
-def touches_in(assets: Place) -> Path | None:
+def touches_in(assets: Name) -> Path | None:
     """Return the data set of touches in a folder of data sets; None if there is none."""
     inside = _sets_in(assets)
     return next((inside[name] for name in _FOLDERS if name in inside), None)
 
 
-def _sets_in(assets: Place) -> dict[str, Path]:
+def _sets_in(assets: Name) -> dict[str, Path]:
     """Return the data sets in a folder by name; empty if it is not a folder of data sets."""
     folder = store.expanded(fspath(assets))
     if not store.path_exists(folder):
@@ -120,19 +120,19 @@ class RecordedTouches:
     poses: Float64
 
     @classmethod
-    def open(cls, place: Place, split: str, config: RecordedConfig) -> Self:
+    def open(cls, name: Name, split: str, config: RecordedConfig) -> Self:
         """Open the touches of a split, and read the positions and poses of all rounds.
 
         InputError: it is missing, has no images, or rounds too short for an episode. IntegrityError: a
         position or a pose is missing or damaged.
         """
-        rounds = realtouch.load(place, split)
-        where = f"{fspath(place)!r}, split {split!r},"
+        rounds = realtouch.load(name, split)
+        named = f"{fspath(name)!r}, split {split!r},"
         if not isinstance(rounds, realtouch.TouchSingleDataset):
             raise InputError(
-                f"{where} holds clips; expected one image a touch", next="run `realtouch stills`"
+                f"{named} holds clips; expected one image a touch", next="run `realtouch stills`"
             )
-        count = _touch_count(rounds, where, config.step_limit)
+        count = _touch_count(rounds, named, config.step_limit)
         positions_m = np.empty((len(rounds), count, 2))
         poses = np.empty((len(rounds), count, 4, 4))
         for number, record in rounds.rounds_without_media():
@@ -158,21 +158,21 @@ class RecordedTouches:
         return labels
 
 
-def _touch_count(rounds: realtouch.TouchSingleDataset, where: str, step_limit: int) -> int:
+def _touch_count(rounds: realtouch.TouchSingleDataset, named: str, step_limit: int) -> int:
     """Return the number of touches of each round; InputError if they are too few, or differ."""
     counts = set(rounds.touch_counts.tolist())
     if not counts:
-        raise InputError(f"{where} holds no round", next="choose another split, or other touches")
+        raise InputError(f"{named} holds no round", next="choose another split, or other touches")
     least, most = min(counts), max(counts)
     if least < most:
         raise InputError(
-            f"{where} has rounds of {least} to {most} touches; expected rounds of one length",
+            f"{named} has rounds of {least} to {most} touches; expected rounds of one length",
             next="give rounds of one recording",
         )
     needed = step_limit + 2  # the first touch of an episode, and one that must be left after its last step
     if least < needed:
         raise InputError(
-            f"{where} has rounds of {least} touches; an episode of {step_limit} steps needs {needed}",
+            f"{named} has rounds of {least} touches; an episode of {step_limit} steps needs {needed}",
             next="give a smaller `step_limit` in `config`, or other touches",
         )
     return int(least)
@@ -187,18 +187,18 @@ class TouchedObjects:
     which: Int64
 
     @classmethod
-    def open(cls, place: Place, split: str, touches: RecordedTouches, config: RecordedConfig) -> Self:
+    def open(cls, name: Name, split: str, touches: RecordedTouches, config: RecordedConfig) -> Self:
         """Open the meshes of a split; InputError if they do not fit, or lack a touched object."""
-        records = meshes_at(place, split)
-        where = f"{fspath(place)!r}, split {split!r},"
+        records = meshes_at(name, split)
+        named = f"{fspath(name)!r}, split {split!r},"
         view = MeshView.of(records)
-        require_fitting_meshes(view, None, where, config.cell_size)
+        require_fitting_meshes(view, None, named, config.cell_size)
         numbers = {int(name): number for number, name in enumerate(view.column("id"))}
         touched = touches.rounds.int_column("object_id").tolist()
         unknown = sorted(set(touched) - numbers.keys())
         if unknown:
             raise InputError(
-                f"{where} has no mesh of {len(unknown)} touched objects, such as object {unknown[0]}",
+                f"{named} has no mesh of {len(unknown)} touched objects, such as object {unknown[0]}",
                 next="give the digits that were touched",
             )
         which = np.array([numbers[name] for name in touched], np.int64)
@@ -212,7 +212,7 @@ class TouchedObjects:
         self.__dict__.update(state, pool=mesh_pool.MeshPool.of(state["records"]))
 
 
-def base_depths_m(given: Source, count: int, size_px: tuple[int, int]) -> Float32:
+def base_depths_m(source: Source, count: int, size_px: tuple[int, int]) -> Float32:
     """Return depth maps of real touches without contact.
 
     Parameters
@@ -238,7 +238,7 @@ def base_depths_m(given: Source, count: int, size_px: tuple[int, int]) -> Float3
     MissingExtraError
         Estimates are missing, and the packages that make them are not installed.
     """
-    touches = _opened(given).touches()
+    touches = _opened(source).touches()
     empty = np.flatnonzero(touches.heights_m() <= NO_CONTACT_M)
     if not len(empty):
         raise InputError(
@@ -252,11 +252,11 @@ def base_depths_m(given: Source, count: int, size_px: tuple[int, int]) -> Float3
         return _estimates_m(touches, chosen, size_px)
 
 
-def _opened(given: Source) -> realtouch.TouchSingleDataset:
-    found: object = given
-    if isinstance(given, (str, PathLike)):
+def _opened(source: Source) -> realtouch.TouchSingleDataset:
+    opened: object = source
+    if isinstance(source, (str, PathLike)):
         try:
-            found = realtouch.load(fspath(given), "train")
+            opened = realtouch.load(fspath(source), "train")
         except ToolkitError as error:
             raise InputError(
                 f"the environment shows the depth of real touches behind its own, and these cannot be read: "
@@ -264,13 +264,13 @@ def _opened(given: Source) -> realtouch.TouchSingleDataset:
                 next=f"give {_SETTING} in `config` (the folder or name of a data set of real touches with "
                 f"one image each, or an opened one), or {_LEAVE_OUT}",
             ) from error
-    if not isinstance(found, realtouch.TouchSingleDataset):
+    if not isinstance(opened, realtouch.TouchSingleDataset):
         raise InputError(
-            f"{_SETTING} of the environment is {found!r}; expected a data set of real touches with one image "
-            "each",
+            f"{_SETTING} of the environment is {opened!r}; expected a data set of real touches with one "
+            "image each",
             next=f"give another data set, or {_LEAVE_OUT}",
         )
-    return found
+    return opened
 
 
 @contextlib.contextmanager

@@ -14,6 +14,7 @@ from realtouch import Poses
 from tactile_envs import motion
 from tactile_envs.config import Action, Config, EpisodeConfig, Space
 from tactile_envs.drawing import EnvDrawing
+from tactile_envs.touch_kernels import SensorReadings
 from tactile_sim.optics.rendering import Optics, make_optics
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Floating, Int64
 from tactile_toolkit.errors import InputError
@@ -46,8 +47,8 @@ class TouchScene(ABC):
         Spaces of a single action, and of the observation of a single sensor.
     numbers : ndarray of int64, shape (num_envs,)
         Number of the object in each cell; -1 before the first episode.
-    places : ndarray of float64, shape (num_envs, 3)
-        Position (x, y) of each object, metres, and its rotation, radians, cell frame.
+    planar_poses : ndarray of float64, shape (num_envs, 3)
+        Position (x, y) of each object, metres, and its rotation about z, radians, cell frame.
     """
 
     config: EpisodeConfig
@@ -56,7 +57,7 @@ class TouchScene(ABC):
         self.config, self.num_envs = config, num_envs
         self._motion = motion.Motion.of(config)
         self.numbers = np.full(num_envs, -1, np.int64)
-        self.places, self._targets = np.zeros((2, num_envs, 3))
+        self.planar_poses, self._targets = np.zeros((2, num_envs, 3))
         corner = np.ones(3, np.float32)
         self.action_parts: dict[str, Space] = {_MOVE: gym.spaces.Box(-corner, corner)}
         self.observation_parts: dict[str, Space] = {
@@ -66,7 +67,7 @@ class TouchScene(ABC):
 
     @abstractmethod
     def begin(self, rows: motion.Rows, rng: np.random.Generator, options: motion.ResetOptions) -> None:
-        """Begin an episode in some cells: choose objects and the places of the first touches."""
+        """Begin an episode in some cells: choose objects and the positions of the first touches."""
 
     def discard_upcoming(self, rows: motion.Rows) -> None:  # noqa: B027
         """Discard the objects that were chosen for the next episodes of some cells, as a reset does."""
@@ -182,7 +183,7 @@ class Camera:
         """Number of depth maps that lie behind those of touches."""
         return 0 if self._behind is None else len(self._behind)
 
-    def pictures(self, touches: motion.SensorReadings, bases: Int64) -> Float32:
+    def pictures(self, touches: SensorReadings, bases: Int64) -> Float32:
         """Return images (n, H, W, channels), 0 to 1; ``bases`` (n,) are the numbers of the maps behind."""
         if not self.sees_depth:
             images = touches.images
@@ -190,14 +191,14 @@ class Camera:
                 np.minimum(images, self._behind[bases], out=images)
             return images[..., None]
         width, height = self._size
-        found = np.empty((len(bases), height, width, self.channels), np.float32)
+        images = np.empty((len(bases), height, width, self.channels), np.float32)
         # Touches that meet only the plate share an image for each map behind them.
         for base in np.unique(bases[touches.is_bare]).tolist():
-            found[touches.is_bare & (bases == base)] = self._bare_picture(base)
+            images[touches.is_bare & (bases == base)] = self._bare_picture(base)
         touched = np.flatnonzero(~touches.is_bare)
         if len(touched):
-            found[touched] = self._shades(touches.depths_m[touched], bases[touched])
-        return found
+            images[touched] = self._shades(touches.depths_m[touched], bases[touched])
+        return images
 
     def _bare_picture(self, base: int) -> Float32:
         """Return the image of a touch that meets only the plate, in front of a map."""

@@ -116,11 +116,12 @@ class Volume(_Regression):
         )
 
     def _other_metrics(self, predictions: AnyArray, targets: AnyArray) -> dict[str, AnyArray]:
-        found_m3, true_m3 = (each[:, 0] * self._std_m3 + self._mean_m3 for each in (predictions, targets))
+        guess_m3 = predictions[:, 0] * self._std_m3 + self._mean_m3
+        true_m3 = targets[:, 0] * self._std_m3 + self._mean_m3
         return {
-            "abs_error_cm3": np.abs(found_m3 - true_m3) * 1e6,
+            "abs_error_cm3": np.abs(guess_m3 - true_m3) * 1e6,
             # As the published metric of this name: a quotient, 1 where the volume is right.
-            "rel_error": np.maximum(found_m3, 0) / np.maximum(true_m3, 1e-10),
+            "rel_error": np.maximum(guess_m3, 0) / np.maximum(true_m3, 1e-10),
         }
 
 
@@ -147,33 +148,35 @@ class ObjectPose(_Regression):
         """Return positions, and directions unless ``of_mass``, shape (n, 2 or 4)."""
         cosine, sine = np.cos(objects[:, 2]), np.sin(objects[:, 2])
         x, y = self._centres_m[chosen].T
-        found = np.empty((len(objects), 2 + 2 * self._has_direction))
-        found[:, 0] = (objects[:, 0] + (cosine * x - sine * y)) / self._half_cell_m[0]
-        found[:, 1] = (objects[:, 1] + (sine * x + cosine * y)) / self._half_cell_m[1]
+        targets = np.empty((len(objects), 2 + 2 * self._has_direction))
+        targets[:, 0] = (objects[:, 0] + (cosine * x - sine * y)) / self._half_cell_m[0]
+        targets[:, 1] = (objects[:, 1] + (sine * x + cosine * y)) / self._half_cell_m[1]
         if self._has_direction:
-            found[:, 2], found[:, 3] = cosine, sine
-        return found
+            targets[:, 2], targets[:, 3] = cosine, sine
+        return targets
 
     def view(self, predictions: AnyArray, targets: AnyArray) -> drawing.PredictionView:
         """Show the predicted position and direction."""
         directions = None
         if self._has_direction:
             directions = predictions[:, 2:]
-        return drawing.PredictionView(places_m=predictions[:, :2] * self._half_cell_m, directions=directions)
+        return drawing.PredictionView(
+            positions_m=predictions[:, :2] * self._half_cell_m, directions=directions
+        )
 
     def _other_metrics(self, predictions: AnyArray, targets: AnyArray) -> dict[str, AnyArray]:
         off_m = (predictions[:, :2] - targets[:, :2]) * self._half_cell_m
         measured = {"linear_error": np.sqrt((off_m * off_m).sum(axis=1))}
         if self._has_direction:
             # A component that is almost 0 becomes 1e-5, whatever its sign.
-            found = np.where(np.abs(predictions[:, 2:]) < 1e-5, 1e-5, predictions[:, 2:])
-            length = np.sqrt((found * found).sum(axis=1))
-            aligned = (found * targets[:, 2:]).sum(axis=1) / length
+            directions = np.where(np.abs(predictions[:, 2:]) < 1e-5, 1e-5, predictions[:, 2:])
+            length = np.sqrt((directions * directions).sum(axis=1))
+            aligned = (directions * targets[:, 2:]).sum(axis=1) / length
             measured["angular_error"] = np.arccos(np.clip(aligned, -1.0, 1.0))
         return measured
 
     def _variances(self, pool: mesh_pool.MeshPool, config: Config) -> Float64:
-        """Return the variance of each target over all objects and their initial places."""
+        """Return the variance of each target over all objects and their initial poses."""
         turns_rad = np.linspace(-1.0, 1.0, 16) * config.max_initial_angle_perturbation
         means, spreads = np.empty((len(pool), 2)), np.empty((len(pool), 2))
         cosine, sine = np.cos(turns_rad), np.sin(turns_rad)

@@ -19,16 +19,19 @@ from tactile_envs.config import Config
 from tactile_envs.touch_kernels import (
     EDGE_PX,
     PADDING,
+    Cells,
     Pool,
-    Room,
-    batch_room,
+    SensorReadings,
+    Setting,
+    Workspace,
+    allocate_workspace,
     draw_touch,
     highest_of,
-    lay_edge,
-    leave,
+    observe_and_slip,
     raise_within,
+    write_edge,
 )
-from tactile_toolkit.array_types import Bool, Float32, Float64, Int64
+from tactile_toolkit.array_types import Float32, Float64, Int64
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kernels import compiled
 
@@ -66,11 +69,11 @@ class TiltedScene(mesh_scene.MeshScene):
         self._targets[rows] = 0.0
         angles = np.zeros((3, self.num_envs))
         if self.config.randomize_initial_sensor_pose:
-            # Drawn for all cells, one after the other, and places in single precision, as published.
+            # Drawn for all cells, one after the other, and positions in single precision, as published.
             drawn = rng.random((self.num_envs, 5))
             low_m, high_m = self._motion.low_m[:2], self._motion.high_m[:2]
-            places_m = low_m + (high_m - low_m) * drawn[:, :2]
-            self._targets[rows, :2] = np.asarray(places_m[rows], np.float32)
+            positions_m = low_m + (high_m - low_m) * drawn[:, :2]
+            self._targets[rows, :2] = np.asarray(positions_m[rows], np.float32)
             angles = drawn.T[2:] * [[self.config.max_tilt_angle], [2 * math.pi], [2 * math.pi]]
             angles[1:] -= math.pi
         self._axes[rows] = _axes_of(*angles)[rows]
@@ -105,24 +108,14 @@ class TiltedScene(mesh_scene.MeshScene):
         turned = np.clip(axes, -1, 1).astype(np.float32)
         return scene.Readings({**readings.observation, _TURNED: turned}, readings.info)
 
-    def _press(
-        self,
-        rows: motion.Rows,
-        lifts_m: Float64,
-        sensors: Float64,
-        places: Float64,
-        drift: Float64,
-        has_depth: bool,
-    ) -> motion.SensorReadings:
-        numbers = self.numbers[rows]
-        axes = np.ascontiguousarray(self._axes[rows])
-        pools = (self._pool.arrays, self._plate.arrays)
-        read = (self._toucher.window, self._motion.numbers, drift, *pools, self._far_m)
+    def _press(self, cells: Cells, drift: Float64, *, has_depth: bool) -> SensorReadings:
+        setting = Setting(self._toucher.window, self._motion.numbers, drift)
+        pools = (self._pool.arrays, self._plate.arrays, self._far_m)
 
-        def press(begin: int, end: int, room: Float32, readings: motion.SensorReadings) -> None:
-            touch_tilted(begin, end, *read, numbers, lifts_m, axes, sensors, places, room, *readings)
+        def press(begin: int, end: int, heights: Float32, readings: SensorReadings) -> None:
+            touch_tilted(begin, end, setting, pools, cells, heights, readings)
 
-        return self._toucher.shared(len(numbers), press, with_depth=has_depth)
+        return self._toucher.shared(len(cells.numbers), press, with_depth=has_depth)
 
 
 def _axes_of(tilt: Float64, towards: Float64, spin: Float64) -> Float64:
@@ -141,68 +134,58 @@ def _axes_of(tilt: Float64, towards: Float64, spin: Float64) -> Float64:
 def touch_tilted(
     begin: int,
     end: int,
-    window: Float64,
-    motion: Float64,
-    drift: Float64,
-    pool: Pool,
-    plate: Pool,
-    far: float,
-    chosen: Int64,
-    lifts: Float64,
-    axes: Float64,
-    sensors: Float64,
-    objects: Float64,
+    setting: Setting,
+    pools: tuple[Pool, Pool, float],
+    cells: Cells,
     heights: Float32,
-    images: Float32,
-    depths: Float32,
-    positions: Float32,
-    is_bare: Bool,
+    readings: SensorReadings,
 ) -> None:
     """Press tilted sensors along their axes, and let the objects slip, for environments ``begin`` to ``end``.
 
-    ``plate`` is a pool of one mesh, the plate under the objects with its upper side at height 0; what lies
-    more than ``far`` below the target of a sensor, metres, is not seen. ``axes`` (n, 3, 3) has the x, y and z
-    axis of each sensor in its columns; ``sensors`` (n, 3), metres, are moved along z until the gel is pressed
-    in. The rest is as for :func:`tactile_envs.touch_kernels.touch`.
+    ``pools`` are that of the objects; that of the plate under them, one mesh with its upper side at height 0;
+    and how far below the target of a sensor it sees, metres. Sensors are moved along their z axes until the
+    gel is pressed in. The rest is as for :func:`tactile_envs.touch_kernels.touch`.
     """
-    greatest = np.empty(images.shape[2], np.float32)
-    room = batch_room()
-    view, lying = np.empty((3, 4)), np.empty((3, 4))
+    greatest = np.empty(readings.images.shape[2], np.float32)
+    workspace = allocate_workspace()
+    pool, plate, far_m = pools
+    window, axes, sensors, objects = setting.window, cells.axes, cells.sensors, cells.objects
+    view, pose = np.empty((3, 4)), np.empty((3, 4))
     for i in range(begin, end):
         cosine, sine = math.cos(objects[i, 2]), math.sin(objects[i, 2])
-        lying[:, :] = 0.0
-        lying[0, 0] = lying[1, 1] = lying[2, 2] = 1.0
-        heights[:, :] = -far
-        lying[2, 3] = -plate[3][0, 12]
-        _look(view, window, axes[i], sensors[i], lying)
-        raise_mesh(heights, plate, 0, view, room)
-        lying[0, 0], lying[0, 1], lying[0, 3] = cosine, -sine, objects[i, 0]
-        lying[1, 0], lying[1, 1], lying[1, 3] = sine, cosine, objects[i, 1]
-        lying[2, 3] = 0.0
-        _look(view, window, axes[i], sensors[i], lying)
-        raise_mesh(heights, pool, chosen[i], view, room)
+        pose[:, :] = 0.0
+        pose[0, 0] = pose[1, 1] = pose[2, 2] = 1.0
+        heights[:, :] = -far_m
+        pose[2, 3] = -plate[3][0, 12]
+        _look(view, window, axes[i], sensors[i], pose)
+        raise_mesh(heights, plate, 0, view, workspace)
+        pose[0, 0], pose[0, 1], pose[0, 3] = cosine, -sine, objects[i, 0]
+        pose[1, 0], pose[1, 1], pose[1, 3] = sine, cosine, objects[i, 1]
+        pose[2, 3] = 0.0
+        _look(view, window, axes[i], sensors[i], pose)
+        raise_mesh(heights, pool, cells.numbers[i], view, workspace)
         highest = highest_of(heights, greatest)
-        is_bare[i] = False  # a tilted plate is seen, too
+        readings.is_bare[i] = False  # the plate under a tilted sensor is drawn like an object
         # Distance along its axis at which the sensor reaches its least height.
         least_m = (window[5] - sensors[i, 2]) / axes[i, 2, 2]
-        draw_touch(i, images, depths, heights, highest, window, least_m)
-        observed_m = max(highest + window[3] + lifts[i], least_m)
+        draw_touch(i, readings, heights, highest, window, least_m)
+        observed_m = max(highest + window[3] + cells.lifts[i], least_m)
         for axis in range(3):
             sensors[i, axis] += axes[i, axis, 2] * observed_m
-        leave(i, cosine, sine, motion, drift, sensors, objects, positions)
+        observe_and_slip(i, cosine, sine, setting, cells, readings.positions)
 
 
 @compiled
-def _look(view: Float64, window: Float64, axes: Float64, sensor: Float64, lying: Float64) -> None:
+def _look(view: Float64, window: Float64, axes: Float64, sensor: Float64, pose: Float64) -> None:
     """Write the affine map of a mesh to columns, rows and heights, metres, shape (3, 4).
 
-    ``axes`` (3, 3) and ``sensor`` (3,) are those of a sensor, and ``lying`` (3, 4) the pose of the mesh.
+    ``axes`` (3, 3) and ``sensor`` (3,) are those of a sensor, and ``pose`` (3, 4) that of the mesh.
     """
     for row in range(3):
         for column in range(4):
             total = 0.0
             for k in range(3):
-                along = lying[k, column]
+                along = pose[k, column]
                 if column == 3:
                     along -= sensor[k]
                 total += axes[k, row] * along
@@ -214,19 +197,19 @@ def _look(view: Float64, window: Float64, axes: Float64, sensor: Float64, lying:
 
 
 @compiled
-def raise_mesh(heights: Float32, pool: Pool, number: int, view: Float64, room: Room) -> None:
+def raise_mesh(heights: Float32, pool: Pool, number: int, view: Float64, workspace: Workspace) -> None:
     """Raise pixels to the nearest triangle of mesh ``number`` at each of them.
 
     ``heights``, shape (H, W + PADDING), metres towards the sensor, has its first row at the bottom; samples
     of pixels are at integers. ``view`` (3, 4) gives column, row and height of a point x, y, z, 1 of the mesh.
     """
-    seen_by = (
+    affine = (
         (view[0, 0], view[0, 1], view[0, 2], view[0, 3]),
         (view[1, 0], view[1, 1], view[1, 2], view[1, 3]),
         (view[2, 0], view[2, 1], view[2, 2], view[2, 3]),
     )
-    seen = _seen_in_grid(heights, pool[3][number], view)
-    edges = room[3]
+    corners = _window_in_grid(heights, pool[3][number], view)
+    edges = workspace[3]
     # Four around the foot, four around the top, and four upright ones.
     for edge in range(12):
         side = edge & 3
@@ -234,20 +217,20 @@ def raise_mesh(heights: Float32, pool: Pool, number: int, view: Float64, room: R
         end = side + 4
         if edge < 8:
             end = ((side + 1) & 3) + 4 * (edge >> 2)
-        edges[0, edge], edges[1, edge] = seen[begin, 0], seen[begin, 1]
-        lay_edge(edges, edge, seen[end, 0], seen[end, 1])
-    raise_within(heights, pool, number, 12, seen_by, room)
+        edges[0, edge], edges[1, edge] = corners[begin, 0], corners[begin, 1]
+        write_edge(edges, edge, corners[end, 0], corners[end, 1])
+    raise_within(heights, pool, number, 12, affine, workspace)
 
 
 @compiled
-def _seen_in_grid(heights: Float32, grid: Float64, view: Float64) -> Float64:
+def _window_in_grid(heights: Float32, grid: Float64, view: Float64) -> Float64:
     """Return corners (8, 2) of the part of a mesh's box that the window sees, from the corner of its grid on.
 
     The first four are at the height of its foot, the others at that of its top.
     """
     rows = heights.shape[0]
     columns = heights.shape[1] - PADDING
-    seen = np.empty((8, 2))
+    corners = np.empty((8, 2))
     per_area = 1.0 / (view[0, 0] * view[1, 1] - view[0, 1] * view[1, 0])
     for corner in range(8):
         side = corner & 3
@@ -256,6 +239,6 @@ def _seen_in_grid(heights: Float32, grid: Float64, view: Float64) -> Float64:
         row = rows - 1.0 + EDGE_PX if side >= 2 else -EDGE_PX
         over = column - view[0, 3] - view[0, 2] * height_m
         along = row - view[1, 3] - view[1, 2] * height_m
-        seen[corner, 0] = (view[1, 1] * over - view[0, 1] * along) * per_area - grid[6]
-        seen[corner, 1] = (view[0, 0] * along - view[1, 0] * over) * per_area - grid[7]
-    return seen
+        corners[corner, 0] = (view[1, 1] * over - view[0, 1] * along) * per_area - grid[6]
+        corners[corner, 1] = (view[0, 0] * along - view[1, 0] * over) * per_area - grid[7]
+    return corners

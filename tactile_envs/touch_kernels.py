@@ -6,6 +6,7 @@ LLVM vectorises the loops over the triangles of a batch, which take a third of t
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,15 +20,60 @@ PADDING = _BLOCK
 Pool = tuple[Float32, AnyArray, Int32, Float64]
 """Vertices, faces, starts and grids of a :class:`tactile_envs.mesh_pool.MeshPool`."""
 
-ObjectPlace = tuple[float, float, float, float, float]
-"""Place of an object: cosine and sine of its turn, column and row of its origin, pixels per metre."""
+ObjectPose = tuple[float, float, float, float, float]
+"""Pose of an object: cosine and sine of its turn, column and row of its origin, pixels per metre."""
 
-Room = tuple[Float32, Float64, Int32, Float64, Float32, Float32]
+Workspace = tuple[Float32, Float64, Int32, Float64, Float32, Float32]
 """Arrays for a batch of triangles: corners, metres; weights and heights of corners; first and last columns
 and rows; edges of the window; heights of blocks of pixels; weights and heights in single precision."""
 
 View = tuple[tuple[float, float, float, float], ...]
 """Affine map of a mesh to the image: column, row and height, metres, of its points x, y, z, 1."""
+
+
+class Setting(NamedTuple):
+    """What all touches of a step have in common.
+
+    ``window`` (6,): pixels per metre, column and row of the middle, from the bottom, ``press_m`` and
+    ``gel_m`` of the sensor, least height of sensors, metres. ``motion`` (8,): as for
+    :func:`tactile_envs.episode_kernels.aim`. ``drift`` (3,): how objects slip in their own frame, metres and
+    radians.
+    """
+
+    window: Float64
+    motion: Float64
+    drift: Float64
+
+
+class Cells(NamedTuple):
+    """Sensors and objects of n environments; a touch moves both.
+
+    ``numbers`` (n,) are those of the meshes of the objects in the pool; ``lifts`` (n,) is added to the
+    observed heights, metres. ``axes`` (n, 3, 3) are those of the sensors, in columns; ``sensors`` (n, 3) are
+    their positions, metres, which get the observed height. ``objects`` (n, 3) are position (x, y), metres,
+    and rotation, radians.
+    """
+
+    numbers: Int64
+    lifts: Float64
+    axes: Float64
+    sensors: Float64
+    objects: Float64
+
+
+class SensorReadings(NamedTuple):
+    """One touch of each environment.
+
+    ``images`` (n, H, W) are depth images; ``depths_m``, of the same shape or (0, 0, 0), are
+    distances from the camera of the gel, metres; ``positions`` (n, 3) are the observed positions of the
+    sensors, -1 to 1; ``is_bare`` (n,) states whether the gel touched only the plate.
+    """
+
+    images: Float32
+    depths_m: Float32
+    positions: Float32
+    is_bare: Bool
+
 
 EDGE_PX = 1e-6
 """Distance beyond the outermost pixels that still counts as in the window."""
@@ -41,18 +87,18 @@ _BATCH = 64  # triangles that are prepared at once
 
 
 @compiled
-def raise_object(heights: Float32, pool: Pool, number: int, placed: ObjectPlace) -> None:
+def raise_object(heights: Float32, pool: Pool, number: int, pose: ObjectPose) -> None:
     """Raise pixels to the highest triangle of mesh ``number`` over each of them.
 
     ``heights``, shape (H, W + PADDING), metres above the plate, has its first row at the bottom; samples of
     pixels are at integers.
     """
-    _raise_near(heights, pool, number, placed, batch_room())
+    _raise_near(heights, pool, number, pose, allocate_workspace())
 
 
 @compiled
-def batch_room() -> Room:
-    """Return room for a batch of triangles."""
+def allocate_workspace() -> Workspace:
+    """Allocate the arrays for a batch of triangles."""
     corners, boxes = np.empty(9 * _BATCH, np.float32), np.empty(4 * _BATCH, np.int32)
     blocks = np.empty((_BLOCK * _BLOCK, _BATCH), np.float32)
     singles = np.empty((10, _BATCH), np.float32)
@@ -60,24 +106,26 @@ def batch_room() -> Room:
 
 
 @compiled
-def _raise_near(heights: Float32, pool: Pool, number: int, placed: ObjectPlace, room: Room) -> bool:
+def _raise_near(heights: Float32, pool: Pool, number: int, pose: ObjectPose, workspace: Workspace) -> bool:
     """Raise pixels as :func:`raise_object`; return whether there are triangles near the window."""
-    cosine, sine, x_px, y_px, px_per_m = placed
+    cosine, sine, x_px, y_px, px_per_m = pose
     turn_x, turn_y = cosine * px_per_m, sine * px_per_m
     view = (turn_x, -turn_y, 0.0, x_px), (turn_y, turn_x, 0.0, y_px), (0.0, 0.0, 1.0, 0.0)
-    _lay_edges(room[3], heights, pool[3][number], placed)
-    return raise_within(heights, pool, number, 4, view, room)
+    _write_window_edges(workspace[3], heights, pool[3][number], pose)
+    return raise_within(heights, pool, number, 4, view, workspace)
 
 
 @compiled
-def raise_within(heights: Float32, pool: Pool, number: int, edges: int, view: View, room: Room) -> bool:
+def raise_within(
+    heights: Float32, pool: Pool, number: int, edges: int, view: View, workspace: Workspace
+) -> bool:
     """Raise pixels to the triangles of a mesh near an area of its grid; return whether there are any.
 
-    ``edges`` is the number of edges of the area in the room, as :func:`lay_edge` writes them.
+    ``edges`` is the number of edges of the area in the workspace, as :func:`write_edge` writes them.
     """
     starts = pool[2]
     grid = pool[3][number]
-    laid = room[3]
+    area_edges = workspace[3]
     first_face, large, first_start = int(grid[1]), int(grid[2]), int(grid[3])
     across, up = int(grid[4]), int(grid[5])
     cell_m, reach_m = grid[8], grid[9]
@@ -87,8 +135,8 @@ def raise_within(heights: Float32, pool: Pool, number: int, edges: int, view: Vi
     right = -np.inf
     highest = -np.inf
     for edge in range(edges):
-        x, y = laid[0, edge], laid[1, edge]
-        end_x, end_y = x + laid[2, edge], y + laid[3, edge]
+        x, y = area_edges[0, edge], area_edges[1, edge]
+        end_x, end_y = x + area_edges[2, edge], y + area_edges[3, edge]
         left, right = min(left, min(x, end_x)), max(right, max(x, end_x))
         lowest, highest = min(lowest, min(y, end_y)), max(highest, max(y, end_y))
     is_beside = left - reach_m > across * cell_m or right + reach_m < 0.0
@@ -99,20 +147,22 @@ def raise_within(heights: Float32, pool: Pool, number: int, edges: int, view: Vi
     first = max(math.floor((lowest - reach_m) / cell_m), 0)
     for line in range(first, min(math.floor((highest + reach_m) / cell_m), up - 1) + 1):
         # A triangle lies at most `reach_m` from the middle that says which cell it is in.
-        least, most = _extent_between(laid, edges, line * cell_m - reach_m, (line + 1) * cell_m + reach_m)
+        least, most = _extent_between(
+            area_edges, edges, line * cell_m - reach_m, (line + 1) * cell_m + reach_m
+        )
         begin_cell = max(math.floor((least - reach_m) / cell_m), 0)
         end_cell = min(math.floor((most + reach_m) / cell_m), across - 1)
         if begin_cell <= end_cell:
             cell = first_start + line * across
             runs[line + 1, 0] = small + starts[cell + begin_cell]
             runs[line + 1, 1] = small + starts[cell + end_cell + 1]
-    return _raise_runs(heights, pool, number, runs, view, room)
+    return _raise_runs(heights, pool, number, runs, view, workspace)
 
 
 @compiled
-def _lay_edges(edges: Float64, heights: Float32, grid: Float64, placed: ObjectPlace) -> None:
+def _write_window_edges(edges: Float64, heights: Float32, grid: Float64, pose: ObjectPose) -> None:
     """Write the edges of the window in the object's frame, from the corner of its grid on."""
-    cosine, sine, x_px, y_px, px_per_m = placed
+    cosine, sine, x_px, y_px, px_per_m = pose
     rows = heights.shape[0]
     columns = heights.shape[1] - PADDING
     per_px = 1.0 / px_per_m
@@ -123,11 +173,11 @@ def _lay_edges(edges: Float64, heights: Float32, grid: Float64, placed: ObjectPl
         edges[0, corner] = cosine * over_x + sine * over_y - grid[6]
         edges[1, corner] = cosine * over_y - sine * over_x - grid[7]
     for corner in range(4):
-        lay_edge(edges, corner, edges[0, (corner + 1) & 3], edges[1, (corner + 1) & 3])
+        write_edge(edges, corner, edges[0, (corner + 1) & 3], edges[1, (corner + 1) & 3])
 
 
 @compiled
-def lay_edge(edges: Float64, edge: int, end_x: float, end_y: float) -> None:
+def write_edge(edges: Float64, edge: int, end_x: float, end_y: float) -> None:
     """Write the direction of an edge, given its start in ``edges`` and its end.
 
     ``edges``, shape (5, n): x and y of the start, differences of the end along x and y, and the inverse of
@@ -147,8 +197,9 @@ def _extent_between(edges: Float64, count: int, from_y: float, to_y: float) -> t
         x, y, along_x = edges[0, edge], edges[1, edge], edges[2, edge]
         begin, end = 0.0, 1.0
         if abs(edges[3, edge]) > _LEVEL_M:
-            one, other = (from_y - y) * edges[4, edge], (to_y - y) * edges[4, edge]
-            begin, end = max(min(one, other), 0.0), min(max(one, other), 1.0)
+            low = (from_y - y) * edges[4, edge]
+            high = (to_y - y) * edges[4, edge]
+            begin, end = max(min(low, high), 0.0), min(max(low, high), 1.0)
         elif y < from_y or y > to_y:
             continue
         if begin <= end:
@@ -158,14 +209,16 @@ def _extent_between(edges: Float64, count: int, from_y: float, to_y: float) -> t
 
 
 @compiled
-def _raise_runs(heights: Float32, pool: Pool, number: int, runs: Int64, view: View, room: Room) -> bool:
+def _raise_runs(
+    heights: Float32, pool: Pool, number: int, runs: Int64, view: View, workspace: Workspace
+) -> bool:
     """Raise pixels to the triangles of runs that face the sensor; return whether there are any triangles.
 
     ``runs`` (n, 2) are the first triangle of each run and the one after its last; the last run is empty.
     """
     vertices, faces, _, grids = pool
     first_vertex = np.uint64(grids[number, 0])
-    corners = room[0]
+    corners = workspace[0]
     waiting, is_any = 0, False
     for run in range(len(runs)):
         first, last = runs[run, 0], runs[run, 1]
@@ -186,24 +239,24 @@ def _raise_runs(heights: Float32, pool: Pool, number: int, runs: Int64, view: Vi
             first = end
             if waiting < least:
                 break
-            _raise_batch(heights, room, view, waiting)
+            _raise_batch(heights, workspace, view, waiting)
             waiting, is_any = 0, True
     return is_any
 
 
 @compiled
-def _prepare(heights: Float32, room: Room, view: View) -> None:
+def _prepare(heights: Float32, workspace: Workspace, view: View) -> None:
     """Write which pixels each triangle of a batch may cover, and the weights of its corners there.
 
-    LLVM vectorises the loop, because it has a fixed length and each result its own place in an array.
+    LLVM vectorises the loop, because it has a fixed length and each result its own element of an array.
     """
-    corners, weights, boxes = room[0], room[1], room[2]
+    corners, weights, boxes = workspace[0], workspace[1], workspace[2]
     columns = heights.shape[1] - PADDING - 1.0
     rows = heights.shape[0] - 1.0
     for i in range(_BATCH):
-        ax, ay, az = _seen(view, corners[i], corners[_BATCH + i], corners[2 * _BATCH + i])
-        bx, by, bz = _seen(view, corners[3 * _BATCH + i], corners[4 * _BATCH + i], corners[5 * _BATCH + i])
-        cx, cy, cz = _seen(view, corners[6 * _BATCH + i], corners[7 * _BATCH + i], corners[8 * _BATCH + i])
+        ax, ay, az = _project(view, corners[i], corners[_BATCH + i], corners[2 * _BATCH + i])
+        bx, by, bz = _project(view, corners[3 * _BATCH + i], corners[4 * _BATCH + i], corners[5 * _BATCH + i])
+        cx, cy, cz = _project(view, corners[6 * _BATCH + i], corners[7 * _BATCH + i], corners[8 * _BATCH + i])
         left, right = min(min(ax, bx), cx), max(max(ax, bx), cx)
         low, high = min(min(ay, by), cy), max(max(ay, by), cy)
         first_column = max(np.ceil(left - EDGE_PX), 0.0)
@@ -240,7 +293,7 @@ def _prepare(heights: Float32, room: Room, view: View) -> None:
 
 
 @compiled
-def _seen(view: View, x: np.float32, y: np.float32, z: np.float32) -> tuple[float, float, float]:
+def _project(view: View, x: np.float32, y: np.float32, z: np.float32) -> tuple[float, float, float]:
     """Return column, row and height of a point."""
     across, up, high = view
     column = np.float64(across[0] * x + across[1] * y + across[2] * z + across[3])
@@ -249,13 +302,13 @@ def _seen(view: View, x: np.float32, y: np.float32, z: np.float32) -> tuple[floa
 
 
 @compiled
-def _raise_batch(heights: Float32, room: Room, view: View, count: int) -> None:
+def _raise_batch(heights: Float32, workspace: Workspace, view: View, count: int) -> None:
     """Raise pixels to the first triangles of a batch."""
-    _, weights, boxes, _, blocks, singles = room
+    _, weights, boxes, _, blocks, singles = workspace
     pixels = heights.reshape(heights.size)
     pitch = heights.shape[1]
     spare = heights.size - PADDING
-    _prepare(heights, room, view)
+    _prepare(heights, workspace, view)
     for i in range(count):
         if boxes[_BATCH + i] - boxes[i] >= _BLOCK or boxes[3 * _BATCH + i] - boxes[2 * _BATCH + i] >= _BLOCK:
             _raise_large(heights, weights, boxes, i)
@@ -283,7 +336,7 @@ def _draw_blocks(blocks: Float32, singles: Float32, weights: Float64) -> None:
     box on. ``singles`` (10, n) is a work array; the weights are moved up by four rows. LLVM vectorises the
     loops over triangles, because all their values are of single precision.
     """
-    one = np.float32(1.0)
+    unit = np.float32(1.0)
     zero = np.float32(0.0)
     nothing = np.float32(-np.inf)
     for line in range(4, 11):
@@ -291,7 +344,7 @@ def _draw_blocks(blocks: Float32, singles: Float32, weights: Float64) -> None:
             singles[line - 2, i] = weights[line * _BATCH + i]
     b_slack, c_slack = singles[4], singles[5]
     for i in range(_BATCH):
-        singles[9, i] = one + (b_slack[i] + c_slack[i])
+        singles[9, i] = unit + (b_slack[i] + c_slack[i])
     for down in range(_BLOCK):
         for i in range(_BATCH):
             singles[0, i], singles[1, i] = weights[i], weights[_BATCH + i]
@@ -335,90 +388,62 @@ def _raise_large(heights: Float32, weights: Float64, boxes: Int32, i: int) -> No
 def touch(
     begin: int,
     end: int,
-    window: Float64,
-    motion: Float64,
-    drift: Float64,
+    setting: Setting,
     pool: Pool,
-    chosen: Int64,
-    lifts: Float64,
-    sensors: Float64,
-    objects: Float64,
+    cells: Cells,
     heights: Float32,
-    images: Float32,
-    depths: Float32,
-    positions: Float32,
-    is_bare: Bool,
+    readings: SensorReadings,
 ) -> None:
     """Press the sensors of environments ``begin`` to before ``end``, then let the objects slip.
 
-    Input: ``window`` (6,), pixels per metre, column and row of the middle, from the bottom, ``press_m`` and
-    ``gel_m`` of the sensor, least height of sensors, metres; ``motion``, as for :func:`aim`; ``drift`` (3,),
-    how objects slip in their own frame, metres and radians; ``chosen`` (n,), the number of the mesh of each
-    object in the pool; ``lifts`` (n,), what is added to the observed heights, metres.
-
-    Changed in place: ``sensors`` (n, 3), metres, get the observed height; ``objects`` (n, 3), position,
-    metres, and rotation, radians, slip; ``heights`` (H, W + PADDING) is a work array.
-
-    Output: ``images`` (n, H, W), depth images; ``depths``, distances from the gel's camera, metres, of the
-    same shape, or (0, 0, 0) to skip them; ``positions`` (n, 3), observed positions from -1 to 1; ``is_bare``
-    (n,), whether only the plate was met.
+    Sensors are upright. ``heights`` (H, W + PADDING) is a work array; ``readings`` are written, depths only
+    if they are not empty.
     """
-    greatest = np.empty(images.shape[2], np.float32)
-    room = batch_room()
+    greatest = np.empty(readings.images.shape[2], np.float32)
+    workspace = allocate_workspace()
     heights[:, :] = 0.0
+    window, sensors, objects = setting.window, cells.sensors, cells.objects
     press_m, least_m = window[3], window[5]
     for i in range(begin, end):
         cosine, sine = math.cos(objects[i, 2]), math.sin(objects[i, 2])
         x_px = (objects[i, 0] - sensors[i, 0]) * window[0] + window[1]
         y_px = (objects[i, 1] - sensors[i, 1]) * window[0] + window[2]
-        placed = cosine, sine, x_px, y_px, window[0]
-        is_near = _raise_near(heights, pool, chosen[i], placed, room)
+        pose = cosine, sine, x_px, y_px, window[0]
+        is_near = _raise_near(heights, pool, cells.numbers[i], pose, workspace)
         highest = np.float32(0.0)
         if is_near:
             highest = highest_of(heights, greatest)
-        is_bare[i] = highest == 0.0
-        draw_touch(i, images, depths, heights, highest, window, least_m)
+        readings.is_bare[i] = highest == 0.0
+        draw_touch(i, readings, heights, highest, window, least_m)
         if is_near:
             heights[:, :] = 0.0
-        sensors[i, 2] = max(highest + press_m + lifts[i], least_m)
-        leave(i, cosine, sine, motion, drift, sensors, objects, positions)
+        sensors[i, 2] = max(highest + press_m + cells.lifts[i], least_m)
+        observe_and_slip(i, cosine, sine, setting, cells, readings.positions)
 
 
 @compiled
 def draw_touch(
-    i: int,
-    images: Float32,
-    depths: Float32,
-    heights: Float32,
-    highest: np.float32,
-    window: Float64,
-    least_m: float,
+    i: int, readings: SensorReadings, heights: Float32, highest: np.float32, window: Float64, least_m: float
 ) -> None:
     """Draw the images of sensor ``i``, whose height along its axis is at least ``least_m``."""
     press_m, gel_m = window[3], window[4]
     # The plate may hold the sensor up before the object is pressed in fully.
     pressed = max(highest, np.float32(least_m - press_m))
-    _show(images[i], heights, pressed, gel_m - press_m)
-    if len(depths):
-        _measure(depths[i], heights, pressed, press_m)
+    _show(readings.images[i], heights, pressed, gel_m - press_m)
+    if len(readings.depths_m):
+        _measure(readings.depths_m[i], heights, pressed, press_m)
 
 
 @compiled
-def leave(
-    i: int,
-    cosine: float,
-    sine: float,
-    motion: Float64,
-    drift: Float64,
-    sensors: Float64,
-    objects: Float64,
-    positions: Float32,
+def observe_and_slip(
+    i: int, cosine: float, sine: float, setting: Setting, cells: Cells, positions: Float32
 ) -> None:
     """Write the observed position of sensor ``i``, and let its object slip, whose rotation is given."""
+    motion, drift, objects = setting.motion, setting.drift, cells.objects
     for axis in range(3):
         low = motion[axis]
         high = motion[axis + 3]
-        share = (sensors[i, axis] - low) / (high - low) * 2.0 - 1.0
+        share = (cells.sensors[i, axis] - low) / (high - low) * 2.0 - 1.0
         positions[i, axis] = np.float32(min(max(share, -1.0), 1.0))
     objects[i, 0] += cosine * drift[0] - sine * drift[1]
     objects[i, 1] += sine * drift[0] + cosine * drift[1]

@@ -102,11 +102,11 @@ class FlatActionVector(gym.vector.VectorWrapper):
 
 
 class _Part(NamedTuple):
-    """A part of an action: the names that lead to it, its shape, and its place in a flat action."""
+    """A part of an action: the names that lead to it, its shape, and its numbers in a flat action."""
 
     path: _Path
     shape: tuple[int, ...]
-    place: slice
+    numbers: slice
 
 
 class _FlatForm:
@@ -138,13 +138,13 @@ class _FlatForm:
         shape = (*batch, *self.action_space.shape)
         if numbers.shape != shape:
             raise InputError(f"the action has shape {numbers.shape}; expected {shape}")
-        found: Info = {}
-        for (*folders, name), part_shape, place in self._parts:
-            inner = found
+        action: Info = {}
+        for (*folders, name), part_shape, part in self._parts:
+            inner = action
             for folder in folders:
                 inner = inner.setdefault(folder, {})
-            inner[name] = numbers[..., place].reshape(*batch, *part_shape)
-        return found
+            inner[name] = numbers[..., part].reshape(*batch, *part_shape)
+        return action
 
     def shaped(self, observation: Observation, *batch: int) -> Observation:
         """Return observations with the shapes of their space."""
