@@ -190,8 +190,8 @@ def test_the_sensor_is_named_where_there_are_several(tmp_path: Path) -> None:
 def test_values_of_episodes_are_in_the_order_of_the_arrays(tmp_path: Path) -> None:
     names = [f"note_{letter}" for letter in "abcdefghijklmnop"]
     source = write(tmp_path / "a.zarr", arrays(**dict.fromkeys(names, np.full(T, "x"))))
-    for found in recordings(source, "right_tactile_data_gripper[0]"):
-        assert [name for name in found.values if name in names] == names
+    found = recordings(source, "right_tactile_data_gripper[0]")
+    assert [[name for name in each.values if name in names] for each in found] == [names] * len(ENDS)
 
 
 def test_times_are_taken_where_they_are_seconds_that_rise(tmp_path: Path) -> None:

@@ -141,7 +141,7 @@ def test_a_picture_shows_the_object_lit_and_the_sensor_framed(assets):
     env = gym.make_vec(DEPTH, num_envs=2, assets=str(assets), render_mode="rgb_array")
     env.reset(seed=0)
     cell_m, (width_m, height_m) = 0.12, env.unwrapped._scene.drawing(0).window_m
-    for picture in env.render():
+    for picture in (pictures := env.render()):
         cell = picture[:, :240].astype(int)
         grey = (cell.max(axis=2) == cell.min(axis=2)) & (cell[..., 0] < 250)
         assert grey.sum() > 500  # of a digit of some centimetres, where a pixel is half a millimetre
@@ -152,4 +152,5 @@ def test_a_picture_shows_the_object_lit_and_the_sensor_framed(assets):
         for along, length in ((rows, columns), (columns, rows)):
             whole = np.bincount(along - along.min()) == np.ptp(length) + 1
             assert np.flatnonzero(whole).tolist() == [0, 1, np.ptp(along) - 1, np.ptp(along)]
+    assert len(pictures) == 2
     env.close()

@@ -107,6 +107,7 @@ def test_episodes_depend_on_the_seed_but_not_on_threads(assets):
         course += [env.step(env.action_space.sample())[0] for _ in range(20)]
         started = set(threading.enumerate()) - before
         helpers = [thread for thread in started if thread.name.startswith("ThreadPoolExecutor")]
+        assert bool(helpers) == (threads > 1)
         env.close()
         assert env.closed
         assert not any(thread.is_alive() for thread in helpers)

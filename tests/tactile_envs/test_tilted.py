@@ -336,6 +336,7 @@ def test_objects_lie_on_their_broadest_side(solids):
         env = make_vector(CENTRE, assets=solids, num_envs=7, config={"smallest_dimension_up": flat})
         env.reset(seed=0, options={"datapoint_idx": list(range(7))})
         found.append([record.mesh for record in env.current_data_points])
+    assert len(found[0]) == 7
     for given_mesh, turned in zip(*found, strict=True):
         least_m = min(given_mesh.bounding_box_oriented.primitive.extents)
         assert turned.extents[2] == pytest.approx(least_m, rel=1e-4)

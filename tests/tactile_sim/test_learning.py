@@ -171,6 +171,7 @@ def test_killed_at_any_moment_it_ends_in_the_same_weights(pairs, trained, tmp_pa
     done = train(pairs, out, CONFIG, device="cpu", deterministic=True, resume=True)
     assert 0 < done.taken <= 4
     assert _weights(out) == _weights(trained)
+    assert done.losses
     assert all(np.isfinite(loss) for loss in done.losses.values())
 
 
