@@ -193,7 +193,10 @@ def _read_pictures(
 
 def described_pictures(touches: source_touches.SourceTouches, opened: OpenPictures) -> str:
     """Return how the pictures of some touches are converted; empty if they are taken as they are."""
-    first = touches[0]
+    usable = touches.take(np.flatnonzero(touches.is_usable)[:1])
+    if not len(usable):
+        return ""
+    first = usable[0]
     words = [opened(store.open_folder(first.home), first.path, first.part).described()]
     if first.frames:
         words.append("pictures of clips encoded as JPEG of quality 95")

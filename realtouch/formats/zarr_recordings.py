@@ -79,8 +79,12 @@ def find_oxt(
             else:
                 numbers = range(min(count, _MAX_SENSORS))
                 sensors |= {f"{name}[{sensor}]": (name, sensor) for sensor in numbers}
+    advice = ""
+    several = [name for name, shape in arrays.items() if isinstance(shape, list) and len(shape) == 4]
+    if several:
+        advice = f"--format replay --map image={several[0]} imports another array as the pictures"
     chosen = source_files.chosen_pictures(
-        sensors, columns.image_name, group.address, "arrays of pictures", arrays
+        sensors, columns.image_name, group.address, "arrays of pictures", arrays, advice
     )
     return recordings_of(group, arrays, sensors[chosen], columns)
 

@@ -118,22 +118,30 @@ def require_columns(known: Collection[str], required: Iterable[str], source: str
 
 
 def chosen_pictures(
-    known: Collection[str], name: str, source: str, what: str, others: Iterable[str] = ()
+    known: Collection[str],
+    name: str,
+    source: str,
+    what: str,
+    others: Iterable[str] = (),
+    advice: str = "",
 ) -> str:
     """Return the name of the pictures to import: the given name, or else the only known one.
 
     Raises InputError if there is no such name or if there are several. The message says ``what`` the names
-    are, and lists the ``others`` if none is known.
+    are, and lists the ``others`` and gives the ``advice`` if none is known.
     """
     chosen = [choice for choice in known if name in ("", choice)]
     if len(chosen) == 1:
         return chosen[0]
-    held = f"the {what} {', '.join(known)}"
     if not known:
-        held = f"no {what}, but {', '.join(others)}"
+        raise errors.InputError(
+            f"{source!r} has no {what}, but {', '.join(others) or 'nothing'}; expected pictures of a sensor",
+            next=f"{advice or 'give a source with pictures'}",
+        )
     expected = f"{name!r}{wording.did_you_mean(name, known)}" if name else "one"
     raise errors.InputError(
-        f"{source!r} has {held}; expected {expected}", next="choose one with --map image=NAME"
+        f"{source!r} has the {what} {', '.join(known)}; expected {expected}",
+        next="choose one with --map image=NAME",
     )
 
 

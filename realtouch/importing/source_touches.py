@@ -165,8 +165,10 @@ class SourceTouches(Sequence[PictureLocation]):
 
     @property
     def has_clips(self) -> bool:
-        """Whether the touches are clips; the first touch decides."""
-        return bool(len(self)) and self.listing["frames"][0].as_py() > 0
+        """Whether the touches are clips: those that can be used, if there are any."""
+        is_clip = self.listing["frames"].to_numpy() > 0
+        usable = self.is_usable
+        return bool(is_clip[usable].any() if usable.any() else is_clip.any())
 
     @property
     def names(self) -> list[str]:

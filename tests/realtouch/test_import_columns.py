@@ -318,6 +318,18 @@ def recording(name: str, frames: int, **said: Any) -> Recording:
     return Recording(name, "memory", name, "", 0, frames, 700, **said)
 
 
+@pytest.mark.parametrize("cut", ["frames", "whole"])
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_recording_that_cannot_be_used_decides_nothing(
+    recordings: Any, cut: str, order: int, tmp_path: Path
+) -> None:
+    found = [recording("bad", 1, problem=ItemError("file", "gone")), recording("a", 4)]
+    rounds, manifest = recordings(found[::order], {"a": frames_of(4, range(0))}, cut=cut)
+    assert manifest.skipped_reasons() == {"file": 1}
+    (kept,) = rounds
+    assert (kept.id, kept.touch_count) == ("a", 4 if cut == "frames" else 1)
+
+
 def test_clips_have_the_values_of_the_recording(recordings: Any, tmp_path: Path) -> None:
     """Pictures are equal, times within a microsecond, poses and extra columns unchanged."""
     pictures = {"a": frames_of(9, range(3, 6)), "b": frames_of(5, range(0))}

@@ -185,6 +185,12 @@ def test_the_sensor_is_named_where_there_are_several(tmp_path: Path) -> None:
     assert first.part.endswith("data/left_tactile_data_tip")
     with pytest.raises(InputError, match="no arrays of pictures, but"):
         recordings(write(tmp_path / "c.zarr", {"timestamps": np.arange(T)}))
+    source = write(tmp_path / "d.zarr", {"camera_ego_rgb": arrays()["camera_ego_rgb"]})
+    for name in ("", "camera_ego_rgb"):
+        with pytest.raises(InputError, match="next: --format replay --map image=camera_ego_rgb imports"):
+            recordings(source, name)
+    columns = realtouch.ImportColumns(image="camera_ego_rgb")
+    assert realtouch.preview_import(source, realtouch.ImportSpec("replay", columns)).touches == T
 
 
 def test_values_of_episodes_are_in_the_order_of_the_arrays(tmp_path: Path) -> None:

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import re
+import subprocess
+import sys
 import zipfile
 from pathlib import Path
 from typing import get_args
 
+import numpy as np
 import pytest
 
 import realtouch
 from realtouch.formats.exports import ExportLayout
-from realtouch.importing.import_sources import IMPORTS, recognised
+from realtouch.importing.import_sources import IMPORTS
+from realtouch.importing.recognition import recognised
 from realtouch.touch_options import IMPORT_LAYOUTS
 from tactile_toolkit.errors import InputError
 
@@ -104,6 +109,41 @@ def test_pickles_are_refused_by_name(name: str, tmp_path: Path) -> None:
     (tmp_path / "dataset_0.pkl").write_bytes(b"\x80\x04")
     with pytest.raises(InputError, match=r"'dataset_0.pkl' is a pickle, as Sparsh .*next: write each"):
         recognised(str(tmp_path / name))
+
+
+FOREIGN = {
+    "run.bag": (b"#ROSBAG V2.0\n", "is a ROS bag; next: write the pictures of a topic to files, and a table"),
+    "run_0.mcap": (b"\x89MCAP0\r\n", "is a ROS bag"),
+    "run_0.db3": (b"SQLite format 3\0", "is a ROS bag"),
+    "trial.mat": (b"MATLAB 5.0 MAT-file", "is a file of MATLAB"),
+    "poses.npy": (b"\x93NUMPY\x01\x00", "is a file of NumPy; next: write its arrays to an HDF5 file"),
+    "sheet.xlsx": (b"PK\x03\x04", "is a table of Excel; next: save it as CSV"),
+}
+
+
+@pytest.mark.parametrize("named", [True, False])
+@pytest.mark.parametrize("name", FOREIGN)
+def test_known_formats_that_are_not_read_are_named(name: str, named: bool, tmp_path: Path) -> None:
+    content, words = FOREIGN[name]
+    (tmp_path / name).write_bytes(content)
+    (tmp_path / "metadata.yaml").write_text("x: 1")
+    with pytest.raises(InputError, match=f"'{name}' {words}"):
+        recognised(str(tmp_path / name if named else tmp_path))
+
+
+def test_arrays_of_npz_are_named_and_the_advice_works(tmp_path: Path) -> None:
+    pytest.importorskip("h5py", reason="needs h5py")
+    path = tmp_path / "episode.npz"
+    pictures = np.zeros((3, 8, 8, 3), np.uint8)
+    np.savez(path, tactile=pictures, force=np.zeros((3, 6)))
+    words = r"a file of NumPy, with the arrays tactile uint8 \(3, 8, 8, 3\), force float64 \(3, 6\); next"
+    with pytest.raises(InputError, match=words) as caught:
+        recognised(str(path))
+    (program,) = re.findall(r'python -c "(.*?)"', str(caught.value))
+    subprocess.run([sys.executable, "-c", program], cwd=tmp_path, check=True)
+    columns = realtouch.ImportColumns(image="tactile")
+    shown = realtouch.preview_import(tmp_path / "arrays.hdf5", realtouch.ImportSpec(columns=columns))
+    assert shown.touches == 3
 
 
 def test_images_beside_pickles_do_not_pass_for_touches(tmp_path: Path) -> None:

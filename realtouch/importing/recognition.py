@@ -1,0 +1,253 @@
+"""Recognise the format of a source by its names and first bytes; name other known formats, with advice."""
+
+from __future__ import annotations
+
+import re
+import zipfile
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import IO, NamedTuple
+
+from numpy.lib import format as npy_format
+
+from realtouch import touch_options
+from realtouch.importing import source_files
+from realtouch.kind import KIND
+from realtouch.video import video_files
+from tactile_toolkit import errors, places, store, wording
+from tactile_toolkit.columns import tables
+
+_MAX_PATHS = 20_000
+_MAX_FOLDERS = 200
+_MAX_DEPTH = 3
+_PATHS_SHOWN = 3
+_ARRAYS_SHOWN = 8
+_TAR_OFFSET = 257
+_ZIP = b"PK\x03\x04"
+# First bytes of files that are not videos: offset, bytes.
+_FIRST_BYTES: dict[str, tuple[tuple[int, bytes], ...]] = {
+    "hdf5": ((0, b"\x89HDF\r\n\x1a\n"),),
+    "flat": ((0, b"PAR1"),),
+    "webdataset": ((_TAR_OFFSET, b"ustar"),),
+    "replay": ((0, _ZIP),),
+}
+_OXT_MEMBER = re.compile(r"(^|/)data/\w+_tactile_type_\w+(/|\Z)")
+_ZARR_MARKS = (".zgroup", "zarr.json")
+# Formats that contain files of other formats: LeRobot has videos, Parquet files and tables.
+_PARTS = {
+    "lerobot": {"video", "flat", "folder"},
+    "oxt": {"replay"},
+    "anytouch": {"folder"},
+    "fota": {"webdataset"},
+}
+
+
+class Recognised(NamedTuple):
+    """The format of a source, and the file by which it was recognised."""
+
+    layout: str
+    by: str
+
+
+def _ends_with(*endings: str) -> Callable[[str], object]:
+    return lambda path: path.lower().endswith(endings)
+
+
+# Marks of formats: which paths show that a source has a format.
+_MARKS: tuple[tuple[str, Callable[[str], object]], ...] = (
+    ("lerobot", re.compile(r"^meta/info\.json\Z").search),
+    ("oxt", _OXT_MEMBER.search),
+    ("replay", lambda path: path.rpartition("/")[2] in _ZARR_MARKS and path.count("/") <= 1),
+    ("replay", _ends_with(".zarr.zip")),
+    ("anytouch", re.compile(r"^\w+_bg\.txt\Z").search),
+    ("fota", re.compile(r"^(\w+/)?count\.txt\Z").search),
+    ("webdataset", re.compile(r"^[^/]+\.tar\Z", re.IGNORECASE).search),
+    ("hdf5", _ends_with(".h5", ".hdf5")),
+    ("video", _ends_with(*video_files.VIDEO_ENDINGS)),
+    ("folder", _ends_with(*(f".{ending}" for ending in source_files.IMAGE_ENDINGS))),
+    ("flat", _ends_with(".parquet")),
+    ("folder", _ends_with(*tables.Table.TEXT_ENDINGS, ".jsonl")),
+)
+_TABLES = _ends_with(*tables.Table.ENDINGS)
+
+
+def recognised(address: str) -> Recognised:
+    """Return the format of a file or folder.
+
+    Raises InputError if no format or several formats are recognised; it names the option that states one.
+    """
+    home = store.open_folder(address)
+    if home.is_local and Path(address).is_file():
+        return _of_file(address)
+    ours = _of_export(home)
+    if ours is not None:
+        return ours
+    paths = _paths(home)
+    marked: dict[str, str] = {}
+    for layout, fits in _MARKS:
+        if layout not in marked:
+            first = next(filter(fits, paths), None)
+            if first is not None:
+                marked[layout] = first
+    for whole in [layout for layout in marked if layout in _PARTS]:
+        marked = {layout: first for layout, first in marked.items() if layout not in _PARTS[whole]}
+    if len(marked) > 1:  # a table describes the files beside it
+        marked = {layout: first for layout, first in marked.items() if not _TABLES(first)} or marked
+    if [*marked] == ["folder"]:
+        # The images beside the pickles of Sparsh are backgrounds, which must not pass for touches.
+        pickles = [path for path in paths if path.count("/") < 2 and path.lower().endswith(_PICKLE.endings)]
+        _refuse_foreign(home, pickles)
+    if not marked:
+        _refuse_foreign(home, paths)
+        shown = ", ".join(paths[:_PATHS_SHOWN]) or "nothing"
+        raise errors.InputError(
+            f"{address!r} holds no recordings of a known format (found {shown})",
+            next=f"name the format with --format: {', '.join(touch_options.IMPORT_LAYOUTS)}",
+        )
+    if len(marked) > 1:
+        words = ", ".join(f"{layout} ({first})" for layout, first in marked.items())
+        raise errors.InputError(
+            f"{address!r} can be read in several formats: {words}", next="name one with --format"
+        )
+    ((layout, first),) = marked.items()
+    return Recognised(layout, first)
+
+
+class _Foreign(NamedTuple):
+    """A known format that is not read: endings and first bytes of its files, its name, and what to do."""
+
+    endings: tuple[str, ...]
+    marks: tuple[bytes, ...]
+    what: str
+    advice: str
+
+
+_PICKLE = _Foreign(
+    (".pkl", ".pickle", ".pt", ".pth"),
+    (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05"),
+    "a pickle, as Sparsh stores images; pickles are not read, because reading one can run any program",
+    "write each image to a file, with the program that made the pickle, and import the folder; "
+    "`--format folder` imports the images beside it",
+)
+_NUMPY = _Foreign(
+    (".npz", ".npy"),
+    (b"\x93NUMPY",),
+    "a file of NumPy",
+    'write its arrays to an HDF5 file, by python -c "import h5py, numpy; '
+    "h5py.File('arrays.hdf5', 'w').update({array})\", and import that with --map image=NAME",
+)
+_FOREIGN = (
+    _PICKLE,
+    _NUMPY,
+    _Foreign(
+        (".bag", ".mcap", ".db3"),
+        (b"#ROSBAG", b"\x89MCAP", b"SQLite format 3\0"),
+        "a ROS bag",
+        "write the pictures of a topic to files, and a table with their names (`file`) and times "
+        "(`stamp_ns`), other topics to tables with times, and import the folder with --table PICTURES "
+        "--map time=stamp_ns --stream OTHERS; `pip install rosbags` reads bags without ROS",
+    ),
+    _Foreign(
+        (".mat",), (b"MATLAB ",), "a file of MATLAB", "write its pictures to files, and its values to CSV"
+    ),
+    _Foreign((".xlsx", ".xls"), (b"\xd0\xcf\x11\xe0",), "a table of Excel", "save it as CSV"),
+)
+"""Formats that people have and that are not read."""
+
+
+def _refuse_foreign(folder: store.DataFolder, paths: Sequence[str], head: bytes = b"") -> None:
+    """Raise InputError for the first path of a known format that is not read."""
+    for path in paths:
+        for known in _FOREIGN:
+            if path.lower().endswith(known.endings) or (head and head.startswith(known.marks)):
+                what = known.what
+                advice = known.advice
+                if known is _NUMPY:
+                    what += _arrays_of(folder, path)
+                    loaded = f"numpy.load({folder.address(path)!r})"
+                    if path.lower().endswith(".npy"):
+                        loaded = f"array={loaded}"
+                    advice = advice.replace("{array}", loaded)
+                raise errors.InputError(f"{path!r} is {what}", next=advice)
+
+
+def _arrays_of(folder: store.DataFolder, path: str) -> str:
+    """Return the names and shapes of the arrays of an NPZ file, for a message; empty if there are none."""
+    arrays = []
+    with (
+        suppress(zipfile.BadZipFile, OSError, ValueError, NotImplementedError, errors.ItemError),
+        folder.open_inside(path) as stream,
+        zipfile.ZipFile(stream) as archive,
+    ):
+        for name in archive.namelist()[:_ARRAYS_SHOWN]:
+            with archive.open(name) as member:
+                version = npy_format.read_magic(member)
+                read_header = {(1, 0): npy_format.read_array_header_1_0}.get(
+                    version, npy_format.read_array_header_2_0
+                )
+                shape, _, dtype = read_header(member)
+            arrays.append(f"{wording.printable(name.removesuffix('.npy'))} {dtype} {shape}")
+    return f", with the arrays {', '.join(arrays)}" if arrays else ""
+
+
+def _of_file(path: str) -> Recognised:
+    folder, name = source_files.source_of(path)
+    with folder.open_inside(name) as stream:
+        head = video_files.read_start(stream)
+        if head.startswith(_ZIP) and _is_oxt(stream):
+            return Recognised("oxt", name)
+    if video_files.demuxer_of(head):
+        return Recognised("video", name)
+    _refuse_foreign(folder, [name], head)
+    for layout, marks in _FIRST_BYTES.items():
+        if any(head[at : at + len(mark)] == mark for at, mark in marks):
+            return Recognised(layout, name)
+    content = "is empty"
+    if head:
+        content = f"begins with {head[:8].hex(' ')}"
+    raise errors.InputError(
+        f"{path!r} {content}; expected a video, a tar, or a file of Parquet, HDF5 or Zarr",
+        next="give its folder, with --table for a table; or name the format with --format",
+    )
+
+
+def _is_oxt(stream: IO[bytes]) -> bool:
+    # A damaged zip, or one that Python does not read, is refused where its arrays are read.
+    with suppress(zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
+        return any(map(_OXT_MEMBER.search, zipfile.ZipFile(stream).namelist()))
+    return False
+
+
+def _of_export(home: store.DataFolder) -> Recognised | None:
+    """Return the format of an export of this toolkit, as its manifest states it; None for other folders."""
+    if store.manifest_so_far(home) is None:
+        return None
+    data_set = places.open_place(home.address()).require(KIND, "realtouch import")
+    if data_set.spec.get("operation") not in ("export", "frames"):
+        raise errors.InputError(
+            f"{home.address()!r} is a data set already; it needs no import",
+            next="open it with `realtouch.load`",
+        )
+    layout = dict(data_set.spec["options"]).get("layout", "folder")
+    return Recognised(str(layout), store.MANIFEST_FILE)
+
+
+def _paths(home: store.DataFolder) -> Sequence[str]:
+    """List visible paths in a folder and two levels below it; the list of a very large folder is cut off."""
+    paths = list[str]()
+    folders = [""]
+    for _ in range(_MAX_DEPTH):
+        inner: list[str] = []
+        for folder in folders[:_MAX_FOLDERS]:
+            for name, size in sorted(home.entries(folder).items()):
+                path = f"{folder}/{name}".strip("/")
+                if store.is_hidden(path) and name not in _ZARR_MARKS:
+                    continue
+                if size is None:
+                    inner.append(path)
+                paths.append(path)
+            if len(paths) > _MAX_PATHS:
+                return paths
+        folders = inner
+    return paths
