@@ -102,17 +102,14 @@ class _Command(TyperCommand):
         except (ToolkitError, OSError) as error:
             if os.environ.get(DEBUG_VARIABLE):
                 raise
-            if isinstance(error, ToolkitError):
-                message = error.naming(self._option(error.field))
-                code = error.exit_code
-            elif error.filename is not None:
+            if isinstance(error, OSError):
+                if error.filename is None:
+                    raise
                 reason = store.resource_shortage(error) or f"{error.strerror}; next: give another path"
-                message = f"{str(error.filename)!r}: {reason}"
-                code = InputError.exit_code
-            else:
-                raise
+                error = InputError(f"{str(error.filename)!r}: {reason}")
+            message = error.naming(self._option(error.field))
             sys.stderr.write(f"error: {wording.printable(message)}\n")
-            raise typer.Exit(code) from error
+            raise typer.Exit(error.exit_code) from error
         except KeyboardInterrupt as error:
             default = "interrupted; finished work is kept, and the same command continues from there"
             sys.stderr.write(f"{str(error) or default}\n")
@@ -180,11 +177,13 @@ def run(app: typer.Typer) -> None:
             no_memory = no_memory or "failed to map segment" in str(error)  # of a shared library
             if os.environ.get(DEBUG_VARIABLE) or not no_memory:
                 raise
-            sys.stderr.write(
-                "error: there is not enough memory; next: give this command more (`ulimit -v`, or the limit "
-                "of the job), or run it with fewer --workers\n"
+            refused = InputError(
+                "there is not enough memory",
+                next="give this command more (`ulimit -v`, or the limit of the job), or run it with fewer "
+                "--workers",
             )
-            raise SystemExit(InputError.exit_code) from error
+            sys.stderr.write(f"error: {refused}\n")
+            raise SystemExit(refused.exit_code) from error
         finally:
             output.flush()
 

@@ -10,10 +10,10 @@ from typing import Any
 import typer
 
 from cli import application, options, output, runs
-from tactile_toolkit import catalog, checked_fields, places, run, store, wording
+from tactile_toolkit import catalog, checked_fields, places, run, store
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.json_types import JsonDict
-from tactile_toolkit.kind import SELECT, Checked, DatasetKind, is_copy, is_for_others, lazy
+from tactile_toolkit.json_types import JsonDict, JsonValue
+from tactile_toolkit.kind import SELECT, Checked, DatasetKind, lazy
 from tactile_toolkit.wording import bytes_text, with_count
 
 # Imported when they are called: they import pyarrow.
@@ -87,6 +87,7 @@ def info(
         print_sensor(sink, _sensor_named(name))
         return
     place = name_options.open(sink, name)
+    place.chosen_splits(split)  # refuses an unknown one
     chosen = place.choose_kind(kind)
     manifest = place.manifest
     operation = None
@@ -97,7 +98,7 @@ def info(
             else manifest.spec.get("operation")
         )
     is_selected = chosen.has_touches and operation == SELECT
-    is_own = manifest is not None and not (is_for_others(manifest) or (is_copy(manifest) and not is_selected))
+    is_own = manifest is not None and not (manifest.is_for_others or (manifest.is_copy and not is_selected))
     if chosen.has_touches and chosen.facts is None and (manifest is None or (manifest.complete and is_own)):
         _print_touches(sink, place, split)
     elif manifest is None:
@@ -107,7 +108,7 @@ def info(
         runs.print_set(sink, chosen, manifest, place.name, split=split, has_folder=place.folder is not None)
     if manifest is not None and is_own:
         sink.line(f"made by `{chosen.command_of(manifest)}` of tactile-toolkit {manifest.toolkit_version}:")
-        for line in wording.flat_lines(manifest.spec.get("options") if operation else manifest.spec):
+        for line in _flat_lines(manifest.spec.get("options") if operation else manifest.spec):
             sink.line(f"  {line}")
 
 
@@ -128,8 +129,7 @@ def _print_touches(sink: output.Sink, place: places.Place, split: str | None) ->
 
 def _print_counts(sink: output.Sink, place: places.Place, kind: DatasetKind, split: str | None) -> None:
     """Print the content of the splits of a data set without a manifest here, and its repository."""
-    record = None if place.folder is None else store.read_download_record(place.folder)
-    repository = record or place.repository
+    repository = place.download or place.repository
     entries = _count_splits(place, kind, split)
     source: dict[str, str | None] = {"repository": None, "commit": None}
     origin = "no manifest"
@@ -168,6 +168,27 @@ def announce_fetching(sink: output.Sink, place: places.Place, split: str | None)
     sink.info(f"{place.repository.repo_id}: fetching the missing files of {part} from the Hub")
 
 
+def _flat_lines(values: JsonValue, path: str = "") -> list[str]:
+    """Return nested values as lines such as ``solid.profile = round``."""
+    if isinstance(values, dict) and values:
+        inner = values.items()
+    elif isinstance(values, list) and any(isinstance(value, (dict, list)) for value in values):
+        inner = dict(enumerate(values, 1)).items()
+    else:
+        return [f"{path} = {_value_text(values)}"]
+    return [line for key, value in inner for line in _flat_lines(value, f"{path}.{key}".lstrip("."))]
+
+
+def _value_text(value: JsonValue) -> str:
+    if value is None or value in ([], {}):
+        return "none"
+    if isinstance(value, list):
+        return ", ".join(map(_value_text, value))
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return str(value)
+
+
 def show(
     *,
     name: str = options.NAME,
@@ -186,7 +207,7 @@ def show(
     sink.line(f"{name}: row {row:,} of the {with_count(stored.rows, 'rows')} in {stored.split}")
     lines = []
     for column, value in stored.values.items():
-        for line in wording.flat_lines({column: value}):
+        for line in _flat_lines({column: value}):
             path, _, text = line.partition(" = ")
             lines.append((path, stored.types[column], text))
     sink.table(("column", "type", "value"), lines)
@@ -213,7 +234,8 @@ def verify(
     """
     place = name_options.open(sink, name)
     chosen = place.choose_kind(kind)
-    if chosen.has_touches and (chosen.name == "realtouch" or not is_for_others(place.manifest)):
+    is_for_others = place.manifest is not None and place.manifest.is_for_others
+    if chosen.has_touches and (chosen.name == "realtouch" or not is_for_others):
         document = verify_touches(sink, place, split, workers, quick=quick)
     else:
         options.refuse({"quick": quick, "split": split and not content}, f"the files of {chosen.nouns}")
@@ -233,7 +255,7 @@ def verify(
 def _verify_files(sink: output.Sink, place: places.Place, kind: DatasetKind, workers: int) -> JsonDict:
     """Check the files of a folder and return the document; IntegrityError if there is damage."""
     folder = place.folder
-    if store.scheme_of(place.name) == "hf" and not place.is_file:
+    if place.name.startswith("hf://") and not place.is_file:
         folder = store.open_folder(place.name)
     if folder is None:
         raise InputError(
@@ -257,13 +279,12 @@ def _verify_files(sink: output.Sink, place: places.Place, kind: DatasetKind, wor
         sink.line(f"{place.name}: {counts}, {bytes_text(result.bytes)}: all as in {result.reference}")
         return document
     sink.document(document)
-    store.require_finished(folder, [finding.file for finding in result.findings])
+    place.require_finished([finding.file for finding in result.findings])
     for finding in result.findings:
         sink.warn(f"damaged: {finding.file}: {finding.problem}")  # the error below states only their number
-    record = store.read_download_record(folder)
     next_step = f"run the same `{kind.command_of(manifest)}` with --repair, which makes damaged shards again"
-    if record is not None:
-        next_step = f"download {record.repo_id} there again; only damaged files are fetched"
+    if place.download is not None:
+        next_step = f"download {place.download.repo_id} there again; only damaged files are fetched"
     # Problems that no run repairs (unknown files, links, cards) state their own next step.
     if all("; next: " in finding.problem for finding in result.findings):
         next_step = "follow the next step of each problem"
@@ -300,8 +321,8 @@ def verify_touches(
     }
     if findings:
         sink.document(document)
-        if place.folder is not None and not allows_unfinished:
-            store.require_finished(place.folder, [finding.file for finding in result.findings])
+        if not allows_unfinished:
+            place.require_finished([finding.file for finding in result.findings])
         for finding in findings:
             sink.warn(f"damaged: {finding}")
         next_step = "download or convert it again"

@@ -174,7 +174,7 @@ class RunOptions:
         if name == "ray":
             keywords["workers"] = run.RayRunner(address or None, self.workers)
         if self.part is not None:
-            keywords["part"] = run.Part.parse(self.part)
+            keywords["part"] = self.part
         return keywords
 
     def given(self) -> dict[str, object]:

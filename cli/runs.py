@@ -10,8 +10,8 @@ from itertools import chain, islice
 from typing import TYPE_CHECKING
 
 from cli import options, output
-from tactile_toolkit import places, store, wording
-from tactile_toolkit.kind import DatasetKind, Facts, is_copy, is_for_others
+from tactile_toolkit import store, wording
+from tactile_toolkit.kind import DatasetKind, Facts
 from tactile_toolkit.wording import with_count
 
 if TYPE_CHECKING:
@@ -143,12 +143,10 @@ def print_set(
     Without ``has_folder``, ``out`` is a repository.
     """
     facts = Facts()
-    is_own = manifest.kind == kind.name and not (is_copy(manifest) or is_for_others(manifest))
+    is_own = manifest.kind == kind.name and not (manifest.is_copy or manifest.is_for_others)
     if manifest.complete and is_own and has_folder and kind.facts is not None:
         facts = kind.facts(store.open_folder(out), manifest)
     table = {name: held for name, held in manifest.split_table().items() if split in (None, name)}
-    if not table and split is not None:
-        raise places.unknown_split(split, manifest.splits, out)
     shard_counts = {split: count for split, count in manifest.shards_planned().items() if split in table}
     if elapsed_s is not None:
         elapsed_s = round(elapsed_s, 3)

@@ -13,7 +13,7 @@ import pyarrow.compute as pc
 from mnist3d.digit_records import REPORT_FILE, SUMMED_UP, DigitRow, classes_of
 from mnist3d.kind import KIND
 from mnist3d.sources.picture_folder import FolderSource
-from tactile_toolkit import cards, kind, mesh, store, wording
+from tactile_toolkit import cards, mesh, store, wording
 from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.kind import Facts
 from tactile_toolkit.rows import Column
@@ -151,12 +151,11 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     Raises IntegrityError if a shard or the printability report is missing or damaged.
     """
     # From the manifest, never from defaults: the card may be written again by a later version.
-    is_copy = kind.is_copy(manifest)
-    spec = manifest.spec["source_spec"] if is_copy else manifest.spec
+    spec = manifest.spec["source_spec"] if manifest.is_copy else manifest.spec
     words = source_words("copy" if spec is None else str(spec["source"]["name"]))
     # Digits of a folder of pictures are not MNIST 3D.
     is_own = words["name"] == FolderSource.name
-    if is_copy:
+    if manifest.is_copy:
         title = "3D digits" if is_own else "MNIST 3D"
         card = cards.Card.of_copy(
             manifest, KIND, title, COLUMNS, words["licence"], _cited(words), **_terms(words)

@@ -10,7 +10,7 @@ import pyarrow as pa
 from starstruck_gen import kind, sampling, scene_dataset
 from tactile_toolkit import cards, gallery, mesh, rows, store, wording
 from tactile_toolkit.json_types import JsonDict
-from tactile_toolkit.kind import Facts, is_copy
+from tactile_toolkit.kind import Facts
 
 _RULES = {
     "circles": "the circumscribed circles of two objects do not meet",
@@ -32,7 +32,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
 
     Raises IntegrityError when a shard is missing or damaged.
     """
-    if is_copy(manifest):
+    if manifest.is_copy:
         licence = "mit"
         text = "MIT, as the toolkit."
         if manifest.spec["source_spec"] is None:

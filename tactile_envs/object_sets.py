@@ -7,7 +7,15 @@ all objects, so they wait for the set.
 
 from __future__ import annotations
 
+import atexit
+import contextlib
+import io
+import os
+import pickle
+import subprocess
 import sys
+import threading
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from os import PathLike, fspath
@@ -25,7 +33,7 @@ from env_assets import (
 from tactile_envs import env_specs, mesh_pool
 from tactile_envs.config import Config
 from tactile_toolkit import mesh, run, store
-from tactile_toolkit.errors import InputError
+from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.read import RecordDataset
 from tactile_toolkit.wording import duration_text, printable, with_count
 
@@ -35,6 +43,17 @@ Objects = MeshView | provider.MeshSet
 
 # Packing more meshes than this takes seconds.
 _MANY = 1000
+
+_NICENESS = 10
+
+# A fresh interpreter that imports from where the caller does. Only the caller handles Ctrl-C.
+_BOOT = """
+import pickle, signal, sys
+signal.signal(signal.SIGINT, signal.SIG_IGN)
+sys.path[:] = pickle.load(sys.stdin.buffer)
+from tactile_envs.object_sets import work_in_background
+work_in_background()
+"""
 
 # Sets whose making this process, or the one it was forked from, has announced.
 _BEGUN: set[tuple[str, str, str]] = set()
@@ -73,7 +92,7 @@ def _packed_meanwhile(records: RecordDataset[Any]) -> mesh_view.PlannedView:
     if key not in _BEGUN:
         _BEGUN.add(key)
         _say(f"a process in the background prepares {len(records):,} meshes once; episodes begin meanwhile")
-        run.start_background(mesh_pool.MeshPool.of, records)
+        start_background(mesh_pool.MeshPool.of, records)
     return mesh_view.PlannedView(records, tuple(records.label_names), finished=partial(_same, records))
 
 
@@ -127,7 +146,7 @@ def _default_set(name: str, split: str, *, may_begin: bool) -> Objects:
     if not may_begin:
         return provider.meshes(name, split)
     if is_first:
-        run.start_background(_make_set, provider, name, split)
+        start_background(_make_set, provider, name, split)
     return view
 
 
@@ -154,3 +173,51 @@ def _make_set(provider: AssetProvider, name: str, split: str) -> None:
     """Make a set, and pack its meshes for the environments that wait for it."""
     if not provider.is_being_made(name):
         mesh_pool.MeshPool.of(provider.meshes(name, split))
+
+
+def start_background(function: Callable[..., object], *arguments: Any) -> None:
+    """Call a picklable function in a process of its own, at low priority.
+
+    It may start processes, even if this one may not. It shows no progress; an error of the toolkit is a line
+    on stderr. It ends when this process ends, finished or not. Without an interpreter to start, as
+    in a program that embeds Python, nothing happens.
+    """
+    if not sys.executable:
+        return
+    process = subprocess.Popen(
+        [sys.executable, "-I", "-c", _BOOT],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    atexit.register(_end, process, os.getpid())
+    with contextlib.suppress(OSError):  # it has died
+        assert process.stdin is not None
+        process.stdin.write(pickle.dumps(sys.path) + pickle.dumps((function, arguments)))
+        process.stdin.flush()  # and left open: its end tells the process that this one is gone
+
+
+def _end(process: subprocess.Popen[bytes], owner: int) -> None:
+    if os.getpid() == owner:  # and not a fork of it
+        process.kill()
+        process.wait()
+
+
+def work_in_background() -> None:
+    """Run the function that the starting process has sent."""
+    function, arguments = pickle.load(sys.stdin.buffer)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    if hasattr(os, "nice"):  # not on Windows
+        os.nice(_NICENESS)
+    try:
+        with contextlib.redirect_stderr(io.StringIO()):
+            function(*arguments)
+    except ToolkitError as error:
+        sys.stderr.write(f"in the background: {error}\n")
+
+
+def _end_with_parent() -> None:
+    with contextlib.suppress(OSError):
+        while os.read(0, 1):
+            pass
+    os._exit(1)

@@ -11,8 +11,6 @@ import json
 import re
 from collections.abc import Iterable, Sequence
 
-from tactile_toolkit.json_types import JsonValue
-
 # Touches, meshes, classes and boxes; in all other plurals, the e is part of the singular.
 _LONG_PLURALS = ("ches", "shes", "sses", "xes")
 _IRREGULAR = {"vertices": "vertex", "entries": "entry", "bodies": "body", "copies": "copy"}
@@ -143,24 +141,3 @@ def duration_text(seconds: float) -> str:
     if minutes < 60:
         return f"{minutes} min {rest} s"
     return f"{minutes // 60} h {minutes % 60} min"
-
-
-def flat_lines(values: JsonValue, path: str = "") -> list[str]:
-    """Return nested values as lines such as ``solid.profile = round``."""
-    if isinstance(values, dict) and values:
-        inner = values.items()
-    elif isinstance(values, list) and any(isinstance(value, (dict, list)) for value in values):
-        inner = dict(enumerate(values, 1)).items()
-    else:
-        return [f"{path} = {_value_text(values)}"]
-    return [line for key, value in inner for line in flat_lines(value, f"{path}.{key}".lstrip("."))]
-
-
-def _value_text(value: JsonValue) -> str:
-    if value is None or value in ([], {}):
-        return "none"
-    if isinstance(value, list):
-        return ", ".join(map(_value_text, value))
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return str(value)

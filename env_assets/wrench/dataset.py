@@ -17,7 +17,6 @@ from tactile_toolkit import cards, gallery, generation, mesh, pictures, places, 
 from tactile_toolkit.arithmetic import cosine_sine
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.json_types import JsonDict
-from tactile_toolkit.kind import is_copy
 
 # Sides of a full circle: 0.03 mm from round at 60 mm across, less than a printer can show.
 _SEGMENTS = 96
@@ -181,7 +180,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     """Write ``README.md`` of the folder of a wrench and its picture."""
     columns = WrenchRow.meanings()
     title = "Open-end wrench"
-    if is_copy(manifest):
+    if manifest.is_copy:
         terms = {
             "licence_text": "MIT, as the toolkit.",
             "citation_text": "The task: Schneider et al. 2025.",

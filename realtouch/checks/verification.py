@@ -182,7 +182,7 @@ def verify(
 def _compare_files(data_set: places.Place, findings: list[damage.Damage], workers: int) -> bool:
     """Compare the files of a folder with its manifest or download record; return whether it has one."""
     folder, manifest = data_set.folder, data_set.manifest
-    if folder is None or (manifest is None and store.read_download_record(folder) is None):
+    if folder is None or (manifest is None and data_set.download is None):
         return False
     listed = store.verify(folder, check_card=cards.check_card, workers=workers).findings
     findings += [damage.Damage(finding.file, None, None, "", finding.problem) for finding in listed]

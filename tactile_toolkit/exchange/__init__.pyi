@@ -11,5 +11,7 @@ from .download import (
 )
 from .upload import (
     Upload as Upload,
+)
+from .upload_options import (
     UploadOptions as UploadOptions,
 )

@@ -18,8 +18,8 @@ from typing import Any, TypeAlias
 from tactile_toolkit import cards, hub, run, store, wording
 from tactile_toolkit.cards import yaml_head
 from tactile_toolkit.cards.card import PREVIEW_FOLDER, with_repo_name
-from tactile_toolkit.checked_fields import switch, text
 from tactile_toolkit.errors import HubError, InputError, IntegrityError
+from tactile_toolkit.exchange.upload_options import MAIN_BRANCH, UploadOptions
 from tactile_toolkit.hub.calls import call_with_retry, page_of
 from tactile_toolkit.hub.repository import HubName, listing
 from tactile_toolkit.json_types import JsonDict
@@ -30,7 +30,6 @@ from tactile_toolkit.store.manifest import VIEWER_FOLDER
 from tactile_toolkit.store.remote import FsspecFolder
 from tactile_toolkit.store.verification import HubFile, has_digest
 
-MAIN_BRANCH = "main"
 # Written by the Hub itself; every repository has them.
 _WRITTEN_BY_HUB = frozenset({".gitattributes"})
 _PICTURE_FOLDER = "images"
@@ -38,58 +37,6 @@ _THREADS = 8
 # Calls the Hub, again while it is busy, and returns the answer.
 _Ask: TypeAlias = Callable[..., Any]
 _State: TypeAlias = "tuple[hub.HubRepository | None, dict[str, str], bool]"
-
-
-@dataclass(frozen=True, slots=True)
-class UploadOptions:
-    """Options of an upload.
-
-    Attributes
-    ----------
-    private : bool
-        Create the repository so that only its owner sees it.
-    revision : str or None
-        Branch (created if missing) or pull request (``refs/pr/3``) to write to; ``main`` if None.
-    create_pr : bool
-        Open a pull request against the main branch instead of writing to it.
-    message : str or None
-        First line of the commit.
-    tag : str or None
-        Tag of the commit; not for a pull request.
-    delete : bool
-        Remove files from the repository that the folder does not have.
-    viewer : bool
-        Also send each row with its mesh as a file that the Hub's page shows; otherwise such files of former
-        uploads are removed.
-    """
-
-    private: bool = switch(False, help="Create a private repository.")
-    revision: str | None = text(
-        name="--branch", metavar="NAME", help="Branch to write to; created if it does not exist."
-    )
-    create_pr: bool = switch(False, help="Open a pull request instead of writing to main.")
-    message: str | None = text(metavar="TEXT", help="First line of the commit.")
-    tag: str | None = text(metavar="NAME", help="Tag of this version, such as v1.")
-    delete: bool = switch(False, help="Remove files from the repository that are not in the folder.")
-    viewer: bool = switch(False, help="Also send each mesh as a file that the Hub shows in 3D.")
-
-    @property
-    def branch(self) -> str:
-        """Name of the branch, or of the pull request, to write to."""
-        return self.revision or MAIN_BRANCH
-
-    @property
-    def is_main(self) -> bool:
-        """Whether the main branch is written to."""
-        return self.branch == MAIN_BRANCH
-
-    def __post_init__(self) -> None:
-        if self.create_pr and (self.tag or not self.is_main):
-            raise InputError(
-                "and a tag or another branch exclude each other",
-                next="leave one of them out",
-                field="create_pr",
-            )
 
 
 @dataclass(frozen=True, slots=True)

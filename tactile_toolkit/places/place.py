@@ -87,6 +87,11 @@ class Place:
         """The repository of the Hub; None for folders and files."""
         return self.source if isinstance(self.source, hub.HubRepository) else None
 
+    @cached_property
+    def download(self) -> DownloadRecord | None:
+        """Record of a downloaded folder; None for all others, IntegrityError if it is damaged."""
+        return None if self.folder is None else store.read_download_record(self.folder)
+
     @property
     def revision(self) -> str | None:
         """Commit of a repository of the Hub."""
@@ -128,12 +133,8 @@ class Place:
     def _stated_kind(self) -> DatasetKind | None:
         if self.manifest is not None:
             return next((each for each in kinds() if each.name == self.manifest.kind), None)
-        repository: hub.HubRepository | DownloadRecord | None = self.repository
-        if self.folder is not None:
-            repository = store.read_download_record(self.folder)
-        if repository is not None:
-            return kind_of_published(repository.repo_id)
-        return None
+        repository = self.repository or self.download
+        return None if repository is None else kind_of_published(repository.repo_id)
 
     def choose_kind(self, name: str | None = None) -> DatasetKind:
         """Return the kind, or the one of this name where the columns fit several kinds or an own one.
@@ -253,8 +254,16 @@ class Place:
         """
         is_taken = self.allow_incomplete and self.splits  # some of its shards are finished
         if not (self.complete or is_taken or (split is not None and self._is_whole(split))):
-            raise self._not_finished(may_take)
+            raise errors.IntegrityError(*self._not_finished_words(may_take=may_take))
         return self
+
+    def require_finished(self, wrong: Sequence[str]) -> None:
+        """Raise UnfinishedError if all that a check found is that the run is not finished.
+
+        ``wrong`` are the files of all findings.
+        """
+        if not self.complete and list(wrong) == [store.MANIFEST_FILE]:
+            raise errors.UnfinishedError(*self._not_finished_words(may_take=False))
 
     def require_manifest(self, kind: DatasetKind) -> store.Manifest:
         """Return the manifest of a finished folder of a kind.
@@ -280,16 +289,14 @@ class Place:
         records = self.manifest.shards_of(split)
         return bool(records) and len(records) == records[0].shard.count
 
-    def _not_finished(self, may_take: bool = True) -> errors.IntegrityError:
+    def _not_finished_words(self, *, may_take: bool) -> tuple[str, str]:
+        """Return what is not finished, and the next step."""
         otherwise = _TAKE_FINISHED if may_take and not self.allow_incomplete else ""
         again = "run the same command again"
-        record = self.folder and store.read_download_record(self.folder)
-        if record:
-            again = f"download {record.repo_id} there again"
-        return errors.IntegrityError(
-            f"the run that makes {self.name!r} is not finished ({self.unfinished})",
-            next=f"{again}, it continues{otherwise}",
-        )
+        if self.download is not None:
+            again = f"download {self.download.repo_id} there again"
+        what = f"the run that makes {self.name!r} is not finished ({self.unfinished})"
+        return what, f"{again}, it continues{otherwise}"
 
     def split(self, split: str | None) -> str:
         """Return a split, or the only one of a finished data set if none is named."""
@@ -306,8 +313,12 @@ class Place:
         return self.splits[0]
 
     def chosen_splits(self, split: str | None) -> tuple[str, ...]:
-        """Return one split, or all if none is named."""
-        return self.splits if split is None else (split,)
+        """Return one split, or all if none is named; InputError if there is no such split."""
+        if split is None:
+            return self.splits
+        if split not in self.files and not self.is_file:
+            self.paths_of(split)
+        return (split,)
 
     def shards(
         self, split: str | None = None, *, kind: DatasetKind | None = None, streaming: bool = False
@@ -392,7 +403,7 @@ class Place:
                     "expected all",
                     next="download or generate the data set again",
                 )
-            raise self._not_finished()
+            raise errors.IntegrityError(*self._not_finished_words(may_take=True))
         # Names were checked when the manifest was read; address(PATH) would check each of 50,000 again.
         return tuple(
             [

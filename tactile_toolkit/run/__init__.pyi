@@ -4,7 +4,6 @@ from .processes import (
     free_workers as free_workers,
     Runner as Runner,
     runner_for as runner_for,
-    start_background as start_background,
 )
 from .this_process import (
     in_threads as in_threads,

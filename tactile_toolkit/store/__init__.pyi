@@ -14,7 +14,6 @@ from .folder import (
 )
 from .verification import (
     read_download_record as read_download_record,
-    require_finished as require_finished,
     verify as verify,
 )
 from .files import (

@@ -212,7 +212,7 @@ class RunKeywords(TypedDict, total=False):
     """The fields of :class:`RunOptions`, as keywords of all functions that make a data set folder."""
 
     workers: int | run.Runner
-    part: run.Part | None
+    part: run.Part | str | None
     finish: bool
     check: bool
     overwrite: bool
@@ -227,8 +227,8 @@ class RunOptions:
     ----------
     workers : int or Runner
         Number of local processes, or another runner.
-    part : Part or None
-        Make only the shards of this part; do not finish the data set.
+    part : Part, str or None
+        Make only the shards of this part, ``"K/N"`` or ``"auto"``; do not finish the data set.
     finish : bool
         Make no shard: complete the data set that parts have made, or name the missing shards.
     check : bool
@@ -241,17 +241,19 @@ class RunOptions:
     Raises
     ------
     InputError
-        Options that exclude each other.
+        Options that exclude each other, or a part that does not exist.
     """
 
     workers: int | run.Runner = 1
-    part: run.Part | None = None
+    part: run.Part | str | None = None
     finish: bool = False
     check: bool = False
     overwrite: bool = False
     on_progress: Callable[[Progress], None] = lambda _: None
 
     def __post_init__(self) -> None:
+        if isinstance(self.part, str):
+            object.__setattr__(self, "part", run.Part.parse(self.part))
         if self.part is not None and self.finish:
             raise errors.InputError(
                 "was given with --finish; expected --finish when all parts have ended", field="part"
@@ -356,7 +358,9 @@ def _compare(folder: DataFolder, plan: BuildPlan, options: RunOptions, manifest:
     """Compare a folder, which has this manifest, with a plan; raises as :meth:`BuildPlan.compared_with`."""
     new = plan.new_manifest()
     check = options.check
-    tasks = plan.tasks if options.part is None else tuple(options.part.of(plan.tasks))
+    tasks = plan.tasks
+    if isinstance(options.part, run.Part):
+        tasks = tuple(options.part.of(plan.tasks))
     if manifest is None:
         refuse_unknown_files(folder, plan)
         manifest = new

@@ -16,7 +16,7 @@ from typing import Annotated, Any, ClassVar, TypeVar, cast
 
 import msgspec
 
-from tactile_toolkit import errors, wording
+from tactile_toolkit import errors, kind, wording
 from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.store.files import names_inside
 from tactile_toolkit.store.folder import PENDING_FOLDER, DataFolder
@@ -290,6 +290,16 @@ class Manifest:
         """Digest of all that decides the rows of a data set and their bytes."""
         values = (self.kind, self.toolkit_version, dict(self.libraries), self.spec, self.schema_version)
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+
+    @property
+    def is_copy(self) -> bool:
+        """Whether it is that of a copy, which states its source, not how rows are made."""
+        return kind.is_copy(self)
+
+    @property
+    def is_for_others(self) -> bool:
+        """Whether it is that of files for other programs, without rows of its kind."""
+        return kind.is_for_others(self)
 
     @property
     def splits(self) -> tuple[str, ...]:

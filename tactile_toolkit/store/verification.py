@@ -7,7 +7,7 @@ import hashlib
 import io
 import re
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -194,19 +194,6 @@ def _incomplete(folder: DataFolder, manifest: Manifest) -> list[Finding]:
     # A run may be at work on a split that is not listed.
     others = set(manifest.split_order) - set(manifest.splits)
     return findings + _unlisted(folder, {record.file for record in manifest.shards}, MANIFEST_FILE, others)
-
-
-def require_finished(folder: DataFolder, wrong: Sequence[str]) -> None:
-    """Raise UnfinishedError if the run that makes a data set is under way or was interrupted.
-
-    ``wrong`` are the files of all findings: those about other files than the manifest are to be reported
-    instead.
-    """
-    if wrong != [MANIFEST_FILE]:
-        return
-    manifest = job.manifest_so_far(folder)
-    if manifest is not None and not manifest.complete:
-        raise errors.UnfinishedError(f"{folder.address()!r} is {_not_finished(folder, manifest)}")
 
 
 def _not_finished(folder: DataFolder, manifest: Manifest) -> str:

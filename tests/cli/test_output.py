@@ -10,8 +10,9 @@ import sys
 
 import pytest
 
+from cli.contents import _flat_lines
 from cli.output import Sink
-from tactile_toolkit.wording import BYTES, bytes_text, did_you_mean, duration_text, flat_lines, rate_text
+from tactile_toolkit.wording import BYTES, bytes_text, did_you_mean, duration_text, rate_text
 
 fcntl = pytest.importorskip("fcntl")
 pty = pytest.importorskip("pty")
@@ -156,7 +157,7 @@ def test_specifications_are_described_in_words():
         "a": {"size_m": [0.1, 0.2], "on": True, "limit": None},
         "shapes": [{"name": "box"}, {"name": "disc"}],
     }
-    assert flat_lines(values) == [
+    assert _flat_lines(values) == [
         "a.size_m = 0.1, 0.2",
         "a.on = yes",
         "a.limit = none",

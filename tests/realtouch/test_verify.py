@@ -229,7 +229,7 @@ def test_finished_shards_of_an_unfinished_set_are_checked(home, tmp_path, capsys
     words = ("import", home, "--format", "folder", "--map", "split=split", "--out", tmp_path / "out")
     assert call("realtouch", *words, "--part", "1/2", "-w", 1) == 0
     assert call("tactile", "verify", tmp_path / "out") == 1
-    assert "is not finished: 1 of 2 shards; the same command continues" in capsys.readouterr().err
+    assert "is not finished (1 of 2 shards); next: run the same command again" in capsys.readouterr().err
     (finding,) = realtouch.verify(tmp_path / "out").findings
     assert finding.file == "manifest.json"
     assert realtouch.verify(tmp_path / "out").rounds == 2

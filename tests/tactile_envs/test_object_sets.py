@@ -37,7 +37,7 @@ def begun(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     monkeypatch.setenv("TACTILE_TOOLKIT_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(object_sets, "AssetProvider", partial(AssetProvider, per_class=1))
     monkeypatch.setattr(object_sets.run, "free_workers", lambda: 1)
-    monkeypatch.setattr(object_sets.run, "start_background", lambda *work: started.append(work))
+    monkeypatch.setattr(object_sets, "start_background", lambda *work: started.append(work))
     return started
 
 

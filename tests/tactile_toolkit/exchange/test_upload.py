@@ -12,7 +12,7 @@ import pytest
 
 from starstruck_gen.scene_dataset import SceneSetSpec, generate
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.exchange.upload import Upload, UploadOptions
+from tactile_toolkit.exchange import Upload, UploadOptions
 from tactile_toolkit.store import open_folder, read_manifest
 from tests.hub_server import HubServer
 from tests.tactile_toolkit.hub.client import settings, start_here

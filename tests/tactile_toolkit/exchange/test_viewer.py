@@ -13,7 +13,7 @@ import mnist3d
 from mnist3d.digit_generation import DigitSetSpec, generate
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.cards import check_card
-from tactile_toolkit.exchange.upload import Upload, UploadOptions
+from tactile_toolkit.exchange import Upload, UploadOptions
 from tactile_toolkit.store import open_folder, verify
 from tests.hub_server import HubServer, hub
 from tests.tactile_toolkit.exchange.upload_client import logged_in

@@ -11,18 +11,18 @@ from pathlib import Path
 
 import pytest
 
-from tactile_toolkit import run
+from tactile_envs.object_sets import start_background
 from tactile_toolkit.run.processes import ProcessRunner
 from tests.processes import PATIENCE_S, alive, wait_until_gone
 
-REPOSITORY = Path(__file__).resolve().parents[3]
+REPOSITORY = Path(__file__).resolve().parents[2]
 
 SCRIPT = """
 import sys, time
 from pathlib import Path
-from tactile_toolkit import run
-from tests.tactile_toolkit.run.test_background import note_and_wait
-run.start_background(note_and_wait, sys.argv[1])
+from tactile_envs.object_sets import start_background
+from tests.tactile_envs.test_background import note_and_wait
+start_background(note_and_wait, sys.argv[1])
 while not Path(sys.argv[1]).exists():
     time.sleep(0.01)
 print("noted", flush=True)
@@ -62,7 +62,7 @@ def test_it_ends_with_the_process_that_started_it(end, tmp_path):
 
 def test_it_is_not_reached_by_ctrl_c_and_runs_at_low_priority(tmp_path):
     note = tmp_path / "note"
-    run.start_background(note_and_wait, str(note))
+    start_background(note_and_wait, str(note))
     while not note.exists():
         time.sleep(0.01)
     number = int(note.read_text())
@@ -74,7 +74,7 @@ def test_it_is_not_reached_by_ctrl_c_and_runs_at_low_priority(tmp_path):
 
 
 def test_its_errors_are_lines(capfd):
-    run.start_background(ProcessRunner, 0)
+    start_background(ProcessRunner, 0)
     told = ""
     while "\n" not in told:
         told += capfd.readouterr().err
