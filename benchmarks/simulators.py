@@ -15,7 +15,7 @@ from figures import tell
 
 import mnist3d
 from mnist3d.sources.synthetic import SyntheticSource
-from tactile_toolkit.printing import Physics
+from tactile_toolkit.printing.print_options import Physics
 from tactile_toolkit.printing.simulator import convex_parts, model_files
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))

@@ -18,7 +18,7 @@ _is_picture_or_mesh = lazy("mnist3d:is_picture_or_mesh")
 
 
 @dataclass(frozen=True, slots=True)
-class PreviewOptions:
+class PreviewOptions(catalog.RowFilter):
     """Options of previews of any kind, by the names of the fields of the specifications of the kinds."""
 
     kinds: tuple[str, ...] = choice(
@@ -28,11 +28,6 @@ class PreviewOptions:
         help="What to draw; may be repeated. Meshes: a sheet (the default), or of digits the steps from ink "
         "to mesh. Touches: a round as a grid (the default), or an overlay on a map of the cell.",
     )
-    split: str | None = catalog.SPLIT
-    ids: catalog.IdChoice | None = catalog.IDS
-    labels: tuple[str, ...] | None = catalog.LABELS
-    per_class: int | None = catalog.PER_CLASS
-    limit: int | None = catalog.LIMIT
     round_number: int = integer(
         0, name="--round", panel="Touches", help="Round of touches to draw, counted from 0."
     )

@@ -21,7 +21,8 @@ from matplotlib.figure import Figure
 
 import tactile_sim
 from tactile_toolkit.mesh import Mesh
-from tactile_toolkit.printing import PrintObject, export_calibration_plate, make_plate
+from tactile_toolkit.printing.calibration_plate import export_calibration_plate, make_plate
+from tactile_toolkit.printing.file_export import PrintObject
 from tests.tactile_sim.hidden_sensors import digits, draw_sensor
 from tests.tactile_sim.twin_scores import HELD_OUT_DIGITS, rendered, score
 

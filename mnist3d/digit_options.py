@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -12,7 +11,6 @@ from tactile_toolkit.checked_fields import (
     check_fields,
     choice,
     integer,
-    read_split_counts,
     real,
     split_counts,
     switch,
@@ -89,7 +87,6 @@ class SplitSpec:
     sizes: tuple[tuple[str, int], ...] | None = text(
         name="--split-sizes",
         metavar="train=8,test=2",
-        read=partial(read_split_counts, "sizes"),
         panel="Division into splits",
         help="Digits per class in each split, instead of the published numbers.",
     )

@@ -134,7 +134,7 @@ def _plan_steps(
 
 
 def plan_gallery(name: Name | Place, chosen: catalog.RowFilter = catalog.RowFilter.ALL) -> gallery.Gallery:
-    """Plan a gallery of digits; see :meth:`~tactile_toolkit.gallery.Gallery.of_rows`."""
+    """Plan a gallery of digits; see :meth:`~tactile_toolkit.gallery.Gallery.of_solids`."""
     # The report of the data set, if it has one, is read instead of inspecting meshes again.
     place = open_place(name)
     folder = place.folder

@@ -12,7 +12,7 @@ from realtouch import force_pictures, kind
 from realtouch.touches import datasets, media, rounds
 from realtouch.touches.rounds import Touch
 from realtouch.touches.schema import origin_of
-from tactile_toolkit import catalog, errors, gallery, mesh, places, wording
+from tactile_toolkit import catalog, errors, gallery, mesh, pictures, places, wording
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, UInt8
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.rows import Column
@@ -77,7 +77,8 @@ def plan_gallery(
     place = places.open_place(name).require(kind.KIND, "tactile gallery").require_complete(split)
     schema = place.shards(split or place.splits[0])[0].schema
     title = f"{origin_of(schema, place.manifest)} touches".capitalize()
-    return gallery.Gallery.of_rows(kind.KIND, place, chosen, title, _SHOWN, _item, 1, known)
+    rows = pictures.ChosenRows.of(kind.KIND, place, chosen, "tactile gallery")
+    return gallery.Gallery.of_rows(rows, title, _SHOWN, _item, 1, known)
 
 
 def _item(

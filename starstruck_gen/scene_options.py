@@ -44,7 +44,7 @@ def scene_counts(words: str) -> tuple[tuple[str, int], ...]:
     """Read ``5000`` or ``train=5000,test=500``."""
     if wording.is_count(words.strip()):
         return tuple((split, int(words)) for split in starstruck_gen.SPLITS)
-    return checked_fields.read_split_counts("scenes", words)
+    return checked_fields.split_counts(words, "scenes", starstruck_gen.SPLITS)
 
 
 @dataclass(frozen=True, slots=True)

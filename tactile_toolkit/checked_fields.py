@@ -187,10 +187,20 @@ def checked_integer(value: object, name: str, least: int = 0, most: int | None =
 
 
 def split_counts(
-    value: object, name: str, splits: Sequence[str], most: int, of: str = ""
+    value: object, name: str, splits: Sequence[str], most: int = _MAX_INTEGER, of: str = ""
 ) -> tuple[tuple[str, int], ...]:
-    """Return counts by split from a mapping or pairs; InputError, as of :class:`Rule`, for anything else."""
+    """Return counts by split from a mapping, pairs, or a text such as ``train=8,test=2``.
+
+    Raises InputError, as :class:`Rule` does, for anything else.
+    """
     pairs = to_builtin(value.items() if isinstance(value, Mapping) else value)
+    if isinstance(value, str):
+        texts = [tuple(piece.strip() for piece in part.partition("=")) for part in value.split(",")]
+        if not all(wording.is_count(count) for _, _, count in texts):
+            raise errors.InputError(
+                f"{of}is {value!r}; expected SPLIT=N once per split, such as train=8,test=2", field=name
+            )
+        pairs = tuple((split, int(count)) for split, _, count in texts)
     fits = isinstance(pairs, tuple) and all(
         isinstance(pair, tuple) and len(pair) == 2 and pair[0] in splits and is_integer(pair[1])
         for pair in pairs
@@ -202,16 +212,6 @@ def split_counts(
             field=name,
         )
     return tuple(pairs)
-
-
-def read_split_counts(name: str, words: str) -> tuple[tuple[str, int], ...]:
-    """Read ``train=8,test=2``; :func:`split_counts` checks the names of splits."""
-    pairs = [tuple(piece.strip() for piece in part.partition("=")) for part in words.split(",")]
-    if not all(wording.is_count(count) for _, _, count in pairs):
-        raise errors.InputError(
-            f"is {words!r}; expected SPLIT=N once per split, such as train=8,test=2", field=name
-        )
-    return tuple((split, int(count)) for split, _, count in pairs)
 
 
 def to_builtin(value: object, kind: type[int] | type[float] = int) -> Any:

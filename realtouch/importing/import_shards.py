@@ -23,7 +23,7 @@ from realtouch.video import avi
 from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import AnyArray, Float64, Int64
 from tactile_toolkit.columns import column_types
-from tactile_toolkit.touch import MEDIA_TYPE, decode_image, is_jpeg, upright_size, with_features
+from tactile_toolkit.touch import MEDIA_TYPE, decode_image, intact_size, is_jpeg, with_features
 
 _MAX_FIELDS = 100
 _PIECE_BYTES = 32 << 20
@@ -219,7 +219,7 @@ class ImportTouches:
             try:
                 if isinstance(picture, errors.ItemError):
                     raise picture
-                size = upright_size(picture)
+                size = intact_size(picture, is_upright=True)
             except ValueError as error:
                 problem = errors.ItemError("image", str(error))
             except errors.ItemError as error:

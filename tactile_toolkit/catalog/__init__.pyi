@@ -3,8 +3,6 @@
 from .row_options import (
     id_range as id_range,
     IdChoice as IdChoice,
-    IDS as IDS,
-    LABELS as LABELS,
     LIMIT as LIMIT,
     PER_CLASS as PER_CLASS,
     PreviewSpec as PreviewSpec,

@@ -69,14 +69,6 @@ def id_text(given: GivenId) -> str:
 ROWS = "Rows"
 """Panel of the help for options that choose rows."""
 SPLIT = text(metavar="NAME", panel=ROWS, help="Only this split; all by default.")
-IDS = text(
-    name="--ids",
-    metavar="3,17,40-60",
-    panel=ROWS,
-    read=parse_ids,
-    help="Only the objects with these ids.",
-)
-LABELS = text(metavar="3,7", panel=ROWS, read=comma_separated, help="Only the objects of these classes.")
 LIMIT = integer(None, 1, optional=True, panel=ROWS, help="Only the first N rows of each split.")
 PER_CLASS = integer(None, 1, optional=True, panel=ROWS, help="Only the first N of each class, in each split.")
 
@@ -89,8 +81,16 @@ class RowFilter:
     """Takes all objects."""
 
     split: str | None = SPLIT
-    ids: IdChoice | None = IDS
-    labels: Sequence[str] | None = LABELS
+    ids: IdChoice | None = text(
+        name="--ids",
+        metavar="3,17,40-60",
+        panel=ROWS,
+        read=parse_ids,
+        help="Only the objects with these ids.",
+    )
+    labels: Sequence[str] | None = text(
+        metavar="3,7", panel=ROWS, read=comma_separated, help="Only the objects of these classes."
+    )
     per_class: int | None = PER_CLASS
     limit: int | None = LIMIT
 

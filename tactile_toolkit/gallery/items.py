@@ -125,32 +125,27 @@ class Gallery:
     @classmethod
     def of_rows(
         cls,
-        kind: DatasetKind,
-        name: places.Name | places.Place,
-        chosen: catalog.RowFilter,
+        chosen: pictures.ChosenRows,
         title: str,
         columns: Sequence[Column],
         item: ItemMaker,
         rows_per_task: int,
         known: Callable[[Any, str], Sequence[object]] = lambda rows, _: [None] * len(rows),
     ) -> Gallery:
-        """Plan a gallery of chosen rows of some splits; see :class:`RowsTask` for ``item``.
+        """Plan a gallery of chosen rows; see :class:`RowsTask` for ``item``.
 
-        ``columns`` are the facets and measures, except the split. ``known`` takes the chosen rows and their
-        split, and returns an entry for each row, such as its report.
-
-        Raises InputError for an unknown data set or split, or another kind; IntegrityError for a damaged or
-        unfinished one; HubError where the repository cannot be reached or does not exist.
+        ``columns`` are the facets and measures, except the split. ``known`` takes the chosen rows of a split
+        and the split, and returns an entry for each row, such as its report.
         """
-        picked = pictures.ChosenRows.of(kind, name, chosen, "tactile gallery")
         tasks: list[RowsTask] = []
-        for split, rows in picked.splits.items():
+        for split, rows in chosen.splits.items():
             known_values = tuple(known(rows, split))
             for start in range(0, len(rows), rows_per_task):
                 part = slice(start, start + rows_per_task)
                 tasks.append(RowsTask(rows[part], split, item, known_values[part]))
-        shown = {split: len(rows) for split, rows in picked.splits.items()}
-        heading = picked.titled(f"{title} · {short_name(picked.place.name)}")
+        shown = {split: len(rows) for split, rows in chosen.splits.items()}
+        heading = chosen.titled(f"{title} · {short_name(chosen.place.name)}")
+        kind = chosen.kind
         of_split = Column(pa.string(), name=SPLIT, role="facet", title="Split", values=tuple(shown))
         return cls(kind.name, heading, (kind.noun, kind.nouns), (*columns, of_split), tuple(tasks), shown)
 
@@ -166,13 +161,14 @@ class Gallery:
         facts: Callable[[Any, Any], JsonObject] = _no_facts,
         known: Callable[[Any, str], Sequence[object]] = lambda rows, _: [None] * len(rows),
     ) -> Gallery:
-        """Plan a gallery of solids that draw themselves; as :meth:`of_rows`.
+        """Plan a gallery of chosen solids that draw themselves; see :meth:`of_rows`.
 
         ``facts`` takes a record and its entry of ``known``, and returns values of columns that are neither
-        stored nor a property of the record.
+        stored nor a property of the record. Raises as :meth:`tactile_toolkit.pictures.ChosenRows.of`.
         """
         item = partial(_solid_item, tuple(column.name for column in columns), facts)
-        return cls.of_rows(kind, name, chosen, title, columns, item, _SOLIDS_PER_TASK, known)
+        picked = pictures.ChosenRows.of(kind, name, chosen, "tactile gallery")
+        return cls.of_rows(picked, title, columns, item, _SOLIDS_PER_TASK, known)
 
 
 def _solid_item(

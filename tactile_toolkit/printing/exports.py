@@ -15,7 +15,7 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 
 from tactile_toolkit import catalog, places
-from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.errors import ItemError
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh import MM_PER_M, Mesh, MeshFile
@@ -33,10 +33,9 @@ from tactile_toolkit.printing.file_export import (
     choose,
     content_of,
     require_same_solid,
-    require_scale,
 )
 from tactile_toolkit.printing.plate_layouts import PlateLayout, arrange, draw_map
-from tactile_toolkit.printing.print_options import MODELS, ExportOptions, Physics
+from tactile_toolkit.printing.print_options import ExportOptions
 from tactile_toolkit.printing.simulator import body_of, model_files, pack_mjcf
 from tactile_toolkit.store.addresses import local_folder_path
 from tactile_toolkit.wording import bytes_text, with_count
@@ -116,15 +115,7 @@ def export(
             made = write_plates(layout, out, overwrite=overwrite, dry_run=dry_run, on_progress=update)
         return _report_of_plates(made, f"{plate.text} to {out}", dry_run)
     with progress(doing, "files") as update:
-        files = export_files(
-            objects,
-            out,
-            ending or "stl",
-            scale=options.scale,
-            physics=options.physics,
-            on_progress=update,
-            **job,
-        )
+        files = export_files(objects, out, options, on_progress=update, **job)
     return _report_of_files(files, out, f"{ending or 'stl'} files", dry_run)
 
 
@@ -208,9 +199,10 @@ class WrittenFile:
         return self.width_mm, self.depth_mm, self.height_mm
 
 
-def _made_file(item: PrintObject, ending: str, scale: float, physics: Physics) -> Made[WrittenFile]:
+def _made_file(item: PrintObject, options: ExportOptions) -> Made[WrittenFile]:
     """Make the file of an object; a model for simulators has meshes beside it."""
-    solid = item.on_plate(scale)
+    solid = item.on_plate(options.scale)
+    ending = options.ending
 
     def record(verdict: ManifoldCheck, size: int, state: str) -> WrittenFile:
         sides_mm = (np.ptp(solid.bounds_m, axis=0) * MM_PER_M).tolist()
@@ -232,32 +224,20 @@ def _made_file(item: PrintObject, ending: str, scale: float, physics: Physics) -
     if ending in MeshFile.FORMATS:
         return Made.of_solid(item.name, ending, solid, record)
     verdict = require_solid(solid)
-    files = model_files(item.name, solid, ending, physics)
+    files = model_files(item.name, solid, ending, options.physics)
     return Made(files, partial(record, verdict, sum(map(len, files.values()))))
 
 
-def _product(item: PrintObject, ending: str, scale: float, physics: Physics) -> Product[WrittenFile]:
-    paths = (f"{item.name}{ending}", *(f"{item.name}/{part}.obj" for part in _MESHES))
-    return Product(item.name, paths, partial(_made_file, item, ending, scale, physics))
-
-
-def _ending_of(kind: str) -> str:
-    """Return the ending of files of a format; InputError for an unknown one."""
-    name = kind.lower().removeprefix(".")
-    ending = MODELS.get(name, f".{name}")
-    if ending not in MeshFile.FORMATS and name not in MODELS:
-        formats = ", ".join([*(known[1:] for known in MeshFile.FORMATS), *MODELS])
-        raise InputError(f"is {kind!r}; expected one of {formats}", field="file_format")
-    return ending
+def _product(item: PrintObject, options: ExportOptions) -> Product[WrittenFile]:
+    paths = (f"{item.name}{options.ending}", *(f"{item.name}/{part}.obj" for part in _MESHES))
+    return Product(item.name, paths, partial(_made_file, item, options))
 
 
 def export_files(
     objects: Sequence[PrintObject],
     out: str,
-    kind: str = "stl",
+    options: ExportOptions,
     *,
-    scale: float = 1.0,
-    physics: Physics | None = None,
     overwrite: bool = False,
     dry_run: bool = False,
     workers: int = 1,
@@ -275,13 +255,8 @@ def export_files(
         What to write.
     out : str
         Folder of the files.
-    kind : str
-        Format: ``"stl"``, ``"3mf"``, ``"ply"`` or ``"obj"`` (millimetres), ``"glb"`` (metres), or for
-        simulators ``"mjcf"``, ``"urdf"`` or ``"usd"`` (metres).
-    scale : float
-        Factor for all lengths.
-    physics : Physics, optional
-        Density and friction of models for simulators.
+    options : ExportOptions
+        Format and scale, and the material of models for simulators.
     overwrite : bool
         Replace files with other content, and remove those of objects that fail.
     dry_run : bool
@@ -299,13 +274,11 @@ def export_files(
     Raises
     ------
     InputError
-        The format is unknown, the scale is not positive, or files are in the way; nothing was written.
+        Other files are in the way; nothing was written.
     StorageError
         The folder cannot be written; finished files are kept.
     """
-    ending = _ending_of(kind)
-    require_scale(scale)
-    products = [_product(item, ending, scale, physics or Physics()) for item in objects]
+    products = [_product(item, options) for item in objects]
     return FileExport.of(
         products, out, overwrite=overwrite, dry_run=dry_run, workers=workers, on_progress=on_progress
     )

@@ -130,10 +130,14 @@ class Physics:
 
 @dataclass(frozen=True, slots=True)
 class ExportOptions:
-    """Options of exported meshes: format and scale, build plates, and bodies for simulators."""
+    """Options of exported meshes: format and scale, build plates, and bodies for simulators.
+
+    ``file_format`` is ``"stl"``, ``"3mf"``, ``"ply"`` or ``"obj"`` (millimetres), ``"glb"`` (metres), or for
+    simulators ``"mjcf"``, ``"urdf"`` or ``"usd"`` (metres); by default STL, and 3MF for plates.
+    """
 
     file_format: str | None = choice(None, (*_MESHES, *MODELS), optional=True)
-    scale: float = real(1.0, needs=_MESH_FILES, panel="Meshes", help="Factor for all lengths.")
+    scale: float = real(1.0, above=0, needs=_MESH_FILES, panel="Meshes", help="Factor for all lengths.")
     base_mm: float | None = real(
         None,
         above=0,
@@ -165,12 +169,20 @@ class ExportOptions:
     friction: float = _FRICTION
 
     def __post_init__(self) -> None:
+        """Raise InputError for impossible values."""
+        check_fields(self, "the export")
         if self.calibration_plate and (self.plate is not None or self.scale != 1 or self.base_mm is not None):
             raise InputError(
                 "has a size of its own",
                 next="leave out --plate, --scale and --half-on-base-mm",
                 field="calibration_plate",
             )
+
+    @property
+    def ending(self) -> str:
+        """Ending of the files of objects, such as ``.stl``."""
+        name = self.file_format or "stl"
+        return MODELS.get(name, f".{name}")
 
     @property
     def plates(self) -> PlateSpec | None:

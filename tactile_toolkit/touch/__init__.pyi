@@ -20,6 +20,5 @@ from .images import (
     MEDIA_TYPE as MEDIA_TYPE,
     require_bounded_jpeg as require_bounded_jpeg,
     resized as resized,
-    upright_size as upright_size,
     with_features as with_features,
 )

@@ -85,12 +85,14 @@ def image_size(data: memoryview | bytes) -> tuple[int, int]:
     return height, width
 
 
-def intact_size(data: bytes | memoryview) -> tuple[int, int]:
+def intact_size(data: bytes | memoryview, *, is_upright: bool = False) -> tuple[int, int]:
     """Return height and width of an image, after a check of its beginning and end.
+
+    With ``is_upright``, images that their Exif or XMP data ask readers to turn are refused.
 
     The pixels of a JPEG are not decoded, which would take longer than all other work, unless bytes follow the
     mark of its end: cameras send whole buffers, and encoders of clips pad to even lengths. Raises ValueError
-    if the image is damaged.
+    for an image that is damaged or refused.
     """
     size = image_size(data)
     if not is_jpeg(data):
@@ -102,14 +104,13 @@ def intact_size(data: bytes | memoryview) -> tuple[int, int]:
             raise ValueError(
                 f"an image of {len(data):,} bytes without the mark of its end; expected a whole JPEG"
             ) from error
+    # JPEGs have both in such a segment, and opening an image takes a while.
+    if is_upright and not (is_jpeg(data) and _APP1 not in bytes(data)):
+        _require_upright(data)
     return size
 
 
-def upright_size(data: bytes) -> tuple[int, int]:
-    """Return height and width of an intact image; ValueError if Exif or XMP data ask readers to turn it."""
-    size = intact_size(data)
-    if is_jpeg(data) and _APP1 not in data:
-        return size  # JPEGs have both in such a segment, and opening an image takes a while
+def _require_upright(data: bytes | memoryview) -> None:
     orientation = None
     # Data that cannot be read do not turn the image.
     with (
@@ -121,7 +122,6 @@ def upright_size(data: bytes) -> tuple[int, int]:
         raise ValueError(
             "its Exif or XMP data ask to turn it, which some readers do; expected an upright image"
         )
-    return size
 
 
 def require_bounded_jpeg(data: memoryview | bytes) -> None:

@@ -7,7 +7,7 @@ import pytest
 import mnist3d
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.printing import PrintObject, choose
+from tactile_toolkit.printing.file_export import PrintObject, choose
 
 
 @pytest.fixture(scope="module")

@@ -34,8 +34,8 @@ from realtouch.touch_options import TouchPreviewSpec
 from tactile_sim import make_pairs
 from tactile_toolkit.catalog import PreviewSpec
 from tactile_toolkit.errors import MissingExtraError
-from tactile_toolkit.printing import PlateSpec, arrange
-from tactile_toolkit.printing.plate_layouts import draw_map
+from tactile_toolkit.printing.plate_layouts import arrange, draw_map
+from tactile_toolkit.printing.print_options import PlateSpec
 from tests.env_assets.factories import write_assets
 from tests.notebooks.running import main as record_notebooks
 from tests.realtouch.factories import make_round, seq_rows, single_rows, write_set

@@ -8,7 +8,7 @@ import manifold3d
 import numpy as np
 
 from tactile_toolkit.mesh import Mesh
-from tactile_toolkit.printing import PrintObject
+from tactile_toolkit.printing.file_export import PrintObject
 
 
 def mesh_of(manifold: Any) -> Mesh:

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, strategies as st
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.printing import PlateSpec, arrange
-from tactile_toolkit.printing.plate_layouts import Outline, PlacedObject
+from tactile_toolkit.printing.plate_layouts import Outline, PlacedObject, arrange
+from tactile_toolkit.printing.print_options import PlateSpec
 from tests.tactile_toolkit.printing.solids import box, ell, named, ring
 
 Box = tuple[float, float, float, float]

@@ -21,9 +21,10 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh, check_manifold
 from tactile_toolkit.mesh.threemf import BuildItem, read_build, write_build
 from tactile_toolkit.pictures import Pen
-from tactile_toolkit.printing import PlateSpec, PrintObject, arrange, write_plates
-from tactile_toolkit.printing.plate_layouts import PlacedObject, PlateLayout, draw_map
-from tactile_toolkit.printing.print_options import BEDS_MM
+from tactile_toolkit.printing.exports import write_plates
+from tactile_toolkit.printing.file_export import PrintObject
+from tactile_toolkit.printing.plate_layouts import PlacedObject, PlateLayout, arrange, draw_map
+from tactile_toolkit.printing.print_options import BEDS_MM, PlateSpec
 from tests.tactile_toolkit.printing.solids import box, ell, mesh_of, named, ring
 from tests.tactile_toolkit.toy import folder_bytes
 

@@ -14,7 +14,10 @@ import mnist3d
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh, read_mesh
-from tactile_toolkit.printing import Physics, PlateSpec, arrange, export_files, write_plates
+from tactile_toolkit.printing import ExportOptions
+from tactile_toolkit.printing.exports import export_files, write_plates
+from tactile_toolkit.printing.plate_layouts import arrange
+from tactile_toolkit.printing.print_options import Physics, PlateSpec
 from tests.tactile_toolkit.printing.solids import box, ell, named, open_box, ring
 from tests.tactile_toolkit.toy import folder_bytes
 
@@ -31,7 +34,7 @@ def digits() -> list[Mesh]:
 def test_mujoco_has_the_mass_of_a_body_and_lets_it_rest_on_its_flat_side(tmp_path: Path):
     mujoco = pytest.importorskip("mujoco", reason="needs mujoco, of the extra simulators")
     solids = [*SHAPES, *digits()]
-    made = export_files(named(solids), str(tmp_path), "mjcf", physics=Physics(1100, 0.7))
+    made = export_files(named(solids), str(tmp_path), ExportOptions("mjcf", density_kg_m3=1100, friction=0.7))
     assert made.failed == ()
     for solid, file in zip(solids, made.files, strict=True):
         text = (tmp_path / file.file).read_text()
@@ -78,7 +81,7 @@ def test_a_plate_is_a_scene(tmp_path: Path):
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # yourdfpy's own
 def test_a_reader_of_urdf_finds_masses_and_convex_parts(tmp_path: Path):
     yourdfpy = pytest.importorskip("yourdfpy", reason="needs yourdfpy, of the extra simulators")
-    made = export_files(named(SHAPES), str(tmp_path), "urdf")
+    made = export_files(named(SHAPES), str(tmp_path), ExportOptions("urdf"))
     for solid, file in zip(SHAPES, made.files, strict=True):
         robot = yourdfpy.URDF.load(
             str(tmp_path / file.file), build_collision_scene_graph=True, load_collision_meshes=True
@@ -104,7 +107,7 @@ def test_usd_knows_the_body_and_its_parts(tmp_path: Path):
     from pxr import Gf, Usd, UsdGeom, UsdPhysics, UsdShade
 
     solids = [*SHAPES, *digits()[:1]]
-    made = export_files(named(solids), str(tmp_path), "usd", physics=Physics(1100, 0.7))
+    made = export_files(named(solids), str(tmp_path), ExportOptions("usd", density_kg_m3=1100, friction=0.7))
     for solid, file in zip(solids, made.files, strict=True):
         stage = Usd.Stage.Open(str(tmp_path / file.file))
         assert (UsdGeom.GetStageMetersPerUnit(stage), UsdGeom.GetStageUpAxis(stage)) == (1, "Z")
@@ -140,7 +143,7 @@ def _triangles(mesh: Any) -> np.ndarray:
 
 
 def test_meshes_that_cannot_be_bodies_are_named(tmp_path: Path):
-    made = export_files(named([box(5, 5), open_box(5, 5)]), str(tmp_path), "urdf")
+    made = export_files(named([box(5, 5), open_box(5, 5)]), str(tmp_path), ExportOptions("urdf"))
     assert [failure.name for failure in made.failed] == ["test-1-00001"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["test-0-00000", "test-0-00000.urdf"]
     for values in ({"density_kg_m3": 0}, {"friction": float("nan")}, {"density_kg_m3": "heavy"}):
@@ -151,13 +154,13 @@ def test_meshes_that_cannot_be_bodies_are_named(tmp_path: Path):
 def test_bodies_that_mujoco_refuses_are_named_before(tmp_path: Path):
     """MuJoCo accepts moments of inertia from 1e-14 kg m² on."""
     for kind in ("mjcf", "urdf", "usd"):
-        made = export_files(named(SHAPES), str(tmp_path), kind, scale=0.02)
+        made = export_files(named(SHAPES), str(tmp_path), ExportOptions(kind, scale=0.02))
         assert [each.problem for each in made.failed] == ["too-light"] * len(SHAPES)
         assert "MuJoCo" in made.failed[0].detail
 
 
 def test_urdf_files_keep_the_paths_of_their_meshes(tmp_path: Path):
-    (made,) = export_files(named(SHAPES[:1]), str(tmp_path), "urdf").files
+    (made,) = export_files(named(SHAPES[:1]), str(tmp_path), ExportOptions("urdf")).files
     root = ElementTree.parse(tmp_path / made.file).getroot()
     assert root.find("mujoco/compiler").attrib == {"strippath": "false"}
     mujoco = pytest.importorskip("mujoco", reason="needs mujoco, of the extra simulators")
@@ -167,7 +170,7 @@ def test_urdf_files_keep_the_paths_of_their_meshes(tmp_path: Path):
 def test_meshes_of_urdf_are_asked_for_their_unit(tmp_path: Path):
     """URDF is in metres, and OBJ states no unit: parts read in mm are a thousand times too small."""
     solid = ell(40, 12)
-    export_files(named([solid]), str(tmp_path), "urdf")
+    export_files(named([solid]), str(tmp_path), ExportOptions("urdf"))
     (visual,) = tmp_path.rglob("visual.obj")
     with pytest.raises(InputError, match=r"probably in m; next: give --unit m "):
         read_mesh(visual)

@@ -12,7 +12,8 @@ from tactile_toolkit.catalog.row_options import id_range, id_text, parse_ids
 from tactile_toolkit.errors import InputError, ItemError, StorageError
 from tactile_toolkit.mesh import Mesh, MeshFile, check_manifold, read_mesh
 from tactile_toolkit.mesh.solid_check import require_solid
-from tactile_toolkit.printing import export_files
+from tactile_toolkit.printing import ExportOptions
+from tactile_toolkit.printing.exports import export_files
 from tactile_toolkit.printing.file_export import require_same_solid
 from tests.tactile_toolkit.printing.solids import box, ell, named, open_box, ring
 from tests.tactile_toolkit.toy import folder_bytes
@@ -23,7 +24,7 @@ SHAPES = [box(20, 10), ell(30, 8), ring(12, 6)]
 @pytest.mark.parametrize("ending", MeshFile.FORMATS)
 def test_every_format_comes_back_as_the_solid_on_the_plate(ending: str, tmp_path: Path) -> None:
     raised = [Mesh(mesh.vertices_m + np.array([0.1, 0.2, 0.05]), mesh.faces) for mesh in SHAPES]
-    made = export_files(named(raised), str(tmp_path / "out"), ending[1:])
+    made = export_files(named(raised), str(tmp_path / "out"), ExportOptions(ending[1:]))
     assert made.failed == ()
     names = [f"test-{number}-{number:05d}{ending}" for number in range(3)]
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == names
@@ -38,7 +39,7 @@ def test_every_format_comes_back_as_the_solid_on_the_plate(ending: str, tmp_path
 
 
 def test_broken_meshes_are_named_and_do_not_stop_the_others(tmp_path: Path) -> None:
-    made = export_files(named([box(5, 5), open_box(5, 5), ring(4, 2)]), str(tmp_path))
+    made = export_files(named([box(5, 5), open_box(5, 5), ring(4, 2)]), str(tmp_path), ExportOptions())
     assert [file.id for file in made.files] == [0, 2]
     (failure,) = made.failed
     assert (failure.name, failure.problem) == ("test-1-00001", "not-manifold")
@@ -56,7 +57,7 @@ def test_broken_meshes_are_named_and_do_not_stop_the_others(tmp_path: Path) -> N
     ],
 )
 def test_damaged_meshes_are_named_not_crashed_on(damage, problem: str, tmp_path: Path) -> None:
-    made = export_files(named([damage(box(5, 5))]), str(tmp_path))
+    made = export_files(named([damage(box(5, 5))]), str(tmp_path), ExportOptions())
     assert [failure.problem for failure in made.failed] == [problem]
     assert list(tmp_path.iterdir()) == []
 
@@ -66,21 +67,21 @@ def test_a_solid_that_the_format_cannot_hold_leaves_no_file(tmp_path: Path) -> N
     small = box(0.05, 0.05, 0.05)
     away = Mesh(small.vertices_m + np.array([5_000.0, 0.0, 0.0]), small.faces)
     assert check_manifold(away.on_plate()).problem is None
-    made = export_files(named([away, box(5, 5)]), str(tmp_path), "stl")
+    made = export_files(named([away, box(5, 5)]), str(tmp_path), ExportOptions("stl"))
     assert [path.name for path in tmp_path.iterdir()] == ["test-1-00001.stl"]
     (failure,) = made.failed
     assert "it does not bound a solid" in failure.detail
-    assert export_files(named([away]), str(tmp_path / "exact"), "3mf").failed == ()
+    assert export_files(named([away]), str(tmp_path / "exact"), ExportOptions("3mf")).failed == ()
 
 
 def test_a_disk_that_changes_bytes_keeps_the_former_file(tmp_path, monkeypatch):
-    export_files(named([box(7, 7), box(5, 5)]), str(tmp_path))
+    export_files(named([box(7, 7), box(5, 5)]), str(tmp_path), ExportOptions())
     before = folder_bytes(tmp_path)
     read = Path.read_bytes
     monkeypatch.setattr(
         Path, "read_bytes", lambda path: read(path) + (b"" if path.name.startswith("test") else b"!")
     )
-    made = export_files(named([box(8, 8), box(5, 5)]), str(tmp_path), overwrite=True)
+    made = export_files(named([box(8, 8), box(5, 5)]), str(tmp_path), ExportOptions(), overwrite=True)
     (failure,) = made.failed
     assert (failure.name, failure.problem) == ("test-0-00000", "changed")
     assert "reads back from disk with other bytes; the file was removed" in failure.detail
@@ -91,32 +92,32 @@ def test_a_disk_that_changes_bytes_keeps_the_former_file(tmp_path, monkeypatch):
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_continued_run_keeps_files_and_gives_the_same_bytes(tmp_path: Path, workers: int) -> None:
-    export_files(named(SHAPES), str(tmp_path / "whole"))
-    export_files(named(SHAPES)[:2], str(tmp_path / "parts"))
+    export_files(named(SHAPES), str(tmp_path / "whole"), ExportOptions())
+    export_files(named(SHAPES)[:2], str(tmp_path / "parts"), ExportOptions())
     stamps = {path: path.stat().st_mtime_ns for path in (tmp_path / "parts").iterdir()}
-    made = export_files(named(SHAPES), str(tmp_path / "parts"), workers=workers)
+    made = export_files(named(SHAPES), str(tmp_path / "parts"), ExportOptions(), workers=workers)
     assert [file.state for file in made.files] == ["kept", "kept", "written"]
     assert stamps == {path: path.stat().st_mtime_ns for path in stamps}
     assert folder_bytes(tmp_path / "parts") == folder_bytes(tmp_path / "whole")
 
 
 def test_other_content_is_refused_before_anything_is_written(tmp_path: Path) -> None:
-    export_files(named(SHAPES)[1:], str(tmp_path), scale=2)
+    export_files(named(SHAPES)[1:], str(tmp_path), ExportOptions(scale=2))
     before = folder_bytes(tmp_path)
     with pytest.raises(InputError, match=r"test-1-00001\.stl.*2 such files.*--overwrite"):
-        export_files(named(SHAPES), str(tmp_path))
+        export_files(named(SHAPES), str(tmp_path), ExportOptions())
     assert folder_bytes(tmp_path) == before
-    made = export_files(named(SHAPES), str(tmp_path), overwrite=True)
+    made = export_files(named(SHAPES), str(tmp_path), ExportOptions(), overwrite=True)
     assert [file.state for file in made.files] == ["written"] * 3
-    export_files(named(SHAPES), str(tmp_path / "fresh"))
+    export_files(named(SHAPES), str(tmp_path / "fresh"), ExportOptions())
     assert folder_bytes(tmp_path / "fresh") == {
         name: content for name, content in folder_bytes(tmp_path).items() if "fresh" not in str(name)
     }
 
 
 def test_the_former_file_of_a_failed_object_is_removed(tmp_path: Path) -> None:
-    export_files(named([box(5, 5), box(7, 7)]), str(tmp_path))
-    made = export_files(named([box(5, 5), open_box(5, 5)]), str(tmp_path), overwrite=True)
+    export_files(named([box(5, 5), box(7, 7)]), str(tmp_path), ExportOptions())
+    made = export_files(named([box(5, 5), open_box(5, 5)]), str(tmp_path), ExportOptions(), overwrite=True)
     (failure,) = made.failed
     assert "test-1-00001.stl of an earlier export was removed" in failure.detail
     assert [path.name for path in tmp_path.iterdir()] == ["test-0-00000.stl"]
@@ -124,46 +125,48 @@ def test_the_former_file_of_a_failed_object_is_removed(tmp_path: Path) -> None:
 
 def test_a_dry_run_returns_the_result_of_the_run_and_writes_nothing(tmp_path: Path) -> None:
     objects, out = named(SHAPES), tmp_path / "out"
-    view = export_files(objects, str(out), dry_run=True)
+    view = export_files(objects, str(out), ExportOptions(), dry_run=True)
     assert list(tmp_path.iterdir()) == []
-    made = export_files(objects[:1], str(out))
-    again = export_files(objects, str(out), dry_run=True)
+    made = export_files(objects[:1], str(out), ExportOptions())
+    again = export_files(objects, str(out), ExportOptions(), dry_run=True)
     assert [file.state for file in again.files] == ["kept", "planned", "planned"]
     assert len(list(out.iterdir())) == 1
     assert [replace(file, state="written") for file in again.files[:1]] == list(made.files)
-    made = export_files(objects, str(out), overwrite=True)
+    made = export_files(objects, str(out), ExportOptions(), overwrite=True)
     assert [replace(file, state="planned") for file in made.files] == list(view.files)
     away = Mesh(box(0.05, 0.05, 0.05).vertices_m + np.array([5_000.0, 0.0, 0.0]), box(1, 1).faces)
-    (failure,) = export_files(named([away]), str(tmp_path / "none"), dry_run=True).failed
+    (failure,) = export_files(named([away]), str(tmp_path / "none"), ExportOptions(), dry_run=True).failed
     assert "it does not bound a solid" in failure.detail, "as it would read back"
 
 
 @pytest.mark.parametrize("scale", [0, -1, float("nan"), float("inf")])
 def test_scales_that_give_no_solid_are_refused(scale: float, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="scale is"):
-        export_files(named(SHAPES), str(tmp_path / "out"), scale=scale)
+    with pytest.raises(InputError, match="scale of the export is"):
+        export_files(named(SHAPES), str(tmp_path / "out"), ExportOptions(scale=scale))
     assert list(tmp_path.iterdir()) == []
 
 
 def test_bad_places_and_formats_are_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="is a file"):
-        export_files(named(SHAPES), str(tmp_path / "file"))
+        export_files(named(SHAPES), str(tmp_path / "file"), ExportOptions())
     with pytest.raises(StorageError, match="Not a directory"):
-        export_files(named(SHAPES), str(tmp_path / "file" / "below"))
+        export_files(named(SHAPES), str(tmp_path / "file" / "below"), ExportOptions())
     with pytest.raises(InputError, match="memory://"):
-        export_files(named(SHAPES), "memory://prints")
+        export_files(named(SHAPES), "memory://prints", ExportOptions())
     formats = "stl, 3mf, ply, obj, glb, mjcf, urdf, usd"
-    with pytest.raises(InputError, match=f"file_format is 'step'; expected one of {formats}$"):
-        export_files(named(SHAPES), str(tmp_path / "out"), "step")
+    with pytest.raises(
+        InputError, match=f"file_format of the export is 'step'; expected None or one of {formats}$"
+    ):
+        export_files(named(SHAPES), str(tmp_path / "out"), ExportOptions("step"))
     (name,) = [item.name for item in named(SHAPES)[:1]]
     (tmp_path / "files").mkdir()
     (tmp_path / "files" / name).write_text("where the folder of the parts should be")
     with pytest.raises(StorageError, match="Not a directory"):
-        export_files(named(SHAPES)[:1], str(tmp_path / "files"), "urdf")
+        export_files(named(SHAPES)[:1], str(tmp_path / "files"), ExportOptions("urdf"))
     (tmp_path / "folders" / f"{name}.stl").mkdir(parents=True)
     with pytest.raises(StorageError, match=r"\.stl'.*Is a directory"):
-        export_files(named(SHAPES)[:1], str(tmp_path / "folders"))
+        export_files(named(SHAPES)[:1], str(tmp_path / "folders"), ExportOptions())
 
 
 @pytest.mark.parametrize(
