@@ -194,7 +194,7 @@ def _check_data_set(
     check = partial(_inspect_row, profile=profile)
     items = []
     for row in catalog.check_rows(shards, check, _COLUMNS, limit, workers, on_progress):
-        report = row.found
+        report = row.result
         if report is None:
             where = f"split {row.split!r}, row {row.row} of {row.file}"
             report = _unreadable(f"{where}: field {row.null_field!r} is null; expected a value")

@@ -111,7 +111,7 @@ def validate_folder(
     stars = 0
     for row in rows:
         null = f"field {row.null_field!r} of row {row.row} is null; expected a value"
-        problem, standing, declared = row.found or (null, 0, 0)
+        problem, standing, declared = row.result or (null, 0, 0)
         if problem is None:
             bodies = bodies + standing
             stars = stars + declared

@@ -30,14 +30,14 @@ _RIGID_TOLERANCE = 1e-3  # of lengths of axes and of the last row
 def cosine_sine(angle_rad: float) -> tuple[float, float]:
     """Return cosine and sine of an angle of up to a million turns, with an error of at most 2^-52."""
     quarters = round(angle_rad / _QUARTER_TURN)
-    rest = (angle_rad - quarters * _QUARTER_TURN_HIGH) - quarters * _QUARTER_TURN_LOW
-    squared = rest * rest
+    remainder = (angle_rad - quarters * _QUARTER_TURN_HIGH) - quarters * _QUARTER_TURN_LOW
+    squared = remainder * remainder
     sine = cosine = 0.0
     for term in _SINE:
         sine = (sine + term) * squared
     for term in _COSINE:
         cosine = (cosine + term) * squared
-    sine = rest + rest * sine
+    sine = remainder + remainder * sine
     cosine = 1.0 - (0.5 - cosine) * squared
     return ((cosine, sine), (-sine, cosine), (-cosine, -sine), (sine, -cosine))[quarters % 4]
 
@@ -50,9 +50,9 @@ def exp_neg(exponents: Float64) -> Float64:
     power = 1.0 + small * (1.0 + small * (0.5 + small * (1.0 / 6.0 + small / 24.0)))
     for _ in range(_SQUARINGS):
         power *= power
-    found = np.zeros_like(exponents)
-    found[near] = power
-    return found
+    values = np.zeros_like(exponents)
+    values[near] = power
+    return values
 
 
 def are_rigid(matrices: Float64) -> bool:

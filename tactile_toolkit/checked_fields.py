@@ -170,11 +170,11 @@ def check_fields(spec: DataclassInstance, of: str) -> None:
 
     ``of`` names the specification in the message, such as ``the plan of touches``.
     """
-    for each in fields(spec):
-        rule = Rule.of(each)
+    for declared in fields(spec):
+        rule = Rule.of(declared)
         if rule is not None:
-            value = rule.checked(getattr(spec, each.name), each.name, f"of {of} ")
-            object.__setattr__(spec, each.name, value)
+            value = rule.checked(getattr(spec, declared.name), declared.name, f"of {of} ")
+            object.__setattr__(spec, declared.name, value)
 
 
 def _field(default: object, rule: Rule) -> Declared:

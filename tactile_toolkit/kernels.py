@@ -152,7 +152,9 @@ class UsersFolder(_AllFiles, caching.UserWideCacheLocator):
     """The user's cache folder."""
 
 
-_LOCATORS = ",".join(f"{__name__}.{each.__name__}" for each in (ChosenFolder, BesideTheCode, UsersFolder))
+_LOCATORS = ",".join(
+    f"{__name__}.{locator.__name__}" for locator in (ChosenFolder, BesideTheCode, UsersFolder)
+)
 
 
 @contextlib.contextmanager
@@ -173,19 +175,19 @@ def _files_digest(module: str) -> str:
 
     Called for the first kernel of a module: it has imported by then what its kernels call.
     """
-    found = {_COMPILER}
+    visited = {_COMPILER}
     waiting = [module]
     while waiting:
         name = waiting.pop()
-        if name in found:
+        if name in visited:
             continue
-        found.add(name)
+        visited.add(name)
         owners = {_owner(value) for value in vars(sys.modules[name]).values()}
         if _COMPILER in owners or any(owner.startswith("numba") for owner in owners):
             packages = (name.partition(".")[0], _COMPILER.partition(".")[0])
             waiting += [owner for owner in owners if owner.partition(".")[0] in packages]
     digest = hashlib.sha256()
-    for name in sorted(found):
+    for name in sorted(visited):
         file = getattr(sys.modules.get(name), "__file__", None)
         with contextlib.suppress(OSError):  # a module in an archive
             digest.update(name.encode() + b"\n" + Path(file or "").read_bytes())

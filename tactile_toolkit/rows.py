@@ -85,28 +85,28 @@ class TypedRow:
     @classmethod
     def columns(cls) -> dict[str, Column]:
         """Return the columns by attribute, each with its name."""
-        found = {each.name: each.metadata.get(_COLUMN) for each in fields(cls)}  # type: ignore[arg-type]
+        declared = {column.name: column.metadata.get(_COLUMN) for column in fields(cls)}  # type: ignore[arg-type]
         return {
-            attribute: replace(each, name=each.name or attribute)
-            for attribute, each in found.items()
-            if each is not None
+            attribute: replace(column, name=column.name or attribute)
+            for attribute, column in declared.items()
+            if column is not None
         }
 
     @classmethod
     def with_role(cls, *roles: Role) -> tuple[Column, ...]:
         """Return the columns that have one of some roles."""
-        return tuple(each for each in cls.columns().values() if each.role in roles)
+        return tuple(column for column in cls.columns().values() if column.role in roles)
 
     @classmethod
     def meanings(cls) -> dict[str, tuple[str, str]]:
         """Return shape, unit and frame of each column, and its meaning, by name."""
-        return {each.name: (each.unit, each.meaning) for each in cls.columns().values()}
+        return {column.name: (column.unit, column.meaning) for column in cls.columns().values()}
 
     @classmethod
     def plain_schema(cls) -> pa.Schema:
         """Return the Arrow schema, without metadata."""
         return pa.schema(
-            [(each.name, each.data_type) for each in cls.columns().values() if each.role != "hidden"]
+            [(column.name, column.data_type) for column in cls.columns().values() if column.role != "hidden"]
         )
 
     @classmethod
@@ -115,9 +115,9 @@ class TypedRow:
         schema = schema or cls.plain_schema()
         if not rows:
             return schema.empty_table()
-        attributes = {each.name: attribute for attribute, each in cls.columns().items()}
+        attributes = {entry.name: attribute for attribute, entry in cls.columns().items()}
         arrays = [
-            _array([getattr(each, attributes[field.name]) for each in rows], field.type) for field in schema
+            _array([getattr(entry, attributes[field.name]) for entry in rows], field.type) for field in schema
         ]
         return pa.Table.from_arrays(arrays, schema=schema)
 
@@ -132,7 +132,7 @@ def _array(values: list[JsonValue], data_type: pa.DataType) -> pa.Array:
         # Much faster than a dict for each struct.
         parts = list(zip(*chain.from_iterable(values), strict=True))
         arrays = [
-            pa.array(part, each.type) for part, each in zip(parts or [()] * len(inner), inner, strict=True)
+            pa.array(part, child.type) for part, child in zip(parts or [()] * len(inner), inner, strict=True)
         ]
         structs = pa.StructArray.from_arrays(arrays, fields=list(inner))
         return pa.ListArray.from_arrays(pa.array(_offsets(values), pa.int32()), structs, type=data_type)

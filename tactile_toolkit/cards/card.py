@@ -266,10 +266,10 @@ class _PackedSolid(pictures.DrawnSolid):
 def _shortened(values: JsonValue) -> JsonValue:
     """Return JSON values whose long lists end with the number of further entries."""
     if isinstance(values, Mapping):
-        return {name: _shortened(each) for name, each in values.items()}
+        return {name: _shortened(value) for name, value in values.items()}
     if not isinstance(values, list):
         return values
-    shown = [_shortened(each) for each in values[:_MAX_ENTRIES]]
+    shown = [_shortened(value) for value in values[:_MAX_ENTRIES]]
     further = len(values) - len(shown)
     if further:
         shown.append(f"{further:,} more in manifest.json")
@@ -303,8 +303,8 @@ def render_card(template: str, values: Mapping[str, str]) -> str:
 
 def with_repo_name(card: str, name: str) -> str:
     """Return a card whose code loads the data set by another name, of a folder or repository."""
-    found = _LOADED_NAME.search(card)
-    return card if found is None else card.replace(f'"{found["name"]}"', f'"{name}"')
+    match = _LOADED_NAME.search(card)
+    return card if match is None else card.replace(f'"{match["name"]}"', f'"{name}"')
 
 
 def _bibtex(names: Sequence[str]) -> str:

@@ -119,7 +119,7 @@ class OwnerWords:
         return {name: value for name, value in asdict(self).items() if value}
 
 
-def read_owner(head: JsonObject, where: str) -> OwnerWords:
+def read_owner(head: JsonObject, address: str) -> OwnerWords:
     """Return the statements of the owner in the head of a card; InputError if they are not valid."""
     stated = head.get(KEY)
     if not isinstance(stated, Mapping):
@@ -132,7 +132,7 @@ def read_owner(head: JsonObject, where: str) -> OwnerWords:
                 words[name] = list(map(read, value)) if name == "author" else read(value)
     except (InputError, TypeError, AttributeError) as error:
         raise InputError(
-            f"the card of {where!r}: its {KEY!r} cannot be used ({error})",
+            f"the card of {address!r}: its {KEY!r} cannot be used ({error})",
             next=f"correct {KEY!r} in its head, or remove it there",
         ) from error
     return OwnerWords(**words)
@@ -140,10 +140,10 @@ def read_owner(head: JsonObject, where: str) -> OwnerWords:
 
 def with_owner(head: JsonDict, body: str, words: OwnerWords) -> tuple[JsonDict, str]:
     """Return head and text of a card with the words of an owner in their places."""
-    given = words.given()
-    if not given:
+    stated = words.given()
+    if not stated:
         return head, body
-    changed = {**head, KEY: given}
+    changed = {**head, KEY: stated}
     if words.license:
         changed["license"] = words.license
         body = _with_section(body, "Licence", f"{words.license}, as the owner of the data set states.\n\n")

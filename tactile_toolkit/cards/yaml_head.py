@@ -64,16 +64,16 @@ class FolderSummary:
         cls,
         folder: store.DataFolder,
         manifest: store.Manifest | None = None,
-        place: places.Place | None = None,
+        source: places.Place | None = None,
     ) -> FolderSummary:
         """Summarise a folder from its manifest, or else from the footers of its files.
 
-        ``manifest`` is one that will be written there, ``place`` the opened folder if it has none. Raises
+        ``manifest`` is one that will be written there, ``source`` the opened folder if it has none. Raises
         InputError when the folder holds no Parquet files, and IntegrityError when one is missing or damaged.
         """
         manifest = manifest or store.manifest_so_far(folder)
         if manifest is None:
-            held = (place or folder_place(folder)).all_shards()
+            held = (source or folder_place(folder)).all_shards()
             splits = [_measured(folder, split, shards) for split, shards in held.items()]
         else:
             splits = [_recorded(folder, split, manifest.shards_of(split)) for split in manifest.splits]
@@ -102,9 +102,11 @@ class FolderSummary:
 
 def _recorded(folder: store.DataFolder, split: str, records: Sequence[ShardRecord]) -> SplitFiles:
     """Return the files of a split and their sizes as a manifest states them."""
-    paths = tuple(each.file for each in records)
-    shards = (read.Shard(folder.address(path), each.rows) for path, each in zip(paths, records, strict=True))
-    sizes = ((each.rows, each.bytes, each.unpacked_bytes) for each in records)
+    paths = tuple(record.file for record in records)
+    shards = (
+        read.Shard(folder.address(path), record.rows) for path, record in zip(paths, records, strict=True)
+    )
+    sizes = ((record.rows, record.bytes, record.unpacked_bytes) for record in records)
     return SplitFiles(split, tuple(shards), paths, *map(sum, zip(*sizes, strict=True)))
 
 
@@ -129,11 +131,11 @@ def viewer_files(manifest: store.Manifest | None) -> dict[str, tuple[str, ...]]:
         return {}
     listed = [path for path in manifest.files if path.startswith(f"{VIEWER_FOLDER}/")]
     names = sorted(filter(None, (store.ShardName.parse(PurePosixPath(path).name) for path in listed)))
-    found: dict[str, tuple[str, ...]] = {}
+    files: dict[str, tuple[str, ...]] = {}
     for split in manifest.splits:
         if paths := tuple(f"{VIEWER_FOLDER}/{name}.parquet" for name in names if name.split == split):
-            found[split] = paths
-    return found
+            files[split] = paths
+    return files
 
 
 def card_head(facts: FolderSummary, **fields: JsonValue) -> JsonDict:
@@ -165,14 +167,14 @@ def configs(facts: FolderSummary, others: Sequence[str] = ()) -> list[JsonDict]:
     folders = {"default": (DATA_FOLDER, {split.split: split.paths for split in facts.splits})}
     if facts.viewer:
         folders[VIEWER_FOLDER] = (VIEWER_FOLDER, dict(facts.viewer))
-    found = []
+    entries = []
     for name, (folder, paths) in folders.items():
-        there = [*others, *(path for each in paths.values() for path in each)]
+        there = [*others, *(path for own_paths in paths.values() for path in own_paths)]
         files = [
             {"split": split, "path": _path_of(split, folder, own, there)} for split, own in paths.items()
         ]
-        found.append({"config_name": name, "data_files": files})
-    return found
+        entries.append({"config_name": name, "data_files": files})
+    return entries
 
 
 def _path_of(split: str, folder: str, paths: Sequence[str], there: Sequence[str]) -> str | list[str]:
@@ -270,19 +272,21 @@ def _statements(head: JsonObject, files: Sequence[str]) -> dict[str, JsonValue]:
     """Return the statements of a head by subject; patterns are replaced by the ``files`` that they match."""
     info = head["dataset_info"]
     # Without sizes in memory, which may be estimates.
-    found = {"download_size": info["download_size"], "size_categories": head["size_categories"]}
+    statements = {"download_size": info["download_size"], "size_categories": head["size_categories"]}
     for config in head["configs"]:
         for entry in config["data_files"]:
             patterns = [entry["path"]] if isinstance(entry["path"], str) else entry["path"]
             matches = sorted({path for pattern in patterns for path in fnmatch.filter(files, pattern)})
             split = _abridged(entry["split"])
             name = _abridged(config["config_name"])
-            found[f"files of split {split} in configuration {name}"] = matches
+            statements[f"files of split {split} in configuration {name}"] = matches
     for split in info["splits"]:
-        found[f"num_examples of split {_abridged(split['name'])}"] = split["num_examples"]
+        statements[f"num_examples of split {_abridged(split['name'])}"] = split["num_examples"]
     for column in info["features"]:
-        found[f"column {_abridged(column['name'])}"] = {key: column[key] for key in column if key != "name"}
-    return found
+        statements[f"column {_abridged(column['name'])}"] = {
+            key: column[key] for key in column if key != "name"
+        }
+    return statements
 
 
 def _abridged(value: object) -> str:

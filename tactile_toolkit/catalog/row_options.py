@@ -34,35 +34,35 @@ def _as_id(word: str) -> GivenId:
         low, high = id_range(word)
     except InputError:
         return word
-    given: GivenId = low
+    choice: GivenId = low
     if "-" in word[1:]:
-        given = (low, high)
+        choice = (low, high)
     # 007 is the number 7, but a different text.
-    if id_text(given) == word:
-        return given
+    if id_text(choice) == word:
+        return choice
     return word
 
 
-def id_range(given: GivenId) -> tuple[int, int]:
+def id_range(choice: GivenId) -> tuple[int, int]:
     """Return the first and the last number of a given id; InputError for other text."""
-    if not isinstance(given, str):
-        if isinstance(given, tuple):
-            return given
-        return (given, given)
-    match = _IDS.fullmatch(given)
+    if not isinstance(choice, str):
+        if isinstance(choice, tuple):
+            return choice
+        return (choice, choice)
+    match = _IDS.fullmatch(choice)
     if match is None or int(match[2] or match[1]) < int(match[1]):
         raise InputError(
-            f"has {given!r}, and these ids are numbers; expected numbers and ranges such as 3,17,40-60",
+            f"has {choice!r}, and these ids are numbers; expected numbers and ranges such as 3,17,40-60",
             field="ids",
         )
     return int(match[1]), int(match[2] or match[1])
 
 
-def id_text(given: GivenId) -> str:
+def id_text(choice: GivenId) -> str:
     """Return a given id as text: where ids are texts, ``2024-01`` is not a range."""
-    if isinstance(given, tuple):
-        return "-".join(map(str, given))
-    return str(given)
+    if isinstance(choice, tuple):
+        return "-".join(map(str, choice))
+    return str(choice)
 
 
 # Each is the default of all parameters and fields of its name: `dataclasses` notes the name in it.
@@ -96,7 +96,7 @@ class RowFilter:
 
     def given(self) -> JsonDict:
         """Return the options by name; the split ``all`` becomes None."""
-        named = {each.name: getattr(self, each.name) for each in fields(RowFilter)}
+        named = {option.name: getattr(self, option.name) for option in fields(RowFilter)}
         return {**named, "split": None if self.split == "all" else self.split}
 
 

@@ -28,20 +28,20 @@ T = TypeVar("T")
 
 
 def open_splits(
-    place: places.Place, split: str | None, load: Callable[[places.Place, str], D], item_nouns: str
+    source: places.Place, split: str | None, load: Callable[[places.Place, str], D], item_nouns: str
 ) -> dict[str, D]:
     """Open one split of a data set, or all of them; those without rows are left out.
 
     ``load`` opens a split; ``item_nouns`` says in messages what the rows are, such as ``"digits"``. Raises
     InputError if the split does not exist or is empty, IntegrityError if it is not finished.
     """
-    place.require_complete(split)
-    chosen = place.chosen_splits(split)
-    opened = {each: load(place, each) for each in chosen}
-    filled = {each: rows for each, rows in opened.items() if len(rows)}
+    source.require_complete(split)
+    chosen = source.chosen_splits(split)
+    opened = {name: load(source, name) for name in chosen}
+    filled = {name: rows for name, rows in opened.items() if len(rows)}
     if not filled:
         raise InputError(
-            f"{', '.join(chosen)} of {place.name!r}: no {item_nouns}",
+            f"{', '.join(chosen)} of {source.name!r}: no {item_nouns}",
             next="generate some, or choose another split",
         )
     return filled
@@ -63,30 +63,30 @@ def choose_rows(
     Raises InputError if an id, a range or a class matches no row, or no row is left.
     """
     asked = list(ids or ())
-    seen = np.zeros(len(asked), bool)
-    found = []
+    is_met = np.zeros(len(asked), bool)
+    choices = []
     for split, rows in datasets:
-        wanted = np.ones(len(rows), bool)
+        is_chosen = np.ones(len(rows), bool)
         if ids is not None:
             inside = np.zeros((len(asked), len(rows)), bool)
-            for number, each in enumerate(asked):
-                inside[number] = _with_id(rows, each)
-            wanted = np.any(inside, axis=0)
-            seen = seen | np.any(inside, axis=1)
+            for number, asked_id in enumerate(asked):
+                inside[number] = _with_id(rows, asked_id)
+            is_chosen = np.any(inside, axis=0)
+            is_met = is_met | np.any(inside, axis=1)
         if labels is not None:
             classes = list(rows.label_names)
             unknown = [label for label in labels if label not in classes]
             if unknown:
                 known = ", ".join(classes) or "none: it has no labels"
                 raise InputError(f"no class {unknown[0]!r} in split {split!r}; expected one of {known}")
-            wanted &= np.isin(rows.labels, [classes.index(label) for label in labels])
-        chosen = np.flatnonzero(wanted)
+            is_chosen &= np.isin(rows.labels, [classes.index(label) for label in labels])
+        chosen = np.flatnonzero(is_chosen)
         if per_class is not None:
             kinds = rows.labels[chosen]
             kept = [chosen[kinds == label][:per_class] for label in np.unique(kinds)]
             chosen = np.sort(np.concatenate([chosen[:0], *kept]))
-        found.append((split, rows, chosen[:limit]))
-    absent = [asked[index] for index in np.flatnonzero(~seen)]
+        choices.append((split, rows, chosen[:limit]))
+    absent = [asked[index] for index in np.flatnonzero(~is_met)]
     if absent:
         what = f"id {id_text(absent[0])}"
         if isinstance(absent[0], tuple) and absent[0][0] != absent[0][1]:
@@ -95,21 +95,21 @@ def choose_rows(
             f"no object with {what} in what was chosen",
             next="check the ids of the split, or name another --split",
         )
-    if not any(len(chosen) for _, _, chosen in found):
+    if not any(len(chosen) for _, _, chosen in choices):
         raise InputError(
             "no object is chosen; expected rows of the split with the ids and classes that were asked for"
         )
-    return found
+    return choices
 
 
-def _with_id(rows: Any, given: GivenId) -> Bool:
+def _with_id(rows: Any, choice: GivenId) -> Bool:
     """Return a mask of the rows with a given id, or one in a given range: of the object, or of the row."""
     values = rows.object_ids
-    if isinstance(given, str) and rows.ids.dtype.kind not in "iuf":
+    if isinstance(choice, str) and rows.ids.dtype.kind not in "iuf":
         values = rows.ids
     if values.dtype.kind not in "iuf":
-        return np.asarray(values == id_text(given), bool)
-    low, high = id_range(given)
+        return np.asarray(values == id_text(choice), bool)
+    low, high = id_range(choice)
     return np.asarray((values >= low) & (values <= high))
 
 
@@ -117,14 +117,14 @@ def _with_id(rows: Any, given: GivenId) -> Bool:
 class CheckedRow(Generic[T]):
     """The result of the check of one row, with its number in the file, and its id if it has one.
 
-    ``found`` is the result, or None if ``null_field`` is null.
+    ``result`` is None if ``null_field`` is null.
     """
 
     split: str
     file: str
     row: int
     id: int | None
-    found: T | None
+    result: T | None
     null_field: str = ""
 
 
@@ -136,10 +136,14 @@ def shards_to_check(
     Raises InputError if there is none, IntegrityError if a shard is damaged or missing, or if the data set is
     unfinished: a check of the rest must not look like one of all.
     """
-    place = places.open_place(name).require(kind, f"{kind.package} validate").require_complete(split)
-    shards = [(each, shard) for each in place.chosen_splits(split) for shard in place.shards(each, kind=kind)]
+    source = places.open_place(name).require(kind, f"{kind.package} validate").require_complete(split)
+    shards = [
+        (split_name, shard)
+        for split_name in source.chosen_splits(split)
+        for shard in source.shards(split_name, kind=kind)
+    ]
     for _, shard in shards:
-        mesh.require_mesh_columns(shard.schema, place.name, kind.made_by)
+        mesh.require_mesh_columns(shard.schema, source.name, kind.made_by)
     return shards
 
 
@@ -178,9 +182,9 @@ def check_rows(
     total = sum(part.rows for part in parts)
     done = 0
     results: dict[int, list[CheckedRow[T]]] = {}
-    for number, found in run.runner_for(workers).run(partial(_check_part, check, tuple(columns)), parts):
-        results[number] = found
-        done += len(found)
+    for number, checked in run.runner_for(workers).run(partial(_check_part, check, tuple(columns)), parts):
+        results[number] = checked
+        done += len(checked)
         on_progress(done, total)
     return [row for number in sorted(results) for row in results[number]]
 
@@ -196,23 +200,23 @@ def _check_part(
         for index, row_id in enumerate(block.table["id"].to_pylist()[: part.rows - len(checked)]):
             # In data sets of others an id may be null, or a text.
             known_id = read.whole_number(row_id)
-            found = None if index in nulls else check(read.Row(block, index))
+            result = None if index in nulls else check(read.Row(block, index))
             row = block.first_row + index
             null_field = nulls.get(index, "")
-            checked.append(CheckedRow(part.split, file, row, known_id, found, null_field))
+            checked.append(CheckedRow(part.split, file, row, known_id, result, null_field))
         if len(checked) == part.rows:
             break
     return part.number, checked
 
 
 @contextmanager
-def specification_read(where: str) -> Iterator[None]:
+def specification_read(address: str) -> Iterator[None]:
     """Raise IntegrityError for a manifest whose specification has an unexpected form."""
     try:
         yield
     except (KeyError, TypeError, AttributeError) as error:
         problem = f"its specification is not that of this kind of data set ({type(error).__name__}: {error})"
-        raise damaged_error(where, problem) from error
+        raise damaged_error(address, problem) from error
 
 
 def manifest_beside(path: str) -> store.Manifest | None:

@@ -35,20 +35,20 @@ class Quantity:
         is_known = unit in _PER_METRE or unit in _PER_RADIAN or unit in _PER_SECOND
         return unit if "_" in name and is_known else None
 
-    def divisor(self, column: str, given: str | None = None) -> float:
+    def divisor(self, column: str, unit: str | None = None) -> float:
         """Return the number of units of a column in a metre, radian or second.
 
-        The name of the column states the unit, or ``given`` does; else it is metre, radian or second.
+        The name of the column states the unit, or ``unit`` does; else it is metre, radian or second.
         InputError: both state one and differ, or the column states the unit of another quantity.
         """
         stated = self.stated_unit(column)
-        if stated and (stated not in self.per_unit or (given and stated != given)):
-            expected = f"{given}, as {self.option} states" if given else self.name
+        if stated and (stated not in self.per_unit or (unit and stated != unit)):
+            expected = f"{unit}, as {self.option} states" if unit else self.name
             raise InputError(
                 f"the column {column!r} states {stated} in its name; expected {expected}",
                 next="rename the column, or name another one",
             )
-        return self.per_unit.get(stated or given or "", 1.0)
+        return self.per_unit.get(stated or unit or "", 1.0)
 
 
 Quantity.LENGTH = Quantity("a length", "--length-unit", _PER_METRE)

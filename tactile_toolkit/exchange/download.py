@@ -320,7 +320,7 @@ def _fitted_card(plan: DownloadPlan, folder: store.DataFolder, is_part: bool, ca
     # ``datasets.load_dataset(folder)`` fails if the head names a split that is not in the folder.
     files = {split: plan.place.files[split] for split in plan.splits}
     here = yaml_head.card_head(
-        cards.FolderSummary.of(folder, place=places.Place(folder.address(), folder, files))
+        cards.FolderSummary.of(folder, source=places.Place(folder.address(), folder, files))
     )
     note = ""
     if is_part:

@@ -114,10 +114,10 @@ def build_site(
         draft = draft_of(path / PAGE_FILE)
         files.bytes += draft.write_bytes(_page_of(named))
         draft.replace(path / PAGE_FILE)
-        for each in set(former) - {named}:
-            retired = each.rename(draft_of(each))
-            if _name_of(retired) != each.name:  # a file was added meanwhile
-                retired.rename(each)
+        for former_folder in set(former) - {named}:
+            retired = former_folder.rename(draft_of(former_folder))
+            if _name_of(retired) != former_folder.name:  # a file was added meanwhile
+                retired.rename(former_folder)
     return Site(str(path), len(items), files.count + 1, files.bytes, dict(gallery.splits), is_replaced)
 
 
@@ -131,9 +131,9 @@ class _Files:
     def write(self, name: str, content: str | bytes) -> None:
         """Write a file, in a folder that is created if needed."""
         data = content.encode() if isinstance(content, str) else content
-        place = self.folder / name
-        place.parent.mkdir(exist_ok=True)
-        self.bytes += place.write_bytes(data)
+        path = self.folder / name
+        path.parent.mkdir(exist_ok=True)
+        self.bytes += path.write_bytes(data)
         self.count += 1
 
 
@@ -223,14 +223,14 @@ def _site_folder(gallery: Gallery, out: str, *, overwrite: bool = False) -> Path
     path = Path(os.path.realpath(local_folder_path(out)))
     if path.is_dir():
         _former_folders(path, overwrite=overwrite)
-    one, many = gallery.nouns
+    noun, nouns = gallery.nouns
     if gallery.size == 0:
         raise InputError(
-            f"there is no {one} to show", next="choose another --split, or a data set that holds some"
+            f"there is no {noun} to show", next="choose another --split, or a data set that holds some"
         )
     if gallery.size > MAX_ITEMS:
         raise InputError(
-            f"the gallery would show {gallery.size:,} {many}; expected at most {MAX_ITEMS:,}; nothing was "
+            f"the gallery would show {gallery.size:,} {nouns}; expected at most {MAX_ITEMS:,}; nothing was "
             "written",
             next="choose fewer with --limit, --split or --per-class",
         )
@@ -293,16 +293,16 @@ def index_of(gallery: Gallery, items: Sequence[GalleryItem]) -> dict[str, object
         "version": __version__,
         "ids": [item.id for item in items],
         "titles": [item.title for item in items],
-        "facets": [_facet(each, items) for each in gallery.columns if each.role == "facet"],
-        "measures": [_measure(each, items) for each in gallery.columns if each.role == "measure"],
+        "facets": [_facet(column, items) for column in gallery.columns if column.role == "facet"],
+        "measures": [_measure(column, items) for column in gallery.columns if column.role == "measure"],
     }
 
 
 def _facet(column: Column, items: Sequence[GalleryItem]) -> dict[str, object]:
     rows = [_words(item.values[column.name]) if column.name in item.values else () for item in items]
-    found = {value for row in rows for value in row}
-    known = [value for value in column.values if value in found]
-    values = known + sorted(found.difference(known), key=wording.natural_key)
+    occurring = {value for row in rows for value in row}
+    known = [value for value in column.values if value in occurring]
+    values = known + sorted(occurring.difference(known), key=wording.natural_key)
     numbers = {value: number for number, value in enumerate(values)}
     chosen = [[numbers[value] for value in row] for row in rows]
     return {"title": column.title, "values": values, "rows": chosen}

@@ -47,9 +47,9 @@ def connected(ends: Int64, others: Int64, count: int) -> Int64:
 
 
 @part
-def row_of(array: Float64, place: int) -> Vector:
+def row_of(array: Float64, row: int) -> Vector:
     """Return a row of an array, shape (N, 3)."""
-    return array[place, 0], array[place, 1], array[place, 2]
+    return array[row, 0], array[row, 1], array[row, 2]
 
 
 @part
@@ -145,11 +145,11 @@ def _tree(numbered: Int64, low: Float64, high: Float64, waiting: Int64, boxes: F
         while top and waiting[1, top - 1] < bits:
             top -= 1
             last -= 1
-            other = waiting[0, top]
-            held[last, 0], held[last, 1] = other, node
+            left = waiting[0, top]
+            held[last, 0], held[last, 1] = left, node
             for axis in range(columns):
-                boxes[last, 0, axis] = min(boxes[other, 0, axis], boxes[node, 0, axis])
-                boxes[last, 1, axis] = max(boxes[other, 1, axis], boxes[node, 1, axis])
+                boxes[last, 0, axis] = min(boxes[left, 0, axis], boxes[node, 0, axis])
+                boxes[last, 1, axis] = max(boxes[left, 1, axis], boxes[node, 1, axis])
             node = last
         waiting[0, top], waiting[1, top] = node, bits
         top += 1
@@ -167,16 +167,16 @@ def _meeting(
     columns = boxes.shape[2]
     while top and count < len(pairs):
         top -= 1
-        one, other = stack[top, 0], stack[top, 1]
-        if one >= things and other >= things:
-            if one != other:
-                pairs[count, 0], pairs[count, 1] = numbered[one - things], numbered[other - things]
+        node, partner = stack[top, 0], stack[top, 1]
+        if node >= things and partner >= things:
+            if node != partner:
+                pairs[count, 0], pairs[count, 1] = numbered[node - things], numbered[partner - things]
                 count += 1
             continue
-        for first in range(2 if one < things else 1):
-            for second in range(first if one == other else 0, 2 if other < things else 1):
-                left = held[one, first]
-                right = held[other, second]
+        for first in range(2 if node < things else 1):
+            for second in range(first if node == partner else 0, 2 if partner < things else 1):
+                left = held[node, first]
+                right = held[partner, second]
                 meet = True
                 for axis in range(columns):
                     meet &= boxes[left, 0, axis] <= boxes[right, 1, axis]
@@ -190,13 +190,13 @@ def _meeting(
 @planned("(int64[::1], int64[::1], int64[::1])")
 def _connect(ends: Int64, others: Int64, least: Int64) -> None:
     for pair in range(len(ends)):
-        one, other = ends[pair], others[pair]
-        while least[one] < one:
-            least[one] = least[least[one]]
-            one = least[one]
-        while least[other] < other:
-            least[other] = least[least[other]]
-            other = least[other]
-        least[max(one, other)] = min(one, other)
+        root, end_root = ends[pair], others[pair]
+        while least[root] < root:
+            least[root] = least[least[root]]
+            root = least[root]
+        while least[end_root] < end_root:
+            least[end_root] = least[least[end_root]]
+            end_root = least[end_root]
+        least[max(root, end_root)] = min(root, end_root)
     for thing in range(len(least)):
         least[thing] = least[least[thing]]

@@ -63,9 +63,9 @@ def self_crossing(vertices_mm: Float64, faces: Int64, bodies: int = 1) -> Float6
     body = connected(faces.ravel(), np.roll(faces, -1, axis=1).ravel(), len(vertices_mm))[faces[:, 0]]
     for number in np.unique(body[suspects]):
         own = np.flatnonzero(body == number)
-        place = _crossing_among(vertices_mm, faces[own], np.flatnonzero(np.isin(own, suspects)))
-        if place is not None:
-            return place
+        point_mm = _crossing_among(vertices_mm, faces[own], np.flatnonzero(np.isin(own, suspects)))
+        if point_mm is not None:
+            return point_mm
     return None
 
 
@@ -101,16 +101,16 @@ def _rim_is_simple(points: Float64, edges: Int64) -> bool:
     if np.bincount(start, minlength=1).max() > 1:
         return False  # lines that share a corner
     p, q = points[start], points[end]
-    one, other = near_pairs(np.stack([p, q], axis=1), 0.0)
-    a = p[one]
-    b = q[one]
-    c = p[other]
-    d = q[other]
+    first, second = near_pairs(np.stack([p, q], axis=1), 0.0)
+    a = p[first]
+    b = q[first]
+    c = p[second]
+    d = q[second]
     turn_c, turn_d = _turn(a, b, c), _turn(a, b, d)
     # Edges cross unless one of them has both ends of the other on one side.
     apart = (turn_c * turn_d > 0) | (_turn(c, d, a) * _turn(c, d, b) > 0)
     # Neighbours share a corner; otherwise they are apart unless one runs back along the other.
-    joined = (start[one] == end[other]) | (end[one] == start[other])
+    joined = (start[first] == end[second]) | (end[first] == start[second])
     onwards = ((b - a) * (d - c)).sum(axis=1) > 0
     if not np.where(joined, (turn_c != 0) | (turn_d != 0) | onwards, apart).all():
         return False
@@ -148,29 +148,29 @@ def _crossing_among(vertices_mm: Float64, faces: Int64, suspects: Int64) -> Floa
     normal = normal[wide] / doubled[wide, None]
     pairs = near_pairs(vertices_mm[triangles], tolerance)
     points = np.ascontiguousarray(vertices_mm, dtype=np.float64)
-    certain, places = passages(points, triangles, normal, pairs, tolerance)
+    certain, points_mm = passages(points, triangles, normal, pairs, tolerance)
     if certain:
-        return np.asarray(places[0])
-    chosen = np.linspace(0, len(places) - 1, min(len(places), _DOUBTS_TRIED)).astype(np.int64)
-    for place in places[chosen]:
-        winding = _winding_numbers(vertices_mm, faces, place + _ASIDE * tolerance * _DIRECTIONS)
+        return np.asarray(points_mm[0])
+    chosen = np.linspace(0, len(points_mm) - 1, min(len(points_mm), _DOUBTS_TRIED)).astype(np.int64)
+    for point_mm in points_mm[chosen]:
+        winding = _winding_numbers(vertices_mm, faces, point_mm + _ASIDE * tolerance * _DIRECTIONS)
         # Off the surface these are integers, 1 inside and 0 outside; the quarter allows for rounding.
         if ((winding > 1.25) | (winding < -0.25)).any():
-            return np.asarray(place)
+            return np.asarray(point_mm)
     return None
 
 
 def _winding_numbers(vertices_mm: Float64, faces: Int64, points_mm: Float64) -> Float64:
     """Return winding numbers of a surface, from solid angles (Van Oosterom and Strackee 1983)."""
-    found = np.empty(len(points_mm))
+    windings = np.empty(len(points_mm))
     for index, point in enumerate(points_mm):
         away = vertices_mm - point
         far = np.sqrt((away * away).sum(axis=1))
         (a, b, c), (la, lb, lc) = away[faces.T], far[faces.T]
         volume = (a * np.cross(b, c)).sum(axis=1)
         base = la * lb * lc + (a * b).sum(axis=1) * lc + (b * c).sum(axis=1) * la + (c * a).sum(axis=1) * lb
-        found[index] = np.arctan2(volume, base).sum() / (2 * np.pi)
-    return found
+        windings[index] = np.arctan2(volume, base).sum() / (2 * np.pi)
+    return windings
 
 
 def halves(points: Float64, faces: Int64, level: float) -> tuple[bool, Int64, Int64]:
@@ -230,19 +230,19 @@ def _passages(
     """Write the places; a certain one is the last."""
     count = 0
     for pair in range(pairs.shape[1]):
-        one, other = pairs[0, pair], pairs[1, pair]
+        first, second = pairs[0, pair], pairs[1, pair]
         # The normals are opposite within 8 degrees, as at folds and at thin edges, which differ by their gap.
-        opposed = dot(row_of(normal, one), row_of(normal, other)) < -0.99
+        opposed = dot(row_of(normal, first), row_of(normal, second)) < -0.99
         for k in range(6):
-            target, passing = (one, other) if k < 3 else (other, one)
+            target, passing = (first, second) if k < 3 else (second, first)
             into = row_of(normal, target)
-            found, place = _passage(points, triangles, into, target, passing, k % 3, tolerance)
+            certainty, crossing = _passage(points, triangles, into, target, passing, k % 3, tolerance)
             if opposed and _is_fold(points, triangles, target, passing, k % 3, tolerance):
-                found = 2
-            if found:
-                doubtful[count, 0], doubtful[count, 1], doubtful[count, 2] = place
+                certainty = 2
+            if certainty:
+                doubtful[count, 0], doubtful[count, 1], doubtful[count, 2] = crossing
                 count += 1
-            if found == 2:
+            if certainty == 2:
                 return True, count
     return False, count
 
@@ -261,7 +261,7 @@ def _passage(
     if min(at_p, at_q) > tolerance or max(at_p, at_q) < -tolerance:
         return 0, p
     share = 0.5 if at_p == at_q else min(max(at_p / (at_p - at_q), 0.0), 1.0)
-    place = p[0] + share * (q[0] - p[0]), p[1] + share * (q[1] - p[1]), p[2] + share * (q[2] - p[2])
+    crossing = p[0] + share * (q[0] - p[0]), p[1] + share * (q[1] - p[1]), p[2] + share * (q[2] - p[2])
     inside = np.inf
     for side in range(3):
         corner = triangles[target, side]
@@ -270,22 +270,22 @@ def _passage(
         here = row_of(points, corner)
         along = sub(corner_of(points, triangles, target, (side + 1) % 3), here)
         inward = cross(into, along)
-        inside = min(inside, dot(sub(place, here), inward) / math.sqrt(dot(along, along)))
+        inside = min(inside, dot(sub(crossing, here), inward) / math.sqrt(dot(along, along)))
     through = min(at_p, at_q) < -tolerance and max(at_p, at_q) > tolerance
-    return (0 if inside < -tolerance else 2 if through and inside > tolerance else 1), place
+    return (0 if inside < -tolerance else 2 if through and inside > tolerance else 1), crossing
 
 
 @part
-def _is_fold(points: Float64, triangles: Int64, one: int, other: int, k: int, tolerance: float) -> bool:
+def _is_fold(points: Float64, triangles: Int64, face: int, neighbour: int, k: int, tolerance: float) -> bool:
     """Return whether triangles that share edge k of the first are folded onto each other."""
-    start = triangles[one, k]
-    end = triangles[one, (k + 1) % 3]
+    start = triangles[face, k]
+    end = triangles[face, (k + 1) % 3]
     p = row_of(points, start)
     shared = 0
-    apex = corner_of(points, triangles, one, (k + 2) % 3)
+    apex = corner_of(points, triangles, face, (k + 2) % 3)
     far = p
-    for place in range(3):
-        corner = triangles[other, place]
+    for side in range(3):
+        corner = triangles[neighbour, side]
         if corner in (start, end):
             shared += 1
         else:

@@ -79,7 +79,7 @@ class MeshFile:
     label: int = 0
 
     @classmethod
-    def find(cls, place: str | PathLike[str], unit: str | None = None) -> MeshFiles | None:
+    def find(cls, path: str | PathLike[str], unit: str | None = None) -> MeshFiles | None:
         """List a mesh file, or a folder of them; None for a data set, or if there are none.
 
         Sub-folders called ``train`` and ``test`` are splits. Other sub-folders are classes; a file outside
@@ -87,7 +87,7 @@ class MeshFile:
         if there is no such unit, or if there are files next to classes, or files or classes next to splits.
         """
         mesh_options.require_unit(unit)
-        root = store.expanded(fspath(place))
+        root = store.expanded(fspath(path))
         with readable(str(root)):
             if not store.path_exists(root):
                 return None
@@ -102,8 +102,8 @@ class MeshFile:
         """Ending of the name, in lower case; InputError for an unknown one."""
         ending = self.path.suffix.lower()
         if ending not in self.FORMATS:
-            found = f"files ending in {ending!r}" if ending else "files without an ending"
-            raise InputError(f"{self.path}: {found} are not known; expected one of {', '.join(self.FORMATS)}")
+            files = f"files ending in {ending!r}" if ending else "files without an ending"
+            raise InputError(f"{self.path}: {files} are not known; expected one of {', '.join(self.FORMATS)}")
         return ending
 
     @property
@@ -288,7 +288,7 @@ def _in_folder(root: Path, unit: str | None) -> MeshFiles | None:
         return None  # a data set
     here = _classes_of(root, besides=_SPLITS)
     splits = {name: _classes_of(root / name) for name in _SPLITS if (root / name).is_dir()}
-    splits = {name: found for name, found in splits.items() if found}
+    splits = {name: names_by_file for name, names_by_file in splits.items() if names_by_file}
     if splits and here:
         raise InputError(
             f"{str(root)!r} holds {next(iter(here)).relative_to(root).as_posix()} next to the splits "
@@ -296,14 +296,14 @@ def _in_folder(root: Path, unit: str | None) -> MeshFiles | None:
             next="put it into the folder of a split",
         )
     splits = splits or {"": here}
-    names = list(dict.fromkeys(name for found in splits.values() for name in found.values()))
+    names = list(dict.fromkeys(name for names_by_file in splits.values() for name in names_by_file.values()))
     if not names:
         return None
     if len(splits) > 1:
         names.sort(key=wording.natural_key)
     files = {
-        split: tuple(MeshFile(path, unit, root, names.index(name)) for path, name in found.items())
-        for split, found in splits.items()
+        split: tuple(MeshFile(path, unit, root, names.index(name)) for path, name in names_by_file.items())
+        for split, names_by_file in splits.items()
     }
     return MeshFiles(files, tuple(names))
 
@@ -311,7 +311,7 @@ def _in_folder(root: Path, unit: str | None) -> MeshFiles | None:
 def _classes_of(root: Path, besides: tuple[str, ...] = ()) -> dict[Path, str]:
     """Return the class of each mesh file of a folder, in order."""
     loose = _files_in(root)
-    folders = (each.name for each in root.iterdir() if each.is_dir() and not store.is_hidden(each.name))
+    folders = (entry.name for entry in root.iterdir() if entry.is_dir() and not store.is_hidden(entry.name))
     names = sorted((name for name in folders if name not in besides), key=wording.natural_key)
     in_folders = {file: name for name in names for file in _files_in(root / name)}
     if loose and in_folders:
@@ -325,18 +325,18 @@ def _classes_of(root: Path, besides: tuple[str, ...] = ()) -> dict[Path, str]:
 
 def _files_in(folder: Path) -> list[Path]:
     """Return the mesh files of a folder; a warning names meshes of formats that are not read."""
-    found = list(_sorted_by_name(folder, MeshFile.FORMATS))
+    meshes = list(_sorted_by_name(folder, MeshFile.FORMATS))
     # A drawing may lie next to the mesh that was made from it.
-    known = {file.stem for file in found}
-    others = [each for each in _sorted_by_name(folder, _OTHER_FORMATS) if each.stem not in known]
-    if found:
+    known = {file.stem for file in meshes}
+    others = [file for file in _sorted_by_name(folder, _OTHER_FORMATS) if file.stem not in known]
+    if meshes:
         for file in others:
             _LOG.warning("%s: left out; expected one of %s", file, ", ".join(MeshFile.FORMATS))
-    return found
+    return meshes
 
 
 def _sorted_by_name(folder: Path, endings: tuple[str, ...]) -> Iterator[Path]:
     # Hidden files may be incomplete. In natural order, so that numbers are the same on every machine.
-    for file in sorted(folder.iterdir(), key=lambda each: wording.natural_key(each.name)):
+    for file in sorted(folder.iterdir(), key=lambda path: wording.natural_key(path.name)):
         if file.suffix.lower() in endings and not (store.is_hidden(file.name) or file.is_dir()):
             yield file

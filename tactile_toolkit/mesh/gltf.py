@@ -93,13 +93,13 @@ class _Document:
             )
         roots = self._item("scenes", self._tree.get("scene", 0)).get("nodes", [])
         waiting = [(root, np.eye(4)) for root in reversed(roots)]
-        seen = set()
+        visited = set()
         while waiting:
             number, above = waiting.pop()
             node = self._item("nodes", number)
-            if number in seen:
+            if number in visited:
                 raise InputError(f"node {number} is placed twice, or in a circle")
-            seen.add(number)
+            visited.add(number)
             whole = above @ _matrix(node)
             waiting += [(child, whole) for child in reversed(node.get("children", []))]
             if "skin" in node or "EXT_mesh_gpu_instancing" in node.get("extensions", {}):
@@ -125,8 +125,8 @@ class _Document:
         if "indices" in primitive:
             corners = self._values(primitive["indices"], "SCALAR")[:, 0].astype(np.int64)
         if len(corners) and not 0 <= corners.min() <= corners.max() < len(vertices):
-            found = f"vertices {corners.min()} to {corners.max()}"
-            raise InputError(f"triangles name {found}, counted from 0; there are {len(vertices):,}")
+            named = f"vertices {corners.min()} to {corners.max()}"
+            raise InputError(f"triangles name {named}, counted from 0; there are {len(vertices):,}")
         mode = primitive.get("mode", _TRIANGLES)
         if mode == _TRIANGLES:
             if len(corners) % 3:
@@ -147,23 +147,23 @@ class _Document:
         count = accessor["count"]
         component = np.dtype(_COMPONENTS[accessor["componentType"]])
         if "bufferView" in accessor:
-            found = self._view(accessor, count, component, _WIDTHS[kind])
+            values = self._view(accessor, count, component, _WIDTHS[kind])
         elif "sparse" in accessor:
             cache.require_unpackable(
                 _WIDTHS[kind] * 8 * count, f"accessor of {count:,} values", self._file_bytes
             )
-            found = np.zeros((count, _WIDTHS[kind]), component)
+            values = np.zeros((count, _WIDTHS[kind]), component)
         else:
             raise InputError(f"accessor {number} has no data: an extension that is not supported holds them")
         if "sparse" in accessor:
             sparse = accessor["sparse"]
-            found = found.copy()
-            where = np.dtype(_COMPONENTS[sparse["indices"]["componentType"]])
-            rows = self._view(sparse["indices"], sparse["count"], where, 1)[:, 0]
-            found[rows] = self._view(sparse["values"], sparse["count"], component, _WIDTHS[kind])
+            values = values.copy()
+            index_type = np.dtype(_COMPONENTS[sparse["indices"]["componentType"]])
+            rows = self._view(sparse["indices"], sparse["count"], index_type, 1)[:, 0]
+            values[rows] = self._view(sparse["values"], sparse["count"], component, _WIDTHS[kind])
         if accessor.get("normalized") and component.kind != "f":
-            return np.maximum(found / np.iinfo(component).max, -1.0)
-        return found
+            return np.maximum(values / np.iinfo(component).max, -1.0)
+        return values
 
     def _view(self, at: JsonValue, count: int, component: AnyDtype, width: int) -> AnyArray:
         """Return values from a part of the binary chunk, shape (count, width)."""
@@ -187,22 +187,22 @@ class _Document:
 
 def _matrix(node: JsonValue) -> Float64:
     """Return the transform of a node, shape (4, 4), for column vectors."""
-    found = np.eye(4)
+    matrix = np.eye(4)
     if "matrix" in node:
-        found = np.array(node["matrix"], np.float64).reshape(4, 4).T
-        if _PARTS & node.keys() or (found[3] != (0, 0, 0, 1)).any():
+        matrix = np.array(node["matrix"], np.float64).reshape(4, 4).T
+        if _PARTS & node.keys() or (matrix[3] != (0, 0, 0, 1)).any():
             raise InputError("a node has a matrix that distorts, or both a matrix and parts of one")
-        return found
+        return matrix
     if "rotation" in node:
         length = math.hypot(*node["rotation"])
         if not abs(length - 1) <= _LENGTH_TOLERANCE:
             raise InputError(f"a node is turned by a quaternion of length {length:.4g}; expected length one")
         from scipy.spatial.transform import Rotation  # few files need it, and it takes 0.3 s to import
 
-        found[:3, :3] = Rotation.from_quat(node["rotation"]).as_matrix()
-    found[:3, :3] *= np.array(node.get("scale", (1, 1, 1)), np.float64)
-    found[:3, 3] = node.get("translation", (0, 0, 0))
-    return found
+        matrix[:3, :3] = Rotation.from_quat(node["rotation"]).as_matrix()
+    matrix[:3, :3] *= np.array(node.get("scale", (1, 1, 1)), np.float64)
+    matrix[:3, 3] = node.get("translation", (0, 0, 0))
+    return matrix
 
 
 def pack_glb(vertices: Float32, faces: Int32) -> bytes:

@@ -64,14 +64,14 @@ class Mesh:
             shapes = f"vertices {vertices.shape}, faces {faces.shape}"
             return "bad-shape", f"{shapes}; expected (V, 3) and (F, 3)"
         if not len(vertices) or not len(faces):
-            found = f"{with_count(len(vertices), 'vertices')} and {with_count(len(faces), 'faces')}"
-            return "empty", f"{found}; expected a closed surface"
+            problem = f"{with_count(len(vertices), 'vertices')} and {with_count(len(faces), 'faces')}"
+            return "empty", f"{problem}; expected a closed surface"
         if not np.isfinite(vertices).all():
             bad = int((~np.isfinite(vertices)).any(axis=1).sum())
             return "not-finite", f"{bad:,} of {len(vertices):,} vertices: NaN or infinite"
         if faces.min() < 0 or faces.max() >= len(vertices):
-            found = f"faces name vertices {faces.min()} to {faces.max()}"
-            return "index-out-of-range", f"{found}; there are 0 to {len(vertices) - 1}"
+            problem = f"faces name vertices {faces.min()} to {faces.max()}"
+            return "index-out-of-range", f"{problem}; there are 0 to {len(vertices) - 1}"
         return None
 
     @classmethod
@@ -274,5 +274,5 @@ def _is_closed(faces: Integers, count: int) -> bool:
     corners = np.ascontiguousarray(faces.T)
     following = [1, 2, 0]
     random = np.random.default_rng(0).integers(1 << 63, size=(2, count), dtype=np.uint64)
-    one, other = (numbers.take(corners) for numbers in random)
-    return bool((one * other[following]).sum() == (other * one[following]).sum())
+    starts, ends = (numbers.take(corners) for numbers in random)
+    return bool((starts * ends[following]).sum() == (ends * starts[following]).sum())

@@ -61,14 +61,16 @@ def require_likely_size(size_mm: float, unit: str | None, stated: str | None) ->
     read_as = stated or "mm"
     number = size_mm / MM_PER_UNIT[read_as]
     likely = min(UNITS, key=lambda name: abs(math.log(number * MM_PER_UNIT[name] / _USUAL_MM)))
-    found = f"the object, read in {read_as}, is {size_mm:.3g} mm long; expected {_MIN_MM:g} to {_MAX_MM:g} mm"
+    problem = (
+        f"the object, read in {read_as}, is {size_mm:.3g} mm long; expected {_MIN_MM:g} to {_MAX_MM:g} mm"
+    )
     meant = f"--unit {read_as} if it is meant to be so"
     if likely == read_as:
-        raise InputError(found, next=f"scale it, or give {meant}")
-    found += f"; it is probably in {likely}"
+        raise InputError(problem, next=f"scale it, or give {meant}")
+    problem += f"; it is probably in {likely}"
     if stated is not None:
-        raise InputError(f"{found}, but the file states {stated}", next=f"export it again, or give {meant}")
-    raise InputError(found, next=f"give --unit {likely} (in Python, unit={likely!r}), or {meant}")
+        raise InputError(f"{problem}, but the file states {stated}", next=f"export it again, or give {meant}")
+    raise InputError(problem, next=f"give --unit {likely} (in Python, unit={likely!r}), or {meant}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,6 +115,6 @@ class PrintProfile:
     def __post_init__(self) -> None:
         """Raise InputError for impossible values."""
         check_fields(self, "the print profile")
-        given: float | None = self.min_wall_mm
-        if given is None:
+        min_wall_mm: float | None = self.min_wall_mm
+        if min_wall_mm is None:
             object.__setattr__(self, "min_wall_mm", _LINES_OF_WALL * self.nozzle_mm)

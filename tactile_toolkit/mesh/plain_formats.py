@@ -73,7 +73,7 @@ def numbers_of(words: Sequence[str], kind: Callable[[str], _Number]) -> list[_Nu
     Python also accepts ``1_000`` and digits of other scripts, which mesh formats do not.
     """
     try:
-        found = list(map(kind, words))
+        numbers = list(map(kind, words))
         joined = "".join(words)
         if "_" in joined or not joined.isascii():
             raise ValueError
@@ -81,7 +81,7 @@ def numbers_of(words: Sequence[str], kind: Callable[[str], _Number]) -> list[_Nu
         wrong = next(word for word in words if not _is_number(word, kind))
         expected = "one such as -1.5 or 2e-3" if kind is float else "an integer"
         raise InputError(f"{wrong[:40]!r} is not a number; expected {expected}") from None
-    return found
+    return numbers
 
 
 def _is_number(word: str, kind: Callable[[str], _Number]) -> bool:
@@ -122,25 +122,25 @@ def cut_polygons(vertices: Float64, sizes: Int64, corners: Int64) -> Int32:
     if len(wrong):
         raise InputError(f"a face has {wrong[0]:,} corners; expected 3 to {_MAX_CORNERS:,}")
     starts = np.cumsum(sizes) - sizes
-    found = []
+    triangles = []
     for size in np.unique(sizes).tolist():
         polygons = corners[starts[sizes == size][:, None] + np.arange(size)]
-        found.append(polygons if size == 3 else _cut_equal(vertices, polygons))
-    return np.concatenate(found).astype(np.int32)
+        triangles.append(polygons if size == 3 else _cut_equal(vertices, polygons))
+    return np.concatenate(triangles).astype(np.int32)
 
 
 def _cut_equal(vertices: Float64, polygons: Int64) -> Int64:
     """Triangulate polygons with equal numbers of corners, shape (P, corners)."""
-    places = vertices[polygons]
-    places -= places[:, :1]
-    following = np.roll(places, -1, axis=1)
-    normal = np.cross(places, following).sum(axis=1)
+    points = vertices[polygons]
+    points -= points[:, :1]
+    following = np.roll(points, -1, axis=1)
+    normal = np.cross(points, following).sum(axis=1)
     # Projected along the axis closest to the normal; mirrored where the normal points against it.
     axis = np.abs(normal).argmax(axis=1)
     rows = np.arange(len(polygons))
     upwards = np.where(normal[rows, axis] < 0, -1.0, 1.0)
-    x = np.take_along_axis(places, ((axis + 1) % 3)[:, None, None], axis=2)[..., 0]
-    y = np.take_along_axis(places, ((axis + 2) % 3)[:, None, None], axis=2)[..., 0] * upwards[:, None]
+    x = np.take_along_axis(points, ((axis + 1) % 3)[:, None, None], axis=2)[..., 0]
+    y = np.take_along_axis(points, ((axis + 2) % 3)[:, None, None], axis=2)[..., 0] * upwards[:, None]
     flat = np.stack([x, y], axis=2)
     along = np.roll(flat, -1, axis=1) - flat
     onward = np.roll(along, -1, axis=1)
@@ -148,10 +148,10 @@ def _cut_equal(vertices: Float64, polygons: Int64) -> Int64:
     is_convex = (turns > 0).all(axis=1)
     middle = np.arange(1, polygons.shape[1] - 1)
     fan = np.stack([np.zeros_like(middle), middle, middle + 1], axis=1)
-    found = [polygons[is_convex][:, fan].reshape(-1, 3)]
+    triangles = [polygons[is_convex][:, fan].reshape(-1, 3)]
     cut: Callable[..., AnyArray] = manifold3d.triangulate
-    found += [polygons[row][np.asarray(cut([flat[row]]))] for row in np.flatnonzero(~is_convex).tolist()]
-    return np.concatenate(found)
+    triangles += [polygons[row][np.asarray(cut([flat[row]]))] for row in np.flatnonzero(~is_convex).tolist()]
+    return np.concatenate(triangles)
 
 
 def read_stl(data: bytes) -> Surface:
@@ -184,8 +184,8 @@ def _read_stl_text(text: str) -> Surface:
     lines = [line.strip() for part in (*others, text[end:]) if part.strip() for line in part.split("\n")]
     lines = [line for line in lines if line]
     if not lines or not _SOLID.match(lines[0]):
-        found = repr(lines[0][:40]) if lines else "nothing"
-        raise InputError(f"the file begins with {found}; expected 'solid' or a binary STL file")
+        beginning = repr(lines[0][:40]) if lines else "nothing"
+        raise InputError(f"the file begins with {beginning}; expected 'solid' or a binary STL file")
     if not _SOLID_END.match(lines[-1]):
         raise InputError("the text is cut short; expected one that ends with 'endsolid'")
     if unknown := [line for line in lines if not _SOLID.match(line)]:
@@ -203,13 +203,13 @@ def read_obj(data: bytes) -> Surface:
     text = _COMMENT.sub("", plain_text(data).replace("\\\n", " "))
     if free_form := _FREE_FORM.search(text):
         raise InputError(f"{free_form[1]!r} is a free-form surface; expected faces ('f')")
-    places = list[str]()
+    coordinates = list[str]()
     for line in _VERTEX_LINE.findall(text):
-        place = line.split(None, 3)[:3]
-        if len(place) < 3:
+        words = line.split(None, 3)[:3]
+        if len(words) < 3:
             raise InputError(f"{f'v {line}'[:40]!r} has fewer than three coordinates")
-        places += place
-    vertices = np.array(numbers_of(places, float)).reshape(-1, 3)
+        coordinates += words
+    vertices = np.array(numbers_of(coordinates, float)).reshape(-1, 3)
     faces = [_TEXTURE_AND_NORMAL.sub("", line) if "/" in line else line for line in _FACE_LINE.findall(text)]
     sizes = np.array([len(line.split()) for line in faces], np.int64)
     numbers = numbers_of(" ".join(faces).split(), int)
@@ -223,8 +223,10 @@ def read_obj(data: bytes) -> Surface:
 
 def _from_first(corners: Int64, sizes: Int64, text: str) -> Int64:
     """Convert vertex numbers that count back from the last vertex so far to numbers from the first."""
-    places, faces = ([line.start() for line in kind.finditer(text)] for kind in (_VERTEX_LINE, _FACE_LINE))
-    so_far = np.repeat(np.searchsorted(places, faces), sizes)
+    vertex_starts, face_starts = (
+        [line.start() for line in kind.finditer(text)] for kind in (_VERTEX_LINE, _FACE_LINE)
+    )
+    so_far = np.repeat(np.searchsorted(vertex_starts, face_starts), sizes)
     if (wrong := (corners == 0) | (corners < -so_far)).any():
         number, count = corners[wrong][0], so_far[wrong][0]
         raise InputError(f"a face names vertex {number} of {count:,} so far; expected 1, or -1 for the last")
@@ -262,17 +264,17 @@ def read_ply(data: bytes) -> Surface:
     if form == "ascii":
         # Text becomes eight-byte numbers and is then read as a binary file.
         body = array("d", numbers_of(body.decode(ANY_ENCODING).split(), float)).tobytes()
-    found: dict[str, dict[str, tuple[Int64, AnyArray]]] = {}
+    columns_of: dict[str, dict[str, tuple[Int64, AnyArray]]] = {}
     at = 0
     for element in elements:
-        found[element.name], at = _ply_rows(element, body, at)
+        columns_of[element.name], at = _ply_rows(element, body, at)
     if left := len(body) - at:
         raise InputError(f"{left:,} bytes follow the elements that the header states")
-    if "tristrips" in found:
+    if "tristrips" in columns_of:
         raise InputError("the file holds strips of triangles ('tristrips'); expected faces")
     try:
-        columns = [found["vertex"][axis][1] for axis in "xyz"]
-        sizes, corners = next(found["face"][name] for name in _CORNERS if name in found["face"])
+        columns = [columns_of["vertex"][axis][1] for axis in "xyz"]
+        sizes, corners = next(columns_of["face"][name] for name in _CORNERS if name in columns_of["face"])
     except (KeyError, StopIteration):
         raise InputError("the file has no vertices with x, y, z, or faces with 'vertex_indices'") from None
     vertices = np.stack(columns, axis=1).astype(np.float64)
@@ -317,27 +319,27 @@ def _ply_rows(element: _Element, body: bytes, at: int) -> tuple[dict[str, tuple[
     # First try whether all lists are as long as those of the first row, which is nearly always true.
     fields: list[tuple[str, np.dtype[np.generic]] | tuple[str, np.dtype[np.generic], tuple[int]]] = []
     end = at
-    for number, each in enumerate(element.properties):
+    for number, column in enumerate(element.properties):
         length = 1
-        if each.count is not None:
-            length = _length(element, each.name, each.count, body, end)
-            fields.append((f"count{number}", each.count))
-            end += each.count.itemsize
-        fields.append((f"values{number}", each.kind, (length,)))
-        end += length * each.kind.itemsize
+        if column.count is not None:
+            length = _length(element, column.name, column.count, body, end)
+            fields.append((f"count{number}", column.count))
+            end += column.count.itemsize
+        fields.append((f"values{number}", column.kind, (length,)))
+        end += length * column.kind.itemsize
     row = np.dtype(fields)
     if at + row.itemsize * element.rows <= len(body):
         table = np.frombuffer(body, row, element.rows, at)
         counts = [name for name in row.names or () if name.startswith("count")]
         if all((table[name] == table[name][0]).all() for name in counts):
-            found = {
-                each.name: (
+            columns = {
+                column.name: (
                     np.full(element.rows, row[f"values{number}"].shape[0], np.int64),
                     table[f"values{number}"].reshape(-1),
                 )
-                for number, each in enumerate(element.properties)
+                for number, column in enumerate(element.properties)
             }
-            return found, at + row.itemsize * element.rows
+            return columns, at + row.itemsize * element.rows
     return _ply_uneven_rows(element, body, at)
 
 
@@ -347,22 +349,22 @@ def _ply_uneven_rows(
     sizes: list[array[int]] = [array("q") for _ in element.properties]
     parts: list[list[bytes]] = [[] for _ in element.properties]
     for _ in range(element.rows):
-        for number, each in enumerate(element.properties):
+        for number, column in enumerate(element.properties):
             length = 1
-            if each.count is not None:
-                length = _length(element, each.name, each.count, body, at)
-                at += each.count.itemsize
-            end = at + length * each.kind.itemsize
+            if column.count is not None:
+                length = _length(element, column.name, column.count, body, at)
+                at += column.count.itemsize
+            end = at + length * column.kind.itemsize
             if end > len(body):
                 raise _cut_short(element)
             sizes[number].append(length)
             parts[number].append(body[at:end])
             at = end
-    found = {
-        each.name: (np.array(sizes[number], np.int64), np.frombuffer(b"".join(parts[number]), each.kind))
-        for number, each in enumerate(element.properties)
+    columns = {
+        column.name: (np.array(sizes[number], np.int64), np.frombuffer(b"".join(parts[number]), column.kind))
+        for number, column in enumerate(element.properties)
     }
-    return found, at
+    return columns, at
 
 
 def _length(element: _Element, name: str, kind: np.dtype[np.generic], body: bytes, at: int) -> int:

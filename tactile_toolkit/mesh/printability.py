@@ -145,13 +145,13 @@ class PrintReport(TypedRow):
         dict
         """
         values = {name: getattr(self, name) for name in self.columns()}
-        return {name: list(each) if isinstance(each, tuple) else each for name, each in values.items()}
+        return {name: list(value) if isinstance(value, tuple) else value for name, value in values.items()}
 
     def explained(self, profile: PrintProfile) -> tuple[str, ...]:
         """Return a line for each warning: what was found, what was expected, and what to do."""
         width, depth, height = self.size_mm
         plate = " x ".join(f"{side:g}" for side in profile.plate_mm)
-        found = {
+        measures = {
             "thin-wall": f"the thinnest wall is {self.thinnest_wall_mm:.2f} mm, expected "
             f"{profile.min_wall_mm:g} mm or more",
             "separate-bodies": f"there are {with_count(self.bodies, 'parts')} that print apart",
@@ -163,16 +163,16 @@ class PrintReport(TypedRow):
             "too-tall": f"it is {height:.1f} mm tall, expected {profile.max_height_mm:g} mm at most",
         }
         return tuple(
-            f"{word}: {found[word]}; next: {advice.removeprefix(f'{word}: ')}"
+            f"{word}: {measures[word]}; next: {advice.removeprefix(f'{word}: ')}"
             for word, advice in zip(self.warnings, self.advice(self.warnings), strict=True)
         )
 
     @staticmethod
     def advice(words: Iterable[str]) -> tuple[str, ...]:
         """Return a line for each warning: what to do, and the section that explains it."""
-        given = set(words)
+        warned = set(words)
         return tuple(
-            f"{word}: {_CURES[word]} (see {WARNINGS_PAGE}#{word})" for word in WARNINGS if word in given
+            f"{word}: {_CURES[word]} (see {WARNINGS_PAGE}#{word})" for word in WARNINGS if word in warned
         )
 
 

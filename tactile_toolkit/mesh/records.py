@@ -49,9 +49,9 @@ def require_mesh_columns(schema: pa.Schema, name: str, made_by: str) -> None:
 
     ``made_by`` is the command that writes such data sets, for the message.
     """
-    found = read.column_names(schema)
-    missing = [each for each in ("id", "label", VERTICES, FACES) if each not in found]
-    problem = f"column {missing[0]!r} is missing (found {', '.join(found)})" if missing else ""
+    names = read.column_names(schema)
+    missing = [column for column in ("id", "label", VERTICES, FACES) if column not in names]
+    problem = f"column {missing[0]!r} is missing (found {', '.join(names)})" if missing else ""
     problem = problem or read.Expected.problem(read.column_types(schema), _MESH_TYPES)
     if problem:
         raise InputError(
@@ -125,8 +125,8 @@ class SolidRecord(read.Record):
     def mesh(self) -> trimesh.Trimesh:
         """The mesh, in metres; no vertex is merged, dropped or moved."""
         # Nearly all of the 76 µs are spent in trimesh, which converts float32 (benchmarks/README.md).
-        found: trimesh.Trimesh = self._once("mesh", lambda: Mesh(self.vertices_m, self.faces).to_trimesh())
-        return found
+        mesh: trimesh.Trimesh = self._once("mesh", lambda: Mesh(self.vertices_m, self.faces).to_trimesh())
+        return mesh
 
     @property
     def volume_m3(self) -> float:

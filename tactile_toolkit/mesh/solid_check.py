@@ -116,8 +116,8 @@ def _overlap_problem(parts: list[Manifold]) -> tuple[str, str] | None:
             return "overlap", f"two cavities of one of {len(bodies)} bodies overlap"
         held[around] = less
     boxes_mm = np.array([body.bounding_box() for body in bodies]).reshape(-1, 2, 3)
-    for one, other in near_pairs(boxes_mm, 0.0).T.tolist():
-        shared_mm3 = (held[one] ^ held[other]).volume()
+    for first, second in near_pairs(boxes_mm, 0.0).T.tolist():
+        shared_mm3 = (held[first] ^ held[second]).volume()
         if shared_mm3 > OVERLAP_MM3:
             return "overlap", f"two of {len(bodies)} bodies overlap by {shared_mm3:.3g} mm³"
     return None
@@ -127,8 +127,8 @@ def _crossing_problem(mesh: Mesh, bodies: int) -> tuple[str, str] | None:
     place_mm = mesh.crossing_mm(bodies)
     if place_mm is None:
         return None
-    where = ", ".join(f"{coordinate + 0.0:.2f}" for coordinate in place_mm)
-    return "self-crossing", f"the surface of one body crosses itself, at ({where}) mm among others"
+    position = ", ".join(f"{coordinate + 0.0:.2f}" for coordinate in place_mm)
+    return "self-crossing", f"the surface of one body crosses itself, at ({position}) mm among others"
 
 
 def _encloses(body: Manifold, cavity: Manifold) -> bool:

@@ -253,21 +253,21 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
 
     def __getitem__(self, index: int) -> Any:
         """Return one item."""
-        place = range(len(self.dataset))[index]
-        record = self.dataset[place]
-        given = self._tensor(record, place)
+        row_index = range(len(self.dataset))[index]
+        record = self.dataset[row_index]
+        tensor = self._tensor(record, row_index)
         if self.transform is not None:
-            given = self.transform(given)
+            tensor = self.transform(tensor)
         if self.target is None:
-            return given
+            return tensor
         # Looked up here, because functions without names do not pickle.
-        return given, (self.TARGETS[self.target] if isinstance(self.target, str) else self.target)(record)
+        return tensor, (self.TARGETS[self.target] if isinstance(self.target, str) else self.target)(record)
 
-    def _tensor(self, record: SolidRecord, place: int) -> torch.Tensor | MeshItem:
+    def _tensor(self, record: SolidRecord, row_index: int) -> torch.Tensor | MeshItem:
         vertices_m, faces = record.vertices_m, record.faces
         if self.representation == "points":
             # Not torch's generator, whose state differs between workers.
-            random = np.random.default_rng([self.seed, self.epoch, place])
+            random = np.random.default_rng([self.seed, self.epoch, row_index])
             return torch.from_numpy(surface_points(vertices_m, faces, self.points, random))
         if self.representation == "voxels":
             return torch.from_numpy(voxels_in(self.grid, vertices_m, faces)[None])

@@ -126,7 +126,7 @@ class _Package:
         # For objects of the root model: the kind of a component by its id, and of ranges of triangles.
         self._parts: dict[tuple[str, str], str] = {}
         self._ranges: dict[str, list[tuple[int, int, str]]] = {}
-        entries = {_plain(each.filename): each for each in archive.infolist()}
+        entries = {_plain(entry.filename): entry for entry in archive.infolist()}
         models = [path for path in entries if path.endswith(".model")]
         if not models:
             raise InputError("the archive holds no .model file")
@@ -164,52 +164,58 @@ class _Package:
                     raise InputError(f"XML of {_PIECE_BYTES:,} bytes in which no element ends")
         parser.Parse(b"", True)
 
-    def _begin_other(self, tag: str, given: Mapping[str, str]) -> None:
+    def _begin_other(self, tag: str, attributes: Mapping[str, str]) -> None:
         """Read the name of the root model, or the purpose of volumes."""
         match tag.rpartition(" ")[2]:
-            case "Relationship" if given.get("Type") == MODEL_RELATION:
-                self._target = _plain(given["Target"])
+            case "Relationship" if attributes.get("Type") == MODEL_RELATION:
+                self._target = _plain(attributes["Target"])
             case "object":
-                self._number = given["id"]
+                self._number = attributes["id"]
             case "volume":
-                first, last = int(given["firstid"]), int(given["lastid"])
+                first, last = int(attributes["firstid"]), int(attributes["lastid"])
                 self._ranges.setdefault(self._number, []).append((first, last, "modelpart"))
             case "part":
-                self._parts[self._number, given["id"]] = given.get("subtype", "normal_part").lower()
+                self._parts[self._number, attributes["id"]] = attributes.get("subtype", "normal_part").lower()
             case "metadata" if self._ranges.get(getattr(self, "_number", "")):
                 first, last, kind = self._ranges[self._number][-1]
-                if given.get("key") == "volume_type":
-                    kind = given["value"].lower()
-                if given.get("key") == "modifier" and given["value"] == "1" and kind == "modelpart":
+                if attributes.get("key") == "volume_type":
+                    kind = attributes["value"].lower()
+                if attributes.get("key") == "modifier" and attributes["value"] == "1" and kind == "modelpart":
                     kind = "parametermodifier"  # in releases before 2.3
                 self._ranges[self._number][-1] = first, last, kind
         self._count_tag(2)
 
-    def _begin(self, tag: str, given: Mapping[str, str]) -> None:
+    def _begin(self, tag: str, attributes: Mapping[str, str]) -> None:
         # The parser keeps all names, so unknown ones cost more.
         cost = 1
         match tag.removeprefix(f"{CORE} "):
             case "vertex":
-                self._points.extend(numbers_of([given["x"], given["y"], given["z"]], float))
+                self._points.extend(numbers_of([attributes["x"], attributes["y"], attributes["z"]], float))
             case "triangle":
-                self._corners.extend(numbers_of([given["v1"], given["v2"], given["v3"]], int))
+                self._corners.extend(numbers_of([attributes["v1"], attributes["v2"], attributes["v3"]], int))
             case "object":
-                named = self._path, given["id"]
+                named = self._path, attributes["id"]
                 if named in self._objects:
-                    raise InputError(f"/{self._path} has several objects {given['id'][:40]!r}; expected one")
-                self._last = self._objects[named] = _Object(given.get("name", ""), given.get("type", "model"))
+                    raise InputError(
+                        f"/{self._path} has several objects {attributes['id'][:40]!r}; expected one"
+                    )
+                self._last = self._objects[named] = _Object(
+                    attributes.get("name", ""), attributes.get("type", "model")
+                )
             case "build":
                 self._last = self._objects[self._path, ""]
-            case "item" if given.get("printable") in ("0", "false"):
+            case "item" if attributes.get("printable") in ("0", "false"):
                 if self._path == self._root:
                     self._left_out["objects", "not to be printed"] += 1
             case "component" | "item":
-                numbers = numbers_of(given.get("transform", _UNMOVED).split(), float)
+                numbers = numbers_of(attributes.get("transform", _UNMOVED).split(), float)
                 # Each model has its own unit.
                 matrix = np.array(numbers).reshape(4, 3) * np.array([[1], [1], [1], [self._mm_per_unit]])
-                self._last.parts.append(((_plain(given.get(_PATH, self._path)), given["objectid"]), matrix))
+                self._last.parts.append(
+                    ((_plain(attributes.get(_PATH, self._path)), attributes["objectid"]), matrix)
+                )
             case "model":
-                self._begin_model(given)
+                self._begin_model(attributes)
             case "mesh" | "vertices" | "triangles" | "resources" | "components":
                 pass
             case _:
@@ -219,13 +225,13 @@ class _Package:
                     raise InputError(f"the model holds a {name}, which is not supported")
         self._count_tag(cost)
 
-    def _begin_model(self, given: Mapping[str, str]) -> None:
-        unit = given.get("unit", "millimeter")
+    def _begin_model(self, attributes: Mapping[str, str]) -> None:
+        unit = attributes.get("unit", "millimeter")
         if unit not in _UNITS:
             raise InputError(f"the unit is {unit[:40]!r}; expected one of {', '.join(_UNITS)}")
         self._units[self._path] = _UNITS[unit]
         self._mm_per_unit = units.MM_PER_UNIT[_UNITS[unit]]
-        for prefix in given.get("requiredextensions", "").split():
+        for prefix in attributes.get("requiredextensions", "").split():
             extension = self._namespaces.get(prefix, prefix)
             if extension not in _KNOWN:
                 raise InputError(
@@ -281,7 +287,7 @@ class _Package:
             return
         # A few bytes can refer to the same object any number of times.
         self._placed_parts += 1
-        self._built_bytes += sum(each.nbytes for each in thing.surface or ())
+        self._built_bytes += sum(values.nbytes for values in thing.surface or ())
         if depth > _DEEPEST or self._placed_parts > _MAX_PARTS:
             raise InputError(f"object {named[1]!r} holds itself, or more than {_MAX_PARTS:,} parts")
         cache.require_unpackable(
@@ -373,8 +379,8 @@ def write_build(items: Sequence[BuildItem]) -> bytes:
 
 def _object(item: BuildItem, number: int) -> str:
     # Nine digits represent each float32 exactly, and stored meshes are float32; -0 becomes 0.
-    places = (item.mesh.vertices_mm + 0.0).tolist()
-    corners = "".join(f'<vertex x="{x:.9g}" y="{y:.9g}" z="{z:.9g}"/>' for x, y, z in places)
+    vertices = (item.mesh.vertices_mm + 0.0).tolist()
+    corners = "".join(f'<vertex x="{x:.9g}" y="{y:.9g}" z="{z:.9g}"/>' for x, y, z in vertices)
     faces = item.mesh.faces.tolist()
     triangles = "".join(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in faces)
     name = ""

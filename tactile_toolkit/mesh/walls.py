@@ -147,14 +147,14 @@ def _thinnest_wall(
     top = 1
     while top:
         top -= 1
-        one, other = stack[top, 0], stack[top, 1]
-        if one >= count and other >= count:
-            faced, facing = numbered[one - count] & 0xFFFFFFFF, numbered[other - count] & 0xFFFFFFFF
+        node, partner = stack[top, 0], stack[top, 1]
+        if node >= count and partner >= count:
+            faced, facing = numbered[node - count] & 0xFFFFFFFF, numbered[partner - count] & 0xFFFFFFFF
             best = _between(points, faces, inward, at_corner, twin, faced, facing, best)
             continue
-        for first in range(2 if one < count else 1):
-            for second in range(first if one == other else 0, 2 if other < count else 1):
-                left, right = held[one, first], held[other, second]
+        for first in range(2 if node < count else 1):
+            for second in range(first if node == partner else 0, 2 if partner < count else 1):
+                left, right = held[node, first], held[partner, second]
                 if _may_face(boxes, left, right, best):
                     stack[top, 0], stack[top, 1] = left, right
                     top += 1
@@ -162,22 +162,22 @@ def _thinnest_wall(
 
 
 @part
-def _may_face(boxes: Float64, one: int, other: int, best: float) -> bool:
+def _may_face(boxes: Float64, node: int, partner: int, best: float) -> bool:
     """Return whether triangles of two nodes may face each other nearer than the best distance so far."""
     squared, cosine = 0.0, 0.0
     for axis in range(3):
-        low, high = boxes[one, 0, axis], boxes[one, 1, axis]
-        low_other, high_other = boxes[other, 0, axis], boxes[other, 1, axis]
+        low, high = boxes[node, 0, axis], boxes[node, 1, axis]
+        low_other, high_other = boxes[partner, 0, axis], boxes[partner, 1, axis]
         # Each must overlap the sweep of the other.
-        if boxes[one, 0, 6 + axis] > high_other or boxes[one, 1, 6 + axis] < low_other:
+        if boxes[node, 0, 6 + axis] > high_other or boxes[node, 1, 6 + axis] < low_other:
             return False
-        if boxes[other, 0, 6 + axis] > high or boxes[other, 1, 6 + axis] < low:
+        if boxes[partner, 0, 6 + axis] > high or boxes[partner, 1, 6 + axis] < low:
             return False
         apart = max(max(low - high_other, low_other - high), 0.0)
         squared += apart * apart
         # The smallest cosine between directions of the two.
-        least, most = boxes[one, 0, 3 + axis], boxes[one, 1, 3 + axis]
-        least_other, most_other = boxes[other, 0, 3 + axis], boxes[other, 1, 3 + axis]
+        least, most = boxes[node, 0, 3 + axis], boxes[node, 1, 3 + axis]
+        least_other, most_other = boxes[partner, 0, 3 + axis], boxes[partner, 1, 3 + axis]
         cosine += min(
             min(least * least_other, least * most_other), min(most * least_other, most * most_other)
         )
@@ -213,9 +213,9 @@ def _surface(
             at_corner[corner, 2] += doubled[2]
             end = faces[face, (k + 1) % 3]
             half = 3 * face + k
-            for place in range(begun[end], filled[end]):
-                if leaving[place, 1] == corner:
-                    twin[half], twin[leaving[place, 0]] = leaving[place, 0], half
+            for entry in range(begun[end], filled[end]):
+                if leaving[entry, 1] == corner:
+                    twin[half], twin[leaving[entry, 0]] = leaving[entry, 0], half
             leaving[filled[corner], 0], leaving[filled[corner], 1] = half, end
             filled[corner] += 1
     for corner in range(len(points)):
@@ -245,17 +245,20 @@ def _boxes(
         own = row_of(inward, face)
         for k in range(3):
             corner = faces[face, k]
-            other = twin[3 * face + k] // 3
+            neighbour = twin[3 * face + k] // 3
             # The intersection of the tangents at its ends completes the hull of the arc between the two,
             # except the ends of arcs beyond 90 degrees, which no segment at a notch has: it enters both
             # sides.
-            turn = max(1 + dot(own, row_of(inward, other)), 1e-12)
+            turn = max(1 + dot(own, row_of(inward, neighbour)), 1e-12)
             outside = max(turn, math.sqrt(turn))
             for axis in range(3):
-                place, most = points[corner, axis], at_corner[corner, axis]
-                mine, beyond = inward[face, axis], inward[other, axis]
+                coordinate, most = points[corner, axis], at_corner[corner, axis]
+                mine, beyond = inward[face, axis], inward[neighbour, axis]
                 between = (mine + beyond) / outside
-                low[face, axis], high[face, axis] = min(low[face, axis], place), max(high[face, axis], place)
+                low[face, axis], high[face, axis] = (
+                    min(low[face, axis], coordinate),
+                    max(high[face, axis], coordinate),
+                )
                 least, greatest = min(mine, beyond), max(mine, beyond)
                 least, greatest = min(least, min(between, most)), max(greatest, max(between, most))
                 low[face, 3 + axis] = min(low[face, 3 + axis], least)
@@ -272,20 +275,20 @@ def _between(
     inward: Float64,
     at_corner: Float64,
     twin: Int64,
-    one: int,
-    other: int,
+    face: int,
+    partner: int,
     best: float,
 ) -> float:
     """Return the least distance at which two triangles face each other, at most the best so far."""
     is_joined = False
     for k in range(3):
         for there in range(3):
-            is_joined |= faces[one, k] == faces[other, there]
-    if is_joined and dot(row_of(inward, one), row_of(inward, other)) > -_FACED:
+            is_joined |= faces[face, k] == faces[partner, there]
+    if is_joined and dot(row_of(inward, face), row_of(inward, partner)) > -_FACED:
         return best
     # Part of each must lie in front of the other.
     for turn in range(2):
-        here, there = (other, one) if turn else (one, other)
+        here, there = (partner, face) if turn else (face, partner)
         into = row_of(inward, here)
         base = corner_of(points, faces, here, 0)
         least = np.inf
@@ -298,26 +301,26 @@ def _between(
     if is_joined:
         return 0.0  # the edge or the tip where they meet
     for turn in range(2):
-        here, there = (other, one) if turn else (one, other)
+        here, there = (partner, face) if turn else (face, partner)
         best = _from_corners(points, faces, inward, at_corner, here, there, best)
     for k in range(9):
-        best = _between_edges(points, faces, inward, twin, 3 * one + k // 3, 3 * other + k % 3, best)
+        best = _between_edges(points, faces, inward, twin, 3 * face + k // 3, 3 * partner + k % 3, best)
     return best
 
 
 @part
 def _from_corners(
-    points: Float64, faces: Int64, inward: Float64, at_corner: Float64, one: int, other: int, best: float
+    points: Float64, faces: Int64, inward: Float64, at_corner: Float64, face: int, partner: int, best: float
 ) -> float:
     """Return the least perpendicular distance from a corner of a triangle to the interior of the other."""
-    own = row_of(inward, one)
-    into = row_of(inward, other)
-    base = corner_of(points, faces, other, 0)
+    own = row_of(inward, face)
+    into = row_of(inward, partner)
+    base = corner_of(points, faces, partner, 0)
     opposed = -dot(own, into)
     for k in range(3):
-        point = corner_of(points, faces, one, k)
+        point = corner_of(points, faces, face, k)
         depth = dot(sub(point, base), into)
-        round_into = corner_of(at_corner, faces, one, k)
+        round_into = corner_of(at_corner, faces, face, k)
         cosine = opposed
         if dot(round_into, own) >= _ROUND_CORNER:
             cosine = -dot(round_into, into)
@@ -325,8 +328,8 @@ def _from_corners(
         width = 2 * depth / (1 + cosine)
         inside = depth > 0 and cosine >= FACING and width < best
         for start in range(3):
-            corner = corner_of(points, faces, other, start)
-            along = sub(corner_of(points, faces, other, (start + 1) % 3), corner)
+            corner = corner_of(points, faces, partner, start)
+            along = sub(corner_of(points, faces, partner, (start + 1) % 3), corner)
             side = dot(cross(along, into), sub(point, corner))
             inside = inside and side >= -1e-9 * dot(along, along)
         if inside:
@@ -336,12 +339,12 @@ def _from_corners(
 
 @part
 def _between_edges(
-    points: Float64, faces: Int64, inward: Float64, twin: Int64, one: int, other: int, best: float
+    points: Float64, faces: Int64, inward: Float64, twin: Int64, edge: int, partner: int, best: float
 ) -> float:
     """Return the least distance between two half-edges that face each other."""
-    p, q = corner_of(points, faces, one // 3, one % 3), corner_of(points, faces, other // 3, other % 3)
-    u = sub(corner_of(points, faces, one // 3, (one + 1) % 3), p)
-    v = sub(corner_of(points, faces, other // 3, (other + 1) % 3), q)
+    p, q = corner_of(points, faces, edge // 3, edge % 3), corner_of(points, faces, partner // 3, partner % 3)
+    u = sub(corner_of(points, faces, edge // 3, (edge + 1) % 3), p)
+    v = sub(corner_of(points, faces, partner // 3, (partner + 1) % 3), q)
     r = sub(p, q)
     uu = dot(u, u)
     vv = dot(v, v)
@@ -359,8 +362,8 @@ def _between_edges(
     there = way[0] / distance, way[1] / distance, way[2] / distance
     back = -there[0], -there[1], -there[2]
     cosine = min(
-        _cosine_in(points, faces, inward, twin, one, there),
-        _cosine_in(points, faces, inward, twin, other, back),
+        _cosine_in(points, faces, inward, twin, edge, there),
+        _cosine_in(points, faces, inward, twin, partner, back),
     )
     return min(best, distance / cosine) if cosine >= FACING else best
 
@@ -423,10 +426,10 @@ def _find_largest(
         for block in range(len(blocks)):
             if (_apart(points, point, blocks, block) - blocks[block, 2]) * best > 1 / _NEARLY:
                 continue
-            for other in range(block * _BLOCK, min((block + 1) * _BLOCK, count)):
-                bend, squared = _bend(points, inward, point, other)
+            for contact_point in range(block * _BLOCK, min((block + 1) * _BLOCK, count)):
+                bend, squared = _bend(points, inward, point, contact_point)
                 if bend > best:
-                    best, contact, sharpest = bend, squared, other
+                    best, contact, sharpest = bend, squared, contact_point
         radii[point] = np.float32(0.5) / (best if best > _FLATTEST else _FLATTEST)
         contacts[point] = np.sqrt(contact)
 

@@ -63,10 +63,10 @@ class PicturePlan:
         if unknown:
             raise InputError(f"no pictures of kind {unknown[0]!r}; expected {', '.join(plans)} or all")
         named = bool(asked) and "all" not in asked
-        wanted = plans if "all" in asked else asked or next(iter(plans))
+        chosen = plans if "all" in asked else asked or next(iter(plans))
         pictures: list[PlannedPicture] = []
         reasons: list[InputError] = []
-        for kind in filter(wanted.__contains__, plans):
+        for kind in filter(chosen.__contains__, plans):
             try:
                 pictures += plans[kind]()
             except InputError as error:
@@ -86,12 +86,12 @@ class PicturePlan:
         Each is written completely or not at all. If one fails, those before it are kept.
         """
         written = []
-        for done, planned in enumerate(self.pictures, start=1):
-            pixels = planned.draw()
+        for done, picture in enumerate(self.pictures, start=1):
+            pixels = picture.draw()
             content = png_bytes(pixels)
-            folder.write_bytes(planned.name, content)
+            folder.write_bytes(picture.name, content)
             height, width = pixels.shape[:2]
-            written.append(WrittenPicture(planned.name, planned.what, width, height, len(content)))
+            written.append(WrittenPicture(picture.name, picture.what, width, height, len(content)))
             on_progress(done, len(self.pictures))
         return written
 
@@ -124,13 +124,13 @@ class ChosenRows:
         Raises InputError if the data set, a split or an id does not exist, a split is empty, or the data have
         another kind; IntegrityError for a damaged or unfinished one.
         """
-        place = places.open_place(name).require(kind, command)
+        source = places.open_place(name).require(kind, command)
         among = chosen.given()
         if isinstance(chosen, catalog.PreviewSpec) and chosen.ids:
             among["per_class"] = None  # it has a default, which must not hide ids that were asked for
-        datasets: dict[str, Any] = catalog.open_splits(place, among.pop("split"), kind.load, kind.nouns)
+        datasets: dict[str, Any] = catalog.open_splits(source, among.pop("split"), kind.load, kind.nouns)
         picked = catalog.choose_rows(datasets.items(), **among)
-        return cls(place, kind, {split: dataset[rows] for split, dataset, rows in picked})
+        return cls(source, kind, {split: dataset[rows] for split, dataset, rows in picked})
 
     @property
     def stem(self) -> str:
@@ -145,7 +145,7 @@ class ChosenRows:
 
     def plan_sheets(self, per_row: int) -> list[PlannedPicture]:
         """Plan a sheet of solids for each split, its rows sorted by class."""
-        planned = []
+        sheets = []
         for split, dataset in self.splits.items():
             rows = dataset[np.argsort(dataset.labels, kind="stable")]
             if len(rows):
@@ -153,8 +153,8 @@ class ChosenRows:
                     _draw_rows, rows, per_row, self.titled(f"{self.stem}: {split}"), self.kind.nouns
                 )
                 what = f"{with_count(len(rows), self.kind.nouns)} of {split} from above"
-                planned.append(PlannedPicture(f"{self.stem}-{split}-sheet.png", what, draw))
-        return planned
+                sheets.append(PlannedPicture(f"{self.stem}-{split}-sheet.png", what, draw))
+        return sheets
 
 
 def _draw_rows(rows: Any, per_row: int, title: str, nouns: str) -> UInt8:

@@ -119,9 +119,9 @@ def _corner_normals(points: Float64, faces: Integers) -> Float64:
     sums = np.zeros((len(corners), 3))
     for turn in range(meeting.max()):
         at = np.flatnonzero(turn < meeting)
-        other = by_vertex[first[at] + turn] // 3
-        is_smooth = (own[at // 3] * own[other]).sum(axis=1) > _COS_SHARP
-        sums[at] += np.where(is_smooth[:, None], across[other], 0.0)
+        neighbour = by_vertex[first[at] + turn] // 3
+        is_smooth = (own[at // 3] * own[neighbour]).sum(axis=1) > _COS_SHARP
+        sums[at] += np.where(is_smooth[:, None], across[neighbour], 0.0)
     # Triangles that point away are lit as if they did not, so that damaged meshes are visible.
     return np.asarray(_unit_vectors(sums).reshape(-1, 3, 3) * np.where(own[:, None, 2:] < 0, -1.0, 1.0))
 

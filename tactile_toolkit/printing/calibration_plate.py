@@ -132,10 +132,10 @@ def make_plate(solids: Sequence[PrintObject]) -> CalibrationPlate:
     Raises InputError for fewer than two solids, and ItemError for one that bounds no solid.
     """
     first = next(iter(solids), None)
-    other = next((each for each in solids if first is not None and each.label != first.label), None)
-    if first is None or other is None:
-        other = next(iter(solids[1:]), None)
-    if first is None or other is None:
+    second = next((solid for solid in solids if first is not None and solid.label != first.label), None)
+    if first is None or second is None:
+        second = next(iter(solids[1:]), None)
+    if first is None or second is None:
         raise InputError(
             f"{len(solids)} solid was chosen; expected two for the plate",
             next="choose more, such as --limit 2",
@@ -149,7 +149,7 @@ def make_plate(solids: Sequence[PrintObject]) -> CalibrationPlate:
         at_mm = ((number - 1.5) * _PITCH_MM, _SHAPES_Y_MM)
         bodies.append(body.translate((*at_mm, _BASE_MM - _SUNK_MM)))
         features.append(PlateFeature(name, at_mm, _BASE_MM + _TOP_MM, meaning))
-    for side, item in zip((-1, 1), (first, other), strict=True):
+    for side, item in zip((-1, 1), (first, second), strict=True):
         body, feature = _placed(item, (side * _SOLIDS_X_MM, _SOLIDS_Y_MM))
         bodies.append(body)
         features.append(feature)
@@ -246,7 +246,7 @@ def _made(solids: Sequence[PrintObject], ending: str) -> Made[WrittenPlate]:
     file = f"{PLATE_NAME}{ending}"
     beside = {f"{PLATE_NAME}.png": _picture(plate), SHEET_FILE: _sheet(plate, file).encode()}
     size_mm = tuple(round(side, 3) for side in (np.ptp(plate.mesh.bounds_m, axis=0) * MM_PER_M).tolist())
-    names = tuple(each.name for each in plate.features)
+    names = tuple(feature.name for feature in plate.features)
 
     def record(verdict: ManifoldCheck, _bytes: int, state: str) -> WrittenPlate:
         return WrittenPlate((*beside, file), size_mm, round(verdict.volume_mm3, 3), names, state)
@@ -256,38 +256,38 @@ def _made(solids: Sequence[PrintObject], ending: str) -> Made[WrittenPlate]:
 
 def _picture(plate: CalibrationPlate) -> bytes:
     """Draw the plate with the number of each touch, as PNG."""
-    seen = pictures.View.OBLIQUE.project(plate.mesh.vertices_m)[:, :2]
-    low, high = seen.min(axis=0), seen.max(axis=0)
+    projected = pictures.View.OBLIQUE.project(plate.mesh.vertices_m)[:, :2]
+    low, high = projected.min(axis=0), projected.max(axis=0)
     middle_px = np.array(_PICTURE_PX) / 2
     px_per_m = float((2 * (middle_px - _EDGE_PX) / (high - low)).min())
     drawn = pictures.View.OBLIQUE.draw([pictures.DrawnBody(plate.mesh, _COLOUR)], _PICTURE_PX, px_per_m)
     picture = Image.fromarray(drawn)
     pen = pictures.Pen(picture)
     for number, (feature, (x_mm, y_mm)) in enumerate(_touches(plate), start=1):
-        place = pictures.View.OBLIQUE.project(np.array([[x_mm, y_mm, feature.top_mm]]) / MM_PER_M)[0, :2]
-        x, y = (middle_px + (place - (low + high) / 2) * (px_per_m, -px_per_m)).tolist()
+        point = pictures.View.OBLIQUE.project(np.array([[x_mm, y_mm, feature.top_mm]]) / MM_PER_M)[0, :2]
+        x, y = (middle_px + (point - (low + high) / 2) * (px_per_m, -px_per_m)).tolist()
         pen.write((x, y), str(number), _TEXT_PX, anchor="mm", halo_px=3)
     return pictures.png_bytes(np.asarray(picture))
 
 
 def _touches(plate: CalibrationPlate) -> list[tuple[PlateFeature, tuple[float, float]]]:
     """Return the features to touch and their positions on the plate, mm, in the order of the sheet."""
-    places = []
+    touches = []
     for feature in plate.features:
         x_mm, y_mm = feature.middle_mm
-        places += [(feature, (x_mm + right, y_mm + away)) for right, away in feature.touched_mm]
-    return places
+        touches += [(feature, (x_mm + right, y_mm + away)) for right, away in feature.touched_mm]
+    return touches
 
 
 def _sheet(plate: CalibrationPlate, file: str) -> str:
     features = [
-        f"| {each.name} | {x_mm:g} | {y_mm:g} | {each.top_mm:.1f} | {each.meaning} |"
-        for each in plate.features
-        for x_mm, y_mm in [each.middle_mm]
+        f"| {feature.name} | {x_mm:g} | {y_mm:g} | {feature.top_mm:.1f} | {feature.meaning} |"
+        for feature in plate.features
+        for x_mm, y_mm in [feature.middle_mm]
     ]
     rows = [
-        f"| {number} | {each.name} | {x_mm:.1f} | {y_mm:.1f} | {press_mm:g} |"
-        for number, (each, (x_mm, y_mm)), press_mm in zip(count(1), _touches(plate), cycle(_PRESSES_MM))
+        f"| {number} | {feature.name} | {x_mm:.1f} | {y_mm:.1f} | {press_mm:g} |"
+        for number, (feature, (x_mm, y_mm)), press_mm in zip(count(1), _touches(plate), cycle(_PRESSES_MM))
     ]
     return _SHEET.format(
         file=file, folder="plate", features="\n".join(features), rows="\n".join(rows), count=len(rows)

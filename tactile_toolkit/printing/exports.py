@@ -150,16 +150,18 @@ def _report_of_files(made: FileExport[WrittenFile], out: str, what: str, dry_run
     return ExportReport(asdict(made), made.failed, line, header, tuple(rows))
 
 
-def _report_of_plates(made: PlateExport, where: str, dry_run: bool) -> ExportReport:
+def _report_of_plates(made: PlateExport, plates_text: str, dry_run: bool) -> ExportReport:
     document = asdict(made)
     rows = [
         (plate.file, plate.objects, f"{plate.share:.0%}", bytes_text(plate.bytes)) for plate in made.files
     ]
     placed = with_count(len(made.objects), "objects")
     plates = with_count(len(made.files), "plates")
-    line = f"wrote {placed} on {plates} of {where}{_kept(made)}; {TABLE_FILE} lists where each object lies"
+    line = (
+        f"wrote {placed} on {plates} of {plates_text}{_kept(made)}; {TABLE_FILE} lists where each object lies"
+    )
     if dry_run:
-        line = f"would write {placed} on {plates} of {where}{_kept(made)}; nothing was written"
+        line = f"would write {placed} on {plates} of {plates_text}{_kept(made)}; nothing was written"
     return ExportReport(
         {"plates": document.pop("files"), **document},
         made.failed,
@@ -355,13 +357,15 @@ def _names(layout: PlateLayout) -> list[tuple[str, str]]:
 def _made_plate(layout: PlateLayout, number: int) -> Made[PlateFile]:
     (solid, picture) = _names(layout)[number - 1]
     plate = layout.plates[number - 1]
-    items = [BuildItem(each.item.name, each.item.on_plate(layout.scale), each.offset_mm) for each in plate]
+    items = [
+        BuildItem(placed.item.name, placed.item.on_plate(layout.scale), placed.offset_mm) for placed in plate
+    ]
     if layout.physics is None:
         content = write_build(items)
     else:
         # A scene: positions on the plate are positions on the ground.
-        places_m = [(each.offset_mm[0] / MM_PER_M, each.offset_mm[1] / MM_PER_M) for each in items]
-        bodies = [body_of(each.name, each.mesh, layout.physics) for each in items]
+        places_m = [(placed.offset_mm[0] / MM_PER_M, placed.offset_mm[1] / MM_PER_M) for placed in items]
+        bodies = [body_of(placed.name, placed.mesh, layout.physics) for placed in items]
         content = pack_mjcf(list(zip(bodies, places_m, strict=True)), "plate", floor=True)
     share = round(layout.shares[number - 1], 4)
     return Made(
@@ -374,18 +378,18 @@ def _made_plate(layout: PlateLayout, number: int) -> Made[PlateFile]:
 def _check_plate(content: bytes, items: Sequence[BuildItem], layout: PlateLayout) -> None:
     """Raise ItemError unless a plate holds these objects as the same solids, within its margins."""
     meant = {
-        each.name: Mesh(each.mesh.vertices_m + np.divide(each.offset_mm, MM_PER_M), each.mesh.faces)
-        for each in items
+        item.name: Mesh(item.mesh.vertices_m + np.divide(item.offset_mm, MM_PER_M), item.mesh.faces)
+        for item in items
     }
-    found = meant
+    meshes = meant
     if layout.physics is None:
-        found = {each.name: each.mesh for each in read_build(content).items}
-    if found.keys() != meant.keys():
+        meshes = {item.name: item.mesh for item in read_build(content).items}
+    if meshes.keys() != meant.keys():
         raise ItemError(
-            CHANGED, f"it names {with_count(len(found), 'objects')}; {len(meant)} others were written"
+            CHANGED, f"it names {with_count(len(meshes), 'objects')}; {len(meant)} others were written"
         )
     edge_mm = layout.spec.margin_mm - _EDGE_TOLERANCE_MM
-    for name, mesh in found.items():
+    for name, mesh in meshes.items():
         try:
             require_same_solid(mesh, meant[name], require_solid(meant[name]))
         except ItemError as error:
@@ -434,6 +438,6 @@ def _unknown_files(layout: PlateLayout, folder: Path) -> tuple[str, ...]:
     # Only those in its table: other files with such names may belong to the user.
     table = (content_of(folder / TABLE_FILE) or b"").decode(errors="replace")
     listed = re.findall(r"^\d+,(plate-\d{2,})\.(3mf|xml),", table, re.ASCII | re.MULTILINE)
-    before = {f"{plate}.{each}" for plate, ending in listed for each in (ending, "png")}
+    before = {f"{plate}.{suffix}" for plate, ending in listed for suffix in (ending, "png")}
     ours = {name for names in _names(layout) for name in names}
     return tuple(sorted(name for name in before - ours if (folder / name).exists()))

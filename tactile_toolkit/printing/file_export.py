@@ -81,9 +81,9 @@ def choose(
     Raises InputError for an id or a class that no row has, and for a duplicate id in a split.
     """
     objects: list[PrintObject] = []
-    for split, rows, found in catalog.choose_rows(datasets, **chosen):
+    for split, rows, indices in catalog.choose_rows(datasets, **chosen):
         classes = rows.label_names
-        columns = (found.tolist(), rows.ids[found].tolist(), rows.labels[found].tolist())
+        columns = (indices.tolist(), rows.ids[indices].tolist(), rows.labels[indices].tolist())
         for row, number, label in zip(*columns, strict=True):
             word = class_name(classes, label)
             name = "-".join(part for part in (_safe(split), _safe(word), f"{number:0{_ID_DIGITS}d}") if part)
@@ -200,19 +200,19 @@ class FileExport(Generic[R]):
         if not dry_run:
             store.open_folder(out).require_folder()
             remove_drafts(folder)  # drafts of killed exports
-        found: dict[str, tuple[str, R | FailedExport]] = {}
+        outcomes: dict[str, tuple[str, R | FailedExport]] = {}
 
         def run(some: Sequence[Product[R]], overwrite: bool, dry_run: bool) -> None:
             make = partial(_exported, folder, overwrite, dry_run)
             for name, state, record in runner_for(workers).run(make, some):
-                found[name] = state, record
-                on_progress(len(found), len(products))
+                outcomes[name] = state, record
+                on_progress(len(outcomes), len(products))
 
         # A dry run of existing products finds files in the way. Kept products are not made again, because
         # computing convex parts takes longer than writing their file.
         there = [product for product in products if not overwrite and _before(folder, product)]
         run(products if dry_run else there, overwrite, True)
-        others = sorted(each.patterns[0] for each in there if found[each.name][0] == "failed")
+        others = sorted(product.patterns[0] for product in there if outcomes[product.name][0] == "failed")
         if others:
             raise InputError(
                 f"{out!r} holds {others[0]!r} with other content ({with_count(len(others), 'such files')}); "
@@ -220,16 +220,20 @@ class FileExport(Generic[R]):
                 next="add --overwrite to replace them, or choose another --out",
             )
         if not dry_run:
-            run([each for each in products if found.get(each.name, ("",))[0] != "kept"], True, False)
-        results = [found[product.name][1] for product in products]
+            run(
+                [product for product in products if outcomes.get(product.name, ("",))[0] != "kept"],
+                True,
+                False,
+            )
+        results = [outcomes[product.name][1] for product in products]
         failed = tuple(result for result in results if isinstance(result, FailedExport))
         return cls(tuple(result for result in results if not isinstance(result, FailedExport)), failed)
 
 
-def require_same_solid(found: mesh.Mesh, meant: mesh.Mesh, verdict: solid_check.ManifoldCheck) -> None:
+def require_same_solid(read_back: mesh.Mesh, meant: mesh.Mesh, verdict: solid_check.ManifoldCheck) -> None:
     """Raise ItemError if a mesh that was read back differs from the intended solid, of ``verdict``."""
-    back = solid_check.require_solid(found)
-    moved_mm = float(np.abs(found.bounds_m - meant.bounds_m).max()) * mesh.MM_PER_M
+    back = solid_check.require_solid(read_back)
+    moved_mm = float(np.abs(read_back.bounds_m - meant.bounds_m).max()) * mesh.MM_PER_M
     is_as_large = np.isclose(back.volume_mm3, verdict.volume_mm3, rtol=_VOLUME_TOLERANCE)
     is_as_joined = (back.bodies, back.genus) == (verdict.bodies, verdict.genus)
     if not (is_as_joined and is_as_large and moved_mm <= _BOUNDS_TOLERANCE_MM):
@@ -263,8 +267,8 @@ def content_of(path: Path) -> bytes | None:
 
 def _before(folder: Path, product: Product[R]) -> set[Path]:
     """Return the existing files of a product; InputError if one of its folders is a link."""
-    places = [LocalFolder(str(folder)).local_path(pattern) for pattern in product.patterns]
-    return {path for place in places for path in place.parent.glob(place.name)}
+    paths = [LocalFolder(str(folder)).local_path(pattern) for pattern in product.patterns]
+    return {path for path in paths for path in path.parent.glob(path.name)}
 
 
 def _exported(

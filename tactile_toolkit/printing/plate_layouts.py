@@ -117,8 +117,8 @@ class PlateLayout:
         """Fraction of each plate that bounding boxes and gaps take."""
         gap_mm = self.spec.gap_mm
         whole_mm2 = np.prod(np.add(self.spec.inner_mm, gap_mm)) - np.prod(self.spec.corner_mm)
-        sizes_mm = ([np.add(each.outline.size_mm, gap_mm) for each in plate] for plate in self.plates)
-        return tuple(float(np.prod(each, axis=1).sum() / whole_mm2) for each in sizes_mm)
+        sizes_mm = ([np.add(placed.outline.size_mm, gap_mm) for placed in plate] for plate in self.plates)
+        return tuple(float(np.prod(placed, axis=1).sum() / whole_mm2) for placed in sizes_mm)
 
 
 @dataclass(slots=True)
@@ -218,30 +218,30 @@ def _measured(item: PrintObject, spec: PlateSpec, scale: float) -> PlacedObject:
 
 def _in_rows(pieces: Sequence[PlacedObject], spec: PlateSpec) -> list[list[PlacedObject]]:
     plates: list[tuple[_Plate, list[PlacedObject]]] = []
-    for piece in sorted(pieces, key=lambda each: each.outline.size_mm[::-1], reverse=True):
+    for piece in sorted(pieces, key=lambda piece: piece.outline.size_mm[::-1], reverse=True):
         for plate, held in [*plates, (_Plate(spec), [])]:
-            place = plate.place(*piece.outline.size_mm)
-            if place is None:
+            corner_mm = plate.place(*piece.outline.size_mm)
+            if corner_mm is None:
                 continue
             if not held:
                 plates.append((plate, held))
-            held.append(replace(piece, x_mm=place[0], y_mm=place[1]))
+            held.append(replace(piece, x_mm=corner_mm[0], y_mm=corner_mm[1]))
             break
     return [held for _, held in plates]
 
 
 def _centred(plate: Sequence[PlacedObject], spec: PlateSpec) -> tuple[PlacedObject, ...]:
     """Centre the objects of a plate, where the bed is flattest and most evenly warm."""
-    low_mm = np.array([(each.x_mm, each.y_mm) for each in plate])
-    high_mm = low_mm + [each.outline.size_mm for each in plate]
+    low_mm = np.array([(placed.x_mm, placed.y_mm) for placed in plate])
+    high_mm = low_mm + [placed.outline.size_mm for placed in plate]
     moved_mm = low_mm + (np.array(spec.sides_mm) - low_mm.min(axis=0) - high_mm.max(axis=0)) / 2
     if any(spec.corner_mm) and (moved_mm < np.add(spec.corner_mm, spec.margin_mm)).all(axis=1).any():
         moved_mm = low_mm
     placed = [
-        replace(each, x_mm=x_mm, y_mm=y_mm)
-        for each, (x_mm, y_mm) in zip(plate, moved_mm.tolist(), strict=True)
+        replace(placed, x_mm=x_mm, y_mm=y_mm)
+        for placed, (x_mm, y_mm) in zip(plate, moved_mm.tolist(), strict=True)
     ]
-    return tuple(sorted(placed, key=lambda each: (each.y_mm, each.x_mm)))
+    return tuple(sorted(placed, key=lambda placed: (placed.y_mm, placed.x_mm)))
 
 
 def draw_map(layout: PlateLayout, number: int) -> bytes:
@@ -253,7 +253,7 @@ def draw_map(layout: PlateLayout, number: int) -> bytes:
     spec = layout.spec
     plate = layout.plates[number - 1]
     title = f"plate {number} of {len(layout.plates)}: {with_count(len(plate), 'objects')}, {spec.text}"
-    every = [placed.item for other in layout.plates for placed in other]
+    every = [placed.item for objects in layout.plates for placed in objects]
     labels = sorted({item.label for item in every})
     ids = Counter(item.id for item in every)
     # More pixels for a larger plate, so that there is room for labels.
@@ -339,7 +339,7 @@ def _draw_words(chart: _Chart, plate: Sequence[PlacedObject], ids: Counter[int])
         middle: Float64 = np.array(chart.at([(placed.x_mm + width_mm / 2, placed.y_mm + depth_mm / 2)])[0])
         sides_px = max(pictures.Pen.text_size(line, _WORD_PX)[0] for line in lines), len(lines) * _LINE_PX
         box = np.array([middle - np.divide(sides_px, 2), middle + np.divide(sides_px, 2)])
-        if any((box[1] >= other[0]).all() and (box[0] <= other[1]).all() for other in taken):
+        if any((box[1] >= taken_box[0]).all() and (box[0] <= taken_box[1]).all() for taken_box in taken):
             continue
         taken.append(box)
         for row, line in enumerate(lines):

@@ -71,9 +71,9 @@ def convex_parts(
     return [Mesh.from_manifold(exact if simple.is_empty() else simple) for exact, simple in smooth]
 
 
-def _parts(found: Manifold) -> list[tuple[float, Manifold, Manifold]]:
+def _parts(solid: Manifold) -> list[tuple[float, Manifold, Manifold]]:
     """Return the bodies of a solid: the volume that the hull of each adds, the body, and its hull."""
-    bodies = [(part, part.hull()) for part in found.decompose() if part.volume() > _MIN_MM3]
+    bodies = [(part, part.hull()) for part in solid.decompose() if part.volume() > _MIN_MM3]
     return [(hull.volume() - part.volume(), part, hull) for part, hull in bodies]
 
 
@@ -83,7 +83,7 @@ def _best_cut(outline: CrossSection) -> tuple[Float64, float]:
     It passes through the corner that is deepest in a bay. Without a bay, the added volume lies above the
     outline, as over a stroke of changing width: then the line halves the length.
     """
-    corners = np.concatenate([np.asarray(each) for each in outline.to_polygons()])
+    corners = np.concatenate([np.asarray(piece) for piece in outline.to_polygons()])
     depths_mm = _depths_mm(outline, corners)
     deepest = corners[int(depths_mm.argmax())]
     cuts = []
@@ -97,13 +97,13 @@ def _best_cut(outline: CrossSection) -> tuple[Float64, float]:
         corner = start - along, start - along + far, start + along + far, start + along
         half = CrossSection([np.array(corner)])
         halves = (outline ^ half, outline - half)
-        if not any(each.is_empty() for each in halves):
-            area = sum(piece.hull().area() for each in halves for piece in each.decompose())
+        if not any(piece.is_empty() for piece in halves):
+            area = sum(piece.hull().area() for piece in halves for piece in piece.decompose())
             cuts.append((area, number))
     if cuts:
         normal = _DIRECTIONS[min(cuts)[1]]
         return normal, float(normal @ deepest)
-    normal = max(_DIRECTIONS, key=lambda each: float(np.ptp(corners @ each)))
+    normal = max(_DIRECTIONS, key=lambda piece: float(np.ptp(corners @ piece)))
     along = corners @ normal
     return normal, float(along.min() + along.max()) / 2
 
@@ -186,7 +186,7 @@ def pack_mjcf(
         assets += [
             _tag("mesh", name=name, vertex=_text(part.vertices_m.ravel())) for name, part in parts.items()
         ]
-        moments = _text(body.inertia_kg_m2[place] for place in _MOMENTS.values())
+        moments = _text(body.inertia_kg_m2[entry] for entry in _MOMENTS.values())
         # Group 2 is drawn and group 3 is not, by convention of the models of MuJoCo.
         drawn = {"type": "mesh", "contype": "0", "conaffinity": "0", "group": "2", "mass": "0"}
         # Torsional and rolling friction are the defaults of MuJoCo.
@@ -213,7 +213,7 @@ def _pack_urdf(body: RigidBody, folder: str) -> dict[str, bytes]:
         f"{folder}/{name}.obj": str(mesh.to_trimesh().export(file_type="obj", header=None)).encode()
         for name, mesh in meshes.items()
     }
-    moments = {name: _text((body.inertia_kg_m2[place],)) for name, place in _MOMENTS.items()}
+    moments = {name: _text((body.inertia_kg_m2[entry],)) for name, entry in _MOMENTS.items()}
     inertial = _tag(
         "inertial",
         _tag("origin", xyz=_text(body.center_m), rpy="0 0 0"),

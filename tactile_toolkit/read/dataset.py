@@ -144,11 +144,12 @@ class RecordDataset(Sequence[T], Generic[T]):
     @property
     def _types(self) -> dict[str, pa.DataType]:
         """Arrow type of each column that joined sets share, by dotted name, without structs."""
-        found, *others = [schemas.column_types(schema) for schema in self.table.schemas] or [{}]
+        types, *further_types = [schemas.column_types(schema) for schema in self.table.schemas] or [{}]
         return {
-            name: each
-            for name, each in found.items()
-            if not pa.types.is_struct(each) and all(other.get(name) == each for other in others)
+            name: data_type
+            for name, data_type in types.items()
+            if not pa.types.is_struct(data_type)
+            and all(shared.get(name) == data_type for shared in further_types)
         }
 
     def _stores(self, name: str) -> list[bool]:
@@ -162,7 +163,9 @@ class RecordDataset(Sequence[T], Generic[T]):
     def plain_columns(self) -> tuple[str, ...]:
         """Names of the columns of numbers and texts."""
         large = (pa.types.is_nested, pa.types.is_binary)
-        return tuple(name for name, each in self._types.items() if not any(test(each) for test in large))
+        return tuple(
+            name for name, data_type in self._types.items() if not any(test(data_type) for test in large)
+        )
 
     def to_hf(self) -> Dataset:
         """Return the rows as a data set of the library `datasets`, with their features.
@@ -187,18 +190,18 @@ class RecordDataset(Sequence[T], Generic[T]):
         rows = [self._row_at(int(number)) for number in self._rows]
         blocks = {(row.path, row.group.first_row): row.group.table for row in rows}
         starts = dict(zip(blocks, np.cumsum([0, *map(len, blocks.values())]).tolist(), strict=False))
-        places = [starts[row.path, row.group.first_row] + row.index for row in rows]
+        row_indices = [starts[row.path, row.group.first_row] + row.index for row in rows]
         parts = list(blocks.values()) or [schema.empty_table() for schema in self.table.schemas[:1]]
         if not parts:
             return Dataset.from_dict({})
-        shared = set.intersection(*({(each.name, each.type) for each in part.schema} for part in parts))
-        names = [each.name for each in parts[0].schema if (each.name, each.type) in shared]
+        shared = set.intersection(*({(column.name, column.type) for column in part.schema} for part in parts))
+        names = [column.name for column in parts[0].schema if (column.name, column.type) in shared]
         table = pa.concat_tables([part.select(names) for part in parts])
         # Its default fingerprint would hash all bytes.
         content = repr([names, list(starts), self.identity])
         stored = Dataset(table, fingerprint=hashlib.sha256(content.encode()).hexdigest()[:16])
-        if places != list(range(len(table))):
-            stored = stored.select(places)
+        if row_indices != list(range(len(table))):
+            stored = stored.select(row_indices)
         return stored
 
     def column(self, name: str) -> AnyArray:
@@ -234,10 +237,10 @@ class RecordDataset(Sequence[T], Generic[T]):
         if usable.all():
             return np.ascontiguousarray(values, np.int64)
         # A missing value in any row makes large ones inexact, so they are read from the row itself.
-        found = np.where(usable, values, 0).astype(np.int64)
+        integers = np.where(usable, values, 0).astype(np.int64)
         for position in np.flatnonzero(~usable).tolist():
-            found[position] = self._row_at(int(self._rows[position])).integer(name)
-        return found
+            integers[position] = self._row_at(int(self._rows[position])).integer(name)
+        return integers
 
     @property
     def identity(self) -> str:
@@ -321,7 +324,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         if all(known):
             return self.int_column(name)
         # Joined sets may differ.
-        return np.array([stored(each) for each in self], np.int64) if any(known) else unstored()
+        return np.array([stored(item) for item in self], np.int64) if any(known) else unstored()
 
     def _row_number(self, position: int) -> int:
         """Return the row number of an item; IndexError out of range."""
@@ -385,15 +388,15 @@ class RecordDataset(Sequence[T], Generic[T]):
             No item has this id, or the items have no ids.
         """
         number = checked_fields.to_builtin_number(id)
-        places = np.flatnonzero(self.ids == number)
-        if not len(places):
+        matches = np.flatnonzero(self.ids == number)
+        if not len(matches):
             # Ids of items, because touches have other ids than their rounds.
             first = [repr(getattr(item, "id", None)) for item in self[:_SHOWN_IDS]]
             raise errors.InputError(
                 f"{', '.join(self.description())}: there is no id {id!r}",
                 next=f"give one such as {', '.join(first) or '(none, it is empty)'}",
             )
-        return self._item(int(places[0]))
+        return self._item(int(matches[0]))
 
     def select(self, indices: Iterable[int]) -> Self:
         """Return items at given positions, in the order given; same as indexing with a list.
@@ -425,8 +428,8 @@ class RecordDataset(Sequence[T], Generic[T]):
         InputError
             A class is not one of :attr:`label_names`.
         """
-        wanted = list(map(self._label_number, self._flattened(labels)))
-        return self._select(np.flatnonzero(np.isin(self.labels, wanted)))
+        numbers = list(map(self._label_number, self._flattened(labels)))
+        return self._select(np.flatnonzero(np.isin(self.labels, numbers)))
 
     @classmethod
     def _flattened(cls, values: Iterable[object]) -> Iterator[Any]:
@@ -554,7 +557,7 @@ class RecordDataset(Sequence[T], Generic[T]):
             return False
         if self.identity == other.identity and np.array_equal(self.row_numbers, other.row_numbers):
             return True
-        return all(one == another for one, another in zip(self, other, strict=True))
+        return all(own == theirs for own, theirs in zip(self, other, strict=True))
 
     def __hash__(self) -> int:
         # Equal sets have equal hashes; the content of rows is not read.
@@ -582,9 +585,9 @@ class RecordDataset(Sequence[T], Generic[T]):
         record: T = self.record_class(self._row_at(row))
         return record
 
-    def _concat(self, other: Self) -> Self:
-        joined = self._view(np.concatenate([self.row_numbers, other.row_numbers + len(self.table)]))
-        joined.table = sharded_table.ShardedTable((*self.table.shards, *other.table.shards))
+    def _concat(self, following: Self) -> Self:
+        joined = self._view(np.concatenate([self.row_numbers, following.row_numbers + len(self.table)]))
+        joined.table = sharded_table.ShardedTable((*self.table.shards, *following.table.shards))
         return joined
 
     def description(self) -> list[str]:
@@ -647,5 +650,5 @@ def positions(index: object, length: int) -> Int64:
         raise TypeError(
             f"rows are chosen by a slice, ints or booleans, not {chosen.dtype} of shape {chosen.shape}"
         )
-    found: Int64 = np.arange(length)[chosen if chosen.size else np.zeros(0, np.int64)]
-    return found
+    indices: Int64 = np.arange(length)[chosen if chosen.size else np.zeros(0, np.int64)]
+    return indices

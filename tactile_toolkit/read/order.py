@@ -98,11 +98,11 @@ class GlobalOrder:
     def positions(self, numbers: Int64) -> Int64:
         """Return the positions in the data set of items by their numbers in the epoch; same shape, int64."""
         windows = np.searchsorted(self._starts, numbers, "right") - 1
-        found = np.empty(len(numbers), np.int64)
+        items = np.empty(len(numbers), np.int64)
         for window in np.unique(windows).tolist():
             here = windows == window
-            found[here] = self._window(window)[numbers[here] - self._starts[window]]
-        return found
+            items[here] = self._window(window)[numbers[here] - self._starts[window]]
+        return items
 
     def _shuffled(self, values: Int64, stream: int) -> Int64:
         """Shuffle by the stream of PCG64, which numpy guarantees, unlike its shuffles."""

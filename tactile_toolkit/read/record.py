@@ -113,10 +113,10 @@ class NestedColumn:
 
     def inside(self, level: int, start: int, stop: int) -> tuple[int, int]:
         """Return the range of the next level that lists ``start`` to ``stop`` of a level cover."""
-        where = self.levels[level]
-        if isinstance(where, int):
-            return start * where, stop * where
-        return int(where[start]), int(where[stop])
+        offsets = self.levels[level]
+        if isinstance(offsets, int):
+            return start * offsets, stop * offsets
+        return int(offsets[start]), int(offsets[stop])
 
     def flat(self, level: int, start: int, stop: int) -> AnyArray:
         """Return all values in lists ``start`` to ``stop`` of a level, flat."""
@@ -257,8 +257,8 @@ class RowGroup:
         """Build a view of the rows on first use, and keep it."""
         view = self._views.get(key)
         # setdefault, here and below: if two threads build a view at once, the first one wins.
-        found: T = self._views.setdefault(key, build()) if view is None else view
-        return found
+        kept: T = self._views.setdefault(key, build()) if view is None else view
+        return kept
 
     def ragged(self, name: str) -> RaggedColumn:
         """Return a column of arrays of shape (n_i, width), by dotted name; IntegrityError for a null."""
@@ -275,8 +275,10 @@ class RowGroup:
         self, name: str, row: int | None, problem: str, expected: str = "a value in every row"
     ) -> IntegrityError:
         """Return the error for an unusable field of a row, or of any row if None."""
-        where = "" if row is None else f", row {self.first_row + row}"
-        return IntegrityError.in_file(self.path, f"{where}, field {name!r}: {problem}; expected {expected}")
+        position = "" if row is None else f", row {self.first_row + row}"
+        return IntegrityError.in_file(
+            self.path, f"{position}, field {name!r}: {problem}; expected {expected}"
+        )
 
     def nested(self, name: str) -> NestedColumn:
         """Return a column of nested lists, by dotted name."""
@@ -337,8 +339,8 @@ class Row:
         stored = self.group.arrow(name)[self.index].as_py()
         number = whole_number(stored)
         if number is None:
-            found = "no value is stored" if stored is None else f"the value is {stored!r}"
-            raise self.group.damaged(name, self.index, found, "an integer")
+            problem = "no value is stored" if stored is None else f"the value is {stored!r}"
+            raise self.group.damaged(name, self.index, problem, "an integer")
         return number
 
     def has(self, name: str) -> bool:
@@ -357,14 +359,14 @@ class Row:
 
     def equals(self, other: Row) -> bool:
         """Return whether two rows have the same columns and values, wherever they are stored."""
-        one, another = (
+        own, theirs = (
             pa.table({name: row.group.arrow(name).slice(row.index, 1) for name in sorted(row.group.names)})
             for row in (self, other)
         )
-        if one.schema != another.schema:
+        if own.schema != theirs.schema:
             return False
         # In Arrow, NaN is not equal to itself; as text it is.
-        return bool(one.equals(another)) or repr(one.to_pydict()) == repr(another.to_pydict())
+        return bool(own.equals(theirs)) or repr(own.to_pydict()) == repr(theirs.to_pydict())
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle as a table of this row only, not of its row group."""
@@ -434,7 +436,7 @@ def null_fields(table: pa.Table, names: Sequence[str]) -> dict[int, str]:
     ignored.
     """
     group = RowGroup(table)
-    found: dict[int, str] = {}
+    fields: dict[int, str] = {}
     for name in filter(group.names.__contains__, names):
         array = group.arrow(name)
         if not _first_null(array, name):
@@ -442,8 +444,8 @@ def null_fields(table: pa.Table, names: Sequence[str]) -> dict[int, str]:
         for row in range(len(array)):
             field = _first_null(array.slice(row, 1), name)
             if field:
-                found.setdefault(row, field)
-    return found
+                fields.setdefault(row, field)
+    return fields
 
 
 def _first_null(array: pa.Array, name: str) -> str:

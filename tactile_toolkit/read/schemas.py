@@ -55,11 +55,11 @@ def column_types(fields: Iterable[pa.Field], prefix: str = "") -> dict[str, pa.D
     Struct ``a<b, c>`` and flat columns ``a.b``, ``a.c`` have the same names.
     """
     types = {}
-    for each in fields:
-        name = prefix + each.name
-        types[name] = each.type
-        if pa.types.is_struct(each.type):
-            types |= column_types(each.type, f"{name}.")
+    for column in fields:
+        name = prefix + column.name
+        types[name] = column.type
+        if pa.types.is_struct(column.type):
+            types |= column_types(column.type, f"{name}.")
     return types
 
 
@@ -105,44 +105,44 @@ def feature_metadata(features: JsonObject) -> dict[str, str]:
     return {"huggingface": json.dumps({"info": {"features": dict(features)}})}
 
 
-def stored_features(schema: pa.Schema, where: str) -> JsonDict:
+def stored_features(schema: pa.Schema, path: str) -> JsonDict:
     """Return the features that `datasets` stored in a schema, by column; empty if there are none.
 
-    Raises IntegrityError, which names the file ``where``, when the metadata do not describe features.
+    Raises IntegrityError, which names the file ``path``, when the metadata do not describe features.
     """
     text = (schema.metadata or {}).get(b"huggingface", b"{}")
     try:
-        found = (msgspec.json.decode(text, type=_Metadata).info or _Info()).features or {}
-        msgspec.convert(found.get("label"), _Label | None)
+        features = (msgspec.json.decode(text, type=_Metadata).info or _Info()).features or {}
+        msgspec.convert(features.get("label"), _Label | None)
     except (msgspec.MsgspecError, RecursionError) as error:
         beginning = text[:80].decode(errors="replace")
         raise IntegrityError(
-            f"{where!r}, field 'label': the metadata 'huggingface' begins with {beginning!r}; expected the "
+            f"{path!r}, field 'label': the metadata 'huggingface' begins with {beginning!r}; expected the "
             "features of the data set, class names among them, in JSON",
             next="download or convert the data set again",
         ) from error
-    return found
+    return features
 
 
-def class_names(schema: pa.Schema, default: N, where: str = "") -> tuple[str, ...] | N:
+def class_names(schema: pa.Schema, default: N, path: str = "") -> tuple[str, ...] | N:
     """Return the class names that `datasets` stored in a schema, or ``default``.
 
-    Raises IntegrityError, which names the data set ``where``, for invalid metadata.
+    Raises IntegrityError, which names the data set ``path``, for invalid metadata.
     """
-    names = (stored_features(schema, where).get("label") or {}).get("names")
+    names = (stored_features(schema, path).get("label") or {}).get("names")
     return default if names is None else tuple(names)
 
 
-def yaml_features(schema: pa.Schema, where: str = "") -> list[JsonDict]:
+def yaml_features(schema: pa.Schema, path: str = "") -> list[JsonDict]:
     """Describe each column of a schema as `datasets` does in ``dataset_info.features``.
 
     Classes, images and videos follow from the metadata of `datasets`. A column with a dotted name, such as
-    ``mesh.vertices``, is not a struct. Raises IntegrityError, which names the file ``where``, for
+    ``mesh.vertices``, is not a struct. Raises IntegrityError, which names the file ``path``, for
     metadata that cannot be read.
     """
     # Not by `datasets`, whose import takes longer than making a small data set.
-    features = stored_features(schema, where)
-    return [{"name": each.name, **_entry(each.type, features.get(each.name))} for each in schema]
+    features = stored_features(schema, path)
+    return [{"name": column.name, **_entry(column.type, features.get(column.name))} for column in schema]
 
 
 def supported_type(data_type: pa.DataType) -> pa.DataType:
@@ -157,7 +157,7 @@ def supported_type(data_type: pa.DataType) -> pa.DataType:
     if kinds.is_float16(data_type):
         return pa.float32()
     if kinds.is_struct(data_type):
-        return pa.struct([each.with_type(supported_type(each.type)) for each in data_type])
+        return pa.struct([child.with_type(supported_type(child.type)) for child in data_type])
     if kinds.is_map(data_type):
         return pa.map_(supported_type(data_type.key_type), supported_type(data_type.item_type))
     lists = (pa.ListType, pa.LargeListType, pa.ListViewType, pa.LargeListViewType, pa.FixedSizeListType)
@@ -174,8 +174,8 @@ def supported_schema(schema: pa.Schema) -> pa.Schema:
         return schema
     # Metadata of a changed field, such as its categories, are no longer valid.
     fields = [
-        each if each.type == data_type else pa.field(each.name, data_type, each.nullable)
-        for each, data_type in zip(schema, types, strict=True)
+        column if column.type == data_type else pa.field(column.name, data_type, column.nullable)
+        for column, data_type in zip(schema, types, strict=True)
     ]
     return pa.schema(fields, schema.metadata)
 
@@ -185,7 +185,7 @@ def supported_table(table: pa.Table) -> pa.Table:
     schema = supported_schema(table.schema)
     if schema is table.schema or schema.types == table.schema.types:
         return table
-    columns = [_converted(*each) for each in zip(table.columns, schema.types, strict=True)]
+    columns = [_converted(*pair) for pair in zip(table.columns, schema.types, strict=True)]
     return pa.table(columns, schema=schema)
 
 

@@ -160,13 +160,13 @@ class Shard:
         """Decode row groups, with all columns or those named (fields of structs by dotted name)."""
         with self._named_damage():
             parquet, (metadata, _) = self._open()
-            wanted = range(metadata.num_row_groups) if groups is None else groups
+            indices = range(metadata.num_row_groups) if groups is None else groups
             if columns is None:  # columns are not larger than their rows
-                for index in wanted:
+                for index in indices:
                     self._require_bounded(metadata, index)
             # No threads of Arrow, because shards are already read in parallel.
             return schemas.supported_table(
-                parquet.read_row_groups(list(wanted), columns=columns, use_threads=False)
+                parquet.read_row_groups(list(indices), columns=columns, use_threads=False)
             )
 
     def column(self, name: str) -> pa.Array:
@@ -252,14 +252,14 @@ class Shard:
 
     def _decoded(self, index: int, number: int) -> RowGroup:
         """Decode a block, and some blocks before and after it in the row group."""
-        found: RowGroup
+        decoded: RowGroup
         for reached, group in enumerate(self.blocks(index)):
             BLOCKS.put((self.digest, index, reached), group)
             if reached == number:
-                found = group
+                decoded = group
             if reached + 1 == number + IN_MEMORY:
                 break
-        return found
+        return decoded
 
     @cached_property
     def digest(self) -> str:
@@ -273,9 +273,11 @@ class Shard:
             yield RowGroup(table, self.path, first_row)
             first_row += len(table)
         if first_row != self.group_starts[index + 1]:  # a damaged page may end early without an error
-            found = first_row - self.group_starts[index]
+            decoded_rows = first_row - self.group_starts[index]
             expected = self.metadata.row_group(index).num_rows
-            problem = f" is damaged, row group {index} holds {found} rows; expected {expected} by its footer"
+            problem = (
+                f" is damaged, row group {index} holds {decoded_rows} rows; expected {expected} by its footer"
+            )
             raise errors.IntegrityError.in_file(self.path, problem)
 
     def _require_bounded(self, metadata: parquet.FileMetaData, index: int) -> None:
@@ -367,8 +369,10 @@ class Shard:
     ) -> tuple[parquet.ParquetFile, tuple[object, ...], int]:
         """Open the file, whose footer may be known; return it with its identity and size in bytes."""
         if not self.is_remote:
+            parquet = store.open_checked(self.path, metadata)
             # After opening, so that the identity is not that of an earlier file.
-            return store.open_checked(self.path, metadata), (found := self._found_now()), found[-2]
+            facts = self._found_now()
+            return parquet, facts, facts[-2]
         stream, identity, size_bytes = self._stream()
         return store.open_checked(stream, metadata), identity, size_bytes
 
@@ -377,7 +381,8 @@ class Shard:
         files, name = store.split_uri(self.path)
         stream = files.open(name)
         if not self.is_remote:
-            return stream, (found := self._found_now()), found[-2]
+            own = self._found_now()
+            return stream, own, own[-2]
         facts = getattr(stream, "details", None) or files.info(name) or {}
         versions = [(key, str(facts[key])) for key in VERSION_KEYS if key in facts]
         return stream, (self.path, *versions), facts["size"]
@@ -417,18 +422,18 @@ class Shard:
         parquet, identity, size_bytes = self._opened(footer and footer[0])
         self._require_same(identity, self.identity)
         metadata = parquet.metadata
-        found = {"rows": metadata.num_rows, "bytes": size_bytes}
+        sizes = {"rows": metadata.num_rows, "bytes": size_bytes}
         for unit, stated in (("rows", self.rows), ("bytes", self.size_bytes)):
-            if stated not in (None, found[unit]):  # such as a shard of a set that is being overwritten
-                problem = f": {found[unit]} {unit}; expected {stated} by the manifest"
+            if stated not in (None, sizes[unit]):  # such as a shard of a set that is being overwritten
+                problem = f": {sizes[unit]} {unit}; expected {stated} by the manifest"
                 raise errors.IntegrityError.in_file(self.path, problem)
         return parquet, footer or _FOOTERS.put(
             key, (metadata, schemas.supported_schema(parquet.schema_arrow))
         )
 
-    def _require_same(self, found: tuple[object, ...], known: tuple[object, ...]) -> None:
+    def _require_same(self, identity: tuple[object, ...], known: tuple[object, ...]) -> None:
         # Without the device, which differs between machines that share a file system.
-        if found[1:] != known[1:]:
+        if identity[1:] != known[1:]:
             raise errors.IntegrityError(
                 f"{self.path!r} was replaced or changed after the data set was loaded: none of its rows were "
                 "read, because old and new ones would mix",
@@ -478,7 +483,7 @@ def map_block(path: Path) -> tuple[pa.Table, int]:
     """
     # Read first: a file that replaces this one from now on is not the one that was checked.
     facts = path.stat()
-    found = (facts.st_dev, facts.st_ino, facts.st_size, facts.st_mtime_ns)
+    identity = (facts.st_dev, facts.st_ino, facts.st_size, facts.st_mtime_ns)
     if not path.is_file():  # opening a pipe would wait
         raise ValueError("it is not a file")
     # A buffer of the map, without a copy: Arrow would read from the map in its own threads.
@@ -487,8 +492,8 @@ def map_block(path: Path) -> tuple[pa.Table, int]:
     if size < 0:
         raise ValueError(f"{len(stored)} bytes that are not a block")
     content = stored.slice(0, size)
-    if _checked.get(str(path)) != found:
+    if _checked.get(str(path)) != identity:
         if _CHECKSUM.pack(_checksum(content, path.name)) != stored.slice(size):
             raise ValueError("the block does not match its checksum")
-        _checked.put(str(path), found)
+        _checked.put(str(path), identity)
     return pa.Table.from_batches([pa.ipc.open_stream(content).read_next_batch()]), size

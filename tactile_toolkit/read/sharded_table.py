@@ -95,16 +95,16 @@ class ShardedTable:
 
     def row_groups(self, rows: Int64) -> list[tuple[RowSource, int]]:
         """Return the row groups of ascending rows; opens no other shard."""
-        found: list[tuple[RowSource, int]] = []
+        sources: list[tuple[RowSource, int]] = []
         if not self.shards:
-            return found
+            return sources
         owners = np.searchsorted(self._starts, rows, "right") - 1
         for owner in np.unique(owners).tolist():
             shard = self.shards[owner]
             inner = rows[owners == owner] - self._starts[owner]
             groups = np.unique(np.searchsorted(shard.group_starts, inner, "right") - 1)
-            found += [(shard, group) for group in groups.tolist()]
-        return found
+            sources += [(shard, group) for group in groups.tolist()]
+        return sources
 
     def blocks(self, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
         """Read all rows in blocks, as :meth:`RowSource.blocks`."""
@@ -225,12 +225,12 @@ class RowStream(Generic[S]):
 
     def row_groups(self) -> Iterator[tuple[S, int]]:
         """Yield the row groups of all shards, or those of this worker of a loader."""
-        found = loader_worker()
-        if found is None:
+        worker = loader_worker()
+        if worker is None:
             return _row_groups(self.shards)
-        if found.num_workers <= len(self.shards):
-            return _row_groups(self.shards[found.id :: found.num_workers])
-        return islice(_row_groups(self.shards), found.id, None, found.num_workers)
+        if worker.num_workers <= len(self.shards):
+            return _row_groups(self.shards[worker.id :: worker.num_workers])
+        return islice(_row_groups(self.shards), worker.id, None, worker.num_workers)
 
     def _described(self, items: str) -> str:
         words = ShardedTable(self.shards).described(wording.with_count(len(self.shards), "shards"))

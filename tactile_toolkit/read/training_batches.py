@@ -199,7 +199,9 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         turn = (self.rank * workers + worker) / (self.world_size * workers)
         ahead = Prefetcher(self._sequence, order, turn)
         collate = self.collate_fn or torch.utils.data.default_collate
-        fetch = getattr(self.data, "__getitems__", lambda chosen: [self.data[each] for each in chosen])
+        fetch = getattr(
+            self.data, "__getitems__", lambda chosen: [self.data[item_index] for item_index in chosen]
+        )
         make = None if self.collate_fn else getattr(self.data, "collated", None)
         # Points on surfaces differ between epochs.
         if hasattr(self.data, "set_epoch"):
@@ -274,7 +276,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
             self._next[1 + worker.id] = torch.tensor([*map(states[0].get, _POSITION), 0])
             return
         # A loader that does not ask its workers for each batch counts the batches since.
-        since = [each[_SINCE] for each in _holding(_SINCE, state_dict)]
+        since = [state[_SINCE] for state in _holding(_SINCE, state_dict)]
         epoch, reached = self._reached(states, sum(since))
         if state_dict is not states[0] and not len(self._share(reached)):
             epoch, reached = epoch + 1, 0  # as a loader does
@@ -324,11 +326,11 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         )
 
 
-def _holding(key: str, found: object) -> Iterator[JsonObject]:
+def _holding(key: str, state: object) -> Iterator[JsonObject]:
     """Yield nested mappings with a key, in order: loaders nest our states in theirs."""
-    if isinstance(found, Mapping):
-        if key in found:
-            yield found
+    if isinstance(state, Mapping):
+        if key in state:
+            yield state
             return
-        for value in found.values():
+        for value in state.values():
             yield from _holding(key, value)

@@ -132,7 +132,7 @@ def require_bounded_jpeg(data: memoryview | bytes) -> None:
         return
     # This pair of bytes does not occur within coded pixels (ITU-T T.81, B.1.1.5).
     # A regular expression takes half of the time of `bytes.count`.
-    starts = [found.start() for found in _SCAN_START.finditer(data)]
+    starts = [match.start() for match in _SCAN_START.finditer(data)]
     scans = len(starts)
     header = (starts or [-1])[0]
     if scans > MAX_SCANS:
