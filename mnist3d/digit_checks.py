@@ -14,6 +14,7 @@ from mnist3d.kind import KIND
 from tactile_toolkit import catalog, mesh, places, read, store
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh import (
     Mesh as Mesh,
     PrintProfile as PrintProfile,
@@ -169,7 +170,7 @@ def validate_paths(
     return [
         _check_file(each, unit, profile)
         if isinstance(each, str)
-        else _check_data_set(each, split, limit, workers, profile, on_progress)
+        else check_meshes(each, KIND, split, limit, workers, profile, on_progress)
         for each in found
     ]
 
@@ -182,15 +183,17 @@ def _check_file(path: str, unit: str | None, profile: mesh.PrintProfile) -> Chec
     return CheckedMeshes(path, (CheckedMesh(Path(path).name, report),))
 
 
-def _check_data_set(
+def check_meshes(
     place: places.Place,
+    kind: DatasetKind,
     split: str | None,
     limit: int | None,
     workers: int,
     profile: mesh.PrintProfile,
     on_progress: Callable[[int, int], None],
 ) -> CheckedMeshes:
-    shards = catalog.shards_to_check(place, split, KIND)
+    """Check the rows of a data set of one mesh each; arguments and errors as of :func:`validate_paths`."""
+    shards = catalog.shards_to_check(place, split, kind)
     check = partial(_inspect_row, profile=profile)
     items = []
     for row in catalog.check_rows(shards, check, _COLUMNS, limit, workers, on_progress):

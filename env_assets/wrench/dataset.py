@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -13,6 +13,7 @@ import pyarrow as pa
 from manifold3d import CrossSection, JoinType, triangulate
 
 from env_assets.wrench.kind import CHAMFER_MM, JAW_ANGLE_DEG, KIND, WrenchSpec
+from mnist3d import digit_checks
 from tactile_toolkit import cards, gallery, generation, mesh, pictures, places, rows, store
 from tactile_toolkit.arithmetic import cosine_sine
 from tactile_toolkit.array_types import Float64, Int64
@@ -59,6 +60,23 @@ class WrenchDataset(mesh.SolidDataset[WrenchRecord]):
 
 
 load = places.loader(KIND, WrenchDataset, mesh.RecordStream[WrenchRecord])
+
+
+def check_content(
+    names: Sequence[str],
+    split: str | None,
+    limit: int | None,
+    workers: int,
+    *,
+    opened: Callable[[str], places.Place],
+    on_progress: Callable[[int, int], None],
+) -> list[digit_checks.CheckedMeshes]:
+    """Check that each wrench is a solid that prints well, as :func:`mnist3d.validate_paths` does digits."""
+    profile = mesh.PrintProfile()
+    return [
+        digit_checks.check_meshes(opened(name), KIND, split, limit, workers, profile, on_progress)
+        for name in names
+    ]
 
 
 class WrenchRow(mesh.MeshRow):

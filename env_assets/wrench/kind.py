@@ -20,6 +20,7 @@ KIND = DatasetKind(
     class_names=("wrench",),
     columns=("opening_mm",),
     plan_gallery=lazy("env_assets.wrench.dataset:plan_gallery"),
+    check_content=lazy("env_assets.wrench.dataset:check_content"),
     dataset=lazy("env_assets:WrenchDataset"),
     default_set=lazy("env_assets.wrench.dataset:default_set"),
 )

@@ -18,8 +18,9 @@ def test_a_wrench_is_made_as_a_data_set_and_a_file(tmp_path):
     assert mnist3d.inspect(mnist3d.read_mesh(file)).warnings == ()
     page = run("tactile", "gallery", tmp_path / "wrench", "--out", tmp_path / "page", "--workers", 2)
     assert page.exit_code == 0, page.output
-    verified = run("tactile", "verify", tmp_path / "wrench")
+    verified = run("tactile", "verify", tmp_path / "wrench", "--content")
     assert "1 row," in verified.stdout
+    assert "1 of 1 wrenches are valid" in verified.stdout
     again = run("env-assets", *words, "--quiet")
     assert (again.exit_code, again.stdout) == (0, "")
     other = run("env-assets", "wrench", "--opening-mm", 14, "--out", tmp_path / "wrench")

@@ -33,14 +33,13 @@ def stored(s3, bucket, prefix):
     }
 
 
-def test_scenes_from_generation_to_the_hub_and_back(s3, bucket, tmp_path, monkeypatch, capfd):
+def test_scenes_in_a_store_are_those_of_a_folder(s3, bucket, tmp_path, capfd):
     import starstruck_gen
 
     place, local = f"s3://{bucket}/scenes", tmp_path / "scenes"
     assert call("starstruck", *SCENES, "--out", place) == 0
     assert call("starstruck", *SCENES, "--out", local) == 0
-    made = stored(s3, bucket, "scenes")
-    assert made == folder_bytes(local)
+    assert stored(s3, bucket, "scenes") == folder_bytes(local)
     capfd.readouterr()
     assert call("tactile", "info", place, "--json") == 0
     told = json.loads(capfd.readouterr().out)
@@ -63,7 +62,15 @@ def test_scenes_from_generation_to_the_hub_and_back(s3, bucket, tmp_path, monkey
         streamed = [record.id for record in starstruck_gen.load(place, split, streaming=True)]
         assert streamed == here.ids.tolist()
 
-    here_ids = starstruck_gen.load(str(local), "train").ids
+
+def test_scenes_go_from_a_store_to_the_hub_and_back(s3, bucket, monkeypatch, capfd):
+    import starstruck_gen
+
+    place = f"s3://{bucket}/scenes"
+    assert call("starstruck", *SCENES, "--out", place) == 0
+    made = stored(s3, bucket, "scenes")
+    shard = f"data/{open_folder(place).names('data')[0]}"
+    here_ids = starstruck_gen.load(place, "train").ids
     with hub() as server, logged_in(server, server.account("someone"), monkeypatch):
         assert call("tactile", "upload", place, "someone/scenes", "--yes", "--quiet") == 0
         assert call("tactile", "upload", place, "someone/scenes", "--yes") == 0
