@@ -85,8 +85,10 @@ class _Command(TyperCommand):
             if record is not None:
                 panel = getattr(parameter, "rich_help_panel", None) or default_panel
                 # Users do not know the names of Python's types.
-                name = re.sub(r" <\w+>$|list\[(.*)\](?=>$)", r"\1", record[0])
-                panels.setdefault(panel, []).append((name, record[1]))
+                name = re.sub(r" <(?:list\[)?str\]?>$|list\[(.*)\](?=>$)", r"\1", record[0])
+                # Click puts a default that is described in words into parentheses.
+                text = re.sub(r"\[default: \((.*)\)\]$", r"[default: \1]", record[1])
+                panels.setdefault(panel, []).append((name, text))
         # Click declares --help itself, after all others and without a panel.
         panels[GENERAL] = [*panels.pop(GENERAL, []), panels["Options"].pop()]
         for panel, records in panels.items():

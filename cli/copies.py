@@ -115,7 +115,7 @@ def split(
 
 def merge(
     *,
-    names: list[str] = argument("NAME...", "Data sets of one kind.", several=True),
+    names: list[str] = argument("NAME", "Data sets of one kind.", several=True),
     source_options: AnySourceOptions,
     source_column: str | None = text(
         metavar="NAME", read=str, help="Add a column with the name of the data set that each row is from."

@@ -82,7 +82,7 @@ def generate(
 def validate(
     *,
     paths: list[str] = argument(
-        "NAME|FILE...", "Data sets, or files of meshes.", several=True, read=options.parse_path
+        "NAME|FILE", "Data sets, or files of meshes.", several=True, read=options.parse_path
     ),
     source_options: options.SourceOptions,
     split: str | None = catalog.SPLIT,

@@ -21,7 +21,7 @@ app = application.new_app("tactile-envs", "Environments of active tactile percep
 def list_environments(
     *,
     words: list[str] | None = options.argument(
-        "WORD...", "Only ids with all of these words, such as ABCVolume DR.", several=True, default=None
+        "WORD", "Only ids with all of these words, such as ABCVolume DR.", several=True, default=None
     ),
     sink: output.Sink,
 ) -> None:
