@@ -9,9 +9,8 @@ import re
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 
-from tactile_toolkit import catalog, checked_fields, errors, touch, wording
+from tactile_toolkit import catalog, checked_fields, errors, store, touch, wording
 from tactile_toolkit.columns import units
 from tactile_toolkit.json_types import JsonDict
 
@@ -276,9 +275,9 @@ def read_frame(path: str | os.PathLike[str]) -> Matrix:
 def _content_of(path: str | os.PathLike[str]) -> bytes:
     """Return a small file that the user named; InputError if it cannot be read."""
     try:
-        with Path(path).expanduser().open("rb") as stream:
+        with store.open_regular(store.expanded(os.fspath(path))) as stream:
             content = stream.read(_LARGEST_FILE + 1)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, errors.IntegrityError) as error:
         raise errors.InputError(f"{os.fspath(path)!r} cannot be read", next="check the path") from error
     if len(content) > _LARGEST_FILE:
         raise errors.InputError(

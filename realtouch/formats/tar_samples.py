@@ -8,6 +8,7 @@ Facts of the format: a sample is ``KEY.jpg`` and ``KEY.json``; poses are ``x_mm`
 from __future__ import annotations
 
 import json
+import math
 import tarfile
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -64,15 +65,20 @@ def _header(member: str, size: int) -> bytes:
 
 
 def _json_of(fields: Mapping[str, object]) -> bytes:
-    """Return fields as JSON; NaN becomes null, as JSON has no NaN."""
-    known = {name: _without_nan(value) for name, value in fields.items()}
-    return json.dumps(known, ensure_ascii=False, separators=(",", ":")).encode()
+    texts = (f"{_json_text(name)}:{_json_text(value)}" for name, value in fields.items())
+    return f"{{{','.join(texts)}}}".encode()
 
 
-def _without_nan(value: object) -> object:
+def _json_text(value: object) -> str:
+    """Return a value as JSON, which has neither NaN nor infinity.
+
+    NaN becomes null; infinity becomes 1e999, which readers of JSON take for infinity.
+    """
     if isinstance(value, list):
-        return list(map(_without_nan, value))
-    return None if value != value else value
+        return f"[{','.join(map(_json_text, value))}]"
+    if isinstance(value, float) and not math.isfinite(value):
+        return "null" if math.isnan(value) else f"{'-' * (value < 0)}1e999"
+    return json.dumps(value, ensure_ascii=False, separators=(",", ":"))
 
 
 def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[exports.NamedImage]) -> convert.Made:

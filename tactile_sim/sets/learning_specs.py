@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from tactile_sim.sets.touch_spec import SENSOR_NOISE, WINDOWS
-from tactile_toolkit import checked_fields, touch
+from tactile_toolkit import checked_fields, store, touch
 from tactile_toolkit.checked_fields import check_fields, choice, integer, real, text
-from tactile_toolkit.errors import InputError
+from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.kind import lazy
 
@@ -192,8 +192,9 @@ class TrainConfig:
         if path is None:
             return cls(**overrides)
         try:
-            held = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError, RecursionError) as error:
+            with store.open_regular(path) as stream:
+                held = tomllib.load(stream)
+        except (OSError, ValueError, RecursionError, IntegrityError) as error:
             raise InputError(
                 f"{str(path)!r} cannot be read ({error}); expected a TOML file", field="config"
             ) from error

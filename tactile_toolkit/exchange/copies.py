@@ -49,7 +49,15 @@ def merge_sets(
 
     Raises InputError for data sets of another kind, with other columns or classes, or with a file in common.
     """
-    sources = [_open_source(kind, name, MERGE) for name in names]
+    opened = list(map(places.open_place, names))
+    for place in opened[1:]:
+        if opened[0].kind and place.kind and opened[0].kind.package != place.kind.package:
+            raise errors.InputError(
+                f"{opened[0].name!r} holds {opened[0].kind.content} and {place.name!r} holds "
+                f"{place.kind.content}; expected data sets of one kind",
+                next="merge those of each kind on their own",
+            )
+    sources = [_open_source(kind, place, MERGE) for place in opened]
     _refuse_common_files(sources)
     schema = _common_schema(sources)
     options: JsonDict = {}

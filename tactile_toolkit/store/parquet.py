@@ -10,7 +10,6 @@ import zlib
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
-from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
 import pyarrow as pa
@@ -18,7 +17,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.store.files import unreadable
+from tactile_toolkit.store.files import open_regular, unreadable
 from tactile_toolkit.store.folder import PENDING_FOLDER, DataFolder
 from tactile_toolkit.store.manifest import Manifest, ShardName, ShardRecord
 
@@ -189,9 +188,9 @@ def open_checked(
     """Open a Parquet file, by its path or as a stream, so that reading compares checksums.
 
     Otherwise a flipped bit may unpack to other numbers silently. ``metadata`` is the footer, if it was read
-    and checked before. Raises pyarrow.ArrowInvalid for a footer that does not match its checksum; reading
-    pages that do not match theirs raises OSError. With ``checks_columns``, all columns are checked as by
-    :func:`require_sound_columns`.
+    and checked before. Raises pyarrow.ArrowInvalid for a footer that does not match its checksum, and
+    IntegrityError for a pipe or a device; reading pages that do not match their checksums raises OSError.
+    With ``checks_columns``, all columns are checked as by :func:`require_sound_columns`.
     """
     if metadata is None:
         _require_checked_footer(source)
@@ -223,7 +222,7 @@ def require_sound_columns(source: str | IO[bytes], metadata: pq.FileMetaData, gr
 
 
 def _require_checked_footer(source: str | IO[bytes]) -> None:
-    with Path(source).open("rb") if isinstance(source, str) else contextlib.nullcontext(source) as stream:
+    with open_regular(source) if isinstance(source, str) else contextlib.nullcontext(source) as stream:
         size = stream.seek(0, io.SEEK_END)
         # One read: remote streams fetch at least this much.
         stream.seek(max(0, size - _TAIL_BYTES))

@@ -90,7 +90,10 @@ def test_objects_are_taken_out_by_id(tmp_path, capsys):
         assert f"--fractions is '{wrong}'" in capsys.readouterr().err
     scenes = _made("starstruck", tmp_path / "scenes")
     assert call("tactile", "merge", folder, scenes, "--out", tmp_path / "none", *ALONE) == 2
-    assert "holds scenes; `tactile merge` is for digits; next: show what" in capsys.readouterr().err
+    assert (
+        f"holds digits and {str(scenes)!r} holds scenes; expected data sets of one kind"
+        in capsys.readouterr().err
+    )
     assert not (tmp_path / "none").exists()
 
 

@@ -276,15 +276,17 @@ def test_tars_have_them_as_fields(layout: Any, images: Path, tmp_path: Path) -> 
         assert [each[name] for each in fields] == values
 
 
-def test_a_missing_number_is_null_in_json(tmp_path: Path) -> None:
-    columns = {"train": pa.array([[np.nan, 1.0, 2.0], [[3.0], [4.0]][0] * 2]), "test": pa.array([[1.0, 2.0]])}
+def test_numbers_that_json_lacks(tmp_path: Path) -> None:
+    numbers = [[np.nan, np.inf, -np.inf], [3.0, 3.0]]
+    columns = {"train": pa.array(numbers), "test": pa.array([[1.0, 2.0]])}
     folder = factories.bare_set(
         tmp_path / "set", "single", extras=lambda split: {"extra.force_n": columns[split]}
     )
     realtouch.export(folder, tmp_path / "out", "webdataset", split="train")
     content = next((tmp_path / "out").rglob("*.tar")).read_bytes()
-    assert b'"force_n":null' in content
-    assert b"NaN" not in content
+    found = re.findall(rb'"force_n":([^,}]*)', content)
+    assert found == [b"null", b"1e999", b"-1e999", b"3.0", b"3.0"]
+    assert [json.loads(number) for number in found[1:3]] == [np.inf, -np.inf]
 
 
 def test_exports_of_clips_have_the_values_of_the_shown_frame(clips: Path, tmp_path: Path) -> None:

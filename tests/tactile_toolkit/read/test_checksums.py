@@ -224,13 +224,20 @@ def test_a_remote_file_replaced_under_an_open_set_is_refused(shard_file: Path) -
     assert ShardedTable((Shard(address),)).locate(59)[1] == 19
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / NAME)
+    with pytest.raises(IntegrityError, match="is not a file"):
+        _ = Shard(str(tmp_path / NAME)).metadata
+
+
 def test_a_file_that_may_not_be_read_is_not_called_damaged(shard_file, monkeypatch):
     shard = Shard(str(shard_file))
 
-    def refuse(path: Path, mode: str) -> None:
-        raise PermissionError(13, "Permission denied", str(path))
+    def refuse(path: str, _flags: int) -> int:
+        raise PermissionError(13, "Permission denied", path)
 
-    monkeypatch.setattr(Path, "open", refuse)
+    monkeypatch.setattr(os, "open", refuse)
     with pytest.raises(ToolkitError, match="cannot be read: permission denied") as caught:
         _ = shard.metadata
     assert caught.value.exit_code == 2
