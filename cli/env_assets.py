@@ -9,7 +9,9 @@ import env_assets
 from cli import application, options, output
 from env_assets import WrenchSpec
 from tactile_toolkit import mesh
+from tactile_toolkit.kind import lazy
 
+_wrench_facts = lazy("env_assets.wrench.dataset:wrench_facts")
 app = application.new_app("env-assets", "Assets of environments: the wrench.")
 
 
@@ -29,7 +31,7 @@ def wrench(
     report = mesh.inspect(env_assets.wrench_mesh(spec))
     if not dry_run:
         env_assets.write_wrench(spec, str(out), overwrite=overwrite)
-    sink.document({"folder": str(out), "written": not dry_run, **env_assets.wrench_facts(spec, report)})
+    sink.document({"folder": str(out), "written": not dry_run, **_wrench_facts(spec, report)})
     openings = f"{spec.opening_mm:g} and {spec.second_opening_mm:g}"
     sides = " x ".join(f"{side:.1f}" for side in report.size_mm)
     sink.line(

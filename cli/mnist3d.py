@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from functools import partial
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -19,8 +19,13 @@ from mnist3d.digit_options import SPLITS, PictureReading, PrintShape, SolidSize,
 from mnist3d.kind import KIND
 from tactile_toolkit import cards, catalog, checked_fields, mesh, run, store
 from tactile_toolkit.checked_fields import choice, real, switch, text
+from tactile_toolkit.kind import lazy
 from tactile_toolkit.wording import bytes_text, with_count
 
+if TYPE_CHECKING:
+    from mnist3d.picture_prints import PrintedPicture
+
+_chosen_source = lazy("mnist3d.digit_generation:chosen_source")
 _FORMATS = ("stl", "3mf", "ply", "obj", "glb")
 
 app = new_app("mnist3d", "Printable 3D digits: from images of handwriting to validated data sets of meshes.")
@@ -55,7 +60,7 @@ def generate(
     After an interruption, the same command continues; finished shards are kept.
     """
     spec = mnist3d.DigitSetSpec(
-        source=mnist3d.chosen_source(source, images, division.seed),
+        source=_chosen_source(source, images, division.seed),
         solid=solid,
         split=division,
         per_class=per_class,
@@ -172,7 +177,7 @@ def solidify(
         raise typer.Exit(EXIT_FAILED)
 
 
-def _print_files(sink: Sink, files: Iterable[mnist3d.PrintedPicture], spec: mnist3d.PrintSpec) -> None:
+def _print_files(sink: Sink, files: Iterable[PrintedPicture], spec: mnist3d.PrintSpec) -> None:
     """Print size and volume of each file, and parts that will not print."""
     rows = [
         (

@@ -14,7 +14,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind, kinds, lazy
 from tactile_toolkit.wording import with_count
 
-_is_picture_or_mesh = lazy("mnist3d:is_picture_or_mesh")
+_is_picture_or_mesh = lazy("mnist3d.digit_previews:is_picture_or_mesh")
 
 
 @dataclass(frozen=True, slots=True)

@@ -40,17 +40,19 @@ def generate(
 
     After an interruption, the same command continues; finished shards are kept.
     """
-    spec = starstruck_gen.SceneSetSpec(scene.spec(), scenes or starstruck_gen.PUBLISHED_SIZES, seed, limit)
-    splits = {"all": starstruck_gen.SPLITS}.get(split, (split,))
+    from starstruck_gen import sampling, scene_dataset  # numpy and pyarrow
+
+    spec = starstruck_gen.SceneSetSpec(scene.spec(), scenes or scene_dataset.PUBLISHED_SIZES, seed, limit)
+    splits = KIND.splits if split == "all" else (split,)
     if scene.collision == "exact" and not run_options.dry_run:
         # Outlines are measured by manifold3d: 5.9 s of processor time with one thread, 7.1 s with its own
         # ones. Circles do without it, and would only pay for the 0.1 s that the setting costs.
         run.prepare_batch_process()
     # Tried before anything is made or forecast, as it may take minutes.
     with sink.progress("trying the fullest scene", "failed layouts") as on_failure:
-        require = partial(starstruck_gen.require_feasible, spec.scene, spec.seed, on_failure)
-        rows = starstruck_gen.SceneGenerator(spec)
-        runs.generate_set(sink, "making scenes", rows, out, splits, run_options, require)
+        require = partial(sampling.require_feasible, spec.scene, spec.seed, on_failure)
+        generator = starstruck_gen.SceneGenerator(spec)
+        runs.generate_set(sink, "making scenes", generator, out, splits, run_options, require)
 
 
 @command(app)

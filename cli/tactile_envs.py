@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import asdict, fields
 from functools import partial
 
-import env_assets
 from cli import application, options, output
 from tactile_toolkit.kind import lazy
 from tactile_toolkit.wording import with_count
@@ -34,9 +33,11 @@ def list_environments(
     names = [field.name for field in fields(listed[0])]
     sink.table(names, [[_shown(getattr(row, name)) for name in names] for row in listed])
     sink.line(f"{with_count(len(listed), 'environments')}; the name for gymnasium.make is `tactile_envs/ID`")
+    from env_assets import provider  # pyarrow
+
     for assets in dict.fromkeys(row.assets for row in listed):
-        if assets in env_assets.THIRD_PARTY_ASSETS:
-            sink.line(f"{assets}: give `assets`, a folder of meshes; {env_assets.THIRD_PARTY_ASSETS[assets]}")
+        if assets in provider.THIRD_PARTY_ASSETS:
+            sink.line(f"{assets}: give `assets`, a folder of meshes; {provider.THIRD_PARTY_ASSETS[assets]}")
 
 
 def _shown(value: object) -> object:

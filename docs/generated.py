@@ -21,10 +21,8 @@ from sphinx.pycode import ModuleAnalyzer
 
 API = (
     "mnist3d",
-    "mnist3d.digit_tensors",
     "mnist3d.sources",
     "starstruck_gen",
-    "starstruck_gen.scene_tensors",
     "realtouch",
     "realtouch.touch_tensors",
     "tactile_sim",

@@ -140,11 +140,11 @@ class PlannedView(MeshView):
     left_s: float = 0.0
 
 
-def mesh_bounds_m(vertices_m: Floating, where: str) -> Float64:
+def mesh_bounds_m(vertices_m: Floating, set_name: str) -> Float64:
     """Return the lowest and highest corner of vertices, shape (2, 3), metres; InputError without vertices."""
     if not len(vertices_m):
         raise InputError(
-            f"{where} has no vertices", next="run `validate` on the data set and generate it again"
+            f"{set_name} has no vertices", next="run `validate` on the data set and generate it again"
         )
     # Column by column: numpy reduces short rows slowly.
     return np.array([[reduce(column) for column in vertices_m.T] for reduce in (np.min, np.max)], np.float64)
@@ -185,20 +185,20 @@ def _laid_flat(record: MeshRecord) -> trimesh.Trimesh:
     return turned
 
 
-def mesh_files(place: str | PathLike[str], split: str, unit: str | None = None) -> MeshView | None:
+def mesh_files(path: str | PathLike[str], split: str, unit: str | None = None) -> MeshView | None:
     """Open a mesh file, or a folder of them, as the meshes of a split; None if there is no such file.
 
     Files, splits and classes are those of :func:`tactile_toolkit.mesh.MeshFile.find`; a folder without
     splits is the same for all. Ids count files in the order of their names. ``unit`` is as
     :func:`tactile_toolkit.mesh.read_mesh` takes it. InputError: the folder holds only another split.
     """
-    found = MeshFile.find(place, unit)
-    if found is None:
+    mesh_set = MeshFile.find(path, unit)
+    if mesh_set is None:
         return None
-    files = found.splits.get(split, found.splits.get(""))
+    files = mesh_set.splits.get(split, mesh_set.splits.get(""))
     if files is None:
-        others = list(found.splits)
-        root = found.splits[others[0]][0].root
+        others = list(mesh_set.splits)
+        root = mesh_set.splits[others[0]][0].root
         raise InputError(
             f"{str(root)!r} has no split {split!r}, only {' and '.join(map(repr, others))}",
             next=f"put meshes into a sub-folder {split!r}, or give a folder without splits, such as "
@@ -208,31 +208,31 @@ def mesh_files(place: str | PathLike[str], split: str, unit: str | None = None) 
         LazyMesh(number, file.label, partial(_mesh_of_file, file), file.path.name)
         for number, file in enumerate(files)
     ]
-    return MeshView(records, found.class_names)
+    return MeshView(records, mesh_set.class_names)
 
 
 def _mesh_of_file(file: MeshFile) -> trimesh.Trimesh:
-    found = file.read()
-    for note in found.notes:
+    part = file.read()
+    for note in part.notes:
         _LOG.warning("%s: %s", file.path, note)
-    return Mesh(np.asarray(found.vertices_m, np.float32), found.faces).to_trimesh()
+    return Mesh(np.asarray(part.vertices_m, np.float32), part.faces).to_trimesh()
 
 
 def require_fitting_meshes(
-    meshes: MeshView, kind: DatasetKind | None, where: str, cell_m: tuple[float, float]
+    meshes: MeshView, kind: DatasetKind | None, set_name: str, cell_m: tuple[float, float]
 ) -> None:
     """Refuse meshes of other classes than the environment's, too large for its cell, or inside out.
 
     Reads all meshes once. ``cell_m`` is (width, depth), metres; ``kind`` is None if any kind will do, and
-    ``where`` is the data set and its split in the user's words. Raises InputError.
+    ``set_name`` is the data set and its split in the user's words. Raises InputError.
     """
     if not len(meshes):
-        raise InputError(f"{where} holds no mesh", next="choose another split, or generate it")
+        raise InputError(f"{set_name} holds no mesh", next="choose another split, or generate it")
     labels = meshes.column("label")
     names = meshes.label_names
     if kind is not None and kind.published and names != kind.class_names:  # others may be called anything
         raise InputError(
-            f"{where} has classes {', '.join(names) or 'without names'}; expected "
+            f"{set_name} has classes {', '.join(names) or 'without names'}; expected "
             f"{', '.join(kind.class_names)}",
             next="give a data set with those classes",
         )
@@ -266,14 +266,14 @@ def require_fitting_meshes(
             "run `validate` on the data set and generate it again",
         ),
     )
-    for fits, found, values, step in checks:
+    for fits, defect, values, step in checks:
         wrong = np.flatnonzero(~fits)  # comparisons with NaN are false, so it does not fit
         if len(wrong):
             row = int(wrong[0])
             named = f"mesh {meshes.column('id')[row]}"
             if name := getattr(meshes.records[row], "name", ""):  # of its file; the ids are ours
                 named += f" ({name!r})"
-            what = f"{named} of {where} {found.format(values[row])}"
+            what = f"{named} of {set_name} {defect.format(values[row])}"
             raise InputError(f"{what} ({len(wrong):,} of {len(meshes):,} do not fit)", next=step)
 
 
@@ -380,8 +380,8 @@ def top_surface(mesh: MeshLike, pitch_m: float) -> HeightMap:
     first_column, first_row = map(int, first)
     x_m, y_m, z_m = vertices_m.T.astype(np.float64)
     # The centre of pixel (i, j) of the map is at column i, row j.
-    places = x_m / pitch_m - (first_column + 0.5), y_m / pitch_m - (first_row + 0.5)
-    heights_m = highest_values(np.stack([*places, z_m]), mesh.faces, (int(rows), int(columns)))
+    pixels = x_m / pitch_m - (first_column + 0.5), y_m / pitch_m - (first_row + 0.5)
+    heights_m = highest_values(np.stack([*pixels, z_m]), mesh.faces, (int(rows), int(columns)))
     heights_m[np.isneginf(heights_m)] = np.nan
     heights_m.setflags(write=False)
     return HeightMap(heights_m, first_column, first_row, float(pitch_m))

@@ -20,7 +20,7 @@ from env_assets.wrench.dataset import WrenchDataset
 from tactile_toolkit import checked_fields, errors, hub, mesh, places, read, store
 from tactile_toolkit.array_types import Float64
 from tactile_toolkit.kind import DatasetKind, kinds
-from tactile_toolkit.mesh import SolidDataset as SolidDataset
+from tactile_toolkit.mesh import SolidDataset
 from tactile_toolkit.places import open_place
 from tactile_toolkit.progress import shown_progress
 from tactile_toolkit.wording import did_you_mean
@@ -89,7 +89,7 @@ def open_meshes(shards: tuple[read.Shard, ...], name: str) -> MeshSet:
 class AssetProvider:
     """Provides assets to environments.
 
-    A name is looked up in ``places``; then as a folder in ``root``; then as the path of a folder or Parquet
+    A name is looked up in ``sources``; then as a folder in ``root``; then as the path of a folder or Parquet
     file, or as a repository of the Hub (``USER/NAME``). The names ``"mnist3d"``, ``"starstruck"`` and
     ``"wrench"`` are looked up only in the first two.
 
@@ -97,8 +97,8 @@ class AssetProvider:
     ----------
     root : path
         Folder of data set folders.
-    places : mapping of str to path, optional
-        Folder, file or repository of the Hub for each name, such as ``{"mnist3d": "digits"}``. Names
+    sources : mapping of str to path, optional
+        Folder, file or repository of the Hub of a name, such as ``{"mnist3d": "digits"}``. Names
         are those of the toolkit, ``"abc"``, ``"minecraft"``, and those of :data:`realtouch.SHORT_NAMES`.
     revision : str, optional
         Branch, tag or commit of the repositories of the Hub. Each is looked up on first use and stays at the
@@ -120,13 +120,13 @@ class AssetProvider:
     Raises
     ------
     InputError
-        A number that cannot be used, or a name in ``places`` that no environment asks for.
+        A number that cannot be used, or a name in ``sources`` that no environment asks for.
     """
 
     def __init__(
         self,
         root: str | os.PathLike[str] = "tactile-assets",
-        places: Mapping[str, str | os.PathLike[str]] | None = None,
+        sources: Mapping[str, str | os.PathLike[str]] | None = None,
         *,
         revision: str | None = None,
         generate: bool = False,
@@ -138,7 +138,7 @@ class AssetProvider:
             if number is not None:
                 checked_fields.checked_integer(number, f"{name} of the AssetProvider", least)
         self._root = store.expanded(os.fspath(root)).absolute()
-        self._places = _checked_places(places or {})
+        self._sources = _checked_sources(sources or {})
         self._revision = revision
         self._commits: dict[str, str] = {}
         self._generate = generate
@@ -191,9 +191,9 @@ class AssetProvider:
 
     def finished(self, name: str, split: str = "train") -> MeshSet | None:
         """Return the meshes of a split, or None if they are missing or unfinished; does not make them."""
-        place = self._place(name)
+        source = self._source_of(name)
         try:
-            shards = open_place(place, revision=self._commit_of(place)).shards(split)
+            shards = open_place(source, revision=self._commit_of(source)).shards(split)
         except (errors.InputError, errors.IntegrityError):
             return None
         return open_meshes(shards, name)
@@ -207,7 +207,7 @@ class AssetProvider:
         if default_set.plan_meshes is None:
             return None
         plan = default_set.plan_meshes(split)
-        left = default_set.rows_left(self._place(name), split)
+        left = default_set.rows_left(self._source_of(name), split)
         records = [
             mesh_view.LazyMesh(number, label, partial(_planned_mesh, plan.make, number))
             for number, label in zip(plan.ids.tolist(), plan.labels.tolist(), strict=True)
@@ -258,10 +258,11 @@ class AssetProvider:
         InputError, IntegrityError, HubError
             As :meth:`meshes`.
         """
-        place = self._place(os.fspath(name))
+        source = self._source_of(os.fspath(name))
         # By commit and not by branch, so that rounds stay the same if a user pushes meanwhile.
         return self._once(
-            ("touches", place, split), lambda: realtouch.load(place, split, revision=self._commit_of(place))
+            ("touches", source, split),
+            lambda: realtouch.load(source, split, revision=self._commit_of(source)),
         )
 
     def volumes_m3(self, name: str, split: str = "train") -> Float64:
@@ -294,10 +295,10 @@ class AssetProvider:
     def __repr__(self) -> str:
         return f"AssetProvider({str(self.root)!r})"
 
-    def _place(self, name: str) -> str:
+    def _source_of(self, name: str) -> str:
         """Return the folder, file or repository of a name."""
-        if name in self._places:
-            return self._places[name]
+        if name in self._sources:
+            return self._sources[name]
         # The toolkit's own names are inside the root even before anything is there, so that it is made there;
         # a folder of that name in the current folder is not used.
         inside = self.root / name
@@ -305,11 +306,11 @@ class AssetProvider:
             return str(inside)
         return name
 
-    def _commit_of(self, place: str) -> str | None:
+    def _commit_of(self, source: str) -> str | None:
         """Return the commit of a repository, looked up on first use; None for a folder or a file."""
-        if place.startswith("/") or store.path_exists(Path(place)):
+        if source.startswith("/") or store.path_exists(Path(source)):
             return None
-        named = hub.hub_name(place)
+        named = hub.hub_name(source)
         if named is None or named.revision is not None:
             return None
         commit = self._commits.get(named.repo_id)
@@ -320,13 +321,13 @@ class AssetProvider:
         return commit
 
     def _shards(self, name: str, split: str) -> tuple[read.Shard, ...]:
-        place = self._place(name)
+        source = self._source_of(name)
         try:
-            found = open_place(place, revision=self._commit_of(place))
-            return found.require_meshes("AssetProvider.meshes").shards(split)
+            opened = open_place(source, revision=self._commit_of(source))
+            return opened.require_meshes("AssetProvider.meshes").shards(split)
         # IntegrityError also means an interrupted run.
         except (errors.InputError, errors.IntegrityError) as error:
-            if name not in KINDS or name in self._places:
+            if name not in KINDS or name in self._sources:
                 raise
             default_set = self._default_set(name)
             if isinstance(error, errors.InputError):
@@ -336,25 +337,25 @@ class AssetProvider:
         with store.locked(self._lock_of(name), is_patient=True):
             try:
                 # Another process may have made it while this one waited.
-                return open_place(place).shards(split)
+                return open_place(source).shards(split)
             except (errors.InputError, errors.IntegrityError):
                 pass
-            self._make(name, split, default_set, place)
-        return open_place(place).shards(split)
+            self._make(name, split, default_set, source)
+        return open_place(source).shards(split)
 
-    def _make(self, name: str, split: str, default_set: DefaultSet, place: str) -> None:
+    def _make(self, name: str, split: str, default_set: DefaultSet, source: str) -> None:
         nouns = KINDS[name].nouns
-        what = f"making {nouns} (split {split}) in {place}"
+        what = f"making {nouns} (split {split}) in {source}"
         with shown_progress(what, nouns, _QUIET_S) as update:
 
             def on_progress(progress: store.Progress) -> None:
                 update(progress.done, progress.total)
 
             try:
-                default_set.make(place, split, workers=self._workers, on_progress=on_progress)
+                default_set.make(source, split, workers=self._workers, on_progress=on_progress)
             except KeyboardInterrupt:
                 # Without the frames of workers and locks.
-                kept = f"interrupted; what is finished stays in {place!r}, and the same call continues"
+                kept = f"interrupted; what is finished stays in {source!r}, and the same call continues"
                 raise KeyboardInterrupt(kept) from None
 
     def _refuse_missing(
@@ -366,14 +367,14 @@ class AssetProvider:
                 f"unknown split {split!r} of {name}; expected one of {', '.join(default_set.splits)}"
             ) from error
         if not self._generate:
-            place = self.root / name
-            found = error.what
-            if not place.is_dir():
-                found = "it does not exist"
-            out = f"--out {shlex.quote(str(place))}"
+            folder = self.root / name
+            problem = error.what
+            if not folder.is_dir():
+                problem = "it does not exist"
+            out = f"--out {shlex.quote(str(folder))}"
             command = " ".join(filter(None, (KINDS[name].made_by, default_set.arguments(split), out)))
             raise errors.InputError(
-                f"no split {split!r} of {name!r} in {str(self.root)!r}: {found}",
+                f"no split {split!r} of {name!r} in {str(self.root)!r}: {problem}",
                 next=f"run `{command}`, or make the AssetProvider with generate=True",
             ) from error
 
@@ -382,46 +383,46 @@ def _planned_mesh(make: Callable[[int], mesh.Mesh], number: int) -> trimesh.Trim
     return make(number).to_trimesh()
 
 
-def _checked_places(by_name: object) -> dict[str, str]:
+def _checked_sources(by_name: object) -> dict[str, str]:
     known = (*KINDS, *THIRD_PARTY_ASSETS, *realtouch.SHORT_NAMES)
     if not isinstance(by_name, Mapping):
         raise errors.InputError(
-            f"places of the AssetProvider are {by_name!r}; expected a mapping, such as "
+            f"sources of the AssetProvider are {by_name!r}; expected a mapping, such as "
             "{'mnist3d': 'digits'}"
         )
     for name in by_name:
         if name not in known:
             near = did_you_mean(str(name), known)
             raise errors.InputError(
-                f"places of the AssetProvider has {name!r}; expected names of {', '.join(known)}, each with "
+                f"sources of the AssetProvider has {name!r}; expected names of {', '.join(known)}, each with "
                 f"its folder{near}",
                 next="data sets of other names are opened as `meshes(FOLDER)`",
             )
-    return {name: _absolute_path(os.fspath(place)) for name, place in by_name.items()}
+    return {name: _absolute_path(os.fspath(source)) for name, source in by_name.items()}
 
 
-def _absolute_path(place: str) -> str:
+def _absolute_path(source: str) -> str:
     """Return the absolute path of a local place; other places as they are."""
     try:
-        local = store.expanded(place)
+        local = store.expanded(source)
         if local.exists():
             return str(local.absolute())
     except (errors.InputError, OSError, ValueError):  # too long a name, an unknown user's home, a null byte
         pass
-    return place
+    return source
 
 
 def meshes_at(
-    place: str | os.PathLike[str], split: str, unit: str | None = None
+    source: str | os.PathLike[str], split: str, unit: str | None = None
 ) -> mesh_view.MeshView | MeshSet:
     """Open mesh files, or a data set by folder or name on the Hub; raises as :meth:`AssetProvider.meshes`.
 
     ``unit`` is that of mesh files; InputError if the place holds none.
     """
     # An existing place in full: a name would first be looked for among the assets of the toolkit.
-    named = _absolute_path(os.fspath(place))
+    named = _absolute_path(os.fspath(source))
     files = mesh_view.mesh_files(named, split, unit)
     if files is not None:
         return files
-    mesh.refuse_unit(unit, os.fspath(place))
+    mesh.refuse_unit(unit, os.fspath(source))
     return AssetProvider().meshes(named, split)

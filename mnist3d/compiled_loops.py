@@ -34,11 +34,11 @@ def signed_distance_px(mask: Bool, inside_px: float, outside_px: float) -> Float
     paper, inked = np.zeros((2, *mask.shape), np.int16)
     ink = -mask.astype(np.int16)  # all bits, or none
     _distances_in_rows(ink, math.ceil(inside_px), math.ceil(outside_px), paper, inked)
-    found = np.empty(mask.shape, np.float32)
+    distances_px = np.empty(mask.shape, np.float32)
     least = np.empty(mask.shape[1], np.int16)
     far = max(math.ceil(inside_px), math.ceil(outside_px))
-    _distances(ink, paper, inked, far, np.float32(inside_px), np.float32(outside_px), least, found)
-    return found
+    _distances(ink, paper, inked, far, np.float32(inside_px), np.float32(outside_px), least, distances_px)
+    return distances_px
 
 
 @planned("(int16[:,::1], int64, int64, int16[:,::1], int16[:,::1])")
@@ -57,12 +57,12 @@ def _distances_in_rows(
                 if column == width:
                     end = width + far
                 reach = inside if is_ink else outside
-                for place in range(max(begin, 0), column):
-                    nearest = min(min(place - begin + 1, end - place), reach)
+                for pixel in range(max(begin, 0), column):
+                    nearest = min(min(pixel - begin + 1, end - pixel), reach)
                     if is_ink:
-                        inked[row, place] = nearest * nearest
+                        inked[row, pixel] = nearest * nearest
                     else:
-                        paper[row, place] = nearest * nearest
+                        paper[row, pixel] = nearest * nearest
                 begin = column
 
 
@@ -77,7 +77,7 @@ def _distances(
     inside_px: np.float32,
     outside_px: np.float32,
     least: NDArray[np.int16],
-    found: Float32,
+    distances_px: Float32,
 ) -> None:
     """Write the signed distances, from the squared ones within rows; ``least`` is a scratch row."""
     height, width = ink.shape
@@ -93,20 +93,20 @@ def _distances(
             if added >= most:
                 break
             for side in range(2):
-                other = row + offset if side else row - offset
-                if 0 <= other < height:
+                near_row = row + offset if side else row - offset
+                if 0 <= near_row < height:
                     for column in range(width):
                         own = ink[row, column]
-                        nearest = (inked[other, column] & own) | (paper[other, column] & ~own)
+                        nearest = (inked[near_row, column] & own) | (paper[near_row, column] & ~own)
                         there = np.int16(nearest + added)
                         here = least[column]
                         least[column] = there if there < here else here
         for column in range(width):
             away = np.sqrt(np.float32(least[column]))
             if ink[row, column]:
-                found[row, column] = (inside_px if inside_px < away else away) - half
+                distances_px[row, column] = (inside_px if inside_px < away else away) - half
             else:
-                found[row, column] = half - (outside_px if outside_px < away else away)
+                distances_px[row, column] = half - (outside_px if outside_px < away else away)
 
 
 def narrow_pixels(distance: Float32, wide_px: float, reach: int) -> Int64:
@@ -115,12 +115,12 @@ def narrow_pixels(distance: Float32, wide_px: float, reach: int) -> Int64:
     A pixel is narrow if the square around it, ``reach`` pixels to each side, has no pixel of the same kind
     that is at least ``wide_px`` from the outline.
     """
-    found = np.empty((2, distance.size), np.int64)
-    return found[:, : _narrow_pixels(distance, wide_px, reach, found)]
+    pixels = np.empty((2, distance.size), np.int64)
+    return pixels[:, : _narrow_pixels(distance, wide_px, reach, pixels)]
 
 
 @planned("(float32[:,::1], float64, int64, int64[:,::1])")
-def _narrow_pixels(distance: Float32, wide_px: float, reach: int, found: Int64) -> int:
+def _narrow_pixels(distance: Float32, wide_px: float, reach: int, pixels: Int64) -> int:
     height, width = distance.shape
     count = 0
     for row in range(height):
@@ -130,13 +130,13 @@ def _narrow_pixels(distance: Float32, wide_px: float, reach: int, found: Int64) 
                 continue
             sign = np.float32(1 if here > 0 else -1)
             near = False
-            for other in range(max(row - reach, 0), min(row + reach + 1, height)):
-                for beside in range(max(column - reach, 0), min(column + reach + 1, width)):
-                    near |= sign * distance[other, beside] >= wide_px
+            for near_row in range(max(row - reach, 0), min(row + reach + 1, height)):
+                for near_column in range(max(column - reach, 0), min(column + reach + 1, width)):
+                    near |= sign * distance[near_row, near_column] >= wide_px
                 if near:
                     break
             if not near:
-                found[0, count], found[1, count] = row, column
+                pixels[0, count], pixels[1, count] = row, column
                 count += 1
     return count
 
@@ -160,10 +160,10 @@ def blurred(
     """
 
     def blur_rows(levels: Float64, nodes: Float64) -> Float64:
-        found = np.zeros((len(nodes), levels.shape[1]))
+        at_nodes = np.zeros((len(nodes), levels.shape[1]))
         weights = np.empty((2, len(levels)))
-        _blur_axis(levels, nodes, sigma_per_pitch, bell_reach, weight_grain, weights, found)
-        return found
+        _blur_axis(levels, nodes, sigma_per_pitch, bell_reach, weight_grain, weights, at_nodes)
+        return at_nodes
 
     halfway = np.round(blur_rows(values.astype(np.float64), rows) / factor_grain) * factor_grain
     return blur_rows(np.ascontiguousarray(halfway.T), columns).T
@@ -177,9 +177,9 @@ def _blur_axis(
     bell_reach: float,
     grain: float,
     weights: Float64,
-    found: Float64,
+    at_nodes: Float64,
 ) -> None:
-    count, width = found.shape
+    count, width = at_nodes.shape
     for node in range(count):
         # Pitches differ along an axis: each node is blurred for the finer of its two sides.
         here = nodes[node]
@@ -205,8 +205,8 @@ def _blur_axis(
         for pixel in range(first, last + 1):
             weight = np.rint((2 * weights[0, pixel] - weights[1, pixel]) / grain) * grain
             if weight != 0:
-                for place in range(width):
-                    found[node, place] += weight * values[pixel, place]
+                for column in range(width):
+                    at_nodes[node, column] += weight * values[pixel, column]
 
 
 def runs_of(mask: Bool) -> tuple[Int64, Int64]:
@@ -215,14 +215,14 @@ def runs_of(mask: Bool) -> tuple[Int64, Int64]:
     Runs have the shape (N, 3): row, first column, and the column after the last. Pairs have the shape (2, M).
     """
     height, width = mask.shape
-    found = np.empty((height * (width // 2 + 1), 3), np.int64)
-    pairs = np.empty((2, 2 * len(found)), np.int64)
-    count, touching = _runs_of(mask, found, pairs)
-    return found[:count], pairs[:, :touching]
+    runs = np.empty((height * (width // 2 + 1), 3), np.int64)
+    pairs = np.empty((2, 2 * len(runs)), np.int64)
+    count, touching = _runs_of(mask, runs, pairs)
+    return runs[:count], pairs[:, :touching]
 
 
 @planned("(boolean[:,::1], int64[:,::1], int64[:,::1])")
-def _runs_of(mask: Bool, found: Int64, pairs: Int64) -> tuple[int, int]:
+def _runs_of(mask: Bool, runs: Int64, pairs: Int64) -> tuple[int, int]:
     height, width = mask.shape
     count = touching = above = 0
     for row in range(height):
@@ -231,11 +231,11 @@ def _runs_of(mask: Bool, found: Int64, pairs: Int64) -> tuple[int, int]:
             if column < width and mask[row, column]:
                 begin = column if begin < 0 else begin
             elif begin >= 0:
-                found[count, 0], found[count, 1], found[count, 2] = row, begin, column
-                while above < first and found[above, 2] <= begin:
+                runs[count, 0], runs[count, 1], runs[count, 2] = row, begin, column
+                while above < first and runs[above, 2] <= begin:
                     above += 1
                 beside = above
-                while beside < first and found[beside, 1] < column:
+                while beside < first and runs[beside, 1] < column:
                     pairs[0, touching], pairs[1, touching] = count, beside
                     touching += 1
                     beside += 1
@@ -247,7 +247,7 @@ def _runs_of(mask: Bool, found: Int64, pairs: Int64) -> tuple[int, int]:
     return count, touching
 
 
-def smoothed(vertices: Float32, faces: Int32, flat: Int64, shares: Float32) -> Float32:
+def smoothed(vertices: Float32, faces: Int32, flat: Int64, step_factors: Float32) -> Float32:
     """Move vertices towards the mean of their neighbours, by each share of the way in turn.
 
     Vertices marked in ``flat`` keep their z. An edge counts once for each of its triangles. Neighbours are
@@ -259,9 +259,9 @@ def smoothed(vertices: Float32, faces: Int32, flat: Int64, shares: Float32) -> F
     weights = np.empty(ends[-1], np.float32)
     filled = ends[:-1].copy()
     _find_neighbours(faces, ends, filled, beside, weights)
-    for share in shares:
+    for step_factor in step_factors:
         moved = np.empty_like(vertices)
-        _pull(vertices, flat, share, ends, filled, beside, weights, moved)
+        _pull(vertices, flat, step_factor, ends, filled, beside, weights, moved)
         vertices = moved
     return vertices
 
@@ -272,16 +272,16 @@ def _find_neighbours(faces: Int32, ends: Int64, filled: Int64, beside: Int32, we
     for face in range(len(faces)):
         for k in range(6):
             corner = faces[face, k % 3]
-            other = faces[face, (k % 3 + k // 3 + 1) % 3]
-            first, place = ends[corner], filled[corner]
-            while place > first and beside[place - 1] < other:
-                place -= 1
-            if place > first and beside[place - 1] == other:
-                weights[place - 1] += np.float32(1)
+            neighbour = faces[face, (k % 3 + k // 3 + 1) % 3]
+            first, slot = ends[corner], filled[corner]
+            while slot > first and beside[slot - 1] < neighbour:
+                slot -= 1
+            if slot > first and beside[slot - 1] == neighbour:
+                weights[slot - 1] += np.float32(1)
                 continue
-            for later in range(filled[corner], place, -1):
+            for later in range(filled[corner], slot, -1):
                 beside[later], weights[later] = beside[later - 1], weights[later - 1]
-            beside[place], weights[place] = other, np.float32(1)
+            beside[slot], weights[slot] = neighbour, np.float32(1)
             filled[corner] += 1
 
 
@@ -302,12 +302,12 @@ def _pull(
     for vertex in range(len(vertices)):
         part = np.float32(1) / np.float32(ends[vertex + 1] - ends[vertex])
         x, y, z = np.float32(0), np.float32(0), np.float32(0)
-        for place in range(ends[vertex], filled[vertex]):
-            weight = weights[place] * part
-            other = beside[place]
-            x += weight * vertices[other, 0]
-            y += weight * vertices[other, 1]
-            z += weight * vertices[other, 2]
+        for slot in range(ends[vertex], filled[vertex]):
+            weight = weights[slot] * part
+            neighbour = beside[slot]
+            x += weight * vertices[neighbour, 0]
+            y += weight * vertices[neighbour, 1]
+            z += weight * vertices[neighbour, 2]
         moved[vertex, 0] = vertices[vertex, 0] + share * (x - vertices[vertex, 0])
         moved[vertex, 1] = vertices[vertex, 1] + share * (y - vertices[vertex, 1])
         moved[vertex, 2] = vertices[vertex, 2]

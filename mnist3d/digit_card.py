@@ -79,25 +79,25 @@ def summarise_columns(
     manifest: store.Manifest, table: pa.Table, declared: Sequence[Column]
 ) -> list[SplitSummary]:
     """Summarise the columns of a table for each split; ``table`` has a column ``split``."""
-    found = []
+    summaries = []
     for split, counts in manifest.split_table().items():
         rows = table.filter(pc.equal(table["split"], split))
-        found.append(
+        summaries.append(
             SplitSummary(
                 split,
                 counts,
-                {each.name: _counts(rows[each.name]) for each in declared if each.role == "facet"},
-                {each.name: _spread(rows[each.name]) for each in declared if each.role == "measure"},
+                {column.name: _counts(rows[column.name]) for column in declared if column.role == "facet"},
+                {column.name: _spread(rows[column.name]) for column in declared if column.role == "measure"},
             )
         )
-    return found
+    return summaries
 
 
 def _counts(values: pa.ChunkedArray) -> dict[str, int]:
     flat = values.combine_chunks()
     if pa.types.is_list(flat.type):
         flat = flat.flatten()
-    counts = {str(each["values"]): each["counts"] for each in flat.value_counts().to_pylist()}
+    counts = {str(entry["values"]): entry["counts"] for entry in flat.value_counts().to_pylist()}
     return {value: counts[value] for value in sorted(counts, key=wording.natural_key)}
 
 
@@ -120,8 +120,8 @@ def facts(folder: store.DataFolder, manifest: store.Manifest) -> Facts:
     """Return the figures of a finished data set and advice on printing it; raises as :func:`summarise`."""
     summaries = summarise(folder, manifest)
     header, rows = facts_table(summaries, SUMMED_UP)
-    advice = mesh.PrintReport.advice(word for each in summaries for word in each.facets["warnings"])
-    document: JsonDict = {"splits": [each.to_dict() for each in summaries]}
+    advice = mesh.PrintReport.advice(word for summary in summaries for word in summary.facets["warnings"])
+    document: JsonDict = {"splits": [summary.to_dict() for summary in summaries]}
     return Facts(header, tuple(rows), tuple(advice), document)
 
 

@@ -27,8 +27,8 @@ from tactile_toolkit.mesh import (
 _ROWS_SHOWN = 20
 _COLUMNS = ("id", "label", mesh.VERTICES, mesh.FACES)
 _SHOWN = [
-    each
-    for name, each in mesh.PrintReport.columns().items()
+    column
+    for name, column in mesh.PrintReport.columns().items()
     if name in ("bodies", "volume_mm3", "thinnest_wall_mm")
 ]
 
@@ -81,7 +81,7 @@ class CheckedMeshes:
     def unreadable(self) -> list[str]:
         """Reasons why files or rows could not be read."""
         reports = [item.report for item in self.items]
-        return [each.detail or "" for each in reports if each.problem == each.UNREADABLE]
+        return [report.detail or "" for report in reports if report.problem == report.UNREADABLE]
 
     def warnings(self) -> dict[str, int]:
         """Count the meshes with each print warning."""
@@ -166,12 +166,12 @@ def validate_paths(
     for name in paths:
         if name not in files:
             mesh.refuse_unit(unit, name)
-    found = [name if name in files else opened(name) for name in paths]
+    sources = [name if name in files else opened(name) for name in paths]
     return [
-        _check_file(each, unit, profile)
-        if isinstance(each, str)
-        else check_meshes(each, KIND, split, limit, workers, profile, on_progress)
-        for each in found
+        _check_file(source, unit, profile)
+        if isinstance(source, str)
+        else check_meshes(source, KIND, split, limit, workers, profile, on_progress)
+        for source in sources
     ]
 
 
@@ -184,7 +184,7 @@ def _check_file(path: str, unit: str | None, profile: mesh.PrintProfile) -> Chec
 
 
 def check_meshes(
-    place: places.Place,
+    opened: places.Place,
     kind: DatasetKind,
     split: str | None,
     limit: int | None,
@@ -193,17 +193,17 @@ def check_meshes(
     on_progress: Callable[[int, int], None],
 ) -> CheckedMeshes:
     """Check the rows of a data set of one mesh each; arguments and errors as of :func:`validate_paths`."""
-    shards = catalog.shards_to_check(place, split, kind)
+    shards = catalog.shards_to_check(opened, split, kind)
     check = partial(_inspect_row, profile=profile)
     items = []
     for row in catalog.check_rows(shards, check, _COLUMNS, limit, workers, on_progress):
         report = row.result
         if report is None:
-            where = f"split {row.split!r}, row {row.row} of {row.file}"
-            report = _unreadable(f"{where}: field {row.null_field!r} is null; expected a value")
+            row_name = f"split {row.split!r}, row {row.row} of {row.file}"
+            report = _unreadable(f"{row_name}: field {row.null_field!r} is null; expected a value")
         number = f"row {row.row}" if row.id is None else row.id
         items.append(CheckedMesh(f"{row.split} {number}", report))
-    return CheckedMeshes(place.name, tuple(items))
+    return CheckedMeshes(opened.name, tuple(items))
 
 
 def _is_single_file(path: str) -> bool:

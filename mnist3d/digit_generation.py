@@ -11,8 +11,9 @@ from typing import Any, Unpack
 import numpy as np
 import pyarrow as pa
 
-from mnist3d import digit_options, digit_records, solid
+from mnist3d import digit_options, digit_records
 from mnist3d.kind import KIND
+from mnist3d.solid import algorithm
 from mnist3d.sources import digit_arrays, digit_source, picture_folder, synthetic
 from tactile_toolkit import generation, mesh, store
 from tactile_toolkit.array_types import Int64
@@ -54,14 +55,14 @@ _ADD_PICTURES = (
 )
 
 
-def chosen_source(name: str, given: JsonObject, seed: int) -> digit_source.DigitSource:
+def chosen_source(name: str, options: JsonObject, seed: int) -> digit_source.DigitSource:
     """Return the source that options choose; InputError for a missing option, or one of another source."""
     for option in _NEEDED[name]:
-        if option not in given:
+        if option not in options:
             raise InputError(f"is needed by the source {name!r}, and was not given", field=option)
-    if name == "mnist" and given.get("download"):
-        digit_arrays.download_mnist(given["images"])
-    values = {field: given[option] for option, field in _FIELDS[name].items() if option in given}
+    if name == "mnist" and options.get("download"):
+        digit_arrays.download_mnist(options["images"])
+    values = {field: options[option] for option, field in _FIELDS[name].items() if option in options}
     if name == "synthetic":
         values["seed"] = seed
     return _SOURCES[name](**values)
@@ -84,10 +85,10 @@ def source_again(described: JsonObject, **files: str | None) -> digit_source.Dig
         "foreground": described.get("ink"),
         "threshold": described.get("threshold"),
     }
-    given = {option: value for option, value in known.items() if value is not None}
-    source = chosen_source(name, given, int(described.get("seed", 0)))
-    found = {key: value for key, value in source.fingerprint().items() if key not in _UNCOMPARED}
-    if found != {key: value for key, value in described.items() if key not in _UNCOMPARED}:
+    options = {option: value for option, value in known.items() if value is not None}
+    source = chosen_source(name, options, int(described.get("seed", 0)))
+    current = {key: value for key, value in source.fingerprint().items() if key not in _UNCOMPARED}
+    if current != {key: value for key, value in described.items() if key not in _UNCOMPARED}:
         if files.get("images") is None:
             raise InputError(
                 f"source {name!r} now makes other images than the data set was made from",
@@ -231,26 +232,26 @@ def _has_drawings(catalog: digit_source.DigitCatalog) -> bool:
 
 
 def _solid(spec: DigitSetSpec, is_drawing: bool, digit_id: int) -> mesh.Mesh:
-    return solid.solid_of_sheet(spec.source.image(digit_id).pixels, spec.solid, is_drawing=is_drawing)
+    return algorithm.solid_of_sheet(spec.source.image(digit_id).pixels, spec.solid, is_drawing=is_drawing)
 
 
 def make_row(digit_id: int, spec: DigitSetSpec, *, is_drawing: bool = False) -> digit_records.DigitRow:
     """Read one digit, make its solid and inspect it.
 
-    ``is_drawing`` is as for :func:`mnist3d.solid.solid_of_sheet`. Raises ItemError when the image cannot be
-    used, or the mesh does not bound a solid; the reason is one of
+    ``is_drawing`` is as for :func:`mnist3d.solid.algorithm.solid_of_sheet`. Raises ItemError when the image
+    cannot be used, or the mesh does not bound a solid; the reason is one of
     :data:`tactile_toolkit.mesh.solid_check.PROBLEMS`.
     """
     digit = spec.source.image(digit_id)
-    where = f"digit {digit_id} of source {spec.source.name!r}"
+    digit_name = f"digit {digit_id} of source {spec.source.name!r}"
     try:
-        made = solid.solid_of_sheet(digit.pixels, spec.solid, is_drawing=is_drawing)
+        made = algorithm.solid_of_sheet(digit.pixels, spec.solid, is_drawing=is_drawing)
     except ItemError as error:
-        raise ItemError(error.reason, f"{where}: {error.message}") from error
+        raise ItemError(error.reason, f"{digit_name}: {error.message}") from error
     report = mesh.inspect(made, spec.profile)
     # Only meshes that bound a solid are stored.
     if report.problem is not None:
-        raise ItemError(report.problem, f"{where} gives no valid solid: {report.detail}")
+        raise ItemError(report.problem, f"{digit_name} gives no valid solid: {report.detail}")
     return digit_records.DigitRow(
         id=digit.id,
         label=digit.label,

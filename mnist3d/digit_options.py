@@ -254,11 +254,11 @@ class SolidSize:
 
     def __post_init__(self) -> None:
         check_fields(self, "the size of the solid")
-        given = [each.name for each in fields(self) if getattr(self, each.name) is not None]
-        if len(given) > 1:
+        stated = [option.name for option in fields(self) if getattr(self, option.name) is not None]
+        if len(stated) > 1:
             raise InputError(
-                f"two sizes are given, {given[0]} and {given[1]}; expected one: pictures keep their shape",
-                next=f"leave out {given[1]}",
+                f"two sizes are given, {stated[0]} and {stated[1]}; expected one: pictures keep their shape",
+                next=f"leave out {stated[1]}",
             )
 
 

@@ -12,12 +12,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from PIL import Image
 
-from mnist3d import digit_generation, digit_options, digit_records, ink, sources
-from mnist3d.ink.binarisation import binarise
+from mnist3d import digit_generation, digit_options, digit_records
+from mnist3d.ink import binarisation, grey_levels
 from mnist3d.kind import KIND
 from mnist3d.solid import algorithm
 from mnist3d.solid.lattice import Lattice
-from mnist3d.sources import picture_files
+from mnist3d.sources import digit_source, picture_files
 from tactile_toolkit import catalog, gallery, mesh, pictures, store
 from tactile_toolkit.arithmetic import inverse_affine
 from tactile_toolkit.array_types import AnyArray, Bool, UInt8
@@ -70,7 +70,7 @@ def _plan_file(name: str, spec: digit_options.DigitPreviewSpec) -> pictures.Pict
     path = store.expanded(name)
     kind = "sheet" if path.suffix.lower() in mesh.MeshFile.FORMATS else "steps"
     rows = {"split": spec.split, "ids": spec.ids, "labels": spec.labels, "limit": spec.limit}
-    rows["kinds"] = [each for each in spec.kinds if each not in (kind, "all")]
+    rows["kinds"] = [word for word in spec.kinds if word not in (kind, "all")]
     for option, value in rows.items():
         if value:
             raise InputError(
@@ -99,7 +99,7 @@ def _plan_pages(path: Path, stem: str) -> list[tuple[str, partial[UInt8]]]:
             file = f"{stem}-{number}-steps.png"
             title = f"{path.name}, page {number}"
         # Fitted into 500 px, as by the sources; the default specification is for that size.
-        pixels = ink.fit(picture_files.read_picture(path, page=page, whole=True))
+        pixels = grey_levels.fit(picture_files.read_picture(path, page=page, whole=True))
         drawings.append((file, partial(draw_steps, pixels, digit_options.SolidSpec(), title)))
     return drawings
 
@@ -123,21 +123,21 @@ def _plan_steps(
     def draw(number: int, title: str) -> UInt8:
         return draw_steps(source.image(number).pixels, solid_spec, title)
 
-    planned = []
+    drawings = []
     for split, digits in chosen.splits.items():
         for digit in digits if spec.ids else digits[:1]:
             file = f"{chosen.stem}-{split}-{digit.id}-steps.png"
             title = f"{digit.caption(digits.label_names)}, id {digit.id} ({chosen.stem}, {split})"
             drawing = partial(draw, digit.id, title.capitalize())
-            planned.append(pictures.PlannedPicture(file, f"digit {digit.id}, step by step", drawing))
-    return planned if spec.ids else planned[:1]
+            drawings.append(pictures.PlannedPicture(file, f"digit {digit.id}, step by step", drawing))
+    return drawings if spec.ids else drawings[:1]
 
 
 def plan_gallery(name: Name | Place, chosen: catalog.RowFilter = catalog.RowFilter.ALL) -> gallery.Gallery:
     """Plan a gallery of digits; see :meth:`~tactile_toolkit.gallery.Gallery.of_solids`."""
     # The report of the data set, if it has one, is read instead of inspecting meshes again.
-    place = open_place(name)
-    folder = place.folder
+    opened = open_place(name)
+    folder = opened.folder
     has_report = folder is not None and folder.exists(digit_records.REPORT_FILE)
 
     def reports(rows: digit_records.DigitDataset, split: str) -> list[JsonObject | None]:
@@ -149,7 +149,7 @@ def plan_gallery(name: Name | Place, chosen: catalog.RowFilter = catalog.RowFilt
         return [by_id.get(number) for number in rows.ids.tolist()]
 
     return gallery.Gallery.of_solids(
-        KIND, place, chosen, title="3D digits", columns=_SHOWN, facts=_facts, known=reports
+        KIND, opened, chosen, title="3D digits", columns=_SHOWN, facts=_facts, known=reports
     )
 
 
@@ -158,7 +158,7 @@ def _facts(record: digit_records.DigitRecord, report: JsonObject | None) -> Json
         inspected = mesh.inspect(mesh.Mesh(record.vertices_m, record.faces))
         problem = [] if inspected.problem is None else [inspected.problem]
         report = {**inspected.to_row(), "warnings": [*problem, *inspected.warnings]}
-    return {**report, "writer": None if record.writer == sources.NO_WRITER else record.writer}
+    return {**report, "writer": None if record.writer == digit_source.NO_WRITER else record.writer}
 
 
 def draw_steps(pixels: AnyArray, spec: digit_options.SolidSpec, title: str) -> UInt8:
@@ -167,7 +167,7 @@ def draw_steps(pixels: AnyArray, spec: digit_options.SolidSpec, title: str) -> U
     Raises ItemError, with the title of the picture, where the image is not a usable digit.
     """
     try:
-        mask = binarise(pixels, spec, ink="dark")
+        mask = binarisation.binarise(pixels, spec, ink="dark")
         steps = algorithm.solid_steps(mask, spec)
     except ItemError as error:
         raise ItemError(error.reason, f"{title}: {error}") from error
@@ -248,8 +248,8 @@ def _stack_view(
         mask = Image.fromarray(layer.astype(np.uint8) * 255)
         for drop_px, colour in ((_SAMPLING, (70, 80, 92)), (0, _tint(share))):
             data = _back_to_layer(layer.shape, side, px, _SPREAD * z, drop_px)
-            seen = mask.transform((side, side), Image.Transform.AFFINE, data, Image.Resampling.BILINEAR)
-            picture.paste(colour, mask=seen)
+            visible = mask.transform((side, side), Image.Transform.AFFINE, data, Image.Resampling.BILINEAR)
+            picture.paste(colour, mask=visible)
     return np.asarray(picture.reduce(_SAMPLING))
 
 

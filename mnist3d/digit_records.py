@@ -85,14 +85,14 @@ def report_table(shard: store.ShardName, rows: Sequence[DigitRow]) -> pa.Table:
     """Pack the reports about the digits of one shard into an Arrow table."""
     origins = pa.table(
         {
-            "id": pa.array([each.id for each in rows], pa.int64()),
-            "label": pa.array([each.label for each in rows], pa.int64()),
+            "id": pa.array([row.id for row in rows], pa.int64()),
+            "label": pa.array([row.label for row in rows], pa.int64()),
             "split": pa.array([shard.split] * len(rows), pa.string()),
             "shard": pa.array([str(shard)] * len(rows), pa.string()),
         }
     )
     # The columns of the report are those of `PrintReport`: a further measure needs no edit here.
-    reports = mesh.PrintReport.table([each.report for each in rows])
+    reports = mesh.PrintReport.table([row.report for row in rows])
     return pa.table([*origins.columns, *reports.columns], [*origins.column_names, *reports.column_names])
 
 
@@ -145,6 +145,7 @@ class DigitDataset(mesh.SolidDataset[DigitRecord]):
 
     record_class = DigitRecord
     things = "digits"
+    extent_m = (0.1, 0.1, 0.01)
 
     @property
     def writers(self) -> Int64:

@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from mnist3d import digit_options, solid
+from mnist3d import digit_options
 from mnist3d.digit_previews import CLAY
+from mnist3d.solid import algorithm, picture_ink
 from mnist3d.sources.picture_files import is_picture_name, pages_of
 from tactile_toolkit import mesh, pictures, printing, store
 from tactile_toolkit.array_types import Bool, UInt8
@@ -108,19 +109,19 @@ def print_pictures(
     InputError
         A name is no picture or folder, two pictures have the same name, or a file is in the way.
     """
-    found = [page for name in names for page in _pages_of(store.expanded(name))]
-    folder, ending, stems = _file_names(found, out, spec.ending)
+    pages = [page for name in names for page in _pages_of(store.expanded(name))]
+    folder, ending, stems = _file_names(pages, out, spec.ending)
     endings = [ending, _PREVIEW] if spec.preview else [ending]
     _refuse_pictures(
-        [path for path, _ in found], Path(folder), [stem + each for stem in stems for each in endings]
+        [path for path, _ in pages], Path(folder), [stem + suffix for stem in stems for suffix in endings]
     )
     products = [
         printing.Product(
             stem,
-            tuple(glob.escape(stem) + each for each in endings),
+            tuple(glob.escape(stem) + suffix for suffix in endings),
             partial(_made, path, page, stem, ending, spec),
         )
-        for stem, (path, page) in zip(stems, found, strict=True)
+        for stem, (path, page) in zip(stems, pages, strict=True)
     ]
     workers = min(workers, len(products))
     return printing.FileExport.of(
@@ -139,9 +140,9 @@ def _refuse_pictures(pictures: Sequence[Path], folder: Path, names: Sequence[str
 def _pages_of(path: Path) -> Iterator[tuple[Path, int]]:
     files = [path]
     if path.is_dir():
-        visible = (each for each in path.iterdir() if not store.is_hidden(each.name) and each.is_file())
-        files = sorted(visible, key=lambda each: (natural_key(each.name.casefold()), each.name))
-        others = [each.name for each in files if not is_picture_name(each.name)]
+        visible = (inner for inner in path.iterdir() if not store.is_hidden(inner.name) and inner.is_file())
+        files = sorted(visible, key=lambda inner: (natural_key(inner.name.casefold()), inner.name))
+        others = [inner.name for inner in files if not is_picture_name(inner.name)]
         if others or not files:
             what = f"it holds {others[0]!r}" if others else "it is empty"
             raise InputError(
@@ -158,48 +159,48 @@ def _pages_of(path: Path) -> Iterator[tuple[Path, int]]:
             yield file, page
 
 
-def _file_names(found: Sequence[tuple[Path, int]], out: str, ending: str) -> tuple[str, str, Sequence[str]]:
+def _file_names(pages: Sequence[tuple[Path, int]], out: str, ending: str) -> tuple[str, str, Sequence[str]]:
     """Return the folder, the ending, and the names of the files without their ending."""
-    place = store.expanded(out)
-    if place.suffix.lower() in mesh.MeshFile.FORMATS:
-        if len(found) != 1:
+    target = store.expanded(out)
+    if target.suffix.lower() in mesh.MeshFile.FORMATS:
+        if len(pages) != 1:
             raise InputError(
-                f"is the file {out!r}, but {_counted(found)}",
+                f"is the file {out!r}, but {_counted(pages)}",
                 next="give a folder, and the format by --format",
                 field="out",
             )
-        return str(place.parent), place.suffix.lower(), [place.stem]
-    if place.suffix:
+        return str(target.parent), target.suffix.lower(), [target.stem]
+    if target.suffix:
         raise InputError(
             f"is {out!r}; expected a folder, or a file that ends in {', '.join(mesh.MeshFile.FORMATS)}",
             next="change its ending",
             field="out",
         )
-    paged = {path for path, page in found if page}
-    stems = [f"{path.stem}-{page + 1}" if path in paged else path.stem for path, page in found]
+    paged = {path for path, page in pages if page}
+    stems = [f"{path.stem}-{page + 1}" if path in paged else path.stem for path, page in pages]
     folded = [stem.casefold() for stem in stems]
     twice = next((stem for stem, key in zip(stems, folded, strict=True) if folded.count(key) > 1), None)
     if twice is not None:
         raise InputError(
             f"two pictures would make {twice + ending!r}", next="rename one, or make them in two commands"
         )
-    return str(place), ending, stems
+    return str(target), ending, stems
 
 
-def _counted(found: Sequence[tuple[Path, int]]) -> str:
+def _counted(pages: Sequence[tuple[Path, int]]) -> str:
     """Return the number of pictures, or of pages of one file, as text."""
-    files = {path for path, _ in found}
-    if len(files) > 1 or found[-1][1] == 0:
-        return f"there are {len(found):,} pictures"
-    return f"{found[0][0]} has {len(found):,} pages, each of which is a picture"
+    files = {path for path, _ in pages}
+    if len(files) > 1 or pages[-1][1] == 0:
+        return f"there are {len(pages):,} pictures"
+    return f"{pages[0][0]} has {len(pages):,} pages, each of which is a picture"
 
 
 def _made(path: Path, page: int, stem: str, ending: str, spec: PrintSpec) -> printing.Made[PrintedPicture]:
     """Make the file of a picture, and its preview; ItemError if the picture cannot be used."""
-    sized = solid.sized_ink(
+    sized = picture_ink.sized_ink(
         str(path), None, spec.size, changes=spec.changes, which=spec.ink, threshold=spec.threshold, page=page
     )
-    part = solid.solid_of_ink(sized, spec.base_mm).on_plate()
+    part = algorithm.solid_of_ink(sized, spec.base_mm).on_plate()
     report = mesh.inspect(part, spec.profile)
 
     def record(_verdict: object, size: int, state: str) -> PrintedPicture:

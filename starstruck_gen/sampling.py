@@ -215,7 +215,9 @@ class SceneSpec:
         fits = all(isinstance(shape, Shape) and shape.name != STAR for shape in shapes)
         fits = fits and (bool(shapes) or self.distractors[1] == 0)
         self._require("distractor_shapes", fits, "Shape objects that are not stars, such as (Shape('box'),)")
-        fits = bool(heights) and all(isinstance(each, float) and 1e-4 <= each <= 1.0 for each in heights)
+        fits = bool(heights) and all(
+            isinstance(height, float) and 1e-4 <= height <= 1.0 for height in heights
+        )
         self._require("heights_m", fits, "one or more heights from 0.0001 to 1 m")
         self._require(
             "cell_m", min(self.half_area_m) >= 0, "room for the padding and one object side by side"
@@ -345,7 +347,7 @@ def sample_scenes(spec: SceneSpec, split: str, seed: int, start: int, count: int
     spec : SceneSpec
         How scenes are made.
     split : str
-        One of :data:`starstruck_gen.SPLITS`.
+        One of :data:`starstruck_gen.sampling.SPLITS`.
     seed : int
         Seed of the data set.
     start, count : int

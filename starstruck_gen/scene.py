@@ -72,9 +72,9 @@ class Placement(NamedTuple):
         return self.shape.partition("(")[0] == shapes.STAR
 
 
-def circles_clear(one: Placement, others: Sequence[Placement], clearance_m: float) -> bool:
+def circles_clear(placement: Placement, others: Sequence[Placement], clearance_m: float) -> bool:
     """Return whether circumscribed circles keep a clearance: the rule of package tactile-mnist 0.13.0."""
-    _, x_m, y_m, _, radius_m, _ = one
+    _, x_m, y_m, _, radius_m, _ = placement
     # A loop of products, without calls or roots: each pair of objects is tested up to 100 times.
     for _, other_x_m, other_y_m, _, other_radius_m, _ in others:
         along_m, across_m = x_m - other_x_m, y_m - other_y_m
@@ -84,14 +84,14 @@ def circles_clear(one: Placement, others: Sequence[Placement], clearance_m: floa
     return True
 
 
-def outlines_clear(one: Placement, others: Sequence[Placement], clearance_m: float) -> bool:
+def outlines_clear(placement: Placement, others: Sequence[Placement], clearance_m: float) -> bool:
     """Return whether outlines keep a clearance, as measured by manifold3d.
 
     An object inside a hole of another one is clear of it; an object inside its solid is not.
     """
     least_mm = (clearance_m + STORAGE_MARGIN_M) * mesh.MM_PER_M
-    near = (other for other in others if not circles_clear(one, [other], clearance_m))
-    pairs = ((_standing(one), _standing(other)) for other in near)
+    near = (neighbour for neighbour in others if not circles_clear(placement, [neighbour], clearance_m))
+    pairs = ((_standing(placement), _standing(neighbour)) for neighbour in near)
     # The gap does not reveal an object inside another one, and is slow to compute if objects overlap.
     return all((a ^ b).is_empty() and a.min_gap(b, 2 * least_mm) > least_mm for a, b in pairs)
 

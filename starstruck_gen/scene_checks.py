@@ -63,7 +63,11 @@ class CheckedScenes:
 
     def to_dict(self) -> JsonDict:
         """Return JSON values."""
-        return {**asdict(self), "failures": [asdict(each) for each in self.failures], "failed": self.failed}
+        return {
+            **asdict(self),
+            "failures": [asdict(failure) for failure in self.failures],
+            "failed": self.failed,
+        }
 
     def advice(self) -> Sequence[str]:
         """Return nothing: scenes are not printed."""
@@ -95,8 +99,8 @@ def validate_folder(
     of scenes done and in total. Raises InputError if there is no data set of scenes, and IntegrityError if a
     shard is damaged or the run that makes the data set is not finished.
     """
-    place = places.open_place(name)
-    shards = catalog.shards_to_check(place, split, KIND)
+    opened = places.open_place(name)
+    shards = catalog.shards_to_check(opened, split, KIND)
     names = {shard.path: read.class_names(shard.schema, KIND.class_names) for _, shard in shards}
     rows = catalog.check_rows(
         shards,
@@ -119,7 +123,7 @@ def validate_folder(
             number = _NO_ID if row.id is None else row.id
             failures.append(InvalidScene(row.split, number, problem))
     declares = any("placements" in read.column_names(shard.schema) for _, shard in shards)
-    return CheckedScenes(place.name, len(rows), bodies, stars, tuple(failures), declares)
+    return CheckedScenes(opened.name, len(rows), bodies, stars, tuple(failures), declares)
 
 
 def _check_row(row: read.Row, names: Mapping[str, Sequence[str]]) -> tuple[str | None, int, int]:

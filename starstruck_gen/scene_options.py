@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass
 
 import starstruck_gen
+from starstruck_gen.kind import KIND
 from tactile_toolkit import catalog, checked_fields, wording
 from tactile_toolkit.errors import InputError
 
@@ -43,8 +44,8 @@ def _lengths_m(name: str, words: str, most: int) -> tuple[float, ...]:
 def scene_counts(words: str) -> tuple[tuple[str, int], ...]:
     """Read ``5000`` or ``train=5000,test=500``."""
     if wording.is_count(words.strip()):
-        return tuple((split, int(words)) for split in starstruck_gen.SPLITS)
-    return checked_fields.split_counts(words, "scenes", starstruck_gen.SPLITS)
+        return tuple((split, int(words)) for split in KIND.splits)
+    return checked_fields.split_counts(words, "scenes", KIND.splits)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,14 +108,14 @@ class SceneOptions:
                 field="distractors",
             )
         sides_m = _lengths_m("cell_mm", self.cell_mm, 2)
-        shapes = [each for each in _BETWEEN_SHAPES.split(self.shapes) if each.strip()]
+        shapes = [name for name in _BETWEEN_SHAPES.split(self.shapes) if name.strip()]
         return starstruck_gen.SceneSpec(
             cell_m=(sides_m[0], sides_m[-1]),
             stars=_counts("stars", self.stars),
             distractors=(others[0], others[-1]),
             star=self._star(),
             distractor_shapes=tuple(
-                starstruck_gen.Shape.parse(each, self.radius_mm / 1e3) for each in shapes
+                starstruck_gen.Shape.parse(name, self.radius_mm / 1e3) for name in shapes
             ),
             heights_m=_lengths_m("heights_mm", self.heights_mm, 1000),
             collision=self.collision,

@@ -383,11 +383,11 @@ def shape_key(proportions: Proportions) -> str:
 
     It holds the numbers that differ from those of the kind, exactly. Equal proportions have equal keys.
     """
-    given = ((entry, getattr(proportions, entry.name)) for entry in fields(proportions))
-    numbers = ",".join(f"{entry.name}={value!r}" for entry, value in given if value != entry.default)
-    if not numbers:
+    numbers = ((entry, getattr(proportions, entry.name)) for entry in fields(proportions))
+    stated = ",".join(f"{entry.name}={value!r}" for entry, value in numbers if value != entry.default)
+    if not stated:
         return proportions.name
-    return f"{proportions.name}({numbers})"
+    return f"{proportions.name}({stated})"
 
 
 @lru_cache(1_024)

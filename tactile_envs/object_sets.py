@@ -21,15 +21,8 @@ from functools import partial
 from os import PathLike, fspath
 from typing import Any
 
-from env_assets import (
-    KINDS,
-    AssetProvider,
-    MeshView,
-    mesh_view,
-    meshes_at,
-    provider,
-    require_fitting_meshes,
-)
+from env_assets import AssetProvider, MeshView, mesh_view, provider
+from env_assets.provider import KINDS
 from tactile_envs import env_specs, mesh_pool
 from tactile_envs.config import Config
 from tactile_toolkit import mesh, run, store
@@ -79,7 +72,7 @@ def open_objects(
     named = f"{spec.assets!r}, split {spec.split!r},"
     if config.smallest_dimension_up:
         records = replace(MeshView.of(records), flat=True)
-    require_fitting_meshes(MeshView.of(records), kind, named, config.cell_size)
+    mesh_view.require_fitting_meshes(MeshView.of(records), kind, named, config.cell_size)
     may_begin = may_begin and len(records) > _MANY
     if may_begin and isinstance(records, RecordDataset) and not mesh_pool.MeshPool.is_kept(records):
         return _packed_meanwhile(records)
@@ -124,7 +117,7 @@ def _records(
     folder = store.expanded(fspath(assets))
     is_folder_of_sets = name in KINDS and store.path_exists(folder) and (folder / name).is_dir()
     if not is_folder_of_sets:
-        return meshes_at(assets, split, unit)
+        return provider.meshes_at(assets, split, unit)
     mesh.refuse_unit(unit, fspath(assets))
     return AssetProvider(folder).meshes(name, split)
 

@@ -16,7 +16,8 @@ import numpy as np
 import xxhash
 
 import realtouch
-from env_assets import KINDS, MeshView, mesh_view, meshes_at, require_fitting_meshes
+from env_assets import MeshView, mesh_view
+from env_assets.provider import KINDS, meshes_at
 from tactile_envs import env_specs, mesh_pool, object_sets
 from tactile_envs.config import RecordedConfig
 from tactile_toolkit import cache, kind, progress, store
@@ -192,7 +193,7 @@ class TouchedObjects:
         records = meshes_at(name, split)
         named = f"{fspath(name)!r}, split {split!r},"
         view = MeshView.of(records)
-        require_fitting_meshes(view, None, named, config.cell_size)
+        mesh_view.require_fitting_meshes(view, None, named, config.cell_size)
         numbers = {int(name): number for number, name in enumerate(view.column("id"))}
         touched = touches.rounds.int_column("object_id").tolist()
         unknown = sorted(set(touched) - numbers.keys())

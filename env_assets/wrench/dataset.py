@@ -253,14 +253,14 @@ def _outline(spec: WrenchSpec) -> list[Float64]:
     first_mm = (length_mm - lengths["head_mm"]) / 2
     second_mm = (lengths["second_head_mm"] - length_mm) / 2
     body = CrossSection.square((first_mm - second_mm, handle_mm)).translate((second_mm, -handle_mm / 2))
-    for place_mm, diameter_mm in ((first_mm, lengths["head_mm"]), (second_mm, lengths["second_head_mm"])):
-        body += CrossSection.circle(diameter_mm / 2, _SEGMENTS).translate((place_mm, 0.0))
+    for centre_mm, diameter_mm in ((first_mm, lengths["head_mm"]), (second_mm, lengths["second_head_mm"])):
+        body += CrossSection.circle(diameter_mm / 2, _SEGMENTS).translate((centre_mm, 0.0))
     # Growing and shrinking it again rounds inner corners with the radius.
     body = _grown(_grown(body, lengths["fillet_mm"]), -lengths["fillet_mm"])
     jaws = ((first_mm, spec.opening_mm, 0.0), (second_mm, spec.second_opening_mm, 180.0))
-    for place_mm, opening_mm, turned_deg in jaws:
+    for centre_mm, opening_mm, turned_deg in jaws:
         jaw = _jaw(opening_mm, spec.clearance_mm, length_mm).rotate(turned_deg + JAW_ANGLE_DEG)
-        body -= jaw.translate((place_mm, 0.0))
+        body -= jaw.translate((centre_mm, 0.0))
     # Tips of jaws are rounded as wide as the chamfer needs; no jaw gets shorter than the sides of its nut.
     tidy = _opened(body, 2.0 * CHAMFER_MM).simplify(_TIDY_MM)
     return [np.asarray(line, np.float64) for line in tidy.to_polygons()]

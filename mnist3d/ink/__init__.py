@@ -1,5 +1,1 @@
 """The ink in images of digits: grey levels, photographs, binarisation and cleaning."""
-
-from lazy_loader import attach_stub
-
-__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

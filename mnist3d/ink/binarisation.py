@@ -269,8 +269,7 @@ def join_bodies(mask: Bool, width_px: float) -> Bool:
             return mask
         bar_px = bar_px or min(width_px, stroke_width_px(mask))
         here, there = (np.argwhere(part).astype(np.float64) for part in (labels == 1, labels > 1))
-        found = cKDTree(there).query(here)
-        distances, nearest = np.asarray(found[0]), np.asarray(found[1])
+        distances, nearest = map(np.asarray, cKDTree(there).query(here))
         # Straight edges are close along a stretch; a bridge in its middle is better than at its end.
         close = np.flatnonzero(distances <= distances.min() + 0.5)
         middle = int(close[len(close) // 2])

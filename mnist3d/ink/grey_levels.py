@@ -122,10 +122,10 @@ _BLUR_PX = 0.6
 _PAPER = 255
 
 
-def refuse(reason: str, *found: object, sentence: str = "") -> NoReturn:
+def refuse(reason: str, *figures: object, sentence: str = "") -> NoReturn:
     """Raise the ItemError of a reason; ``sentence`` chooses another message of the same reason."""
     key = sentence or reason
-    raise ItemError(reason, _SENTENCES[key].format(*found), next=_NEXT.get(key, "").format(*found))
+    raise ItemError(reason, _SENTENCES[key].format(*figures), next=_NEXT.get(key, "").format(*figures))
 
 
 def as_levels(pixels: AnyArray) -> UInt8:
@@ -147,20 +147,20 @@ def as_levels(pixels: AnyArray) -> UInt8:
     return as_grey(image, full_scale, "the image")
 
 
-def as_grey(values: AnyArray, full_scale: float, where: str) -> UInt8:
+def as_grey(values: AnyArray, full_scale: float, picture_name: str) -> UInt8:
     """Convert brightness, 0 for black and `full_scale` for white, to the nearest grey levels.
 
-    `where` names file and row. Raises ItemError ``"not-finite"`` for NaN or infinite values, ``"bad-pixels"``
-    for values more than half a grey level outside the scale.
+    `picture_name` names file and row. Raises ItemError ``"not-finite"`` for NaN or infinite values, and
+    ``"bad-pixels"`` for values more than half a grey level outside the scale.
     """
     if values.dtype == np.uint8 and full_scale == _WHITE:
         return np.array(values, order="C")
     if values.dtype.kind == "f" and not np.isfinite(values).all():
-        refuse("not-finite", where, with_count(int(np.count_nonzero(~np.isfinite(values))), "pixels"))
+        refuse("not-finite", picture_name, with_count(int(np.count_nonzero(~np.isfinite(values))), "pixels"))
     low, high = float(values.min()), float(values.max())
     slack = full_scale * _SLACK
     if low < -slack or high > full_scale + slack:
-        refuse("bad-pixels", where, low, high, full_scale)
+        refuse("bad-pixels", picture_name, low, high, full_scale)
     if values.dtype.kind in "iu" and full_scale == _WHITE:
         return values.astype(np.uint8, order="C")
     levels = np.rint(values.astype(np.float64) * (_WHITE / full_scale))
@@ -190,14 +190,14 @@ def margin(values: AnyArray) -> AnyArray:
     return np.concatenate([part.ravel() for part in parts])
 
 
-def paper_is_dark(levels: UInt8, threshold: int, where: str) -> bool:
-    """Return whether the margin, which is paper, is dark; `where` names the image.
+def paper_is_dark(levels: UInt8, threshold: int, picture_name: str) -> bool:
+    """Return whether the margin, which is paper, is dark; `picture_name` names the image.
 
     Raises ItemError ``unclear-ink`` when less than three quarters of it are on one side of the threshold.
     """
     light = float((margin(levels) > threshold).mean())
     if 1 - PAPER_SHARE < light < PAPER_SHARE:
-        refuse("unclear-ink", where, light)
+        refuse("unclear-ink", picture_name, light)
     return light <= 1 - PAPER_SHARE
 
 
@@ -292,9 +292,9 @@ def coloured_ink(reflectances: Float32) -> Bool:
         Channels divided by the paper around each pixel; paper is 1 in each.
     """
     # A blur of a pixel removes the noise of cameras, which is coloured.
-    smooth = np.stack([ndimage.gaussian_filter(each, 1.0) for each in reflectances])
-    found = smooth.max(axis=0) - smooth.min(axis=0) > CHROMATIC
-    return np.asarray(ndimage.binary_opening(found, _SQUARE))
+    smooth = np.stack([ndimage.gaussian_filter(channel, 1.0) for channel in reflectances])
+    is_coloured = smooth.max(axis=0) - smooth.min(axis=0) > CHROMATIC
+    return np.asarray(ndimage.binary_opening(is_coloured, _SQUARE))
 
 
 def fit(pixels: UInt8, side: int = SIDE_PX) -> UInt8:

@@ -179,15 +179,15 @@ def ink_is_light(coarse: UInt8, page: Bool) -> bool:
     if np.median(coarse[page]) > _BOARD:
         return False
     # The surroundings of the page are filled with its nearest pixels.
-    places = ndimage.distance_transform_edt(~page, return_distances=False, return_indices=True)
-    beyond = coarse[tuple(places)].astype(np.float32)
+    nearest = ndimage.distance_transform_edt(~page, return_distances=False, return_indices=True)
+    beyond = coarse[tuple(nearest)].astype(np.float32)
     tiny = beyond[::3, ::3]
     paper = ndimage.median_filter(tiny, int(max(tiny.shape) * 2 * WIDEST_STROKE) | 1, mode="nearest")
     paper = np.kron(paper, np.ones((3, 3)))[: coarse.shape[0], : coarse.shape[1]]
-    seen = eroded(page, 4)
-    if not seen.any():
+    interior = eroded(page, 4)
+    if not interior.any():
         return False
-    darkest, lightest = np.percentile(np.log((beyond + 8) / (paper + 8))[seen], [0.5, 99.5])
+    darkest, lightest = np.percentile(np.log((beyond + 8) / (paper + 8))[interior], [0.5, 99.5])
     return bool(lightest > -1.5 * darkest)
 
 
@@ -206,11 +206,11 @@ def reflectance(views: UInt8, page: Bool, widest: float) -> Float32:
     for number, view in enumerate(views):
         coarse = to_coarse(view)
         paper = paper_around(coarse, widest)
-        seen = np.divide(coarse, paper, dtype=np.float32)[inside]
-        level = float(np.median(seen))
+        levels = np.divide(coarse, paper, dtype=np.float32)[inside]
+        level = float(np.median(levels))
         if level == 0:
             continue  # a channel in which most of the picture is black shows no paper
-        clearness = (level - float(np.percentile(seen, 0.5))) / (_deviation(seen) + 0.01 * level)
+        clearness = (level - float(np.percentile(levels, 0.5))) / (_deviation(levels) + 0.01 * level)
         if number == 0:
             clearness *= 1.3  # grey has less noise than single channels
         if clearness > best:
@@ -233,14 +233,14 @@ def find_ink(reflectance: Float32, inside: Bool) -> Ink:
     return Ink((reflectance < (1 + ink) / 2) & inside, ink, reflectance)
 
 
-def without_shadows(found: Ink) -> Bool:
+def without_shadows(page_ink: Ink) -> Bool:
     """Remove parts that are lighter than ink, such as shadows of fingers, but keep the edges of ink."""
-    middle = found.mask & (found.reflectance > found.ink + _MIDDLE * (1 - found.ink))
+    middle = page_ink.mask & (page_ink.reflectance > page_ink.ink + _MIDDLE * (1 - page_ink.ink))
     steps = max(1, round(_SHADOW_PX * max(middle.shape)))
     wide = ndimage.minimum_filter(middle, 2 * steps + 1)
     if not wide.any():
-        return found.mask
-    return found.mask & ~(middle & ndimage.maximum_filter(wide, 4 * steps + 1))
+        return page_ink.mask
+    return page_ink.mask & ~(middle & ndimage.maximum_filter(wide, 4 * steps + 1))
 
 
 class _Lines(NamedTuple):
@@ -301,10 +301,10 @@ def _level_lines(mask: Bool, page: Bool) -> _Lines:
             continue
         band = _band(rows, _REACH_PX, mask)
         covered = np.array_split(np.asarray(mask[band, columns].any(axis=0))[on_page], _PARTS)
-        found = np.where(thin[band, columns], runs[band, columns], 0).max(axis=0)[on_page]
-        if min(part.mean() for part in covered) < _COVERED or not found.any():
+        line_runs = np.where(thin[band, columns], runs[band, columns], 0).max(axis=0)[on_page]
+        if min(part.mean() for part in covered) < _COVERED or not line_runs.any():
             continue
-        thickness = float(np.median(found[found > 0]))
+        thickness = float(np.median(line_runs[line_runs > 0]))
         # Thicker ink belongs to strokes.
         limit = 1.25 * thickness + 1.5
         band = _band(rows, int(limit) + _REACH_PX, mask)

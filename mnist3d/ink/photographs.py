@@ -86,11 +86,11 @@ def is_clean(levels: UInt8) -> bool:
     if min(levels.shape) < grey_levels.SMALL_PX:
         return True
     paper = int(np.median(grey_levels.margin(levels)))
-    other = (levels < max(0, paper - CLEAN_LEVELS)) | (levels > min(255, paper + CLEAN_LEVELS))
-    most = (1 - _CLEAN_IMAGE) * other.size
-    if grey_levels.margin(other).mean() > 1 - _CLEAN_MARGIN or np.count_nonzero(other) > most:
+    differs = (levels < max(0, paper - CLEAN_LEVELS)) | (levels > min(255, paper + CLEAN_LEVELS))
+    most = (1 - _CLEAN_IMAGE) * differs.size
+    if grey_levels.margin(differs).mean() > 1 - _CLEAN_MARGIN or np.count_nonzero(differs) > most:
         return False
-    few = other[:: max(1, other.shape[0] // 128), :: max(1, other.shape[1] // 128)]
+    few = differs[:: max(1, differs.shape[0] // 128), :: max(1, differs.shape[1] // 128)]
     return not ndimage.minimum_filter(few, max(2, int(_SHEET * min(few.shape))), mode="constant").any()
 
 
@@ -121,10 +121,10 @@ def even_out(picture: UInt8, ink: str = "auto", *, whole: bool = False) -> UInt8
     height, width = picture.shape[:2]
     scale = min(1.0, _WORK_PX / max(height, width))
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
-    work = Image.fromarray(picture)
+    reduced = Image.fromarray(picture)
     if scale < 1:
-        work = work.resize(size, Image.Resampling.BOX)
-    levels = _even_out(_views(work), ink, whole)
+        reduced = reduced.resize(size, Image.Resampling.BOX)
+    levels = _even_out(_views(reduced), ink, whole)
     if scale < 1:
         levels = np.asarray(Image.fromarray(levels).resize((width, height), Image.Resampling.BILINEAR))
     return levels
@@ -187,40 +187,40 @@ _SECOND_ATTEMPTS = {"cut-off": _across_shadow, "not-a-digit": _under_fingers}
 def _ink_on(views: UInt8, page: Bool, widest: float = WIDEST_STROKE) -> UInt8:
     """Return the levels of the one digit on a page."""
     inside = fine_mask(eroded(page, 2), views[0].shape)
-    found = find_ink(reflectance(views, page, widest), inside)
-    digit = find_one_digit(pages.without_lines(without_shadows(found), inside), inside, found)
-    return _levels_of(digit, found)
+    page_ink = find_ink(reflectance(views, page, widest), inside)
+    digit = find_one_digit(pages.without_lines(without_shadows(page_ink), inside), inside, page_ink)
+    return _levels_of(digit, page_ink)
 
 
 def _drawing_on(views: UInt8, page: Bool) -> UInt8:
     """Return the levels of all ink on a page."""
     inside = fine_mask(eroded(page, 2), views[0].shape)
-    found = find_ink(reflectance(views, page, WIDEST_STROKE), inside)
-    inked = pages.without_lines(without_shadows(found), inside)
+    page_ink = find_ink(reflectance(views, page, WIDEST_STROKE), inside)
+    inked = pages.without_lines(without_shadows(page_ink), inside)
     if len(views) > 1:
         channels = np.stack([reflectance(view[None], page, _WIDEST_PART) for view in views[1:]])
         inked |= grey_levels.coloured_ink(channels) & inside
-    return _levels_of(find_drawing(inked, inside, found), found)
+    return _levels_of(find_drawing(inked, inside, page_ink), page_ink)
 
 
-def _levels_of(inked: Bool, found: Ink) -> UInt8:
+def _levels_of(inked: Bool, page_ink: Ink) -> UInt8:
     """Return the levels of ink; the greys of its edges are kept, but steeper.
 
     So any threshold divides them in the same place.
     """
-    gain = _GAIN * 255 / (1 - found.ink)
-    levels = np.rint(127.5 + gain * (found.reflectance - (1 + found.ink) / 2))
-    near = ndimage.binary_dilation(inked, iterations=NEAR_PX) & ~found.mask
+    gain = _GAIN * 255 / (1 - page_ink.ink)
+    levels = np.rint(127.5 + gain * (page_ink.reflectance - (1 + page_ink.ink) / 2))
+    near = ndimage.binary_dilation(inked, iterations=NEAR_PX) & ~page_ink.mask
     shown = np.where(near, np.clip(levels, 128, 255), 255)
     return np.where(inked, np.clip(levels, 0, 127), shown).astype(np.uint8)
 
 
-def find_one_digit(mask: Bool, inside: Bool, found: Ink) -> Bool:
+def find_one_digit(mask: Bool, inside: Bool, page_ink: Ink) -> Bool:
     """Return the ink of the one digit.
 
     Raises ItemError ``no-ink``, ``several-digits``, ``cut-off`` or ``not-a-digit``.
     """
-    pieces = _Pieces.of(mask, inside, found)
+    pieces = _Pieces.of(mask, inside, page_ink)
     labels = pieces.labels
     numbers = pieces.numbers
     depth = pieces.depth
@@ -249,13 +249,13 @@ def find_one_digit(mask: Bool, inside: Bool, found: Ink) -> Bool:
     return digit
 
 
-def find_drawing(mask: Bool, inside: Bool, found: Ink) -> Bool:
+def find_drawing(mask: Bool, inside: Bool, page_ink: Ink) -> Bool:
     """Return all ink with sharp edges, except the border of a scan and specks.
 
     Strokes may run to the edge of the page. Raises ItemError ``no-ink``, or ``cut-off`` if something else
     reaches it, such as a finger or the desk: it is thicker than the strokes, or touches much of the edge.
     """
-    pieces = _Pieces.of(mask, inside, found)
+    pieces = _Pieces.of(mask, inside, page_ink)
     numbers = pieces.numbers
     spans = pieces.spans
     sharp = pieces.is_sharp & (spans > _DOT * max(mask.shape))
@@ -296,7 +296,7 @@ class _Pieces(NamedTuple):
     edges: Bool
 
     @classmethod
-    def of(cls, mask: Bool, inside: Bool, found: Ink) -> _Pieces:
+    def of(cls, mask: Bool, inside: Bool, page_ink: Ink) -> _Pieces:
         """Find the pieces; ItemError ``no-ink`` if there are none."""
         labels, count = ndimage.label(mask, np.ones((3, 3)))
         if not count:
@@ -305,7 +305,7 @@ class _Pieces(NamedTuple):
         depth = np.asarray(ndimage.distance_transform_edt(mask))
         from_rim = ndimage.distance_transform_cdt(np.pad(inside, 1))[1:-1, 1:-1]
         # A blur of a pixel removes noise.
-        slopes = ndimage.gaussian_gradient_magnitude(found.reflectance, 1.0) / (1 - found.ink)
+        slopes = ndimage.gaussian_gradient_magnitude(page_ink.reflectance, 1.0) / (1 - page_ink.ink)
         slopes = ndimage.maximum_filter(slopes, 3)
         edges = (depth > 0) & (depth <= 1)
         boxes = ndimage.find_objects(labels)

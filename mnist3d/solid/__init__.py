@@ -1,5 +1,1 @@
 """Algorithm 1 of the Tactile MNIST paper, a file for each step."""
-
-from lazy_loader import attach_stub
-
-__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

@@ -1,8 +1,8 @@
 """Algorithm 1 of the Tactile MNIST paper: a printable solid from a digit image.
 
-Most users need :func:`solidify` only. After :func:`mnist3d.ink.binarise`, :func:`solid_steps` takes the steps
-in order: :func:`erode`, :func:`stack`, :func:`half_surface`, :func:`smooth`, :func:`mirror` and
-:func:`scale`. :func:`literal_solid` takes them as they are printed.
+Most users need :func:`solidify` only. :func:`solid_steps` takes the steps in order, from the ink that
+:func:`~mnist3d.ink.binarisation.binarise` returns: :func:`erode`, :func:`stack`, :func:`marching_cubes`,
+:func:`smooth`, :func:`mirror` and :func:`scale`. :func:`literal_solid` takes them as they are printed.
 
 The printed algorithm erodes the ink with one kernel after another and stacks the binary layers. Here the
 distance of each pixel from the outline holds all erosions at once: a kernel of radius r leaves the pixels
@@ -92,7 +92,7 @@ def solidify(
         paper prints it.
     ink : {"auto", "dark", "light"}
         Which part is ink. ``"auto"`` takes the margin of a clean image for paper and evens out the light of
-        photographs and scans (``mnist3d.ink.even_out``); with ``spec.threshold``, levels up to it are ink.
+        photographs and scans (``mnist3d.ink.photographs``); with ``spec.threshold``, levels up to it are ink.
         ``"dark"`` and ``"light"`` apply one threshold to a whole array of grey levels.
     threshold : {"auto", "local", "global"}
         Even out the light and find the page, or apply one threshold to the picture; ``"auto"`` takes
@@ -169,18 +169,18 @@ def solid_steps(ink: Bool, spec: SolidSpec) -> SolidSteps:
     Raises ItemError ``topology`` or ``vertex-budget``.
     """
     lattice = lattice_of(ink, spec)
-    counts = binarisation.count_bodies_and_holes(lattice.ink)
+    ink_counts = binarisation.count_bodies_and_holes(lattice.ink)
     while True:
         layers = erode(lattice, lattice.heights_px(spec), spec)
         upper_half = stack(list(layers))
-        surface = half_surface(upper_half, lattice)
+        surface = marching_cubes(upper_half, lattice)
         smoothed = smooth(surface, spec.smoothing_iterations, spec.smoothing_factor)
-        found = bodies_and_holes(len(smoothed.vertices_px), smoothed.faces, len(smoothed.rim))
-        if found == counts:
+        surface_counts = bodies_and_holes(len(smoothed.vertices_px), smoothed.faces, len(smoothed.rim))
+        if surface_counts == ink_counts:
             break
         finer = lattice.finer(layers[0] > 0)
         if finer is None:
-            grey_levels.refuse("topology", *counts, *found)
+            grey_levels.refuse("topology", *ink_counts, *surface_counts)
         lattice = finer
     mesh = scale(mirror(smoothed), ink.shape, spec)
     # With a given pitch, the number of vertices follows from it.
@@ -197,8 +197,8 @@ def erode(lattice: Lattice, heights_px: Float32, spec: SolidSpec) -> Float32:
     outwards_px = np.float32(CHORD_LOSS * lattice.pitch_px**2 / spec.half_thickness_px)
     depth = depth_px(lattice.s_px, heights_px, spec) + outwards_px
     # A node on the surface itself would give triangles without area.
-    least_px = lattice.least_px
-    return np.where(np.abs(depth) < least_px, np.where(depth > 0, least_px, -least_px), depth)
+    min_depth_px = lattice.min_depth_px
+    return np.where(np.abs(depth) < min_depth_px, np.where(depth > 0, min_depth_px, -min_depth_px), depth)
 
 
 def stack(layers: Sequence[AnyArray]) -> AnyArray:
@@ -206,17 +206,17 @@ def stack(layers: Sequence[AnyArray]) -> AnyArray:
     return np.stack(layers, axis=2)
 
 
-def half_surface(upper_half: Float32, lattice: Lattice) -> Surface:
+def marching_cubes(upper_half: Float32, lattice: Lattice) -> Surface:
     """Return the surface of the upper half of a solid, where the depth of the nodes passes 0."""
     vertices, faces = isosurface(upper_half, 0.0)
-    still = _beside_thin_parts(vertices, upper_half[:, :, 0] > 0)
+    fixed = _beside_thin_parts(vertices, upper_half[:, :, 0] > 0)
     for axis, nodes in enumerate((lattice.rows_px, lattice.columns_px)):
         vertices[:, axis] = np.interp(vertices[:, axis], np.arange(len(nodes)), nodes)
     vertices[:, 2] *= np.float32(lattice.pitch_px)
     rim = np.flatnonzero(vertices[:, 2] == 0)
     corner_px = (*lattice.corner_px, 0)
-    least_px = float(lattice.least_px)
-    return Surface(vertices, _in_storage_order(faces), corner_px, rim, still, least_px)
+    min_z_px = float(lattice.min_depth_px)
+    return Surface(vertices, _in_storage_order(faces), corner_px, rim, fixed, min_z_px)
 
 
 def isosurface(volume: AnyArray, level: float) -> tuple[Float32, Int32]:
@@ -257,9 +257,9 @@ def _beside_thin_parts(vertices: Float32, plane: Bool) -> Int64:
     # Above the mid-plane there is a wider layer below, so a ridge of one node may be smoothed.
     thin = np.zeros_like(plane)
     for down, across in ((0, 1), (1, 0), (1, 1), (1, -1)):
-        one = np.roll(plane, (down, across), axis=(0, 1))
-        other = np.roll(plane, (-down, -across), axis=(0, 1))
-        thin |= (one == other) & (one != plane)
+        before = np.roll(plane, (down, across), axis=(0, 1))
+        after = np.roll(plane, (-down, -across), axis=(0, 1))
+        thin |= (before == after) & (before != plane)
     low, high = np.floor(vertices[:, :2]).astype(np.intp), np.ceil(vertices[:, :2]).astype(np.intp)
     return np.flatnonzero(thin[tuple(low.T)] | thin[tuple(high.T)])
 
@@ -271,12 +271,12 @@ def smooth(surface: Surface, iterations: int, factor: float) -> Surface:
     slightly longer step. The rim stays in the mid-plane, so an upper half moves as it would in the whole.
     """
     rim = surface.rim
-    flat = np.bincount(rim, minlength=len(surface.vertices_px))
-    shares = np.array([factor, factor * TAUBIN_RATIO] * iterations, np.float32)
-    vertices = compiled_loops.smoothed(surface.vertices_px.copy(), surface.faces, flat, shares)
+    is_in_plane = np.bincount(rim, minlength=len(surface.vertices_px))
+    step_factors = np.array([factor, factor * TAUBIN_RATIO] * iterations, np.float32)
+    vertices = compiled_loops.smoothed(surface.vertices_px.copy(), surface.faces, is_in_plane, step_factors)
     # A wall that folds is not a solid, so thin parts are not smoothed.
-    vertices[surface.still] = surface.vertices_px[surface.still]
-    vertices[:, 2] = np.maximum(vertices[:, 2], np.float32(surface.least_px))
+    vertices[surface.fixed] = surface.vertices_px[surface.fixed]
+    vertices[:, 2] = np.maximum(vertices[:, 2], np.float32(surface.min_z_px))
     vertices[rim, 2] = 0
     return replace(surface, vertices_px=vertices)
 
@@ -346,10 +346,10 @@ def literal_solid(ink: Bool, spec: SolidSpec, *, decimated: bool = True) -> Mesh
     volume = np.concatenate([upper_half[:, :, ::-1], upper_half], axis=2)
     # A margin of empty voxels closes the surface; the corner undoes the shift by one pixel.
     surface = Surface(*isosurface(np.pad(volume, 1), 0.5), corner_px=(-1, -1, -1))
-    counts = binarisation.count_bodies_and_holes(ink)
-    found = bodies_and_holes(len(surface.vertices_px), surface.faces)
-    if found != counts:
-        grey_levels.refuse("topology", *found, *counts, sentence="layers")
+    ink_counts = binarisation.count_bodies_and_holes(ink)
+    surface_counts = bodies_and_holes(len(surface.vertices_px), surface.faces)
+    if surface_counts != ink_counts:
+        grey_levels.refuse("topology", *surface_counts, *ink_counts, sentence="layers")
     smoothed = smooth(surface, spec.literal_smoothing_iterations, spec.smoothing_factor)
     mesh = scale(smoothed, ink.shape, spec)
     if decimated:
@@ -390,9 +390,9 @@ class Surface:
         Rows of the vertices, counter-clockwise seen from outside.
     corner_px : tuple
         Row, column and height.
-    rim, still : ndarray of int
+    rim, fixed : ndarray of int
         Rows of the vertices that smoothing keeps in the mid-plane, and of those that it does not move.
-    least_px : float
+    min_z_px : float
         Least height of all other vertices after smoothing.
     """
 
@@ -400,8 +400,8 @@ class Surface:
     faces: Int32
     corner_px: tuple[int, int, int] = (0, 0, 0)
     rim: Int64 = field(default_factory=lambda: np.zeros(0, np.intp))
-    still: Int64 = field(default_factory=lambda: np.zeros(0, np.intp))
-    least_px: float = -math.inf
+    fixed: Int64 = field(default_factory=lambda: np.zeros(0, np.intp))
+    min_z_px: float = -math.inf
 
 
 def bodies_and_holes(vertices: int, faces: AnyArray, rim: int = 0) -> tuple[int, int]:
@@ -449,10 +449,10 @@ def decimate(mesh: Mesh, target_vertices: int) -> Mesh:
     while len(passes) > 1 and _mesh_of(passes[-1]).crossing_mm(counts[0]) is not None:
         passes.pop()
     solid = passes[-1]
-    found = solid.num_vert()
-    if found > most:
-        enough = math.ceil(found / BUDGET_SLACK)
-        grey_levels.refuse("vertex-budget", found, *counts, target_vertices, BUDGET_SLACK, enough)
+    vertices = solid.num_vert()
+    if vertices > most:
+        enough = math.ceil(vertices / BUDGET_SLACK)
+        grey_levels.refuse("vertex-budget", vertices, *counts, target_vertices, BUDGET_SLACK, enough)
     return _mesh_of(solid)
 
 

@@ -172,7 +172,7 @@ class Lattice:
     s_px: Float32
 
     @property
-    def least_px(self) -> np.float32:
+    def min_depth_px(self) -> np.float32:
         """Least depth of a node, pixels."""
         return np.float32(MIN_NODE_DEPTH * self.pitch_px)
 
@@ -223,8 +223,10 @@ class Lattice:
 
         The surface may join either pair of opposite nodes.
         """
-        one, other = inside[:-1, :-1], inside[:-1, 1:]
-        contacts = (one == inside[1:, 1:]) & (other == inside[1:, :-1]) & (one != other)
+        upper_left, upper_right = inside[:-1, :-1], inside[:-1, 1:]
+        contacts = (
+            (upper_left == inside[1:, 1:]) & (upper_right == inside[1:, :-1]) & (upper_left != upper_right)
+        )
         cells = (
             np.searchsorted(nodes[1:-1], np.arange(nodes[-1] + 1), side="right")
             for nodes in (self.rows_px, self.columns_px)
@@ -244,7 +246,7 @@ class Lattice:
 
 
 def lattice_of(ink: Bool, spec: digit_options.SolidSpec) -> Lattice:
-    """Lay a lattice over clean ink (:func:`mnist3d.ink.clean`) that shows all narrow parts."""
+    """Lay a lattice over clean ink (:func:`mnist3d.ink.binarisation.clean`) that shows all narrow parts."""
     # Two nodes of paper on each side even at the coarsest pitch, so that the surface closes.
     margin_px = math.ceil(2 * LARGEST_PITCH_PX)
     (top, bottom), (left, right) = (np.flatnonzero(ink.any(axis=axis))[[0, -1]].tolist() for axis in (1, 0))
@@ -291,13 +293,13 @@ def _refined(nodes: Float64, lines: Int64, count: int) -> Float64:
     """Put nodes on every line with missed pixels, and on the lines next to it."""
     missed = np.zeros(count, dtype=bool)
     missed[lines] = True
-    wanted = np.flatnonzero(missed | np.append(missed[1:], False) | np.append(False, missed[:-1])) * 1.0
-    if not len(wanted):
+    new_nodes = np.flatnonzero(missed | np.append(missed[1:], False) | np.append(False, missed[:-1])) * 1.0
+    if not len(new_nodes):
         return nodes
-    place = np.searchsorted(wanted, nodes)
-    below = nodes - wanted[np.maximum(place - 1, 0)]
-    above = wanted[np.minimum(place, len(wanted) - 1)] - nodes
+    next_index = np.searchsorted(new_nodes, nodes)
+    below = nodes - new_nodes[np.maximum(next_index - 1, 0)]
+    above = new_nodes[np.minimum(next_index, len(new_nodes) - 1)] - nodes
     away = np.minimum(np.abs(below), np.abs(above))
     # A node between pixels needs a blur of two pixels.
-    others = np.where(away < 2, np.round(nodes), nodes)[away >= 1]
-    return np.unique(np.concatenate([others, wanted]))
+    kept = np.where(away < 2, np.round(nodes), nodes)[away >= 1]
+    return np.unique(np.concatenate([kept, new_nodes]))

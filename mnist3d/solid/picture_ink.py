@@ -13,9 +13,8 @@ import numpy as np
 from PIL import Image
 from scipy import ndimage
 
-from mnist3d import ink
 from mnist3d.digit_options import LARGEST_HALF_THICKNESS_PX, SolidSize, SolidSpec
-from mnist3d.ink.binarisation import thinnest_stroke_px
+from mnist3d.ink import binarisation, grey_levels, photographs
 from mnist3d.ink.grey_levels import MAX_DRAWN
 from mnist3d.sources import picture_files
 from tactile_toolkit import store
@@ -78,7 +77,7 @@ def sized_ink(
     Without a ``spec``, arrays of grey levels get the published one, and other pictures keep smaller specks
     and get as many vertices as their strokes need. ``changes`` replaces parameters of the specification.
     """
-    for name, value, known in (("ink", which, ink.INKS), ("threshold", threshold, THRESHOLDS)):
+    for name, value, known in (("ink", which, binarisation.INKS), ("threshold", threshold, THRESHOLDS)):
         if value not in known:
             raise InputError(f"is {value!r}; expected one of {', '.join(known)}", field=name)
     asked = replace(spec or SolidSpec(), **changes)
@@ -88,17 +87,19 @@ def sized_ink(
         level = None  # the threshold of the picture does not fit resampled levels
     quantum_mm = min(asked.vertex_quantum_mm, pitch_mm / 10)
     fitted = replace(asked, pixel_pitch_mm=pitch_mm, vertex_quantum_mm=quantum_mm)
-    ink.require_large(sheet, fitted)
+    binarisation.require_large(sheet, fitted)
     is_grey = isinstance(picture, np.ndarray) and picture.ndim == 2
     if spec is not None or is_grey:
-        return SizedInk(ink.cleaned_ink(sheet, fitted, level, MAX_DRAWN), fitted, tuple(notes), size=size)
-    before = ink.ink_of_levels(sheet, fitted.threshold, MAX_DRAWN)
+        return SizedInk(
+            binarisation.cleaned_ink(sheet, fitted, level, MAX_DRAWN), fitted, tuple(notes), size=size
+        )
+    before = binarisation.ink_of_levels(sheet, fitted.threshold, MAX_DRAWN)
     fitted = for_strokes(before, fitted)
-    mask = ink.cleaned_ink(sheet, fitted, most_ink=MAX_DRAWN)
+    mask = binarisation.cleaned_ink(sheet, fitted, most_ink=MAX_DRAWN)
     is_fine = "target_vertices" not in changes
     if is_fine:
         fitted = replace(fitted, lattice_pitch_mm=_lattice_pitch_mm(mask, fitted))
-    drawn = ink.ink_of_levels(levels, fitted.threshold, MAX_DRAWN)
+    drawn = binarisation.ink_of_levels(levels, fitted.threshold, MAX_DRAWN)
     count = int(_labels(drawn).max()) - len(np.unique(_labels(before)[mask & before]))
     if count > 0:
         notes.append(f"left out {with_count(count, 'specks')} of ink below {fitted.min_speck_mm2:.2g} mm²")
@@ -121,10 +122,10 @@ def _levels(
         image = _image_of(array)
         return picture_files.picture_levels(image, which, threshold, "the picture", whole=True), None, []
     if threshold == "local":
-        return ink.even_out(ink.as_levels(array), which, whole=True), None, []
+        return photographs.even_out(grey_levels.as_levels(array), which, whole=True), None, []
     if threshold == "global" and which == "auto":
-        return *ink.dark_on_light(array, which), []
-    levels, otsu = ink.ink_levels(array, spec.threshold, which, whole=True)
+        return *grey_levels.dark_on_light(array, which), []
+    levels, otsu = binarisation.ink_levels(array, spec.threshold, which, whole=True)
     return levels, otsu, []
 
 
@@ -153,7 +154,7 @@ def _image_of(array: AnyArray) -> Image.Image:
             "of numbers",
             next="give grey levels, RGB or RGBA",
         )
-    flat = ink.as_levels(np.ascontiguousarray(array.reshape(len(array), -1)))
+    flat = grey_levels.as_levels(np.ascontiguousarray(array.reshape(len(array), -1)))
     return Image.fromarray(flat.reshape(array.shape))
 
 
@@ -163,10 +164,10 @@ def _on_sheet(levels: UInt8, level: float | None, spec: SolidSpec, size: SolidSi
     if size.pixel_mm is not None:
         return _fitted(levels, longest * size.pixel_mm, spec, smallest=longest)
     if size.height_mm is None and size.width_mm is None:
-        return _fitted(levels, ink.SIDE_PX * spec.pixel_pitch_mm, spec)
+        return _fitted(levels, grey_levels.SIDE_PX * spec.pixel_pitch_mm, spec)
     # The size is that of the ink, without paper.
     threshold = level if spec.threshold is None else spec.threshold
-    mask = _without_specks(ink.ink_of_levels(levels, threshold, MAX_DRAWN))
+    mask = _without_specks(binarisation.ink_of_levels(levels, threshold, MAX_DRAWN))
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     around = 1 + math.ceil(_AROUND * max(np.ptp(rows), np.ptp(columns)))
     spans = [slice(max(0, line[0] - around), line[-1] + 1 + around) for line in (rows, columns)]
@@ -179,7 +180,7 @@ def _on_sheet(levels: UInt8, level: float | None, spec: SolidSpec, size: SolidSi
 
 
 def _fitted(
-    levels: UInt8, long_mm: float, spec: SolidSpec, smallest: int = ink.SIDE_PX
+    levels: UInt8, long_mm: float, spec: SolidSpec, smallest: int = grey_levels.SIDE_PX
 ) -> tuple[UInt8, float]:
     """Fit levels into a sheet whose side is ``long_mm``, with as many pixels as picture and solid need."""
     half_mm = spec.half_thickness_mm
@@ -196,7 +197,7 @@ def _fitted(
         )
     if side == max(levels.shape):
         return levels, long_mm / side
-    return ink.fit(levels, side), long_mm / side
+    return grey_levels.fit(levels, side), long_mm / side
 
 
 def _without_specks(mask: Bool) -> Bool:
@@ -209,7 +210,7 @@ def _without_specks(mask: Bool) -> Bool:
 
 def for_strokes(mask: Bool, spec: SolidSpec) -> SolidSpec:
     """Keep specks and pinholes that belong to thin strokes."""
-    stroke_mm = spec.pixel_pitch_mm * thinnest_stroke_px(_without_specks(mask))
+    stroke_mm = spec.pixel_pitch_mm * binarisation.thinnest_stroke_px(_without_specks(mask))
     speck_mm2 = min(max((_SPECK_PER_STROKE * stroke_mm) ** 2, _MIN_SPECK_MM2), spec.min_speck_mm2)
     share = speck_mm2 / max(spec.min_speck_mm2, _MIN_SPECK_MM2)
     return replace(spec, min_speck_mm2=speck_mm2, min_pinhole_mm2=share * spec.min_pinhole_mm2)
@@ -219,7 +220,7 @@ def _lattice_pitch_mm(mask: Bool, spec: SolidSpec) -> float:
     """Return the distance of the nodes of a lattice that fits into memory and on which strokes are smooth."""
     rows, columns = (np.ptp(np.flatnonzero(mask.any(axis=axis))) + 1 for axis in (1, 0))
     least_px = math.cbrt(rows * columns * spec.half_thickness_px / _MAX_NODES)
-    wanted_px = max(thinnest_stroke_px(mask) / _NODES_PER_STROKE, least_px)
+    wanted_px = max(binarisation.thinnest_stroke_px(mask) / _NODES_PER_STROKE, least_px)
     return float(min(LARGEST_LATTICE_MM, spec.pixel_pitch_mm * wanted_px))
 
 

@@ -1,7 +1,6 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
 from .digit_source import (
-    NO_WRITER as NO_WRITER,
     DigitCatalog as DigitCatalog,
     DigitImage as DigitImage,
     DigitSource as DigitSource,

@@ -19,8 +19,7 @@ from typing import ClassVar
 
 import numpy as np
 
-import mnist3d.ink
-from mnist3d.ink.grey_levels import as_grey
+from mnist3d.ink.grey_levels import as_grey, fit
 from mnist3d.sources.digit_source import NO_WRITER, DigitCatalog, DigitImage, require_known
 from tactile_toolkit import cache, store
 from tactile_toolkit.array_types import AnyArray, Int64, UInt8
@@ -99,10 +98,10 @@ class HwdPlusSource:
         (values outside the grey scale of the file).
         """
         stack, (labels, writers) = self._stack(), self._annotations()
-        where = f"{self.images}, row {digit_id}"
+        row_name = f"{self.images}, row {digit_id}"
         require_known(digit_id, min(len(stack), len(labels)), self.images)
         full_scale = _full_scale(self.images, _stamp(self.images))
-        pixels = mnist3d.ink.fit(as_grey(np.array(stack[digit_id]), full_scale, where))
+        pixels = fit(as_grey(np.array(stack[digit_id]), full_scale, row_name))
         return DigitImage(digit_id, int(labels[digit_id]), pixels, int(writers[digit_id]))
 
     def fingerprint(self) -> dict[str, object]:
@@ -150,16 +149,16 @@ def _full_scale(path: str, stamp: tuple[int, int]) -> float:
         return 255.0
     # The median, as a single image may be damaged or hold no paper.
     values = (stack[row] for row in _evenly_spaced(len(stack), _SCALE_SAMPLE))
-    brightest = [float(np.max(each, where=np.isfinite(each), initial=-np.inf)) for each in values]
-    finite = [each for each in brightest if each > -np.inf]
+    brightest = [float(np.max(image, where=np.isfinite(image), initial=-np.inf)) for image in values]
+    finite = [image for image in brightest if image > -np.inf]
     # Half a grey level of slack: rounding may have left white a little above 1.
     if finite and float(np.median(finite)) <= 1 + 0.5 / 255:
         return 1.0
     return 255.0
 
 
-def _evenly_spaced(count: int, wanted: int) -> list[int]:
-    return [int(row) for row in np.rint(np.linspace(0, count - 1, min(count, wanted)))]
+def _evenly_spaced(count: int, number: int) -> list[int]:
+    return [int(row) for row in np.rint(np.linspace(0, count - 1, min(count, number)))]
 
 
 @lru_cache(maxsize=4)
@@ -197,15 +196,15 @@ def _int_column(table: AnyArray, column: int, path: str, most: float = np.inf) -
     try:
         numbers = table[:, column].astype(np.float64)
     except ValueError as error:
-        found = f"column {column} holds text that is not a number"
-        raise InputError(f"{path}: {found}, expected {expected}", next=next_step) from error
+        content = f"column {column} holds text that is not a number"
+        raise InputError(f"{path}: {content}, expected {expected}", next=next_step) from error
     # From 2**53 on, floats cannot represent all integers.
     fits = (np.rint(numbers) == numbers) & (np.abs(numbers) < 2.0**53)
     fits &= (most > 9) | ((numbers >= 0) & (numbers <= most))
     if not fits.all():
-        found = table[int(np.argmin(fits)), column].item()
+        content = table[int(np.argmin(fits)), column].item()
         raise InputError(
-            f"{path}: row {np.argmin(fits)}, column {column}: found {found!r}, expected {expected}",
+            f"{path}: row {np.argmin(fits)}, column {column}: found {content!r}, expected {expected}",
             next=next_step,
         )
     return numbers.astype(np.int64)
@@ -283,7 +282,7 @@ class MnistSource:
         while index >= len(parts[0][0]):
             index -= len(parts.pop(0)[0])
         images, labels = parts[0]
-        pixels = mnist3d.ink.fit(255 - images[index])
+        pixels = fit(255 - images[index])
         return DigitImage(digit_id, int(labels[index]), pixels)
 
     def fingerprint(self) -> dict[str, object]:
@@ -305,7 +304,7 @@ class MnistSource:
         parts = []
         # One file of a pair selects the part, so that an error names the missing one.
         known = list(_PREFIXES.values())
-        there = [each for each in known if any(_find(self.root, each, kind) for kind in _KINDS)]
+        there = [prefix for prefix in known if any(_find(self.root, prefix, kind) for kind in _KINDS)]
         for prefix in there or known:
             images, labels = (self._file(prefix, kind) for kind in _KINDS)
             parts.append(_read_pair(images, labels, images.stat().st_mtime_ns, labels.stat().st_mtime_ns))
@@ -316,11 +315,13 @@ class MnistSource:
         folder = Path(self.root)
         if path is not None:
             return path
-        found = "no folder"
+        content = "no folder"
         if folder.is_dir():
-            found = str(sorted(each.name for each in folder.iterdir() if not store.is_hidden(each.name))[:8])
+            content = str(
+                sorted(inner.name for inner in folder.iterdir() if not store.is_hidden(inner.name))[:8]
+            )
         raise InputError(
-            f"{self.root}: found {found}, expected {prefix}-{kind}-{_KINDS[kind]} or the same with .gz, "
+            f"{self.root}: found {content}, expected {prefix}-{kind}-{_KINDS[kind]} or the same with .gz, "
             "there or in MNIST/raw",
             next="check the folder, or fetch the files with --download",
         )
@@ -362,8 +363,8 @@ def _read_pair(images_path: Path, labels_path: Path, _images_ns: int, _labels_ns
         raise _unusable(images_path, f"images of {images.shape[1:]} pixels", "(28, 28)")
     if not len(images) == len(labels) > 0:
         counted = with_count(len(labels), "labels"), with_count(len(images), "images")
-        found = f"{' for '.join(counted)} of {images_path.name}"
-        raise _unusable(labels_path, found, "one for each and at least one")
+        content = f"{' for '.join(counted)} of {images_path.name}"
+        raise _unusable(labels_path, content, "one for each and at least one")
     if labels.max() > 9:
         row = int(labels.argmax())
         raise _unusable(labels_path, f"label {labels[row]} in row {row}", "digits from 0 to 9")
@@ -386,9 +387,9 @@ def read_idx(path: Path, magic: int) -> UInt8:
             header = stream.read(start)
             if len(header) < start:
                 raise EOFError
-            found, *shape = struct.unpack(f">{start // 4}I", header)
-            if found != magic:
-                raise _unusable(path, f"magic number {found}", magic)
+            first_number, *shape = struct.unpack(f">{start // 4}I", header)
+            if first_number != magic:
+                raise _unusable(path, f"magic number {first_number}", magic)
             cache.require_unpackable(prod(shape), str(path))
             data = stream.read(prod(shape) + 1)
     except (EOFError, OSError, zlib.error) as error:
@@ -401,8 +402,8 @@ def read_idx(path: Path, magic: int) -> UInt8:
     return np.frombuffer(data, np.uint8).reshape(shape)
 
 
-def _unusable(path: Path, found: str, expected: object) -> InputError:
+def _unusable(path: Path, content: str, expected: object) -> InputError:
     return InputError(
-        f"{path}: found {found}, expected {expected}",
+        f"{path}: found {content}, expected {expected}",
         next="replace it by an intact copy, or check the folder",
     )

@@ -107,11 +107,11 @@ class DigitSource(Protocol):
         ...
 
 
-def require_known(digit_id: int, count: int, where: str) -> None:
+def require_known(digit_id: int, count: int, source: str) -> None:
     """Raise ItemError for an id that a source of ``count`` digits does not have."""
     if not 0 <= digit_id < count:
-        found = f"{where}: found id {digit_id}, expected 0 to {count - 1}"
-        raise ItemError("unknown-id", found, next="choose an id in this range")
+        message = f"{source}: found id {digit_id}, expected 0 to {count - 1}"
+        raise ItemError("unknown-id", message, next="choose an id in this range")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -194,10 +194,10 @@ def _sizes_of(name: str, available: int, spec: SplitSpec, usual: Mapping[str, in
     if spec.sizes is None or not available:  # a class that the source lacks is in no split
         return _usual_sizes(available, usual)
     sizes = {split: dict(spec.sizes).get(split, 0) for split in SPLITS}
-    wanted = sum(sizes.values())
-    if wanted > available:
+    needed = sum(sizes.values())
+    if needed > available:
         raise InputError(
-            f"the split sizes ask for {wanted} digits per class, the source has {available} of class {name}",
+            f"the split sizes ask for {needed} digits per class, the source has {available} of class {name}",
             next="ask for smaller sizes or use a larger source",
         )
     return sizes
@@ -241,15 +241,15 @@ def _by_writer(catalog: DigitCatalog, spec: SplitSpec, usual: Mapping[str, int])
             "all split sizes are 0; expected at least one split with digits",
             next="raise a size (--split-sizes)",
         )
-    wanted = shares / shares.sum() * counts.sum()
-    given = np.zeros(len(SPLITS))
+    targets = shares / shares.sum() * counts.sum()
+    assigned = np.zeros(len(SPLITS))
     split_of = np.full(len(writers), -1, dtype=np.int64)
     # Every split first gets a writer; by shares only, small splits of few writers would stay empty.
     unserved = [int(split) for split in np.flatnonzero(shares)]
     for writer in np.argsort(_keys(writers, spec.seed, stream=2)):
-        split = unserved.pop(0) if unserved else int(np.argmax(wanted - given))
+        split = unserved.pop(0) if unserved else int(np.argmax(targets - assigned))
         split_of[writer] = split
-        given[split] += counts[writer]
+        assigned[split] += counts[writer]
     return split_of[inverse]
 
 

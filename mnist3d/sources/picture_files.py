@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError, features
 
-import mnist3d.ink
+from mnist3d.ink import photographs
 from mnist3d.ink.grey_levels import (
     MAX_DRAWN,
     MAX_INK,
@@ -112,14 +112,15 @@ def read_picture(
 
 
 def picture_levels(
-    picture: Image.Image, ink: str, threshold: str, where: str, *, whole: bool = False
+    picture: Image.Image, ink: str, threshold: str, picture_name: str, *, whole: bool = False
 ) -> UInt8:
     """Return the ink of a picture as grey levels from 0 (ink) to 255 (paper), in its own size.
 
-    Transparency shows paper. The light of photographs and scans is evened out (``mnist3d.ink.even_out``).
-    The grey levels of clean images are stretched so that paper is white and ink black, unless there is no
-    contrast (an empty page). With ``"auto"`` the margin of a clean image is paper, on either side of Otsu's
-    threshold. Colours that grey levels lose are ink, too (:mod:`mnist3d.ink.grey_levels`).
+    Transparency shows paper. The light of photographs and scans is evened out
+    (:mod:`mnist3d.ink.photographs`). The grey levels of clean images are stretched so that paper is white and
+    ink black, unless there is no contrast (an empty page). With ``"auto"`` the margin of a clean image is
+    paper, on either side of Otsu's threshold. Colours that grey levels lose are ink, too
+    (:mod:`mnist3d.ink.grey_levels`).
 
     Parameters
     ----------
@@ -129,7 +130,7 @@ def picture_levels(
         Which part is ink.
     threshold : {"auto", "local", "global"}
         Even out only pictures that are not clean, all pictures, or none.
-    where : str
+    picture_name : str
         Name of the picture for messages.
     whole : bool
         The picture is a drawing of any parts, not one digit: photographs keep all their ink.
@@ -143,20 +144,20 @@ def picture_levels(
     ItemError
         ``"not-finite"`` or ``"bad-pixels"`` for floating-point pictures; ``"unclear-ink"`` when less than
         three quarters of the margin are on one side of the threshold; ``"all-ink"`` or ``"cut-off"`` when
-        there is too much ink; and those of ``mnist3d.ink.even_out``.
+        there is too much ink; and those of ``mnist3d.ink.photographs.even_out``.
     """
     flat = _over_paper(picture, ink) if picture.mode == "RGBA" else picture
-    grey = _brightness(flat, where)
+    grey = _brightness(flat, picture_name)
     colours = np.asarray(flat) if flat.mode == "RGB" else grey
     is_flat = np.ptp(grey) < _CONTRAST
     # Ink and paper of different colours may have the same grey.
     is_coloured = is_flat and np.ptp(colours, axis=(0, 1)).max() >= _CONTRAST
-    is_clean = _is_cut_out(picture) or mnist3d.ink.is_clean(grey) or (whole and is_graphic(colours))
+    is_clean = _is_cut_out(picture) or photographs.is_clean(grey) or (whole and is_graphic(colours))
     most_ink = MAX_DRAWN if whole else MAX_INK
     if threshold == "local" or (threshold == "auto" and not is_clean):
-        return mnist3d.ink.even_out(colours, ink, whole=whole)
+        return photographs.even_out(colours, ink, whole=whole)
     level = otsu_threshold(grey)
-    if ink == "light" or (ink == "auto" and not is_flat and paper_is_dark(grey, level, where)):
+    if ink == "light" or (ink == "auto" and not is_flat and paper_is_dark(grey, level, picture_name)):
         grey, level = 255 - grey, 254 - level
     dark = grey <= level
     if colours.ndim == 3 and ink != "light":
@@ -227,8 +228,8 @@ def _opened(path: Path) -> Iterator[Image.Image]:
             next_step = "store it with fewer pixels; 20 million are more than enough"
         if ending in _ENDINGS["HEIF"] and isinstance(error, UnidentifiedImageError) and "HEIF" not in formats:
             next_step = f"{install_line('heic')}, or store it as JPEG"
-        found = f"{path}: cannot be read as a picture ({_problem(error)}), expected an intact image file"
-        raise ItemError("unreadable", found, next=next_step) from error
+        message = f"{path}: cannot be read as a picture ({_problem(error)}), expected an intact image file"
+        raise ItemError("unreadable", message, next=next_step) from error
 
 
 def _problem(error: Exception) -> str:
@@ -315,13 +316,15 @@ def _stretched(grey: UInt8, dark: Bool) -> UInt8:
     return levels
 
 
-def _brightness(picture: Image.Image, where: str) -> UInt8:
+def _brightness(picture: Image.Image, picture_name: str) -> UInt8:
     if picture.mode in ("L", "RGB"):
         return np.asarray(picture.convert("L"))
     values = np.asarray(picture)
     whites = (1, 255) if picture.mode == "F" else _WHITES
     largest = float(np.fmax.reduce(values, axis=None, initial=0))
-    return as_grey(values, next((float(each) for each in whites if largest <= each), whites[-1]), where)
+    return as_grey(
+        values, next((float(white) for white in whites if largest <= white), whites[-1]), picture_name
+    )
 
 
 def _is_cut_out(picture: Image.Image) -> bool:

@@ -14,7 +14,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-import mnist3d.ink
+from mnist3d.ink.grey_levels import fit
 from mnist3d.sources import picture_files
 from mnist3d.sources.digit_source import DIGITS, NO_WRITER, DigitCatalog, DigitImage, require_known
 from tactile_toolkit import store
@@ -84,9 +84,7 @@ class FolderSource:
         picture = listing.pictures[digit_id]
         is_whole = listing.class_names != DIGITS
         path = Path(self.root, picture.name)
-        pixels = mnist3d.ink.fit(
-            picture_files.read_picture(path, self.ink, self.threshold, picture.page, whole=is_whole)
-        )
+        pixels = fit(picture_files.read_picture(path, self.ink, self.threshold, picture.page, whole=is_whole))
         return DigitImage(digit_id, picture.label, pixels, picture.writer, picture.file)
 
     def fingerprint(self) -> dict[str, object]:
@@ -107,20 +105,20 @@ class FolderSource:
                     f"{path}: cannot be opened ({error.strerror}), expected a picture", next="check the file"
                 ) from error
             total.update(b"%s\0%d\0%s" % (os.fsencode(name), size, content))
-        found: dict[str, object] = {"name": self.name, "ink": self.ink, "images": len(listing.pictures)}
+        facts: dict[str, object] = {"name": self.name, "ink": self.ink, "images": len(listing.pictures)}
         if self.threshold != "auto":
-            found["threshold"] = self.threshold
+            facts["threshold"] = self.threshold
         if listing.class_names != DIGITS:
-            found["classes"] = list(listing.class_names)
+            facts["classes"] = list(listing.class_names)
         if listing.left_out:
-            found["left_out"] = dict(listing.left_out)
-        return {**found, "sha256": total.hexdigest()}
+            facts["left_out"] = dict(listing.left_out)
+        return {**facts, "sha256": total.hexdigest()}
 
     def _listing(self) -> _Listing:
         for option, words in _CHOICES.items():
             if getattr(self, option) not in words:
-                found = f"{option}: found {getattr(self, option)!r}, expected one of {', '.join(words)}"
-                raise InputError(found, next="choose one")
+                message = f"{option}: found {getattr(self, option)!r}, expected one of {', '.join(words)}"
+                raise InputError(message, next="choose one")
         # Listed again if one of the folders has changed.
         return _list_folder(self.root, _stamps(self.root))
 
@@ -173,14 +171,17 @@ def _list_folder(root: str, stamps: tuple[int, ...]) -> _Listing:
         if not pages[path]:
             left_out.append((printable(name), problem or "not a picture"))
     names = _class_names(root, [folder.name for folder in classes if _is_class(folder, files, pages)])
-    found = [each for path, numbers in pages.items() for each in _pictures_of(root, path, numbers, names)]
-    if not found:
+    pictures = [
+        picture for path, numbers in pages.items() for picture in _pictures_of(root, path, numbers, names)
+    ]
+    if not pictures:
         raise InputError(
             f"{root}: found no picture, expected {root}/<class>/*.png (or jpg, tif, ...), such as {root}/7",
             next="check the path and sort the pictures into a folder for each class",
         )
     order = sorted(
-        found, key=lambda each: (each.label, natural_key(each.name.casefold()), each.name, each.page)
+        pictures,
+        key=lambda picture: (picture.label, natural_key(picture.name.casefold()), picture.name, picture.page),
     )
     return _Listing(tuple(order), tuple(left_out), names)
 

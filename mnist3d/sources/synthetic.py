@@ -262,8 +262,8 @@ def choose_allograph(label: int, writer: int, class_noise: KeyedRng, digit: Keye
     weights = [weight for _, weight in allographs.ALLOGRAPHS[label]]
     mark = (class_noise.unit() + writer * _STRIDES[label]) % 1.0
     preferred = index_at(weights, mark)
-    other = index_at(weights, digit.unit())
-    return preferred if digit.unit() < fidelity else other
+    alternative = index_at(weights, digit.unit())
+    return preferred if digit.unit() < fidelity else alternative
 
 
 def on_page(

@@ -157,6 +157,8 @@ class SolidDataset(read.RecordDataset[S]):
 
     record_class: ClassVar[Any] = SolidRecord
     things = "solids"
+    extent_m: ClassVar[tuple[float, float, float]] = (0.12, 0.12, 0.01)
+    """Size along x, y and z of the grids of :class:`SolidTensors`, metres: the published cell."""
 
     @property
     def volumes_m3(self) -> Float64:

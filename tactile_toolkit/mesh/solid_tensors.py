@@ -13,7 +13,7 @@ from tactile_toolkit.array_types import Float32, Float64, Floating, Integers, UI
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError, needs_extra
 from tactile_toolkit.mesh.raster import MAX_PIXELS, covered_pixels, highest_values
-from tactile_toolkit.mesh.records import SolidRecord
+from tactile_toolkit.mesh.records import SolidDataset, SolidRecord
 from tactile_toolkit.read import training_batches
 
 if TYPE_CHECKING:
@@ -170,8 +170,8 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
 
     Parameters
     ----------
-    dataset : RecordDataset of SolidRecord
-        The solids.
+    dataset : SolidDataset
+        The solids, such as digits or scenes.
     representation : str
         One of :attr:`REPRESENTATIONS`.
     points : int
@@ -179,7 +179,7 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
     pitch_m : float
         Side of a voxel or pixel, metres.
     extent_m : tuple of three floats, optional
-        Size of the grid along x, y and z, metres: that of the kind by default. What lies outside is cut off.
+        Size of the grid along x, y and z, metres; ``dataset.extent_m`` by default. Parts outside are cut off.
     transform : callable, optional
         Applied to each tensor or :class:`MeshItem`.
     target : str, callable or None
@@ -201,11 +201,10 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         "volume_m3": lambda record: torch.tensor(record.volume_m3, dtype=torch.float32),
     }
     """Targets of items: class, id, or volume in cubic metres, float32."""
-    extent_m: ClassVar[tuple[float, float, float]] = (0.12, 0.12, 0.01)
 
     def __init__(
         self,
-        dataset: read.RecordDataset[Any],
+        dataset: SolidDataset[Any],
         representation: Representation = "points",
         *,
         points: int = 1024,
@@ -228,7 +227,7 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         self.representation = representation
         self.points = checked_integer(points, "points", 1)
         self.seed = checked_integer(seed, "seed")
-        self.grid = VoxelGrid(extent_m or type(self).extent_m, pitch_m)
+        self.grid = VoxelGrid(extent_m or dataset.extent_m, pitch_m)
         self.transform = transform
         self.target = target
         # Shared, so that persistent workers see changes.

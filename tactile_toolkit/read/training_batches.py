@@ -54,7 +54,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
 
     Parameters
     ----------
-    data : TouchTensors, DigitTensors, SceneTensors, or a data set
+    data : TouchTensors, SolidTensors, or a data set
         Source of the items. Records (rounds, touches, digits, scenes) need a ``collate_fn``.
     batch_size : int
         Items in a batch of each rank.

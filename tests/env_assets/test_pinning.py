@@ -31,7 +31,7 @@ def found(tmp_path_factory) -> dict[str, list[int]]:
     write(root / "someone" / "scenes", seed=1, scenes=6)
     with hub(root) as server, as_client(settings(server, home)):
         provider = AssetProvider()
-        by_name = AssetProvider(places={"starstruck": "hf://datasets/someone/scenes"})
+        by_name = AssetProvider(sources={"starstruck": "hf://datasets/someone/scenes"})
         found = {"first": seeds(provider, "train")}
         assert len(by_name.meshes("starstruck")) == len(found["first"])
         write(root / "someone" / "scenes", seed=2, scenes=9)

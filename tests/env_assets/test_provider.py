@@ -11,6 +11,7 @@ import mnist3d
 import realtouch
 import starstruck_gen
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.mesh import SolidDataset
 from tests.env_assets.factories import write_meshes
 from tests.env_assets.shapes import box
 from tests.forked import run_forked
@@ -36,7 +37,7 @@ def test_meshes_are_those_of_the_loader(provider, assets, name, split, kind, loa
 
 
 def test_a_folder_may_be_anywhere_and_names_may_be_given(assets, tmp_path):
-    elsewhere = env_assets.AssetProvider(tmp_path, places={"mnist3d": assets / "mnist3d"})
+    elsewhere = env_assets.AssetProvider(tmp_path, sources={"mnist3d": assets / "mnist3d"})
     by_name, by_path = elsewhere.meshes("mnist3d", "test"), elsewhere.meshes(str(assets / "mnist3d"), "test")
     assert by_name.ids.tolist() == by_path.ids.tolist()
     (file,) = (assets / "mnist3d" / "data").glob("test-*")
@@ -49,7 +50,7 @@ def test_the_kind_follows_from_the_columns_or_else_from_the_classes(tmp_path):
     for names, kind in (
         (tuple("0123456789"), mnist3d.DigitDataset),
         (("1", "2", "3"), starstruck_gen.SceneMeshDataset),
-        (("nut", "bolt", "cog"), env_assets.SolidDataset),
+        (("nut", "bolt", "cog"), SolidDataset),
     ):
         write_meshes(tmp_path / names[0], solids, names)
         meshes = provider.meshes(names[0])
@@ -149,12 +150,12 @@ def test_other_folders_are_named(provider, assets, tmp_path):
 
 
 def test_another_kind_under_the_name_of_a_kind_is_refused(assets, tmp_path):
-    provider = env_assets.AssetProvider(tmp_path, places={"starstruck": assets / "mnist3d"})
+    provider = env_assets.AssetProvider(tmp_path, sources={"starstruck": assets / "mnist3d"})
     with pytest.raises(InputError, match="'starstruck' was expected to hold scenes, found digits"):
         provider.meshes("starstruck", "test")
 
 
-def test_places_do_not_follow_the_current_folder(assets, tmp_path, monkeypatch):
+def test_sources_do_not_follow_the_current_folder(assets, tmp_path, monkeypatch):
     monkeypatch.chdir(assets)
     provider = env_assets.AssetProvider("nowhere", {"wrench": "wrench"})
     expected = len(provider.meshes(assets / "wrench"))
@@ -162,16 +163,16 @@ def test_places_do_not_follow_the_current_folder(assets, tmp_path, monkeypatch):
     assert len(provider.meshes("wrench")) == expected
 
 
-@pytest.mark.parametrize("places", ["digits", ["digits"]])
-def test_places_that_are_not_a_mapping_are_refused(places):
-    with pytest.raises(InputError, match=r"places .*'digits'.*expected a mapping"):
-        env_assets.AssetProvider("assets", places)
+@pytest.mark.parametrize("sources", ["digits", ["digits"]])
+def test_sources_that_are_not_a_mapping_are_refused(sources):
+    with pytest.raises(InputError, match=r"sources .*'digits'.*expected a mapping"):
+        env_assets.AssetProvider("assets", sources)
 
 
 @pytest.mark.parametrize(
     ("name", "near"), [("minst3d", "did you mean 'mnist3d'"), ("digits", "wrench"), (3, "3")]
 )
-def test_a_place_for_an_unused_name_is_refused(name, near):
+def test_a_source_of_an_unused_name_is_refused(name, near):
     with pytest.raises(InputError, match="expected names of mnist3d, starstruck, wrench, abc") as caught:
         env_assets.AssetProvider("assets", {name: "digits"})
     assert near in str(caught.value)

@@ -9,7 +9,7 @@ from PIL import Image, ImageDraw, ImageFilter
 from scipy import ndimage
 
 from mnist3d.digit_options import SolidSize
-from mnist3d.solid import SizedInk, sized_ink
+from mnist3d.solid.picture_ink import SizedInk, sized_ink
 from tactile_toolkit.mesh import Mesh
 
 PEN = (15, 15, 40)

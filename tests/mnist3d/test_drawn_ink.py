@@ -14,6 +14,7 @@ from PIL import Image, ImageDraw, ImageFilter
 from scipy import ndimage
 
 import mnist3d
+from mnist3d.ink import photographs
 from mnist3d.sources.picture_files import decode_page
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.mesh import check_manifold
@@ -76,7 +77,7 @@ def test_a_photograph_of_a_word_keeps_all_letters_and_dots() -> None:
     assert pieces(inked(photographed(word()), width_mm=100).mask) == 5
     # A source of digits expects one digit.
     with pytest.raises(ItemError, match="digit"):
-        mnist3d.ink.even_out(np.asarray(photographed(word()).convert("L")))
+        photographs.even_out(np.asarray(photographed(word()).convert("L")))
 
 
 def test_small_parts_near_the_edge_of_a_photographed_page_are_kept() -> None:

@@ -11,7 +11,8 @@ from hypothesis import given, strategies as st
 from numpy.typing import NDArray
 from PIL import Image
 
-from mnist3d.sources import NO_WRITER, DigitSource
+from mnist3d.sources import DigitSource
+from mnist3d.sources.digit_source import NO_WRITER
 from mnist3d.sources.picture_folder import FolderSource
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.wording import natural_key

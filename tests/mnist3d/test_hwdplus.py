@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given, strategies as st
 from numpy.typing import NDArray
 
-from mnist3d.sources import NO_WRITER, DigitSource
+from mnist3d.sources import DigitSource
 from mnist3d.sources.digit_arrays import HwdPlusSource
+from mnist3d.sources.digit_source import NO_WRITER
 from tactile_toolkit.errors import ItemError
 from tests.mnist3d.sources import refusal
 from tests.processes import printed_by

@@ -16,8 +16,9 @@ import pytest
 from numpy.typing import NDArray
 
 from mnist3d.ink.grey_levels import enlarge, fit
-from mnist3d.sources import NO_WRITER, DigitSource
+from mnist3d.sources import DigitSource
 from mnist3d.sources.digit_arrays import MnistSource, download_mnist
+from mnist3d.sources.digit_source import NO_WRITER
 from tactile_toolkit.errors import HubError, ItemError, MissingExtraError
 from tests.mnist3d.mnist_files import PREFIXES, bars, idx, name_of, write
 from tests.mnist3d.sources import refusal

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, strategies as st
 
 from mnist3d.digit_options import PUBLISHED_SIZES, SPLITS, SplitSpec
-from mnist3d.sources import NO_WRITER, DigitCatalog, digit_source
-from mnist3d.sources.digit_source import plan_splits
+from mnist3d.sources import DigitCatalog, digit_source
+from mnist3d.sources.digit_source import NO_WRITER, plan_splits
 from tactile_toolkit.errors import InputError
 
 

@@ -17,7 +17,8 @@ from unittest.mock import patch
 
 import numpy as np
 
-from env_assets import MeshView, meshes_at
+from env_assets import MeshView
+from env_assets.provider import meshes_at
 from realtouch import TouchSingleDataset
 
 __all__ = ["make", "mesh_dataset", "published_package", "registrations", "touch_dataset"]

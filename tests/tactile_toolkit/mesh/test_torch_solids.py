@@ -34,9 +34,9 @@ SCENES = starstruck_gen.SceneDataset(size=6, seed=1)
 
 
 def test_points_lie_on_the_surface_evenly(digits: mnist3d.DigitDataset) -> None:
-    from mnist3d.digit_tensors import DigitTensors
+    from tactile_toolkit.mesh import SolidTensors
 
-    data = DigitTensors(digits, points=4000, seed=3)
+    data = SolidTensors(digits, points=4000, seed=3)
     points, label = data[4]
     assert (tuple(points.shape), points.dtype, label) == ((4000, 3), torch.float32, digits[4].label)
     mesh = digits[4].mesh
@@ -56,18 +56,17 @@ def test_points_lie_on_the_surface_evenly(digits: mnist3d.DigitDataset) -> None:
     assert not torch.equal(data[4][0], points)
     data.set_epoch(0)
     assert torch.equal(pickle.loads(pickle.dumps(data))[4][0], points)
-    assert not torch.equal(DigitTensors(digits, points=4000, seed=4)[4][0], points)
+    assert not torch.equal(SolidTensors(digits, points=4000, seed=4)[4][0], points)
 
 
 def test_voxels_fill_the_inside(digits: mnist3d.DigitDataset) -> None:
     """Compared with the mesh itself, point by point, and by volume."""
-    from mnist3d.digit_tensors import DigitTensors
-    from starstruck_gen.scene_tensors import SceneTensors
+    from tactile_toolkit.mesh import SolidTensors
 
     random = np.random.default_rng(0)
     for data, record, size_m in (
-        (DigitTensors(digits, "voxels", pitch_m=0.0005), digits[8], 0.1),
-        (SceneTensors(SCENES, "voxels", pitch_m=0.0005), SCENES[2], 0.12),
+        (SolidTensors(digits, "voxels", pitch_m=0.0005), digits[8], 0.1),
+        (SolidTensors(SCENES, "voxels", pitch_m=0.0005), SCENES[2], 0.12),
     ):
         place = 8 if size_m == 0.1 else 2
         voxels, label = data[place]
@@ -86,9 +85,9 @@ def test_voxels_fill_the_inside(digits: mnist3d.DigitDataset) -> None:
 
 def test_height_maps_and_meshes(digits: mnist3d.DigitDataset) -> None:
     from env_assets.mesh_view import top_surface
-    from mnist3d.digit_tensors import DigitTensors
+    from tactile_toolkit.mesh import SolidTensors
 
-    heights, volume_m3 = DigitTensors(digits, "height_map", pitch_m=0.0005, target="volume_m3")[3]
+    heights, volume_m3 = SolidTensors(digits, "height_map", pitch_m=0.0005, target="volume_m3")[3]
     assert (tuple(heights.shape), heights.dtype) == ((1, 200, 200), torch.float32)
     assert volume_m3 == pytest.approx(digits[3].volume_m3)
     surface = top_surface(digits[3], 0.0005)
@@ -97,18 +96,18 @@ def test_height_maps_and_meshes(digits: mnist3d.DigitDataset) -> None:
     part = heights[0, first_row : first_row + rows, first_column : first_column + columns]
     np.testing.assert_allclose(part.numpy(), surface.filled(), atol=1e-7)
     assert int((heights > 0).sum()) == int((part > 0).sum())
-    cut = DigitTensors(digits, "height_map", extent_m=(0.01, 0.02, 0.01), target=None)[3]
+    cut = SolidTensors(digits, "height_map", extent_m=(0.01, 0.02, 0.01), target=None)[3]
     assert tuple(cut.shape) == (1, 20, 10)
-    (vertices, faces), square = DigitTensors(digits, "mesh", target=squared)[3]
+    (vertices, faces), square = SolidTensors(digits, "mesh", target=squared)[3]
     np.testing.assert_array_equal(vertices.numpy(), digits[3].vertices_m)
     np.testing.assert_array_equal(faces.numpy(), digits[3].faces)
     assert (vertices.dtype, faces.dtype, square) == (torch.float32, torch.int64, digits[3].label ** 2)
-    doubled = DigitTensors(digits, "height_map", transform=lambda tensor: 2 * tensor, target="id")
+    doubled = SolidTensors(digits, "height_map", transform=lambda tensor: 2 * tensor, target="id")
     assert doubled[3][1] == digits[3].id
 
 
 def test_invalid_arguments_are_refused() -> None:
-    from starstruck_gen.scene_tensors import SceneTensors
+    from tactile_toolkit.mesh import SolidTensors
 
     for given, words in (
         ({"representation": "soup"}, "no representation 'soup'"),
@@ -120,26 +119,21 @@ def test_invalid_arguments_are_refused() -> None:
         ({"extent_m": (0.1, float("nan"), 0.1)}, "three positive lengths"),
     ):
         with pytest.raises(InputError, match=words):
-            SceneTensors(SCENES, **given)  # type: ignore[arg-type]
+            SolidTensors(SCENES, **given)  # type: ignore[arg-type]
     with pytest.raises(IndexError):
-        SceneTensors(SCENES)[6]
+        SolidTensors(SCENES)[6]
 
 
-@pytest.mark.parametrize(
-    ("dataset", "tensors"),
-    [
-        ("mnist3d.digit_records", "mnist3d.digit_tensors"),
-        ("starstruck_gen.scene_dataset", "starstruck_gen.scene_tensors"),
-    ],
-)
-def test_without_torch_the_extra_is_named(dataset: str, tensors: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("dataset", ["mnist3d.digit_records", "starstruck_gen.scene_dataset"])
+def test_without_torch_the_extra_is_named(dataset: str, tmp_path: Path) -> None:
     (tmp_path / "torch.py").write_text("raise ImportError('no torch')")
     code = (
         f"import sys; sys.path.insert(0, {str(tmp_path)!r})\nimport {dataset}\n"
         "assert 'torch' not in sys.modules\n"
-        f"try:\n    import {tensors}\n"
+        "try:\n    from tactile_toolkit.mesh import SolidTensors\n"
         "except Exception as error:\n    print(type(error).__name__, error)"
     )
     said = printed_by(code)
-    assert said.startswith("MissingExtraError a torch data set of solids needs the package 'torch'")
+    assert said.startswith("MissingExtraError")
+    assert "needs the package 'torch'" in said
     assert "the extra `torch`" in said

@@ -293,7 +293,7 @@ def test_views_come_shard_by_shard(paths: list[str]) -> None:
 
 def test_touches_and_scenes(tmp_path: Path) -> None:
     from realtouch.touch_tensors import TouchTensors
-    from starstruck_gen.scene_tensors import SceneTensors
+    from tactile_toolkit.mesh import SolidTensors
 
     rounds = [factories.make_round(index, 5, (64, 48), (4, 5)) for index in range(7)]
     layout = factories.Layout(shards=4, group_rows=1)
@@ -321,12 +321,12 @@ def test_touches_and_scenes(tmp_path: Path) -> None:
 
     scenes = starstruck_gen.SceneDataset(size=10_000, seed=2)
     assert len(scenes.stored_parts()) == 3
-    order = list(TrainingBatches(SceneTensors(scenes[4090:4110], target="id"), 8, seed=3))
+    order = list(TrainingBatches(SolidTensors(scenes[4090:4110], target="id"), 8, seed=3))
     assert sorted(int(scene) for _, chosen in order for scene in chosen) == scenes.ids[4090:4110].tolist()
     points = {
         int(scene): cloud for clouds, chosen in order for cloud, scene in zip(clouds, chosen, strict=True)
     }
-    second = TrainingBatches(SceneTensors(scenes[4090:4110], target="id"), 20, seed=3)
+    second = TrainingBatches(SolidTensors(scenes[4090:4110], target="id"), 20, seed=3)
     second.set_epoch(1)
     clouds, chosen = next(iter(second))
     assert not any(

@@ -16,7 +16,7 @@ pytest.importorskip("s3fs")
 pytest.importorskip("moto")
 
 from starstruck_gen.scene_dataset import SceneGenerator  # noqa: E402
-from starstruck_gen.scene_tensors import SceneTensors  # noqa: E402
+from tactile_toolkit.mesh import SolidTensors  # noqa: E402
 from tactile_toolkit.read import TrainingBatches  # noqa: E402
 
 
@@ -32,7 +32,7 @@ def test_training_from_a_store_is_training_from_a_folder(s3, bucket, tmp_path, m
     assert len(place.names("data")) == 9
 
     def batches_of(name):
-        data = SceneTensors(starstruck_gen.load(name, "train"))
+        data = SolidTensors(starstruck_gen.load(name, "train"))
         return TrainingBatches(data, 7, window=3, rank=1, world_size=2, collate_fn=list)
 
     here, there = batches_of(str(tmp_path / "scenes")), batches_of(place.root)
