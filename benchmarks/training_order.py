@@ -83,10 +83,10 @@ def streamed(folder: Path) -> Iterator[Any]:
 def decoded(folder: Path) -> Iterator[Any]:
     """What any way to read these JPEGs does at least: each is decoded, into the same memory."""
     import realtouch
-    from realtouch.touches.media import room_for
+    from realtouch.touches.media import images_array
     from tactile_toolkit.touch import decode_image
 
-    pixels = room_for(1, (64, 64))[0]
+    pixels = images_array(1, (64, 64))[0]
     for record in realtouch.load(folder, "train"):
         for touch in range(TOUCHES):
             decode_image(record.sensor_image.encoded(touch), pixels)

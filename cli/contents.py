@@ -23,6 +23,7 @@ _count_splits = lazy("tactile_toolkit.sets:count_splits")
 _check_card = lazy("tactile_toolkit.cards:check_card")
 _verify_touches = lazy("realtouch:verify")
 _check_touches = lazy("realtouch:check")
+_summarise_splits = lazy("realtouch.touches.summary:summarise_splits")
 _is_sensor = lazy("tactile_sim.twin.sensor_repositories:is_sensor")
 _sensor_facts = lazy("tactile_sim.twin.sensor_repositories:sensor_facts")
 _sensor_named = lazy("tactile_sim:SensorModel.named")
@@ -114,13 +115,8 @@ def info(
 
 def _print_touches(sink: output.Sink, place: places.Place, split: str | None) -> None:
     """Print the figures of touches, which are read from their rows."""
-    import realtouch  # pyarrow
-
     announce_fetching(sink, place, split)
-    summaries = {
-        name: realtouch.summarise(realtouch.dataset_of(shards))
-        for name, shards in realtouch.Source.open(place, split).shards.items()
-    }
+    summaries = _summarise_splits(place, split)
     splits = {name: summary.to_dict() for name, summary in summaries.items()}
     sink.document({"name": place.name, "splits": splits, "spec": place.manifest and place.manifest.spec})
     for name, summary in summaries.items():

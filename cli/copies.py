@@ -11,6 +11,7 @@ import typer
 
 from cli import application, contents, options, output, runs
 from cli.options import AnySourceOptions, RunOptions, argument, out_folder
+from realtouch.kind import KIND
 from realtouch.touch_options import EXPORT_FORMATS, FRAME, ContactChoice
 from tactile_toolkit import cards, catalog, checked_fields, exchange, places, printing, store, wording
 from tactile_toolkit.cache import CacheContents
@@ -24,8 +25,7 @@ _MESH_FORMATS = ("stl", "3mf", "ply", "obj", "glb", "mjcf", "urdf", "usd", "flat
 _SHOW_FRAME = "png|jpeg|flat|webdataset|fota|anytouch"
 # Imported when they are called: they import pyarrow.
 _select_touches = lazy("realtouch:select")
-_export_touches = lazy("realtouch:export")
-_write_frames = lazy("realtouch:frames")
+_plan_export = lazy("realtouch.formats.exports:plan_export")
 
 
 def _fractions(words: str) -> tuple[float, ...]:
@@ -65,7 +65,7 @@ def select(
     make: Any = partial(exchange.select_rows, kind, source, filters, out)
     if kind.has_touches:
         contents.announce_fetching(sink, source, chosen.split)
-        make = partial(_select_touches, source, out, **ContactChoice(**contact).arguments(chosen))
+        make = partial(_select_touches, source, out, **ContactChoice(**contact).arguments(), **filters)
     else:
         options.refuse(contact, kind.nouns)
         if not filters:
@@ -202,16 +202,24 @@ def export(
     place, kind = source_options.open_kind(sink, name)
     if kind.has_touches:
         _require_format(kind, file_format, EXPORT_FORMATS)
-        options.refuse({**meshes, "dry_run": run_options.dry_run}, kind.nouns)
-        filters = {**_filters(chosen), "split": None, "limit": None}
-        options.refuse(filters, "an export of touches: select them first")
-        _export_touch_files(sink, kind, place, file_format, chosen, touches, out, run_options)
+        options.refuse(meshes, kind.nouns)
+        contents.announce_fetching(sink, place, chosen.split)
+        plan = _plan_export(
+            place,
+            out,
+            file_format,
+            touches.get("clip_frame", "contact_end"),
+            touches.get("difference"),
+            catalog.RowFilter(**_filters(chosen)),
+        )
+        nouns = "touches" if file_format in ("png", "jpeg") else "rows"
+        _write_rows(sink, replace(KIND, nouns=nouns), plan, out, run_options, KIND.nouns)
         return
     _require_format(kind, file_format or "stl", _MESH_FORMATS)
     options.refuse(touches, kind.nouns)
     out = str(options.parse_local_path(out))
     if file_format == "flat":
-        _export_tables(sink, kind, exchange.plan_tables(kind, place, chosen, out), out, run_options)
+        _write_rows(sink, kind, exchange.plan_tables(kind, place, chosen, out), out, run_options, kind.nouns)
         return
     options.refuse(run_options.given(), "mesh files")
     report = printing.export(
@@ -251,54 +259,25 @@ def _require_format(kind: DatasetKind, file_format: str | None, known: tuple[str
         )
 
 
-def _export_tables(
+def _write_rows(
     sink: output.Sink,
     kind: DatasetKind,
     plan: store.BuildPlan,
     out: str,
     run_options: options.GenerateOptions,
+    nouns: str,
 ) -> None:
-    """Write tables of meshes, or print what would be written."""
+    """Write rows and their files, or print how many would be written; ``nouns`` are those of the source."""
     folder = store.open_folder(out)
     if run_options.dry_run:
         if not run_options.overwrite:
             plan.compared_with(folder)
         rows = sum(task.size for task in plan.tasks)
         sink.document({"folder": out, "rows": rows})
-        sink.line(f"would write {with_count(rows, kind.nouns)} to {out}; nothing was written")
+        sink.line(f"would write {with_count(rows, nouns)} to {out}; nothing was written")
         return
     make = partial(store.build, folder, plan, write_card=kind.write_card)
-    runs.make_with_progress(sink, "writing", kind, make, run_options, out)
-
-
-def _export_touch_files(
-    sink: output.Sink,
-    kind: DatasetKind,
-    place: places.Place,
-    file_format: str | None,
-    chosen: catalog.RowFilter,
-    touches: options.UserOptions,
-    out: str,
-    run_options: RunOptions,
-) -> None:
-    """Write touches as pictures or for another library."""
-    arguments = {
-        "frame": touches.get("clip_frame", "contact_end"),
-        "split": chosen.split,
-        "limit": chosen.limit,
-    }
-    nouns = "rows"
-    if file_format in ("png", "jpeg"):
-        nouns = "touches"
-        make = partial(
-            _write_frames, place, out, file_format, difference=touches.get("difference"), **arguments
-        )
-    else:
-        make = partial(_export_touches, place, out, file_format, **arguments)
-    contents.announce_fetching(sink, place, chosen.split)
-    runs.make_with_progress(
-        sink, "converting", replace(kind, nouns=nouns), make, run_options, out, kind.nouns
-    )
+    runs.make_with_progress(sink, "writing", kind, make, run_options, out, nouns)
 
 
 def card(

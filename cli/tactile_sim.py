@@ -380,7 +380,7 @@ def depth(
     source_options: SourceOptions,
     sensor: str = text(MISSING, metavar="SENSOR", help="Folder that `tactile-sim calibrate` wrote."),
     fast: bool = checked_fields.switch(
-        False, help="Use a faster method, with about twice the error and a tenth of the time."
+        False, help="Use a faster method, with about twice the error in two fifths of the time."
     ),
     out: str = options.out_folder(),
     split: str | None = catalog.SPLIT,

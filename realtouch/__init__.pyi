@@ -18,7 +18,6 @@ from .touches.image_contacts import (
     best_frame as best_frame,
     contacts_by_image as contacts_by_image,
 )
-from .convert.conversion import Source as Source
 from .convert.media_conversions import (
     add_depth as add_depth,
     clips_to_images as clips_to_images,
@@ -38,7 +37,7 @@ from .touches.media import (
 from .formats.exports import export as export
 from .importing.import_plan import ImportPreview as ImportPreview, preview_import as preview_import
 from .importing.import_plan import import_touches as import_touches
-from .touches.opening import SHORT_NAMES as SHORT_NAMES, load as load
+from .touches.loading import SHORT_NAMES as SHORT_NAMES, load as load
 from .touches.poses import Poses as Poses, PoseSequences as PoseSequences
 from .touches.rounds import (
     Touch as Touch,
@@ -52,7 +51,6 @@ from .touches.summary import (
     summarise as summarise,
 )
 from .touches.datasets import (
-    dataset_of as dataset_of,
     TouchDataset as TouchDataset,
     Touches as Touches,
     TouchSeqDataset as TouchSeqDataset,

@@ -314,8 +314,8 @@ def best_of(
     if base is None:
         # Only the window of the rule is needed.
         rows, columns = rule.window(*frames.shape[1:3])
-        seen = np.ascontiguousarray(frames[:, rows, columns])
-        scores = _score(seen, median_in_memory(seen), rule.min_change)
+        cropped = np.ascontiguousarray(frames[:, rows, columns])
+        scores = _score(cropped, median_in_memory(cropped), rule.min_change)
     else:
         scores = contact_score(frames, base, rule)
     best = int(np.argmax(scores.total_change))

@@ -55,9 +55,9 @@ def pressure_picture(pressure: AnyArray) -> UInt8:
     most = 1.0
     if (known > 0).any():
         most = float(np.percentile(known[known > 0], _BRIGHTEST))
-    places = np.clip(known / most, 0, 1) * (len(_COLOURS) - 1)
-    first = np.minimum(places.astype(np.int64), len(_COLOURS) - 2)
-    part = (places - first)[..., None]
+    positions = np.clip(known / most, 0, 1) * (len(_COLOURS) - 1)
+    first = np.minimum(positions.astype(np.int64), len(_COLOURS) - 2)
+    part = (positions - first)[..., None]
     mixed = _COLOURS[first] * (1 - part) + _COLOURS[first + 1] * part
     return np.asarray(np.rint(mixed), np.uint8)
 

@@ -58,8 +58,11 @@ KIND = DatasetKind(
     needs_manifest=False,
     extra_files=("images/*/*/*.png", "images/*/*/*.jpg", "index.csv", *_EXCHANGED),
     published=(
-        *(tactile_mnist_set(*each, licence="CC BY 2.0", aliases=_ALIASES.get(each[0], ())) for each in _REAL),
-        *(tactile_mnist_set(*each) for each in _RENDERED),
+        *(
+            tactile_mnist_set(*entry, licence="CC BY 2.0", aliases=_ALIASES.get(entry[0], ()))
+            for entry in _REAL
+        ),
+        *(tactile_mnist_set(*entry) for entry in _RENDERED),
     ),
     plan_previews=lazy("realtouch.touch_previews:plan_previews"),
     preview_spec=lazy("realtouch.touch_options:TouchPreviewSpec"),

@@ -74,10 +74,10 @@ def plan_gallery(
         return [(touches, *of_round) for of_round in zip(by_round, least_m, strict=True)]
 
     split = chosen.given()["split"]
-    place = places.open_place(name).require(kind.KIND, "tactile gallery").require_complete(split)
-    schema = place.shards(split or place.splits[0])[0].schema
-    title = f"{origin_of(schema, place.manifest)} touches".capitalize()
-    rows = pictures.ChosenRows.of(kind.KIND, place, chosen, "tactile gallery")
+    data_set = places.open_place(name).require(kind.KIND, "tactile gallery").require_complete(split)
+    schema = data_set.shards(split or data_set.splits[0])[0].schema
+    title = f"{origin_of(schema, data_set.manifest)} touches".capitalize()
+    rows = pictures.ChosenRows.of(kind.KIND, data_set, chosen, "tactile gallery")
     return gallery.Gallery.of_rows(rows, title, _SHOWN, _item, 1, known)
 
 
@@ -91,7 +91,7 @@ def _item(
     most, heights_m, least_m = known
     touches = [Touch(record, number) for number in media.evenly_spaced(record.touch_count, most)]
     views = [force_pictures.force_views(touch) for touch in touches]
-    stills, columns, tile_px = sheet_of([np.hstack(each) for each in views], views=len(views[0]))
+    stills, columns, tile_px = sheet_of([np.hstack(of_touch) for of_touch in views], views=len(views[0]))
     images = {"stills.jpg": stills}
     listed = []
     for touch in touches:

@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from tactile_toolkit import catalog, checked_fields, errors, store, touch, wording
+from tactile_toolkit import checked_fields, errors, store, touch, wording
 from tactile_toolkit.columns import units
 from tactile_toolkit.json_types import JsonDict
 
@@ -64,6 +64,10 @@ STREAMS = "streams"
 """Key of the specification of an import: rows of a table of streams, below :data:`STREAM_HEADER`."""
 CLIPS = "clips"
 """Key of the statistics of an import: how clips were made, with the number of clips."""
+NOT_IMPORTED = "not_imported"
+"""Key of the statistics of an import: number of touches of each field that was not imported."""
+CONVERSION = "images_were"
+"""Key of the options of an import: how images were converted."""
 POSITION_COLUMNS = ("pos_in_cell_x_m", "pos_in_cell_y_m")
 POSE_COLUMNS = ("gel_x_m", "gel_y_m", "gel_z_m", "gel_qx", "gel_qy", "gel_qz", "gel_qw")
 FOTA_POSE_COLUMNS = ("x_mm", "y_mm", "z_mm", "quat_x", "quat_y", "quat_z", "quat_w")
@@ -138,10 +142,8 @@ class ContactChoice:
         "touch of each round.",
     )
 
-    def arguments(self, chosen: catalog.RowFilter) -> JsonDict:
-        """Return the arguments of :func:`realtouch.select` for these touches of chosen rows."""
-        # Ids of objects are numbers.
-        objects = [ids if isinstance(ids, int) else catalog.id_range(ids) for ids in chosen.ids or ()]
+    def arguments(self) -> JsonDict:
+        """Return the arguments of :func:`realtouch.select` for these touches."""
         min_height_m = None
         if self.min_height_mm is not None:
             min_height_m = self.min_height_mm / 1000
@@ -149,11 +151,6 @@ class ContactChoice:
             "contact": self.contact,
             "min_height_m": min_height_m,
             "recalibrate_z": not self.as_recorded,
-            "objects": objects,
-            "labels": chosen.labels or (),
-            "per_class": chosen.per_class,
-            "split": chosen.split,
-            "limit": chosen.limit,
         }
 
 

@@ -10,7 +10,7 @@ from PIL import Image
 
 from realtouch import contact, force_pictures, touch_options
 from realtouch.kind import KIND
-from realtouch.touches import media, opening, rounds
+from realtouch.touches import loading, media, rounds
 from realtouch.touches.rounds import Touch
 from tactile_toolkit import arithmetic, errors, pictures, places, wording
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, UInt8
@@ -41,12 +41,12 @@ def plan_previews(
     Kinds are grid and overlay. InputError: no such data set, split, round or kind, an empty split, or an
     overlay of a set without positions. IntegrityError and HubError as :func:`realtouch.load`.
     """
-    place = places.open_place(name).require(KIND, "tactile preview").require_complete(spec.split)
-    split = place.split(spec.split)
-    dataset = opening.load(place, split)
+    data_set = places.open_place(name).require(KIND, "tactile preview").require_complete(spec.split)
+    split = data_set.split(spec.split)
+    dataset = loading.load(data_set, split)
     if not len(dataset):
         raise errors.InputError(
-            f"split {split!r} of {place.name!r} holds no round", next="choose another split"
+            f"split {split!r} of {data_set.name!r} holds no round", next="choose another split"
         )
     number = spec.round_number
     if not 0 <= number < len(dataset):
@@ -54,7 +54,7 @@ def plan_previews(
             f"is {number}; split {split!r} has rounds 0 to {len(dataset) - 1}", field="round_number"
         )
     record = dataset[number]
-    stem = "-".join(filter(None, (pictures.PlannedPicture.stem_of(place.name), split)))
+    stem = "-".join(filter(None, (pictures.PlannedPicture.stem_of(data_set.name), split)))
 
     def planned(kind: str, what: str, draw: Callable[[], UInt8]) -> list[pictures.PlannedPicture]:
         return [pictures.PlannedPicture(f"{stem}-round-{number}-{kind}.png", what, draw)]
@@ -194,18 +194,19 @@ def overlay(touches: Sequence[PlacedTouch], cell: CellMap) -> UInt8:
     """
     sizes = sorted({touch.pixels.shape[1::-1] for touch in touches})
     if len(sizes) > 1:
-        found = ", ".join(f"{width} x {height}" for width, height in sizes[:4])
+        sizes_text = ", ".join(f"{width} x {height}" for width, height in sizes[:4])
         raise errors.InputError(
-            f"the pictures of the round have different sizes ({found} pixels), an overlay needs one size",
+            f"the pictures of the round have different sizes ({sizes_text} pixels); an overlay needs "
+            "one size",
             next="make them alike with `realtouch resize`",
         )
     width, height = cell.size_px
     sums = np.zeros((height, width, 3))
     weights = np.zeros((height, width, 1))
-    rest = np.median([touch.pixels for touch in touches], axis=0)
+    bare_gel = np.median([touch.pixels for touch in touches], axis=0)
     for touch in touches:
         window, back = _back_to_touch(touch, cell)
-        weight = _weight(touch.pixels, rest)
+        weight = _weight(touch.pixels, bare_gel)
         layers = np.dstack([touch.pixels.astype(np.float32), weight])
         sampled = _sampled(layers, window, back, Image.Resampling.BILINEAR)
         inside = _sampled(np.ones_like(layers[..., :1]), window, back, Image.Resampling.NEAREST) > 0.5
@@ -216,10 +217,10 @@ def overlay(touches: Sequence[PlacedTouch], cell: CellMap) -> UInt8:
     return np.round(mixed).astype(np.uint8)
 
 
-def _weight(pixels: UInt8, rest: Float64) -> Float32:
-    """Return the weight of each pixel: its difference from the gel at rest, fading towards the edges."""
+def _weight(pixels: UInt8, bare_gel: Float64) -> Float32:
+    """Return the weight of each pixel: its difference from the bare gel, fading towards the edges."""
     height, width = pixels.shape[:2]
-    change = np.abs(pixels - rest).mean(axis=2) / 255.0
+    change = np.abs(pixels - bare_gel).mean(axis=2) / 255.0
     edge = [
         np.minimum(1.0, (0.5 + np.minimum(np.arange(side), np.arange(side)[::-1])) / (_FEATHER * side))
         for side in (height, width)
@@ -250,4 +251,4 @@ def _sampled(
     """Sample layers of a picture, (H, W, n), at the pixels of a window of the map; 0 beyond its edge."""
     size = (window[1].stop - window[1].start, window[0].stop - window[0].start)
     planes = map(Image.fromarray, np.moveaxis(np.ascontiguousarray(layers), 2, 0))
-    return np.dstack([np.asarray(each.transform(size, _AFFINE, back, method)) for each in planes])
+    return np.dstack([np.asarray(plane.transform(size, _AFFINE, back, method)) for plane in planes])

@@ -129,19 +129,19 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
 
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
         """Return the items of a batch; images of one size are decoded into one array."""
-        found = self._decoded(indices)
-        if found is None:
+        decoded = self._decoded(indices)
+        if decoded is None:
             return [self[index] for index in indices]
         image_type = _tv_tensors().Image
-        shown = (image.as_subclass(image_type) for image in found[0])
-        return [self._given(*each) for each in zip(shown, found[1], strict=True)]
+        shown = (image.as_subclass(image_type) for image in decoded[0])
+        return [self._given(*pair) for pair in zip(shown, decoded[1], strict=True)]
 
     def _given(self, shown: torch.Tensor, touch: Touch, frame: int | None = None) -> object:
         """Return the item of a picture; ``frame`` is the chosen frame of a clip."""
-        given = shown if self.transform is None else self.transform(shown)
+        item = shown if self.transform is None else self.transform(shown)
         if self.target is None:
-            return given
-        return given, self._target_of(touch, frame)
+            return item
+        return item, self._target_of(touch, frame)
 
     def _target_of(self, touch: Touch, frame: int | None = None) -> object:
         if frame is not None and self.target == "gel_position":
@@ -175,10 +175,10 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
             Something is damaged; names file, row and touch.
         """
         collate = torch.utils.data.default_collate
-        found = self._decoded(indices) if self.transform is None else None
-        if found is None:
+        decoded = self._decoded(indices) if self.transform is None else None
+        if decoded is None:
             return collate(self.__getitems__(indices))
-        images, touches = found
+        images, touches = decoded
         if self.target is None:
             return images
         targets = tuple(map(self._target_of, touches))
@@ -191,36 +191,36 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         """
         if self.touches.dataset.kind != "single" or not len(indices):
             return None
-        wanted = sorted((*self.touches.locate(index), slot) for slot, index in enumerate(indices))
+        located = sorted((*self.touches.locate(index), slot) for slot, index in enumerate(indices))
         touches: dict[int, Touch] = {}
         last = -1
         try:
-            size = self._images(wanted[0][0])[1].size(wanted[0][1])
+            size = self._images(located[0][0])[1].size(located[0][1])
             # Decoders write colour by colour for each pixel. One picture stays in the processor's cache.
-            pixels = media.room_for(len(wanted), size)
+            pixels = media.images_array(len(located), size)
             planes = pixels.transpose(0, 3, 1, 2)
             if not self.channels_last:
                 planes = pixels.reshape(planes.shape)
-                one = media.room_for(1, size)[0]
-            for position, number, slot in wanted:
+                picture = media.images_array(1, size)[0]
+            for position, number, slot in located:
                 if position != last:
                     last, (record, images) = position, self._images(position)
                 touches[slot] = Touch(record, number)
                 if self.channels_last:
                     decode_image(images.encoded(number), pixels[slot])
                 else:
-                    planes[slot] = decode_image(images.encoded(number), one).transpose(2, 0, 1)
+                    planes[slot] = decode_image(images.encoded(number), picture).transpose(2, 0, 1)
         except (errors.IntegrityError, ValueError):
             return None
-        return torch.from_numpy(planes), [touches[slot] for slot in range(len(wanted))]
+        return torch.from_numpy(planes), [touches[slot] for slot in range(len(located))]
 
     def _images(self, position: int) -> tuple[TouchSingleRound, media.SensorImages]:
         """Return a round and its images; the rounds used last are cached."""
-        found = self._rounds.get(position)
-        if found is None:
-            found = self.touches.dataset[position]
-            self._rounds.put(position, found)
-        return found, found.sensor_image
+        record = self._rounds.get(position)
+        if record is None:
+            record = self.touches.dataset[position]
+            self._rounds.put(position, record)
+        return record, record.sensor_image
 
 
 def _numbers_of(rounds: datasets.AnyDataset) -> list[str]:
@@ -239,5 +239,5 @@ def _tensor(kind: str, pixels: UInt8) -> torch.Tensor:
 def _tv_tensors() -> ModuleType:
     with errors.needs_extra("realtouch.touch_tensors", "torchvision", "torch"):
         from torchvision import tv_tensors  # an extra
-    found: ModuleType = tv_tensors
-    return found
+    module: ModuleType = tv_tensors
+    return module

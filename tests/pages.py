@@ -52,7 +52,7 @@ _IMPORTED_BEFORE = [
     *(
         "mnist3d.digit_generation",
         "starstruck_gen.scene_dataset",
-        "realtouch.touches.opening",
+        "realtouch.touches.loading",
         "tactile_sim.sets.generation",
     ),
     *("datasets", "numba", "pyarrow.parquet", "scipy.ndimage", "skimage.measure", "trimesh"),

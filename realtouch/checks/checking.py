@@ -16,11 +16,11 @@ from itertools import groupby
 import numpy as np
 from scipy import stats
 
-from realtouch import convert, kind, touch_options
+from realtouch import kind, touch_options
 from realtouch.checks import rules, verification
-from realtouch.checks.sections import PlacedRow, RoundSeen, Section, check_section
+from realtouch.checks.sections import PlacedRow, RoundFacts, Section, check_section
 from realtouch.touch_options import CheckLimits
-from realtouch.touches import damage, datasets, opening, schema, stored_round
+from realtouch.touches import damage, datasets, loading, schema, stored_round
 from realtouch.touches.damage import MAX_NAMED, RecordingFinding
 from realtouch.touches.rounds import TouchSingleRound
 from tactile_toolkit import catalog, errors, pictures, places, read, run, wording
@@ -87,8 +87,8 @@ def check(
     chosen = limits or touch_options.CheckLimits()
     data_set = places.open_place(name).require(kind.KIND, "realtouch check").require_complete(split)
     files = {
-        part: opening.agreeing_files(data_set.shards(part, kind=kind.KIND), data_set.name)
-        for part in convert.parts_of(data_set, split)
+        part: loading.agreeing_files(data_set.shards(part, kind=kind.KIND), data_set.name)
+        for part in loading.parts_of(data_set, split)
     }
     damaged: list[rules.Fault] = []
     touches, unread_sections = _sections_of(files, chosen, damaged, workers)
@@ -195,7 +195,7 @@ class CheckResult:
     def pictures(self) -> pictures.PicturePlan:
         """Plan a picture of each finding: its first touches."""
         by_split = {split: datasets.dataset_of(files) for split, files in self._files.items()}
-        planned = [
+        drawings = [
             pictures.PlannedPicture(
                 f"{finding.rule}.png",
                 f"{finding.rule}: {finding.found}",
@@ -203,13 +203,13 @@ class CheckResult:
             )
             for finding in self.findings
         ]
-        return pictures.PicturePlan(tuple(planned))
+        return pictures.PicturePlan(tuple(drawings))
 
 
 def finding_of(
     rule: str,
     faults: Sequence[rules.Fault],
-    rounds: Mapping[rules.Spot, RoundSeen],
+    rounds: Mapping[rules.Spot, RoundFacts],
     limits: touch_options.CheckLimits,
 ) -> RecordingFinding:
     """Return the finding of a rule in all splits."""
@@ -218,7 +218,7 @@ def finding_of(
     total = 0
     for spot in sorted({fault.at._replace(frame=0) for fault in faults}):
         whole = spot._replace(touch=rules.WHOLE_ROUND)
-        known = rounds.get(whole, RoundSeen(whole, f"row {spot.row}", 1, None, None))
+        known = rounds.get(whole, RoundFacts(whole, f"row {spot.row}", 1, None, None))
         named = f"{known.name}:{spot.touch}"
         count = 1
         if spot == whole:
@@ -356,7 +356,7 @@ def _mixed_markers(sections: Sequence[Section]) -> Iterator[rules.Fault]:
     if not marked or not plain:
         return
     dots = float(np.median([section.markers for section in marked if section.markers]))
-    for of_round in (found for section in min(plain, marked, key=len) for found in section.rounds):
+    for of_round in (of_round for section in min(plain, marked, key=len) for of_round in section.rounds):
         yield rules.Fault("mixed-markers", of_round.spot, dots)
 
 

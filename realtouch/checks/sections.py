@@ -43,7 +43,7 @@ class PlacedRow(NamedTuple):
     stored: stored_round.StoredRound
 
 
-class RoundSeen(NamedTuple):
+class RoundFacts(NamedTuple):
     """Facts about a round: its place, name, object and gel, and the number of its touches."""
 
     spot: rules.Spot
@@ -53,7 +53,7 @@ class RoundSeen(NamedTuple):
     gel: object
 
 
-class TouchSeen(NamedTuple):
+class TouchFacts(NamedTuple):
     """A touch with content: a digest of its stored pictures, and their colour pattern, shape (48,)."""
 
     spot: rules.Spot
@@ -65,9 +65,9 @@ class TouchSeen(NamedTuple):
 class Section:
     """Results of checking some rounds; ``gel``, shape (12, 16, 3), are averages of the bare gel, levels."""
 
-    rounds: list[RoundSeen] = field(default_factory=list)
+    rounds: list[RoundFacts] = field(default_factory=list)
     faults: list[rules.Fault] = field(default_factory=list)
-    touches: list[TouchSeen] = field(default_factory=list)
+    touches: list[TouchFacts] = field(default_factory=list)
     gel: Float32 | None = None
     markers: int | None = None
     decoded: int = 0
@@ -97,7 +97,7 @@ def check_section(
             for rule in STRIP_RULES:
                 section.faults += rule(strip, limits)
             section.touches += _touches(strip)
-            pictures += strip.seen.values()
+            pictures += strip.pictures.values()
     if pictures and not is_rendered:  # no light that could change
         steps = rules.outlying_steps(np.stack([picture.cells for picture in pictures]), limits.exposure)
         section.faults += [rules.Fault("exposure-jumps", pictures[index].spot, step) for index, step in steps]
@@ -105,7 +105,7 @@ def check_section(
     return section
 
 
-def _describe(stored: stored_round.StoredRound, at: rules.Spot) -> RoundSeen:
+def _describe(stored: stored_round.StoredRound, at: rules.Spot) -> RoundFacts:
     gel: object = None
     object_id = None
     name = str(at.row)
@@ -115,7 +115,7 @@ def _describe(stored: stored_round.StoredRound, at: rules.Spot) -> RoundSeen:
         object_id = stored.integer("object_id")
     if stored.has("id"):
         name = stored.name()
-    return RoundSeen(at, name, stored.touch_total(), object_id, gel)
+    return RoundFacts(at, name, stored.touch_total(), object_id, gel)
 
 
 def _with_bytes(stored: stored_round.StoredRound, at: rules.Spot, section: Section) -> list[rules.Spot]:
@@ -195,21 +195,21 @@ def _motion(stored: stored_round.StoredRound, touches: Sequence[rules.Spot]) -> 
     return poses, time_s
 
 
-def _touches(strip: Strip) -> Iterator[TouchSeen]:
+def _touches(strip: Strip) -> Iterator[TouchFacts]:
     """Yield the touches of a strip, all pictures of which have content."""
     numbers = range(len(strip.spots))
     for _, group in groupby(numbers, key=lambda number: strip.spots[number].touch):
         of_touch = list(group)
-        cells = [strip.seen[number].cells for number in of_touch if number in strip.seen]
+        cells = [strip.pictures[number].cells for number in of_touch if number in strip.pictures]
         if cells and all(strip.digests[number] for number in of_touch):
             digest = xxhash.xxh3_128_digest(b"".join(strip.digests[number] for number in of_touch))
             spot = strip.spots[of_touch[0]]._replace(frame=0)
-            yield TouchSeen(spot, digest, rules.colour_pattern(np.median(cells, axis=0)))
+            yield TouchFacts(spot, digest, rules.colour_pattern(np.median(cells, axis=0)))
 
 
 def _add_bare_gel(section: Section, pictures: Sequence[Picture]) -> None:
     """Add the bare gel: the median of the images, or of the first frames of the clips."""
-    by_touch = [list(group) for _, group in groupby(pictures, key=lambda each: each.spot[:3])]
+    by_touch = [list(group) for _, group in groupby(pictures, key=lambda picture: picture.spot[:3])]
     section.gel = np.median([touch[0].cells for touch in by_touch], axis=0).astype(np.float32)
     each_of = min(_FIRST_FRAMES, max(1, GEL_PICTURES // len(by_touch)))
     bare = [picture.encoded for touch in by_touch for picture in touch[:each_of]]
@@ -233,21 +233,21 @@ class Strip:
     """The images of a round, or the frames of a clip.
 
     ``at`` stands for all of them; ``spots``, ``digests`` and ``poses`` have an entry for each picture, whose
-    digest is empty if it has no content. ``seen`` are pictures by their numbers. ``time_s`` are the times of
+    digest is empty if it has no content. ``pictures`` are by their numbers. ``time_s`` are the times of
     frames, NaN where missing; empty for images.
     """
 
     at: rules.Spot
     spots: Sequence[rules.Spot]
     digests: Sequence[bytes]
-    seen: Mapping[int, Picture]
+    pictures: Mapping[int, Picture]
     poses: Poses | None
     time_s: Float64
 
 
 def frozen(strip: Strip, limits: touch_options.CheckLimits) -> Iterator[rules.Fault]:
     """Yield runs of equal pictures, and the motion of the gel during them."""
-    same = [one == other != b"" for one, other in pairwise(strip.digests)]
+    same = [digest == next_digest != b"" for digest, next_digest in pairwise(strip.digests)]
     for start, length in spans_of(same, limits.frozen):
         # A clip is named once, by the last of its frozen frames.
         repeats = {spot.touch: spot for spot in strip.spots[start + 1 : start + length]}.values()
@@ -266,7 +266,7 @@ def still(strip: Strip, limits: touch_options.CheckLimits) -> Iterator[rules.Fau
     moved = np.abs(np.diff(strip.poses.position_m, axis=0)).max(axis=1, initial=0)
     turned = np.abs(np.diff(strip.poses.quaternion, axis=0)).max(axis=1, initial=0)
     for start, length in spans_of((moved <= _SAME_M) & (turned <= _SAME_QUATERNION), rules.MIN_STILL):
-        inside = [picture for number, picture in strip.seen.items() if start <= number < start + length]
+        inside = [picture for number, picture in strip.pictures.items() if start <= number < start + length]
         if len(inside) < 2:
             continue
         cells = np.stack([picture.cells for picture in inside])

@@ -10,8 +10,9 @@ from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 
-from realtouch import convert, kind
-from realtouch.touches import damage, media, opening, schema, stored_round
+from realtouch import kind
+from realtouch.convert import conversion, picture_files
+from realtouch.touches import damage, loading, media, schema, stored_round
 from tactile_toolkit import cards, catalog, errors, places, read, run, store, wording
 from tactile_toolkit.touch import decode_image, image_size
 
@@ -48,7 +49,7 @@ def check_index(
             if "frames" in shard.types and "touch" not in shard.types:
                 # In a LeRobotDataset of single images a row is a round, and a frame is a touch.
                 touches += sum(table["frames"].to_pylist()) - len(table)
-            files: dict[str, str | None] = {**convert.files_of(folder, record.file)}
+            files: dict[str, str | None] = {**conversion.files_of(folder, record.file)}
             # The manifest lists these, so they have been compared already.
             compared = dict.fromkeys(manifest.files.keys() & files.keys())
             for path, sha256 in ({**files, **compared} or {record.shard.data_path: None}).items():
@@ -85,7 +86,7 @@ def _images_in(folder: store.DataFolder, path: str) -> Iterator[tuple[str, bytes
     """Yield the images of a tar, of the columns of a Parquet file, or of an image file."""
     if path.endswith(".tar"):
         with folder.open(path) as stream:
-            for member in convert.files_of_tar(stream, folder.size_bytes(path)):
+            for member in picture_files.files_of_tar(stream, folder.size_bytes(path)):
                 if not member.name.endswith(".json"):
                     stream.seek(member.offset_data)
                     yield member.name, stream.read(member.size)
@@ -167,8 +168,8 @@ def verify(
             counts = check_index(data_set.folder, data_set.manifest, findings, on_progress, decode=not quick)
         return TouchVerification(*counts, tuple(findings))
     splits = []
-    for part in convert.parts_of(data_set, split):
-        splits.append(opening.agreeing_files(data_set.shards(part), data_set.name, findings))
+    for part in loading.parts_of(data_set, split):
+        splits.append(loading.agreeing_files(data_set.shards(part), data_set.name, findings))
         findings += _lacking_columns(splits[-1])
     rounds, touches = _check_rounds(splits, findings, on_progress, decode=not quick, workers=workers)
     unprotected: list[str] = []
@@ -205,7 +206,7 @@ def _check_rounds(
     """Add the damage of the rounds of all splits; return the numbers of rounds and touches read."""
     total = sum(len(shard) for files in splits for shard in files)
     rounds = touches = 0
-    seen: dict[str, str] = {}
+    first_rows: dict[str, str] = {}
     for files in splits:
         expected = modal_touch_count(files)
         names = schema.stated_class_names(files)
@@ -213,7 +214,7 @@ def _check_rounds(
             findings += problems
             if row is not None:
                 rounds += 1
-                findings += _repeated_id(row, seen)
+                findings += _repeated_id(row, first_rows)
                 with suppress(errors.InputError, errors.IntegrityError):
                     touches += row.touch_total()
                 on_progress(rounds, total)
@@ -241,13 +242,13 @@ def _lacking_columns(shards: Sequence[read.Shard]) -> list[damage.Damage]:
     ]
 
 
-def _repeated_id(row: stored_round.StoredRound, seen: dict[str, str]) -> list[damage.Damage]:
+def _repeated_id(row: stored_round.StoredRound, first_rows: dict[str, str]) -> list[damage.Damage]:
     try:
         name = row.name()
     except (errors.InputError, errors.IntegrityError):
         return []  # no column of ids, or an id that is listed with the other fields
     here = f"{row.path!r}, row {row.number}"
-    first = seen.setdefault(name, here)
+    first = first_rows.setdefault(name, here)
     if first == here:
         return []
     return [

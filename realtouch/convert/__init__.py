@@ -1,5 +1,1 @@
-"""New data sets of touches made from others."""
-
-from lazy_loader import attach_stub
-
-__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)
+"""Conversions of data sets of touches: selections, other pictures, files of pictures."""

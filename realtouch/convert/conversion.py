@@ -7,25 +7,20 @@ of workers; see ``tactile_toolkit.store``.
 
 from __future__ import annotations
 
-import operator
 from bisect import bisect_right
-from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
-from itertools import accumulate, chain
+from itertools import accumulate
 from os import PathLike, fspath
 from typing import Any, NamedTuple, Protocol, Unpack
 
 import pyarrow as pa
 
-from realtouch import contact, kind, touch_card
-from realtouch.kind import KIND
-from realtouch.touches import datasets, schema, stored_round
-from tactile_toolkit import catalog, errors, places, read, run, store, touch
+from realtouch import kind, touch_card
+from realtouch.touches import datasets, loading, schema, stored_round
+from tactile_toolkit import catalog, checked_fields, errors, places, read, store, touch
 from tactile_toolkit.json_types import JsonObject
 
-_READERS = 4  # threads that read footers
 Made = tuple[pa.Table, Mapping[str, bytes]]
 """New rows, and the files that lie next to them, by path."""
 Pack = Callable[[store.ShardName, pa.Table, Sequence[store.Skipped]], Made]
@@ -35,7 +30,6 @@ WriteFiles = Callable[[store.DataFolder, store.Manifest], Mapping[str, str]]
 
 # Prefixes of the columns ``file`` and ``sha256`` of an index, which names up to two files for each row.
 _PREFIXES = ("", "meta_")
-_IMAGES_PER_MEDIA: dict[schema.Kind, int] = {"seq": 64, "single": 1}  # by size: clips are a few dozen images
 
 # Unpacked rows that a worker may hold.
 _SHARD_BYTES = 256 << 20
@@ -44,96 +38,7 @@ _SHARD_BYTES = 256 << 20
 _GROUP_BYTES = 32 << 20
 _PAGE_BYTES = 256 << 10  # images of a round do not compress better in larger pages
 _MAX_ROWS_PER_SHARD = 64
-
-
-def parts_of(data_set: places.Place, split: str | None) -> tuple[str, ...]:
-    """Return the named split, or all splits."""
-    return data_set.splits if split is None else (split,)
-
-
-@dataclass(frozen=True)
-class Source:
-    """A data set to convert: its name as the user gave it, its kind, and the shards of each split."""
-
-    name: str
-    shards: Mapping[str, tuple[read.Shard, ...]]
-    kind: schema.Kind
-    unfinished: str = ""
-
-    @classmethod
-    def open(cls, name: places.Name | places.Place, split: str | None = None) -> Source:
-        """Find the splits of a data set (or the one given), fetching them first where they are on the Hub.
-
-        Reads footers. Raises as :func:`realtouch.load`.
-        """
-        data_set = places.open_place(name).require_complete(split)
-        splits = parts_of(data_set, split)
-        shards = {part: data_set.shards(part, kind=KIND) for part in splits}
-        for files in shards.values():
-            deque(run.in_threads(schema.require_types, files, _READERS), maxlen=0)
-        return cls(
-            data_set.name,
-            shards,
-            schema.media_kind(shards[splits[0]][0].schema, data_set.name),
-            data_set.unfinished,
-        )
-
-    @property
-    def schema(self) -> pa.Schema:
-        """Arrow schema of the first shard."""
-        return next(iter(self.shards.values()))[0].schema
-
-    @property
-    def class_names(self) -> tuple[str, ...]:
-        """Name of each class; empty without labels."""
-        return schema.class_names_of(self._files())
-
-    def require_frame(self, method: contact.ContactMethod) -> None:
-        """Raise InputError unless the frames of clips can be chosen by a method."""
-        schema.require_poses_for(method, read.column_types(self.schema), self.name)
-
-    def manifest(self) -> store.Manifest | None:
-        """Return the manifest next to the shards, if any."""
-        return catalog.manifest_beside(next(iter(self.shards.values()))[0].path)
-
-    def row_bytes(self) -> int:
-        """Return the size of a row unpacked, on average over the data set; at least 1."""
-        chunks = chain.from_iterable(run.in_threads(read.Shard.column_chunks, self._files(), _READERS))
-        size: int = sum(chunk.total_uncompressed_size for chunk in chunks)
-        return max(size // max(sum(map(len, self._files())), 1), 1)
-
-    def media_bytes(self) -> int:
-        """Return the size of an image or clip, on average over the data set; at least 1."""
-        sizes = run.in_threads(
-            partial(_media_bytes, f"{schema.MEDIA_COLUMN[self.kind]}."), self._files(), _READERS
-        )
-        count, size = map(sum, zip(*sizes, strict=True))
-        return max(size // max(count, 1), 1)
-
-    def image_bytes(self) -> int:
-        """Return the approximate size of an image, or of a frame of a clip; at least 1."""
-        return self.media_bytes() // _IMAGES_PER_MEDIA[self.kind] or 1
-
-    def _files(self) -> Iterator[read.Shard]:
-        return chain.from_iterable(self.shards.values())
-
-    def fingerprint(self) -> dict[str, list[dict[str, str | int]]]:
-        """Return JSON values that identify the rows: names, sizes and footers of the files.
-
-        The footer holds offset and size of every column chunk: other content gives another footer, and
-        reading 28 GB to plan a conversion would cost minutes.
-        """
-        return {
-            split: list(run.in_threads(read.Shard.fingerprint, files, _READERS))
-            for split, files in self.shards.items()
-        }
-
-
-def _media_bytes(column: str, shard: read.Shard) -> tuple[int, int]:
-    """Return the number of values of a column of bytes, and the size of the column unpacked."""
-    chosen = [chunk for chunk in shard.column_chunks() if chunk.path_in_schema.startswith(column)]
-    values = sum(chunk.num_values for chunk in chosen if chunk.path_in_schema.endswith(".bytes"))
-    return values, sum(chunk.total_uncompressed_size for chunk in chosen)
+_ROW_OPTIONS = ("split", "ids", "labels", "per_class", "limit")
 
 
 class RowChoice(NamedTuple):
@@ -175,7 +80,7 @@ class Conversion:
     writes files that follow from all rows; see :class:`tactile_toolkit.store.BuildPlan`.
     """
 
-    source: Source
+    source: loading.Source
     operation: str
     options: JsonObject
     step: Step
@@ -187,22 +92,47 @@ class Conversion:
     pack: Pack | None = None
 
 
-def first_rows(source: Source, limit: int | None) -> dict[str, list[RowChoice]]:
-    """Choose the first ``limit`` rows of each split; all of them for None."""
-    counts = {split: sum(map(len, shards)) for split, shards in source.shards.items()}
-    return {split: list(map(RowChoice, range(count)[:limit])) for split, count in counts.items()}
+Plan = Callable[[loading.Source, catalog.RowFilter], Conversion]
+"""Plans a conversion of some rows of a source."""
 
 
-def require_limit(limit: int | None, name: str = "limit") -> int | None:
-    """Return a limit; InputError if it is below 1."""
-    if limit is None:
-        return None
-    if limit < 1:
-        raise errors.InputError(f"the {name} is {limit}; expected an integer of at least 1")
-    return operator.index(limit)
+def chosen_rows(source: loading.Source, rows: catalog.RowFilter) -> dict[str, list[RowChoice]]:
+    """Choose rows of each split; reads small columns only, and none without filters.
+
+    InputError: the touches have no labels or objects to choose by, or no row is chosen.
+    """
+    by_split = {split: datasets.dataset_of(shards) for split, shards in source.shards.items()}
+    names = source.class_names
+    if (rows.labels or rows.per_class) and not names:
+        raise errors.InputError(
+            f"the touches of {source.name!r} have no labels, by which some could be chosen",
+            next="choose by --ids, or import them again with --map label=COLUMN",
+        )
+    has_numbers = any(not isinstance(chosen_id, str) for chosen_id in rows.ids or ())
+    if has_numbers and "object_id" not in read.column_types(source.schema):
+        raise errors.InputError(
+            f"{source.name!r} has no column 'object_id', by which some could be chosen",
+            next="choose by --labels, or import it again with --map object=COLUMN",
+        )
+    chosen = catalog.choose_rows(
+        by_split.items(),
+        ids=rows.ids,
+        labels=rows.labels and [_label_name(label, names) for label in rows.labels],
+        per_class=rows.per_class,
+        limit=rows.limit,
+    )
+    return {split: list(map(RowChoice, numbers.tolist())) for split, _, numbers in chosen}
 
 
-def marked_repetitions(source: Source, choices: Choices) -> Choices:
+def _label_name(label: int | str, names: Sequence[str]) -> str:
+    """Return the name of a class that was given by its name or its number."""
+    text = str(label)
+    if text not in names and text.isdecimal() and int(text) < len(names):
+        return names[int(text)]
+    return text
+
+
+def marked_repetitions(source: loading.Source, choices: Choices) -> Choices:
     """Mark rows with a duplicate id in their split; reads the column of ids only."""
     marked = {}
     for split, chosen in choices.items():
@@ -246,16 +176,16 @@ def checksums(folder: store.DataFolder, manifest: store.Manifest) -> dict[str, s
     }
 
 
-def schema_of(source: pa.Schema, wanted: Mapping[str, tuple[pa.DataType, Collection[str]]]) -> pa.Schema:
-    """Return the wanted columns that a source can fill.
+def schema_of(source: pa.Schema, columns: Mapping[str, tuple[pa.DataType, Collection[str]]]) -> pa.Schema:
+    """Return those columns of a table that a source can fill.
 
-    ``wanted`` maps each column to its type and to columns of the source, one of which is needed; without any,
-    the column is always kept.
+    ``columns`` maps each column to its type and to columns of the source, one of which is needed; without
+    any, the column is always kept.
     """
     known = read.column_types(source)
     return pa.schema(
         (name, data_type)
-        for name, (data_type, needed) in wanted.items()
+        for name, (data_type, needed) in columns.items()
         if not needed or any(column in known for column in needed)
     )
 
@@ -328,8 +258,8 @@ class _ConvertRows:
     def _rows(self, choices: Sequence[RowChoice]) -> Iterator[tuple[RowChoice, stored_round.StoredRound]]:
         """Read the blocks that hold chosen rows, one at a time, in order."""
         # Row groups without a chosen row are not read at all.
-        wanted = {choice.row: choice for choice in choices}
-        first, last = min(wanted), max(wanted)
+        chosen = {choice.row: choice for choice in choices}
+        first, last = min(chosen), max(chosen)
         start = self.start
         for shard in self.shards:
             for index, group_start in enumerate(shard.group_starts[:-1]):
@@ -338,16 +268,16 @@ class _ConvertRows:
                 for group in shard.blocks(index):
                     for position in range(len(group.table)):
                         number = start + group.first_row + position
-                        if number in wanted:
-                            yield wanted[number], stored_round.StoredRound(group, position)
+                        if number in chosen:
+                            yield chosen[number], stored_round.StoredRound(group, position)
             start += len(shard)
 
 
 def plan_conversion(conversion: Conversion) -> store.BuildPlan:
-    """Divide rows into shards; reads footers only. InputError if nothing is left to convert."""
+    """Divide rows into shards; reads footers only."""
     source, step = conversion.source, conversion.step
     names = source.class_names
-    wanted = touch.with_features(step.schema(schema.flat_schema(source.schema)), names)
+    new_schema = touch.with_features(step.schema(schema.flat_schema(source.schema)), names)
     row_bytes = source.row_bytes()
     per_shard = conversion.rows_per_shard or max(1, min(_MAX_ROWS_PER_SHARD, _SHARD_BYTES // row_bytes))
     per_group = conversion.rows_per_group or max(1, min(per_shard, _GROUP_BYTES // row_bytes))
@@ -362,12 +292,10 @@ def plan_conversion(conversion: Conversion) -> store.BuildPlan:
         chunks = [choices[start : start + size] for start in range(0, len(choices), size)]
         for index, chunk in enumerate(chunks):
             first, last = (bisect_right(starts, chunk[end].row) - 1 for end in (0, -1))
-            work = _ConvertRows(shards[first : last + 1], starts[first], step, wanted, conversion.pack)
-            tasks.append(store.ShardTask(store.ShardName(split, index, len(chunks)), chunk, work))
-    if not tasks:
-        raise errors.InputError(
-            f"nothing is left of {source.name!r} after {conversion.operation!r}", next="choose fewer filters"
-        )
+            convert_rows = _ConvertRows(
+                shards[first : last + 1], starts[first], step, new_schema, conversion.pack
+            )
+            tasks.append(store.ShardTask(store.ShardName(split, index, len(chunks)), chunk, convert_rows))
     spec = {
         "operation": conversion.operation,
         "options": dict(conversion.options),
@@ -378,8 +306,8 @@ def plan_conversion(conversion: Conversion) -> store.BuildPlan:
     encodings: tuple[tuple[str, str], ...] = ()
     per_page = None
     if conversion.pack is None:
-        lists = [f"{name}.list.element" for name in schema.MEDIA_COLUMN.values() if name in wanted.names]
-        single = [name for name in wanted.names if wanted.field(name).type == touch.MEDIA_TYPE]
+        lists = [f"{name}.list.element" for name in schema.MEDIA_COLUMN.values() if name in new_schema.names]
+        single = [name for name in new_schema.names if new_schema.field(name).type == touch.MEDIA_TYPE]
         encodings = tuple((f"{name}.bytes", "PLAIN") for name in [*lists, *single])
         if lists:
             per_page = max(1, _PAGE_BYTES // source.media_bytes())
@@ -400,30 +328,45 @@ class JobOptions(store.RunKeywords, total=False):
     """Options of all conversions; see :func:`realtouch.clips_to_images`."""
 
     split: str | None
+    ids: catalog.IdChoice | None
+    labels: Sequence[int | str] | None
+    per_class: int | None
     limit: int | None
 
 
 def write_conversion(
-    source: places.Name | places.Place,
-    out: str | PathLike[str],
-    plan: Callable[[Source, int | None], Conversion],
-    *,
-    split: str | None = None,
-    limit: int | None = None,
-    **run: Unpack[store.RunKeywords],
+    source: places.Name | places.Place, out: str | PathLike[str], plan: Plan, **job: Unpack[JobOptions]
 ) -> store.Manifest:
-    """Write a conversion as a data set folder with a card; an interrupted one continues where it stopped.
+    """Write a conversion as a data set folder with a card; an interrupted one continues where it stopped."""
+    run: dict[str, Any] = {**job}
+    rows = catalog.RowFilter(**{name: run.pop(name) for name in _ROW_OPTIONS if name in run})
+    return store.build(
+        store.open_folder(fspath(out)),
+        plan_build(source, out, plan, rows),
+        write_card=touch_card.write_card,
+        **run,
+    )
 
-    ``plan`` is a function of the source and the greatest number of rounds of each split.
-    """
-    opened = Source.open(source, split=split)
+
+def plan_build(
+    source: places.Name | places.Place, out: str | PathLike[str], plan: Plan, rows: catalog.RowFilter
+) -> store.BuildPlan:
+    """Plan the conversion of some rows into a folder; writes nothing."""
+    checked_fields.check_fields(rows, "the rows")
+    opened = loading.Source.open(source, split=rows.split)
+    conversion = plan(opened, rows)
     folder = store.open_folder(fspath(out))
-    conversion = plan(opened, require_limit(limit))
     folder.refuse_source(opened.name, (shard.path for files in opened.shards.values() for shard in files))
+    filters = {name: getattr(rows, name) for name in ("ids", "labels", "per_class")}
+    options = {
+        **conversion.options,
+        "limit": rows.limit,
+        **{name: value for name, value in filters.items() if value is not None},
+    }
     origin = schema.origin_of(opened.schema, opened.manifest())
     # Recorded here, as pictures do not show whether touches were imported or rendered; rounds do.
     if opened.unfinished:
-        conversion = replace(conversion, options={**conversion.options, "unfinished": opened.unfinished})
+        options["unfinished"] = opened.unfinished
     if origin == "imported" or (origin == "synthetic" and conversion.operation in ("frames", "export")):
-        conversion = replace(conversion, options={**conversion.options, "touches": origin})
-    return store.build(folder, plan_conversion(conversion), write_card=touch_card.write_card, **run)
+        options["touches"] = origin
+    return plan_conversion(replace(conversion, options=options))

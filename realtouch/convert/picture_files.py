@@ -20,12 +20,13 @@ import pyarrow as pa
 from realtouch import contact, touch_options
 from realtouch.contact import difference
 from realtouch.convert import conversion
-from realtouch.touches import image_contacts, media, rounds, schema, stored_round
+from realtouch.touches import image_contacts, loading, media, rounds, schema, stored_round
 from realtouch.touches.poses import Poses
-from tactile_toolkit import errors, places, read, store, touch
+from tactile_toolkit import catalog, errors, places, read, store, touch
 from tactile_toolkit.array_types import AnyArray, Float64, Floating, UInt8
 from tactile_toolkit.json_types import JsonDict
 
+Difference = Literal["grey", "absolute"]
 IMAGE_FOLDER = "images"
 INDEX_FILE = "index.csv"
 _INDEX_ROWS = 16
@@ -61,14 +62,14 @@ def frames(
     kind: Literal["png", "jpeg"] = "png",
     frame: str = "contact_end",
     *,
-    difference: Literal["grey", "absolute"] | None = None,
+    difference: Difference | None = None,
     **job: Unpack[conversion.JobOptions],
 ) -> store.Manifest:
     """Write touches as plain image files with an index in CSV and Parquet.
 
     Parameters
     ----------
-    source, out, split, limit, workers, overwrite, on_progress
+    source, out, split, ids, labels, per_class, limit, workers, overwrite, on_progress
         As for :func:`clips_to_images`.
     kind : "png" or "jpeg"
         Format of the files ``images/SPLIT/ROUND/TOUCH.png``. Stored JPEGs pass through byte for byte, each
@@ -91,25 +92,28 @@ def frames(
     InputError, SpecMismatchError, StorageError
         As :func:`clips_to_images`.
     """
+    return conversion.write_conversion(source, out, plan_of_pictures(kind, frame, difference), **job)
+
+
+def plan_of_pictures(kind: touch.ImageFormat, frame: str, difference: Difference | None) -> conversion.Plan:
+    """Return the function that plans :func:`frames`; InputError for an unknown option."""
     if kind not in ("png", "jpeg"):
         raise errors.InputError(f"no picture format {kind!r}; expected png or jpeg")
     if difference not in (None, "grey", "absolute"):
         raise errors.InputError(
             f"no difference {difference!r} that a picture can show; expected grey or absolute"
         )
-    return conversion.write_conversion(
-        source, out, partial(_plan_pictures, kind, contact.require_method(frame), difference), **job
-    )
+    return partial(_plan_pictures, kind, contact.require_method(frame), difference)
 
 
 def _plan_pictures(
     kind: touch.ImageFormat,
     method: contact.ContactMethod,
-    difference: Literal["grey", "absolute"] | None,
-    opened: conversion.Source,
-    limit: int | None,
+    difference: Difference | None,
+    opened: loading.Source,
+    rows: catalog.RowFilter,
 ) -> conversion.Conversion:
-    options: JsonDict = {"kind": kind, "frame": method, "limit": limit}
+    options: JsonDict = {"kind": kind, "frame": method}
     if opened.kind == "single":
         options["frame"] = None
     else:
@@ -121,7 +125,7 @@ def _plan_pictures(
         "frames",
         options,
         WritePictures(kind, method, difference, opened.class_names),
-        conversion.marked_repetitions(opened, conversion.first_rows(opened, limit)),
+        conversion.marked_repetitions(opened, conversion.chosen_rows(opened, rows)),
         rows_per_shard=_INDEX_ROWS,
         rows_per_group=1 << 16,
         extra_dirs=(IMAGE_FOLDER, INDEX_FILE),
@@ -139,7 +143,7 @@ class WritePictures:
 
     kind: touch.ImageFormat
     method: contact.ContactMethod
-    difference: Literal["grey", "absolute"] | None = None
+    difference: Difference | None = None
     names: tuple[str, ...] = touch.CLASS_NAMES
 
     def schema(self, source: pa.Schema) -> pa.Schema:
@@ -202,25 +206,25 @@ def write_index(folder: store.DataFolder, manifest: store.Manifest) -> dict[str,
 class TouchPicture:
     """The picture that represents a touch, and the pose of the gel at that moment.
 
-    ``images`` holds the picture at ``place``: the images of the round, or the clip whose frame it is.
+    ``images`` holds the picture at ``index``: the images of the round, or the clip whose frame it is.
     ``pose`` has position and quaternion, seven numbers; it is empty if there are no poses.
     """
 
     touch: int
     frame: int
     images: media.SensorImages | media.TouchClip
-    place: int
+    index: int
     pose: Floating
 
     @property
     def stored(self) -> memoryview:
         """The picture as it is stored."""
-        return self.images.encoded(self.place)
+        return self.images.encoded(self.index)
 
     @property
     def pixels(self) -> UInt8:
         """The picture, decoded."""
-        return self.images[self.place]
+        return self.images[self.index]
 
 
 def shown_touches(row: stored_round.StoredRound, method: contact.ContactMethod) -> Iterator[TouchPicture]:
@@ -308,7 +312,7 @@ def stem_of_id(round_id: str) -> str:
     digest.
     """
     content = round_id.encode()
-    stem = _NOT_PLAIN.sub(lambda found: b"%%%02X" % found[0][0], content).decode()
+    stem = _NOT_PLAIN.sub(lambda match: b"%%%02X" % match[0][0], content).decode()
     if len(stem) > _LONGEST:
         return f"{stem[:_KEPT]}-{hashlib.sha256(content).hexdigest()[:16]}"
     if not stem or store.problem_of_name(stem):  # empty, or a device of Windows, such as ``con``

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import math
-import operator
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import groupby
 from operator import itemgetter
 from os import PathLike
-from typing import SupportsIndex, Unpack
+from typing import Unpack
 
 import numpy as np
 import pyarrow as pa
 
 from realtouch.convert import conversion
-from realtouch.touches import datasets, image_contacts, schema, stored_round
-from tactile_toolkit import catalog, errors, places, read, store, touch
+from realtouch.touches import datasets, image_contacts, loading, schema, stored_round
+from tactile_toolkit import catalog, checked_fields, errors, places, read, store, touch
 from tactile_toolkit.json_types import JsonDict, JsonObject
 
 
@@ -28,17 +27,14 @@ def select(
     contact: bool = False,
     min_height_m: float | None = None,
     recalibrate_z: bool = True,
-    labels: Iterable[int | str] = (),
-    objects: Iterable[int | tuple[int, int]] = (),
-    per_class: int | None = None,
     **job: Unpack[conversion.JobOptions],
 ) -> store.Manifest:
     """Write some rounds and touches of a data set; images and clips are copied byte for byte.
 
     Parameters
     ----------
-    source, out, split, workers, overwrite, on_progress
-        As for :func:`clips_to_images`.
+    source, out, split, ids, labels, per_class, limit, workers, overwrite, on_progress
+        As for :func:`clips_to_images`; ``limit`` counts the rounds that are left.
     contact : bool
         Only touches in which the gel stopped on an object, or, without poses, whose pictures show contact;
         see :meth:`~realtouch.Touches.in_contact`. Rounds then differ in their number of touches, and
@@ -48,14 +44,6 @@ def select(
         :meth:`~realtouch.Touches.in_contact`.
     recalibrate_z : bool
         Take the deepest touch of each round as the plate, where its height is not known.
-    labels : iterable of int or str
-        Only these classes.
-    objects : iterable of int, or of pairs of them
-        Only these objects, by ``object_id``; a pair stands for all from its first to its last.
-    per_class : int, optional
-        Only the first ``per_class`` rounds of each class of each split.
-    limit : int, optional
-        Then only the first ``limit`` rounds of each split.
 
     Returns
     -------
@@ -66,22 +54,16 @@ def select(
     InputError, SpecMismatchError, StorageError
         As :func:`clips_to_images`.
     """
-    if min_height_m is not None:
-        min_height_m = float(min_height_m)
-    chosen: JsonDict = {
+    touches: JsonDict = {
         "contact": contact,
-        "min_height_m": min_height_m,
+        "min_height_m": checked_fields.to_builtin(min_height_m, float),
         "recalibrate_z": recalibrate_z,
-        "labels": [str(label) for label in labels],
-        "objects": [_object_ids(chosen_id) for chosen_id in objects],
     }
-    if per_class is not None:
-        chosen["per_class"] = conversion.require_limit(per_class, "per_class")
-    return conversion.write_conversion(source, out, partial(_selection, chosen), **job)
+    return conversion.write_conversion(source, out, partial(_selection, touches), **job)
 
 
-def _selection(chosen: JsonObject, opened: conversion.Source, limit: int | None) -> conversion.Conversion:
-    options = {**chosen, "limit": limit}
+def _selection(touches: JsonObject, opened: loading.Source, rows: catalog.RowFilter) -> conversion.Conversion:
+    options = {**touches}
     min_height_m = options["min_height_m"]
     if min_height_m is not None and not math.isfinite(min_height_m):  # nothing is as high as NaN
         raise errors.InputError(
@@ -94,8 +76,15 @@ def _selection(chosen: JsonObject, opened: conversion.Source, limit: int | None)
         options["min_height_m"] = touch.HeightRule.REAL_M
         if options["contact"]:
             options["min_height_m"] = touch.HeightRule.of(read.column_types(opened.schema)).min_height_m
-    choices = {of_split: _chosen_rows(opened, of_split, options) for of_split in opened.shards}
-    if options["contact"] and not any(choices.values()):
+    step = KeepTouches(options["contact"])
+    if not options["contact"]:
+        return conversion.Conversion(opened, "select", options, step, conversion.chosen_rows(opened, rows))
+    # The limit counts rounds with contact.
+    choices = {
+        split: _with_contact(opened, split, choices, options)[: rows.limit]
+        for split, choices in conversion.chosen_rows(opened, replace(rows, limit=None)).items()
+    }
+    if not any(choices.values()):
         if by_image:
             raise errors.InputError(
                 f"no chosen touch of {opened.name!r} is a contact (a touch is one if "
@@ -103,10 +92,10 @@ def _selection(chosen: JsonObject, opened: conversion.Source, limit: int | None)
                 next="leave out --contact, or give fewer filters",
             )
         raise _no_contact(opened, options["min_height_m"])
-    return conversion.Conversion(opened, "select", options, KeepTouches(options["contact"]), choices)
+    return conversion.Conversion(opened, "select", options, step, choices)
 
 
-def _no_contact(source: conversion.Source, height_m: float) -> errors.InputError:
+def _no_contact(source: loading.Source, height_m: float) -> errors.InputError:
     heights_m = [datasets.dataset_of(shards).touches().heights_m() for shards in source.shards.values()]
     return errors.InputError(
         f"no chosen touch of {source.name!r} is a contact (a touch is one if "
@@ -116,50 +105,18 @@ def _no_contact(source: conversion.Source, height_m: float) -> errors.InputError
     )
 
 
-def _chosen_rows(source: conversion.Source, split: str, options: JsonObject) -> list[conversion.RowChoice]:
-    """Decide which rows and touches of a split :func:`select` keeps; reads small columns only."""
-    dataset = datasets.dataset_of(source.shards[split])
-    limit = options["limit"]
-    if (options["labels"] or "per_class" in options) and not dataset.label_names:
-        raise errors.InputError(
-            f"the touches of {source.name!r} have no labels, by which some could be chosen",
-            next="choose by --ids, or import them again with --map label=COLUMN",
-        )
-    if options["labels"]:
-        unknown = set(options["labels"]).difference(dataset.label_names)
-        numbers = {name: int(name) for name in unknown if name.isdecimal()}
-        dataset = dataset.filter_labels([numbers.get(name, name) for name in options["labels"]])
-    if options["objects"]:
-        if not dataset.has_column("object_id"):
-            raise errors.InputError(
-                f"objects is {options['objects']}, but {source.name!r} has no column 'object_id'",
-                next="choose by --labels, or import it again with --map object=COLUMN",
-            )
-        object_ids = dataset.int_column("object_id")
-        ranges = map(np.ravel, options["objects"])
-        inside = [(ends[0] <= object_ids) & (object_ids <= ends[-1]) for ends in ranges]
-        dataset = dataset[np.logical_or.reduce(inside).astype(bool)]
-    if "per_class" in options and len(dataset):
-        ((_, _, rows_kept),) = catalog.choose_rows([("", dataset)], per_class=options["per_class"])
-        dataset = dataset[rows_kept]
-    rows = dataset.row_numbers.tolist()
-    if not options["contact"]:
-        return list(map(conversion.RowChoice, rows))[:limit]
-    touches = dataset.touches().with_contact(options["min_height_m"], options["recalibrate_z"])
-    places = zip(touches.round_positions.tolist(), touches.touch_indices.tolist(), strict=True)
-    kept = groupby(sorted(places), key=itemgetter(0))
+def _with_contact(
+    source: loading.Source, split: str, choices: Sequence[conversion.RowChoice], options: JsonObject
+) -> list[conversion.RowChoice]:
+    """Return the chosen rows of a split that have touches with contact, with these touches."""
+    rows = [choice.row for choice in choices]
+    touches = datasets.dataset_of(source.shards[split])[rows].touches()
+    touches = touches.with_contact(options["min_height_m"], options["recalibrate_z"])
+    pairs = zip(touches.round_positions.tolist(), touches.touch_indices.tolist(), strict=True)
     return [
-        conversion.RowChoice(rows[position], tuple(touch for _, touch in group)) for position, group in kept
-    ][:limit]
-
-
-def _object_ids(value: SupportsIndex | tuple[SupportsIndex, SupportsIndex]) -> int | tuple[int, ...]:
-    try:
-        if isinstance(value, tuple):
-            return tuple(map(operator.index, value))
-        return operator.index(value)
-    except TypeError as error:
-        raise errors.InputError(f"objects holds {value!r}; expected integers, such as 12") from error
+        conversion.RowChoice(rows[position], tuple(touch for _, touch in group))
+        for position, group in groupby(pairs, key=itemgetter(0))
+    ]
 
 
 @dataclass(frozen=True)

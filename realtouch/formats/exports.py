@@ -17,12 +17,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from realtouch import contact, convert, touch_options
-from realtouch.touches import datasets, media, poses, rounds, schema, stored_round
+from realtouch import contact, touch_options
+from realtouch.convert import conversion, picture_files
+from realtouch.touches import datasets, loading, media, poses, rounds, schema, stored_round
 from realtouch.touches.schema import POSE_COLUMN
-from tactile_toolkit import errors, kind, places, read, store
+from tactile_toolkit import catalog, errors, kind, places, read, store
 from tactile_toolkit.array_types import AnyArray, Int64
-from tactile_toolkit.touch import MEDIA_TYPE, intact_size
+from tactile_toolkit.touch import MEDIA_TYPE, ImageFormat, intact_size
 
 ExportLayout = Literal["flat", "webdataset", "lerobot", "oxt", "replay", "fota", "anytouch"]
 EXPORTS = {
@@ -43,7 +44,7 @@ _GROUP_BYTES = 32 << 20
 _MAX_ROWS_PER_GROUP = 1 << 14
 NamedImage = tuple[str, memoryview]
 """The file name of an image, and its bytes as they are stored."""
-PackTouches = Callable[[store.ShardName, pa.Table, Iterator[NamedImage]], convert.Made]
+PackTouches = Callable[[store.ShardName, pa.Table, Iterator[NamedImage]], conversion.Made]
 """Makes the files of a shard from the plain columns and the images of its touches; also returns an index."""
 IMAGE = "observation.images.tactile"
 STATE = "observation.state"
@@ -72,13 +73,13 @@ def export(
     layout: ExportLayout,
     *,
     frame: str = "contact_end",
-    **job: Unpack[convert.JobOptions],
+    **job: Unpack[conversion.JobOptions],
 ) -> store.Manifest:
     """Write touches in the format of another library; stored JPEGs are copied, never encoded again.
 
     Parameters
     ----------
-    source, out, split, limit, workers, overwrite, on_progress
+    source, out, split, ids, labels, per_class, limit, workers, overwrite, on_progress
         As for :func:`realtouch.clips_to_images`.
     layout : str
         ``"flat"``: Parquet with a row for each touch, for `datasets`, pandas and polars. ``"webdataset"``:
@@ -111,17 +112,37 @@ def export(
     StorageError
         The folder cannot be written. What was finished stays.
     """
+    return conversion.write_conversion(source, out, _plan_of_layout(layout, frame), **job)
+
+
+def plan_export(
+    source: places.Name | places.Place,
+    out: str | PathLike[str],
+    layout: ExportLayout | ImageFormat,
+    frame: str,
+    difference: picture_files.Difference | None,
+    rows: catalog.RowFilter,
+) -> store.BuildPlan:
+    """Plan what :func:`export`, or for ``"png"`` and ``"jpeg"`` :func:`realtouch.frames`, would write."""
+    if layout == "png" or layout == "jpeg":
+        plan = picture_files.plan_of_pictures(layout, frame, difference)
+    else:
+        plan = _plan_of_layout(layout, frame)
+    return conversion.plan_build(source, out, plan, rows)
+
+
+def _plan_of_layout(layout: str, frame: str) -> conversion.Plan:
     if layout not in EXPORTS:
         raise errors.InputError(f"there is no layout {layout!r}; expected {', '.join(EXPORTS)}")
     method = contact.require_method(frame)
 
-    def planned(opened: convert.Source, limit: int | None) -> convert.Conversion:
-        options = {"layout": layout, "limit": limit}
-        rows = convert.first_rows(opened, limit)
-        conversion: convert.Conversion = EXPORTS[layout](opened, rows, method, options)
-        return conversion
+    def planned(opened: loading.Source, rows: catalog.RowFilter) -> conversion.Conversion:
+        made: conversion.Conversion = EXPORTS[layout](
+            opened, conversion.chosen_rows(opened, rows), method, {"layout": layout}
+        )
+        return made
 
-    return convert.write_conversion(source, out, planned, **job)
+    return planned
 
 
 @dataclass(frozen=True)
@@ -134,27 +155,27 @@ class TouchFormat:
 
     folder: str = ""
     pack: PackTouches | None = None
-    write_files: convert.WriteFiles = convert.checksums
+    write_files: conversion.WriteFiles = conversion.checksums
     no_gaps: bool = False
 
     def plan(
         self,
-        source: convert.Source,
-        choices: convert.Choices,
+        source: loading.Source,
+        choices: conversion.Choices,
         method: contact.ContactMethod,
         options: Mapping[str, object],
-    ) -> convert.Conversion:
+    ) -> conversion.Conversion:
         """Plan an export with a row for each touch; for clips, ``method`` chooses the frame."""
         if source.kind == "seq":
             source.require_frame(method)
             options = {**options, "frame": method}
         pack = None if self.pack is None else partial(self._pack_shard, self.pack)
-        return convert.Conversion(
+        return conversion.Conversion(
             source,
             "export",
             options,
             _Touches(method, source.class_names),
-            convert.marked_repetitions(source, choices),
+            conversion.marked_repetitions(source, choices),
             rows_per_group=max(1, min(_MAX_ROWS_PER_GROUP, _GROUP_BYTES // source.image_bytes())),
             extra_dirs=tuple(filter(None, [self.folder])),
             write_files=self.write_files,
@@ -163,7 +184,7 @@ class TouchFormat:
 
     def _pack_shard(
         self, pack: PackTouches, shard: store.ShardName, rows: pa.Table, skipped: Sequence[store.Skipped]
-    ) -> convert.Made:
+    ) -> conversion.Made:
         """Return the files of a shard, with the plain columns as index; an empty shard has no files."""
         index = rows.drop_columns([_TOUCH_IMAGE])
         if len(rows):
@@ -174,7 +195,7 @@ class TouchFormat:
                 "numbered without gaps, so nothing of this file was written",
                 next="leave it out (`tactile select`)",
             )
-        return convert.with_files(index, {})
+        return conversion.with_files(index, {})
 
 
 def _images_of(column: pa.ChunkedArray) -> Iterator[NamedImage]:
@@ -209,13 +230,17 @@ class _Touches:
             **dict.fromkeys(touch_options.POSITION_COLUMNS, (pa.float64(), ("pos_in_cell",))),
             **dict.fromkeys(touch_options.POSE_COLUMNS, (pa.float64(), poses)),
         }
-        return pa.schema([*convert.schema_of(source, sources), *convert.plain_extras(source).values()])
+        return pa.schema(
+            [*conversion.schema_of(source, sources), *picture_files.plain_extras(source).values()]
+        )
 
-    def apply(self, row: stored_round.StoredRound, choice: convert.RowChoice, split: str) -> convert.Made:
+    def apply(
+        self, row: stored_round.StoredRound, choice: conversion.RowChoice, split: str
+    ) -> conversion.Made:
         """Return the touches of a round; a round with a damaged touch is left out as a whole."""
         row.label_value(self.names)
-        shown = list(convert.shown_touches(row, self.method))
-        columns = convert.columns_of_touches(row, shown, self.names)
+        shown = list(picture_files.shown_touches(row, self.method))
+        columns = picture_files.columns_of_touches(row, shown, self.names)
         name = row.name()
         images: list[memoryview] = []
         prefix = _WHERE[row.kind]
@@ -227,11 +252,11 @@ class _Touches:
                 with row.naming(row.media_column, picture.touch, prefix.format(picture.frame)):
                     raise
         columns["id"] = [rounds.touch_id(name, picture.touch) for picture in shown]
-        stem = convert.stem_of_id(name)
+        stem = picture_files.stem_of_id(name)
         columns[_TOUCH_IMAGE] = media.image_column(
             images, [rounds.touch_id(stem, picture.touch) for picture in shown]
         )
-        return convert.table_of_columns(self.schema(row.group.table.schema), columns), {}
+        return conversion.table_of_columns(self.schema(row.group.table.schema), columns), {}
 
 
 @dataclass(frozen=True)
@@ -253,7 +278,9 @@ class Episodes:
     depth_of: Callable[[stored_round.StoredRound, tuple[int, int]], pa.Array] | None = None
 
     @classmethod
-    def of(cls, source: convert.Source, choices: convert.Choices, what: str, number: pa.DataType) -> Episodes:
+    def of(
+        cls, source: loading.Source, choices: conversion.Choices, what: str, number: pa.DataType
+    ) -> Episodes:
         """Read the size of the first image of a split; all images must have this size.
 
         Raises InputError for several splits, which the format ``what`` cannot hold, and for a split without
@@ -302,9 +329,11 @@ class Episodes:
         if self.depth_of is not None:
             sources[DEPTH] = (MEDIA_TYPE, (media.DEPTH,))
         extras = [pa.field(extra.name, extra.data_type) for extra in self.extras]
-        return pa.schema([*convert.schema_of(source, sources), *extras])
+        return pa.schema([*conversion.schema_of(source, sources), *extras])
 
-    def apply(self, row: stored_round.StoredRound, choice: convert.RowChoice, split: str) -> convert.Made:
+    def apply(
+        self, row: stored_round.StoredRound, choice: conversion.RowChoice, split: str
+    ) -> conversion.Made:
         """Return all frames of a round."""
         schema = self.schema(row.group.table.schema)
         of_row: dict[str, object] = {"round_id": row.name(), "label": row.label_value(self.names)}
@@ -323,7 +352,7 @@ class Episodes:
             columns[IMAGE] = media.image_column(images, names)
             columns["frame_index"] = np.arange(count)
             columns["timestamp"] = (np.arange(count) / self.fps).astype(np.float32)
-            tables.append(convert.table_of_columns(schema, columns))
+            tables.append(conversion.table_of_columns(schema, columns))
         return pa.concat_tables(tables), {}
 
     def _round(self, row: stored_round.StoredRound) -> Iterator[_Episode]:
@@ -386,7 +415,11 @@ class EpisodeNumbers:
 
     @classmethod
     def of(
-        cls, source: convert.Source, step: Episodes, chosen: Sequence[convert.RowChoice], rows_per_shard: int
+        cls,
+        source: loading.Source,
+        step: Episodes,
+        chosen: Sequence[conversion.RowChoice],
+        rows_per_shard: int,
     ) -> EpisodeNumbers:
         """Read the lengths of all rows; InputError for clips whose lengths are not stated."""
         counts = _episode_lengths(source, step)[[choice.row for choice in chosen]]
@@ -417,7 +450,7 @@ class EpisodeNumbers:
         return start
 
 
-def _episode_lengths(source: convert.Source, step: Episodes) -> Int64:
+def _episode_lengths(source: loading.Source, step: Episodes) -> Int64:
     """Return the number of episodes and of frames of each row, shape (n, 2)."""
     if not step.are_clips:
         counts = datasets.dataset_of(source.shards[step.split]).touch_counts

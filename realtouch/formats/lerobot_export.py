@@ -24,10 +24,11 @@ import numpy as np
 import pyarrow as pa
 from PIL import Image
 
-from realtouch import contact, convert
+from realtouch import contact
+from realtouch.convert import conversion
 from realtouch.formats.exports import ACTION, DEPTH, STATE, EpisodeNumbers, Episodes
 from realtouch.formats.lerobot_import import Mark
-from realtouch.touches import datasets, media, schema, stored_round
+from realtouch.touches import datasets, loading, media, schema, stored_round
 from realtouch.touches.media import decoded
 from tactile_toolkit import read, store, touch
 from tactile_toolkit.array_types import Float32, Float64, Int64
@@ -56,11 +57,11 @@ _NAMES = ("min", "max", "mean", "std", "count", *_QUANTILES)
 
 
 def plan_lerobot(
-    source: convert.Source,
-    choices: convert.Choices,
+    source: loading.Source,
+    choices: conversion.Choices,
     method: contact.ContactMethod,
     options: Mapping[str, object],
-) -> convert.Conversion:
+) -> conversion.Conversion:
     """Plan a LeRobotDataset; reads footers, lengths and the header of one image.
 
     Raises InputError for several splits.
@@ -75,7 +76,7 @@ def plan_lerobot(
     frame_bytes = source.image_bytes()
     if DEPTH in step.schema(source.schema).names:
         frame_bytes += _NUMBER_BYTES * math.prod(step.size)
-    return convert.Conversion(
+    return conversion.Conversion(
         source,
         "export",
         {**options, "fps": step.fps, "image_size": [step.size[1], step.size[0]]},
@@ -99,7 +100,7 @@ class _PackEpisodes:
 
     def __call__(
         self, shard: store.ShardName, rows: pa.Table, skipped: Sequence[store.Skipped]
-    ) -> convert.Made:
+    ) -> conversion.Made:
         """Return the frames and episodes of a shard, numbered over the whole data set.
 
         Raises IntegrityError if a round was left out, or if lengths differ from those that were stated.
@@ -132,7 +133,7 @@ class _PackEpisodes:
         style = store.ParquetStyle(self.rows_per_group, compression_level=3, encodings=encodings)
         index = {"id": episodes, "first_frame": frame + firsts, "frames": lengths}
         index |= {name: rows[name].take(firsts) for name in _INDEX_COLUMNS if name in rows.schema.names}
-        return convert.with_files(
+        return conversion.with_files(
             pa.table(index),
             {
                 f"{_FOLDER}/data/{file}": store.encode_parquet(frames, style),
@@ -309,8 +310,8 @@ class _WriteMeta:
 
     def __call__(self, folder: store.DataFolder, manifest: store.Manifest) -> dict[str, str]:
         """Return the checksum of each file of the LeRobotDataset by its path."""
-        files = convert.checksums(folder, manifest)
-        placed = [list(convert.files_of(folder, record.file)) for record in manifest.shards if record.rows]
+        files = conversion.checksums(folder, manifest)
+        placed = [list(conversion.files_of(folder, record.file)) for record in manifest.shards if record.rows]
         frames, episodes = (
             [read.Shard(folder.address(path)) for path in paths] for paths in zip(*placed, strict=True)
         )
@@ -320,7 +321,9 @@ class _WriteMeta:
             "stats.json": _json_bytes(statistics_of_all(episodes, frames)),
             "tasks.parquet": store.encode_parquet(_task_table(self.tasks), _META_STYLE),
         }
-        return files | convert.write_changed(folder, {f"{_FOLDER}/meta/{name}": meta[name] for name in meta})
+        return files | conversion.write_changed(
+            folder, {f"{_FOLDER}/meta/{name}": meta[name] for name in meta}
+        )
 
     def _info(self, frames: pa.Schema, episodes: int, total_frames: int) -> dict[str, object]:
         step = self.step

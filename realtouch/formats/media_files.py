@@ -21,7 +21,8 @@ from pathlib import PurePosixPath
 import numpy as np
 import pyarrow as pa
 
-from realtouch import convert, touch_options
+from realtouch import touch_options
+from realtouch.convert import conversion, picture_files
 from realtouch.formats.exports import NamedImage, TouchFormat
 from realtouch.importing import cuts, source_files, source_touches
 from realtouch.touches import media
@@ -244,7 +245,7 @@ def read_frames(
 read_contents = partial(source_files.pictures_by_file, read_frames)
 
 
-def _pack_anytouch(shard: store.ShardName, index: pa.Table, images: Iterator[NamedImage]) -> convert.Made:
+def _pack_anytouch(shard: store.ShardName, index: pa.Table, images: Iterator[NamedImage]) -> conversion.Made:
     """Return the touches of each round as numbered images, and their median as the background."""
     if (index["label"].to_numpy() < 0).any():
         raise errors.InputError(
@@ -256,7 +257,7 @@ def _pack_anytouch(shard: store.ShardName, index: pa.Table, images: Iterator[Nam
     backgrounds: list[str] = []
     stored = zip(index["round_id"].to_pylist(), index["touch"].to_pylist(), images, strict=True)
     for name, touches in groupby(stored, key=itemgetter(0)):
-        folder = f"{shard.split}-{convert.stem_of_id(name)}"
+        folder = f"{shard.split}-{picture_files.stem_of_id(name)}"
         home = f"{_ANYTOUCH_FOLDER}/{_ANYTOUCH_IMAGES}/{folder}/{_ANYTOUCH_FRAMES}"
         images_of_round = {
             f"{home}/{touch:010d}.jpg": media.as_jpeg(image) for _, touch, (_, image) in touches
@@ -268,7 +269,7 @@ def _pack_anytouch(shard: store.ShardName, index: pa.Table, images: Iterator[Nam
         }
         paths += images_of_round
         backgrounds += [background] * len(images_of_round)
-    return convert.with_files(index, files, [paths, backgrounds])
+    return conversion.with_files(index, files, [paths, backgrounds])
 
 
 def _write_lists(folder: store.DataFolder, manifest: store.Manifest) -> dict[str, str]:
@@ -281,7 +282,9 @@ def _write_lists(folder: store.DataFolder, manifest: store.Manifest) -> dict[str
             _, _, name, _, base = image.split("/")
             lines.setdefault(path, []).append(f"{name}/{base},{label},{_BACKGROUND}\n")
     # The index has the checksums of the images; in the manifest they would take too much space.
-    return convert.write_changed(folder, {path: "".join(entries).encode() for path, entries in lines.items()})
+    return conversion.write_changed(
+        folder, {path: "".join(entries).encode() for path, entries in lines.items()}
+    )
 
 
 plan_anytouch = TouchFormat(_ANYTOUCH_FOLDER, _pack_anytouch, _write_lists).plan
@@ -304,7 +307,7 @@ def find_anytouch(
             folder, _, base = source_files.path_of(image).rpartition("/")
             paths.append(f"{_ANYTOUCH_IMAGES}/{folder}/{_ANYTOUCH_FRAMES}/{base}")
             labels.append(label.strip())
-            rounds.append(convert.id_of_stem(folder.removeprefix(f"{split}-")))
+            rounds.append(picture_files.id_of_stem(folder.removeprefix(f"{split}-")))
         problem = errors.ItemError("label", "the list leaves it out: its label is -1")
         left_out = [number for number, label in enumerate(labels) if label == _LEFT_OUT]
         fields = {

@@ -22,7 +22,8 @@ from typing import NamedTuple
 import msgspec
 import pyarrow as pa
 
-from realtouch import convert, touch_options
+from realtouch import touch_options
+from realtouch.convert import conversion, picture_files
 from realtouch.formats import exports
 from realtouch.importing import source_files, source_touches
 from realtouch.touches import media
@@ -81,10 +82,10 @@ def _json_text(value: object) -> str:
     return json.dumps(value, ensure_ascii=False, separators=(",", ":"))
 
 
-def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[exports.NamedImage]) -> convert.Made:
+def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[exports.NamedImage]) -> conversion.Made:
     """Return the touches of a shard as one tar."""
     samples = ((*image, fields) for image, fields in zip(images, index.to_pylist(), strict=True))
-    return convert.with_files(index, {f"{_FOLDER}/{shard.split}-{shard.index:06d}.tar": tar_of(samples)})
+    return conversion.with_files(index, {f"{_FOLDER}/{shard.split}-{shard.index:06d}.tar": tar_of(samples)})
 
 
 plan_webdataset = exports.TouchFormat(_FOLDER, _pack).plan
@@ -165,7 +166,7 @@ def _members(folder: store.DataFolder, name: str) -> Iterator[_Member]:
                     f"{folder.address(name)!r} is compressed; expected a tar", next="unpack it"
                 )
             stream.seek(0)
-            for member in convert.files_of_tar(stream, folder.size_bytes(name)):
+            for member in picture_files.files_of_tar(stream, folder.size_bytes(name)):
                 start = member.offset_data
                 path = source_files.path_of(member.name)
                 if store.is_hidden(path):  # macOS adds such a file to archives for each file
@@ -251,13 +252,15 @@ def _fields(content: bytes) -> JsonDict:
         ) from error
 
 
-def _pack_fota(shard: store.ShardName, index: pa.Table, images: Iterator[exports.NamedImage]) -> convert.Made:
+def _pack_fota(
+    shard: store.ShardName, index: pa.Table, images: Iterator[exports.NamedImage]
+) -> conversion.Made:
     """Return the touches of a shard as one tar."""
     samples = (
         (f"{PurePath(name).stem}.jpg", media.as_jpeg(image), {**fields, **_pose_mm(fields)})
         for (name, image), fields in zip(images, index.to_pylist(), strict=True)
     )
-    return convert.with_files(
+    return conversion.with_files(
         index, {f"{_FOTA_FOLDER}/{shard.split}/data-{shard.index:06d}.tar": tar_of(samples)}
     )
 
@@ -275,7 +278,7 @@ def _write_counts(folder: store.DataFolder, manifest: store.Manifest) -> dict[st
     """Write the number of samples of each split; return the checksum of each file by its path."""
     counts = {split: str(entry["rows"]).encode() for split, entry in manifest.split_table().items()}
     files = {f"{_FOTA_FOLDER}/{split}/count.txt": count for split, count in counts.items()}
-    return convert.checksums(folder, manifest) | convert.write_changed(folder, files)
+    return conversion.checksums(folder, manifest) | conversion.write_changed(folder, files)
 
 
 plan_fota = exports.TouchFormat(_FOTA_FOLDER, _pack_fota, _write_counts, no_gaps=True).plan

@@ -29,9 +29,10 @@ from typing import IO
 import numpy as np
 import pyarrow as pa
 
-from realtouch import contact, convert
+from realtouch import contact
+from realtouch.convert import conversion
 from realtouch.formats import exports, zarr_recordings
-from realtouch.touches import media, poses, schema, stored_round
+from realtouch.touches import loading, media, poses, schema, stored_round
 from tactile_toolkit import read, store
 from tactile_toolkit.array_types import AnyArray, UInt8
 
@@ -136,16 +137,16 @@ class GroupFormat:
 
     def plan(
         self,
-        source: convert.Source,
-        choices: convert.Choices,
+        source: loading.Source,
+        choices: conversion.Choices,
         method: contact.ContactMethod,
         options: Mapping[str, object],
-    ) -> convert.Conversion:
+    ) -> conversion.Conversion:
         """Plan a group; reads footers and the header of one image. InputError for several splits."""
         step = exports.Episodes.of(source, choices, self.name, self.number)
         options = {**options, "image_size": [step.size[1], step.size[0]]}
         write = partial(self._write_group, step)
-        return convert.Conversion(
+        return conversion.Conversion(
             source, "export", options, step, choices, extra_dirs=(self.folder,), write_files=write
         )
 

@@ -17,7 +17,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from realtouch import convert, kind, touch_card, touch_options
+from realtouch import kind, touch_card, touch_options
+from realtouch.convert import conversion
 from realtouch.importing import (
     fields,
     import_shards,
@@ -123,9 +124,9 @@ def plan_of(touches: Arranged, recordings: import_sources.ReadSource) -> store.B
         spec[touch_options.STREAMS] = list(recordings.streams[:_MAX_STREAMS])
     if recordings.left_out:
         spec[touch_options.LEFT_OUT] = list(map(wording.printable, recordings.left_out[:_MAX_LEFT_OUT]))
-    conversion = import_sources.IMPORTS[recordings.layout].describe(every)
-    if conversion:
-        spec["options"][touch_options.CONVERSION] = conversion
+    description = import_sources.IMPORTS[recordings.layout].describe(every)
+    if description:
+        spec["options"][touch_options.CONVERSION] = description
     pictures = {f"{_CUTS}/{name}.png": content for name, content in recordings.pictures.items()}
     return store.BuildPlan(
         kind.KIND.name,
@@ -143,7 +144,7 @@ def _write_pictures(
     pictures: Mapping[str, bytes], folder: store.DataFolder, _manifest: store.Manifest
 ) -> dict[str, str]:
     """Write the pictures of the cuts beside the data; return the checksum of each by its path."""
-    return convert.write_changed(folder, pictures)
+    return conversion.write_changed(folder, pictures)
 
 
 def _listing_digest(touches: source_touches.SourceTouches) -> str:

@@ -71,8 +71,8 @@ def unreadable_rows(shard: read.Shard, index: int, error: errors.IntegrityError)
     first = shard.group_starts[index]
     last = shard.group_starts[index + 1] - 1
     rows = f"rows {first} to {last} cannot be read" if last > first else "cannot be read"
-    found = " ".join(str(error.__cause__ or _cause(shard.path, error)).split())
-    return Damage(shard.path, first, None, "", f"{rows} ({found}); expected a whole Parquet file")
+    cause = " ".join(str(error.__cause__ or _cause(shard.path, error)).split())
+    return Damage(shard.path, first, None, "", f"{rows} ({cause}); expected a whole Parquet file")
 
 
 def _cause(path: str, error: errors.ToolkitError) -> str:

@@ -46,7 +46,7 @@ class TouchDataset(read.RecordDataset[R]):
     @property
     def labels(self) -> Int64:
         """Label of each round, shape (len,), int64, -1 without labels; reads the label column only."""
-        return self._integers("label", lambda: np.full(len(self), -1), lambda each: each.label)
+        return self._integers("label", lambda: np.full(len(self), -1), lambda record: record.label)
 
     @property
     def pose_column(self) -> str:
@@ -59,7 +59,7 @@ class TouchDataset(read.RecordDataset[R]):
     @property
     def object_ids(self) -> Int64:
         """Id of the touched object of each round, shape (len,), int64, -1 without one."""
-        return self._integers("object_id", lambda: np.full(len(self), -1), lambda each: each.object_id)
+        return self._integers("object_id", lambda: np.full(len(self), -1), lambda record: record.object_id)
 
     @property
     def touch_counts(self) -> Int64:
@@ -125,7 +125,7 @@ class TouchDataset(read.RecordDataset[R]):
     def contact_rules(self) -> list[touch.HeightRule]:
         """Return the rule by which touches of each round count as contact; joined sets may have several."""
         rules = [
-            (touch.HeightRule.of(read.column_types(each.schema)), len(each)) for each in self.table.shards
+            (touch.HeightRule.of(read.column_types(shard.schema)), len(shard)) for shard in self.table.shards
         ]
         of_rows = [rule for rule, count in rules for _ in range(count)]
         return [of_rows[row] for row in self.row_numbers.tolist()]
@@ -134,7 +134,7 @@ class TouchDataset(read.RecordDataset[R]):
         """Yield stored row number and round, row by row, and open images or clips only on access."""
         number = 0
         # In stored order, so that each block is read once, whatever the order of the view.
-        wanted = set(self.row_numbers.tolist())
+        chosen = set(self.row_numbers.tolist())
         media = schema.MEDIA_COLUMN[self.kind]
         for source in self.table.shards:
             columns = [name for name in source.schema.names if name != media]
@@ -142,19 +142,19 @@ class TouchDataset(read.RecordDataset[R]):
             for block in read.ShardedTable((source,)).blocks(columns):
                 rows = _RowsWithoutMedia(block, source, number - start)
                 for row in range(len(block.table)):
-                    if number + row in wanted:
+                    if number + row in chosen:
                         yield number + row, self.record_class(stored_round.StoredRound(rows, row))
                 number += len(block.table)
 
     def each_record(self) -> Iterator[tuple[int, R]]:
         """Yield position and round, in the fastest order; images and clips are not read."""
-        places: dict[int, list[int]] = {}
-        for place, row in enumerate(self.row_numbers.tolist()):
-            places.setdefault(row, []).append(place)
-        # A view may hold a round several times, at several places.
+        positions: dict[int, list[int]] = {}
+        for position, row in enumerate(self.row_numbers.tolist()):
+            positions.setdefault(row, []).append(position)
+        # A view may hold a round several times, at several positions.
         for row, record in self.rounds_without_media():
-            for place in places[row]:
-                yield place, record
+            for position in positions[row]:
+                yield position, record
 
 
 class TouchSingleDataset(TouchDataset[rounds.TouchSingleRound]):
@@ -274,8 +274,8 @@ class Touches(read.RecordDataset[rounds.Touch], Generic[R]):
     def _located(self, flat: int) -> tuple[int, int]:
         if self._per_round:
             return divmod(flat, self._per_round)
-        place = int(np.searchsorted(self._starts, flat, side="right")) - 1
-        return place, flat - int(self._starts[place])
+        position = int(np.searchsorted(self._starts, flat, side="right")) - 1
+        return position, flat - int(self._starts[position])
 
     @property
     def round_positions(self) -> Int64:
@@ -436,7 +436,7 @@ class Touches(read.RecordDataset[rounds.Touch], Generic[R]):
         least_m = np.array([rule.min_height_m for rule in self.dataset.contact_rules()])
         return np.asarray(heights_m >= least_m[self.round_positions])
 
-    def objects(self, *wanted: int | Iterable[int]) -> Touches[R]:
+    def objects(self, *object_ids: int | Iterable[int]) -> Touches[R]:
         """Return the touches of some objects, by ``object_id``, given as numbers or as sequences of them.
 
         Raises
@@ -444,9 +444,9 @@ class Touches(read.RecordDataset[rounds.Touch], Generic[R]):
         InputError
             Something else than integers is given.
         """
-        numbers = list(map(checked_fields.to_builtin, self._flattened(wanted)))
+        numbers = list(map(checked_fields.to_builtin, self._flattened(object_ids)))
         if not checked_fields.is_integer(*numbers):
-            raise errors.InputError(f"{wanted!r} was given; expected object ids as integers")
+            raise errors.InputError(f"{object_ids!r} was given; expected object ids as integers")
         ids = self.object_ids
         return self[np.isin(ids, sorted(set(numbers) & set(ids.tolist())))]
 
@@ -513,17 +513,17 @@ class Touches(read.RecordDataset[rounds.Touch], Generic[R]):
         IntegrityError
             An image is damaged or of another size; names file, row and touch.
         """
-        wanted = [self._located(int(flat)) for flat in self._chosen(index)._rows]
+        located = [self._located(int(flat)) for flat in self._chosen(index)._rows]
         size = (0, 0)
-        if wanted or (len(self.dataset) and self.dataset[0].touch_count):
-            first, number = [*wanted, (0, 0)][0]
+        if located or (len(self.dataset) and self.dataset[0].touch_count):
+            first, number = [*located, (0, 0)][0]
             size = self._images_of(first).size(number)
         if out is None:
-            out = np.empty((len(wanted), *size, 3), np.uint8)
+            out = np.empty((len(located), *size, 3), np.uint8)
         else:
-            out = media.room_for(len(wanted), size, out)
+            out = media.images_array(len(located), size, out)
         start = 0
-        for position, of_round in groupby(wanted, key=lambda place: place[0]):
+        for position, of_round in groupby(located, key=lambda pair: pair[0]):
             touches = [touch for _, touch in of_round]
             stop = start + len(touches)
             self._images_of(position).decode_into(out[start:stop], touches, threads=threads)
@@ -537,8 +537,8 @@ class Touches(read.RecordDataset[rounds.Touch], Generic[R]):
         return record.sensor_image
 
     def _stored(self, row: int) -> rounds.Touch:
-        place, touch = self._located(row)
-        return rounds.Touch(self.dataset[place], touch)
+        position, touch = self._located(row)
+        return rounds.Touch(self.dataset[position], touch)
 
     def _concat(self, other: Self) -> Self:
         if self.dataset is other.dataset:
@@ -556,10 +556,10 @@ class Touches(read.RecordDataset[rounds.Touch], Generic[R]):
         """Yield position and touch, in the fastest order; images and clips are not read."""
         touches = self.touch_indices.tolist()
         by_round: dict[int, list[int]] = {}
-        for index, place in enumerate(self.round_positions.tolist()):
-            by_round.setdefault(place, []).append(index)
-        for place, record in self.dataset.each_record():
-            for index in by_round.get(place, ()):
+        for index, position in enumerate(self.round_positions.tolist()):
+            by_round.setdefault(position, []).append(index)
+        for position, record in self.dataset.each_record():
+            for index in by_round.get(position, ()):
                 yield index, rounds.Touch(record, touches[index])
 
     def row_groups(self, chosen: Int64) -> list[tuple[read.RowSource, int]]:
@@ -581,17 +581,17 @@ def with_no_contact(touches: AnyTouches, contact: Bool, fraction: float, seed: i
 
     Raises InputError for an invalid fraction, seed or mask.
     """
-    wanted = checked_fields.to_builtin(fraction, float)
+    share = checked_fields.to_builtin(fraction, float)
     number = checked_fields.checked_integer(seed, "the seed")
     mask = np.asarray(contact)
-    if not isinstance(wanted, float) or not 0 <= wanted < 1:
+    if not isinstance(share, float) or not 0 <= share < 1:
         raise errors.InputError(f"no_contact_fraction is {fraction!r}; expected 0 to below 1")
     if mask.dtype != bool or mask.shape != (len(touches),):
         raise errors.InputError(
             f"contact is {mask.dtype} of shape {mask.shape}; expected bool of shape ({len(touches)},)"
         )
     (empty,) = np.nonzero(~mask)
-    count = min(len(empty), round((len(touches) - len(empty)) * wanted / (1 - wanted)))
+    count = min(len(empty), round((len(touches) - len(empty)) * share / (1 - share)))
     if not count:
         return np.flatnonzero(mask)
     ids = touches.dataset.ids[touches.round_positions[empty]].tolist()

@@ -74,12 +74,12 @@ def _batches(pictures: object) -> Iterator[UInt8]:
         if isinstance(pictures[0].round, rounds.TouchSingleRound):
             yield from _pieces(len(pictures), pictures.images)
         else:
-            for each in pictures:
-                yield from _batches(each.clip)
+            for touch in pictures:
+                yield from _batches(touch.clip)
     elif hasattr(pictures, "touches"):
         yield from _batches(pictures.touches())
-    elif not isinstance(pictures, Touches) and len(found := contact.as_pictures(pictures)):
-        yield found
+    elif not isinstance(pictures, Touches) and len(stack := contact.as_pictures(pictures)):
+        yield stack
 
 
 def _pieces(count: int, read: Callable[[slice], UInt8]) -> Iterator[UInt8]:
@@ -184,7 +184,7 @@ class ImageContacts:
             An invalid fraction or seed.
         """
         chosen = with_no_contact(self.touches, self.contact, no_contact_fraction, seed)
-        return ImageContacts(*(getattr(self, each.name)[chosen] for each in fields(self)))
+        return ImageContacts(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
     def picture(self, index: int) -> UInt8:
         """Decode the best picture of one touch, shape (H, W, 3), uint8."""
@@ -224,10 +224,11 @@ def contacts_by_image(
     IntegrityError
         A picture is damaged; names file, row and touch.
     """
-    given: object = touches
-    if not isinstance(given, Touches):
+    argument: object = touches
+    if not isinstance(argument, Touches):
         raise errors.InputError(
-            f"a {type(given).__name__} was given; expected touches, such as `realtouch.load(...).touches()`"
+            f"a {type(argument).__name__} was given; expected touches, such as "
+            "`realtouch.load(...).touches()`"
         )
     rule = rule or contact.ContactThresholds()
     frame, area = np.zeros((2, len(touches)), np.int64)
@@ -249,8 +250,8 @@ def _measure_clips(
     """Fill in the best frame of each clip and its score."""
 
     def measure(index: int) -> None:
-        frame[index], found = best_frame(touches[index].clip, rule)
-        score.area_px[index], score.intensity[index] = found.area_px, found.intensity
+        frame[index], score_of_clip = best_frame(touches[index].clip, rule)
+        score.area_px[index], score.intensity[index] = score_of_clip.area_px, score_of_clip.intensity
 
     media.in_parallel(measure, len(touches), threads)
 
@@ -259,9 +260,9 @@ def _measure_images(
     touches: AnyTouches, rule: contact.ContactThresholds, threads: int, score: contact.ContactScore
 ) -> None:
     """Fill in the score of each image; images of a round share their background."""
-    places = touches.round_positions
-    _, sizes = np.unique(places, return_counts=True)
-    by_round = np.split(np.argsort(places, kind="stable"), np.cumsum(sizes)[:-1])
+    positions = touches.round_positions
+    _, sizes = np.unique(positions, return_counts=True)
+    by_round = np.split(np.argsort(positions, kind="stable"), np.cumsum(sizes)[:-1])
     alone = np.array([chosen[0] for chosen in by_round if len(chosen) == 1], np.int64)
     shared = np.zeros(0, np.uint8)
     if len(alone):
@@ -274,9 +275,9 @@ def _measure_images(
             base = shared
         done = 0
         for images in batches:
-            found = contact.contact_score(images, base, rule)
+            scores = contact.contact_score(images, base, rule)
             part = chosen[done : done + len(images)]
-            score.area_px[part], score.intensity[part] = found.area_px, found.intensity
+            score.area_px[part], score.intensity[part] = scores.area_px, scores.intensity
             done += len(images)
 
     media.in_parallel(measure, len(by_round), threads)

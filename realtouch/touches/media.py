@@ -57,17 +57,17 @@ _SHOWN_FRAMES = 8
 _ENDINGS = {b"\xff\xd8": "jpg", b"\x89P": "png"}
 
 
-def in_parallel(work: Callable[[int], object], count: int, threads: int) -> None:
+def in_parallel(process: Callable[[int], object], count: int, threads: int) -> None:
     """Process items 0 to ``count`` - 1 in threads; the first error ends all of them.
 
     A thread takes a run of items at a time, as neighbours share pages of the array that they are written to.
     """
     length = max(1, min(_LONGEST_RUN, count // max(1, 4 * threads)))
     runs = (range(start, min(start + length, count)) for start in range(0, count, length))
-    deque(in_threads(lambda run: deque(map(work, run), maxlen=0), runs, max(1, threads)), maxlen=0)
+    deque(in_threads(lambda run: deque(map(process, run), maxlen=0), runs, max(1, threads)), maxlen=0)
 
 
-def room_for(count: int, size: tuple[int, int], out: UInt8 | None = None) -> UInt8:
+def images_array(count: int, size: tuple[int, int], out: UInt8 | None = None) -> UInt8:
     """Return an array for images of one size, shape (n, H, W, 3), uint8: new, or ``out`` if it fits.
 
     ``size`` is (height, width), pixels; in ``out``, n may be larger than ``count``. Raises InputError when
@@ -88,9 +88,10 @@ def room_for(count: int, size: tuple[int, int], out: UInt8 | None = None) -> UIn
     if fits and out.shape[1:] == (height, width, 3) and out[0].flags.c_contiguous and out.flags.writeable:
         return out
     shape = (count, height, width, 3)
-    found = f"{out.dtype} of shape {out.shape}" if isinstance(out, np.ndarray) else type(out).__name__
+    description = f"{out.dtype} of shape {out.shape}" if isinstance(out, np.ndarray) else type(out).__name__
     raise errors.InputError(
-        f"out is {found}; expected a writable array of uint8 and shape {shape} with C-contiguous images",
+        f"out is {description}; expected a writable array of uint8 and shape {shape} with "
+        "C-contiguous images",
         next=f"make one with numpy.empty({shape}, numpy.uint8), or leave `out` out",
     )
 
@@ -162,12 +163,12 @@ class SensorImages(_StoredMedia[UInt8, UInt8]):
         first = [*touches, 0][0]
         size = self.size(first) if self._count else (0, 0)
         with self.row.naming("sensor_image", first):
-            pixels = room_for(len(touches), size, out)
+            pixels = images_array(len(touches), size, out)
         self.decode_into(pixels, touches, threads=threads)
         return pixels
 
     def decode_into(self, out: UInt8, touches: Sequence[int], *, threads: int = 1) -> None:
-        """Decode several images into an array of their size, such as ``room_for`` gives."""
+        """Decode several images into an array of their size, such as ``images_array`` gives."""
         in_parallel(lambda index: self._decode(touches[index], out[index]), len(touches), threads)
 
     def encoded(self, touch: int) -> memoryview:
@@ -320,10 +321,10 @@ class TouchClip(read.LazySequence[UInt8, UInt8]):
         IntegrityError
             A frame is damaged, or they exceed :data:`realtouch.touches.media.MAX_BATCH_PIXELS`.
         """
-        wanted = self.checked_indices(index)
+        frames = self.checked_indices(index)
         with self.row.naming("sensor_video", self.touch):
-            pixels = room_for(len(wanted), self.size)
-        in_parallel(lambda number: self._decode(wanted[number], pixels[number]), len(wanted), threads)
+            pixels = images_array(len(frames), self.size)
+        in_parallel(lambda index: self._decode(frames[index], pixels[index]), len(frames), threads)
         return pixels
 
     def __iter__(self) -> Iterator[dict[str, object]]:  # type: ignore[override]
@@ -491,7 +492,7 @@ class SensorClips(_StoredMedia[TouchClip, list[TouchClip]]):
     def _several(self, index: Any) -> list[TouchClip]:
         return [TouchClip(self.row, touch) for touch in self.checked_indices(index)]
 
-    def room(self, count: int, out: UInt8 | None = None) -> UInt8:
+    def array_for(self, count: int, out: UInt8 | None = None) -> UInt8:
         """Return an array for ``count`` frames of the first clip's size: a new one, or ``out`` if it fits.
 
         Raises InputError when ``out`` cannot take them, IntegrityError when they exceed
@@ -499,7 +500,7 @@ class SensorClips(_StoredMedia[TouchClip, list[TouchClip]]):
         """
         size = self[0].size if self._count else (0, 0)
         with self.row.naming("sensor_video"):
-            return room_for(count, size, out)
+            return images_array(count, size, out)
 
 
 def contact_windows(row: stored_round.StoredRound, touch: int | None = None) -> list[slice]:
@@ -511,9 +512,9 @@ def contact_windows(row: stored_round.StoredRound, touch: int | None = None) -> 
     times = row.stamps_s(touch)
     if times is None:
         touches: Sequence[int] = [touch] if touch is not None else range(row.touch_total())
-        times = [TouchClip(row, each).media_times_s for each in touches]
-    ends = (each.tolist() for each in row.times_of_touches(touch))
-    return [contact.contact_window(*each) for each in zip(times, *ends, strict=True)]
+        times = [TouchClip(row, number).media_times_s for number in touches]
+    ends = (time_s.tolist() for time_s in row.times_of_touches(touch))
+    return [contact.contact_window(*times_of_touch) for times_of_touch in zip(times, *ends, strict=True)]
 
 
 def contact_frames_of(
@@ -531,7 +532,7 @@ def contact_frames_of(
         return [window.stop - 1 for window in windows]
     schema.require_poses_for(method, row.group.names, row.path)
     pressed = zip(row.pose_sequences(touch), windows, strict=True)
-    return [window.start + int(np.argmin(each.position_m[window, 2])) for each, window in pressed]
+    return [window.start + int(np.argmin(poses.position_m[window, 2])) for poses, window in pressed]
 
 
 def decode_frames(
@@ -576,7 +577,7 @@ def numbered_media(contents: Sequence[bytes | memoryview], suffix: str) -> pa.Ar
 
 def image_column(images: Sequence[bytes | memoryview], names: Sequence[str]) -> pa.Array:
     """Return images as a column with file names, whose endings follow from their first bytes."""
-    endings = (_ENDINGS.get(bytes(each[:2]), "webp") for each in images)
+    endings = (_ENDINGS.get(bytes(image[:2]), "webp") for image in images)
     paths = [f"{name}.{ending}" for name, ending in zip(names, endings, strict=True)]
     return media_array(images, paths)
 
@@ -604,9 +605,9 @@ def background_of(images: Sequence[bytes | memoryview], names: Sequence[str]) ->
     """
     sizes = {image_size(image) for image in images}
     if len(sizes) > 1:
-        found = ", ".join(f"{width} x {height}" for height, width in sorted(sizes))
+        sizes_text = ", ".join(f"{width} x {height}" for height, width in sorted(sizes))
         raise errors.InputError(
-            f"images of {found} pixels have no common background; expected one size",
+            f"images of {sizes_text} pixels have no common background; expected one size",
             next="make them alike with `realtouch resize`",
         )
     pixels = [decoded(image, name) for image, name in zip(images, names, strict=True)]

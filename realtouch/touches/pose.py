@@ -70,18 +70,18 @@ class Pose(RigidTransform):
         """Return ``translation`` and ``rotation`` (x, y, z, w) as lists."""
         return {"translation": self.translation.tolist(), "rotation": self.quaternion.tolist()}
 
-    def transform(self, other: RigidTransform | ArrayLike, inverse: bool = False) -> Any:
+    def transform(self, operand: RigidTransform | ArrayLike, inverse: bool = False) -> Any:
         """Apply to a pose, which gives a :class:`Pose`, or to positions, shape (3,) or (n, 3), metres."""
-        if not isinstance(other, RigidTransform):
-            return self.apply(np.array(other), inverse=inverse)  # a copy: scipy takes no read-only view
+        if not isinstance(operand, RigidTransform):
+            return self.apply(np.array(operand), inverse=inverse)  # a copy: scipy takes no read-only view
         first: RigidTransform = super().inv() if inverse else self
-        return Pose(RigidTransform.__mul__(first, other).as_matrix(), normalize=False)
+        return Pose(RigidTransform.__mul__(first, operand).as_matrix(), normalize=False)
 
-    def __mul__(self, other: Any) -> Any:
-        return self.transform(other)
+    def __mul__(self, operand: Any) -> Any:
+        return self.transform(operand)
 
-    def __matmul__(self, other: Any) -> Any:
-        return self.transform(other)
+    def __matmul__(self, operand: Any) -> Any:
+        return self.transform(operand)
 
     def __getitem__(self, index: Any) -> Pose:
         return Pose(super().__getitem__(index).as_matrix(), normalize=False)

@@ -248,7 +248,7 @@ class TouchSeqRound(TouchRound):
         """
         clips = self.sensor_video
         chosen = contact.require_method(method)
-        pixels = clips.room(len(clips), out)
+        pixels = clips.array_for(len(clips), out)
         cores = _cores(threads)
         if chosen == "best":  # by the pictures: each clip is decoded whole
 
@@ -281,12 +281,12 @@ class TouchSeqRound(TouchRound):
             The frames of :attr:`realtouch.TouchClip.contact_window` of each touch; views of one array.
         """
         clips = self.sensor_video
-        wanted = clips.checked_indices(touches)
-        windows = [media.contact_windows(self.row, touch)[0] for touch in wanted]
+        numbers = clips.checked_indices(touches)
+        windows = [media.contact_windows(self.row, touch)[0] for touch in numbers]
         counts = [window.stop - window.start for window in windows]
-        pixels = clips.room(sum(counts))
+        pixels = clips.array_for(sum(counts))
         frames = [frame for window in windows for frame in range(window.start, window.stop)]
-        owners = np.repeat(wanted, counts).tolist()
+        owners = np.repeat(numbers, counts).tolist()
         media.decode_frames(clips, owners, frames, pixels, _cores(threads))
         return tuple(np.split(pixels, np.cumsum(counts)))[: len(counts)]
 
@@ -464,7 +464,7 @@ class Touch(pictures.Drawn):
 
 
 def hf_touches(
-    rows: Sequence[stored_round.StoredRound], places: Int64, touches: Int64, content: str
+    rows: Sequence[stored_round.StoredRound], positions: Int64, touches: Int64, content: str
 ) -> Dataset:
     """Return touches as a data set of the library `datasets`; see :meth:`realtouch.Touches.to_hf`.
 
@@ -478,10 +478,10 @@ def hf_touches(
     first = schema.flat_row(rows[0])
     total = rows[0].touch_total()
     names = [
-        each.name
-        for each in first.schema
-        if schema.is_per_touch(each.name, each.type)
-        and len(first.column(each.name).chunk(0).flatten()) == total
+        field.name
+        for field in first.schema
+        if schema.is_per_touch(field.name, field.type)
+        and len(first.column(field.name).chunk(0).flatten()) == total
     ]
     parts = [_row_of_each_touch(row, names) for row in rows]
     features = Features.from_arrow_schema(parts[0].schema)
@@ -493,7 +493,7 @@ def hf_touches(
         fingerprint=hashlib.sha256(content.encode()).hexdigest()[:16],
     )
     starts = np.cumsum([0, *map(len, parts)])
-    return whole.select(starts[places] + touches)
+    return whole.select(starts[positions] + touches)
 
 
 def _row_of_each_touch(row: stored_round.StoredRound, per_touch: Collection[str]) -> pa.Table:

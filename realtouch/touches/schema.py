@@ -98,23 +98,23 @@ def has_poses(names: Container[str]) -> bool:
     return any(f"{column}.position" in names for column in POSE_COLUMN.values())
 
 
-def require_poses_for(method: ContactMethod, names: Container[str], where: str) -> None:
+def require_poses_for(method: ContactMethod, names: Container[str], path: str) -> None:
     """Raise InputError if a method to choose a frame needs poses and some columns hold none."""
     if method == "peak" and not has_poses(names):
-        others = ", ".join(other for other in CONTACT_METHODS if other != method)
+        methods = ", ".join(known for known in CONTACT_METHODS if known != method)
         raise errors.InputError(
-            f"{where!r} has no column '{POSE_COLUMN['seq']}.position', which 'peak' needs",
-            next=f"choose the frame by one of {others}",
+            f"{path!r} has no column '{POSE_COLUMN['seq']}.position', which 'peak' needs",
+            next=f"choose the frame by one of {methods}",
         )
 
 
-def media_kind(schema: pa.Schema | None, where: str) -> Kind:
+def media_kind(schema: pa.Schema | None, path: str) -> Kind:
     """Return whether a set holds clips (``seq``) or images (``single``); InputError if neither or both."""
     names: tuple[str, ...] = read.column_names(schema) if schema is not None else ()
     kinds = [kind for kind, column in MEDIA_COLUMN.items() if column in names]
     if len(kinds) != 1:
         raise errors.InputError(
-            f"{where!r} is not a data set of touches: expected a column 'sensor_video' or 'sensor_image', "
+            f"{path!r} is not a data set of touches: expected a column 'sensor_video' or 'sensor_image', "
             f"found {', '.join(names) or 'no columns'}",
             next="name one, such as real-single-64x64",
         )
@@ -247,9 +247,9 @@ class UnknownExtraError(errors.InputError, KeyError):
     """A further column that a data set does not have; also a KeyError, as mappings raise."""
 
     def __init__(self, name: object, path: str, known: Collection[str]) -> None:
-        found = ", ".join(map(repr, known)) or "none"
+        names = ", ".join(map(repr, known)) or "none"
         super().__init__(
-            f"{path!r} has no further column {name!r}; it has {found}"
+            f"{path!r} has no further column {name!r}; it has {names}"
             f"{wording.did_you_mean(str(name), known)}",
             next="name one of these, or import it again with that column",
         )

@@ -73,12 +73,12 @@ class StoredRound(read.Row):
         return DamagedRoundError(Damage(self.path, self.number, touch, field, problem))
 
     @contextmanager
-    def naming(self, field: str, touch: int | None = None, where: str = "") -> Iterator[None]:
+    def naming(self, field: str, touch: int | None = None, prefix: str = "") -> Iterator[None]:
         """Turn a ValueError into damage of a field."""
         try:
             yield
         except ValueError as error:
-            raise self.damaged(field, f"{where}{error}", touch) from error
+            raise self.damaged(field, f"{prefix}{error}", touch) from error
 
     def missing_column(self, field: str) -> errors.InputError:
         """Return the error for a requested column that the data set does not have."""
@@ -125,14 +125,16 @@ class StoredRound(read.Row):
         for name in schema.per_touch_columns(self.group.names):
             self.entries_of(name)
 
-    def require_each(self, name: str, good: Bool, touch: int | None, problem: str, *found: AnyArray) -> None:
+    def require_each(self, name: str, good: Bool, touch: int | None, problem: str, *values: AnyArray) -> None:
         """Raise IntegrityError for the first entry of touches that is not good.
 
         ``touch`` is the number of the first entry; the value ``found`` there is put into ``problem``.
         """
         if not good.all():
             wrong = int(np.argmin(good))
-            raise self.damaged(name, problem.format(*(each[wrong] for each in found)), (touch or 0) + wrong)
+            raise self.damaged(
+                name, problem.format(*(column[wrong] for column in values)), (touch or 0) + wrong
+            )
 
     def per_touch(self, name: str, touch: int | None = None) -> AnyArray:
         """Return one value per touch, (T,), or that of ``touch``, (1,); IntegrityError unless there are T."""
@@ -182,8 +184,8 @@ class StoredRound(read.Row):
 
     def clip_length(self, touch: int) -> int:
         """Return the number of frames of one clip; raises as :func:`clip_lengths`."""
-        column, place, _ = self.entries_of("video_length_frames", touch)
-        frames = column.values[place]
+        column, index, _ = self.entries_of("video_length_frames", touch)
+        frames = column.values[index]
         if not (0 <= frames <= avi.MAX_CLIP_FRAMES and int(frames) == frames):
             raise self.damaged("video_length_frames", _TOO_LONG.format(frames), touch)
         return int(frames)
@@ -202,24 +204,24 @@ class StoredRound(read.Row):
         # Published clips are padded to the longest of their round: one view, cut T times.
         if padded is not None and padded.shape[1] >= lengths.max(initial=0):
             return tuple(values[:length] for values, length in zip(padded, lengths.tolist(), strict=True))
-        return tuple(self._cut_touch(name, each, width) for each in range(last - first))
+        return tuple(self._cut_touch(name, number, width) for number in range(last - first))
 
     def _cut_touch(self, name: str, touch: int, width: int) -> AnyArray:
         # Counted for a single touch as well; else missing values would be read from the next round.
         column, first, _ = self.entries_of(name)
         start, stop = column.inside(1, first + touch, first + touch + 1)
-        wanted = self.clip_length(touch)
-        if wanted > stop - start:
-            raise self.damaged(name, f"{stop - start} frames; expected at least {wanted}", touch)
-        values = column.flat(2, start, start + wanted) if width else column.values[start : start + wanted]
-        if len(values) != wanted * max(width, 1):
+        count = self.clip_length(touch)
+        if count > stop - start:
+            raise self.damaged(name, f"{stop - start} frames; expected at least {count}", touch)
+        values = column.flat(2, start, start + count) if width else column.values[start : start + count]
+        if len(values) != count * max(width, 1):
             raise self.damaged(
                 name,
-                f"{wording.with_count(len(values), 'values')} for {wanted} frames; expected "
+                f"{wording.with_count(len(values), 'values')} for {count} frames; expected "
                 f"{max(width, 1)} each",
                 touch,
             )
-        return values.reshape(wanted, width) if width else values
+        return values.reshape(count, width) if width else values
 
     def extra_entries(self, name: str) -> pa.Array:
         """Return the T entries of a further column, by its stored name; IntegrityError unless there are T."""
@@ -238,8 +240,8 @@ class StoredRound(read.Row):
         if frames is None:
             return pa.nulls(count, entries.type.value_type)
         if len(frames) < count:
-            found = wording.with_count(len(frames), "frames")
-            raise self.damaged(name, f"{found}; expected at least {count}", touch)
+            count_text = wording.with_count(len(frames), "frames")
+            raise self.damaged(name, f"{count_text}; expected at least {count}", touch)
         return frames.slice(0, count)
 
     def extra_values(self, name: str) -> AnyArray | tuple[AnyArray, ...]:
@@ -255,12 +257,12 @@ class StoredRound(read.Row):
         if not stored.startswith(schema.EXTRA_PREFIX["frame"]):
             with self.naming(stored):
                 return schema.array_with_gaps(values)
-        found = []
+        arrays = []
         for number, length in enumerate(self.clip_lengths().tolist()):
             frames = self.extra_of_frames(stored, values, number, length)
             with self.naming(stored, number):
-                found.append(schema.array_with_gaps(frames))
-        return tuple(found)
+                arrays.append(schema.array_with_gaps(frames))
+        return tuple(arrays)
 
     def plain_value(self, name: str) -> JsonValue:
         """Return a field as numpy's scalar or Python's object.
@@ -295,8 +297,8 @@ class StoredRound(read.Row):
             value = self.stored_value(name)  # a null next to it made numpy's column inexact
         number = read.whole_number(value)
         if number is None or number < 0:
-            found = "no value is stored" if value is None else f"the value is {value}"
-            raise self.damaged(name, f"{found}; expected an integer of 0 or more, below 2**63")
+            problem = "no value is stored" if value is None else f"the value is {value}"
+            raise self.damaged(name, f"{problem}; expected an integer of 0 or more, below 2**63")
         return number
 
     def intended_positions(self, touch: int | None = None) -> Floating:
@@ -319,18 +321,18 @@ class StoredRound(read.Row):
         """
         if not self.has("time_stamp_rel_seq"):
             return None
-        found = [schema.as_seconds(times) for times in self.cut("time_stamp_rel_seq", 0, touch)]
+        stamps = [schema.as_seconds(times) for times in self.cut("time_stamp_rel_seq", 0, touch)]
         if touch is None:
             # All at once; touch by touch only to find the wrong one.
-            joined = np.concatenate([np.zeros(0), *found])
+            joined = np.concatenate([np.zeros(0), *stamps])
             falls = np.flatnonzero(joined[1:] < joined[:-1]) + 1
-            if np.isfinite(joined).all() and np.isin(falls, np.cumsum(list(map(len, found)))).all():
-                return found
-        for number, times in enumerate(found, touch or 0):
+            if np.isfinite(joined).all() and np.isin(falls, np.cumsum(list(map(len, stamps)))).all():
+                return stamps
+        for number, times in enumerate(stamps, touch or 0):
             # A comparison with NaN is false, so this finds missing times too.
             if not (times[1:] >= times[:-1]).all() or (len(times) and not math.isfinite(times[0])):
                 raise self.damaged("time_stamp_rel_seq", "times that are missing or run backwards", number)
-        return found
+        return stamps
 
     def touch_durations(self, name: str) -> NDArray[np.timedelta64]:
         """Return one time per touch, shape (T,), ``timedelta64``; IntegrityError for a missing time."""
@@ -384,8 +386,8 @@ class StoredRound(read.Row):
         quaternions = self.cut(f"{_POSE_SEQUENCE}.quaternion", 4, touch)
         # Checked all at once; touch by touch only to find the wrong one.
         if positions and bad_pose(np.concatenate(positions), np.concatenate(quaternions)) is not None:
-            for number, each in enumerate(zip(positions, quaternions, strict=True), touch or 0):
-                wrong = bad_pose(*each)
+            for number, poses in enumerate(zip(positions, quaternions, strict=True), touch or 0):
+                wrong = bad_pose(*poses)
                 if wrong is not None:
                     raise self.damaged(_POSE_SEQUENCE, f"frame {wrong[0]}: {wrong[1]}", number)
         return PoseSequences(positions, quaternions)
@@ -401,7 +403,9 @@ class StoredRound(read.Row):
             heights = self.vectors(name, 3, touch)[:, 2].astype(np.float64)
         else:
             # A clip without frames has no height: infinity is refused below.
-            heights = np.array([each[:, 2].min(initial=np.inf) for each in self.cut(name, 3, touch)])
+            heights = np.array(
+                [position_m[:, 2].min(initial=np.inf) for position_m in self.cut(name, 3, touch)]
+            )
         finite = np.isfinite(heights)
         self.require_each(name, finite, touch, "a gel height of {}; expected metres", heights)
         return heights
@@ -468,7 +472,7 @@ class StoredRound(read.Row):
         if value.keys() == {"position", "quaternion"}:
             with self.naming(name):
                 return pose_of(value["position"], value["quaternion"])
-        return {key: self._with_poses(each, f"{name}.{key}") for key, each in value.items()}
+        return {key: self._with_poses(inner, f"{name}.{key}") for key, inner in value.items()}
 
 
 def stored_rows(
@@ -502,4 +506,4 @@ def stored_touch_counts(source: read.RowSource, *groups: int) -> Int64:
             column = leaf
     blocks = (block for index in chosen for block in source.blocks(index, [column]))
     counts = [pc.fill_null(pc.list_value_length(block.arrow(name)), 0) for block in blocks]
-    return np.concatenate([each.to_numpy() for each in counts] or [np.zeros(0)]).astype(np.int64)
+    return np.concatenate([of_block.to_numpy() for of_block in counts] or [np.zeros(0)]).astype(np.int64)

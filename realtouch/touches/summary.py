@@ -10,8 +10,8 @@ from operator import itemgetter
 
 import numpy as np
 
-from realtouch.touches import datasets, image_contacts, schema
-from tactile_toolkit import errors, read, wording
+from realtouch.touches import datasets, image_contacts, loading, schema
+from tactile_toolkit import errors, places, read, wording
 from tactile_toolkit.touch import CELL_M
 
 # Tactile MNIST paper, section on the real data set: 600 printed digits, 256 touches each, two gels.
@@ -119,7 +119,7 @@ def summarise(dataset: datasets.AnyDataset) -> Summary:
         raise errors.InputError("an empty data set has no summary", next="choose other filters")
     counts = np.bincount(touches.round_positions, minlength=len(dataset))
     first = touches[0]
-    found = Summary(
+    summary = Summary(
         kind=dataset.kind,
         rounds=len(dataset),
         touches=int(counts.sum()),
@@ -129,20 +129,26 @@ def summarise(dataset: datasets.AnyDataset) -> Summary:
         image_size=first.round.picture_size(first.touch_index),
     )
     if dataset.kind == "seq":
-        found = replace(found, clip_frames=_clip_frames(touches), fps=first.clip.fps)
+        summary = replace(summary, clip_frames=_clip_frames(touches), fps=first.clip.fps)
     if dataset.has_column("label"):
-        found = replace(found, labels={name: len(rows) for name, rows in dataset.by_label().items()})
+        summary = replace(summary, labels={name: len(rows) for name, rows in dataset.by_label().items()})
     if dataset.has_column("object_id"):
-        found = replace(found, objects=len(np.unique(dataset.int_column("object_id"))))
+        summary = replace(summary, objects=len(np.unique(dataset.int_column("object_id"))))
     if dataset.has_column(dataset.pose_column):
         share = float(touches.in_contact().mean())
         rules = dict.fromkeys(map(str, dataset.contact_rules()))
-        found = replace(found, contact_share=share, contact_rule="; or ".join(rules))
+        summary = replace(summary, contact_share=share, contact_rule="; or ".join(rules))
     if dataset.has_column("info.gel_id"):
         # Through all rounds, without their pictures: the gel is not a plain column.
         gels = Counter(str(record.info["gel_id"]) for _, record in dataset.rounds_without_media())
-        found = replace(found, gel_ids=dict(sorted(gels.items())))
-    return found
+        summary = replace(summary, gel_ids=dict(sorted(gels.items())))
+    return summary
+
+
+def summarise_splits(name: places.Name | places.Place, split: str | None = None) -> dict[str, Summary]:
+    """Return the figures of the named split, or of all splits; raises as :func:`summarise`."""
+    source = loading.Source.open(name, split)
+    return {part: summarise(datasets.dataset_of(shards)) for part, shards in source.shards.items()}
 
 
 def _extra_types(dataset: datasets.AnyDataset) -> dict[str, str]:

@@ -101,8 +101,8 @@ class Avi:
             offsets, sizes = offsets[sizes > 0], sizes[sizes > 0]
         # Offsets count from the list of frames or from the start of the file, depending on the writer.
         first = int(offsets[0]) if len(offsets) else 0
-        places = ((base, base + first) for base in (movie[0] - 4, 0))
-        bases = [base for base, at in places if self.data[at : at + 4].tobytes() in self._names]
+        starts = ((base, base + first) for base in (movie[0] - 4, 0))
+        bases = [base for base, at in starts if self.data[at : at + 4].tobytes() in self._names]
         if not len(offsets) or not bases:
             raise ValueError("an AVI whose index does not lead to frames; expected one of MJPEG frames")
         self.starts = offsets + (bases[0] + CHUNK.size)
@@ -155,7 +155,9 @@ def write_avi(frames: Sequence[bytes], width: int, height: int, fps: float) -> b
     header = _chunk(b"LIST", b"hdrl" + _chunk(b"avih", main) + streams)
     # All parts are joined once: a long clip should not be in memory several times.
     paddings = [b"\0" * (len(frame) % 2) for frame in frames]
-    chunk_bytes = [CHUNK_BYTES + len(frame) + len(rest) for frame, rest in zip(frames, paddings, strict=True)]
+    chunk_bytes = [
+        CHUNK_BYTES + len(frame) + len(padding) for frame, padding in zip(frames, paddings, strict=True)
+    ]
     offsets = np.cumsum([4, *chunk_bytes])[:-1]  # from the name of the list, as FFmpeg counts them
     entries = [
         struct.pack("<4s3I", b"00dc", 0x10, offset, len(frame))
@@ -164,8 +166,8 @@ def write_avi(frames: Sequence[bytes], width: int, height: int, fps: float) -> b
     index = _chunk(b"idx1", b"".join(entries))
     movie_bytes = 4 + sum(chunk_bytes)
     parts = [header, CHUNK.pack(b"LIST", movie_bytes), b"movi"]
-    for frame, rest in zip(frames, paddings, strict=True):
-        parts += (CHUNK.pack(b"00dc", len(frame)), frame, rest)
+    for frame, padding in zip(frames, paddings, strict=True):
+        parts += (CHUNK.pack(b"00dc", len(frame)), frame, padding)
     size = 4 + len(header) + CHUNK_BYTES + movie_bytes + len(index)
     return b"".join([_RIFF.pack(b"RIFF", size, b"AVI "), *parts, index])
 

@@ -217,12 +217,12 @@ class _Reader:
         with suppress(av.FFmpegError):
             for _ in range(2):
                 self._container.seek(pts, stream=self.video)
-                rest = self._packets()
-                first = next((packet for packet in rest if packet.is_keyframe), None)
+                packets = self._packets()
+                first = next((packet for packet in packets if packet.is_keyframe), None)
                 if first is None or cast(int, first.pts) > pts:
                     return self._first_packets()
                 pts = cast(int, first.pts) - 1
-            return chain([cast("Packet[VideoStream]", first)], rest)
+            return chain([cast("Packet[VideoStream]", first)], packets)
         return self._first_packets()
 
     def _decoded(self, packets: Iterable[Packet[VideoStream]]) -> Iterator[VideoFrame]:
@@ -259,14 +259,14 @@ class _Reader:
         frame: VideoFrame | Packet[VideoStream] | None = None
         last = -1 - _PICTURES_PASSED
         for number in numbers:
-            wanted = int(shown_pts[number])
+            pts = int(shown_pts[number])
             if not 0 < number - last <= _PICTURES_PASSED:
-                frames = self._pictures_before(wanted)
+                frames = self._pictures_before(pts)
                 frame = next(frames, None)
             last = number
-            while frame is not None and cast(int, frame.pts) < wanted:
+            while frame is not None and cast(int, frame.pts) < pts:
                 frame = next(frames, None)
-            if frame is None or frame.pts != wanted or frame.is_corrupt:
+            if frame is None or frame.pts != pts or frame.is_corrupt:
                 yield ItemError("frame", _LOST)
             elif self.is_kept:
                 jpeg = bytes(cast("Packet[VideoStream]", frame))

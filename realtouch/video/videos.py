@@ -189,7 +189,7 @@ class AviPictures:
         self._names = (b"", b"")
         self.period_s = Fraction(0)
         self.is_jpeg = self.is_cut = False
-        places = array("q")
+        entries = array("q")
         position = 0
         riff_end = end
         slot = 0
@@ -211,13 +211,13 @@ class AviPictures:
                 )
             elif name in self._names:
                 if size:
-                    places.extend((start, size, slot))
+                    entries.extend((start, size, slot))
                 slot += 1
                 if slot > most:
                     raise ValueError(f"an AVI of more than {most:,} pictures, which is the limit")
             elif name in (b"strh", b"strf"):
                 self._read_header(name, bytes(read(start, min(size, STREAM_HEADER.size))))
-        pictures = np.frombuffer(places, np.int64).reshape(-1, 3)
+        pictures = np.frombuffer(entries, np.int64).reshape(-1, 3)
         if not self.is_jpeg:
             pictures = pictures[:0]
         self.starts: Int64 = pictures[:, 0].copy()

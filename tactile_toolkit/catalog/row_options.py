@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import ClassVar, TypeAlias
 
-from tactile_toolkit.checked_fields import check_fields, integer, text
+from tactile_toolkit.checked_fields import check_fields, integer, is_integer, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.wording import comma_separated
@@ -46,9 +46,13 @@ def _as_id(word: str) -> GivenId:
 def id_range(choice: GivenId) -> tuple[int, int]:
     """Return the first and the last number of a given id; InputError for other text."""
     if not isinstance(choice, str):
-        if isinstance(choice, tuple):
-            return choice
-        return (choice, choice)
+        ends = choice if isinstance(choice, tuple) else (choice, choice)
+        if len(ends) != 2 or not is_integer(*ends):
+            raise InputError(
+                f"has {choice!r}; expected integers, texts, or pairs of the first and the last integer",
+                field="ids",
+            )
+        return ends
     match = _IDS.fullmatch(choice)
     if match is None or int(match[2] or match[1]) < int(match[1]):
         raise InputError(

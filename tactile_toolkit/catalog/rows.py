@@ -13,7 +13,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from tactile_toolkit import mesh, places, read, run, store
+from tactile_toolkit import checked_fields, mesh, places, read, run, store
 from tactile_toolkit.array_types import Bool, Int64
 from tactile_toolkit.catalog.row_options import GivenId, IdChoice, id_range, id_text
 from tactile_toolkit.errors import InputError
@@ -62,7 +62,7 @@ def choose_rows(
     these rows, the first ``per_class`` of each class are taken, then the first ``limit`` of each split.
     Raises InputError if an id, a range or a class matches no row, or no row is left.
     """
-    asked = list(ids or ())
+    asked = list(checked_fields.to_builtin(() if ids is None else ids))
     is_met = np.zeros(len(asked), bool)
     choices = []
     for split, rows in datasets:

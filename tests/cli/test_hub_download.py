@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from realtouch.kind import KIND as TOUCH_KIND
-from realtouch.touches.opening import SHORT_NAMES
+from realtouch.touches.loading import SHORT_NAMES
 from tactile_toolkit.kind import kinds
 from tactile_toolkit.places.place import published_set
 from tests.hub_server import HubServer, hub

@@ -107,7 +107,7 @@ def test_operations_that_need_an_absent_column_name_it(sets: Any, tmp_path: Path
             realtouch.load(sets("seq", label), "train").filter_labels(3)
         assert call("tactile", "gallery", sets("seq", label), "--labels", "3", "--out", out) == 2
     with pytest.raises(InputError, match="no column 'object_id'"):
-        realtouch.select(clips, out, objects=[3])
+        realtouch.select(clips, out, ids=[3])
     assert not (tmp_path / "out").exists()
 
 

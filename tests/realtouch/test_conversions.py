@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import csv
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from datasets import Features, Image, List, Video
 from PIL import Image as Pictures
 
 import realtouch
-from realtouch.convert.conversion import Conversion, RowChoice, Source, plan_conversion
+from realtouch.convert.conversion import Conversion, RowChoice, plan_conversion
 from realtouch.convert.selection import KeepTouches
+from realtouch.touches.loading import Source
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.run.processes import ProcessRunner
 from tactile_toolkit.store import sha256_hex
@@ -122,15 +125,47 @@ def test_selected_touches(kind: str, seq_folder: Path, single_folder: Path, tmp_
 
 
 def test_selected_rounds_pass_through_whole(single_folder: Path, tmp_path: Path) -> None:
-    realtouch.select(str(single_folder), str(tmp_path / "some"), objects=[4001, 4003])
+    realtouch.select(str(single_folder), str(tmp_path / "some"), ids=[4001, 4003])
     made = realtouch.load(tmp_path / "some", "train")
     assert [record.object_id for record in made] == [4001]
     assert [record.object_id for record in realtouch.load(tmp_path / "some", "test")] == [4003]
     assert features_of(tmp_path / "some")["pos_in_cell"].length == 5
-    with pytest.raises(InputError, match="nothing is left"):
-        realtouch.select(str(single_folder), str(tmp_path / "none"), objects=[1])
-    with pytest.raises(InputError, match="no class 'cat'"):
-        realtouch.select(str(single_folder), str(tmp_path / "none"), labels=["cat"])
+
+
+@pytest.mark.parametrize(
+    ("rows", "problem"),
+    [
+        ({"ids": [1]}, "no object with id 1 in"),
+        ({"ids": [(1, 2, 3)]}, r"has \(1, 2, 3\); expected integers, texts, or pairs"),
+        ({"ids": [2.5]}, r"has 2.5; expected integers, texts, or pairs"),
+        ({"labels": ["cat"]}, "no class 'cat'"),
+        ({"limit": 2.5}, "limit of the rows is 2.5; expected an integer of at least 1"),
+        ({"per_class": 0}, "per_class of the rows is 0; expected an integer of at least 1"),
+        ({"split": "none"}, "none"),
+    ],
+    ids=str,
+)
+def test_rows_are_checked_by_every_conversion(rows: Any, problem: str, single_folder: Path) -> None:
+    """As options of the command line are, before anything is written."""
+    out = single_folder.parent / "refused"
+    for convert in (realtouch.select, realtouch.frames, partial(realtouch.export, layout="flat")):
+        with pytest.raises(InputError, match=problem):
+            convert(single_folder, out, **rows)
+    assert not out.exists()
+
+
+def test_exports_of_chosen_rows(single_folder: Path, tmp_path: Path, capsys: Any) -> None:
+    chosen = ("--ids", "4001,4003", "--labels", "1,3", "--format")
+    for layout in ("png", "flat"):
+        out = tmp_path / layout
+        command = ("tactile", "export", single_folder, *chosen, layout, "--out", out)
+        assert call(*command, "--dry-run") == 0
+        assert "would write 2 rounds" in capsys.readouterr().out
+        assert not out.exists()
+        assert call(*command) == 0
+        table = pa.concat_tables(map(pq.read_table, sorted(out.glob("data/*.parquet"))))
+        assert set(table["object_id"].to_pylist()) == {4001, 4003}
+        assert len(table) == 10
 
 
 @pytest.mark.parametrize("kind", ["png", "jpeg"])
@@ -212,7 +247,7 @@ def test_workers_and_interruptions_change_no_byte(seq_folder, tmp_path, monkeypa
 
 def test_impossible_conversions_are_refused(seq_folder, single_folder, seq_rows, tmp_path):
     out = str(tmp_path / "out")
-    with pytest.raises(InputError, match=r"nothing is left of .* after 'select'; next: choose fewer filters"):
+    with pytest.raises(InputError, match="no object is chosen; expected rows"):
         realtouch.select(single_folder, out, labels=[9])
     position = "gel_pose_cell_frame_seq.position"
     bare = Layout(leave_out=(position, "gel_pose_cell_frame_seq.quaternion"))
@@ -227,7 +262,7 @@ def test_impossible_conversions_are_refused(seq_folder, single_folder, seq_rows,
         realtouch.resize(str(single_folder), out, 0, 64)
     with pytest.raises(InputError, match="no picture format 'gif'"):
         realtouch.frames(str(single_folder), out, "gif")
-    with pytest.raises(InputError, match="the limit is 0"):
+    with pytest.raises(InputError, match="limit of the rows is 0"):
         realtouch.frames(str(single_folder), out, limit=0)
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="is empty; expected a data set"):
@@ -288,5 +323,5 @@ def test_selection_by_class_and_ranges_of_objects(tmp_path: Path) -> None:
     assert call("tactile", "select", tmp_path / "all", "--ids", f"{first}-{last}", *out) == 0
     some = realtouch.load(tmp_path / "some").int_column("object_id")
     assert sorted(some.tolist()) == objects[2:5]
-    with pytest.raises(InputError, match="the per_class is 0; expected an integer of at least 1"):
+    with pytest.raises(InputError, match="per_class of the rows is 0; expected an integer of at least 1"):
         realtouch.select(tmp_path / "all", tmp_path / "none", per_class=0)

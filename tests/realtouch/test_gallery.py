@@ -157,5 +157,5 @@ def test_ids_are_those_of_objects_as_for_select(single_folder, truth, tmp_path):
     build_site(plan_gallery(str(single_folder), RowFilter("train", ids=(chosen,))), str(tmp_path / "site"))
     index = index_of(tmp_path / "site")
     assert index["ids"] == [round_.id for round_ in truth if round_.object_id == chosen]
-    realtouch.select(single_folder, tmp_path / "some", objects=[chosen])
+    realtouch.select(single_folder, tmp_path / "some", ids=[chosen])
     assert [row.id for row in realtouch.load(tmp_path / "some", "train")] == index["ids"]

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 import realtouch
-from realtouch.touches.opening import SHORT_NAMES
+from realtouch.touches.loading import SHORT_NAMES
 from tactile_toolkit.errors import HubError, InputError
 from tactile_toolkit.places import open_place
 from tests.hub_server import HubServer, hub
