@@ -52,7 +52,7 @@ def main() -> None:
     other_s = timed(lambda height_m: secant(plain, height_m), heights, 1)
 
     def solved(gel: tactile_sim.Gel, **motion: object) -> Callable[[np.ndarray], tactile_sim.ElasticContact]:
-        return lambda height_m: solve(height_m, pixels, gel, **motion)
+        return lambda height_m: solve(height_m, pixels, tactile_sim.GelLoad(FORCE_N, gel=gel, **motion))
 
     what = "86 x 64 pixels, 5 N"
     tell("press", f"{what}, without friction", timed(solved(FREE), heights), "s", other=other_s)
@@ -73,7 +73,8 @@ def main() -> None:
     )
     large, pixels_of_large = touches_of(LARGE, count), pixels_of(LARGE)
     for name, gel in (("press_320", FREE), ("press_320_rough", ROUGH)):
-        seconds = timed(lambda h, gel=gel: solve(h, pixels_of_large, gel, block_px=BLOCK_PX), large)
+        load = tactile_sim.GelLoad(FORCE_N, gel=gel)
+        seconds = timed(lambda h, load=load: solve(h, pixels_of_large, load, BLOCK_PX), large)
         words = f"320 x 240 pixels, 5 N, friction {gel.friction:g}"
         tell(name, words, seconds, "s", target="at most 0.00667")
     tell("kernel", "kernels of a layer, once for each sensor", kernel_s(pixels), "s", target="at most 0.1")
@@ -102,10 +103,12 @@ def touches_of(size_px: tuple[int, int], count: int) -> list[np.ndarray]:
     return found
 
 
-def solve(height_m: np.ndarray, pixels: tuple[float, float], gel: tactile_sim.Gel, **how: object) -> object:
-    """Press at 5 N."""
+def solve(
+    height_m: np.ndarray, pixels: tuple[float, float], load: tactile_sim.GelLoad, block_px: int = 1
+) -> object:
+    """Press the gel of a GelSight Mini."""
     thickness_m = tactile_sim.full_view().gel_m
-    return tactile_sim.solve_contact(height_m, pixels, gel, thickness_m=thickness_m, force_n=FORCE_N, **how)
+    return tactile_sim.solve_contact(height_m, pixels, load, thickness_m=thickness_m, block_px=block_px)
 
 
 def secant(plain: PlainSolver, height_m: np.ndarray) -> float:
@@ -140,7 +143,7 @@ def error_um(plain: PlainSolver, heights: list[np.ndarray], pixels: tuple[float,
     far = []
     for height_m in heights:
         exact = plain.solve(height_m[::-1], FORCE_N)
-        ours = solve(height_m, pixels, FREE)
+        ours = solve(height_m, pixels, tactile_sim.GelLoad(FORCE_N, gel=FREE))
         far.append(np.abs(ours.displacement_m - exact.displacement_m[::-1]).mean())
     return 1e6 * float(np.mean(far))
 

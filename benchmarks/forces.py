@@ -49,7 +49,9 @@ def contact_areas(folder: str) -> Areas:
         poses = touches.object_poses[:-1]
         targets = np.stack([tactile_sim.pose(*place) for place in touches.positions_m.tolist()])
         fixed = tactile_sim.render_touch(solid, poses, targets, sensor)
-        pressed = tactile_sim.render_touch(solid, poses, targets, sensor, gel=gel, force_n=FORCE_N)
+        pressed = tactile_sim.render_touch(
+            solid, poses, targets, sensor, load=tactile_sim.GelLoad(force_n=FORCE_N, gel=gel)
+        )
         for depth_m, contact in zip(fixed.depth_m, pressed.contacts, strict=True):
             fixed_mm = 1e3 * (sensor.gel_m - depth_m.min())
             fixed_share, force_share = (depth_m < sensor.gel_m).mean(), contact.is_contact.mean()

@@ -20,6 +20,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 import tactile_sim
+from tactile_sim import GelLoad
 from tactile_toolkit.cards.card import markdown_table
 from tests.tactile_sim import elastic_formulas as formulas, test_elastic_elements as elements
 from tests.tactile_sim.elastic_bodies import (
@@ -78,7 +79,9 @@ def draw_sphere(left: Any, right: Any) -> list[Row]:
     count, depth_m = 128, 1e-3
     pixel_m = 0.016 / count
     heights = sphere(count, pixel_m, RADIUS_M)
-    contact = tactile_sim.solve_contact(heights, pixel_m, FREE, thickness_m=math.inf, depth_m=depth_m)
+    contact = tactile_sim.solve_contact(
+        heights, pixel_m, GelLoad(depth_m=depth_m, gel=FREE), thickness_m=math.inf
+    )
     force_n, contact_m, peak_pa = formulas.hertz(depth_m - heights.max(), RADIUS_M, REDUCED_PA)
     x = grid(count, pixel_m)[0][0]
     line = count // 2
@@ -110,12 +113,15 @@ def draw_cone_and_punch(axes: Any) -> list[Row]:
     depths = np.linspace(5e-5, 3e-4, 6)
     how: dict[str, Any] = {"thickness_m": math.inf}
     cones = [
-        tactile_sim.solve_contact(cone, pixel_m, FREE, depth_m=depth + cone.max(), **how).force_n[2]
+        tactile_sim.solve_contact(
+            cone, pixel_m, GelLoad(depth_m=depth + cone.max(), gel=FREE), **how
+        ).force_n[2]
         for depth in depths
     ]
     flat = punch(count, pixel_m, wide_m)
     punches = [
-        tactile_sim.solve_contact(flat, pixel_m, FREE, depth_m=depth, **how).force_n[2] for depth in depths
+        tactile_sim.solve_contact(flat, pixel_m, GelLoad(depth_m=depth, gel=FREE), **how).force_n[2]
+        for depth in depths
     ]
     expected_cone = formulas.cone_force(depths, slope, REDUCED_PA)
     expected_punch = formulas.punch_force(depths, wide_m, REDUCED_PA)
@@ -134,7 +140,9 @@ def draw_cylinder(axes: Any) -> list[Row]:
     rows, columns, pixel_m = 512, 64, 5e-5
     x = (np.arange(columns) - (columns - 1) / 2) * pixel_m
     heights = np.broadcast_to(-(x**2) / (2 * RADIUS_M), (rows, columns))
-    contact = tactile_sim.solve_contact(heights, pixel_m, FREE, thickness_m=math.inf, depth_m=1e-4)
+    contact = tactile_sim.solve_contact(
+        heights, pixel_m, GelLoad(depth_m=1e-4, gel=FREE), thickness_m=math.inf
+    )
     middle = contact.pressure_pa[rows // 2 - 8 : rows // 2 + 8].mean(0)
     force_per_m = middle.sum() * pixel_m
     peak_pa = formulas.line_peak(force_per_m, RADIUS_M, REDUCED_PA)
@@ -188,13 +196,15 @@ def draw_thin_layers(axes: Any) -> list[Row]:
     return found_rows
 
 
-def on_a_sphere(count: int, **how: Any) -> tuple[tactile_sim.ElasticContact, float, float]:
+def on_a_sphere(count: int, **motion: Any) -> tuple[tactile_sim.ElasticContact, float, float]:
     """Slide or twist a pressed sphere; return the contact, its radius and the size of a pixel, metres."""
     gel = tactile_sim.Gel(E_PA, 0.5, FRICTION)
     contact_m = (3 * FORCE_N * RADIUS_M * (1 - 0.25) / (4 * E_PA)) ** (1 / 3)
     pixel_m = 2.4 * contact_m / count
     heights = sphere(count, pixel_m, RADIUS_M)
-    contact = tactile_sim.solve_contact(heights, pixel_m, gel, thickness_m=math.inf, force_n=FORCE_N, **how)
+    contact = tactile_sim.solve_contact(
+        heights, pixel_m, GelLoad(force_n=FORCE_N, gel=gel, **motion), thickness_m=math.inf
+    )
     return contact, contact_m, pixel_m
 
 
@@ -268,7 +278,10 @@ def draw_elements(axes: Any) -> list[Row]:
             heights = elements.patch_heights(*patch)
             gel = tactile_sim.Gel(elements.E_PA, elements.POISSON, friction)
             contact = tactile_sim.solve_contact(
-                heights, elements.PIXEL_M, gel, thickness_m=elements.LAYER_M, depth_m=elements.DEPTH_M
+                heights,
+                elements.PIXEL_M,
+                GelLoad(depth_m=elements.DEPTH_M, gel=gel),
+                thickness_m=elements.LAYER_M,
             )
             target = (elements.DEPTH_M - (heights.max() - heights)).ravel()
             force_n, sunk_m = elements.elements(compliance, target, friction > 0)

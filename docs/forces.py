@@ -42,10 +42,7 @@ def column(mesh: Mesh, number: int) -> list[np.ndarray]:
             touches.object_poses[0],
             target,
             sensor,
-            gel=GEL,
-            force_n=FORCE_N,
-            slide_m=slide_m,
-            twist_rad=twist_rad,
+            load=tactile_sim.GelLoad(force_n=FORCE_N, slide_m=slide_m, twist_rad=twist_rad, gel=GEL),
         )
 
     rest = tactile_sim.marker_grid_px(MARKERS, sensor.size_px)

@@ -16,6 +16,7 @@ from tactile_envs.drawing import EnvDrawing
 from tactile_envs.motion import Motion, Rows
 from tactile_envs.touch_kernels import Cells, SensorReadings
 from tactile_sim import Sensor
+from tactile_sim.elastic.contact import GelLoad
 from tactile_sim.optics.sensor_noise import EpisodeNoise
 from tactile_sim.press.elastic_press import WholeGel, loads_of
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int64
@@ -280,9 +281,10 @@ class ElasticGel:
         depth_m = None
         if config.press_force is None:
             depth_m = sensor.gel_m - sensor.press_m
-        loads = loads_of(config.elastic_gel, 1, sensor, config.press_force, depth_m, (0.0, 0.0), 0.0)
-        assert loads is not None, "the gel of these settings is elastic"
-        self._shown, self._load, self._whole = sensor, loads[0], WholeGel.of(sensor)
+        assert config.elastic_gel is not None, "the gel of these settings is elastic"
+        load = GelLoad(config.press_force, depth_m, gel=config.elastic_gel)
+        (self._load,) = loads_of(load, 1, sensor)
+        self._shown, self._whole = sensor, WholeGel.of(sensor)
         self.sensor = self._whole.sensor
 
     def press(
@@ -297,7 +299,7 @@ class ElasticGel:
         depths_m = np.empty((count, height, width))
         forces_n = np.empty((count, 3), np.float32)
         for row, depth_m in enumerate(met.depths_m):
-            contact = self._load.press(-depth_m.astype(np.float64), self._whole, depths_m[row])
+            contact = self._whole.press(-depth_m.astype(np.float64), self._load, depths_m[row])
             forces_n[row] = contact.force_n
             stop_m = self._shown.gel_m - contact.depth_m
             sensors[row] += (stop_m - self._shown.press_m) * axes[row, :, 2]

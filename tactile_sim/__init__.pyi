@@ -1,6 +1,11 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
-from .elastic.contact import ElasticContact as ElasticContact, Gel as Gel, solve_contact as solve_contact
+from .elastic.contact import (
+    ElasticContact as ElasticContact,
+    Gel as Gel,
+    GelLoad as GelLoad,
+    solve_contact as solve_contact,
+)
 from .press.elastic_press import (
     fit_youngs_modulus as fit_youngs_modulus,
     marker_grid_px as marker_grid_px,

@@ -34,11 +34,8 @@ def main(folder: Path, touches: Path) -> None:
     contact = tactile_sim.solve_contact(
         bumps(1),
         PIXEL_M,
-        tactile_sim.Gel(),
+        tactile_sim.GelLoad(force_n=5.0, slide_m=(2e-4, 1e-4), twist_rad=0.03),
         thickness_m=LAYER_M,
-        force_n=5.0,
-        slide_m=(2e-4, 1e-4),
-        twist_rad=0.03,
     )
     loads = np.dstack([contact.pressure_pa, contact.traction_pa])
     simulated = {"loads_pa": loads, "displacement_m": contact.displacement_m}

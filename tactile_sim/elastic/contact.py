@@ -25,6 +25,7 @@ _MAX_SLIDE_M = 1.0
 _MAX_TWIST_RAD = math.pi
 _MAX_LAYERS = 60.0  # diagonal of the window, in thicknesses of the gel
 _HALF = 0.5
+_MAX_RESIDUAL = 0.01  # of a solution; the solver ends at 0.0007 unless it fails
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +61,47 @@ class Gel:
     def shear_modulus_pa(self) -> float:
         """Shear modulus, Pa."""
         return self.youngs_modulus_pa / (2.0 * (1.0 + self.poisson_ratio))
+
+
+@dataclass(frozen=True, slots=True)
+class GelLoad:
+    """Load of an elastic gel: a press to a force or to a depth, and the motion that follows.
+
+    Numbers are for one touch; :func:`tactile_sim.render_touch` also takes one for each of n touches.
+
+    Attributes
+    ----------
+    force_n : float or array_like, shape (n,), optional
+        Normal force of the press, newtons.
+    depth_m : float or array_like, shape (n,), optional
+        How far the highest point of the body is pressed in, metres; in place of the force.
+    slide_m : array_like, shape (2,) or (n, 2)
+        How far the body then moves along x and y, metres; a slide along +x makes a force along +x.
+    twist_rad : float or array_like, shape (n,)
+        How far it turns, radians, counter-clockwise as seen in the image.
+    gel : Gel
+        Material and friction of the gel.
+
+    Raises
+    ------
+    InputError
+        Not exactly one of force and depth is given, or ``gel`` is no :class:`Gel`.
+    """
+
+    force_n: ArrayLike | None = None
+    depth_m: ArrayLike | None = None
+    slide_m: ArrayLike = (0.0, 0.0)
+    twist_rad: ArrayLike = 0.0
+    gel: Gel = Gel()
+
+    def __post_init__(self) -> None:
+        _require(isinstance(self.gel, Gel), f"gel is {self.gel!r}; expected a Gel, such as tactile_sim.Gel()")
+        if (self.depth_m is None) == (self.force_n is None):
+            raise InputError(
+                "an elastic gel is pressed to a force or to a depth; expected exactly one of force_n and "
+                "depth_m",
+                next="give force_n=5.0, for example",
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,13 +153,9 @@ class ElasticContact:
 def solve_contact(
     height_m: ArrayLike,
     pixel_m: float | tuple[float, float],
-    gel: Gel,
+    load: GelLoad,
     *,
     thickness_m: float,
-    depth_m: float | None = None,
-    force_n: float | None = None,
-    slide_m: tuple[float, float] = (0.0, 0.0),
-    twist_rad: float = 0.0,
     block_px: int = 1,
 ) -> ElasticContact:
     """Press a rigid body into a gel, then slide and twist it.
@@ -132,19 +170,12 @@ def solve_contact(
         Height of the body, metres, towards the gel, from any zero; row 0 at the greatest y.
     pixel_m : float or tuple of float
         Size of a pixel, or width and height: a micrometre to 0.1 m, one at most 100 times the other.
-    gel : Gel
-        Material and friction.
+    load : GelLoad
+        Material of the gel, force (1e-9 to 1e6 N) or depth (1e-9 to 1 m), and motion (at most 1 m and pi,
+        about the centre of the window).
     thickness_m : float
         Thickness of the gel, metres; infinite for a half-space. At least 1 / 60 of the diagonal of the
         window, and the sides of its pixels or blocks.
-    depth_m : float, optional
-        How far the highest point of the body is pressed in, metres, 1e-9 to 1.
-    force_n : float, optional
-        The force of the press, newtons, 1e-9 to 1e6; exactly one of depth and force is given.
-    slide_m : tuple of float
-        How far the body then moves along x and y, metres; a slide along +x makes a force along +x.
-    twist_rad : float
-        How far it turns about the centre of the window, radians, counter-clockwise as seen in the image.
     block_px : int
         Side of the blocks of pixels whose mean heights are solved; 1 solves every pixel. H and W are
         multiples of it.
@@ -157,17 +188,49 @@ def solve_contact(
     Raises
     ------
     InputError
-        A number is out of range or not finite, or not exactly one of ``depth_m`` and ``force_n`` is given.
+        A number is out of range or not finite, the body would be pressed in deeper than the gel is thick, or
+        no solution was found.
     """
+    contact = solve_unjudged(height_m, pixel_m, load, thickness_m=thickness_m, block_px=block_px)
+    require_solved(contact, thickness_m)
+    return contact
+
+
+def require_solved(contact: ElasticContact, thickness_m: float) -> None:
+    """Refuse a contact that is no solution, or is deeper than the gel is thick (InputError)."""
+    deepest_m = min(thickness_m, _MAX_DEPTH_M)
+    if not contact.depth_m <= deepest_m:
+        raise InputError(
+            f"the body would be pressed in by {contact.depth_m:.3g} m; expected at most {deepest_m:.3g} m, "
+            "the thickness of the gel",
+            next="give a smaller force, or a larger body",
+        )
+    if not contact.residual <= _MAX_RESIDUAL:
+        raise InputError(
+            f"the contact was not solved: after {contact.iterations:,} steps, gaps are off by "
+            f"{contact.residual:.2g} of the depth; expected at most {_MAX_RESIDUAL:g}",
+            next="give a smaller slide, twist or friction, or a body without single high pixels",
+        )
+
+
+def solve_unjudged(
+    height_m: ArrayLike,
+    pixel_m: float | tuple[float, float],
+    load: GelLoad,
+    *,
+    thickness_m: float,
+    block_px: int = 1,
+) -> ElasticContact:
+    """Return what :func:`solve_contact` returns, whether it is a solution or not."""
     heights = _checked_heights(height_m)
     pixel = _checked_pixel(pixel_m)
-    _require(isinstance(gel, Gel), f"gel is {gel!r}; expected a Gel, such as tactile_sim.Gel()")
-    target = _checked_target(depth_m, force_n)
-    slide = _checked_motion(slide_m, twist_rad)
+    _require(isinstance(load, GelLoad), f"load is {load!r}; expected a GelLoad, such as GelLoad(force_n=5.0)")
+    target = _checked_target(load)
+    motion = _checked_motion(load)
     thinnest_m = math.hypot(heights.shape[1] * pixel[0], heights.shape[0] * pixel[1]) / _MAX_LAYERS
     thickness = _checked_number("thickness_m", thickness_m, thinnest_m, math.inf)
     block = _checked_block(block_px, heights, pixel, thickness)
-    return _solve(heights, pixel, gel, thickness, *target, slide, block)
+    return _solve(heights, pixel, load.gel, thickness, target, motion, block)
 
 
 def _solve(
@@ -175,8 +238,7 @@ def _solve(
     pixel_m: tuple[float, float],
     gel: Gel,
     thickness_m: float,
-    target: float,
-    is_force: bool,
+    target: tuple[float, bool],
     motion: tuple[float, float, float],
     block_px: int,
 ) -> ElasticContact:
@@ -193,14 +255,15 @@ def _solve(
     )
     # The highest point of the body lies higher than the highest mean.
     higher = heights.max() - coarse.max()
-    wanted = target / (width_m * height_m)
+    number, is_force = target
+    pressure_or_depth = number / (width_m * height_m)
     if not is_force:
-        wanted = max(target - higher, _MIN_DEPTH_M)
+        pressure_or_depth = max(number - higher, _MIN_DEPTH_M)
     stiffness = gel.youngs_modulus_pa / min(thickness_m, math.sqrt(width_m * height_m) * coarse.shape[1])
     problem = solver.ContactProblem(
         coarse.max() - coarse,
         (width_m, height_m),
-        wanted,
+        pressure_or_depth,
         is_force,
         gel.friction,
         motion,
@@ -209,7 +272,7 @@ def _solve(
     )
     solution = problem.solve()
     force_n, torque_n_m = _resultants(solution.fields[:3], (width_m, height_m))
-    depth = solution.depth_m + higher if is_force else target
+    depth = solution.depth_m + higher if is_force else number
     fields = solution.fields
     if block_px > 1:
         fields = steps.bring_up(fields, block_px)
@@ -306,18 +369,17 @@ def _checked_block(block_px: int, heights: Float64, pixel_m: tuple[float, float]
     return int(block)
 
 
-def _checked_target(depth_m: float | None, force_n: float | None) -> tuple[float, bool]:
-    """Return the depth or the force, and whether it is the force."""
-    _require((depth_m is None) != (force_n is None), "expected exactly one of depth_m and force_n")
-    if force_n is not None:
-        return _checked_number("force_n", force_n, _MIN_FORCE_N, _MAX_FORCE_N), True
-    return _checked_number("depth_m", depth_m, _MIN_DEPTH_M, _MAX_DEPTH_M), False
+def _checked_target(load: GelLoad) -> tuple[float, bool]:
+    """Return the force or the depth, and whether it is the force."""
+    if load.force_n is not None:
+        return _checked_number("force_n", load.force_n, _MIN_FORCE_N, _MAX_FORCE_N), True
+    return _checked_number("depth_m", load.depth_m, _MIN_DEPTH_M, _MAX_DEPTH_M), False
 
 
-def _checked_motion(slide_m: tuple[float, float], twist_rad: float) -> tuple[float, float, float]:
-    slide = checked_fields.to_builtin(slide_m, float)
-    _require(
-        isinstance(slide, tuple) and len(slide) == 2, f"slide_m is {slide_m!r}; expected two numbers, metres"
-    )
+def _checked_motion(load: GelLoad) -> tuple[float, float, float]:
+    """Return the slide along x and y, metres, and the twist, radians."""
+    slide = checked_fields.to_builtin(load.slide_m, float)
+    is_pair = isinstance(slide, tuple) and len(slide) == 2
+    _require(is_pair, f"slide_m is {load.slide_m!r}; expected two numbers, metres")
     along_x, along_y = (_checked_number("slide_m", part, -_MAX_SLIDE_M, _MAX_SLIDE_M) for part in slide)
-    return along_x, along_y, _checked_number("twist_rad", twist_rad, -_MAX_TWIST_RAD, _MAX_TWIST_RAD)
+    return along_x, along_y, _checked_number("twist_rad", load.twist_rad, -_MAX_TWIST_RAD, _MAX_TWIST_RAD)

@@ -145,11 +145,7 @@ class ContactProblem:
         control = np.array(steps.FIRST_CONTROL)
         for count in range(_MAX_STEPS + 1):
             self.depth_m, self.worst_m = steps.press_step(
-                self.p,
-                self.u,
-                below,
-                error,
-                step,
+                steps.PressFields(self.p, self.u, below, error, step),
                 self._shape[1],
                 self._layer.stencils[0],
                 control,
@@ -173,7 +169,7 @@ class ContactProblem:
         """Solve for the traction, and find how far it lifts the surface; return the number of steps."""
         spectra = self._layer.spectra
         bound = self.bound
-        wanted = self._motion - self.aside
+        motion = self._motion - self.aside
         # Pixels that slipped before start on the new limit.
         size = np.hypot(*self.q)
         off = (size > bound) | (self.slips & (size > 0.0))
@@ -192,14 +188,7 @@ class ContactProblem:
             )
             self.bend = self._displacement(bent)
             left = steps.shear_step(
-                self.q,
-                self.bend,
-                wanted,
-                bound,
-                self.slips,
-                damping,
-                error,
-                step,
+                steps.ShearFields(self.q, self.bend, motion, bound, self.slips, damping, error, step),
                 self._shape[1],
                 self._layer.stencils[1:],
                 self._layer.own_shear,

@@ -10,6 +10,7 @@ next value follows from the change of the error (Barzilai and Borwein, IMA Journ
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,6 +22,36 @@ FIRST_CONTROL = (0.3, 0.0, math.inf)
 
 _MIN_SHARE, _MAX_SHARE = 0.01, 10.0
 _STICKS = 1.0 - 1e-5  # share of the largest traction below which a pixel is not at its limit; float32
+
+
+class PressFields(NamedTuple):
+    """Fields of a press: pressure, the displacement by it, how far the body is below its highest point.
+
+    ``error`` and ``step`` are those of the last step.
+    """
+
+    p: Float32
+    u: Float32
+    below: Float32
+    error: Float32
+    step: Float32
+
+
+class ShearFields(NamedTuple):
+    """Fields of a shear, (2, n): traction, the displacement by it, and the one that it has to make.
+
+    ``bound`` (n,) is the greatest traction, which is reached where ``slips`` (n,); ``damping`` (n,) shortens
+    steps there. ``error`` and ``step``, (2, n), are those of the last step.
+    """
+
+    q: Float32
+    bend: Float32
+    motion: Float32
+    bound: Float32
+    slips: Bool
+    damping: Float32
+    error: Float32
+    step: Float32
 
 
 @part
@@ -60,11 +91,7 @@ def _mean_depth(p: Float32, u: Float32, below: Float32) -> float:
 
 @compiled
 def press_step(
-    p: Float32,
-    u: Float32,
-    below: Float32,
-    error: Float32,
-    step: Float32,
+    fields: PressFields,
     width: int,
     stencil: Float32,
     control: Float64,
@@ -72,12 +99,12 @@ def press_step(
     is_force: bool,
     tolerance: float,
 ) -> tuple[float, float]:
-    """Change the pressure ``p`` by a step, unless the error is within the tolerance, relative to the depth.
+    """Change the pressure by a step, unless the error is within the tolerance, relative to the depth.
 
-    ``target`` is the sum of the pressure if ``is_force``, else the depth; ``u`` is the displacement, and
-    ``below`` how far the body is below its highest point. Returns the depth and the greatest error, of gaps
-    in the contact and of overlaps beside it, both of the pressure before the step.
+    ``target`` is the sum of the pressure if ``is_force``, else the depth. Returns the depth and the greatest
+    error, of gaps in the contact and of overlaps beside it, both of the pressure before the step.
     """
+    p, u, below, error, step = fields
     depth = target
     if is_force:
         depth = _mean_depth(p, u, below)
@@ -119,25 +146,16 @@ def press_step(
 
 
 @part
-def _shear_errors(
-    q: Float32,
-    bend: Float32,
-    wanted: Float32,
-    bound: Float32,
-    slips: Bool,
-    damping: Float32,
-    error: Float32,
-    step: Float32,
-    own: float,
-) -> tuple[float, float]:
+def _shear_errors(fields: ShearFields, own: float) -> tuple[float, float]:
     """Write the errors of the displacement; return the relative one, and the product of step and errors."""
+    q, bend, motion, bound, slips, damping, error, step = fields
     left = 0.0
     largest = 0.0
     product = 0.0
     count = 0
     for at in range(len(bound)):
         if bound[at] > 0.0:
-            x, y = wanted[0, at] - bend[0, at], wanted[1, at] - bend[1, at]
+            x, y = motion[0, at] - bend[0, at], motion[1, at] - bend[1, at]
             q_x, q_y = q[0, at], q[1, at]
             size = np.float32(math.sqrt(q_x * q_x + q_y * q_y))
             outward = x * q_x + y * q_y
@@ -149,7 +167,7 @@ def _shear_errors(
                 y -= outward * q_y / size
                 damping[at] = math.sqrt(own / (own + outward / bound[at]))
             left += x * x + y * y
-            largest = max(largest, wanted[0, at] ** 2 + wanted[1, at] ** 2)
+            largest = max(largest, motion[0, at] ** 2 + motion[1, at] ** 2)
             count += 1
             product += step[0, at] * x + step[1, at] * y
             error[0, at] = damping[at] * x
@@ -160,30 +178,24 @@ def _shear_errors(
 
 @compiled
 def shear_step(
-    q: Float32,
-    bend: Float32,
-    wanted: Float32,
-    bound: Float32,
-    slips: Bool,
-    damping: Float32,
-    error: Float32,
-    step: Float32,
+    fields: ShearFields,
     width: int,
     stencils: Float32,
     own: float,
     control: Float64,
     tolerance: float,
 ) -> float:
-    """Change the traction ``q`` by a step, unless the error is within the tolerance; return the error.
+    """Change the traction by a step, unless the error is within the tolerance; return the error.
 
-    Errors are root mean squares over the contact, relative to the largest wanted displacement. A pixel at
-    its limit ``bound`` that would slide further (``slips``) can only move along the circle |q| = bound, which
-    is curved: multiplier / bound is added to the stiffness (Nocedal and Wright, Numerical Optimization, 2006,
-    section 12.5). ``bend`` is the displacement, ``own`` that of a pixel by its own traction.
+    Errors are root mean squares over the contact, relative to the largest displacement to be made. A pixel
+    at its bound that would slide further can only move along the circle |q| = bound, which is curved:
+    multiplier / bound is added to the stiffness (Nocedal and Wright, Numerical Optimization, 2006, section
+    12.5). ``own`` is the displacement of a pixel by its own traction.
     """
-    relative, product = _shear_errors(q, bend, wanted, bound, slips, damping, error, step, own)
+    relative, product = _shear_errors(fields, own)
     if relative <= tolerance:
         return relative
+    q, _, _, bound, slips, damping, error, step = fields
     share = np.float32(_next_share(control, product, relative))
     product = 0.0
     for at in range(len(bound)):

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import NamedTuple
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tactile_sim.elastic.contact import ElasticContact, Gel, solve_contact
+from tactile_sim.elastic.contact import ElasticContact, Gel, GelLoad, require_solved, solve_unjudged
 from tactile_sim.press.press_spec import MAX_FORCE_N, MAX_SLIDE_M, MAX_TWIST_RAD
 from tactile_sim.press.sensors import Sensor, full_view
 from tactile_sim.value_files import read_values
@@ -88,6 +87,42 @@ class WholeGel:
         across, along = self.beside_px
         return slice(along, height - along), slice(across, width - across)
 
+    def press(self, heights_m: Float64, load: GelLoad, out: Float64) -> ElasticContact:
+        """Solve a touch of the whole gel, heights in metres; return the contact with maps of the window.
+
+        ``out`` (H, W) gets the distance of its surface from the sensor, metres.
+        """
+        from tactile_sim.press.press_kernels import show_surface  # numba takes half a second to import
+
+        sensor, (rows, columns) = self.sensor, self.window()
+        if heights_m.min() < heights_m.max():
+            contact = self.contact(heights_m, load)
+        else:
+            contact = _plate_contact(load, self)
+        corner = (rows.start, columns.start)
+        inward_m = contact.displacement_m[..., 2]
+        motion_m = _visible_motion(contact, load, sensor)
+        show_surface(out, corner, inward_m, motion_m, sensor.pixel_m, sensor.gel_m)
+        maps = {name: getattr(contact, name)[rows, columns].copy() for name in _MAPS}
+        return replace(contact, **maps, torque_n_m=_about_axis(contact, sensor))
+
+    def contact(self, heights_m: Float64, load: GelLoad) -> ElasticContact:
+        """Press the whole gel to the depth, or to the force, but no deeper than linear theory goes.
+
+        InputError if no solution was found.
+        """
+        sensor = self.sensor
+        under = replace(load, slide_m=_motion_under(load, sensor)[:2])
+        solve = partial(
+            solve_unjudged, heights_m, sensor.pixel_m, thickness_m=sensor.gel_m, block_px=self.block_px
+        )
+        contact = solve(under)
+        most_m = MAX_SHARE * sensor.gel_m
+        if load.depth_m is None and not contact.depth_m <= most_m:
+            contact = solve(replace(under, force_n=None, depth_m=most_m))
+        require_solved(contact, sensor.gel_m)
+        return contact
+
 
 def _filled(size_px: int, least: int, block_px: int) -> int | None:
     """Return the margin of each side, at least ``least`` pixels, that fills whole blocks; or None."""
@@ -99,94 +134,47 @@ def read_gel(path: str) -> Gel:
     return read_values(path, Gel, "the gel")
 
 
-class Load(NamedTuple):
-    """Load of an elastic gel in a touch: a force or a depth, and the motion that follows."""
+def _visible_motion(contact: ElasticContact, load: GelLoad, sensor: Sensor) -> Float64:
+    """Return the motion along x and y of the visible surface, metres, (H, W, 2).
 
-    gel: Gel
-    force_n: float | None
-    depth_m: float | None
-    slide_m: tuple[float, float] = (0.0, 0.0)
-    twist_rad: float = 0.0
+    In the contact, the shape of the body is visible and moves, even where it slips over the gel; far from
+    it, the gel itself; in between, the motion is interpolated.
+    """
+    from scipy.ndimage import distance_transform_edt  # takes a tenth of a second to import
 
-    def press(self, heights_m: Float64, whole: WholeGel, out: Float64) -> ElasticContact:
-        """Solve a touch of the whole gel, heights in metres; return the contact with maps of the window.
+    rows, columns = contact.is_contact.shape
+    width_m, height_m = sensor.pixel_m
+    x_m = (np.arange(columns) - (columns - 1) / 2) * width_m
+    y_m = ((rows - 1) / 2 - np.arange(rows)) * height_m
+    slide_x_m, slide_y_m, twist_rad = _motion_under(load, sensor)
+    body_m = np.empty((rows, columns, 2))
+    body_m[..., 0] = slide_x_m - twist_rad * y_m[:, None]
+    body_m[..., 1] = slide_y_m + twist_rad * x_m
+    gel_m = contact.displacement_m[..., :2]
+    # Beside the contact, the slip of its nearest point, decreasing with the distance.
+    away_m, nearest = distance_transform_edt(
+        ~contact.is_contact, sampling=(height_m, width_m), return_indices=True
+    )
+    share = np.square(np.maximum(1.0 - away_m / _SLIP_REACH_M, 0.0))
+    moved: Float64 = gel_m + share[..., None] * (body_m - gel_m)[tuple(nearest)]
+    return moved
 
-        ``out`` (H, W) gets the distance of its surface from the sensor, metres.
-        """
-        from tactile_sim.press.press_kernels import show_surface  # numba takes half a second to import
 
-        sensor, (rows, columns) = whole.sensor, whole.window()
-        if heights_m.min() < heights_m.max():
-            contact = self.contact(heights_m, whole)
-        else:
-            contact = _plate_contact(self, whole)
-        corner = (rows.start, columns.start)
-        inward_m = contact.displacement_m[..., 2]
-        motion_m = self._visible_motion(contact, sensor)
-        show_surface(out, corner, inward_m, motion_m, sensor.pixel_m, sensor.gel_m)
-        maps = {name: getattr(contact, name)[rows, columns].copy() for name in _MAPS}
-        return replace(contact, **maps, torque_n_m=_about_axis(contact, sensor))
-
-    def contact(self, heights_m: Float64, whole: WholeGel) -> ElasticContact:
-        """Press the whole gel to the depth, or to the force, but no deeper than linear theory goes."""
-        contact = self._solved(heights_m, whole)
-        most_m = MAX_SHARE * whole.sensor.gel_m
-        if self.depth_m is None and contact.depth_m > most_m:
-            return self._replace(force_n=None, depth_m=most_m)._solved(heights_m, whole)
-        return contact
-
-    def _solved(self, heights_m: Float64, whole: WholeGel) -> ElasticContact:
-        return solve_contact(
-            heights_m,
-            whole.sensor.pixel_m,
-            self.gel,
-            thickness_m=whole.sensor.gel_m,
-            depth_m=self.depth_m,
-            force_n=self.force_n,
-            slide_m=self._slide_under(whole.sensor),
-            twist_rad=self.twist_rad,
-            block_px=whole.block_px,
-        )
-
-    def _visible_motion(self, contact: ElasticContact, sensor: Sensor) -> Float64:
-        """Return the motion along x and y of the visible surface, metres, (H, W, 2).
-
-        In the contact, the shape of the body is visible and moves, even where it slips over the gel; far from
-        it, the gel itself; in between, the motion is interpolated.
-        """
-        from scipy.ndimage import distance_transform_edt  # takes a tenth of a second to import
-
-        rows, columns = contact.is_contact.shape
-        width_m, height_m = sensor.pixel_m
-        x_m = (np.arange(columns) - (columns - 1) / 2) * width_m
-        y_m = ((rows - 1) / 2 - np.arange(rows)) * height_m
-        slide_x_m, slide_y_m = self._slide_under(sensor)
-        body_m = np.empty((rows, columns, 2))
-        body_m[..., 0] = slide_x_m - self.twist_rad * y_m[:, None]
-        body_m[..., 1] = slide_y_m + self.twist_rad * x_m
-        gel_m = contact.displacement_m[..., :2]
-        # Beside the contact, the slip of its nearest point, decreasing with the distance.
-        away_m, nearest = distance_transform_edt(
-            ~contact.is_contact, sampling=(height_m, width_m), return_indices=True
-        )
-        share = np.square(np.maximum(1.0 - away_m / _SLIP_REACH_M, 0.0))
-        moved: Float64 = gel_m + share[..., None] * (body_m - gel_m)[tuple(nearest)]
-        return moved
-
-    def _slide_under(self, sensor: Sensor) -> tuple[float, float]:
-        """Return the slide under the middle of the map, where a turn about the sensor's axis adds to it."""
-        (x_m, y_m), (off_x_m, off_y_m) = self.slide_m, _off_axis_m(sensor)
-        return x_m - self.twist_rad * off_y_m, y_m + self.twist_rad * off_x_m
+def _motion_under(load: GelLoad, sensor: Sensor) -> tuple[float, float, float]:
+    """Return the slide under the middle of the map, to which the turn about the axis adds, and the turn."""
+    x_m, y_m, twist_rad = np.append(load.slide_m, load.twist_rad).tolist()
+    off_x_m, off_y_m = _off_axis_m(sensor)
+    return x_m - twist_rad * off_y_m, y_m + twist_rad * off_x_m, twist_rad
 
 
 # With a single force, most touches of a set or environment meet only the plate, and share this contact.
 @lru_cache(maxsize=4)
-def _plate_contact(load: Load, whole: WholeGel) -> ElasticContact:
-    return load.contact(np.zeros(whole.sensor.size_px[::-1]), whole)
+def _plate_contact(load: GelLoad, whole: WholeGel) -> ElasticContact:
+    return whole.contact(np.zeros(whole.sensor.size_px[::-1]), load)
 
 
 @lru_cache(maxsize=64)
-def plate_z_m(sensor: Sensor, load: Load) -> float:
+def plate_z_m(sensor: Sensor, load: GelLoad) -> float:
     """Return the height at which a sensor stops on the bare plate, metres."""
     return sensor.gel_m - _plate_contact(load, WholeGel.of(sensor)).depth_m
 
@@ -203,40 +191,16 @@ def _about_axis(contact: ElasticContact, sensor: Sensor) -> tuple[float, float, 
     return x + off_y_m * force_z, y - off_x_m * force_z, z + off_x_m * force_y - off_y_m * force_x
 
 
-def loads_of(
-    gel: Gel | None,
-    count: int,
-    sensor: Sensor,
-    force_n: ArrayLike | None,
-    depth_m: ArrayLike | None,
-    slide_m: ArrayLike,
-    twist_rad: ArrayLike,
-) -> list[Load] | None:
-    """Return the loads of ``count`` touches, None without an elastic gel; see :func:`render_touch`.
+def loads_of(load: GelLoad, count: int, sensor: Sensor) -> list[GelLoad]:
+    """Return the loads of ``count`` touches, of one with numbers for each or for all.
 
-    InputError for numbers out of range, and unless an elastic gel has one of force and depth.
+    InputError for numbers out of range.
     """
-    stops = {name: value for name, value in (("force_n", force_n), ("depth_m", depth_m)) if value is not None}
-    if gel is None:
-        motions = {"slide_m": slide_m, "twist_rad": twist_rad}
-        superfluous = [*stops, *(name for name, value in motions.items() if np.any(value))]
-        if superfluous:
-            raise InputError(
-                f"{superfluous[0]} is given, but no elastic gel",
-                next="give gel=tactile_sim.Gel() too, or leave it out",
-            )
-        return None
-    slides = _numbers("slide_m", slide_m, (count, 2))
-    twists = _numbers("twist_rad", twist_rad, (count,))
-    if len(stops) != 1:
-        raise InputError(
-            f"an elastic gel is pressed with {' and '.join(stops) or 'neither'}; expected one of force_n and "
-            "depth_m",
-            next="give force_n=5.0, for example",
-        )
-    ((name, value),) = stops.items()
+    name = "depth_m" if load.force_n is None else "force_n"
     most = {"force_n": MAX_FORCE_N, "depth_m": sensor.gel_m}[name]
-    numbers = _numbers(name, value, (count,))
+    numbers = _numbers(name, getattr(load, name), (count,))
+    slides = _numbers("slide_m", load.slide_m, (count, 2))
+    twists = _numbers("twist_rad", load.twist_rad, (count,))
     _require(name, (numbers > 0) & (numbers < most), numbers, f"above 0 and below {most:g}")
     _require("slide_m", np.abs(slides) <= MAX_SLIDE_M, slides, f"at most {MAX_SLIDE_M:g} along x and y")
     _require(
@@ -245,9 +209,8 @@ def loads_of(
         twists,
         f"at most {MAX_TWIST_RAD:.4g} in either direction",
     )
-    still = Load(gel, None, None)
     return [
-        still._replace(**{name: number}, slide_m=(x, y), twist_rad=twist)
+        replace(load, **{name: number}, slide_m=(x, y), twist_rad=twist)
         for number, (x, y), twist in zip(numbers.tolist(), slides.tolist(), twists.tolist(), strict=True)
     ]
 
@@ -306,7 +269,7 @@ def fit_youngs_modulus(
         )
     sensor = sensor or full_view()
     gel = Gel(_REFERENCE_PA, poisson_ratio, friction)
-    deep_m = sensor.gel_m - plate_z_m(sensor, Load(gel, _REFERENCE_N, None))
+    deep_m = sensor.gel_m - plate_z_m(sensor, GelLoad(_REFERENCE_N, gel=gel))
     return _REFERENCE_PA * slope * deep_m / _REFERENCE_N
 
 

@@ -10,7 +10,7 @@ from typing import Protocol, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tactile_sim.elastic.contact import ElasticContact, Gel
+from tactile_sim.elastic.contact import ElasticContact, GelLoad
 from tactile_sim.press import elastic_press
 from tactile_sim.press.pressable import Pressable
 from tactile_sim.press.sensors import Sensor, SensorModel, full_view
@@ -150,7 +150,7 @@ class Pressed:
         if len(self.contacts) != 1:
             raise InputError(
                 f"there are {len(self.contacts)} contacts; expected one, of one touch of an elastic gel",
-                next="press with gel=tactile_sim.Gel() and force_n=5.0, or use the items of `contacts`",
+                next="press with load=tactile_sim.GelLoad(force_n=5.0), or use the items of `contacts`",
             )
         return self.contacts[0]
 
@@ -162,15 +162,11 @@ def render_touch(
     sensor: Sensor | SensorModel | None = None,
     *,
     cell_m: tuple[float, float] = CELL_M,
-    gel: Gel | None = None,
-    force_n: ArrayLike | None = None,
-    depth_m: ArrayLike | None = None,
-    slide_m: ArrayLike = (0.0, 0.0),
-    twist_rad: ArrayLike = 0.0,
+    load: GelLoad | None = None,
 ) -> Pressed:
     """Press the gel onto a solid that lies on the plate.
 
-    The sensor comes down along its own axis. Without ``gel``, it stops where the highest point under its
+    The sensor comes down along its own axis. Without ``load``, it stops where the highest point under its
     pixels is ``press_m`` of the sensor away from it, as in the published environments, and the depth
     map is the solid, cut off at the surface of the gel; there is no force. An elastic gel deforms: the
     contact is solved for the whole gel, the sensor stops at a force or a depth, and the depth map is the
@@ -186,28 +182,26 @@ def render_touch(
         The sensor; 320 x 240 pixels of its whole surface by default.
     cell_m : tuple of float
         Width and depth of the plate, metres.
-    gel : Gel, optional
-        Elastic properties of the gel. The parameters below are for an elastic gel only.
-    force_n, depth_m : float or array_like, shape (n,), optional
-        Normal force at which the sensor stops, newtons; it presses at most to half the thickness of the gel,
-        the limit of linear theory. Or how far the highest point under the whole gel is pressed in, metres.
-    slide_m : array_like, shape (2,) or (n, 2)
-        How far the solid then slides along x and y of the gel's frame, metres.
-    twist_rad : float or array_like, shape (n,)
-        How far it then turns about the sensor's axis, radians, counter-clockwise with x right and y up.
+    load : GelLoad, optional
+        An elastic gel, the force (below 1000 N) or depth of the press, and the motion of the solid that
+        follows (at most 1 mm along x and y of the gel's frame, and 10 degrees about the sensor's axis); one
+        for all touches, or with numbers for each. To a force, the sensor presses at most to half the
+        thickness of the gel, the limit of linear theory.
 
     Raises
     ------
     InputError
-        A mesh is not closed, a pose is not rigid, or a sensor is off the cell or points away from it; an
-        elastic gel has not one of force and depth, or a rigid one has.
+        A mesh is not closed, a pose is not rigid, or a sensor is off the cell or points away from it; a
+        load is out of range, or its contact cannot be solved.
     """
     sensor = sensor or full_view()
     if isinstance(sensor, SensorModel):
         sensor = sensor.sensor
     setup = _Setup.of(solid, object_pose, sensor_pose, cell_m)
-    loads = elastic_press.loads_of(gel, setup.count, sensor, force_n, depth_m, slide_m, twist_rad)
-    made = _press_rigid(setup, sensor) if loads is None else _press_elastic(setup, loads, sensor)
+    if load is None:
+        made = _press_rigid(setup, sensor)
+    else:
+        made = _press_elastic(setup, elastic_press.loads_of(load, setup.count, sensor), sensor)
     sensor_z_m = setup.targets[:, 2, 3] + setup.targets[:, 2, 2] * made.sensor_z_m
     if setup.is_single:
         return Pressed(made.depth_m[0], made.image[0], float(sensor_z_m[0]), made.contacts)
@@ -257,7 +251,7 @@ def _press_rigid(setup: _Setup, sensor: Sensor) -> Pressed:
     return Pressed(depths_m, image, highest_m + sensor.press_m)
 
 
-def _press_elastic(setup: _Setup, loads: Sequence[elastic_press.Load], sensor: Sensor) -> Pressed:
+def _press_elastic(setup: _Setup, loads: Sequence[GelLoad], sensor: Sensor) -> Pressed:
     """Press an elastic gel. Heights are relative to the targets."""
     whole = elastic_press.WholeGel.of(sensor)
     scene = _Scene.of(setup, whole.sensor)
@@ -267,7 +261,7 @@ def _press_elastic(setup: _Setup, loads: Sequence[elastic_press.Load], sensor: S
     for touch, load in enumerate(loads):
         heights_m = np.empty(whole.sensor.size_px[::-1])
         scene.raise_heights(touch, heights_m)
-        contacts.append(load.press(heights_m, whole, depths_m[touch]))
+        contacts.append(whole.press(heights_m, load, depths_m[touch]))
         stops_m[touch] = heights_m.max() + sensor.gel_m - contacts[-1].depth_m
     return Pressed(depths_m, sensor.depth_image(depths_m), stops_m, tuple(contacts))
 

@@ -8,12 +8,14 @@ from functools import lru_cache, partial
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import ArrayLike
 from PIL import Image
 
+from tactile_sim.elastic.contact import GelLoad
 from tactile_sim.optics.rendering import Optics, make_optics
 from tactile_sim.optics.sensor_noise import add_noise
 from tactile_sim.press import sensors
-from tactile_sim.press.elastic_press import Load, draw_markers, marker_grid_px, marker_positions_px, plate_z_m
+from tactile_sim.press.elastic_press import draw_markers, marker_grid_px, marker_positions_px, plate_z_m
 from tactile_sim.press.press_spec import ElasticPress, Span
 from tactile_sim.press.pressable import Pressable
 from tactile_sim.press.pressing import Pressed, pose, render_touch
@@ -77,20 +79,10 @@ def press_round(
             further["plate_z_m"] = shown.press_m
         pressed = render_touch(solid, poses, targets, shown)
     else:
-        loads = DrawnLoads.of(press, len(targets), spec.plan.seed, *key)
-        pressed = render_touch(
-            solid,
-            poses,
-            targets,
-            shown,
-            gel=press.gel,
-            force_n=loads.force_n,
-            depth_m=loads.depth_m,
-            slide_m=loads.slide_m,
-            twist_rad=loads.twist_rad,
-        )
+        load = drawn_load(press, len(targets), spec.plan.seed, *key)
+        pressed = render_touch(solid, poses, targets, shown, load=load)
         further["plate_z_m"] = bare_plate_z_m(press, shown)
-        further |= elastic_values(press, pressed, loads, shown, spec.size_px)
+        further |= elastic_values(press, pressed, load, shown, spec.size_px)
     images = optics.render(pressed.depth_m, shown, spec.size_px, is_surface=press is not None)
     if press is not None and press.markers is not None and press.draw_markers:
         positions_px = markers_px(press.markers, pressed, shown, spec.size_px)
@@ -208,27 +200,19 @@ def _bounds_m(solid: Pressable, stands: Float64) -> Float64:
     return np.array([corners_m.min(axis=0), corners_m.max(axis=0)])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DrawnLoads:
-    """Random loads of T touches: forces, newtons, or depths, metres, (T,), slides (T, 2), metres, twists."""
-
-    force_n: Float64 | None
-    depth_m: Float64 | None
-    slide_m: Float64
-    twist_rad: Float64
-
-    @classmethod
-    def of(cls, press: ElasticPress, touches: int, *key: str | int) -> DrawnLoads:
-        """Draw the loads of a round, which depend only on its key."""
-        shares = keyed_rng(*key, "press").random((touches, 4))
-        far_m = _within(press.slide_m or _NONE, shares[:, 1])
-        towards = np.array([arithmetic.cosine_sine(2 * np.pi * share) for share in shares[:, 2].tolist()])
-        return cls(
-            press.force_n and _within(press.force_n, shares[:, 0]),
-            press.press_m and _within(press.press_m, shares[:, 0]),
-            far_m[:, None] * towards.reshape(-1, 2) + 0.0,  # not -0.0
-            _within(press.twist_rad or _NONE, shares[:, 3]),
-        )
+def drawn_load(press: ElasticPress, touches: int, *key: str | int) -> GelLoad:
+    """Draw the loads of T touches of a round, which depend only on its key."""
+    assert press.gel is not None
+    shares = keyed_rng(*key, "press").random((touches, 4))
+    far_m = _within(press.slide_m or _NONE, shares[:, 1])
+    towards = np.array([arithmetic.cosine_sine(2 * np.pi * share) for share in shares[:, 2].tolist()])
+    return GelLoad(
+        press.force_n and _within(press.force_n, shares[:, 0]),
+        press.press_m and _within(press.press_m, shares[:, 0]),
+        far_m[:, None] * towards.reshape(-1, 2) + 0.0,  # not -0.0
+        _within(press.twist_rad or _NONE, shares[:, 3]),
+        press.gel,
+    )
 
 
 def _within(span: Span, shares: Float64) -> Float64:
@@ -239,7 +223,7 @@ def bare_plate_z_m(press: ElasticPress, sensor: sensors.Sensor) -> float:
     """Return the greatest height at which the sensor stops on the bare plate, metres."""
     assert press.gel is not None
     force_n, depth_m = (span and span[0] for span in (press.force_n, press.press_m))
-    return plate_z_m(sensor, Load(press.gel, force_n, depth_m)) + _PLATE_MARGIN_M
+    return plate_z_m(sensor, GelLoad(force_n, depth_m, gel=press.gel)) + _PLATE_MARGIN_M
 
 
 def elastic_types(press: ElasticPress, size_px: tuple[int, int]) -> Mapping[str, pa.DataType]:
@@ -266,7 +250,7 @@ def elastic_types(press: ElasticPress, size_px: tuple[int, int]) -> Mapping[str,
 
 
 def elastic_values(
-    press: ElasticPress, pressed: Pressed, loads: DrawnLoads, sensor: sensors.Sensor, size_px: tuple[int, int]
+    press: ElasticPress, pressed: Pressed, load: GelLoad, sensor: sensors.Sensor, size_px: tuple[int, int]
 ) -> dict[str, AnyArray]:
     """Return the attributes of a row of touches of an elastic gel."""
     contacts = pressed.contacts
@@ -274,15 +258,15 @@ def elastic_values(
     torque_n_m = np.array([contact.torque_n_m for contact in contacts])
     # Where the force of the press acts, from its moments about x and y.
     point_m = np.column_stack([-torque_n_m[:, 1], torque_n_m[:, 0]]) / force_n[:, 2:]
-    values: dict[str, AnyArray] = {
+    numbers: dict[str, ArrayLike] = {
         "force_n": force_n,
         "torque_n_m": torque_n_m,
         "press_depth_m": np.array([contact.depth_m for contact in contacts]),
         "contact_point_m": point_m,
-        "slide_m": loads.slide_m,
-        "twist_rad": loads.twist_rad,
+        "slide_m": load.slide_m,
+        "twist_rad": load.twist_rad,
     }
-    values = {name: value.astype(np.float32) for name, value in values.items()}
+    values: dict[str, AnyArray] = {name: np.asarray(number, np.float32) for name, number in numbers.items()}
     if press.markers is not None:
         positions_px = markers_px(press.markers, pressed, sensor, size_px)
         flow_px = positions_px - marker_grid_px(press.markers, size_px)

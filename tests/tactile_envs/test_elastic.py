@@ -44,9 +44,7 @@ def test_forces_and_images_are_those_of_render_touch(force, depth_m, assets):
             lies,
             tactile_sim.pose(),
             tactile_sim.center_view(32, 32),
-            gel=tactile_sim.Gel(),
-            force_n=force,
-            depth_m=depth_m,
+            load=tactile_sim.GelLoad(force_n=force, depth_m=depth_m),
         )
         assert observation["force"][row] == pytest.approx(pressed.contact.force_n, abs=0.02)
         assert np.median(np.abs(info["depth"][row] - pressed.depth_m)) < 2e-6

@@ -43,7 +43,9 @@ def punch_on_layer(ratio, poisson_ratio, count, room=1.06):
     pixel_m = 2 * room * ratio * LAYER_M / count
     heights = punch(count, pixel_m, ratio * LAYER_M)
     gel = tactile_sim.Gel(E_PA, poisson_ratio, 0.0)
-    return tactile_sim.solve_contact(heights, pixel_m, gel, thickness_m=LAYER_M, depth_m=1e-5).force_n[2]
+    return tactile_sim.solve_contact(
+        heights, pixel_m, tactile_sim.GelLoad(depth_m=1e-5, gel=gel), thickness_m=LAYER_M
+    ).force_n[2]
 
 
 def bumps(seed, shape=(40, 52)):

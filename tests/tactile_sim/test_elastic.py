@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 import tactile_sim
+from tactile_sim import GelLoad
 from tactile_sim.elastic import layer
 from tactile_toolkit.errors import InputError
 from tests.tactile_sim import elastic_formulas as formulas
@@ -41,7 +42,9 @@ def test_sphere_on_a_half_space(count):
     x, y = grid(count, pixel_m)
     far_m = np.hypot(x, y)
     heights = sphere(count, pixel_m, radius_m)
-    contact = tactile_sim.solve_contact(heights, pixel_m, FREE, thickness_m=math.inf, depth_m=depth_m)
+    contact = tactile_sim.solve_contact(
+        heights, pixel_m, GelLoad(depth_m=depth_m, gel=FREE), thickness_m=math.inf
+    )
     force_n, contact_m, peak_pa = formulas.hertz(contact.depth_m - heights.max(), radius_m, REDUCED_PA)
     assert contact.force_n[2] == pytest.approx(force_n, rel=1e-3)
     assert area_radius_m(contact.is_contact, pixel_m) == pytest.approx(contact_m, rel=0.01)
@@ -58,11 +61,14 @@ def test_cone_and_punch_on_a_half_space(count):
     x, y = grid(count, pixel_m)
     heights = -slope * np.hypot(x, y)
     contact = tactile_sim.solve_contact(
-        heights, pixel_m, FREE, thickness_m=math.inf, depth_m=depth_m + heights.max()
+        heights, pixel_m, GelLoad(depth_m=depth_m + heights.max(), gel=FREE), thickness_m=math.inf
     )
     assert contact.force_n[2] == pytest.approx(formulas.cone_force(depth_m, slope, REDUCED_PA), rel=0.005)
     flat = tactile_sim.solve_contact(
-        punch(count, pixel_m, 0.004), pixel_m, FREE, thickness_m=math.inf, depth_m=depth_m
+        punch(count, pixel_m, 0.004),
+        pixel_m,
+        GelLoad(depth_m=depth_m, gel=FREE),
+        thickness_m=math.inf,
     )
     assert flat.force_n[2] == pytest.approx(formulas.punch_force(depth_m, 0.004, REDUCED_PA), rel=0.01)
 
@@ -72,7 +78,9 @@ def test_long_cylinder():
     rows, columns, pixel_m, radius_m = 512, 64, 5e-5, 0.02
     x = (np.arange(columns) - (columns - 1) / 2) * pixel_m
     heights = np.broadcast_to(-(x**2) / (2 * radius_m), (rows, columns))
-    contact = tactile_sim.solve_contact(heights, pixel_m, FREE, thickness_m=math.inf, depth_m=1e-4)
+    contact = tactile_sim.solve_contact(
+        heights, pixel_m, GelLoad(depth_m=1e-4, gel=FREE), thickness_m=math.inf
+    )
     middle = contact.pressure_pa[rows // 2 - 8 : rows // 2 + 8].mean(0)
     peak_pa = formulas.line_peak(middle.sum() * pixel_m, radius_m, REDUCED_PA)
     assert middle.max() == pytest.approx(peak_pa, rel=0.005)
@@ -171,10 +179,8 @@ def test_slide_of_a_sphere(share):
     contact = tactile_sim.solve_contact(
         sphere(count, pixel_m, radius_m),
         pixel_m,
-        gel,
+        GelLoad(force_n=force_n, slide_m=(slide_m, 0), gel=gel),
         thickness_m=math.inf,
-        force_n=force_n,
-        slide_m=(slide_m, 0),
     )
     assert contact.force_n[0] == pytest.approx(share * 0.4 * force_n, rel=0.01)
     assert contact.force_n[1] == pytest.approx(0.0, abs=1e-4)
@@ -191,7 +197,10 @@ def test_twist_of_a_sphere(inner):
     pixel_m = 2.4 * contact_m / count
     twist, torque_n_m = formulas.lubkin(inner, 0.4, force_n, contact_m, gel.shear_modulus_pa)
     contact = tactile_sim.solve_contact(
-        sphere(count, pixel_m, radius_m), pixel_m, gel, thickness_m=math.inf, force_n=force_n, twist_rad=twist
+        sphere(count, pixel_m, radius_m),
+        pixel_m,
+        GelLoad(force_n=force_n, twist_rad=twist, gel=gel),
+        thickness_m=math.inf,
     )
     assert contact.torque_n_m[2] == pytest.approx(torque_n_m, rel=0.01)
     if inner >= 0.5:
@@ -200,6 +209,7 @@ def test_twist_of_a_sphere(inner):
         assert torque_n_m == pytest.approx(3 * math.pi * 0.4 * force_n * contact_m / 16, rel=0.01)
 
 
+STICKY = tactile_sim.Gel(poisson_ratio=0.0, friction=1000.0)
 MOTIONS = st.tuples(st.floats(-5e-4, 5e-4), st.floats(-5e-4, 5e-4), st.floats(-0.1, 0.1))
 
 
@@ -208,7 +218,10 @@ MOTIONS = st.tuples(st.floats(-5e-4, 5e-4), st.floats(-5e-4, 5e-4), st.floats(-0
 def test_each_contact_obeys_the_laws(seed, force_n, friction, motion):
     heights, gel = bumps(seed), tactile_sim.Gel(friction=friction)
     contact = tactile_sim.solve_contact(
-        heights, PIXEL_M, gel, thickness_m=LAYER_M, force_n=force_n, slide_m=motion[:2], twist_rad=motion[2]
+        heights,
+        PIXEL_M,
+        GelLoad(force_n=force_n, slide_m=motion[:2], twist_rad=motion[2], gel=gel),
+        thickness_m=LAYER_M,
     )
     pressure, traction, moved = contact.pressure_pa, contact.traction_pa, contact.displacement_m
     gap_m = moved[..., 2] - (contact.depth_m - (heights.max() - heights))
@@ -244,12 +257,15 @@ def test_each_contact_obeys_the_laws(seed, force_n, friction, motion):
 def test_mirror_images_have_mirrored_results(seed, motion):
     heights, gel = bumps(seed), tactile_sim.Gel()
     (slide_x, slide_y, twist) = motion
-    how = {"thickness_m": LAYER_M, "force_n": 3.0}
+    how = {"thickness_m": LAYER_M}
     given_one = tactile_sim.solve_contact(
-        heights, PIXEL_M, gel, slide_m=(slide_x, slide_y), twist_rad=twist, **how
+        heights, PIXEL_M, GelLoad(3.0, slide_m=(slide_x, slide_y), twist_rad=twist, gel=gel), **how
     )
     mirrored = tactile_sim.solve_contact(
-        heights[:, ::-1], PIXEL_M, gel, slide_m=(-slide_x, slide_y), twist_rad=-twist, **how
+        heights[:, ::-1],
+        PIXEL_M,
+        GelLoad(3.0, slide_m=(-slide_x, slide_y), twist_rad=-twist, gel=gel),
+        **how,
     )
     assert mirrored.depth_m == pytest.approx(given_one.depth_m, rel=1e-4)
     np.testing.assert_allclose(
@@ -258,7 +274,10 @@ def test_mirror_images_have_mirrored_results(seed, motion):
     np.testing.assert_allclose(np.multiply(mirrored.torque_n_m, [1, -1, -1]), given_one.torque_n_m, atol=3e-4)
     # Rows and columns change places, and so do x and y; turns change their sense.
     turned = tactile_sim.solve_contact(
-        heights[::-1, ::-1].T, PIXEL_M[::-1], gel, slide_m=(slide_y, slide_x), twist_rad=-twist, **how
+        heights[::-1, ::-1].T,
+        PIXEL_M[::-1],
+        GelLoad(3.0, slide_m=(slide_y, slide_x), twist_rad=-twist, gel=gel),
+        **how,
     )
     np.testing.assert_allclose(
         turned.displacement_m[..., [1, 0, 2]].transpose(1, 0, 2)[::-1, ::-1],
@@ -270,13 +289,17 @@ def test_mirror_images_have_mirrored_results(seed, motion):
 def test_depth_and_force_lead_to_the_same_contact():
     for friction in (0.0, 0.5):
         gel = tactile_sim.Gel(friction=friction)
-        pressed = tactile_sim.solve_contact(bumps(3), PIXEL_M, gel, thickness_m=LAYER_M, force_n=4.0)
+        pressed = tactile_sim.solve_contact(
+            bumps(3), PIXEL_M, GelLoad(force_n=4.0, gel=gel), thickness_m=LAYER_M
+        )
         again = tactile_sim.solve_contact(
-            bumps(3), PIXEL_M, gel, thickness_m=LAYER_M, depth_m=pressed.depth_m
+            bumps(3), PIXEL_M, GelLoad(depth_m=pressed.depth_m, gel=gel), thickness_m=LAYER_M
         )
         assert again.depth_m == pytest.approx(pressed.depth_m, rel=1e-12)
         assert again.force_n[2] == pytest.approx(4.0, rel=2e-3)
-        deeper = tactile_sim.solve_contact(bumps(3) + 1.0, PIXEL_M, gel, thickness_m=LAYER_M, force_n=8.0)
+        deeper = tactile_sim.solve_contact(
+            bumps(3) + 1.0, PIXEL_M, GelLoad(force_n=8.0, gel=gel), thickness_m=LAYER_M
+        )
         assert deeper.depth_m > pressed.depth_m
         assert deeper.is_contact.sum() > pressed.is_contact.sum()
 
@@ -285,7 +308,9 @@ def test_finer_grids_converge_and_half_a_pixel_changes_little():
     def depth_m(count, shift=0.0):
         x, y = grid(count, 0.012 / count)
         heights = -((x - shift) ** 2 + (y + shift) ** 2) / 0.02
-        contact = tactile_sim.solve_contact(heights, 0.012 / count, FREE, thickness_m=LAYER_M, force_n=1.0)
+        contact = tactile_sim.solve_contact(
+            heights, 0.012 / count, GelLoad(force_n=1.0, gel=FREE), thickness_m=LAYER_M
+        )
         return contact.depth_m - heights.max()
 
     coarse, middle, fine = map(depth_m, (64, 128, 256))
@@ -297,7 +322,7 @@ def test_finer_grids_converge_and_half_a_pixel_changes_little():
 def test_results_depend_on_the_arguments_alone():
     def result(seed):
         contact = tactile_sim.solve_contact(
-            bumps(seed), PIXEL_M, tactile_sim.Gel(), thickness_m=LAYER_M, force_n=5.0, slide_m=(2e-4, 0)
+            bumps(seed), PIXEL_M, GelLoad(force_n=5.0, slide_m=(2e-4, 0)), thickness_m=LAYER_M
         )
         arrays = (contact.pressure_pa, contact.traction_pa, contact.displacement_m, contact.is_stick)
         return tuple(each.tobytes() for each in arrays) + contact.force_n + contact.torque_n_m
@@ -315,7 +340,10 @@ def test_single_precision_is_near_a_solution_in_double(friction, motion):
     heights, gel = bumps(5, (64, 86)), tactile_sim.Gel(friction=friction)
     pixel_m = (0.01888 / 86, 0.01416 / 64)
     ours = tactile_sim.solve_contact(
-        heights, pixel_m, gel, thickness_m=LAYER_M, force_n=5.0, slide_m=motion[:2], twist_rad=motion[2]
+        heights,
+        pixel_m,
+        GelLoad(force_n=5.0, slide_m=motion[:2], twist_rad=motion[2], gel=gel),
+        thickness_m=LAYER_M,
     )
     exact = PlainSolver(heights.shape, pixel_m, gel, LAYER_M).solve(heights[::-1], 5.0, motion, 1e-5)
     assert ours.depth_m == pytest.approx(exact.depth_m, abs=1e-7)
@@ -330,9 +358,7 @@ def test_blocks_of_pixels_are_near_the_whole():
     heights = np.maximum(-(((x - 70) / 160) ** 2 + ((y - 50) / 160) ** 2) * 0.01, -2e-3)
     heights += 2e-5 * np.sin(x / 3.0) * np.cos(y / 5.0)
     whole, blocks = (
-        tactile_sim.solve_contact(
-            heights, pixel_m, tactile_sim.Gel(), thickness_m=LAYER_M, force_n=5.0, block_px=size
-        )
+        tactile_sim.solve_contact(heights, pixel_m, GelLoad(force_n=5.0), thickness_m=LAYER_M, block_px=size)
         for size in (1, 2)
     )
     assert blocks.pressure_pa.shape == whole.pressure_pa.shape
@@ -358,8 +384,8 @@ def test_reciprocity_of_single_loads():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"force_n": None}, "exactly one of depth_m and force_n"),
-        ({"depth_m": 1e-3}, "exactly one of depth_m and force_n"),
+        ({"force_n": None}, "exactly one of force_n and depth_m"),
+        ({"depth_m": 1e-3}, "exactly one of force_n and depth_m"),
         ({"force_n": 0.0}, "force_n is 0.0; expected a number from 1e-09 to 1e+06"),
         ({"force_n": math.nan}, "force_n is nan"),
         ({"height_m": np.zeros(5)}, "height_m has shape (5,)"),
@@ -388,10 +414,28 @@ def test_reciprocity_of_single_loads():
     ],
 )
 def test_invalid_arguments_are_refused(change, words):
-    arguments = {"height_m": bumps(1), "pixel_m": 1e-4, "gel": tactile_sim.Gel(), "thickness_m": LAYER_M}
+    arguments = {"height_m": bumps(1), "pixel_m": 1e-4, "thickness_m": LAYER_M, "block_px": 1}
+    load = {"force_n": 1.0} | {name: value for name, value in change.items() if name not in arguments}
+    arguments |= {name: value for name, value in change.items() if name in arguments}
     with pytest.raises(InputError) as caught:
-        tactile_sim.solve_contact(**{**arguments, "force_n": 1.0, **change})
+        tactile_sim.solve_contact(load=GelLoad(**load), **arguments)
     assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("height_m", "load", "thickness_m", "words"),
+    [
+        (1.0, GelLoad(1.2), LAYER_M, "pressed in by 0.*expected at most 0.00425 m"),
+        (0.0, GelLoad(1e6), math.inf, "pressed in by .* m; expected at most 1 m"),
+        (1e-5, GelLoad(depth_m=1e-5, twist_rad=-2.8, gel=STICKY), LAYER_M, "was not solved: after .* steps"),
+        (1e-5, GelLoad(depth_m=2 * LAYER_M), LAYER_M, "pressed in by 0.0085 m; expected at most 0.00425 m"),
+    ],
+)
+def test_what_is_no_solution_is_refused(height_m, load, thickness_m, words):
+    heights = np.zeros((24, 32))
+    heights[12, 16] = height_m
+    with pytest.raises(InputError, match=words):
+        tactile_sim.solve_contact(heights, 1e-4, load, thickness_m=thickness_m)
 
 
 def test_a_gel_states_its_limits():
@@ -405,10 +449,11 @@ def test_a_gel_states_its_limits():
 def test_results_of_small_windows_turn_with_them(shape):
     """A stencil reaches over three pixels, more than some windows have."""
     height_m = 1e-3 * np.random.default_rng(3).random(shape)
-    keywords = {"thickness_m": LAYER_M, "force_n": 1.0, "twist_rad": 0.02}
-    one = tactile_sim.solve_contact(height_m, 1e-3, tactile_sim.Gel(), slide_m=(1e-4, 2e-4), **keywords)
-    turned = tactile_sim.solve_contact(
-        height_m.T[::-1], 1e-3, tactile_sim.Gel(), slide_m=(-2e-4, 1e-4), **keywords
+    one, turned = (
+        tactile_sim.solve_contact(
+            heights, 1e-3, GelLoad(1.0, slide_m=slide_m, twist_rad=0.02), thickness_m=LAYER_M
+        )
+        for heights, slide_m in ((height_m, (1e-4, 2e-4)), (height_m.T[::-1], (-2e-4, 1e-4)))
     )
     assert one.depth_m == pytest.approx(turned.depth_m, abs=1e-8)
     np.testing.assert_allclose(one.pressure_pa.T[::-1], turned.pressure_pa, atol=1e-3 * one.pressure_pa.max())
@@ -422,7 +467,7 @@ def test_a_press_to_a_depth_has_that_depth_even_on_blocks(depth_m):
     side = (np.arange(64) - 31.5) * 1e-4
     cone_m = -np.hypot(*np.meshgrid(side, side)) / 2
     contact = tactile_sim.solve_contact(
-        cone_m, 1e-4, tactile_sim.Gel(), thickness_m=LAYER_M, depth_m=depth_m, block_px=4
+        cone_m, 1e-4, GelLoad(depth_m=depth_m), thickness_m=LAYER_M, block_px=4
     )
     assert contact.depth_m == depth_m
     assert contact.displacement_m[..., 2].max() == pytest.approx(depth_m, abs=1e-9)
@@ -438,7 +483,9 @@ def test_a_sphere_on_an_incompressible_layer(share):
     ball_m = -(side[:, None] ** 2 + side**2) / (2 * radius_m)
     gel = tactile_sim.Gel(poisson_ratio=0.5, friction=0.0)
     on_layer, on_half_space = (
-        tactile_sim.solve_contact(ball_m, pixel_m, gel, thickness_m=each, depth_m=depth_m).force_n[2]
+        tactile_sim.solve_contact(
+            ball_m, pixel_m, GelLoad(depth_m=depth_m, gel=gel), thickness_m=each
+        ).force_n[2]
         for each in (LAYER_M, math.inf)
     )
     series = 1 + 1.133 * share + 1.497 * share**2 + 1.469 * share**3 + 0.755 * share**4

@@ -130,7 +130,9 @@ def elements(compliance, target_m, is_stuck):
 def test_finite_elements_give_the_same_force_and_surface(patch, friction, compliance):
     heights_m = patch_heights(*patch)
     gel = tactile_sim.Gel(E_PA, POISSON, friction)
-    contact = tactile_sim.solve_contact(heights_m, PIXEL_M, gel, thickness_m=LAYER_M, depth_m=DEPTH_M)
+    contact = tactile_sim.solve_contact(
+        heights_m, PIXEL_M, tactile_sim.GelLoad(depth_m=DEPTH_M, gel=gel), thickness_m=LAYER_M
+    )
     target_m = DEPTH_M - (heights_m.max() - heights_m).ravel()
     force_n, sunk_m = elements(compliance, target_m, friction > 0)
     assert 0.15 < contact.is_contact.mean() < 0.7

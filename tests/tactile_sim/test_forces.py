@@ -32,8 +32,9 @@ SPEC = TouchSetSpec(
 SOLIDS = {"ball": [ball(0.006, 2)], "block": [block()]}
 
 
-def _press(solid, sensor=SENSOR, at=(0.0, 0.0), **loads):
-    return tactile_sim.render_touch(solid, pose(), pose(*at), sensor, **{"gel": GEL, **loads})
+def _press(solid, sensor=SENSOR, at=(0.0, 0.0), **load):
+    load = tactile_sim.GelLoad(**{"gel": GEL, **load})
+    return tactile_sim.render_touch(solid, pose(), pose(*at), sensor, load=load)
 
 
 def _bytes(folder: Path) -> dict[str, bytes]:
@@ -166,10 +167,9 @@ def test_markers_are_dark_dots_where_they_are():
 @pytest.mark.parametrize(
     ("loads", "told"),
     [
-        ({"gel": None, "force_n": 5.0}, "force_n is given, but no elastic gel"),
-        ({"gel": None, "slide_m": (0.001, 0.0)}, "slide_m is given, but no elastic gel"),
-        ({}, "neither; expected one of"),
-        ({"force_n": 5.0, "depth_m": 0.001}, "force_n and depth_m; expected one of"),
+        ({"gel": None, "force_n": 5.0}, "gel is None; expected a Gel"),
+        ({}, "expected exactly one of force_n and depth_m"),
+        ({"force_n": 5.0, "depth_m": 0.001}, "expected exactly one of force_n and depth_m"),
         ({"force_n": -1.0}, "force_n is -1; expected above 0"),
         ({"force_n": np.nan}, "expected a number"),
         ({"depth_m": 0.005}, "expected above 0 and below 0.00425"),
@@ -242,10 +242,12 @@ def test_a_set_stores_the_results_of_the_solver(touches):
                 objects.matrix[touch],
                 pose(*record.pos_in_cell_m[touch]),
                 center_view(32, 24),
-                gel=GEL,
-                force_n=float(extra["force_n"][touch, 2]),
-                slide_m=extra["slide_m"][touch],
-                twist_rad=float(extra["twist_rad"][touch]),
+                load=tactile_sim.GelLoad(
+                    force_n=float(extra["force_n"][touch, 2]),
+                    slide_m=extra["slide_m"][touch],
+                    twist_rad=float(extra["twist_rad"][touch]),
+                    gel=GEL,
+                ),
             )
             contact = pressed.contact
             np.testing.assert_allclose(extra["force_n"][touch], contact.force_n, atol=2e-3)
@@ -430,7 +432,11 @@ def test_the_modulus_of_a_gel_follows_from_presses_on_the_plate():
     sensor, true = full_view(40, 30), Gel(0.31e6, 0.48)
     depths_m = np.linspace(5e-5, 3e-4, 8)
     pressed = tactile_sim.render_touch(
-        block((0.1, 0.1, 0.01)), pose(), pose(), sensor, gel=true, depth_m=float(depths_m[-1])
+        block((0.1, 0.1, 0.01)),
+        pose(),
+        pose(),
+        sensor,
+        load=tactile_sim.GelLoad(depth_m=float(depths_m[-1]), gel=true),
     )
     per_m = pressed.contact.force_n[2] / depths_m[-1]
     noise_n = np.random.default_rng(1).normal(0, 0.02, 8)

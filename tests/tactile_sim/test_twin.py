@@ -360,7 +360,11 @@ def test_a_twin_shows_the_surface_of_an_elastic_gel(tmp_path):
     assert ((force_n[:, 2] > 0.99) & (force_n[:, 2] < 6.01)).all()
     at = np.stack([tactile_sim.pose(), tactile_sim.pose()])
     pressed = tactile_sim.render_touch(
-        ball(), tactile_sim.pose(), at, model.sensor, gel=press.gel, force_n=[1.0, 6.0]
+        ball(),
+        tactile_sim.pose(),
+        at,
+        model.sensor,
+        load=tactile_sim.GelLoad(force_n=[1.0, 6.0], gel=press.gel),
     )
     assert pressed.depth_m.max() > model.sensor.gel_m  # it bulges beside the contact
     images = model.optics.render(pressed.depth_m, model.sensor, (64, 48), is_surface=True).astype(float)
