@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -241,7 +241,7 @@ def verify(
         document["faults"] = print_faults(sink, place, split, workers)
         is_failed = not document["faults"]["ok"]
     elif content:
-        document["content"] = print_content(sink, chosen, [place.name], split, None, workers, lambda _: place)
+        document["content"] = print_content(sink, chosen, [place], split, None, workers)
         is_failed = any(result["failed"] for result in document["content"])
     sink.document(document)
     if is_failed:
@@ -340,31 +340,28 @@ def verify_touches(
 def print_content(
     sink: output.Sink,
     kind: DatasetKind,
-    paths: Sequence[str],
+    sources: Sequence[str | places.Place],
     split: str | None,
     limit: int | None,
     workers: int,
-    opened: Callable[[str], places.Place],
     **further: object,
 ) -> list[JsonDict]:
     """Check each object as it is read back from disk, print the findings and return their documents.
 
-    ``opened`` opens a name; ``further`` are arguments of the check of the kind.
+    ``sources`` are opened data sets or, for digits, mesh files; ``further`` are arguments of the check of
+    the kind.
     """
     if kind.check_content is None:
         raise InputError(f"has no effect on {kind.nouns}", next="leave it out", field="content")
     run.prepare_batch_process()
     nouns = "meshes" if kind.name == "mnist3d" else kind.nouns
     with sink.progress("checking", nouns) as update:
-        results: Sequence[Checked] = kind.check_content(
-            paths,
-            None if split == "all" else split,
-            limit,
-            options.process_count(workers),
-            opened=opened,
-            on_progress=update,
-            **further,
-        )
+        chosen = None if split == "all" else split
+        processes = options.process_count(workers)
+        results: list[Checked] = [
+            kind.check_content(source, chosen, limit, processes, on_progress=update, **further)
+            for source in sources
+        ]
     for result in results:
         for problem in result.unreadable:
             sink.warn(f"unreadable: {problem}")  # printed with --quiet, too, which prints no table

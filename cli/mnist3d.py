@@ -17,7 +17,7 @@ from cli.output import Sink
 from mnist3d import digit_options
 from mnist3d.digit_options import SPLITS, PictureReading, PrintShape, SolidSize, SplitSpec
 from mnist3d.kind import KIND
-from tactile_toolkit import cards, catalog, checked_fields, mesh, run, store
+from tactile_toolkit import cards, catalog, checked_fields, mesh, places, run, store
 from tactile_toolkit.checked_fields import choice, real, switch, text
 from tactile_toolkit.kind import lazy
 from tactile_toolkit.wording import bytes_text, with_count
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from mnist3d.picture_prints import PrintedPicture
 
 _chosen_source = lazy("mnist3d.digit_generation:chosen_source")
+_is_mesh_file = lazy("mnist3d.digit_checks:is_mesh_file")
 _FORMATS = ("stl", "3mf", "ply", "obj", "glb")
 
 app = new_app("mnist3d", "Printable 3D digits: from images of handwriting to validated data sets of meshes.")
@@ -105,9 +106,16 @@ def validate(
 
     Exit code 1 if a mesh is not a solid.
     """
+    sources: list[str | places.Place] = []
+    # All names are opened first, so that a wrong one is reported at once.
+    for path in paths:
+        if _is_mesh_file(path):
+            sources.append(path)
+        else:
+            mesh.refuse_unit(unit, path)
+            sources.append(source_options.open_source(sink, path))
     profile = mesh.PrintProfile(nozzle_mm=nozzle_mm)
-    opened = partial(source_options.open_source, sink)
-    results = print_content(sink, KIND, paths, split, limit, workers, opened, unit=unit, profile=profile)
+    results = print_content(sink, KIND, sources, split, limit, workers, unit=unit, profile=profile)
     sink.document(results)
     if any(result["failed"] for result in results):
         raise typer.Exit(EXIT_FAILED)

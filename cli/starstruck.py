@@ -73,8 +73,8 @@ def validate(
 
     Exit code 1 if a scene is not valid.
     """
-    opened = partial(source_options.open_source, sink)
-    results = contents.print_content(sink, KIND, [name], split, limit, workers, opened)
+    source = source_options.open_source(sink, name)
+    results = contents.print_content(sink, KIND, [source], split, limit, workers)
     sink.document(results)
     if any(result["failed"] for result in results):
         raise typer.Exit(EXIT_FAILED)

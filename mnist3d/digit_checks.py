@@ -123,64 +123,50 @@ def _inspect_row(row: read.Row, profile: mesh.PrintProfile) -> mesh.PrintReport:
         return _unreadable(str(error))
 
 
-def validate_paths(
-    paths: Sequence[str],
+def check_content(
+    source: str | places.Place,
     split: str | None = None,
     limit: int | None = None,
     workers: int = 1,
     *,
     profile: mesh.PrintProfile | None = None,
     unit: str | None = None,
-    opened: Callable[[str], places.Place] = places.open_place,
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
-) -> list[CheckedMeshes]:
-    """Check data sets and mesh files.
+) -> CheckedMeshes:
+    """Check the meshes of a data set, or a mesh file.
 
     Parameters
     ----------
-    paths : sequence of str
-        Names of data sets, and STL, 3MF, PLY, OBJ or GLB files. Unreadable files are reported as such.
+    source : str or Place
+        A data set, or an STL, 3MF, PLY, OBJ or GLB file; an unreadable file is reported as such.
     split, limit : optional
-        Check only this split of data sets, and only the first ``limit`` rows of each split.
+        Check only this split of a data set, and only the first ``limit`` rows of each split.
     workers : int
-        Number of processes that check rows of data sets.
+        Number of processes that check rows of a data set.
     profile : PrintProfile, optional
         Printer and material.
     unit : str, optional
-        Unit of mesh files, as in :func:`mnist3d.read_mesh`.
-    opened : callable
-        Opens a data set by its name.
+        Unit of a mesh file, as in :func:`mnist3d.read_mesh`.
     on_progress : callable
         Called with the numbers of meshes done and in total.
 
     Raises
     ------
     InputError
-        A path does not exist, or is not a data set of digits or other meshes.
+        The path does not exist, or is not a data set of digits or other meshes.
     IntegrityError
         A shard is damaged, or the run that makes the data set is not finished.
     """
     profile = profile or mesh.PrintProfile()
-    # All names are opened first, so that a wrong one is reported at once.
-    files = [path for path in paths if _is_single_file(path)]
-    for name in paths:
-        if name not in files:
-            mesh.refuse_unit(unit, name)
-    sources = [name if name in files else opened(name) for name in paths]
-    return [
-        _check_file(source, unit, profile)
-        if isinstance(source, str)
-        else check_meshes(source, KIND, split, limit, workers, profile, on_progress)
-        for source in sources
-    ]
-
-
-def _check_file(path: str, unit: str | None, profile: mesh.PrintProfile) -> CheckedMeshes:
-    try:
-        report = mesh.inspect(mesh.read_mesh(path, unit=unit), profile)
-    except InputError as error:
-        report = _unreadable(str(error))
-    return CheckedMeshes(path, (CheckedMesh(Path(path).name, report),))
+    if isinstance(source, str) and is_mesh_file(source):
+        try:
+            report = mesh.inspect(mesh.read_mesh(source, unit=unit), profile)
+        except InputError as error:
+            report = _unreadable(str(error))
+        return CheckedMeshes(source, (CheckedMesh(Path(source).name, report),))
+    opened = places.open_place(source)
+    mesh.refuse_unit(unit, opened.name)
+    return check_meshes(opened, KIND, split, limit, workers, profile, on_progress)
 
 
 def check_meshes(
@@ -192,7 +178,7 @@ def check_meshes(
     profile: mesh.PrintProfile,
     on_progress: Callable[[int, int], None],
 ) -> CheckedMeshes:
-    """Check the rows of a data set of one mesh each; arguments and errors as of :func:`validate_paths`."""
+    """Check the rows of a data set of one mesh each; arguments and errors as of :func:`check_content`."""
     shards = catalog.shards_to_check(opened, split, kind)
     check = partial(_inspect_row, profile=profile)
     items = []
@@ -206,7 +192,7 @@ def check_meshes(
     return CheckedMeshes(opened.name, tuple(items))
 
 
-def _is_single_file(path: str) -> bool:
+def is_mesh_file(path: str) -> bool:
     """Return whether a path is a local file that is not Parquet, and so is read as a mesh."""
     file = store.local_path(path)
     if file is None or not file.is_file():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypedDict
 
 from tactile_toolkit import catalog, mesh
 from tactile_toolkit.checked_fields import (
@@ -260,6 +260,14 @@ class SolidSize:
                 f"two sizes are given, {stated[0]} and {stated[1]}; expected one: pictures keep their shape",
                 next=f"leave out {stated[1]}",
             )
+
+
+class SizeKeywords(TypedDict, total=False):
+    """Fields of :class:`SolidSize`, as keywords."""
+
+    height_mm: float | None
+    width_mm: float | None
+    pixel_mm: float | None
 
 
 @dataclass(frozen=True, slots=True)

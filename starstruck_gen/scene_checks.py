@@ -85,8 +85,8 @@ class CheckedScenes:
         return ("split", "scene", "finding"), shown, title
 
 
-def validate_folder(
-    name: places.Name | places.Place,
+def check_content(
+    source: places.Name | places.Place,
     split: str | None = None,
     limit: int | None = None,
     workers: int = 1,
@@ -99,7 +99,7 @@ def validate_folder(
     of scenes done and in total. Raises InputError if there is no data set of scenes, and IntegrityError if a
     shard is damaged or the run that makes the data set is not finished.
     """
-    opened = places.open_place(name)
+    opened = places.open_place(source)
     shards = catalog.shards_to_check(opened, split, KIND)
     names = {shard.path: read.class_names(shard.schema, KIND.class_names) for _, shard in shards}
     rows = catalog.check_rows(
@@ -202,16 +202,3 @@ def _check_star_count(record: scene_dataset.SceneRecord, names: Sequence[str]) -
             expected = f"{declared} and {record.distractor_count}"
             return f"found {with_count(stars, 'stars')} and {others} other objects; expected {expected}"
     return None
-
-
-def validate_paths(
-    paths: Sequence[str],
-    split: str | None = None,
-    limit: int | None = None,
-    workers: int = 1,
-    *,
-    opened: Callable[[str], places.Place] = places.open_place,
-    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
-) -> list[CheckedScenes]:
-    """Check data sets of scenes as :func:`validate_folder` does; ``opened`` opens a name."""
-    return [validate_folder(opened(path), split, limit, workers, on_progress=on_progress) for path in paths]

@@ -215,8 +215,8 @@ class DatasetKind:
     facts : callable or None
         Takes a ``DataFolder`` and the ``Manifest`` of a finished data set, returns its :class:`Facts`.
     check_content : callable or None
-        Checks each row: takes names, a split or None, a limit or None and a number of workers, and returns a
-        :class:`Checked` of each; None if rows hold nothing to check beyond their files.
+        Checks each row: takes an opened data set, a split or None, a limit or None and a number of workers,
+        returns a :class:`Checked`; None if rows hold nothing to check beyond their files.
     dataset : callable
         Class that opens the shards of a split: takes a ``ShardedTable`` and ``label_names``.
     default_set : callable or None

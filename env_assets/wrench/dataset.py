@@ -63,20 +63,15 @@ load = places.loader(KIND, WrenchDataset, mesh.RecordStream[WrenchRecord])
 
 
 def check_content(
-    names: Sequence[str],
+    source: places.Place,
     split: str | None,
     limit: int | None,
     workers: int,
     *,
-    opened: Callable[[str], places.Place],
     on_progress: Callable[[int, int], None],
-) -> list[digit_checks.CheckedMeshes]:
-    """Check that each wrench is a solid that prints well, as :func:`mnist3d.validate_paths` does digits."""
-    profile = mesh.PrintProfile()
-    return [
-        digit_checks.check_meshes(opened(name), KIND, split, limit, workers, profile, on_progress)
-        for name in names
-    ]
+) -> digit_checks.CheckedMeshes:
+    """Check that each wrench is a solid that prints well, as :func:`mnist3d.digit_checks.check_content`."""
+    return digit_checks.check_meshes(source, KIND, split, limit, workers, mesh.PrintProfile(), on_progress)
 
 
 class WrenchRow(mesh.MeshRow):

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Unpack
 
 import manifold3d
 import numpy as np
@@ -24,7 +24,7 @@ from scipy import ndimage
 from skimage import measure
 
 from mnist3d import compiled_loops
-from mnist3d.digit_options import SolidSize, SolidSpec
+from mnist3d.digit_options import SizeKeywords, SolidSize, SolidSpec
 from mnist3d.ink import binarisation, grey_levels
 from mnist3d.solid import picture_ink
 from mnist3d.solid.lattice import Lattice, depth_px, erosion_radius_px, lattice_of
@@ -63,13 +63,11 @@ def solidify(
     picture: picture_ink.PictureLike,
     spec: SolidSpec | None = None,
     *,
-    height_mm: float | None = None,
-    width_mm: float | None = None,
-    pixel_mm: float | None = None,
     base_mm: float | None = None,
     method: Literal["fast", "literal"] = "fast",
     ink: Literal["auto", "dark", "light"] = "auto",
     threshold: Literal["auto", "local", "global"] = "auto",
+    **size: Unpack[SizeKeywords],
 ) -> Mesh:
     """Turn a picture into a closed, printable mesh; ``mnist3d solidify`` makes the same one.
 
@@ -82,9 +80,6 @@ def solidify(
     spec : SolidSpec, optional
         Parameters of the algorithm; the published ones by default. Without it, pictures other than grey
         levels keep specks down to 0.64 mm^2 and get as many vertices as their strokes need.
-    height_mm, width_mm, pixel_mm : float, optional
-        Size of the solid along y or x, or of a pixel; at most one of them. By default, the longer side of
-        the picture is 500 pixels of ``spec.pixel_pitch_mm``: 100 mm.
     base_mm : float, optional
         Put the upper half of the solid on a plate of this thickness, which joins separate parts.
     method : {"fast", "literal"}
@@ -97,6 +92,9 @@ def solidify(
     threshold : {"auto", "local", "global"}
         Even out the light and find the page, or apply one threshold to the picture; ``"auto"`` takes
         ``"local"`` for pictures without clean paper.
+    **size
+        At most one of ``height_mm``, ``width_mm`` and ``pixel_mm``: size of the solid along y or x, or of a
+        pixel. By default, the longer side of the picture is 500 pixels of ``spec.pixel_pitch_mm``: 100 mm.
 
     Returns
     -------
@@ -115,8 +113,7 @@ def solidify(
     """
     if method not in ("fast", "literal"):
         raise InputError(f"method is {method!r}; expected 'fast' or 'literal'")
-    size = SolidSize(height_mm, width_mm, pixel_mm)
-    sized = picture_ink.sized_ink(picture, spec, size, which=ink, threshold=threshold)
+    sized = picture_ink.sized_ink(picture, spec, SolidSize(**size), which=ink, threshold=threshold)
     return solid_of_ink(sized, base_mm, method)
 
 

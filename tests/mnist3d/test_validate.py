@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 import trimesh
 
-from mnist3d.digit_checks import validate_paths
+from mnist3d.digit_checks import check_content
 from mnist3d.digit_generation import DigitSetSpec, generate
 from mnist3d.digit_options import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
@@ -38,7 +38,7 @@ def test_a_row_without_a_value_is_named_and_the_others_are_checked(rows, tmp_pat
     )
     (tmp_path / "data").mkdir()
     pq.write_table(spoilt, tmp_path / SHARD, row_group_size=2)
-    (checked,) = validate_paths([str(tmp_path)])
+    checked = check_content(str(tmp_path))
     ids = rows["id"].to_pylist()
     ids[2] = "row 2" if column == "id" else ids[2]
     assert [item.name for item in checked.items] == [f"test {name}" for name in ids]
@@ -49,7 +49,7 @@ def test_a_row_without_a_value_is_named_and_the_others_are_checked(rows, tmp_pat
     assert broken.table_row()[-1] == broken.report.detail
     (unreadable,) = checked.unreadable
     assert unreadable == (f"split 'test', row 2 of {SHARD.name}: field {column!r} is null; expected a value")
-    assert validate_paths([str(tmp_path)], limit=2)[0].failed == 0
+    assert check_content(str(tmp_path), limit=2).failed == 0
 
 
 def test_mesh_files_are_checked_in_their_unit(rows: pa.Table, tmp_path: Path) -> None:
@@ -59,12 +59,12 @@ def test_mesh_files_are_checked_in_their_unit(rows: pa.Table, tmp_path: Path) ->
     torn[0] += 1e-8
     path = str(tmp_path / "ball.obj")
     trimesh.Trimesh(torn, np.arange(len(torn)).reshape(-1, 3), process=False).export(path, digits=12)
-    (without,) = validate_paths([path])
+    without = check_content(path)
     assert "--unit m " in without.unreadable[0]
-    (item,) = validate_paths([path], unit="m")[0].items
+    (item,) = check_content(path, unit="m").items
     assert item.report.size_mm == pytest.approx((20, 20, 20), rel=0.1)
     assert item.to_dict()["notes"] == ["1 corner welded"]
     assert item.table_row()[-1] == "small-contact, 1 corner welded"
     pq.write_table(rows, tmp_path / "train.parquet")
     with pytest.raises(InputError, match="unit is for mesh files"):
-        validate_paths([str(tmp_path / "train.parquet")], unit="m")
+        check_content(str(tmp_path / "train.parquet"), unit="m")

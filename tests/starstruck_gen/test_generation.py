@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from starstruck_gen.sampling import SamplingExhausted, SceneSpec
-from starstruck_gen.scene_checks import validate_folder
+from starstruck_gen.scene_checks import check_content
 from starstruck_gen.scene_dataset import SceneGenerator, SceneSetSpec, generate, make_rows, scene_schema
 from starstruck_gen.shapes import Disc, Shape, Star
 from tactile_toolkit.errors import InputError, SpecMismatchError
@@ -140,9 +140,9 @@ def test_empty_selections_are_refused(tmp_path, splits):
 
 
 def test_validate_accepts_the_written_scenes(whole):
-    checked = validate_folder(str(whole), limit=30)
+    checked = check_content(str(whole), limit=30)
     assert (checked.checked, checked.failed, checked.stars) == (60, 0, 120)
-    test = validate_folder(str(whole), "test")
+    test = check_content(str(whole), "test")
     assert test.failed == 0
     assert test.bodies == sum(len(row.placements) for row in make_rows(SceneSpec(), "test", 0, 0, 30))
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 
 from starstruck_gen.sampling import SceneSpec
-from starstruck_gen.scene_checks import validate_folder
+from starstruck_gen.scene_checks import check_content
 from starstruck_gen.scene_dataset import SceneRow, make_rows, scene_schema
 from starstruck_gen.shapes import Disc, Shape
 from tactile_toolkit.errors import InputError
@@ -105,4 +105,4 @@ def test_shapes_as_fine_as_the_cell_allows_are_sound(side_m, tmp_path):
     spec = SceneSpec(cell_m=(side_m, side_m), star=Shape("star", 1e-4), distractor_shapes=TINY)
     path = tmp_path / "train-00000-of-00001.parquet"
     pq.write_table(SceneRow.table(make_rows(spec, "train", 0, 0, 3), scene_schema()), path)
-    assert validate_folder(path).failed == 0
+    assert check_content(path).failed == 0

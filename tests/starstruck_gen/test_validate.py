@@ -10,7 +10,7 @@ import pytest
 
 from starstruck_gen.sampling import SceneSpec
 from starstruck_gen.scene import Placement, build_meshes
-from starstruck_gen.scene_checks import check_scene, validate_folder
+from starstruck_gen.scene_checks import check_content, check_scene
 from starstruck_gen.scene_dataset import SceneRow, load, make_rows, scene_schema
 from tactile_toolkit.mesh import Mesh, check_manifold
 
@@ -37,13 +37,13 @@ def _raise_first(row, by_m=0.010):
 
 @pytest.mark.parametrize("columns", [None, PUBLISHED])
 def test_single_object_above_the_plate_is_found(table, tmp_path, columns):
-    checked = validate_folder(_written(table, tmp_path, _raise_first, columns))
+    checked = check_content(_written(table, tmp_path, _raise_first, columns))
     assert [(failure.id, checked.checked) for failure in checked.failures] == [(4, 9)]
     assert "is at z = 0.01 m; expected 0" in checked.failures[0].problem
 
 
 def test_all_stand_on_the_plate_in_the_published_columns(table, tmp_path):
-    checked = validate_folder(_written(table, tmp_path, lambda _: None, PUBLISHED))
+    checked = check_content(_written(table, tmp_path, lambda _: None, PUBLISHED))
     assert (checked.failed, checked.declared, checked.stars) == (0, False, 0)
 
 
@@ -69,7 +69,7 @@ def _lift(row):
     ],
 )
 def test_a_fault_is_a_finding_of_its_scene_alone(table, tmp_path, change, problem):
-    checked = validate_folder(_written(table, tmp_path, change))
+    checked = check_content(_written(table, tmp_path, change))
     assert [(failure.id, checked.checked) for failure in checked.failures] == [(4, 9)]
     assert problem in checked.failures[0].problem
 
@@ -88,7 +88,7 @@ def test_a_fault_is_a_finding_of_its_scene_alone(table, tmp_path, change, proble
     ],
 )
 def test_null_is_a_finding_of_its_scene_alone(table, tmp_path, change, field):
-    checked = validate_folder(_written(table, tmp_path, change))
+    checked = check_content(_written(table, tmp_path, change))
     assert [failure.id for failure in checked.failures] == [4]
     assert checked.failures[0].problem == f"field {field} of row 4 is null; expected a value"
     assert checked.stars > 0
@@ -97,7 +97,7 @@ def test_null_is_a_finding_of_its_scene_alone(table, tmp_path, change, field):
 def test_column_of_another_type_is_a_finding(table, tmp_path):
     words = table.set_column(1, "label", pa.array(["one"] * len(table)))
     pq.write_table(words.replace_schema_metadata(), tmp_path / "train-00000-of-00001.parquet")
-    checked = validate_folder(tmp_path / "train-00000-of-00001.parquet")
+    checked = check_content(tmp_path / "train-00000-of-00001.parquet")
     assert checked.failed == 9
     assert "cannot be read as a scene" in checked.failures[0].problem
     assert checked.to_dict()["declared"]
