@@ -28,6 +28,7 @@ from mnist3d.ink.grey_levels import (
 from tactile_toolkit import store, touch
 from tactile_toolkit.array_types import Bool, UInt8
 from tactile_toolkit.cache import require_unpackable
+from tactile_toolkit.columns.known_formats import KnownFormat
 from tactile_toolkit.errors import InputError, ItemError, ToolkitError, install_line
 
 _ENDINGS = {
@@ -229,6 +230,10 @@ def _opened(path: Path) -> Iterator[Image.Image]:
         if ending in _ENDINGS["HEIF"] and isinstance(error, UnidentifiedImageError) and "HEIF" not in formats:
             next_step = f"{install_line('heic')}, or store it as JPEG"
         message = f"{path}: cannot be read as a picture ({_problem(error)}), expected an intact image file"
+        known = KnownFormat.of_file(path) if isinstance(error, UnidentifiedImageError) else None
+        if known is not None:
+            message = f"{path}: is {known.name}; expected a picture"
+            next_step = known.step
         raise ItemError("unreadable", message, next=next_step) from error
 
 

@@ -17,6 +17,7 @@ from realtouch.kind import KIND
 from realtouch.video import video_files
 from tactile_toolkit import errors, places, store, wording
 from tactile_toolkit.columns import tables
+from tactile_toolkit.columns.known_formats import KnownFormat
 
 _MAX_PATHS = 20_000
 _MAX_FOLDERS = 200
@@ -96,8 +97,9 @@ def recognised(address: str) -> Recognised:
         marked = {layout: first for layout, first in marked.items() if not _TABLES(first)} or marked
     if [*marked] == ["folder"]:
         # The images beside the pickles of Sparsh are backgrounds, which must not pass for touches.
-        pickles = [path for path in paths if path.count("/") < 2 and path.lower().endswith(_PICKLE.endings)]
-        _refuse_foreign(home, pickles)
+        near = [path for path in paths if path.count("/") < 2]
+        known = [(path, KnownFormat.by_ending(path)) for path in near]
+        _refuse_foreign(home, [path for path, held in known if held is not None and held.key == "pickle"])
     if not marked:
         _refuse_foreign(home, paths)
         shown = ", ".join(paths[:_PATHS_SHOWN]) or "nothing"
@@ -114,62 +116,37 @@ def recognised(address: str) -> Recognised:
     return Recognised(layout, first)
 
 
-class _Foreign(NamedTuple):
-    """A known format that is not read: endings and first bytes of its files, its name, and what to do."""
-
-    endings: tuple[str, ...]
-    marks: tuple[bytes, ...]
-    what: str
-    advice: str
-
-
-_PICKLE = _Foreign(
-    (".pkl", ".pickle", ".pt", ".pth"),
-    (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05"),
-    "a pickle, as Sparsh stores images; pickles are not read, because reading one can run any program",
-    "write each image to a file, with the program that made the pickle, and import the folder; "
+# What to do with files of some formats, instead of the step that is usual for the format.
+_STEPS = {
+    "pickle": "write each image to a file, with the program that made the pickle, and import the folder; "
     "`--format folder` imports the images beside it",
-)
-_NUMPY = _Foreign(
-    (".npz", ".npy"),
-    (b"\x93NUMPY",),
-    "a file of NumPy",
-    'write its arrays to an HDF5 file, by python -c "import h5py, numpy; '
+    "numpy": 'write its arrays to an HDF5 file, by python -c "import h5py, numpy; '
     "h5py.File('arrays.hdf5', 'w').update({array})\", and import that with --map image=NAME",
-)
-_FOREIGN = (
-    _PICKLE,
-    _NUMPY,
-    _Foreign(
-        (".bag", ".mcap", ".db3"),
-        (b"#ROSBAG", b"\x89MCAP", b"SQLite format 3\0"),
-        "a ROS bag",
-        "write the pictures of a topic to files, and a table with their names (`file`) and times "
-        "(`stamp_ns`), other topics to tables with times, and import the folder with --table PICTURES "
-        "--map time=stamp_ns --stream OTHERS; `pip install rosbags` reads bags without ROS",
-    ),
-    _Foreign(
-        (".mat",), (b"MATLAB ",), "a file of MATLAB", "write its pictures to files, and its values to CSV"
-    ),
-    _Foreign((".xlsx", ".xls"), (b"\xd0\xcf\x11\xe0",), "a table of Excel", "save it as CSV"),
-)
-"""Formats that people have and that are not read."""
+    "bag": "write the pictures of a topic to files, and a table with their names (`file`) and times "
+    "(`stamp_ns`), other topics to tables with times, and import the folder with --table PICTURES "
+    "--map time=stamp_ns --stream OTHERS; `pip install rosbags` reads bags without ROS",
+}
+# Keys of formats that are read, in some or all cases.
+_READ = ("hdf5", "parquet", "archive", "gzip", "video", "json", "pixels")
 
 
 def _refuse_foreign(folder: store.DataFolder, paths: Sequence[str], head: bytes = b"") -> None:
-    """Raise InputError for the first path of a known format that is not read."""
+    """Raise InputError for the first path of a known format that is not read, by name or first bytes."""
     for path in paths:
-        for known in _FOREIGN:
-            if path.lower().endswith(known.endings) or (head and head.startswith(known.marks)):
-                what = known.what
-                advice = known.advice
-                if known is _NUMPY:
-                    what += _arrays_of(folder, path)
-                    loaded = f"numpy.load({folder.address(path)!r})"
-                    if path.lower().endswith(".npy"):
-                        loaded = f"array={loaded}"
-                    advice = advice.replace("{array}", loaded)
-                raise errors.InputError(f"{path!r} is {what}", next=advice)
+        known = KnownFormat.by_ending(path)
+        if known is None and head:
+            known = KnownFormat.of(head)
+        if known is None or known.key in _READ:
+            continue
+        what = known.name
+        advice = _STEPS.get(known.key, known.step)
+        if known.key == "numpy":
+            what += _arrays_of(folder, path)
+            loaded = f"numpy.load({folder.address(path)!r})"
+            if path.lower().endswith(".npy"):
+                loaded = f"array={loaded}"
+            advice = advice.replace("{array}", loaded)
+        raise errors.InputError(f"{path!r} is {what}", next=advice)
 
 
 def _arrays_of(folder: store.DataFolder, path: str) -> str:
@@ -203,11 +180,9 @@ def _of_file(path: str) -> Recognised:
     for layout, marks in _FIRST_BYTES.items():
         if any(head[at : at + len(mark)] == mark for at, mark in marks):
             return Recognised(layout, name)
-    content = "is empty"
-    if head:
-        content = f"begins with {head[:8].hex(' ')}"
+    start = head[:8].hex(" ")
     raise errors.InputError(
-        f"{path!r} {content}; expected a video, a tar, or a file of Parquet, HDF5 or Zarr",
+        f"{path!r} begins with {start}; expected a video, a tar, or a file of Parquet, HDF5 or Zarr",
         next="give its folder, with --table for a table; or name the format with --format",
     )
 

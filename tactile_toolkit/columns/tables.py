@@ -1,7 +1,7 @@
 """Tables of any length, read a few rows at a time: text, JSON lines, Parquet; no table is held in memory.
 
-A text table has commas, semicolons or tabs between values, in UTF-8, or UTF-16 with a BOM. Its rows have a
-value for each column. Spaces around numbers and empty lines do not count.
+A text table has commas, semicolons, tabs or bars between values, in UTF-8, or UTF-16 with a BOM. Its rows
+have a value for each column. Spaces around numbers and empty lines do not count.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cached_property, partial
 from typing import IO, ClassVar
 
@@ -22,6 +22,7 @@ import pyarrow.parquet as pq
 from tactile_toolkit import cache, store, wording
 from tactile_toolkit.array_types import Int64
 from tactile_toolkit.columns import column_types
+from tactile_toolkit.columns.known_formats import START_BYTES, KnownFormat
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 from tactile_toolkit.json_types import JsonDict
 
@@ -40,8 +41,9 @@ _NO_ROWS = pa.table({})
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 _QUOTED = re.compile(r'"[^"\n]*"')
 _SEPARATORS = (",", ";", "\t")
+_RARE_SEPARATOR = "|"  # of tables without the others
 # A line before the header, by which spreadsheets state the separator.
-_SEPARATOR_LINE = re.compile(r"sep=([,;\t])\r?\n")
+_SEPARATOR_LINE = re.compile(r"sep=([,;\t|])\r?\n")
 
 
 def open_source(folder: store.DataFolder, name: str, version: tuple[object, ...] | None = None) -> IO[bytes]:
@@ -90,7 +92,9 @@ class Table:
     def __init__(self, path: str, open_file: Callable[[], IO[bytes]]) -> None:
         self.path = path
         self._open = open_file
-        self._read = _READERS.get(path[path.rfind(".") :].lower(), self._text_batches)
+        ending = path[path.rfind(".") :].lower()
+        self._read = _READERS.get(ending, self._text_batches)
+        self._own_keys = _KEYS.get(ending, ("pixels",))
         self._is_text = self._read == self._text_batches
         self._separator = ""
         self._uneven = ""
@@ -184,12 +188,12 @@ class Table:
         text = head.decode(encoding, errors="ignore").removeprefix("\ufeff")
         stated = _SEPARATOR_LINE.match(text)
         header = text[stated.end() if stated else 0 :].lstrip("\r\n").partition("\n")[0]
-        self._separator = stated[1] if stated else max(_SEPARATORS, key=_QUOTED.sub("", header).count)
+        self._separator = stated[1] if stated else _separator_of(_QUOTED.sub("", header))
         if not header.strip():
             raise InputError(f"{path!r} is empty", next="write a line with the names of the columns first")
         # Refuses a header of too many columns before Arrow parses it.
         _checked_names([str(number) for number in range(header.count(self._separator) + 1)], path)
-        spaced = re.compile(rf'("[^"]*")|({self._separator}) +')
+        spaced = re.compile(rf'("[^"]*")|({re.escape(self._separator)}) +')
         # If the header has spaces, so do the rows; Arrow would take spaces and quotes for text.
         is_spaced = f"{self._separator} " in header
         if is_spaced:
@@ -235,13 +239,25 @@ class Table:
                 ) from None
             if isinstance(error, UnicodeDecodeError):  # its position is that in the part read last
                 error = ValueError(f"{error.object[max(error.start - 10, 0) : error.end]!r} is not text")
+            known = self._known_format()
+            if known is not None:
+                raise InputError(
+                    f"{self.path!r} is {known.name}; expected a table", next=known.step
+                ) from error
             reason = wording.printable(str(error))[:_LONGEST_SHOWN]
             advice = (
-                "save it as UTF-8 text, with commas, semicolons or tabs between the values of each row"
+                "save it as UTF-8 text, with commas, semicolons, tabs or bars between the values of each row"
                 if self._is_text
                 else ""
             )
             raise InputError(f"{self.path!r} cannot be read as a table: {reason}", next=advice) from error
+
+    def _known_format(self) -> KnownFormat | None:
+        """Return the format of a file that could not be read as a table; None if it is unknown."""
+        with suppress(InputError, IntegrityError, OSError), self._open() as stream:
+            known = KnownFormat.of(stream.read(START_BYTES))
+            return None if known is None or known.key in self._own_keys else known
+        return None
 
 
 def _checked_names(names: Sequence[str], path: str) -> list[str]:
@@ -253,6 +269,12 @@ def _checked_names(names: Sequence[str], path: str) -> list[str]:
     if twice is not None:
         raise InputError(f"{path!r} has two columns {twice!r}; expected different names")
     return checked
+
+
+def _separator_of(header: str) -> str:
+    """Return the most frequent separator of a header; a bar if it has no other."""
+    separator = max(_SEPARATORS, key=header.count)
+    return separator if separator in header or _RARE_SEPARATOR not in header else _RARE_SEPARATOR
 
 
 def _json_batches(stream: IO[bytes], path: str) -> Iterator[pa.RecordBatch]:
@@ -275,4 +297,6 @@ def _parquet_batches(stream: IO[bytes], path: str) -> Iterator[pa.RecordBatch]:
     yield from file.iter_batches(_ROWS_AT_ONCE, use_threads=False)
 
 
+# Keys of the known formats that readers read.
+_KEYS = {".parquet": ("parquet",), ".jsonl": ("json", "strokes"), ".ndjson": ("json", "strokes")}
 _READERS = {".parquet": _parquet_batches, ".jsonl": _json_batches, ".ndjson": _json_batches}

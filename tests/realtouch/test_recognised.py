@@ -107,7 +107,9 @@ def test_a_set_needs_no_import(single_folder: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["", "dataset_0.pkl"])
 def test_pickles_are_refused_by_name(name: str, tmp_path: Path) -> None:
     (tmp_path / "dataset_0.pkl").write_bytes(b"\x80\x04")
-    with pytest.raises(InputError, match=r"'dataset_0.pkl' is a pickle, as Sparsh .*next: write each"):
+    with pytest.raises(
+        InputError, match=r"'dataset_0.pkl' is a pickle, which is not read .*next: write each"
+    ):
         recognised(str(tmp_path / name))
 
 
@@ -115,9 +117,9 @@ FOREIGN = {
     "run.bag": (b"#ROSBAG V2.0\n", "is a ROS bag; next: write the pictures of a topic to files, and a table"),
     "run_0.mcap": (b"\x89MCAP0\r\n", "is a ROS bag"),
     "run_0.db3": (b"SQLite format 3\0", "is a ROS bag"),
-    "trial.mat": (b"MATLAB 5.0 MAT-file", "is a file of MATLAB"),
+    "trial.mat": (b"MATLAB 5.0 MAT-file", "is a file of MATLAB; next: read it by scipy.io"),
     "poses.npy": (b"\x93NUMPY\x01\x00", "is a file of NumPy; next: write its arrays to an HDF5 file"),
-    "sheet.xlsx": (b"PK\x03\x04", "is a table of Excel; next: save it as CSV"),
+    "sheet.xlsx": (b"PK\x03\x04", "is a workbook of Excel; next: save each sheet as CSV"),
 }
 
 
