@@ -189,7 +189,7 @@ class DigitGenerator(generation.RowGenerator):
             libraries=("manifold3d", "numpy", "pillow", "pyarrow", "scikit-image", "scipy"),
             smallest=50,
             largest=128,  # 7 MB at 52.6 kB per mesh: a kill loses seconds of work
-            wanted=16,
+            usual_shards=16,
             sampled=8,
             report_file=digit_records.REPORT_FILE,
         )

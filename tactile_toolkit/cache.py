@@ -90,10 +90,10 @@ def _temporary_cache() -> Path:
     user = getattr(os, "getuid", lambda: 0)()
     path = Path(tempfile.gettempdir()) / f"tactile-toolkit-{user}"
     path.mkdir(mode=0o700, exist_ok=True)
-    found = path.lstat()
+    status = path.lstat()
     # Files of another user would be read as data, and a link may point anywhere.
-    is_open_to_others = os.name != "nt" and bool(found.st_mode & 0o077)
-    if not stat.S_ISDIR(found.st_mode) or found.st_uid != user or is_open_to_others:
+    is_open_to_others = os.name != "nt" and bool(status.st_mode & 0o077)
+    if not stat.S_ISDIR(status.st_mode) or status.st_uid != user or is_open_to_others:
         path = Path(tempfile.mkdtemp(prefix="tactile-toolkit-"))
     warnings.warn(
         f"no home folder is known: the cache is {str(path)!r}; next: set {CACHE_VARIABLE} to another folder",
@@ -195,11 +195,11 @@ def _files(folder: Path, names: str) -> list[tuple[float, int, Path]]:
         paths += [] if folder.is_symlink() else folder.iterdir()
     for path in paths:
         with contextlib.suppress(OSError):  # other processes may remove some meanwhile
-            found = path.lstat()
-            if ours.fullmatch(path.name) and stat.S_ISREG(found.st_mode):
+            status = path.lstat()
+            if ours.fullmatch(path.name) and stat.S_ISREG(status.st_mode):
                 # mark_used sets the access time, because file systems may not; a file that was never used
                 # again has that of its writing.
-                files.append((max(found.st_atime, found.st_mtime), found.st_size, path))
+                files.append((max(status.st_atime, status.st_mtime), status.st_size, path))
     return sorted(files)
 
 
@@ -270,15 +270,15 @@ class MemoryCache(Generic[K, V]):
 
     def get_or_make(self, key: K, make: Callable[[], V]) -> V:
         """Return the value of a key, or make and keep it; if two threads make it, the first one wins."""
-        found = self.get(key)
-        if found is not None:
-            return found
+        value = self.get(key)
+        if value is not None:
+            return value
         made = make()  # outside the lock, so that no other thread waits
         with _LOCK:
-            found = self.get(key)
-            if found is None:
+            value = self.get(key)
+            if value is None:
                 return self.put(key, made)
-            return found
+            return value
 
     def clear(self) -> None:
         """Remove all values."""

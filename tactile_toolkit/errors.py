@@ -93,10 +93,10 @@ class InputError(ToolkitError):
     exit_code = 2
 
 
-def require_public(place: str) -> None:
+def require_public(address: str) -> None:
     """Raise InputError for an address that may hold a user, key or signature, without repeating it."""
-    shown = public_address(place)
-    if shown != place:
+    shown = public_address(address)
+    if shown != address:
         raise InputError(
             f"the address {shown!r} may hold a user, a key or a signature; expected none of @ ? # ; in it",
             next="give credentials as the store's own tools take them, such as AWS_PROFILE",
@@ -189,10 +189,10 @@ class IntegrityError(ToolkitError):
     exit_code = 3
 
     @classmethod
-    def in_file(cls, path: str, found: str) -> IntegrityError:
-        """Return the error for a file of a data set; ``found`` follows the quoted path."""
+    def in_file(cls, path: str, problem: str) -> IntegrityError:
+        """Return the error for a file of a data set; ``problem`` follows the quoted path."""
         again = "make or fetch it again; `verify` names everything that is damaged in a data set"
-        return cls(f"{path!r}{found}", next=again)
+        return cls(f"{path!r}{problem}", next=again)
 
 
 class RemoteError(ToolkitError):
@@ -205,18 +205,18 @@ class HubError(RemoteError):
     """The Hugging Face Hub, or the network on the way there, refused or failed."""
 
 
-def public_address(place: str) -> str:
+def public_address(address: str) -> str:
     """Return an address that may be shown; of one that may hold a secret, only the scheme.
 
     An option in front of it stays, as in ``--out=s3://...``.
     """
-    match = _ADDRESS.fullmatch(place)
+    match = _ADDRESS.fullmatch(address)
     if match is None:
-        return place
+        return address
     plain = _PLAIN_BY_SCHEME.get(match["scheme"].lower(), _PLAIN)
     if plain.fullmatch(match["rest"]):
-        return place
-    return f"{place[: match.start('rest')]}..."
+        return address
+    return f"{address[: match.start('rest')]}..."
 
 
 def redact(text: str, *secrets: str | None) -> str:

@@ -39,7 +39,7 @@ class StorageLayout:
         Parquet layout of the shards.
     libraries : tuple of str
         Distributions whose versions decide bytes.
-    smallest, largest, wanted : int
+    smallest, largest, usual_shards : int
         Rows of a shard, and the number of shards of a medium split; see
         :func:`~tactile_toolkit.store.shard_ranges`.
     sampled : int
@@ -54,7 +54,7 @@ class StorageLayout:
     libraries: tuple[str, ...]
     smallest: int = 1
     largest: int = 1
-    wanted: int = 1
+    usual_shards: int = 1
     sampled: int = 1
     report_file: str | None = None
     together: int = 1
@@ -180,12 +180,12 @@ class RowGenerator(ABC):
         return Forecast(
             [
                 {
-                    "split": each,
-                    "rows": rows[each],
-                    "shards": shards[each],
-                    "finished": rows[each] - left[each],
+                    "split": split,
+                    "rows": rows[split],
+                    "shards": shards[split],
+                    "finished": rows[split] - left[split],
                 }
-                for each in rows
+                for split in rows
             ],
             left.total(),
             round(left.total() * item_bytes),
@@ -202,8 +202,8 @@ def make_shard(generator: RowGenerator, shard: store.ShardName, items: AnyRows) 
 
         prepare(*generator.kernels)
     made = list(generator.make(shard.split, items))
-    rows = [each for each in made if not isinstance(each, store.Skipped)]
-    skipped = tuple(each for each in made if isinstance(each, store.Skipped))
+    rows = [row for row in made if not isinstance(row, store.Skipped)]
+    skipped = tuple(row for row in made if isinstance(row, store.Skipped))
     with store.without_collecting():
         schema = generator.schema(shard.split)
         table = type(rows[0]).table(rows, schema) if rows else schema.empty_table()
@@ -215,28 +215,28 @@ def plan_build(generator: RowGenerator, splits: Sequence[str] | None = None) -> 
     items = generator.items()
     layout = generator.layout()
     known = tuple(items)
-    wanted = splits or known
-    for split in wanted:
+    chosen_splits = splits or known
+    for split in chosen_splits:
         if split not in known:
             raise errors.InputError(f"unknown split {split!r}; expected one of {', '.join(known)}, or all")
     # Tasks are in canonical order, whatever the order of ``splits``, and so are shards in the manifest.
-    chosen = {split: each for split, each in items.items() if split in wanted}
+    chosen = {split: split_items for split, split_items in items.items() if split in chosen_splits}
     tasks = tuple(
-        store.ShardTask(shard, each[rows.start : rows.stop], partial(make_shard, generator))
-        for split, each in chosen.items()
+        store.ShardTask(shard, split_items[rows.start : rows.stop], partial(make_shard, generator))
+        for split, split_items in chosen.items()
         for shard, rows in shard_ranges(
             split,
-            len(each),
+            len(split_items),
             smallest=layout.smallest,
             largest=layout.largest,
-            wanted=layout.wanted,
+            usual_shards=layout.usual_shards,
             together=layout.together,
         )
     )
     if not tasks:
-        sizes = {split: len(each) for split, each in items.items()}
+        sizes = {split: len(split_items) for split, split_items in items.items()}
         raise errors.InputError(
-            f"no {generator.kind.nouns} to make for {', '.join(wanted)}: the splits have {sizes}",
+            f"no {generator.kind.nouns} to make for {', '.join(chosen_splits)}: the splits have {sizes}",
             next="choose another --split, or larger ones",
         )
     return store.BuildPlan(

@@ -294,8 +294,8 @@ def kinds() -> tuple[DatasetKind, ...]:
     # Imported here: every command line starts with this file, and few need it.
     from importlib.metadata import entry_points
 
-    found = [entry.load() for entry in entry_points(group="tactile_toolkit.kinds")]
-    return tuple(sorted(found, key=lambda kind: kind.name))
+    installed = [entry.load() for entry in entry_points(group="tactile_toolkit.kinds")]
+    return tuple(sorted(installed, key=lambda kind: kind.name))
 
 
 def _quoted(text: str) -> str:

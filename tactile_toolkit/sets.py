@@ -31,7 +31,9 @@ def list_folder(folder: str | Path) -> list[JsonDict]:
             next="give a folder with data set folders",
         )
     listed = []
-    inner = sorted(each.name for each in path.iterdir() if each.is_dir() and not store.is_hidden(each.name))
+    inner = sorted(
+        entry.name for entry in path.iterdir() if entry.is_dir() and not store.is_hidden(entry.name)
+    )
     for name in [".", *inner]:
         kind = ""
         table = dict[str, dict[str, int]]()
@@ -45,7 +47,7 @@ def list_folder(folder: str | Path) -> list[JsonDict]:
             kind = manifest.kind
             table = manifest.split_table()
             state = "finished" if manifest.complete else "unfinished"
-        sums = {each: sum(split[each] for split in table.values()) for each in ("rows", "bytes")}
+        sums = {figure: sum(split[figure] for split in table.values()) for figure in ("rows", "bytes")}
         listed.append({"name": name, "kind": kind, "splits": ", ".join(table), **sums, "state": state})
     return listed
 
@@ -118,7 +120,7 @@ def _python_value(scalar: pa.Scalar) -> object:
     except ValueError:
         # Its text needs pandas, which no command imports.
         if isinstance(scalar, Mapping):
-            return {name: _python_value(each) for name, each in scalar.items()}
+            return {name: _python_value(value) for name, value in scalar.items()}
         if isinstance(scalar, Iterable):
             return list(map(_python_value, scalar))
         return scalar.cast("string").as_py()
@@ -127,13 +129,13 @@ def _python_value(scalar: pa.Scalar) -> object:
 def _brief(value: object) -> JsonValue:
     """Shorten a value for JSON: a long list becomes its number of values, bytes become their size."""
     if isinstance(value, dict):
-        return {name: _brief(each) for name, each in value.items()}
+        return {name: _brief(item) for name, item in value.items()}
     if isinstance(value, bytes):
         return bytes_text(len(value))
     if isinstance(value, list) and len(value) > _SHOWN:
         return with_count(len(value), "values")
     if isinstance(value, list):
-        return [_brief(each) for each in value]
+        return [_brief(item) for item in value]
     if isinstance(value, (bool, int, float, str, type(None))):
         return value
     return str(value)

@@ -50,7 +50,7 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Return the end of a message with the most similar name: ``"; did you mean 'test'?"``, or ``""``."""
     import difflib  # takes 4 ms, and few commands need it
 
-    lowered = {each.lower(): each for each in known}
+    lowered = {word.lower(): word for word in known}
     close = difflib.get_close_matches(name.lower(), lowered, n=1)
     return f"; did you mean {lowered[close[0]]!r}?" if close else ""
 
@@ -60,8 +60,10 @@ def printable(text: str, keep: str = "") -> str:
     if text.isprintable():
         return text
     return "".join(
-        each if each in keep or each.isprintable() else each.encode("unicode_escape").decode("ascii")
-        for each in text
+        character
+        if character in keep or character.isprintable()
+        else character.encode("unicode_escape").decode("ascii")
+        for character in text
     )
 
 
@@ -69,9 +71,9 @@ def printable_json(values: object, indent: int = 2) -> str:
     """Return the JSON text of some values, with invisible characters in JSON's own escapes."""
     text = json.dumps(values, indent=indent, ensure_ascii=False)
     # Outside of strings, JSON has only visible characters and line breaks.
-    odd = {each for each in set(text) if not each.isprintable()} - {"\n"}
+    odd = {character for character in set(text) if not character.isprintable()} - {"\n"}
     if odd:
-        return text.translate({ord(each): json.dumps(each)[1:-1] for each in odd})
+        return text.translate({ord(character): json.dumps(character)[1:-1] for character in odd})
     return text
 
 
@@ -135,9 +137,9 @@ def bytes_text(size: float) -> str:
 
 def duration_text(seconds: float) -> str:
     """Return a duration as text: ``"1 min 20 s"``."""
-    minutes, rest = divmod(round(seconds), 60)
+    minutes, seconds_left = divmod(round(seconds), 60)
     if not minutes:
-        return f"{rest} s"
+        return f"{seconds_left} s"
     if minutes < 60:
-        return f"{minutes} min {rest} s"
+        return f"{minutes} min {seconds_left} s"
     return f"{minutes // 60} h {minutes % 60} min"

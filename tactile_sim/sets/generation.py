@@ -251,7 +251,7 @@ class TouchGenerator(generation.RowGenerator):
             libraries=tuple(libraries),
             smallest=smallest,
             largest=self._rounds_for(_SHARD_BYTES),
-            wanted=_SHARDS,
+            usual_shards=_SHARDS,
             sampled=3,  # a round of 32 touches takes some 10 ms, preparing a solid 28 ms
             together=self.spec.plan.rounds,
         )

@@ -103,9 +103,12 @@ def divide(
         only = among.pop("split", None)
         if only not in (None, *datasets):
             raise places.unknown_split(only, tuple(datasets), place.name)
-        some = catalog.choose_rows([each for each in datasets.items() if only in (None, each[0])], **among)
+        some = catalog.choose_rows([item for item in datasets.items() if only in (None, item[0])], **among)
         taken = dict.fromkeys(datasets, np.zeros(0, np.int64)) | {split: rows for split, _, rows in some}
-        return [taken, {each: np.setdiff1d(np.arange(len(datasets[each])), taken[each]) for each in taken}]
+        return [
+            taken,
+            {split: np.setdiff1d(np.arange(len(datasets[split])), taken[split]) for split in taken},
+        ]
     parts: list[dict[str, Int64]] = [{} for _ in fractions]
     for split, rows in datasets.items():
         # Doubles of this generator are the same in every version of numpy; shuffles may differ.
@@ -157,8 +160,8 @@ def select_rows(
 ) -> store.Manifest:
     """Write the rows that :func:`~tactile_toolkit.catalog.choose_rows` takes for ``chosen`` as a data set."""
     rows, _ = divide(kind, name, (), 0, chosen)
-    given = {each: value for each, value in chosen.items() if value is not None}
-    return _build(kind, [_open_source(kind, name, SELECT)], rows, SELECT, given, out, run)
+    options = {option: value for option, value in chosen.items() if value is not None}
+    return _build(kind, [_open_source(kind, name, SELECT)], rows, SELECT, options, out, run)
 
 
 def plan_tables(
@@ -187,7 +190,7 @@ def plan_tables(
     if chosen.per_class is not None:
         options["per_class"] = chosen.per_class
     options |= unfinished_counts([place])
-    every = (shard.path for found in shards.values() for shard in found)
+    every = (shard.path for files in shards.values() for shard in files)
     store.open_folder(out).refuse_source(place.name, every)
     return copy_plan(kind, EXPORT, options, shards, place.made_by or None, tasks, _STYLE, "trimesh")
 
@@ -296,8 +299,8 @@ def _common_schema(sources: Sequence[_Source]) -> pa.Schema:
         for source in sources
         for split, shards in source.shards.items()
     ]
-    for other, found in others:
-        differs = schema_difference(schema, found, (name, other))
+    for other_name, other_schema in others:
+        differs = schema_difference(schema, other_schema, (name, other_name))
         if differs:
             raise errors.InputError(f"{differs}; expected data sets made alike")
     return schema
@@ -315,11 +318,11 @@ def _build(
 ) -> store.Manifest:
     folder = store.open_folder(out)
     tasks = []
-    found = {}
+    shards_of = {}
     for source in sources:
         folder.refuse_source(source.name, (file.path for file in source.table.files))
     for split in dict.fromkeys(split for source in sources for split in source.shards):
-        shards = found[split] = [shard for source in sources for shard in source.shards.get(split, ())]
+        shards = shards_of[split] = [shard for source in sources for shard in source.shards.get(split, ())]
         parts: list[tuple[pa.Table, pa.Schema]] = [
             (range(len(shard)), partial(_copy_file, shard, (changes or {}).get(shard.path)))
             for shard in shards
@@ -341,15 +344,17 @@ def _build(
     # Data sets that were made in different ways have no common specification.
     source_spec = specs[0] if all(spec == specs[0] for spec in specs) else None
     # Kinds of one package have the same columns, as all touches do.
-    made = next((each for each in kinds() if each.name == each.package == kind.package), kind)
-    style = _style([*shards, *chain.from_iterable(found.values())])
-    plan = copy_plan(made, operation, options, found, source_spec, tasks, style)
+    made = next(
+        (installed for installed in kinds() if installed.name == installed.package == kind.package), kind
+    )
+    style = _style([*shards, *chain.from_iterable(shards_of.values())])
+    plan = copy_plan(made, operation, options, shards_of, source_spec, tasks, style)
     return store.build(folder, plan, write_card=made.write_card, **run)
 
 
 def unfinished_counts(sources: Iterable[_Source | places.Place]) -> dict[str, str]:
     """Return, for the specification of a copy, how much of each unfinished source was finished."""
-    counts = [each.unfinished for each in sources if each.unfinished]
+    counts = [source.unfinished for source in sources if source.unfinished]
     if counts:
         return {"unfinished": ", ".join(counts)}
     return {}
@@ -369,7 +374,7 @@ def copy_plan(
     spec = {
         "operation": operation,
         "options": options,
-        "source": {split: [each.fingerprint() for each in found] for split, found in shards.items()},
+        "source": {split: [shard.fingerprint() for shard in files] for split, files in shards.items()},
         "source_spec": source_spec,
     }
     libraries = ("numpy", "pyarrow", *libraries)
@@ -380,14 +385,14 @@ def _style(shards: Iterable[read.Shard]) -> store.ParquetStyle:
     """Return the style of the first shard with rows: its row groups, and columns without a dictionary."""
     footers = (shard.metadata for shard in shards)
     groups = (footer.row_group(index) for footer in footers for index in range(footer.num_row_groups))
-    group = next((each for each in groups if each.num_rows), None)
+    group = next((group for group in groups if group.num_rows), None)
     if group is None:
         return store.ParquetStyle(1)
     columns = [group.column(index) for index in range(group.num_columns)]
     encodings = [
-        (each.path_in_schema, next(name for name in each.encodings if name != "RLE"))
-        for each in columns
-        if not each.has_dictionary_page
+        (column.path_in_schema, next(name for name in column.encodings if name != "RLE"))
+        for column in columns
+        if not column.has_dictionary_page
     ]
     return store.ParquetStyle(group.num_rows, encodings=tuple(encodings))
 
@@ -407,9 +412,9 @@ class RowChanges:
     def apply(self, table: pa.Table) -> pa.Table:
         """Return the changed rows."""
         if self.ids is not None:
-            place = table.schema.get_field_index("id")
-            stored = table.schema.field(place)
-            table = table.set_column(place, stored, pa.array(self.ids).cast(stored.type))
+            column_index = table.schema.get_field_index("id")
+            stored = table.schema.field(column_index)
+            table = table.set_column(column_index, stored, pa.array(self.ids).cast(stored.type))
         if not self.column:
             return table
         values = pa.array([self.source] * len(table), pa.string())
@@ -467,7 +472,7 @@ def source_names(names: Sequence[str]) -> list[str]:
     """Return names of data sets without their parent folders, as far as they differ then."""
     parts = [_parts_of(name) for name in names]
     for length in range(1, max(map(len, parts), default=0) + 1):
-        short = ["/".join(each[-length:]) for each in parts]
+        short = ["/".join(steps[-length:]) for steps in parts]
         if len(set(short)) == len(short):
             return short
     return list(names)
@@ -481,7 +486,7 @@ def _parts_of(name: str) -> list[str]:
 
 def require_new_column(name: str, schema: pa.Schema) -> None:
     """Refuse a name of the new column that rows have, or that names a field of a struct (InputError)."""
-    known = {*schema.names, *(each.partition(".")[0] for each in schema.names)}
+    known = {*schema.names, *(column.partition(".")[0] for column in schema.names)}
     if not name.strip() or "." in name or not name.isprintable() or name in known:
         raise errors.InputError(
             f"is {name!r}; expected the name of a new column, without dots "
@@ -490,32 +495,35 @@ def require_new_column(name: str, schema: pa.Schema) -> None:
         )
 
 
-def schema_difference(one: pa.Schema, other: pa.Schema, names: tuple[str, str]) -> str:
+def schema_difference(first_schema: pa.Schema, second_schema: pa.Schema, names: tuple[str, str]) -> str:
     """Describe how rows of two data sets differ: the first column, class or metadata; empty if alike."""
     first, second = names
-    types = [read.column_types(schema) for schema in (one, other)]
+    types = [read.column_types(schema) for schema in (first_schema, second_schema)]
     for column in dict.fromkeys([*types[0], *types[1]]):
-        here, there = (each.get(column) for each in types)
+        here, there = (type_of.get(column) for type_of in types)
         if here is None or there is None:
             has, lacks = (second, first) if here is None else (first, second)
             return f"{has} has the column {column!r}, which {lacks} lacks"
         if here != there:
             return f"the column {column!r} is {here} in {first} and {there} in {second}"
-    if one.names != other.names:
+    if first_schema.names != second_schema.names:
         return f"the columns of {first} are in another order than those of {second}"
-    classes = [read.class_names(schema, ()) for schema in (one, other)]
+    classes = [read.class_names(schema, ()) for schema in (first_schema, second_schema)]
     if classes[0] != classes[1]:
         pairs = enumerate(zip_longest(*classes))
-        number, (here, there) = next((place, pair) for place, pair in pairs if pair[0] != pair[1])
-        found, other_found = ("missing" if each is None else repr(each) for each in (here, there))
-        return f"class {number} is {found} in {first} and {other_found} in {second}"
+        number, (here, there) = next((label, pair) for label, pair in pairs if pair[0] != pair[1])
+        here_text, there_text = (
+            "missing" if class_name is None else repr(class_name) for class_name in (here, there)
+        )
+        return f"class {number} is {here_text} in {first} and {there_text} in {second}"
     features = [
-        schemas.stored_features(schema, name) for schema, name in zip((one, other), names, strict=True)
+        schemas.stored_features(schema, name)
+        for schema, name in zip((first_schema, second_schema), names, strict=True)
     ]
-    for column in one.names:
+    for column in first_schema.names:
         if features[0].get(column) != features[1].get(column):
             return f"the column {column!r} has other metadata of `datasets` in {first} than in {second}"
-    if not one.equals(other, check_metadata=True):
+    if not first_schema.equals(second_schema, check_metadata=True):
         return f"the metadata of {first} are not those of {second}"
     return ""
 

@@ -161,11 +161,11 @@ def _plan(
         if path in repository.remote and (path != store.MANIFEST_FILE or manifest)
     )
     all_splits = place.splits
-    wanted = set(all_splits)
+    chosen_names = set(all_splits)
     if splits:
-        wanted = {split for split in all_splits if not recorded.keys().isdisjoint(place.files[split])}
-        wanted.update(splits)
-    chosen = tuple(split for split in all_splits if split in wanted)
+        chosen_names = {split for split in all_splits if not recorded.keys().isdisjoint(place.files[split])}
+        chosen_names.update(splits)
+    chosen = tuple(split for split in all_splits if split in chosen_names)
     paths = _accompanying_files(repository, chosen, metadata * (folder is None))
     for split in dict.fromkeys([*chosen, *splits]):
         paths += place.paths_of(split)
@@ -218,11 +218,11 @@ def _earlier_record(folder: store.DataFolder, repository: hub.HubRepository) -> 
             refuse_unknown_files(folder)
         return None
     if record is None or record.repo_id != repository.repo_id:
-        found = "a data set of another origin"
+        origin = "a data set of another origin"
         if record is not None:
-            found = f"a download of {record.repo_id!r}"
+            origin = f"a download of {record.repo_id!r}"
         raise errors.SpecMismatchError(
-            f"{folder.address()!r} holds {found}, not one of {repository.repo_id!r}; nothing in it was "
+            f"{folder.address()!r} holds {origin}, not one of {repository.repo_id!r}; nothing in it was "
             "changed",
             next="choose another folder with --out",
         )
@@ -243,8 +243,8 @@ def _accompanying_files(
     listed = {*_EXTRA_FILES}
     if manifest is not None:
         listed.update(manifest.files)
-    wanted = (listed - {*_METADATA_FILES, *_shown(manifest)}) | {*metadata}
-    return [path for path in repository.files() if path in wanted or path.startswith(folders)]
+    chosen_paths = (listed - {*_METADATA_FILES, *_shown(manifest)}) | {*metadata}
+    return [path for path in repository.files() if path in chosen_paths or path.startswith(folders)]
 
 
 def _shown(manifest: store.Manifest | None) -> set[str]:
@@ -289,8 +289,8 @@ def _execute(plan: DownloadPlan, folder: store.DataFolder, on_progress: Callable
 def _write_metadata(plan: DownloadPlan, folder: store.DataFolder, manifest: store.Manifest | None) -> None:
     """Write manifest and card, adapted to the splits of the folder."""
     names = plan.record.metadata_files
-    found = [place.read_bytes() for place in plan.repository.local_paths(names)]
-    contents = dict(zip(names, found, strict=True))
+    documents = [cached.read_bytes() for cached in plan.repository.local_paths(names)]
+    contents = dict(zip(names, documents, strict=True))
     shown = _shown(manifest)
     is_part = set(plan.splits) < set(plan.record.splits)
     is_fitted = is_part or bool(shown)

@@ -44,7 +44,7 @@ class LocalFile:
     """A file to send: its path on the Hub, its local path, and its checksum if it is known."""
 
     path: str
-    place: Path
+    local_path: Path
     size: int
     sha256: str | None = None
 
@@ -54,7 +54,7 @@ class LocalFile:
             return False
         if self.sha256 is not None and len(remote.digest) == len(self.sha256):
             return remote.digest == self.sha256
-        return has_digest(self.place, remote.digest)
+        return has_digest(self.local_path, remote.digest)
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,16 +103,18 @@ def _is_for_page(path: str) -> bool:
 
 def collect(root: Path, manifest: store.Manifest) -> list[str]:
     """List the files of a verified folder that are sent: files of the manifest, card, pictures."""
-    place = store.open_folder(str(root))
-    found = [store.CARD_FILE, store.MANIFEST_FILE]
+    data_folder = store.open_folder(str(root))
+    sent = [store.CARD_FILE, store.MANIFEST_FILE]
     for folder in (PREVIEW_FOLDER, _PICTURE_FOLDER):
         paths = [path.relative_to(root).as_posix() for path in sorted((root / folder).rglob("*"))]
         # Names with a leading dot are unfinished files; links may lead to any file.
-        found += [
-            path for path in paths if not store.problem_of_name(path) and not place.problem_of_file(path)
+        sent += [
+            path
+            for path in paths
+            if not store.problem_of_name(path) and not data_folder.problem_of_file(path)
         ]
     shards = (record.shard.data_path for record in manifest.shards)
-    return list(dict.fromkeys([*found, *shards, *(manifest.files or ())]))
+    return list(dict.fromkeys([*sent, *shards, *(manifest.files or ())]))
 
 
 @dataclass(frozen=True)
@@ -161,25 +163,25 @@ class Upload:
         data) or HubError.
         """
         chosen = options or UploadOptions()
-        place = store.open_folder(folder)
-        manifest = store.read_manifest(place)
+        data_folder = store.open_folder(folder)
+        manifest = store.read_manifest(data_folder)
         ask = _asking(repo_id, on_wait)
         if manifest is None:
-            message = place.missing_message(store.MANIFEST_FILE)
+            message = data_folder.missing_message(store.MANIFEST_FILE)
             raise InputError(message, next="give the folder of a data set made by this toolkit")
         with contextlib.ExitStack() as stack:
             scratch = stack.enter_context(scratch_folder())
-            if isinstance(place, FsspecFolder):
-                place = local_copy(place, scratch / "copy")
-            _require_sound(check_folder(place, kind, workers))
+            if isinstance(data_folder, FsspecFolder):
+                data_folder = local_copy(data_folder, scratch / "copy")
+            _require_sound(check_folder(data_folder, kind, workers))
             state, unasked = _asked_state(ask, repo_id, chosen.branch, dry_run=dry_run)
-            manifest, files = _files_to_send(place, manifest, repo_id, state[0], chosen, scratch)
+            manifest, files = _files_to_send(data_folder, manifest, repo_id, state[0], chosen, scratch)
             sent = {file.path.partition("/")[0] for file in files}
             what = f"{manifest.kind} made by tactile-toolkit {manifest.toolkit_version}"
             upload = replace(
                 _compared(repo_id, chosen, state, files, ask, what),
                 manifest=manifest,
-                left_out=tuple(sorted(set(place.names()) - sent)),
+                left_out=tuple(sorted(set(data_folder.names()) - sent)),
                 unasked=unasked,
             )
             weakref.finalize(upload, stack.pop_all().close)
@@ -395,17 +397,17 @@ def local_copy(folder: FsspecFolder, root: Path) -> store.DataFolder:
 
 
 def _require_sound(findings: Iterable[store.Finding]) -> None:
-    found = [f"{each.file} {each.problem.partition('; next: ')[0]}" for each in findings]
-    if found:
-        more = f" and {len(found) - 3} more" if len(found) > 3 else ""
+    problems = [f"{finding.file} {finding.problem.partition('; next: ')[0]}" for finding in findings]
+    if problems:
+        more = f" and {len(problems) - 3} more" if len(problems) > 3 else ""
         raise IntegrityError(
-            f"nothing was uploaded, because the folder has problems: {'; '.join(found[:3])}{more}",
+            f"nothing was uploaded, because the folder has problems: {'; '.join(problems[:3])}{more}",
             next="run the command that made it again, or the command `card` if only the card is wrong",
         )
 
 
 def _files_to_send(
-    place: store.DataFolder,
+    folder: store.DataFolder,
     manifest: store.Manifest,
     repo_id: str,
     held: hub.HubRepository | None,
@@ -413,18 +415,18 @@ def _files_to_send(
     scratch: Path,
 ) -> tuple[store.Manifest, tuple[LocalFile, ...]]:
     """Collect the files to send, with the card for the Hub."""
-    root = Path(place.address())
+    root = Path(folder.address())
     made = dict[str, str]()
     if options.viewer:
         from tactile_toolkit.exchange.copies import viewer_tables  # meshes
 
-        made = viewer_tables(place, manifest, scratch)
+        made = viewer_tables(folder, manifest, scratch)
         manifest = replace(manifest, files={**manifest.files, **made})
     paths = collect(root, manifest)
-    facts = cards.FolderSummary.of(place, manifest)
+    facts = cards.FolderSummary.of(folder, manifest)
     # If the pattern of a split would match another file of the repository, its files are listed one by one.
     others, _ = _other_files(paths, {} if held is None else held.remote, options.delete)
-    stored = with_repo_name(place.read_bytes(store.CARD_FILE).decode(), repo_id)
+    stored = with_repo_name(folder.read_bytes(store.CARD_FILE).decode(), repo_id)
     card = yaml_head.with_head(stored, lambda head: head.update(configs=yaml_head.configs(facts, others)))
     rendered = {store.CARD_FILE: card}
     if made:
@@ -432,9 +434,12 @@ def _files_to_send(
     for path, content in rendered.items():
         (scratch / path).write_bytes(content.encode())
     known = {record.file: record.sha256 for record in manifest.shards} | dict(manifest.files)
-    places = {path: root / path for path in paths} | {path: scratch / path for path in (*made, *rendered)}
+    local_paths = {path: root / path for path in paths} | {
+        path: scratch / path for path in (*made, *rendered)
+    }
     return manifest, tuple(
-        LocalFile(path, where, where.stat().st_size, known.get(path)) for path, where in places.items()
+        LocalFile(path, local_path, local_path.stat().st_size, known.get(path))
+        for path, local_path in local_paths.items()
     )
 
 
@@ -459,7 +464,7 @@ def _send(upload: Upload) -> tuple[str, str | None]:
             repo_id=upload.repo_id,
             operations=[
                 *(huggingface_hub.CommitOperationDelete(path) for path in plan.removed),
-                *(huggingface_hub.CommitOperationAdd(each.path, each.place) for each in plan.to_send),
+                *(huggingface_hub.CommitOperationAdd(file.path, file.local_path) for file in plan.to_send),
             ],
             repo_type="dataset",
             commit_message=options.message or message,

@@ -190,7 +190,9 @@ def failure_of(
     if is_answer and isinstance(error, _UNREADABLE):
         traits[0] += " Unreadable"
     responses = (getattr(link, "response", None) for link in chain)
-    wait_s = next((_requested_wait_s(each.headers) for each in responses if each is not None), 0.0)
+    wait_s = next(
+        (_requested_wait_s(response.headers) for response in responses if response is not None), 0.0
+    )
     for pattern, sentence in _SENTENCES.items():
         link = next((link for link, its in zip(chain, traits, strict=True) if re.search(pattern, its)), None)
         if link is not None:
@@ -245,10 +247,10 @@ def _limit_session() -> None:
         session = import_module("huggingface_hub").get_session()
     except Exception as error:
         # Its message may quote an address with a password.
-        found = str(error) if isinstance(error, ImportError) else type(error).__name__
-        given = ", ".join(name for name in _ADDRESSES if name in os.environ)
+        cause = str(error) if isinstance(error, ImportError) else type(error).__name__
+        variables = ", ".join(name for name in _ADDRESSES if name in os.environ)
         raise errors.InputError(
-            f"the client of the Hub cannot be set up ({found}); set are {given or 'no addresses'}",
+            f"the client of the Hub cannot be set up ({cause}); set are {variables or 'no addresses'}",
             next="correct these variables, or unset them",
         ) from None
     hooks = session.event_hooks if hasattr(session, "event_hooks") else session.hooks

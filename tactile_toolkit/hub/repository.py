@@ -77,12 +77,12 @@ def hub_name(name: str, revision: str | None = None) -> HubName | None:
 
 def commit_of(repo_id: str, revision: str) -> str | None:
     """Return the commit that a revision named when it was last resolved; None if it never was."""
-    found = revision
+    commit = revision
     if not _COMMIT.fullmatch(revision) and not store.problem_of_name(revision):
         with contextlib.suppress(OSError, UnicodeDecodeError):
-            found = (_cache_of(repo_id) / "refs" / revision).read_text().strip()
-    if _COMMIT.fullmatch(found):
-        return found
+            commit = (_cache_of(repo_id) / "refs" / revision).read_text().strip()
+    if _COMMIT.fullmatch(commit):
+        return commit
     return None
 
 
@@ -162,8 +162,10 @@ class HubRepository:
         """Shards and further files of the commit as the manifest states them, by path."""
         if self.manifest is None:
             return {}
-        digests = {path: each for path, each in self.manifest.files.items() if path in self.remote}
-        shards = {each.file: HubFile(each.file, each.bytes, each.sha256) for each in self.manifest.shards}
+        digests = {path: digest for path, digest in self.manifest.files.items() if path in self.remote}
+        shards = {
+            record.file: HubFile(record.file, record.bytes, record.sha256) for record in self.manifest.shards
+        }
         return shards | {path: HubFile(path, self.remote[path].size_bytes, digests[path]) for path in digests}
 
     @property
@@ -185,16 +187,16 @@ class HubRepository:
         """
         store.names_inside((path,), f"Hub data set {self.repo_id!r}")
         remote = self.remote.get(path)
-        wanted = remote if path == store.MANIFEST_FILE else self._listed.get(path, remote)
-        if wanted is None and self.is_cache:
+        expected = remote if path == store.MANIFEST_FILE else self._listed.get(path, remote)
+        if expected is None and self.is_cache:
             raise not_cached(self.repo_id, repr(path))
-        if wanted is None:
+        if expected is None:
             raise errors.HubError(
                 f"Hub data set {self.repo_id!r} has no file {path!r}", next="see what it has on its page"
             )
-        digests = [each.digest for each in (remote, wanted) if each and each.digest]
+        digests = [known.digest for known in (remote, expected) if known and known.digest]
         if len(set(digests)) == len(set(map(len, digests))):  # one of each kind
-            return wanted
+            return expected
         raise errors.IntegrityError(
             f"{path!r} of Hub data set {self.repo_id!r} is not the file that its "
             f"{store.MANIFEST_FILE} lists: {digests[0]}, expected {digests[1]}; nothing was fetched",
@@ -247,10 +249,10 @@ class HubRepository:
                 on_bytes(total)
 
         def fetch_one(file: HubFile) -> str:
-            place = self._fetch_checked(file, stage, partial(count, file))
+            local_path = self._fetch_checked(file, stage, partial(count, file))
             if isinstance(folder, FsspecFolder):
-                folder.upload(file.path, place)
-                place.unlink()
+                folder.upload(file.path, local_path)
+                local_path.unlink()
             return file.path
 
         with contextlib.ExitStack() as stack:
@@ -285,16 +287,16 @@ class HubRepository:
                 huggingface_hub.hf_hub_download, self.repo_id, path, force_download=force, **options
             )
             doing = f"fetching {path!r} of"
-            place = Path(call_with_retry(fetch, self.repo_id, doing, on_wait=self.on_wait))
-            if has_digest(place, digest):
-                sync_file(place)  # a power cut must not empty a file that counts as intact
+            local_path = Path(call_with_retry(fetch, self.repo_id, doing, on_wait=self.on_wait))
+            if has_digest(local_path, digest):
+                sync_file(local_path)  # a power cut must not empty a file that counts as intact
                 count(file.size_bytes)
-                return place
+                return local_path
             # Also the target of its link in the cache: damaged content must not be found again.
-            content = Path(os.path.realpath(place))
+            content = Path(os.path.realpath(local_path))
             if content.is_relative_to(os.path.realpath(_cache_of(self.repo_id))):
                 content.unlink(missing_ok=True)
-            place.unlink(missing_ok=True)
+            local_path.unlink(missing_ok=True)
         raise errors.IntegrityError(
             f"{path!r} of Hub data set {self.repo_id!r} arrived damaged twice, expected {digest}; "
             "nothing of it was kept",
@@ -328,13 +330,13 @@ def open_repository(
     waits_s = None if patient or cached is None else ()
     ask = partial(listing, repo_id, revision)
     try:
-        found = call_with_retry(ask, repo_id, waits_s=waits_s, on_wait=on_wait)
+        repository = call_with_retry(ask, repo_id, waits_s=waits_s, on_wait=on_wait)
     except errors.HubError as error:
         if cached is None or has_answered(error):
             raise
-        found = cached
-    remember_commit(repo_id, revision or _MAIN, found.commit)
-    return replace(found, on_wait=on_wait)
+        repository = cached
+    remember_commit(repo_id, revision or _MAIN, repository.commit)
+    return replace(repository, on_wait=on_wait)
 
 
 def listing(repo_id: str, revision: str | None = None) -> HubRepository:
@@ -365,8 +367,8 @@ def find_cached(repo_id: str, revision: str | None = None) -> HubRepository | No
     files = {}
     if commit is None:
         return None
-    found = HubRepository(repo_id, revision, commit, {}, is_cache=True)
-    root = Path(found.folder.root)
+    repository = HubRepository(repo_id, revision, commit, {}, is_cache=True)
+    root = Path(repository.folder.root)
     for file in sorted(file for file in root.rglob("*") if file.is_file()):
         # The name of a blob is the digest of its content; a cache without links has no blobs.
         path = file.relative_to(root).as_posix()
@@ -374,5 +376,5 @@ def find_cached(repo_id: str, revision: str | None = None) -> HubRepository | No
         is_named = file.is_symlink() and DIGEST.fullmatch(blob)
         files[path] = HubFile(path, file.stat().st_size, blob if is_named else None)
     if files:
-        return replace(found, remote=files)
+        return replace(repository, remote=files)
     return None

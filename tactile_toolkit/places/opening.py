@@ -69,17 +69,17 @@ def open_place(
     """
     if isinstance(name, Place):
         return name
-    found = _several(name, revision)
-    if found is None:
+    place = _several(name, revision)
+    if place is None:
         text = os.fsdecode(cast(Name, name))
         local = _local(_without_short_name(text))
-        found = _local_place(text, *local, config) if local else hub_place(text, revision, config)
+        place = _local_place(text, *local, config) if local else hub_place(text, revision, config)
         if local and revision is not None:
             raise errors.InputError(
                 f"{text!r} is not on the Hub and has no revisions; {revision!r} was asked for",
                 next="leave it out, or name a repository",
             )
-    return replace(found.require_config(config), allow_incomplete=allow_incomplete)
+    return replace(place.require_config(config), allow_incomplete=allow_incomplete)
 
 
 def folder_place(folder: store.DataFolder) -> Place:
@@ -97,7 +97,7 @@ def _several(names: object, revision: str | None) -> Place | None:
     if not files:
         raise errors.InputError("no files given; expected Parquet files of one data set")
     opened: dict[tuple[str, str | None], hub.HubRepository] = {}
-    places = []
+    opened_files = []
     for file in files:
         if not isinstance(file, (str, os.PathLike)):
             raise errors.InputError(
@@ -111,9 +111,9 @@ def _several(names: object, revision: str | None) -> Place | None:
         if place.repository is not None:  # all files of one commit
             key = place.repository.repo_id, place.repository.revision
             place = replace(place, source=opened.setdefault(key, place.repository))
-        places.append(place)
-    name = ", ".join(place.name for place in places)
-    return Place(name, tuple(places), {USUAL_SPLIT: ("",)}, is_file=True)
+        opened_files.append(place)
+    name = ", ".join(place.name for place in opened_files)
+    return Place(name, tuple(opened_files), {USUAL_SPLIT: ("",)}, is_file=True)
 
 
 def _without_short_name(name: str) -> str:
@@ -122,9 +122,9 @@ def _without_short_name(name: str) -> str:
     if "/" in name or published_set(name) is None:
         return name
     # The folder must hold data: a checkout of the toolkit has a folder called ``mnist3d``, too.
-    place = Path(name)
+    path = Path(name)
     patterns = (store.MANIFEST_FILE, "*.parquet", f"{DATA_FOLDER}/*.parquet")
-    is_data = place.is_file() or any(next(place.glob(pattern), None) for pattern in patterns)
+    is_data = path.is_file() or any(next(path.glob(pattern), None) for pattern in patterns)
     if is_data:
         return name
     return ""
@@ -177,13 +177,13 @@ def _local_place(name: str, folder: store.DataFolder, file: str, config: str | N
         named = splits_by_card(folder.read_bytes(store.CARD_FILE), _walked(folder), config, name)
         if named is not None:
             return Place(name, folder, require_some(named, name), config=config)
-    in_data = [f"{DATA_FOLDER}/{each}" for each in folder.names(DATA_FOLDER)]
+    in_data = [f"{DATA_FOLDER}/{file_name}" for file_name in folder.names(DATA_FOLDER)]
     if not has_shards(in_data):
         in_data = _walked(folder)
-    found = splits_by_name(in_data, name)
-    if not found:
+    files = splits_by_name(in_data, name)
+    if not files:
         raise not_a_set(folder, name)
-    return Place(name, folder, found)
+    return Place(name, folder, files)
 
 
 def _walked(folder: store.DataFolder) -> list[str]:
@@ -229,13 +229,16 @@ def repository_place(
         The name of a file leads out of a folder; nothing was fetched.
     """
     inside = f"{path}/" if path else ""
-    paths = parquet_paths(each for each in repository.files() if each.startswith(inside))
+    paths = parquet_paths(file_path for file_path in repository.files() if file_path.startswith(inside))
     store.names_inside(paths, f"Hub data set {repository.repo_id!r}")
     manifest = repository.manifest
     if manifest is not None:
         # Uploads keep other files: shards of an earlier data set may be next to these.
         listed = shards_by_split(manifest)
-        files = {split: tuple(each for each in found if each in {*paths}) for split, found in listed.items()}
+        files = {
+            split: tuple(shard_path for shard_path in shard_paths if shard_path in {*paths})
+            for split, shard_paths in listed.items()
+        }
         return Place(name, repository, files, manifest)
     if paths and store.CARD_FILE in repository.remote and not path:
         card = repository.local_paths((store.CARD_FILE,))[0].read_bytes()
@@ -244,13 +247,15 @@ def repository_place(
             if repository.is_cache and not any(named.values()):
                 raise not_cached(repository.repo_id, "it")
             return Place(name, repository, require_some(named, name), config=config)
-    relative = splits_by_name((each.removeprefix(inside) for each in paths), name)
-    found = {split: tuple(f"{inside}{each}" for each in held) for split, held in relative.items()}
-    if not found:
+    relative = splits_by_name((file_path.removeprefix(inside) for file_path in paths), name)
+    files_by_split = {
+        split: tuple(f"{inside}{file_path}" for file_path in held) for split, held in relative.items()
+    }
+    if not files_by_split:
         if repository.is_cache:
             raise not_cached(repository.repo_id, "it")
         raise unknown_split("", (), name)
-    return Place(name, repository, found)
+    return Place(name, repository, files_by_split)
 
 
 D = TypeVar("D", bound="read.RecordDataset[Any]", covariant=True)
@@ -342,7 +347,7 @@ def loader(kind: DatasetKind, dataset: type[D], stream: type[S]) -> MeshLoader[D
             return stream(shards, dataset.record_class, kind.class_names)
         return dataset(read.ShardedTable(shards), label_names=names)
 
-    published = "".join(f", or ``{each.name}`` for the published one" for each in kind.published)
+    published = "".join(f", or ``{known.name}`` for the published one" for known in kind.published)
     words = {"nouns": kind.nouns, "made_by": kind.made_by, "published": published}
     load.__doc__ = _DOC.format(**words, dataset=dataset.__name__, stream=stream.__name__)
     load.__module__ = dataset.__module__
@@ -357,7 +362,7 @@ def _class_names(shards: tuple[read.Shard, ...], name: str, kind: DatasetKind) -
         mesh.require_mesh_columns(schema, name, kind.made_by)
         names[read.class_names(schema, kind.class_names, name)] = None
     if len(names) > 1:
-        shown = " and ".join(", ".join(each) for each in list(names)[:2])
+        shown = " and ".join(", ".join(classes) for classes in list(names)[:2])
         raise errors.InputError(
             f"{name!r} has the classes {shown}", next="open files of one data set together"
         )

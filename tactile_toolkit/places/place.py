@@ -132,7 +132,7 @@ class Place:
     @cached_property
     def _stated_kind(self) -> DatasetKind | None:
         if self.manifest is not None:
-            return next((each for each in kinds() if each.name == self.manifest.kind), None)
+            return next((kind for kind in kinds() if kind.name == self.manifest.kind), None)
         repository = self.repository or self.download
         return None if repository is None else kind_of_published(repository.repo_id)
 
@@ -141,18 +141,18 @@ class Place:
 
         Raises InputError if the kind is not known and none is named, and if the named one does not fit.
         """
-        found = self.kind
-        named = next((each for each in kinds() if each.name == name), None)
+        recognised = self.kind
+        named = next((kind for kind in kinds() if kind.name == name), None)
         if named is None and name is not None:
-            expected = ", ".join(each.name for each in kinds())
+            expected = ", ".join(kind.name for kind in kinds())
             raise errors.InputError(f"is {name!r}; expected one of {expected}", field="kind")
         if named is not None:
             self.require(named, "--kind")
             return named
-        if found is not None:
-            return found
+        if recognised is not None:
+            return recognised
         columns = read.column_names(self._first_shard().schema)
-        fitting = [each.name for each in kinds() if any(column in columns for column in each.needs)]
+        fitting = [kind.name for kind in kinds() if any(column in columns for column in kind.needs)]
         if self.manifest is not None or not fitting:
             shown = ", ".join(columns[:_COLUMNS_SHOWN])
             raise errors.InputError(
@@ -165,8 +165,8 @@ class Place:
         )
 
     def _first_shard(self) -> read.Shard:
-        found = next(iter(self._found.values()), None)
-        return (found or self.shards(self.splits[0]))[0]
+        shards = next(iter(self._found.values()), None)
+        return (shards or self.shards(self.splits[0]))[0]
 
     def require(self, kind: DatasetKind, asked: str = "", shard: read.Shard | None = None) -> Place:
         """Return the place if it holds data of a kind, or of one that is opened by the same package.
@@ -189,9 +189,9 @@ class Place:
             for part in self.source:
                 part.require(kind, asked)
             return self
-        found = self.kind if shard is None or self.is_kind_stated else _kind_of(shard)
-        if found is not None:
-            require_kind(found, kind, self.name, asked)
+        recognised = self.kind if shard is None or self.is_kind_stated else _kind_of(shard)
+        if recognised is not None:
+            require_kind(recognised, kind, self.name, asked)
         elif self.manifest is not None and self.manifest.kind != kind.name:
             raise errors.InputError(
                 f"{self.name!r} holds a data set of kind {self.manifest.kind!r}; expected {kind.content}",
@@ -363,12 +363,12 @@ class Place:
             return set().union(*(part.fetched_paths() for part in self.source))
         if self.repository is None:
             return set()
-        return {shard.path for found in self._found.values() for shard in found}
+        return {shard.path for shards in self._found.values() for shard in shards}
 
     def _find(self, split: str, streaming: bool) -> tuple[read.Shard, ...]:
         if isinstance(self.source, tuple):
             every = (place.shards(place.splits[0], streaming=streaming) for place in self.source)
-            return tuple(shard for found in every for shard in found)
+            return tuple(shard for shards in every for shard in shards)
         if isinstance(self.source, hub.HubRepository):
             return hub_shards(self.source, self.paths_of(split), streaming)
         if self.manifest is not None:
@@ -430,7 +430,7 @@ def hub_shards(
 ) -> tuple[read.Shard, ...]:
     """Return files of a repository as shards, fetched or, for ``streaming``, by their addresses."""
     if not streaming:
-        return tuple(read.Shard(str(place)) for place in repository.local_paths(paths))
+        return tuple(read.Shard(str(local_path)) for local_path in repository.local_paths(paths))
     for path in paths:
         repository.file(path)  # a file that is not there is named now, not when it is read
     failures = partial(hub_failures, repository.repo_id, "streaming")
@@ -457,7 +457,7 @@ def _kind_of(shard: read.Shard) -> DatasetKind | None:
     return None
 
 
-def require_kind(found: DatasetKind, kind: DatasetKind, name: str, asked: str = "") -> None:
+def require_kind(held: DatasetKind, kind: DatasetKind, name: str, asked: str = "") -> None:
     """Refuse a data set of another kind; the message names the command or function for it.
 
     Raises
@@ -465,23 +465,23 @@ def require_kind(found: DatasetKind, kind: DatasetKind, name: str, asked: str = 
     InputError
         The two kinds are not opened by the same package.
     """
-    if found.package == kind.package:
+    if held.package == kind.package:
         return
-    raise wrong_kind(found, name, asked or f"{kind.package}.load", kind.content)
+    raise wrong_kind(held, name, asked or f"{kind.package}.load", kind.content)
 
 
-def wrong_kind(found: DatasetKind, name: str, asked: str, content: str) -> errors.InputError:
+def wrong_kind(held: DatasetKind, name: str, asked: str, content: str) -> errors.InputError:
     """Return the error for data of a kind; ``asked``, a command or function, is for other ``content``."""
-    next_step = f"use {found.package}.load({name!r})"
+    next_step = f"use {held.package}.load({name!r})"
     if " " in asked:
         next_step = f"show what it holds with `tactile info {shlex.quote(name)}`"
-    return errors.InputError(f"{name!r} holds {found.content}; `{asked}` is for {content}", next=next_step)
+    return errors.InputError(f"{name!r} holds {held.content}; `{asked}` is for {content}", next=next_step)
 
 
 def published_set(name: str) -> PublishedSet | None:
     """Return a published set by its short name or its repository; None for any other name."""
     entries = (entry for kind in kinds() for entry in kind.published)
-    return next((each for each in entries if name in (each.name, each.repo_id, *each.aliases)), None)
+    return next((known for known in entries if name in (known.name, known.repo_id, *known.aliases)), None)
 
 
 def kind_of_published(name: str) -> DatasetKind | None:
@@ -551,4 +551,4 @@ def published_states() -> Iterator[PublishedState]:
         splits = list(splits_by_name(cached.remote, known.repo_id))
         return PublishedState(known, licence, hub_bytes, cached.size_bytes, splits)
 
-    return run.in_threads(state, [each for kind in kinds() for each in kind.published], _THREADS)
+    return run.in_threads(state, [known for kind in kinds() for known in kind.published], _THREADS)

@@ -73,11 +73,11 @@ _MAX_LOOKED_AT = 10_000
 def parquet_paths(paths: Iterable[str]) -> list[str]:
     """Return the paths of visible Parquet files in natural order."""
     # A path that leads out of the folder is kept here and refused later, by name.
-    found = [path for path in paths if path.endswith(PARQUET) and (".." in path or not store.is_hidden(path))]
-    return sorted(found, key=wording.natural_key)
+    files = [path for path in paths if path.endswith(PARQUET) and (".." in path or not store.is_hidden(path))]
+    return sorted(files, key=wording.natural_key)
 
 
-def splits_by_name(paths: Iterable[str], where: str) -> Splits:
+def splits_by_name(paths: Iterable[str], source: str) -> Splits:
     """Sort Parquet files by split, by the first of these rules that applies.
 
     If there are shards in ``data``, ``data/SPLIT-00000-of-00001.parquet``, only these; otherwise by a folder
@@ -110,7 +110,7 @@ def splits_by_name(paths: Iterable[str], where: str) -> Splits:
         if len(folders) > 1:
             named = " and ".join(repr(folder or ".") for folder in list(folders)[:2])
             raise errors.InputError(
-                f"{where!r} has files of split {split!r} in {named}, and no {_CARD} states which of "
+                f"{source!r} has files of split {split!r} in {named}, and no {_CARD} states which of "
                 "them is the split",
                 next=f"give one of these folders, or name the files of each split in {_CARD} (`configs`)",
             )
@@ -169,7 +169,7 @@ def split_of_file(name: str) -> str | None:
     return _split_in(name.removesuffix(PARQUET)) or None
 
 
-def splits_by_card(card: bytes, paths: Iterable[str], config: str | None, where: str) -> Splits | None:
+def splits_by_card(card: bytes, paths: Iterable[str], config: str | None, source: str) -> Splits | None:
     """Sort Parquet files by split according to the YAML of a data card; None if it does not list files.
 
     Parameters
@@ -194,32 +194,32 @@ def splits_by_card(card: bytes, paths: Iterable[str], config: str | None, where:
         There are several configurations and none was chosen, none has that name, or the list of files is
         unreadable.
     """
-    configs = _configurations(card, where)
+    configs = _configurations(card, source)
     if not configs:
         return None
-    chosen = configs[_chosen(list(configs), configs, config, where)]
+    chosen = configs[_chosen(list(configs), configs, config, source)]
     folder = str(chosen.get("data_dir") or "").strip("/")
     files = parquet_paths(path for path in paths if not folder or path.startswith(f"{folder}/"))
     if chosen.get("data_files") is None:
-        return splits_by_name(files, where)
-    patterns = _patterns(chosen["data_files"], where)
+        return splits_by_name(files, source)
+    patterns = _patterns(chosen["data_files"], source)
     return {
-        split: tuple(dict.fromkeys(path for each in named for path in _matching(folder, each, files)))
+        split: tuple(dict.fromkeys(path for pattern in named for path in _matching(folder, pattern, files)))
         for split, named in patterns.items()
     }
 
 
-def require_some(splits: Splits, where: str) -> Splits:
+def require_some(splits: Splits, source: str) -> Splits:
     """Return the splits of a data card; InputError if none of the files that it names is there."""
     if any(splits.values()):
         return splits
     raise errors.InputError(
-        f"{_CARD} of {where!r} names the files of {', '.join(splits)}; none of them is a Parquet file there",
+        f"{_CARD} of {source!r} names the files of {', '.join(splits)}; none of them is a Parquet file there",
         next=f"correct {_CARD}, or give a Parquet file",
     )
 
 
-def _configurations(card: bytes, where: str) -> dict[str, JsonObject]:
+def _configurations(card: bytes, source: str) -> dict[str, JsonObject]:
     """Return the configurations of a card by name; empty if its YAML is unreadable or lists none."""
     text = card[:_LARGEST_CARD_BYTES].decode("utf-8-sig", errors="replace").replace("\r\n", "\n")
     head = re.match(r"---[ \t]*\n(.*?)\n---[ \t]*(?:\n|$)", text, re.DOTALL)
@@ -235,64 +235,66 @@ def _configurations(card: bytes, where: str) -> dict[str, JsonObject]:
     if not isinstance(values, Mapping) or values.get("configs") is None:
         return {}
     listed = values["configs"]
-    is_list = isinstance(listed, list) and all(isinstance(each, Mapping) for each in listed)
+    is_list = isinstance(listed, list) and all(isinstance(entry, Mapping) for entry in listed)
     if not is_list:
-        raise _unreadable(where, "configs", "a list of configurations")
-    return {str(each.get("config_name", "default")): each for each in listed}
+        raise _unreadable(source, "configs", "a list of configurations")
+    return {str(entry.get("config_name", "default")): entry for entry in listed}
 
 
-def _unreadable(where: str, field: str, expected: str) -> errors.InputError:
+def _unreadable(source: str, field: str, expected: str) -> errors.InputError:
     return errors.InputError(
-        f"{_CARD} of {where!r}: {field!r} of its YAML is not {expected}",
+        f"{_CARD} of {source!r}: {field!r} of its YAML is not {expected}",
         next=f"correct {_CARD}",
     )
 
 
-def _chosen(names: Sequence[str], configs: Mapping[str, JsonObject], config: str | None, where: str) -> str:
+def _chosen(names: Sequence[str], configs: Mapping[str, JsonObject], config: str | None, source: str) -> str:
     """Return the configuration that `load_dataset` would choose."""
     if config is not None:
         if config in configs:
             return config
         known = f"it has {', '.join(names)}{wording.did_you_mean(config, names)}"
         raise errors.InputError(
-            f"no configuration {config!r} in {where!r}: {known}", next="choose one of them"
+            f"no configuration {config!r} in {source!r}: {known}", next="choose one of them"
         )
     marked = [name for name in names if name == "default" or configs[name].get("default") is True]
     candidates = marked or names
     if len(candidates) == 1:
         return candidates[0]
     raise errors.InputError(
-        f"{where!r} has the configurations {', '.join(names)}; expected one of them",
+        f"{source!r} has the configurations {', '.join(names)}; expected one of them",
         next=f"name it, config={candidates[0]!r} (in a shell --config-name {candidates[0]})",
     )
 
 
-def _patterns(data_files: object, where: str) -> dict[str, list[str]]:
+def _patterns(data_files: object, source: str) -> dict[str, list[str]]:
     """Return the patterns of the files of each split, in the order of the card."""
     expected = "a pattern, a list of patterns, or patterns by split"
     if isinstance(data_files, Mapping):
         pairs = list(data_files.items())
     elif (
-        isinstance(data_files, list) and data_files and all(isinstance(each, Mapping) for each in data_files)
+        isinstance(data_files, list)
+        and data_files
+        and all(isinstance(entry, Mapping) for entry in data_files)
     ):
-        pairs = [(each.get("split"), each.get("path")) for each in data_files]
+        pairs = [(entry.get("split"), entry.get("path")) for entry in data_files]
     else:
         pairs = [(USUAL_SPLIT, data_files)]
-    found: dict[str, list[str]] = {}
+    patterns_by_split: dict[str, list[str]] = {}
     for split, named in pairs:
         patterns = named if isinstance(named, list) else [named]
         if not (isinstance(split, str) and _SPLIT_NAME.fullmatch(split)):
-            raise _unreadable(where, "data_files", expected)
-        if not all(isinstance(each, str) for each in patterns):
-            raise _unreadable(where, "data_files", expected)
+            raise _unreadable(source, "data_files", expected)
+        if not all(isinstance(text, str) for text in patterns):
+            raise _unreadable(source, "data_files", expected)
         for pattern in patterns:
             if "://" in pattern or store.problem_of_name(pattern.replace("*", "x").removeprefix("./")):
                 raise errors.InputError(
-                    f"{_CARD} of {where!r} names the files {pattern[:80]!r}; expected files in it",
+                    f"{_CARD} of {source!r} names the files {pattern[:80]!r}; expected files in it",
                     next="do not use this data set, or ask who made it",
                 )
-        found.setdefault(split, []).extend(patterns)
-    return found
+        patterns_by_split.setdefault(split, []).extend(patterns)
+    return patterns_by_split
 
 
 def _matching(folder: str, pattern: str, paths: Sequence[str]) -> list[str]:
@@ -306,18 +308,18 @@ def _matches(pattern: tuple[str, ...], parts: tuple[str, ...]) -> bool:
     A pattern is untrusted: unlike a regular expression, this never takes exponential time.
     """
     reached = {0}
-    for number, wanted in enumerate(pattern):
-        if wanted == "**":
+    for number, part in enumerate(pattern):
+        if part == "**":
             # At the end it matches the rest.
             reached = set(range(min(reached, default=len(parts) + 1), len(parts) + 1))
             if number == len(pattern) - 1:
                 return bool(reached - {len(parts)})
             continue
-        reached = {at + 1 for at in reached if at < len(parts) and fnmatchcase(parts[at], wanted)}
+        reached = {at + 1 for at in reached if at < len(parts) and fnmatchcase(parts[at], part)}
     return len(parts) in reached
 
 
-def files_of_split(splits: Mapping[str, tuple[str, ...]], split: str, where: str) -> tuple[str, ...]:
+def files_of_split(splits: Mapping[str, tuple[str, ...]], split: str, source: str) -> tuple[str, ...]:
     """Return the files of one split.
 
     Raises
@@ -328,29 +330,29 @@ def files_of_split(splits: Mapping[str, tuple[str, ...]], split: str, where: str
         Some of its shards, or all of its files, are missing; an incomplete split must not look complete.
     """
     if split not in splits:
-        raise unknown_split(split, tuple(splits), where)
+        raise unknown_split(split, tuple(splits), source)
     chosen = splits[split]
     names = [store.ShardName.parse(PurePosixPath(path).name) for path in chosen]
     counts = {name.count for name in names if name is not None}
     expected = max(counts) if len(counts) == 1 and None not in names else len(chosen)
     if chosen and len(chosen) >= expected:
         return chosen
-    found = f"{len(chosen)} of {wording.with_count(max(expected, 1), 'files')}"
+    counts_text = f"{len(chosen)} of {wording.with_count(max(expected, 1), 'files')}"
     raise errors.IntegrityError(
-        f"{where!r} has {found} of split {split!r}; expected all",
+        f"{source!r} has {counts_text} of split {split!r}; expected all",
         next="download or generate the data set again (with a network, if it is on the Hub)",
     )
 
 
-def unknown_split(split: str, known: tuple[str, ...], where: str) -> errors.InputError:
+def unknown_split(split: str, known: tuple[str, ...], source: str) -> errors.InputError:
     """Return the error for a split that does not exist; ``known`` are existing ones."""
     if not known:
         return errors.InputError(
-            f"no Parquet files in {where!r}", next="give the folder or repository of a data set"
+            f"no Parquet files in {source!r}", next="give the folder or repository of a data set"
         )
-    found = f"it has {', '.join(known)}{wording.did_you_mean(split, known)}"
+    known_text = f"it has {', '.join(known)}{wording.did_you_mean(split, known)}"
     return errors.InputError(
-        f"no split {split!r} in {where!r}: {found}", next="choose one of them, or make it"
+        f"no split {split!r} in {source!r}: {known_text}", next="choose one of them, or make it"
     )
 
 
@@ -361,13 +363,13 @@ def is_interrupted(folder: store.DataFolder) -> bool:
 
 def not_a_set(folder: store.DataFolder, name: str, path: str = "") -> errors.InputError:
     """Return the error for a folder, or a file in it, without a data set; it names what was found."""
-    found, next_step = _file_in_words(path) if path else _folder_in_words(folder)
-    return errors.InputError(f"{name!r} {found}; expected a data set of Parquet files", next=next_step)
+    problem, next_step = _file_in_words(path) if path else _folder_in_words(folder)
+    return errors.InputError(f"{name!r} {problem}; expected a data set of Parquet files", next=next_step)
 
 
 def _file_in_words(path: str) -> tuple[str, str]:
-    one, _, next_step = _ENDINGS.get(_ending(path), ("a file of another kind", "", _PARQUET_STEP))
-    return f"is {one}", next_step
+    content, _, next_step = _ENDINGS.get(_ending(path), ("a file of another kind", "", _PARQUET_STEP))
+    return f"is {content}", next_step
 
 
 def _folder_in_words(folder: store.DataFolder) -> tuple[str, str]:
@@ -402,7 +404,7 @@ def _contents_in_words(folder: store.DataFolder) -> tuple[str, str]:
         if size is not None:
             files.append(name)
         elif not name.startswith("."):
-            files += [f"{name}/{each}" for each in folder.names(name)]
+            files += [f"{name}/{inner_name}" for inner_name in folder.names(name)]
         if len(files) > _MAX_LOOKED_AT:
             break
     zarr = next((path for path in files if path.endswith((".zgroup", "zarr.json"))), None)
@@ -414,7 +416,7 @@ def _contents_in_words(folder: store.DataFolder) -> tuple[str, str]:
         return f"holds no Parquet files (found {shown})", "give the folder of a data set"
     # Tables beside pictures, videos or meshes describe them.
     tables = _ENDINGS[_TABLES[0]][1:]
-    ((kind, next_step), count), *_ = sorted(counts.most_common(), key=lambda each: each[0] == tables)
+    ((kind, next_step), count), *_ = sorted(counts.most_common(), key=lambda counted: counted[0] == tables)
     first = next(path for path in files if _ENDINGS.get(_ending(path), ("", "", ""))[1] == kind)
     return f"is a folder of {kind} ({count:,}, such as {first!r})", next_step
 

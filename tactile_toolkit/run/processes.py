@@ -159,9 +159,9 @@ def free_workers() -> int:
     return min(usable_cores(), _MAX_FREE_WORKERS)
 
 
-def _most_workers(wanted: int) -> int:
+def _most_workers(workers: int) -> int:
     """Return the number of workers that the system can wait for at a time."""
-    return min(wanted, _MAX_WAITED_FOR.get(sys.platform, wanted))
+    return min(workers, _MAX_WAITED_FOR.get(sys.platform, workers))
 
 
 def _start_worker(function: bytes, is_main_needless: bool) -> tuple[Connection, BaseProcess]:
@@ -223,10 +223,10 @@ def run_pickled(function: bytes, task: bytes, dumps: Callable[[Any], bytes] = pi
         _prepare_worker()
         return dumps((pickle.loads(function)(pickle.loads(task)), None))
     except Exception as error:
-        where = traceback.format_exc()
+        trace = traceback.format_exc()
         for kept in (error, ToolkitError(f"{type(error).__name__}: {error}")):
             with contextlib.suppress(Exception):  # it cannot be pickled
-                kept.add_note(where)
+                kept.add_note(trace)
                 pickle.loads(packed := dumps((None, kept)))
                 return packed
         raise

@@ -94,17 +94,17 @@ class RayRunner:
         with _connected(self.address) as ray:
             # Retried here: Ray itself repeats a task that ran out of memory without end.
             names = (_DISTRIBUTION, *getattr(function, "libraries", ()))
-            work = ray.remote(num_cpus=1, max_retries=0)(_travelling(names))
+            remote_task = ray.remote(num_cpus=1, max_retries=0)(_travelling(names))
             # Pickled here, not by Ray, so that what cannot be unpickled there is an error like any other.
             dumps = ray.cloudpickle.dumps
             called = ray.put(ray.cloudpickle.dumps(function))
             running: dict[Any, tuple[T, int]] = {}
             try:
                 while waiting or running:
-                    room = self.workers or _TASKS_PER_CORE * int(ray.cluster_resources().get("CPU", 1))
-                    while waiting and len(running) < max(1, room):
+                    most_tasks = self.workers or _TASKS_PER_CORE * int(ray.cluster_resources().get("CPU", 1))
+                    while waiting and len(running) < max(1, most_tasks):
                         task, attempt = waiting.popleft()
-                        running[work.remote(called, dumps(task))] = (task, attempt)
+                        running[remote_task.remote(called, dumps(task))] = (task, attempt)
                     for reference in ray.wait(list(running), timeout=_LOOK_AGAIN_S)[0]:
                         task, attempt = running.pop(reference)
                         try:
@@ -142,7 +142,7 @@ def _travelling(names: Iterable[str]) -> Callable[..., Any]:
 
         return {name: next((d.version for d in distributions(name=name)), "not installed") for name in names}
 
-    wanted = versions()
+    our_versions = versions()
     known: dict[str, str] = {}  # kept by a worker process, which runs many tasks
 
     def work(function: bytes, task: bytes) -> tuple[str, dict[str, tuple[str, str]], bytes]:
@@ -153,10 +153,14 @@ def _travelling(names: Iterable[str]) -> Callable[..., Any]:
         known.update(known or versions())
         node = ray.get_runtime_context().get_node_id()[:8]  # containers may share host name and address
         machine = f"{socket.gethostname()} ({ray.util.get_node_ip_address()}, {node})"
-        if known != wanted:
+        if known != our_versions:
             return (
                 machine,
-                {name: (known[name], wanted[name]) for name in names if known[name] != wanted[name]},
+                {
+                    name: (known[name], our_versions[name])
+                    for name in names
+                    if known[name] != our_versions[name]
+                },
                 b"",
             )
         from tactile_toolkit.run.processes import run_pickled
@@ -167,10 +171,10 @@ def _travelling(names: Iterable[str]) -> Callable[..., Any]:
 
 
 def _other_versions(machine: str, differing: Mapping[str, tuple[str, str]]) -> InputError:
-    found = ", ".join(f"{name} {there} (here: {here})" for name, (there, here) in differing.items())
+    differences = ", ".join(f"{name} {there} (here: {here})" for name, (there, here) in differing.items())
     pins = " ".join(f"{name}=={here}" for name, (_, here) in differing.items())
     return InputError(
-        f"node {machine} has {found}; other versions write other bytes, so nothing was made there",
+        f"node {machine} has {differences}; other versions write other bytes, so nothing was made there",
         next=f"pip install {pins} on that node, or take it out of the cluster",
     )
 
@@ -186,14 +190,14 @@ def _connected(address: str | None) -> Iterator[Any]:
         yield ray
         return
     address = address or os.environ.get("RAY_ADDRESS") or "auto"
-    place = None if address == "auto" else _host_and_port(address)
+    endpoint = None if address == "auto" else _host_and_port(address)
     try:
-        if place is not None:  # Ray itself waits for long if nothing listens
-            socket.create_connection(place, _ANSWER_S).close()
+        if endpoint is not None:  # Ray itself waits for long if nothing listens
+            socket.create_connection(endpoint, _ANSWER_S).close()
         ray.init(address, log_to_driver=False, logging_level=logging.CRITICAL)
     except Exception as error:  # of many types, RuntimeError for other versions of Ray or Python among them
         raise InputError(
-            f"no Ray cluster can be joined {f'at {address}' if place else 'here'}: {error}; "
+            f"no Ray cluster can be joined {f'at {address}' if endpoint else 'here'}: {error}; "
             "nothing was written",
             next="start one (ray start --head), run the command on a machine of it "
             "with the HOST:PORT that this printed (--runner ray=HOST:PORT), or use --runner processes",

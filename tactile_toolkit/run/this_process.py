@@ -83,9 +83,9 @@ class Part:
             if count is None:
                 count = length
         if count is None:
-            found = "neither a whole Slurm array from 0 or 1 on nor JOB_COMPLETION_COUNT"
+            problem = "neither a whole Slurm array from 0 or 1 on nor JOB_COMPLETION_COUNT"
             raise InputError(
-                f"auto: the number of parts is unknown, {found}", next="give --part auto/N", field="part"
+                f"auto: the number of parts is unknown, {problem}", next="give --part auto/N", field="part"
             )
         return cls(index, count)
 

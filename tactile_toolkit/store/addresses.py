@@ -36,12 +36,12 @@ def normalize_uri(address: str) -> str:
     if match is None and not _LOST_SLASH.match(address):
         return address
     scheme = scheme_of(address)
-    rest = address.partition("://")[2]
-    if match and not scheme and rest.startswith("/"):
-        return rest.rstrip("/") or "/"
-    rest = rest.rstrip("/")
-    bucket, *parts = rest.split("/")
-    is_plain = rest.isprintable() and not {".", ".."} & {bucket, *parts}
+    location = address.partition("://")[2]
+    if match and not scheme and location.startswith("/"):
+        return location.rstrip("/") or "/"
+    location = location.rstrip("/")
+    bucket, *parts = location.split("/")
+    is_plain = location.isprintable() and not {".", ".."} & {bucket, *parts}
     if not scheme or not bucket or scheme in _WEB_SCHEMES or not is_plain:
         raise errors.InputError(
             f"{address!r} is not the address of a data set; expected a folder, file:///FOLDER, "
@@ -49,7 +49,7 @@ def normalize_uri(address: str) -> str:
             "and not of the web",
             next="write it so, as text (pathlib.Path drops a slash; a local folder of that name is ./NAME)",
         )
-    return f"{scheme}://{rest}"
+    return f"{scheme}://{location}"
 
 
 def local_path(name: str) -> Path | None:

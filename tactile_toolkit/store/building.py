@@ -191,8 +191,8 @@ def _work(job: BuildJob, options: RunOptions) -> Iterator[ShardRecord]:
     done = 0
     total = sum(sizes.values())
     options.on_progress(Progress(done, total))
-    work = _WriteShard(job.folder, job.manifest.identity, job.plan.style, job.plan.libraries)
-    for record in run.runner_for(options.workers).run(work, tasks):
+    write_shard = _WriteShard(job.folder, job.manifest.identity, job.plan.style, job.plan.libraries)
+    for record in run.runner_for(options.workers).run(write_shard, tasks):
         done += sizes[record.shard]
         options.on_progress(Progress(done, total, record))
         yield record
@@ -304,8 +304,8 @@ def require_replaceable(folder: DataFolder, plan: BuildPlan | None = None) -> li
     further = [pattern for pattern in extra_files() if pattern.partition("/")[0] in named]
     names = set(folder.names())
     shown = {name for name in names if name in (PENDING_FOLDER, RECORD_FILE) or not is_hidden(name)}
-    found = [path for path in folder.walk() if path.partition("/")[0] in shown]
-    unknown = [path for path in found if folder.local_path(path) and not is_ours(path, further)]
+    paths = [path for path in folder.walk() if path.partition("/")[0] in shown]
+    unknown = [path for path in paths if folder.local_path(path) and not is_ours(path, further)]
     # Other programs use that file name, too: a damaged manifest of a data set has shards next to it.
     if manifest is None and not {DATA_FOLDER, PENDING_FOLDER} & names:
         unknown = [MANIFEST_FILE]
@@ -315,7 +315,7 @@ def require_replaceable(folder: DataFolder, plan: BuildPlan | None = None) -> li
             "nothing was changed",
             next="move that file away, or choose an empty or new folder (--out or OUT)",
         )
-    return found
+    return paths
 
 
 def _manifest(folder: DataFolder) -> Manifest | None:

@@ -98,10 +98,10 @@ def _is_plain_part(part: str) -> bool:
     )
 
 
-def names_inside(names: Iterable[object], where: str) -> tuple[str, ...]:
+def names_inside(names: Iterable[object], source: str) -> tuple[str, ...]:
     """Return names of files without repetition, if each can name a file in a data set folder.
 
-    ``where`` says in the message who gave the names. Raises IntegrityError for a name that leads out of the
+    ``source`` says in the message who gave the names. Raises IntegrityError for a name that leads out of the
     folder, is hidden, or is not valid on every system, and for two names of one file where case does not
     count.
     """
@@ -114,7 +114,7 @@ def names_inside(names: Iterable[object], where: str) -> tuple[str, ...]:
             problem = "" if first == text else f"is the same file as {first!r} where case does not count"
         if problem:
             raise errors.IntegrityError(
-                f"{where} names the file {wording.shortened(ascii(name), _SHOWN)}, which {problem}; "
+                f"{source} names the file {wording.shortened(ascii(name), _SHOWN)}, which {problem}; "
                 "nothing was done with it",
                 next="do not use this data set, or ask who made it",
             )

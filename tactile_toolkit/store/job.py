@@ -80,7 +80,7 @@ class ShardTask:
         Which shard it makes.
     items : sequence
         What the rows are made of; may be a view of all items of a split, of which only these are pickled.
-    work : callable
+    function : callable
         Takes shard and items and returns the content. It is picklable, touches no file of the data set
         folder, and refuses a source that was replaced after the task was planned.
     digest : callable, optional
@@ -90,7 +90,7 @@ class ShardTask:
 
     shard: ShardName
     items: Sequence[Any] = field(repr=False)
-    work: Callable[[ShardName, Sequence[Any]], ShardContent] = field(repr=False)
+    function: Callable[[ShardName, Sequence[Any]], ShardContent] = field(repr=False)
     digest: Callable[[Sequence[Any]], str] | None = field(default=None, repr=False)
 
     @property
@@ -100,7 +100,7 @@ class ShardTask:
 
     def make(self) -> ShardContent:
         """Make the rows."""
-        return self.work(self.shard, self.items)
+        return self.function(self.shard, self.items)
 
     def source_digest(self) -> str | None:
         """Return the digest of the present source; None if the specification identifies all of it."""
@@ -162,9 +162,9 @@ class BuildPlan:
         try:
             text.encode()
         except UnicodeEncodeError as error:
-            found = text[max(0, error.start - 20) : error.end + 20]
+            excerpt = text[max(0, error.start - 20) : error.end + 20]
             raise errors.InputError(
-                f"the specification holds {found!r}, which is not Unicode text", next="give another name"
+                f"the specification holds {excerpt!r}, which is not Unicode text", next="give another name"
             ) from error
         splits: dict[str, str] = {}
         for shard in (task.shard for task in self.tasks):
@@ -279,16 +279,16 @@ class MissingPartsError(errors.IntegrityError):
     Slurm writes the numbers of an array.
     """
 
-    def __init__(self, where: str, shards: int, parts: int, array: str) -> None:
+    def __init__(self, address: str, shards: int, parts: int, array: str) -> None:
         which = "part" if array.isdigit() else "parts"
         super().__init__(
-            f"{shards:,} of {parts:,} shards of {where!r} are not finished, or a node writes to a folder "
+            f"{shards:,} of {parts:,} shards of {address!r} are not finished, or a node writes to a folder "
             f"that this machine does not see; they are those of {which} {array} of {parts:,}",
             next=f"give these (--part auto/{parts}; Slurm: --array={array}), then --finish, or run the same "
             "command without --finish, on a folder that all nodes share, or s3://BUCKET/PATH",
         )
         self.shards, self.parts, self.array = shards, parts, array
-        self.args = (where, shards, parts, array)  # by which it crosses process borders
+        self.args = (address, shards, parts, array)  # by which it crosses process borders
 
 
 def array_text(numbers: Sequence[int]) -> str:
@@ -366,11 +366,11 @@ def _compare(folder: DataFolder, plan: BuildPlan, options: RunOptions, manifest:
         manifest = new
         check = True  # as in `_remove_outdated_records`
     else:
-        stored, wanted = (
+        stored, requested = (
             {"kind": side.kind, **side.spec, "toolkit_version": side.toolkit_version}
             for side in (manifest, new)
         )
-        _refuse_difference(folder, stored, wanted, plan.other_next)
+        _refuse_difference(folder, stored, requested, plan.other_next)
     sizes = folder.entries(DATA_FOLDER)
     _reject_unexpected_files(folder, plan, sizes)
     intact = _intact_records(folder, plan, manifest, sizes, {task.shard: task for task in tasks}, check)
@@ -389,10 +389,10 @@ def _compare(folder: DataFolder, plan: BuildPlan, options: RunOptions, manifest:
 
 def require_parts(job: BuildJob, records: Sequence[ShardRecord]) -> None:
     """Raise MissingPartsError where a task of a job has no record."""
-    found = {record.shard for record in records}
+    finished = {record.shard for record in records}
     shards = [task.shard for task in job.plan.tasks]
-    wanted = {task.shard for task in job.tasks}
-    numbers = [index for index, shard in enumerate(shards) if shard in wanted and shard not in found]
+    required = {task.shard for task in job.tasks}
+    numbers = [index for index, shard in enumerate(shards) if shard in required and shard not in finished]
     if numbers:
         raise MissingPartsError(job.folder.address(), len(numbers), len(shards), array_text(numbers))
 
@@ -490,8 +490,8 @@ def refuse_unknown_files(folder: DataFolder, plan: BuildPlan | None = None) -> N
         )
 
 
-def _refuse_difference(folder: DataFolder, found: object, wanted: object, next_step: str = "") -> None:
-    lines = _differences(found, wanted)
+def _refuse_difference(folder: DataFolder, stored: object, requested: object, next_step: str = "") -> None:
+    lines = _differences(stored, requested)
     if lines:
         more = f"; and {len(lines) - _DIFFERENCES_SHOWN:,} more" if len(lines) > _DIFFERENCES_SHOWN else ""
         raise errors.SpecMismatchError(
@@ -504,16 +504,16 @@ def _refuse_difference(folder: DataFolder, found: object, wanted: object, next_s
         )
 
 
-def _differences(found: object, wanted: object, path: str = "") -> list[str]:
+def _differences(stored: object, requested: object, path: str = "") -> list[str]:
     """State how two JSON values differ, one line for each difference."""
-    if isinstance(found, Mapping) and isinstance(wanted, Mapping):
+    if isinstance(stored, Mapping) and isinstance(requested, Mapping):
         lines = []
-        for key in dict.fromkeys((*found, *wanted)):
-            lines += _differences(found.get(key), wanted.get(key), f"{path}.{key}".lstrip("."))
+        for key in dict.fromkeys((*stored, *requested)):
+            lines += _differences(stored.get(key), requested.get(key), f"{path}.{key}".lstrip("."))
         return lines
-    if found == wanted:
+    if stored == requested:
         return []
-    return [f"{path} is {_short(found)} there, {_short(wanted)} was asked for"]
+    return [f"{path} is {_short(stored)} there, {_short(requested)} was asked for"]
 
 
 def _short(value: object) -> str:
@@ -532,11 +532,11 @@ def _reject_unexpected_files(folder: DataFolder, plan: BuildPlan, names: Iterabl
 
     A shard of another split may belong to a run that is at work on it.
     """
-    planned = {task.shard for task in plan.tasks}
-    others = set(plan.split_order) - {shard.split for shard in planned}
+    shards = {task.shard for task in plan.tasks}
+    others = set(plan.split_order) - {shard.split for shard in shards}
     for name in names:
         shard = ShardName.parse(name)
-        if not is_hidden(name) and shard not in planned and (shard is None or shard.split not in others):
+        if not is_hidden(name) and shard not in shards and (shard is None or shard.split not in others):
             raise errors.InputError(
                 f"{folder.address(f'{DATA_FOLDER}/{name}')!r} is not a file of this data set; nothing was "
                 "changed",
@@ -577,7 +577,7 @@ def pending_records(
     if not chosen:
         return {}
     contents = folder.read_many([shard.record_path for shard in chosen])
-    found = {}
+    records = {}
     for shard, content in zip(chosen, contents, strict=True):
         # If a record cannot be read, its shard is made again. It may also have been removed since the
         # listing, because the run has just ended.
@@ -586,8 +586,8 @@ def pending_records(
             pending = decode(content or b"", _Pending, shard.record_path)
             if (pending.of, pending.report_bytes) == (of, waiting.get(shard.report_path.rpartition("/")[2])):
                 record = decode(content or b"", ShardRecord, shard.record_path)
-                found[record.shard] = record
-    return found
+                records[record.shard] = record
+    return records
 
 
 def manifest_so_far(folder: DataFolder) -> Manifest | None:

@@ -61,7 +61,7 @@ def locked(
             except BlockingIOError as error:
                 if time.monotonic() >= deadline_s:
                     holders = _holders_of(path)
-                    if not (is_patient and holders and all(each.state in _AT_WORK for each in holders)):
+                    if not (is_patient and holders and all(holder.state in _AT_WORK for holder in holders)):
                         raise _busy(path, holders, patience_s) from error
                     deadline_s += patience_s
                 time.sleep(_LOOK_AGAIN_S)
@@ -101,8 +101,8 @@ def _holders_of(path: Path) -> list[_Holder]:
             pid, host = note.read(_LONGEST_NOTE_BYTES).decode().split()
             return [_Holder(str(int(pid)), host)]
         if sys.platform == "linux":
-            found = path.stat()
-            name = f"{os.major(found.st_dev):02x}:{os.minor(found.st_dev):02x}:{found.st_ino}"
+            status = path.stat()
+            name = f"{os.major(status.st_dev):02x}:{os.minor(status.st_dev):02x}:{status.st_ino}"
             # A line is "1: FLOCK  ADVISORY  WRITE 4711 fe:00:2146526 0 EOF"; if it waits, "1: -> FLOCK ...".
             lines = [line.split() for line in Path("/proc/locks").read_text(encoding="ascii").splitlines()]
             return [_Holder(line[4], socket.gethostname()) for line in lines if line[1::4] == ["FLOCK", name]]
@@ -110,7 +110,7 @@ def _holders_of(path: Path) -> list[_Holder]:
 
 
 def _busy(path: Path, holders: list[_Holder], patience_s: float) -> BusyError:
-    stopped = [each for each in holders if each.state in _STOPPED]
+    stopped = [holder for holder in holders if holder.state in _STOPPED]
     who = ", ".join(map(str, stopped or holders)) or "another process"
     state, first = "", "wait until it has ended"
     if stopped:

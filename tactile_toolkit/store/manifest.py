@@ -49,12 +49,12 @@ _NUMBER = "([0-9]{5}|[1-9][0-9]{5,11})"
 _SHARD_PATTERN = re.compile(rf"(\w+)-{_NUMBER}-of-{_NUMBER}\.parquet")
 
 
-def decode(content: str | bytes, kind: type[T], where: str) -> T:
-    """Return a JSON document as a value of a type; IntegrityError, with ``where``, for another text."""
+def decode(content: str | bytes, kind: type[T], address: str) -> T:
+    """Return a JSON document as a value of a type; IntegrityError, with ``address``, for another text."""
     try:
         decoded: T = _decoder(cast(Any, kind)).decode(content)
     except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
-        raise damaged_error(where, error) from error
+        raise damaged_error(address, error) from error
     return decoded
 
 
@@ -63,10 +63,10 @@ def _decoder(kind: object) -> msgspec.json.Decoder[Any]:
     return msgspec.json.Decoder(kind)
 
 
-def damaged_error(where: str, problem: object) -> errors.IntegrityError:
+def damaged_error(address: str, problem: object) -> errors.IntegrityError:
     """Return the error for a document with an impossible value."""
     return errors.IntegrityError(
-        f"{where!r} is damaged: {problem}",
+        f"{address!r} is damaged: {problem}",
         next="download the data set again, or generate it again with --overwrite",
     )
 
@@ -82,15 +82,15 @@ def _head(fields: bytes) -> str:
     return f'{_FIRST_LINE} "sha256_of_all_below": "{digest}",\n'
 
 
-def require_seal(content: str | bytes, where: str) -> None:
-    """Raise IntegrityError, which names ``where``, unless a document is as :func:`seal` returned it."""
+def require_seal(content: str | bytes, address: str) -> None:
+    """Raise IntegrityError, which names ``address``, unless a document is as :func:`seal` returned it."""
     if isinstance(content, str):
         content = content.encode(errors="surrogatepass")
     # Git may have changed line ends on Windows; JSON has no such character within a line.
-    found = content.replace(b"\r\n", b"\n")
+    document = content.replace(b"\r\n", b"\n")
     length = len(_head(b""))
-    if found[:length] != _head(found[length:]).encode():
-        raise damaged_error(where, "it was changed since it was written")
+    if document[:length] != _head(document[length:]).encode():
+        raise damaged_error(address, "it was changed since it was written")
 
 
 class ShardName(msgspec.Struct, frozen=True, order=True):
@@ -146,15 +146,15 @@ def rows_per_shard(rows: int, usual: int) -> int:
 
 
 def shard_ranges(
-    split: str, rows: int, *, smallest: int, largest: int, wanted: int, together: int = 1
+    split: str, rows: int, *, smallest: int, largest: int, usual_shards: int, together: int = 1
 ) -> list[tuple[ShardName, range]]:
-    """Divide the rows of a split into about ``wanted`` shards of ``smallest`` to ``largest`` rows.
+    """Divide the rows of a split into about ``usual_shards`` shards of ``smallest`` to ``largest`` rows.
 
     The sizes follow from the split only, so any number of workers agrees on them. A shard is what a worker
     holds in memory and what is lost if it is killed; even a small run has several for each worker. Shards end
     after a multiple of ``together`` rows, if the largest size allows it.
     """
-    size = max(smallest, -(-rows // wanted))
+    size = max(smallest, -(-rows // usual_shards))
     size = min(rows_per_shard(rows, largest), -(-size // together) * together)
     starts = range(0, rows, size)
     return [
@@ -319,15 +319,15 @@ class Manifest:
     @property
     def progress(self) -> str:
         """Number of finished shards, such as ``"3 of 8 shards"``."""
-        planned = sum(self.shards_planned().values())
-        return f"{len(self.shards):,} of {wording.with_count(planned, 'shards')}"
+        total = sum(self.shards_planned().values())
+        return f"{len(self.shards):,} of {wording.with_count(total, 'shards')}"
 
-    def operation(self, where: str) -> str:
+    def operation(self, address: str) -> str:
         """Return the operation that made a copy, such as ``"merge"``; IntegrityError if none is stated."""
         try:
             return msgspec.convert(self.spec.get("operation"), str)
         except msgspec.ValidationError as error:
-            raise damaged_error(where, f"spec.operation: {error}") from error
+            raise damaged_error(address, f"spec.operation: {error}") from error
 
     def split_table(self) -> dict[str, dict[str, int]]:
         """Rows, shards, bytes and skipped items of each split."""
@@ -394,26 +394,26 @@ class Manifest:
         return seal(wording.printable_json(kept, indent=1) + "\n")
 
     @classmethod
-    def from_json(cls, content: str | bytes, where: str) -> Manifest:
+    def from_json(cls, content: str | bytes, address: str) -> Manifest:
         """Parse ``manifest.json``; IntegrityError when it is not one, was changed, or has another layout."""
-        manifest = decode(content, cls, where)
+        manifest = decode(content, cls, address)
         if manifest.schema_version != SCHEMA_VERSION:
             raise errors.IntegrityError(
-                f"{where!r} has schema version {manifest.schema_version}, expected {SCHEMA_VERSION}",
+                f"{address!r} has schema version {manifest.schema_version}, expected {SCHEMA_VERSION}",
                 next="install the tactile-toolkit that wrote it, or generate the data set again",
             )
-        require_seal(content, where)
+        require_seal(content, address)
         try:
             shards = {record.shard for record in manifest.shards}
             manifest.sums()  # of statistics that add up
         except (ValueError, TypeError, AttributeError) as error:
-            raise damaged_error(where, f"shards: {error}") from error
+            raise damaged_error(address, f"shards: {error}") from error
         one_of_split = {shard.split: shard for shard in shards}
         if len(shards) < len(manifest.shards) or one_of_split.keys() - {*manifest.split_order}:
-            raise damaged_error(where, "shards: one is listed twice, or of no split in 'split_order'")
+            raise damaged_error(address, "shards: one is listed twice, or of no split in 'split_order'")
         # The other shards of a split have other numbers only.
         paths = [shard.data_path for shard in one_of_split.values()]
-        names_inside((*paths, *manifest.files, *manifest.trees), repr(where))
+        names_inside((*paths, *manifest.files, *manifest.trees), repr(address))
         return manifest
 
 
@@ -432,12 +432,12 @@ def is_of_others(content: bytes) -> bool:
 
 def read_manifest(folder: DataFolder) -> Manifest | None:
     """Read the manifest of a folder; None when there is no manifest, IntegrityError when it is damaged."""
-    where = folder.address(MANIFEST_FILE)
+    address = folder.address(MANIFEST_FILE)
     if not folder.exists(MANIFEST_FILE):
         return None
     content = folder.read_bytes(MANIFEST_FILE)
     with without_collecting():
-        return Manifest.from_json(content, where)
+        return Manifest.from_json(content, address)
 
 
 def write_manifest(folder: DataFolder, manifest: Manifest) -> None:

@@ -228,12 +228,12 @@ def _require_checked_footer(source: str | IO[bytes]) -> None:
         stream.seek(max(0, size - _TAIL_BYTES))
         tail = stream.read()
         length = _TAIL.unpack_from(tail, len(tail) - _TAIL.size)[0] if len(tail) > _TAIL.size else 0
-        wanted = _FOOTER_CHECKSUM.size + length + _TAIL.size
-        if len(tail) < wanted <= size:
-            stream.seek(size - wanted)
+        needed_bytes = _FOOTER_CHECKSUM.size + length + _TAIL.size
+        if len(tail) < needed_bytes <= size:
+            stream.seek(size - needed_bytes)
             tail = stream.read()
-        if wanted <= len(tail):
-            mark, checksum = _FOOTER_CHECKSUM.unpack_from(tail, len(tail) - wanted)
+        if needed_bytes <= len(tail):
+            mark, checksum = _FOOTER_CHECKSUM.unpack_from(tail, len(tail) - needed_bytes)
             footer = memoryview(tail)[len(tail) - _TAIL.size - length : -_TAIL.size]
             if mark == _FOOTER_MARK and zlib.crc32(footer) != checksum:
                 raise pa.ArrowInvalid("the footer does not match its checksum")
@@ -318,10 +318,10 @@ def _tables(
                 table = open_checked(io.BytesIO(content)).read(use_threads=False)
         if table is None and record.rows:
             table = next((rows for name, rows in stored if name == str(record.shard)), None)
-            found = len(table or ())
-            if found != record.rows:
+            row_count = len(table or ())
+            if row_count != record.rows:
                 raise IntegrityError(
-                    f"the report holds {found:,} rows of shard {record.shard}, expected {record.rows:,}"
+                    f"the report holds {row_count:,} rows of shard {record.shard}, expected {record.rows:,}"
                 )
         if table is not None:
             yield table

@@ -101,27 +101,27 @@ def verify(
         findings = _unlisted(folder, files, RECORD_FILE)
         reference = f"{record.repo_id} at {record.commit[:12]}"
     else:
-        shards = {each.file: each for each in manifest.shards}
+        shards = {record.file: record for record in manifest.shards}
         files = _recorded_files(folder, manifest)
         reference = MANIFEST_FILE
         findings = _incomplete(folder, manifest)
 
     check = partial(_check_file, folder, schema, shards)
     checked = dict(zip(files, run.in_threads(check, files.values(), workers), strict=True))
-    findings += [finding for found in checked.values() for finding in found.findings]
+    findings += [finding for result in checked.values() for finding in result.findings]
     # Data sets of others may have the same ids in several splits.
     findings += _repeated_ids({path: checked[path].ids for path in shards})
     # A damaged set is not compared with its card, and a data set of others has no card of ours.
     if check_card is not None and manifest is not None and not findings:
         findings += check_card(folder)
-    rows = sum(each.rows for path, each in checked.items() if path in (shards or files))
+    rows = sum(result.rows for path, result in checked.items() if path in (shards or files))
     size = sum(file.size_bytes for file in files.values())
     return Verification(len(files), rows, size, tuple(findings), reference)
 
 
 def _recorded_files(folder: DataFolder, manifest: Manifest) -> dict[str, HubFile]:
     """Return the files that a manifest lists, by path."""
-    files = {each.file: HubFile(each.file, each.bytes, each.sha256) for each in manifest.shards}
+    files = {record.file: HubFile(record.file, record.bytes, record.sha256) for record in manifest.shards}
     for path, sha256 in manifest.files.items():
         # Files for the Hub's page may be left out, as in a cache with only the rows; others may still arrive.
         is_required = manifest.complete and not path.startswith(f"{VIEWER_FOLDER}/")
@@ -159,8 +159,8 @@ def _check_file(
             stored = parquet.schema_arrow
             if record is None:
                 return _Checked([], rows)
-            place = stored.get_field_index("id")
-            if place < 0 or pa.types.is_nested(stored.field(place).type):
+            column_index = stored.get_field_index("id")
+            if column_index < 0 or pa.types.is_nested(stored.field(column_index).type):
                 findings.append(Finding(path, "holds no column 'id' of one value for each row"))
             else:
                 ids = parquet.read(columns=["id"], use_threads=False).column(0).combine_chunks()
@@ -170,13 +170,13 @@ def _check_file(
         findings.append(Finding(path, f"has {rows} rows, expected {record.rows}"))
     # Arrow ignores the names of list elements.
     if schema is not None and not stored.equals(schema):
-        found, expected = (
-            [f"{each.name}: {each.type}" for each in one if not any(map(each.equals, other))]
-            for one, other in ((stored, schema), (schema, stored))
+        stored_only, missing = (
+            [f"{column.name}: {column.type}" for column in columns if not any(map(column.equals, others))]
+            for columns, others in ((stored, schema), (schema, stored))
         )
         differences = "the order of columns"
-        if found or expected:
-            differences = f"{found} there, {expected} expected"
+        if stored_only or missing:
+            differences = f"{stored_only} there, {missing} expected"
         findings.append(Finding(path, f"schema differs: {differences}"))
     return _Checked(findings, record.rows, ids)
 
@@ -204,7 +204,7 @@ def _not_finished(folder: DataFolder, manifest: Manifest) -> str:
 
 
 def _unlisted(
-    folder: DataFolder, listed: Collection[str], where: str, others: Collection[str] = ()
+    folder: DataFolder, listed: Collection[str], source: str, others: Collection[str] = ()
 ) -> list[Finding]:
     """Find files in the data folder that are not listed, except those of other splits and hidden ones."""
     findings = []
@@ -213,7 +213,7 @@ def _unlisted(
         shard = ShardName.parse(name)
         is_begun = shard is not None and shard.split in others
         if not (path in listed or is_begun or is_hidden(name)):
-            findings.append(Finding(path, f"is not listed in {where}; next: move it to another folder"))
+            findings.append(Finding(path, f"is not listed in {source}; next: move it to another folder"))
     return findings
 
 
@@ -225,10 +225,10 @@ def _intact(folder: DataFolder, file: HubFile) -> Iterator[IO[bytes]]:
         raise errors.IntegrityError(problem)
     # A file of a store is fetched as a whole, because it is read twice.
     with folder.open(file.path) if folder.is_local else io.BytesIO(folder.read_bytes(file.path)) as stream:
-        found = None if file.digest is None else digest_like(stream, file.digest)
-        if found != file.digest:
-            algorithm = "sha256" if len(str(found)) == _SHA256_DIGITS else "git-sha1"
-            raise errors.IntegrityError(f"{algorithm} is {found}, expected {file.digest}")
+        digest = None if file.digest is None else digest_like(stream, file.digest)
+        if digest != file.digest:
+            algorithm = "sha256" if len(str(digest)) == _SHA256_DIGITS else "git-sha1"
+            raise errors.IntegrityError(f"{algorithm} is {digest}, expected {file.digest}")
         size = stream.seek(0, io.SEEK_END)
         if file.digest is None and size != file.size_bytes:
             raise errors.IntegrityError(f"has {size:,} bytes, expected {file.size_bytes:,}")
@@ -237,7 +237,7 @@ def _intact(folder: DataFolder, file: HubFile) -> Iterator[IO[bytes]]:
 
 def _repeated_ids(ids: Mapping[str, pa.Array | None]) -> Iterator[Finding]:
     """Yield a finding for each shard with a duplicate id, or an id of an earlier shard."""
-    readable = {path: each for path, each in ids.items() if each is not None}
+    readable = {path: column for path, column in ids.items() if column is not None}
     suspects: set[object] = set()
     for kind in {array.type for array in readable.values()}:
         alike = [array for array in readable.values() if array.type == kind]
@@ -246,8 +246,8 @@ def _repeated_ids(ids: Mapping[str, pa.Array | None]) -> Iterator[Finding]:
     first_files: dict[object, str] = {}
     if not suspects:
         return
-    for path, each in readable.items():
-        held = [value for value in each.to_pylist() if value in suspects]
+    for path, column in readable.items():
+        held = [value for value in column.to_pylist() if value in suspects]
         repeated = [value for value, count in Counter(held).items() if count > 1 or value in first_files]
         if repeated:
             first = first_files.get(repeated[0], path)
@@ -259,12 +259,12 @@ def _repeated_ids(ids: Mapping[str, pa.Array | None]) -> Iterator[Finding]:
 def digest_like(stream: IO[bytes], digest: str) -> str:
     """Return the digest of an open file in hexadecimal, by the algorithm of another digest."""
     if len(digest) == _SHA256_DIGITS:
-        found = hashlib.sha256()
+        digester = hashlib.sha256()
     else:  # git hashes a header with the size before the content
-        found = hashlib.sha1(b"blob %d\0" % stream.seek(0, io.SEEK_END), usedforsecurity=False)
+        digester = hashlib.sha1(b"blob %d\0" % stream.seek(0, io.SEEK_END), usedforsecurity=False)
     stream.seek(0)
-    hashlib.file_digest(stream, lambda: found)  # type: ignore[arg-type]
-    return found.hexdigest()
+    hashlib.file_digest(stream, lambda: digester)  # type: ignore[arg-type]
+    return digester.hexdigest()
 
 
 def has_digest(path: Path, digest: str) -> bool:
@@ -306,11 +306,11 @@ def read_download_record(folder: DataFolder) -> DownloadRecord | None:
     """Read the record of a folder; None when it was not downloaded, IntegrityError when it is damaged."""
     if not folder.exists(RECORD_FILE):
         return None
-    where = folder.address(RECORD_FILE)
+    address = folder.address(RECORD_FILE)
     content = folder.read_bytes(RECORD_FILE)
-    record = decode(content, DownloadRecord, where)
-    require_seal(content, where)
-    names_inside((*record.files, *record.metadata_files), repr(where))
+    record = decode(content, DownloadRecord, address)
+    require_seal(content, address)
+    names_inside((*record.files, *record.metadata_files), repr(address))
     files = {path: msgspec.structs.replace(file, path=path) for path, file in record.files.items()}
     return msgspec.structs.replace(record, files=files)
 

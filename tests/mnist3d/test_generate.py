@@ -99,7 +99,7 @@ def test_shard_sizes_follow_from_the_split_alone():
     assert [task.shard for task in alone.tasks] == [task.shard for task in among_all]
     for one, other in zip(alone.tasks, among_all, strict=True):
         assert one.items.tolist() == other.items.tolist()
-        assert one.work.args == other.work.args
+        assert one.function.args == other.function.args
 
 
 COMMAND = (

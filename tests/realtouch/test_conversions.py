@@ -304,7 +304,7 @@ def test_a_task_takes_along_the_files_of_its_own_rows_only(single_folder: Path) 
     assert plan.style.encodings == (("sensor_image.list.element.bytes", "PLAIN"),)
     tasks = plan.tasks
     assert len(tasks) == len(rows)
-    assert [len(task.work.shards) for task in tasks] == [1] * len(rows)
+    assert [len(task.function.shards) for task in tasks] == [1] * len(rows)
     assert [choice.row for task in tasks for choice in task.items] == list(range(len(rows)))
     made = [name for task in tasks for name in task.make().table["id"].to_pylist()]
     assert made == realtouch.load(str(single_folder), "train").ids.tolist()

@@ -65,7 +65,7 @@ class BoxGenerator(RowGenerator):
         return {"train": range(self.spec.boxes)}
 
     def layout(self):
-        return StorageLayout(ParquetStyle(100), ("numpy", "trimesh"), smallest=2, largest=4, wanted=8)
+        return StorageLayout(ParquetStyle(100), ("numpy", "trimesh"), smallest=2, largest=4, usual_shards=8)
 
     def schema(self, split):
         return schema()

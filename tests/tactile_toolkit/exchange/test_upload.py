@@ -288,7 +288,7 @@ def test_a_folder_in_a_store_is_sent_from_a_copy_that_goes_with_the_upload(serve
         store.write_bytes(path, content)
     store.write_bytes(".hidden", b"mine")
     prepared = Upload.of_folder("memory://uploads/stars", NAME)
-    copy = next(each.place for each in prepared.files if each.path.startswith("data/")).parents[1]
+    copy = next(each.local_path for each in prepared.files if each.path.startswith("data/")).parents[1]
     assert folder_bytes(copy) == folder_bytes(folder)
     prepared.send()
     assert_holds(server, folder)

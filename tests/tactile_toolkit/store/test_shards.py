@@ -74,12 +74,12 @@ def test_datasets_reads_the_rows_in_the_order_of_the_numbers(tmp_path):
     assert list(rows["id"]) == [10 * number for number in numbers]
 
 
-DIGITS = {"smallest": 50, "largest": 128, "wanted": 16}
+DIGITS = {"smallest": 50, "largest": 128, "usual_shards": 16}
 
 
 @given(rows=st.integers(0, 10**5), smallest=st.integers(1, 500), more=st.integers(0, 500))
 def test_shards_hold_every_row_once_in_order(rows: int, smallest: int, more: int) -> None:
-    shards = shard_ranges("train", rows, smallest=smallest, largest=smallest + more, wanted=16)
+    shards = shard_ranges("train", rows, smallest=smallest, largest=smallest + more, usual_shards=16)
     assert [name.index for name, _ in shards] == list(range(len(shards)))
     assert all(name.count == len(shards) and len(held) > 0 for name, held in shards)
     assert [0, *(held.stop for _, held in shards)] == [*(held.start for _, held in shards), rows]
