@@ -94,6 +94,8 @@ def _print_preview(sink: output.Sink, preview: realtouch.ImportPreview, out: str
     if preview.cut:
         sink.line(f"recordings are cut: {preview.cut}")
     sink.line(f"pictures: {preview.pictures}")
+    for note in preview.notes:
+        sink.line(note)
     sink.line(f"classes: {', '.join(preview.classes) or 'none; all labels are -1'}")
     counts = ", ".join(f"{split} {count:,}" for split, count in preview.splits.items())
     rounds = with_count(preview.rounds, "rounds")
@@ -114,13 +116,17 @@ def _print_imported(sink: output.Sink, manifest: store.Manifest) -> None:
         sink.info(f"pictures: {options[touch_options.CONVERSION]}")
     if not options["classes"]:
         sink.info("no classes are known (--map label=COLUMN names their column), so all labels are -1")
+    for note in manifest.spec.get(touch_options.NOTES, ()):
+        sink.info(note)
     if touch_options.STREAMS in manifest.spec:
         sink.table(touch_options.STREAM_HEADER, manifest.spec[touch_options.STREAMS])
     if touch_options.LEFT_OUT in manifest.spec:
-        sink.info(f"not read: {', '.join(manifest.spec[touch_options.LEFT_OUT])}")
+        sink.info(f"not read: {'; '.join(manifest.spec[touch_options.LEFT_OUT])}")
     counted = manifest.total_statistics()
     for note, count in counted.get(touch_options.CLIPS, {}).items():
         sink.info(f"{with_count(count, 'clips')}: {note}")
+    for note, count in counted.get(touch_options.PICTURES, {}).items():
+        sink.info(f"{with_count(count, 'pictures')}: {note}")
     fields = counted.get(touch_options.NOT_IMPORTED, {})
     if fields:
         counts = ", ".join(f"{name} ({count:,})" for name, count in fields.items())

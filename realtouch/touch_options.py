@@ -54,12 +54,10 @@ STREAM_HEADER = (
     "columns",
 )
 """Columns of a table of streams, each a row of ``realtouch.importing.streams``."""
-CONVERSION = "images_were"
-"""Key of the options of an import: how images were converted."""
-NOT_IMPORTED = "not_imported"
-"""Key of the statistics of an import: number of touches of each field that was not imported."""
 LEFT_OUT = "left_out"
 """Key of the specification of an import: data of recordings that are not imported."""
+NOTES = "notes"
+"""Key of the specification of an import: decisions that it states."""
 STREAMS = "streams"
 """Key of the specification of an import: rows of a table of streams, below :data:`STREAM_HEADER`."""
 CLIPS = "clips"
@@ -68,6 +66,8 @@ NOT_IMPORTED = "not_imported"
 """Key of the statistics of an import: number of touches of each field that was not imported."""
 CONVERSION = "images_were"
 """Key of the options of an import: how images were converted."""
+PICTURES = "pictures"
+"""Key of the statistics of an import: how pictures were converted, with their number."""
 POSITION_COLUMNS = ("pos_in_cell_x_m", "pos_in_cell_y_m")
 POSE_COLUMNS = ("gel_x_m", "gel_y_m", "gel_z_m", "gel_qx", "gel_qy", "gel_qz", "gel_qw")
 FOTA_POSE_COLUMNS = ("x_mm", "y_mm", "z_mm", "quat_x", "quat_y", "quat_z", "quat_w")
@@ -101,6 +101,8 @@ _POSITION_AND_ROTATION = 2  # columns of a pose that is given as two vectors
 _QUATERNION_POSE = 7
 _ANGLE_POSE = 6
 _MATRIX_POSES = (12, 16)
+POSES_WITHOUT_ANGLES = (_QUATERNION_POSE, *_MATRIX_POSES)
+"""Numbers of columns of poses without angles."""
 # Which numbers of a position or pose are lengths, and which are angles, by how many it has.
 _LENGTHS_AND_ANGLES = {
     2: (range(2), range(0)),

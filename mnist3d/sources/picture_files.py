@@ -31,21 +31,7 @@ from tactile_toolkit.cache import require_unpackable
 from tactile_toolkit.columns.known_formats import KnownFormat
 from tactile_toolkit.errors import InputError, ItemError, ToolkitError, install_line
 
-_ENDINGS = {
-    "PNG": (".png", ".apng"),
-    "JPEG": (".jpg", ".jpeg", ".jpe", ".jfif"),
-    "BMP": (".bmp",),
-    "TIFF": (".tif", ".tiff"),
-    "WEBP": (".webp",),
-    "GIF": (".gif",),
-    "PPM": (".pgm", ".ppm", ".pbm", ".pnm"),
-    "JPEG2000": (".jp2", ".j2k"),
-    "TGA": (".tga",),
-    "AVIF": (".avif",),
-    "HEIF": (".heic", ".heif"),
-}
-
-ENDINGS = tuple(ending for endings in _ENDINGS.values() for ending in endings)
+ENDINGS = tuple(ending for endings in touch.PICTURE_ENDINGS.values() for ending in endings)
 """Endings of pictures, in lower case; the content of a file decides how it is read."""
 
 # Formats whose files can have pages. Further pictures of a JPEG (MPO) are other views, not pages.
@@ -197,7 +183,7 @@ def _is_page(picture: Image.Image, number: int) -> bool:
 @cache
 def _formats() -> tuple[str, ...]:
     """Return the formats that can be read here; AVIF and HEIF depend on how Pillow was built."""
-    known = [name for name in _ENDINGS if name not in ("TGA", "HEIF")]
+    known = [name for name in touch.PICTURE_ENDINGS if name not in ("TGA", "HEIF")]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         if not features.check("avif"):
@@ -215,7 +201,7 @@ def _opened(path: Path) -> Iterator[Image.Image]:
     """Open a picture by its content; all errors become ItemError ``"unreadable"``."""
     ending = path.suffix.lower()
     # TGA has no signature, so nearly every file can pass for it.
-    formats = (*_formats(), "TGA") if ending in _ENDINGS["TGA"] else _formats()
+    formats = (*_formats(), "TGA") if ending in touch.PICTURE_ENDINGS["TGA"] else _formats()
     try:
         with warnings.catch_warnings():
             # Pillow warns of pictures up to twice its limit; those are reduced, the others are refused.
@@ -227,7 +213,11 @@ def _opened(path: Path) -> Iterator[Image.Image]:
         next_step = "replace it by an intact copy, or leave it out"
         if isinstance(error, Image.DecompressionBombError):
             next_step = "store it with fewer pixels; 20 million are more than enough"
-        if ending in _ENDINGS["HEIF"] and isinstance(error, UnidentifiedImageError) and "HEIF" not in formats:
+        if (
+            ending in touch.PICTURE_ENDINGS["HEIF"]
+            and isinstance(error, UnidentifiedImageError)
+            and "HEIF" not in formats
+        ):
             next_step = f"{install_line('heic')}, or store it as JPEG"
         message = f"{path}: cannot be read as a picture ({_problem(error)}), expected an intact image file"
         known = KnownFormat.of_file(path) if isinstance(error, UnidentifiedImageError) else None

@@ -59,7 +59,10 @@ _MAX_BITS = 63
 
 
 def find_flat(
-    home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
+    home: store.DataFolder,
+    columns: touch_options.ImportColumns,
+    table: str | None,
+    ledger: source_files.Ledger,
 ) -> Iterator[source_touches.SourceTouches]:
     """Yield a touch for each row of each file, in their order; the split is that of the file's name."""
     home, paths = source_files.files_to_read(

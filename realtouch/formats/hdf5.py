@@ -137,7 +137,10 @@ def _require_chunk(address: str, dataset: H5Object, at: tuple[int, ...]) -> None
 
 
 def find_hdf5(
-    home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
+    home: store.DataFolder,
+    columns: touch_options.ImportColumns,
+    table: str | None,
+    ledger: source_files.Ledger,
 ) -> Iterator[source_touches.Recording]:
     """Yield a recording for each group that has the dataset of pictures; InputError lists such datasets.
 

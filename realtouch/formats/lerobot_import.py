@@ -33,6 +33,7 @@ _INDICES = ("index", "frame_index", "episode_index", "task_index", "timestamp")
 _VECTORS = {exports.STATE: touch_options.POSE_COLUMNS, exports.ACTION: touch_options.POSITION_COLUMNS}
 _OF_EPISODE = ("label", "label_name", "object_id")
 _INFO = "meta/info.json"
+_FOLDERS = ("meta", "data", "videos", "images")
 _PICTURES = ("image", "video")
 _DEPTH = ("is_depth_map", "video.is_depth_map")
 _MAX_BYTES = 256 << 20
@@ -46,12 +47,17 @@ _Count = Annotated[int, msgspec.Meta(ge=0, lt=1 << 50)]
 
 
 def find_lerobot(
-    home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
+    home: store.DataFolder,
+    columns: touch_options.ImportColumns,
+    table: str | None,
+    ledger: source_files.Ledger,
 ) -> Iterator[source_touches.Recording]:
     """Yield each episode with the pictures of the named or the only camera; InputError for several.
 
     An episode that cannot be used is a recording with a problem.
     """
+    for folder in _FOLDERS:
+        ledger.use(home, folder)
     info = read_info(home)
     camera = info.camera(columns.image_name, home.address())
     reader = _Episodes(home, info, camera, read_tasks(home, info))

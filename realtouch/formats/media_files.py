@@ -31,7 +31,6 @@ from tactile_toolkit import errors, read, store, wording
 from tactile_toolkit.columns import column_types, tables
 from tactile_toolkit.json_types import JsonDict
 
-_IMAGES = tuple(f".{ending}" for ending in source_files.IMAGE_ENDINGS)
 _SPLITS = {"train", "val", "valid", "validation", "test"}
 _MAX_IMAGES = 1_000_000
 _FILE = "file"
@@ -45,7 +44,10 @@ _LEFT_OUT = "-1"
 
 
 def find_folder(
-    home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
+    home: store.DataFolder,
+    columns: touch_options.ImportColumns,
+    table: str | None,
+    ledger: source_files.Ledger,
 ) -> Iterator[source_touches.SourceTouches]:
     """Yield a touch for each row of the table; the touch of a missing file has a problem.
 
@@ -61,7 +63,7 @@ def find_folder(
         if not named and not columns.image_name:
             images = _images(home)
             if images:
-                yield _labelled(home, images)
+                yield _labelled(home, images, ledger)
                 return
         if len(named) != 1:
             raise errors.InputError(
@@ -70,9 +72,9 @@ def find_folder(
             )
         table_name = named[0]
     opened = tables.Table.of(folder, table_name)
+    ledger.use(folder, table_name)
     lines = source_files.read_table(opened, columns, [columns.image])
-    required = [columns.image, *columns.found_in(lines.columns).names()]
-    source_files.require_columns(lines.columns, required, opened.path)
+    source_files.require_columns(lines.columns, [columns.image], opened.path)
     paths = list(map(source_files.path_of, lines.texts(columns.image)))
     duplicates = source_files.duplicates_of(paths, source_files.FILE_OF_TABLE)
     yield source_files.image_files(home, paths, lines.columns, duplicates)
@@ -82,7 +84,7 @@ def _images(home: store.DataFolder) -> list[str]:
     """List the visible images in a folder and its sub-folders, in natural order; InputError for too many."""
     paths: list[str] = []
     for path in home.walk():
-        if path.lower().endswith(_IMAGES) and not store.is_hidden(path):
+        if path.lower().endswith(source_files.IMAGE_ENDINGS) and not store.is_hidden(path):
             paths.append(path)
         if len(paths) > _MAX_IMAGES:
             raise errors.InputError(
@@ -91,7 +93,9 @@ def _images(home: store.DataFolder) -> list[str]:
     return sorted(paths, key=wording.natural_key)
 
 
-def _labelled(home: store.DataFolder, paths: list[str]) -> source_touches.SourceTouches:
+def _labelled(
+    home: store.DataFolder, paths: list[str], ledger: source_files.Ledger
+) -> source_touches.SourceTouches:
     """Return the touches of images; the folder of an image may name its class.
 
     If all outer folders are called ``train``, ``val``, ``test`` and so on, they are splits, and the folders
@@ -104,15 +108,21 @@ def _labelled(home: store.DataFolder, paths: list[str]) -> source_touches.Source
     fields = {}
     if is_split:
         fields["split"] = pa.array([names[0] for names in folders])
+        ledger.notes["the outer folders are the splits"] = None
     if has_classes and any(inner):
         # An image in a folder whose name is not Unicode has a problem; here only the text matters.
         labels = [names[0].encode(errors="replace").decode() if names else None for names in inner]
         fields["label"] = pa.array(labels, pa.string())
+        level = "second" if is_split else "outermost"
+        ledger.notes[f"the classes are the {level} folders, such as {labels[0]!r} of {paths[0]!r}"] = None
     return source_files.image_files(home, paths, fields)
 
 
 def find_video(
-    home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
+    home: store.DataFolder,
+    columns: touch_options.ImportColumns,
+    table: str | None,
+    ledger: source_files.Ledger,
 ) -> Iterator[source_touches.Recording]:
     """Yield a recording for each video: the file that was named, or those of a folder and its sub-folders.
 
@@ -125,9 +135,12 @@ def find_video(
     )
     stems = Counter(map(_stem, paths))
     column = columns.image or _FILE
-    rows = _table_of_videos(folder, columns, column, table, paths)
+    rows = _table_of_videos(folder, columns, column, table, paths, ledger)
     if rows is None:
         classes = _classes(paths)
+        if classes:
+            name = classes[paths[0]][source_files.NUMBERED]
+            ledger.notes[f"the classes are the folders, such as {name!r} of {paths[0]!r}"] = None
         problems = source_files.problems_of_names(paths)
         for number, path in enumerate(paths):
             yield _recording(
@@ -189,6 +202,7 @@ def _table_of_videos(
     image: str,
     table: str | None,
     paths: Sequence[str],
+    ledger: source_files.Ledger,
 ) -> source_files.SourceTable | None:
     """Return the table of the videos; None if there is no such table."""
 
@@ -198,7 +212,9 @@ def _table_of_videos(
         return rows
 
     if table is not None:
-        return read(tables.Table.of(*source_files.source_of(table)))
+        of_table = source_files.source_of(table)
+        ledger.use(*of_table)
+        return read(tables.Table.of(*of_table))
     of_videos = {}
     refused: tuple[str, str] | None = None
     streams = tuple(f"{_stem(path)}{mark}" for path in paths for mark in "._")
@@ -227,6 +243,8 @@ def _table_of_videos(
             f"{home.address(name)!r} names videos in its column {column!r}; expected a column {image!r}",
             next=f"add --map image={column}, or move the table out of the folder",
         )
+    for name in of_videos:
+        ledger.use(home, name)
     return next(iter(of_videos.values()), None)
 
 
@@ -291,13 +309,17 @@ plan_anytouch = TouchFormat(_ANYTOUCH_FOLDER, _pack_anytouch, _write_lists).plan
 
 
 def find_anytouch(
-    home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
+    home: store.DataFolder,
+    columns: touch_options.ImportColumns,
+    table: str | None,
+    ledger: source_files.Ledger,
 ) -> Iterator[source_touches.SourceTouches]:
     """Yield the lines of each list, or of one list, as touches; the touch of a missing file has a problem."""
     named = home if table is None else store.open_folder(table)
     find = partial(source_files.visible_files, endings=_LIST_END)
     folder_of_lists, lists = source_files.files_to_read(named, f"lists (*{_LIST_END})", find)
     for list_name in lists:
+        ledger.use(folder_of_lists, list_name)
         split = list_name.removesuffix(_LIST_END)
         with tables.open_source(folder_of_lists, list_name) as stream:
             lines = stream.read().decode(errors="replace").splitlines()

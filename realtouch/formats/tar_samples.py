@@ -92,15 +92,12 @@ plan_webdataset = exports.TouchFormat(_FOLDER, _pack).plan
 
 
 def find_webdataset(
-    home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
+    home: store.DataFolder,
+    columns: touch_options.ImportColumns,
+    table: str | None,
+    ledger: source_files.Ledger,
 ) -> Iterator[source_touches.SourceTouches]:
     """Yield the samples of each tar as touches; only headers and short texts are read."""
-    if table is not None:
-        raise errors.InputError(
-            "applies to folders of images; a WebDataset has JSON files",
-            next="leave out --table",
-            field="table",
-        )
     known = dict[str, None]()
     folder, names = source_files.files_to_read(
         home, "tars (*.tar)", partial(source_files.visible_files, endings=".tar")
@@ -188,7 +185,7 @@ def _members(folder: store.DataFolder, name: str) -> Iterator[_Member]:
 @lru_cache(maxsize=256)
 def _is_image(ending: str) -> bool:
     """Return whether an ending is that of an image; the ending may have several parts, as ``rgb.jpg``."""
-    return ending.lower().rpartition(".")[2] in source_files.IMAGE_ENDINGS
+    return f".{ending}".lower().endswith(source_files.IMAGE_ENDINGS)
 
 
 class _Sample(NamedTuple):
@@ -285,12 +282,16 @@ plan_fota = exports.TouchFormat(_FOTA_FOLDER, _pack_fota, _write_counts, no_gaps
 
 
 def find_fota(
-    home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
+    home: store.DataFolder,
+    columns: touch_options.ImportColumns,
+    table: str | None,
+    ledger: source_files.Ledger,
 ) -> Iterator[source_touches.SourceTouches]:
     """Yield the samples of each tar of one split; the folder has the name of the split."""
+    ledger.use(home, "count.txt")
     split = home.address().rstrip("/").rpartition("/")[2]
     in_both_units = {*touch_options.POSE_COLUMNS, *touch_options.FOTA_POSE_COLUMNS}
-    for touches in find_webdataset(home, columns, table):
+    for touches in find_webdataset(home, columns, table, ledger):
         if {*touches.names} >= in_both_units:  # our exports have the pose twice
             touches = replace(
                 touches, per_touch=touches.per_touch.drop_columns(list(touch_options.FOTA_POSE_COLUMNS))

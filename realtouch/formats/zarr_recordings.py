@@ -48,20 +48,27 @@ _OUR_VALUES = ("label", "label_name", "object_id", *touch_options.POSITION_COLUM
 
 
 def find_replay(
-    home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
+    home: store.DataFolder,
+    columns: touch_options.ImportColumns,
+    table: str | None,
+    ledger: source_files.Ledger,
 ) -> Iterator[source_touches.Recording]:
     """Yield a recording for each episode of the buffer; its arrays are columns.
 
     The meaning of an array does not follow from its shape; only a buffer of this toolkit states its columns.
     """
     group = group_in(home)
+    ledger.use(group.home, group.path)
     names = data_arrays(group)
     name = source_files.chosen_pictures(names, columns.image_name or PIXELS, group.address, "arrays")
     return recordings_of(group, names, (name, None), columns)
 
 
 def find_oxt(
-    home: store.DataFolder, columns: touch_options.ImportColumns, table: str | None
+    home: store.DataFolder,
+    columns: touch_options.ImportColumns,
+    table: str | None,
+    ledger: source_files.Ledger,
 ) -> Iterator[source_touches.Recording]:
     """Yield a recording for each episode; the pictures are those of the only sensor, or of the named one.
 
@@ -69,6 +76,7 @@ def find_oxt(
     ``left_tactile_data_fingers[1]``. Labels, poses and rounds that this toolkit exported are restored.
     """
     group = group_in(home)
+    ledger.use(group.home, group.path)
     sensors = dict[str, tuple[str, int]]()
     arrays = data_arrays(group)
     for name, shape in arrays.items():

@@ -86,6 +86,7 @@ class CutTable:
         source_files.require_columns(names, self._own_columns, self._address)
         # Another name than "start" states the unit.
         self._time_unit = columns.time_unit if self._start_column == "start" else None
+        self.has_times = self._start_column != _FRAME
         self._recording_of_row: dict[int, str] = {}
         self._stated_recordings = [""] * self._table.rows
         if self._recording_column is not None:
@@ -192,6 +193,8 @@ class Cutter:
     pictures : dict
         Drawings of the cuts found by contact, as PNG, by the name of the recording with ``-`` for ``/``;
         complete after the last recording.
+    reads_times : bool
+        Whether the cuts are those of a table with times.
     done : str
         How the last recording was cut: one of :data:`CUTS`, or "table"; empty before the first recording.
 
@@ -210,10 +213,12 @@ class Cutter:
     ) -> None:
         self.pictures: dict[str, bytes] = {}
         self.done = ""
+        self.reads_times = False
         self._cut, self._contents, self._default, self._rule = cut, contents, default, ContactThresholds()
         self._table = None
         if cut is not None and cut not in source_touches.CUTS:
             self._table = CutTable(cut, columns or touch_options.ImportColumns())
+            self.reads_times = self._table.has_times
 
     def cut(self, recording: source_touches.Recording) -> source_touches.SourceTouches:
         """Return the touches of a recording in order; a recording that cannot be cut is one touch.

@@ -123,7 +123,13 @@ def plan_of(touches: Arranged, recordings: import_sources.ReadSource) -> store.B
     if recordings.streams:
         spec[touch_options.STREAMS] = list(recordings.streams[:_MAX_STREAMS])
     if recordings.left_out:
-        spec[touch_options.LEFT_OUT] = list(map(wording.printable, recordings.left_out[:_MAX_LEFT_OUT]))
+        left_out = list(map(wording.printable, recordings.left_out[:_MAX_LEFT_OUT]))
+        if len(recordings.left_out) > _MAX_LEFT_OUT:
+            left_out.append(f"and {len(recordings.left_out) - _MAX_LEFT_OUT:,} more")
+        spec[touch_options.LEFT_OUT] = left_out
+    notes = [*recordings.notes, *touches.notes]
+    if notes:
+        spec[touch_options.NOTES] = list(map(wording.printable, notes))
     description = import_sources.IMPORTS[recordings.layout].describe(every)
     if description:
         spec["options"][touch_options.CONVERSION] = description
@@ -180,10 +186,12 @@ class Arranged:
     """The touches of a source in rounds and splits, and the function that makes shards of them.
 
     ``shards`` holds the shards of each split by its name; a shard has whole rounds, one after the other.
+    ``notes`` says which rounds were divided.
     """
 
     shards: Mapping[str, Sequence[source_touches.SourceTouches]]
     make_shard: import_shards.ImportTouches
+    notes: Sequence[str]
 
 
 def arranged(recordings: import_sources.ReadSource, spec: touch_options.ImportSpec) -> Arranged:
@@ -201,14 +209,22 @@ def arranged(recordings: import_sources.ReadSource, spec: touch_options.ImportSp
     whole = _rounds(touches, columns, spec.split)
     taken = {name for of_split in whole.values() for name in of_split}
     shards = {}
+    notes = []
     for name, of_split in whole.items():
         rounds = _in_pieces(of_split, sizes, most_bytes, taken)
+        if len(rounds) > len(of_split):
+            piece = next(round_id for round_id in rounds if round_id not in of_split)
+            notes.append(
+                f"{wording.with_count(len(of_split), 'rounds')} of {name} became {len(rounds):,} of at most "
+                f"{wording.bytes_text(most_bytes)} each, such as {piece!r}"
+            )
         shards[name] = [_shard(touches, part) for part in _divided(rounds, sizes, touches.has_clips)]
     size = common_size(touches, read.contents, read.one_size_per_file)
     schema = import_shards.touch_schema(columns, names, touches)
     return Arranged(
         shards,
         import_shards.ImportTouches(recordings.layout, columns, names, size, schema, recordings.versions),
+        notes,
     )
 
 
@@ -261,7 +277,14 @@ def _rounds(
     rounds = touches.texts(columns.round)
     named = set(rounds)
     names, numbers = (touches.listing[name].to_pylist() for name in ("name", "number"))
-    splits = _splits(touches.texts(columns.split), source_touches.texts_in(touches.listing["path"]), split)
+    stated = touches.texts(columns.split)
+    if split and all(stated):
+        raise errors.InputError(
+            f"has no effect: {columns.split!r} states the split of every touch",
+            next="leave it out, or ignore that column: --map split=",
+            field="split",
+        )
+    splits = _splits(stated, source_touches.texts_in(touches.listing["path"]), split)
     for index, (name, part) in enumerate(zip(rounds, splits, strict=True)):
         if not _SPLIT.fullmatch(part):
             raise errors.InputError(
@@ -357,7 +380,7 @@ def _sizes(
     for content, picture in zip(read(locations), locations, strict=True):
         if isinstance(content, bytes):
             with suppress(ValueError):
-                sizes[touch.intact_size(content)] += counts.get(picture, 1)
+                sizes[touch.intact_size(touch.storable_image(content)[0])] += counts.get(picture, 1)
     return sizes
 
 
@@ -387,6 +410,8 @@ class ImportPreview:
         How streams of other rates fit the recordings, as rows of a table.
     left_out : sequence of tuple
         Reason, number of touches, and the message of the first.
+    notes : sequence of str
+        Decisions of the import, such as which folders are the classes.
     """
 
     layout: str
@@ -401,6 +426,7 @@ class ImportPreview:
     first: Sequence[Mapping[str, str]]
     streams: Sequence[tuple[str, ...]]
     left_out: Sequence[tuple[str, int, str]]
+    notes: Sequence[str]
 
 
 def preview_import(
@@ -441,6 +467,7 @@ def preview_import(
         first,
         list(recordings.streams),
         [(reason, len(texts), texts[0]) for reason, texts in messages.items()],
+        [*recordings.notes, *touches.notes],
     )
 
 

@@ -23,7 +23,14 @@ from realtouch.video import avi
 from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import AnyArray, Float64, Int64
 from tactile_toolkit.columns import column_types
-from tactile_toolkit.touch import MEDIA_TYPE, decode_image, intact_size, is_jpeg, with_features
+from tactile_toolkit.touch import (
+    MEDIA_TYPE,
+    decode_image,
+    intact_size,
+    is_jpeg,
+    storable_image,
+    with_features,
+)
 
 _MAX_FIELDS = 100
 _PIECE_BYTES = 32 << 20
@@ -91,12 +98,12 @@ class ImportTouches:
         digest = hashlib.sha256()
         tables = [self.schema.empty_table()]
         skipped = list[store.Skipped]()
-        notes, others = Counter[str](), Counter[str]()
+        notes, others, converted = Counter[str](), Counter[str](), Counter[str]()
         extras = extras_in(self.schema)
         values = self._read_fields(touches)
         contents = self._contents(touches)
         for rows in _pieces(touches):
-            stored, problems = self._stored(touches, rows, values, contents, digest)
+            stored, problems = self._stored(touches, rows, values, contents, digest, converted)
             tables.append(table_of_touches(stored, self.columns, self.schema))
             notes.update(note for clip in stored.clips for note in clip.notes)
             others.update(fields.not_kept(stored.touches, self.columns, extras))
@@ -106,6 +113,7 @@ class ImportTouches:
         counted = {
             touch_options.NOT_IMPORTED: dict(others.most_common(_MAX_FIELDS)),
             touch_options.CLIPS: notes,
+            touch_options.PICTURES: converted,
         }
         statistics = {key: dict(sorted(counts.items())) for key, counts in counted.items() if counts}
         return store.ShardContent(
@@ -182,6 +190,7 @@ class ImportTouches:
         values: _TouchFields,
         contents: Iterator[bytes | errors.ItemError],
         digest: Any,
+        converted: Counter[str],
     ) -> tuple[StoredTouches, dict[int, errors.ItemError]]:
         """Read the pictures of touches of whole rounds; also return problems, by index in ``rows``."""
         piece = touches.take(rows)
@@ -193,6 +202,7 @@ class ImportTouches:
             pictures = list(islice(contents, max(1, frames[index])))
             _add_contents(digest, pictures)
             try:
+                pictures = [_storable(picture, converted) for picture in pictures]
                 size = self._size(pictures, is_clip=frames[index] > 0)
                 if numbers[index] in values.problems:
                     raise values.problems[numbers[index]]
@@ -235,6 +245,19 @@ class ImportTouches:
             prefix = f"picture {number}: " if is_clip else ""
             raise errors.ItemError(problem.reason, f"{prefix}{problem.message}") from problem
         return common or (0, 0)
+
+
+def _storable(content: bytes | errors.ItemError, converted: Counter[str]) -> bytes | errors.ItemError:
+    """Return a picture in a format of data sets, or its problem; count conversions."""
+    if isinstance(content, errors.ItemError):
+        return content
+    try:
+        content, format_name = storable_image(content)
+    except ValueError as error:
+        return errors.ItemError("image", str(error))
+    if format_name:
+        converted[f"{format_name} stored as PNG, without loss"] += 1
+    return content
 
 
 def _pieces(touches: source_touches.SourceTouches) -> Iterator[Int64]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from functools import cache
+from pathlib import PurePosixPath
 
 import numpy as np
 import pyarrow as pa
@@ -14,17 +15,20 @@ from realtouch import touch_options
 from realtouch.importing import cuts, recognition, source_files, source_touches
 from realtouch.importing.fields import each_of, times_s
 from realtouch.importing.streams import Aligner, StreamReport
-from tactile_toolkit import errors, kind, store, touch
+from tactile_toolkit import errors, kind, store, touch, wording
 from tactile_toolkit.array_types import Float64
 from tactile_toolkit.columns import column_types
 
+_MAX_NAMED = 4  # files of one kind that are named one by one
 _SPLIT_FOLDERS = ("fota",)  # formats whose exports have a folder for each split, with its name
 Version = tuple[object, ...] | None
 FindTouches = Callable[
-    [store.DataFolder, touch_options.ImportColumns, str | None],
+    [store.DataFolder, touch_options.ImportColumns, str | None, source_files.Ledger],
     Iterator[source_touches.SourceTouches | source_touches.Recording],
 ]
-"""Yields the touches of a folder, or recordings to cut, given columns and the path of a table."""
+"""Yields the touches of a folder, or recordings to cut, given columns and the path of a table.
+
+The ledger gets the other files that it reads."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,9 +37,10 @@ class ReadSource:
 
     ``recognised_by`` is the file by which the format was recognised; empty if it was given. ``cut`` is how
     recordings were cut; empty if the source has no recordings. ``pictures`` shows the cuts: PNG by name.
-    ``streams`` says how streams of other rates fit the recordings. ``left_out`` names data of recordings that
-    are not imported. ``versions`` holds the version of each file with several pictures, by folder and path.
-    It was taken before any picture was read, as a file may be replaced later.
+    ``streams`` says how streams of other rates fit the recordings. ``left_out`` names files and data that are
+    not imported, ``notes`` the decisions that the import states. ``versions`` holds the version of each file
+    with several pictures, by folder and path. It was taken before any picture was read, as a file may be
+    replaced later.
     """
 
     home: store.DataFolder
@@ -48,6 +53,7 @@ class ReadSource:
     streams: Sequence[StreamReport] = ()
     left_out: Sequence[str] = ()
     versions: Mapping[source_touches.File, Version] = field(default_factory=dict)
+    notes: Sequence[str] = ()
 
 
 def versions_of(
@@ -70,22 +76,23 @@ def find_source(address: str, spec: touch_options.ImportSpec) -> ReadSource:
     if spec.layout is None:
         format_ = recognition.recognised(address)
     read = IMPORTS[format_.layout]
+    _require(_needs_of_format(spec, read), format_.layout)
     cutter = cuts.Cutter(spec.cut, read.contents, columns, read.cut)
-    no_streams = [
+    own_tables = [
         path for path in (spec.table, spec.cut) if path is not None and path not in source_touches.CUTS
     ]
-    aligner = Aligner(spec.streams, spec.alignment, columns, no_streams)
+    aligner = Aligner(spec.streams, spec.alignment, columns, own_tables)
     parts = list[source_touches.SourceTouches]()
-    left_out = dict[str, None]()
     versions = dict[source_touches.File, Version]()
     opened = cache(store.open_folder)
-    for part in _read_folders(home, format_.layout, columns, spec.table):
+    ledger = source_files.Ledger()
+    for part in _read_folders(home, format_.layout, columns, spec.table, ledger):
         versions |= versions_of(_files_of_several(part) - versions.keys(), opened)
         if isinstance(part, source_touches.Recording):
-            left_out |= dict.fromkeys(part.left_out)
+            ledger.left_out.update(dict.fromkeys(part.left_out))
             parts.append(cutter.cut(aligner.aligned(part)))
         else:
-            parts.append(_timed(part, columns))
+            parts.append(aligner.aligned_images(_timed(part, columns)))
     touches = source_touches.SourceTouches.joined([*parts, *cutter.unused()])
     if not len(touches):
         raise errors.InputError(f"{home.address()!r} holds nothing to import; expected pictures")
@@ -98,13 +105,109 @@ def find_source(address: str, spec: touch_options.ImportSpec) -> ReadSource:
     if missing and touches.is_usable.any():
         source_files.require_columns(touches.names, sorted(missing), home.address())
     completed = columns.found_in(touches.known, rotvec=read.rotvec)
+    ledger.used.update(_addresses(touches), aligner.tables)
+    for path in own_tables:
+        ledger.use(*source_files.source_of(path))
+    if not format_.is_export and not _is_file(home):
+        _list_unread(home, format_.layout, ledger)
+    has_streams = bool(aligner.tables)
+    reads_times = has_streams or cutter.reads_times
+    _require(_needs_of_columns(spec, completed, has_streams, reads_times), format_.layout)
     touches = fields_of_whole(_checked(touches), completed)
-    of_cuts = (cutter.done, cutter.pictures, aligner.reports, tuple(left_out), versions)
-    return ReadSource(home, format_.layout, format_.by, touches, completed, *of_cuts)
+    of_cuts = (cutter.done, cutter.pictures, aligner.reports, tuple(ledger.left_out), versions)
+    return ReadSource(
+        home, format_.layout, format_.by, touches, completed, *of_cuts, notes=tuple(ledger.notes)
+    )
+
+
+Need = tuple[str, object, object, str]
+"""An option, its value, whether the source has what it applies to, and what that is."""
+
+
+def _needs_of_format(spec: touch_options.ImportSpec, read: ImportFormat) -> list[Need]:
+    image = spec.columns.image_name if spec.columns else ""
+    return [
+        ("table", spec.table, read.has_table, "a format whose pictures a table describes"),
+        ("image", image, read.names_pictures, "a format whose pictures have names"),
+    ]
+
+
+def _needs_of_columns(
+    spec: touch_options.ImportSpec,
+    columns: touch_options.ImportColumns,
+    has_streams: bool,
+    reads_times: bool,
+) -> list[Need]:
+    """Return what options need of a source that has ``columns``, streams, and tables with times."""
+    stated = spec.columns or touch_options.ImportColumns()
+    has_angles = bool(columns.pose) and len(columns.pose or ()) not in touch_options.POSES_WITHOUT_ANGLES
+    in_metres = columns.pose or columns.position
+    pose = "a pose (--map pose=COLUMNS)"
+    lengths = "a pose or a position (--map pose=COLUMNS)"
+    times = "times (--map time=COLUMN)"
+    needs: list[Need] = [
+        ("length_unit", stated.length_unit, in_metres, lengths),
+        ("frame", stated.frame, in_metres, lengths),
+        ("quaternion_order", stated.quaternion_order, columns.pose, pose),
+        ("euler", stated.euler, columns.pose, pose),
+        ("rotvec", stated.rotvec, columns.pose, pose),
+        ("angle_unit", stated.angle_unit, has_angles, "a pose with angles"),
+        ("time_unit", stated.time_unit, columns.time or reads_times, times),
+    ]
+    usual = touch_options.Alignment()
+    for option in fields(usual):
+        is_changed = getattr(spec.alignment or usual, option.name) != getattr(usual, option.name)
+        needs.append((option.name, is_changed, has_streams, "a stream (--stream)"))
+    return needs
+
+
+def _require(needs: Iterable[Need], layout: str) -> None:
+    """Raise InputError for the first option that has no effect."""
+    for name, value, is_met, what in needs:
+        if value and not is_met:
+            raise errors.InputError(
+                f"has no effect on this source of the format {layout}; expected {what}",
+                next="leave it out",
+                field=name,
+            )
+
+
+def _is_file(home: store.DataFolder) -> bool:
+    return (home.info("") or {}).get("type") == "file"
+
+
+def _addresses(touches: source_touches.SourceTouches) -> Iterator[str]:
+    """Yield the addresses of the files of touches, each once."""
+    for row in touches.listing.group_by(["home", "path"]).aggregate([]).to_pylist():
+        yield f"{row['home']}/{row['path']}".rstrip("/")
+
+
+def _list_unread(home: store.DataFolder, layout: str, ledger: source_files.Ledger) -> None:
+    """Note the files of a source that were not read, each with the reason; many of one kind together."""
+    by_reason: dict[tuple[str, str], list[str]] = {}
+    for path in ledger.unread(home):
+        if _address(home.address(path)) in ledger.used:  # a table that was named through a link
+            continue
+        reason = recognition.reason_unread(path, layout)
+        by_reason.setdefault((PurePosixPath(path).suffix, reason), []).append(wording.printable(path))
+    for (ending, reason), paths in by_reason.items():
+        names = paths
+        if len(paths) > _MAX_NAMED:
+            names = [f"{len(paths):,} files *{ending}, such as {paths[0]}"]
+        ledger.left_out.update(dict.fromkeys(f"{name} ({reason})" for name in names))
+
+
+def _address(path: str) -> str:
+    home, name = source_files.source_of(path)
+    return home.address(name)
 
 
 def _read_folders(
-    home: store.DataFolder, layout: str, columns: touch_options.ImportColumns, table: str | None
+    home: store.DataFolder,
+    layout: str,
+    columns: touch_options.ImportColumns,
+    table: str | None,
+    ledger: source_files.Ledger,
 ) -> Iterator[source_touches.SourceTouches | source_touches.Recording]:
     """Yield the touches and recordings of a folder, or of each split of an export of this toolkit."""
     folders = [home]
@@ -115,7 +218,7 @@ def _read_folders(
     if layout in _SPLIT_FOLDERS and len(splits) == len(entries) > 0:
         folders = [store.open_folder(folders[0].address(split)) for split in splits]
     for folder in folders:
-        yield from IMPORTS[layout].find(folder, columns, table)
+        yield from IMPORTS[layout].find(folder, columns, table, ledger)
 
 
 def _files_of_several(
@@ -201,9 +304,10 @@ class ImportFormat:
     """How a format is read.
 
     ``contents`` yields all pictures of each touch, encoded. ``cut`` is how recordings become touches by
-    default. ``one_size_per_file`` says that the pictures of a file have one size. ``describe`` states how
-    pictures are converted; empty if they are stored as they are. With ``rotvec``, the last three of a pose of
-    six numbers are a rotation vector.
+    default. ``has_table`` says that a table can describe the pictures, ``names_pictures`` that ``image``
+    chooses among pictures or columns. ``one_size_per_file`` says that the pictures of a file have one size.
+    ``describe`` states how pictures are converted; empty if they are stored as they are. With ``rotvec``, the
+    last three of a pose of six numbers are a rotation vector.
     """
 
     find: FindTouches
@@ -212,6 +316,8 @@ class ImportFormat:
     one_size_per_file: bool = False
     describe: Callable[[source_touches.SourceTouches], str] = lambda _touches: ""
     rotvec: bool = False
+    has_table: bool = False
+    names_pictures: bool = True
 
 
 def _images(find: str, contents: source_files.ReadContents = source_files.contents_of) -> ImportFormat:
@@ -219,17 +325,17 @@ def _images(find: str, contents: source_files.ReadContents = source_files.conten
     return ImportFormat(kind.lazy(f"realtouch.formats.{find}"), contents)
 
 
-def _recordings(find: str, cut: str = "frames", *, rotvec: bool = False) -> ImportFormat:
+def _recordings(find: str, cut: str = "frames", **facts: bool) -> ImportFormat:
     """Return a format of recordings whose files have pictures of one size."""
     reader = find.partition(":")[0]
     describe = kind.lazy(f"realtouch.formats.{reader}:describe_conversion")
     contents = kind.lazy(f"realtouch.formats.{reader}:read_contents")
-    return ImportFormat(kind.lazy(f"realtouch.formats.{find}"), contents, cut, True, describe, rotvec)
+    return ImportFormat(kind.lazy(f"realtouch.formats.{find}"), contents, cut, True, describe, **facts)
 
 
 IMPORTS: dict[str, ImportFormat] = {
-    "folder": _images("media_files:find_folder"),
-    "video": _recordings("media_files:find_video", "whole"),
+    "folder": replace(_images("media_files:find_folder"), has_table=True),
+    "video": _recordings("media_files:find_video", "whole", has_table=True),
     "flat": _images("flat_parquet:find_flat", kind.lazy("realtouch.formats.flat_parquet:read_contents")),
     "webdataset": _images("tar_samples:find_webdataset"),
     "lerobot": _recordings("lerobot_import:find_lerobot"),
@@ -237,6 +343,6 @@ IMPORTS: dict[str, ImportFormat] = {
     "replay": _recordings("zarr_recordings:find_replay"),
     "hdf5": _recordings("hdf5:find_hdf5"),
     "fota": _images("tar_samples:find_fota"),
-    "anytouch": _images("media_files:find_anytouch"),
+    "anytouch": replace(_images("media_files:find_anytouch"), has_table=True, names_pictures=False),
 }
 """Formats that can be imported; :mod:`realtouch.importing.recognition` recognises them by their content."""

@@ -45,10 +45,11 @@ _PARTS = {
 
 
 class Recognised(NamedTuple):
-    """The format of a source, and the file by which it was recognised."""
+    """The format of a source, the file by which it was recognised, and whether it is our own export."""
 
     layout: str
     by: str
+    is_export: bool = False
 
 
 def _ends_with(*endings: str) -> Callable[[str], object]:
@@ -66,7 +67,7 @@ _MARKS: tuple[tuple[str, Callable[[str], object]], ...] = (
     ("webdataset", re.compile(r"^[^/]+\.tar\Z", re.IGNORECASE).search),
     ("hdf5", _ends_with(".h5", ".hdf5")),
     ("video", _ends_with(*video_files.VIDEO_ENDINGS)),
-    ("folder", _ends_with(*(f".{ending}" for ending in source_files.IMAGE_ENDINGS))),
+    ("folder", _ends_with(*source_files.IMAGE_ENDINGS)),
     ("flat", _ends_with(".parquet")),
     ("folder", _ends_with(*tables.Table.TEXT_ENDINGS, ".jsonl")),
 )
@@ -128,6 +129,16 @@ _STEPS = {
 }
 # Keys of formats that are read, in some or all cases.
 _READ = ("hdf5", "parquet", "archive", "gzip", "video", "json", "pixels")
+
+
+def reason_unread(path: str, layout: str) -> str:
+    """Return why a file of a source is not read in a format, in a few words."""
+    if _TABLES(path):
+        return "a table that was not named; see --table, --stream and --cut"
+    if path.lower().endswith(source_files.IMAGE_ENDINGS):
+        return "a picture that no table names" if layout == "folder" else "a picture"
+    known = KnownFormat.by_ending(path)
+    return f"not of the format {layout}" if known is None else known.name
 
 
 def _refuse_foreign(folder: store.DataFolder, paths: Sequence[str], head: bytes = b"") -> None:
@@ -205,7 +216,7 @@ def _of_export(home: store.DataFolder) -> Recognised | None:
             next="open it with `realtouch.load`",
         )
     layout = dict(data_set.spec["options"]).get("layout", "folder")
-    return Recognised(str(layout), store.MANIFEST_FILE)
+    return Recognised(str(layout), store.MANIFEST_FILE, True)
 
 
 def _paths(home: store.DataFolder) -> Sequence[str]:

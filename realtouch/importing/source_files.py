@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cache, partial
 from itertools import chain, groupby, islice, repeat
 from operator import itemgetter
@@ -14,11 +15,12 @@ import pyarrow as pa
 
 from realtouch import touch_options
 from realtouch.importing import source_touches
-from tactile_toolkit import errors, run, store, wording
+from tactile_toolkit import errors, run, store, touch, wording
 from tactile_toolkit.columns import column_types, tables
 from tactile_toolkit.json_types import JsonDict
 
-IMAGE_ENDINGS = ("jpg", "jpeg", "png", "webp")
+IMAGE_ENDINGS = tuple(ending for endings in touch.PICTURE_ENDINGS.values() for ending in endings)
+"""Endings of pictures, in lower case; those of formats that cannot be read are left out and listed."""
 
 FILE_OF_TABLE = "file as in row {} of the table"
 """Text for :func:`duplicates_of` where a table names a file twice."""
@@ -38,6 +40,37 @@ ReadNumbers = Callable[
     [store.DataFolder, source_touches.PictureLocation, Sequence[int]], Iterator[bytes | errors.ItemError]
 ]
 """Yields the pictures with some numbers from the file, and the part of it, of a location."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ledger:
+    """What becomes of all that a source holds beside touches.
+
+    Attributes
+    ----------
+    used : set of str
+        Addresses of files and folders that were read; everything in such a folder counts as read.
+    left_out : dict of str to None
+        Data that are not imported, each with its shape or the reason, in order.
+    notes : dict of str to None
+        Decisions that the import states, in order.
+    """
+
+    used: set[str] = field(default_factory=set)
+    left_out: dict[str, None] = field(default_factory=dict)
+    notes: dict[str, None] = field(default_factory=dict)
+
+    def use(self, folder: store.DataFolder, path: str) -> None:
+        """Note that a file, or all of a folder, was read."""
+        self.used.add(folder.address(path))
+
+    def unread(self, home: store.DataFolder) -> Iterator[str]:
+        """Return the visible files of a folder that were not read."""
+
+        def skips(path: str) -> bool:
+            return store.is_hidden(path) or f"{home.address()}/{path}" in self.used
+
+        return home.walk(skips=skips)
 
 
 def path_of(text: str) -> str:

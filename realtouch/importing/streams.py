@@ -183,6 +183,8 @@ class Aligner:
         How the streams fit, in the order of recordings; complete after the last recording.
     times : set of str
         Columns of times that were used.
+    tables : set of str
+        Addresses of the tables that were read.
 
     Raises
     ------
@@ -201,6 +203,7 @@ class Aligner:
         self._how, self._columns = how or Alignment(), columns
         self._named = [open_stream(*source_files.source_of(path), columns) for path in named]
         self.times = {stream.time_column for stream in self._named}
+        self.tables = {stream.address for stream in self._named}
         self._no_streams = {_address(path) for path in (*named, *no_streams)}
         self._opened = cache(store.open_folder)
         self._beside = cache(self._tables_beside)
@@ -217,6 +220,7 @@ class Aligner:
             recording = self._timed(recording)
             beside = self._streams_beside(recording)
             self.times |= {stream.time_column for stream in beside}
+            self.tables |= {stream.address for stream in beside}
             aligned, reports = with_streams(recording, beside, self._how, self._columns)
         except errors.ItemError as error:
             return replace(recording, problem=error)
@@ -225,6 +229,43 @@ class Aligner:
         aligned, of_named = with_streams(aligned, self._named, self._how, self._columns)
         self.reports += [*reports, *of_named]
         return aligned
+
+    def aligned_images(self, touches: source_touches.SourceTouches) -> source_touches.SourceTouches:
+        """Return images with the columns of the streams that were named; an image without a time has none.
+
+        Raises InputError if a stream does not fit, or if no image has a time.
+        """
+        if not self._named:
+            return touches
+        values = touches.value(source_touches.TIME_S)
+        time_s = np.empty(0)
+        if values is not None and pa.types.is_floating(values.type):
+            time_s = values.to_numpy(zero_copy_only=False)
+        rows = np.flatnonzero(np.isfinite(time_s))
+        if not len(rows):
+            raise errors.InputError(
+                "is aligned by the times of the pictures, and they have none",
+                next="name the column of their times: --map time=COLUMN",
+                field="streams",
+            )
+        order = rows[np.argsort(time_s[rows], kind="stable")]
+        table = touches.per_touch.take(pa.array(order))
+        per_frame = {name: source_touches.one_chunk(table[name]) for name in table.column_names}
+        pictures = source_touches.Recording("pictures", "", "", "", 0, len(order), 0, per_frame=per_frame)
+        aligned, reports = with_streams(
+            replace(pictures, time_s=time_s[order]), self._named, self._how, self._columns
+        )
+        self.reports += reports
+        positions = np.full(len(touches), -1)
+        positions[order] = np.arange(len(order))
+        entries = pa.array(positions, mask=positions < 0)
+        return touches.with_fields(
+            {
+                name: column.take(entries)
+                for name, column in aligned.per_frame.items()
+                if name not in per_frame
+            }
+        )
 
     def _timed(self, recording: source_touches.Recording) -> source_touches.Recording:
         name = self._columns.time

@@ -18,7 +18,9 @@ from .images import (
     MAX_IMAGE_BYTES as MAX_IMAGE_BYTES,
     MAX_IMAGE_PIXELS as MAX_IMAGE_PIXELS,
     MEDIA_TYPE as MEDIA_TYPE,
+    PICTURE_ENDINGS as PICTURE_ENDINGS,
     require_bounded_jpeg as require_bounded_jpeg,
     resized as resized,
+    storable_image as storable_image,
     with_features as with_features,
 )

@@ -11,12 +11,12 @@ import re
 import struct
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pyarrow as pa
 import simplejpeg
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 from tactile_toolkit import read
 from tactile_toolkit.array_types import AnyArray, UInt8
@@ -38,12 +38,32 @@ MAX_HEADER_BYTES = 1 << 22
 ImageFormat = Literal["jpeg", "png"]
 IMAGE_SUFFIX: dict[ImageFormat, str] = {"jpeg": "jpg", "png": "png"}
 """File name suffix of each format."""
+PICTURE_ENDINGS = {
+    "PNG": (".png", ".apng"),
+    "JPEG": (".jpg", ".jpeg", ".jpe", ".jfif"),
+    "BMP": (".bmp",),
+    "TIFF": (".tif", ".tiff"),
+    "WEBP": (".webp",),
+    "GIF": (".gif",),
+    "PPM": (".pgm", ".ppm", ".pbm", ".pnm"),
+    "JPEG2000": (".jp2", ".j2k"),
+    "TGA": (".tga",),
+    "AVIF": (".avif",),
+    "HEIF": (".heic", ".heif"),
+}
+"""Endings of picture files by the name of their format in Pillow, in lower case."""
+# Formats whose pixels a PNG holds; TGA has no signature, so nearly every file would pass for it.
+_CONVERTED = ("BMP", "GIF", "PPM", "TIFF")
 _SCAN_START = re.compile(b"\xff\xda")
 _JPEG_START = b"\xff\xd8\xff"
 _JPEG_END = b"\xff\xd9"
 _APP1 = b"\xff\xe1"  # these bytes never occur within coded pixels
 _ORIENTATION = 0x0112
+_BITS_PER_SAMPLE = 0x0102  # tag of TIFF
+_PNG_MODES = ("1", "L", "LA", "P", "RGB", "RGBA")
+_MAX_LEVEL = 255
 _TURNED = range(2, 9)
+_TURNED_BY_READERS = "its Exif or XMP data ask to turn it, which some readers do; expected an upright image"
 
 # Pillow modes whose values are clipped at 255 on conversion to RGB.
 _DEEP_MODES = ("I", "I;16", "I;16B", "I;16L", "I;16N", "F")
@@ -119,9 +139,43 @@ def _require_upright(data: bytes | memoryview) -> None:
     ):
         orientation = image.getexif().get(_ORIENTATION)
     if orientation in _TURNED:
+        raise ValueError(_TURNED_BY_READERS)
+
+
+def storable_image(data: bytes) -> tuple[bytes, str]:
+    """Return an image as data sets store it, and its format if that was converted.
+
+    A JPEG, PNG or WebP is returned as it is, and so is data of no known format; the format is empty then.
+    BMP, GIF, PPM and TIFF become PNG without loss. Raises ValueError for one of several pictures, of more
+    than 8 bits a colour, of colours that PNG does not have, that is not upright, too large or damaged.
+    """
+    if is_jpeg(data) or data.startswith((b"\x89PNG", b"RIFF")):
+        return data, ""
+    try:
+        image = Image.open(io.BytesIO(data), formats=_CONVERTED)
+    except UnidentifiedImageError:
+        return data, ""
+    except Exception as error:
+        raise _undecodable(data) from error
+    pictures = getattr(image, "n_frames", 1)
+    if pictures > 1:
+        raise ValueError(f"an image of {pictures:,} pictures, one after the other; expected one")
+    if image.width * image.height > MAX_IMAGE_PIXELS:
         raise ValueError(
-            "its Exif or XMP data ask to turn it, which some readers do; expected an upright image"
+            f"an image of {image.width} x {image.height} pixels; the limit is {MAX_IMAGE_PIXELS:,} pixels"
         )
+    bits = np.max(getattr(image, "tag_v2", {}).get(_BITS_PER_SAMPLE, 8))
+    top_levels: list[Any] = [tile[3][-1] for tile in image.tile if tile[0] == "ppm" and tile[3]]
+    if image.mode in _DEEP_MODES or bits > 8 or max(top_levels, default=0) > _MAX_LEVEL:
+        raise ValueError(f"an image of 16 bits a colour ({image.mode}); expected 8")
+    if image.mode not in _PNG_MODES:
+        raise ValueError(f"a {image.format} with the colours {image.mode}; expected grey or RGB")
+    if image.getexif().get(_ORIENTATION) in _TURNED:
+        raise ValueError(_TURNED_BY_READERS)
+    try:
+        return encode_png(image), str(image.format)
+    except Exception as error:
+        raise _undecodable(data) from error
 
 
 def require_bounded_jpeg(data: memoryview | bytes) -> None:

@@ -11,6 +11,7 @@ import pytest
 
 import realtouch
 from realtouch.importing.import_sources import IMPORTS
+from realtouch.importing.source_files import Ledger
 from realtouch.importing.source_touches import Recording
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, ToolkitError
@@ -47,7 +48,7 @@ def write(path: Path, numbers: tuple[int, ...] = (0, 2, 10), pictures: Any = PIC
 
 def recordings(source: Path, image: str = "obs/tactile") -> list[Recording]:
     columns = realtouch.ImportColumns(image=image)
-    return list(IMPORTS["hdf5"].find(store.open_folder(str(source)), columns, None))
+    return list(IMPORTS["hdf5"].find(store.open_folder(str(source)), columns, None, Ledger()))
 
 
 def test_each_group_with_the_pictures_is_an_episode(tmp_path: Path) -> None:

@@ -189,7 +189,9 @@ def test_unusable_tables_and_options(home: Path, tmp_path: Path) -> None:
     refused("does not exist", where=tmp_path / "nothing")
     refused("letters, digits", split="a/b")
     refused("no tars", layout="webdataset")
-    refused("table applies to folders of images", layout="webdataset", table="index.csv")
+    refused(
+        "table has no effect on this source of the format webdataset", layout="webdataset", table="index.csv"
+    )
     refused("no column names the images", realtouch.ImportColumns(image=None))
     refused("one table; found none", where=home / "pictures" / "0.jpg")
     with pytest.raises(InputError, match="6 pose columns"):

@@ -17,6 +17,7 @@ import pytest
 import realtouch
 from realtouch.formats.lerobot_import import describe_conversion, find_lerobot
 from realtouch.importing.import_sources import IMPORTS
+from realtouch.importing.source_files import Ledger
 from realtouch.importing.source_touches import Recording, SourceTouches, touches_of
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, ItemError, ToolkitError
@@ -30,7 +31,9 @@ KINDS = [(version, dtype) for version in ("v2.1", "v3.0") for dtype in ("image",
 
 
 def found(home: Path, **columns: Any) -> list[Recording]:
-    return list(find_lerobot(store.open_folder(str(home)), realtouch.ImportColumns(**columns), None))
+    return list(
+        find_lerobot(store.open_folder(str(home)), realtouch.ImportColumns(**columns), None, Ledger())
+    )
 
 
 def pictures(recording: Recording, cut: str = "whole") -> list[Any]:

@@ -12,6 +12,7 @@ import pytest
 
 import realtouch
 from realtouch.importing.import_sources import IMPORTS
+from realtouch.importing.source_files import Ledger
 from realtouch.importing.source_touches import Recording
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, ToolkitError
@@ -68,7 +69,7 @@ def write(path: Path, data: dict[str, Any], ends: Any = ENDS) -> Path:
 
 def recordings(source: Path, image: str = "file", layout: str = "oxt") -> list[Recording]:
     columns = realtouch.ImportColumns(image=image)
-    return list(IMPORTS[layout].find(store.open_folder(str(source)), columns, None))
+    return list(IMPORTS[layout].find(store.open_folder(str(source)), columns, None, Ledger()))
 
 
 def decoded(touches: Any) -> np.ndarray:

@@ -18,6 +18,7 @@ import pytest
 import realtouch
 from realtouch.formats.media_files import describe_conversion, find_video
 from realtouch.importing.import_sources import IMPORTS
+from realtouch.importing.source_files import Ledger
 from realtouch.importing.source_touches import Recording, touches_of
 from realtouch.video.avi import Avi
 from realtouch.video.videos import open_video, pictures_of_video
@@ -85,7 +86,7 @@ def pictures_of(path: Path) -> list[bytes | ItemError]:
 
 
 def recordings(home: Path, table: str | None = None, **columns: Any) -> list[Recording]:
-    return list(find_video(open_folder(str(home)), realtouch.ImportColumns(**columns), table))
+    return list(find_video(open_folder(str(home)), realtouch.ImportColumns(**columns), table, Ledger()))
 
 
 def refused(path: Path, words: str) -> None:
@@ -505,7 +506,7 @@ def test_videos_of_a_store_are_those_of_a_folder(tmp_path: Path) -> None:
     afar = open_folder("memory://videos/of others")
     for name, path in (("a.avi", None), ("b/h264.mp4", made(tmp_path, "h264.mp4"))):
         afar.write_bytes(name, path.read_bytes() if path else AVIS["no index"][0])
-    first, second = find_video(afar, realtouch.ImportColumns(), None)
+    first, second = find_video(afar, realtouch.ImportColumns(), None, Ledger())
     assert list(IMPORTS["video"].contents(touches_of(first, "whole"))) == JPEGS
     assert list(IMPORTS["video"].contents(touches_of(second, "whole"))) == pictures_of(tmp_path / "h264.mp4")
 

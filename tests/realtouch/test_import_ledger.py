@@ -1,0 +1,143 @@
+"""Everything that a source holds is imported, left out with the reason, or refused."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import realtouch
+from realtouch.importing import import_plan
+from tactile_toolkit.errors import InputError
+from tests.realtouch.images_of_others import line, picture, write_table
+
+PIXELS = np.random.default_rng(0).integers(0, 256, (24, 32, 3), np.uint8)
+
+
+def encoded(kind: str, pixels: Any = PIXELS, **options: Any) -> bytes:
+    stream = io.BytesIO()
+    image = pixels if isinstance(pixels, Image.Image) else Image.fromarray(pixels)
+    image.save(stream, kind, **options)
+    return stream.getvalue()
+
+
+def write(home: Path, files: dict[str, bytes]) -> Path:
+    for path, content in files.items():
+        (home / path).parent.mkdir(parents=True, exist_ok=True)
+        (home / path).write_bytes(content)
+    return home
+
+
+def imported(home: Path, out: Path, **options: Any) -> Any:
+    return realtouch.import_touches(home, out, realtouch.ImportSpec(**options))
+
+
+def test_pictures_of_every_format_are_read_without_loss(tmp_path: Path) -> None:
+    kinds = {"bmp": "BMP", "tiff": "TIFF", "ppm": "PPM", "png": "PNG", "gif": "GIF"}
+    home = write(
+        tmp_path / "home", {f"{ending}/a.{ending.upper()}": encoded(kind) for ending, kind in kinds.items()}
+    )
+    manifest = imported(home, tmp_path / "out")
+    assert not manifest.skipped_reasons()
+    assert manifest.total_statistics()["pictures"] == {
+        f"{kind} stored as PNG, without loss": 1 for kind in ("BMP", "GIF", "PPM", "TIFF")
+    }
+    rounds = realtouch.load(tmp_path / "out", "train")
+    assert rounds.label_names == tuple(sorted(kinds))
+    for touch in rounds.touches():
+        if touch.label != rounds.label_names.index("gif"):  # 256 colours
+            np.testing.assert_array_equal(touch.image, PIXELS)
+    assert manifest.spec["notes"] == ["the classes are the outermost folders, such as 'bmp' of 'bmp/a.BMP'"]
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (encoded("TIFF", save_all=True, append_images=[Image.fromarray(PIXELS)]), "of 2 pictures"),
+        (encoded("TIFF", np.zeros((24, 32), np.uint16)), "of 16 bits a colour"),
+        (encoded("TIFF", Image.fromarray(PIXELS).convert("CMYK")), "a TIFF with the colours CMYK"),
+        (encoded("TIFF", tiffinfo={274: 6}), "ask to turn it"),
+        (b"P6 32 24 65535\n" + bytes(24 * 32 * 6), "of 16 bits a colour"),
+        (encoded("BMP")[:99], "cannot be decoded"),
+        (b"BM" + bytes(99), "cannot be decoded"),
+    ],
+)
+def test_pictures_that_png_does_not_hold_are_left_out(content: bytes, words: str, tmp_path: Path) -> None:
+    home = write(tmp_path / "home", {"a.tif": content, "b.jpg": picture(9)})
+    (skipped,) = imported(home, tmp_path / "out").shards[0].skipped
+    assert skipped.reason == "image"
+    assert words in skipped.message
+
+
+def test_files_that_are_not_read_are_listed(tmp_path: Path) -> None:
+    files = {f"{name}/{number}.jpg": picture(number) for name in ("cup", "key") for number in range(2)}
+    others = {
+        "labels.txt": "not of the format folder",
+        "cup/labels.json": "not of the format folder",
+        "sheet.xlsx": "a workbook of Excel",
+        "synced_data.npy": "a file of NumPy",
+    }
+    home = write(tmp_path / "home", files | dict.fromkeys(others, b"x") | {".hidden": b"", "__MACOSX/a": b""})
+    logs = write(home, {f"log/{number}.log": b"" for number in range(7)})
+    expected = {f"{path} ({reason})" for path, reason in others.items()}
+    expected.add("7 files *.log, such as log/0.log (not of the format folder)")
+    manifest = imported(logs, tmp_path / "out")
+    assert set(manifest.spec["left_out"]) == expected
+    shown = realtouch.preview_import(home)
+    assert {name for name, use, _ in shown.columns if use == "left out"} == expected
+    assert shown.notes == ["the classes are the outermost folders, such as 'cup' of 'cup/0.jpg'"]
+
+
+def test_pictures_that_no_table_names_are_listed(tmp_path: Path) -> None:
+    home = write(tmp_path / "home", {f"{number}.jpg": picture(number) for number in range(3)})
+    write_table(home, [line(f"{number}.jpg") for number in range(2)])
+    assert imported(home, tmp_path / "out").spec["left_out"] == ["2.jpg (a picture that no table names)"]
+    write_table(home, [{"file": "nothing"}], "other.csv")
+    manifest = imported(home, tmp_path / "two", table=str(home / "index.csv"))
+    assert (
+        "other.csv (a table that was not named; see --table, --stream and --cut)" in manifest.spec["left_out"]
+    )
+
+
+def test_a_stream_is_aligned_with_pictures_that_have_times(tmp_path: Path) -> None:
+    home = write(tmp_path / "home", {f"{number}.jpg": picture(number) for number in range(4)})
+    start = 1_764_230_400_123_456_789
+    times = [start + step * 40_000_000 for step in (2, 0, 1)]  # not in order
+    rows = [{"file": f"{number}.jpg", "stamp_ns": time} for number, time in enumerate([*times, ""])]
+    write_table(home, rows)
+    stream = tmp_path / "robot.csv"
+    with stream.open("w", newline="") as file:
+        samples = ([start + step * 10_000_000, step / 10, 1.5 * step] for step in range(12))
+        csv.writer(file).writerows([["stamp_ns", "x_mm", "force_n"], *samples])
+    columns = realtouch.ImportColumns(time="stamp_ns")
+    options: dict[str, Any] = {"streams": (str(stream),), "columns": columns}
+    manifest = imported(home, tmp_path / "out", **options)
+    forces = {
+        touch.id: touch.extra["force_n"] for touch in realtouch.load(tmp_path / "out", "train").touches()
+    }
+    assert {name.partition("_")[0]: value for name, value in forces.items() if value == value} == {
+        "0": 12.0,
+        "1": 0.0,
+        "2": 6.0,
+    }
+    assert manifest.spec["streams"][0][:3] == ["pictures", "robot", "12"]
+    with pytest.raises(InputError, match="the times of the pictures, and they have none; next: name"):
+        imported(home, tmp_path / "none", streams=(str(stream),))
+
+
+def test_rounds_that_are_divided_are_stated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    home = write(tmp_path / "home", {f"{number}.jpg": picture(number) for number in range(6)})
+    write_table(home, [line(f"{number}.jpg") | {"round": "one"} for number in range(6)])
+    monkeypatch.setattr(import_plan, "_SHARD_BYTES", 2000)
+    columns = realtouch.ImportColumns(round="round")
+    manifest = imported(home, tmp_path / "out", columns=columns)
+    count = len(realtouch.load(tmp_path / "out", "train"))
+    assert count > 1
+    assert manifest.spec["notes"] == [
+        f"1 round of train became {count} of at most 2.0 kB each, such as 'one-0'"
+    ]
