@@ -194,7 +194,7 @@ def test_sources_of_digits_are_named_with_their_terms(name, licence, words):
 
 
 def test_what_the_owner_stated_stays_when_the_set_is_replaced(tmp_path, capsys):
-    out, few = tmp_path / "set", ("--split", "test", "--vertices", 300, "--workers", 1)
+    out, few = tmp_path / "set", ("--split", "test", "--vertices", 2_000, "--workers", 1)
     stated = ("--license", "cc-by-4.0", "--author", "Ada Lovelace", "--title", "My digits")
     assert call("mnist3d", "generate", *few, "--limit", 1, "--out", out, *stated) == 0
     assert call("mnist3d", "generate", *few, "--limit", 2, "--out", out, "--overwrite") == 0

@@ -24,7 +24,7 @@ from tests.processes import printed_by
 @pytest.fixture(scope="module")
 def digits(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("sets") / "digits"
-    words = ("--split", "test", "--per-class", 2, "--vertices", 500, "--workers", 1, "-q")
+    words = ("--split", "test", "--per-class", 2, "--vertices", 2_000, "--workers", 1, "-q")
     assert call("mnist3d", "generate", *words, "--out", folder) == 0
     return folder
 

@@ -23,7 +23,7 @@ def _made(kind: str, folder: Path) -> Path:
         rounds = [factories.make_round(index, 3, (32, 24), (4, 5)) for index in range(6)]
         return factories.write_set(folder, {"train": factories.single_rows(rounds)}, "single")
     words = {
-        "mnist3d": ("generate", "--split", "test", "--per-class", 1, "--vertices", 300, *ALONE),
+        "mnist3d": ("generate", "--split", "test", "--per-class", 1, "--vertices", 2_000, *ALONE),
         "starstruck": ("generate", "--scenes", "train=8,test=4", *ALONE),
     }[kind]
     assert call(kind, *words, "--out", folder) == 0

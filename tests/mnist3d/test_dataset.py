@@ -6,20 +6,15 @@ import numpy as np
 import pytest
 
 import mnist3d
-from mnist3d.digit_generation import DigitSetSpec, generate
-from mnist3d.digit_options import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import InputError
 
 ROWS = 10
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory) -> str:
-    path = str(tmp_path_factory.mktemp("digits") / "set")
-    spec = DigitSetSpec(SyntheticSource(), SolidSpec(target_vertices=2_000), per_class=1)
-    generate(spec, path, ("test", "holdout"))
-    return path
+@pytest.fixture
+def folder(digits_set) -> str:
+    return str(digits_set)
 
 
 @pytest.fixture

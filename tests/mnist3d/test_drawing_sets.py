@@ -36,7 +36,7 @@ def test_folders_are_classes_and_divide_into_train_and_test(words: Path, tmp_pat
     assert catalog.class_names == ("10", "house", "li")
     assert np.bincount(catalog.labels).tolist() == [5, 5, 6]
     out = tmp_path / "set"
-    options = ("--source", "folder", "--images", words, "--split", "all", "--vertices", 500, "--out", out)
+    options = ("--source", "folder", "--images", words, "--split", "all", "--vertices", 2_000, "--out", out)
     assert call("mnist3d", "generate", *options) == 0
     printed = capsys.readouterr().out
     assert "10: 4, house: 4, li: 5" in printed
@@ -67,13 +67,13 @@ def test_folders_of_digits_stay_digits(tmp_path: Path) -> None:
     assert source.catalog().class_names == tuple("0123456789")
     assert source.catalog().labels.tolist() == [1, 7]
     assert "classes" not in source.fingerprint()
-    generate(DigitSetSpec(source, mnist3d.SolidSpec(target_vertices=300)), str(tmp_path / "set"))
+    generate(DigitSetSpec(source, mnist3d.SolidSpec(target_vertices=2_000)), str(tmp_path / "set"))
     digits = mnist3d.load(tmp_path / "set", "train")
     assert sorted(row.file or "" for row in digits) == ["1/a.png", "7/a.png"]
 
 
 def test_other_sources_store_no_names_of_files(tmp_path: Path) -> None:
-    spec = DigitSetSpec(SyntheticSource(), mnist3d.SolidSpec(target_vertices=300), limit=1)
+    spec = DigitSetSpec(SyntheticSource(), mnist3d.SolidSpec(target_vertices=2_000), limit=1)
     generate(spec, str(tmp_path / "set"), ("test",))
     (digit,) = mnist3d.load(tmp_path / "set", "test")
     assert digit.file is None
@@ -90,7 +90,7 @@ def test_pictures_that_are_added_need_another_command_which_works(words, tmp_pat
 
     def make(folder: Path) -> int:
         out = tmp_path / f"{folder.name}-set"
-        options = ("--source", "folder", "--images", folder, "--vertices", 500, "--out", out)
+        options = ("--source", "folder", "--images", folder, "--vertices", 2_000, "--out", out)
         return call("mnist3d", "generate", *options)
 
     assert (make(old), make(new), make(old)) == (0, 0, 0)
@@ -106,7 +106,7 @@ def test_pictures_that_are_added_need_another_command_which_works(words, tmp_pat
 
 
 def test_select_writes_the_chosen_rows_only(tmp_path: Path, capsys: Any) -> None:
-    spec = DigitSetSpec(SyntheticSource(), mnist3d.SolidSpec(target_vertices=300), per_class=1)
+    spec = DigitSetSpec(SyntheticSource(), mnist3d.SolidSpec(target_vertices=2_000), per_class=1)
     generate(spec, str(tmp_path / "set"), ("test",))
     out = tmp_path / "some"
     assert call("tactile", "select", tmp_path / "set", "--labels", "3,5", "--out", out) == 0
@@ -122,7 +122,7 @@ def test_select_writes_the_chosen_rows_only(tmp_path: Path, capsys: Any) -> None
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("setting", [("HF_HUB_OFFLINE", "1"), ("HF_ENDPOINT", "http://127.0.0.1:9")])
 def test_a_dry_upload_needs_no_network(setting: tuple[str, str], tmp_path: Path, capsys: Any) -> None:
-    spec = DigitSetSpec(SyntheticSource(), mnist3d.SolidSpec(target_vertices=300), limit=1)
+    spec = DigitSetSpec(SyntheticSource(), mnist3d.SolidSpec(target_vertices=2_000), limit=1)
     generate(spec, str(tmp_path / "set"), ("test",))
     # The client reads its settings on import.
     command = program("tactile", "upload", tmp_path / "set", "YOU/digits", "--dry-run", "--json")

@@ -143,7 +143,7 @@ def test_other_files_are_named_except_those_of_operating_systems(tmp_path: Path)
     source = FolderSource(str(root))
     expected = {"7/notes.txt": "not a picture", "labels.csv": "not a picture"}
     assert source.fingerprint()["left_out"] == expected
-    manifest = generate(DigitSetSpec(source, SolidSpec(target_vertices=500)), tmp_path / "set", workers=1)
+    manifest = generate(DigitSetSpec(source, SolidSpec(target_vertices=2_000)), tmp_path / "set", workers=1)
     assert manifest.spec["source"]["left_out"] == expected
     (skipped,) = (item for shard in manifest.shards for item in shard.skipped)
     assert (skipped.reason, "7/b.jpg" in skipped.message) == ("unreadable", True)

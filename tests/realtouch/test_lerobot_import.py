@@ -241,28 +241,23 @@ def test_paths_in_metadata_stay_inside(version, values, words, tmp_path):
         ),
         ("tasks.jsonl", b'{"task_index": 1}', "expected a number and a text"),
         ("tasks.jsonl", b"1", "Expected `object`"),
+        (
+            "info.json",
+            {"codebase_version": "v1.6"},
+            r"states version 'v1\.6'; expected v2\.0, v2\.1 or v3\.0",
+        ),
+        ("info.json", {"fps": 0}, r"Expected `float` > 0"),
+        ("info.json", {"chunks_size": 0}, r"Expected `int`"),
+        ("info.json", {"features": {"a": {}}}, r"missing required field `dtype`"),
+        ("info.json", {"data_path": None}, r"Expected `str`"),
     ],
 )
-def test_invalid_metadata_are_named(name: str, content: bytes, words: str, tmp_path: Path) -> None:
+def test_invalid_metadata_are_named(name: str, content: Any, words: str, tmp_path: Path) -> None:
     write_lerobot(tmp_path, "v2.1")
-    (tmp_path / "meta" / name).write_bytes(content)
-    with pytest.raises(InputError, match=words):
-        found(tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("values", "words"),
-    [
-        ({"codebase_version": "v1.6"}, r"states version 'v1\.6'; expected v2\.0, v2\.1 or v3\.0"),
-        ({"fps": 0}, r"Expected `float` > 0"),
-        ({"chunks_size": 0}, r"Expected `int`"),
-        ({"features": {"a": {}}}, r"missing required field `dtype`"),
-        ({"data_path": None}, r"Expected `str`"),
-    ],
-)
-def test_stated_values_of_a_set_are_checked(values: dict[str, Any], words: str, tmp_path: Path) -> None:
-    write_lerobot(tmp_path)
-    state(**values)(tmp_path)
+    if isinstance(content, bytes):
+        (tmp_path / "meta" / name).write_bytes(content)
+    else:
+        state(**content)(tmp_path)
     with pytest.raises(InputError, match=words):
         found(tmp_path)
 

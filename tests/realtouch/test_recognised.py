@@ -31,10 +31,11 @@ FILES = {
     "anytouch": ("train_bg.txt", b""),
     "fota": ("train/count.txt", b"1"),
 }
+OTHERS = {"pickle": ("dataset_0.pkl", b"\x80\x04"), "text": ("notes.txt", b"hello")}
 
 
 def place(home: Path, layout: str) -> Path:
-    path, content = FILES[layout]
+    path, content = (FILES | OTHERS)[layout]
     (home / path).parent.mkdir(parents=True, exist_ok=True)
     (home / path).write_bytes(content)
     return home / path
@@ -78,18 +79,23 @@ def test_a_table_belongs_to_the_files_beside_it(tmp_path: Path) -> None:
     assert recognised(str(tmp_path)).layout == "video"
 
 
-def test_two_formats_are_not_chosen_from(tmp_path: Path) -> None:
-    place(tmp_path, "video")
-    place(tmp_path, "webdataset")
-    with pytest.raises(InputError, match=r"several formats: webdataset \(a.tar\), video .*; next: name one"):
-        recognised(str(tmp_path))
-
-
-@pytest.mark.parametrize("make", [lambda home: home, lambda home: home / "notes.txt"])
-def test_nothing_that_is_known_is_an_error(make: object, tmp_path: Path) -> None:
-    (tmp_path / "notes.txt").write_text("hello")
-    with pytest.raises(InputError, match=r"--format"):
-        recognised(str(make(tmp_path)))  # type: ignore[operator]
+@pytest.mark.parametrize(
+    ("layouts", "name", "words"),
+    [
+        (("video", "webdataset"), "", r"several formats: webdataset \(a.tar\), video .*; next: name one"),
+        (("text",), "", "--format"),
+        (("text",), "notes.txt", "--format"),
+        (("pickle",), "", r"'dataset_0.pkl' is a pickle, which is not read .*next: write each"),
+        (("pickle",), "dataset_0.pkl", r"'dataset_0.pkl' is a pickle, which is not read .*next: write each"),
+        # Sparsh keeps touches in pickles, and the image of the gel at rest beside them.
+        (("folder", "pickle"), "", r"'dataset_0.pkl' is a pickle.*`--format folder` imports"),
+    ],
+)
+def test_what_is_not_recognised_is_named(layouts, name, words, tmp_path):
+    for layout in layouts:
+        place(tmp_path, layout)
+    with pytest.raises(InputError, match=words):
+        recognised(str(tmp_path / name))
 
 
 @pytest.mark.parametrize("layout", get_args(ExportLayout))
@@ -102,15 +108,6 @@ def test_a_set_needs_no_import(single_folder: Path, tmp_path: Path) -> None:
     realtouch.select(single_folder, tmp_path / "out", split="train", limit=1)
     with pytest.raises(InputError, match=r"is a data set already; it needs no import"):
         realtouch.import_touches(tmp_path / "out", tmp_path / "again")
-
-
-@pytest.mark.parametrize("name", ["", "dataset_0.pkl"])
-def test_pickles_are_refused_by_name(name: str, tmp_path: Path) -> None:
-    (tmp_path / "dataset_0.pkl").write_bytes(b"\x80\x04")
-    with pytest.raises(
-        InputError, match=r"'dataset_0.pkl' is a pickle, which is not read .*next: write each"
-    ):
-        recognised(str(tmp_path / name))
 
 
 FOREIGN = {
@@ -146,11 +143,3 @@ def test_arrays_of_npz_are_named_and_the_advice_works(tmp_path: Path) -> None:
     columns = realtouch.ImportColumns(image="tactile")
     shown = realtouch.preview_import(tmp_path / "arrays.hdf5", realtouch.ImportSpec(columns=columns))
     assert shown.touches == 3
-
-
-def test_images_beside_pickles_do_not_pass_for_touches(tmp_path: Path) -> None:
-    """Sparsh keeps touches in pickles, and the image of the gel at rest beside them."""
-    place(tmp_path, "folder")
-    (tmp_path / "dataset_0.pkl").write_bytes(b"\x80\x04")
-    with pytest.raises(InputError, match=r"'dataset_0.pkl' is a pickle.*`--format folder` imports"):
-        recognised(str(tmp_path))

@@ -222,25 +222,17 @@ def test_an_index_names_packed_and_plain_pictures_and_sound() -> None:
 @pytest.mark.parametrize("killed", ["sizes of zero", "sizes of -1", "in a picture", "in a header", "zeros"])
 def test_a_recorder_that_was_killed_leaves_its_whole_pictures(killed: str, tmp_path: Path) -> None:
     content, at = riff(avi_header(), movie(JPEGS)), len(avi_header()) + 12
-    size = {"sizes of zero": 0, "sizes of -1": 0xFFFFFFFF}.get(killed)
-    if size is not None:
-        content = b"".join(
-            [
-                content[:4],
-                struct.pack("<I", size),
-                content[8 : at + 4],
-                struct.pack("<I", size),
-                content[at + 8 :],
-            ]
-        )
-    content = {"in a picture": content[:-20], "in a header": content[: -len(JPEGS[-1]) - 5]}.get(
-        killed, content
+    cut_bytes = {"in a picture": 20, "in a header": len(JPEGS[-1]) + 5, "zeros": len(JPEGS[-1]) + 8}.get(
+        killed
     )
+    content = content[:-cut_bytes] if cut_bytes else content
     if killed == "zeros":
-        content = content[: -len(JPEGS[-1]) - 8] + bytes(2000)
-        content = content[:4] + bytes(4) + content[8 : at + 4] + bytes(4) + content[at + 8 :]
+        content += bytes(2000)
+    size = {"sizes of zero": bytes(4), "sizes of -1": b"\xff" * 4, "zeros": bytes(4)}.get(killed)
+    if size is not None:
+        content = content[:4] + size + content[8 : at + 4] + size + content[at + 8 :]
     (tmp_path / "a.avi").write_bytes(content)
-    assert pictures_of(tmp_path / "a.avi") == JPEGS[: 9 if size is not None else 8]
+    assert pictures_of(tmp_path / "a.avi") == JPEGS[: 8 if cut_bytes else 9]
     (found,) = recordings(tmp_path)
     assert found.part == "cut short; read up to the last whole picture"
 
@@ -341,15 +333,11 @@ def turned(content: bytes) -> bytes:
     )
 
 
-def mp4(codec: str = "libx264", count: int = 5, pixel_format: str = "yuv420p", **options: Any) -> bytes:
+def mp4(
+    codec: str = "libx264", pixel_format: str = "yuv420p", container: str = "mp4", **options: Any
+) -> bytes:
     stream = io.BytesIO()
-    write_video(stream, codec, count, pixel_format, container="mp4", **options)
-    return stream.getvalue()
-
-
-def matroska(codec: str, pixel_format: str) -> bytes:
-    stream = io.BytesIO()
-    write_video(stream, codec, 3, pixel_format, container="matroska")
+    write_video(stream, codec, 5, pixel_format, container=container, **options)
     return stream.getvalue()
 
 
@@ -377,8 +365,8 @@ HOSTILE: dict[str, tuple[Any, str]] = {
     ),
     "no header of an MP4": (lambda: box(b"ftyp", b"isom") + box(b"mdat", bytes(99)), "it cannot be read"),
     "a turned picture": (lambda: turned(mp4()), "asks to turn its pictures"),
-    "16 bits": (lambda: matroska("ffv1", "gray16le"), "16 bits a colour .gray16le.; expected 8"),
-    "depth of 12 bits": (lambda: matroska("ffv1", "gray12le"), "12 bits a colour .gray12le.; expected 8"),
+    "16 bits": (lambda: mp4("ffv1", "gray16le", "matroska"), "16 bits a colour .gray16le.; expected 8"),
+    "12 bits": (lambda: mp4("ffv1", "gray12le", "matroska"), "12 bits a colour .gray12le.; expected 8"),
     "sound alone": (lambda: box(b"ftyp", b"M4A ") + box(b"moov", b""), "it cannot be read"),
 }  # fmt: skip
 
@@ -413,7 +401,7 @@ def test_conversions_of_gray_and_alpha_are_reported(tmp_path: Path) -> None:
         ("ffv1", "yuva444p", "alpha left out"),
         ("libx264", "yuv420p10le", "10 bits rounded to 8"),
     ):
-        (tmp_path / "a.mkv").write_bytes(matroska(codec, pixel_format))
+        (tmp_path / "a.mkv").write_bytes(mp4(codec, pixel_format, "matroska"))
         (found,) = recordings(tmp_path)
         assert words in found.part
 

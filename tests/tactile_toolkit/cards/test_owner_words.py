@@ -58,7 +58,7 @@ def test_words_are_in_head_and_text_and_stay(digits: Path) -> None:
 
 
 def test_generate_takes_the_words_and_the_rows_do_not_depend_on_them(tmp_path: Path) -> None:
-    options = ("--split", "test", "--limit", 1, "--vertices", 300)
+    options = ("--split", "test", "--limit", 1, "--vertices", 2_000)
     assert call("mnist3d", "generate", *options, "--out", tmp_path / "plain") == 0
     assert call("mnist3d", "generate", *options, *WORDS, "--out", tmp_path / "named") == 0
     for path in sorted((tmp_path / "plain").rglob("*")):
