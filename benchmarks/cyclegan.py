@@ -40,7 +40,7 @@ from tactile_sim.learned.training import DEPTH_WEIGHTS, TOUCH_WEIGHTS, train
 from tactile_sim.optics.rendering import scaled
 from tactile_sim.optics.sensor_noise import SensorNoise
 from tactile_sim.optics.taxim import TaximOptics
-from tactile_sim.sets.learning_specs import TrainConfig
+from tactile_sim.sets.learning_specs import TrainConfig, TrainRun
 from tactile_sim.sets.pairs import Pairs
 from tactile_toolkit.store import open_folder
 
@@ -229,7 +229,7 @@ def main() -> None:
     peer_errors(work)
     config = TrainConfig(**SMALL, steps=options.steps, checkpoint_every=500)
     started = time.perf_counter(), time.process_time()
-    done = train(str(work / "pairs-train"), work / "weights", config, device="cpu", deterministic=True)
+    done = train(str(work / "pairs-train"), work / "weights", config, TrainRun("cpu", deterministic=True))
     taken_s, computed_s = time.perf_counter() - started[0], time.process_time() - started[1]
     print(f"{done.taken} steps: {taken_s:.0f} s, {computed_s:.0f} s of processor time; {done.losses}")
     for name, noise in (("calibrated", SensorNoise.calibrated()), ("no", None)):

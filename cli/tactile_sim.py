@@ -19,9 +19,10 @@ from cli.options import SourceOptions, argument, local_out_folder, parse_local_p
 from cli.output import Sink
 from cli.realtouch import convert
 from realtouch.kind import KIND
-from tactile_sim import ElasticPress, PairSetSpec, TouchPlan, TouchSetSpec, TrainConfig
+from tactile_sim import ElasticPress, PairSetSpec, TouchPlan, TouchSetSpec, TrainConfig, TrainRun
 from tactile_sim.press import sensors
 from tactile_sim.press.sensors import GELSIGHT_MINI, SensorModel
+from tactile_sim.sets.touch_spec import default_optics
 from tactile_toolkit import catalog, checked_fields, kind, mesh, run, store, touch
 from tactile_toolkit.checked_fields import text
 from tactile_toolkit.errors import InputError
@@ -86,7 +87,7 @@ def generate(
 def spec_of(sink: output.Sink, picture: options.UserOptions, **others: object) -> TouchSetSpec:
     """Return the specification of the options that were given."""
     known = "optics" in picture
-    optics = tactile_sim.default_optics()
+    optics = default_optics()
     sensor = picture.get("sensor", sensors.GELSIGHT_MINI)
     if sensor != sensors.GELSIGHT_MINI:
         known = True
@@ -296,16 +297,7 @@ def train(
         help="TOML file with fields of `TrainConfig`, such as crop = 1.0; options override it.",
     ),
     training: Annotated[options.UserOptions, options.OptionsOf(TrainConfig)],
-    device: str = checked_fields.choice("auto", ("auto", "cpu", "cuda"), help="Where to compute."),
-    deterministic: bool = checked_fields.switch(
-        False, help="Compute on the CPU so that every run gives the same weights."
-    ),
-    resume: bool = checked_fields.switch(
-        False, help="Continue the training in the folder; an error if there is none."
-    ),
-    compiled: bool = checked_fields.switch(
-        False, name="--compile", help="Compile the generators first, for GPUs."
-    ),
+    train_run: TrainRun,
     sink: output.Sink,
 ) -> None:
     """Train a CycleGAN: a generator from depth to touches, and one from touches to depth.
@@ -320,16 +312,7 @@ def train(
     if os.environ.get("RANK", "0") != "0":
         sink = output.Sink(quiet=True)
     with sink.progress("training", "steps") as update:
-        done = _train(
-            pairs,
-            str(out),
-            settings,
-            device=device,
-            deterministic=deterministic,
-            resume=resume,
-            compiled=compiled,
-            on_progress=update,
-        )
+        done = _train(pairs, str(out), settings, train_run, on_progress=update)
     # JSON has no NaN; losses are NaN if no step was left.
     losses = dict.fromkeys(done.losses)
     losses |= {name: loss for name, loss in done.losses.items() if math.isfinite(loss)}

@@ -13,13 +13,11 @@ from .press.elastic_press import (
 )
 from .sets.generation import (
     generate as generate,
-    synthetic_schema as synthetic_schema,
-    SyntheticRound as SyntheticRound,
     TouchGenerator as TouchGenerator,
 )
 from .optics.rendering import make_optics as make_optics
 from .sets.pair_generation import PairGenerator as PairGenerator, make_pairs as make_pairs
-from .sets.learning_specs import PairSetSpec as PairSetSpec, TrainConfig as TrainConfig
+from .sets.learning_specs import PairSetSpec as PairSetSpec, TrainConfig as TrainConfig, TrainRun as TrainRun
 from .press.pressing import (
     pose as pose,
     Pressed as Pressed,
@@ -27,10 +25,9 @@ from .press.pressing import (
 )
 from .press.press_spec import ElasticPress as ElasticPress
 from .press.pressable import Pressable as Pressable
-from .sets.round_plan import RoundPlan as RoundPlan, plan_round as plan_round
+from .sets.round_plan import plan_round as plan_round
 from .press.sensors import (
     center_view as center_view,
-    DepthReading as DepthReading,
     full_view as full_view,
     Sensor as Sensor,
     SensorModel as SensorModel,
@@ -44,10 +41,8 @@ from .twin.sensor_health import (
 from .optics.sensor_noise import SensorNoise as SensorNoise
 from .sets.round_press import TouchPreview as TouchPreview, preview_touch as preview_touch
 from .sets.touch_spec import (
-    SENSOR_NOISE as SENSOR_NOISE,
     TouchSetSpec as TouchSetSpec,
     TouchPlan as TouchPlan,
-    default_optics as default_optics,
 )
 from .sets.touch_table import TouchTable as TouchTable
 from .twin.calibration import calibrate as calibrate

@@ -175,7 +175,7 @@ class CycleganOptics(Optics):
         The weights cannot be read; there is no such device; the processor has no bfloat16.
     """
 
-    least_px = 16
+    min_side_px = 16
 
     def __init__(
         self, weights: str | Path | None = None, *, device: str = "cpu", bfloat16: bool = False

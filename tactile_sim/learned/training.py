@@ -37,7 +37,7 @@ from tactile_sim.learned.inference import (
 )
 from tactile_sim.learned.networks import weights_of, write_weights
 from tactile_sim.sets.data_cards import sheet_png
-from tactile_sim.sets.learning_specs import TrainConfig
+from tactile_sim.sets.learning_specs import TrainConfig, TrainRun
 from tactile_sim.sets.pairs import SPLITS, Pairs
 from tactile_sim.sets.round_plan import keyed_rng
 from tactile_toolkit import errors, store
@@ -112,11 +112,8 @@ def train(
     pairs: str,
     out: str | os.PathLike[str],
     config: TrainConfig | None = None,
+    run: TrainRun | None = None,
     *,
-    device: str = "auto",
-    deterministic: bool = False,
-    resume: bool = False,
-    compiled: bool = False,
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Trained:
     """Train both generators of a CycleGAN; the same call continues where a run was stopped.
@@ -129,16 +126,8 @@ def train(
         Folder for checkpoint, weights, log and sheets of images.
     config : TrainConfig, optional
         Settings; the defaults are for 256 x 256 pixels and a GPU.
-    device : str
-        ``"cpu"``, ``"cuda"``, or ``"auto"`` for a GPU if there is one. Under ``torchrun`` each process takes
-        a GPU of its own.
-    deterministic : bool
-        Train on one thread of the CPU: every run on one machine gives the same weights, interrupted or not.
-        Refused on a GPU.
-    resume : bool
-        Raise an error if the folder holds no training to continue.
-    compiled : bool
-        Compile the generators first, for GPUs.
+    run : TrainRun, optional
+        Device, and how the training is computed.
     on_progress : callable
         Called with the number of finished steps and the total.
 
@@ -156,16 +145,17 @@ def train(
         cannot be written; a loss is no longer finite. The last checkpoint stays.
     """
     config = config or TrainConfig()
+    run = run or TrainRun()
     data = _trainable(pairs, config)
     folder = store.open_folder(os.fspath(out))
-    with joined_processes(device, deterministic=deterministic) as process, held(folder, process):
+    with joined_processes(run) as process, held(folder, process):
         if process.rank == 0:
-            claim(folder, config, data.fingerprint, resume=resume)
+            claim(folder, config, data.fingerprint, resume=run.resume)
         process.wait()
         # After the folder is claimed: a refusal should not wait for networks to be built.
-        model = cyclegan.CycleGan(config, process.device, compiled=compiled)
-        run = _Run(config, data, folder, process, model, on_progress)
-        return run.to_the_end(*run.restored())
+        model = cyclegan.CycleGan(config, process.device, compiled=run.compiled)
+        training = _Training(config, data, folder, process, model, on_progress)
+        return training.to_the_end(*training.restored())
 
 
 def _trainable(pairs: str, config: TrainConfig) -> Pairs:
@@ -190,7 +180,7 @@ def _trainable(pairs: str, config: TrainConfig) -> Pairs:
 
 
 @dataclass(eq=False)
-class _Run:
+class _Training:
     """One process of a training, from its last checkpoint to its end."""
 
     config: TrainConfig
@@ -342,13 +332,13 @@ class Process:
 
 
 @contextmanager
-def joined_processes(device: str, *, deterministic: bool) -> Iterator[Process]:
+def joined_processes(run: TrainRun) -> Iterator[Process]:
     """Choose a device, and join the other processes of ``torchrun`` if there are any."""
     # torchrun names each process by these variables.
     rank = int(os.environ.get("RANK", "0"))
     count = int(os.environ.get("WORLD_SIZE", "1"))
-    chosen = chosen_device(device)
-    if deterministic and chosen != "cpu":
+    chosen = chosen_device(run.device)
+    if run.deterministic and chosen != "cpu":
         raise errors.InputError(
             "deterministic training runs on the CPU", next="use --device cpu, or leave out --deterministic"
         )
@@ -359,7 +349,7 @@ def joined_processes(device: str, *, deterministic: bool) -> Iterator[Process]:
         torch.distributed.init_process_group({"cpu": "gloo"}.get(chosen, "nccl"))
     process = Process(rank, count, chosen)
     try:
-        with _determinism(deterministic=deterministic):
+        with _determinism(deterministic=run.deterministic):
             yield process
         # The first process serves the store that the others use until they leave.
         process.wait()

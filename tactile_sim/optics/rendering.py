@@ -47,15 +47,15 @@ def in_size_of(size_px: tuple[int, int], images: UInt8) -> UInt8:
 class Optics(ABC):
     """Renders pictures from depth maps."""
 
-    least_px = 1
+    min_side_px = 1
     """Least side of a picture, pixels."""
 
     def depth_size(self, width: int, height: int) -> tuple[int, int]:
         """Return the size of the depth maps from which pictures of this size are rendered."""
-        if min(width, height) < self.least_px:
+        if min(width, height) < self.min_side_px:
             raise InputError(
-                f"a picture of {width} x {height} pixels is too small; expected at least {self.least_px} x "
-                f"{self.least_px}"
+                f"a picture of {width} x {height} pixels is too small; expected at least "
+                f"{self.min_side_px} x {self.min_side_px}"
             )
         return width, height
 
@@ -66,15 +66,15 @@ class Optics(ABC):
 
         They have the requested size if the optics scale shades themselves, otherwise the size of the maps.
         With ``is_surface``, the maps are the surface of an elastic gel, which is not smoothed again.
-        InputError for maps of another shape, smaller than ``least_px``, or not within 10 m, and for sizes
+        InputError for maps of another shape, smaller than ``min_side_px``, or not within 10 m, and for sizes
         that no image has.
         """
         maps = np.asarray(depth_m)
         is_float = maps.dtype in (np.float32, np.float64)
-        if maps.ndim != 3 or not is_float or min(maps.shape[1:]) < self.least_px:
+        if maps.ndim != 3 or not is_float or min(maps.shape[1:]) < self.min_side_px:
             raise InputError(
                 f"depth maps are {maps.dtype} of the shape {maps.shape}; expected floats (n, height, width) "
-                f"with at least {self.least_px} pixels a side"
+                f"with at least {self.min_side_px} pixels a side"
             )
         # Kernels look values up by place in a table, so each of them must be a number.
         if maps.size and not (maps.min() > -_FARTHEST_M and maps.max() < _FARTHEST_M):

@@ -36,7 +36,7 @@ _FIRST_HEIGHT = 6  # taxim 1.4.1: heights of the table begin this many steps bel
 class TaximOptics(Optics):
     """Pictures of a GelSight Mini by Taxim, shadows included."""
 
-    least_px = 16
+    min_side_px = 16
 
     def __init__(self) -> None:
         self._calibration = taxim_package().calibration

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence, Sized
 from dataclasses import dataclass, replace
-from typing import Protocol, TypeAlias
+from typing import Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -36,7 +36,15 @@ class HasMatrix(Protocol):
         """Rotation and translation, shape (4, 4) or (n, 4, 4), metres."""
 
 
-PoseLike: TypeAlias = ArrayLike | HasMatrix
+@runtime_checkable
+class HasAsMatrix(Protocol):
+    """A pose of SciPy, ``scipy.spatial.transform.RigidTransform``."""
+
+    def as_matrix(self) -> ArrayLike:
+        """Return rotation and translation, shape (4, 4) or (n, 4, 4), metres."""
+
+
+PoseLike: TypeAlias = ArrayLike | HasMatrix | HasAsMatrix
 """One pose or several, as matrices or as objects that have them."""
 
 
@@ -80,6 +88,8 @@ def as_matrices(value: PoseLike, name: str) -> Float64:
     InputError, which begins with ``name``, for anything that is not a rigid motion.
     """
     matrix = getattr(value, "matrix", value)
+    if isinstance(value, HasAsMatrix):
+        matrix = value.as_matrix()
     try:
         matrices = np.asarray(matrix, np.float64)
     except (TypeError, ValueError):
@@ -176,8 +186,9 @@ def render_touch(
     ----------
     solid : Mesh, record, trimesh.Trimesh, Pressable, or a sequence of them
         A closed mesh in metres; a sequence has one for each touch.
-    object_pose, sensor_pose : array_like, shape (4, 4) or (n, 4, 4), or an object with ``matrix``
-        To the cell frame, metres, see :func:`tactile_sim.pose`. The sensor's height does not matter.
+    object_pose, sensor_pose : array_like, shape (4, 4) or (n, 4, 4), or an object with such a ``matrix``
+        To the cell frame, metres, see :func:`tactile_sim.pose`; also as ``RigidTransform`` of SciPy. The
+        sensor's height does not matter.
     sensor : Sensor or SensorModel, optional
         The sensor; 320 x 240 pixels of its whole surface by default.
     cell_m : tuple of float

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 from tactile_sim.sets.touch_spec import SENSOR_NOISE, WINDOWS
 from tactile_toolkit import checked_fields, store, touch
-from tactile_toolkit.checked_fields import check_fields, choice, integer, real, text
+from tactile_toolkit.checked_fields import check_fields, choice, integer, real, switch, text
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.kind import lazy
@@ -233,3 +233,30 @@ class TrainConfig:
     def to_dict(self) -> JsonDict:
         """Return JSON values."""
         return asdict(self)
+
+
+@dataclass(frozen=True)
+class TrainRun:
+    """How a training is computed, which does not decide its settings.
+
+    Attributes
+    ----------
+    device : str
+        ``"cpu"``, ``"cuda"``, or ``"auto"`` for a GPU if there is one. Under ``torchrun`` each process takes
+        a GPU of its own.
+    deterministic : bool
+        Train on one thread of the CPU: every run on one machine gives the same weights, interrupted or not.
+        Refused on a GPU.
+    resume : bool
+        Raise an error if the folder holds no training to continue.
+    compiled : bool
+        Compile the generators first, for GPUs.
+    """
+
+    device: str = choice("auto", ("auto", "cpu", "cuda"), help="Where to compute.")
+    deterministic: bool = switch(False, help="Compute on the CPU so that every run gives the same weights.")
+    resume: bool = switch(False, help="Continue the training in the folder; an error if there is none.")
+    compiled: bool = switch(False, name="--compile", help="Compile the generators first, for GPUs.")
+
+    def __post_init__(self) -> None:
+        check_fields(self, "the training")

@@ -57,22 +57,24 @@ def network_output(weights: Mapping[str, Float32], name: str, inputs: Float32) -
     return np.concatenate(blocks)
 
 
-def trained(
+def train_network(
     name: str,
     inputs: Float32,
     targets: Float32,
-    hidden: tuple[int, ...],
-    outputs: int,
+    widths: tuple[int, ...],
     loss_gradient: Callable[[Float32, Float32], Float32],
     rng: np.random.Generator,
     steps: int,
 ) -> dict[str, Float32]:
-    """Train a network by Adam; ``loss_gradient`` takes outputs and targets to the derivative by outputs."""
+    """Train a network by Adam; ``widths`` are those of its layers after the inputs.
+
+    ``loss_gradient`` takes outputs and targets to the derivative by outputs.
+    """
     # A sample of the rows: differences of all of them would double the memory.
     sample = inputs[:: max(1, len(inputs) // _MAX_ROWS)]
     mean = sample.mean(axis=0)
     scale = 1 / (sample.std(axis=0) + np.float32(1e-6))
-    sizes = (inputs.shape[1], *hidden, outputs)
+    sizes = (inputs.shape[1], *widths)
     weights: dict[str, Float32] = {f"{name}_mean": mean, f"{name}_scale": scale}
     layers: list[Float32] = []
     for wide, narrow in pairwise(sizes):
@@ -262,7 +264,7 @@ def _trained(mode: str, samples: list[_Sample], rng: np.random.Generator) -> dic
     inputs = np.concatenate([_colours(sample.change)[sample.pixels] for sample in samples])
     targets = np.concatenate([sample.slopes for sample in samples])
     name = f"{mode}_slope"
-    reader = trained(name, inputs, targets, _SLOPE_HIDDEN, 2, _slope_gradient, rng, _SLOPE_STEPS)
+    reader = train_network(name, inputs, targets, (*_SLOPE_HIDDEN, 2), _slope_gradient, rng, _SLOPE_STEPS)
     first = 0
     targets = np.concatenate([sample.depth_mm for sample in samples])
     for sample in samples:
@@ -274,7 +276,9 @@ def _trained(mode: str, samples: list[_Sample], rng: np.random.Generator) -> dic
         inputs[first : first + len(part)] = part
         first += len(part)
     name = f"{mode}_depth"
-    return reader | trained(name, inputs, targets, _DEPTH_HIDDEN, 2, _depth_gradient, rng, _DEPTH_STEPS)
+    return reader | train_network(
+        name, inputs, targets, (*_DEPTH_HIDDEN, 2), _depth_gradient, rng, _DEPTH_STEPS
+    )
 
 
 def _slope_gradient(outputs: Float32, targets: Float32) -> Float32:

@@ -87,7 +87,7 @@ class Twin:
 class TwinOptics(Optics):
     """Images of a sensor as its twin makes them."""
 
-    least_px = 16
+    min_side_px = 16
 
     def __init__(self, twin: Twin, *, lens: bool = True) -> None:
         self._twin = twin

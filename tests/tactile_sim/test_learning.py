@@ -54,7 +54,7 @@ from tactile_sim.learned.networks import (  # noqa: E402
     read_weights,
 )
 from tactile_sim.learned.training import train  # noqa: E402
-from tactile_sim.sets.learning_specs import TrainConfig  # noqa: E402
+from tactile_sim.sets.learning_specs import TrainConfig, TrainRun  # noqa: E402
 from tests.sealed import edit  # noqa: E402
 
 FILES = ("depth_to_touch.npz", "touch_to_depth.npz", "losses.parquet")
@@ -77,7 +77,7 @@ def pairs(sources, tmp_path_factory):
 def trained(pairs, tmp_path_factory):
     """An uninterrupted training."""
     folder = tmp_path_factory.mktemp("trained") / "weights"
-    train(pairs, folder, CONFIG, device="cpu", deterministic=True)
+    train(pairs, folder, CONFIG, TrainRun("cpu", deterministic=True))
     return folder
 
 
@@ -141,19 +141,19 @@ def test_pairs_that_are_not_finished_or_without_contact_are_no_training_set(sour
     make_pairs(*sources, "train", few, tmp_path / "few")
     make_pairs(*sources, "train", PairSetSpec((32, 32), 4, 1.0, window="center"), tmp_path / "untouched")
     with pytest.raises(InputError, match=r"'depth' of .*untouched' holds no image with contact"):
-        train(str(tmp_path / "untouched"), tmp_path / "out", CONFIG, device="cpu")
+        train(str(tmp_path / "untouched"), tmp_path / "out", CONFIG, TrainRun("cpu"))
     edit(tmp_path / "few" / "manifest.json", lambda values: values.update(complete=False))
     with pytest.raises(IntegrityError, match=r"few' is not finished \(2 of 2 shards\); next: run the same"):
-        train(str(tmp_path / "few"), tmp_path / "out", CONFIG, device="cpu")
+        train(str(tmp_path / "few"), tmp_path / "out", CONFIG, TrainRun("cpu"))
     assert not (tmp_path / "out").exists()
 
 
 def test_killed_at_any_moment_it_ends_in_the_same_weights(pairs, trained, tmp_path):
     out = tmp_path / "killed"
     program = (
-        "from tactile_sim.learned.training import train; from tactile_sim import TrainConfig;"
-        f"train({pairs!r}, {str(out)!r}, TrainConfig(**{CONFIG.to_dict()!r}), device='cpu',"
-        "deterministic=True, on_progress=lambda done, total: print(done, flush=True))"
+        "from tactile_sim.learned.training import train; from tactile_sim import TrainConfig, TrainRun;"
+        f"train({pairs!r}, {str(out)!r}, TrainConfig(**{CONFIG.to_dict()!r}),"
+        "TrainRun('cpu', deterministic=True), on_progress=lambda done, total: print(done, flush=True))"
     )
     # The run may continue with another number of threads.
     threads = {"OMP_NUM_THREADS": str(torch.get_num_threads() + 1)}
@@ -164,11 +164,11 @@ def test_killed_at_any_moment_it_ends_in_the_same_weights(pairs, trained, tmp_pa
         for line in run.stdout:
             if int(line) >= 3:
                 with pytest.raises(BusyError, match=f"process {run.pid} on .* holds "):
-                    train(pairs, out, CONFIG, device="cpu")
+                    train(pairs, out, CONFIG, TrainRun("cpu"))
                 run.send_signal(signal.SIGKILL)
                 break
     assert (out / "checkpoint.pt").exists()
-    done = train(pairs, out, CONFIG, device="cpu", deterministic=True, resume=True)
+    done = train(pairs, out, CONFIG, TrainRun("cpu", deterministic=True, resume=True))
     assert 0 < done.taken <= 4
     assert _weights(out) == _weights(trained)
     assert done.losses
@@ -180,19 +180,19 @@ def test_a_finished_training_stays_and_others_are_refused(pairs, trained, source
     half_written = trained / PENDING_FOLDER / "tmp-0123456789abcdef0123456789abcdef"
     half_written.parent.mkdir(exist_ok=True)
     half_written.write_bytes(b"half")
-    assert train(pairs, trained, CONFIG, device="cpu", deterministic=True).taken == 0
+    assert train(pairs, trained, CONFIG, TrainRun("cpu", deterministic=True)).taken == 0
     assert not half_written.parent.exists()
     assert before == {file: file.stat().st_mtime_ns for file in before}
     with pytest.raises(SpecMismatchError, match="seed is 0 there"):
-        train(pairs, trained, TrainConfig(**{**CONFIG.to_dict(), "seed": 9}), device="cpu")
+        train(pairs, trained, TrainConfig(**{**CONFIG.to_dict(), "seed": 9}), TrainRun("cpu"))
     with pytest.raises(InputError, match="no training to continue"):
-        train(pairs, tmp_path / "new", CONFIG, resume=True)
+        train(pairs, tmp_path / "new", CONFIG, TrainRun(resume=True))
     with pytest.raises(InputError, match="holds no training"):
         train(pairs, sources[0], CONFIG)
     with pytest.raises(InputError, match="too small for the discriminators"):
         train(pairs, tmp_path / "new", TrainConfig(crop=0.5))
-    with pytest.raises(InputError, match="device is 'tpu'; expected auto, cpu or cuda"):
-        train(pairs, tmp_path / "new", CONFIG, device="tpu")
+    with pytest.raises(InputError, match="device of the training is 'tpu'; expected one of auto, cpu, cuda"):
+        train(pairs, tmp_path / "new", CONFIG, TrainRun("tpu"))
     with pytest.raises(InputError, match="learning_rate"):
         TrainConfig(learning_rate=float("nan"))
     with pytest.raises(InputError, match="expected a SensorNoise"):
@@ -204,7 +204,7 @@ def test_a_finished_training_stays_and_others_are_refused(pairs, trained, source
             train(pairs, tmp_path / "new", CONFIG)
     if not torch.cuda.is_available():
         with pytest.raises(InputError, match="finds no GPU"):
-            train(pairs, tmp_path / "new", CONFIG, device="cuda")
+            train(pairs, tmp_path / "new", CONFIG, TrainRun("cuda"))
     assert not (tmp_path / "new" / "training.json").exists()
 
 
@@ -214,21 +214,21 @@ def test_a_damaged_checkpoint_and_a_full_disk_are_named(pairs, trained, tmp_path
     for file in ("training.json", "checkpoint.pt"):
         (out / file).write_bytes((trained / file).read_bytes())
     # As if killed between the last checkpoint and the files that follow from it.
-    assert train(pairs, out, CONFIG, device="cpu", deterministic=True).taken == 0
+    assert train(pairs, out, CONFIG, TrainRun("cpu", deterministic=True)).taken == 0
     assert _weights(out) == _weights(trained)
     whole = (out / "checkpoint.pt").read_bytes()
     damaged = bytearray(whole)
     damaged[len(damaged) // 2] ^= 1
     (out / "checkpoint.pt").write_bytes(damaged)
     with pytest.raises(IntegrityError, match="does not match its checksum"):
-        train(pairs, out, CONFIG, device="cpu")
+        train(pairs, out, CONFIG, TrainRun("cpu"))
     for other, problem in ((Fraction(1, 2), "Weights only load failed"), ({"step": 2}, "'pools'")):
         content = io.BytesIO()
         torch.save(other, content)
         digest = hashlib.sha256(content.getvalue()).digest()
         (out / "checkpoint.pt").write_bytes(digest + content.getvalue())
         with pytest.raises(IntegrityError, match=f"not a checkpoint of this training .*{problem}"):
-            train(pairs, out, CONFIG, device="cpu")
+            train(pairs, out, CONFIG, TrainRun("cpu"))
     full = tmp_path / "full"
 
     def no_room(*_):
@@ -236,7 +236,7 @@ def test_a_damaged_checkpoint_and_a_full_disk_are_named(pairs, trained, tmp_path
 
     monkeypatch.setattr("tactile_toolkit.store.files.os.fsync", no_room)
     with pytest.raises(StorageError, match="No space left"):
-        train(pairs, full, CONFIG, device="cpu")
+        train(pairs, full, CONFIG, TrainRun("cpu"))
     assert not [file for file in full.rglob("*") if file.is_file()]
 
 
@@ -252,8 +252,8 @@ def test_a_training_that_runs_away_keeps_its_last_checkpoint(pairs, trained, tmp
     with monkeypatch.context() as patch:
         patch.setattr(CycleGan, "step", broken)
         with pytest.raises(ToolkitError, match=r"is nan at step 4: the loss diverged; the last checkpoint"):
-            train(pairs, out, CONFIG, device="cpu", deterministic=True)
-    assert train(pairs, out, CONFIG, device="cpu", deterministic=True, resume=True).taken == 4
+            train(pairs, out, CONFIG, TrainRun("cpu", deterministic=True))
+    assert train(pairs, out, CONFIG, TrainRun("cpu", deterministic=True, resume=True)).taken == 4
     assert _weights(out) == _weights(trained)
 
 
@@ -311,13 +311,13 @@ def test_two_processes_of_torchrun_train_together(pairs, tmp_path, monkeypatch):
     ) as other:
         for name, value in {**shared, "RANK": "0", "LOCAL_RANK": "0"}.items():
             monkeypatch.setenv(name, value)
-        assert train(pairs, out, config, device="cpu").taken == 2
+        assert train(pairs, out, config, TrainRun("cpu")).taken == 2
         verdicts = other.communicate()
     monkeypatch.undo()
     assert other.returncode == 0, verdicts
     assert not verdicts[0]  # the first process prints for all
     with pytest.raises(SpecMismatchError, match="trained by 2 processes"):
-        train(pairs, out, config, device="cpu")
+        train(pairs, out, config, TrainRun("cpu"))
     # Each process continues with the pictures in its pools.
     state = torch.load(io.BytesIO((out / "checkpoint.pt").read_bytes()[32:]), weights_only=True)
     for pool in state["pools"]:
@@ -331,7 +331,7 @@ def test_two_processes_of_torchrun_train_together(pairs, tmp_path, monkeypatch):
     for rank in ("0", "1"):
         for name, value in {**shared, "RANK": rank, "LOCAL_RANK": rank}.items():
             monkeypatch.setenv(name, value)
-        assert train(pairs, out, config, device="cpu").taken == 0
+        assert train(pairs, out, config, TrainRun("cpu")).taken == 0
     assert drawn == [repr(pool) for pool in state["pools"]]
     assert drawn[0] != drawn[1]
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 from hypothesis import given, strategies as st
+from scipy.spatial.transform import RigidTransform
 
 import tactile_sim
 from tactile_sim.press import pressable
@@ -83,6 +84,14 @@ def test_every_pixel_is_where_a_ray_meets_the_surface(solid, lean):
         expected = sensor.press_m + heights.max() - heights
         assert np.abs(pressed.depth_m - expected).max() < 1e-9
         assert pressed.sensor_z_m == pytest.approx(target[2, 2] * (heights.max() + sensor.press_m), abs=1e-9)
+
+
+def test_a_pose_of_scipy_is_a_pose():
+    lies = tactile_sim.pose(0.002, -0.001, turn_rad=0.3)
+    sensors = RigidTransform.from_matrix(np.stack([tactile_sim.pose(), tactile_sim.pose(0.001)]))
+    from_objects = tactile_sim.render_touch(ball(), RigidTransform.from_matrix(lies), sensors)
+    from_matrices = tactile_sim.render_touch(ball(), lies, sensors.as_matrix())
+    np.testing.assert_allclose(from_objects.depth_m, from_matrices.depth_m, atol=1e-12)
 
 
 def test_a_bare_plate_is_felt_all_over():

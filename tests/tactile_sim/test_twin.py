@@ -42,7 +42,7 @@ def test_a_network_learns_a_corner():
     rng = np.random.default_rng(0)
     inputs = rng.uniform(-1, 1, (2000, 2)).astype(np.float32)
     targets = np.abs(inputs[:, :1])
-    weights = reader.trained("n", inputs, targets, (16,), 1, lambda found, want: found - want, rng, 300)
+    weights = reader.train_network("n", inputs, targets, (16, 1), lambda found, want: found - want, rng, 300)
     assert np.abs(reader.network_output(weights, "n", inputs) - targets).mean() < 0.03
 
 

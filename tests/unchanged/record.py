@@ -178,12 +178,13 @@ def synthetic_touches(folder: Path) -> dict[str, Any]:
 
 
 def _losses_of_training(folder: Path) -> dict[str, list[float]]:
+    from tactile_sim import TrainRun
     from tactile_sim.learned.training import train
 
     folder.mkdir()
     pairs = str(folder / "pairs")
     make_pairs(*training.make_sources(folder), "train", training.SPEC, pairs)
-    train(pairs, folder / "trained", training.CONFIG, device="cpu", deterministic=True)
+    train(pairs, folder / "trained", training.CONFIG, TrainRun("cpu", deterministic=True))
     return training.losses_of_steps(folder / "trained")
 
 

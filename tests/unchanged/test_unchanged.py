@@ -30,7 +30,7 @@ RECORD = recorded()
 
 
 UNFROZEN = re.compile(r"^@dataclass\b(?!.*frozen=True).*\n(?:@.*\n)*class (\w+)", re.MULTILINE)
-CHANGING = {"_Run", "DiskCache", "_Object", "_Row", "MeshPool", "Section", "Fit"}
+CHANGING = {"_Training", "DiskCache", "_Object", "_Row", "MeshPool", "Section", "Fit"}
 """Dataclasses that change: a training, a cache, part of a file, a row of a plate, a growing pool, a check, a
 fit."""
 
