@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 
 from realtouch.kind import KIND
-from realtouch.touches import datasets, image_contacts, media, rounds, schema, stored_round
+from realtouch.touches import datasets, media, rounds, schema, stored_round
 from realtouch.touches.rounds import Touch
 from tactile_toolkit import cards, errors, read, store, touch, wording
 from tactile_toolkit.array_types import Int64, UInt8
@@ -65,7 +65,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
     types = read.column_types(facts.schema)
     origin = schema.origin_of(facts.schema, manifest)
     of_origin = words["origins"][origin]
-    rule = touch.HeightRule.of(types)
+    contact_source = schema.ContactSource.of(types)
     licence_text = of_origin["licence_text"]
     heights = [of_origin.get("drift")]
     # Plain pictures and rows in foreign formats are not rounds that could be loaded.
@@ -79,8 +79,8 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
         content = _stored_content(facts, kind, types, manifest, words)
         content.columns["object_id"] = ("", of_origin["object_id"])
         content.columns.update(_extra_words(facts, types))
-        if schema.has_poses(types):
-            heights.append(words["plates"][rule.plate])
+        if contact_source.heights is not None:
+            heights.append(words["plates"][contact_source.heights.plate])
     tags = [*of_origin["tags"]]
     caption = "Some touches"
     if template == "seq":
@@ -104,7 +104,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
             **content.values,
             **({"made": words["made"]["unknown"]} if manifest is None else {}),
             "rounds": f"{facts.rows:,}",
-            "contact_rule": image_contacts.contact_rule_text(types),
+            "contact_rule": str(contact_source),
             **_values_of_origin(of_origin, words["frames"]["cell"], heights),
             "licence_text": licence_text,
         },
@@ -177,7 +177,8 @@ def _stored_content(
     shares: list[float | None] = [None] * len(by_split)
     if "object_id" in types:
         objects = of_each(lambda dataset: len(np.unique(dataset.column("object_id"))), 0)
-    if schema.has_poses(types):  # without poses, all pictures would be decoded
+    contact_source = schema.ContactSource.of(types)
+    if contact_source.is_stored:  # else all pictures would be decoded
         shares = of_each(lambda dataset: float(dataset.touches().in_contact().mean()))
     size, pictures = _seen(facts, kind)
     left_out = {} if manifest is None else manifest.split_table()
@@ -190,7 +191,7 @@ def _stored_content(
             "touches": "an unknown number of" if None in touches else f"{sum(touches):,}",
             "size_text": f", {size[0]} x {size[1]} pixels" if size else "",
         },
-        _missed(touches, shares, touch.HeightRule.of(types)),
+        _missed(touches, shares, contact_source.heights or touch.HeightRule(0.0, "known")),
         {
             "touches": [_text("{:,}", count) for count in touches],
             "per round": [

@@ -28,8 +28,8 @@ _QUALITY = 80
 DEFAULT_TOUCHES = 64
 """Touches shown of a round: of 256 every fourth, about 4 MB of clips."""
 
-# For a round: greatest number of touches to show, height of each touch, least height that counts as contact.
-_Known = tuple[int, Float64 | None, float]
+# For a round: greatest number of touches to show, height of each touch and whether it has contact, if known.
+_Known = tuple[int, Float64 | None, Bool | None]
 
 _MAX_TEXTS = 8
 _LONGEST_NOTE = 200  # texts shown of a further column, and characters of each
@@ -65,13 +65,15 @@ def plan_gallery(
     def known(rows: datasets.AnyDataset, _split: str) -> list[_Known]:
         if not len(rows):
             return []
-        try:
-            heights_m = rows.touches().heights_m()
-        except errors.InputError:  # without poses
-            return [(touches, None, math.nan)] * len(rows)
-        by_round = np.split(heights_m, np.cumsum(rows.touch_counts)[:-1])
-        least_m = [rule.min_height_m for rule in rows.contact_rules()]
-        return [(touches, *of_round) for of_round in zip(by_round, least_m, strict=True)]
+        sources = rows.contact_sources()
+        if not all(source.is_stored for source in sources):  # all pictures would be decoded
+            return [(touches, None, None)] * len(rows)
+        starts = np.cumsum(rows.touch_counts)[:-1]
+        heights_m: list[Float64] | list[None] = [None] * len(rows)
+        if all(source.heights for source in sources):
+            heights_m = np.split(rows.touches().heights_m(), starts)
+        contact = np.split(rows.touches().in_contact(), starts)
+        return [(touches, *of_round) for of_round in zip(heights_m, contact, strict=True)]
 
     split = chosen.given()["split"]
     data_set = places.open_place(name).require(kind.KIND, "tactile gallery").require_complete(split)
@@ -88,7 +90,7 @@ def _item(
     known: _Known,
 ) -> gallery.GalleryItem:
     """Show a round."""
-    most, heights_m, least_m = known
+    most, heights_m, contact = known
     touches = [Touch(record, number) for number in media.evenly_spaced(record.touch_count, most)]
     views = [force_pictures.force_views(touch) for touch in touches]
     stills, columns, tile_px = sheet_of([np.hstack(of_touch) for of_touch in views], views=len(views[0]))
@@ -97,16 +99,16 @@ def _item(
     for touch in touches:
         entry: JsonDict = dict.fromkeys(("number", "contact", "height_mm", "film"))
         entry["number"] = touch.touch_index
-        if heights_m is not None and not math.isnan(heights_m[touch.touch_index]):
-            height_m = float(heights_m[touch.touch_index])
-            entry |= {"contact": height_m >= least_m, "height_mm": round(height_m * mesh.MM_PER_M, 2)}
+        if contact is not None:
+            entry["contact"] = bool(contact[touch.touch_index])
+        if heights_m is not None:
+            entry["height_mm"] = round(float(heights_m[touch.touch_index]) * mesh.MM_PER_M, 2)
         if isinstance(record, rounds.TouchSeqRound):
             name = f"{touch.touch_index:03d}.jpg"
             images[name], entry["film"] = film_of(touch.clip, name)
         listed.append(entry)
     label = wording.class_name(names, record.label) if record.label >= 0 else None
     title = [f"class {label}" if label else "touches"]
-    met = None if heights_m is None else heights_m >= least_m
     # The highest touch shows the object best.
     cover = touches[0]
     if heights_m is not None:
@@ -127,11 +129,11 @@ def _item(
         title=", ".join(title),
         values={
             "label": label,
-            "contact": _share(met),
+            "contact": _share(contact),
             "gel": gel,
             "object": touched or None,
             "touches": record.touch_count,
-            "in_contact": None if met is None else int(met.sum()),
+            "in_contact": None if contact is None else int(contact.sum()),
             "highest_mm": None if heights_m is None else _millimetres(float(np.fmax.reduce(heights_m))),
         },
         thumbnail=gallery.GalleryItem.thumbnail_of(cover.image),
@@ -156,14 +158,14 @@ def _millimetres(height_m: float) -> float | None:
     return None if math.isnan(height_m) else height_m * mesh.MM_PER_M
 
 
-def _share(met: Bool | None) -> str:
-    if met is None:
+def _share(contact: Bool | None) -> str:
+    if contact is None:
         return "unknown"
-    if not met.any():
+    if not contact.any():
         return "none"
-    if met.all():
+    if contact.all():
         return "all touches"
-    return "more than half" if met.mean() > 0.5 else "half or fewer"
+    return "more than half" if contact.mean() > 0.5 else "half or fewer"
 
 
 def sheet_of(

@@ -229,6 +229,9 @@ class Alignment:
         two samples that are farther apart, milliseconds.
     time_offset_s : float
         Added to the times of all streams, seconds.
+    duration_tolerance : float
+        Largest difference between the durations of a video, at the rate that its file states, and of a table
+        beside it, as a share of the first. A difference of at most ``max_gap_ms`` is never too large.
     """
 
     method: str = checked_fields.choice(
@@ -252,6 +255,13 @@ class Alignment:
         metavar="S",
         panel="Streams",
         help="Seconds to add to the times of streams, if they have another clock.",
+    )
+    duration_tolerance: float = checked_fields.real(
+        0.02,
+        0,
+        metavar="X",
+        panel="Streams",
+        help="Largest difference between the durations of a video and of a table beside it, as a share.",
     )
 
     def __post_init__(self) -> None:

@@ -79,26 +79,29 @@ def draw_grid(record: rounds.TouchRound, most: int) -> UInt8:
     Pressure and moving markers are beside the picture of a touch that has them.
     """
     row = record.row
-    heights_m = None
-    if row.has_poses:
-        rule = row.height_rule
-        heights_m = contact.contact_heights_m(row.contact_z_m(row.kind), plate_z_m=row.plate_z_m(rule))
+    contact_source = row.contact_source
+    rule = contact_source.heights
+    is_contact = row.stated_contact() if contact_source.has_column else np.zeros(record.touch_count, bool)
+    if rule is not None:
+        z_m = row.contact_z_m(row.kind)
+        heights_m = contact.contact_heights_m(z_m, plate_z_m=row.plate_z_m(rule))
+        is_contact = heights_m >= rule.min_height_m
     tiles = []
     most_views = 1
     for number in media.evenly_spaced(record.touch_count, most):
         caption = f"{number}"
-        frame = None
-        if heights_m is not None:
+        if rule is not None:
             caption = f"{number}: {heights_m[number] * 1e3:.1f} mm"
-            if heights_m[number] >= rule.min_height_m:
-                frame = CONTACT
+        frame = CONTACT if is_contact[number] else None
         views = force_pictures.force_views(Touch(record, number))
         most_views = max(most_views, len(views))
         pixels = np.hstack([pictures.fitted(view, _TILE_PX) for view in views])
         tiles.append(pictures.Tile(pixels, caption, frame))
     words = [f"{len(tiles)} of {_touches_in_words(record)}"]
-    if heights_m is not None:
+    if rule is not None:
         words += [f"framed: {rule.height_text}; its height next to the number"]
+    elif contact_source.has_column:
+        words += [f"framed: {contact_source}"]
     return pictures.sheet(tiles, _COLUMNS // most_views, _title(record), ("; ".join(words),))
 
 

@@ -186,6 +186,12 @@ def checked_integer(value: object, name: str, least: int = 0, most: int | None =
     return int(_integer_rule(least, most, False, {}).checked(value, name))
 
 
+def checked_number(value: object, name: str, least: float = -math.inf, most: float = math.inf) -> float:
+    """Return a finite number within bounds; InputError, which begins with ``name``, for anything else."""
+    rule: Rule = real(least=least, most=most).metadata[_RULE]
+    return float(rule.checked(value, name))
+
+
 def split_counts(
     value: object, name: str, splits: Sequence[str], most: int = _MAX_INTEGER, of: str = ""
 ) -> tuple[tuple[str, int], ...]:

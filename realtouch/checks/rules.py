@@ -44,6 +44,9 @@ picture changes by at least ``MIN_CHANGE`` levels: pictures of a gel without con
 JUMP_FACTOR, MIN_TURN_DEG = 8.0, 20.0
 """A position jumps if its step exceeds the option, and ``JUMP_FACTOR`` times the 90th percentile of the
 steps; a rotation jumps if it exceeds ``MIN_TURN_DEG``, and the same multiple of its percentile."""
+MAX_CLOCK_DIFFERENCE = 0.05
+"""Largest difference between the median step of the time stamps of a clip and that of its file, as a share:
+stamps in whole milliseconds differ by up to 2 % at 60 Hz."""
 ROWS, COLUMNS = 12, 16
 """Cells of a picture whose averages are compared: 16 x 16 mm of a GelSight Mini in cells of 1.2 mm."""
 _UNEVEN = 3.0  # levels; the cells of a constant JPEG differ by up to 2
@@ -169,6 +172,12 @@ RULES: dict[str, FaultRule] = {
         "a step of {value:.3g} times the limit",
         f"at most {{jump_mm:g}} mm and {MIN_TURN_DEG:g} degrees, or {JUMP_FACTOR:g} times most other steps",
         "check the units, the order of the quaternion and the robot for lost packets",
+    ),
+    "two-clocks": FaultRule(
+        "Two clocks",
+        "time stamps and the rate that the file of a clip states differ by {value:.0%}",
+        f"at most {MAX_CLOCK_DIFFERENCE:.0%}",
+        "trust the time stamps, and write the rate of the camera to its files",
     ),
     "times-run-back": FaultRule(
         "Times that are missing or run backwards",

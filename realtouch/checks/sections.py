@@ -143,13 +143,14 @@ def _strip(
     """Read the images of a round, or the frames of one touch; add unreadable ones to the faults."""
     encoded: list[memoryview] = []
     poses = None
-    time_s = np.zeros(0)
+    time_s = file_time_s = np.zeros(0)
     spots = touches
     at = touches[0]
     try:
         if stored.kind == "seq":
             clip = media.TouchClip(stored, at.touch)
             encoded = [clip.encoded(frame) for frame in range(len(clip))]
+            file_time_s = clip.media_times_s
             spots = [at._replace(frame=frame) for frame in range(len(clip))]
         else:
             at = at._replace(touch=rules.WHOLE_ROUND)
@@ -178,7 +179,7 @@ def _strip(
     section.faults += empty.values()
     if is_rendered and poses is not None:  # the bare plate looks the same everywhere
         digests = [digest + poses.position_m[number].tobytes() for number, digest in enumerate(digests)]
-    return Strip(at, spots, digests, pictures, poses, time_s)
+    return Strip(at, spots, digests, pictures, poses, time_s, file_time_s)
 
 
 def _motion(stored: stored_round.StoredRound, touches: Sequence[rules.Spot]) -> tuple[Poses | None, Float64]:
@@ -234,7 +235,7 @@ class Strip:
 
     ``at`` stands for all of them; ``spots``, ``digests`` and ``poses`` have an entry for each picture, whose
     digest is empty if it has no content. ``pictures`` are by their numbers. ``time_s`` are the times of
-    frames, NaN where missing; empty for images.
+    frames, NaN where missing, and ``file_time_s`` those that the file states; both are empty for images.
     """
 
     at: rules.Spot
@@ -243,6 +244,7 @@ class Strip:
     pictures: Mapping[int, Picture]
     poses: Poses | None
     time_s: Float64
+    file_time_s: Float64
 
 
 def frozen(strip: Strip, limits: touch_options.CheckLimits) -> Iterator[rules.Fault]:
@@ -291,6 +293,16 @@ def wrong_times(strip: Strip, limits: touch_options.CheckLimits) -> Iterator[rul
         yield rules.Fault("dropped-frames", after, float(steps.max()) / usual)
 
 
+def two_clocks(strip: Strip, limits: touch_options.CheckLimits) -> Iterator[rules.Fault]:
+    """Yield a clip whose time stamps are those of another rate than its file states."""
+    if min(len(strip.time_s), len(strip.file_time_s)) <= _MIN_STEPS:
+        return
+    step_s, file_step_s = (np.median(np.diff(times)) for times in (strip.time_s, strip.file_time_s))
+    difference = abs(float(step_s / file_step_s) - 1)
+    if difference > rules.MAX_CLOCK_DIFFERENCE:
+        yield rules.Fault("two-clocks", strip.at, difference)
+
+
 def jumps(strip: Strip, limits: touch_options.CheckLimits) -> Iterator[rules.Fault]:
     """Yield the worst step of the poses of a clip, or the images that are far away from all others."""
     if strip.poses is None or len(strip.spots) <= _MIN_STEPS:
@@ -318,6 +330,7 @@ STRIP_RULES: tuple[Callable[[Strip, touch_options.CheckLimits], Iterator[rules.F
     frozen,
     still,
     wrong_times,
+    two_clocks,
     jumps,
 )
 """Rules for a single strip."""

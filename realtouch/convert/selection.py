@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow as pa
 
 from realtouch.convert import conversion
-from realtouch.touches import datasets, image_contacts, loading, schema, stored_round
+from realtouch.touches import datasets, loading, schema, stored_round
 from tactile_toolkit import catalog, checked_fields, errors, places, read, store, touch
 from tactile_toolkit.json_types import JsonDict, JsonObject
 
@@ -69,30 +69,28 @@ def _selection(touches: JsonObject, opened: loading.Source, rows: catalog.RowFil
         raise errors.InputError(
             f"is {min_height_m}; expected metres, such as {touch.HeightRule.REAL_M}", field="min_height_m"
         )
-    by_image = options["contact"] and not schema.has_poses(read.column_types(opened.schema))
-    if by_image:
-        options["contact_rule"] = image_contacts.BY_IMAGE
-    elif options["min_height_m"] is None:
-        options["min_height_m"] = touch.HeightRule.REAL_M
-        if options["contact"]:
-            options["min_height_m"] = touch.HeightRule.of(read.column_types(opened.schema)).min_height_m
-    step = KeepTouches(options["contact"])
     if not options["contact"]:
-        return conversion.Conversion(opened, "select", options, step, conversion.chosen_rows(opened, rows))
+        whole = KeepTouches(some_touches=False)
+        return conversion.Conversion(opened, "select", options, whole, conversion.chosen_rows(opened, rows))
+    contact_source = schema.ContactSource.of(read.column_types(opened.schema))
+    if contact_source.heights is not None and min_height_m is None:
+        options["min_height_m"] = contact_source.heights.min_height_m
+    by_height = options["min_height_m"] is not None
+    if not by_height:
+        options["contact_rule"] = str(contact_source)
     # The limit counts rounds with contact.
     choices = {
         split: _with_contact(opened, split, choices, options)[: rows.limit]
         for split, choices in conversion.chosen_rows(opened, replace(rows, limit=None)).items()
     }
     if not any(choices.values()):
-        if by_image:
-            raise errors.InputError(
-                f"no chosen touch of {opened.name!r} is a contact (a touch is one if "
-                f"{image_contacts.BY_IMAGE})",
-                next="leave out --contact, or give fewer filters",
-            )
-        raise _no_contact(opened, options["min_height_m"])
-    return conversion.Conversion(opened, "select", options, step, choices)
+        if by_height:
+            raise _no_contact(opened, options["min_height_m"])
+        raise errors.InputError(
+            f"no chosen touch of {opened.name!r} is a contact (a touch is one if {contact_source})",
+            next="leave out --contact, or give fewer filters",
+        )
+    return conversion.Conversion(opened, "select", options, KeepTouches(True, by_height), choices)
 
 
 def _no_contact(source: loading.Source, height_m: float) -> errors.InputError:
@@ -121,14 +119,16 @@ def _with_contact(
 
 @dataclass(frozen=True)
 class KeepTouches:
-    """Step of ``select``: the chosen touches of a round."""
+    """Step of ``select``: the chosen touches of a round; ``by_height`` says that their heights chose them."""
 
     some_touches: bool
+    by_height: bool = False
 
     def schema(self, source: pa.Schema) -> pa.Schema:
         """Return the schema of the source; lists over touches get a variable length if rounds lose touches.
 
-        Rounds that lose touches keep the height of their plate: the touches that showed it may be gone.
+        Rounds that lose touches by their heights keep the height of their plate: the touches that showed it
+        may be gone.
         """
         if not self.some_touches:
             return source
@@ -136,8 +136,7 @@ class KeepTouches:
         for index, field in enumerate(source):
             if schema.is_per_touch(field.name, field.type):
                 fields[index] = pa.field(field.name, pa.list_(field.type.value_type))
-        types = read.column_types(source)
-        if touch.HeightRule.PLATE_COLUMN not in types and schema.has_poses(types):
+        if self.by_height and touch.HeightRule.PLATE_COLUMN not in read.column_types(source):
             fields.append(pa.field(touch.HeightRule.PLATE_COLUMN, pa.float64()))
         return pa.schema(fields)
 
@@ -149,9 +148,9 @@ class KeepTouches:
         if choice.touches is None:
             return flat, {}
         kept = schema.take_touches(flat, choice.touches, row.touch_total())
-        if row.has(touch.HeightRule.PLATE_COLUMN) or not row.has_poses:
+        if row.has(touch.HeightRule.PLATE_COLUMN) or not self.by_height:
             return kept, {}
-        plate_m = row.plate_z_m(row.height_rule)
+        plate_m = row.plate_z_m(row.contact_source.heights)
         if math.isnan(plate_m):
             plate_m = row.contact_z_m(row.kind).min(initial=np.inf)
         return kept.append_column(touch.HeightRule.PLATE_COLUMN, pa.array([plate_m], pa.float64())), {}

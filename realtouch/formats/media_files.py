@@ -174,7 +174,9 @@ def _recording(
         except errors.ItemError as error:
             problem = error
     source = (folder.address(), path, video.conversion, 0, len(video), video.picture_bytes)
-    return source_touches.Recording(name, *source, fields, time_s=video.time_s, problem=problem)
+    return source_touches.Recording(
+        name, *source, fields, time_s=video.time_s, problem=problem, is_at_stated_rate=True
+    )
 
 
 def _stem(path: str) -> str:

@@ -359,6 +359,8 @@ class Recording:
         First and last picture with contact, for a recording of one touch.
     left_out : tuple of str
         Data of the recording that are not imported, each with its shape or the reason.
+    is_at_stated_rate : bool
+        Whether its times follow from the rate that its file states, which is often not that of the camera.
     """
 
     name: str
@@ -376,6 +378,7 @@ class Recording:
     cut: str = ""
     contact: tuple[int, int] | None = None
     left_out: tuple[str, ...] = ()
+    is_at_stated_rate: bool = False
 
     def location(self, start: int, stop: int) -> PictureLocation:
         """Return the location of the pictures from ``start`` to the one before ``stop``."""

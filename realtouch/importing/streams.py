@@ -221,6 +221,7 @@ class Aligner:
             beside = self._streams_beside(recording)
             self.times |= {stream.time_column for stream in beside}
             self.tables |= {stream.address for stream in beside}
+            _require_same_durations(recording, beside, self._how)
             aligned, reports = with_streams(recording, beside, self._how, self._columns)
         except errors.ItemError as error:
             return replace(recording, problem=error)
@@ -272,7 +273,7 @@ class Aligner:
         if not name or name not in recording.per_frame:
             return recording
         time_s = fields.times_s(recording.per_frame[name], name, self._columns.time_unit)
-        return replace(recording, time_s=time_s)
+        return replace(recording, time_s=time_s, is_at_stated_rate=False)
 
     def _streams_beside(self, recording: source_touches.Recording) -> list[Stream]:
         folder, _, name = recording.path.rpartition("/")
@@ -312,7 +313,8 @@ def with_streams(
     ----------
     recording : Recording
         If it has no times, a stream needs a row for each picture, and its times, if it has any, become those
-        of the pictures.
+        of the pictures. So it is if its times follow from a stated rate, and a stream has as many rows as it
+        has pictures: cameras often deliver another rate than files state.
     streams : sequence of Stream
         A column whose name is taken gets the name of its stream as a prefix: ``force.seq``.
     how : Alignment
@@ -327,12 +329,15 @@ def with_streams(
         The clocks have no common time, the rows are not as many as the pictures, or no picture gets a value.
     """
     reports: list[StreamReport] = []
-    for stream in streams:
-        if recording.time_s is None or stream.time_s is None:
+    # Those that have the times of the pictures come first.
+    for stream in sorted(streams, key=lambda stream: stream.rows != recording.frames):
+        has_row_for_each = recording.is_at_stated_rate and stream.rows == recording.frames
+        if recording.time_s is None or stream.time_s is None or has_row_for_each:
             columns_added = _by_row(recording, stream)
             facts = _NO_CLOCK
             if stream.time_s is not None:
-                recording = replace(recording, time_s=stream.time_s + how.time_offset_s)
+                time_s = stream.time_s + how.time_offset_s
+                recording = replace(recording, time_s=time_s, is_at_stated_rate=False)
         else:
             sample_s = stream.time_s + how.time_offset_s
             columns_added, facts = _by_time(recording, stream, recording.time_s, sample_s, how, columns)
@@ -345,6 +350,32 @@ def with_streams(
         recording = replace(recording, per_frame=added)
         reports.append((recording.name, stream.name, f"{stream.rows:,}", *facts, names))
     return recording, reports
+
+
+def _require_same_durations(
+    recording: source_touches.Recording, streams: Sequence[Stream], how: Alignment
+) -> None:
+    """Raise InputError if a stream lasts longer or shorter than its video at the rate that the file states.
+
+    One of both clocks is wrong then, unless the stream was recorded for longer than the video.
+    """
+    timed = [(stream, stream.time_s) for stream in streams if stream.time_s is not None]
+    has_true_times = any(stream.rows == recording.frames for stream, _ in timed)
+    if not recording.is_at_stated_rate or has_true_times or recording.time_s is None or recording.frames < 2:
+        return
+    video_s = float(recording.time_s[-1] - recording.time_s[0])
+    for stream, sample_s in timed:
+        stream_s = float(sample_s[-1] - sample_s[0])
+        if abs(stream_s - video_s) > max(how.duration_tolerance * video_s, how.max_gap_ms * _PER_MS):
+            rate = (recording.frames - 1) / video_s
+            raise errors.InputError(
+                f"{stream.address!r} lasts {stream_s:.2f} s, the {recording.frames:,} pictures of "
+                f"{recording.name!r} {video_s:.2f} s at the {rate:.4g} pictures a second that the file "
+                "states; expected equal durations",
+                next="if the camera had another rate, give a table with the time of each picture, a row "
+                "each; if the rate is right, add --duration-tolerance "
+                f"{abs(stream_s / video_s - 1) + 0.01:.2f}",
+            )
 
 
 def _by_row(recording: source_touches.Recording, stream: Stream) -> dict[str, pa.Array]:

@@ -82,10 +82,10 @@ class TouchDataset(read.RecordDataset[R]):
         height of the plate is known, it is always taken.
         """
 
-        def heights_m(row: stored_round.StoredRound, rule: touch.HeightRule) -> Float64:
+        def heights_m(row: stored_round.StoredRound, source: schema.ContactSource) -> Float64:
             z_m = row.readable(partial(row.contact_z_m, self.kind))
-            is_known = rule.plate == "known"
-            return contact.contact_heights_m(z_m, recalibrate_z or is_known, row.plate_z_m(rule))
+            is_known = source.heights is not None and source.heights.plate == "known"
+            return contact.contact_heights_m(z_m, recalibrate_z or is_known, row.plate_z_m(source.heights))
 
         columns = [touch.HeightRule.PLATE_COLUMN, "pos_in_cell", "video_length_frames", self.pose_column]
         return self._per_touch(f"heights {recalibrate_z}", columns, heights_m)
@@ -96,22 +96,31 @@ class TouchDataset(read.RecordDataset[R]):
         Shape (touches of all stored rows, 2), metres, cell frame; reads that column only.
         """
 
-        def positions_m(row: stored_round.StoredRound, _rule: touch.HeightRule) -> Float64:
+        def positions_m(row: stored_round.StoredRound, _source: schema.ContactSource) -> Float64:
             return row.readable(row.intended_positions, (2,))
 
         return self._per_touch("positions", ["pos_in_cell"], positions_m)
+
+    def stated_contact(self) -> Float64:
+        """Read the column of contact of every stored touch: 1, 0, or NaN where it cannot be read.
+
+        Shape (touches of all stored rows,).
+        """
+        return self._per_touch(
+            "contact", [schema.CONTACT_COLUMN], lambda row, _source: row.readable(row.stated_contact)
+        )
 
     def _per_touch(
         self,
         key: str,
         columns: Sequence[str],
-        known: Callable[[stored_round.StoredRound, touch.HeightRule], Float64],
+        known: Callable[[stored_round.StoredRound, schema.ContactSource], Float64],
     ) -> Float64:
         """Join the values of the touches of each stored row; reads a few columns."""
 
         def of_source(source: read.RowSource) -> list[Float64]:
-            rule = touch.HeightRule.of(read.column_types(source.schema))
-            return [known(row, rule) for row in stored_round.stored_rows([source], columns)]
+            contact_source = schema.ContactSource.of(read.column_types(source.schema))
+            return [known(row, contact_source) for row in stored_round.stored_rows([source], columns)]
 
         values = self.table.per_shard(key, of_source)
         if len(values) != self.touch_starts[-1]:
@@ -122,12 +131,13 @@ class TouchDataset(read.RecordDataset[R]):
             )
         return values
 
-    def contact_rules(self) -> list[touch.HeightRule]:
-        """Return the rule by which touches of each round count as contact; joined sets may have several."""
-        rules = [
-            (touch.HeightRule.of(read.column_types(shard.schema)), len(shard)) for shard in self.table.shards
+    def contact_sources(self) -> list[schema.ContactSource]:
+        """Return how contact of each round is known; joined sets may differ."""
+        sources = [
+            (schema.ContactSource.of(read.column_types(shard.schema)), len(shard))
+            for shard in self.table.shards
         ]
-        of_rows = [rule for rule, count in rules for _ in range(count)]
+        of_rows = [source for source, count in sources for _ in range(count)]
         return [of_rows[row] for row in self.row_numbers.tolist()]
 
     def rounds_without_media(self) -> Iterator[tuple[int, R]]:
@@ -392,49 +402,70 @@ class Touches(read.RecordDataset[rounds.Touch], Generic[R]):
         return chosen
 
     def with_contact(self, min_height_m: float | None = None, recalibrate_z: bool = True) -> Touches[R]:
-        """Return the touches in which the gel stopped on an object; see :meth:`in_contact`.
-
-        In a set without poses, these are the touches whose pictures show contact.
-        """
+        """Return the touches with contact; see :meth:`in_contact`."""
         return self[self.in_contact(min_height_m, recalibrate_z)]
 
     def in_contact(self, min_height_m: float | None = None, recalibrate_z: bool = True) -> Bool:
-        """Return whether the gel stopped on an object in each touch, shape (len,).
+        """Return whether the sensor met an object in each touch, shape (len,).
 
-        Without poses, the pictures of these touches decide, by the rule of
-        :func:`realtouch.contacts_by_image`, which decodes all of them.
+        How this is known depends on the set. Of published touches, the gel stopped at least 6 mm above the
+        plate, as in the publisher's own viewer; of touches that `tactile-sim generate` made, at any height
+        above it. An imported set may have a column ``in_contact``. Of all others the pictures decide, by the
+        rule of :func:`realtouch.contacts_by_image`, which decodes all of them.
 
         Parameters
         ----------
         min_height_m : float, optional
-            Height above the plate from which a touch counts, metres. By default that of the publisher's own
-            viewer, 6 mm; of touches that `tactile-sim generate` made, any height above the plate.
+            Height above the plate from which a touch counts, metres; then heights decide in any set that has
+            poses.
         recalibrate_z : bool
             Take the deepest touch of each round as the plate, where its height is not known: the zero of z
-            drifts by up to 3 mm.
+            drifts by up to 3 mm in the published sets.
 
         Raises
         ------
         InputError
-            A height or ``recalibrate_z=False`` is given for touches without poses.
+            The height is not a finite number, the set has no poses for it, or ``recalibrate_z=False`` is
+            given where heights do not decide.
         IntegrityError
             As :meth:`heights_m`.
         """
-        poses = self.dataset.pose_column
-        if not self.dataset.has_column(poses):
-            if min_height_m is not None or not recalibrate_z:
+        if min_height_m is not None:
+            least_m = checked_fields.checked_number(min_height_m, "min_height_m")
+            poses = self.dataset.pose_column
+            if not self.dataset.has_column(poses):
                 raise errors.InputError(
                     f"{', '.join(self.dataset.description())}: no column {poses!r}, which has the "
                     "heights of the gel",
-                    next="leave out the height, and the pictures decide",
+                    next="leave out the height",
                 )
-            contact: Bool = _contacts_by_image(self, threads=run.usable_cores()).contact
-            return contact
-        heights_m = self.heights_m(recalibrate_z)
-        if min_height_m is not None:
-            return heights_m >= min_height_m
-        least_m = np.array([rule.min_height_m for rule in self.dataset.contact_rules()])
-        return np.asarray(heights_m >= least_m[self.round_positions])
+            return self.heights_m(recalibrate_z) >= least_m
+        sources = self.dataset.contact_sources()
+        if not recalibrate_z and not all(source.heights for source in sources):
+            raise errors.InputError(
+                f"{', '.join(self.dataset.description())}: heights do not decide about contact, but "
+                f"{'; or '.join(dict.fromkeys(map(str, sources)))}",
+                next="leave out recalibrate_z, or give a height if there are poses",
+            )
+        positions = self.round_positions
+        contact = np.zeros(len(self), bool)
+        for source in dict.fromkeys(sources):
+            is_of_source = np.array([source == of_round for of_round in sources], bool)[positions]
+            contact[is_of_source] = self[is_of_source]._contact_by(source, recalibrate_z)
+        return contact
+
+    def _contact_by(self, source: schema.ContactSource, recalibrate_z: bool) -> Bool:
+        """Return whether there is contact in each touch, shape (len,), all of sets that state it this way."""
+        if source.has_column and self.dataset.has_column(schema.CONTACT_COLUMN):
+            stated = self.dataset.stated_contact()[self._stored_numbers]
+            if np.isnan(stated).any():
+                position, touch = self.locate(int(np.argmax(np.isnan(stated))))
+                self.dataset[position].row.stated_contact(touch)  # states what is wrong
+            return stated > 0
+        if source.heights is not None and self.dataset.has_column(self.dataset.pose_column):
+            return np.asarray(self.heights_m(recalibrate_z) >= source.heights.min_height_m)
+        by_pictures: Bool = _contacts_by_image(self, threads=run.usable_cores()).contact
+        return by_pictures
 
     def objects(self, *object_ids: int | Iterable[int]) -> Touches[R]:
         """Return the touches of some objects, by ``object_id``, given as numbers or as sequences of them.

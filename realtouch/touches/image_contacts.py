@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields
 from itertools import islice
 
 import numpy as np
 
 from realtouch import contact
-from realtouch.touches import media, rounds, schema
+from realtouch.touches import media, rounds
 from realtouch.touches.datasets import AnyTouches, Touches, with_no_contact
-from tactile_toolkit import errors, touch
+from tactile_toolkit import errors
 from tactile_toolkit.array_types import Bool, Float64, Int64, UInt8
 
 # 291 pictures of 320 x 240: a clip is one batch, a round of images also.
 _BATCH_BYTES = 64 << 20
-BY_IMAGE = "the picture differs from the background (`contacts_by_image`); there are no poses"
-"""The rule by which touches of sets without poses count as contact; part of a sentence."""
 
 _MAX_SHARED = 256  # images; their median is the background of images that are the only ones of their rounds
 
@@ -136,11 +134,6 @@ def best_frame(
             best = start + frame, score
         start += len(piece)
     return best
-
-
-def contact_rule_text(columns: Container[str]) -> str:
-    """Return the rule of :meth:`realtouch.Touches.in_contact` for some columns, as part of a sentence."""
-    return str(touch.HeightRule.of(columns)) if schema.has_poses(columns) else BY_IMAGE
 
 
 @dataclass(frozen=True, eq=False)

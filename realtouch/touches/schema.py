@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping, Sequence
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -48,6 +48,8 @@ KNOWN_COLUMNS: dict[str, read.Expected] = {
 """Depth, types and description of the columns of a set of touches."""
 EXTRA_PREFIX: dict[Literal["touch", "frame"], str] = {"touch": "extra.", "frame": "extra_seq."}
 """Prefixes of further columns with an entry for each touch, or for each frame of each touch."""
+CONTACT_COLUMN = f"{EXTRA_PREFIX['touch']}in_contact"
+"""Column of imported sets that states the contact of each touch; missing values count as no contact."""
 _MAX_EXACT = 1 << 53  # below which float64 holds every integer
 _EXTRA_LEAVES = (pa.types.is_boolean, pa.types.is_integer, *_FLOAT, pa.types.is_string)
 _EXTRA_ENTRIES = {1: "one per touch", 2: "one per frame of each touch"}  # by the least depth of the lists
@@ -96,6 +98,34 @@ def is_per_touch(name: str, data_type: pa.DataType) -> bool:
 def has_poses(names: Container[str]) -> bool:
     """Return whether poses of the gel are among some columns, by dotted name."""
     return any(f"{column}.position" in names for column in POSE_COLUMN.values())
+
+
+class ContactSource(NamedTuple):
+    """How contact of the touches of a set is known; its text is part of a sentence.
+
+    A column ``in_contact`` of true and false, or of integers, decides; else ``heights`` above the plate; else
+    the pictures.
+    """
+
+    has_column: bool
+    heights: touch.HeightRule | None
+
+    @classmethod
+    def of(cls, types: Mapping[str, pa.DataType]) -> ContactSource:
+        """Return how contact is known in rounds with columns of these types, by dotted name."""
+        depth, leaf = read.list_depth(types.get(CONTACT_COLUMN, pa.null()))
+        has_column = depth == 1 and (pa.types.is_boolean(leaf) or pa.types.is_integer(leaf))
+        return cls(has_column, touch.HeightRule.of(types) if has_poses(types) else None)
+
+    @property
+    def is_stored(self) -> bool:
+        """Whether contact follows from stored values; if not, all pictures must be decoded."""
+        return self.has_column or self.heights is not None
+
+    def __str__(self) -> str:
+        if self.has_column:
+            return f"the column {CONTACT_COLUMN!r} is true"
+        return str(self.heights or "the picture differs from the background (`contacts_by_image`)")
 
 
 def require_poses_for(method: ContactMethod, names: Container[str], path: str) -> None:

@@ -31,14 +31,23 @@ _POSE_SEQUENCE = schema.POSE_COLUMN["seq"]
 
 # Columns with an entry for each touch; pictures come last, as they take much memory.
 _COUNTING = ("pos_in_cell", "video_length_frames", f"{_POSE}.position", *schema.MEDIA_COLUMN.values())
-# The first of these that exists gives the number of touches; poses only if no other column was read.
+# The first of these that exists gives the number of touches; the last ones only if no other column was read.
 _COUNTED = (
     "pos_in_cell",
     "sensor_image",
     "sensor_video",
     "gel_pose_cell_frame.position",
     "gel_pose_cell_frame_seq.position",
+    schema.CONTACT_COLUMN,
 )
+_IMPORT_STEPS = {
+    column: f"import it again with --map {name}=COLUMN, if the source has it"
+    for column, name in {
+        "pos_in_cell": "position",
+        "object_id": "object",
+        **dict.fromkeys(schema.POSE_COLUMN.values(), "pose"),
+    }.items()
+}
 _UNREADABLE = (ValueError, pa.ArrowException)
 _TOO_LONG = f"a clip of {{:,}} frames; expected an integer of 0 to {avi.MAX_CLIP_FRAMES:,}"
 
@@ -64,9 +73,15 @@ class StoredRound(read.Row):
         return schema.has_poses(self.group.names)
 
     @property
-    def height_rule(self) -> touch.HeightRule:
-        """Rule by which its touches count as contact."""
-        return touch.HeightRule.of(self.group.names)
+    def contact_source(self) -> schema.ContactSource:
+        """How contact of its touches is known."""
+        return schema.ContactSource.of(read.column_types(self.group.table.schema))
+
+    def stated_contact(self, touch: int | None = None) -> Bool:
+        """Return the column of contact, shape (T,), or of ``touch``, (1,), bool."""
+        entries = self.extra_entries(schema.CONTACT_COLUMN).cast(pa.bool_())
+        stated: Bool = pc.fill_null(entries, False).to_numpy(zero_copy_only=False)
+        return stated if touch is None else stated[touch : touch + 1]
 
     def damaged(self, field: str, problem: str, touch: int | None = None) -> DamagedRoundError:
         """Return the error for a field that cannot be used."""
@@ -82,10 +97,10 @@ class StoredRound(read.Row):
 
     def missing_column(self, field: str) -> errors.InputError:
         """Return the error for a requested column that the data set does not have."""
-        return errors.InputError(
-            f"{self.path!r} has no column {field!r}",
-            next="use a data set that has it, such as the `seq` or the `single` form of the same touches",
-        )
+        step = "use a data set that has it, such as the `seq` or the `single` form of the same touches"
+        if touch.HeightRule.of(self.group.names) is None:  # only published sets have several forms
+            step = _IMPORT_STEPS.get(field.partition(".")[0], "use a data set that has it")
+        return errors.InputError(f"{self.path!r} has no column {field!r}", next=step)
 
     def column_of(self, name: str) -> read.NestedColumn:
         """Return the column of a row; InputError when the data set has no column of that name."""
@@ -410,15 +425,16 @@ class StoredRound(read.Row):
         self.require_each(name, finite, touch, "a gel height of {}; expected metres", heights)
         return heights
 
-    def plate_z_m(self, rule: touch.HeightRule) -> float:
+    def plate_z_m(self, rule: touch.HeightRule | None) -> float:
         """Return the height of the plate in a round, metres, cell frame; NaN where it is not known.
 
         Rendered sets of a GelSight Mini need not store it.
         """
+        column = touch.HeightRule.PLATE_COLUMN
         stored_m = math.nan
-        if self.has(rule.PLATE_COLUMN) and self.value(rule.PLATE_COLUMN) is not None:
-            stored_m = float(self.value(rule.PLATE_COLUMN))  # NaN if it is null
-        if math.isnan(stored_m) and rule.plate == "known":
+        if self.has(column) and self.value(column) is not None:
+            stored_m = float(self.value(column))  # NaN if it is null
+        if math.isnan(stored_m) and rule is not None and rule.plate == "known":
             return touch.PRESS_DEPTH_M
         return stored_m
 

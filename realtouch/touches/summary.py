@@ -10,7 +10,7 @@ from operator import itemgetter
 
 import numpy as np
 
-from realtouch.touches import datasets, image_contacts, loading, schema
+from realtouch.touches import datasets, loading, schema
 from tactile_toolkit import errors, places, read, wording
 from tactile_toolkit.touch import CELL_M
 
@@ -35,10 +35,9 @@ class Summary:
     touches_per_round : tuple of int
         Least and most.
     contact_share : float or None
-        Fraction of touches in which the gel stopped on an object; None without poses, as all pictures would
-        have to be decoded.
+        Fraction of touches with contact; None if their pictures decide, as all would have to be decoded.
     contact_rule : str
-        By what a touch counts as contact: a height above the plate, or its picture.
+        By what a touch counts as contact: a height above the plate, a column, or its picture.
     labels : dict of str to int
         Rounds of each class.
     image_size : tuple of int
@@ -124,7 +123,7 @@ def summarise(dataset: datasets.AnyDataset) -> Summary:
         rounds=len(dataset),
         touches=int(counts.sum()),
         touches_per_round=(int(counts.min()), int(counts.max())),
-        contact_rule=image_contacts.contact_rule_text(dataset.column_names),
+        contact_rule="; or ".join(dict.fromkeys(map(str, dataset.contact_sources()))),
         extra=_extra_types(dataset),
         image_size=first.round.picture_size(first.touch_index),
     )
@@ -134,10 +133,8 @@ def summarise(dataset: datasets.AnyDataset) -> Summary:
         summary = replace(summary, labels={name: len(rows) for name, rows in dataset.by_label().items()})
     if dataset.has_column("object_id"):
         summary = replace(summary, objects=len(np.unique(dataset.int_column("object_id"))))
-    if dataset.has_column(dataset.pose_column):
-        share = float(touches.in_contact().mean())
-        rules = dict.fromkeys(map(str, dataset.contact_rules()))
-        summary = replace(summary, contact_share=share, contact_rule="; or ".join(rules))
+    if all(source.is_stored for source in dataset.contact_sources()):
+        summary = replace(summary, contact_share=float(touches.in_contact().mean()))
     if dataset.has_column("info.gel_id"):
         # Through all rounds, without their pictures: the gel is not a plain column.
         gels = Counter(str(record.info["gel_id"]) for _, record in dataset.rounds_without_media())

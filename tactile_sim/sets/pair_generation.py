@@ -27,14 +27,11 @@ from tactile_toolkit import generation, places, read, store, touch
 from tactile_toolkit.array_types import Float32, Float64
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonObject
-from tactile_toolkit.kind import lazy
 from tactile_toolkit.wording import with_count
 
 # One real touch in five has contact: 16 places in the cell fail 3 times in 100; then places on the object are
 # tried.
 _TRIES = 16
-_POSES = ("gel_pose_cell_frame.position", "gel_pose_cell_frame_seq.position")
-_contacts_by_image = lazy("realtouch:contacts_by_image")
 
 # Images of 256 x 256 pixels take some 100 MB then.
 _ROWS_PER_SHARD = 1000
@@ -66,11 +63,13 @@ def drawn_depth(spec: PairSetSpec, solid: Pressable, object_id: int, number: int
 def draw_touches(touches: read.RecordDataset[Any], spec: PairSetSpec, real: str) -> list[tuple[int, bool]]:
     """Draw touches with and without contact, each once, in the pattern of the other split."""
     assert spec.min_height_m is not None, "PairGenerator.of sets it"
-    if set(_POSES).isdisjoint(touches.column_names):
-        contact = _contacts_by_image(touches).contact
-        highest = "as their images show"
+    view: Any = touches
+    if not _have_heights(view.dataset):
+        contact = view.in_contact()
+        has_column = any(source.has_column for source in view.dataset.contact_sources())
+        highest = "as a column states" if has_column else "as their images show"
     else:
-        heights_m: Float64 = touches.heights_m()  # type: ignore[attr-defined]
+        heights_m: Float64 = view.heights_m()
         contact = heights_m >= spec.min_height_m
         highest = f"the highest {1e3 * heights_m.max(initial=0.0):.1f} mm above the plate"
     # A seed here, where `keyed_rng` has a key: the recorded sets were drawn so.
@@ -91,6 +90,11 @@ def draw_touches(touches: read.RecordDataset[Any], spec: PairSetSpec, real: str)
     touching_drawn = iter(np.sort(rng.permutation(touching)[:with_contact]).tolist())
     free_drawn = iter(np.sort(rng.permutation(free)[:without_contact]).tolist())
     return [(next(touching_drawn if flag else free_drawn), flag) for flag in flags]
+
+
+def _have_heights(rounds: Any) -> bool:
+    """Return whether heights of the gel decide about the contact of touches."""
+    return all(source.heights is not None for source in rounds.contact_sources())
 
 
 @dataclass(frozen=True)
@@ -124,7 +128,10 @@ class PairGenerator(generation.RowGenerator):
             raise InputError(f"split {split!r} of {objects!r} holds no mesh", next="choose another split")
         touches = KIND.load(sources[1], split)
         if spec.min_height_m is None:
-            spec = replace(spec, min_height_m=max(rule.min_height_m for rule in touches.contact_rules()))
+            least_m = touch.HeightRule.REAL_M
+            if _have_heights(touches):
+                least_m = max(source.heights.min_height_m for source in touches.contact_sources())
+            spec = replace(spec, min_height_m=least_m)
         unfinished = ", ".join(source.unfinished for source in sources if source.unfinished)
         return cls(spec, solids, real, split, touches.touches(), unfinished)
 

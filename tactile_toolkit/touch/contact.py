@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -24,6 +24,8 @@ _PLATES = {
 }
 # Only touches of `tactile-sim generate` have this column; their plate is at z = 0.
 _MADE_BY_US = "info.touched_object_pose.position"
+# Published sets, and those made from them, have such columns; imported ones have none.
+_PUBLISHED = "info."
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,11 +53,18 @@ class HeightRule:
     plate: Literal["known", "stored", "estimated"]
 
     @classmethod
-    def of(cls, columns: Container[str]) -> HeightRule:
-        """Return the rule for rounds with these columns, by dotted name."""
-        if _MADE_BY_US in columns:
+    def of(cls, columns: Iterable[str]) -> HeightRule | None:
+        """Return the rule for rounds with these columns, by dotted name.
+
+        None if heights do not decide: the rule of the published sets is theirs, and poses of other sets may
+        be those of another frame, or of a sensor on a finger.
+        """
+        names = set(columns)
+        if _MADE_BY_US in names:
             return cls(cls.RENDERED_M, "known")
-        return cls(cls.REAL_M, "stored" if cls.PLATE_COLUMN in columns else "estimated")
+        if not any(name.startswith(_PUBLISHED) for name in names):
+            return None
+        return cls(cls.REAL_M, "stored" if cls.PLATE_COLUMN in names else "estimated")
 
     @staticmethod
     def option(**option: JsonValue) -> checked_fields.Declared:
@@ -64,8 +73,8 @@ class HeightRule:
             None,
             optional=True,
             **option,
-            help="Height above the plate from which a touch counts as contact; 6 by default, and any height "
-            "for touches of `tactile-sim generate`.",
+            help="Height above the plate from which a touch counts as contact; by default 6 in published "
+            "sets, and any height for touches of `tactile-sim generate`.",
         )
 
     def __str__(self) -> str:

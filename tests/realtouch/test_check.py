@@ -313,6 +313,11 @@ def backwards(rows: Rows) -> None:
     times[8], times[9] = times[9], times[8]
 
 
+def other_rate(rows: Rows) -> None:
+    times = rows["train"][2]["time_stamp_rel_seq"][1]
+    times[:] = [times[0] + (time - times[0]) * 11 // 10 for time in times]
+
+
 def no_time(rows: Rows) -> None:
     rows["train"][2]["time_stamp_rel_seq"][1][4] = None
 
@@ -324,6 +329,7 @@ def no_time(rows: Rows) -> None:
         (jitter, {}),
         (backwards, {"times-run-back": ["2:1"]}),
         (no_time, {"times-run-back": ["2:1"]}),
+        (other_rate, {"two-clocks": ["2:1"]}),
     ],
 )
 def test_faults_of_times(edit: Callable[[Rows], None], found: object, tmp_path: Path) -> None:

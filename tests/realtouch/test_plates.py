@@ -1,4 +1,4 @@
-"""The height of the plate is kept when the touches that show it are removed."""
+"""How contact is known in a set; the height of the plate stays when touches that show it are removed."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from PIL import Image
 
 import realtouch
 from realtouch.contact import contact_heights_m
 from realtouch.touch_gallery import plan_gallery
 from realtouch.touch_previews import CONTACT, draw_grid
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import PRESS_DEPTH_M
 from tests.realtouch import factories
 from tests.realtouch.factories import RoundTruth
@@ -87,3 +89,63 @@ def test_a_rendered_round_without_a_stored_plate_has_the_known_one(truth, tmp_pa
     z_m = [each.row.contact_z_m("single") for each in dataset]
     expected = np.concatenate([z_m[0] - 0.001, z_m[1] - PRESS_DEPTH_M])
     np.testing.assert_array_equal(dataset.touches().heights_m(), expected)
+
+
+ROUND, TOUCHES = 4, 8
+PRESSED = [False, True, False, True, True, False, True, True]
+
+
+def recordings(folder: Path) -> Path:
+    """Write touches of a finger: their heights are no heights above a plate; some pictures show contact."""
+    folder.mkdir()
+    rng = np.random.default_rng(0)
+    lines = ["file,round_id,touched,gel_x_m,gel_y_m,gel_z_m,gel_qx,gel_qy,gel_qz,gel_qw"]
+    for number, is_pressed in enumerate(PRESSED):
+        pixels = np.full((48, 64, 3), 90, np.uint8) + rng.integers(0, 3, (48, 64, 3), np.uint8)
+        if is_pressed:
+            top, left = 14 + 3 * (number % ROUND), 18 + 4 * (number % ROUND)
+            pixels[top : top + 9, left : left + 9] += 60
+        Image.fromarray(pixels).save(folder / f"{number}.png")
+        lines.append(f"{number}.png,{number // ROUND},{is_pressed},0.1,0,{0.3 + 0.001 * number},0,0,0,1")
+    (folder / "touches.csv").write_text("\n".join(lines))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("mapped", "rule"),
+    [
+        ((), "the picture differs from the background"),
+        (("pose=",), "the picture differs from the background"),
+        (("in_contact=touched",), "the column 'extra.in_contact' is true"),
+    ],
+    ids=["poses", "pictures", "column"],
+)
+def test_contact_of_sets_of_others_is_not_that_of_the_published_sets(mapped, rule, tmp_path, capsys) -> None:
+    columns = realtouch.ImportColumns().with_mapped(mapped)
+    spec = realtouch.ImportSpec(columns=columns)
+    realtouch.import_touches(recordings(tmp_path / "takes"), tmp_path / "set", spec)
+    rounds = realtouch.load(tmp_path / "set")
+    touches = rounds.touches()
+    assert touches.in_contact().tolist() == PRESSED
+    assert len(touches.with_contact()) == sum(PRESSED)
+    assert (touches + touches).in_contact().tolist() == 2 * PRESSED
+    is_stored = "column" in rule
+    summary = realtouch.summarise(rounds)
+    assert (summary.contact_rule or "").startswith(rule)
+    assert summary.contact_share == (sum(PRESSED) / TOUCHES if is_stored else None)
+    assert rule in (tmp_path / "set" / "README.md").read_text()
+    items = [item for task in plan_gallery(str(tmp_path / "set")).tasks for item in task.make()]
+    shown = [(item.values["in_contact"], item.values["contact"]) for item in items]
+    assert shown == ([(2, "half or fewer"), (3, "more than half")] if is_stored else [(None, "unknown")] * 2)
+    assert (draw_grid(rounds[0], 4) == CONTACT).all(axis=2).any() == is_stored
+    realtouch.select(tmp_path / "set", tmp_path / "some", contact=True)
+    assert "plate_z_m" not in realtouch.load(tmp_path / "some").column_names
+    assert realtouch.load(tmp_path / "some").touch_counts.tolist() == [2, 3]
+    with pytest.raises(InputError, match="heights do not decide"):
+        touches.in_contact(recalibrate_z=False)
+    with pytest.raises(InputError, match=r"min_height_m is nan; expected a number, finite"):
+        touches.with_contact(float("nan"))
+    if "pose=" not in mapped:  # a height that the user states counts above the deepest touch
+        assert touches.with_contact(0.002).touch_indices.tolist() == [2, 3, 2, 3]
+    with pytest.raises(InputError, match=r"'pos_in_cell'; next: import it again with --map position=COLUMN"):
+        _ = touches[0].pos_in_cell_m

@@ -288,6 +288,33 @@ def takes(tmp_path: Path) -> Path:
     return home
 
 
+def test_a_camera_that_delivers_another_rate_than_its_file_states(tmp_path: Path) -> None:
+    """36 pictures in two seconds, 18 a second; the header says 25."""
+    home = tmp_path / "takes"
+    home.mkdir()
+    made = MadeRecording(36, [(15, 25)], noise=1.0)
+    frames = [encode_image(made.picture(frame)) for frame in range(36)]
+    (home / "take1.avi").write_bytes(write_avi(frames, SIZE[1], SIZE[0], 25.0))
+    gauge_s = np.arange(200) / 100
+    stream(home, {"time_s": gauge_s, "gauge_s": gauge_s}, "take1.arm.csv")
+    with pytest.raises(InputError, match=r"lasts 1\.99 s, the 36 pictures of 'take1' 1\.40 s at the 25 p"):
+        realtouch.import_touches(home, tmp_path / "refused")
+    assert not (tmp_path / "refused").exists()
+    # The second remedy is for cameras that deliver the rate of the file.
+    tolerant = realtouch.ImportSpec(alignment=Alignment(duration_tolerance=0.43))
+    realtouch.import_touches(home, tmp_path / "tolerant", tolerant)
+    (touch,) = realtouch.load(tmp_path / "tolerant").touches()
+    assert touch.clip.timestamps_s[-1] == pytest.approx(1.4)
+    # The first remedy: a table with a row for each picture; other streams follow its clock.
+    stream(home, {"time_s": np.arange(36) / 18, "row": np.arange(36)}, "take1.csv")
+    realtouch.import_touches(home, tmp_path / "out")
+    (touch,) = realtouch.load(tmp_path / "out").touches()
+    assert touch.extra["row"].tolist() == list(range(36))
+    np.testing.assert_allclose(touch.clip.timestamps_s, np.arange(36) / 18, atol=1e-6)
+    np.testing.assert_allclose(touch.extra["gauge_s"], np.arange(36) / 18, atol=0.0051)
+    assert touch.clip.fps == pytest.approx(18, rel=1e-3)
+
+
 @pytest.mark.parametrize("cut", ["whole", "contact", "frames", "table"])
 def test_streams_become_extra_columns_of_touches(cut: str, takes: Path, tmp_path: Path) -> None:
     if cut == "table":
