@@ -40,7 +40,9 @@ def plain(frames: int = 50, name: str = "take1", **more: Any) -> Recording:
 CONTACTS = [(20, 34), (60, 99), (150, 155), (300, 330), (440, 470)]
 
 
-@pytest.mark.parametrize(("dimmed", "noise"), [(1.0, 0.5), (0.7, 3.0)])
+@pytest.mark.parametrize(
+    ("dimmed", "noise"), [(0.7, 3.0), pytest.param(1.0, 0.5, marks=pytest.mark.thorough)]
+)
 def test_contacts_are_found_at_the_frames_of_the_truth(dimmed: float, noise: float) -> None:
     made = MadeRecording(500, CONTACTS, dimmed, noise)
     cutter = Cutter("contact", made.contents)

@@ -186,7 +186,7 @@ def test_a_tilted_sensor_agrees_with_rays(env_id, solids):
     }
     env = make_vector(env_id, assets=solids, num_envs=6, config=config)
     tilted, off_edge, on_object = 0, 0, 0
-    for seed in range(3):
+    for seed in range(2):
         _, info = env.reset(seed=seed)
         for row, (pose, depth_m) in enumerate(zip(info["sensor_pose"], info["depth"], strict=True)):
             seen_m = _seen_by_rays(env, row, pose[:3, :3], pose[:3, 3])
@@ -199,7 +199,7 @@ def test_a_tilted_sensor_agrees_with_rays(env_id, solids):
             tilted += pose[2, 2] < 0.95
             off_edge += (~hit).any()
             on_object += np.ptp(depth_m) > GEL_M
-    assert tilted > 6
+    assert tilted > 4
     assert off_edge
     assert on_object
 
@@ -299,22 +299,25 @@ def test_a_first_touch_may_be_a_pose(solids):
     np.testing.assert_allclose(slid[:2, 3], 0, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("start", "turns", "words"),
-    [
-        (Rotation.from_euler("x", 0.9).as_matrix(), True, "tilts sensor 0 by 0.9000 rad; expected at most"),
-        (Rotation.from_euler("x", 0.1).as_matrix(), False, "turns sensor 0, which stays upright"),
-        (np.diag([1.0, 1.0, -1.0]), True, "a pose: a matrix of 4 x 4"),
-        (2 * np.eye(3), True, "a pose: a matrix of 4 x 4"),
-        (np.full((3, 3), np.nan), True, "a pose: a matrix of 4 x 4"),
-    ],
-)
-def test_invalid_poses_are_named(start, turns, words, solids):
-    env = make_vector(VOLUME, assets=solids, config={"allow_sensor_rotation": turns})
-    matrix = np.eye(4)
-    matrix[:3, :3] = start
-    with pytest.raises(InputError, match=words):
-        env.reset(options={"initial_sensor_target_pose": [matrix]})
+def test_invalid_poses_are_named(solids):
+    upright, tilting = (
+        make_vector(VOLUME, assets=solids, config={"allow_sensor_rotation": turns}) for turns in (False, True)
+    )
+    for env, start, words in (
+        (
+            tilting,
+            Rotation.from_euler("x", 0.9).as_matrix(),
+            "tilts sensor 0 by 0.9000 rad; expected at most",
+        ),
+        (upright, Rotation.from_euler("x", 0.1).as_matrix(), "turns sensor 0, which stays upright"),
+        (tilting, np.diag([1.0, 1.0, -1.0]), "a pose: a matrix of 4 x 4"),
+        (tilting, 2 * np.eye(3), "a pose: a matrix of 4 x 4"),
+        (tilting, np.full((3, 3), np.nan), "a pose: a matrix of 4 x 4"),
+    ):
+        matrix = np.eye(4)
+        matrix[:3, :3] = start
+        with pytest.raises(InputError, match=words):
+            env.reset(options={"initial_sensor_target_pose": [matrix]})
 
 
 def test_invalid_turns_are_named(solids):

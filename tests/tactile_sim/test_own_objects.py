@@ -282,7 +282,7 @@ def test_a_sensor_is_named_or_read_from_a_file(tmp_path: Path, capsys: Any) -> N
 
 def test_depth_images_have_grey_noise_of_the_requested_deviation(tmp_path: Path) -> None:
     noise = tactile_sim.SensorNoise.named("0.02")
-    plan = tactile_sim.TouchPlan(4, 4, "object", seed=1, turn_rad=0.0)
+    plan = tactile_sim.TouchPlan(2, 3, "object", seed=1, turn_rad=0.0)
     clean = tactile_sim.TouchSetSpec((64, 64), "depth", plan=plan, image_format="png")
     noisy = tactile_sim.TouchSetSpec((64, 64), "depth", plan=plan, image_format="png", noise=noise)
     solids = {"ball": ball(0.01), "larger": ball(0.02)}
