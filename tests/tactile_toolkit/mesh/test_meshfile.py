@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import zipfile
 from pathlib import Path
 
 import manifold3d
@@ -13,10 +12,7 @@ import pytest
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh, MeshFile, inspect, read_mesh, write_mesh
-from tactile_toolkit.mesh.files import unpack_mesh
 from tactile_toolkit.mesh.mesh import merge_equal_vertices
-
-CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
 
 
 @pytest.fixture(scope="module")
@@ -96,46 +92,6 @@ def test_ctrl_c_leaves_nothing_behind(ring: Mesh, tmp_path: Path, monkeypatch: p
     assert list(tmp_path.iterdir()) == []
 
 
-def model_3mf(path: Path, unit: str, resources: str, build: str) -> None:
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr(
-            "3D/3dmodel.model",
-            f'<model unit="{unit}" xmlns="{CORE}"><resources>{resources}</resources>'
-            f"<build>{build}</build></model>",
-        )
-
-
-TETRAHEDRON = (
-    '<object id="1" type="model"><mesh><vertices><vertex x="0" y="0" z="0"/><vertex x="1" y="0" z="0"/>'
-    '<vertex x="0" y="1" z="0"/><vertex x="0" y="0" z="1"/></vertices><triangles>'
-    '<triangle v1="0" v2="2" v3="1"/><triangle v1="0" v2="1" v3="3"/><triangle v1="0" v2="3" v3="2"/>'
-    '<triangle v1="1" v2="2" v3="3"/></triangles></mesh></object>'
-)
-
-
-@pytest.mark.parametrize(
-    ("unit", "mm"), [("millimeter", 1), ("inch", 25.4), ("meter", 1000), ("micron", 0.001)]
-)
-def test_3mf_is_read_in_its_own_unit(unit: str, mm: float, tmp_path: Path) -> None:
-    model_3mf(tmp_path / "a.3mf", unit, TETRAHEDRON, '<item objectid="1"/>')
-    found = unpack_mesh((tmp_path / "a.3mf").read_bytes(), ".3mf")
-    assert np.ptp(found.bounds_m, axis=0) == pytest.approx([mm / 1000] * 3)
-
-
-def test_3mf_places_components_and_items(tmp_path: Path) -> None:
-    pair = (
-        '<object id="2"><components><component objectid="1"/>'
-        '<component objectid="1" transform="-1 0 0 0 1 0 0 0 1 -5 0 0"/></components></object>'
-    )
-    item = '<item objectid="2" transform="2 0 0 0 2 0 0 0 2 0 0 7"/>'
-    model_3mf(tmp_path / "pair.3mf", "millimeter", TETRAHEDRON + pair, item)
-    mesh = read_mesh(tmp_path / "pair.3mf")
-    report = inspect(mesh)
-    assert (report.is_solid, report.bodies) == (True, 2)
-    assert report.volume_mm3 == pytest.approx(2 * 8 / 6)
-    assert mesh.bounds_m * 1000 == pytest.approx(np.array([[-12, 0, 7], [2, 2, 9]]))
-
-
 def test_merging_keeps_the_order_and_the_triangles() -> None:
     corners = np.array([[1, 0, 0], [0, 0, 0], [0, 1, 0], [0, -0.0, 0], [1, 0, 0], [0, 0, 1.0]])
     vertices, faces = merge_equal_vertices(corners, np.array([[0, 1, 2], [3, 4, 5]]))
@@ -153,77 +109,6 @@ def test_the_name_of_a_binary_file_may_begin_as_a_text_does(ring: Mesh, tmp_path
     data = (tmp_path / "a.stl").read_bytes()
     (tmp_path / "a.stl").write_bytes(b"solid facet".ljust(80) + data[80:])
     assert inspect(read_mesh(tmp_path / "a.stl")).is_solid
-
-
-PRODUCTION = "http://schemas.microsoft.com/3dmanufacturing/production/2015/06"
-BODY = TETRAHEDRON.replace('x="1"', 'x="2"').replace('y="1"', 'y="2"').replace('z="1"', 'z="2"')
-
-
-def package(path: Path, component: str, **parts: str) -> Path:
-    """Write a 3MF file as Bambu Studio does: objects are in models of their own."""
-    whole = f'<object id="2" type="model"><components>{component}</components></object>'
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr(
-            "3D/3dmodel.model",
-            f'<model unit="millimeter" xmlns="{CORE}" xmlns:p="{PRODUCTION}" requiredextensions="p">'
-            f'<resources>{whole}</resources><build><item objectid="2" '
-            'transform="1 0 0 0 1 0 0 0 1 10 0 0"/></build></model>',
-        )
-        for name, unit in parts.items():
-            archive.writestr(
-                f"3D/Objects/{name}.model",
-                f'<model unit="{unit}" xmlns="{CORE}"><resources>{BODY}</resources><build/></model>',
-            )
-    return path
-
-
-def test_objects_in_models_of_their_own_are_found(tmp_path: Path) -> None:
-    component = '<component p:path="/3D/Objects/a.model" objectid="1" transform="1 0 0 0 1 0 0 0 1 0 5 0"/>'
-    found = read_mesh(package(tmp_path / "a.3mf", component, a="millimeter", b="inch"))
-    assert found.bounds_m * 1e3 == pytest.approx(np.array([[10, 5, 0], [12, 7, 2]]))
-    assert inspect(found).is_solid
-
-
-def test_objects_in_another_unit_than_that_of_the_root_are_refused(tmp_path: Path) -> None:
-    """lib3mf uses the unit of the root for all models; in the specification, each model has its own."""
-    component = '<component p:path="/3D/Objects/a.model" objectid="1"/>'
-    with pytest.raises(InputError, match=r"/3d/objects/a\.model is in cm, and /3d/3dmodel\.model in mm"):
-        read_mesh(package(tmp_path / "a.3mf", component, a="centimeter"))
-
-
-@pytest.mark.parametrize(
-    ("component", "words"),
-    [
-        (
-            '<component p:path="/3D/Objects/none.model" objectid="1"/>',
-            "holds no object '1' of /3d/objects/none.model",
-        ),
-        ('<component p:path="../../../../etc/passwd" objectid="1"/>', "holds no"),
-        (
-            '<component p:path="/3D/Objects/a.model" objectid="9"/>',
-            "holds no object '9' of /3d/objects/a.model",
-        ),
-        ('<component p:path="/3D/3dmodel.model" objectid="2"/>', "holds itself"),
-        ('<component objectid="2"/>' * 2, "holds itself"),
-    ],
-)
-def test_paths_to_missing_parts_of_a_package_are_named(component: str, words: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=words):
-        read_mesh(package(tmp_path / "a.3mf", component, a="millimeter"))
-
-
-def test_packages_without_a_model_or_with_invalid_numbers(tmp_path: Path) -> None:
-    path = tmp_path / "a.3mf"
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("[Content_Types].xml", "<Types/>")
-    with pytest.raises(InputError, match=r"a\.3mf.*holds no \.model file"):
-        read_mesh(path)
-    far = BODY.replace('v1="1"', f'v1="{2**32}"')
-    with zipfile.ZipFile(path, "w") as archive:
-        model = f'<model unit="millimeter" xmlns="{CORE}"><resources>{far}</resources>'
-        archive.writestr("3D/3dmodel.model", f'{model}<build><item objectid="1"/></build></model>')
-    with pytest.raises(InputError, match=r"a\.3mf: not a readable 3MF file"):
-        read_mesh(path)
 
 
 def test_meshes_of_trimesh_and_records_are_accepted(ring: Mesh, tmp_path: Path) -> None:

@@ -10,9 +10,12 @@ import pytest
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh, inspect, read_mesh
+from tactile_toolkit.mesh.files import unpack_mesh
 from tests.tactile_toolkit.mesh.solid_files import cube, outcome_of
 
 CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
+PRODUCTION = "http://schemas.microsoft.com/3dmanufacturing/production/2015/06"
+IN_PARTS = f'xmlns:p="{PRODUCTION}" requiredextensions="p"'
 
 
 def mesh_xml(*meshes: Mesh) -> str:
@@ -27,13 +30,15 @@ def mesh_xml(*meshes: Mesh) -> str:
     return f"<mesh><vertices>{vertices}</vertices><triangles>{faces}</triangles></mesh>"
 
 
-def package(path: Path, resources: str, build: str, head: str = "", **files: str) -> Path:
+def package(
+    path: Path, resources: str, build: str, head: str = "", unit: str = "millimeter", **files: str
+) -> Path:
     with zipfile.ZipFile(path, "w") as archive:
         for name, text in files.items():
             archive.writestr(name, text)
         archive.writestr(
             "3D/3dmodel.model",
-            f'<model unit="millimeter" xmlns="{CORE}" {head}><resources>{resources}</resources>'
+            f'<model unit="{unit}" xmlns="{CORE}" {head}><resources>{resources}</resources>'
             f"<build>{build}</build></model>",
         )
     return path
@@ -82,7 +87,6 @@ def test_volumes_of_prusaslicer_that_are_not_the_object(kind: str, tmp_path: Pat
 )
 def test_parts_of_bambu_studio(subtype: str, found: float | str, tmp_path: Path) -> None:
     """Bambu Studio stores the parts in a model of their own, and their purpose in a file of settings."""
-    production = "http://schemas.microsoft.com/3dmanufacturing/production/2015/06"
     parts = f'<object id="1">{mesh_xml(cube())}</object><object id="2">{mesh_xml(BESIDE)}</object>'
     files = {
         "3D/Objects/object_1.model": f'<model unit="millimeter" xmlns="{CORE}"><resources>{parts}</resources>'
@@ -93,8 +97,7 @@ def test_parts_of_bambu_studio(subtype: str, found: float | str, tmp_path: Path)
     path = 'p:path="/3D/Objects/object_1.model"'
     whole = f'<object id="8" type="model"><components><component {path} objectid="1"/>'
     whole += f'<component {path} objectid="2"/></components></object>'
-    head = f'xmlns:p="{production}" requiredextensions="p"'
-    outcome = outcome_of(package(tmp_path / "a.3mf", whole, '<item objectid="8"/>', head, **files))
+    outcome = outcome_of(package(tmp_path / "a.3mf", whole, '<item objectid="8"/>', IN_PARTS, **files))
     assert found in outcome if isinstance(found, str) else outcome == pytest.approx(found)
 
 
@@ -166,3 +169,91 @@ def test_relations_name_the_root_model(tmp_path: Path) -> None:
     files["_rels/.rels"] = relations.replace("3dmodel.model", "none.model")
     with pytest.raises(InputError, match=r"holds no model /3d/none\.model"):
         read_mesh(package(tmp_path / "a.3mf", TWO, ITEM, **files))
+
+
+TETRAHEDRON = (
+    '<object id="1" type="model"><mesh><vertices><vertex x="0" y="0" z="0"/><vertex x="1" y="0" z="0"/>'
+    '<vertex x="0" y="1" z="0"/><vertex x="0" y="0" z="1"/></vertices><triangles>'
+    '<triangle v1="0" v2="2" v3="1"/><triangle v1="0" v2="1" v3="3"/><triangle v1="0" v2="3" v3="2"/>'
+    '<triangle v1="1" v2="2" v3="3"/></triangles></mesh></object>'
+)
+
+
+@pytest.mark.parametrize(
+    ("unit", "mm"), [("millimeter", 1), ("inch", 25.4), ("meter", 1000), ("micron", 0.001)]
+)
+def test_a_model_is_read_in_its_own_unit(unit: str, mm: float, tmp_path: Path) -> None:
+    path = package(tmp_path / "a.3mf", TETRAHEDRON, ITEM, unit=unit)
+    found = unpack_mesh(path.read_bytes(), ".3mf")
+    assert np.ptp(found.bounds_m, axis=0) == pytest.approx([mm / 1000] * 3)
+
+
+def test_components_and_items_are_placed(tmp_path: Path) -> None:
+    pair = (
+        '<object id="2"><components><component objectid="1"/>'
+        '<component objectid="1" transform="-1 0 0 0 1 0 0 0 1 -5 0 0"/></components></object>'
+    )
+    item = '<item objectid="2" transform="2 0 0 0 2 0 0 0 2 0 0 7"/>'
+    mesh = read_mesh(package(tmp_path / "pair.3mf", TETRAHEDRON + pair, item))
+    report = inspect(mesh)
+    assert (report.is_solid, report.bodies) == (True, 2)
+    assert report.volume_mm3 == pytest.approx(2 * 8 / 6)
+    assert mesh.bounds_m * 1000 == pytest.approx(np.array([[-12, 0, 7], [2, 2, 9]]))
+
+
+def with_parts(path: Path, component: str, **units: str) -> Path:
+    """Write a file as Bambu Studio does: objects are in models of their own, here each in its unit."""
+    body = TETRAHEDRON.replace('x="1"', 'x="2"').replace('y="1"', 'y="2"').replace('z="1"', 'z="2"')
+    parts = {
+        f"3D/Objects/{name}.model": f'<model unit="{unit}" xmlns="{CORE}"><resources>{body}</resources>'
+        "<build/></model>"
+        for name, unit in units.items()
+    }
+    whole = f'<object id="2" type="model"><components>{component}</components></object>'
+    item = '<item objectid="2" transform="1 0 0 0 1 0 0 0 1 10 0 0"/>'
+    return package(path, whole, item, IN_PARTS, **parts)
+
+
+def test_objects_in_models_of_their_own_are_found(tmp_path: Path) -> None:
+    component = '<component p:path="/3D/Objects/a.model" objectid="1" transform="1 0 0 0 1 0 0 0 1 0 5 0"/>'
+    found = read_mesh(with_parts(tmp_path / "a.3mf", component, a="millimeter", b="inch"))
+    assert found.bounds_m * 1e3 == pytest.approx(np.array([[10, 5, 0], [12, 7, 2]]))
+    assert inspect(found).is_solid
+
+
+A_MODEL = 'p:path="/3D/Objects/a.model"'
+
+
+@pytest.mark.parametrize(
+    ("component", "unit", "words"),
+    [
+        # lib3mf uses the unit of the root for all models; in the specification, each model has its own.
+        (
+            f"{A_MODEL} objectid='1'",
+            "centimeter",
+            r"/3d/objects/a\.model is in cm, and /3d/3dmodel\.model in mm",
+        ),
+        (
+            'p:path="/3D/Objects/none.model" objectid="1"',
+            "millimeter",
+            "holds no object '1' of /3d/objects/none.model",
+        ),
+        ('p:path="../../../../etc/passwd" objectid="1"', "millimeter", "holds no"),
+        (f'{A_MODEL} objectid="9"', "millimeter", "holds no object '9' of /3d/objects/a.model"),
+        ('p:path="/3D/3dmodel.model" objectid="2"', "millimeter", "holds itself"),
+        ('objectid="2"', "millimeter", "holds itself"),
+    ],
+)
+def test_components_that_cannot_be_placed_are_named(component, unit, words, tmp_path):
+    with pytest.raises(InputError, match=words):
+        read_mesh(with_parts(tmp_path / "a.3mf", f"<component {component}/>", a=unit))
+
+
+def test_packages_without_a_model_or_with_invalid_numbers(tmp_path: Path) -> None:
+    path = tmp_path / "a.3mf"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("[Content_Types].xml", "<Types/>")
+    with pytest.raises(InputError, match=r"a\.3mf.*holds no \.model file"):
+        read_mesh(path)
+    with pytest.raises(InputError, match=r"a\.3mf: not a readable 3MF file"):
+        read_mesh(package(path, TETRAHEDRON.replace('v1="1"', f'v1="{2**32}"'), ITEM))
