@@ -159,7 +159,7 @@ def solidify(
         ending=f".{file_format}",
         preview=preview,
     )
-    with sink.progress("checking" if job.dry_run else "run_options", "files") as update:
+    with sink.progress("checking" if job.dry_run else "making", "files") as update:
         made = mnist3d.print_pictures(
             *(pictures, out, spec),
             overwrite=job.overwrite,

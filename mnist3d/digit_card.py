@@ -244,7 +244,7 @@ def source_words(name: str) -> dict[str, str]:
 def source_description(words: Mapping[str, str], fingerprint: JsonObject) -> str:
     """Describe a source with its fingerprint."""
     fields = dict(fingerprint)
-    if words["name"] == "mnist":  # its files are in parts, train and test
+    if "parts" in fields:
         fields["images"] = sum(part["images"] for part in fields["parts"])
         fields["marks"] = ", ".join(f"`{part['images_sha256']:.12}`" for part in fields["parts"])
     return f"`{words['name']}`: {words['text'].format(**fields)}"

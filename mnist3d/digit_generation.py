@@ -14,7 +14,7 @@ import pyarrow as pa
 from mnist3d import digit_options, digit_records
 from mnist3d.kind import KIND
 from mnist3d.solid import algorithm
-from mnist3d.sources import digit_arrays, digit_source, picture_folder, synthetic
+from mnist3d.sources import digit_arrays, digit_source, digit_tables, picture_folder, synthetic
 from tactile_toolkit import generation, mesh, store
 from tactile_toolkit.array_types import Int64
 from tactile_toolkit.checked_fields import check_fields, integer
@@ -25,6 +25,7 @@ _NEEDED = {
     "synthetic": (),
     "hwdplus": ("images", "writer_info"),
     "mnist": ("images",),
+    "table": ("images",),
     "folder": ("images",),
 }
 """Options without which a source cannot be made."""
@@ -33,6 +34,7 @@ _FIELDS = {
     "synthetic": {"digits": "count"},
     "hwdplus": {"images": "images", "writer_info": "writer_info", "writer_column": "writer_column"},
     "mnist": {"images": "root"},
+    "table": {"images": "root"},
     "folder": {"images": "root", "foreground": "ink", "threshold": "threshold"},
 }
 """Fields of each source, by option."""
@@ -41,6 +43,7 @@ _SOURCES: dict[str, Callable[..., digit_source.DigitSource]] = {
     "synthetic": synthetic.SyntheticSource,
     "hwdplus": digit_arrays.HwdPlusSource,
     "mnist": digit_arrays.MnistSource,
+    "table": digit_tables.TableSource,
     "folder": picture_folder.FolderSource,
 }
 

@@ -47,7 +47,7 @@ LARGEST_HALF_THICKNESS_PX = 100
 MAX_DIGITS = 1_000_000_000
 """Largest number of digits of a source or a split."""
 
-SOURCES = ("synthetic", "hwdplus", "mnist", "folder")
+SOURCES = ("synthetic", "hwdplus", "mnist", "table", "folder")
 
 # A relief on a plate is as thick as the upper half of a solid without one.
 _THICKNESS_MM = 8.0
@@ -344,10 +344,10 @@ class SourceOptions:
 
     images: str | None = text(
         metavar="PATH",
-        needs="source=hwdplus|mnist|folder",
+        needs="source=hwdplus|mnist|table|folder",
         panel="Images",
-        help="Images of the source: the .npy file of HWD+, the folder of the MNIST files, or a folder of "
-        "pictures DIR/<class>/*.png.",
+        help="Images of the source: the .npy file of HWD+, the folder of the MNIST files, a CSV, NPY or NPZ "
+        "file like MNIST or a folder of them, or a folder of pictures DIR/<class>/*.png.",
     )
     writer_info: str | None = text(
         metavar="FILE",

@@ -9,5 +9,6 @@ from .digit_arrays import (
     HwdPlusSource as HwdPlusSource,
     MnistSource as MnistSource,
 )
+from .digit_tables import TableSource as TableSource
 from .picture_folder import FolderSource as FolderSource
 from .synthetic import SyntheticSource as SyntheticSource

@@ -8,6 +8,8 @@ import struct
 import sys
 import warnings
 import zlib
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from functools import lru_cache
@@ -26,6 +28,9 @@ from tactile_toolkit.array_types import AnyArray, Int64, UInt8
 from tactile_toolkit.columns.known_formats import KnownFormat
 from tactile_toolkit.errors import HubError, InputError, needs_extra
 from tactile_toolkit.wording import with_count
+
+SIDE_PX = 28
+"""Side of the images of MNIST."""
 
 _SCALE_SAMPLE = 16
 _FINGERPRINT_SAMPLE = 64
@@ -144,14 +149,22 @@ class HwdPlusSource:
 @lru_cache(maxsize=4)
 def _full_scale(path: str, stamp: tuple[int, int]) -> float:
     stack = open_npy(path)
-    if stack.dtype.kind == "b":
+    return scale_of(stack[row] for row in _evenly_spaced(len(stack), _SCALE_SAMPLE))
+
+
+def scale_of(images: Iterable[AnyArray]) -> float:
+    """Return the level of white of images of one type: 1 or 255.
+
+    It is 1 for bool, and for floats if the brightest pixels of the images have a median of at most 1.
+    """
+    sample = [np.asarray(image) for image in images]
+    if sample[0].dtype.kind == "b":
         return 1.0
-    if stack.dtype.kind in "iu":
+    if sample[0].dtype.kind in "iu":
         return 255.0
     # The median, as a single image may be damaged or hold no paper.
-    values = (stack[row] for row in _evenly_spaced(len(stack), _SCALE_SAMPLE))
-    brightest = [float(np.max(image, where=np.isfinite(image), initial=-np.inf)) for image in values]
-    finite = [image for image in brightest if image > -np.inf]
+    brightest = [float(np.max(image, where=np.isfinite(image), initial=-np.inf)) for image in sample]
+    finite = [level for level in brightest if level > -np.inf]
     # Half a grey level of slack: rounding may have left white a little above 1.
     if finite and float(np.median(finite)) <= 1 + 0.5 / 255:
         return 1.0
@@ -172,7 +185,7 @@ def _labels_and_writers(path: str, stamp: tuple[int, int], writer_column: int | 
             next="give the file 'WriterInfo.npy' of HWD+",
         )
     table = np.array(cells).reshape(len(cells), -1)
-    labels = _int_column(table, 0, path, 9)
+    labels = int_column(table, 0, path, 9)
     writers = np.full(len(table), NO_WRITER, np.int64)
     if writer_column is not None:
         if not 1 <= writer_column < table.shape[1]:
@@ -181,13 +194,13 @@ def _labels_and_writers(path: str, stamp: tuple[int, int], writer_column: int | 
                 f"{with_count(table.shape[1], 'columns')}; expected one after column 0, which is the digit",
                 next="change --writer-column, or leave it out",
             )
-        writers = _int_column(table, writer_column, path)
+        writers = int_column(table, writer_column, path)
     for shared in (labels, writers):
         shared.flags.writeable = False
     return labels, writers
 
 
-def _int_column(table: AnyArray, column: int, path: str, most: float = np.inf) -> Int64:
+def int_column(table: AnyArray, column: int, path: str, most: float = np.inf) -> Int64:
     """Return a column of numbers, or of strings of digits, as integers.
 
     ``most`` is 9 for a column of digits, which are not negative.
@@ -240,34 +253,21 @@ def _stamp(path: str) -> tuple[int, int]:
 
 
 @dataclass(frozen=True, slots=True)
-class MnistSource:
-    """The IDX files of MNIST, plain or gzipped, as LeCun names them.
+class SmallImages(ABC):
+    """A source of images of 28 x 28 pixels, light on black, in parts of images and labels.
 
-    The files may be in the folder itself, in ``MNIST/raw`` (where torchvision puts them) or in ``raw``, with
-    a dot or a hyphen before ``idx``. The 28 x 28 images are inverted to dark ink on white paper and enlarged
-    to 500 x 500 px with smooth outlines. The median width of ink is 44 px, digits are about 355 px tall.
-
-    Parameters
-    ----------
-    root : str
-        The folder.
-
-    Notes
-    -----
-    Ids count from 0 in the order of the files: 0 to 59,999 are the training digits, 60,000 to 69,999 the
-    test digits. If there is one part only, its ids begin at 0. Writers are unknown. Each process holds the
-    small images: 47 MB for training, 8 MB for test.
+    They are inverted to dark ink on white paper and enlarged to 500 x 500 px with smooth outlines. Ids count
+    from 0 through the parts.
     """
 
-    name: ClassVar[str] = "mnist"
-    """Word that selects this source on the command line."""
+    name: ClassVar[str]
 
     root: str
 
     def catalog(self) -> DigitCatalog:
         """Read and check the files and return ids and labels.
 
-        Raises InputError when files are missing, damaged, not MNIST, or do not belong together.
+        Raises InputError when files are missing, damaged, or do not belong together.
         """
         labels = np.concatenate([labels for _, labels in self._parts()]).astype(np.int64)
         return DigitCatalog(np.arange(len(labels)), labels, np.full_like(labels, NO_WRITER))
@@ -301,6 +301,34 @@ class MnistSource:
         ]
         return {"name": self.name, "parts": parts}
 
+    @abstractmethod
+    def _parts(self) -> list[Part]:
+        """Return images and labels; InputError if they cannot be read."""
+
+
+@dataclass(frozen=True, slots=True)
+class MnistSource(SmallImages):
+    """The IDX files of MNIST, plain or gzipped, as LeCun names them.
+
+    The files may be in the folder itself, in ``MNIST/raw`` (where torchvision puts them) or in ``raw``, with
+    a dot or a hyphen before ``idx``. The 28 x 28 images are inverted to dark ink on white paper and enlarged
+    to 500 x 500 px with smooth outlines. The median width of ink is 44 px, digits are about 355 px tall.
+
+    Parameters
+    ----------
+    root : str
+        The folder.
+
+    Notes
+    -----
+    Ids count from 0 in the order of the files: 0 to 59,999 are the training digits, 60,000 to 69,999 the
+    test digits. If there is one part only, its ids begin at 0. Writers are unknown. Each process holds the
+    small images: 47 MB for training, 8 MB for test.
+    """
+
+    name: ClassVar[str] = "mnist"
+    """Word that selects this source on the command line."""
+
     def _parts(self) -> list[Part]:
         parts = []
         # One file of a pair selects the part, so that an error names the missing one.
@@ -324,7 +352,8 @@ class MnistSource:
         raise InputError(
             f"{self.root}: found {content}, expected {prefix}-{kind}-{_KINDS[kind]} or the same with .gz, "
             "there or in MNIST/raw",
-            next="check the folder, or fetch the files with --download",
+            next="check the folder, fetch the files with --download, or give CSV, NPY or NPZ to "
+            "--source table",
         )
 
 
@@ -360,8 +389,8 @@ def _find(root: str, prefix: str, kind: str) -> Path | None:
 @lru_cache(maxsize=4)
 def _read_pair(images_path: Path, labels_path: Path, _images_ns: int, _labels_ns: int) -> Part:
     images, labels = read_idx(images_path, IMAGES_MAGIC), read_idx(labels_path, LABELS_MAGIC)
-    if images.shape[1:] != (28, 28):
-        raise _unusable(images_path, f"images of {images.shape[1:]} pixels", "(28, 28)")
+    if images.shape[1:] != (SIDE_PX, SIDE_PX):
+        raise _unusable(images_path, f"images of {images.shape[1:]} pixels", (SIDE_PX, SIDE_PX))
     if not len(images) == len(labels) > 0:
         counted = with_count(len(labels), "labels"), with_count(len(images), "images")
         content = f"{' for '.join(counted)} of {images_path.name}"

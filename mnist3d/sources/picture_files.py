@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import functools
+import io
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cache
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError, features
@@ -25,13 +27,19 @@ from mnist3d.ink.grey_levels import (
     require_paper_around,
     unlike_paper,
 )
-from tactile_toolkit import store, touch
+from tactile_toolkit import cache, store, touch
 from tactile_toolkit.array_types import Bool, UInt8
-from tactile_toolkit.cache import require_unpackable
-from tactile_toolkit.columns.known_formats import KnownFormat
-from tactile_toolkit.errors import InputError, ItemError, ToolkitError, install_line
+from tactile_toolkit.columns.known_formats import START_BYTES, KnownFormat
+from tactile_toolkit.errors import (
+    InputError,
+    ItemError,
+    MissingExtraError,
+    ToolkitError,
+    install_line,
+    needs_extra,
+)
 
-ENDINGS = tuple(ending for endings in touch.PICTURE_ENDINGS.values() for ending in endings)
+ENDINGS = (*(ending for endings in touch.PICTURE_ENDINGS.values() for ending in endings), ".svg")
 """Endings of pictures, in lower case; the content of a file decides how it is read."""
 
 # Formats whose files can have pages. Further pictures of a JPEG (MPO) are other views, not pages.
@@ -47,6 +55,9 @@ _BYTES_PER_PIXEL = {"1": 4, "L": 4, "P": 11, "RGB": 11}
 
 # Memory of the decoded picture alone, as Pillow holds it.
 _BYTES_HELD = {"1": 2, "L": 1, "I;16": 2}
+
+_DRAWN_PX = 2000
+"""Longer side in which vector drawings are drawn; the largest sheet of a solid has half of it."""
 
 _REDUCED_PX = 4000
 """Longer side to which pictures are reduced that would not fit into memory; solids need an eighth of it."""
@@ -180,7 +191,7 @@ def _is_page(picture: Image.Image, number: int) -> bool:
     return not kind & _COPY_OR_MASK
 
 
-@cache
+@functools.cache
 def _formats() -> tuple[str, ...]:
     """Return the formats that can be read here; AVIF and HEIF depend on how Pillow was built."""
     known = [name for name in touch.PICTURE_ENDINGS if name not in ("TGA", "HEIF")]
@@ -206,13 +217,21 @@ def _opened(path: Path) -> Iterator[Image.Image]:
         with warnings.catch_warnings():
             # Pillow warns of pictures up to twice its limit; those are reduced, the others are refused.
             warnings.simplefilter("ignore")
-            with store.open_regular(path) as stream, Image.open(stream, formats=formats) as picture:
-                yield picture
+            with store.open_regular(path) as stream:
+                known = KnownFormat.of(stream.read(START_BYTES))
+                stream.seek(0)
+                if known is not None and known.key == "svg":
+                    yield _drawn_svg(stream)
+                else:
+                    with Image.open(stream, formats=formats) as picture:
+                        yield picture
     # Decoders raise many types for broken files: OSError, SyntaxError, ValueError, struct.error, ...
     except Exception as error:
         next_step = "replace it by an intact copy, or leave it out"
         if isinstance(error, Image.DecompressionBombError):
             next_step = "store it with fewer pixels; 20 million are more than enough"
+        if isinstance(error, MissingExtraError):
+            next_step = f"{install_line('svg')}, or save it as PNG"
         if (
             ending in touch.PICTURE_ENDINGS["HEIF"]
             and isinstance(error, UnidentifiedImageError)
@@ -227,10 +246,31 @@ def _opened(path: Path) -> Iterator[Image.Image]:
         raise ItemError("unreadable", message, next=next_step) from error
 
 
+def _drawn_svg(stream: IO[bytes]) -> Image.Image:
+    """Draw an SVG, without the files that it names; paper is transparent.
+
+    Raises MissingExtraError without the packages of the extra ``svg``, ValueError for a damaged drawing, and
+    InputError for one of too many bytes.
+    """
+    with needs_extra("SVG, a vector drawing,", "pyvips", "svg"):
+        import pyvips
+    cache.require_unpackable(stream.seek(0, io.SEEK_END), "the drawing")
+    stream.seek(0)
+    content = stream.read()
+    try:
+        # librsvg opens no file, and bounds depth, entities and elements.
+        size = pyvips.Image.svgload_buffer(content)
+        scale = _DRAWN_PX / max(size.width, size.height)
+        pixels = pyvips.Image.svgload_buffer(content, scale=scale).numpy()
+    except pyvips.Error as error:
+        raise ValueError from error
+    return Image.fromarray(pixels)
+
+
 def _problem(error: Exception) -> str:
     """Describe an error in words that do not depend on the versions of libraries."""
     if isinstance(error, ToolkitError):
-        return error.message
+        return error.what if isinstance(error, MissingExtraError) else error.message
     if isinstance(error, Image.DecompressionBombError):
         return "it has too many pixels"
     if isinstance(error, UnidentifiedImageError):
@@ -286,12 +326,12 @@ def _reduced(picture: Image.Image) -> Image.Image:
     width, height = picture.size
     what = f"a picture of {width} x {height} pixels"
     try:
-        require_unpackable(width * height * _BYTES_PER_PIXEL.get(picture.mode, 24), what)
+        cache.require_unpackable(width * height * _BYTES_PER_PIXEL.get(picture.mode, 24), what)
     except InputError:
         # JPEG is decoded at 1/2, 1/4 or 1/8 of its size.
         picture.draft(None, (_REDUCED_PX // 2, _REDUCED_PX // 2))
         width, height = picture.size
-        require_unpackable(width * height * _BYTES_HELD.get(picture.mode, 4), what)
+        cache.require_unpackable(width * height * _BYTES_HELD.get(picture.mode, 4), what)
         factor = -(-max(width, height) // _REDUCED_PX)
         if picture.mode == "1":
             picture = picture.convert("L")

@@ -140,7 +140,9 @@ KNOWN_FORMATS = (
         _UNPACK,
         _bytes(b"BZh", b"7z\xbc\xaf", b"Rar!", b"\xfd7zXZ\0", b"\x28\xb5\x2f\xfd"),
     ),
-    KnownFormat("svg", "an SVG file, a vector drawing", _DRAWING, _text(rb"(?:<[?!][^>]*>\s*)*<svg\b")),
+    KnownFormat(
+        "svg", "an SVG file, a vector drawing", _DRAWING, _text(rb"(?:(?:<[?!][^>]*|\])>\s*)*<svg\b")
+    ),
     KnownFormat("pdf", "a PDF or PostScript file", _DRAWING, _bytes(b"%PDF", b"%!PS")),
     KnownFormat("strokes", "a file of strokes in JSON", _DRAWING, _text(rb'\{.*"drawing"\s*:')),
     KnownFormat("json", "text in JSON", _PICTURES, _text(rb"[\[{]")),

@@ -23,7 +23,7 @@ CASES = [
     ("mnist3d generate --source mnist --images nowhere", "nowhere: found no folder, expected train-images"),
     (
         "mnist3d generate --images x",
-        "--images has no effect with --source synthetic; expected hwdplus, mnist or folder",
+        "--images has no effect with --source synthetic; expected hwdplus, mnist, table or folder",
     ),
     (
         "mnist3d generate --foreground auto",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -86,6 +87,70 @@ def test_an_unreadable_heic_is_named_with_a_next_step(tmp_path, monkeypatch):
         ItemError, match=r"b\.heic.*of no known type.*the extra `heic`\), or store it as JPEG"
     ):
         FolderSource(str(tmp_path)).image(1)
+
+
+def drawing(inside: str, size: str = 'viewBox="0 0 500 500"') -> str:
+    top, bottom, left, right = BOX
+    rect = f'<rect x="{left}" y="{top}" width="{right - left}" height="{bottom - top}"/>'
+    return f'<svg xmlns="http://www.w3.org/2000/svg" {size}>{rect}{inside}</svg>'
+
+
+@pytest.mark.parametrize(
+    "head",
+    ["", "\ufeff", '<?xml version="1.0"?>\n<!-- a bar -->\n', '<!DOCTYPE svg [<!ENTITY a "b">]>\n', "\n "],
+)
+def test_a_vector_drawing_is_drawn_without_the_files_it_names(tmp_path: Path, head: str) -> None:
+    pytest.importorskip("pyvips", reason="needs pyvips, of the extra svg")
+    Image.new("L", (9, 9)).save(tmp_path / "black.png")
+    named = f'<image href="{tmp_path / "black.png"}" width="500" height="500"/>'
+    (tmp_path / "set" / "7").mkdir(parents=True)
+    (tmp_path / "set" / "7" / "a.svg").write_text(head + drawing(named), encoding="utf-8")
+    (pixels,) = images(tmp_path / "set")
+    assert np.abs(np.subtract(ink_box(pixels), BOX)).max() <= 1
+
+
+BOMB = "".join(f'<!ENTITY e{n} "{f"&e{n - 1};" * 20}">' for n in range(1, 9))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        drawing("")[:-20],
+        drawing("", 'width="0" height="9"'),
+        drawing("", 'width="1e9" height="1" viewBox="0 0 1000000000 1"'),
+        drawing("<g>" * 5000 + "</g>" * 5000),
+        f'<!DOCTYPE svg [<!ENTITY e0 "aaaa">{BOMB}]>' + drawing("<text>&e8;</text>"),
+    ],
+)
+def test_an_unusable_drawing_is_named(tmp_path: Path, text: str) -> None:
+    pytest.importorskip("pyvips", reason="needs pyvips, of the extra svg")
+    (tmp_path / "a.svg").write_text(text)
+    with pytest.raises(ItemError, match=r"a\.svg: cannot be read as a picture") as caught:
+        read_picture(tmp_path / "a.svg")
+    assert caught.value.reason == "unreadable"
+
+
+def test_the_extra_for_drawings_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyvips", None)
+    (tmp_path / "a.svg").write_text(drawing(""))
+    words = r"SVG, a vector drawing, needs the package 'pyvips'.*next: pip install .*, or save it as PNG"
+    with pytest.raises(ItemError, match=words):
+        read_picture(tmp_path / "a.svg")
+
+
+@pytest.mark.parametrize(
+    ("start", "words"),
+    [
+        (b'{"word": "seven", "drawing": [[[20, 200], [10, 10]]]}\n', "is a file of strokes .*next: draw it"),
+        (b"%PDF-1.7", "is a PDF.*next: draw it"),
+        (b"\x93NUMPY\x01\x00", "is a file of NumPy"),
+        (b"nothing", "of no known type"),
+    ],
+)
+def test_other_files_are_named_with_what_to_do(tmp_path: Path, start: bytes, words: str) -> None:
+    (tmp_path / "seven.ndjson").write_bytes(start)
+    with pytest.raises(ItemError, match=words):
+        read_picture(tmp_path / "seven.ndjson")
 
 
 @pytest.mark.parametrize("ending", ["tif", "gif", "webp", "png"])
