@@ -14,6 +14,7 @@ from tactile_toolkit import catalog, checked_fields, places, run, store
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.json_types import JsonDict, JsonValue
 from tactile_toolkit.kind import SELECT, Checked, DatasetKind, lazy
+from tactile_toolkit.places import unknown_split
 from tactile_toolkit.wording import bytes_text, with_count
 
 # Imported when they are called: they import pyarrow.
@@ -229,6 +230,8 @@ def verify(
     Exit code 3 if something is damaged; each damaged file is named.
     """
     place = name_options.open(sink, name)
+    if split not in (None, "all", *place.splits):  # before files are checked, which takes long
+        raise unknown_split(split, place.splits, place.name)
     chosen = place.choose_kind(kind)
     is_for_others = place.manifest is not None and place.manifest.is_for_others
     if chosen.has_touches and (chosen.name == "realtouch" or not is_for_others):

@@ -208,7 +208,7 @@ def export(
             place,
             out,
             file_format,
-            touches.get("clip_frame", "contact_end"),
+            touches.get("clip_frame"),
             touches.get("difference"),
             catalog.RowFilter(**_filters(chosen)),
         )
@@ -254,8 +254,11 @@ def _print_exported(sink: output.Sink, report: printing.ExportReport, out: str, 
 def _require_format(kind: DatasetKind, file_format: str | None, known: tuple[str, ...]) -> None:
     """Refuse a format that rows of a kind do not have (InputError)."""
     if file_format not in known:
+        problem = "is needed" if file_format is None else f"is {file_format!r}"
         raise InputError(
-            f"is {file_format!r}; expected one of {', '.join(known)} for {kind.nouns}", field="file_format"
+            f"{problem}; expected one of {', '.join(known)} for {kind.nouns}",
+            next=f"add --format {known[0]}",
+            field="file_format",
         )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import asdict
 from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,7 +13,7 @@ import mnist3d
 from cli import options, runs
 from cli.application import EXIT_FAILED, command, new_app, run as run_app
 from cli.contents import print_content
-from cli.options import FileJobOptions, argument, parse_local_path, process_count
+from cli.options import FileJobOptions, argument, parse_local_path, process_count, refuse
 from cli.output import Sink
 from mnist3d import digit_options
 from mnist3d.digit_options import SPLITS, PictureReading, PrintShape, SolidSize, SplitSpec
@@ -114,6 +115,8 @@ def validate(
         else:
             mesh.refuse_unit(unit, path)
             sources.append(source_options.open_source(sink, path))
+    if all(isinstance(source, str) for source in sources):
+        refuse({**asdict(source_options), "split": split, "limit": limit}, "mesh files")
     profile = mesh.PrintProfile(nozzle_mm=nozzle_mm)
     results = print_content(sink, KIND, sources, split, limit, workers, unit=unit, profile=profile)
     sink.document(results)

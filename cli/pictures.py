@@ -9,11 +9,13 @@ from typing import Annotated
 
 from cli import options, output
 from tactile_toolkit import catalog, gallery as galleries, mesh, pictures, store, wording
+from tactile_toolkit.catalog.row_options import ROWS
 from tactile_toolkit.checked_fields import choice, integer, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind, kinds, lazy
 from tactile_toolkit.wording import with_count
 
+_SHEETS = "kinds=|sheet|all"
 _is_picture_or_mesh = lazy("mnist3d.digit_previews:is_picture_or_mesh")
 
 
@@ -27,6 +29,13 @@ class PreviewOptions(catalog.RowFilter):
         name="--draw",
         help="What to draw; may be repeated. Meshes: a sheet (the default), or of digits the steps from ink "
         "to mesh. Touches: a round as a grid (the default), or an overlay on a map of the cell.",
+    )
+    # A single picture shows the first row, or those that --ids names.
+    per_class: int | None = integer(
+        None, 1, optional=True, needs=_SHEETS, panel=ROWS, help="Only the first N of each class."
+    )
+    limit: int | None = integer(
+        None, 1, optional=True, needs=_SHEETS, panel=ROWS, help="Only the first N rows of each split."
     )
     round_number: int = integer(
         0, name="--round", panel="Touches", help="Round of touches to draw, counted from 0."
@@ -75,6 +84,8 @@ def preview(
     """
     usual = "previews"
     if _is_picture_or_mesh(name):
+        filters = {option: drawing.get(option) for option in ("per_class", "limit")}
+        options.refuse({**asdict(source_options), **filters}, "a single file")
         kind = next(kind for kind in kinds() if kind.name == "mnist3d")
         plan = kind.plan_previews(name, _preview_spec(kind, drawing))
     else:

@@ -81,6 +81,9 @@ def source_again(described: JsonObject, **files: str | None) -> digit_source.Dig
         raise InputError(
             f"the data set was made from the unknown source {name!r}", next="draw --draw sheet only"
         )
+    for option, path in files.items():
+        if path is not None and name == "synthetic":
+            raise InputError("has no effect: these digits are synthetic", next="leave it out", field=option)
     # No file that a manifest names is opened.
     known = {
         **files,

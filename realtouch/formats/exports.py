@@ -119,16 +119,23 @@ def plan_export(
     source: places.Name | places.Place,
     out: str | PathLike[str],
     layout: ExportLayout | ImageFormat,
-    frame: str,
+    frame: str | None,
     difference: picture_files.Difference | None,
     rows: catalog.RowFilter,
 ) -> store.BuildPlan:
-    """Plan what :func:`export`, or for ``"png"`` and ``"jpeg"`` :func:`realtouch.frames`, would write."""
+    """Plan what :func:`export`, or for ``"png"`` and ``"jpeg"`` :func:`realtouch.frames`, would write.
+
+    InputError, beside theirs, for a ``frame`` of single images.
+    """
+    method = frame or "contact_end"
     if layout == "png" or layout == "jpeg":
-        plan = picture_files.plan_of_pictures(layout, frame, difference)
+        plan = picture_files.plan_of_pictures(layout, method, difference)
     else:
-        plan = _plan_of_layout(layout, frame)
-    return conversion.plan_build(source, out, plan, rows)
+        plan = _plan_of_layout(layout, method)
+    build = conversion.plan_build(source, out, plan, rows)
+    if frame is not None and build.spec["options"].get("frame") is None:
+        raise errors.InputError("has no effect on single images", next="leave it out", field="clip_frame")
+    return build
 
 
 def _plan_of_layout(layout: str, frame: str) -> conversion.Plan:

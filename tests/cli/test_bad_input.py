@@ -5,8 +5,10 @@ from __future__ import annotations
 import shlex
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from tactile_toolkit.mesh import Mesh, write_mesh
 from tests.command_line import call
 from tests.realtouch import factories
 
@@ -15,6 +17,14 @@ from tests.realtouch import factories
 def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rows = factories.single_rows([factories.make_round(0, 3, (64, 48))])
     return factories.write_set(tmp_path_factory.mktemp("images"), {"train": rows}, "single")
+
+
+@pytest.fixture(scope="module")
+def mesh_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("meshes") / "part.stl"
+    corners = np.array([(0, 0, 0), (0.01, 0, 0), (0, 0.01, 0), (0, 0, 0.01)])
+    write_mesh(path, Mesh(corners, np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)], np.int32)))
+    return path
 
 
 CASES = [
@@ -85,8 +95,8 @@ CASES = [
     ("realtouch resize IMAGES --out out --size 0x9", "expected at least 1 x 1"),
     ("realtouch resize IMAGES --out out --size 9xLONG", "expected WIDTHxHEIGHT"),
     ("realtouch stills IMAGES --out out", "holds single images already"),
-    ("tactile select IMAGES --out out --ids LONG", "expected numbers and ranges"),
-    ("tactile select IMAGES --out out --ids x", "expected numbers and ranges"),
+    ("tactile select IMAGES --out out --ids LONG", "no object with id 9999"),
+    ("tactile select IMAGES --out out --ids x", "no object with id x"),
     ("tactile select IMAGES --out out --labels cat", "no class 'cat'"),
     (
         "tactile select IMAGES --out out --contact --min-height-mm nan",
@@ -109,18 +119,34 @@ CASES = [
         "tactile export DIGITS --out out --plate 256x256 --format stl",
         "--plate has no effect with --format stl; expected 3mf or mjcf",
     ),
+    ("tactile export IMAGES --out out", "--format is needed; expected one of png, jpeg, flat"),
+    (
+        "tactile export IMAGES --out out --format png --clip-frame peak",
+        "--clip-frame has no effect on single images; next: leave it out",
+    ),
+    ("tactile preview DIGITS --draw steps --limit 1", "--limit has no effect with --draw steps; expected "),
+    (
+        "tactile preview DIGITS --draw steps --source-images x",
+        "--source-images has no effect: these digits are synthetic",
+    ),
+    ("tactile preview MESH --revision main", "--revision has no effect on a single file"),
+    ("mnist3d validate MESH --split test", "--split has no effect on mesh files"),
+    ("mnist3d validate MESH --revision main", "--revision has no effect on mesh files"),
+    ("tactile verify DIGITS --split nosuch --content", "no split 'nosuch' in "),
+    ("tactile info DIGITS --split nosuch", "no split 'nosuch' in "),
+    ("tactile verify IMAGES --split nosuch", "no split 'nosuch' in "),
     ("tactile export DIGITS --out out --gap-mm 3", "--gap-mm has no effect without --plate"),
 ]
 
 
 @pytest.mark.parametrize(("words", "message"), CASES, ids=[words for words, _ in CASES])
 def test_bad_input_is_named_and_writes_nothing(
-    words, message, digits_set, images, tmp_path, monkeypatch, capsys
+    words, message, digits_set, images, mesh_file, tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)
-    values = {"DIGITS": str(digits_set), "IMAGES": str(images), "LONG": "9" * 5_000}
+    values = {"DIGITS": digits_set, "IMAGES": images, "MESH": mesh_file, "LONG": "9" * 5_000}
     for name, value in values.items():
-        words = words.replace(name, value)
+        words = words.replace(name, str(value))
     assert call(*shlex.split(words)) == 2
     printed = capsys.readouterr()
     assert printed.out == ""
