@@ -230,8 +230,9 @@ def verify(
     Exit code 3 if something is damaged; each damaged file is named.
     """
     place = name_options.open(sink, name)
-    if split not in (None, "all", *place.splits):  # before files are checked, which takes long
-        raise unknown_split(split, place.splits, place.name)
+    # Before files are checked, which takes long. A single file is opened as any split.
+    if not (place.is_file or split in (None, "all", *place.splits)):
+        raise unknown_split(str(split), place.splits, place.name)
     chosen = place.choose_kind(kind)
     is_for_others = place.manifest is not None and place.manifest.is_for_others
     if chosen.has_touches and (chosen.name == "realtouch" or not is_for_others):
