@@ -8,12 +8,14 @@ allocate whatever the packed bytes ask for.
 
 from __future__ import annotations
 
+import io
 import math
 import weakref
 import zlib
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
-from functools import partial
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
+from functools import lru_cache, partial
 from importlib import import_module
 from itertools import islice
 from typing import IO, Any
@@ -23,7 +25,7 @@ import numpy as np
 from realtouch import touch_options
 from realtouch.formats import picture_arrays, zarr_recordings
 from realtouch.importing import source_files, source_touches
-from tactile_toolkit import cache, errors, store, wording
+from tactile_toolkit import cache, errors, store, touch, wording
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.columns import column_types, tables
 
@@ -42,6 +44,12 @@ _ENDINGS = (".h5", ".hdf5")
 _MAX_OBJECTS, _DEEPEST = 20_000, 16
 _MAX_NUMBERS, _MAX_LETTERS = 256, 1000  # of an attribute
 _SHOWN, _PICTURE_AXES = 8, 4
+_REFERENCE = np.dtype([("size", "<u4"), ("address", "<u8"), ("number", "<u4")])
+_HEAP_MARK = b"GCOL\x01"
+_HEAP_HEADER, _HEAP_ALIGNMENT = 16, 8  # bytes, of a heap and of each object in it
+_MAX_HEAP_OBJECTS = 1 << 16
+_MASKS = "mask/"
+_SPLITS = ("train", "valid", "val", "validation", "test")
 
 
 @contextmanager
@@ -136,6 +144,115 @@ def _require_chunk(address: str, dataset: H5Object, at: tuple[int, ...]) -> None
             raise errors.InputError(f"{address!r}: a damaged chunk; expected {size:,} bytes unpacked")
 
 
+class _HeapRows:
+    """Rows of bytes of any length: a dataset of references to heaps of the file.
+
+    The references and heaps are parsed here. HDF5 would allocate whatever a reference states.
+    """
+
+    def __init__(self, address: str, dataset: H5Object, stream: IO[bytes]) -> None:
+        self._stream = stream
+        self._file_bytes = stream.seek(0, io.SEEK_END)
+        self._base = dataset.file.userblock_size
+        self._heap = lru_cache(4)(self._objects)
+        sizes = dataset.file.id.get_create_plist().get_sizes()
+        if len(dataset.shape) != 1 or sizes != (8, 8) or _filters(dataset):
+            raise errors.InputError(
+                f"{address!r}: rows of bytes {dataset.shape}, compressed or with short addresses; expected "
+                "one row for each picture",
+                next="write it again, by `h5repack -f NONE FILE NEW`",
+            )
+        count = int(dataset.shape[0])
+        parts = [(0, dataset.id.get_offset())]
+        step = count
+        if dataset.chunks:
+            step = int(dataset.chunks[0])
+            chunks = map(dataset.id.get_chunk_info, range(dataset.id.get_num_chunks()))
+            parts = [(int(chunk.chunk_offset[0]), chunk.byte_offset) for chunk in chunks]
+        cache.require_unpackable(count * _REFERENCE.itemsize, f"{address}: {count:,} rows")
+        self._references = np.zeros(count, _REFERENCE)
+        for start, offset in parts:
+            rows = self._references[start : start + step]
+            if offset is not None:
+                read = np.frombuffer(self._read(offset, rows.nbytes), _REFERENCE)
+                rows[: len(read)] = read
+
+    def __len__(self) -> int:
+        return len(self._references)
+
+    @property
+    def bytes_stated(self) -> int:
+        """Sum of the sizes of all rows."""
+        return int(self._references["size"].sum(dtype=np.int64))
+
+    def row(self, number: int) -> bytes:
+        """Return the bytes of a row; ItemError if it has none, or too many."""
+        size, at, index = self._references[number].tolist()
+        start, stored = self._heap(at).get(index, (0, -1)) if size else (0, -1)
+        if size != stored or size > touch.MAX_IMAGE_BYTES:
+            raise errors.ItemError(
+                "missing", f"row {number:,} holds no bytes, or too many; expected a picture"
+            )
+        return self._read(start, size)
+
+    def _read(self, at: int, size: int) -> bytes:
+        """Return bytes of the file; fewer at its end, none beyond it."""
+        if at >= self._file_bytes:
+            return b""
+        self._stream.seek(at)
+        return self._stream.read(size)
+
+    def _objects(self, address: int) -> dict[int, tuple[int, int]]:
+        """Return offset and size of each object of a heap, by its number; empty if it is damaged."""
+        objects: dict[int, tuple[int, int]] = {}
+        start = self._base + address
+        header = self._read(start, _HEAP_HEADER)
+        if not header.startswith(_HEAP_MARK):
+            return objects
+        at = _HEAP_HEADER
+        end = int.from_bytes(header[8:16], "little")
+        while at < end and len(objects) < _MAX_HEAP_OBJECTS:
+            header = self._read(start + at, _HEAP_HEADER)
+            number = int.from_bytes(header[:2], "little")
+            size = int.from_bytes(header[8:16], "little")
+            if not number:  # the rest is free
+                break
+            at += _HEAP_HEADER
+            objects[number] = (start + at, size)
+            at += size + -size % _HEAP_ALIGNMENT
+        return objects
+
+
+def _is_of_bytes(dataset: H5Object) -> bool:
+    """Return whether rows may be encoded pictures: bytes of any length, text, or rows of 8 bits."""
+    dtype = dataset.dtype
+    axes = len(dataset.shape or ())
+    if axes == 1 and dtype.kind == "O":
+        h5py = import_module("h5py")
+        return h5py.check_vlen_dtype(dtype) == np.uint8 or h5py.check_string_dtype(dtype) is not None
+    return (axes == 1 and dtype.kind == "S") or (axes == 2 and dtype == np.uint8)
+
+
+def _pictures_in(address: str, root: H5Object, path: str, stream: IO[bytes]) -> picture_arrays.Pictures:
+    """Return the pictures of a dataset: pixels, or encoded ones; InputError if it holds none."""
+    if not _is_of_bytes(root[path]):
+        return picture_arrays.PictureArray.of(dataset_in(address, root, path))
+    if root[path].dtype.kind == "O":
+        rows = _HeapRows(address, root[path], stream)
+        size = int(rows.bytes_stated // max(1, len(rows)))
+        return picture_arrays.EncodedPictures(address, len(rows), size, rows.row).checked()
+    array = dataset_in(address, root, path)
+    block = lru_cache(1)(array.block)
+
+    def read(number: int) -> bytes:
+        index, row = divmod(number, array.step)
+        content: bytes = block(index)[row].tobytes()
+        return content.rstrip(b"\0")  # shorter pictures are padded
+
+    width = math.prod(array.shape[1:]) * array.dtype.itemsize
+    return picture_arrays.EncodedPictures(address, array.shape[0], width, read).checked()
+
+
 def find_hdf5(
     home: store.DataFolder,
     columns: touch_options.ImportColumns,
@@ -158,12 +275,49 @@ def find_hdf5(
             kinds = dict(islice(_members(address, root, "", _DEEPEST), _MAX_OBJECTS + 1))
             if len(kinds) > _MAX_OBJECTS:
                 raise errors.InputError(f"{address!r}: more than {_MAX_OBJECTS:,} datasets and groups")
-            for group in sorted(_groups(address, root, kinds, image), key=wording.natural_key):
+            groups = sorted(_groups(address, root, kinds, image), key=wording.natural_key)
+            splits = _splits_of(address, root, kinds, groups, ledger)
+            for group in groups:
                 parts = [group.strip("/")]
                 if len(names) > 1 or not group:
                     parts.insert(0, name.rpartition(".")[0])
                 title = "/".join(filter(None, parts))
-                yield _recording(home, name, root, kinds, (title, group, image), columns)
+                pictures = _pictures_in(address, root, f"{group}{image}", stream)
+                recording = _recording(home, name, root, kinds, (title, group, image), columns, pictures)
+                if group in splits and columns.split is None:
+                    recording = replace(recording, values={"split": splits[group], **recording.values})
+                yield recording
+
+
+def _splits_of(
+    address: str, root: H5Object, kinds: dict[str, str], groups: Sequence[str], ledger: source_files.Ledger
+) -> dict[str, str]:
+    """Return the split of each episode, by its group, as masks of robomimic state it: lists of their names.
+
+    Masks are splits if they have the names of splits and each episode is in one of them. Everything else
+    outside the episodes is noted as left out.
+    """
+    outside = [path for path, kind in kinds.items() if kind != "Group" and not path.startswith(tuple(groups))]
+    of_name: dict[str, list[str]] = {}
+    known = [f"{_MASKS}{split}" for split in _SPLITS]
+    for path in [path for path in known if kinds.get(path) == "Dataset"]:
+        with suppress(errors.InputError):
+            for name in dataset_in(address, root, path).rows().reshape(-1):
+                text = name.decode(errors="replace") if isinstance(name, bytes) else str(name)
+                of_name.setdefault(text, []).append(path)
+    masks = [of_name.get(group.strip("/").rpartition("/")[2], []) for group in groups]
+    are_splits = all(len(paths) == 1 for paths in masks)
+    splits = {}
+    if are_splits:
+        splits = {group: paths[0].removeprefix(_MASKS) for group, paths in zip(groups, masks, strict=True)}
+    for path in outside:
+        if are_splits and path in known:
+            continue
+        reason = "outside the episodes"
+        if path.startswith(_MASKS):
+            reason = "a mask; masks called train, valid or test are splits if each episode is in one"
+        ledger.left_out[f"{path} ({reason})"] = None
+    return splits
 
 
 def _members(address: str, group: H5Object, path: str, deepest: int) -> Iterator[tuple[str, str]]:
@@ -182,7 +336,11 @@ def _groups(address: str, root: H5Object, kinds: dict[str, str], image: str) -> 
     datasets = [path for path, kind in kinds.items() if kind == "Dataset"]
     groups = [path.removesuffix(image) for path in datasets if f"/{path}".endswith(f"/{image}")]
     if not image or not groups:
-        several = [path for path in datasets if len(root[path].shape or ()) == _PICTURE_AXES]
+        several = [
+            path
+            for path in datasets
+            if len(root[path].shape or ()) == _PICTURE_AXES or _is_of_bytes(root[path])
+        ]
         shown = ", ".join(sorted(several, key=wording.natural_key)[:_SHOWN])
         content = f"no dataset of pictures {image!r}" if image else "datasets; none was named as the pictures"
         raise errors.InputError(
@@ -200,6 +358,7 @@ def _recording(
     kinds: dict[str, str],
     named: tuple[str, str, str],
     columns: touch_options.ImportColumns,
+    pictures: picture_arrays.Pictures,
 ) -> source_touches.Recording:
     title, group, image = named
     address = home.address(path)
@@ -209,13 +368,14 @@ def _recording(
         for member, kind in below.items()
         if kind == "Dataset"
     }
-    pictures = picture_arrays.PictureArray.of(inside.pop(image)())
+    inside.pop(image)
     required = {source_files.NUMBERED, *columns.found_in(inside).names()}
     arrays, left_out = picture_arrays.columns_of(inside, len(pictures), required)
     per_frame = {member: column_types.column_of(values) for member, values in arrays.items()}
     left_out += [f"{member} (a link)" for member, kind in below.items() if kind == "link"]
     values: dict[str, object] = {}
-    for member in dict.fromkeys(("/", f"/{group}")):
+    parts = group.split("/")
+    for member in dict.fromkeys(("/", *("/".join(parts[:depth]) for depth in range(1, len(parts))))):
         for name, value in root[member].attrs.items():
             stated = np.asarray(value)
             is_text = isinstance(value, str) and len(value) <= _MAX_LETTERS
@@ -223,21 +383,26 @@ def _recording(
                 values[name] = stated.tolist()
             else:
                 left_out.append(f"attribute {name}")
-    part = f"{pictures.divisor!r} {group}{image}"
-    size = math.prod(pictures.shape[1:])
-    about = (part, 0, len(pictures), size, values, per_frame)
+    divisor = pictures.divisor if isinstance(pictures, picture_arrays.PictureArray) else ""
+    about = (f"{divisor} {group}{image}", 0, len(pictures), pictures.picture_bytes, values, per_frame)
     whole = source_touches.Recording(title, home.address(), path, *about, left_out=tuple(left_out))
     constant = zarr_recordings.of_episodes(whole, columns).intersection(required)
     return next(zarr_recordings.episodes_of(whole, np.array([len(pictures)]), [title], constant))
 
 
-def _open_pictures(home: store.DataFolder, path: str, part: str) -> picture_arrays.PictureArray:
+def _open_pictures(home: store.DataFolder, path: str, part: str) -> picture_arrays.Pictures:
     divisor, name = part.split(" ", 1)
-    with ExitStack() as closing, in_words(home.address(path)):
-        root = open_file(closing.enter_context(tables.open_source(home, path)))
-        array = dataset_in(home.address(path), root, name)
-        weakref.finalize(array, closing.pop_all().close)
-    return picture_arrays.PictureArray(array, float(divisor))
+    address = home.address(path)
+    pictures: picture_arrays.Pictures
+    with ExitStack() as closing, in_words(address):
+        stream = closing.enter_context(tables.open_source(home, path))
+        root = open_file(stream)
+        if divisor:
+            pictures = picture_arrays.PictureArray(dataset_in(address, root, name), float(divisor))
+        else:
+            pictures = _pictures_in(address, root, name, stream)
+        weakref.finalize(pictures, closing.pop_all().close)
+    return pictures
 
 
 read_contents = partial(picture_arrays.read_contents, opened=_open_pictures)

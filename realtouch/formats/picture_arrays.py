@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import Literal
@@ -26,6 +27,7 @@ _COMPRESSION = 8  # arrays of pictures may compress this many times better than 
 _MAX_UNSTORED = 20_000  # pictures that may take almost no bytes
 _MIN_PICTURE_BYTES = 64
 _MIN_TOLERANCE = 1e-3  # levels; rounding errors of single precision
+_ROWS_TRIED = 8
 _MAX_NUMBERS = 256  # for each picture in one array
 _LAST_CODE_POINT = 0x10FFFF
 _SURROGATES = (0xD800, 0xDFFF)
@@ -123,7 +125,20 @@ class PictureArray:
             pictures = np.rint(pictures / self.divisor).astype(np.uint8)
         return pictures.repeat(3 // pictures.shape[3], axis=3)
 
-    def described(self) -> str:
+    @property
+    def picture_bytes(self) -> int:
+        """Approximate size of a picture in bytes."""
+        return math.prod(self.shape[1:])
+
+    def contents(self, numbers: Iterable[int], *, is_clip: bool) -> Iterator[bytes | errors.ItemError]:
+        """Yield pictures by their numbers, as PNG or, for clips, JPEG; the last block is kept."""
+        pixels = lru_cache(1)(self.pixels)
+        encoding: Literal["jpeg", "png"] = "jpeg" if is_clip else "png"
+        for number in numbers:
+            block, row = divmod(number, self.array.step)
+            yield touch.encode_image(pixels(block)[row], encoding)
+
+    def described(self, *, is_clip: bool) -> str:
         """Return how the pictures are converted; empty if they are taken as they are."""
         axes = len(self.array.shape) - (self.sensor is not None)
         top = self.divisor * _MAX_LEVEL
@@ -135,7 +150,10 @@ class PictureArray:
             ),
         }
         words = [text for text, is_so in applies.items() if is_so]
-        return ", ".join([*words, "without loss"]) if words else ""
+        parts = [", ".join([*words, "without loss"])] if words else []
+        if is_clip:
+            parts.append("pictures of clips encoded as JPEG of quality 95")
+        return "; ".join(parts)
 
     def _lossless_divisor(self) -> float:
         """Return a number of which all values are multiples; InputError if 8 bits would lose some."""
@@ -165,7 +183,48 @@ def _fits(levels: Floating, tolerance: float) -> bool:
     return bool((inside & (np.abs(levels - nearest) <= tolerance)).all())
 
 
-OpenPictures = Callable[[store.DataFolder, str, str], PictureArray]
+@dataclass(frozen=True, eq=False)
+class EncodedPictures:
+    """Pictures that a source holds as encoded bytes, one in each row.
+
+    ``read(n)`` returns the bytes of a row; ItemError if there are none. ``picture_bytes`` is the approximate
+    size of one.
+    """
+
+    address: str
+    count: int
+    picture_bytes: int
+    read: Callable[[int], bytes]
+
+    def __len__(self) -> int:
+        return self.count
+
+    def checked(self) -> EncodedPictures:
+        """Return the pictures; InputError if none of the first rows is a picture."""
+        for number in range(min(len(self), _ROWS_TRIED)):
+            with suppress(ValueError, errors.ItemError):
+                touch.image_size(touch.storable_image(self.read(number))[0])
+                return self
+        raise errors.InputError(
+            f"{self.address!r}: rows of bytes; expected pictures, encoded or as an array of pixels",
+            next="name the pictures: --map image=PATH",
+        )
+
+    def contents(self, numbers: Iterable[int], *, is_clip: bool) -> Iterator[bytes | errors.ItemError]:
+        """Yield the pictures with some numbers, unchanged."""
+        for number in numbers:
+            try:
+                yield self.read(number)
+            except errors.ItemError as error:
+                yield error
+
+    def described(self, *, is_clip: bool) -> str:
+        """Return an empty text: the bytes are taken as they are."""
+        return ""
+
+
+Pictures = PictureArray | EncodedPictures
+OpenPictures = Callable[[store.DataFolder, str, str], Pictures]
 """Opens the array with the pictures of a touch, given the opened source, the ``path`` and the ``part``."""
 
 
@@ -181,14 +240,9 @@ def _read_pictures(
     home: store.DataFolder,
     picture: source_touches.PictureLocation,
     numbers: Sequence[int],
-) -> Iterator[bytes]:
-    """Yield pictures of an array by their numbers; consecutive pictures of a block read it once."""
-    pictures = opened(home, picture.path, picture.part)
-    pixels = lru_cache(1)(PictureArray.pixels)
-    encoding: Literal["jpeg", "png"] = "jpeg" if picture.frames else "png"
-    for number in numbers:
-        block, row = divmod(number, pictures.array.step)
-        yield touch.encode_image(pixels(pictures, block)[row], encoding)
+) -> Iterator[bytes | errors.ItemError]:
+    """Yield pictures of an array by their numbers."""
+    return opened(home, picture.path, picture.part).contents(numbers, is_clip=picture.frames > 0)
 
 
 def described_pictures(touches: source_touches.SourceTouches, opened: OpenPictures) -> str:
@@ -197,10 +251,8 @@ def described_pictures(touches: source_touches.SourceTouches, opened: OpenPictur
     if not len(usable):
         return ""
     first = usable[0]
-    words = [opened(store.open_folder(first.home), first.path, first.part).described()]
-    if first.frames:
-        words.append("pictures of clips encoded as JPEG of quality 95")
-    return "; ".join(filter(None, words))
+    pictures = opened(store.open_folder(first.home), first.path, first.part)
+    return pictures.described(is_clip=first.frames > 0)
 
 
 def columns_of(

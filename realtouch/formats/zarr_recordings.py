@@ -5,7 +5,6 @@ An episode is a recording, and the arrays of ``data`` are its columns.
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -145,9 +144,8 @@ def recordings_of(
     arrays_read, left_out = picture_arrays.columns_of(arrays, len(shown), required)
     per_frame = {array: column_types.column_of(values) for array, values in arrays_read.items()}
     source = (name, group.home.address(), group.path, part)
-    size = math.prod(shown.shape[1:])
     whole = source_touches.Recording(
-        *source, 0, len(shown), size, per_frame=per_frame, left_out=tuple(left_out)
+        *source, 0, len(shown), shown.picture_bytes, per_frame=per_frame, left_out=tuple(left_out)
     )
     ends = episode_ends(group, len(shown))
     stated = group.json(ATTRIBUTES)

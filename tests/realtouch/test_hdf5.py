@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,9 @@ from realtouch.importing.import_sources import IMPORTS
 from realtouch.importing.source_files import Ledger
 from realtouch.importing.source_touches import Recording
 from tactile_toolkit import store
-from tactile_toolkit.errors import InputError, ToolkitError
+from tactile_toolkit.errors import InputError, ItemError, ToolkitError
 from tests.mutations import mutated
+from tests.realtouch import factories
 from tests.realtouch.found import per_frame
 
 h5py = pytest.importorskip("h5py", reason="needs h5py, of the extra hdf5")
@@ -149,7 +151,7 @@ def objects(file: Any, secret: Path) -> None:
         (virtual, "its values lie in other files"),
         (lossy, r"the filters number 6; expected shuffle, gzip"),
         (huge, "unpacks to 921,600,000,000,000 bytes"),
-        (objects, "values of type object"),
+        (objects, "rows of bytes; expected pictures"),
     ],
 )
 def test_no_external_files_are_opened(add: Any, words: str, tmp_path: Path) -> None:
@@ -173,6 +175,106 @@ def test_chunks_are_not_unpacked_beyond_their_size(tmp_path: Path) -> None:
         (found,) = recordings(tmp_path / "a.h5", "img")
         with pytest.raises(InputError, match=words):
             list(IMPORTS["hdf5"].contents(list(found.images())))
+
+
+JPEGS = [factories.encode_jpeg(pixels) for pixels in RANDOM.integers(0, 256, (5, 24, 32, 3), np.uint8)]
+
+
+def of_any_length(file: Any, name: str) -> None:
+    data = file.create_dataset(name, (len(JPEGS),), h5py.vlen_dtype(np.uint8))
+    for number, jpeg in enumerate(JPEGS):
+        data[number] = np.frombuffer(jpeg, np.uint8)
+
+
+def in_chunks(file: Any, name: str) -> None:
+    data = file.create_dataset(name, (len(JPEGS),), h5py.vlen_dtype(np.uint8), chunks=(2,), maxshape=(None,))
+    for number, jpeg in enumerate(JPEGS):
+        data[number] = np.frombuffer(jpeg, np.uint8)
+
+
+def of_fixed_length(file: Any, name: str) -> None:
+    file[name] = np.array(JPEGS)
+
+
+def padded(file: Any, name: str) -> None:
+    width = max(map(len, JPEGS))
+    file[name] = np.stack([np.frombuffer(jpeg.ljust(width, b"\0"), np.uint8) for jpeg in JPEGS])
+    file["compress_len"] = [list(map(len, JPEGS))]
+
+
+@pytest.mark.parametrize("add", [of_any_length, in_chunks, of_fixed_length, padded])
+def test_encoded_pictures_are_stored_unchanged(add: Any, tmp_path: Path) -> None:
+    source = tmp_path / "a.hdf5"
+    with h5py.File(source, "w") as file:
+        add(file, "observations/images/top")
+        file["observations/qpos"] = FORCE
+    (found,) = recordings(source, "images/top")
+    assert list(IMPORTS["hdf5"].contents(list(found.images()))) == JPEGS
+    with pytest.raises(InputError, match=r"found .*observations/images/top"):
+        recordings(source, "")
+    columns = realtouch.ImportColumns(image="images/top")
+    manifest = realtouch.import_touches(source, tmp_path / "out", realtouch.ImportSpec(columns=columns))
+    assert realtouch.verify(tmp_path / "out").ok
+    outside = ["compress_len (outside the episodes)"] if add is padded else None
+    assert manifest.spec.get("left_out") == outside
+    (only,) = realtouch.load(tmp_path / "out", "train")
+    assert [bytes(only.sensor_image.encoded(number)) for number in range(len(JPEGS))] == JPEGS
+
+
+def test_rows_that_are_no_pictures_are_refused_or_left_out(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        data = file.create_dataset("notes", (3,), h5py.vlen_dtype(np.uint8))
+        data[1] = np.frombuffer(b"hello", np.uint8)
+        file["scores"] = np.zeros((4, 300), np.uint8)
+        few = file.create_dataset("few", (3,), h5py.vlen_dtype(np.uint8))
+        few[1] = np.frombuffer(JPEGS[0], np.uint8)
+    for name in ("notes", "scores"):
+        with pytest.raises(InputError, match="rows of bytes; expected pictures"):
+            recordings(tmp_path / "a.h5", name)
+    (found,) = recordings(tmp_path / "a.h5", "few")
+    first, second, third = IMPORTS["hdf5"].contents(list(found.images()))
+    assert second == JPEGS[0]
+    assert str(first) == "row 0 holds no bytes, or too many; expected a picture"
+    assert isinstance(third, ItemError)
+
+
+def masked(path: Path, **masks: list[str]) -> Path:
+    with h5py.File(write(path), "a") as file:
+        file["data"].attrs["total"] = 15
+        for name, names in masks.items():
+            file[f"mask/{name}"] = np.array(names, "S")
+    return path
+
+
+def test_masks_are_splits(tmp_path: Path) -> None:
+    parts = {"train": ["demo_2", "demo_0"], "valid": ["demo_10"]}
+    source = masked(tmp_path / "a.hdf5", **parts, few=["demo_0"])
+    columns = realtouch.ImportColumns(image="obs/tactile")
+    shown = realtouch.preview_import(source, realtouch.ImportSpec(columns=columns))
+    assert shown.splits == {"train": 10, "valid": 5}
+    left_out = {name for name, use, _ in shown.columns if use == "left out"}
+    why = "a mask; masks called train, valid or test are splits if each episode is in one"
+    assert left_out == {f"mask/few ({why})", "obs/far (5, 300)"}
+    assert "total" in {name for name, _, _ in shown.columns}
+    with pytest.raises(InputError, match="split has no effect"):
+        realtouch.preview_import(source, realtouch.ImportSpec(columns=columns, split="x"))
+    gap = masked(tmp_path / "b.hdf5", train=["demo_2"], valid=["demo_10"])
+    shown = realtouch.preview_import(gap, realtouch.ImportSpec(columns=columns))
+    assert shown.splits == {"train": 15}
+    assert {f"mask/train ({why})", f"mask/valid ({why})"} <= {name for name, _, _ in shown.columns}
+
+
+@pytest.mark.thorough
+def test_any_damage_of_encoded_pictures_gives_pictures_or_a_message(tmp_path: Path) -> None:
+    source = tmp_path / "a.h5"
+    with h5py.File(source, "w") as file:
+        in_chunks(file, "img")
+    whole = source.read_bytes()
+    for seed in range(500):
+        source.write_bytes(mutated(whole, seed))
+        with suppress(ToolkitError):
+            for found in recordings(source, "img"):
+                list(IMPORTS["hdf5"].contents(list(found.images())))
 
 
 @pytest.mark.thorough

@@ -38,7 +38,12 @@ COLUMNS: dict[str, Any] = {
     "rotvec": True,
     "frame": FRAME,
 }
-ALIGNMENT: dict[str, Any] = {"method": "linear", "max_gap_ms": 7.0, "time_offset_s": 3.0}
+ALIGNMENT: dict[str, Any] = {
+    "method": "linear",
+    "max_gap_ms": 7.0,
+    "time_offset_s": 3.0,
+    "duration_tolerance": 0.5,
+}
 SPEC: dict[str, Any] = {
     "layout": NO,
     "table": "table.csv",
