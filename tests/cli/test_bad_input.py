@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
-from tactile_toolkit.mesh import Mesh, write_mesh
 from tests.command_line import call
 from tests.realtouch import factories
+from tests.tactile_sim.solids import block
 
 
 @pytest.fixture(scope="module")
@@ -20,13 +21,36 @@ def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def mesh_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("meshes") / "part.stl"
-    corners = np.array([(0, 0, 0), (0.01, 0, 0), (0, 0.01, 0), (0, 0, 0.01)])
-    write_mesh(path, Mesh(corners, np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)], np.int32)))
-    return path
+def meshes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """STL files of a block in millimetres, whole and with a fault."""
+    folder = tmp_path_factory.mktemp("meshes")
+    for name in ("block", "open", "inside-out"):
+        mesh = block().apply_scale(1000)
+        if name == "open":
+            mesh.update_faces(np.arange(12) > 0)
+        elif name == "inside-out":
+            mesh.invert()
+        mesh.export(folder / f"{name}.stl")
+    flat = trimesh.Trimesh([[0, 0, 0], [9, 0, 0], [0, 9, 0]], [[0, 1, 2], [0, 2, 1]], process=False)
+    flat.export(folder / "flat.stl")
+    return folder
 
 
+PRESSES = [
+    ("--force-n 5", "--force-n has no effect without --gel elastic"),
+    ("--slide-mm 0.3", "next: add --gel elastic, or leave it out"),
+    ("--gel none --markers 7x9", "--markers has no effect without --gel elastic"),
+    ("--gel soft", "expected none, elastic, or a JSON file"),
+    ("--gel elastic --force-n 1:2:3", "expected a number, or two"),
+    ("--gel elastic --force-n inf", "expected a number, or two"),
+    ("--gel elastic --markers 7", "expected COLUMNSxROWS"),
+    ("--gel elastic --draw-markers", "no effect without --markers"),
+    ("--gel elastic --press-mm 9", "less than the gel is thick"),
+]
+SHORT = {
+    "RENDER": "tactile-sim render MESHES/block.stl --optics depth --out out.png",
+    "PRESS": "tactile-sim generate MESHES/block.stl --optics depth --out out",
+}
 CASES = [
     ("mnist3d generate --source hwdplus", "--images is needed by the source 'hwdplus'"),
     ("mnist3d generate --source hwdplus --images x.npy", "--writer-info is needed by the source 'hwdplus'"),
@@ -60,6 +84,10 @@ CASES = [
     ("mnist3d generate --split-sizes train=LONG", "is 'train=99"),
     ("mnist3d generate --split-sizes validation=3", "is 'validation=3'; expected each of train, test, "),
     ("mnist3d generate --split-sizes train=9999", "ask for 9999 digits per class, the source has 1358"),
+    *(
+        (f"{command} --seed {10**45} --out out", "expected an integer of at least 0, below 2**63")
+        for command in ("mnist3d generate", "starstruck generate", "tactile split x")
+    ),
     ("mnist3d validate nowhere.stl", "error: 'nowhere.stl' does not exist"),
     ("starstruck generate --stars 3-1", "--stars is '3-1'; expected a range"),
     ("starstruck generate --stars many", "--stars is 'many'"),
@@ -129,23 +157,42 @@ CASES = [
         "tactile preview DIGITS --draw steps --source-images x",
         "--source-images has no effect: these digits are synthetic",
     ),
-    ("tactile preview MESH --revision main", "--revision has no effect on a single file"),
-    ("mnist3d validate MESH --split test", "--split has no effect on mesh files"),
-    ("mnist3d validate MESH --revision main", "--revision has no effect on mesh files"),
+    ("tactile preview MESHES/block.stl --revision main", "--revision has no effect on a single file"),
+    ("mnist3d validate MESHES/block.stl --split test", "--split has no effect on mesh files"),
+    ("mnist3d validate MESHES/block.stl --revision main", "--revision has no effect on mesh files"),
     ("tactile verify DIGITS --split nosuch --content", "no split 'nosuch' in "),
     ("tactile info DIGITS --split nosuch", "no split 'nosuch' in "),
     ("tactile verify IMAGES --split nosuch", "no split 'nosuch' in "),
     ("tactile export DIGITS --out out --gap-mm 3", "--gap-mm has no effect without --plate"),
+    ("tactile-sim render MESHES/none.stl --optics depth --out out.png", "No such file"),
+    ("tactile-sim render MESHES/open.stl --optics depth --out out.png", "the surface is open"),
+    ("tactile-sim render MESHES/inside-out.stl --optics depth --out out.png", "inside-out"),
+    ("tactile-sim render MESHES/flat.stl --optics depth --out out.png", "bounds no solid"),
+    ("RENDER --at-mm nan,0", "x_m of a pose is nan"),
+    ("RENDER --at-mm 70,0", "above the cell of 120 x 120 mm"),
+    ("RENDER --at-mm 1", "expected x,y in millimetres"),
+    ("RENDER --turn-deg inf", "--turn-deg is inf"),
+    *(
+        (f"RENDER --size {size}", "expected WIDTHxHEIGHT in pixels")
+        for size in ("wide", "80", "axb", "9xLONG")
+    ),
+    ("RENDER --size 0x10", "expected width and height in whole pixels"),
+    ("RENDER --size 9999x9999", "at most 16,777,216 pixels"),
+    ("RENDER --layer-mm 5", "layers are 0.005 m high"),
+    ("RENDER --sensor-noise calibrated", "'depth' do not have the calibrated noise"),
+    ("RENDER --weights none.npz", "--weights has no effect with --optics depth; expected cyclegan"),
+    ("RENDER --out touch.tif", "expected a name that ends with .png, .jpg, .jpeg"),
+    *((f"{command} {options}", message) for command in ("RENDER", "PRESS") for options, message in PRESSES),
 ]
 
 
 @pytest.mark.parametrize(("words", "message"), CASES, ids=[words for words, _ in CASES])
 def test_bad_input_is_named_and_writes_nothing(
-    words, message, digits_set, images, mesh_file, tmp_path, monkeypatch, capsys
+    words, message, digits_set, images, meshes, tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)
-    values = {"DIGITS": digits_set, "IMAGES": images, "MESH": mesh_file, "LONG": "9" * 5_000}
-    for name, value in values.items():
+    values = {"DIGITS": digits_set, "IMAGES": images, "MESHES": meshes, "LONG": "9" * 5_000}
+    for name, value in {**SHORT, **values}.items():
         words = words.replace(name, str(value))
     assert call(*shlex.split(words)) == 2
     printed = capsys.readouterr()

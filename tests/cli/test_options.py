@@ -142,13 +142,3 @@ def test_errors_about_words_have_the_field_of_their_option(line, monkeypatch):
                     except InputError as error:
                         field = error.field
                     assert field in ("", name), (info.name, name)
-
-
-@pytest.mark.parametrize(
-    "words", [("starstruck", "generate"), ("mnist3d", "generate"), ("tactile", "split", "x")]
-)
-def test_integers_of_any_length_are_read(words, tmp_path, capsys):
-    assert call(*words, "--seed", 10**45, "--out", tmp_path / "out") == 2
-    said = f"error: --seed is {10**45}; expected an integer of at least 0, below 2**63\n"
-    assert capsys.readouterr().err == said
-    assert not (tmp_path / "out").exists()

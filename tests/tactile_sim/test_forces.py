@@ -369,30 +369,6 @@ def test_other_sets_show_their_image_alone(tmp_path):
     assert (image == touch.image).all()
 
 
-@pytest.mark.parametrize(
-    ("options", "told"),
-    [
-        (["--force-n", "5"], "--force-n has no effect without --gel elastic"),
-        (["--slide-mm", "0.3"], "next: add --gel elastic, or leave it out"),
-        (["--gel", "none", "--markers", "7x9"], "--markers has no effect without --gel elastic"),
-        (["--gel", "soft"], "expected none, elastic, or a JSON file"),
-        (["--gel", "elastic", "--force-n", "1:2:3"], "expected a number, or two"),
-        (["--gel", "elastic", "--force-n", "inf"], "expected a number, or two"),
-        (["--gel", "elastic", "--markers", "7"], "expected COLUMNSxROWS"),
-        (["--gel", "elastic", "--draw-markers"], "no effect without --markers"),
-        (["--gel", "elastic", "--press-mm", "9"], "less than the gel is thick"),
-    ],
-    ids=" ".join,
-)
-@pytest.mark.parametrize("command", ["generate", "render"])
-def test_commands_refuse(command, options, told, tmp_path, capsys):
-    ball(subdivisions=1).export(tmp_path / "ball.stl")
-    out = tmp_path / "touch.png"
-    assert call("tactile-sim", command, tmp_path / "ball.stl", "--unit", "m", *options, "--out", out) == 2
-    assert told in " ".join(capsys.readouterr().err.split())
-    assert not out.exists()
-
-
 def test_the_commands_press(tmp_path, capsys):
     ball(subdivisions=3).export(tmp_path / "ball.stl")
     (tmp_path / "gel.json").write_text('{"youngs_modulus_pa": 1e5, "poisson_ratio": 0.45}')

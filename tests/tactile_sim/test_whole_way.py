@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
 from typer.testing import CliRunner
 
 import starstruck_gen
@@ -49,54 +48,6 @@ def test_a_gallery_and_a_preview_show_every_round(made, tmp_path):
     assert "Synthetic touches" in (tmp_path / "site" / "index.html").read_text()
     _call("preview", made, "--split", "test", "--out", tmp_path / "round.png", "--round", 1)
     assert (tmp_path / "round.png").stat().st_size > 1000
-
-
-def _mesh(folder: Path, kind: str) -> Path:
-    mesh = block().apply_scale(1000)
-    if kind == "open":
-        mesh.update_faces(np.arange(12) > 0)
-    elif kind == "inside-out":
-        mesh.invert()
-    elif kind == "flat":
-        mesh = trimesh.Trimesh([[0, 0, 0], [9, 0, 0], [0, 9, 0]], [[0, 1, 2], [0, 2, 1]], process=False)
-    file = folder / f"{kind}.stl"
-    mesh.export(file)
-    return file
-
-
-@pytest.mark.parametrize(
-    ("mesh", "options", "message"),
-    [
-        ("open", (), "the surface is open"),
-        ("inside-out", (), "inside-out"),
-        ("flat", (), "bounds no solid"),
-        ("block", ("--at-mm", "nan,0"), "x_m of a pose is nan"),
-        ("block", ("--at-mm", "70,0"), "above the cell of 120 x 120 mm"),
-        ("block", ("--at-mm", "1"), "expected x,y in millimetres"),
-        ("block", ("--turn-deg", "inf"), "--turn-deg is inf"),
-        *(
-            ("block", ("--size", wrong), "expected WIDTHxHEIGHT in pixels")
-            for wrong in ("wide", "80", "axb", f"9x{'9' * 5_000}")
-        ),
-        ("block", ("--size", "0x10"), "expected width and height in whole pixels"),
-        ("block", ("--size", "9999x9999"), "at most 16,777,216 pixels"),
-        ("block", ("--layer-mm", "5"), "layers are 0.005 m high"),
-        ("block", ("--layer-mm", "thin"), "expected"),
-        ("block", ("--sensor-noise", "calibrated"), "'depth' do not have the calibrated noise"),
-        ("block", ("--weights", "none.npz"), "--weights has no effect without --optics cyclegan"),
-        ("block", ("--out", "touch.tif"), "expected a name that ends with .png, .jpg, .jpeg"),
-        ("none", (), "No such file"),
-    ],
-)
-def test_invalid_renderings_are_refused_and_write_nothing(mesh, options, message, tmp_path):
-    file = tmp_path / "none.stl" if mesh == "none" else _mesh(tmp_path, mesh)
-    out = tmp_path / "touch.png"
-    command = ["render", str(file), "--optics", "depth", "--out", str(out), *options]
-    result = CliRunner().invoke(app, command, env={"COLUMNS": "300"})
-    assert result.exit_code == 2, result.output
-    text = result.output + (str(result.exception) if result.exception else "")
-    assert message in text
-    assert not out.exists()
 
 
 def test_invalid_poses_are_refused():
