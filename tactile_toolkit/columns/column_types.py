@@ -8,6 +8,7 @@ are kept as JSON (:data:`UNTYPED`).
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import suppress
 from functools import partial, reduce
@@ -29,6 +30,12 @@ UNTYPED = pa.binary()
 
 _NOTHING = pa.null()
 _LISTS = (list, tuple)
+MAX_NESTING = 32
+"""Most brackets inside each other in JSON that is parsed; parsers end the process at some thousands."""
+_JSON_STRING = re.compile(rb'"(?:[^"\\]|\\.)*"', re.DOTALL)
+_BRACKETS = np.zeros(256, np.int8)
+_BRACKETS[[*b"[{"]] = 1
+_BRACKETS[[*b"]}"]] = -1
 _MAX_LEVELS = 4  # of lists in a list
 _MAX_EXACT = 1 << 53  # below which float64 holds every integer
 _NO_VALUE = pa.array(["", "NA", "N/A", "#N/A", "nan", "NaN", "null", "NULL", "None"])
@@ -115,11 +122,25 @@ def _as_type(texts: pa.Array, words: pa.Array, kind: pa.DataType) -> pa.Array:
     return words.cast(kind)
 
 
+def is_nested_deeply(text: bytes) -> bool:
+    """Return whether more than :data:`MAX_NESTING` brackets of JSON are inside each other."""
+
+    def depth(data: bytes) -> int:
+        opened = np.cumsum(_BRACKETS[np.frombuffer(data, np.uint8)], dtype=np.int64)
+        return int((opened - np.minimum.accumulate(np.minimum(opened, 0))).max(initial=0))
+
+    # Brackets in strings count only until the strings are left out, which takes longer.
+    return depth(text) > MAX_NESTING and depth(_JSON_STRING.sub(b"", text)) > MAX_NESTING
+
+
 def _vectors_of(texts: pa.Array) -> pa.Array:
     """Return texts as vectors if each of them is one, such as ``[1.5, 2]``."""
     if pc.all(pc.match_substring_regex(texts, _VECTOR)).as_py():
+        words = texts.to_pylist()
+        if is_nested_deeply("".join(filter(None, words)).encode()):
+            return texts
         with suppress(ValueError):
-            return column_of([text and json.loads(text) for text in texts.to_pylist()])
+            return column_of([text and json.loads(text) for text in words])
     return texts
 
 

@@ -280,6 +280,9 @@ def _separator_of(header: str) -> str:
 def _json_batches(stream: IO[bytes], path: str) -> Iterator[pa.RecordBatch]:
     with io.BufferedReader(stream) as lines:  # type: ignore[type-var] # files of stores have no such `readline`
         while block := lines.read(_BLOCK_BYTES) + lines.readline(_BLOCK_BYTES):
+            if column_types.is_nested_deeply(block):
+                problem = f"{path!r} has more than {column_types.MAX_NESTING} brackets inside each other"
+                raise InputError(problem, next="store nested values as columns, or as text")
             reading = pa.json.ReadOptions(use_threads=False, block_size=len(block) + 1)
             yield from pa.json.read_json(pa.BufferReader(block), reading).to_batches()
 

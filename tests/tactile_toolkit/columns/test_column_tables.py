@@ -118,7 +118,9 @@ def test_parquet(tmp_path: Path) -> None:
         ('{"a": 1}\n{"a": \n', ".jsonl", "cannot be read as a table"),
         ('{"a": 1}\n{"a": "b"}\n', ".jsonl", "cannot be read as a table"),
         ('"text"', ".jsonl", "cannot be read as a table"),
-        ("[" * 100_000, ".jsonl", "cannot be read as a table"),
+        ("[" * 100_000, ".jsonl", "more than 32 brackets inside each other"),
+        ('{"a": ' + "[" * 10_000 + "]" * 10_000 + "}", ".jsonl", "more than 32 brackets inside each other"),
+        ('{"]": "]]", "a": ' + '{"a": [' * 20 + "]}" * 20 + "}", ".jsonl", "more than 32 brackets"),
         (b"PAR1 and more", ".parquet", "cannot be read as a table"),
     ],
 )
@@ -154,6 +156,13 @@ def test_switches_after_numbers_are_text(monkeypatch: pytest.MonkeyPatch) -> Non
     assert read(table("\n".join(["a", *values]) + "\n")) == {"a": values}
     empty = ["NA"] * 8 + ["true"] * 8
     assert read(table("\n".join(["a", *empty]) + "\n")) == {"a": [None] * 8 + [True] * 8}
+
+
+def test_brackets_in_texts_are_not_nested_and_deep_vectors_stay_text() -> None:
+    lines = ['{"a": ":-[ \\\\"}', '{"a": "{ \\" ["}'] * 100
+    assert read(table("\n".join(lines), ".jsonl"))["a"] == [":-[ \\", '{ " ['] * 100
+    deep = "[" * 5_000 + "]" * 5_000
+    assert table(f"a,b\n1,{deep}\n").whole()["b"].to_pylist() == [deep]
 
 
 def test_a_field_holds_thousands_of_numbers() -> None:
