@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import TypeAlias
 
 import numpy as np
@@ -14,29 +15,28 @@ Vector: TypeAlias = tuple[float, float, float]
 
 # Size of the stack of node pairs: three for each level of the trees, which have at most 63 levels.
 DEEPEST = 256
+PAIRS_AT_ONCE = 1 << 18
 
 
-def near_pairs(corners_mm: Float64, reach_mm: float) -> Int64:
-    """Return pairs of triangles, or other objects of shape (F, corners, 3), whose boxes are within reach.
+def near_pairs(corners_mm: Float64, reach_mm: float) -> Iterator[Int64]:
+    """Yield pairs of triangles, or other objects of shape (F, corners, 3), whose boxes are within reach.
 
-    The reach counts along each axis. The result has shape (2, pairs), each pair once.
+    The reach counts along each axis. Each pair is yielded once, in arrays of shape (2, pairs): long and
+    narrow objects may have many millions of pairs.
     """
     if not len(corners_mm):
-        return np.zeros((2, 0), np.int64)
+        return
     corners_mm = np.ascontiguousarray(corners_mm.swapaxes(0, 1))  # numpy is slow along short rows
     low = corners_mm.min(axis=0) - reach_mm / 2
     high = corners_mm.max(axis=0) + reach_mm / 2
     numbered = curve_order((low + high) / 2)
     boxes, held = tree_of(numbered, low, high)
-    pairs = np.empty((1024, 2), np.int64)
-    count = 0
+    pairs = np.empty((PAIRS_AT_ONCE, 2), np.int64)
     stack = np.ones((DEEPEST, 2), np.int64)
     top = 1
-    while True:
-        count, top = _meeting(numbered, boxes, held, stack, top, pairs, count)
-        if not top:
-            return np.ascontiguousarray(pairs[:count].T & 0xFFFFFFFF)
-        pairs = np.concatenate([pairs, np.empty_like(pairs)])
+    while top:
+        count, top = _meeting(numbered, boxes, held, stack, top, pairs)
+        yield np.ascontiguousarray(pairs[:count].T & 0xFFFFFFFF)
 
 
 def connected(ends: Int64, others: Int64, count: int) -> Int64:
@@ -155,9 +155,9 @@ def _tree(numbered: Int64, low: Float64, high: Float64, waiting: Int64, boxes: F
         top += 1
 
 
-@planned("(int64[::1], float64[:,:,::1], int64[:,::1], int64[:,::1], int64, int64[:,::1], int64)")
+@planned("(int64[::1], float64[:,:,::1], int64[:,::1], int64[:,::1], int64, int64[:,::1])")
 def _meeting(
-    numbered: Int64, boxes: Float64, held: Int64, stack: Int64, top: int, pairs: Int64, count: int
+    numbered: Int64, boxes: Float64, held: Int64, stack: Int64, top: int, pairs: Int64
 ) -> tuple[int, int]:
     """Write the pairs of boxes that overlap, each pair once; boxes as in ``numbered``.
 
@@ -165,6 +165,7 @@ def _meeting(
     """
     things = len(numbered)
     columns = boxes.shape[2]
+    count = 0
     while top and count < len(pairs):
         top -= 1
         node, partner = stack[top, 0], stack[top, 1]

@@ -37,6 +37,9 @@ _MAX_ODD = 64
 # Doubtful places that are tested; each takes 26 winding numbers over all faces.
 _DOUBTS_TRIED = 32
 
+# Doubtful places from which they are chosen, at most about so many.
+_MAX_DOUBTS = 1_000_000
+
 # Distance, in tolerances, from a doubtful place to the points at which winding numbers are computed. None of
 # the directions lies in a plane in which faces of hand-made objects usually lie.
 _ASIDE = 16.0
@@ -101,19 +104,19 @@ def _rim_is_simple(points: Float64, edges: Int64) -> bool:
     if np.bincount(start, minlength=1).max() > 1:
         return False  # lines that share a corner
     p, q = points[start], points[end]
-    first, second = near_pairs(np.stack([p, q], axis=1), 0.0)
-    a = p[first]
-    b = q[first]
-    c = p[second]
-    d = q[second]
-    turn_c, turn_d = _turn(a, b, c), _turn(a, b, d)
-    # Edges cross unless one of them has both ends of the other on one side.
-    apart = (turn_c * turn_d > 0) | (_turn(c, d, a) * _turn(c, d, b) > 0)
-    # Neighbours share a corner; otherwise they are apart unless one runs back along the other.
-    joined = (start[first] == end[second]) | (end[first] == start[second])
-    onwards = ((b - a) * (d - c)).sum(axis=1) > 0
-    if not np.where(joined, (turn_c != 0) | (turn_d != 0) | onwards, apart).all():
-        return False
+    for first, second in near_pairs(np.stack([p, q], axis=1), 0.0):
+        a = p[first]
+        b = q[first]
+        c = p[second]
+        d = q[second]
+        turn_c, turn_d = _turn(a, b, c), _turn(a, b, d)
+        # Edges cross unless one of them has both ends of the other on one side.
+        apart = (turn_c * turn_d > 0) | (_turn(c, d, a) * _turn(c, d, b) > 0)
+        # Neighbours share a corner; otherwise they are apart unless one runs back along the other.
+        joined = (start[first] == end[second]) | (end[first] == start[second])
+        onwards = ((b - a) * (d - c)).sum(axis=1) > 0
+        if not np.where(joined, (turn_c != 0) | (turn_d != 0) | onwards, apart).all():
+            return False
     # Simple closed lines: the others wind around each 0 times, or once where it winds backwards.
     line = connected(start, end, len(points))[start]
     for number in np.unique(line):
@@ -146,11 +149,17 @@ def _crossing_among(vertices_mm: Float64, faces: Int64, suspects: Int64) -> Floa
     wide = doubled > tolerance * longest
     triangles = faces[suspects[wide]].astype(np.int64)
     normal = normal[wide] / doubled[wide, None]
-    pairs = near_pairs(vertices_mm[triangles], tolerance)
     points = np.ascontiguousarray(vertices_mm, dtype=np.float64)
-    certain, points_mm = passages(points, triangles, normal, pairs, tolerance)
-    if certain:
-        return np.asarray(points_mm[0])
+    doubtful = [np.zeros((0, 3))]
+    count = 0
+    for pairs in near_pairs(vertices_mm[triangles], tolerance):
+        is_certain, crossings_mm = passages(points, triangles, normal, pairs, tolerance)
+        if is_certain:
+            return np.asarray(crossings_mm[0])
+        if count < _MAX_DOUBTS:
+            doubtful.append(crossings_mm.copy())
+            count += len(crossings_mm)
+    points_mm = np.concatenate(doubtful)
     chosen = np.linspace(0, len(points_mm) - 1, min(len(points_mm), _DOUBTS_TRIED)).astype(np.int64)
     for point_mm in points_mm[chosen]:
         winding = _winding_numbers(vertices_mm, faces, point_mm + _ASIDE * tolerance * _DIRECTIONS)

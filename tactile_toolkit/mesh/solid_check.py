@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -116,7 +117,7 @@ def _overlap_problem(parts: list[Manifold]) -> tuple[str, str] | None:
             return "overlap", f"two cavities of one of {len(bodies)} bodies overlap"
         held[around] = less
     boxes_mm = np.array([body.bounding_box() for body in bodies]).reshape(-1, 2, 3)
-    for first, second in near_pairs(boxes_mm, 0.0).T.tolist():
+    for first, second in chain.from_iterable(pairs.T.tolist() for pairs in near_pairs(boxes_mm, 0.0)):
         shared_mm3 = (held[first] ^ held[second]).volume()
         if shared_mm3 > OVERLAP_MM3:
             return "overlap", f"two of {len(bodies)} bodies overlap by {shared_mm3:.3g} mm³"

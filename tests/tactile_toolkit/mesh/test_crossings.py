@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import tracemalloc
 from collections.abc import Callable
 from typing import Any
 
@@ -82,6 +83,24 @@ def test_a_sphere_pushed_through_its_far_side_is_named() -> None:
     report = report_of(pushed_sphere())
     assert report.problem == "self-crossing"
     assert report_of(pushed_sphere(15.0)).is_solid
+
+
+def test_many_needles_that_cross_take_little_memory() -> None:
+    """All of 3,006 faces meet in the middle: the boxes of millions of pairs overlap."""
+    count = 501
+    angles = np.arange(count) * (np.pi + 2 * np.pi / count)
+    middle_mm = np.stack([50 * np.cos(angles), 50 * np.sin(angles), np.zeros(count)], axis=1)
+    around_mm = np.array([[0, 0, 0.2], [0.1, 0.1, -0.1], [-0.1, -0.1, -0.1]])
+    ring = np.arange(3 * count).reshape(count, 3)
+    along, beside = np.roll(ring, -1, axis=0), np.roll(ring, -1, axis=1)
+    across = np.roll(along, -1, axis=1)
+    faces = np.concatenate([np.stack([ring, along, beside], 2), np.stack([beside, along, across], 2)])
+    tracemalloc.start()
+    crossing_mm = self_crossing((middle_mm[:, None] + around_mm).reshape(-1, 3), faces.reshape(-1, 3))
+    _, peak_bytes = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert crossing_mm is not None
+    assert peak_bytes < 100e6, "144 bytes and more for each pair took 650 MB"
 
 
 def test_a_ring_that_lies_in_itself_is_named() -> None:

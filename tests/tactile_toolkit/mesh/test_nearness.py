@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from tactile_toolkit.mesh.box_tree import near_pairs
+from tactile_toolkit.mesh import box_tree
 from tactile_toolkit.mesh.walls import FACING, thinnest_wall_mm
 
 REACH_MM = 2.5
@@ -25,7 +25,11 @@ def test_boxes_that_meet_are_found_once(seed: int, count: int, reach_mm: float) 
     corners_mm = random.uniform(0, 20, (count, 1, 3)) + random.uniform(0, 4, (count, 3, 3))
     low, high = corners_mm.min(axis=1) - reach_mm / 2, corners_mm.max(axis=1) + reach_mm / 2
     meet = ((low[:, None] <= high) & (low <= high[:, None])).all(axis=2)
-    found = [tuple(sorted(pair)) for pair in near_pairs(corners_mm, reach_mm).T.tolist()]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(box_tree, "PAIRS_AT_ONCE", 16)
+        parts = [part.T.tolist() for part in box_tree.near_pairs(corners_mm, reach_mm)]
+    assert all(len(part) <= 16 for part in parts)
+    found = [tuple(sorted(pair)) for part in parts for pair in part]
     assert sorted(found) == [(one, other) for one, other in np.argwhere(meet).tolist() if one < other]
 
 
