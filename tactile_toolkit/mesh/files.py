@@ -7,7 +7,7 @@ import logging
 import os
 import zipfile
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike, fspath
 from pathlib import Path
 from typing import IO, ClassVar
@@ -139,6 +139,9 @@ class MeshFile:
         mesh, stated = _unpacked(content, self.ending, self.unit)
         size_mm = float(np.ptp(mesh.bounds_m, axis=0).max()) * MM_PER_M
         mesh_options.require_likely_size(size_mm, self.unit, stated)
+        if self.unit is None and stated is None:
+            notes = mesh_options.size_notes(size_mm, mesh.volume_m3 * MM_PER_M**3)
+            mesh = replace(mesh, notes=(*mesh.notes, *notes))
         return mesh
 
     def read(self) -> Mesh:

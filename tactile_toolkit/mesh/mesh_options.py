@@ -21,6 +21,8 @@ UNIT = choice(
 """Option of commands that take mesh files."""
 
 _MIN_MM, _MAX_MM, _USUAL_MM = 1.0, 1000.0, 50.0
+# Smaller objects are usual in inches only.
+_MIN_USUAL_MM, _MIN_USUAL_MM3 = 5.0, 9.0
 
 # Slicers fill a wall with one line on each side.
 _LINES_OF_WALL = 2
@@ -71,6 +73,17 @@ def require_likely_size(size_mm: float, unit: str | None, stated: str | None) ->
     if stated is not None:
         raise InputError(f"{problem}, but the file states {stated}", next=f"export it again, or give {meant}")
     raise InputError(problem, next=f"give --unit {likely} (in Python, unit={likely!r}), or {meant}")
+
+
+def size_notes(size_mm: float, volume_mm3: float) -> tuple[str, ...]:
+    """Return a note about an object so small that its file may be in inches; empty for others.
+
+    ``size_mm`` is its longest side. The limit of the volume is that of PrusaSlicer.
+    """
+    if not (size_mm < _MIN_USUAL_MM or 0 < volume_mm3 < _MIN_USUAL_MM3):
+        return ()
+    inches_mm = size_mm * MM_PER_UNIT["in"]
+    return (f"it is {size_mm:.3g} mm long; if it should be {inches_mm:.3g} mm, add --unit in",)
 
 
 @dataclass(frozen=True, slots=True)

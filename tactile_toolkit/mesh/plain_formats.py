@@ -18,7 +18,7 @@ from typing import TypeVar
 import manifold3d
 import numpy as np
 
-from tactile_toolkit.array_types import AnyArray, Float64, Int32, Int64
+from tactile_toolkit.array_types import AnyArray, Bool, Float64, Int32, Int64
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import Surface
 
@@ -33,6 +33,7 @@ _Number = TypeVar("_Number", float, int)
 
 # The time for a polygon that crosses itself grows with the square of its number of corners.
 _MAX_CORNERS = 10_000
+_MAX_SQUARES = 10 * _MAX_CORNERS**2  # in all polygons together
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _HEADER_BYTES = 84
 _VERTEX = r"vertex\s+(\S+)\s+(\S+)\s+(\S+)\s+"
@@ -111,7 +112,8 @@ def cut_polygons(vertices: Float64, sizes: Int64, corners: Int64) -> Int32:
     Raises
     ------
     InputError
-        A polygon has fewer than 3 or more than 10,000 corners, or names a vertex that is not there.
+        A polygon has fewer than 3 or more than 10,000 corners, or names a vertex that is not there; or many
+        large polygons are not convex.
     """
     beyond = corners[(corners < 0) | (corners >= len(vertices))]
     if len(beyond):
@@ -123,14 +125,31 @@ def cut_polygons(vertices: Float64, sizes: Int64, corners: Int64) -> Int32:
         raise InputError(f"a face has {wrong[0]:,} corners; expected 3 to {_MAX_CORNERS:,}")
     starts = np.cumsum(sizes) - sizes
     triangles = []
+    squares = 0
     for size in np.unique(sizes).tolist():
         polygons = corners[starts[sizes == size][:, None] + np.arange(size)]
-        triangles.append(polygons if size == 3 else _cut_equal(vertices, polygons))
+        if size == 3:
+            triangles.append(polygons)
+            continue
+        flat, is_convex = _flattened(vertices, polygons)
+        squares += size**2 * int((~is_convex).sum())
+        if squares > _MAX_SQUARES:
+            raise InputError(
+                f"too many faces of up to {size:,} corners that are not convex",
+                next="triangulate them, with the program that made the file",
+            )
+        middle = np.arange(1, size - 1)
+        fan = np.stack([np.zeros_like(middle), middle, middle + 1], axis=1)
+        triangles.append(polygons[is_convex][:, fan].reshape(-1, 3))
+        cut: Callable[..., AnyArray] = manifold3d.triangulate
+        triangles += [
+            polygons[row][np.asarray(cut([flat[row]]))] for row in np.flatnonzero(~is_convex).tolist()
+        ]
     return np.concatenate(triangles).astype(np.int32)
 
 
-def _cut_equal(vertices: Float64, polygons: Int64) -> Int64:
-    """Triangulate polygons with equal numbers of corners, shape (P, corners)."""
+def _flattened(vertices: Float64, polygons: Int64) -> tuple[Float64, Bool]:
+    """Return polygons of equal numbers of corners, shape (P, corners), in the plane, and which are convex."""
     points = vertices[polygons]
     points -= points[:, :1]
     following = np.roll(points, -1, axis=1)
@@ -145,13 +164,7 @@ def _cut_equal(vertices: Float64, polygons: Int64) -> Int64:
     along = np.roll(flat, -1, axis=1) - flat
     onward = np.roll(along, -1, axis=1)
     turns = along[..., 0] * onward[..., 1] - along[..., 1] * onward[..., 0]
-    is_convex = (turns > 0).all(axis=1)
-    middle = np.arange(1, polygons.shape[1] - 1)
-    fan = np.stack([np.zeros_like(middle), middle, middle + 1], axis=1)
-    triangles = [polygons[is_convex][:, fan].reshape(-1, 3)]
-    cut: Callable[..., AnyArray] = manifold3d.triangulate
-    triangles += [polygons[row][np.asarray(cut([flat[row]]))] for row in np.flatnonzero(~is_convex).tolist()]
-    return np.concatenate(triangles)
+    return flat, (turns > 0).all(axis=1)
 
 
 def read_stl(data: bytes) -> Surface:

@@ -39,8 +39,8 @@ WARNINGS_PAGE = "docs/warnings.md"
 """Page with a section on each warning."""
 
 _PLATE = "--half-on-base-mm 2 of `tactile export`, --base-mm 2 of `mnist3d solidify`"
-_CURES = {
-    "thin-wall": "make it larger, draw with a thicker pen, or give it upright sides (--edge-profile flat)",
+_ADVICE = {
+    "thin-wall": "make it larger, draw with a thicker pen, or print it with a finer nozzle",
     "separate-bodies": f"join the parts by a plate ({_PLATE}) or by bridges, or print them one by one",
     "overhang": f"print with support, or put it on a plate ({_PLATE})",
     "small-contact": f"put it on a plate ({_PLATE}), or print it with a brim of 5 mm",
@@ -172,7 +172,7 @@ class PrintReport(TypedRow):
         """Return a line for each warning: what to do, and the section that explains it."""
         warned = set(words)
         return tuple(
-            f"{word}: {_CURES[word]} (see {WARNINGS_PAGE}#{word})" for word in WARNINGS if word in warned
+            f"{word}: {_ADVICE[word]} (see {WARNINGS_PAGE}#{word})" for word in WARNINGS if word in warned
         )
 
 

@@ -200,6 +200,24 @@ def test_units_are_requested_and_applied(unit: str, ending: str, tmp_path: Path)
         read_mesh(path, unit="inch")
 
 
+def test_objects_that_are_likely_in_inches_have_a_note(tmp_path: Path) -> None:
+    path = tmp_path / "part.stl"
+    for size, notes in (
+        (50 / 25.4, ("it is 1.97 mm long; if it should be 50 mm, add --unit in",)),
+        (20, ()),
+    ):
+        path.write_bytes(pack_mesh(cube(size), ".stl"))
+        assert read_mesh(path).notes == notes
+        assert read_mesh(path, unit="mm").notes == ()
+    flat = cube(20)
+    flat.vertices_m[:, 2] /= 1000
+    path.write_bytes(pack_mesh(flat, ".stl"))
+    assert read_mesh(path).notes == ("it is 20 mm long; if it should be 508 mm, add --unit in",)
+    for ending in (".3mf", ".glb"):
+        (tmp_path / f"part{ending}").write_bytes(pack_mesh(cube(2), ending))
+        assert read_mesh(tmp_path / f"part{ending}").notes == ()
+
+
 @pytest.mark.parametrize(("radius_m", "sections"), [(1e-3, 512), (5e-4, 256), (1e-4, 64)])
 def test_a_tiny_cone_in_metres_is_a_solid(radius_m: float, sections: int, tmp_path: Path) -> None:
     """Its corners lie a few micrometres apart; trimesh, which drops such triangles, makes it open."""
@@ -292,6 +310,11 @@ def test_cut_polygons_cover_their_area_once() -> None:
         assert doubled.sum() / 2 == pytest.approx(area)
     with pytest.raises(InputError, match="a face has 2 corners"):
         cut_polygons(np.zeros((4, 3)), np.array([4, 2]), np.arange(6) % 4)
+    turns = np.arange(10_000) * (2 * np.pi / 10_000)
+    radii = 1 + 0.5 * (np.arange(10_000) % 2)
+    star = np.stack([radii * np.cos(turns), radii * np.sin(turns), 0 * turns], axis=1)
+    with pytest.raises(InputError, match="too many faces of up to 10,000 corners .*; next: triangulate them"):
+        cut_polygons(star, np.full(11, 10_000), np.tile(np.arange(10_000), 11))
 
 
 # --- corners that rounding has separated -------------------------------------------------------------
