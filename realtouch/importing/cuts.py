@@ -103,6 +103,11 @@ class CutTable:
         A touch that cannot be cut has a problem. Raises InputError if a row fits several recordings.
         """
         clips = []
+        clock: errors.ItemError | tuple[Float64, float]
+        try:
+            clock = self._clock_of(recording)  # once, since a table may have a row for each picture
+        except errors.ItemError as error:
+            clock = error
         for count, row in enumerate(self._rows_of(recording)):
             owner = self._recording_of_row.setdefault(row, recording.name)
             if owner != recording.name:
@@ -112,7 +117,9 @@ class CutTable:
                 )
             name = f"{recording.name}_{count:03d}"
             try:
-                start, stop = self._interval(recording, row)
+                if isinstance(clock, errors.ItemError):
+                    raise clock
+                start, stop = self._interval(*clock, row)
             except errors.ItemError as error:
                 clips.append(recording.unusable(error, name))
                 continue
@@ -145,10 +152,10 @@ class CutTable:
         names = {recording.name, recording.path, path.name, without_ending, path.stem} - {""}
         return sorted(row for name in names for row in self._rows_that_state.get(name, ()))
 
-    def _interval(self, recording: source_touches.Recording, row: int) -> tuple[int, int]:
-        """Return the number of the first picture of a touch and of the one after its last.
+    def _clock_of(self, recording: source_touches.Recording) -> tuple[Float64, float]:
+        """Return the times of a recording in the unit of the table, shape (frames,), and the usual step.
 
-        Raises ItemError if the row or the recording cannot be used.
+        Raises ItemError if the recording cannot be used.
         """
         problem = recording.problem
         if problem is not None:
@@ -160,11 +167,17 @@ class CutTable:
             raise errors.ItemError(
                 "times", "the recording has no times", next="state start_frame and end_frame"
             )
+        return times, float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+
+    def _interval(self, times: Float64, tolerance: float, row: int) -> tuple[int, int]:
+        """Return the number of the first picture of a touch and of the one after its last.
+
+        Raises ItemError if the row cannot be used.
+        """
         ends = [self._table.columns[name].slice(row, 1) for name in (self._start_column, self._end_column)]
         first, last = fields.times_s(column_types.joined(ends), self._start_column, self._time_unit).tolist()
         start = int(times.searchsorted(first))
         stop = int(times.searchsorted(last, side="right"))
-        tolerance = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
         if start >= stop or first < times[0] - tolerance or last > times[-1] + tolerance:
             raise errors.ItemError(
                 "interval",

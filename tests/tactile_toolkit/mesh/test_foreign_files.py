@@ -313,7 +313,9 @@ def test_cut_polygons_cover_their_area_once() -> None:
     turns = np.arange(10_000) * (2 * np.pi / 10_000)
     radii = 1 + 0.5 * (np.arange(10_000) % 2)
     star = np.stack([radii * np.cos(turns), radii * np.sin(turns), 0 * turns], axis=1)
-    with pytest.raises(InputError, match="too many faces of up to 10,000 corners .*; next: triangulate them"):
+    with pytest.raises(
+        InputError, match=r"too many faces of up to 10,000 corners .*; next: triangulate them"
+    ):
         cut_polygons(star, np.full(11, 10_000), np.tile(np.arange(10_000), 11))
 
 
