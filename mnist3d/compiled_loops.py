@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.array_types import Bool, Float32, Float64, Int32, Int64
-from tactile_toolkit.kernels import planned
+from tactile_toolkit.kernels import compiled
 
 _ROOT_2 = 2**0.5
 
@@ -41,7 +41,7 @@ def signed_distance_px(mask: Bool, inside_px: float, outside_px: float) -> Float
     return distances_px
 
 
-@planned("(int16[:,::1], int64, int64, int16[:,::1], int16[:,::1])")
+@compiled("(int16[:,::1], int64, int64, int16[:,::1], int16[:,::1])")
 def _distances_in_rows(
     ink: NDArray[np.int16], inside: int, outside: int, paper: NDArray[np.int16], inked: NDArray[np.int16]
 ) -> None:
@@ -66,7 +66,7 @@ def _distances_in_rows(
                 begin = column
 
 
-@planned(
+@compiled(
     "(int16[:,::1], int16[:,::1], int16[:,::1], int64, float32, float32, int16[::1], float32[:,::1])",
 )
 def _distances(
@@ -119,7 +119,7 @@ def narrow_pixels(distance: Float32, wide_px: float, reach: int) -> Int64:
     return pixels[:, : _narrow_pixels(distance, wide_px, reach, pixels)]
 
 
-@planned("(float32[:,::1], float64, int64, int64[:,::1])")
+@compiled("(float32[:,::1], float64, int64, int64[:,::1])")
 def _narrow_pixels(distance: Float32, wide_px: float, reach: int, pixels: Int64) -> int:
     height, width = distance.shape
     count = 0
@@ -169,7 +169,7 @@ def blurred(
     return blur_rows(np.ascontiguousarray(halfway.T), columns).T
 
 
-@planned("(float64[:,::1], float64[::1], float64, float64, float64, float64[:,::1], float64[:,::1])")
+@compiled("(float64[:,::1], float64[::1], float64, float64, float64, float64[:,::1], float64[:,::1])")
 def _blur_axis(
     values: Float64,
     nodes: Float64,
@@ -221,7 +221,7 @@ def runs_of(mask: Bool) -> tuple[Int64, Int64]:
     return runs[:count], pairs[:, :touching]
 
 
-@planned("(boolean[:,::1], int64[:,::1], int64[:,::1])")
+@compiled("(boolean[:,::1], int64[:,::1], int64[:,::1])")
 def _runs_of(mask: Bool, runs: Int64, pairs: Int64) -> tuple[int, int]:
     height, width = mask.shape
     count = touching = above = 0
@@ -266,7 +266,7 @@ def smoothed(vertices: Float32, faces: Int32, flat: Int64, step_factors: Float32
     return vertices
 
 
-@planned("(int32[:,::1], int64[::1], int64[::1], int32[::1], float32[::1])")
+@compiled("(int32[:,::1], int64[::1], int64[::1], int32[::1], float32[::1])")
 def _find_neighbours(faces: Int32, ends: Int64, filled: Int64, beside: Int32, weights: Float32) -> None:
     """Write the neighbours of vertices, each once, from the last to the first, and how often each occurs."""
     for face in range(len(faces)):
@@ -285,7 +285,7 @@ def _find_neighbours(faces: Int32, ends: Int64, filled: Int64, beside: Int32, we
             filled[corner] += 1
 
 
-@planned(
+@compiled(
     "(float32[:,::1], int64[::1], float32, int64[::1], int64[::1], int32[::1], float32[::1], float32[:,::1])"
 )
 def _pull(

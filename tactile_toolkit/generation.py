@@ -74,7 +74,7 @@ class RowGenerator(ABC):
     kind: DatasetKind
     spec: Any  # has `to_dict`
     kernels: ClassVar[tuple[str, ...]] = ()
-    """Modules with planned kernels (``tactile_toolkit.kernels.planned``) that all rows need."""
+    """Modules whose kernels state their types (``tactile_toolkit.kernels.compiled``), which all rows need."""
 
     def manifest(self) -> JsonObject:
         """Return JSON values that identify the rows; two equal values give equal Parquet."""

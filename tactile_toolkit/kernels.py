@@ -15,7 +15,7 @@ from functools import cache, lru_cache
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import Any, TypeVar
+from typing import Any, TypeVar, overload
 
 import numba
 from numba import extending
@@ -34,15 +34,40 @@ _COMPILER = "tactile_toolkit.kernels"
 # nogil: threads may work side by side. numpy's error model: a division by 0 is an infinity, not an exception
 # that every loop has to check. No wrapper for C, which would be unused: it takes a tenth of the time.
 _SETTINGS = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-_planned: dict[str, list[tuple[Any, str]]] = {}  # kernels and their types, by module
+_with_types: dict[str, list[tuple[Any, str]]] = {}  # kernels and their types, by module
 
 
-def compiled(function: F) -> F:
+@overload
+def compiled(function: F) -> F: ...
+
+
+@overload
+def compiled(function: str) -> Callable[[F], F]: ...
+
+
+def compiled(function: F | str) -> F | Callable[[F], F]:
     """Compile on first use; cache the code next to the file or in the user's cache folder, if writable.
 
     If several processes need a function, one compiles it and the others load the result. A debugger sees
     plain Python if ``NUMBA_DISABLE_JIT`` is set.
+
+    With types instead of a function, in numba's notation such as ``"(float64[:,::1], int64)"``, the result
+    is a decorator of kernels that :func:`prepare` compiles for arguments of these types.
     """
+    if not isinstance(function, str):
+        return _compiled(function)
+    types = function
+
+    def decorate(function: F) -> F:
+        kernel: Any = _compiled(function)
+        if isinstance(getattr(kernel, "compile", None), _CompileOnce):
+            _with_types.setdefault(function.__module__, []).append((kernel, types))
+        return kernel  # type: ignore[no-any-return]
+
+    return decorate
+
+
+def _compiled(function: F) -> F:
     jit: Any = numba.njit
     try:
         with all_files_watched():
@@ -61,31 +86,16 @@ def part(function: F) -> F:
     return register(**_SETTINGS, no_cpython_wrapper=True)(function)  # type: ignore[no-any-return]
 
 
-def planned(types: str) -> Callable[[F], F]:
-    """Return :func:`compiled` for a kernel that :func:`prepare` compiles, for arguments of these types.
-
-    ``types`` is a tuple in numba's notation, such as ``"(float64[:,::1], int64)"``.
-    """
-
-    def decorate(function: F) -> F:
-        kernel: Any = compiled(function)
-        if isinstance(getattr(kernel, "compile", None), _CompileOnce):
-            _planned.setdefault(function.__module__, []).append((kernel, types))
-        return kernel  # type: ignore[no-any-return]
-
-    return decorate
-
-
 @cache
 def prepare(*modules: str) -> None:
-    """Compile or load the planned kernels of modules that another process is not compiling just now.
+    """Compile or load the kernels of modules with types that another process is not compiling just now.
 
     Workers that start together thus divide the kernels among them. Later, each loads those of the others.
     """
     parsed: Any = sigutils.normalize_signature
     for module in modules:
         import_module(module)
-        for kernel, types in _planned.get(module, ()):
+        for kernel, types in _with_types.get(module, ()):
             with contextlib.suppress(errors.BusyError):
                 # The cache knows a kernel by its types, not by how they are written.
                 kernel.compile(tuple(parsed(types)[0]), patience_s=0.0)

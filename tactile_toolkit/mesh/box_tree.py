@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 
 from tactile_toolkit.array_types import Float64, Int64
-from tactile_toolkit.kernels import part, planned
+from tactile_toolkit.kernels import compiled, part
 
 Vector: TypeAlias = tuple[float, float, float]
 
@@ -108,7 +108,7 @@ def curve_order(points: Float64) -> Int64:
     return numbered
 
 
-@planned("(float64[:,::1], float64[::1], float64, int64[::1])")
+@compiled("(float64[:,::1], float64[::1], float64, int64[::1])")
 def _write_codes(points: Float64, low: Float64, scale: float, numbered: Int64) -> None:
     """Write the Morton code of each point, ten bits for each axis, above its number in the lower bits."""
     for point in range(len(points)):
@@ -122,7 +122,7 @@ def _write_codes(points: Float64, low: Float64, scale: float, numbered: Int64) -
             numbered[point] |= cell << (32 + axis)
 
 
-@planned("(int64[::1], float64[:,::1], float64[:,::1], int64[:,::1], float64[:,:,::1], int64[:,::1])")
+@compiled("(int64[::1], float64[:,::1], float64[:,::1], int64[:,::1], float64[:,:,::1], int64[:,::1])")
 def _tree(numbered: Int64, low: Float64, high: Float64, waiting: Int64, boxes: Float64, held: Int64) -> None:
     """Write the nodes of :func:`tree_of`.
 
@@ -155,7 +155,7 @@ def _tree(numbered: Int64, low: Float64, high: Float64, waiting: Int64, boxes: F
         top += 1
 
 
-@planned("(int64[::1], float64[:,:,::1], int64[:,::1], int64[:,::1], int64, int64[:,::1])")
+@compiled("(int64[::1], float64[:,:,::1], int64[:,::1], int64[:,::1], int64, int64[:,::1])")
 def _meeting(
     numbered: Int64, boxes: Float64, held: Int64, stack: Int64, top: int, pairs: Int64
 ) -> tuple[int, int]:
@@ -188,7 +188,7 @@ def _meeting(
     return count, top
 
 
-@planned("(int64[::1], int64[::1], int64[::1])")
+@compiled("(int64[::1], int64[::1], int64[::1])")
 def _connect(ends: Int64, others: Int64, least: Int64) -> None:
     for pair in range(len(ends)):
         root, end_root = ends[pair], others[pair]

@@ -16,7 +16,7 @@ from itertools import product
 import numpy as np
 
 from tactile_toolkit.array_types import Float64, Int64
-from tactile_toolkit.kernels import part, planned
+from tactile_toolkit.kernels import compiled, part
 from tactile_toolkit.mesh.box_tree import (
     Vector,
     connected,
@@ -194,7 +194,7 @@ def halves(points: Float64, faces: Int64, level: float) -> tuple[bool, Int64, In
     return is_divided, odd[:odds], edges[:count]
 
 
-@planned("(float64[:,::1], int64[:,::1], float64, int64[::1], int64[:,::1])")
+@compiled("(float64[:,::1], int64[:,::1], float64, int64[::1], int64[:,::1])")
 def _halves(points: Float64, faces: Int64, level: float, odd: Int64, edges: Int64) -> tuple[bool, int, int]:
     reaches, odds, count = False, 0, 0
     for face in range(len(faces)):
@@ -232,7 +232,7 @@ def passages(
     return is_certain, doubtful[count - 1 if is_certain else 0 : count]
 
 
-@planned("(float64[:,::1], int64[:,::1], float64[:,::1], int64[:,::1], float64, float64[:,::1])")
+@compiled("(float64[:,::1], int64[:,::1], float64[:,::1], int64[:,::1], float64, float64[:,::1])")
 def _passages(
     points: Float64, triangles: Int64, normal: Float64, pairs: Int64, tolerance: float, doubtful: Float64
 ) -> tuple[bool, int]:

@@ -164,7 +164,7 @@ def _flattened(vertices: Float64, polygons: Int64) -> tuple[Float64, Bool]:
     along = np.roll(flat, -1, axis=1) - flat
     onward = np.roll(along, -1, axis=1)
     turns = along[..., 0] * onward[..., 1] - along[..., 1] * onward[..., 0]
-    return flat, (turns > 0).all(axis=1)
+    return flat, np.asarray((turns > 0).all(axis=1))
 
 
 def read_stl(data: bytes) -> Surface:

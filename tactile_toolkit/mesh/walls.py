@@ -19,7 +19,7 @@ from typing import TypeAlias
 import numpy as np
 
 from tactile_toolkit.array_types import Float32, Float64, Int64
-from tactile_toolkit.kernels import part, planned
+from tactile_toolkit.kernels import compiled, part
 from tactile_toolkit.mesh.box_tree import (
     DEEPEST,
     Vector,
@@ -121,7 +121,7 @@ def _surface_of(points: Float64, faces: Int64) -> Solid:
     return points, faces, inward, at_corner, twin
 
 
-@planned(
+@compiled(
     "(float64[:,::1], int64[:,::1], float64[:,::1], float64[:,::1], int64[::1], int64[::1], "
     "float64[:,:,::1], int64[:,::1], int64[:,::1], float64)"
 )
@@ -184,7 +184,7 @@ def _may_face(boxes: Float64, node: int, partner: int, best: float) -> bool:
     return squared < best * best and cosine < _OPPOSED
 
 
-@planned(
+@compiled(
     "(float64[:,::1], int64[:,::1], int64[::1], int64[::1], int64[:,::1], float64[:,::1], "
     "float64[:,::1], int64[::1])"
 )
@@ -223,7 +223,7 @@ def _surface(
         at_corner[corner, 0], at_corner[corner, 1], at_corner[corner, 2] = unit
 
 
-@planned(
+@compiled(
     "(float64[:,::1], int64[:,::1], float64[:,::1], float64[:,::1], int64[::1], float64, "
     "float64[:,::1], float64[:,::1])"
 )
@@ -388,7 +388,7 @@ def _cosine_in(points: Float64, faces: Int64, inward: Float64, twin: Int64, half
     return 1.0 if is_hollow else math.sqrt(1 - lengthwise * lengthwise)
 
 
-@planned("(float64[:,::1], int64[:,::1], float64, float64, float64[::1])")
+@compiled("(float64[:,::1], int64[:,::1], float64, float64, float64[::1])")
 def _leaning_out(points: Float64, faces: Int64, bed: float, sine: float, doubled: Float64) -> int:
     count = 0
     for face in range(len(faces)):
@@ -403,7 +403,7 @@ def _leaning_out(points: Float64, faces: Int64, bed: float, sine: float, doubled
     return count
 
 
-@planned("(float32[:,::1], float32[:,::1], float32[:,::1], float32[::1], float32[::1])")
+@compiled("(float32[:,::1], float32[:,::1], float32[:,::1], float32[::1], float32[::1])")
 def _find_largest(
     points: Float32, inward: Float32, blocks: Float32, radii: Float32, contacts: Float32
 ) -> None:

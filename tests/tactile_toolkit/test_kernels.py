@@ -33,11 +33,11 @@ _CALLER = """
 from tactile_toolkit import kernels
 from made_up_kernels import callee as parts
 
-@kernels.planned("(int64,)")
+@kernels.compiled("(int64,)")
 def first(x):
     return parts.part(x) * 2
 
-@kernels.planned("(int64,)")
+@kernels.compiled("(int64,)")
 def second(x):
     return x - 1
 """
@@ -101,7 +101,7 @@ def first_is_busy(tmp_path: Path) -> Iterator[Path]:
             other.kill()
 
 
-def test_a_planned_kernel_that_another_process_compiles_is_left_to_it(first_is_busy: Path) -> None:
+def test_a_kernel_with_types_that_another_process_compiles_is_left_to_it(first_is_busy: Path) -> None:
     code = """
         from tactile_toolkit import kernels
         kernels.prepare("made_up_kernels.caller")
@@ -113,7 +113,7 @@ def test_a_planned_kernel_that_another_process_compiles_is_left_to_it(first_is_b
     assert time.monotonic() - begun_s < 60  # the time that a process waits for a lock
 
 
-def test_planned_kernels_are_ready_and_are_those_of_the_first_call(tmp_path: Path) -> None:
+def test_kernels_with_types_are_ready_and_are_those_of_the_first_call(tmp_path: Path) -> None:
     write_kernels(tmp_path, 1)
     code = """
         from tactile_toolkit import kernels
