@@ -68,6 +68,8 @@ def test_readers_call_files_by_their_format(name: str, tmp_path: Path) -> None:
         "image": lambda: read_image(path),
         "table": lambda: Table(f"{name}.parquet", lambda: io.BytesIO(content)).scan(),
     }
+    if name == "logo.svg":
+        del readers["picture"]  # reads it, with the extra
     for reader, read in readers.items():
         with pytest.raises(ToolkitError, match=f"(is|found) {words}.*; next: ") as caught:
             read()
