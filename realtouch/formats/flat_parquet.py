@@ -8,6 +8,7 @@ Thrift; its fields 2 and 3 are the sizes of the page, unpacked and stored.
 
 from __future__ import annotations
 
+import urllib.parse
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 plan_flat = exports.TouchFormat().plan
 _ENDING = ".parquet"
 _SPLIT = "split"
+_HIVE_NULL = "__HIVE_DEFAULT_PARTITION__"
 
 # Columns of our exports. Those of the order repeat the ids and the order of the rows.
 _OURS = {"id", "round_id", "label_name", "touch", "frame"}
@@ -105,6 +107,7 @@ def _touches(
     fields = parquet.columns([name for name in names if name not in left_out])
     if shard is not None and _SPLIT not in names:
         fields = {_SPLIT: column_types.repeated(shard.split, len(parquet)), **fields}
+    fields = {**_folder_values(path, len(parquet)), **fields}
     # The name of the file of each picture, without its folder.
     files = [source_files.path_of(name or "").rpartition("/")[2] for name in parquet.picture_names(column)]
     return source_touches.SourceTouches.of(
@@ -116,6 +119,17 @@ def _touches(
         start=np.arange(len(parquet)),
         size=size,
     )
+
+
+def _folder_values(path: str, rows: int) -> dict[str, pa.Array]:
+    """Return the columns that folders state, as Hive and Spark write them: ``label=3/part-0.parquet``."""
+    values = {}
+    for folder in path.split("/")[:-1]:
+        name, _, value = folder.partition("=")
+        if name and value and value != _HIVE_NULL:
+            column = column_types.from_text(pa.array([urllib.parse.unquote(value)]))
+            values[urllib.parse.unquote(name)] = column.take(pa.array(np.zeros(rows, np.int64)))
+    return values
 
 
 def is_picture(data_type: pa.DataType | None) -> bool:

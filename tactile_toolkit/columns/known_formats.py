@@ -20,6 +20,7 @@ _PICTURES = "write its pictures as PNG files, and their labels or values as a CS
 _BAG = (
     "write its images as files and its messages as CSV tables; `pip install rosbags` reads bags without ROS"
 )
+_DIGITS = f"digits of 28 x 28 pixels are read by `mnist3d generate --source table`; else {_PICTURES}"
 _SHEET = "save each sheet as CSV in UTF-8"
 _DRAWING = "draw it as a picture, black on white, and save that as PNG"
 _UNPACK = "unpack it, and give the files in it"
@@ -105,8 +106,8 @@ KNOWN_FORMATS = (
         (".mat",),
     ),
     KnownFormat("hdf5", "an HDF5 file", f"read it by h5py, and {_PICTURES}", _bytes(b"\x89HDF\r\n\x1a\n")),
-    KnownFormat("numpy", "a file of NumPy", _PICTURES, _bytes(b"\x93NUMPY"), (".npy", ".npz")),
-    KnownFormat("numpy", "a file of NumPy arrays (NPZ)", _PICTURES, _zip(rb"[^\0]*?\.npy")),
+    KnownFormat("numpy", "a file of NumPy", _DIGITS, _bytes(b"\x93NUMPY"), (".npy", ".npz")),
+    KnownFormat("numpy", "a file of NumPy arrays (NPZ)", _DIGITS, _zip(rb"[^\0]*?\.npy")),
     KnownFormat(
         "pickle",
         f"a pickle, {_PROGRAM}",
@@ -146,7 +147,7 @@ KNOWN_FORMATS = (
     KnownFormat("pdf", "a PDF or PostScript file", _DRAWING, _bytes(b"%PDF", b"%!PS")),
     KnownFormat("strokes", "a file of strokes in JSON", _DRAWING, _text(rb'\{.*"drawing"\s*:')),
     KnownFormat("json", "text in JSON", _PICTURES, _text(rb"[\[{]")),
-    KnownFormat("pixels", "a table of pixels", _PICTURES, _text(rb'"?label"?[,;\t|]"?(?:pixel|1x1|0)')),
+    KnownFormat("pixels", "a table of pixels", _DIGITS, _text(rb'"?label"?[,;\t|]"?(?:pixel|1x1|0)')),
     KnownFormat(
         "video",
         "a video",

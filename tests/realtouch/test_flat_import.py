@@ -16,6 +16,7 @@ import pytest
 import realtouch
 from realtouch.formats.flat_parquet import find_flat
 from realtouch.importing.import_sources import IMPORTS
+from realtouch.importing.source_files import Ledger
 from realtouch.importing.source_touches import SourceTouches
 from tactile_toolkit import read, store
 from tactile_toolkit.errors import InputError, ToolkitError
@@ -26,7 +27,7 @@ JPEGS = [picture(level) for level in range(0, 240, 20)]
 
 
 def found(home: Path, **columns: Any) -> SourceTouches:
-    parts = find_flat(store.open_folder(str(home)), realtouch.ImportColumns(**columns), None)
+    parts = find_flat(store.open_folder(str(home)), realtouch.ImportColumns(**columns), None, Ledger())
     return SourceTouches.joined(list(parts))
 
 
@@ -77,6 +78,18 @@ def test_rows_of_others_are_touches(form: str, tmp_path: Path) -> None:
 def test_a_table_with_only_pictures(tmp_path: Path) -> None:
     write(tmp_path, picture=pa.array(JPEGS))
     assert [touch.values for touch in each_of(found(tmp_path))] == [{"split": "train"}] * 12
+
+
+def test_folders_of_hive_state_columns(tmp_path: Path) -> None:
+    write(tmp_path, "label=/split=/part-0.parquet", tactile=images())
+    write(tmp_path, "label=3/object%20name=blue%20cup/part-0.parquet", tactile=images())
+    write(tmp_path, "label=4/split=test/code=007/part-0.parquet", tactile=images(), split=["own"] * 12)
+    values = [touch.values for touch in each_of(found(tmp_path))][::12]
+    assert values == [
+        {},
+        {"label": 3, "object name": "blue cup"},
+        {"label": 4, "split": "own", "code": "007"},
+    ]
 
 
 def test_one_of_several_columns_of_pictures_is_chosen(tmp_path: Path) -> None:
