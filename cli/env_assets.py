@@ -26,7 +26,7 @@ def wrench(
 ) -> None:
     """Make a printable open-end wrench, as a data set of one row.
 
-    Example: env-assets wrench --source_options-mm 13 --out assets/wrench
+    Example: env-assets wrench --opening-mm 13 --out assets/wrench
     """
     report = mesh.inspect(env_assets.wrench_mesh(spec))
     if not dry_run:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 from cli import options, output
-from tactile_toolkit import catalog, gallery as galleries, mesh, pictures, store, wording
+from tactile_toolkit import catalog, gallery as galleries, mesh, pictures, wording
 from tactile_toolkit.catalog.row_options import ROWS
 from tactile_toolkit.checked_fields import choice, integer, text
 from tactile_toolkit.errors import InputError
@@ -72,8 +72,9 @@ def preview(
         metavar="DIR|FILE.png",
         read=options.parse_local_path,
         shown="previews, a single grid touches.png",
-        help="Folder to write, or file of a single picture; existing pictures are replaced.",
+        help="Folder to write, or file of a single picture.",
     ),
+    overwrite: bool = options.OVERWRITE,
     dry_run: bool = options.DRY_RUN,
     sink: output.Sink,
 ) -> None:
@@ -93,7 +94,7 @@ def preview(
         plan = kind.plan_previews(place, _preview_spec(kind, drawing))
         if kind.has_touches and not drawing.get("kinds"):
             usual = "touches.png"
-    _write(sink, plan, out or Path(usual), dry_run=dry_run)
+    _write(sink, plan, out or Path(usual), overwrite=overwrite, dry_run=dry_run)
 
 
 def _preview_spec(kind: DatasetKind, drawing: options.UserOptions) -> object:
@@ -102,7 +103,9 @@ def _preview_spec(kind: DatasetKind, drawing: options.UserOptions) -> object:
     return kind.preview_spec(**drawing)
 
 
-def _write(sink: output.Sink, plan: pictures.PicturePlan, folder: Path, *, dry_run: bool) -> None:
+def _write(
+    sink: output.Sink, plan: pictures.PicturePlan, folder: Path, *, overwrite: bool, dry_run: bool
+) -> None:
     """Draw planned pictures and print where they are, or print only what would be drawn."""
     drawn = plan.pictures
     if folder.suffix.lower() == ".png":
@@ -121,7 +124,7 @@ def _write(sink: output.Sink, plan: pictures.PicturePlan, folder: Path, *, dry_r
             sink.line(f"would write {folder / picture.name}: {picture.what}")
         return
     with sink.progress("drawing", "pictures") as update:
-        written = replace(plan, pictures=drawn).write(store.open_folder(str(folder.absolute())), update)
+        written = replace(plan, pictures=drawn).write(folder, overwrite=overwrite, on_progress=update)
     sink.document({"folder": str(folder), "pictures": [asdict(made) for made in written], **left_out})
     for made in written:
         size = f"{made.width:,} x {made.height:,} pixels, {wording.bytes_text(made.bytes)}"

@@ -31,6 +31,7 @@ from tactile_toolkit.wording import with_count
 _ENDINGS: dict[str, Literal["jpeg", "png"]] = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg"}
 # Imported when it is called: it imports torch, which takes seconds and is an extra.
 _train = kind.lazy("tactile_sim.learned.training:train")
+_sensor_output = kind.lazy("tactile_sim.twin.twin_files:open_sensor_output")
 
 app = new_app("tactile-sim", "Synthetic touches: press a simulated GelSight Mini onto any solid.")
 
@@ -153,23 +154,19 @@ def render(
     Example: tactile-sim render part.stl --gel elastic --force-n 5 --markers 7x9 --draw-markers
     """
     image_format = _ENDINGS.get(out.suffix.lower())
-    if out.exists() and not overwrite:
-        raise InputError(
-            f"{str(out)!r} exists; nothing was written", next="add --overwrite, or choose another --out"
-        )
     if image_format not in (None, picture.get("image_format", image_format)):
         raise InputError("differs from the ending of --out", next="leave it out", field="image_format")
     if image_format is None:
         raise InputError(
             f"is {out.name!r}; expected a name that ends with {', '.join(_ENDINGS)}", field="out"
         )
+    written = store.open_output(out, overwrite=overwrite)
     spec = spec_of(sink, picture, plan=tactile_sim.TouchPlan(1, 1), press=press_of(press))
     solid = mesh.read_mesh(file, unit=unit)
     for note in solid.notes:
         sink.info(f"note: {file}: {note}")
     preview = tactile_sim.preview_touch(solid, spec, at, math.radians(turn_deg))
-    encoded = touch.encode_image(preview.picture, image_format, spec.quality)
-    store.open_folder(str(out.parent.absolute())).write_bytes(out.name, encoded)
+    written.write({out.name: touch.encode_image(preview.picture, image_format, spec.quality)})
     _print_touch(sink, out, preview)
 
 
@@ -228,6 +225,7 @@ def calibrate(
         help="First guess of the geometry: a sensor or JSON file.",
     ),
     out: Path = local_out_folder("my-sensor"),
+    overwrite: bool = options.OVERWRITE,
     sink: Sink,
 ) -> None:
     """Make the twin of a sensor, a model that renders its images and reads depth from them.
@@ -237,6 +235,7 @@ def calibrate(
 
     Example: tactile-sim calibrate recordings --solids plate --out my-sensor
     """
+    _sensor_output(out, overwrite=overwrite)
     recordings = tactile_sim.read_recordings(
         source,
         solids,
@@ -257,7 +256,7 @@ def calibrate(
         )
     with sink.progress("calibrating", "steps") as update:
         model = tactile_sim.calibrate(recordings, name=out.name, start=start, on_progress=update)
-    model.save(out)
+    model.save(out, overwrite=overwrite)
     contents.print_sensor(sink, model)
     sink.line(f"{with_count(len(recordings), 'touches')} of {source}; the sensor is in {out}")
     sink.line(f"next: tactile-sim check {out} {source}")

@@ -18,7 +18,6 @@ from mnist3d.sources.picture_files import is_picture_name, pages_of
 from tactile_toolkit import mesh, pictures, printing, store
 from tactile_toolkit.array_types import Bool, UInt8
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.wording import natural_key
 
 _VIEW_PX = (760, 560)
 _PREVIEW = "-preview.png"
@@ -140,8 +139,7 @@ def _refuse_pictures(pictures: Sequence[Path], folder: Path, names: Sequence[str
 def _pages_of(path: Path) -> Iterator[tuple[Path, int]]:
     files = [path]
     if path.is_dir():
-        visible = (inner for inner in path.iterdir() if not store.is_hidden(inner.name) and inner.is_file())
-        files = sorted(visible, key=lambda inner: (natural_key(inner.name.casefold()), inner.name))
+        files = store.list_files(path)
         others = [inner.name for inner in files if not is_picture_name(inner.name)]
         if others or not files:
             what = f"it holds {others[0]!r}" if others else "it is empty"

@@ -147,7 +147,7 @@ def write_wrench(
         Also write only the mesh, for a printer: a file with one of the endings of
         :data:`tactile_toolkit.mesh.MeshFile.FORMATS`.
     overwrite : bool
-        Replace another data set of this toolkit in the folder.
+        Replace another data set of this toolkit in the folder, and the file of the mesh.
 
     Returns
     -------
@@ -157,7 +157,7 @@ def write_wrench(
     Raises
     ------
     InputError
-        The folder holds something else, or the ending of the file is unknown.
+        The folder holds something else, or the file exists or has an unknown ending.
     SpecMismatchError
         The folder holds another wrench.
     StorageError
@@ -168,6 +168,7 @@ def write_wrench(
     Equal specifications give byte-identical Parquet.
     """
     if mesh_file is not None:  # before the folder, so that a refusal leaves nothing behind
+        store.open_output(mesh_file, overwrite=overwrite)
         mesh.write_mesh(store.expanded(mesh_file), wrench_mesh(spec))
     return WrenchGenerator(spec).generate(out, overwrite=overwrite)
 

@@ -279,12 +279,13 @@ class SensorModel:
             )
         return cls(**geometry, twin=twin)
 
-    def save(self, folder: str | PathLike[str]) -> None:
+    def save(self, folder: str | PathLike[str], *, overwrite: bool = False) -> None:
         """Write a calibrated sensor into a folder: ``sensor.json`` and ``arrays.npz``.
 
-        InputError for a sensor without a twin, or a folder with other files.
+        ``overwrite`` replaces another sensor. InputError for a sensor without a twin, or a folder with other
+        files.
         """
-        _write_sensor(fspath(folder), self, self._require_twin())
+        _write_sensor(fspath(folder), self, self._require_twin(), overwrite=overwrite)
 
     @classmethod
     def geometry_names(cls) -> tuple[str, ...]:

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 from tactile_sim.press.sensors import SENSORS, SensorModel
-from tactile_sim.twin.twin_files import ARRAYS_FILE, SENSOR_FILE
+from tactile_sim.twin.twin_files import ARRAYS_FILE, SENSOR_FILE, open_sensor_output
 from tactile_toolkit import __version__, cards, exchange, hub, places, store
-from tactile_toolkit.errors import InputError
+from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.wording import markdown_text
 
-_FILES = (SENSOR_FILE, ARRAYS_FILE)
+_FILES = (ARRAYS_FILE, SENSOR_FILE)
 _CARD_TEMPLATE = "sensor.md"
 
 
@@ -92,15 +93,24 @@ class SensorDownload:
         return sum(self.repository.file(path).size_bytes for path in _FILES)
 
     def run(self) -> SensorModel:
-        """Write the folder and return the sensor; InputError if the folder holds something else."""
+        """Write the folder and return the sensor.
+
+        Raises InputError if the folder holds anything but the same files, and IntegrityError if the sensor
+        is damaged; then nothing was written.
+        """
+        cached = self.repository.local_paths(_FILES)
+        contents = {path: file.read_bytes() for path, file in zip(_FILES, cached, strict=True)}
         folder = store.open_folder(self.out)
-        unknown = set(folder.names()) - {*_FILES}
-        if unknown:
-            raise InputError(
-                f"{self.out!r} holds {sorted(unknown)[0]!r}, which is not of a sensor; nothing was fetched",
-                next="choose another folder with --out",
-            )
-        folder.require_folder()
-        for path, cached in zip(_FILES, self.repository.local_paths(_FILES), strict=True):
-            folder.write_bytes(path, cached.read_bytes())
+        is_same = all(folder.exists(path) and folder.read_bytes(path) == contents[path] for path in _FILES)
+        output = open_sensor_output(self.out, overwrite=is_same, next="choose another --out")
+        output.write(contents, self._require_intact)
         return SensorModel.load(self.out)
+
+    def _require_intact(self, folder: Path) -> None:
+        try:
+            SensorModel.load(folder)
+        except InputError as error:
+            raise IntegrityError(
+                f"the sensor of {self.repository.repo_id!r} is damaged: {error.what}; nothing was written",
+                next="ask its owner to upload it again",
+            ) from error

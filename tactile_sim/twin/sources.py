@@ -21,7 +21,6 @@ from tactile_toolkit.columns import tables, units
 from tactile_toolkit.columns.known_formats import KnownFormat
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh
-from tactile_toolkit.wording import natural_key
 
 MAX_TOUCHES = 60
 """Greatest number of touches that are used, evenly spaced; 20 are enough, and time grows with the number."""
@@ -118,8 +117,7 @@ def image_paths(root: Path) -> list[Path]:
     """Return the image files of a folder that is no data set, in natural order."""
     if not root.is_dir() or (root / store.MANIFEST_FILE).exists() or next(root.glob("**/*.parquet"), None):
         return []
-    files = [file for file in root.iterdir() if file.suffix.lower() in _SUFFIXES]
-    return sorted(files, key=lambda file: natural_key(file.name))
+    return store.list_files(root, _SUFFIXES)
 
 
 def read_image(file: Path, root: Path | None = None) -> UInt8:
@@ -141,7 +139,7 @@ def read_image(file: Path, root: Path | None = None) -> UInt8:
 
 def _of_folder(root: Path, images: list[Path], table: str | PathLike[str] | None) -> list[_Touched]:
     """Read the images of a folder, with the solids and poses that a table states for them."""
-    beside = [file for file in sorted(root.iterdir()) if file.suffix.lower() in tables.Table.TEXT_ENDINGS]
+    beside = store.list_files(root, tables.Table.TEXT_ENDINGS)
     if table is None and len(beside) > 1:
         names = ", ".join(file.name for file in beside[:4])
         raise InputError(f"{str(root)!r} holds the tables {names}", next="choose one with --table")

@@ -28,14 +28,17 @@ _REPORTED = ("mm_per_px", "noise_levels", "image_error_levels", "residual_levels
 """Numbers that every report must hold."""
 
 
-def write_sensor(folder: str, model: SensorModel, twin: Twin) -> None:
-    """Write the folder of a sensor; InputError if it holds other files."""
-    target = store.open_folder(folder)
-    others = sorted(set(target.names()) - {SENSOR_FILE, ARRAYS_FILE})
-    if others:
-        raise InputError(
-            f"{folder!r} holds {others[0]!r}, which is not part of a sensor", next="choose another folder"
-        )
+def open_sensor_output(folder: str | Path, **options: Any) -> store.Output:
+    """Open the folder of a sensor to be written; InputError if it holds a sensor or other files.
+
+    ``options`` are ``overwrite`` and ``next`` of :func:`tactile_toolkit.store.open_output`.
+    """
+    return store.open_output(folder, (ARRAYS_FILE, SENSOR_FILE), is_alone=True, **options)
+
+
+def write_sensor(folder: str, model: SensorModel, twin: Twin, *, overwrite: bool = False) -> None:
+    """Write the folder of a sensor; raises as :func:`open_sensor_output`."""
+    output = open_sensor_output(folder, overwrite=overwrite)
     document = {
         "format": _FORMAT,
         "version": _VERSION,
@@ -44,9 +47,9 @@ def write_sensor(folder: str, model: SensorModel, twin: Twin) -> None:
         "arrays_sha256": twin.sha256,
         "report": dict(twin.report),
     }
-    # The document is written last: without it, the folder is not a sensor.
-    target.write_bytes(ARRAYS_FILE, npz_bytes(twin.arrays()))
-    target.write_bytes(SENSOR_FILE, (json.dumps(document, indent=1) + "\n").encode())
+    text = json.dumps(document, indent=1) + "\n"
+    # The document gets its name last: without it, the folder is not a sensor.
+    output.write({ARRAYS_FILE: npz_bytes(twin.arrays()), SENSOR_FILE: text.encode()})
 
 
 def read_sensor(folder: str | Path) -> tuple[dict[str, Any], Twin]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -79,17 +80,23 @@ class PicturePlan:
         return cls(tuple(pictures), tuple(dict.fromkeys(str(reason) for reason in reasons)))
 
     def write(
-        self, folder: store.DataFolder, on_progress: Callable[[int, int], None] = lambda _done, _all: None
+        self,
+        out: str | Path,
+        *,
+        overwrite: bool = False,
+        on_progress: Callable[[int, int], None] = lambda _done, _all: None,
     ) -> list[WrittenPicture]:
-        """Draw and write the pictures; existing ones of the same name are replaced.
+        """Draw and write the pictures into a local folder.
 
-        Each is written completely or not at all. If one fails, those before it are kept.
+        Each is written completely or not at all. If one fails, those before it are kept. Raises InputError,
+        before any is drawn, if there are files of the same names; ``overwrite`` replaces them.
         """
+        output = store.open_output(out, [picture.name for picture in self.pictures], overwrite=overwrite)
         written = []
         for done, picture in enumerate(self.pictures, start=1):
             pixels = picture.draw()
             content = png_bytes(pixels)
-            folder.write_bytes(picture.name, content)
+            output.folder.write_bytes(picture.name, content)
             height, width = pixels.shape[:2]
             written.append(WrittenPicture(picture.name, picture.what, width, height, len(content)))
             on_progress(done, len(self.pictures))

@@ -1,8 +1,11 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
 from .addresses import (
+    list_files as list_files,
     local_path as local_path,
     open_folder as open_folder,
+    open_output as open_output,
+    Output as Output,
     scheme_of as scheme_of,
     split_uri as split_uri,
 )
