@@ -16,6 +16,7 @@ from tests.command_line import call
 from tests.hub_server import HubServer, hub
 from tests.short_training import shorten_training
 from tests.tactile_sim.hidden_sensors import Recording, digits, draw_sensor
+from tests.tactile_sim.made_up_twin import made_up_sensor
 from tests.tactile_toolkit.exchange.upload_client import logged_in
 
 pytestmark = pytest.mark.filterwarnings(
@@ -128,3 +129,21 @@ def test_a_sensor_goes_to_the_hub_and_comes_back(
     (tmp_path / "other" / "notes.txt").write_text("mine")
     assert call("tactile", "download", "someone/mine", "--out", tmp_path / "other") == 2
     assert "notes.txt" in capsys.readouterr().err
+    assert call("tactile", "download", "someone/mine", "--out", back) == 0
+    made_up_sensor().save(back, overwrite=True)
+    before = (back / "arrays.npz").read_bytes()
+    assert call("tactile", "download", "someone/mine", "--out", back) == 2
+    assert "exists; nothing was written; next: choose another --out" in capsys.readouterr().err
+    assert (back / "arrays.npz").read_bytes() == before
+
+
+@pytest.mark.thorough
+def test_a_damaged_sensor_of_the_hub_is_not_written(
+    server: HubServer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made_up_sensor().save(tmp_path / "mine")
+    document = (tmp_path / "mine" / "sensor.json").read_bytes()
+    server.create("someone/damaged", {"sensor.json": document, "arrays.npz": b"damaged"})
+    assert call("tactile", "download", "someone/damaged", "--out", tmp_path / "back") == 3
+    assert "the sensor of 'someone/damaged' is damaged" in capsys.readouterr().err
+    assert list((tmp_path / "back").iterdir()) == []

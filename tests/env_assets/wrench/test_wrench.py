@@ -11,7 +11,7 @@ import mnist3d
 from env_assets import WrenchSpec, top_surface, wrench_mesh, write_wrench
 from env_assets.wrench.dataset import wrench_schema
 from tactile_toolkit.cards import check_card
-from tactile_toolkit.errors import InputError, SpecMismatchError, StorageError
+from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.store import open_folder, verify
 
 
@@ -204,9 +204,13 @@ def test_invalid_outputs_are_refused_before_anything_is_written(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("place", ["folder.stl", "none/wrench.stl"])
-def test_places_where_no_mesh_file_can_be_written(tmp_path, place):
+def test_no_mesh_file_replaces_a_folder_or_a_file(tmp_path):
     (tmp_path / "folder.stl").mkdir()
-    with pytest.raises(StorageError, match=f"cannot write .*{place}"):
-        write_wrench(WrenchSpec(), str(tmp_path / "wrench"), mesh_file=tmp_path / place)
-    assert [path.name for path in tmp_path.iterdir()] == ["folder.stl"]
+    (tmp_path / "mine.stl").write_text("mine")
+    for name, problem in (("folder.stl", "is a folder"), ("mine.stl", "exists; nothing was written")):
+        with pytest.raises(InputError, match=problem):
+            write_wrench(WrenchSpec(), str(tmp_path / "wrench"), mesh_file=tmp_path / name)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["folder.stl", "mine.stl"]
+    assert (tmp_path / "mine.stl").read_text() == "mine"
+    write_wrench(WrenchSpec(), str(tmp_path / "wrench"), mesh_file=tmp_path / "mine.stl", overwrite=True)
+    assert (tmp_path / "mine.stl").stat().st_size > 10_000

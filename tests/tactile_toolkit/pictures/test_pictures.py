@@ -14,7 +14,6 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh
 from tactile_toolkit.pictures import Pen, PicturePlan, PlannedPicture, Tile, png_bytes, sheet
 from tactile_toolkit.pictures.sheets import INK, bar_length_mm
-from tactile_toolkit.store import open_folder
 
 
 def box(x_mm: float, y_mm: float, z_mm: float) -> Mesh:
@@ -87,11 +86,14 @@ def test_pictures_before_a_failing_one_stay_and_no_partial_file_remains(tmp_path
     told: list[tuple[int, int]] = []
     with pytest.raises(InputError):
         PicturePlan((good, PlannedPicture("bad.png", "", fails))).write(
-            open_folder(str(tmp_path)), lambda *n: told.append(n)
+            tmp_path, on_progress=lambda *n: told.append(n)
         )
     assert [path.name for path in tmp_path.iterdir()] == ["good.png"]
     assert told == [(1, 2)]
-    (written,) = PicturePlan((good,)).write(open_folder(str(tmp_path)))
+    with pytest.raises(InputError, match=r"good.png' exists"):
+        PicturePlan((PlannedPicture("bad.png", "", fails), good)).write(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["good.png"]
+    (written,) = PicturePlan((good,)).write(tmp_path, overwrite=True)
     assert (written.width, written.height) == (3, 2)
     assert written.bytes == (tmp_path / "good.png").stat().st_size
 
