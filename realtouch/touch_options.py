@@ -608,6 +608,9 @@ class ImportSpec:
         Names of the classes in order; by default those in the data. Without any, all labels are -1.
     split : str, optional
         Split where no column states it; by default that of a tar ``test-000000.tar``, else ``train``.
+    max_left_out : float
+        Largest share of the touches that may be left out for one reason. If more would be, as far as it is
+        known before pictures are read, the import stops before it writes.
     """
 
     layout: str | None = checked_fields.choice(
@@ -644,6 +647,13 @@ class ImportSpec:
         metavar="NAME",
         help="Name of the split, if no column has it; by default from the names of tars (SPLIT-000000.tar), "
         "or train.",
+    )
+    max_left_out: float = checked_fields.real(
+        0.05,
+        0,
+        1,
+        metavar="X",
+        help="Largest share of touches to leave out for one reason; with more, the import stops.",
     )
 
     def __post_init__(self) -> None:

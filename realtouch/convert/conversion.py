@@ -111,7 +111,7 @@ def chosen_rows(source: loading.Source, rows: catalog.RowFilter) -> dict[str, li
     has_numbers = any(not isinstance(chosen_id, str) for chosen_id in rows.ids or ())
     if has_numbers and "object_id" not in read.column_types(source.schema):
         raise errors.InputError(
-            f"{source.name!r} has no column 'object_id', by which some could be chosen",
+            f"{source.name!r} has no column 'object_id'",
             next="choose by --labels, or import it again with --map object=COLUMN",
         )
     chosen = catalog.choose_rows(

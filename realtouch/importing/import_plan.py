@@ -6,7 +6,7 @@ import hashlib
 import re
 import unicodedata
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -90,7 +90,12 @@ def import_touches(
     spec = spec or touch_options.ImportSpec()
     recordings = import_sources.find_source(fspath(source), spec)
     folder.refuse_source(recordings.home.address(), [recordings.home.address("any file")])
-    plan = plan_of(arranged(recordings, spec), recordings)
+    touches = arranged(recordings, spec)
+    too_many = _too_many_left_out(touches, spec.max_left_out)
+    if too_many is not None:
+        raise too_many
+    plan = plan_of(touches, recordings)
+    del touches
     del recordings  # there may be many touches; from here on, shards hold them
     return store.build(folder, plan, write_card=touch_card.write_card, **run)
 
@@ -208,24 +213,86 @@ def arranged(recordings: import_sources.ReadSource, spec: touch_options.ImportSp
     sizes = touches.listing["size"].to_pylist()
     whole = _rounds(touches, columns, spec.split)
     taken = {name for of_split in whole.values() for name in of_split}
-    shards = {}
-    notes = []
-    for name, of_split in whole.items():
-        rounds = _in_pieces(of_split, sizes, most_bytes, taken)
-        if len(rounds) > len(of_split):
-            piece = next(round_id for round_id in rounds if round_id not in of_split)
-            notes.append(
-                f"{wording.with_count(len(of_split), 'rounds')} of {name} became {len(rounds):,} of at most "
-                f"{wording.bytes_text(most_bytes)} each, such as {piece!r}"
-            )
-        shards[name] = [_shard(touches, part) for part in _divided(rounds, sizes, touches.has_clips)]
     size = common_size(touches, read.contents, read.one_size_per_file)
     schema = import_shards.touch_schema(columns, names, touches)
-    return Arranged(
-        shards,
-        import_shards.ImportTouches(recordings.layout, columns, names, size, schema, recordings.versions),
-        notes,
+    make_shard = import_shards.ImportTouches(
+        recordings.layout, columns, names, size, schema, recordings.versions
     )
+    contents = _contents_of(touches, columns, names)
+    shards = {}
+    notes = []
+    divisions = (
+        (partial(_runs, contents=contents), "each of one label and object"),
+        (
+            partial(_parts, sizes=sizes, most_bytes=most_bytes),
+            f"of at most {wording.bytes_text(most_bytes)} each",
+        ),
+    )
+    for name, rounds in whole.items():
+        for divide, reason in divisions:
+            divided = _in_pieces(rounds, divide, taken)
+            if len(divided) > len(rounds):
+                piece = next(round_id for round_id in divided if round_id not in rounds)
+                count = wording.with_count(len(rounds), "rounds")
+                notes.append(f"{count} of {name} became {len(divided):,} {reason}, such as {piece!r}")
+            rounds = divided
+        parts = [_shard(touches, part) for part in _divided(rounds, sizes, touches.has_clips)]
+        shards[name] = [part.with_problems(make_shard.problems_of_fields(part)) for part in parts]
+    return Arranged(shards, make_shard, notes)
+
+
+def _too_many_left_out(touches: Arranged, max_share: float) -> errors.InputError | None:
+    """Return the error if more than a share of the touches would be left out for one reason; else None.
+
+    Only what is known before pictures are read counts, and a single touch is never too many. If nothing could
+    be imported, the run says so itself.
+    """
+    problems = [
+        error for parts in touches.shards.values() for part in parts for _, _, error in part.problems()
+    ]
+    total = sum(len(part) for parts in touches.shards.values() for part in parts)
+    if len(problems) == total:
+        return None
+    for reason, count in Counter(error.reason for error in problems).most_common(1):
+        if count > max(max_share * total, 1):
+            first = next(error for error in problems if error.reason == reason)
+            return errors.InputError(
+                f"{count:,} of {wording.with_count(total, 'touches')} would be left out for one reason, "
+                f"{reason!r}: {first.message}; nothing was written",
+                next="correct the source, or import the others with --max-left-out "
+                f"{min(count / total + 0.01, 1):.2f}",
+            )
+    return None
+
+
+def _contents_of(
+    touches: source_touches.SourceTouches, columns: touch_options.ImportColumns, names: Sequence[str]
+) -> list[tuple[int, int] | None]:
+    """Return the label and the object of each touch; None where they cannot be read."""
+    labels, no_labels = fields.labels_of(touches, columns.label, names)
+    objects, no_objects = fields.objects_of(touches, columns.object_id)
+    contents: list[tuple[int, int] | None] = list(zip(labels.tolist(), objects.tolist(), strict=True))
+    for number in {*no_labels, *no_objects, *np.flatnonzero(~touches.is_usable).tolist()}:
+        contents[number] = None
+    return contents
+
+
+def _runs(numbers: Sequence[int], contents: Sequence[tuple[int, int] | None]) -> list[Sequence[int]]:
+    """Divide the touches of a round where the label or the object changes."""
+    runs: list[list[int]] = [[]]
+    current = None
+    for number in numbers:
+        content = contents[number] or current
+        if current is not None and content != current:
+            runs.append([])
+        runs[-1].append(number)
+        current = content
+    return list(runs)
+
+
+def _parts(numbers: Sequence[int], sizes: Sequence[int], most_bytes: int) -> list[Sequence[int]]:
+    """Divide the touches of a round that is too large for memory."""
+    return [numbers[part] for part in _ranges_of([sizes[number] for number in numbers], most_bytes)]
 
 
 def _shard(
@@ -270,7 +337,7 @@ def _class_names(touches: source_touches.SourceTouches, column: str | None) -> t
 
 def _rounds(
     touches: source_touches.SourceTouches, columns: touch_options.ImportColumns, split: str | None
-) -> dict[str, dict[str, list[int]]]:
+) -> Mapping[str, Mapping[str, Sequence[int]]]:
     """Return the touches of each round of each split, in order; a touch without a round gets its own."""
     by_split: dict[str, dict[str, list[int]]] = {}
     split_of: dict[str, str] = {}
@@ -312,16 +379,17 @@ def _splits(stated: Sequence[str], paths: Sequence[str], split: str | None) -> I
 
 
 def _in_pieces(
-    rounds: Mapping[str, list[int]], sizes: Sequence[int], most_bytes: int, taken: set[str]
-) -> dict[str, list[int]]:
-    """Divide rounds that are too large for memory: ``ID`` becomes ``ID-0``, ``ID-1``.
+    rounds: Mapping[str, Sequence[int]],
+    divide: Callable[[Sequence[int]], list[Sequence[int]]],
+    taken: set[str],
+) -> dict[str, Sequence[int]]:
+    """Divide rounds: ``ID`` becomes ``ID-0``, ``ID-1``.
 
     ``taken`` holds the names of all rounds; new names are added.
     """
-    divided: dict[str, list[int]] = {}
+    divided: dict[str, Sequence[int]] = {}
     for name, numbers in rounds.items():
-        parts = _ranges_of([sizes[number] for number in numbers], most_bytes)
-        pieces = [numbers[part] for part in parts]
+        pieces = divide(numbers)
         names = [name]
         while len(names) < len(pieces) or (len(pieces) > 1 and taken.intersection(names)):
             name = f"{name}-"
@@ -451,15 +519,20 @@ def preview_import(
         name: sum(int(part.is_usable.sum()) for part in parts) for name, parts in touches.shards.items()
     }
     messages: dict[str, list[str]] = {}
-    for _, name, error in recordings.touches.problems():
+    parts = [part for of_split in touches.shards.values() for part in of_split]
+    for _, name, error in (problem for part in parts for problem in part.problems()):
         messages.setdefault(error.reason, []).append(f"{name!r}: {error.message}")
     first = _first(touches, messages)
+    too_many = _too_many_left_out(touches, spec.max_left_out)
+    notes = [*recordings.notes, *touches.notes]
+    if too_many is not None:
+        notes.append(f"the import would stop: {too_many}")
     return ImportPreview(
         recordings.layout,
         recordings.recognised_by,
         recordings.cut,
         sum(usable.values()),
-        sum(len(part.listing["round"].unique()) for parts in touches.shards.values() for part in parts),
+        sum(len(part.listing["round"].unique()) for part in parts),
         usable,
         touches.make_shard.names,
         _pictures_in_words(recordings, touches),
@@ -467,7 +540,7 @@ def preview_import(
         first,
         list(recordings.streams),
         [(reason, len(texts), texts[0]) for reason, texts in messages.items()],
-        [*recordings.notes, *touches.notes],
+        notes,
     )
 
 

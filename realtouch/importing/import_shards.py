@@ -136,6 +136,10 @@ class ImportTouches:
                     next="run the same command with --overwrite",
                 )
 
+    def problems_of_fields(self, touches: source_touches.SourceTouches) -> Mapping[int, errors.ItemError]:
+        """Return why touches cannot be used, by index, as far as it is known without their pictures."""
+        return self._read_fields(touches).problems
+
     def _read_fields(self, touches: source_touches.SourceTouches) -> _TouchFields:
         """Read labels, objects, positions and poses of all usable touches."""
         owners = np.repeat(np.arange(len(touches)), touches.picture_counts)
@@ -213,7 +217,6 @@ class ImportTouches:
                 made[index] = content
             except errors.ItemError as error:
                 problems[index] = error
-        problems |= _of_other_rounds(piece, values, rows, list(made))
         kept = np.array([index for index in made if index not in problems], np.int64)
         encoded = [made[index] for index in kept.tolist()]
         kept_clips = [clips[index] for index in kept.tolist() if index in clips]
@@ -270,20 +273,6 @@ def _pieces(touches: source_touches.SourceTouches) -> Iterator[Int64]:
             start, size_bytes = number, 0
         size_bytes += size
     yield np.arange(start, len(touches))
-
-
-def _of_other_rounds(
-    piece: source_touches.SourceTouches, values: _TouchFields, rows: Int64, kept: Sequence[int]
-) -> dict[int, errors.ItemError]:
-    """Return a problem for each touch whose label or object differs from the first one of its round."""
-    indices = np.array(kept, np.int64)
-    codes = source_touches.one_chunk(piece.listing["round"]).dictionary_encode().indices.to_numpy()[indices]
-    _, first, of_round = np.unique(codes, return_index=True, return_inverse=True)
-    error = errors.ItemError("round", "another label or object than the first touch of its round")
-    differs = np.zeros(len(indices), bool)
-    for about in (values.labels[rows[indices]], values.objects[rows[indices]]):
-        differs |= about != about[first[of_round]]
-    return dict.fromkeys(indices[differs].tolist(), error)
 
 
 @dataclass(frozen=True, eq=False)

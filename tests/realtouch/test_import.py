@@ -89,15 +89,15 @@ def test_an_export_is_imported_by_its_path(layout: Any, single_folder: Path, tmp
 
 
 def test_cards_of_touches_only_on_objects_do_not_mention_a_plate(single_folder, tmp_path, capsys):
-    """The deepest touch of such a round is not on the plate, which an import cannot know."""
+    """The deepest touch of such a round is not on the plate; an import does not apply that rule."""
     realtouch.select(single_folder, tmp_path / "some", contact=True)
     realtouch.export(tmp_path / "some", tmp_path / "tars", "webdataset")
     back = tmp_path / "back"
     arguments = ("--format", "webdataset", "--map=object=", "--out", back)
     assert call("realtouch", "import", tmp_path / "tars" / "webdataset", *arguments) == 0
     card = (back / "README.md").read_text()
-    assert "do not count as contact: 16 of 16 (" in card
-    assert "never met the bare plate" in card
+    assert "touches in which the picture differs from the background" in " ".join(card.split())
+    assert "plate" not in card
     assert "met no object" not in card
     assert "![Some touches](" in card
     assert call("tactile", "select", back, "--out", tmp_path / "none", "--ids", "3") == 2
@@ -136,7 +136,9 @@ def test_unusable_images_are_left_out_and_named(home: Path, tmp_path: Path) -> N
     lines[-1] |= {"pose": "0 0 0.1 0 0 0 0"}
     write_table(home, lines)
     columns = realtouch.ImportColumns(pose=("pose",))
-    manifest = realtouch.import_touches(home, tmp_path / "out", realtouch.ImportSpec("folder", columns))
+    manifest = realtouch.import_touches(
+        home, tmp_path / "out", realtouch.ImportSpec("folder", columns, max_left_out=1)
+    )
     skipped = manifest.shards[0].skipped
     assert [(item.id, item.reason) for item in skipped] == list(enumerate(wrong.values(), 1))
     assert all(repr(name) in item.message for name, item in zip(wrong, skipped, strict=True))
@@ -164,11 +166,28 @@ def test_a_round_is_of_one_label_and_one_object(home: Path, tmp_path: Path) -> N
     ]
     write_table(home, lines)
     columns = realtouch.ImportColumns(round="round", object_id="object")
-    manifest = realtouch.import_touches(home, tmp_path / "out", realtouch.ImportSpec("folder", columns))
+    with pytest.raises(
+        InputError, match=r"3 of 7 touches would be left out for one reason, 'object': the object"
+    ):
+        realtouch.import_touches(home, tmp_path / "out", realtouch.ImportSpec("folder", columns))
+    assert not (tmp_path / "out").exists()
+    spec = realtouch.ImportSpec("folder", columns, max_left_out=0.44)  # as the error says
+    assert any(
+        "the import would stop" in note
+        for note in realtouch.preview_import(home, replace(spec, max_left_out=0.1)).notes
+    )
+    manifest = realtouch.import_touches(home, tmp_path / "out", spec)
     skipped = [(item.id, item.reason) for item in manifest.shards[0].skipped]
-    assert skipped == [(1, "round"), (2, "round"), (4, "object"), (5, "object"), (6, "object")]
-    (only,) = realtouch.load(tmp_path / "out", "train")
-    assert (only.id, only.label, only.object_id, only.touch_count) == ("a", 0, 1, 2)
+    assert skipped == [(4, "object"), (5, "object"), (6, "object")]
+    rounds = realtouch.load(tmp_path / "out", "train")
+    assert [(a_round.id, a_round.label, a_round.object_id) for a_round in rounds] == [
+        ("a-0", 0, 1),
+        ("a-1", 1, 1),
+        ("a-2", 0, 2),
+        ("a-3", 0, 1),
+    ]
+    notes = manifest.spec["notes"]
+    assert "1 round of train became 4 each of one label and object, such as 'a-0'" in notes
 
 
 def test_unusable_tables_and_options(home: Path, tmp_path: Path) -> None:
@@ -248,7 +267,7 @@ def test_rounds_of_different_lengths_are_intact_in_all_that_is_made_of_them(unev
         made[name] = tmp_path / name
         change(made[source], made[name], **options)
 
-    make("pressed", realtouch.select, "imported", contact=True)
+    make("pressed", realtouch.select, "imported", contact=True, min_height_m=0.006)
     make("cats", realtouch.select, "imported", labels=["cat"])
     make("small", realtouch.resize, "imported", width=16, height=12)
     make("pressed-cats", realtouch.select, "pressed", labels=["cat"])
