@@ -12,7 +12,7 @@ from realtouch import force_pictures, kind
 from realtouch.touches import datasets, media, rounds
 from realtouch.touches.rounds import Touch
 from realtouch.touches.schema import origin_of
-from tactile_toolkit import catalog, errors, gallery, mesh, pictures, places, wording
+from tactile_toolkit import catalog, checked_fields, gallery, mesh, pictures, places, wording
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, UInt8
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.rows import Column
@@ -59,8 +59,7 @@ def plan_gallery(
     InputError: no such data set or split, or one that does not hold touches. IntegrityError: it is damaged or
     unfinished. HubError: the repository cannot be reached or does not exist.
     """
-    if touches < 1:
-        raise errors.InputError(f"is {touches}; expected 1 or more", field="touches")
+    touches = checked_fields.checked_integer(touches, "touches", 1)
 
     def known(rows: datasets.AnyDataset, _split: str) -> list[_Known]:
         if not len(rows):

@@ -127,6 +127,9 @@ class TouchPreviewSpec:
     round_number: int = checked_fields.integer(0)
     touches: int = checked_fields.integer(32, 1)
 
+    def __post_init__(self) -> None:
+        checked_fields.check_fields(self, "the previews")
+
 
 @dataclass(frozen=True, slots=True)
 class ContactChoice:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any, Self
 
 import numpy as np
@@ -165,11 +166,14 @@ def _values(options: Options, name: str, num_envs: int) -> list[Any]:
     if values is None:
         return [None] * num_envs
     try:
-        entries = list(values)
+        entries = list(islice(values, num_envs + 1))  # it may be endless
     except TypeError as error:
         raise InputError(f"option {name!r} is {values!r}; expected {num_envs} entries") from error
     if len(entries) != num_envs:
-        raise InputError(f"option {name!r} has {with_count(len(entries), 'entries')}; expected {num_envs}")
+        count = with_count(len(entries), "entries")
+        if len(entries) > num_envs:
+            count = f"more than {with_count(num_envs, 'entries')}"
+        raise InputError(f"option {name!r} has {count}; expected {num_envs}")
     return entries
 
 

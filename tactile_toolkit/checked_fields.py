@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import math
 import numbers
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields
+from itertools import islice
 from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict, Unpack
 
 from tactile_toolkit import errors, wording
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
 _RULE = "rule"
 _MAX_INTEGER = (1 << 63) - 1
+_MAX_ENTRIES = 1 << 20  # of an iterator, which cannot state its length
 _UNITS = {"_mm": "MM", "_mm2": "MM2", "_deg": "DEG", "_px": "PX", "_m3": "KG/M3"}
 _PLACEHOLDERS: dict[type, str] = {float: "X"}
 Declared: TypeAlias = Any
@@ -229,6 +231,10 @@ def to_builtin(value: object, kind: type[int] | type[float] = int) -> Any:
     if isinstance(value, (str, bytes, Mapping)):
         return value
     # An array without dimensions is a number, although its type is iterable.
+    if isinstance(value, Iterator):
+        value = list(islice(value, _MAX_ENTRIES + 1))
+        if len(value) > _MAX_ENTRIES:  # it may be endless
+            raise errors.InputError(f"an iterator of more than {_MAX_ENTRIES:,} values", next="give a list")
     if isinstance(value, Iterable) and getattr(value, "ndim", None) != 0:
         return tuple(to_builtin(entry, kind) for entry in value)
     return to_builtin_number(value, kind)

@@ -15,7 +15,7 @@ from realtouch import contact
 from realtouch.convert import conversion, picture_files
 from realtouch.touches import loading, media, schema, stored_round
 from realtouch.video import avi
-from tactile_toolkit import catalog, errors, kind, places, read, store, touch
+from tactile_toolkit import catalog, checked_fields, errors, kind, places, read, store, touch
 from tactile_toolkit.array_types import Float32, UInt8
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS, MEDIA_TYPE, encode_image, resized
 
@@ -198,7 +198,9 @@ def resize(
     SpecMismatchError, StorageError
         As :func:`clips_to_images`.
     """
-    if width < 1 or height < 1 or width * height > MAX_IMAGE_PIXELS or not 1 <= quality <= 100:
+    numbers = checked_fields.to_builtin((width, height, quality))
+    is_possible = checked_fields.is_integer(*numbers) and min(width, height) >= 1 and 1 <= quality <= 100
+    if not is_possible or width * height > MAX_IMAGE_PIXELS:
         raise errors.InputError(
             f"size {width} x {height} at quality {quality}; expected at least 1 x 1, at most "
             f"{MAX_IMAGE_PIXELS:,} pixels in all (4096 x 4096), and a quality of 1 to 100"

@@ -58,7 +58,7 @@ class LazySequence(Sequence[T], Generic[T, S]):
             The index has another type.
         """
         if _picks_several(index):
-            return self._several(index)
+            return self._several(index if isinstance(index, slice) else positions(index, len(self)))
         return self._item(self.checked_index(operator.index(index)))
 
     def checked_index(self, index: int) -> int:
@@ -632,8 +632,8 @@ class RecordDataset(Sequence[T], Generic[T]):
 
 
 def _picks_several(index: object) -> bool:
-    """Return whether an index selects several items: a slice, list, array or tensor."""
-    if isinstance(index, (slice, list, tuple)):
+    """Return whether an index selects several items: a slice, sequence, array or tensor."""
+    if isinstance(index, (slice, Sequence)) and not isinstance(index, (str, bytes)):
         return True
     return hasattr(index, "__array__") and np.ndim(index) > 0
 

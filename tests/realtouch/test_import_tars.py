@@ -35,7 +35,9 @@ def test_tars_of_others(tmp_path: Path) -> None:
     write_tar(home / "x-000.tar", members)
     write_tar(home / "x-001.tar", [("d.png", picture(5)), ("d.cls", b"2"), ("d.json", b'{"digit": 2}')])
     columns = realtouch.ImportColumns(image=None, label="digit", pose=("pose",))
-    manifest = realtouch.import_touches(home, tmp_path / "out", realtouch.ImportSpec("webdataset", columns))
+    manifest = realtouch.import_touches(
+        home, tmp_path / "out", realtouch.ImportSpec("webdataset", columns, max_left_out=1)
+    )
     reasons = [(item.id, item.reason) for item in manifest.shards[0].skipped]
     assert reasons == [(3, "missing"), (4, "json"), (5, "duplicate"), (6, "pose")]
     assert [record.label for record in realtouch.load(tmp_path / "out", "train")] == [0, 1, 2]
@@ -45,9 +47,8 @@ def test_tars_of_others(tmp_path: Path) -> None:
     write_tar(tmp_path / "odd.tar", sorted(odd))
     for image in (None, "rgb.jpg"):
         chosen = realtouch.ImportColumns(image=image)
-        made = realtouch.import_touches(
-            tmp_path / "odd.tar", tmp_path / f"odd-{image}", realtouch.ImportSpec("webdataset", chosen)
-        )
+        spec = realtouch.ImportSpec("webdataset", chosen, max_left_out=1)
+        made = realtouch.import_touches(tmp_path / "odd.tar", tmp_path / f"odd-{image}", spec)
         reasons = [(item.id, item.reason) for item in made.shards[0].skipped]
         assert reasons == [*((number, "label") for number in range(4)), (5, "json")]
         assert "expected an object of at most 1 MiB" in made.shards[0].skipped[-1].message

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import pickle
 import threading
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -406,6 +407,9 @@ def test_invalid_actions_and_options_of_a_reset_are_named(assets):
         for place in places:
             with pytest.raises(InputError, match=f"option '{name}'.*expected [23] numbers"):
                 env.reset(options={name: [place, None]})
+    for options, entries in ((count(), "more than 2"), ([1], "1")):
+        with pytest.raises(InputError, match=f"'datapoint_idx' has {entries} entr.*; expected 2"):
+            env.reset(options={"datapoint_idx": options})
     with pytest.raises(InputError, match="option 'datapoint' is unknown; expected datapoint_idx, "):
         env.reset(options={"datapoint": [0, 1]})
     for mask in ([True], [False, False], [1, 0], "10"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass
 from fractions import Fraction
+from itertools import count
 
 import numpy as np
 import pytest
@@ -73,6 +74,7 @@ def test_a_field_without_default_is_asked_for():
         ("plate_mm", (1, 2, 3), "expected 2 numbers from 0 to 256"),
         ("plate_mm", (1, float("inf")), "expected 2 numbers"),
         ("plate_mm", 1.0, "expected 2 numbers"),
+        ("plate_mm", count(), "an iterator of more than 1,048,576 values; next: give a list"),
         ("level", float("inf"), "expected None or a number, finite"),
         ("rounds", 0, "rounds of the example is 0; expected an integer from 1 to 4,096"),
         ("rounds", 4097, "rounds of the example is 4097"),

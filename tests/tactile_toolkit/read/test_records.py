@@ -82,6 +82,8 @@ def test_labels_are_read_without_other_columns(dataset, monkeypatch):
 index = st.one_of(
     st.slices(len(IDS)),
     st.lists(st.integers(-len(IDS), len(IDS) - 1)),
+    st.lists(st.integers(-len(IDS), len(IDS) - 1)).map(tuple),
+    st.builds(range, st.integers(0, 5), st.integers(0, len(IDS)), st.integers(1, 3)),
     st.lists(st.booleans(), min_size=len(IDS), max_size=len(IDS)),
 )
 
@@ -124,6 +126,8 @@ def test_index_out_of_range(dataset, wrong):
         ([[0, 1]], TypeError, "not int64 of shape (1, 2)"),
         ([99, 3], IndexError, "index 99 is out of bounds"),
         ([-19], IndexError, "index -19 is out of bounds"),
+        (range(17, 20), IndexError, "index 18 is out of bounds"),
+        ("12", TypeError, "cannot be interpreted as an integer"),
     ],
 )
 def test_bad_selection(dataset, wrong, error, words):
