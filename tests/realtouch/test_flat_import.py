@@ -104,7 +104,7 @@ def test_one_of_several_columns_of_pictures_is_chosen(tmp_path: Path) -> None:
     assert list(IMPORTS["flat"].contents(touches)) == JPEGS[::-1]
     assert each_of(touches)[0].values == {"label": "a", "split": "train"}
     write(tmp_path, label=["a"])
-    with pytest.raises(InputError, match="no columns of pictures, but label; expected one"):
+    with pytest.raises(InputError, match="no columns of pictures, but label; expected pictures"):
         found(tmp_path)
 
 
