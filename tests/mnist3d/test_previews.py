@@ -240,7 +240,7 @@ def test_steps_refuse_other_images_than_those_of_the_data_set(tmp_path):
         SplitSpec(sizes=(("train", 1),)),
     )
     spec = DigitSetSpec(spec.source, spec.solid, spec.split, limit=2)
-    with pytest.raises(InputError):
+    with pytest.raises(InputError, match="is a folder of pictures"):
         plan_previews(str(tmp_path / "one"), PreviewSpec(kinds=("steps",)))
     generate(spec, str(tmp_path / "set"), ("train",))
     where = str(tmp_path / "set")

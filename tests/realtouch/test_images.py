@@ -63,14 +63,17 @@ def test_same_pixels_give_the_same_bytes() -> None:
 @given(st.data())
 def test_damaged_jpegs_raise_or_give_whole_pictures(data: st.DataObject) -> None:
     """Flipped or missing bytes raise ValueError; no picture is returned that is decoded in part."""
-    whole = bytearray(encode_jpeg(smooth(24, 32)))
+    intact = encode_jpeg(smooth(24, 32))
+    whole = bytearray(intact)
     for _ in range(data.draw(st.integers(0, 4))):
         whole[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
     cut = bytes(whole[: data.draw(st.integers(0, len(whole)))])
     try:
         pixels = decode_image(cut)
     except ValueError:
+        assert cut != intact
         return
+    assert cut == intact or not intact.startswith(cut), "a part of a picture was decoded"
     assert pixels.dtype == np.uint8
     assert pixels.ndim == 3
     assert pixels.shape[2] == 3
