@@ -17,7 +17,7 @@ from gymnasium.vector.utils import batch_space
 from realtouch import Poses
 from tactile_envs import config, drawing, motion, tasks
 from tactile_envs.config import Action, Info, Observation, Options
-from tactile_envs.scene import TouchScene
+from tactile_envs.scene import SceneObjects, TouchScene
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64, UInt8
 from tactile_toolkit.errors import InputError
 
@@ -212,7 +212,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         if predictions.shape != self._prediction_shape:
             raise InputError(f"predictions have shape {predictions.shape}; expected {self._prediction_shape}")
         moves = self._scene.checked_action(moved)
-        targets = self._task.targets(self._scene.numbers, self._scene.planar_poses)
+        targets = self.current_prediction_targets
         score = self._task.score(predictions, targets)
         if np.isnan(score.loss).any():
             raise InputError(
@@ -322,6 +322,16 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
     def current_data_point_indices(self) -> Int64:
         """Numbers of these records in their data set, shape (n,)."""
         return self._scene.numbers.copy()
+
+    def objects(self) -> SceneObjects:
+        """Describe all objects that episodes may have: ids, classes and files."""
+        return self._scene.objects()
+
+    @property
+    def current_prediction_targets(self) -> AnyArray:
+        """True answers for the objects in the cells, shape (n,) or (n, k), as in ``info["prediction"]``."""
+        self._require_reset()
+        return self._task.targets(self._scene.numbers, self._scene.planar_poses)
 
     @property
     def current_object_poses_platform_frame(self) -> Poses:

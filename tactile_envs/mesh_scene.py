@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import gymnasium as gym
 import numpy as np
 
-from env_assets.mesh_view import MeshRecord
+from env_assets.mesh_view import MeshRecord, MeshView
 from realtouch import Poses
-from tactile_envs import episode_kernels, mesh_pool, motion, scene
+from tactile_envs import episode_kernels, mesh_pool, motion, object_sets, scene
 from tactile_envs.config import Config
 from tactile_envs.drawing import EnvDrawing
 from tactile_envs.motion import Motion, Rows
@@ -19,8 +20,11 @@ from tactile_sim import Sensor
 from tactile_sim.elastic.contact import GelLoad
 from tactile_sim.optics.sensor_noise import EpisodeNoise
 from tactile_sim.press.elastic_press import WholeGel, loads_of
+from tactile_sim.sets.touched_solids import content_fingerprint
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int64
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.read import RecordDataset
 
 _NO_DRIFT = np.zeros(3)
 _UPRIGHT_WITHIN = 1e-6
@@ -50,7 +54,7 @@ class MeshScene(scene.TouchScene):
     config: Config
 
     def __init__(
-        self, config: Config, records: Sequence[MeshRecord], num_envs: int, threads: int, camera: scene.Camera
+        self, config: Config, records: object_sets.Objects, num_envs: int, threads: int, camera: scene.Camera
     ) -> None:
         super().__init__(config, num_envs, camera.channels)
         self._records, self._pool = records, mesh_pool.MeshPool.of(records, self._most_tilt_rad)
@@ -226,6 +230,17 @@ class MeshScene(scene.TouchScene):
         """Records of the objects that lie in the cells."""
         return tuple(self._records[int(number)] for number in self.numbers)
 
+    def objects(self) -> scene.SceneObjects:
+        """Describe all objects; those of a set that is being made are packed first."""
+        self._pool.require(np.arange(len(self._pool)))
+        ids, labels = (self._pool.measure(name).astype(np.int64) for name in ("id", "label"))
+        view = MeshView.of(self._records)
+        if isinstance(view.records, RecordDataset):
+            files = list(map(content_fingerprint, view.records.files))
+        else:
+            files = list(map(_fingerprint, view.records))
+        return scene.SceneObjects(ids, labels, view.label_names, files)
+
     @property
     def object_poses(self) -> Poses:
         """Poses of the objects, metres, cell frame."""
@@ -259,6 +274,13 @@ class MeshScene(scene.TouchScene):
     def close(self) -> None:
         """End the threads."""
         self._toucher.close()
+
+
+def _fingerprint(record: MeshRecord) -> JsonDict:
+    """Return JSON values that identify a mesh file, or a mesh in memory."""
+    digest = hashlib.sha256(np.ascontiguousarray(record.vertices_m).tobytes())
+    digest.update(np.ascontiguousarray(record.faces, np.int32).tobytes())
+    return {"id": record.id, "label": record.label, "sha256": digest.hexdigest()}
 
 
 class ElasticGel:

@@ -16,6 +16,7 @@ import tactile_sim
 from tactile_envs import drawing, motion, recorded_sets, scene
 from tactile_envs.config import DIRECT, OPTICS, RecordedConfig
 from tactile_sim.optics import rendering
+from tactile_sim.sets.touched_solids import content_fingerprint
 from tactile_toolkit import cache, errors, kind, run
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, Int64, UInt8
 
@@ -127,6 +128,12 @@ class RecordedScene(scene.TouchScene):
     def data_points(self) -> tuple[object, ...]:
         """The rounds that are touched."""
         return tuple(self._touches.rounds[int(number)] for number in self.numbers)
+
+    def objects(self) -> scene.SceneObjects:
+        """Describe all rounds by their objects."""
+        rounds = self._touches.rounds
+        files = list(map(content_fingerprint, rounds.files))
+        return scene.SceneObjects(rounds.object_ids, rounds.labels, tuple(rounds.label_names), files)
 
     @property
     def object_poses(self) -> realtouch.Poses:

@@ -18,8 +18,21 @@ from tactile_envs.touch_kernels import SensorReadings
 from tactile_sim.optics.rendering import Optics, make_optics
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Floating, Int64
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonDict
 
 _MOVE = "sensor_target_pos_rel"
+
+
+class SceneObjects(NamedTuple):
+    """Objects of a scene: ``ids`` and ``labels``, shape (k,), names of the classes, JSON values of the files.
+
+    Two scenes whose files are described alike have the same objects.
+    """
+
+    ids: Int64
+    labels: Int64
+    label_names: tuple[str, ...]
+    files: list[JsonDict]
 
 
 class Readings(NamedTuple):
@@ -103,6 +116,10 @@ class TouchScene(ABC):
     @abstractmethod
     def data_points(self) -> tuple[object, ...]:
         """The records of the objects in the cells, or of their recorded touches."""
+
+    @abstractmethod
+    def objects(self) -> SceneObjects:
+        """Describe all objects, by their numbers; reads the files, which takes seconds for a gigabyte."""
 
     @property
     @abstractmethod

@@ -6,15 +6,14 @@ A sensor is tilted by at most 45 degrees: its window sees a few cells of a mesh'
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from functools import partial
 
 import gymnasium as gym
 import numpy as np
 import trimesh
 
-from env_assets.mesh_view import LazyMesh, MeshRecord
-from tactile_envs import config, episode_kernels, mesh_pool, mesh_scene, motion, scene
+from env_assets.mesh_view import LazyMesh
+from tactile_envs import config, episode_kernels, mesh_pool, mesh_scene, motion, object_sets, scene
 from tactile_envs.config import Config
 from tactile_envs.touch_kernels import (
     EDGE_PX,
@@ -50,7 +49,7 @@ class TiltedScene(mesh_scene.MeshScene):
     """
 
     def __init__(
-        self, config: Config, records: Sequence[MeshRecord], num_envs: int, threads: int, camera: scene.Camera
+        self, config: Config, records: object_sets.Objects, num_envs: int, threads: int, camera: scene.Camera
     ) -> None:
         super().__init__(config, records, num_envs, threads, camera)
         widest_rad = config.longest_way(config.angular_velocity, config.angular_acceleration)

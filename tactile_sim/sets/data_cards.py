@@ -119,7 +119,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         title="Synthetic touches",
         columns=SyntheticRound.meanings(),
         picture=("touches.png", "The first touches of the first rounds"),
-        drawn=_touches_sheet,
+        drawn=touches_sheet,
         licence="mit",
         tags=_TAGS,
         tasks=_TASKS,
@@ -225,7 +225,7 @@ def _limits(spec: JsonObject, gel: CardGel, touches: int, on_object: int) -> lis
     ]
 
 
-def _touches_sheet(facts: cards.FolderSummary) -> bytes | None:
+def touches_sheet(facts: cards.FolderSummary) -> bytes | None:
     """Draw the first touches of the first rounds as PNG, a row for each round."""
     rounds = islice(facts.first_rows(["sensor_image"]), _ROUNDS_SHOWN)
     shown = (row.value("sensor_image")[:_COLUMNS_SHOWN] for row in rounds)

@@ -1,0 +1,288 @@
+"""Reports of policies: every metric of an environment over seeds, with intervals over objects.
+
+The protocol is that of the paper: the average over the steps of an episode and its final value, means over
+seeds. An interval is that of other objects: it holds 95 % of the means of objects that are drawn again.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from functools import partial
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from tactile_envs import policies
+from tactile_envs.episodes import EnvSources, EpisodeSpec, episodes_of
+from tactile_envs.policies import Policy
+from tactile_toolkit import cards, errors, run, wording
+from tactile_toolkit.array_types import Float64, Int64
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonObject
+
+_RESAMPLED = 2000
+_INTERVAL = (2.5, 97.5)
+_LIBRARIES = ("tactile-toolkit", "ap-gym", "gymnasium", "numpy", "scipy", "numba")
+REPORT_FILE = "report.json"
+
+Curves = tuple[Int64, dict[str, Float64]]
+"""Object of each episode (n,), and each metric at all of its steps (n, T)."""
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Mean of a metric, and the bounds of its 95 % interval over objects."""
+
+    mean: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A metric: the mean over the steps of an episode, its last value, and its mean at each step."""
+
+    average: Summary
+    final: Summary
+    by_step: list[float]
+
+
+@dataclass(frozen=True)
+class Report:
+    """Result of :func:`evaluate`.
+
+    Attributes
+    ----------
+    protocol : mapping
+        What must agree between reports that are compared: environment, settings, episodes, seeds, objects.
+    policy : mapping
+        Name and digest of the policy.
+    metrics : mapping
+        Results by the name of the metric.
+    run : mapping
+        Versions, processor, date and duration, which change no figure.
+    """
+
+    protocol: JsonObject
+    policy: JsonObject
+    metrics: Mapping[str, Metric]
+    run: JsonObject
+
+    def write(self, out: str | os.PathLike[str]) -> None:
+        """Write ``report.json``, ``report.md`` and ``report.png`` into a new folder.
+
+        Raises InputError if the folder holds something; MissingExtraError without matplotlib.
+        """
+        with errors.needs_extra("the picture of a report", "matplotlib", "pictures"):
+            pass  # before anything is written
+        folder = Path(out)
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise InputError(f"{str(folder)!r} exists", next="name a new folder", field="out")
+        folder.mkdir(parents=True, exist_ok=True)
+        draw_curves({str(self.policy["name"]): self}, folder / "report.png")
+        (folder / "report.md").write_text(self.markdown(), encoding="utf-8")
+        (folder / REPORT_FILE).write_text(wording.printable_json(asdict(self)), encoding="utf-8")
+
+    def markdown(self) -> str:
+        """Return the figures and what decided them as Markdown."""
+        protocol = self.protocol
+        name = str(self.policy["name"])
+        table = cards.markdown_table(("metric", "", f"{name}: mean (95 % interval)"), compare({name: self}))
+        decided = [
+            ("environment", f"`{protocol['env_id']}`"),
+            ("settings", wording.markdown_code(json.dumps(protocol["settings"]))),
+            ("episodes of each seed", protocol["episodes"]),
+            ("seeds", protocol["seeds"]),
+            ("objects", f"split {protocol['split']}, {len(protocol['objects'])} files"),
+            ("policy", f"{wording.markdown_code(name)}, SHA-256 {self.policy['sha256']}"),
+            *((key.replace("_", " "), value) for key, value in self.run.items() if key != "versions"),
+            ("versions", ", ".join(f"{key} {value}" for key, value in self.run["versions"].items())),
+        ]
+        return (
+            f"# {name} in {protocol['env_id']}\n\n{table}\n\n![Curves](report.png)\n\n"
+            f"{cards.markdown_table(('', ''), decided)}\n"
+        )
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str]) -> Report:
+        """Read the report of a folder; InputError if there is none, or it is damaged."""
+        file = Path(path) / REPORT_FILE
+        try:
+            stored = json.loads(file.read_bytes())
+            metrics = {
+                name: Metric(Summary(**each["average"]), Summary(**each["final"]), each["by_step"])
+                for name, each in stored["metrics"].items()
+            }
+            return cls(stored["protocol"], stored["policy"], metrics, stored["run"])
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise InputError(
+                f"{str(file)!r} is no report: {error}",
+                next="name a folder that `tactile-envs evaluate` wrote",
+            ) from error
+
+
+def evaluate(
+    env_id: str,
+    policy: str | Policy,
+    *,
+    episodes: int = 500,
+    seeds: int = 5,
+    num_envs: int = 64,
+    settings: JsonObject | None = None,
+    sources: EnvSources | None = None,
+    workers: int | run.Runner = 1,
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Report:
+    """Evaluate a policy: all metrics of its episodes, over seeds 0, 1, ...
+
+    Parameters
+    ----------
+    env_id, policy, num_envs, settings, sources
+        As for :func:`tactile_envs.record`.
+    episodes : int
+        Number of episodes of each seed.
+    seeds : int
+        Number of seeds.
+    workers : int or Runner
+        Number of processes; the report is the same for any number. With several, the policy must be
+        picklable.
+    on_progress : callable
+        Called with the number of groups of episodes that are finished, and that of all.
+
+    Returns
+    -------
+    Report
+        The figures, and what decided them.
+
+    Raises
+    ------
+    InputError
+        The id, a setting, the policy or the objects cannot be used.
+    """
+    start_s = time.monotonic()
+    specs = [
+        EpisodeSpec(env_id=env_id, episodes=episodes, num_envs=num_envs, seed=seed, settings=settings or {})
+        for seed in range(seeds)
+    ]
+    if not specs:
+        raise InputError("seeds is 0; expected at least 1", field="seeds")
+    sources = sources or EnvSources()
+    made = policies.policy_named(policy)
+    facts = policies.fingerprint(made)
+    objects = episodes_of(specs[0], sources).env.objects()
+    groups = [(spec, group) for spec in specs for group in range(-(-spec.episodes // spec.num_envs))]
+    held: dict[tuple[int, int], Curves] = {}
+    for number, curves in run.runner_for(workers).run(partial(_curves, sources, made), groups):
+        held[number] = curves
+        on_progress(len(held), len(groups))
+    rows = np.concatenate([held[spec.seed, group][0] for spec, group in groups])
+    metrics = {
+        name: _metric(rows, np.concatenate([held[spec.seed, group][1][name] for spec, group in groups]))
+        for name in held[0, 0][1]
+    }
+    protocol = {
+        **{name: value for name, value in specs[0].to_dict().items() if name != "seed"},
+        "seeds": seeds,
+        "split": specs[0].split,
+        "objects": objects.files,
+    }
+    facts_of_run = {
+        "versions": {name: version(name) for name in _LIBRARIES},
+        "processor": platform.processor() or platform.machine(),
+        "date": time.strftime("%Y-%m-%d"),
+        "duration_s": round(time.monotonic() - start_s, 1),
+    }
+    return Report(protocol, facts, metrics, facts_of_run)
+
+
+def _curves(
+    sources: EnvSources, policy: Policy, group: tuple[EpisodeSpec, int]
+) -> tuple[tuple[int, int], Curves]:
+    """Play a group of episodes of a seed; return the key of the group, and its curves."""
+    spec, number = group
+    episodes = episodes_of(spec, sources)
+    count = min(spec.num_envs, spec.episodes - number * spec.num_envs)
+    values: dict[str, Float64] = {}
+    objects: Int64 | None = None
+    for _, taken in episodes.play(policy, number):
+        if objects is None:
+            objects = episodes.env.current_data_point_indices
+        if taken is None:
+            break
+        for name, curve in taken.curves.items():
+            if name.startswith("_"):
+                continue
+            ended = taken.curves[f"_{name}"] & taken.has_action
+            whole = values.setdefault(name, np.full((spec.num_envs, episodes.env.config.step_limit), np.nan))
+            whole[ended, : curve.shape[1]] = curve[ended]
+    assert objects is not None, "a group has a touch"
+    return (spec.seed, number), (objects[:count], {name: whole[:count] for name, whole in values.items()})
+
+
+def _metric(objects: Int64, curves: Float64) -> Metric:
+    """Summarise a metric at all steps (n, T) of episodes with some objects (n,); NaN after their end."""
+    steps = (~np.isnan(curves)).sum(axis=1)
+    final = curves[np.arange(len(curves)), steps - 1]
+    by_step = np.nanmean(curves, axis=0)
+    return Metric(_summary(objects, np.nanmean(curves, axis=1)), _summary(objects, final), by_step.tolist())
+
+
+def _summary(objects: Int64, values: Float64) -> Summary:
+    """Return the mean of episodes, and its interval if objects are drawn again with all of their episodes."""
+    _, numbers = np.unique(objects, return_inverse=True)
+    sums, counts = np.bincount(numbers, values), np.bincount(numbers)
+    rng = np.random.default_rng(0)
+    drawn = rng.integers(len(sums), size=(_RESAMPLED, len(sums)))
+    means = sums[drawn].sum(axis=1) / counts[drawn].sum(axis=1)
+    low, high = np.percentile(means, _INTERVAL)
+    return Summary(float(values.mean()), float(low), float(high))
+
+
+def compare(reports: Mapping[str, Report]) -> list[tuple[str, ...]]:
+    """Return a table of several reports: metric, then mean and interval of each, average and final.
+
+    Raises
+    ------
+    InputError
+        The reports are not of one protocol; names what differs.
+    """
+    first_name, first = next(iter(reports.items()))
+    for name, report in reports.items():
+        for key, value in first.protocol.items():
+            if report.protocol.get(key) != value:
+                values = (wording.shortened(str(held), 80) for held in (value, report.protocol.get(key)))
+                raise InputError(
+                    f"the reports {first_name!r} and {name!r} have another protocol: {key} is "
+                    f"{' and '.join(values)}",
+                    next="evaluate both policies with the same options and objects",
+                )
+    return [
+        (metric, kind, *(_text(getattr(report.metrics[metric], kind)) for report in reports.values()))
+        for metric in first.metrics
+        for kind in ("average", "final")
+    ]
+
+
+def draw_curves(reports: Mapping[str, Report], path: str | os.PathLike[str]) -> None:
+    """Draw each metric of some reports by step, as PNG; MissingExtraError without matplotlib."""
+    with errors.needs_extra("the picture of a report", "matplotlib", "pictures"):
+        from matplotlib.figure import Figure
+    metrics = next(iter(reports.values())).metrics
+    figure = Figure(figsize=(5 * len(metrics), 3.6), layout="constrained")
+    for axes, metric in zip(figure.subplots(1, len(metrics), squeeze=False)[0], metrics, strict=True):
+        for name, report in reports.items():
+            curve = report.metrics[metric].by_step
+            axes.plot(range(1, len(curve) + 1), curve, label=name)
+        axes.set(xlabel="step", ylabel=metric.replace("_", " "))
+        axes.legend(frameon=False)
+    figure.savefig(path, dpi=150)
+
+
+def _text(summary: Summary) -> str:
+    return f"{summary.mean:.4g} ({summary.low:.4g} to {summary.high:.4g})"

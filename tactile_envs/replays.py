@@ -1,0 +1,128 @@
+"""Replays of recorded episodes: the same actions must give the same images and rewards."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+import realtouch
+from tactile_envs.config import Action, Observation
+from tactile_envs.environment import TactileVectorEnv
+from tactile_envs.episodes import EnvSources, EpisodeSpec
+from tactile_envs.recording import EpisodeGenerator, EpisodeRound
+from tactile_toolkit import places
+from tactile_toolkit.errors import InputError
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """Result of a replay: the episodes that were played, and the first difference in words, or None."""
+
+    episodes: int
+    touches: int
+    difference: str | None
+
+
+class _Recorded:
+    """The policy that repeats the actions of some recorded episodes; the others of a group stay still."""
+
+    def __init__(self, rounds: Mapping[int, realtouch.TouchSingleRound], spec: EpisodeSpec) -> None:
+        self._rounds, self._spec = rounds, spec
+
+    def begin(self, env: TactileVectorEnv, seed: int) -> None:
+        """Begin with the first touch."""
+        self._parts = env.action_space["action"].spaces
+        self._still = np.zeros(env.prediction_space.shape, np.float32)
+        self._touch = 0
+
+    def __call__(self, observation: Observation) -> Action:
+        """Return what was done after this touch."""
+        parts = {name: np.zeros(part.shape, np.float32) for name, part in self._parts.items()}
+        predictions = self._still.copy()
+        for index, held in self._rounds.items():
+            action = held.extra["action"][self._touch : self._touch + 1]
+            if not len(action) or np.isnan(action).any():
+                continue
+            predictions[index] = held.extra["prediction"][self._touch]
+            first = 0
+            for values in parts.values():
+                values[index] = action[0, first : first + values[index].size].reshape(values[index].shape)
+                first += values[index].size
+        self._touch += 1
+        return {"action": parts, "prediction": predictions}
+
+
+def replay(
+    name: places.Name | places.Place,
+    *,
+    sources: EnvSources | None = None,
+    limit: int | None = None,
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Replay:
+    """Play the actions of recorded episodes again, and compare images and rewards bit for bit.
+
+    Parameters
+    ----------
+    name : str, path-like or Place
+        Data set that :func:`record` made.
+    sources : EnvSources, optional
+        Objects and weights; by default as for :func:`tactile_envs.make_vector`.
+    limit : int, optional
+        Number of episodes, from the first one on; all by default.
+    on_progress : callable
+        Called with the number of compared episodes and that of all.
+
+    Raises
+    ------
+    InputError
+        The data set was not recorded, or the objects are not those of the recording.
+    IntegrityError
+        The data set is damaged.
+    """
+    place = places.open_place(name)
+    manifest = place.manifest
+    if manifest is None or manifest.spec.get("operation") != "record":
+        raise InputError(
+            f"{place.name!r} was not made by `tactile-envs record`; expected recorded episodes",
+            next="name the folder of a recording, not a copy of some of its rows",
+        )
+    options = manifest.spec["options"]
+    spec = EpisodeSpec(**{each.name: options[each.name] for each in fields(EpisodeSpec)})
+    generator = EpisodeGenerator.of(spec, "constant", sources or EnvSources(), options["image_format"])
+    if generator.form.files != manifest.spec["source"][spec.split]:
+        raise InputError(
+            f"the objects of the environment are not those of {place.name!r}",
+            next="give the objects that were recorded as assets",
+            field="assets",
+        )
+    rounds = realtouch.load(place, split=spec.split)
+    assert isinstance(rounds, realtouch.TouchSingleDataset), "an episode has an image for each touch"
+    touches = 0
+    for first in range(0, min(len(rounds), limit or len(rounds)), spec.num_envs):
+        numbers = range(first, min(first + spec.num_envs, len(rounds)))
+        recorded = {number - first: rounds[number] for number in numbers}
+        again = replace(generator, policy=_Recorded(recorded, spec))
+        for number, made in zip(numbers, again.make(spec.split, numbers), strict=True):
+            difference = _difference(recorded[number - first], made)
+            touches += len(made.images)
+            if difference is not None:
+                return Replay(number + 1, touches, f"episode {made.id}: {difference}")
+        on_progress(numbers.stop, len(rounds))
+    return Replay(numbers.stop, touches, None)
+
+
+def _difference(stored: realtouch.TouchSingleRound, made: EpisodeRound) -> str | None:
+    """Return the first difference between an episode and its repetition in words; None without any."""
+    if stored.touch_count != len(made.images):
+        return f"{stored.touch_count} touches were recorded, {len(made.images)} were made"
+    rewards = stored.extra["reward"]
+    for number, (image, _) in enumerate(made.images):
+        if bytes(stored.sensor_image.encoded(number)) != image:
+            return f"touch {number} has another image"
+        if not np.array_equal(rewards[number], made.reward[number], equal_nan=True):
+            return (
+                f"touch {number} has the reward {made.reward[number]:.6g}; {rewards[number]:.6g} was recorded"
+            )
+    return None
