@@ -1,17 +1,30 @@
-"""``tactile-envs``: the list of environments."""
+"""``tactile-envs``: environments, episodes of policies in them, and reports of policies."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, fields
 from functools import partial
+from pathlib import Path
+from typing import Any
 
-from cli import application, options, output
+import typer
+
+from cli import application, options, output, runs
+from tactile_toolkit.checked_fields import choice, integer, text
 from tactile_toolkit.kind import lazy
 from tactile_toolkit.wording import with_count
 
-# Imported when it is called: it registers the environments, and imports numpy.
+# Imported when they are called: the package registers the environments, and imports numpy.
 _environment_ids = lazy("tactile_envs:ids")
+_episode_generator = lazy("tactile_envs.recording:EpisodeGenerator.of")
+_episode_spec = lazy("tactile_envs.episodes:EpisodeSpec")
+_env_sources = lazy("tactile_envs.episodes:EnvSources")
+_replay = lazy("tactile_envs.replays:replay")
+_evaluate = lazy("tactile_envs.evaluation:evaluate")
+_read_report = lazy("tactile_envs.evaluation:Report.read")
+_compare = lazy("tactile_envs.evaluation:compare")
+_draw_curves = lazy("tactile_envs.evaluation:draw_curves")
 
 app = application.new_app("tactile-envs", "Environments of active tactile perception.")
 
@@ -38,6 +51,132 @@ def list_environments(
     for assets in dict.fromkeys(row.assets for row in listed):
         if assets in provider.THIRD_PARTY_ASSETS:
             sink.line(f"{assets}: give `assets`, a folder of meshes; {provider.THIRD_PARTY_ASSETS[assets]}")
+
+
+_ENV_ID = options.argument("ID", "Id of an environment (`tactile-envs list`), or module:namespace/Name-v0.")
+_POLICY = text(
+    "random",
+    metavar="NAME",
+    read=str,
+    complete=("random", "constant", "oracle"),
+    help="random, constant, oracle (knows the answer), or module:attribute of your own.",
+)
+_ASSETS = text(
+    metavar="DIR",
+    read=str,
+    help="Objects: a folder of data sets, a data set, or mesh files; made by default.",
+)
+
+
+@application.command(app)
+def record(
+    *,
+    env_id: str = _ENV_ID,
+    policy: str = _POLICY,
+    episodes: int = integer(100, 1, help="Number of episodes."),
+    num_envs: int = integer(64, 1, help="Environments side by side; random numbers depend on it."),
+    seed: int = integer(0, help="Random seed."),
+    image_format: str = choice("jpeg", ("jpeg", "png"), help="Format of the images."),
+    assets: str | None = _ASSETS,
+    out: str = options.out_folder("episodes"),
+    generate_options: options.GenerateOptions,
+    sink: output.Sink,
+) -> None:
+    """Record episodes of a policy as a data set of touches, with actions, predictions and rewards.
+
+    Example: tactile-envs record TactileMNIST-Depth-test-v0 --episodes 200 --out episodes
+    """
+    spec = _episode_spec(env_id=env_id, episodes=episodes, num_envs=num_envs, seed=seed)
+    generator = _episode_generator(spec, policy, _env_sources(assets=assets), image_format)
+    runs.generate_set(sink, "playing episodes", generator, out, None, generate_options)
+
+
+@application.command(app)
+def replay(
+    *,
+    name: str = options.NAME,
+    limit: int | None = integer(None, 1, optional=True, help="Replay the first episodes only."),
+    assets: str | None = _ASSETS,
+    sink: output.Sink,
+) -> None:
+    """Play recorded actions again, and compare all images and rewards bit for bit.
+
+    Example: tactile-envs replay episodes
+
+    Exit code 1 if one differs.
+    """
+    with sink.progress("replaying", "episodes") as update:
+        result = _replay(name, sources=_env_sources(assets=assets), limit=limit, on_progress=update)
+    sink.document(asdict(result))
+    counts = f"{with_count(result.episodes, 'episodes')}, {with_count(result.touches, 'touches')}"
+    if result.difference is not None:
+        sink.line(f"{name}: {counts}; {result.difference}")
+        raise typer.Exit(application.EXIT_FAILED)
+    sink.line(f"{name}: {counts}: all images and rewards are equal")
+
+
+@application.command(app)
+def evaluate(
+    *,
+    env_id: str = _ENV_ID,
+    policy: str = _POLICY,
+    episodes: int = integer(500, 1, help="Number of episodes of each seed."),
+    seeds: int = integer(5, 1, 1000, help="Number of seeds: 0, 1, ..."),
+    num_envs: int = integer(64, 1, help="Environments side by side; random numbers depend on it."),
+    assets: str | None = _ASSETS,
+    out: Path = options.local_out_folder("report"),
+    workers: int = options.WORKERS,
+    sink: output.Sink,
+) -> None:
+    """Report every metric of a policy, with 95 % intervals over objects: report.json, report.md, report.png.
+
+    Example: tactile-envs evaluate TactileMNIST-Depth-test-v0 --policy constant --out constant
+    """
+    with sink.progress("playing episodes", "groups") as update:
+        report = _evaluate(
+            env_id,
+            policy,
+            episodes=episodes,
+            seeds=seeds,
+            num_envs=num_envs,
+            sources=_env_sources(assets=assets),
+            workers=options.process_count(workers),
+            on_progress=update,
+        )
+    report.write(out)
+    _print_reports(sink, {str(report.policy["name"]): report})
+    sink.line(f"written to {out}; next: tactile-envs compare {out} OTHER")
+
+
+@application.command(app)
+def compare(
+    *,
+    reports: list[Path] = options.argument(
+        "REPORT...",
+        "Folders that `tactile-envs evaluate` wrote.",
+        several=True,
+        read=options.parse_local_path,
+    ),
+    out: Path | None = text(
+        name="--out -o", metavar="PNG", read=options.parse_local_path, help="Picture of the curves."
+    ),
+    sink: output.Sink,
+) -> None:
+    """Compare reports of one protocol in a table, and draw their curves.
+
+    Example: tactile-envs compare random constant --out curves.png
+    """
+    held = {path.name: _read_report(path) for path in reports}
+    _print_reports(sink, held)
+    if out is not None:
+        _draw_curves(held, out)
+        sink.line(f"the curves are in {out}")
+
+
+def _print_reports(sink: output.Sink, reports: Mapping[str, Any]) -> None:
+    table = _compare(reports)
+    sink.document({name: asdict(report) for name, report in reports.items()})
+    sink.table(("metric", "", *(f"{name}: mean (95 % interval)" for name in reports)), table)
 
 
 def _shown(value: object) -> object:
